@@ -1,9 +1,9 @@
-"""Most cycles that a function of a linked Cortex-M0+ image can take: the longest path through its machine code.
+"""Most cycles that a function of a linked Cortex-M0+ or Cortex-M33 image can take: the longest path through its machine
+code.
 
-No run is needed: every branch may go either way, every call takes its callee's bound, every loop goes round as often
-as `Knowledge` says. So it holds for every input, and is too high where the data forbid a path. Zero wait states: for
-code and data in RAM that no other bus master uses. Cycles: Cortex-M0+ Technical Reference Manual, table 3-1, with the
-fast multiplier.
+No run is needed: every branch may go either way, every instruction under a condition may act or not, every call takes
+its callee's bound, every loop goes round as often as `Knowledge` says. So it holds for every input, and is too high
+where the data forbid a path. Cycles by the core's table (cores.py): zero wait states.
 """
 
 from __future__ import annotations
@@ -14,8 +14,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tools.cores import M0PLUS, Core
+
 _CASE = re.compile(r"__gnu_thumb1_case_([us])([qh])i")  # libgcc's switch: a table of offsets / 2 behind the call
 _LINE = re.compile(r"^\s*([0-9a-f]+):\t([0-9a-f ]+?)\s*\t(\S+)(?:\t([^@<]*)(?:<([^>]+)>)?.*)?$")
+_CONDITION = "(eq|ne|cs|cc|mi|pl|vs|vc|hi|ls|ge|lt|gt|le|hs|lo)"
 _HEAD = re.compile(r"^([0-9a-f]{8}) <(.+)>:$")
 
 
@@ -28,55 +31,54 @@ class Unbounded(Exception):
 
 @dataclass(frozen=True)
 class Instruction:
-    """One line of the disassembly. target: of a direct branch or call, else 0."""
+    """One line of the disassembly, its name without width or condition. target: of a direct branch or call, else 0.
+    conditional: a branch that may be taken or not. maybe: under a condition of an IT block, it may do nothing."""
 
     address: int
     size: int
     name: str
     operands: str
     target: int
+    conditional: bool = False
+    maybe: bool = False
 
     @property
-    def registers(self) -> int:
-        """How many a push, pop or load/store multiple moves."""
+    def words(self) -> int:
+        """How many it moves between registers and memory."""
+        if not self.name.startswith(("push", "pop", "ldr", "str", "ldm", "stm")):
+            return 0
         match = re.search(r"\{(.*?)\}", self.operands)
         count = 0
         for part in match[1].split(",") if match else []:
             ends = re.findall(r"\d+", part)
             count += int(ends[1]) - int(ends[0]) + 1 if "-" in part else 1
-        return count
-
-    @property
-    def cycles(self) -> int:
-        """Without a branch's; a taken branch costs one more."""
-        name, operands = self.name, self.operands
-        if name in ("push", "pop", "ldmia", "stmia", "ldm", "stm"):
-            return self.registers + (3 if name == "pop" and "pc" in operands else 1)
-        if name.startswith(("ldr", "str")):
-            return 2
-        if name == "bl" or name in ("mrs", "msr", "dmb", "dsb", "isb"):
-            return 3
-        if name in ("bx", "blx", "b", "b.n", "b.w") or self.writes_pc:
-            return 2
-        return 1
+        return count or (2 if self.name in ("ldrd", "strd") else 1)
 
     @property
     def on_the_bus(self) -> bool:
-        return self.name.startswith(("ldr", "str", "ldm", "stm")) and not re.search(r"\[(pc|sp)", self.operands)
+        return self.name.startswith(("ldr", "str", "ldm", "stm")) and not re.search(r"\[(pc|sp)|^sp!", self.operands)
+
+    @property
+    def loads_pc(self) -> bool:
+        return (self.name in ("pop", "ldm", "ldmia") and "pc" in self.operands) or (
+            self.name == "ldr" and self.operands.startswith("pc,")
+        )
 
     @property
     def writes_pc(self) -> bool:
         return self.name in ("mov", "add") and self.operands.lstrip().startswith("pc")
 
     @property
-    def conditional(self) -> bool:
-        return re.fullmatch(r"b(eq|ne|cs|cc|mi|pl|vs|vc|hi|ls|ge|lt|gt|le|hs|lo)(\.[nw])?", self.name) is not None
+    def jumps(self) -> bool:
+        return self.name in ("b", "bl", "bx", "blx") or self.writes_pc or self.loads_pc
 
 
 class Code:
-    """The disassembly of an ELF file."""
+    """The disassembly of an ELF file for a core."""
 
-    def __init__(self, elf: Path) -> None:
+    def __init__(self, elf: Path, core: Core = M0PLUS) -> None:
+        self.core = core
+        self._conditions = 0  # instructions left of an IT block
         self.at: dict[int, Instruction] = {}
         self.words: dict[int, int] = {}  # byte address -> byte, of data among the code
         self.starts: dict[str, int] = {}
@@ -95,9 +97,16 @@ class Code:
             for i, byte in enumerate(int(digits, 16).to_bytes(size, "little")):
                 self.words[address + i] = byte
             return
-        branch = re.match(r"b", name) and name not in ("bx", "blx", "bics", "bkpt")
-        target = int(operands.split()[0], 16) if branch and operands.strip() else 0
-        self.at[address] = Instruction(address, size, name, operands.strip(), target)
+        name = re.sub(r"\.[nw]$", "", name)
+        maybe, self._conditions = self._conditions > 0, max(self._conditions - 1, 0)
+        if re.fullmatch(r"it[te]*", name):
+            self._conditions = len(name) - 1
+        elif maybe:
+            name = re.sub(f"{_CONDITION}$", "", name)
+        conditional = re.fullmatch(f"b{_CONDITION}|cbn?z", name) is not None
+        direct = conditional or name in ("b", "bl")
+        target = int(operands.split()[-1], 16) if direct else 0
+        self.at[address] = Instruction(address, size, name, operands.strip(), target, conditional, maybe)
 
     def _start(self, address: int) -> int:
         return max(start for start in self.names if start <= address)
@@ -187,36 +196,51 @@ class Bound:
     def _successors(self, start: int, here: Instruction) -> Iterator[tuple[int, int]]:
         """(address, cycles); address 0 is the return."""
         after = here.address + here.size
-        if here.conditional:
+        cycles = self.code.core.cycles(here.name, here.words, here.jumps)
+        if here.maybe:
             yield after, 1
-            yield here.target, 2
-        elif here.name in ("b", "b.n", "b.w"):
-            yield here.target, 2
+        if here.conditional:
+            yield after, cycles
+            yield here.target, cycles + self.code.core.taken
+        elif here.name == "b":
+            yield here.target, cycles
         elif here.name == "bl":
-            yield from self._call(start, here, after)
+            yield from self._call(start, here, after, cycles)
         elif here.name == "blx":
-            yield after, here.cycles + self._through_pointer(start, here)
+            yield after, cycles + self._through_pointer(start, here)
         elif here.name == "bx" and here.operands != "lr":
-            yield 0, here.cycles + self._through_pointer(start, here)
-        elif here.name == "bx" or (here.name == "pop" and "pc" in here.operands) or here.writes_pc:
-            if here.writes_pc and "lr" not in here.operands:
-                raise Unbounded(f"a computed jump at {self.code.where(here.address)}")
-            yield 0, here.cycles
+            yield 0, cycles + self._through_pointer(start, here)
+        elif here.name in ("tbb", "tbh"):
+            size = 1 if here.name == "tbb" else 2
+            yield from ((target, cycles) for target in self._cases(after, signed=False, size=size))
+        elif here.name == "bx" or here.loads_pc or here.writes_pc:
+            yield 0, cycles + self._leaves(here)
         elif here.name in ("bkpt", "udf"):
             return  # the end of the program
         else:
-            wait = self.knowledge.waits.get(self.code.names[start], 0) if here.on_the_bus else 0
-            yield after, here.cycles + wait
+            wait = self.knowledge.waits.get(self.code.names[start], 0) * here.words if here.on_the_bus else 0
+            yield after, cycles + wait
 
-    def _call(self, start: int, here: Instruction, after: int) -> Iterator[tuple[int, int]]:
+    def _leaves(self, here: Instruction) -> int:
+        """Cycles of what follows a load or move of the program counter: a return, or the linker's long jump."""
+        if here.name == "ldr" and (literal := re.search(r"\[pc(?:, #(\d+))?\]", here.operands)):
+            return self._function(self._word((here.address + 4 & ~3) + int(literal[1] or 0)) & ~1)
+        if (here.writes_pc and "lr" not in here.operands) or (here.name == "ldr" and "[sp]" not in here.operands):
+            raise Unbounded(f"a computed jump at {self.code.where(here.address)}")
+        return 0
+
+    def _word(self, at: int) -> int:
+        return int.from_bytes(bytes(self.code.words[at + i] for i in range(4)), "little")
+
+    def _call(self, start: int, here: Instruction, after: int, cycles: int) -> Iterator[tuple[int, int]]:
         name = self.code.names.get(here.target)
         if name is None:  # a far jump within the function
-            yield here.target, here.cycles
+            yield here.target, cycles
         elif match := _CASE.search(name):
             for target in self._cases(after, signed=match[1] == "s", size=1 if match[2] == "q" else 2):
-                yield target, here.cycles + self._function(here.target)
+                yield target, cycles + self._function(here.target)
         else:
-            yield after, here.cycles + self._function(here.target)
+            yield after, cycles + self._function(here.target)
 
     def _cases(self, table: int, *, signed: bool, size: int) -> Iterator[int]:
         at = table
@@ -229,8 +253,7 @@ class Bound:
     def _through_pointer(self, start: int, here: Instruction) -> int:
         name = self.code.names[start]
         if re.fullmatch(r"__.+_veneer", name):  # the linker's long jump: its target is the word behind it
-            at = (here.address + here.size + 3) & ~3
-            return self._function(int.from_bytes(bytes(self.code.words[at + i] for i in range(4)), "little") & ~1)
+            return self._function(self._word((here.address + here.size + 3) & ~3) & ~1)
         if name not in self.knowledge.pointers:
             raise Unbounded(f"{self.code.where(here.address)} calls through a pointer")
         return max(self.of(target) for target in self.knowledge.pointers[name])

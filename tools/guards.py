@@ -16,6 +16,7 @@ IMAGE = "tools/emulator/test/image.test.js::"
 EVERY_POINT = "tests/board/test_every_point.py::test_whatever_goes_wrong_at_any_point"
 COMMISSION, COMMANDS = (f"tests/board/test_{name}.py::test_" for name in ("commission", "commands"))
 PAGE, C_FILES = (f"tests/host/test_{name}.py::test_" for name in ("safety_page", "firmware_sources"))
+UPDATE, UPDATED = "tests/c/test_update.c::test_", "tests/firmware/test_emulated_update.py::test_"
 EMULATED, BUILT = (f"tests/firmware/test_{name}.py::test_" for name in ("emulated_board", "image"))
 
 ASK, GUARD, REST, STOP, APP, COMMAND, TABLES, SETTINGS = (
@@ -25,6 +26,8 @@ ASK, GUARD, REST, STOP, APP, COMMAND, TABLES, SETTINGS = (
 HEADERS = "firmware/app/include/tautline/"
 RP2040 = "firmware/port/rp2040/"
 FLASH_STORE = "firmware/app/src/tl_store.c"
+LOGGED, LOG = "tests/c/test_fault_log.c::test_", "firmware/app/src/tl_fault_log.c"
+NEW, BOOT = "firmware/app/src/tl_update.c", "firmware/app/src/tl_boot.c"
 HOST = "host/tautline/"
 
 
@@ -236,6 +239,39 @@ _APP = (
 """),
     _one("a new table is told", "tests/c/test_app.c::test_no_event_is_lost_to_the_control_step", TABLES,
          "        tl_axis_event(&tables->axes[index], TL_WIRE_EVENT_TABLE);\n", "        (void)0;\n"),
+    _one("an image counts when all of it is there", UPDATE + "a_flipped_bit_falls_back_to_the_other_slot",
+         BOOT, "tl_boot_crc(flash, slot, found.size) != crc", "false"),
+    _one("the slot that runs is not written", UPDATE + "a_power_cut_at_any_operation_of_an_update_leaves_one_that_runs",
+         NEW, "update->port->update->slot == 0U ? 1U : 0U;", "update->port->update->slot == 0U ? 0U : 1U;"),
+    _one("firmware is on trial", UPDATE + "new_firmware_that_hangs_gives_way_to_the_old_one_for_good",
+         BOOT, "(slot != failed || found->confirmed)", "true"),
+    _one("a trial that failed is remembered", UPDATE + "new_firmware_that_hangs_gives_way_to_the_old_one_for_good",
+         NEW, "        mark(port, free_slot(update), TL_BOOT_FAILED);", "        (void)0;"),
+    _one("a host confirms", UPDATE + "new_firmware_runs_from_the_next_start_on_and_is_confirmed_by_a_host",
+         NEW, "if (update->heard && since_us", "if (since_us"),
+    _one("silent firmware is given up", UPDATE + "new_firmware_that_no_host_has_talked_to_is_given_up",
+         NEW, "port->update->trial_ends(port->context, false);", "(void)0;"),
+    _one("on trial nothing is overwritten", UPDATE + "on_trial_the_old_one_is_not_overwritten",
+         NEW, "    if (update->trial) {\n", "    if (false) {\n"),
+    _one("a signature", UPDATE + "nothing_is_erased_for_a_file_that_is_refused",
+         NEW, "return is_signed ? TL_WIRE_UPDATE_NONE : TL_WIRE_UPDATE_SIGNATURE;",
+         "return is_signed ? TL_WIRE_UPDATE_NONE : TL_WIRE_UPDATE_NONE;"),
+    _one("a hash of what flash holds", UPDATE + "a_file_that_ends_early_or_changed_on_its_way_does_not_count",
+         NEW, "memcmp(hash, update->hash, sizeof(hash)) != 0", "false"),
+    _one("another board's firmware", UPDATE + "nothing_is_erased_for_a_file_that_is_refused",
+         NEW, "if (!is_for(update->port, &image)) {", "if (false && !is_for(update->port, &image)) {"),
+    _one("older firmware by --force alone", UPDATE + "an_older_one_comes_where_it_is_asked_for",
+         NEW, "if (!update->any && memcmp", "if (false && memcmp"),
+    _one("firmware with every motor off", UPDATE + "nothing_is_erased_for_a_file_that_is_refused",
+         NEW, "tl_tables_all_off(update->port, update->axes) ? TL_WIRE_UPDATE_NONE", "true ? TL_WIRE_UPDATE_NONE"),
+    _one("firmware is read back", UPDATE + "what_flash_did_not_take_does_not_count",
+         NEW, " && holds(port, slot, offset, page);", ";"),
+    _one("faults are logged with every motor off", LOGGED + "nothing_is_written_while_a_motor_is_on",
+         LOG, "due && may_write && tl_tables_all_off(log->port, log->axes)", "due && may_write"),
+    _one("a fault a second", LOGGED + "a_host_that_makes_faults_wears_no_flash",
+         LOG, "now_us - log->wrote_us >= AT_MOST_US", "true"),
+    _one("a torn page is passed over", LOGGED + "a_power_cut_loses_the_fault_that_was_written_or_the_oldest",
+         LOG, "!is_blank(port, log->next)) {", "false) {"),
     _one("codes differ", "tests/c/duplicate_code.c::",
          "common/include/tautline/tl_wire.h", "#define TL_WIRE_CASE_(code, NAME, text) case (code):",
          "#define TL_WIRE_CASE_(code, NAME, text)"),
@@ -272,8 +308,10 @@ _PORT = (
     _one("the supply is measured", "tests/board/test_safety.py::test_driver_and_supply", RP2040 + "bridge.c",
          "const unsigned address = turn < 5 ? turn :", "const unsigned address = turn < 5 ? turn % 4 :",
          board="emulated"),
+    _one("the loader watches a trial", UPDATED + "an_image_that_hangs_gives_way_to_the_old_one",
+         RP2040 + "loader.c", "    if (choice.trial) {", "    if (false) {"),
     _one("erratum E5's work-round", BUILT + "an_image_of_fewer_axes_comes_up_on_an_early_chip",
-         RP2040 + "CMakeLists.txt", "if(TAUTLINE_AXES LESS 4)", "if(TAUTLINE_AXES LESS 0)"),
+         RP2040 + "CMakeLists.txt", "TAUTLINE_AXES LESS 4)", "TAUTLINE_AXES LESS 0)"),
 )  # fmt: skip
 
 # -- the host, and the desktop board ----------------------------------------------------------------------------------

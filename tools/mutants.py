@@ -56,14 +56,14 @@ def without(guard: Guard, root: Path = ROOT) -> dict[str, str]:
 class Portable:
     """The C tests with all that they need, compiled once; a mutant compiles what it changes."""
 
-    def __init__(self, folder: Path, cc: str, unity: Path) -> None:
-        self.folder, self.cc, self.unity = folder, cc, unity
+    def __init__(self, folder: Path, cc: str, unity: Path, monocypher: Path) -> None:
+        self.folder, self.cc, self.unity, self.monocypher = folder, cc, unity, monocypher
         self.sources = [file for place in SOURCES for file in sorted(place.glob("*.c")) if file.name != "tl_usb.c"]
-        self.sources.append(unity / "unity.c")
+        self.sources += [unity / "unity.c", monocypher / "monocypher.c"]
         self.objects = dict(zip(self.sources, self._compile(self.sources, folder, []), strict=True))
 
     def _includes(self, before: list[Path]) -> list[str]:
-        return [f"-I{path}" for path in (*before, *INCLUDES, *SOURCES, TESTS, self.unity)]
+        return [f"-I{path}" for path in (*before, *INCLUDES, *SOURCES, TESTS, self.unity, self.monocypher)]
 
     def _compile(self, sources: list[Path], into: Path, before: list[Path]) -> list[Path]:
         made = [into / f"{source.stem}.o" for source in sources]
@@ -103,7 +103,7 @@ class Portable:
                 return subprocess.run(command, capture_output=True, check=False).returncode == 0
             objects = {key: self.objects[key] for key in self.sources} | {source: self._of_test(source)}
             if headers:
-                again = [key for key in objects if key not in changed and key.name != "unity.c"]
+                again = [key for key in objects if key not in changed and key.name not in ("unity.c", "monocypher.c")]
                 objects |= dict(zip(again, self._compile(again, folder, [folder]), strict=True))
             for key, target in changed.items():
                 objects[key] = self._compile([target], folder, [folder])[0]
@@ -127,6 +127,7 @@ class Copy:
         finder = folder / "finder"
         finder.mkdir()
         (finder / "sitecustomize.py").write_text(FINDER.format(host=str(self.root / "host")), "utf-8")
+        shutil.copytree(ROOT / "build/keys", self.root / "build/keys", dirs_exist_ok=True)  # to sign updates with
         self.environment = os.environ | {"PYTHONPATH": str(finder), "PYTHONDONTWRITEBYTECODE": "1"}
 
     def _run(self, *command: str, check: bool = True) -> subprocess.CompletedProcess[str]:
@@ -140,7 +141,7 @@ class Copy:
     def _build(self, test: str, board: str) -> None:
         if test.startswith(("tools/", "tests/firmware")) or board == "emulated":
             self._run("cmake", "-S", RP2040, "-B", "build/rp2040", "-G", "Ninja")
-            self._run("cmake", "--build", "build/rp2040", "--target", "tautline", "bootrom", "layout")
+            self._run("cmake", "--build", "build/rp2040", "--target", "flash", "bootrom", "layout")
         elif test.startswith("tests/board"):
             self._run("cmake", "--preset", "gcc")
             self._run("cmake", "--build", "--preset", "gcc", "--target", "tautline-board")
@@ -192,6 +193,9 @@ def is_portable(guard: Guard) -> bool:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--unity", type=Path, required=True, help="folder of unity.c")
+    fetched = Path(os.environ.get("TAUTLINE_DEPS", ROOT / ".deps")) / "monocypher"
+    usual = Path(os.environ.get("TAUTLINE_MONOCYPHER_DIR", fetched))
+    parser.add_argument("--monocypher", type=Path, default=usual, help="folder of monocypher.c")
     parser.add_argument("--cc", default="cc")
     parser.add_argument("--only", default="", help="guards whose name contains this")
     parser.add_argument("--all", action="store_true", help="those of the image and of the host, too")
@@ -199,7 +203,7 @@ def main() -> int:
     chosen = [each for each in GUARDS if options.only in each.name and (options.all or is_portable(each))]
     wrong = 0
     with tempfile.TemporaryDirectory() as name:
-        portable = Portable(Path(name), options.cc, options.unity)
+        portable = Portable(Path(name), options.cc, options.unity, options.monocypher)
         copy = Copy(Path(name)) if not all(map(is_portable, chosen)) else None
         for test, board in dict.fromkeys((each.test, each.board) for each in chosen):
             if portable.misses(test, {}) if copy is None or test.startswith("tests/c/") else copy.fails(test, board):

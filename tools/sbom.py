@@ -13,14 +13,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from cyclonedx.schema import SchemaVersion
-from cyclonedx.validation.json import JsonStrictValidator
-
 DISTRIBUTION = "tautline-robotics"
 DEPS = Path(os.environ.get("TAUTLINE_DEPS", ".deps"))
 
 
 def main(environment: Path, version: str, out: Path) -> None:
+    from cyclonedx.schema import SchemaVersion  # of the extra `release`
+    from cyclonedx.validation.json import JsonStrictValidator
+
     document = json.loads(environment.read_text())
     ours = next(each for each in document["components"] if each["name"] == DISTRIBUTION)
     document["components"].remove(ours)
@@ -36,13 +36,15 @@ def main(environment: Path, version: str, out: Path) -> None:
 
 
 def c_components() -> list[dict[str, Any]]:
-    """TinyUSB, in the wheel's desktop board and in the image; the Pico SDK, in the image."""
+    """TinyUSB and Monocypher, in the wheel's desktop board and in the image; the Pico SDK, in the image."""
     tinyusb = Path(os.environ.get("TAUTLINE_TINYUSB_DIR", DEPS / "root/usr/src/tinyusb")) / "src/tusb_option.h"
+    monocypher = Path(os.environ.get("TAUTLINE_MONOCYPHER_DIR", DEPS / "monocypher")) / "monocypher.c"
     local = DEPS / "root/usr/src/pico-sdk"
     sdk = Path(os.environ.get("PICO_SDK_PATH", local if local.is_dir() else "/usr/src/pico-sdk"))
     sdk_version = sdk / "pico_sdk_version.cmake"
     return [
         _component("tinyusb", "MIT", tinyusb, r"TUSB_VERSION_(?:MAJOR|MINOR|REVISION)\s+(\d+)"),
+        _component("monocypher", "BSD-2-Clause OR CC0-1.0", monocypher, r"(?:Monocypher version |(?<=\d)\.)(\d+)"),
         _component("pico-sdk", "BSD-3-Clause", sdk_version, r"PICO_SDK_VERSION_(?:MAJOR|MINOR|REVISION) (\d+)"),
     ]
 

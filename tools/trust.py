@@ -21,6 +21,9 @@ from pathlib import Path
 from rich.progress import Progress, TaskID
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+from tools.kept import keep  # noqa: E402
+
 HARNESSES = ROOT / "build" / "fuzz" / "tests" / "fuzz"
 FOUND = ROOT / "build" / "fuzz" / "found"
 CORPUS = ROOT / "tests" / "fuzz" / "corpus"
@@ -123,6 +126,9 @@ def main() -> int:
     for each in results:
         edges = f"{each.reached} of {each.edges}"
         print(f"{each.name:9s}{each.executions:12d}{edges:>16s}{each.inputs:13d}  {TARGETS[each.name].what}")
+    heads = ("target", "executions", "edges reached", "of", "kept inputs", "broken")
+    kept = [(each.name, each.executions, each.reached, each.edges, each.inputs, each.broken) for each in results]
+    keep("fuzz", heads, kept)
     for each in results:
         if each.broken:
             print(f"{each.name}: {each.broken}")

@@ -63,10 +63,16 @@ uint8_t *tl_sections_put(uint8_t *at, const tl_table_t *table) {
     return at;
 }
 
-static tl_table_reason_t get_plays(const uint8_t *at, size_t size, tl_table_t *table) {
-    if (size != TL_TABLE_PLAYS_SIZE(table->nodes) || table->plays != 0) {
-        return TL_TABLE_BAD_SECTION;
+// Which of `words` has this number; WORDS: none.
+static unsigned row_of(unsigned number) {
+    unsigned row = 0;
+    while (row < WORDS && words[row].number != number) {
+        row++;
     }
+    return row;
+}
+
+static tl_table_reason_t get_plays(const uint8_t *at, tl_table_t *table) {
     if (at[0] < PLAYS_MIN || at[0] > TL_TABLE_PLAYS_MAX) {
         return TL_TABLE_BAD_PLAYS;
     }
@@ -84,38 +90,39 @@ static tl_table_reason_t get_plays(const uint8_t *at, size_t size, tl_table_t *t
     return tl_get(at + 2, 2) == 0 ? TL_TABLE_OK : TL_TABLE_BAD_RESERVED;
 }
 
-static tl_table_reason_t get_words(unsigned number, const uint8_t *at, size_t size, tl_table_t *table) {
-    for (unsigned i = 0; i < WORDS; i++) {
-        if (words[i].number == number && words[i].size == size) {
-            tl_get_column(at, (int32_t *)((char *)table + words[i].at), words[i].size / 4U);
-            table->has |= 1U << number;
-            return TL_TABLE_OK;
-        }
-    }
-    return TL_TABLE_BAD_SECTION;
-}
-
-tl_table_reason_t tl_sections_get(const uint8_t *at, const uint8_t *end, tl_table_t *table) {
+tl_table_reason_t tl_sections_get(const uint8_t *begin, const uint8_t *end, tl_table_t *table) {
     unsigned last = 0;
     table->plays = 0;
     table->has = 0;
 #define CLEAR(number, name, FIELDS) memset(&table->name, 0, sizeof table->name);
     TL_TABLE_SECTIONS(CLEAR)
 #undef CLEAR
-    while (at != end) {
-        const size_t left = (size_t)(end - at);
-        const size_t size = left < SECTION_HEAD ? left : tl_get(at + 2, 2);
-        if (left < SECTION_HEAD || size > left - SECTION_HEAD || tl_get(at, 2) <= last) {
+    size_t left = (size_t)(end - begin); // what is left, and so never beyond the end
+    while (left != 0) {
+        if (left < SECTION_HEAD) {
             return TL_TABLE_BAD_SECTION;
         }
-        last = tl_get(at, 2);
-        at += SECTION_HEAD;
-        const tl_table_reason_t reason =
-            last == TL_TABLE_PLAYS_SECTION ? get_plays(at, size, table) : get_words(last, at, size, table);
+        const unsigned number = tl_get(end - left, 2);
+        const unsigned row = row_of(number);
+        const size_t size = row < WORDS ? words[row].size : TL_TABLE_PLAYS_SIZE(table->nodes);
+        const bool known = row < WORDS || number == TL_TABLE_PLAYS_SECTION;
+        const bool sized = tl_get(end - left + 2, 2) == size;
+        left -= SECTION_HEAD;
+        if (number <= last || !known || !sized || size > left) {
+            return TL_TABLE_BAD_SECTION;
+        }
+        const uint8_t *content = end - left;
+        last = number;
+        left -= size;
+        if (row < WORDS) {
+            tl_get_column(content, (int32_t *)((char *)table + words[row].at), words[row].size / 4U);
+            table->has |= 1U << number;
+            continue;
+        }
+        const tl_table_reason_t reason = get_plays(content, table);
         if (reason != TL_TABLE_OK) {
             return reason;
         }
-        at += size;
     }
     return TL_TABLE_OK;
 }
@@ -128,17 +135,18 @@ static tl_table_reason_t check_plays(const tl_table_t *t) {
         t->play_weight_q16[0] < WEIGHT_FIRST_MIN) {
         return TL_TABLE_BAD_PLAYS;
     }
-    uint64_t weight = 0;
+    uint32_t weight = 0;
     int64_t width = -((int64_t)1 << 44);
     for (unsigned i = 0; i < t->plays; i++) {
-        if (t->play_weight_q16[i] == 0 || (i > 0 && t->play_width_q28[i] <= t->play_width_q28[i - 1U])) {
+        const uint32_t share = t->play_weight_q16[i];
+        if (share == 0 || share > WEIGHT_ALL || (i > 0 && t->play_width_q28[i] <= t->play_width_q28[i - 1U])) {
             return TL_TABLE_BAD_PLAYS;
         }
-        weight += t->play_weight_q16[i];
+        weight += share;
         if (weight > WEIGHT_ALL) {
             return TL_TABLE_BAD_PLAYS;
         }
-        width += (int64_t)((uint64_t)t->play_weight_q16[i] * t->play_width_q28[i]);
+        width += (int64_t)((uint64_t)share * t->play_width_q28[i]);
     }
     if (weight != WEIGHT_ALL || width > SHARE_ERROR_MAX || width < -SHARE_ERROR_MAX) {
         return TL_TABLE_BAD_PLAYS;

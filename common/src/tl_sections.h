@@ -46,8 +46,8 @@ size_t tl_sections_size(const tl_table_t *table);
 /// Writes them; returns where they end.
 uint8_t *tl_sections_put(uint8_t *at, const tl_table_t *table);
 
-/// Reads those from `at` up to `end`.
-tl_table_reason_t tl_sections_get(const uint8_t *at, const uint8_t *end, tl_table_t *table);
+/// Reads those from `begin` up to `end`.
+tl_table_reason_t tl_sections_get(const uint8_t *begin, const uint8_t *end, tl_table_t *table);
 
 /// Their content, of a table whose header and nodes are sound.
 tl_table_reason_t tl_sections_check(const tl_table_t *table);

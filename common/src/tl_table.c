@@ -195,7 +195,7 @@ static tl_table_reason_t check_nodes(const tl_table_t *t) {
     }
     const uint32_t flat_below = tl_table_flat_below(t);
     for (unsigned i = 0; i + 1U < t->nodes && t->flat_speed_q8 == 0; i++) {
-        if ((uint32_t)tl_abs_sat(t->angle[i + 1U] - t->angle[i]) < flat_below) {
+        if ((uint32_t)tl_abs_sat(tl_sub_sat(t->angle[i + 1U], t->angle[i])) < flat_below) {
             return TL_TABLE_BAD_FLAT;
         }
     }

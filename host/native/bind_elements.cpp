@@ -18,6 +18,15 @@ std::vector<double> copied(const Values &values) {
     return {values.data(), values.data() + values.shape(0)};
 }
 
+void refuse_friction(const struct friction &of) {
+    const bool known = of.kind == FRICTION_BOUC_WEN || of.kind == FRICTION_DAHL;
+    const double *v = of.value;
+    if (!known || !(v[FRICTION_EXPONENT] > 0.0) || !(v[FRICTION_BETA] >= 0.0) || !(v[FRICTION_BETA] <= 1.0) ||
+        !std::isfinite(v[FRICTION_LENGTH]) || !std::isfinite(v[FRICTION_SHARE])) {
+        throw std::invalid_argument("friction: Bouc-Wen's or Dahl's, lengths finite, exponent > 0, beta 0 to 1");
+    }
+}
+
 void refuse(const char *why) {
     throw std::invalid_argument(why);
 }
@@ -47,7 +56,7 @@ void check(const Plays &self) {
     }
     if (self.r.empty() || self.r.size() > ELEMENTS_MAX || self.r.size() != self.w.size() || !rises(self.r) ||
         self.r[0] < 0.0 || !(std::fabs(weight - 1.0) < 1e-9) || !(std::fabs(mean - 0.5) < 1e-9)) {
-        refuse("elements: 1 to 7, 0 <= r rising, w > 0, sum w = 1, sum w r = 1/2");
+        refuse("elements: 1 to 12, 0 <= r rising, w > 0, sum w = 1, sum w r = 1/2");
     }
     if (!(self.narrow >= 0.0)) {
         refuse("elements: narrow is negative");
@@ -57,21 +66,37 @@ void check(const Plays &self) {
 } // namespace
 
 void bind_elements(nb::module_ &m) {
+    m.attr("FRICTION_BOUC_WEN") = static_cast<int>(FRICTION_BOUC_WEN);
+    m.attr("FRICTION_DAHL") = static_cast<int>(FRICTION_DAHL);
     m.attr("ELEMENTS_MAX") = static_cast<int>(ELEMENTS_MAX);
     nb::class_<Plays>(m, "Plays", "Play elements on one backlash table. See elements.h.")
         .def(
             "__init__",
             [](Plays *self, Values grid, Values width) {
-                new (self) Plays{copied(grid), copied(width), {}, {}, {}, {}, 0.0};
+                new (self) Plays{copied(grid), copied(width), {}, {}, {}, {}, 0.0, {}, {}};
                 check(*self);
             },
             "grid"_a, "width"_a, "A single play.")
         .def(
             "__init__",
+            [](Plays *self, Values grid, Values width, int kind, double length, double share, double exponent,
+               double beta) {
+                struct friction of = {kind, {length, share, exponent, beta}, 0.0, nullptr};
+                new (self) Plays{copied(grid), copied(width), {}, {}, {}, {}, 0.0, of, {}};
+                check(*self);
+                refuse_friction(of);
+                const struct play_table table = self->view().table;
+                self->friction.least = of.least = friction_least(&of, &table);
+                self->travel.resize(3 * table.n);
+                friction_travel(&of, &table, self->travel.data());
+            },
+            "grid"_a, "width"_a, "kind"_a, "length"_a, "share"_a, "exponent"_a, "beta"_a, "Friction. See friction.h.")
+        .def(
+            "__init__",
             [](Plays *self, Values grid, Values width, Values warp_q, Values warp_x, Values r, Values w,
                double narrow) {
-                new (self)
-                    Plays{copied(grid), copied(width), copied(warp_q), copied(warp_x), copied(r), copied(w), narrow};
+                new (self) Plays{
+                    copied(grid), copied(width), copied(warp_q), copied(warp_x), copied(r), copied(w), narrow, {}, {}};
                 check(*self);
             },
             "grid"_a, "width"_a, "warp_q"_a, "warp_x"_a, "r"_a, "w"_a, "narrow"_a)
@@ -83,7 +108,7 @@ void bind_elements(nb::module_ &m) {
                 const auto e = self.view();
                 {
                     nb::gil_scoped_release unlocked;
-                    elements_forward(&e, q.data(), q.shape(0), p0, p.data(), side.data(), nullptr, nullptr);
+                    elements_forward(&e, q.data(), q.shape(0), p0, p.data(), side.data(), nullptr, nullptr, nullptr);
                 }
                 return std::make_pair(p, side);
             },
@@ -100,11 +125,26 @@ void bind_elements(nb::module_ &m) {
                 const auto e = self.view();
                 {
                     nb::gil_scoped_release unlocked;
-                    elements_forward(&e, q.data(), q.shape(0), p0, p.data(), side.data(), lean.data(), share.data());
+                    elements_forward(&e, q.data(), q.shape(0), p0, p.data(), side.data(), lean.data(), share.data(),
+                                     nullptr);
                 }
                 return nb::make_tuple(p, side, lean, share);
             },
             "q"_a, "p0"_a, "(p, side, lean, share): also dp/dB = -lean / 2 and dp/dq = share.")
+        .def(
+            "slopes",
+            [](const Plays &self, Values q, double p0) {
+                const size_t n = q.shape(0);
+                auto p = new_array<double>(n);
+                auto by = new_array<double>(n * FRICTION_VALUES);
+                const auto e = self.view();
+                {
+                    nb::gil_scoped_release unlocked;
+                    elements_forward(&e, q.data(), n, p0, p.data(), nullptr, nullptr, nullptr, by.data());
+                }
+                return by;
+            },
+            "q"_a, "p0"_a, "Of friction: p's derivatives by length, share, exponent, beta, one row after the other.")
         .def(
             "inverse",
             [](const Plays &self, Values p, double q0, double p0) {

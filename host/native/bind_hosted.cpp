@@ -89,6 +89,9 @@ void bind_hosted(nb::module_ &m) {
              "name"_a, "serial"_a, "driver_ma"_a, "flash"_a, "first"_a)
         .def("run", &HostedBoard::run, "us"_a, "measured"_a, "supply_mv"_a,
              "control steps until `us`, when each axis was at (q, current in mA, whether its drive has a fault)")
+        .def(
+            "wait", [](HostedBoard &self, uint64_t us) { hosted_wait(self.board, us); }, "us"_a,
+            "a drive was switched on until `us`: no axis was driven meanwhile")
         .def("goal", &HostedBoard::goal, "axis"_a,
              "(q where its drive is to be, speed of the path there, whether it is on, whether in closed loop)")
         .def(

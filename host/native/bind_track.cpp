@@ -32,7 +32,7 @@ struct TrackModel {
             throw std::invalid_argument("track: not a backlash table (grid rising, width >= 0, |width'| < 2)");
         }
         if (share.empty() || share.size() > TRACK_ELEMENTS || share.size() != weight.size()) {
-            throw std::invalid_argument("track: 1 to 7 shares and as many weights");
+            throw std::invalid_argument("track: 1 to 12 shares and as many weights");
         }
         if (1 + bases + shapes > TRACK_PARAMETERS || (bases && basis_.shape(1) != grid.size()) ||
             (shapes && shape_.shape(1) != share.size())) {

@@ -164,6 +164,7 @@ void bind_wire(nb::module_ &m) {
     wire.attr("ALL_AXES") = TL_WIRE_ALL_AXES;
     wire.attr("BATCH_SAMPLES") = TL_WIRE_BATCH_SAMPLES;
     wire.attr("KEY") = TL_WIRE_KEY;
+    wire.attr("IMAGE_SIGNED") = static_cast<unsigned>(TL_WIRE_IMAGE_SIGNED);
 
     // MESSAGES: name -> {"type", "size", "doc", "fields": ((name, kind, count, doc), ...)}
     nb::dict messages;
@@ -206,6 +207,8 @@ void bind_wire(nb::module_ &m) {
     LIST("BOOTS", TL_WIRE_BOOTS)
     LIST("STORES", TL_WIRE_STORES)
     LIST("ESTOPS", TL_WIRE_ESTOPS)
+    LIST("FIRMWARES", TL_WIRE_FIRMWARES)
+    LIST("UPDATES", TL_WIRE_UPDATES)
 
     wire.def("encode", &encode, nb::arg("name"), nb::arg("sequence"), nb::arg("fields"),
              "The whole frame of a message; every field must be given. ValueError names the field that does not fit.");

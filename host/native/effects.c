@@ -43,6 +43,7 @@ struct plays {
     size_t each, count, middle; // the one that half of all have moved before
     struct elements_course course;
     struct warp_cursor end_at[2];
+    struct friction_state friction;
 };
 
 static size_t find_lots(const struct all *all, double *spread, double *share) {
@@ -81,6 +82,7 @@ static void find_plays(const struct all *all, const struct elements *elements, s
 
 static void plays_start(const struct elements *elements, struct plays *plays, double q, double p) {
     struct play of[ELEMENTS_MAX];
+    friction_start(&elements->friction, &elements->table, q, p, &plays->friction);
     elements_start(elements, q, p, of, &plays->course);
     for (size_t i = 0; i < plays->count; i++) {
         plays->of[i].play = of[i % plays->each];
@@ -146,6 +148,11 @@ static double play_move(const struct active *late, const struct elements *elemen
 // The centre coordinate after all plays have moved; *carried as of a single one.
 static double plays_move(const struct active *late, const struct elements *elements, struct plays *plays,
                          const struct effect_drive *drive, double *carried) {
+    if (elements->friction.kind) {
+        *carried = INFINITY;
+        return friction_move(&elements->friction, &elements->table, &plays->friction, drive->q, drive->scale,
+                             drive->extra, 1);
+    }
     const struct ends ends = find_ends(elements, plays, drive);
     double sum = 0.0;
     *carried = 0.0;
@@ -164,7 +171,10 @@ static double plays_move(const struct active *late, const struct elements *eleme
     return elements_centre(elements, &plays->course, sum, &single->play);
 }
 
-static double plays_lean(const struct plays *plays) {
+static double plays_lean(const struct elements *elements, const struct plays *plays) {
+    if (elements->friction.kind) {
+        return friction_lean(&elements->friction, &plays->friction);
+    }
     double lean = 0.0;
     for (size_t i = 0; i < plays->count; i++) {
         lean += plays->of[i].share * plays->of[i].play.lean;
@@ -341,7 +351,8 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
         } else {
             chain.out = centre;
         }
-        const signed char side = plays.of[plays.middle].play.side;
+        const signed char side =
+            tables->elements->friction.kind ? plays.friction.side : plays.of[plays.middle].play.side;
         double tip = chain.out, lies_next = side;
         for (size_t i = 0; i < all.count; i++) {
             const struct active *a = &all.of[i];
@@ -371,7 +382,7 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
         path->p[asked] = centre;
         path->tip[asked] = tip;
         path->way[asked] = lies;
-        path->lean[asked] = plays_lean(&plays);
+        path->lean[asked] = plays_lean(tables->elements, &plays);
         path->side[asked] = side;
         asked++;
     }

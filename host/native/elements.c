@@ -121,10 +121,38 @@ static void several_forward(const struct elements *e, const double *q, size_t co
     }
 }
 
+static void friction_forward(const struct elements *e, const double *q, size_t count, double p0, double *p,
+                             int8_t *side, double *lean, double *share, double *by) {
+    struct friction_state state;
+    friction_start(&e->friction, &e->table, q[0], p0, &state);
+    const int slopes = lean || by;
+    for (size_t k = 0; k < count; k++) {
+        p[k] = friction_move(&e->friction, &e->table, &state, q[k], 1.0, 0.0, slopes);
+        if (side) {
+            side[k] = state.side;
+        }
+        if (lean) {
+            lean[k] = friction_lean(&e->friction, &state);
+        }
+        if (share) {
+            share[k] = friction_follows(&state);
+        }
+        for (int i = 0; by && i < FRICTION_VALUES; i++) {
+            by[k * FRICTION_VALUES + (size_t)i] = friction_slope(&state, i);
+        }
+    }
+}
+
 void elements_forward(const struct elements *e, const double *q, size_t count, double p0, double *p, int8_t *side,
-                      double *lean, double *share) {
-    if (count > 0) {
-        (e->warp.knots ? several_forward : single_forward)(e, q, count, isnan(p0) ? q[0] : p0, p, side, lean, share);
+                      double *lean, double *share, double *by) {
+    if (count == 0) {
+        return;
+    }
+    const double from = isnan(p0) ? q[0] : p0;
+    if (e->friction.kind) {
+        friction_forward(e, q, count, from, p, side, lean, share, by);
+    } else {
+        (e->warp.knots ? several_forward : single_forward)(e, q, count, from, p, side, lean, share);
     }
 }
 
@@ -162,7 +190,22 @@ static double undone(const struct elements *e, struct undoing *u, double y) {
     return s;
 }
 
+static void friction_inverse(const struct elements *e, const double *p, size_t count, double q0, double p0, double *q) {
+    struct friction_state state;
+    friction_start(&e->friction, &e->table, q0, p0, &state);
+    double before = p0;
+    for (size_t k = 0; k < count; k++) {
+        const double way = p[k] - before;
+        q[k] = way == 0.0 ? state.q : friction_seek(&e->friction, &e->table, &state, p[k], way > 0.0 ? 1.0 : -1.0);
+        before = p[k];
+    }
+}
+
 void elements_inverse(const struct elements *e, const double *p, size_t count, double q0, double p0, double *q) {
+    if (e->friction.kind) {
+        friction_inverse(e, p, count, q0, p0, q);
+        return;
+    }
     struct elements_course course;
     struct play of[ELEMENTS_MAX];
     struct undoing undo;

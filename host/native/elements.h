@@ -8,18 +8,19 @@
  *     s = sum v_j play_{rho_j}(y),  W_j = sum_{i<=j} w_i,  rho_j = sum_{i<=j} w_i (r_j - r_i),  v_j = 1/W_j - 1/W_{j-1}
  *     x = s + r_1 while s rises, s - r_1 while it falls, held at rest;   q = g(x)
  * Where B(p) < narrow one element on the table itself is used instead: no warp is of use where nothing is lost. So it
- * is everywhere where there is no warp: a single play.
+ * is everywhere where there is no warp: a single play. Or friction (friction.h) stands for all plays.
  */
 #ifndef TAUTLINE_ELEMENTS_H
 #define TAUTLINE_ELEMENTS_H
 
+#include "friction.h"
 #include "play.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
 
-enum { ELEMENTS_MAX = 7 };
+enum { ELEMENTS_MAX = 12 };
 
 /* G: straight between knots, both columns strictly rising; beyond the ends it goes on with the last slopes. */
 struct warp {
@@ -32,10 +33,11 @@ struct warp {
 struct elements {
     struct play_table table;
     struct warp warp;
-    const double *r; /* (n) rising from 0 or more; not read without a warp, nor is w */
-    const double *w; /* (n) > 0 */
-    size_t n;        /* 1 .. ELEMENTS_MAX */
-    double narrow;   /* 0: nowhere */
+    const double *r;          /* (n) rising from 0 or more; not read without a warp, nor is w */
+    const double *w;          /* (n) > 0 */
+    size_t n;                 /* 1 .. ELEMENTS_MAX */
+    double narrow;            /* 0: nowhere */
+    struct friction friction; /* of kind 0: plays */
 };
 
 /* Where a look-up was last: motion is continuous, so the next is near. */
@@ -76,10 +78,10 @@ double elements_centre(const struct elements *e, struct elements_course *course,
  * side[k] (NULL: not wanted): the envelope that last held p, of several elements all of them; +1 rising, -1 falling, 0
  * as long as none did. Once they have lain on both, p does not depend on p0. lean[k] and share[k] (NULL: not wanted)
  * are p's derivatives where B is constant: dp/dB = -lean / 2, each element leaning to the side that last pushed it, and
- * dp/dq = share, of the weights that moved.
+ * dp/dq = share, of the weights that moved. by (count, FRICTION_VALUES) or NULL: p's derivatives by friction's values.
  * O(count n). */
 void elements_forward(const struct elements *e, const double *q, size_t count, double p0, double *p, int8_t *side,
-                      double *lean, double *share);
+                      double *lean, double *share, double *by);
 
 /* q[k] that lead forward's p along p[k], k = 0 .. count-1, the motor being at q0 with the tip at p0 before p[0]. While
  * p rests so does q. Exact within |q - p| <= B(p)/2 of the start; where the tip comes within B of a place that is

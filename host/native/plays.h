@@ -9,6 +9,8 @@
 struct Plays {
     std::vector<double> grid, width, warp_q, warp_x, r, w;
     double narrow;
+    struct friction friction;
+    std::vector<double> travel; // friction's
 
     struct elements view() const {
         return {{grid.data(), width.data(), grid.size()},
@@ -16,7 +18,11 @@ struct Plays {
                 r.data(),
                 w.data(),
                 r.size(),
-                narrow};
+                narrow,
+                {friction.kind,
+                 {friction.value[0], friction.value[1], friction.value[2], friction.value[3]},
+                 friction.least,
+                 travel.data()}};
     }
 };
 

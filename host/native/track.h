@@ -17,7 +17,7 @@
 extern "C" {
 #endif
 
-enum { TRACK_ELEMENTS = 7, TRACK_PARAMETERS = 16 };
+enum { TRACK_ELEMENTS = 12, TRACK_PARAMETERS = 16 };
 
 /* Parameters, in the order of the derivatives: an offset added to q; `bases` tables dB/dtheta on the grid of B, row by
  * row; `shapes` rows da_i/dtheta of the elements' shares. */

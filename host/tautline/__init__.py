@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from tautline.elements import Elements as Elements
     from tautline.errors import TautError as TautError
     from tautline.errors import UnusableError as UnusableError
+    from tautline.friction import Friction as Friction
     from tautline.io.exporting import Exported as Exported
     from tautline.io.importing import Imported as Imported
     from tautline.io.importing import Proposal as Proposal
@@ -69,6 +70,7 @@ _PUBLIC = {
     "Diagnosis": "diagnosis.diagnose",
     "Elements": "elements",
     "Finding": "diagnosis.findings",
+    "Friction": "friction",
     "Gap": "diagnosis.findings",
     "Imported": "io.importing",
     "Exported": "io.exporting",

@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from tautline import _native
+from tautline.friction import Friction
 
 Array = npt.NDArray[np.float64]
 
@@ -38,6 +39,8 @@ class Elements:
 
     width: tuple[float, ...]
     weight: tuple[float, ...]
+
+    forgotten: ClassVar[float] = 1e-9  # tolerance: of the range, where it started shows by rounding only
 
     def __post_init__(self) -> None:
         width, weight = np.array(self.width, dtype=float), np.array(self.weight, dtype=float)
@@ -63,6 +66,7 @@ class Elements:
 
 
 SINGLE = Elements((1.0,), (1.0,))
+Hysteresis = Elements | Friction  # what follows the motor between the envelopes
 
 
 @dataclass(frozen=True)
@@ -72,7 +76,7 @@ class Play:
 
     grid: Array
     width: Array
-    elements: Elements = SINGLE
+    elements: Hysteresis = SINGLE
     count: float = 0.0
 
     def forward(self, q: npt.ArrayLike, p0: float = np.nan) -> Array:
@@ -88,7 +92,9 @@ class Play:
 
     @cached_property
     def native(self) -> Any:
-        """The elements as C has them: a single one needs no warp."""
+        """What C has of it: a single play needs no warp, nor does friction."""
+        if isinstance(self.elements, Friction):
+            return self.elements.native(self.grid, self.width)
         if self.elements.single:
             return _native.Plays(self.grid, self.width)
         narrow = self.narrow

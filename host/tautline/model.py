@@ -15,6 +15,7 @@ import numpy.typing as npt
 from tautline.elements import SINGLE, Elements, Play
 from tautline.encoder import straight_lines
 from tautline.errors import TautError, of_system
+from tautline.friction import Friction
 from tautline.quality import Quality
 from tautline.recording import Motor
 from tautline.rig import ANGLE, MARKER, Place, Rig, Sensor
@@ -60,6 +61,7 @@ class Model(Value):
     extra: Mapping[str, Any] = field(default_factory=dict)  # onsets, notes, figures' data: what the report shows
     sensor: Sensor = MARKER  # that was calibrated with: delay_s is its own
     offset_s: float | None = None  # of the calibration: the sensor's clock less the motor's beyond delay_s
+    friction: Friction | None = None  # instead of plays; `elements` are then those that come nearest to it
 
     def delay_of(self, sensor: Sensor) -> float:
         """How much older than its arrival a sensor's reading is: nominal for one that was not calibrated with."""
@@ -75,7 +77,7 @@ class Model(Value):
 
     @cached_property
     def play(self) -> Play:
-        return Play(self.q, self.width, self.elements, self.rig.actuator.encoder_resolution)
+        return Play(self.q, self.width, self.friction or self.elements, self.rig.actuator.encoder_resolution)
 
     def remaining(self, p: npt.ArrayLike) -> Array:
         """f_remain: bending angles (n,), deg, at centre coordinates p (n,), unit of q; any other shape as well."""
@@ -106,6 +108,7 @@ class Model(Value):
             "offset_s": self.offset_s,
             "measured": list(self.measured),
             "elements": self.elements.to_json(),
+            "friction": None if self.friction is None else self.friction.to_json(),
             "effects": [{"id": effect.id, "parameters": dict(effect.parameters)} for effect in self.effects],
             "c_sigma": None if self.c_sigma is None else [v if np.isfinite(v) else None for v in self.c_sigma.tolist()],
             "quality": self.quality.to_json(),
@@ -154,6 +157,7 @@ class Model(Value):
             extra = dict(document["extra"])
             elements = Elements.from_json(document["elements"]) if "elements" in document else SINGLE
             offset_s = None if document.get("offset_s") is None else float(document["offset_s"])
+            friction = None if document.get("friction") is None else Friction.from_json(document["friction"])
             sensor = document.get("sensor")
             place = None if document.get("place") is None else Place.from_json(document["place"])
         except (KeyError, TypeError, ValueError) as error:
@@ -187,6 +191,7 @@ class Model(Value):
             extra,
             sensor,
             offset_s,
+            friction,
         )
 
 

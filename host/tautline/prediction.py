@@ -72,13 +72,15 @@ def predict_with_sigma(
     told = Chain(model).at(path, scene, start_deg)
     known = _known(model, path, start_deg)
     unseen_deg = _unseen_deg(model, model.c_deg)
+    by_delay = _width_by_delay(model, float(known.sigma[2]))
+    alone = np.sqrt(np.maximum(model.width_sigma**2 - (by_delay * known.sigma[2]) ** 2, 0.0))
     fitted_deg = None if model.c_sigma is None else np.sqrt(np.maximum(model.c_sigma**2 - unseen_deg**2, 0.0))
 
     def rows(off: Array) -> Array:
         width, remaining, delay_s, start, q = off
         moved = replace(
             model,
-            width=allowed_width(model.q, model.width + width * model.width_sigma),
+            width=allowed_width(model.q, model.width + width * alone + delay_s * by_delay),
             c_deg=model.c_deg if fitted_deg is None or not remaining else model.c_deg + remaining * fitted_deg,
         )
         lines = replace(path.lines, q=path.lines.q + q)
@@ -98,6 +100,16 @@ def predict_with_sigma(
     unseen_deg = _unseen_deg(model, told.c_deg, *path.others_at(scene))
     angle = np.sqrt(spread[:, 0] ** 2 + noise_deg**2 + unseen_deg**2)
     return Prediction(told.c_deg, told.image_px, angle, np.hypot(spread[:, 1:], noise_px))
+
+
+def _width_by_delay(model: Model, delay_sigma_s: float) -> Array:
+    """(grid,) unit of q per s: by how much B is another where the delay is, as frames of few speeds tell the two
+    together; by no more than it is uncertain of."""
+    told = model.extra.get("width_by_delay")
+    if told is None or delay_sigma_s <= 0.0:
+        return np.zeros_like(model.width)
+    most = model.width_sigma / delay_sigma_s
+    return np.clip(np.array(told, dtype=float), -most, most)
 
 
 def _unseen_deg(model: Model, c_deg: Array, *others: Array) -> Array:
@@ -217,7 +229,7 @@ def times_of(
         (file, model.delay_s),
         (folder / "marker.csv", model.delay_of(MARKER)),
         (folder / "angle.csv", model.delay_of(ANGLE)),
-        (folder / "frames.csv" if rig.has_camera else None, model.delay_of(MARKER)),
+        (folder / "frames.csv" if rig.camera else None, model.delay_of(MARKER if rig.has_camera else ANGLE)),
     ):
         if path is not None and (path == file or path.exists()):
             return Times(*read_times(path, warnings), delay_s)

@@ -21,6 +21,7 @@ from tautline.schema import Key, Section
 
 FORMAT = "rig/1"
 UNITS = ("mm", "deg")
+MOUNTS = ("base", "tip")
 PLACES: int = _native.projection_places
 Sensor = Literal["marker", "angle"]
 MARKER: Sensor = "marker"
@@ -70,6 +71,7 @@ class Camera:
     distortion: tuple[float, float, float, float, float]
     frame_rate_hz: float
     delay_s: float  # t_delay, nominal
+    mount: str | None = None  # "tip": it sees the world from there; else it sees the instrument
 
     @property
     def matrix(self) -> np.ndarray:
@@ -204,6 +206,15 @@ _SECTIONS = (
             Key(
                 "delay_s", "s: how old a frame is when it arrives, nominal; calibration measures it", 0.08, at_least=0.0
             ),
+            Key(
+                "mount",
+                "where it sits: on the base, and sees the instrument, or on its tip, and sees the world, which turns "
+                "as the tip bends; then kinematics and hand_eye are not needed",
+                "base",
+                "text",
+                needed=False,
+                choices=MOUNTS,
+            ),
         ),
     ),
     Section(
@@ -261,7 +272,9 @@ class Rig:
         return self.camera.delay_s if self.camera else 0.0
 
     def nominal_delay_s(self, sensor: Sensor) -> float:
-        return self.delay_s if sensor == MARKER else self.angle.delay_s if self.angle else 0.0
+        if sensor == MARKER or self.sees_from_tip:
+            return self.delay_s
+        return self.angle.delay_s if self.angle else 0.0
 
     @property
     def misspelt(self) -> list[str]:
@@ -278,7 +291,13 @@ class Rig:
 
     @property
     def has_camera(self) -> bool:
-        return self.camera is not None
+        """One that sees the tip."""
+        return self.camera is not None and not self.sees_from_tip
+
+    @property
+    def sees_from_tip(self) -> bool:
+        """The camera is an angle sensor: the world turns as the tip bends."""
+        return self.camera is not None and self.camera.mount == "tip"
 
     def with_camera(self, **changes: Any) -> Rig:
         """The same rig with fields of its camera replaced. Raises TautError where it has none."""
@@ -328,7 +347,7 @@ class Rig:
         camera = Camera(**read["camera"]) if "camera" in read else None
         angle = AngleSensor(**read["angle"]) if "angle" in read else None
         hand_eye = HandEye(**read["hand_eye"]) if "hand_eye" in read else None
-        if camera and not (kinematics and hand_eye):
+        if camera and camera.mount != "tip" and not (kinematics and hand_eye):
             missing = "kinematics" if kinematics is None else "hand_eye"
             raise TautError(f"{where}: has [camera] but no [{missing}] section, which a marker's pose needs: add it")
         return cls(actuator, coarse, kinematics, camera, hand_eye, _unknown(document), angle)

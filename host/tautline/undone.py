@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,16 +12,15 @@ import numpy.typing as npt
 from scipy.signal import residue
 
 from tautline import _native
-from tautline.elements import Elements
+from tautline.elements import Elements, Hysteresis
 from tautline.errors import TautError
 from tautline.model import Model
+from tautline.nearest import Nearest, fewer, nearest_plays
 
 Array = npt.NDArray[np.float64]
 
 _COUNT = float(_native.COUNT_ONE)
 _DEG = float(_native.DEG_ONE)
-_FIRST = 0.05  # share of the first element at least: the inverse is at most 20 times as steep as the motion
-_PLAYS: int = _native.TABLE_PLAYS_MAX
 _LEAD = 2e-3, 0.125  # s, share of a lag's stage: the filter within which it is made up for
 _APART = 1.5  # times: the two stages' filters
 _CREEP_MOST = 0.9  # of the motion: more of it is not made up for at once
@@ -61,11 +60,26 @@ def left(model: Model, joints: Mapping[str, Joint] | None = None) -> list[str]:
     return ids
 
 
+def stands_in(model: Model) -> Nearest | None:
+    """The plays that a board has instead of the model's hysteresis; None where its tables hold that itself."""
+    if model.friction is None and len(model.elements.width) <= _native.TABLE_PLAYS_MAX:
+        return None
+    low, high = model.rig.actuator.range
+    return _nearest(model.q.tobytes(), model.width.tobytes(), model.friction or model.elements, low, high)
+
+
+@lru_cache(maxsize=16)
+def _nearest(q: bytes, width: bytes, hysteresis: Hysteresis, low: float, high: float) -> Nearest:
+    return nearest_plays(np.frombuffer(q), np.frombuffer(width), hysteresis, (low, high))
+
+
 def undone(model: Model, joints: Mapping[str, Joint] | None = None) -> tuple[Model, dict[str, Section]]:
     """The model whose own tables hold a gradual onset, and the sections that undo its other effects. What the board
     cannot undo is left out; `joints` says which axes move the columns that couple in."""
     parameters = parameters_of(model)
-    if onset := parameters.get("transmission.smooth_onset"):
+    if (near := stands_in(model)) is not None:
+        model = replace(model, elements=near.elements, friction=None)
+    elif onset := parameters.get("transmission.smooth_onset"):
         model = replace(model, elements=onset_elements(model.elements, onset))
     count = model.rig.actuator.encoder_resolution / _COUNT
     sections: dict[str, Section] = {}
@@ -192,37 +206,4 @@ def onset_elements(elements: Elements, v: Mapping[str, float]) -> Elements:
     width = np.outer(elements.width, spread).ravel()
     weight = np.outer(elements.weight, share).ravel()
     order = np.argsort(width, kind="stable")
-    return _fewer(width[order], weight[order])
-
-
-def _fewer(width: Array, weight: Array) -> Elements:
-    """Neighbours together, so that the widths within each lot scatter least; the first moves _FIRST at least."""
-    n = len(width)
-    sums = np.array([np.concatenate([[0.0], np.cumsum(weight * width**k)]) for k in range(3)])
-
-    def scatter(i: int, j: int) -> float:
-        w, first, second = sums[:, j] - sums[:, i]
-        return float(second - first * first / w)
-
-    best: dict[tuple[int, int], tuple[float, tuple[int, ...]]] = {(0, 0): (0.0, (0,))}
-    for lots in range(1, _PLAYS + 1):
-        for end in range(1, n + 1):
-            fewer = [
-                (cost + scatter(begin, end), (*ends, end))
-                for begin in range(lots - 1, end)
-                if (known := best.get((lots - 1, begin))) is not None
-                for cost, ends in (known,)
-                if lots > 1 or sums[0, end] >= _FIRST
-            ]
-            if fewer:
-                best[lots, end] = min(fewer)
-    _, ends = min(best[lots, n] for lots in range(1, _PLAYS + 1) if (lots, n) in best)
-    parts = [(sums[:, j] - sums[:, i])[:2] for i, j in itertools.pairwise(ends)]
-    means = np.array([first / w for w, first in parts])
-    shares = np.array([w for w, _ in parts])
-    keep = np.concatenate([[True], np.diff(means) > 1e-9])
-    shares = np.add.reduceat(shares, np.flatnonzero(keep))
-    means = means[keep]
-    shares /= shares.sum()
-    means /= shares @ means
-    return Elements(tuple(means.tolist()), tuple(shares.tolist()))
+    return fewer(width[order], weight[order])

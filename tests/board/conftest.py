@@ -1,5 +1,5 @@
-"""One suite for every board: `--board desktop` (default), `serial`, `emulated` or `m4`, started for each test that
-needs one, or as `taut` takes it.
+"""One suite for every board: `--board desktop` (default), `serial`, `emulated`, `m4` or `m33`, started for each
+test that needs one, or as `taut` takes it.
 
 Tests that need the simulation (virtual time, power cuts, unplugging) skip on a board without a sim link.
 """
@@ -23,16 +23,16 @@ from tautline.device.board import Board, find, open_board
 from tautline.errors import TautError
 from tautline.simulated.simlink import LINE, PROGRAM, DesktopBoard, SimLink
 
-SIMULATED = ("desktop", "serial", "emulated", "m4")  # boards that are started for each test
+IN_QEMU = ("m4", "m33")  # cores of one port
+SIMULATED = ("desktop", "serial", "emulated", *IN_QEMU)  # boards that are started for each test
 _TOOLS = Path(__file__).resolve().parents[2] / "tools"
 _EMULATED = _TOOLS / "emulator" / "board.js"
 _QEMU = _TOOLS / "qemu" / "board.py"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    where = (
-        "desktop, serial (the desktop board on a serial line), emulated, m4, usbip:HOST:PORT, serial:DEVICE or a number"
-    )
+    where = "desktop, serial (the desktop board on a serial line), emulated, m4, m33, "
+    where += "usbip:HOST:PORT, serial:DEVICE or a number"
     parser.addoption("--board", default="desktop", help=where)
     parser.addoption("--sim", type=int, help="port of the sim link of a --board usbip:... (an emulated board)")
 
@@ -41,10 +41,10 @@ def pytest_configure(config: pytest.Config) -> None:
     board = config.getoption("--board")
     if board == "emulated":  # the real image, behind the desktop board's options and ports
         os.environ[PROGRAM] = str(_EMULATED)
-    elif board in ("serial", "m4"):
+    elif board == "serial" or board in IN_QEMU:
         os.environ[LINE] = "uart"
-    if board == "m4":  # the second port, in QEMU
-        os.environ[PROGRAM] = str(_QEMU)
+    if board in IN_QEMU:
+        os.environ[PROGRAM], os.environ["TAUTLINE_QEMU_CORE"] = str(_QEMU), board
 
 
 @dataclass

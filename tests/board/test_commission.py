@@ -14,9 +14,11 @@ from test_calibration import live_on, off
 from test_commands import run
 
 from conftest import Bench, bench_of
+from tautline.cli.clear import log_text
 from tautline.device import wire
 from tautline.device.board import Board
 from tautline.errors import TautError
+from tautline.live import faults
 from tautline.live.commission import commission
 from tautline.live.homing import Homing, home
 from tautline.live.setup import Live
@@ -202,9 +204,28 @@ def test_faults_go_to_simulated_boards_alone(bench: Bench) -> None:
     with bench.open() as board:
         bench.run(0.1)
         assert board.status(1).supply_mv < 3000
+        run("inject", "blocked", "--axis", "0", "--sim", str(bench.process.ports["sim"]))
+        bench.run(0.1)
+        assert board.status(1).supply_mv < 3000  # what is wrong with another axis does not mend it
         run("inject", "well", "--axis", "1", "--sim", str(bench.process.ports["sim"]))
         bench.run(0.1)
         assert board.status(1).supply_mv > 5000
+
+
+def test_what_is_injected_is_acknowledged(bench: Bench) -> None:
+    answer = bench.sim.ask("inject 1 supply")
+    axes = len(bench.sim.ask("state")["q"])
+    assert answer["ills"] == ["well", "supply"] + ["well"] * (axes - 2)
+    for refused in ("0 fire", f"{axes} blocked", "blocked", "0"):
+        with pytest.raises(TautError, match="inject takes an axis"):
+            bench.sim.ask(f"inject {refused}")
+    assert bench.sim.ask("inject 1 well")["ills"] == ["well"] * axes
+
+
+def test_a_fault_that_no_board_acknowledges_is_told(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench.sim, "ask", lambda _: {"t_us": 0, "ills": ["well", "well"]})
+    with pytest.raises(TautError, match="did not acknowledge 'blocked' of axis 0"):
+        faults.inject(bench.sim, 0, "blocked")
 
 
 def test_commission_measures_the_motor_and_stores_what_it_found(bench: Bench) -> None:
@@ -320,3 +341,19 @@ def test_a_simulated_board_listens_on_this_machine_alone(bench: Bench) -> None:
             if state == "0A" and int(port, 16) in ports:
                 listening.append(address)
     assert listening == ["0100007F"] * 2  # 127.0.0.1
+
+
+def test_clear_shows_the_faults_of_before(request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    if request.config.getoption("--board") != "desktop":
+        pytest.skip("flash in a file that outlives its board")
+    flash = tmp_path / "flash.bin"
+    for start in range(2):
+        with bench_of(request, flash=flash) as bench:
+            with bench.open() as board:
+                board.ask("safe_stop", axis=start)
+                bench.run(1.2)
+            log = run("clear", board=bench.where)["log"]
+    assert [(row["axis"], row["code"], row["starts_ago"]) for row in log] == [(1, "STOPPED", 0), (0, "STOPPED", 1)]
+    said = "\n".join(log_text(log))
+    assert re.search(r"after this start, axis 1: stopped by safe_stop\n.*after the start before, axis 0: stopped", said)
+    assert "'taut update'" in log_text(None)[0]

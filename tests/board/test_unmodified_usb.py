@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import shutil
@@ -9,11 +10,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import monocypher
 import pytest
 from test_board_tables import blob
 
 from conftest import Bench, ClockOf
 from tautline.device import wire
+from tautline.simulated.simlink import DesktopBoard
+from tools.signing import update_file
 
 HERE = Path(__file__).parent
 SYSTEM_PYTHON = "/usr/bin/python3"
@@ -64,6 +68,20 @@ def test_dfu_util_lists_loads_and_reads_tables(bench: Bench, tmp_path: Path) -> 
     assert "dfuERROR, status(2)" in refused.stdout + refused.stderr  # errFILE; dfu-util's exit status is 0 all the same
     with bench.open() as board:
         assert board.read_table(0) == blob()
+
+
+def test_dfu_util_loads_firmware(request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    if request.config.getoption("--board") != "desktop":
+        pytest.skip("an image for the desktop board")
+    secret, public = map(bytes, monocypher.generate_signing_key_pair())
+    file = tmp_path / "new.update"
+    file.write_bytes(update_file(secret, "desktop", [b"one", b"one"], (0, 9, 0)))  # for either slot
+    with DesktopBoard(update_key=public) as process, contextlib.closing(process.link()) as link:
+        bench = Bench(process.where, link, process)
+        on_the_bus(bench, "dfu-util", "-a", "firmware", "-D", str(file))
+        link.ask("reset")
+        with bench.open() as board:
+            assert tuple(board.ask("get_firmware").version) == (0, 9, 0)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.7, 1.0])

@@ -13,7 +13,7 @@
 #define FAKE_HZ    5000U
 #define FAKE_SPEED 20000.0 // counts/s at full duty
 #define FAKE_LAG   0.02    // s
-#define FAKE_FLASH TL_PORT_FLASH_REGION
+#define FAKE_FLASH (TL_PORT_FLASH_REGION + TL_PORT_FLASH_LOG)
 #define FAKE_CHOP  1200 // mA
 
 typedef struct {
@@ -47,6 +47,8 @@ typedef struct {
 static fake_t fake;
 static tl_port_t fake_port;
 static tl_app_t app;
+static bool fake_keeps_log;                 // of the next start
+static const tl_port_update_t *fake_update; // of the next start; NULL: the board takes no firmware
 
 static tl_us_t fake_time(void *context) {
     return ((fake_t *)context)->t_us;
@@ -183,7 +185,9 @@ static inline void fake_start(uint8_t axes, tl_wire_boot_t boot) {
                             .watchdog_feed = fake_feed,
                             .lock = fake_lock,
                             .unlock = fake_unlock,
-                            .reboot = fake_reboot};
+                            .reboot = fake_reboot,
+                            .update = fake_update,
+                            .keeps_log = fake_keeps_log};
     tl_app_init(&app, &fake_port);
     tl_app_bus(&app, true);
 }

@@ -337,6 +337,41 @@ static void test_the_reference_keeps_its_limits(void) {
     }
 }
 
+static int32_t between(int32_t least, int32_t most) {
+    return least + rand() % (most - least + 1);
+}
+
+// Targets that jump from end to end or run into one at any speed, with any limits: the range is not left by a bit, nor
+// are speed and acceleration.
+static void test_the_reference_never_leaves_its_range(void) {
+    const uint32_t rates[] = {1000, 5000, 10000};
+    srand(3);
+    for (int run = 0; run < 300; run++) {
+        const int32_t quick = run % 2 == 0 ? 4000000 : 20000; // a tick's acceleration, and what is cut off, weigh most
+        const tl_reference_limits_t most =
+            tl_reference_limits(between(1, 30000) * TL_COUNT_ONE, between(1000, quick) * TL_COUNT_ONE, rates[run % 3]);
+        const tl_count_q8_t end = between(1, run % 4 < 2 ? 4000 : 200) * TL_COUNT_ONE;
+        tl_reference_t reference = {.low = -end, .high = end};
+        tl_reference_set(&reference, between(-end, end));
+        tl_count_q8_t target = reference.q, slope = 0;
+        for (int i = 0; i < 6000; i++) {
+            if (i % 60 == 0 && rand() % 5 == 0) {
+                slope = rand() % 2 == 0 ? between(-20, 20) : between(-2, 2) * (most.speed >> 16);
+            }
+            if (rand() % 40 == 0) {
+                const tl_count_q8_t inside = between(0, 600);
+                target = rand() % 2 == 0 ? end - inside : inside - end;
+            }
+            target = tl_clamp(target + slope, -2 * end, 2 * end);
+            const int32_t before = reference.velocity;
+            tl_reference_step(&reference, target, &most);
+            TEST_ASSERT_TRUE(abs(reference.velocity) <= most.speed);
+            TEST_ASSERT_TRUE(abs(reference.velocity - before) <= most.acceleration);
+            TEST_ASSERT_LESS_OR_EQUAL_INT32(end, abs(tl_reference_q(&reference)));
+        }
+    }
+}
+
 // Every step length, also those that are whole multiples of what a tick's acceleration covers, is reached exactly.
 static void test_the_reference_arrives_exactly(void) {
     const uint32_t rates[] = {1000, 5000, 10000};
@@ -667,6 +702,7 @@ int main(void) {
     RUN_TEST(test_set_points_without_a_time_are_smoothed);
     RUN_TEST(test_enabling_and_disabling_never_jump);
     RUN_TEST(test_the_reference_keeps_its_limits);
+    RUN_TEST(test_the_reference_never_leaves_its_range);
     RUN_TEST(test_the_reference_arrives_exactly);
     RUN_TEST(test_the_reference_comes_to_rest_with_any_limits);
     RUN_TEST(test_the_reference_does_not_trail_a_moving_target);

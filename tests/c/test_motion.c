@@ -35,6 +35,80 @@ static void refuse(tl_motion_error_t expected) {
     setUp();
 }
 
+static void refuse_again(tl_motion_error_t expected) { // the one that runs goes on
+    const tl_motion_t before = motion;
+    TEST_ASSERT_EQUAL(expected, tl_motion_start(&motion, &config, 0));
+    TEST_ASSERT_EQUAL_MEMORY(&before, &motion, sizeof(before));
+}
+
+static void start_refused_at(tl_count_q8_t q) {
+    config.stroke_max = 200 * TL_COUNT_ONE;
+    TEST_ASSERT_EQUAL(TL_MOTION_BAD_RANGE, tl_motion_start(&motion, &config, q));
+}
+
+static void test_a_motion_at_a_limit_itself_may_be(void) {
+    config.high = config.low + 2 * config.stroke_max + 1;
+    start_at(0);
+    setUp();
+    config.low = -(1 << 30); // 4 M counts
+    config.high = 1 << 30;
+    start_at(1 << 30);
+    start_at(-(1 << 30));
+    config.stroke_max = 1 << 30; // half of the range: it has to exceed both
+    refuse_again(TL_MOTION_BAD_RANGE);
+    config.stroke_max--;
+    start_at(0);
+    config.stroke_max = (1 << 30) + 1;
+    refuse_again(TL_MOTION_BAD_STROKE);
+    start_refused_at((1 << 30) + 1);
+    start_refused_at(-(1 << 30) - 1);
+    setUp();
+    config.stroke_max = 2 * config.approach;
+    config.acceleration = 200000 * TL_COUNT_ONE; // stops within it
+    start_at(0);
+    config.approach = TL_COUNT_ONE;
+    config.stroke_max = 200 * TL_COUNT_ONE;
+    start_at(0);
+    config.speed_count = TL_MOTION_SPEEDS;
+    for (uint32_t i = 0; i < TL_MOTION_SPEEDS; i++) {
+        config.speed[i] = TL_COUNT_ONE / 4 + (int32_t)i;
+    }
+    start_at(0);
+    config.speed[1] = TL_COUNT_ONE / 4 - 1;
+    refuse_again(TL_MOTION_BAD_SPEED);
+    config.speed[1] = config.transit;
+    start_at(0);
+    setUp();
+    for (config.cycles = 1; config.cycles <= 100; config.cycles = (uint8_t)(config.cycles + 99)) {
+        start_at(0);
+    }
+    setUp();
+    for (config.rate_hz = 1000; config.rate_hz <= 10000; config.rate_hz += 9000) {
+        start_at(0);
+    }
+    config.rate_hz = 999;
+    refuse_again(TL_MOTION_BAD_RATE);
+    setUp();
+    config.stroke_max = 100000 * TL_COUNT_ONE;
+    config.low = -300000 * TL_COUNT_ONE;
+    config.high = 300000 * TL_COUNT_ONE;
+    config.acceleration = 1000000 * TL_COUNT_ONE;
+    config.transit = 100000 * TL_COUNT_ONE; // 100 counts a tick
+    start_at(0);
+}
+
+// v^2 / 2a from transit, and half a tick at it, fits a stroke to the count.
+static void test_a_stroke_holds_the_way_to_rest(void) {
+    config.acceleration = 40960 * TL_COUNT_ONE; // a power of two's share of a count a tick^2: 0.04096
+    config.transit = 4096 * TL_COUNT_ONE;       // 4.096 counts a tick, 100 ticks of braking
+    const double ticks = 100.0 + 1.0, way = 4.096 / 2.0 * ticks;
+    config.approach = 10 * TL_COUNT_ONE;
+    config.stroke_max = (int32_t)((way + 0.1) * TL_COUNT_ONE);
+    start_at(0);
+    config.stroke_max = (int32_t)((way - 0.1) * TL_COUNT_ONE);
+    refuse_again(TL_MOTION_BAD_ACCELERATION);
+}
+
 static void test_a_motion_that_cannot_be_is_refused_with_its_reason(void) {
     config.high = config.low + 2 * config.stroke_max;
     refuse(TL_MOTION_BAD_RANGE);
@@ -213,6 +287,8 @@ static void test_slow_speeds_are_exact(void) {
 
 int main(void) {
     UNITY_BEGIN();
+    RUN_TEST(test_a_motion_at_a_limit_itself_may_be);
+    RUN_TEST(test_a_stroke_holds_the_way_to_rest);
     RUN_TEST(test_a_motion_that_cannot_be_is_refused_with_its_reason);
     RUN_TEST(test_idle_rests_at_zero);
     RUN_TEST(test_every_pass_has_its_reversals_with_and_without_onsets);

@@ -214,6 +214,69 @@ static void test_a_motor_that_waits_for_ever_times_out(void) {
     check_reason(TL_ONSET_TIMED_OUT);
 }
 
+/// When the first reversal was told: nothing but polls comes, or frames too. Not within 60 s: 0.
+static tl_us_t told_us(bool frames) {
+    const tl_us_t most_us = now_us + 60000000U;
+    while (count == 0 && now_us < most_us) {
+        step(motor, frames);
+    }
+    return count == 0 ? 0 : now_us;
+}
+
+static void test_a_marker_is_lost_so_long_after_it_was_last_seen(void) {
+    const uint32_t lag_us = 60000; // of a poll, for frames that are late
+    for (int frames = 0; frames < 2; frames++) {
+        for (uint32_t delay_us = 0; delay_us <= 200000; delay_us += 200000) {
+            setUp();
+            config.delay_us = delay_us;
+            config.lost_us = 700000;
+            begin();
+            enter();
+            valid = false; // frames come, none shows it
+            const tl_us_t told = told_us(frames != 0);
+            check_reason(TL_ONSET_MARKER_LOST);
+            const tl_us_t known_us = detector.seen_us > found[0].turn_us ? detector.seen_us : found[0].turn_us;
+            const uint32_t due_us = delay_us + 700000, after_us = (uint32_t)(told - known_us);
+            TEST_ASSERT_TRUE(after_us > due_us + (frames != 0 ? 0 : lag_us));
+            TEST_ASSERT_TRUE(after_us <= due_us + (frames != 0 ? FRAME_US : lag_us) + 1000);
+        }
+    }
+}
+
+static void test_a_crossing_times_out_so_long_after_its_turn(void) {
+    config.timeout_us = 5000000;
+    begin();
+    enter();
+    const tl_us_t told = told_us(true);
+    check_reason(TL_ONSET_TIMED_OUT);
+    const uint32_t after_us = (uint32_t)(told - found[0].turn_us);
+    TEST_ASSERT_TRUE(after_us > 5000000 && after_us <= 5000000 + FRAME_US + 1000); // a frame says so first
+    TEST_ASSERT_FALSE(found[0].started);
+    TEST_ASSERT_EQUAL_INT32(TL_ONSET_UNKNOWN, found[0].q2);
+    TEST_ASSERT_EQUAL_INT32(TL_ONSET_UNKNOWN, found[0].sigma);
+}
+
+/// A stated sigma is a weight of 16 (noise_px / sigma)^2, rounded, 1 to 64.
+static void test_a_frame_counts_by_its_stated_sigma(void) {
+    static const struct {
+        tl_px_q12_t sigma;
+        int32_t weight;
+    } of[] = {{0, 16}, {-1, 16}, {410, 16}, {820, 4}, {205, 64}, {200, 64}, {1, 64}, {207, 63}, {1640, 1}, {4000, 1}};
+    config.noise_px = 410;
+    for (unsigned i = 0; i < sizeof of / sizeof of[0]; i++) {
+        begin();
+        for (int n = 1; n <= 3; n++) { // the next one tells whether to believe it
+            now_us += FRAME_US;
+            for (uint32_t ms = FRAME_US / 1000; ms > 0; ms--) {
+                tl_history_push(&history, now_us - ms * 1000 + 1000, n * 100);
+            }
+            const tl_marker_t marker = {now_us, n * 1000, 0, of[i].sigma, true, false};
+            tl_onset_sample(&detector, &history, &marker, &found[0]);
+        }
+        TEST_ASSERT_EQUAL_INT32(of[i].weight, detector.waiting.weight);
+    }
+}
+
 static void test_a_backlash_narrower_than_two_frames_is_too_few_samples(void) {
     width = 18 * TL_COUNT_ONE;
     enter();
@@ -367,6 +430,9 @@ int main(void) {
     RUN_TEST(test_a_lost_marker_spoils_it_a_short_loss_does_not);
     RUN_TEST(test_no_frames_at_all_are_a_lost_marker);
     RUN_TEST(test_a_motor_that_waits_for_ever_times_out);
+    RUN_TEST(test_a_marker_is_lost_so_long_after_it_was_last_seen);
+    RUN_TEST(test_a_crossing_times_out_so_long_after_its_turn);
+    RUN_TEST(test_a_frame_counts_by_its_stated_sigma);
     RUN_TEST(test_a_backlash_narrower_than_two_frames_is_too_few_samples);
     RUN_TEST(test_an_image_that_hardly_moves_is_said_to);
     RUN_TEST(test_a_jump_at_the_onset_leaves_one_frame_of_doubt);

@@ -499,6 +499,7 @@ static void test_whatever_happens_an_axis_keeps_its_word(void) {
 }
 
 int main(void) {
+    fake_keeps_log = true;
     UNITY_BEGIN();
     RUN_TEST(test_whatever_happens_an_axis_keeps_its_word);
     return UNITY_END();

@@ -150,6 +150,40 @@ static void test_a_lag_is_led_by_its_time(void) {
     }
 }
 
+// Any place of a section may be free: what stands behind one is undone as if it stood first.
+static void test_what_stands_behind_a_free_place_is_undone(void) {
+    enum { TIME_US = 20000, STEPS = 200 };
+    static tl_count_q8_t led[STEPS];
+    static tl_deg_q16_t angle[STEPS];
+    for (unsigned place = 0; place < TL_TABLE_JOINTS; place++) {
+        setUp();
+        table.has = TL_TABLE_HAS_late | TL_TABLE_HAS_joints;
+        table.late.time_us[place + 1U] = TIME_US;
+        table.late.gain_q16[place + 1U] = 65536;
+        table.joints = (tl_table_joints_t){.slope = {7777777, 7777777, 7777777}}; // nobody's
+        table.joints.axis[place] = 3;
+        table.joints.play[place] = 50 * TL_COUNT_ONE;
+        table.joints.slope[place] = -1000000;
+        begin();
+        tl_undo_rest(&undo, 0);
+        for (int32_t i = 0; i < STEPS; i++) {
+            undo.moved.joint[place] = i * TL_COUNT_ONE;
+            const tl_count_q8_t p = tl_undo_late(&undo, 40 * i);
+            const tl_deg_q16_t c = tl_undo_angle(&undo, &lookup, TL_DEG_ONE);
+            if (place == 0) {
+                led[i] = p;
+                angle[i] = c;
+            }
+            TEST_ASSERT_EQUAL_INT32(led[i], p);
+            TEST_ASSERT_EQUAL_INT32(angle[i], c);
+        }
+        // as far as a ramp is followed late, and as another axis carries it
+        TEST_ASSERT_INT_WITHIN(40, 40 * (STEPS - 1) + 40 * TIME_US / 1000, led[STEPS - 1]);
+        TEST_ASSERT_DOUBLE_WITHIN(0.01 * TL_DEG_ONE, (1.0 + (STEPS - 1 - 25) * 1e6 / (1 << 28)) * TL_DEG_ONE,
+                                  angle[STEPS - 1]);
+    }
+}
+
 static void test_a_table_is_moved_in_its_ticks_and_as_far_as_asked(void) {
     table.has = TL_TABLE_HAS_adapt;
     table.adapt = (tl_table_adapt_t){100 * TL_COUNT_ONE, 0, 2 * TL_RATIO_ONE};
@@ -207,6 +241,7 @@ int main(void) {
     RUN_TEST(test_the_speed_comes_through_a_filter_and_stays_where_it_is_held);
     RUN_TEST(test_a_side_is_late_by_the_travel_since_its_turn);
     RUN_TEST(test_a_lag_is_led_by_its_time);
+    RUN_TEST(test_what_stands_behind_a_free_place_is_undone);
     RUN_TEST(test_a_table_is_moved_in_its_ticks_and_as_far_as_asked);
     RUN_TEST(test_another_axis_carries_the_angle_behind_its_own_play);
     RUN_TEST(test_a_width_is_scaled_by_a_product);

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import shutil
+import struct
 import subprocess
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,6 +21,7 @@ from tools.uf2 import to_uf2
 
 ROOT = Path(__file__).resolve().parents[2]
 BUILD = ROOT / "build" / "rp2040"
+KEY = ROOT / "build" / "keys" / "development.pub"
 
 
 @pytest.fixture(scope="module")
@@ -33,18 +36,40 @@ def test_two_builds_are_byte_identical(image: bytes, tmp_path: Path) -> None:
     sources = tmp_path / "a-longer-path-than-the-first"
     for part in ("common", "firmware", "tools"):
         shutil.copytree(ROOT / part, sources / part, ignore=shutil.ignore_patterns("node_modules", "__pycache__"))
-    build = tmp_path / "build"
+    build, key = tmp_path / "build", KEY.read_text("ascii").strip()
     for command in (
-        ["cmake", "-S", sources / "firmware/port/rp2040", "-B", build, "-G", "Ninja"],
-        ["cmake", "--build", build, "--parallel", str(os.cpu_count() or 1), "--target", "tautline"],
+        [
+            "cmake",
+            "-S",
+            sources / "firmware/port/rp2040",
+            "-B",
+            build,
+            "-G",
+            "Ninja",
+            f"-DTAUTLINE_UPDATE_KEY={key}",
+        ],
+        ["cmake", "--build", build, "--parallel", str(os.cpu_count() or 1), "--target", "flash"],
     ):
         subprocess.run(command, check=True, capture_output=True, text=True)
     assert (build / "tautline.bin").read_bytes() == image
+    assert (build / "tautline-1.bin").read_bytes() == (BUILD / "tautline-1.bin").read_bytes()
     assert (build / "tautline.uf2").read_bytes() == (BUILD / "tautline.uf2").read_bytes()
 
 
-def test_the_uf2_holds_the_image(image: bytes) -> None:
-    assert (BUILD / "tautline.uf2").read_bytes() == to_uf2(image)
+def test_the_uf2_holds_the_image_and_blanks_the_other_slot(image: bytes) -> None:
+    other = 0x10000000 + 0x80000
+    assert (BUILD / "tautline.uf2").read_bytes() == to_uf2({0x10000000: image, other: bytes(256)})
+
+
+def test_loader_and_firmware_are_where_slots_say(image: bytes) -> None:
+    firmware = (BUILD / "tautline-0.bin").read_bytes()
+    assert image[0x3000:] == firmware and len(image[:0x2000].rstrip(b"\xff")) < 2048
+    size, crc = struct.unpack_from("<2I", image, 0x2000 + 8)
+    assert size == len(firmware) and crc == zlib.crc32(firmware)
+    for slot, begin in (("0", 0x10003000), ("1", 0x10081000)):  # both run where they are linked for
+        linked = (BUILD / f"tautline-{slot}.bin").read_bytes()
+        reset = struct.unpack_from("<I", linked, 0x104)[0]
+        assert begin < reset < begin + len(linked)
 
 
 def ram(build: Path) -> int:
@@ -73,7 +98,7 @@ def test_an_image_of_fewer_axes_comes_up_on_an_early_chip(axes: int, early_chip:
     build = ROOT / "build" / f"rp2040-{axes}"
     for command in (
         ["cmake", "-S", ROOT / "firmware/port/rp2040", "-B", build, "-G", "Ninja", f"-DTAUTLINE_AXES={axes}"],
-        ["cmake", "--build", build, "--parallel", str(os.cpu_count() or 1), "--target", "tautline"],
+        ["cmake", "--build", build, "--parallel", str(os.cpu_count() or 1), "--target", "flash"],
     ):
         subprocess.run(command, check=True, capture_output=True, text=True)
     assert ram(BUILD) - ram(build) > (4 - axes) * 6000  # bytes

@@ -368,6 +368,7 @@ class Cia402Emulator:
     ) -> None:
         self.motors, self._homed, self._modes = motors, homed, modes
         self.nodes = [self._fresh(turn) for _ in motors]
+        self.brakes: Callable[[], bool] = lambda: False  # whether a brake is not released yet, at each look at a status
         self.bus = CanBus(self._take)
 
     def _fresh(self, turn: int) -> dict[str, Any]:
@@ -459,6 +460,8 @@ class Cia402Emulator:
         if node["switches"] <= 0:
             objects[0x6061, 0] = 1, objects[0x6060, 0][1]
         size, value = objects[index, sub]
+        if (index, sub) == (0x6041, 0) and value == 0x27 and self.brakes():
+            value = 0x23
         if (index, sub) == (0x6041, 0):  # bit 12: homing attained, or that the command is followed
             value |= 0x1000 if objects[0x6061, 0][1] != 6 or self._homed else 0
         if command == 0x40:

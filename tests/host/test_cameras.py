@@ -132,6 +132,70 @@ def test_a_session_tells_what_its_camera_lost(
     assert "3 frames of the camera never came" in capsys.readouterr().err
 
 
+class Webcam(Device):
+    """As V4L2 drivers are: exposure in 0.1 ms, automatic (3) until it is manual (1); it settles while frames come.
+    `obeys`: whether it takes a manual one; `step`: of what it takes."""
+
+    def __init__(self, obeys: bool = True, step: float = 1.0, backend: str = "V4L2", auto: float = 3.0) -> None:
+        super().__init__(set())
+        self.obeys, self.step, self.backend = obeys, step, backend
+        self.values = {cv2.CAP_PROP_AUTO_EXPOSURE: auto, cv2.CAP_PROP_EXPOSURE: 900.0}
+        self.released: dict[int, float] | None = None
+        self.shown_ms: list[float] = []
+
+    def getBackendName(self) -> str:
+        return self.backend
+
+    def set(self, key: int, value: float) -> bool:
+        if key == cv2.CAP_PROP_AUTO_EXPOSURE and not self.obeys:
+            return False
+        if key == cv2.CAP_PROP_EXPOSURE:
+            value = self.step * round(value / self.step)
+        self.values[key] = value
+        return True
+
+    def get(self, key: int) -> float:
+        return self.values[key] if key in self.values else super().get(key)
+
+    def grab(self) -> bool:
+        exposure = self.values[cv2.CAP_PROP_EXPOSURE]
+        if self.values[cv2.CAP_PROP_AUTO_EXPOSURE] in (3.0, 0.75):
+            self.values[cv2.CAP_PROP_EXPOSURE] = max(exposure - 50.0, 156.0)
+        self.shown_ms.append(0.1 * self.values[cv2.CAP_PROP_EXPOSURE])
+        return super().grab()
+
+    def release(self) -> None:
+        self.released = dict(self.values)
+
+
+@pytest.mark.parametrize(
+    "webcam, says",
+    [
+        (Webcam(), "exposure locked at 15.6 ms"),
+        (Webcam(backend="MSMF", auto=0.75), "exposure locked at 156 in the units of MSMF"),
+        (Webcam(obeys=False), "the camera refuses a manual one"),
+        (Webcam(step=100.0), "the camera takes 200 where it was 156"),
+        (Webcam(auto=1.0), "exposure is manual, 90 ms"),
+    ],
+)
+def test_exposure_is_locked_where_it_settled_and_what_is_refused_is_said(
+    webcam: Webcam, says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = webcam.values[cv2.CAP_PROP_AUTO_EXPOSURE]
+    monkeypatch.setattr(cv2, "VideoCapture", lambda source: webcam)
+    monkeypatch.setattr("tautline.vision.camera.time.monotonic", lambda: _NOW_S)
+    camera = setup._camera(0, None, None)
+    assert says in camera.exposure
+    if "locked" in says:
+        shown = len(webcam.shown_ms)
+        for _ in range(5):
+            assert camera.read() is not None
+        assert set(np.round(webcam.shown_ms[shown:], 6)) == {15.6}
+        assert "driver's stamps" in camera.clock
+    camera.close()
+    assert webcam.released is not None and webcam.released[cv2.CAP_PROP_AUTO_EXPOSURE] == before
+
+
 def picture(level: int) -> np.ndarray:
     made = np.zeros((48, 64, 3), np.uint8)
     made[:] = (level, 2 * level % 256, 60)
@@ -179,6 +243,26 @@ def test_a_network_stream_is_read_by_its_address() -> None:
         assert len(reads) == 12 and reads[0][0].shape == (48, 64, 3)
         assert np.all(np.diff(times) >= 0.0) and now - 5.0 < times[0] <= times[-1] <= now
         assert "host's monotonic clock" in camera.clock
+
+
+def test_a_pipeline_is_gstreamers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A real one where OpenCV has it; else one line says that it has not."""
+    pipeline, asked = "videotestsrc num-buffers=5 ! videoconvert ! video/x-raw,format=BGR ! appsink", []
+    if cv2.videoio_registry.hasBackend(cv2.CAP_GSTREAMER):
+        with VideoCamera(pipeline) as camera:
+            assert camera.read() is not None
+    else:
+        with pytest.raises(TautError, match=r"built without GStreamer.*python3-opencv"):
+            VideoCamera(pipeline)
+
+    def opens(source: object, *backend: int) -> Device:
+        asked.append((source, *backend))
+        return Device(set())
+
+    monkeypatch.setattr(cv2, "VideoCapture", opens)
+    with VideoCamera(pipeline) as camera:
+        assert camera.read() is not None and camera.frames is None
+    assert asked == [(pipeline, cv2.CAP_GSTREAMER)]
 
 
 def test_a_stream_that_is_not_there_is_one_line() -> None:

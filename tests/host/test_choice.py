@@ -45,7 +45,7 @@ def test_what_onsets_at_one_place_share_is_counted_once() -> None:
 @pytest.mark.parametrize(("own", "other", "counts"), [(1.3, 2.0, False), (2.0, 5.0, True), (2.0, 6.5, False)])
 def test_where_the_joint_fit_predicts_well_onsets_do_not_count(own: float, other: float, counts: bool) -> None:
     joint, both = np.ones_like(GRID), 2.0 * np.ones_like(GRID)
-    left = SimpleNamespace(_left_at=lambda _, width: own if width is joint else other)
+    left = SimpleNamespace(left_at=lambda _, width: own if width is joint else other)
     assert Choice._bears(cast(Choice, left), cast(Fitted, None), joint, both) is counts
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+import can
 import numpy as np
 import pytest
 from cli_runner import Taut
@@ -27,7 +28,7 @@ from tautline.device import wire
 from tautline.device.board import Board, find
 from tautline.device.link import BoardAddress, BoardGone
 from tautline.drivers import addresses, cia402, moteus_drives, ros_joints, serial_servos
-from tautline.drivers.drives import Goal, all_off
+from tautline.drivers.drives import Goal, Missed, all_off
 from tautline.drivers.feetech import Feetech
 from tautline.drivers.hosted import HostedLink, flash_file
 from tautline.errors import TautError
@@ -553,3 +554,51 @@ def test_a_canopen_cycle_is_told_as_it_is(rate: float, told: tuple[int, int] | N
             assert (objects[0x60C2, 1][1], objects[0x60C2, 2][1]) == told
     finally:
         emulator.close()
+
+
+@pytest.mark.parametrize("comes", [True, False])
+def test_a_canopen_answer_belongs_to_its_sync(comes: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One comes after the next SYNC, or never: what is taken then is where the drive is at that SYNC."""
+    emulator = Cia402Emulator([Motor()])
+    late: list[can.Message] = []
+
+    def through(answer: can.Message) -> Iterator[can.Message]:
+        if answer.arbitration_id == 0x181 and not late:
+            late.append(answer)
+            return
+        if answer.arbitration_id == 0x181 and comes and len(late) == 1:
+            late.append(answer)
+            yield late[0]
+            time.sleep(0.02)  # the newer one is still on its way
+        yield answer
+
+    try:
+        drives = addresses.open_drives(addresses.parse(f"canopen:virtual/{emulator.bus.channel}:1?baud=1000000"))
+        monkeypatch.setattr(emulator.bus.ills, "through", through)
+        with pytest.raises(Missed):
+            drives.measure()
+        for position in (700.0, 900.0):
+            emulator.motors[0].position = position
+            assert drives.measure()[0].q == position
+        drives.close()
+    finally:
+        emulator.close()
+
+
+def test_a_brake_is_given_its_time() -> None:
+    """0.3 s, three times what a motor may be without a look at it, and what the drive waits for the host."""
+    with driven("canopen") as setup:
+        left = [30]
+
+        def brakes() -> bool:
+            left[0] -= 1
+            for _ in range(10 if left[0] >= 0 else 0):
+                setup.bench.us += 1000
+                setup.motor.step()
+            return left[0] > 0
+
+        setup.emulator.brakes = brakes
+        with driving(setup.live):
+            move_to(setup.live, 1.0, 2.0)
+            assert setup.motor.position == pytest.approx(1000.0, abs=5.0)
+        assert left[0] == 0

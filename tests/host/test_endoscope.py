@@ -117,7 +117,7 @@ def test_a_video_file_gives_its_own_times_and_ends(tmp_path) -> None:
 
 
 def test_cameras_that_do_not_open_say_why(tmp_path) -> None:
-    with pytest.raises(TautError, match="no such video file, device or stream"):
+    with pytest.raises(TautError, match="no such video file, device, stream"):
         VideoCamera(tmp_path / "none.mp4")
     (tmp_path / "foreign.mkv").write_text("t_s,u_px\n")
     with pytest.raises(TautError, match="is it a video"):

@@ -28,13 +28,13 @@ def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) ->
 
 
 def codes_in_the_source() -> set[str]:
-    """The first text of every Reason(...) and doubt(...) in the package, and of the departures' table."""
+    """The first text of every Reason(...), doubt(...) and notice(...) in the package, and of the departures' table."""
     found = set()
     for path in PACKAGE.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Call) and node.args:
                 name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
-                if name in ("Reason", "doubt") and path.name != "quality.py":  # which reads them from a file
+                if name in ("Reason", "doubt", "notice") and path.name != "quality.py":  # which reads them from a file
                     for part in ast.walk(node.args[0]):
                         if isinstance(part, ast.Constant) and isinstance(part.value, str):
                             found.add(part.value)

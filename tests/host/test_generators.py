@@ -37,7 +37,7 @@ def test_the_generators_are_named_and_one_can_be_left_out(monkeypatch):
     monkeypatch.setattr(generators, "find_spec", lambda name: None)
     assert generators.chosen((), ()) == ((SECOND,), ())
     assert generators.chosen((), ("second",)) == (("library",), tuple(MECHANISMS))
-    with pytest.raises(TautError, match=r"pip install 'tautline\[campaign\]'"):
+    with pytest.raises(TautError, match=r"run ./run setup"):
         generators.chosen(("mujoco",), ())
     monkeypatch.setattr(generators, "find_spec", lambda name: sys)
     assert generators.chosen(("mujoco",), ("mujoco.arm",))[0] == tuple(n for n in MECHANISMS if n != "mujoco.arm")

@@ -14,6 +14,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from tautline import geometry, trajectory
 from tautline.calibration.calibrate import Calibration, calibrate
+from tautline.calibration.observations import observe
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.prediction import predict_with_sigma, settled_from
@@ -185,6 +186,47 @@ def test_recordings_that_show_two_places_do_not_tell_f_remain() -> None:
     inside = (model.q > model.measured[0]) & (model.q < model.measured[1])
     off = np.abs(model.width - INSTRUMENT.backlash(model.q))[inside]
     assert (off < 4.0 * model.width_sigma[inside] + 1e-3).all()
+
+
+def breath(scene_s: np.ndarray, px: float) -> np.ndarray:
+    """(n, 2) px by which tissue pulls a place: two rates, not alike from one breath to the next."""
+    deep = 1.0 + 0.3 * np.sin(0.31 * scene_s)
+    aside = np.column_stack([np.sin(1.7 * scene_s), 0.6 * np.sin(1.7 * scene_s + 0.8) + 0.3 * np.sin(2.9 * scene_s)])
+    return px * deep[:, None] * aside
+
+
+def swaying(seed: int, px: float, torn: bool) -> tuple[Recording, np.ndarray]:
+    recording, scene = bare(seed, np.zeros(3))
+    marker = recording.marker
+    assert marker is not None
+    seen = np.column_stack([marker.u_px, marker.v_px])
+    if torn:
+        seen = seen[0] + NOISE_PX * np.random.default_rng([seed, 3]).standard_normal(seen.shape)
+    seen = seen + breath(scene, px)
+    return replace(recording, marker=replace(marker, u_px=seen[:, 0], v_px=seen[:, 1])), scene
+
+
+@pytest.mark.parametrize("px", [0.1, 2.0])
+def test_no_onset_is_invented_where_a_torn_tip_sways(px: float) -> None:
+    recording, _ = swaying(4, px, torn=True)
+    calibration = calibrate([recording], RIG)
+    assert not [o for o in calibration.onsets if o.used and o.kind != "bound"]
+    assert calibration.model.quality.verdict is Verdict.UNUSABLE
+    assert any("never seen to move" in reason.says for reason in calibration.model.quality.reasons)
+
+
+def test_a_tip_that_moves_keeps_every_frame_as_it_is_though_it_sways() -> None:
+    """A motion of a pixel is more likely the motor's than a breath's: nothing is taken off."""
+    recording, scene = swaying(4, 0.1, torn=False)
+    marker = recording.marker
+    assert marker is not None
+    for share in (1.0, 0.005):  # of what the rig foretells
+        seen = np.column_stack([marker.u_px, marker.v_px]) - breath(scene, 0.1)
+        seen = seen[0] + share * (seen - seen[0]) + breath(scene, 0.1)
+        less = replace(recording, marker=replace(marker, u_px=seen[:, 0], v_px=seen[:, 1]))
+        (track,) = observe([less], RIG)
+        (paint,) = observe([replace(less, marker=replace(less.marker, shown=None))], RIG)
+        np.testing.assert_allclose(track.y, paint.y, atol=1e-6)
 
 
 def test_a_model_keeps_its_place(calibrated: list[tuple[Calibration, np.ndarray]], tmp_path: Path) -> None:

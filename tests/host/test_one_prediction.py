@@ -17,6 +17,7 @@ from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.segment import prepare
 from tautline.elements import SINGLE, Elements
 from tautline.encoder import straight_lines
+from tautline.friction import Friction
 from tautline.geometry import project
 from tautline.model import Model
 from tautline.prediction import predict, times_of, write_csv
@@ -30,13 +31,15 @@ GRID = np.linspace(-5.0, 5.0, 1025)
 INSTRUMENT = preset("reference", RIG)
 DELAY_S = 0.0871
 GRADUAL = Elements((0.4, 0.8, 1.2, 1.6), (0.25, 0.25, 0.25, 0.25))
+BOUC_WEN = Friction("bouc-wen", 0.1, 0.6, 1.5, 0.6)
 SAME_PX, SAME_DEG = 1e-6, 1e-7  # some 20 px a deg
 
 
 def model(elements=SINGLE, sensor=MARKER) -> Model:
     return Model(
         RIG, GRID, INSTRUMENT.backlash(GRID), np.full(len(GRID), 0.003), INSTRUMENT.bend(GRID), DELAY_S, (-4.0, 4.0),
-        elements=elements, sensor=sensor,
+        sensor=sensor, elements=SINGLE if isinstance(elements, Friction) else elements,
+        friction=elements if isinstance(elements, Friction) else None,
     )  # fmt: skip
 
 
@@ -64,7 +67,7 @@ def recorded(motor: Motor) -> Recording:
     return Recording("one", motor, marker, angle, None, RIG)
 
 
-@pytest.mark.parametrize("elements", [SINGLE, GRADUAL], ids=["single", "several"])
+@pytest.mark.parametrize("elements", [SINGLE, GRADUAL, BOUC_WEN], ids=["single", "several", "friction"])
 @pytest.mark.parametrize("kind", ["counts", "exact", "noise"])
 def test_all_say_the_same_of_the_marker(elements, kind):
     own, motor = model(elements), readings(kind)
@@ -105,7 +108,11 @@ def test_all_say_the_same_of_the_marker(elements, kind):
     c = own.remaining(fitted.p)
     image = project(RIG, c, *track.others_at(track.scene_s(DELAY_S)))
     kept = np.searchsorted(scene, track.scene_s(DELAY_S) - 1e-9)
-    np.testing.assert_allclose(image[fitted.known], told.image_px[kept][fitted.known], atol=SAME_PX, rtol=0)
+    known = fitted.known
+    if isinstance(elements, Friction):  # it forgets where it started by and by: to a hundredth of the noise at first
+        np.testing.assert_allclose(image[known], told.image_px[kept][known], atol=5e-3, rtol=0)
+        known = known & (np.cumsum(known) > len(known) // 3)
+    np.testing.assert_allclose(image[known], told.image_px[kept][known], atol=SAME_PX, rtol=0)
 
 
 def others(motor: Motor):

@@ -10,7 +10,7 @@ from cli_runner import Taut
 import tautline as tl
 from tautline import trajectory
 from tautline.prediction import COLUMNS, predict_with_sigma, score, settled_from
-from tautline.recording import Angle, Recording, save
+from tautline.recording import Angle, Motor, Recording, save
 from tautline.rig import ANGLE
 from tautline.simulated import simulate
 from tautline.simulated.instrument import preset, reference_rig
@@ -53,6 +53,28 @@ def test_a_b_that_is_less_known_is_told_where_it_shows(calibrated):
     high = model.remaining_inverse(told.c_deg) > 1.1
     assert np.isnan(told.c_sigma_deg[high]).all() and np.isfinite(told.c_sigma_deg[~high]).mean() > 0.95
     assert np.isfinite(told.c_deg).all()
+
+
+def test_a_late_image_and_a_wide_backlash_that_cancel_are_told_together():
+    """At 2 mm/s a delay of 10 ms more is a width of 40 um more: what frames of one speed cannot tell apart does no harm
+    to another motion at that speed, and at twice it as much as half of it alone."""
+    q = np.linspace(-5.0, 5.0, 101)
+    model = tl.Model(RIG, q, 0.4 + 0 * q, 0.04 + 0 * q, 12.0 * q, 0.08, (-4.5, 4.5), extra={"delay_sigma_s": 0.01})
+    together = replace(model, extra={**model.extra, "width_by_delay": [-4.0] * len(q)})
+
+    def spread(of: tl.Model, speed: float) -> float:
+        """deg, while the motor goes to and fro at a speed, mm/s."""
+        t = np.linspace(0.0, 16.0, 16001)
+        path = Motor(t, 4.0 * np.arcsin(np.sin(2.0 * np.pi * t * speed / 16.0)) / (np.pi / 2.0))
+        at = np.arange(8.3, 15.0, 0.05)
+        moving = np.abs(np.interp(at, t, path.q)) < 3.0
+        sigma = predict_with_sigma(of, path, at).c_sigma_deg[moving]
+        bare = predict_with_sigma(replace(of, width_sigma=0 * q, extra={}), path, at).c_sigma_deg[moving]
+        return float(np.sqrt(np.median(sigma**2 - bare**2)))
+
+    assert spread(model, 2.0) == pytest.approx(0.24 * np.sqrt(2.0), rel=0.03)
+    assert spread(together, 2.0) < 0.02
+    assert spread(together, 4.0) == pytest.approx(0.24, rel=0.03)
 
 
 def test_where_the_tip_began_matters_until_it_is_driven_unless_it_is_told(calibrated):

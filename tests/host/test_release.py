@@ -59,7 +59,7 @@ def test_a_release_is_whole(clone: Path, tmp_path: Path) -> None:
     names = sorted(path.name for path in out.iterdir())
     version = tautline.__version__
     expected = {"70-tautline.rules", "SHA256SUMS", f"tautline-{version}-motor2040.uf2", f"tautline-{version}.cdx.json"}
-    expected.add(f"tautline_robotics-{version}.tar.gz")
+    expected |= {f"tautline_robotics-{version}.tar.gz", f"tautline-{version}-motor2040.update"}
     wheels = [name for name in names if name.endswith(".whl")]
     assert len(wheels) == 1 and set(names) == expected | set(wheels)
     environment = tmp_path / "environment"
@@ -77,7 +77,7 @@ def test_a_release_is_whole(clone: Path, tmp_path: Path) -> None:
 
     document = json.loads((out / f"tautline-{version}.cdx.json").read_text())
     parts = {part["name"].lower() for part in document["components"]}
-    assert {"numpy", "scipy", "opencv-python-headless", "tinyusb", "pico-sdk"} <= parts
+    assert {"numpy", "scipy", "opencv-python-headless", "tinyusb", "monocypher", "pico-sdk"} <= parts
     assert document["metadata"]["component"]["name"] == "tautline-robotics"
     assert str(tmp_path) not in json.dumps(document)
     assert (out / f"tautline-{version}-motor2040.uf2").read_bytes()[:4] == b"UF2\n"

@@ -276,9 +276,9 @@ def test_a_delay_that_departures_leave_uncertain_is_the_nominal_one(sigma_s: flo
     tracks = observe([record(Motion.through(), delay_s=0.003)], RIG)
     joint = fit_jointly(freeze(tracks, 0.0), Domain(*RIG.actuator.range), 0.0, fit_delay=True)
     assert joint is not None and joint.curves.delay_s == pytest.approx(0.003, abs=5e-4)
-    session = cast(_Session, SimpleNamespace(camera=False, nominal_s=0.0))
+    session = cast(_Session, SimpleNamespace(framed=False, nominal_s=0.0))
     width = joint.fit.width(joint.curves)
-    departing = cast(Components, SimpleNamespace(delay_sigma=sigma_s, width=width, sigma=0.01 * width))
+    departing = cast(Components, SimpleNamespace(delay_sigma=sigma_s, width=width, sigma=0.01 * width, by_delay=None))
     alone = _Session._as_one(session, joint, departing)
     assert alone.delay_sigma == sigma_s
     assert alone.curves.delay_s == (joint.curves.delay_s if own else 0.0)

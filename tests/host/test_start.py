@@ -12,7 +12,7 @@ from tautline.diagnosis import start
 from tautline.diagnosis.diagnose import diagnose
 from tautline.errors import TautError
 from tautline.model import Model
-from tautline.quality import Reason, Verdict
+from tautline.quality import Reason
 from tautline.recording import Recording
 from tautline.simulated.instrument import reference_rig
 from tools.naming.cases import SECOND, Case, make
@@ -116,10 +116,13 @@ def test_what_a_calibration_swallowed_has_its_name_in_a_diagnosis(
 def test_what_is_there_from_the_start_is_weighed_in_all_recordings_alike(
     rippled: tuple[Case, list[Recording], Calibration],
 ) -> None:
-    _, recordings, found = rippled
+    case, recordings, found = rippled
     asked = start.of_recordings(found.model, recordings[:1], lambda share, what: None)
     hypotheses = [candidate.fit.hypothesis for candidate in asked.gathered.candidates]
     assert not any(scope for hypothesis in hypotheses for scope in hypothesis.scopes)
     assert {name for h in hypotheses for name in (kind.id for kind in h.kinds)} <= start.NAMES
     assert asked.named == (RIPPLE,)
-    assert found.model.quality.verdict is Verdict.DOUBTFUL  # B is not as right as its sigma says
+    model, truth = found.model, case.truth
+    inside = (model.q > model.measured[0]) & (model.q < model.measured[1])
+    off = (model.width - np.interp(model.q, truth.q, truth.width))[inside]
+    assert np.sqrt(np.mean((off / model.width_sigma[inside]) ** 2)) < 2.0  # what B has taken of it is in its sigma

@@ -124,6 +124,26 @@ def test_inside_the_measured_range_nothing_is_told_and_nothing_changes(seed):
     assert (other.angle(there) - law.angle(there)).max() > 0.01
 
 
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000), st.booleans(), st.floats(1.5, 8.0))
+def test_a_curve_that_would_turn_beyond_is_level_there_and_the_same_nearer(seed, falls, turns):
+    """A bend that few frames told bends on: half a range away it would lead back across all that was measured."""
+    model = ideal_model(Drawn(seed % 5))
+    if falls:
+        model = replace(model, c_deg=-model.c_deg)
+    unseen = Beyond.unseen(model)
+    (low, high), far = model.measured, turns * np.ptp(model.c_deg) / np.ptp(unseen.model.q) ** 2
+    way = -1.0 if falls else 1.0
+    for mean in ((0.0, 8.0 * far, 0.0, 0.0), (0.0, 0.0, 0.0, -8.0 * far)):
+        bent = replace(unseen, mean=np.concatenate([way * np.array(mean), np.zeros(CURVES)]))
+        added = bent.model.c_deg + bent.mean[:CURVES] @ bent.on_grid
+        assert (way * np.diff(added) < 0.0).any()  # so it would turn
+        known = bent.known
+        inside = (known.q >= low) & (known.q <= high)
+        np.testing.assert_allclose(known.c_deg[inside], bent.model.c_deg[inside], atol=1e-4)
+        assert (way * np.diff(known.c_deg) > 0.0).all()
+
+
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0.6, 1.5))
 def test_derivatives_by_what_is_added_to_the_width_are_those_of_differences(seed, scale):

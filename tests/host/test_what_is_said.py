@@ -26,6 +26,7 @@ from reference_instrument import PLANT, RIG, moved, saved_model, saved_recording
 from tautline import cli
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.doubts import floor_of
+from tautline.calibration.findings import Findings
 from tautline.calibration.observations import observe
 from tautline.cli._commands import COMMANDS, EXIT_STATUS, GROUPS, Command
 from tautline.compensation import MODES
@@ -268,8 +269,9 @@ def test_a_log_that_is_too_slow_is_told_a_rate_that_is_faster() -> None:
     swing = np.abs(20.0 * t_s % 4.0 - 2.0) - 1.0  # a turn within each tenth of a second
     track = observe([replace(recording, motor=Motor(t_s, swing))], RIG)[0]
     grid = np.linspace(-4.0, 4.0, 201)
-    found = floor_of([track], grid, PLANT.backlash(grid), np.full(201, 0.01), "mm")
-    (reason,) = [each for each in found.reasons if each.code == "rate"]
+    found = Findings()
+    floor_of([track], grid, PLANT.backlash(grid), np.full(201, 0.01), "mm", found)
+    (reason,) = [each for each in found.looks if each.code == "rate"]
     rate = re.search(r"log the motor at (\d+) Hz or more", reason.remedy)
     assert "5 ms apart" in reason.says and rate is not None and int(rate[1]) > 200
     allowed = 0.015 * float(np.median(PLANT.backlash(grid)))

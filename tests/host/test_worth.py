@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from tautline.calibration import worth as worths
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.observations import observe
 from tautline.calibration.worth import worth
@@ -36,12 +39,13 @@ def turned(degrees: float):
 
 def test_a_right_model_is_measured_against_the_two_simplest(made: Recording) -> None:
     found = calibrate([made], RIG)
-    tracks = observe([made], RIG)
-    right = worth(found.model, tracks, RIG)
-    assert right.model == pytest.approx(0.05, rel=0.1) and not right.doubts
+    right = worth(found.model, observe([made], RIG), None, None)
+    assert right is not None
+    assert right.model == pytest.approx(0.05, rel=0.1) and right.predicts and not right.doubts
     assert right.coarse > 50 * right.model and right.constant > 5 * right.coarse
     worse = replace(found.model, c_deg=found.model.c_deg[::-1].copy())
-    assert worth(worse, tracks, RIG).doubts[0].fatal
+    told = worth(worse, observe([made], RIG), None, None)
+    assert told is not None and not told.predicts and told.doubts[0].fatal
 
 
 def test_a_model_no_better_than_a_constant_is_unusable(made: Recording) -> None:
@@ -60,3 +64,61 @@ def test_a_mirrored_image_bends_f_remain_beyond_belief(made: Recording) -> None:
     found = quality(mirrored)
     assert found.verdict is Verdict.UNUSABLE
     assert next(r for r in found.reasons if r.code == "registration.static").fatal
+
+
+def test_a_block_is_foretold_as_a_fit_without_it_does(made: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By Newton's step from the whole fit; the reference is fitted anew."""
+    monkeypatch.setattr(worths, "STAYS", 0.0)
+    asked: list[Any] = []
+    foretold = worths._foretold
+    monkeypatch.setattr(worths, "_foretold", lambda *all_of: asked.append(all_of) or foretold(*all_of))
+    found = calibrate([made], RIG, naming=False)
+    assert found.evidence["foretold_blocks"] == worths.BLOCKS
+    fit, curves, _, masks, labels = asked[0]
+    curves = fit.solve(curves, iterations=12, adapt=False).curves
+    rows = fit.residuals(curves)[0]
+    missed = foretold(fit, curves, rows, masks, labels)[0]
+    more = [np.mean(missed[labels[0] == k] ** 2) > np.mean(rows[0][labels[0] == k] ** 2) for k in range(8)]
+    assert sum(more) >= 6
+    for block in (0, 5):
+        without = [
+            replace(each, use=each.use & (label != block)) for each, label in zip(fit.tracks, labels, strict=True)
+        ]
+        own = replace(fit, tracks=without, smoothing=dict(fit.smoothing))
+        again = own.residuals(own.solve(curves, iterations=8, adapt=False).curves)[0][0]
+        here = labels[0] == block
+        moved = np.sqrt(np.mean((missed - rows[0])[here] ** 2))
+        assert np.sqrt(np.mean((missed - again)[here] ** 2)) < 0.5 * moved
+
+
+def over_noise(off: np.ndarray, moving: np.ndarray) -> float:
+    """Of misses (n, 2) of an image in which the tip moves along u."""
+    n = len(off)
+    track = SimpleNamespace(sigma=np.ones(n))
+    fit = SimpleNamespace(
+        tracks=[SimpleNamespace(track=track)],
+        simulated=[SimpleNamespace(moving=moving, p=np.zeros(n))],
+        slope_in_view=lambda track, curves, p: np.tile([50.0, 0.0], (n, 1)),
+        width=lambda curves: np.ones(3),
+    )
+    masks = worths._of_tip(cast(Any, fit), cast(Any, None), [off], [np.ones(n, bool)])
+    return worths._over_noise(cast(Any, fit), cast(Any, None), [off], masks)
+
+
+def test_what_neighbours_miss_alike_is_the_models_and_the_rest_is_noise() -> None:
+    """Misses of 0.8, 2 and 3 times the noise in both coordinates: 1.28, 2.24 and 3.16 with it."""
+    rng, t = np.random.default_rng(17), np.arange(6000)
+    moving = (t // 60) % 2 == 0
+    noise, wave = rng.normal(0.0, 1.0, (6000, 2)), np.sqrt(2.0) * np.sin(t / 30.0)[:, None] * np.ones(2)
+    assert over_noise(noise, moving) < 1.03
+    assert over_noise(1.7 * noise, moving) < 1.03  # stated too small
+    for size in (0.8, 2.0, 3.0):
+        assert over_noise(noise + size * wave, moving) == pytest.approx(np.hypot(1.0, size), rel=0.03)
+        assert over_noise(1.7 * (noise + size * wave), moving) == pytest.approx(np.hypot(1.0, size), rel=0.03)
+    lost = noise.copy()
+    lost[1000:1200] += [300.0, -200.0]  # another blob
+    assert over_noise(lost, moving) < 1.05
+    jitter = noise + np.column_stack([3.0 * rng.normal(size=6000) * moving, np.zeros(6000)])  # frames' times
+    assert over_noise(jitter, moving) > 1.8
+    elsewhere = noise * (1.0 + 2.0 * moving)[:, None]  # noise of where the tip moves, both ways alike
+    assert over_noise(elsewhere, moving) < 1.1

@@ -1,4 +1,4 @@
-"""./run bench [--json], ./run bench videos, ./run bench faults, bench importing, bench bare, bench constants"""
+"""./run bench [--json], and one of: videos, faults, importing, bare, drivers, constants"""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from tools.bench import (
     calibration,
     control_step,
     diagnosis,
+    drivers,
     faults,
     importing,
     live_page,
@@ -101,6 +102,7 @@ main.add_command(videos.command)
 main.add_command(faults.command)
 main.add_command(importing.command)
 main.add_command(bare.command)
+main.add_command(drivers.command)
 main.add_command(constants.command)
 
 if __name__ == "__main__":

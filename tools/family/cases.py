@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-
 from tools.family import motion, ranges, refit
 from tools.family import view as views
 from tools.family.causes import LISTED, NOMINAL, UNLISTED

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from typing import ClassVar, Protocol
 
 import numpy as np
-
 from tools.family import ranges
 
 

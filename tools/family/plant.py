@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-
 from tools.family import view as views
 from tools.family.causes.base import Cause
 from tools.family.line import Line

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import tomli_w
-
 from tools.family import motion, ranges
 from tools.family.cases import Case, strength
 from tools.family.plant import run, stamps

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.polynomial import chebyshev
 from scipy.optimize import least_squares
-
 from tools.family import view as views
 from tools.family.causes.base import Cause
 from tools.family.line import Line

@@ -5,7 +5,6 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from rich.progress import Progress
-
 from tools.family import cases, record
 
 

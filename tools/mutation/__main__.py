@@ -24,6 +24,7 @@ from queue import SimpleQueue
 from rich.progress import Progress
 from scipy.stats import binomtest
 
+from tools.kept import keep
 from tools.mutation.equivalent import equivalents
 from tools.mutation.sites import Mutant, all_mutants, drawn
 from tools.mutation.trial import Outcome, Trial, digest, programs
@@ -85,7 +86,8 @@ def share(killed: int, counted: int) -> str:
     return f"{killed} of {counted} killed, {killed / counted:.1%} (90 %: {bounds.low:.1%} to {bounds.high:.1%})"
 
 
-def report(outcomes: dict[Mutant, Outcome], listed: dict[Mutant, str]) -> None:
+def report(outcomes: dict[Mutant, Outcome], listed: dict[Mutant, str]) -> str:
+    """Prints each survivor and the shares; returns that of all."""
     ways = Counter(outcome.how for outcome in outcomes.values())
     listed = {mutant: why for mutant, why in listed.items() if mutant in outcomes}
     if killed := [mutant for mutant in listed if outcomes[mutant].how in ("killed", "time")]:
@@ -103,9 +105,12 @@ def report(outcomes: dict[Mutant, Outcome], listed: dict[Mutant, str]) -> None:
         f"{len(outcomes)} drawn; not counted: {ways['build']} do not compile, {ways['same']} compile to the same,"
         f" {len(listed)} listed as equivalent"
     )
+    said = {}
     for operator in (*OPERATORS, "all"):
         hows = [each.how for mutant, each in counted.items() if operator in (mutant.operator, "all")]
-        print(f"{operator:11s}{share(sum(how != 'survived' for how in hows), len(hows))}")
+        said[operator] = share(sum(how != "survived" for how in hows), len(hows))
+        print(f"{operator:11s}{said[operator]}")
+    return said["all"]
 
 
 def main() -> int:
@@ -121,7 +126,9 @@ def main() -> int:
     if options.at:
         chosen = [each for each in mutants if f"/{each.file}:{each.line}".endswith(f"/{options.at}")]
     print(f"{len(chosen)} of {len(mutants)} mutants", flush=True)
-    report(tried(chosen, options.jobs, KEPT), listed)
+    killed = report(tried(chosen, options.jobs, KEPT), listed)
+    if not options.at:
+        keep("mutants", ("drawn", "killed"), [(f"{len(chosen)} by seed {options.seed}", killed)])
     return 0
 
 

@@ -39,7 +39,7 @@ def main(which: str, out: Path) -> None:
 def page(done: list[Experiment]) -> str:
     environment = jinja2.Environment(
         loader=jinja2.ChoiceLoader(
-            [jinja2.FileSystemLoader(Path(__file__).parent), jinja2.PackageLoader("tautline")],
+            [jinja2.FileSystemLoader(Path(__file__).parent), jinja2.PackageLoader("tautline.reports")],
         ),
         autoescape=True,
         undefined=jinja2.StrictUndefined,

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The Cortex-M4 port in QEMU, behind the desktop board's options and ports: a line for the host, a sim link.
+"""The MPS2 port on a Cortex-M4 or M33 in QEMU, behind the desktop board's options and ports: a host's line, a sim link.
 
 QEMU runs the image; its two serial ports come here. The first is the host's line. The second carries the world: time is
 granted in ticks, together with the number of the line's bytes that were sent before, and answered with the number of
@@ -27,7 +27,8 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
-IMAGE = ROOT / "build" / "m4" / "tautline-m4.elf"
+MACHINES = {"m4": "mps2-an386", "m33": "mps2-an505"}  # core -> QEMU's machine
+CORE = "TAUTLINE_QEMU_CORE"  # environment: the core, where no option names it
 PSRAM_BYTES = 16 << 20
 FLASH_BYTES = 1 << 20  # of it that stand for the flash chip: more than the app keeps things in
 OPTIONS_AT = 0xF00000  # world.c
@@ -68,9 +69,10 @@ class Machine:
         qemu = shutil.which("qemu-system-arm")
         if qemu is None:
             sys.exit("qemu-system-arm is not installed: run 'tools/setup m4'")
-        if not IMAGE.is_file():
-            sys.exit(f"{IMAGE} is missing: run './run m4'")
-        command = [qemu, "-M", "mps2-an386,memory-backend=psram", "-kernel", str(IMAGE)]
+        image = ROOT / "build" / options.core / "tautline.elf"
+        if not image.is_file():
+            sys.exit(f"{image} is missing: run './run {options.core}'")
+        command = [qemu, "-M", f"{MACHINES[options.core]},memory-backend=psram", "-kernel", str(image)]
         command += ["-object", f"memory-backend-file,id=psram,size={PSRAM_BYTES},mem-path={flash},share=on"]
         command += ["-icount", "shift=4,sleep=off,align=off"]  # 16 ns an instruction, and no waiting
         command += ["-nodefaults", "-display", "none", "-monitor", "none", "-nic", "none"]
@@ -171,6 +173,7 @@ class World:
         self.row = 0  # index of the first
         self.client: socket.socket | None = None
         self.plugged = True
+        self.ills = ["well"] * options.axes
         self.quit = False
         self.realtime = options.realtime
         self._paced = (0, 0.0)
@@ -322,6 +325,8 @@ class World:
                 known = len(words) == 2 and words[0] in map(str, range(self.axes)) and words[1].isalpha()
                 if not known or self.machine.ask(f"inject {words[0]} {words[1]}") != ["ok"]:
                     return {"error": INJECT}
+                self.ills[int(words[0])] = words[1]
+                return {"t_us": self.ticks * self.tick_us, "ills": self.ills}
             case "unplug" if not words:
                 self.hang_up()
                 self.plugged = False
@@ -399,13 +404,15 @@ def answer(world: World, client: socket.socket, texts: dict[socket.socket, bytes
 
 
 def options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="board.py", description="The Cortex-M4 port in QEMU.")
+    parser = argparse.ArgumentParser(prog="board.py", description="The port for Arm's MPS2 boards in QEMU.")
+    core = os.environ.get(CORE, "m4")
+    parser.add_argument("--core", default=core, choices=MACHINES)
     parser.add_argument("--uart", type=int, required=True, help="port of the host's line, on 127.0.0.1; 0: any")
     parser.add_argument("--sim", type=int, required=True, help="port of the sim link")
     parser.add_argument("--flash", help="keeps the tables between runs")
     parser.add_argument("--axes", type=int, default=1, choices=range(1, AXES_MAX + 1))
     parser.add_argument("--rate", type=int, default=5000, choices=(1000, 2000, 4000, 5000, 8000, 10000))
-    parser.add_argument("--serial", default="M4-1")
+    parser.add_argument("--serial", default="MPS2-1")
     parser.add_argument("--realtime", action="store_true")
     parser.add_argument("--parent", type=int, default=0)
     return parser.parse_args()

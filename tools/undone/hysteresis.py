@@ -24,7 +24,7 @@ _NOISE_DEG, _SENSOR_HZ, _ENCODER_EVERY = 0.02, 100.0, 4
 _SETTLED_S = 8.0
 _PATHS = range(3, 8)  # seeds of the trajectories
 _LIMITS = {"speed_max": 100.0, "takeup_speed": 50.0, "takeup_accel": 5000.0, "band": 0.002}
-_TIMES = {"plays": 5.0, "gradual": 5.0, "bouc-wen": 2.0, "dahl": 2.0}
+_TIMES = {"plays": 5.0, "gradual": 5.0, "broad": 5.0, "bouc-wen": 2.0, "dahl": 2.0}
 _COUNTS = 2.0  # or as near as this
 
 
@@ -90,9 +90,21 @@ def _several(seed: int) -> Plant:
     return of_plays(share / (weight @ share), weight)
 
 
+def broad(kind: str) -> Plant:
+    """Thresholds from nothing to far beyond B: evenly, by their exponential distribution, or of seven plays."""
+    if kind == "seven":
+        share, weight = np.array([0.1, 0.3, 0.6, 1.0, 1.6, 2.4, 3.2]), np.array([4.0, 4.0, 3.0, 3.0, 2.4, 2.0, 1.6])
+    else:
+        place = (np.arange(40) + 0.5) / 40.0
+        share, weight = 2.0 * place if kind == "even" else -np.log(1.0 - place), np.ones(40)
+    weight = weight / weight.sum()
+    return of_plays(share / float(share @ weight), weight)
+
+
 PLANTS: Mapping[str, Plant] = {
     **{f"plays {seed}": _several(seed) for seed in range(1, 5)},
     **{f"gradual {spread:.0%}": gradual(spread) for spread in (0.05, 0.1, 0.2, 0.35, 0.5)},
+    **{f"broad {kind}": broad(kind) for kind in ("even", "exponential", "seven")},
     **{f"bouc-wen {n}": bouc_wen(n) for n in (1, 2, 5)},
     "dahl": of_friction(lambda z, way: 1.0 - z * way),
 }
@@ -124,7 +136,7 @@ def one_play(model: Model, recording: Recording) -> Model:
     scene = recording.angle.t_s - model.delay_of("angle")
 
     def with_scale(scale: float) -> Model:
-        return replace(model, elements=SINGLE, width=scale * model.width)
+        return replace(model, elements=SINGLE, friction=None, width=scale * model.width)
 
     def off(scale: float) -> float:
         assert recording.angle is not None

@@ -29,7 +29,7 @@ extern "C" {
 #endif
 
 #define TL_WIRE_MAJOR            2
-#define TL_WIRE_MINOR            4
+#define TL_WIRE_MINOR            5
 #define TL_WIRE_USB_VENDOR       0x1209U ///< pid.codes
 #define TL_WIRE_USB_PRODUCT      0x0001U ///< its test product: for development, never to be sold under
 #define TL_WIRE_USB_MANUFACTURER "tautline"
@@ -232,7 +232,46 @@ extern "C" {
     F(u8, axis, "")                                                                                                    \
     F(u16, offset, "")
 
+#define TL_WIRE_FIELDS_GET_FIRMWARE(F, A) F(u8, reserved, "0")
+
+#define TL_WIRE_FIELDS_GET_LOGGED(F, A) F(u8, index, "0: the newest fault")
+
+#define TL_WIRE_FIELDS_ANY_FIRMWARE(F, A) F(u32, key, "TL_WIRE_KEY; the next firmware may be older than what runs")
+
 // -- board to host ----------------------------------------------------------------------------------------------
+
+#define TL_WIRE_FIELDS_LOGGED(F, A)                                                                                    \
+    F(u32, number, "rises by one with each fault that is logged; 0: there are not as many")                            \
+    F(u32, run, "of the start in which it came: counts those in which something was logged")                           \
+    F(u32, run_now, "the present one's")                                                                               \
+    F(u8, axis, "")                                                                                                    \
+    F(u8, fault, "TL_WIRE_FAULTS")                                                                                     \
+    F(i32, value, "what was measured: a status' fault_value")                                                          \
+    F(u64, t_us, "since that start")                                                                                   \
+    F(i32, q_q8, "counts: where the axis was soon after")
+
+// Not sent by itself: the first page of an image in an update file is the frame of this message, then zeros.
+#define TL_WIRE_IMAGE_SIGNED (TL_WIRE_SIZE_IMAGE - 64U) ///< bytes of its payload that the signature is over
+#define TL_WIRE_FIELDS_IMAGE(F, A)                                                                                     \
+    F(u8, format, "1")                                                                                                 \
+    F(u8, slot, "that it is linked for, 0 or 1; 255: any")                                                             \
+    A(u8, version, 3, "major, minor, patch")                                                                           \
+    F(u8, protocol_major, "that it speaks")                                                                            \
+    F(u8, protocol_minor, "")                                                                                          \
+    A(text, port, 16, "the board that it is for: an identity's port")                                                  \
+    F(u32, size, "bytes of the image, which follows the page; a multiple of 256")                                      \
+    A(u8, hash, 32, "BLAKE2b-256 of the image")                                                                        \
+    A(u8, signature, 64, "EdDSA over Curve25519 with BLAKE2b, of all before it")
+
+#define TL_WIRE_FIELDS_FIRMWARE(F, A)                                                                                  \
+    F(u8, state, "TL_WIRE_FIRMWARES: what runs")                                                                       \
+    F(u8, slot, "that it runs from, 0 or 1; 255: of none, and the board takes no update")                              \
+    A(u8, version, 3, "that runs")                                                                                     \
+    F(u8, other_state, "TL_WIRE_FIRMWARES: what the other slot holds, where an update goes")                           \
+    A(u8, other_version, 3, "")                                                                                        \
+    F(u8, refused, "TL_WIRE_UPDATES: why the last update was")                                                         \
+    F(u32, room, "bytes that an image may have")                                                                       \
+    A(u8, key, 32, "public key with which updates have to be signed")
 
 #define TL_WIRE_FIELDS_IDENTITY(F, A)                                                                                  \
     F(u16, protocol_major, "")                                                                                         \
@@ -261,7 +300,7 @@ extern "C" {
     F(u8, table_reason, "why the last table was refused: tl_table.h's reason, 0 none")                                 \
     F(u16, flags, "TL_WIRE_FLAGS")                                                                                     \
     F(u32, table_sequence, "rises by one with each table stored; 0: none")                                             \
-    F(u32, table_crc, "CRC-32 of the blob in use")                                                                     \
+    F(u32, table_crc, "CRC-32 that ends the blob in use, of all before it")                                            \
     F(u64, t_us, "")                                                                                                   \
     F(u64, fault_us, "when the fault came")                                                                            \
     F(i32, q_q8, "counts, measured")                                                                                   \
@@ -389,6 +428,9 @@ extern "C" {
     M(0x20, TABLE_WRITE, table_write, "-> ack; a part of a table, kept until the last one has come")                   \
     M(0x21, TABLE_STORE, table_store, "-> ack: the parts are checked, stored and used, as DFU does")                   \
     M(0x22, TABLE_READ, table_read, "-> table_part, of the table in use")                                              \
+    M(0x23, GET_FIRMWARE, get_firmware, "-> firmware")                                                                 \
+    M(0x24, ANY_FIRMWARE, any_firmware, "-> ack")                                                                      \
+    M(0x25, GET_LOGGED, get_logged, "-> logged")                                                                       \
     M(0x80, ACK, ack, "")                                                                                              \
     M(0x81, ERROR, error, "")                                                                                          \
     M(0x82, IDENTITY, identity, "")                                                                                    \
@@ -396,6 +438,9 @@ extern "C" {
     M(0x84, STATUS, status, "")                                                                                        \
     M(0x85, COUNTERS, counters, "")                                                                                    \
     M(0x88, TABLE_PART, table_part, "as an answer: table_read's")                                                      \
+    M(0x89, FIRMWARE, firmware, "")                                                                                    \
+    M(0x8A, IMAGE, image, "the head of an update file")                                                                \
+    M(0x8B, LOGGED, logged, "a fault out of the board's log in flash")                                                 \
     M(0x90, BATCH, batch, "unasked: telemetry of one axis")                                                            \
     M(0x91, ONSET, onset, "unasked: one reversal, during a calibration motion")                                        \
     M(0x92, PROGRESS, progress, "unasked: after each reversal and at the end of the motion")                           \
@@ -406,7 +451,10 @@ extern "C" {
     S(adapt, 1)                                                                                                        \
     S(load, 1)                                                                                                         \
     S(settings, 4)                                                                                                     \
-    S(get_settings, 4)
+    S(get_settings, 4)                                                                                                 \
+    S(get_firmware, 5)                                                                                                 \
+    S(any_firmware, 5)                                                                                                 \
+    S(get_logged, 5)
 
 // -- codes: C(code, NAME, text) ---------------------------------------------------------------------------------
 
@@ -493,6 +541,26 @@ extern "C" {
     C(2, OLDER, "the one before: the newest is damaged")                                                               \
     C(3, BAD, "none of those stored is valid")
 
+#define TL_WIRE_FIRMWARES(C)                                                                                           \
+    C(0, NONE, "no firmware that counts")                                                                              \
+    C(1, CONFIRMED, "firmware that a host has talked to")                                                              \
+    C(2, TRIAL, "new firmware, on trial until a host has talked to it")                                                \
+    C(3, FAILED, "firmware that did not come up, or that no host talked to in its trial")
+
+#define TL_WIRE_UPDATES(C)                                                                                             \
+    C(0, NONE, "none was refused")                                                                                     \
+    C(1, NO_SLOT, "this board takes no update over USB: flash it as the first time")                                   \
+    C(2, DAMAGED, "the file is damaged or cut short: get it again")                                                    \
+    C(3, PORT, "the file is for another board")                                                                        \
+    C(4, LINKED, "the file holds no image for the slot that is free: send the whole file")                             \
+    C(5, OLDER, "the file is older than the firmware that runs: taut update --force takes it all the same")            \
+    C(6, SIGNATURE, "the file is not signed with the key that this board trusts")                                      \
+    C(7, HASH, "what arrived is not what was signed: send it again")                                                   \
+    C(8, FLASH, "the flash could not be written: send it again, or the flash is worn")                                 \
+    C(9, SIZE, "the image is larger than its slot")                                                                    \
+    C(10, NOT_OFF, "a motor is on: firmware is loaded with every motor off")                                           \
+    C(11, TRIAL, "the firmware that runs is itself on trial: wait two seconds, then send again")
+
 #define TL_WIRE_FLAGS(C)                                                                                               \
     C(0x0001, ENABLED, "the motor is driven")                                                                          \
     C(0x0002, AT_REST, "the reference rests")                                                                          \
@@ -565,17 +633,19 @@ typedef enum { TL_WIRE_MESSAGES(TL_WIRE_TYPE_) } tl_wire_type_t;
     TL_WIRE_SIZE_##NAME = 0U TL_WIRE_FIELDS_##NAME(TL_WIRE_SIZE_F_, TL_WIRE_SIZE_A_),
 enum { TL_WIRE_MESSAGES(TL_WIRE_SIZE_) }; ///< bytes of payload
 
-#define TL_WIRE_CODES_(LIST, list, CODE)  typedef enum { TL_WIRE_##LIST(CODE) } tl_wire_##list##_t;
-#define TL_WIRE_REASON_(code, NAME, text) TL_WIRE_REASON_##NAME = (code),
-#define TL_WIRE_FAULT_(code, NAME, text)  TL_WIRE_FAULT_##NAME = (code),
-#define TL_WIRE_MODE_(code, NAME, text)   TL_WIRE_MODE_##NAME = (code),
-#define TL_WIRE_TABLE_(code, NAME, text)  TL_WIRE_TABLE_##NAME = (code),
-#define TL_WIRE_FLAG_(code, NAME, text)   TL_WIRE_FLAG_##NAME = (code),
-#define TL_WIRE_MOTION_(code, NAME, text) TL_WIRE_MOTION_##NAME = (code),
-#define TL_WIRE_EVENT_(code, NAME, text)  TL_WIRE_EVENT_##NAME = (code),
-#define TL_WIRE_BOOT_(code, NAME, text)   TL_WIRE_BOOT_##NAME = (code),
-#define TL_WIRE_STORE_(code, NAME, text)  TL_WIRE_STORE_##NAME = (code),
-#define TL_WIRE_ESTOP_(code, NAME, text)  TL_WIRE_ESTOP_##NAME = (code),
+#define TL_WIRE_CODES_(LIST, list, CODE)          typedef enum { TL_WIRE_##LIST(CODE) } tl_wire_##list##_t;
+#define TL_WIRE_REASON_(code, NAME, text)         TL_WIRE_REASON_##NAME = (code),
+#define TL_WIRE_FAULT_(code, NAME, text)          TL_WIRE_FAULT_##NAME = (code),
+#define TL_WIRE_MODE_(code, NAME, text)           TL_WIRE_MODE_##NAME = (code),
+#define TL_WIRE_TABLE_(code, NAME, text)          TL_WIRE_TABLE_##NAME = (code),
+#define TL_WIRE_FLAG_(code, NAME, text)           TL_WIRE_FLAG_##NAME = (code),
+#define TL_WIRE_MOTION_(code, NAME, text)         TL_WIRE_MOTION_##NAME = (code),
+#define TL_WIRE_EVENT_(code, NAME, text)          TL_WIRE_EVENT_##NAME = (code),
+#define TL_WIRE_BOOT_(code, NAME, text)           TL_WIRE_BOOT_##NAME = (code),
+#define TL_WIRE_STORE_(code, NAME, text)          TL_WIRE_STORE_##NAME = (code),
+#define TL_WIRE_ESTOP_(code, NAME, text)          TL_WIRE_ESTOP_##NAME = (code),
+#define TL_WIRE_FIRMWARE_STATE_(code, NAME, text) TL_WIRE_FIRMWARE_STATE_##NAME = (code),
+#define TL_WIRE_UPDATE_(code, NAME, text)         TL_WIRE_UPDATE_##NAME = (code),
 TL_WIRE_CODES_(REASONS, reason, TL_WIRE_REASON_)
 TL_WIRE_CODES_(FAULTS, fault, TL_WIRE_FAULT_)
 TL_WIRE_CODES_(MODES, mode, TL_WIRE_MODE_)
@@ -586,6 +656,8 @@ TL_WIRE_CODES_(EVENTS, event_code, TL_WIRE_EVENT_)
 TL_WIRE_CODES_(BOOTS, boot, TL_WIRE_BOOT_)
 TL_WIRE_CODES_(STORES, store, TL_WIRE_STORE_)
 TL_WIRE_CODES_(ESTOPS, estop, TL_WIRE_ESTOP_)
+TL_WIRE_CODES_(FIRMWARES, firmware_state, TL_WIRE_FIRMWARE_STATE_)
+TL_WIRE_CODES_(UPDATES, update, TL_WIRE_UPDATE_)
 
 /// Whether a list has this code: tl_wire_is_fault() and so on. A code given twice does not compile.
 #define TL_WIRE_CASE_(code, NAME, text) case (code):
@@ -607,6 +679,8 @@ TL_WIRE_IS_(EVENTS, event_code)
 TL_WIRE_IS_(BOOTS, boot)
 TL_WIRE_IS_(STORES, store)
 TL_WIRE_IS_(ESTOPS, estop)
+TL_WIRE_IS_(FIRMWARES, firmware_state)
+TL_WIRE_IS_(UPDATES, update)
 
 /// Bytes of payload of a message of this type, 0 where the type is unknown. O(1).
 size_t tl_wire_size(uint8_t type);

@@ -33,23 +33,32 @@ tl_upload_t tl_app_table_end(tl_app_t *app, uint8_t axis) {
 
 void tl_app_table_abort(tl_app_t *app) {
     tl_tables_abort(&app->tables);
+    tl_update_abort(&app->update);
 }
 
 size_t tl_app_table_read(const tl_app_t *app, uint8_t axis, uint32_t offset, uint8_t *out, size_t room) {
     return tl_tables_read(&app->tables, axis, offset, out, room);
 }
 
+uint8_t tl_app_update_data(tl_app_t *app, uint32_t offset, const uint8_t *bytes, size_t size) {
+    return tl_update_data(&app->update, offset, bytes, size);
+}
+
+uint8_t tl_app_update_end(tl_app_t *app) {
+    return tl_update_end(&app->update);
+}
+
 // -- bytes ------------------------------------------------------------------------------------------------------
 
 static void begin_session(tl_app_t *app) {
     tl_outbox_open(&app->outbox, true);
-    tl_tables_abort(&app->tables);
+    tl_app_table_abort(app);
 }
 
 static void end_session(tl_app_t *app) {
     app->counters.bus_losses += app->outbox.open ? 1U : 0U;
     tl_outbox_open(&app->outbox, false);
-    tl_tables_abort(&app->tables);
+    tl_app_table_abort(app);
     const uint32_t state = app->port->lock(app->port->context);
     for (uint8_t i = 0; i < app->port->axes; i++) {
         tl_axis_t *axis = &app->axes[i];
@@ -146,6 +155,8 @@ void tl_app_task(tl_app_t *app) {
         tl_report_calibration(app, now_us);
         poll_encoders(app, now_us);
         poll_half_frame(app, now_us);
+        tl_update_task(&app->update, now_us);
+        tl_fault_log_task(&app->fault_log, now_us, !tl_update_is_coming(&app->update));
         if (app->steps != app->steps_fed) {
             app->steps_fed = app->steps;
             app->port->watchdog_feed(app->port->context);
@@ -165,6 +176,9 @@ void tl_app_init(tl_app_t *app, const tl_port_t *port) {
     }
     app->settings = tl_settings_load(port, app->axes);
     tl_tables_init(&app->tables, port, app->axes, app->upload);
+    static const uint8_t version[3] = TL_APP_VERSION;
+    tl_update_init(&app->update, port, app->axes, version);
+    tl_fault_log_init(&app->fault_log, port, app->axes);
     for (uint8_t i = 0; i < port->axes; i++) {
         if (port->boot == TL_WIRE_BOOT_WATCHDOG) {
             tl_axis_fail(&app->axes[i], TL_WIRE_FAULT_WATCHDOG, 0, app->control_us);

@@ -280,8 +280,18 @@ static answer_t handle(tl_app_t *app, uint8_t type, const tl_wire_message_t *of,
                        tl_wire_message_t *out) {
     switch (type) {
     case TL_WIRE_HELLO:
+        app->update.heard = true;
         identity(app, now_us, &out->identity);
         return with(TL_WIRE_IDENTITY);
+    case TL_WIRE_GET_FIRMWARE:
+        tl_update_tell(&app->update, &out->firmware);
+        return with(TL_WIRE_FIRMWARE);
+    case TL_WIRE_GET_LOGGED:
+        tl_fault_log_read(&app->fault_log, of->get_logged.index, &out->logged);
+        return with(TL_WIRE_LOGGED);
+    case TL_WIRE_ANY_FIRMWARE:
+        app->update.any = of->any_firmware.key == TL_WIRE_KEY;
+        return done(app->update.any ? 0U : TL_WIRE_REASON_KEY);
     case TL_WIRE_PING:
         out->pong = (tl_wire_pong_t){.host_us = of->ping.host_us, .t_us = now_us};
         return with(TL_WIRE_PONG);

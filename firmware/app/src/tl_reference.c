@@ -14,23 +14,24 @@ TL_FAST void tl_reference_set(tl_reference_t *reference,
     reference->behind = false;
 }
 
-// What one tick at `speed` (0 to twice the limit) and then braking take, in Q16 without way_down bits: v (v + a) / 2a,
-// and at least that with more = 1, at most with 0.
-static inline int32_t stopping(int32_t speed, int32_t more, const tl_reference_limits_t *limits) {
-    const int32_t v = (speed >> limits->speed_down) + more;
-    const uint32_t product = (uint32_t)(v * (v + limits->acceleration_scaled + more)), ratio = limits->ratio;
-    return (int32_t)(((product >> 16) * ratio + ((product & 0xFFFFU) * ratio >> 16)) >> limits->ratio_down);
+// What one tick at `speed` (0 to twice the limit) and then braking take at most, in Q16 without way_down bits. With
+// v = n a + f that is a n (n + 1) / 2 + (n + 1) f = v (v + a) / 2a + f (a - f) / 2a, whose last part is a / 8 at most.
+static inline int32_t stopping(int32_t speed, const tl_reference_limits_t *limits) {
+    const int32_t v = (speed >> limits->speed_down) + 1;
+    const uint32_t product = (uint32_t)(v * (v + limits->acceleration_scaled + 1)), ratio = limits->ratio;
+    return (int32_t)(((product >> 16) * ratio + ((product & 0xFFFFU) * ratio >> 16)) >> limits->ratio_down) +
+           limits->whole_ticks;
 }
 
 // The speed towards a distance (counts Q16), both seen from the target, that this tick allows: faster, as before, or
 // slower.
 static inline int32_t approach(int32_t speed, int32_t distance_q16, const tl_reference_limits_t *limits) {
     const int32_t a = limits->acceleration;
-    if (speed <= 0) {
-        return speed + a; // from rest too: the way is longer than that
+    if (speed <= 0) { // a way that is shorter than that, from rest or after turning, is gone in this tick
+        return (speed + a) >> 8 > distance_q16 ? distance_q16 * 256 : speed + a;
     }
     const uint32_t down = limits->way_down;
-    const int32_t spare = (distance_q16 >> down) - stopping(speed, 1, limits);
+    const int32_t spare = (distance_q16 >> down) - stopping(speed, limits);
     if (spare < 0) {
         return speed > a ? speed - a : 0;
     }
@@ -92,7 +93,8 @@ TL_FAST void tl_reference_step(tl_reference_t *reference, tl_count_q8_t wanted, 
             if (room <= limits->stop && velocity != 0) { // no faster than can be stopped before the end
                 const int32_t fraction = (int32_t)(reference->fraction >> 8); // in favour: else no end is quite reached
                 const int32_t room_q16 = tl_clamp(room, -FAR, FAR) * 256 + (up ? -fraction : fraction + 1);
-                if (stopping(up ? velocity : -velocity, 0, limits) > room_q16 >> limits->way_down) {
+                const int32_t speed = up ? velocity : -velocity;
+                if (speed > a ? stopping(speed, limits) > room_q16 >> limits->way_down : speed >> 8 > room_q16) {
                     velocity = up ? (before > a ? before - a : 0) : (before < -a ? before + a : 0);
                 }
             }
@@ -134,11 +136,12 @@ tl_reference_limits_t tl_reference_limits(int32_t speed, int32_t acceleration, u
     while (limits.acceleration >> bits != 0) {
         bits++;
     }
-    limits.ratio = (uint32_t)(((uint64_t)1 << (bits + 15U)) / (uint32_t)limits.acceleration);
+    limits.ratio = (uint32_t)(((uint64_t)1 << (bits + 15U)) / (uint32_t)limits.acceleration) + 1U; // 65537 at most
     const uint32_t down =
         24U + bits - 2U * limits.speed_down; // in counts it would lose this much, and so has it to spare
     limits.ratio_down = down > 16U ? down - 16U : 0U;
     limits.way_down = down > 16U ? 0U : 16U - down;
+    limits.whole_ticks = (limits.acceleration >> (11U + limits.way_down)) + 3; // and what is cut off, here and there
     const int64_t ticks = limits.speed / limits.acceleration + 2;
     const int64_t stop = (ticks * (limits.speed / 2 + 1)) >> 16;
     limits.stop = stop < INT32_MAX ? (int32_t)stop : INT32_MAX;

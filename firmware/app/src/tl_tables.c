@@ -33,10 +33,12 @@ static void use(tl_tables_t *tables, uint8_t index, bool found, bool is_new) {
     port->unlock(port->context, state);
 }
 
-static void note(tl_table_in_use_t *table, uint8_t state, const tl_slot_t *slot) {
+// `blob`: what the slot holds. Its own CRC, at its end: that of a whole that ends with its CRC is the same for all.
+static void note(tl_table_in_use_t *table, uint8_t state, const tl_slot_t *slot, const uint8_t *blob) {
+    const uint8_t *crc = blob + slot->size - 4U;
     table->state = state;
     table->sequence = slot->sequence;
-    table->crc = slot->crc;
+    table->crc = crc[0] | (uint32_t)crc[1] << 8 | (uint32_t)crc[2] << 16 | (uint32_t)crc[3] << 24;
     table->size = slot->size;
     table->blob = slot->blob;
     table->readable = true;
@@ -56,8 +58,8 @@ static void load(tl_tables_t *tables, uint8_t index) {
             continue;
         }
         uint8_t reason = TL_TABLE_BAD_CRC;
+        uint8_t *blob = tables->upload;
         if (slots[i].whole) {
-            uint8_t *blob = tables->upload;
             tables->port->flash_read(tables->port->context, slots[i].blob, blob, slots[i].size);
             reason = (uint8_t)tl_lookup_load(lookup, blob, slots[i].size, index);
         }
@@ -66,7 +68,7 @@ static void load(tl_tables_t *tables, uint8_t index) {
             // A damaged slot of unknown age may have been the newer one.
             const tl_slot_t *other = &slots[1U - i];
             const bool newest = other->blank || (other->dated && (int32_t)(slots[i].sequence - other->sequence) > 0);
-            note(table, newest ? TL_WIRE_TABLE_NEWEST : TL_WIRE_TABLE_OLDER, &slots[i]);
+            note(table, newest ? TL_WIRE_TABLE_NEWEST : TL_WIRE_TABLE_OLDER, &slots[i], blob);
             table->reason = before;
         } else {
             table->state = TL_WIRE_TABLE_BAD;
@@ -172,7 +174,7 @@ tl_upload_t tl_tables_end(tl_tables_t *tables, uint8_t axis) {
     table->reason = TL_TABLE_OK;
     tl_slot_t slots[TL_STORE_SLOTS];
     tl_store_order(tables->port, axis, slots);
-    note(table, TL_WIRE_TABLE_NEWEST, &slots[0]);
+    note(table, TL_WIRE_TABLE_NEWEST, &slots[0], blob);
     use(tables, axis, true, true);
     return TL_UPLOAD_OK;
 }

@@ -39,11 +39,20 @@ uint8_t const *tud_descriptor_device_cb(void) {
     return (const uint8_t *)&device_descriptor;
 }
 
-#define CONFIGURATION_SIZE(axes) (TUD_CONFIG_DESC_LEN + TUD_VENDOR_DESC_LEN + TUD_DFU_DESC_LEN(axes))
-static uint8_t configuration[CONFIGURATION_SIZE(TL_WIRE_AXES_MAX)];
+#define CONFIGURATION_SIZE(alternates) (TUD_CONFIG_DESC_LEN + TUD_VENDOR_DESC_LEN + TUD_DFU_DESC_LEN(alternates))
+static uint8_t configuration[CONFIGURATION_SIZE(TL_WIRE_AXES_MAX + 1U)];
 
-static void make_configuration(uint8_t axes) {
-    const uint16_t size = (uint16_t)CONFIGURATION_SIZE(axes);
+// The table of each axis and, behind them, the firmware.
+static uint8_t alternates(void) {
+    return (uint8_t)(app->port->axes + (app->port->update != NULL ? 1U : 0U));
+}
+
+static bool is_firmware(uint8_t alternate) {
+    return alternate == app->port->axes && app->port->update != NULL;
+}
+
+static void make_configuration(void) {
+    const uint16_t size = (uint16_t)CONFIGURATION_SIZE(alternates());
     const uint8_t head[] = {
         TUD_CONFIG_DESCRIPTOR(1, INTERFACES, 0, 0, 0, POWER_MA),
         TUD_VENDOR_DESCRIPTOR(INTERFACE_VENDOR, STRING_VENDOR, ENDPOINT_OUT, ENDPOINT_IN, TL_WIRE_USB_PACKET),
@@ -53,16 +62,16 @@ static void make_configuration(uint8_t axes) {
     out[2] = (uint8_t)size;
     out[3] = (uint8_t)(size >> 8);
     out += sizeof(head);
-    for (uint8_t axis = 0; axis < axes; axis++) {
+    for (uint8_t i = 0; i < alternates(); i++) {
         const uint8_t alternate[] = {9,
                                      TUSB_DESC_INTERFACE,
                                      INTERFACE_DFU,
-                                     axis,
+                                     i,
                                      0,
                                      TUSB_CLASS_APPLICATION_SPECIFIC,
                                      APP_SUBCLASS_DFU_RUNTIME,
                                      DFU_PROTOCOL_DFU,
-                                     (uint8_t)(STRING_AXIS + axis)};
+                                     (uint8_t)(STRING_AXIS + i)};
         memcpy(out, alternate, sizeof(alternate));
         out += sizeof(alternate);
     }
@@ -104,11 +113,11 @@ uint16_t const *tud_descriptor_string_cb(uint8_t index, uint16_t language) {
         text = "tautline control";
         break;
     default:
-        if (index < STRING_AXIS || index >= STRING_AXIS + app->port->axes) {
+        if (index < STRING_AXIS || index >= STRING_AXIS + alternates()) {
             return NULL;
         }
         axis[5] = (char)('0' + (index - STRING_AXIS));
-        text = axis;
+        text = is_firmware((uint8_t)(index - STRING_AXIS)) ? "firmware" : axis;
         break;
     }
     if (text != NULL) {
@@ -233,11 +242,14 @@ void tud_suspend_cb(bool remote_wakeup_allowed) {
     tl_app_bus(app, false);
 }
 
-// -- DFU: alternate setting = axis ------------------------------------------------------------------------------
+// -- DFU: alternate setting = axis, and firmware
+// ------------------------------------------------------------------------------
 
 uint32_t tud_dfu_get_timeout_cb(uint8_t alternate, uint8_t state) {
-    (void)alternate;
-    return state == DFU_MANIFEST ? MANIFEST_MS : 0U;
+    if (state == DFU_MANIFEST) {
+        return MANIFEST_MS;
+    }
+    return is_firmware(alternate) && app->update.come == app->update.next ? app->port->update->check_ms : 0U;
 }
 
 static uint8_t dfu_status(tl_upload_t result) {
@@ -258,13 +270,37 @@ static uint8_t dfu_status(tl_upload_t result) {
     }
 }
 
+static uint8_t firmware_status(uint8_t refused) {
+    switch (refused) {
+    case TL_WIRE_UPDATE_NONE:
+        return DFU_STATUS_OK;
+    case TL_WIRE_UPDATE_PORT:
+        return DFU_STATUS_ERR_TARGET;
+    case TL_WIRE_UPDATE_FLASH:
+        return DFU_STATUS_ERR_PROG;
+    case TL_WIRE_UPDATE_HASH:
+    case TL_WIRE_UPDATE_SIGNATURE:
+        return DFU_STATUS_ERR_VERIFY;
+    case TL_WIRE_UPDATE_SIZE:
+        return DFU_STATUS_ERR_ADDRESS;
+    case TL_WIRE_UPDATE_NOT_OFF:
+    case TL_WIRE_UPDATE_TRIAL:
+        return DFU_STATUS_ERR_VENDOR;
+    default:
+        return DFU_STATUS_ERR_FILE;
+    }
+}
+
 void tud_dfu_download_cb(uint8_t alternate, uint16_t block, uint8_t const *data, uint16_t length) {
     const uint32_t offset = (uint32_t)block * CFG_TUD_DFU_XFER_BUFSIZE;
-    tud_dfu_finish_flashing(dfu_status(tl_app_table_data(app, alternate, offset, data, length)));
+    tud_dfu_finish_flashing(is_firmware(alternate)
+                                ? firmware_status(tl_app_update_data(app, offset, data, length))
+                                : dfu_status(tl_app_table_data(app, alternate, offset, data, length)));
 }
 
 void tud_dfu_manifest_cb(uint8_t alternate) {
-    tud_dfu_finish_flashing(dfu_status(tl_app_table_end(app, alternate)));
+    tud_dfu_finish_flashing(is_firmware(alternate) ? firmware_status(tl_app_update_end(app))
+                                                   : dfu_status(tl_app_table_end(app, alternate)));
 }
 
 uint16_t tud_dfu_upload_cb(uint8_t alternate, uint16_t block, uint8_t *data, uint16_t length) {
@@ -280,7 +316,7 @@ void tud_dfu_abort_cb(uint8_t alternate) {
 
 void tl_usb_init(tl_app_t *the_app) {
     app = the_app;
-    make_configuration(app->port->axes);
+    make_configuration();
     const tusb_rhport_init_t device = {.role = TUSB_ROLE_DEVICE, .speed = TUSB_SPEED_FULL};
     tusb_init(0, &device);
 }

@@ -90,7 +90,7 @@ TL_FAST void tl_undo_load(tl_undo_t *undo, const tl_lookup_t *lookup, int32_t lo
 
 TL_FAST tl_deg_q16_t tl_undo_angle(tl_undo_t *undo, const tl_lookup_t *lookup, tl_deg_q16_t c) {
     const tl_table_joints_t *joints = &lookup->table.joints;
-    for (uint32_t i = 0; i < TL_TABLE_JOINTS && joints->axis[i] != 0; i++) {
+    for (uint32_t i = 0; i < undo->joints; i++) {
         const int32_t at = undo->moved.joint[i], half = joints->play[i] / 2;
         const int32_t carried = tl_clamp(undo->carried[i], at - half, at + half);
         const tl_factor_t slope = undo->slope_q28[i];
@@ -245,14 +245,20 @@ void tl_undo_start(tl_undo_t *undo, const tl_lookup_t *lookup, uint32_t rate_hz)
     moved.scale.now = moved.scale.goal;
     moved.gain.now = moved.gain.goal;
     *undo = (tl_undo_t){.moved = moved, .rate_hz = (int32_t)rate_hz, .step_max = MOST / (int32_t)rate_hz};
-    for (uint32_t i = 0; i < TL_TABLE_LATE_MAX && table->late.time_us[i] != 0; i++) {
+    tl_follower_t *next = undo->late; // any place of the section may be free; of these the last ones are
+    for (uint32_t i = 0; i < TL_TABLE_LATE_MAX; i++) {
         const int32_t time_us = table->late.time_us[i];
-        undo->late[i] = follower_of((int32_t)share_of_tick(time_us, rate_hz), table->late.gain_q16[i], time_us);
+        if (time_us != 0) {
+            *next++ = follower_of((int32_t)share_of_tick(time_us, rate_hz), table->late.gain_q16[i], time_us);
+        }
     }
     undo->speed_share_q16 = table->speed.time_us == 0 ? 65536U : share_of_tick(table->speed.time_us, rate_hz) >> 16;
     for (uint32_t i = 0; i < TL_TABLE_JOINTS; i++) {
         undo->carried[i] = moved.joint[i];
-        undo->slope_q28[i] = factor_of(table->joints.slope[i], 0);
+        if (table->joints.axis[i] != 0) { // any place may be free, and its slope is nobody's
+            undo->slope_q28[i] = factor_of(table->joints.slope[i], 0);
+            undo->joints = i + 1U;
+        }
     }
     undo->active =
         (table->has & ~(uint32_t)TL_TABLE_HAS_adapt) != 0 || (moved.offset.now | moved.scale.now | moved.gain.now) != 0;

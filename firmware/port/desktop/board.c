@@ -5,6 +5,7 @@
 #include <tusb.h>
 
 #include "flash.h"
+#include "loader.h"
 #include "tautline/tl_usb.h"
 #include "uart.h"
 
@@ -145,6 +146,7 @@ bool board_open(const board_options_t *options) {
         .serial = options->serial,
         .axes = options->axes,
         .control_hz = options->control_hz,
+        .keeps_log = true,
         .driver_ma = PLANT_DRIVER_MA,
         .supply_low_mv = PLANT_LEAST_MV,
         .time_us = port_time,
@@ -162,6 +164,7 @@ bool board_open(const board_options_t *options) {
         .lock = port_lock,
         .unlock = port_unlock,
         .reboot = port_reboot,
+        .update = loader_update(port_erase, port_program),
     };
     board_start(TL_WIRE_BOOT_POWER);
     return true;
@@ -174,15 +177,17 @@ const tl_app_t *board_app(void) {
     return &app;
 }
 bool board_on_bus(void) {
-    return state.powered && !state.bootloader;
+    return state.powered && !state.bootloader && !state.mute;
 }
 
 void board_start(tl_wire_boot_t reason) {
+    const loader_image_t image = loader_start(reason);
     port.boot = (uint8_t)reason;
     state.boot_us = state.t_us;
     state.powered = true;
     state.bootloader = false;
-    state.hung = false;
+    state.hung = image == LOADER_HANGS;
+    state.mute = image == LOADER_MUTE;
     state.cut_in = 0;
     state.starts++;
     restart = 0;
@@ -224,6 +229,8 @@ void board_task(void) {
     host_task();
     if (restart == 1) {
         board_start(TL_WIRE_BOOT_REQUEST);
+    } else if (loader_gave_up()) {
+        board_start(TL_WIRE_BOOT_WATCHDOG);
     } else if (restart == 2) {
         state.bootloader = true;
         lose_power();
@@ -260,6 +267,9 @@ int32_t board_true_q8(uint8_t axis) {
 }
 void board_inject(uint8_t axis, plant_ill_t ill) {
     plant_inject(&plant, axis, ill);
+}
+const char *board_ill(uint8_t axis) {
+    return plant_ill_name(&plant, axis);
 }
 void board_place(uint8_t axis, int32_t q_q8) {
     plant_place(&plant, axis, q_q8);

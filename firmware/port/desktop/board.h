@@ -24,6 +24,7 @@ typedef struct {
     bool powered;    // false after a power cut
     bool bootloader; // it waits there for firmware
     bool hung;       // the main loop stands still
+    bool mute;       // its firmware does not come up on the bus
     uint32_t starts;
     uint32_t flash_operations; // since the process began
     uint32_t cut_in;           // flash operations until the power is cut; 0: never
@@ -50,6 +51,7 @@ int32_t board_true_q8(uint8_t axis);
 // Sets a motor, at rest, to a true position (counts Q8): where the instrument was put by hand.
 void board_place(uint8_t axis, int32_t q_q8);
 void board_inject(uint8_t axis, plant_ill_t ill);
+const char *board_ill(uint8_t axis);
 
 // Whether the device is on its USB bus.
 bool board_on_bus(void);

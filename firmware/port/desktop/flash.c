@@ -3,9 +3,10 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "tautline/tl_port.h"
+#include "loader.h"
+#include "tautline/tl_boot.h"
 
-#define SIZE TL_PORT_FLASH_REGION
+#define SIZE (TL_PORT_FLASH_REGION + TL_PORT_FLASH_LOG + TL_BOOT_SLOTS * LOADER_ROOM)
 
 uint8_t flash_bytes[SIZE];
 static FILE *file;

@@ -8,6 +8,7 @@
 #include <unistd.h>
 
 #include "board.h"
+#include "loader.h"
 #include "simlink.h"
 #include "uart.h"
 #include "usbip.h"
@@ -23,7 +24,7 @@ static _Noreturn void usage(const char *what) {
     fprintf(stderr,
             "tautline-board: %s\n"
             "usage: tautline-board --usbip PORT | --uart PORT --sim PORT [--flash FILE] [--axes 1..4] [--rate HZ] "
-            "[--serial S] [--realtime] [--parent PID]\n"
+            "[--serial S] [--update-key HEX] [--realtime] [--parent PID]\n"
             "ports: 0 lets the system choose; the line of JSON on stdout names them\n",
             what);
     exit(2);
@@ -114,11 +115,17 @@ static void serve(const service_t *host, const service_t *sim, long parent) {
 
 int main(int argc, char **argv) {
     static const struct option options[] = {
-        {"usbip", required_argument, NULL, 'u'},  {"uart", required_argument, NULL, 'l'},
-        {"sim", required_argument, NULL, 's'},    {"flash", required_argument, NULL, 'f'},
-        {"axes", required_argument, NULL, 'a'},   {"rate", required_argument, NULL, 'r'},
-        {"serial", required_argument, NULL, 'n'}, {"realtime", no_argument, NULL, 't'},
-        {"parent", required_argument, NULL, 'p'}, {NULL, 0, NULL, 0},
+        {"usbip", required_argument, NULL, 'u'},
+        {"uart", required_argument, NULL, 'l'},
+        {"sim", required_argument, NULL, 's'},
+        {"flash", required_argument, NULL, 'f'},
+        {"axes", required_argument, NULL, 'a'},
+        {"rate", required_argument, NULL, 'r'},
+        {"serial", required_argument, NULL, 'n'},
+        {"realtime", no_argument, NULL, 't'},
+        {"parent", required_argument, NULL, 'p'},
+        {"update-key", required_argument, NULL, 'k'},
+        {NULL, 0, NULL, 0},
     };
     board_options_t board = {.axes = 1, .control_hz = 5000, .serial = "DESKTOP-1"};
     int host_port = -1;
@@ -148,6 +155,11 @@ int main(int argc, char **argv) {
             break;
         case 'n':
             board.serial = optarg;
+            break;
+        case 'k':
+            if (!loader_key(optarg)) {
+                usage("--update-key takes 64 hexadecimal digits");
+            }
             break;
         case 't':
             realtime = true;

@@ -152,7 +152,11 @@ static void inject(net_connection_t *connection, char *argument) {
         return;
     }
     board_inject((uint8_t)axis, ill);
-    ok(connection);
+    put(connection, "{\"t_us\": %" PRIu64 ", \"ills\": [", board_state()->t_us);
+    for (uint8_t i = 0; i < board_app()->port->axes; i++) {
+        put(connection, "%s\"%s\"", i == 0 ? "" : ", ", board_ill(i));
+    }
+    put(connection, "]}\n");
 }
 
 static void request(net_connection_t *connection, char *line) {

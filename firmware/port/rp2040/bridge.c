@@ -10,7 +10,7 @@
 
 enum {
     PWM_HZ = 20000,
-    CLOCK_HZ = 125000000,
+    CLOCK_HZ = SYS_CLK_HZ, // 125 MHz, RP2350: 150
     PERIOD = CLOCK_HZ / PWM_HZ,
     SENSE_BEFORE_END = CLOCK_HZ / 1000000,       // the ADC holds its sample within this time
     DEAD_TIME = CLOCK_HZ / 1000000 * 450 / 1000, // t_DEAD of TI's DRV8833 data sheet: neither side conducts

@@ -30,9 +30,9 @@ enum { BRIDGE_SUPPLY = 4, BRIDGE_FAULT = 5 };
 
 /// The result, at least 2 us after bridge_sense_start: stores what it is of and returns the size of a motor's current,
 /// mA, 0 to 7000, each 1 kHz; the motors' supply, mV, 500 Hz; whether a driver reports a fault, 500 Hz. The DRV8833
-/// limits the current at 425 by chopping, at about 50 kHz: the most of up to four samples 3 us apart is taken, so that
-/// a blocked motor does not look like one without current where the first sample meets the chopper's pause. The bridge
-/// drives at the first one: 0 below a duty of 4 %.
+/// limits the current at 425 by chopping, at about 50 kHz: the most of up to four samples 3 us apart is taken (as many
+/// as the FIFO holds: eight on an RP2350), so that a blocked motor does not look like one without current where the
+/// first sample meets the chopper's pause. The bridge drives at the first one: 0 below a duty of 4 %.
 int32_t bridge_sense_finish(unsigned *what);
 
 #endif

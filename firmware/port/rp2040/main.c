@@ -1,5 +1,5 @@
-// The app on a Pimoroni Motor 2040: tl_port.h on real registers, the control step on a hardware timer, the task in the
-// main loop.
+// The app on a Pimoroni Motor 2040, or on a Pico 2 with its circuit: tl_port.h on real registers, the control step on a
+// hardware timer, the task in the main loop.
 #include <string.h>
 
 #include "bridge.h"
@@ -14,6 +14,7 @@
 #include "pico/stdlib.h"
 #include "pico/unique_id.h"
 #include "quadrature.h"
+#include "slots.h"
 #include "tautline/tl_app.h"
 #include "tautline/tl_usb.h"
 #include "usb_halt.h"
@@ -40,6 +41,7 @@ enum {
     CONTROL_ALARM = 0,
     INTERRUPT_CYCLES = 50, // from the alarm to bridge_sense_start
     STORE_OFFSET = PICO_FLASH_SIZE_BYTES - TL_PORT_FLASH_REGION,
+    LOG_OFFSET = STORE_OFFSET - TL_PORT_FLASH_LOG,
     DRIVER_MA = 425,      // DRV8833: 200 mV over 0.47 ohm
     SUPPLY_LOW_MV = 4000, // of motors for 5 V and more; the driver itself gives up at 2.6 V
     WATCHDOG_MS = 250,
@@ -128,28 +130,34 @@ static void watch(uint32_t ms) {
     watchdog_enable(ms, TAUTLINE_HALT_KEEPS_DRIVING);
 }
 
-// The SDK's safe path: interrupts off, and so the control step stands still; the app has the motors off.
+// `offset`: in flash. The SDK's safe path: interrupts off, and so the control step stands still; the app has the motors
+// off.
 static bool flash_safely(uint32_t offset, const uint8_t *page) {
-    flash_operation_t operation = {STORE_OFFSET + offset, page};
+    flash_operation_t operation = {offset, page};
     watch(WATCHDOG_FLASH_MS);
     const bool done = flash_safe_execute(flash_operation, &operation, FLASH_TIMEOUT_MS) == PICO_OK;
     watch(WATCHDOG_MS);
     return done;
 }
 
+// The log came later than tables and settings: it is before them.
+static uint32_t store_at(uint32_t offset) {
+    return offset < TL_PORT_FLASH_REGION ? STORE_OFFSET + offset : LOG_OFFSET + (offset - TL_PORT_FLASH_REGION);
+}
+
 static void port_flash_read(void *context, uint32_t offset, uint8_t *out, size_t size) {
     (void)context;
-    memcpy(out, (const uint8_t *)(XIP_BASE + STORE_OFFSET) + offset, size);
+    memcpy(out, (const uint8_t *)(XIP_BASE + store_at(offset)), size);
 }
 
 static bool port_flash_erase(void *context, uint32_t offset) {
     (void)context;
-    return offset < TL_PORT_FLASH_REGION && flash_safely(offset, NULL);
+    return offset < TL_PORT_FLASH_REGION + TL_PORT_FLASH_LOG && flash_safely(store_at(offset), NULL);
 }
 
 static bool port_flash_program(void *context, uint32_t offset, const uint8_t *page) {
     (void)context;
-    return offset < TL_PORT_FLASH_REGION && flash_safely(offset, page);
+    return offset < TL_PORT_FLASH_REGION + TL_PORT_FLASH_LOG && flash_safely(store_at(offset), page);
 }
 
 static void port_watchdog_feed(void *context) {
@@ -169,6 +177,7 @@ static void __not_in_flash_func(port_unlock)(void *context, uint32_t state) {
 
 static void port_reboot(void *context, bool bootloader) {
     (void)context;
+    slots_end_trial();
     if (bootloader) {
         rom_reset_usb_boot(0, 0);
     }
@@ -214,10 +223,11 @@ static void __no_inline_not_in_flash_func(start_in_time)(uint32_t bridges) {
 
 static void start_control(void) {
     hardware_alarm_claim(CONTROL_ALARM);
-    irq_set_exclusive_handler(TIMER_IRQ_0, control_interrupt);
-    irq_set_priority(TIMER_IRQ_0, PICO_HIGHEST_IRQ_PRIORITY);
+    const unsigned interrupt = TIMER_ALARM_IRQ_NUM(timer_hw, CONTROL_ALARM);
+    irq_set_exclusive_handler(interrupt, control_interrupt);
+    irq_set_priority(interrupt, PICO_HIGHEST_IRQ_PRIORITY);
     hw_set_bits(&timer_hw->inte, 1u << CONTROL_ALARM);
-    irq_set_enabled(TIMER_IRQ_0, true);
+    irq_set_enabled(interrupt, true);
     const uint32_t bridges = bridge_align(CONTROL_PERIOD_US * (SYS_CLK_HZ / 1000000) + INTERRUPT_CYCLES);
     const uint32_t state = save_and_disable_interrupts();
     start_in_time(bridges);
@@ -267,10 +277,11 @@ int main(void) {
     quadrature_init(encoder_pins, TAUTLINE_AXES); // waits until its pull-ups have settled, too
     pico_get_unique_board_id_string(board.serial, sizeof(board.serial));
     board.port = (tl_port_t){
-        .name = "rp2040",
+        .name = TAUTLINE_PORT,
         .serial = board.serial,
         .axes = TAUTLINE_AXES,
         .boot = (uint8_t)boot,
+        .keeps_log = true,
         .control_hz = TAUTLINE_CONTROL_HZ,
         .time_us = port_time_us,
         .encoder = port_encoder,
@@ -289,6 +300,7 @@ int main(void) {
         .lock = port_lock,
         .unlock = port_unlock,
         .reboot = port_reboot,
+        .update = slots_update(&board.port, flash_safely, watch, WATCHDOG_MS),
     };
     tl_app_init(&board.app, &board.port);
     tl_usb_init(&board.app);

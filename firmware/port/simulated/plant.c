@@ -74,9 +74,13 @@ void plant_place(plant_t *plant, uint8_t axis, int32_t q_q8) {
 
 void plant_inject(plant_t *plant, uint8_t axis, plant_ill_t ill) {
     const int32_t shown = plant_encoder(plant, axis);
-    plant->supply_mv = ill == PLANT_SUPPLY ? SUPPLY_LOW : SUPPLY_MV;
-    plant->estop_closed = ill == PLANT_ESTOP;
     plant->ills[axis] = ill;
+    plant->supply_mv = SUPPLY_MV;
+    plant->estop_closed = false;
+    for (unsigned i = 0; i < sizeof(plant->ills) / sizeof(plant->ills[0]); i++) { // all axes have these two in common
+        plant->supply_mv = plant->ills[i] == PLANT_SUPPLY ? SUPPLY_LOW : plant->supply_mv;
+        plant->estop_closed = plant->estop_closed || plant->ills[i] == PLANT_ESTOP;
+    }
     plant->motors[axis].blocked = ill == PLANT_BLOCKED;
     // Whatever was or is wrong with the encoder, it goes on from what it shows; but for a jump.
     const int32_t count = ill == PLANT_JUMP ? shown + JUMP : shown;
@@ -84,11 +88,16 @@ void plant_inject(plant_t *plant, uint8_t axis, plant_ill_t ill) {
     plant->stuck[axis] = count;
 }
 
-bool plant_ill_of(const char *name, plant_ill_t *ill) {
-    static const char *const names[] = {"well", "blocked", "unplugged", "reversed", "coarse",
+static const char *const ill_names[] = {"well", "blocked", "unplugged", "reversed", "coarse",
                                         "jump", "driver",  "supply",    "estop"};
-    for (unsigned i = 0; i < sizeof(names) / sizeof(names[0]); i++) {
-        if (strcmp(name, names[i]) == 0) {
+
+const char *plant_ill_name(const plant_t *plant, uint8_t axis) {
+    return ill_names[plant->ills[axis]];
+}
+
+bool plant_ill_of(const char *name, plant_ill_t *ill) {
+    for (unsigned i = 0; i < sizeof(ill_names) / sizeof(ill_names[0]); i++) {
+        if (strcmp(name, ill_names[i]) == 0) {
             *ill = (plant_ill_t)i;
             return true;
         }

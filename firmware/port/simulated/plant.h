@@ -54,6 +54,8 @@ int32_t plant_true_q8(const plant_t *plant, uint8_t axis);
 // Sets a motor, at rest, to a true position (counts Q8): where the instrument was put by hand.
 void plant_place(plant_t *plant, uint8_t axis, int32_t q_q8);
 void plant_inject(plant_t *plant, uint8_t axis, plant_ill_t ill);
+// What is wrong with it.
+const char *plant_ill_name(const plant_t *plant, uint8_t axis);
 // The ill of a name (well, blocked, ...); false: there is none.
 bool plant_ill_of(const char *name, plant_ill_t *ill);
 

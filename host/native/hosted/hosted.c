@@ -183,6 +183,14 @@ void hosted_run(hosted_t *hosted, uint64_t us, const hosted_measured_t *measured
     }
 }
 
+void hosted_wait(hosted_t *hosted, uint64_t us) {
+    if (us >= hosted->t_us + TICK_US) {
+        hosted->t_us = us - TICK_US;
+        hosted->app.control_us = hosted->t_us;
+        hosted->measured_us = hosted->t_us;
+    }
+}
+
 hosted_goal_t hosted_goal(const hosted_t *hosted, uint8_t axis) {
     const tl_axis_t *of = &hosted->app.axes[axis];
     const int32_t apart = of->q - of->motor.encoder; // of the axis' positions and the drive's

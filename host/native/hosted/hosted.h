@@ -47,6 +47,9 @@ uint32_t hosted_flash_writes(const hosted_t *hosted);
 /// lines meanwhile. supply_mv: 0, not measured.
 void hosted_run(hosted_t *hosted, uint64_t us, const hosted_measured_t *measured, uint16_t supply_mv);
 
+/// A drive was switched on until `us`, which took it a while: no axis was driven meanwhile, none is late.
+void hosted_wait(hosted_t *hosted, uint64_t us);
+
 /// What the drive of an axis is to do now.
 hosted_goal_t hosted_goal(const hosted_t *hosted, uint8_t axis);
 

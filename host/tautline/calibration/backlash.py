@@ -19,10 +19,10 @@ from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
 
-SPANS = 64
-_SMOOTHINGS = np.logspace(-4, 9, 27)  # relative to the weight of one width
-_TAIL = 30.0  # sigma
-_PAPER_UNIFORM, _PAPER_REPEATS = 8, 3  # 14 knots in all, 10 coefficients
+SPANS = 64  # tolerance: of the range
+_SMOOTHINGS = np.logspace(-4, 9, 27)  # tolerance: relative to the weight of one width
+_TAIL = 30.0  # tolerance: sigma
+_PAPER_UNIFORM, _PAPER_REPEATS = 8, 3  # format: 14 knots in all, 10 coefficients
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,12 @@ from tautline.calibration.acquisition import in_another_unit, mistaken_unit
 from tautline.calibration.backlash import WidthCurve, fit_widths
 from tautline.calibration.beforehand import Beforehand
 from tautline.calibration.choice import JOINT, ONSETS, PASSES, Choice, jumping, measuring
-from tautline.calibration.components import Components, separate
+from tautline.calibration.components import WORSE, Components, separate
 from tautline.calibration.departures import SPEED
-from tautline.calibration.doubts import PREDICTS, doubts, floor_of
+from tautline.calibration.doubts import KNOWN, NO_WIDTH, doubts, floor_of, goes_on
 from tautline.calibration.findings import Findings
 from tautline.calibration.holding import released
+from tautline.calibration.hysteresis import PRIORS, Tried, fit_friction, likeliest
 from tautline.calibration.naming import named
 from tautline.calibration.observations import Track, observe
 from tautline.calibration.on_tip import place_on_tip
@@ -31,41 +32,43 @@ from tautline.calibration.place import (
     as_smooth_as_independent,
     place_noise,
 )
-from tautline.calibration.playfit import EXPLAINED, NODES, Fitted
+from tautline.calibration.playfit import NODES, Fitted
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
 from tautline.calibration.several import fit_elements, left
-from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze
-from tautline.calibration.worth import worth
+from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze, overlap
+from tautline.calibration.worth import PREDICTS, Worth, worth
 from tautline.core.session import Session
 from tautline.diagnosis import start
-from tautline.elements import SINGLE
+from tautline.elements import SINGLE, Elements, Hysteresis
 from tautline.errors import TautError
+from tautline.friction import Friction
 from tautline.geometry import coarse_range_deg
 from tautline.model import Model
+from tautline.nearest import Nearest
 from tautline.prediction import predict
 from tautline.quality import Quality, Reason
 from tautline.recording import Recording, shifted
 from tautline.rig import Rig
+from tautline.undone import stands_in
 from tautline.value import Value
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-_LEAST_FRAMES = 10
-_TOLD_S = 0.001  # standard deviation to which a clock that was off is found
-_LATER = 0.05  # of a frame's period, by which onsets are moved and not looked for again
-_GRADUAL = 0.4  # noise: what a gradual start must leave for several elements to be tried
-_HELD = 0.5  # of the square of what one element leaves beyond noise: several may leave so much
-_HELD_SHARE = 0.1  # of all frames: where more are left out the rest may be wrong too, unless one model explains it
-_ASTRAY = 2.5  # times what B and a path of any shape leave: f_remain in the rig's geometry
+_LEAST_FRAMES = 10  # tolerance: frames from which anything is said
+_TOLD_S = 0.001  # tolerance: standard deviation to which a clock that was off is found
+_LATER = 0.05  # tolerance: of a frame's period, by which onsets are moved and not looked for again
+_GRADUAL = 0.4  # prior: noise: what a gradual start must leave for several elements to be tried
+_HELD = 0.5  # prior: of the square of what one element leaves beyond noise: several may leave so much
+_HARDLY = 0.5  # tolerance: of B: what may as well be half or one and a half of itself is not measured
 _OF_SENSORS = frozenset({"turn", "tracker"})  # departures that no effect of the library looks like
 _OF_ELEMENTS = frozenset({"phase.even", "image.side"})  # what several elements, or their number, stand for
-_BETWEEN_ELEMENTS = 0.003  # of B: what elements of a few shares leave, alike on every stroke
-_UNIT_SLACK = 1.6  # by which f_coarse's gain and f_remain's may part beside a unit that is mistaken
-_LIKELY_GAIN = (0.4, 2.5)  # of f_coarse's, between which f_remain's is no wrong scale
-_LIKELY_BEND = 0.5  # of f_coarse's span, by which f_remain may leave it
-_TOLD = 0.1  # of what the tip bends: angles that are known no better are not known
-_LARGE = 0.1  # of the image's motion (rms): a registration that is off by less still tells angles
+_BETWEEN_ELEMENTS = 0.003  # prior: of B: what elements of a few shares leave, alike on every stroke
+_UNIT_SLACK = 1.6  # prior: by which f_coarse's gain and f_remain's may part beside a unit that is mistaken
+_LIKELY_GAIN = (0.4, 2.5)  # prior: of f_coarse's, between which f_remain's is no wrong scale
+_LIKELY_BEND = 0.5  # prior: of f_coarse's span, by which f_remain may leave it
+_TOLD = 0.1  # tolerance: of what the tip bends: angles that are known no better are not known
+_LARGE = 0.1  # tolerance: of the image's motion (rms): a registration that is off by less still tells angles
 
 
 @dataclass(frozen=True)
@@ -133,7 +136,9 @@ class Calibration(Value):
             "remaining": {
                 "q": model.q.tolist(),
                 "c_deg": model.c_deg.tolist(),
-                "sigma_deg": None if model.c_sigma is None else [_finite(v) for v in model.c_sigma],
+                "sigma_deg": None
+                if model.c_sigma is None or model.rig.sees_from_tip
+                else [_finite(v) for v in model.c_sigma],
             },
             "delay_s": model.delay_s,
             "offset_s": model.offset_s,
@@ -223,13 +228,14 @@ class _Session:
         self.components: Components | None = None
         self.held = 0.0  # share of the frames that repeat a place that the tip had left
         self.ended: Sequence[Track] | None = None  # what was seen, as it is when the session ends
-        self.elements = SINGLE
+        self.elements: Hysteresis = SINGLE
         reached = [(float(t.motor.q.min()), float(t.motor.q.max())) for t in tracks]
         self.reached = min(r[0] for r in reached), max(r[1] for r in reached)
         low, high = self.reached if in_another_unit(self.reached, rig) else rig.actuator.range
         self.domain = Domain(min(low, self.reached[0]), max(high, self.reached[1]))
         self.grid = np.linspace(self.domain.low, self.domain.high, NODES)
         self.camera = tracks[0].unit == "px"
+        self.framed = self.camera or rig.sees_from_tip  # a camera's delay: of frames that are still after a turn
         self.nominal_s = rig.nominal_delay_s(tracks[0].sensor)
         self.unit = rig.actuator.unit
 
@@ -259,7 +265,7 @@ class _Session:
         joint, passes = self._smooth(onsets, delay, curve)
         if joint is not None and (joint.fit.fit_delay or joint.curves.delay_s != delay.delay_s):
             before, delay = delay, self._joint_delay(delay, joint)
-            surer = not self.camera and delay.sigma_s < 0.5 * before.sigma_s
+            surer = not self.framed and delay.sigma_s < 0.5 * before.sigma_s
             later = delay.delay_s - before.delay_s
             if surer or abs(later) > _LATER * clock.period_s(self.tracks):
                 onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
@@ -283,8 +289,6 @@ class _Session:
         remaining = self._remaining(width, delay.delay_s, settled) if self.choice.moves() else None
         self._comment(onsets, remaining)
         self._doubt_place(remaining)
-        self._hold()
-        self._depart(joint, curve, source, remaining)
         self.say(0.8, "naming what departs")
         return self._result(onsets, delay, curve, joint, passes, width, sigma, source, remaining)
 
@@ -301,7 +305,7 @@ class _Session:
     def _delay(self) -> Delay:
         if self.options.delay_s is not None:
             return Delay(self.options.delay_s, 0.0, 0)
-        if not self.camera:
+        if not self.framed:
             return clock.delay_of_all(self.tracks, self.rig)
         return clock.delay_of_stops(self.tracks, self.rig)
 
@@ -342,7 +346,7 @@ class _Session:
         )  # fmt: skip
         if joint is None:
             return None, None
-        if fit_delay and not self.camera:
+        if fit_delay and not self.framed:
             joint = clock.settled(joint, delay, self.tracks, self.nominal_s)
         elif fit_delay and (jumping(onsets) or not joint.explained):
             # What the model does not know would bend the delay: the image stops tell it alone.
@@ -366,16 +370,17 @@ class _Session:
         self.findings.evidence["residual_before_components"] = joint.scale
         self.components = separate(joint, self.rig)
         if self.components.noise > PREDICTS and not self.components.of_tracker:
-            joint = as_smooth_as_independent(joint, noise)
-            self.components = separate(joint, self.rig)
+            smoother = as_smooth_as_independent(joint, noise)
+            again = separate(smoother, self.rig)
+            if again.noise < WORSE * self.components.noise:  # else B's shape was taken for what departs
+                joint, self.components = smoother, again
         gradual = self.options.elements == "auto" and not jumping(onsets)
         several = self._several(joint, self.components) if gradual else None
         if several is not None:
-            joint, self.elements = several, several.fit.elements
+            joint, self.elements = several.fitted, several.fitted.fit.elements
             components = separate(joint, self.rig, without=_OF_ELEMENTS)
-            self.components = replace(
-                components, sigma=np.hypot(components.sigma, _BETWEEN_ELEMENTS * components.width)
-            )
+            spread = _BETWEEN_ELEMENTS * components.width if several.spread is None else several.spread
+            self.components = replace(components, sigma=np.hypot(components.sigma, spread))
         for part in self.components.parts:
             self.findings.evidence[f"component_{part.name}"] = part.rms
         apart = self.components.applied(joint)
@@ -383,7 +388,6 @@ class _Session:
         if self.choice.predicts(alone, joint) or self.choice.nearer(onsets, curve, self.components, apart, joint):
             if self.components.since and apart.fit.tracks[0].track.unit == self.tracks[0].unit:
                 self.ended = [t for t in self.components.at_the_end(self.tracks) if len(t.t_s)]
-                alone = self.choice.ended(self.components, apart)
             self.findings.evidence["residual_alone"] = alone
             return apart
         self.findings.evidence["residual_alone"] = joint.scale
@@ -393,25 +397,33 @@ class _Session:
         """The joint fit as it is; how far the departures would take B from it is its uncertainty. An angle sensor's
         delay that they leave less certain than it is off the nominal one by is that."""
         delay_sigma = max(components.delay_sigma, joint.delay_sigma)
-        if not self.camera and joint.fit.fit_delay and abs(joint.curves.delay_s - self.nominal_s) < delay_sigma:
+        if not self.framed and joint.fit.fit_delay and abs(joint.curves.delay_s - self.nominal_s) < delay_sigma:
             fit = replace(joint.fit, fit_delay=False, delay_sigma_s=delay_sigma, smoothing=dict(joint.fit.smoothing))
             joint = fit.solve(replace(joint.curves, delay_s=self.nominal_s))
         width = joint.fit.width(joint.curves)
         joint.fit.residuals(joint.curves)
         spread = np.hypot(components.sigma, components.width - width)
-        return replace(joint, spread=spread, delay_spread=delay_sigma)
+        return replace(joint, spread=spread, delay_spread=delay_sigma, by_delay=components.by_delay)
 
-    def _several(self, joint: Fitted, components: Components) -> Fitted | None:
-        """The joint fit with several elements, where the tip starts gradually and they hold most of it."""
+    def _several(self, joint: Fitted, components: Components) -> Tried | None:
+        """The joint fit with several elements or with friction, whichever is likelier, where the tip starts gradually
+        and it holds most of that."""
         gradual = next((part for part in components.parts if part.name == "phase.even"), None)
         if gradual is None or gradual.rms < max(_GRADUAL, 0.5 * max(part.rms for part in components.parts)):
             return None
-        several = fit_elements(components.applied(joint), self.rig, fit_delay=self.options.delay_s is None)
+        start, fit_delay = components.applied(joint), self.options.delay_s is None
+        plays = fit_elements(start, self.rig, fit_delay=fit_delay)
+        assert isinstance(plays.fit.elements, Elements)
+        tried = [Tried(plays, len(plays.fit.elements.width) - 1)]
+        friction = (fit_friction([joint, start], self.rig, kind, fit_delay) for kind in PRIORS)
+        tried += [each for each in friction if each is not None]
+        best = likeliest(tried, components.effective)
+        several = best.fitted
         # What several leave is no noise: where that is less, it is at most that of a tip at rest.
         noise = components.noise if several.scale > components.noise else min(components.noise, 1.0)
         alike = replace(several, scale=joint.scale)  # strays count as much in both
         before, after = (max(left(fitted) ** 2 - noise**2, 0.0) for fitted in (joint, alike))
-        return several if after < _HELD * before and not several.fit.elements.single else None
+        return best if after < _HELD * before and not several.fit.elements.single else None
 
     # ---- f_remain
 
@@ -424,6 +436,14 @@ class _Session:
     def _doubt_place(self, remaining: Remaining | None) -> None:
         place = self.rig.place
         if remaining is None:
+            return
+        if self.rig.sees_from_tip:
+            self.findings.doubt(
+                "scene",
+                "f_remain is not known from this, B is: what the tip's own camera sees turns by more than the tip "
+                "does, by the tip's own way over its distance, and the offset is f_coarse's",
+                "measure f_remain with a camera that sees the instrument, or an angle sensor",
+            )
             return
         if place is None:
             if any(track.shown is not None for track in self.tracks):
@@ -489,45 +509,74 @@ class _Session:
         self.findings.notes += remaining.notes
         self._sanity(remaining)
 
-    def _hold(self) -> None:
-        frames = sum(len(track.t_s) for track in self.tracks)
-        left = self.findings.evidence.get("residual_alone", np.inf)
+    def _judge(
+        self, told: Worth | None, joint: Fitted | None, width: Array, sigma: Array, inside: npt.NDArray[np.bool_]
+    ) -> None:
+        """The verdict: it is good where blocks that the fit has not seen are foretold to the noise, B is known, and
+        nothing still changes. What departs, scatters or is hidden says why it is not, and else is worth knowing."""
+        found, frames = self.components, sum(len(track.t_s) for track in self.tracks)
+        predicts = told is None or told.predicts
+        holds = predicts and (found is None or float(np.hypot(1.0, goes_on(found))) <= PREDICTS)
         if self.held > 0:
-            self.findings.doubt(
+            self.findings.notice(
                 "acquisition.held_samples",
                 f"{frames / (1.0 - self.held) * self.held:.0f} frames repeat a place that the tip had left",
                 "let the tracker say when it does not see the marker",
-                mild=self.held < _HELD_SHARE or left < PREDICTS,
             )
+        if not self.elements.single and not predicts:
+            held = "several plays" if isinstance(self.elements, Elements) else "Bouc-Wen's and Dahl's equations"
+            self.findings.notice(
+                "transmission.smooth_onset",
+                f"after a reversal the tip starts gradually, and not as {held} do",
+                "its hysteresis is of another kind: expect as much of a prediction",
+            )
+        departs: list[Reason] = []
+        if found is not None:
+            rough = found.rough or any(track.motor_noise > 0 for track in self.tracks)
+            departs = doubts(found, inside, self.unit, rough, holds)
+        doubted = departs or any(not reason.mild for reason in self.findings.reasons)
+        if told is not None and not predicts and not doubted:
+            self.findings.reasons.append(self._unexplained(told, joint, width))
+        self.findings.looks = [*departs, *self.findings.looks]
+        self.findings.judge(holds)
+        if not holds and self.camera:
+            self.findings.reasons += clock.jumps(self.tracks, self.rig)
+        if inside.any():
+            self._doubt_sigma(joint, width[inside], sigma[inside], inside, holds)
 
-    def _depart(self, joint: Fitted | None, curve: WidthCurve | None, source: str, remaining: Remaining | None) -> None:
-        if self.components is not None:
-            low, high = self.choice.measured(curve, joint, source)
-            inside = (self.grid > low) & (self.grid < high)
-            if not self.elements.single and self.components.noise > EXPLAINED:
-                rest = f"{self.components.noise:.1f} times the noise"
-                self.findings.doubt(
-                    "transmission.smooth_onset",
-                    f"after a reversal the tip starts gradually, and several plays leave {rest}",
-                    "its hysteresis is of another kind: expect as much of a prediction",
-                )
-            alone = self.findings.evidence["residual_alone"]
-            rough = self.components.rough or any(track.motor_noise > 0 for track in self.tracks)
-            ended = remaining.scale if remaining is not None and self.ended is not None else None
-            reasons = doubts(self.components, inside, self.unit, alone, rough, ended=ended)
-            if self.camera and not self.components.parts and remaining is not None:
-                reasons += self._off_the_path(remaining.residual, alone)
-            if self.camera and any(not reason.mild for reason in reasons):
-                self.findings.reasons += clock.jumps(self.tracks, self.rig)
-            self.findings.reasons += reasons
+    def _doubt_sigma(
+        self, joint: Fitted | None, width: Array, sigma: Array, inside: npt.NDArray[np.bool_], holds: bool
+    ) -> None:
+        """Where B is known no better than a twentieth: worth knowing, and a doubt where it is hardly known at all; all
+        (k,) where it was measured. A sigma that covers is right, however large."""
+        rms = float(np.sqrt(np.mean(sigma**2)))
+        unsure = rms / max(float(np.median(width)), NO_WIDTH)
+        if unsure <= KNOWN:
+            return
+        late = 0.0
+        if joint is not None and joint.by_delay is not None:
+            late = joint.delay_sigma * float(np.sqrt(np.mean(joint.by_delay[inside] ** 2)))
+        more = "move back and forth for longer, and turn at more places"
+        if late > np.sqrt(0.5) * rms:
+            more = "move at several speeds: at one a delay and a width look alike"
+        mild = holds and unsure <= _HARDLY
+        self.findings.doubt("coverage", f"B(q) is known to {100.0 * unsure:.2g} % only", more, mild=mild)
 
-    def _off_the_path(self, residual: float, alone: float) -> list[Reason]:
-        """Where no component explains that the image leaves the rig's path, and that is not told already."""
-        astray = residual / float(np.median(np.concatenate([track.sigma for track in self.tracks])))
-        if astray <= _ASTRAY * max(alone, 1.0) or self._misplaced(residual):
-            return []
-        says = f"the tip's path in the image is not the rig's: {astray:.1f} times the noise is left"
-        return [Reason("registration.static", says, "check hand_eye, kinematics and the camera's calibration")]
+    def _measured(self, curve: WidthCurve | None, joint: Fitted | None, source: str) -> tuple[float, float]:
+        """With friction a tip starts at every turn: what was passed near both envelopes is measured."""
+        if joint is None or not isinstance(self.elements, Friction):
+            return self.choice.measured(curve, joint, source)
+        low, high = overlap(joint)
+        return (low, high) if low < high else self.choice.measured(curve, joint, source)
+
+    def _unexplained(self, told: Worth, joint: Fitted | None, width: Array) -> Reason:
+        """Why a model does not predict beside which nothing departs: the rig's path, or something else."""
+        times = f"{told.over_noise:.1f} times the noise"
+        if self.camera and joint is not None and self.choice.left_at(joint, width) <= PREDICTS:
+            says = f"the tip's path in the image is not the rig's: {times} is left"
+            return Reason("registration.static", says, "check hand_eye, kinematics and the camera's calibration")
+        says = f"what the fit has not seen is foretold to {times}"
+        return Reason("residual", says, "taut diagnose says where it is")
 
     def _sanity(self, remaining: Remaining) -> None:
         """Scale and sign before anything else is blamed."""
@@ -593,13 +642,12 @@ class _Session:
         passes: Fitted | None, width: Array, sigma: Array, source: str, remaining: Remaining | None,
     ) -> Calibration:  # fmt: skip
         names = tuple(track.name for track in self.tracks)
-        measured = self.choice.measured(curve, joint, source)
+        measured = self._measured(curve, joint, source)
         beyond = np.abs(self.grid - np.clip(self.grid, *measured))
         inside = (self.grid > measured[0]) & (self.grid < measured[1])
-        floor = floor_of(self.tracks, self.grid[inside], width[inside], sigma[inside], self.unit)
-        self.findings.reasons += floor.reasons
+        floor = floor_of(self.tracks, self.grid[inside], width[inside], sigma[inside], self.unit, self.findings)
         known = self.options.beforehand is not None and source in (JOINT, PASSES)  # beyond what reversals reached, too
-        sigma = np.hypot(np.hypot(sigma, floor.sigma), 0.0 if known else 0.5 * beyond)
+        sigma = np.hypot(np.hypot(sigma, floor), 0.0 if known else 0.5 * beyond)
         if source != ONSETS and joint is not None:
             sigma = np.hypot(sigma, self.choice.bridged(joint, width, inside))
         pass_width, pass_sigma = self.choice.second_opinion(onsets, curve, passes)
@@ -625,19 +673,27 @@ class _Session:
         if self.rig.place is not None:
             c_sigma = np.hypot(c_sigma, self.rig.place.sigma_at(c))
         model = Model(
-            self.rig, self.grid, width, sigma, c, delay.delay_s, measured, elements=self.elements, c_sigma=c_sigma,
+            self.rig, self.grid, width, sigma, c, delay.delay_s, measured, c_sigma=c_sigma,
             sensor=self.tracks[0].sensor, offset_s=aligned.offset_s,
+            elements=self.elements if isinstance(self.elements, Elements) else SINGLE,
+            friction=self.elements if isinstance(self.elements, Friction) else None,
         )  # fmt: skip
+        if (near := stands_in(model)) is not None:
+            self.findings.notes.append(self._instead(near))
+            model = model if model.friction is None else replace(model, elements=near.elements)
         gaps = coverage.gaps(model, coverage.one_way(joint, self.grid) if joint is not None else 0.0 * self.grid)
         self.findings.notes += [f"{gap.says(self.unit)}, and is held there" for gap in gaps]
-        told = worth(model, self.ended or self.tracks, self.rig)
+        told = worth(model, self.ended or self.tracks, joint, None if remaining is None else remaining.fitted)
         if told is not None:
             self.findings.reasons += told.doubts
             self.findings.evidence |= {
                 "error": told.model,
+                "foretold_over_noise": told.over_noise,
+                "foretold_blocks": float(told.blocks),
                 "error_coarse": told.coarse,
                 "error_constant": told.constant,
             }
+        self._judge(told, joint, width, sigma, inside)
         notes = tuple(dict.fromkeys(self.findings.notes))
         extra: dict[str, Any] = {
             "source": source,
@@ -649,6 +705,8 @@ class _Session:
             "options": asdict(replace(self.options, beforehand=None)),
             "tracked_px": max(track.tracked_px for track in self.tracks),
         }
+        if joint is not None and joint.by_delay is not None and source == JOINT:
+            extra["width_by_delay"] = [_finite(v) for v in joint.by_delay]
         if pass_width is not None:
             extra["pass_width"] = [_finite(v) for v in pass_width]
         model = replace(model, quality=Quality.of(self.findings.reasons), extra=extra)
@@ -656,6 +714,13 @@ class _Session:
             model, tuple(onsets), delay, source, curve, pass_width, pass_sigma, self.findings.evidence, notes, names,
             aligned.offsets, tuple(_foretold(model, track, delay_s) for track in self.tracks), gaps,
         )  # fmt: skip
+
+    def _instead(self, near: Nearest) -> str:
+        plays = f"{len(near.elements.width)} plays, which leave {100.0 * near.share:.2g} % of what there is to undo"
+        if isinstance(self.elements, Friction):
+            its = self.elements.says(self.unit)
+            return f"its hysteresis is {its}: a board's tables and what follows the tip in use hold {plays}"
+        return f"its hysteresis is {len(self.elements.width)} plays: a board's tables hold {plays}"
 
     def _characteristic(self, delay_s: float) -> dict[str, Any]:
         """Some 3000 frames of (q, c) for the report's picture."""

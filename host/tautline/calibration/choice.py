@@ -14,7 +14,7 @@ from tautline.calibration.coverage import HOLE, one_way
 from tautline.calibration.findings import Findings
 from tautline.calibration.observations import Track
 from tautline.calibration.onset import BRACKET, HINGE, Onset
-from tautline.calibration.playfit import EXPLAINED, NODES, Curves, Fitted, Frozen
+from tautline.calibration.playfit import EXPLAINED, NODES, Curves, Fitted
 from tautline.calibration.several import left
 from tautline.calibration.smooth import Domain, overlap
 from tautline.model import allowed_width
@@ -22,16 +22,17 @@ from tautline.model import allowed_width
 Array = npt.NDArray[np.float64]
 
 ONSETS, JOINT, PASSES, NOTHING = "onsets", "onsets and passes", "passes", "nothing"
-_AGREE = 3.0  # mean squared z of onsets against the joint fit up to which both are one evidence
-_STANDS_OUT = 10.0  # a motion of so many sigma is one
-_AT_ONCE = 0.75  # of the path's slope: a tip that starts slower starts gradually
-_SURER = 2.0  # times less certain: the joint fit's B beside the onsets'
-_BEARABLE = 3.0  # times what the joint fit's own B leaves: onsets' that leaves more stands for something else
-_LITTLE = 0.03  # of the width: differences below are no contradiction
-_WORSE = 1.25  # times what the best single curve leaves: a B that leaves more is not for predictions
-_FEW_ONSETS, _NEARER = 6, 0.5  # onsets that may say so, and their mean squared z against one B over that to the other
-_ONE_WAY, _OTHER_WAY = 4.0, 0.3  # standard errors by which onsets are late, and of that what the other way's may be
-_BENDS = 2.0  # its own size by which B may change over the range
+_AGREE = 3.0  # prior: mean squared z of onsets against the joint fit up to which both are one evidence
+_STANDS_OUT = 10.0  # tolerance: a motion of so many sigma is one
+_AT_ONCE = 0.75  # prior: of the path's slope: a tip that starts slower starts gradually
+_SURER = 2.0  # prior: times less certain: the joint fit's B beside the onsets'
+_BEARABLE = 3.0  # prior: times what the joint fit's own B leaves: onsets' that leaves more stands for something else
+_LITTLE = 0.03  # tolerance: of the width: differences below are no contradiction
+_WORSE = 1.25  # tolerance: times what the best single curve leaves: a B that leaves more is not for predictions
+_FEW_ONSETS = 6  # tolerance: onsets that may say so
+_NEARER = 0.5  # prior: their mean squared z against one B over that to the other
+_ONE_WAY, _OTHER_WAY = 4.0, 0.3  # prior: standard errors by which onsets are late; of that, the other way's
+_BENDS = 2.0  # prior: its own size by which B may change over the range
 
 
 def jumping(onsets: Sequence[Onset]) -> bool:
@@ -121,8 +122,8 @@ class Choice:
 
     def _bears(self, joint: Fitted, width: Array, both: Array) -> bool:
         """Whether B may be another than what predicts best: where that predicts well, nothing says so."""
-        own = self._left_at(joint, width)
-        return own > EXPLAINED and self._left_at(joint, both) < _BEARABLE * own
+        own = self.left_at(joint, width)
+        return own > EXPLAINED and self.left_at(joint, both) < _BEARABLE * own
 
     def nearer(
         self, onsets: Sequence[Onset], curve: WidthCurve | None, components: Components, apart: Fitted, joint: Fitted
@@ -140,15 +141,6 @@ class Choice:
     def alone(self, components: Components, apart: Fitted, joint: Fitted) -> float:
         """Residual over noise of B, path and delay as they are without the departures."""
         return self._left_with(apart, components.usual) if components.parts else joint.scale
-
-    def ended(self, components: Components, apart: Fitted) -> float:
-        """The same of what was seen as it is when the session ends, and B as it is then."""
-        tracks = components.at_the_end([frozen.track for frozen in apart.fit.tracks])
-        frozen = [
-            Frozen.of(track, old.use[since.frames])
-            for track, old, since in zip(tracks, apart.fit.tracks, components.since, strict=True)
-        ]
-        return self._left_with(replace(apart, fit=replace(apart.fit, tracks=frozen)), components.curves)
 
     @staticmethod
     def predicts(rest: float, joint: Fitted) -> bool:
@@ -174,11 +166,10 @@ class Choice:
             else 0.5
         )
         at = self.grid[holes]
-        self.findings.doubt(
+        self.findings.notice(
             "coverage",
             f"from {at[0]:.3g} to {at[-1]:.3g} {self.unit} the tip passes one way at most in places",
             "move through all of the range both ways",
-            mild=steep * float(gap[holes].max()) < _LITTLE * float(np.median(width[inside])),
         )
         return np.where(
             inside, max(2.0 * steep, _BENDS * float(np.median(width[inside])) / self.domain.span) * gap, 0.0
@@ -216,7 +207,7 @@ class Choice:
             self.findings.evidence["onsets_minus_passes_z2"] = float(np.mean(z**2))
             share = abs(mean) / max(float(np.median([o.width for o in widths])), 1e-9)
             if float(np.mean(z**2)) > 2 * _AGREE and share > 0.03 and passes.fit.elements.single and jumping(widths):
-                self.findings.doubt(
+                self.findings.notice(
                     "registration.direction_dependent",
                     f"the passes lie {abs(mean):.3g} {self.unit} {'less' if mean > 0 else 'more'} apart than the "
                     "onsets say",
@@ -239,11 +230,11 @@ class Choice:
         clear = max(_ONE_WAY * far.std() / np.sqrt(len(far)), _LITTLE * float(np.median(curve.width)))
         if far.mean() < clear or abs(near.mean()) > _OTHER_WAY * far.mean():
             return False
-        rest = self._left_at(joint, curve.width)
+        rest = self.left_at(joint, curve.width)
         self.findings.evidence["residual_with_onsets"] = rest
         return not self.predicts(rest, joint)
 
-    def _left_at(self, joint: Fitted, width: Array) -> float:
+    def left_at(self, joint: Fitted, width: Array) -> float:
         """`_left_with` another B, (grid,)."""
         design = joint.fit.backlash.design(self.grid)
         backlash = np.linalg.lstsq(design.toarray(), width, rcond=None)[0]
@@ -301,7 +292,7 @@ class Choice:
         self.findings.evidence["start_over_path_slope"] = ratio
         if ratio > _AT_ONCE:
             return False
-        self.findings.doubt(
+        self.findings.notice(
             "transmission.smooth_onset",
             f"the tip starts gradually, at {ratio:.2f} of its later speed",
             "B(q) is what fits all frames, not where the first motion shows",

@@ -39,23 +39,23 @@ from tautline.rig import Rig
 
 Array = npt.NDArray[np.float64]
 
-GAIN = 20.0  # of twice the restricted log likelihood, for a component; noise alone gives 5 to 8
-_ROUNDS = 14  # linearisations at most
-_AT_ONCE = 2  # components that may join at one linearisation
-_STEPS = 6  # of the variances, at one linearisation
-_PENALTIES = np.logspace(-6, 3, 19)  # of a component's own information
-_MOST, _LEAST = 1e12, 1e-12
-_SHARES = (1.0, 0.5, 0.2)  # of a step, tried in turn
-_WORSE = 1.02  # of what was left, from which a step leads too far
-_STILL = 0.05  # a change of B, in its sigma, that is none
-_COUNT = 0.29  # of an encoder's step: the standard deviation of a place within it
-_SHOWS = 0.3  # of the noise: an encoder's count that moves the image by more shows
-_FEW = 30  # frames that tell no scatter
-LAW = 0.5  # of what speed adds to B: slower than what was seen it may follow another law
-CORRECTS = 0.3  # of a component's correction of B: what it may be off by
-_SHORT = 0.1  # of a frame's period
-_LAGS = 60  # frames of autocorrelation
-_LATE = 0.25  # of the session, which goes from -1/2 to 1/2: its last quarter
+GAIN = 20.0  # prior: of twice the restricted log likelihood, for a component; noise alone gives 5 to 8
+_ROUNDS = 14  # tolerance: linearisations at most
+_AT_ONCE = 2  # tolerance: components that may join at one linearisation
+_STEPS = 6  # tolerance: of the variances, at one linearisation
+_PENALTIES = np.logspace(-6, 3, 19)  # tolerance: of a component's own information
+_MOST, _LEAST = 1e12, 1e-12  # tolerance: of a penalty
+_SHARES = (1.0, 0.5, 0.2)  # tolerance: of a step, tried in turn
+WORSE = 1.02  # tolerance: of what was left, from which a step leads too far
+_STILL = 0.05  # tolerance: a change of B, in its sigma, that is none
+_COUNT = 0.29  # equation: of an encoder's step: the standard deviation of a place within it
+_SHOWS = 0.3  # tolerance: of the noise: an encoder's count that moves the image by more shows
+_FEW = 30  # tolerance: frames that tell no scatter
+LAW = 0.5  # prior: of what speed adds to B: slower than what was seen it may follow another law
+CORRECTS = 0.3  # prior: of a component's correction of B: what it may be off by
+_SHORT = 0.1  # tolerance: of a frame's period
+_LAGS = 60  # tolerance: frames of autocorrelation
+_LATE = 0.25  # equation: of the session, which goes from -1/2 to 1/2: its last quarter
 
 
 @dataclass(frozen=True)
@@ -88,6 +88,7 @@ class Components:
     width: Array
     sigma: Array  # of B, model error included
     delay_sigma: float
+    by_delay: Array  # by how much B is another for each second that the delay is
     held_back_s: float  # by how much a tracker may show a moving tip late
     noise: float  # rms over the stated noise of what no component explains
     moving: float  # the same of frames at which the tip moves, over that of the others
@@ -129,7 +130,7 @@ class Components:
         rows, masks = fit.residuals(self.curves)
         return replace(
             fitted, fit=fit, curves=self.curves, rows=rows, masks=masks, scale=self.noise, spread=self.sigma,
-            delay_spread=self.delay_sigma,
+            delay_spread=self.delay_sigma, by_delay=self.by_delay,
         )  # fmt: skip
 
 
@@ -197,7 +198,7 @@ class _Separation:
         for share in _SHARES:
             curves = between(solved.curves, solved.moved, share)
             there = self._at(curves, solved.clock + share * solved.clock_step, columns)
-            if there is not None and there.noise < _WORSE * solved.noise:
+            if there is not None and there.noise < WORSE * solved.noise:
                 return there
             self.penalties = dict(penalties)
         return None
@@ -391,14 +392,14 @@ class _Solved:
     def result(self) -> Components:
         left = self._left()
         number = effective(left)
-        alone = self.gram[: self.head, : self.head] + self.base
-        alone[np.diag_indices_from(alone)] += 1e-10 * float(np.mean(np.diag(alone)))
-        plain, own = self._width_sigma(np.asarray(np.linalg.inv(alone))), self._width_sigma()
-        # What single frames tell is worth less where their residuals go together; components have their own share.
+        # Frames whose residuals go together tell as much as one; what is known beforehand is known all the same.
+        alone, fewer = self._alone(1.0), self._alone(number)
+        plain, own = self._width_sigma(alone), self._width_sigma()
         # A linear correction is right to a share of itself.
         parts = sorted((self._component(name, at) for name, at in self._blocks()), key=lambda part: -part.chi2)
         corrected = sum((np.mean(part.shift**2) for part in parts), 0.0)
-        sigma = np.sqrt(np.maximum(own**2 - plain**2, 0.0) + number * plain**2 + CORRECTS**2 * corrected)
+        independent = self._width_sigma(fewer)
+        sigma = np.sqrt(np.maximum(own**2 - plain**2, 0.0) + independent**2 + CORRECTS**2 * corrected)
         moved = self.moved
         moved = replace(moved, delay_s=moved.delay_s + self._as_a_delay())
         curves = replace(moved, backlash=self._at_the_end(moved.backlash))
@@ -406,7 +407,8 @@ class _Solved:
         width = self.fit.width(curves)
         between, slower = self._between_recordings() * width, LAW * self._by_speed(width)
         sigma = np.sqrt(sigma**2 + CORRECTS**2 * changed + between**2 + slower**2)
-        own_delay = self.noise * float(np.sqrt(number * self.inverse[self.head - 1, self.head - 1]))
+        beside = max(self.inverse[self.head - 1, self.head - 1] - alone[-1, -1], 0.0)
+        own_delay = self.noise * float(np.sqrt(beside + fewer[-1, -1]))
         later = CORRECTS * float(np.sqrt(sum(part.later_s**2 for part in parts)))
         delay = float(np.hypot(own_delay, later))
         power = np.mean(left**2, axis=1)
@@ -414,9 +416,19 @@ class _Solved:
         rests = np.mean(power[~moves]) if (~moves).sum() > _FEW else np.mean(power)
         moving = np.sqrt(np.mean(power[moves]) / max(float(rests), 1e-30)) if moves.any() else 1.0
         return Components(
-            curves, moved, width, sigma, delay, self._held_back_s(parts), self.noise, float(moving), number,
-            tuple(parts), self.clock + self.clock_step, self.owner.rough, self._since(),
+            curves, moved, width, sigma, delay, self._by_delay(fewer), self._held_back_s(parts), self.noise,
+            float(moving), number, tuple(parts), self.clock + self.clock_step, self.owner.rough, self._since(),
         )  # fmt: skip
+
+    def _alone(self, number: float) -> Array:
+        """Of path, B and delay alone, over the noise's variance, one of `number` frames being independent."""
+        system = self.gram[: self.head, : self.head] / number + self.base
+        system[np.diag_indices_from(system)] += 1e-10 * float(np.mean(np.diag(system)))
+        return np.asarray(cho_solve(cho_factor(system, check_finite=False), np.eye(self.head), check_finite=False))
+
+    def _by_delay(self, covariance: Array) -> Array:
+        block, design = self._width_columns()
+        return np.asarray(design @ covariance[block, -1] / covariance[-1, -1])
 
     def _since(self) -> tuple[Since, ...]:
         changed = [(name, at) for name, at in self._blocks() if name in STATES]

@@ -14,9 +14,9 @@ from tautline.model import Model
 Array = npt.NDArray[np.float64]
 Span = tuple[float, float]
 
-HOLE = 0.03  # of the range, without a frame one way: passed for all that
-_LEANS = 0.3  # share of the elements that are at their ends, from which a place is passed one way
-_EDGE = 0.05  # of the range: so much of what can be seen may be missing at either end
+HOLE = 0.03  # tolerance: of the range, without a frame one way: passed for all that
+_LEANS = 0.3  # tolerance: share of the elements that are at their ends, from which a place is passed one way
+_EDGE = 0.05  # tolerance: of the range: so much of what can be seen may be missing at either end
 
 
 @dataclass(frozen=True)

@@ -28,16 +28,17 @@ Array = npt.NDArray[np.float64]
 Sparse = Any  # a scipy.sparse matrix, or an array
 
 # Of the travel since a turn, in widths: where what follows a reversal is told apart; beyond the last, nothing.
+# tolerance of the nodes: a width's first and last motion more finely than its middle
 _PHASES = np.array([0.0, 0.12, 0.25, 0.4, 0.55, 0.7, 0.85, 0.95, 1.05, 1.15, 1.3, 1.5, 1.75, 2.0])
-_TIMES, _STROKES_A_SPAN = 10, 3  # spans of slow drifts, at most, and strokes in each, at least
-_LAGS_S, _CREEPS_S = (0.02, 0.05, 0.1, 0.2), (0.6, 2.0)
-_SATURATES = (0.1, 0.3, 1.0, 10.0)  # of the usual speed, at which a width has grown by most of what speed adds
-_FINE_S = 0.005  # of the path that lags
-_BREATHS_HZ = 0.08, 1.0
-_SCAN = 12.0  # what looking for a moment or a rhythm costs, of twice the log likelihood
-_LASTS, _CONSTANT = 0.2, 0.5  # of the misfit, that neighbours share; of that, both halves of a stroke
-_ACROSS, _SWAYS = 0.25, 0.5  # of what lies along the path, across it; of the misfit, that one rhythm explains
-_PIECES, _LAGS = 100, 60  # of all strokes, at most; frames over which neighbours share something
+_TIMES, _STROKES_A_SPAN = 10, 3  # tolerance: spans of slow drifts, at most, and strokes in each, at least
+_LAGS_S, _CREEPS_S = (0.02, 0.05, 0.1, 0.2), (0.6, 2.0)  # prior: time constants that are tried, s
+_SATURATES = (0.1, 0.3, 1.0, 10.0)  # prior: of the usual speed, at which a width has grown by most of what speed adds
+_FINE_S = 0.005  # tolerance: of the path that lags
+_BREATHS_HZ = 0.08, 1.0  # prior: 5 to 60 breaths or heartbeats a minute
+_SCAN = 12.0  # prior: what looking for a moment or a rhythm costs, of twice the log likelihood
+_LASTS, _CONSTANT = 0.2, 0.5  # prior: of the misfit, that neighbours share; of that, both halves of a stroke
+_ACROSS, _SWAYS = 0.25, 0.5  # prior: of what lies along the path, across it; of the misfit, that one rhythm explains
+_PIECES, _LAGS = 100, 60  # tolerance: of all strokes, at most; frames over which neighbours share something
 
 SPEED, SHARE = "width.speed", "%"  # of departures that add to B, of those that add a share of it
 # What changes during a session and then is what it is: a model holds what it came to.
@@ -152,7 +153,7 @@ def scene_of(fitted: Fitted, curves: Curves, rig: Rig, clock: Array) -> Scene | 
     joined = {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0] if name != "load"}
     norm = np.sqrt(np.mean(joined["rows"] ** 2, axis=1))
     limit = 4.0 * max(1.4826 * float(np.median(norm)), 1e-9)
-    joined["weight"] = np.minimum(joined["weight"], limit / np.maximum(norm, limit))
+    joined["weight"] = np.minimum(joined["weight"], (limit / np.maximum(norm, limit)) ** 2)  # as of a heavy tail
     time_s = joined.pop("time_s")
     return Scene(
         time_s=time_s, t=(time_s - first) / length - 0.5, load=None if load is None else load - load.mean(), **joined

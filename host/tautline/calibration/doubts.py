@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from tautline.calibration.components import CORRECTS, GAIN, LAW, Component, Components
+from tautline.calibration.components import GAIN, Component, Components
 from tautline.calibration.departures import SHARE, SPEED, STATES
+from tautline.calibration.findings import Findings
 from tautline.calibration.observations import Track
+from tautline.calibration.worth import PREDICTS
 from tautline.encoder import between_samples
 from tautline.quality import Reason
 from tautline.rig import ANGLE
@@ -19,25 +20,16 @@ from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
 
-PREDICTS = 1.3  # residual over noise up to which a verdict is good (formats)
-_LEFT = 2.0  # residual over noise, without its departures, from which a model does not predict
-_MOST = 1.5  # the same, up to which it does where some frames show something else
-_STRONG = 1.2  # of the noise: a departure that is a doubt whatever else is
-_MOSTLY = 0.5  # of the strongest: one that has its part in what is left
-_SHIFTED = 0.03  # of B: what leaving a component out would change, from which it is told
-_STILL_MOVES = 0.83  # of the noise, in the last quarter: with the noise itself 1.3 times it
-_SURE = 0.01  # of B, in sigma
-_WHITE = 1.5  # frames for each independent one up to which scatter is of single frames
-_SPEEDS = 1.5  # scatter of moving frames over that of resting ones, from which times are unsteady
+KNOWN = 0.05  # tolerance: of B: what is less of it need not be told, nor that it is known so well
+_WHITE = 1.5  # prior: frames for each independent one up to which scatter is of single frames
+_SPEEDS = 1.5  # prior: scatter of moving frames over that of resting ones, from which times are unsteady
 
-_CYCLES = 4.0, 40.0  # of a ripple over what was measured
-_RIPPLE = 0.02, 5.0  # of B, and of its sigma: less is none
-_NO_WIDTH = 1e-12  # unit of q: B where there is none
-_PLACES, _RATES = 160, 145  # at which B is looked at; of a ripple that are tried
-_SMOOTHED = 0.4  # of the readings' noise: what smoothing leaves at a turn
-_LEVELS = 0.5  # different values for each frame, below which a sensor rounds
-_MUCH = 0.05  # of B: what is told, and in sigma, is no doubt below
-_COARSE = 0.015  # of B: a motor's path between its samples is known no better
+_CYCLES = 4.0, 40.0  # prior: of a ripple over what was measured
+NO_WIDTH = 1e-12  # tolerance: unit of q: B where there is none
+_PLACES, _RATES = 160, 145  # tolerance: at which B is looked at; of a ripple that are tried
+_SMOOTHED = 0.4  # prior: of the readings' noise: what smoothing leaves at a turn
+_LEVELS = 0.5  # prior: different values for each frame, below which a sensor rounds
+_COARSE = 0.015  # tolerance: of B: a motor's path between its samples is known no better
 
 DRIVE = "calibrate again once it is mended, or let taut diagnose add it to the model"
 # Component: code, what it looks like, what to do.
@@ -139,77 +131,45 @@ _MEANS: dict[str, tuple[str, str, str]] = {
 }
 
 
-def doubts(
-    components: Components,
-    counted: npt.NDArray[np.bool_],
-    unit: str,
-    alone: float,
-    rough: bool,
-    *,
-    ended: float | None = None,
-) -> list[Reason]:
-    """Likeliest first; mild where B holds, and the model predicts what was seen without its departures about as well as
-    noise lets it. counted: the grid's places at which B was measured; unit: of q; alone: residual over noise of B,
-    path and delay alone; rough: the motor's counts or noise show in the image; ended: what f_remain leaves, over the
-    noise, where the model is that of the session's end: what changed before is not in `alone` then."""
-    usual = max(float(np.median(components.width[counted])) if counted.any() else 0.0, 1e-12)
-    sigma = float(np.sqrt(np.mean(components.sigma[counted] ** 2))) if counted.any() else np.inf
-    strongest = max((part.rms for part in components.parts), default=0.0)
+def goes_on(components: Components) -> float:
+    """By how much, in the noise, what changes in time still did in the session's last quarter; rms."""
+    moves = any(part.name in STATES and part.name.endswith("time") for part in components.parts)
+    return components.late if moves else 0.0
+
+
+def doubts(components: Components, counted: npt.NDArray[np.bool_], unit: str, rough: bool, good: bool) -> list[Reason]:
+    """Likeliest first. counted: the grid's places at which B was measured; unit: of q; rough: the motor's counts or
+    noise show in the image; good: the model predicts and B is known whatever departs: then only what would spoil either
+    if it were left out is told, and as no doubt."""
+    usual = max(float(np.median(components.width[counted])) if counted.any() else 0.0, NO_WIDTH)
+    late = goes_on(components)
     reasons = []
-    for part in components.parts:
+    for part in sorted(components.parts, key=lambda each: -each.chi2):
         shift = float(np.sqrt(np.mean(part.shift[counted] ** 2))) if counted.any() else 0.0
-        strong = np.hypot(1.0, part.rms) > PREDICTS
-        if part.name == "turn" and shift < _SHIFTED * usual:
-            strong = False  # a count is a count
-        if ended is not None and part.name in STATES:
-            predicts = _holds(part.name, components, ended) if strong else True
-            held = predicts
-        else:
-            predicts = alone < _LEFT or part.rms < _MOSTLY * strongest
-            held = not strong or part.rms < _STRONG
-        moves = shift > max(_SHIFTED * usual, 3.0 * sigma)
-        # What is uncertain of it is in sigma.
-        doubted = moves and not (alone < PREDICTS and CORRECTS * shift < _SHIFTED * usual)
         if part.name.startswith(SPEED):
             shift = abs(float(part.values[0])) * (usual if part.name.endswith(SHARE) else 1.0)
-            moves = shift > _SHIFTED * usual
-            doubted = moves and not (alone < PREDICTS and LAW * shift < _MUCH * usual)
-        if moves or strong or not predicts:
-            kind = "turn.itself" if part.name == "turn" and not rough else part.name
-            late = f", {components.late:.1f} in its last quarter: it goes on" if _goes_on(part.name, components) else ""
-            reasons.append((part.chi2, _reason(kind, part, shift, unit, late, predicts and held and not doubted)))
-    told = [reason for _, reason in sorted(reasons, key=lambda each: -each[0])]
+        spoils = np.hypot(1.0, part.rms) > PREDICTS or shift > KNOWN * usual
+        expected = part.name == "turn" and part.chi2 < GAIN  # where counts are coarse, there or not
+        if not spoils and (good or expected):
+            continue
+        kind = "turn.itself" if part.name == "turn" and not rough else part.name
+        still = f", {late:.1f} in its last quarter" if part.name in STATES and late > 0.0 else ""
+        reasons.append(_reason(kind, part, shift, unit, still, good))
     if components.noise > PREDICTS:
-        told.append(_scatter(components, alone, sure=sigma < _SURE * usual))
-    first: dict[str, Reason] = {}
-    for reason in sorted(told, key=lambda each: each.mild):
-        first.setdefault(reason.code, reason)
-    return list(first.values())
+        reasons.append(_scatter(components, good))
+    return reasons
 
 
-def _holds(state: str, components: Components, ended: float) -> bool:
-    """Whether a model holds what this came to: nothing still moves, and the image is where f_remain can put it. What
-    happened once, or between recordings, is over."""
-    if ended > PREDICTS * max(components.noise, 1.0):
-        return False
-    return not _goes_on(state, components)
-
-
-def _goes_on(state: str, components: Components) -> bool:
-    return state in STATES and state.endswith("time") and components.late > _STILL_MOVES
-
-
-def _reason(kind: str, part: Component, shift: float, unit: str, late: str, mild: bool) -> Reason:
+def _reason(kind: str, part: Component, shift: float, unit: str, still: str, mild: bool) -> Reason:
     code, says, remedy = _MEANS[kind.rstrip("0123456789.%")]
-    return Reason(code, f"{says} ({part.rms:.1f} times the noise, {shift:.2g} {unit} of B{late})", remedy, mild=mild)
+    return Reason(code, f"{says} ({part.rms:.1f} times the noise, {shift:.2g} {unit} of B{still})", remedy, mild=mild)
 
 
-def _scatter(components: Components, alone: float, sure: bool) -> Reason:
-    """sure: B is as well known as one would ask for with all that scatters in its sigma."""
-    if alone < _MOST:  # of most frames
-        says = f"some frames are far off ({components.noise:.1f} times the noise with them, {alone:.1f} without)"
-        return Reason("outliers", says, "look for a second blob of the marker's colour", mild=True)
+def _scatter(components: Components, good: bool) -> Reason:
     times = f"{components.noise:.1f} times the noise of a tip at rest is left"
+    if good:  # of most frames
+        says = f"some frames are far off ({components.noise:.1f} times the noise with them)"
+        return Reason("outliers", says, "look for a second blob of the marker's colour", mild=True)
     if components.effective < _WHITE and components.moving > _SPEEDS:
         return Reason(
             "acquisition.jitter",
@@ -217,74 +177,49 @@ def _scatter(components: Components, alone: float, sure: bool) -> Reason:
             "take the frames' hardware times",
         )
     if components.effective < _WHITE:
-        return Reason(
-            "noise",
-            f"{times}, from frame to frame",
-            "check light, focus and the marker's colour",
-            mild=alone < _LEFT or sure,
-        )
+        return Reason("noise", f"{times}, from frame to frame", "check light, focus and the marker's colour")
     return Reason("residual", f"{times}, which no known departure explains", "taut diagnose says where it is")
 
 
-@dataclass(frozen=True)
-class Floor:
-    """What every stroke is wrong by alike: no scatter shows it, so it is added to B's sigma."""
-
-    sigma: float  # unit of q
-    reasons: tuple[Reason, ...]
-
-
-def floor_of(tracks: Sequence[Track], grid: Array, width: Array, sigma: Array, unit: str) -> Floor:
-    """grid, width and sigma where B was measured."""
+def floor_of(tracks: Sequence[Track], grid: Array, width: Array, sigma: Array, unit: str, findings: Findings) -> float:
+    """What every stroke is wrong by alike, unit of q: no scatter shows it, so it is added to B's sigma. grid, width and
+    sigma where B was measured."""
     if len(grid) < 2:
-        return Floor(0.0, ())
-    reasons, usual = [], float(np.median(width))
+        return 0.0
+    usual = float(np.median(width))
     between = max(between_samples(track.path.sampled) for track in tracks)
     if between > _COARSE * usual:
         period = max(float(np.median(np.diff(track.reading.t_s))) for track in tracks)
-        reasons.append(
-            Reason(
-                "rate",
-                f"the motor's samples are {period * 1e3:.0f} ms apart, its turns are known to {between:.2g} {unit}",
-                f"log the motor at {_faster_hz(period, between, _COARSE * usual)} Hz or more",
-                mild=between < _MUCH * usual,
-            )
+        findings.notice(
+            "rate",
+            f"the motor's samples are {period * 1e3:.0f} ms apart, its turns are known to {between:.2g} {unit}",
+            f"log the motor at {_faster_hz(period, between, _COARSE * usual)} Hz or more",
         )
     scatter = _SMOOTHED * max(track.motor_noise for track in tracks)
     if scatter > _COARSE * usual:
-        reasons.append(
-            Reason(
-                "encoder",
-                f"the motor's readings scatter, its turns are known to {scatter:.2g} {unit}",
-                "shield the encoder's lines, or take one with finer counts",
-                mild=scatter < _MUCH * usual,
-            )
+        findings.notice(
+            "encoder",
+            f"the motor's readings scatter, its turns are known to {scatter:.2g} {unit}",
+            "shield the encoder's lines, or take one with finer counts",
         )
     rounded = max(_rounded(track) for track in tracks)
     if rounded > _COARSE * usual:
-        reasons.append(
-            Reason(
-                "angle" if tracks[0].sensor == ANGLE else "tracker",
-                f"the tip's place is told in steps: a turn is known to {rounded:.2g} {unit}",
-                "read the sensor with more digits, or take a finer one",
-                mild=rounded < _MUCH * usual,
-            )
+        findings.notice(
+            "angle" if tracks[0].sensor == ANGLE else "tracker",
+            f"the tip's place is told in steps: a turn is known to {rounded:.2g} {unit}",
+            "read the sensor with more digits, or take a finer one",
         )
     rippled, wave = _ripple(grid, width, sigma)
-    if rippled < max(_RIPPLE[0] * usual, _RIPPLE[1] * float(np.median(sigma))):
-        rippled = 0.0
-    else:
-        reasons.append(
-            Reason(
-                "actuator.encoder_periodic",
-                f"B(q) ripples by {rippled:.2g} {unit} (rms) every {wave:.3g} {unit}, as an encoder may",
-                "centre the encoder's magnet or disc and calibrate again",
-            )
+    if rippled:
+        findings.notice(
+            "actuator.encoder_periodic",
+            f"B(q) ripples by {rippled:.2g} {unit} (rms) every {wave:.3g} {unit}, as an encoder may",
+            "centre the encoder's magnet or disc and calibrate again",
         )
-    return Floor(float(np.sqrt(between**2 + scatter**2 + rounded**2 + rippled**2)), tuple(reasons))
+    return float(np.sqrt(between**2 + scatter**2 + rounded**2 + rippled**2))
 
 
-_FINEST = 1e-3  # of what is seen: no rate is told that would mend more
+_FINEST = 1e-3  # tolerance: of what is seen: no rate is told that would mend more
 
 
 def _faster_hz(period_s: float, between: float, allowed: float) -> int:
@@ -312,7 +247,7 @@ def _ripple(grid: Array, width: Array, sigma: Array) -> tuple[float, float]:
     at = np.linspace(grid[0], grid[-1], _PLACES)
     y, weight = np.interp(at, grid, width), np.interp(at, grid, sigma) ** -2
     basis = Basis(float(at[0]), float(at[-1]), _PLACES // 2)
-    design, usual = basis.design(at).toarray(), max(float(np.median(width)), _NO_WIDTH)
+    design, usual = basis.design(at).toarray(), max(float(np.median(width)), NO_WIDTH)
     heavy = design * weight[:, None]
     rates = np.linspace(_CYCLES[0], _CYCLES[1], _RATES) / float(at[-1] - at[0])
     turn = 2.0 * np.pi * np.outer(rates, at)

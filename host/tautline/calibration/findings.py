@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from tautline.quality import Reason
 
@@ -12,6 +12,17 @@ class Findings:
     reasons: list[Reason] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     evidence: dict[str, float] = field(default_factory=dict)
+    looks: list[Reason] = field(default_factory=list)  # doubts where the calibration is not good, and no more
 
     def doubt(self, code: str, says: str, remedy: str, *, fatal: bool = False, mild: bool = False) -> None:
         self.reasons.append(Reason(code, says, remedy, fatal, mild))
+
+    def notice(self, code: str, says: str, remedy: str) -> None:
+        self.looks.append(Reason(code, says, remedy))
+
+    def judge(self, good: bool) -> None:
+        """The looks as reasons, each code once: the first that was noticed."""
+        first: dict[str, Reason] = {}
+        for look in self.looks:
+            first.setdefault(look.code, replace(look, mild=good))
+        self.reasons += first.values()

@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import median_filter
 
-from tautline import _native
+from tautline import _native, geometry
+from tautline.calibration.sway import driven, rest
 from tautline.core.motor import MotorPath
 from tautline.core.session import SessionClock
 from tautline.driven import white_noise
@@ -20,15 +21,17 @@ from tautline.rig import ANGLE, MARKER, Rig, Sensor
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-_LEAST_PX, _LEAST_DEG = 1e-3, 1e-4  # noise is never taken to be less
-_DOUBTFUL = 3.0  # frames of so many times the usual stated noise do not count
-_STRAY = 12.0  # sigma, beside four usual steps, from which a lone frame is a false sighting
-_RESOLVED = 4.0  # times the least steps that a sensor shows: beyond, repeated values are no matter of resolution
-_HELD, _FEWEST_RUNS = 0.25, 8  # share of values that are repeated then, and how many must be seen
-_STILL_MM, _STILL_DEG = 0.02, 0.05  # other degrees of freedom that stay within this do not move
-# px: prior standard deviation, per coordinate, of what this package's tracker is off by in every frame alike near one
+_LEAST_PX, _LEAST_DEG = 1e-3, 1e-4  # tolerance: noise is never taken to be less
+_DOUBTFUL = 3.0  # prior: frames of so many times the usual stated noise do not count
+_STRAY = 12.0  # prior: sigma, beside four usual steps, from which a lone frame is a false sighting
+_RESOLVED = 4.0  # prior: times the least steps that a sensor shows: beyond, repeated values are no matter of resolution
+_HELD, _FEWEST_RUNS = 0.25, 8  # prior: share of values that are repeated then, and how many must be seen
+_FEW = 20  # tolerance: frames below which nothing is told of a motion
+_WORLD_DEG = 8.0  # prior: of a wall that a tip sees breathe, as a square that is followed is in an endoscope's picture
+_STILL_MM, _STILL_DEG = 0.02, 0.05  # tolerance: other degrees of freedom that stay within this do not move
+# px: standard deviation, per coordinate, of what this package's tracker is off by in every frame alike near one
 # place: the rms of what docs/marker.md has, 0.02 (a flat disc) to 0.17 (a ball lit from one side, in MJPEG).
-TRACKED_PX = 0.1
+TRACKED_PX = 0.1  # prior: by docs/marker.md
 
 
 @dataclass(frozen=True)
@@ -116,11 +119,13 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
             given = None if marker.sigma_px is None else marker.sigma_px[seen]
             track = _track(recording, path, "px", marker.t_s[seen], y, given)
             of_frames = recording.video is not None or marker.frame_px is not None
-            tracks.append(replace(track, shown=marker.shown, tracked_px=TRACKED_PX if of_frames else 0.0))
+            track = replace(track, shown=marker.shown, tracked_px=TRACKED_PX if of_frames else 0.0)
+            tracks.append(track if marker.shown is None else without_sway(track, rig, marker.shown.side_px))
         elif angle is not None:
             seen = angle.seen
             y = angle.c_deg[seen, None].astype(float)
-            tracks.append(_track(recording, path, "deg", angle.t_s[seen], y, None))
+            track = _track(recording, path, "deg", angle.t_s[seen], y, None)
+            tracks.append(without_sway(track, rig, _WORLD_DEG) if rig.sees_from_tip else track)
         elif marker is not None:
             raise TautError(f"{recording.name}: marker positions need a rig with [camera]: add it to rig.toml")
         else:
@@ -130,6 +135,25 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
     if len(units) > 1:
         raise TautError("some recordings hold a marker and some an angle only: calibrate with one kind")
     return tracks
+
+
+def without_sway(track: Track, rig: Rig, side: float) -> Track:
+    """Where what is followed does not follow the motor, without what it goes to and fro by. side: of what is followed,
+    y's unit."""
+    low, high = float(track.motor.q.min()), float(track.motor.q.max())
+    if len(track.t_s) < _FEW or not high - low > turning_hysteresis(
+        track.path, rig.actuator.encoder_resolution, rig.actuator.span
+    ):
+        return track
+    ends = rig.coarse.gain * np.array([[low], [high]]) + rig.coarse.offset
+    if track.unit == "px":
+        ends = geometry.project(rig, ends.ravel())
+    swing = float(np.linalg.norm(ends[1] - ends[0]))
+    if not np.isfinite(swing):
+        return track
+    paths = driven(track.motor, track.scene_s(rig.delay_s))
+    found = rest(track.t_s, track.y, float(track.sigma[0]), paths, swing, side)
+    return replace(track, y=track.y - found.probability * found.sway)
 
 
 def _track(recording: Recording, path: MotorPath, unit: str, t: Array, y: Array, given: Array | None) -> Track:

@@ -16,7 +16,7 @@ from scipy.linalg import cho_solve
 
 from tautline.calibration.beforehand import Beforehand
 from tautline.calibration.observations import Mask, Track, corners
-from tautline.elements import SINGLE, Elements, Play
+from tautline.elements import SINGLE, Hysteresis, Play
 from tautline.least_squares import descend, factor
 from tautline.model import STEEPEST, allowed_width
 from tautline.nominal import Nominal, Normal, Rows, by_width, steepness
@@ -112,14 +112,14 @@ class Frozen:
             self.last[delay_s] = Driven(positions, at, track.within_motor(scene), speed)
         return self.last[delay_s]
 
-    def simulate(self, grid: Array, width: Array, delay_s: float, elements: Elements = SINGLE) -> Simulated:
+    def simulate(self, grid: Array, width: Array, delay_s: float, elements: Hysteresis = SINGLE) -> Simulated:
         driven = self.driven(delay_s)
         positions, at = driven.positions, driven.at
         far = 10.0 * (abs(grid[-1] - grid[0]) + abs(positions).max(initial=1.0))
         plays = Play(grid, width, elements).native
         p, side, lean, share = plays.trace(positions, -far)
         other, other_side = plays.forward(positions, far)
-        known = (np.abs(p - other) < 1e-9 * (grid[-1] - grid[0]))[at] & driven.within
+        known = (np.abs(p - other) < elements.forgotten * (grid[-1] - grid[0]))[at] & driven.within
         both = np.logical_or.accumulate(side == -1) & np.logical_or.accumulate(other_side == 1)
         both &= _there_and_back(positions, _usual_least(grid, width, positions))
         return Simulated(p[at], known, known & both[at], side[at], lean[at], share[at], driven.speed)
@@ -139,7 +139,7 @@ class PlayFit:
     rising: float = 0.0  # +1, -1: s must rise or fall with p by `least_slope`; 0: free
     least_slope: float = 0.0
     slope_unit: float = 1.0  # a usual slope of s
-    elements: Elements = SINGLE
+    elements: Hysteresis = SINGLE
     delay_sigma_s: float = 1.0  # how well the delay is known where it is not fitted
     beforehand: Beforehand | None = None  # what is known of B without these tracks
     alike: float = 1.0  # frames for each independent one: that many say as much of a curve's shape as one
@@ -406,6 +406,7 @@ class Fitted:
     covariance: Array  # of follow (channel by channel), backlash, delay
     spread: Array | None = None  # of B on fit.grid, and of the delay, where model error is known too
     delay_spread: float = 0.0
+    by_delay: Array | None = None  # on fit.grid, by how much B is another for each second that the delay is
 
     @property
     def frames(self) -> int:

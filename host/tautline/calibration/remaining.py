@@ -16,7 +16,7 @@ from tautline.calibration.observations import Track
 from tautline.calibration.place import as_many_as_independent
 from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit, View
 from tautline.calibration.smooth import SPANS, Domain
-from tautline.elements import SINGLE, Elements
+from tautline.elements import SINGLE, Hysteresis
 from tautline.geometry import pose, project_with_slope, tracked_deg
 from tautline.rig import Rig
 from tautline.splines import Basis
@@ -37,6 +37,7 @@ class Remaining:
     residual: float  # rms per coordinate of the fit, px or deg; strays count as six medians
     scale: float  # the same over the stated noise
     notes: tuple[str, ...]
+    fitted: Fitted | None = None  # where it was fitted directly
 
 
 def view_of(rig: Rig) -> View:
@@ -77,7 +78,7 @@ def fit_remaining(
     width: Array,
     delay_s: float,
     settled_only: bool,
-    elements: Elements = SINGLE,
+    elements: Hysteresis = SINGLE,
 ) -> Remaining | None:
     """A monotone penalised spline through image residuals (or angles), B and delay fixed. None where nothing tells."""
     view = view_of(rig) if tracks[0].unit == "px" else None
@@ -116,7 +117,7 @@ def fit_remaining(
     block = fitted.covariance[: basis.size, : basis.size]
     own = np.sqrt(np.maximum(np.sum((design_on_grid @ block) * design_on_grid, axis=1), 0.0))
     sigma = np.hypot(own, tracked_deg(max(track.tracked_px for track in tracks), rig, lawful))
-    return Remaining(lawful, sigma, _rms(fitted, tracks), fitted.scale, tuple(notes))
+    return Remaining(lawful, sigma, _rms(fitted, tracks), fitted.scale, tuple(notes), fitted)
 
 
 def carried_on(curve: Array, grid: Array, low: float, high: float) -> Array:

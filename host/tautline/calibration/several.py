@@ -23,7 +23,8 @@ from tautline.rig import Rig
 
 Array = npt.NDArray[np.float64]
 
-SHARES = np.array([0.15, 0.45, 0.75, 0.95, 1.1, 1.4, 1.9])  # widths of the elements, of B
+# Widths of the elements, of B: a seventh apart about 1, then by a third.
+SHARES = np.array([0.07, 0.2, 0.4, 0.6, 0.8, 0.95, 1.1, 1.4, 1.9, 2.6, 3.6, 5.0])  # tolerance: what lies between
 _FIRST = 0.05  # least weight of the first element: the inverse's slope is one over it (1 / 0.05 = 20)
 _LEAST = 0.01  # of a weight that is kept
 _STEPS = 12
@@ -45,7 +46,7 @@ def _descended(fitted: Fitted, weights: Array, rig: Rig, fit_delay: bool) -> Fit
     fit = replace(fitted.fit, elements=_elements(weights), fit_delay=fit_delay, smoothing=fitted.fit.smoothing)
     state = replace(fitted, fit=fit)
     least = left(state)
-    for _ in range(_STEPS):
+    for _ in range(_STEPS if np.isfinite(least) else 0):
         moved, target = _step(state, weights, rig)
         for share in (1.0, 0.5, 0.2):
             then = _lawful(weights + share * (target - weights))
@@ -85,8 +86,11 @@ def _lawful(weights: Array) -> Array:
 
 
 def left(fitted: Fitted) -> float:
-    """Residual over noise (rms) of all counted frames; strays count as four scales."""
+    """Residual over noise (rms) of all counted frames; strays count as four scales. Infinite where the tip was never
+    driven through the widest element: no frame tells of that."""
     rows, masks = fitted.fit.residuals(fitted.curves)
+    if not any(mask.any() for mask in masks):
+        return np.inf
     power = np.concatenate([np.mean(r[m] ** 2, axis=1) for r, m in zip(rows, masks, strict=True)])
     return float(np.sqrt(np.mean(np.minimum(power, (4.0 * fitted.scale) ** 2))))
 

@@ -16,13 +16,13 @@ from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
 
-SPANS = 100  # of B and of the path: a bump of B 0.6 mm wide on 10 mm has six of them
-_MOST_FRAMES = 12000  # of one fit; more are thinned out evenly
-_SCANNED = 3000  # frames, about, that tell where a fit begins
-_REPEATS = 1.6  # residual of the first approach over that of the rest up to which it counts
-_HARMLESS = 1.15  # what counting the first approach may do to the residuals of the rest
-_TURNS, _AGAIN = 5, 4  # in how many parts strokes are left out, each of both directions; steps of a fit without them
-_FEWEST = 40  # frames that a joint fit is tried with
+SPANS = 100  # tolerance: of B and of the path: a bump of B 0.6 mm wide on 10 mm has six of them
+_MOST_FRAMES = 12000  # tolerance: of one fit; more are thinned out evenly
+_SCANNED = 3000  # tolerance: frames, about, that tell where a fit begins
+_REPEATS = 1.6  # prior: residual of the first approach over that of the rest up to which it counts
+_HARMLESS = 1.15  # tolerance: what counting the first approach may do to the residuals of the rest
+_TURNS, _AGAIN = 5, 4  # tolerance: parts in which strokes are left out, of both directions; steps without them
+_FEWEST = 40  # tolerance: frames that a joint fit is tried with
 
 
 @dataclass(frozen=True)

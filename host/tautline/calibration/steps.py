@@ -15,11 +15,11 @@ from tautline.rig import Rig
 
 Array = npt.NDArray[np.float64]
 
-_FASTER = 5.0  # than in the samples beside it: a jump
-_COUNTS, _SHARE = 20.0, 0.01  # a jump is more than so many counts, and than this share of the motor's span
-_SWEEPS = 2.0  # spans that the motor must move otherwise, so that B is seen
-_SIGMAS, _LEFT = 4.0, 0.05  # a tip within so many sigma, or this share of what the jump moved it, has settled
-_MOST_S = 3.0  # that a tip may take to settle
+_FASTER = 5.0  # prior: than in the samples beside it: a jump
+_COUNTS, _SHARE = 20.0, 0.01  # prior: a jump is more than so many counts, and than this share of the motor's span
+_SWEEPS = 2.0  # prior: spans that the motor must move otherwise, so that B is seen
+_SIGMAS, _LEFT = 4.0, 0.05  # tolerance: a tip within so many sigma, or this share of the jump, has settled
+_MOST_S = 3.0  # prior: that a tip may take to settle
 
 
 def jumps(motor: Motor, resolution: float) -> npt.NDArray[np.intp]:

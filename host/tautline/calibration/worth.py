@@ -1,4 +1,10 @@
-"""What a model is worth on the recordings it was made from: beside f_coarse, and beside a tip that never moves."""
+"""What a model is worth: blocks of its own calibration foretold by a fit that has not seen them, beside f_coarse, a tip
+that never moves, and the noise.
+
+Near its optimum a fit is a linear least-squares problem: without a block its parameters are another by -(N - N_b)^-1
+g_b, N_b and g_b being the block's own parts of the normal matrix and of the gradient. The play is then followed anew.
+What departs from the model is foretold by nothing: it is in what is missed, as it will be in a motion to come.
+"""
 
 from __future__ import annotations
 
@@ -7,35 +13,53 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import cho_solve
 
 from tautline.calibration.observations import Track
-from tautline.calibration.playfit import Frozen
+from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit
+from tautline.calibration.remaining import view_of
+from tautline.calibration.smooth import SPANS
 from tautline.geometry import project
+from tautline.least_squares import factor
 from tautline.model import Model
-from tautline.prediction import misses, rms
 from tautline.quality import Reason
-from tautline.rig import Rig
+from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
+Labels = npt.NDArray[np.intp]
 
-_BEATEN = 1.05  # times the error of f_coarse or a constant from which a model is worse
-_NOISE = 1.5  # times the noise up to which it is right, whatever else is
+PREDICTS = 1.3  # format: of the noise, within which a good model predicts (formats.md)
+HALVES = 2  # equation: half-cycles of a block at least, one of each direction
+BLOCKS = 8  # tolerance: of which one is a small share of all; with fewer half-cycles nothing is left out
+STAYS = 0.1  # tolerance: of a block: what it alone shows (the ends of a range) no other one can foretell
+_FEW = 30  # tolerance: frames that tell a scatter
+_RIDGE = 1e-10  # tolerance: of the diagonal, for rounding
+_STRAY = 4.0  # tolerance: usual misses from which a frame counts as a stray, as in every fit (playfit)
 
 
 @dataclass(frozen=True)
 class Worth:
-    """Errors rms per coordinate, px or deg, of frames after the tip was driven both ways."""
+    """Misses rms per coordinate, px or deg, of frames after the tip was driven both ways; strays are bounded."""
 
-    model: float
+    model: float  # blocks foretold without them; where there are too few, what the model leaves of them
     coarse: float  # c = gain q + offset, no backlash
     constant: float  # the mean of what was seen
-    noise: float
+    over_noise: float  # what it misses, over the sensor's noise; 1 where it misses nothing
     unit: str
+    blocks: int  # 0: too few to leave any out
+
+    @property
+    def predicts(self) -> bool:
+        return self.over_noise <= PREDICTS
+
+    @property
+    def useless(self) -> bool:
+        """Whether the two simplest models foretell it as well. What is within the noise is right, whatever else is."""
+        return not self.predicts and self.model >= min(self.coarse, self.constant)
 
     @property
     def doubts(self) -> list[Reason]:
-        best = min(self.coarse, self.constant)
-        if self.model <= max(_BEATEN * best, _NOISE * self.noise):
+        if not self.useless:
             return []
         return [
             Reason(
@@ -48,23 +72,156 @@ class Worth:
         ]
 
 
-def worth(model: Model, tracks: Sequence[Track], rig: Rig) -> Worth | None:
-    """None where nothing was seen after the tip was driven both ways."""
-    model_error, coarse_error, seen, sigma = [], [], [], []
-    for track in tracks:
-        frozen = Frozen.of(track)
-        settled = frozen.simulate(model.q, model.width, model.delay_s).settled
-        if not settled.any():
-            continue
-        scene = track.scene_s(model.delay_s)
-        coarse = rig.coarse.gain * track.motor_at(scene) + rig.coarse.offset
-        by_coarse = project(rig, coarse, *track.others_at(scene)) if track.unit == "px" else coarse[:, None]
-        model_error.append(misses(model, track.reading, scene, track.y)[settled])
-        coarse_error.append((track.y - by_coarse)[settled])
-        seen.append(track.y[settled])
-        sigma.append(track.sigma[settled])
-    if not seen:
+def worth(model: Model, tracks: Sequence[Track], joint: Fitted | None, remaining: Fitted | None) -> Worth | None:
+    """tracks: on the motor's clock. joint, remaining: the fits of B and of f_remain, whose smoothness is the prior of
+    both; where one is None nothing is left out. None where nothing was seen after the tip was driven both ways."""
+    fit, curves = _fit_of(model, tracks, joint, remaining)
+    rows, masks = fit.residuals(curves)
+    if not any(mask.any() for mask in masks):
         return None
-    y = np.concatenate(seen)
-    noise, unit = float(np.median(np.concatenate(sigma))), tracks[0].unit
-    return Worth(rms(model_error), rms(coarse_error), rms([y - y.mean(axis=0)]), noise, unit)
+    missed, labels = rows, _blocks(fit, masks)
+    apart = labels is not None and joint is not None and remaining is not None
+    if labels is not None and apart:
+        missed = _foretold(fit, curves, rows, masks, labels)
+    masks = _of_tip(fit, curves, missed, masks)
+    in_unit = [miss * track.sigma[:, None] for miss, track in zip(missed, tracks, strict=True)]
+    by_coarse = [track.y - _coarse(track, model) for track in tracks]
+    seen = _counted([track.y for track in tracks], masks)
+    return Worth(
+        model=bounded_rms(_counted(in_unit, masks)),
+        coarse=bounded_rms(_counted(by_coarse, masks)),
+        constant=bounded_rms(seen - seen.mean(axis=0)),
+        over_noise=_over_noise(fit, curves, missed, masks),
+        unit=tracks[0].unit,
+        blocks=BLOCKS if apart else 0,
+    )
+
+
+def bounded_rms(off: Array) -> float:
+    """Per coordinate of misses (n, k), strays bounded; infinite where one cannot be in the image at all."""
+    norm = np.sqrt(np.mean(off**2, axis=1))
+    usual = float(np.sqrt(np.mean(np.minimum(norm, _STRAY * float(np.median(norm))) ** 2)))
+    return float(np.sqrt(np.mean(np.minimum(norm, _STRAY * usual) ** 2))) if np.isfinite(usual) else float("inf")
+
+
+def _of_tip(
+    fit: PlayFit, curves: Curves, missed: Sequence[Array], masks: Sequence[npt.NDArray[np.bool_]]
+) -> list[npt.NDArray[np.bool_]]:
+    """Frames that may show the tip. Those that are off by more than all of B moves it are the sensor's: another blob,
+    a lost count; not where most are."""
+    usual, widest = _STRAY * bounded_rms(_counted(missed, masks)), float(fit.width(curves).max())
+    kept = []
+    for frozen, sim, off, mask in zip(fit.tracks, fit.simulated, missed, masks, strict=True):
+        steep = np.linalg.norm(fit.slope_in_view(frozen.track, curves, sim.p), axis=1) / frozen.track.sigma
+        kept.append(mask & (np.linalg.norm(off, axis=1) <= np.maximum(usual, widest * steep)))
+    return kept
+
+
+def _over_noise(fit: PlayFit, curves: Curves, missed: Sequence[Array], masks: Sequence[npt.NDArray[np.bool_]]) -> float:
+    """What neighbouring frames miss alike is the model's. What they do not is the sensor's: as much as is stated, or
+    as where the tip rests, or as across its path in the image, where nothing moves it. What is more than that along the
+    path is an error of times, and so of what is foretold."""
+    limit = _STRAY * bounded_rms(_counted(missed, masks))
+    alike, along, beside, still = [], [], [], []
+    for frozen, sim, off, mask in zip(fit.tracks, fit.simulated, missed, masks, strict=True):
+        off = np.where(mask[:, None], off, 0.0)
+        norm = np.sqrt(np.mean(off**2, axis=1))
+        near = off * np.minimum(1.0, limit / np.maximum(norm, limit))[:, None]
+        pair, moves = mask[1:] & mask[:-1], sim.moving[1:] & sim.moving[:-1]
+        step = np.diff(near, axis=0) / np.sqrt(2.0)
+        slope = fit.slope_in_view(frozen.track, curves, sim.p)[1:]
+        path = slope / np.maximum(np.linalg.norm(slope, axis=1), 1e-300)[:, None]
+        forward = np.sum(step * path, axis=1) ** 2
+        alike.append(np.mean(near[1:] * near[:-1], axis=1)[pair])
+        along.append(forward[pair & moves])
+        still.append(forward[pair & ~moves])
+        if step.shape[1] > 1:
+            across = np.sum(step**2, axis=1) - forward
+            beside.append(across[pair & moves])
+            still.append(across[pair & ~moves])
+    at_rest, moving = _mean(still), _mean(along)
+    usual = _mean(beside) if beside else at_rest
+    noise2 = max(at_rest, usual, 1.0)
+    jitter2 = max(moving - max(usual, 1.0), 0.0) / step.shape[1]
+    model2 = max(float(np.concatenate(alike).mean()), 0.0)
+    return float(np.sqrt(1.0 + (model2 + jitter2) / noise2))
+
+
+def _mean(squares: Sequence[Array]) -> float:
+    """0 of too few to tell a scatter."""
+    every = np.concatenate(squares)
+    return float(every.mean()) if len(every) >= _FEW else 0.0
+
+
+def _counted(off: Sequence[Array], masks: Sequence[npt.NDArray[np.bool_]]) -> Array:
+    return np.concatenate([each[mask] for each, mask in zip(off, masks, strict=True)])
+
+
+def _coarse(track: Track, model: Model) -> Array:
+    scene, coarse = track.scene_s(model.delay_s), model.rig.coarse
+    c = coarse.gain * track.motor_at(scene) + coarse.offset
+    return project(model.rig, c, *track.others_at(scene)) if track.unit == "px" else np.asarray(c[:, None])
+
+
+def _fit_of(
+    model: Model, tracks: Sequence[Track], joint: Fitted | None, remaining: Fitted | None
+) -> tuple[PlayFit, Curves]:
+    """B, f_remain and the delay as the model has them, as unknowns that frames in the sensor's own coordinates tell."""
+    basis = Basis(float(model.q[0]), float(model.q[-1]), SPANS)
+    fit = PlayFit(
+        [Frozen.of(track) for track in tracks], basis, basis,
+        view=view_of(model.rig) if tracks[0].unit == "px" else None, elements=model.friction or model.elements,
+    )  # fmt: skip
+    if joint is not None and remaining is not None:
+        fit.smoothing = {name: of.fit.smoothing[name] for name, of in (("backlash", joint), ("follow", remaining))}
+        fit.fit_delay, fit.delay_sigma_s = joint.fit.fit_delay, joint.fit.delay_sigma_s
+        fit.beforehand = joint.fit.beforehand
+    design = basis.design(model.q).toarray()
+    width, c = np.linalg.lstsq(design, np.column_stack([model.width, model.c_deg]), rcond=None)[0].T
+    return fit, Curves(width, c[:, None], model.delay_s)
+
+
+def _blocks(fit: PlayFit, masks: Sequence[npt.NDArray[np.bool_]]) -> list[Labels] | None:
+    """Of every frame of each track the number of its block, of whole half-cycles of the tip that follow each other;
+    -1 where it does not count. None where there are too few."""
+    strokes, before = [], 0
+    for sim, mask in zip(fit.simulated, masks, strict=True):
+        stroke = before + np.cumsum(np.diff(sim.side, prepend=sim.side[:1]) != 0)
+        strokes.append(np.where(mask, stroke, -1))
+        before = int(stroke.max(initial=before - 1)) + 1
+    counted = np.unique(np.concatenate([each[each >= 0] for each in strokes]))
+    if len(counted) < BLOCKS * HALVES:
+        return None
+    number = np.arange(len(counted)) * BLOCKS // len(counted)
+    return [np.where(each >= 0, number[np.searchsorted(counted, np.maximum(each, 0))], -1) for each in strokes]
+
+
+def _foretold(
+    fit: PlayFit,
+    curves: Curves,
+    rows: Sequence[Array],
+    masks: Sequence[npt.NDArray[np.bool_]],
+    labels: Sequence[Labels],
+) -> list[Array]:
+    """(n, k) of each track: what a fit without a frame's block misses it by, over the noise."""
+    limit = _STRAY * bounded_rms(_counted(rows, masks))
+
+    def weighed(number: int) -> list[Array]:
+        """Of the block's frames; a stray pulls no more."""
+        norms = [np.sqrt(np.mean(row**2, axis=1)) for row in rows]
+        return [
+            np.where(label == number, limit / np.maximum(norm, limit), 0.0)
+            for norm, label in zip(norms, labels, strict=True)
+        ]
+
+    parts = [fit.normal(curves, list(rows), weighed(number)) for number in range(BLOCKS)]
+    whole = np.sum([matrix for matrix, _ in parts], axis=0) + fit.penalty(curves, 1.0)[0]
+    whole[np.diag_indices_from(whole)] += _RIDGE * np.diag(whole)
+    missed = [row.copy() for row in rows]
+    for number, (matrix, gradient) in enumerate(parts):
+        share = 1.0 - STAYS
+        step = -cho_solve(factor(whole - share * matrix), share * gradient, check_finite=False)
+        there = fit.residuals(fit.moved(curves, step))[0]
+        for miss, row, label in zip(missed, there, labels, strict=True):
+            miss[label == number] = row[label == number]
+    return missed

@@ -118,6 +118,11 @@ _ALL: dict[str, tuple[Command, ...]] = {
             "taut home --rig rig.toml",
         ),
         Command("clear", "clear a board's faults, and say which they were and what mends them", "taut clear"),
+        Command(
+            "update",
+            "give a board new firmware over USB: checked by hash and signature, the old one kept",
+            "taut update build/rp2040/tautline.update",
+        ),
         Command("flash", "load a model's tables into a board and read them back", "taut flash monday"),
         Command(
             "follow",

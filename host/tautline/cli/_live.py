@@ -31,7 +31,9 @@ board_option = click.option(
 )
 axis_option = click.option("--axis", type=click.IntRange(0, 3), default=0, show_default=True, help="Axis of the board.")
 camera_option = click.option(
-    "--camera", metavar="SOURCE", help="Camera: a device number or path, a stream's address, or ros:TOPIC."
+    "--camera",
+    metavar="SOURCE",
+    help="Camera: a device number or path, a stream's address, a GStreamer pipeline (... ! appsink), or ros:TOPIC.",
 )
 colour_option = click.option(
     "--colour",
@@ -174,6 +176,7 @@ def opened(
             f"{rig_path}: its motor is in {rig.actuator.unit}, the model's in {model.rig.actuator.unit}: name the rig "
             "that the model was calibrated with, or leave --rig out"
         )
+    picks = picks or (rig is not None and rig.sees_from_tip)  # there is no marker
     named = live.camera is not None and live.simulate is None and (live.colour.exists() or not picks)
     with open_live(
         board=live.board,
@@ -186,6 +189,8 @@ def opened(
         at=live.at,
         seed=seed,
     ) as setup:
+        if isinstance(setup.marker_source, CameraSource) and (says := setup.marker_source.says["exposure"]):
+            log(f"taut: the camera's {says}")
         yield setup
         if isinstance(setup.marker_source, CameraSource) and (dropped := setup.marker_source.dropped):
             warn(f"{dropped} frames of the camera never came: ask it for fewer or smaller ones")

@@ -9,6 +9,9 @@ import click
 from tautline.cli._common import emit, json_option
 from tautline.cli._live import board_option
 
+_LOGGED_MAX = 48  # limit: pages of the log, and what waits for them
+_SHOWN = 10  # format: of these, where a person reads
+
 
 @click.command("clear")
 @board_option
@@ -17,7 +20,8 @@ from tautline.cli._live import board_option
 def command(board: str | None, axis: int | None, as_json: bool) -> None:
     """Clear the faults of a board's axes, and say of each what it was and what mends it. Nothing moves.
 
-    What is still wrong comes back as soon as the motor is driven.
+    What is still wrong comes back as soon as the motor is driven. Below them the board's log: the last faults, those
+    before it was switched off included.
     """
     from tautline.device.board import open_board
 
@@ -26,7 +30,9 @@ def command(board: str | None, axis: int | None, as_json: bool) -> None:
             opened.check_axis(axis)
         rows = [_clear(opened, each) for each in (range(opened.axes) if axis is None else [axis])]
         serial = opened.identity.serial
-    emit({"board": serial, "axes": rows}, as_json, "\n".join(map(_text, rows)))
+        log = _log(opened, axis)
+    lines = [*map(_text, rows), *log_text(log)]
+    emit({"board": serial, "axes": rows, "log": log}, as_json, "\n".join(lines))
 
 
 def _clear(board: Any, axis: int) -> dict[str, Any]:
@@ -44,6 +50,43 @@ def _clear(board: Any, axis: int) -> dict[str, Any]:
         "left": wire.fault(after) or None,  # a new one, or one that is still there
         "referenced": bool(after.flags & wire.code("FLAGS", "REFERENCED")),
     }
+
+
+def _log(board: Any, axis: int | None) -> list[dict[str, Any]] | None:
+    """The newest first; None where the board's firmware keeps no log."""
+    from tautline.device import wire
+
+    if board.identity.protocol_minor < wire.wire.SINCE["get_logged"]:
+        return None
+    rows: list[dict[str, Any]] = []
+    for index in range(_LOGGED_MAX):
+        entry = board.ask("get_logged", index=index)
+        if entry.number == 0:
+            break
+        rows.append(
+            {
+                "axis": entry.axis,
+                "fault": wire.fault_text(entry.fault, entry.value),
+                "code": wire.name("FAULTS", entry.fault),
+                "value": entry.value,
+                "since_start_s": round(entry.t_us * 1e-6, 3),
+                "starts_ago": entry.run_now - entry.run,
+                "q": round(float(entry.q), 2),
+            }
+        )
+    return [row for row in rows if axis is None or row["axis"] == axis]
+
+
+def log_text(log: list[dict[str, Any]] | None) -> list[str]:
+    if log is None:
+        return ["no log: the board's firmware keeps none; 'taut update' brings one that does"]
+    shown = log[:_SHOWN]
+    lines = ["", f"the last {len(shown)} faults, newest first:"] if shown else []
+    for row in shown:
+        ago = row["starts_ago"]
+        start = "this start" if ago == 0 else "the start before" if ago == 1 else f"the start {ago} before"
+        lines.append(f"  {row['since_start_s']:.1f} s after {start}, axis {row['axis']}: {row['fault']}")
+    return lines
 
 
 def _text(row: dict[str, Any]) -> str:

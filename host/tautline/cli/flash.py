@@ -11,6 +11,7 @@ from tautline.cli._common import emit, json_option, progress_bar, refuse_unusabl
 from tautline.cli._live import axis_option, board_option
 
 _FIXED = (0.0, 1.0, 1.0)  # of --adapt
+_MUCH = 0.1  # loss: of what there is to undo; plays that leave more are warned of
 
 
 @click.command("flash")
@@ -61,7 +62,7 @@ def command(
     from tautline.device.board import open_board
     from tautline.errors import TautError
     from tautline.model import Model
-    from tautline.undone import COUPLED, Joint, left
+    from tautline.undone import COUPLED, Joint, left, stands_in
 
     model = Model.load(model_path)
     refuse_unusable(model, model_path, force)
@@ -83,7 +84,12 @@ def command(
         serial = opened.identity.serial
     if status.fault:
         warn(f"axis {axis} has stopped: {wire.fault(status)}. Then run 'taut clear'")
-    table = tables.decode(blob)
+    table, near = tables.decode(blob), stands_in(model)
+    read = f"{len(table.q)} nodes, {len(blob)} bytes, read back equal"
+    if near is not None:
+        read += f"; {len(near.elements.width)} plays stand for its hysteresis, {_leave(near.share)}"
+    if near is not None and near.share > _MUCH:
+        warn(f"the plays that stand for its hysteresis on the board {_leave(near.share)}: expect that much of the tip")
     emit(
         {
             "board": serial,
@@ -96,10 +102,15 @@ def command(
             "table_crc": status.table_crc,
             "verified": True,
             "without_effects": remains,
+            "plays": None if near is None else near.elements.to_json() | {"leaves": near.share},
         },
         as_json,
-        f"{serial} axis {axis}: model {table.model_id.hex()}, {len(table.q)} nodes, {len(blob)} bytes, read back equal",
+        f"{serial} axis {axis}: model {table.model_id.hex()}, {read}",
     )
+
+
+def _leave(share: float) -> str:
+    return f"and leave {100.0 * share:.2g} % of what there is to undo"
 
 
 def _joint(text: str) -> tuple[str, int, float]:

@@ -35,15 +35,18 @@ def command(
 ) -> None:
     """Record motor, marker and video from a board and a camera. Ctrl-C ends it early and keeps what there is."""
     from tautline.live.following import record
+    from tautline.live.setup import CameraSource
 
     with opened(live, rig_path, seed) as setup, progress_bar("record") as progress:
         result = record(setup, out, motion, speed=speed, duration_s=duration, video=video, seed=seed, progress=progress)
+        camera = setup.marker_source.says if isinstance(setup.marker_source, CameraSource) else {}
     if result["other_axes"]:
         warn(f"{motion}: {' and '.join(result['other_axes'])} were not moved: the board's axis is the bending motor's")
     emit(
-        result,
+        {**result, "camera": camera},
         as_json,
         f"{out}: {result['seconds']:.1f} s, {result['motor_samples']} motor samples, {result['frames']} frames, "
         f"the marker lost in {result['lost_frames']}, {result['telemetry_dropped']} samples dropped"
-        + bus_text(result["bus"]),
+        + bus_text(result["bus"])
+        + (f"; its times are {camera['clock']}" if camera else ""),
     )

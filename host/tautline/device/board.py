@@ -90,13 +90,15 @@ def check_protocol(description: BoardAddress) -> None:
     speaks = f"{description.where} speaks protocol {theirs}, this tautline speaks {ours}"
     if theirs > ours:
         raise TautError(f"{speaks}: run 'pip install --upgrade tautline'")
-    raise TautError(f"{speaks}: {newer_firmware(description.where)}")
+    raise TautError(f"{speaks}: {newer_firmware(description.where, description.protocol)}")
 
 
-def newer_firmware(where: str) -> str:
-    """How a board gets it."""
+def newer_firmware(where: str, protocol: tuple[int, int]) -> str:
+    """How a board that speaks this protocol gets it."""
     if where.startswith(("usbip:", "serial:tcp:")):
         return "run 'cmake --build --preset gcc' and start the board again"
+    if protocol >= (wire.wire.MAJOR, wire.wire.SINCE["get_firmware"]):
+        return "run 'taut update build/rp2040/tautline.update', or with a release's file"
     return "hold BOOTSEL while plugging the board in, then run 'cp build/rp2040/tautline.uf2 /media/$USER/RPI-RP2/'"
 
 
@@ -257,7 +259,7 @@ class Board:
             major, minor = self.identity.protocol_major, self.identity.protocol_minor
             raise TautError(
                 f"{self.where} speaks protocol {major}.{minor}, '{name}' came with {major}.{since}: "
-                f"{newer_firmware(self.where)}"
+                f"{newer_firmware(self.where, (major, minor))}"
             )
 
     def poll(self, timeout_s: float) -> int:
@@ -412,6 +414,10 @@ class Board:
             return self.read_table_by_messages(axis)
         with dfu as route:
             return bytes(route.upload())
+
+    def firmware_route(self) -> Any:
+        """A context with download() for new firmware; None where the link has no DFU interface. Behind the tables."""
+        return self._link.tables(self.axes)
 
     def load_table_by_messages(
         self, axis: int, blob: bytes, progress: Callable[[float, str], None] | None = None

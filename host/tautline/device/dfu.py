@@ -47,7 +47,7 @@ class Dfu:
     """The DFU interface of an open device, on one alternate setting. Leaves the board idle, also after a failure."""
 
     def __init__(self, device: usb.core.Device, interface: int, alternate: int) -> None:
-        self._device, self._interface = device, interface
+        self._device, self._interface, self._answer_ms = device, interface, _TIMEOUT_MS
         settings = [i for i in device.get_active_configuration() if i.bInterfaceNumber == interface]
         if alternate not in [i.bAlternateSetting for i in settings]:
             raise DfuError(f"the board has no axis {alternate}: its axes are 0 to {len(settings) - 1}")
@@ -70,8 +70,14 @@ class Dfu:
         finally:
             usb.util.release_interface(self._device, self._interface)
 
-    def download(self, blob: bytes, progress: Callable[[float, str], None] | None = None) -> None:
-        """Writes `blob` and waits until the board has checked and stored it."""
+    def download(
+        self,
+        blob: bytes,
+        progress: Callable[[float, str], None] | None = None,
+        answer_ms: int = _TIMEOUT_MS,
+    ) -> None:
+        """Writes `blob` and waits until the board has checked and stored it. `answer_ms`: for an answer, at most."""
+        self._answer_ms = answer_ms
         for number, start in enumerate(range(0, len(blob), self._block)):
             self._send(_DNLOAD, number, blob[start : start + self._block])
             self._settle(_DNLOAD_IDLE)
@@ -99,7 +105,7 @@ class Dfu:
 
     def _control(self, kind: int, request: int, value: int, what: bytes | int) -> Any:
         try:
-            return self._device.ctrl_transfer(kind, request, value, self._interface, what, _TIMEOUT_MS)
+            return self._device.ctrl_transfer(kind, request, value, self._interface, what, self._answer_ms)
         except usb.core.USBError as error:
             if error.errno == 32 and request in (_DNLOAD, _UPLOAD):  # a stall: the status says why
                 status, _, _ = self._status()

@@ -111,10 +111,13 @@ def text(codes: str, number: int) -> str:
 
 def fault(status: Message) -> str:
     """The fault in a status with what was measured in its brackets, "" where there is none."""
-    if not status.fault:
-        return ""
-    says = text("FAULTS", status.fault)
-    return _MEASURED.sub(lambda found: f"({found[1] or ''}{status.fault_value}{found[2] or ' '}{found[3]})", says, 1)
+    return fault_text(status.fault, status.fault_value) if status.fault else ""
+
+
+def fault_text(number: int, value: int) -> str:
+    """A fault with what was measured in its brackets."""
+    says = text("FAULTS", number)
+    return _MEASURED.sub(lambda found: f"({found[1] or ''}{value}{found[2] or ' '}{found[3]})", says, 1)
 
 
 def flags(number: int) -> list[str]:

@@ -402,7 +402,7 @@ class Fitter:
         if len(hypothesis.kinds) == 1:
             nominals.append(self.start())
             if hypothesis.scopes[0] == Scope.START and self.model.elements != SINGLE:
-                nominals.append(replace(self.start(), model=replace(self.model, elements=SINGLE)))
+                nominals.append(replace(self.start(), model=replace(self.model, elements=SINGLE, friction=None)))
         for nominal in nominals:
             states = [replace(nominal, values={**values, **each}) for each in ({}, *others)]
             best = _best([coarse.descend(hypothesis, state, _ROUGH_STEPS) for state in states])
@@ -513,7 +513,7 @@ class _Descent:
 def _smoothed(curves: Nominal, model: Model) -> Model:
     width = model.width - beyond(curves.width, model.q, model.width)
     c_deg = model.c_deg - beyond(curves.follow, model.q, model.c_deg)
-    return replace(model, width=allowed_width(model.q, width), c_deg=c_deg, elements=SINGLE)
+    return replace(model, width=allowed_width(model.q, width), c_deg=c_deg, elements=SINGLE, friction=None)
 
 
 def beyond(basis: Basis, grid: Array, values: Array) -> Array:

@@ -44,6 +44,7 @@ _INCREMENTS, _REVOLUTIONS, _PERIOD, _PERIOD_POWER = (0x608F, 1), (0x608F, 2), (0
 class Cia402:
     watchdog = "the drives' own: the host's heartbeat is missed, then a quick stop"
     rest_s = _LOST_MS * 1e-3
+    enable_s = 3.0 * _STATE_S  # ready, on, operational: a brake is released in the last
 
     def __init__(
         self, bus: str, numbers: Sequence[int], baud: int, rate_hz: float, clock: Clock = time.monotonic
@@ -53,6 +54,7 @@ class Cia402:
         self._network = canopen.Network()
         self._answered = threading.Condition()
         self._positions: dict[int, tuple[int, int]] = {}  # status word, counts
+        self._owed = dict.fromkeys(self._numbers, 0)  # answers to the SYNCs so far that have not come
         self._speeds: dict[int, tuple[int, int]] = {}  # counts/s, share of the rated current in 1/1000
         self._rated_ma: dict[int, float] = {}
         self._beat_s = float("-inf")
@@ -161,6 +163,7 @@ class Cia402:
         if len(data) == 6:
             with self._answered:
                 self._positions[cob - 0x180] = struct.unpack("<Hi", data)
+                self._owed[cob - 0x180] = max(self._owed[cob - 0x180] - 1, 0)
                 self._answered.notify_all()
 
     def _hear_speed(self, cob: int, data: bytearray, stamp: float) -> None:
@@ -173,18 +176,26 @@ class Cia402:
         except (can.CanError, OSError) as error:
             raise Missed(f"the bus takes nothing ({error})") from error
 
-    def measure(self) -> list[Measured]:
+    def _beat(self) -> None:
         if self._clock() - self._beat_s >= _HEARTBEAT_S:
             self._send(0x700 + _HOST, b"\x05")
             self._beat_s = self._clock()
+
+    def measure(self) -> list[Measured]:
+        self._beat()
         with self._answered:
             self._positions.clear()
+            for number in self._numbers:
+                self._owed[number] += 1
         sent = self._clock()
         self._send(0x80, b"")
         with self._answered:
-            if not self._answered.wait_for(lambda: len(self._positions) == len(self._numbers), _ANSWER_S):
-                raise Missed("no answer to a SYNC")
+            self._answered.wait_for(lambda: not any(self._owed.values()), _ANSWER_S)
             heard = dict(self._positions)
+            # A drive answers SYNCs in their order: where it says no more, what it still owes was lost before.
+            self._owed |= dict.fromkeys(heard, 0)
+        if len(heard) < len(self._numbers):
+            raise Missed("no answer to a SYNC")
         return [self._measured(number, sent, *heard[number]) for number in self._numbers]
 
     def _measured(self, number: int, t_s: float, status: int, counts: int) -> Measured:
@@ -215,6 +226,7 @@ class Cia402:
     def _reach(self, number: int, state: int) -> None:
         deadline = time.monotonic() + _STATE_S
         while (status := int.from_bytes(self._read(number, _STATUS), "little")) & 0x6F != state:
+            self._beat()  # a brake takes longer than the drive waits for it
             if time.monotonic() > deadline:
                 raise TautError(
                     f"canopen {number} is not switched on (status word {status:04X}h): see its fault with its own tools"

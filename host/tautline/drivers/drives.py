@@ -75,6 +75,7 @@ class Drives(Protocol):
     drives: Sequence[Drive]
     rest_s: float  # at the longest, from the last set-point to the beginning of the stop, where the host is lost
     watchdog: str  # what does that
+    enable_s: float  # at the longest, that switching one on takes: a brake, a slow adapter
 
     def measure(self) -> list[Measured]:
         """All of them. Missed where an answer did not come."""

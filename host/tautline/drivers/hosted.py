@@ -194,25 +194,42 @@ class HostedLink:
             self._keep()
             sent = self._board.transmit()
         self._give(sent)
+        waited = 0.0
         try:
-            self._tell(goals)
+            waited = self._tell(goals)
         except Missed:
             self.timing.missed += 1
         except TautError as error:
             self._lose(error)
-        self._note(began, t_s)
+        self._note(began + waited, t_s + waited)
 
-    def _tell(self, goals: list[tuple[int, int, bool, bool]]) -> None:
+    def _tell(self, goals: list[tuple[int, int, bool, bool]]) -> float:
+        """Seconds that switching a drive on took, for which the application waited."""
+        waited = 0.0
         wanted = [
             Goal(goal / _Q8 / scale, speed / _Q8 / scale) if on else None
             for (goal, speed, on, _), scale in zip(goals, self._scales, strict=True)
         ]
         for axis, (_, _, on, _) in enumerate(goals):
             if on != self._on[axis]:
-                self.drives.enable(axis, on)
-                self._on[axis] = on
+                waited += self._switch(axis, on)
         if any(goal is not None for goal in wanted):
             self.drives.set_positions(wanted)
+        return waited
+
+    def _switch(self, axis: int, on: bool) -> float:
+        """Seconds that the application was given for it: as long as the drives say that it may take, and while none of
+        them is driven. Else its rule for control steps that come late holds."""
+        began = self._clock()
+        with self._lock:
+            self.drives.enable(axis, on)
+            now = self._clock()
+            patient = on and not any(self._on) and now - began <= self.drives.enable_s
+            if patient:
+                self._board.wait(self._us(now))
+                self._heard_s = now
+        self._on[axis] = on
+        return now - began if patient else 0.0
 
     def _plan_ahead(self, places: list[int], goals: list[tuple[int, int, bool, bool]]) -> None:
         """How late each drive follows, from what it is behind while it moves; used once it rests."""

@@ -31,6 +31,7 @@ _Register = moteus.Register
 class Moteus:
     watchdog = "the controllers' own: without a command they stop as servo.timeout_mode says"
     rest_s = _WATCHDOG_S
+    enable_s = _FIRST_S
 
     def __init__(
         self, bus: str, numbers: Sequence[int], baud: int, rate_hz: float, clock: Clock = time.monotonic

@@ -31,6 +31,7 @@ _ARRAY, _STATE = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState"
 class RosJoints:
     watchdog = "none here: the joints' controller goes to its last set-point and holds it"
     rest_s = 0.0
+    enable_s = 0.0  # a topic switches nothing
 
     def __init__(
         self, bus: str, names: Sequence[int | str], baud: int, rate_hz: float, clock: Clock = time.monotonic

@@ -28,6 +28,7 @@ class SerialServos:
     kind: str
     watchdog: str
     rest_s: float
+    enable_s = 8 * _SETUP_TRIES * _ANSWER_MS * 1e-3  # so many registers
     refusal: int  # bits of an answer's error byte that refuse what was asked
     state: Register  # all that a sync read asks for
     goal: Register

@@ -68,10 +68,11 @@ TERMS = (
         "play element",
         "One of several plays whose mean is the tip: together they make an onset gradual (Prandtl-Ishlinskii). Their "
         "widths "
-        "are shares of one B(q).",
+        "are shares of one B(q). Where friction builds up instead (Bouc-Wen's, Dahl's) a model has one state between "
+        "the envelopes, and a board's tables the plays nearest to it.",
         "play",
         "transmission.smooth_onset",
-        aliases=("elements", "Prandtl-Ishlinskii"),
+        aliases=("elements", "Prandtl-Ishlinskii", "Bouc-Wen", "Dahl"),
     ),
     _term(
         "envelope",

@@ -75,6 +75,14 @@ REASONS = (
         "Give tip_length_mm of the place that was shown, show a smaller one, or mark the tip.",
     ),
     _reason(
+        "scene",
+        "The camera sees the world from the tip: that tells when the tip moves, and not by how much it bends.",
+        "What lies near turns by more than the tip does, as the tip goes sideways as well; how far it is nothing says. "
+        "B, the onsets and the delay do not need it.",
+        "Measure f_remain with a camera that sees the instrument, or an angle sensor.",
+        "rig.camera.mount",
+    ),
+    _reason(
         "lost",
         "Over a part of the range the marker is mostly not seen.",
         "The sentence says from which position to which.",

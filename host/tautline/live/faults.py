@@ -51,11 +51,13 @@ class Noticed:
 
 
 def inject(link: SimLink, axis: int, name: str) -> None:
-    """From now on. TautError where the link cannot do it."""
+    """From now on, acknowledged by the board. TautError where it cannot, or does not, do it."""
     request = FAULTS[name].request
     if request is None:
         raise TautError("nobody can silence another program: stop it, or leave --sim out")
-    link.ask(request.format(axis=axis))
+    answer = link.ask(request.format(axis=axis))
+    if "{axis}" in request and answer.get("ills", [])[axis : axis + 1] != [name]:
+        raise TautError(f"the simulated board did not acknowledge '{name}' of axis {axis}: it is another version")
 
 
 def show(live: Live, name: str) -> Noticed:

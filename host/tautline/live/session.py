@@ -290,6 +290,8 @@ def moving(live: Live, folder: Path, low: float, high: float, video: bool) -> It
 
 def check_rig(live: Live) -> None:
     rig = live.rig
+    if rig.sees_from_tip:
+        raise TautError("a camera on the tip sees no marker: 'taut record --video' first, then 'taut calibrate' that")
     if rig.camera is None or rig.kinematics is None or rig.hand_eye is None:
         raise TautError("a live calibration needs [camera], [kinematics] and [hand_eye] in rig.toml")
     here, there = rig.actuator.instrument, live.board.ask("get_settings", axis=live.axis).instrument

@@ -75,6 +75,11 @@ class CameraSource:
         """Frames that the camera took and that never came."""
         return self._camera.dropped
 
+    @property
+    def says(self) -> dict[str, str | int]:
+        """Of the camera: what its times are, its exposure, what it lost."""
+        return {"clock": self._camera.clock, "exposure": self._camera.exposure, "dropped": self.dropped}
+
     def look(self) -> Frame:
         taken = self._camera.read()
         if taken is None:
@@ -387,6 +392,14 @@ def _of_board(rig: Rig, board: Board, axis: int) -> Rig:
     return replace(rig, actuator=replace(rig.actuator, instrument=rig.actuator.instrument or there or None))
 
 
+def _camera(source: str | int, size: tuple[int, int] | None, rate_hz: float | None) -> FrameSource:
+    if is_topic(source):
+        return RosCamera(str(source))
+    camera = VideoCamera(source, size=size, rate_hz=rate_hz)
+    camera.lock_exposure()
+    return camera
+
+
 @contextmanager
 def open_live(
     *,
@@ -458,7 +471,7 @@ def open_live(
             source = int(camera) if isinstance(camera, str) and camera.isdigit() else camera
             size = None if rig.camera is None else (rig.camera.width_px, rig.camera.height_px)
             rate_hz = None if rig.camera is None else rig.camera.frame_rate_hz
-            camera_of = RosCamera(str(source)) if is_topic(source) else VideoCamera(source, size=size, rate_hz=rate_hz)
+            camera_of = _camera(source, size, rate_hz)
             tracker = None if colour is None else MarkerTracker(colour)
             live.marker_source = CameraSource(opened, camera_of, tracker, size)
             stack.callback(live.marker_source.close)

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.errors import TautError
-from tautline.vision.marker import Progress
+from tautline.vision.frames import Progress
 
 Array = npt.NDArray[np.float64]
 DICTIONARIES = {

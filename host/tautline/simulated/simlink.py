@@ -91,6 +91,7 @@ class DesktopBoard:
         serial: str = "DESKTOP",
         realtime: bool = False,
         rate_hz: int = 5000,
+        update_key: bytes | None = None,
     ) -> None:
         self._folder = None if flash else tempfile.TemporaryDirectory(prefix="tautline-")
         self.flash = flash or Path(self._folder.name if self._folder else ".") / "flash.bin"
@@ -98,6 +99,7 @@ class DesktopBoard:
         command = [str(program()), f"--{line}", "0", "--sim", "0", "--flash", str(self.flash), "--axes", str(axes)]
         command += ["--rate", str(rate_hz), "--serial", serial, "--parent", str(os.getpid())]
         command += ["--realtime"] if realtime else []
+        command += ["--update-key", update_key.hex()] if update_key else []
         # In a group of its own: Ctrl-C on a terminal goes to every process of a group, and the board has to live until
         # its axis is at rest. It ends with this process (--parent).
         self.process = subprocess.Popen(

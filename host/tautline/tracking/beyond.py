@@ -13,15 +13,16 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from tautline.model import Model, allowed_width, monotone
+from tautline.model import Model, allowed_width
 
 Array = npt.NDArray[np.float64]
 
-CURVES = 4  # of either table: linear and quadratic below what was measured, the same above
-PLACES = 12  # of the measured range, at which its curves bend, and B may have changed by itself
-_NODES = 96  # on either side: what is bent is within a fifth of a camera's noise of lines between so many
-_REACH = 0.5  # of the grid, on either side of it: further than an offset takes the tip
-OUTLYING = 4.0  # standard deviations from which a frame counts as an outlier, and tells less (Huber's cost)
+CURVES = 4  # prior: of either table: linear and quadratic below what was measured, the same above
+PLACES = 12  # prior: of the measured range, at which its curves bend, and B may have changed by itself
+_NODES = 96  # tolerance: on either side: what is bent is within a fifth of a camera's noise of lines between so many
+_LEVEL = 1e-6  # tolerance: of the mean slope: f_remain's least, as it is asked for p
+_REACH = 0.5  # limit: of the grid, on either side of it: further than an offset takes the tip
+OUTLYING = 4.0  # prior: standard deviations from which a frame counts as an outlier, and tells less (Huber's cost)
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,19 @@ class Beyond:
             return self.model
         more = self.mean.reshape(2, CURVES) @ self.on_grid
         c_deg, width = self.model.c_deg + more[0], self.model.width + more[1]
-        return replace(self.model, c_deg=monotone(c_deg), width=allowed_width(self.model.q, width))
+        return replace(self.model, c_deg=self.lawful(c_deg), width=allowed_width(self.model.q, width))
+
+    def lawful(self, c_deg: Array) -> Array:
+        """f_remain that rises or falls as it was calibrated, from the middle of what was measured on to either side:
+        what frames tell of one end is level from where it would turn, and changes nothing nearer to the middle."""
+        model = self.model
+        rise = model.c_deg[-1] - model.c_deg[0]
+        least = _LEVEL * np.abs(rise) / len(c_deg) * np.arange(len(c_deg))
+        straight = np.sign(rise) * c_deg - least
+        middle = int(np.searchsorted(model.q, 0.5 * (model.measured[0] + model.measured[1])))
+        up = np.maximum.accumulate(straight[middle:])
+        down = np.minimum.accumulate(straight[: middle + 1][::-1])[::-1]
+        return np.asarray(np.sign(rise) * (np.concatenate([down[:-1], up]) + least))
 
     def seen(self, by: Array, off: Array, sigma: Array) -> Beyond:
         """With frames that are off (n,) of what this foretold, their standard deviations, deg, and derivatives by theta

@@ -19,15 +19,16 @@ Array = npt.NDArray[np.float64]
 Found = TypeVar("Found")
 Work = Generator[int, None, Found]  # before each piece it yields what that piece costs at most: about so many us
 
-_TURNS = 8
-_NEIGHBOURS = 0.21  # of B: how far its share at one place is from that at the next
-_FADES, _FADED = 0.7, 0.06  # of what it has become at one place, beside it where it was not seen; and how surely
-_DONE = 1e-3  # of a standard deviation: steps below it
-FOLLOWS, AHEAD = 0.5, 3.0  # of the motor's way, least and most: a tip that moves so far with it lies on an envelope
-SURE = 2.5  # standard deviations that a motion between two frames must have, and a tip be ahead both ways
-_WITHOUT = 0.03  # of the frames: left out of a rms, as outliers
-REACH, _UNSURE = 1.8, 0.3  # of B, that carries every element; until then none knows where they stand: it tells less
-_PIECE = 400  # knots simulated at once
+_TURNS = 8  # tolerance: steps, after which what is left to gain waits for the next judgement
+_NEIGHBOURS = 0.21  # prior: of B: how far its share at one place is from that at the next
+_BENT = 0.1  # prior: of f_remain's range, that its slope or bend has changed by at the ends
+_FADES, _FADED = 0.7, 0.06  # prior: of what it has become at one place, beside it where it was not seen; and how surely
+_DONE = 1e-3  # tolerance: of cost: steps that gain less
+FOLLOWS, AHEAD = 0.5, 3.0  # limit: of the motor's way: on an envelope the tip moves by 1 / (1 +- B'/2), |B'| < 2
+SURE = 2.5  # loss: standard deviations that a motion between two frames must have, and a tip be ahead both ways
+_WITHOUT = 0.03  # prior: of the frames: left out of a rms, as outliers
+REACH, _UNSURE = 1.8, 0.3  # prior: of B, that carries every element; until then a frame tells so much
+_PIECE = 400  # tolerance: knots simulated at once
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,7 @@ def _index(free: Sequence[int], parameter: int) -> int:
 def trimmed(z: Array) -> float:
     if len(z) == 0:
         return 0.0
-    squares = np.sort(np.minimum(z * z, 1e12))
+    squares = np.sort(np.minimum(z * z, 1e12))  # tolerance: sums of them are finite
     return float(np.sqrt(np.mean(squares[: max(1, int(np.ceil((1.0 - _WITHOUT) * len(z))))])))
 
 
@@ -107,7 +108,7 @@ class Prior:
     def of(cls, mean: Array, span: float, span_deg: float, known: npt.NDArray[np.bool_]) -> Prior:
         sigma = np.full(PARAMETERS, 0.5)
         sigma[OFFSET], sigma[SCALE] = span, 2.0
-        sigma[TIP] = span_deg, 0.1 * span_deg, 0.1 * span_deg
+        sigma[TIP] = span_deg, _BENT * span_deg, _BENT * span_deg
         return cls(mean, sigma, known)
 
     def information(self, free: Sequence[int]) -> Array:
@@ -214,12 +215,12 @@ def fitted(
         if trial_cost < cost:
             gained = cost - trial_cost
             theta, z, by, cost = trial, trial_z, trial_by, trial_cost
-            damping *= 0.1
+            damping *= 0.1  # tolerance: of Levenberg and Marquardt's steps
             if gained < _DONE:
                 break
         else:
-            damping *= 10.0
-            if damping > 1e4:
+            damping *= 10.0  # tolerance: the same
+            if damping > 1e4:  # tolerance: no step is short enough
                 break
     yield 2 * algebra + 40
     return LawFit(evidence, theta, free, z, cost, _covariance(evidence, z, by[:, picked], information))

@@ -32,33 +32,33 @@ from tautline.tracking.window import WindowKnots
 
 Array = npt.NDArray[np.float64]
 
-_EXPLAINED = 1.5  # times the level known so far: a fit that explains its data
-_FAR = 10.0  # times the level known so far: it explains nothing, however little that is of what was left before
-_OF_BEFORE = 0.3, 0.5  # of what was left before: enough at once, enough where it also foretells
-_REFINES = 0.9  # of what the law in use leaves: worth a step where one is being learnt
-_HOLDS = 1.3  # times the level known so far, over the last strokes: nothing is to be learnt
-_LATELY, _LATELY_OF = 3, 0.6  # strokes, on which a law must leave so much less than others do
-_NOW, STROKE_FRAMES = 2, 8  # strokes on each of which a law must leave less, frames that one has at least
-_AGAIN = 1.1, 1.3  # of what the fit leaves at most, of what the law in use leaves at least: the calibrated one holds
-_TURNS = 2  # reversals that must agree before anything but a narrower B is learnt
-_FORETOLD_TURNS = 3
-_RICHER_TURNS = 3  # before B may have another shape, an onset be gradual or the static law bend
-_GAIN = 6.0  # of cost, that a parameter must bring
-_GOOD = 1.15  # times the level known so far: nothing is left to explain
-_GAIN_MORE = 12.0  # and a richer law as a whole
-_SHORT = 10  # frames on an envelope from which a recording's posture is told
-_ALONG = 2.0  # of B, that they must cover
-_NARROWER = 3.0  # standard deviations
-_OFF_TRACK = 3.0  # standard deviations off the marker's track (rms), or
-_OFF_SHARE = 0.3  # of the residual along it: then it is no motion of the play
-_WANDERS = 4.0  # standard deviations of the tip's motion while the motor rests
+_EXPLAINED = 1.5  # tolerance: times the level known so far: a fit that explains its data
+_FAR = 10.0  # loss: times the level known so far: it explains nothing, however little that is of what was left before
+_OF_BEFORE = 0.3, 0.5  # loss: of what was left before: enough at once, enough where it also foretells
+_REFINES = 0.9  # loss: of what the law in use leaves: worth a step where one is being learnt
+_HOLDS = 1.3  # tolerance: times the level known so far, over the last strokes: nothing is to be learnt
+_LATELY, _LATELY_OF = 3, 0.6  # loss: strokes, on which a law must leave so much less than others do
+_NOW, STROKE_FRAMES = 2, 8  # loss: strokes on each of which a law must leave less, frames that one has at least
+_AGAIN = 1.1, 1.3  # loss: at most of what the fit, at least of what the law in use leaves: the calibrated one holds
+_TURNS = 2  # loss: reversals that must agree before anything but a narrower B is learnt
+_RICHER_TURNS = 3  # prior: before B has another shape, an onset is gradual or f_remain bends; with what is foretold
+_GAIN = 6.0  # prior: of cost, that a parameter must bring
+_GOOD = 1.15  # tolerance: times the level known so far: nothing is left to explain
+_GAIN_MORE = 12.0  # prior: and a richer law as a whole
+_SHORT = 10  # loss: frames on an envelope from which a recording's posture is told
+_ALONG = 2.0  # loss: of B, that they must cover
+_NARROWER = 3.0  # loss: standard deviations by which B is narrower, that one reversal may tell
+_LEAST_NARROWER = 0.01  # loss: of B, that is worth a step of the tables
+_OFF_TRACK = 3.0  # prior: standard deviations off the marker's track (rms), or
+_OFF_SHARE = 0.3  # prior: of the residual along it: then it is no motion of the play
+_WANDERS = 4.0  # prior: standard deviations of the tip's motion while the motor rests
 
 
-_DEPARTS = 3.0  # standard deviations that each of three frames is off where a change shows
-_WORTH = 0.5  # times the level known so far, in quadrature: what a new law must take away
-_TOLD_APART = 0.6  # of what a law changes in B: so much must have been passed before another law replaces it
-_EASY, _HARD, _GUESS = 120, 200, 320  # us, at most, of looks at a case
-DECISION = 350  # and of taking a law into use
+_DEPARTS = 3.0  # prior: standard deviations that each of three frames is off where a change shows
+_WORTH = 0.5  # loss: times the level known so far, in quadrature: what a new law must take away
+_TOLD_APART = 0.6  # loss: of what a law changes in B: so much must have been passed before another law replaces it
+_EASY, _HARD, _GUESS = 120, 200, 320  # tolerance: us, at most, of looks at a case
+DECISION = 350  # tolerance: and of taking a law into use
 _HOLDS_FOR_NOW = "the model holds for now"
 _ONE_WAY = "the tip was not yet seen to move both ways since the model stopped holding"
 
@@ -246,7 +246,7 @@ def _judged(
     yield _HARD + len(case.z) // 8
     least = max(_TURNS, _RICHER_TURNS * _richness(fit))
     enough = case.turns >= least and case.explained(fit)
-    enough |= case.turns >= _FORETOLD_TURNS and foretold and case.explained(fit, _OF_BEFORE[1])
+    enough |= case.turns >= _RICHER_TURNS and foretold and case.explained(fit, _OF_BEFORE[1])
     enough |= adapting and case.explained(fit, _OF_BEFORE[1])
     if enough:
         return _learnt(case, fit)
@@ -259,7 +259,7 @@ def _judged(
         if (
             (SCALE in fit.free or SHAPE.start in fit.free)
             and sure
-            and 1.0 - share > max(_NARROWER * learnt.scale_sigma, 0.01)
+            and 1.0 - share > max(_NARROWER * learnt.scale_sigma, _LEAST_NARROWER)
         ):
             only = case.theta.copy()
             only[SCALE] *= share

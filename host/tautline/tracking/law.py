@@ -11,18 +11,21 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
 from tautline import _native
-from tautline.model import Model, allowed_width, interpolate, monotone
+from tautline.model import Model, allowed_width, interpolate
 from tautline.tracking.beyond import PLACES, Beyond
 
 Array = npt.NDArray[np.float64]
 
-OFFSET, SCALE, SHAPE, SPREAD, SKEW = 0, 1, slice(2, 2 + PLACES), 2 + PLACES, 3 + PLACES
-TIP = slice(4 + PLACES, 7 + PLACES)  # deg: constant, slope and bend of the static law's change
-PARAMETERS = 7 + PLACES
-_LOTS = 5  # elements that a single play is split into where its onset has become gradual
-_LEAST_SCALE, _MOST_SCALE = 0.02, 5.0
-_MOST_OWN = 1.5
-_LEAST_SHAPE, _MOST_SHAPE = -0.9, 4.0
+OFFSET, SCALE, SHAPE, SPREAD, SKEW = 0, 1, slice(2, 2 + PLACES), 2 + PLACES, 3 + PLACES  # format: of theta
+TIP = slice(4 + PLACES, 7 + PLACES)  # format: deg, constant, slope and bend of f_remain's change
+PARAMETERS = 7 + PLACES  # format: of theta
+_LOTS = 5  # tolerance: elements that a single play is split into where its onset has become gradual
+_LEAST_SCALE, _MOST_SCALE = 0.02, 5.0  # prior: of B, that use leaves of it or makes it
+_MOST_OWN = 1.5  # prior: of a frame's noise, what of a calibrated law's own sigma is taken for noise
+_LEAST_SHAPE, _MOST_SHAPE = -0.9, 4.0  # prior: the same, in one place
+_LEAST_SPREAD = -0.95  # limit: of the elements' own, at which all of them start together
+_MOST_SKEW = 0.6  # prior: shares of five even lots between 0.8 and 1.2 of B by it
+_LEAST_GRADUAL, _GRADUAL = 0.1, 0.2  # tolerance: of an onset, from which its derivatives are taken
 
 
 def unchanged() -> Array:
@@ -140,9 +143,9 @@ class LawFamily:
         theta = theta.copy()
         theta[SCALE] = min(max(theta[SCALE], _LEAST_SCALE), _MOST_SCALE)
         theta[SHAPE] = np.clip(theta[SHAPE], _LEAST_SHAPE, _MOST_SHAPE)
-        least = 0.0 if self.model.elements.single else -0.95
+        least = 0.0 if self.model.elements.single else _LEAST_SPREAD
         theta[SPREAD] = min(max(theta[SPREAD], least), 1.0)
-        theta[SKEW] = min(max(theta[SKEW], -0.6), 0.6)
+        theta[SKEW] = min(max(theta[SKEW], -_MOST_SKEW), _MOST_SKEW)
         return theta
 
     def law(self, theta: Array) -> Law:
@@ -161,7 +164,7 @@ class LawFamily:
         basis = np.vstack([model.width * around, theta[SCALE] * model.width * self.waves])
         c_deg = model.c_deg
         if np.any(theta[TIP]):
-            c_deg = monotone(model.c_deg + theta[TIP] @ self.powers(model.q))
+            c_deg = self.beyond.lawful(model.c_deg + theta[TIP] @ self.powers(model.q))
         _, away, weight = self._lots
         if model.elements.single and not theta[SPREAD] and not theta[SKEW]:
             spread, shares, weight = np.zeros((2, 1)), np.ones(1), np.ones(1)
@@ -188,8 +191,8 @@ class LawFamily:
     def gradual_start(self, theta: Array) -> Array:
         """theta with a little spread: derivatives by it exist only where there are several elements."""
         theta = theta.copy()
-        if self.model.elements.single and theta[SPREAD] < 0.1:
-            theta[SPREAD] = 0.2
+        if self.model.elements.single and theta[SPREAD] < _LEAST_GRADUAL:
+            theta[SPREAD] = _GRADUAL
         return theta
 
     def rescaled(self, theta: Array, scale: float) -> Array:

@@ -13,12 +13,12 @@ from tautline.tracking.law import OFFSET, Law
 
 Array = npt.NDArray[np.float64]
 
-_CELLS = 16  # in a mean B
-_WINDOW = 12  # cells that are judged together
-_GAP = 1.0  # of B: frames of a pass that are farther apart leave a hole
-_OFF = 1.5  # standard deviations off the marker's track (rms): then it is no motion of the play
-_LEAST = 0.02  # of B, that is worth a message
-_LATE, _SIGMA, _OFF_SQUARE, _SPACING, _ENTRY = range(5)
+_CELLS = 16  # tolerance: in a mean B
+_WINDOW = 12  # loss: cells that are judged together
+_GAP = 1.0  # limit: of B: frames of a pass that are farther apart leave a hole
+_OFF = 1.5  # prior: standard deviations off the marker's track (rms): then it is no motion of the play
+_LEAST = 0.02  # loss: of B, that is worth a message
+_LATE, _SIGMA, _OFF_SQUARE, _SPACING, _ENTRY = range(5)  # format: of a row
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from tautline.reports import figures
 from tautline.tracking.replay import Tracked, off_by
 
 _STATES = {"trusted": "#d9efdf", "stale": "#fbe9b7", "adapting": "#d5e6f5"}
-_MANY = 4000  # rows that are drawn
+_MANY = 4000  # tolerance: rows that are drawn
 
 
 def draw(tracked: Tracked, recordings: Sequence[Recording], unit: str) -> Figure:

@@ -12,9 +12,9 @@ from tautline.geometry import projection_rig
 from tautline.model import Model
 from tautline.rig import Sensor
 
-_TURNS = 12
-_CLOSE, _STRIDE, _FARTHEST = 1e-8, 20.0, 180.0  # deg
-_LEAST_SLOPE = 1e-12
+_TURNS = 12  # tolerance: of Newton's steps
+_CLOSE, _STRIDE, _FARTHEST = 1e-8, 20.0, 180.0  # tolerance: deg, of the last step, of one at all; half a turn
+_LEAST_SLOPE = 1e-12  # tolerance: (px/deg)^2, of a tip that the image shows moving
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 COLUMNS = "recording,t_s,state,c_deg,u_px,v_px,offset,offset_sigma,scale,scale_sigma,reason"
-_REPORTED = 500  # rows between two reports of progress
+_REPORTED = 500  # tolerance: rows between two reports of progress
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -19,8 +19,9 @@ from tautline.errors import TautError
 from tautline.model import SIMULATOR, Model
 from tautline.rig import MARKER, Sensor
 from tautline.tracking.beyond import Beyond
+from tautline.tracking.doubt import JUMP, ONSET, Doubt
 from tautline.tracking.fit import REACH, Work
-from tautline.tracking.hypotheses import STROKE_FRAMES, Inference, judge
+from tautline.tracking.hypotheses import Inference, judge
 from tautline.tracking.law import OFFSET, SCALE, SHAPE, TIP, LawFamily, unchanged
 from tautline.tracking.passes import Passes
 from tautline.tracking.path import MotorPath, knots
@@ -30,33 +31,26 @@ from tautline.tracking.window import Window
 
 Array = npt.NDArray[np.float64]
 
-_APART, _APART_SIGMAS = 1 / 40, 4.0  # of B, of a frame's noise: frames that are nearer to each other tell the same
-_TURN_COUNTS, _TURN_SHARE = 8.0, 0.02  # of the encoder, of B: a motor that goes back by more has turned
-_PACE = 0.08  # of the running mean of squared residuals
-_OFF_PACE, _OFF_TRACK = 0.04, 2.0  # of the running mean of squares off the marker's track, where it is disturbed
-_WANDER_PACE, _WANDERS = 0.15, 5.0  # of that of squares of the tip's motion while the motor rests
-_CLIP = 16.0  # squares above it are taken as this: an outlier says no more
-_AMISS = 6.0  # running mean from which the model is stale
-_WELL = 2.2  # and below which it still held
-_STROKE_AMISS = 1.8  # of a stroke; two of three make the model stale
-_STROKE_SIGMAS = 3.0  # of what so few frames scatter: a stroke leaves that by chance
-_STROKE_WELL = 1.6
-_AFTER_TURN, _AFTER_AMISS, _AFTER_CLIP, _AFTER_FRAMES = 2.0, 4.0, 36.0, 5  # within so many B of a turn: the same there
-_USUAL_PACE = 0.5
-_TOGETHER_AMISS, _TOGETHER_FRAMES = 2.8, 15  # of three strokes together
-_QUIET_S = 15.0  # without a disturbance, before anything is learnt after one
-_FORETELLS = 2  # strokes that a proposal is tried on before another replaces it
-_STALE_STROKES = 5  # that a change is looked for in by themselves
-_MOVED = 0.25  # of B, by which the offset is another posture's
-_FEW_STROKES = 3  # since a law began to be learnt: the last two may refine it by themselves
-_POSTURE = 1.5  # of the mean B: an offset that one stroke alone may tell at the beginning, more than a width can be
-_ELSEWHERE, _STRANGE_FRAMES = 2.0, 5  # of B, that so many first frames are off: another posture
-_FRAME_WORK = 360  # us, about, of work in one frame; no piece of it costs more
-_NEWS = 10  # frames between two judgements
-_SETTLED_TURNS = 5  # reversals since the change after which the law is settled
-_LEAN_PACE, _LEANS = 0.1, 0.5  # of those means; the mean's share of the squares from which it is expected to go on
-_MOST_LEVEL = 5.0
-_UNKNOWN = 1.0  # of B: what a width's sigma is at most taken for
+_APART, _APART_SIGMAS = 1 / 40, 4.0  # tolerance: of B, of a frame's noise: nearer frames tell the same
+_TURN_COUNTS, _TURN_SHARE = 8.0, 0.02  # prior: of the encoder, of B: a motor that goes back by more has turned
+_PACE = 0.08  # prior: of the running mean of what a model in doubt is off
+_OFF_PACE, _OFF_TRACK = 0.04, 2.0  # prior: of the running mean of squares off the marker's track, where it is disturbed
+_WANDER_PACE, _WANDERS = 0.15, 5.0  # prior: of that of squares of the tip's motion while the motor rests
+_CLIP = 36.0  # prior: of squares of it: a jump is one of them
+_WELL_STROKES = 3  # loss: that a law must foretell until it holds again
+_QUIET_S = 15.0  # loss: without a disturbance, before anything is learnt after one
+_FORETELLS = 2  # loss: strokes that a proposal is tried on before another replaces it
+_STALE_STROKES = 5  # prior: that a change is looked for in by themselves
+_MOVED = 0.25  # prior: of B, by which the offset is another posture's
+_FEW_STROKES = 3  # prior: since a law began to be learnt: the last two may refine it by themselves
+_POSTURE = 1.5  # limit: of B: an offset that one stroke may tell where a recording begins, more than a width can be
+_ELSEWHERE, _STRANGE_FRAMES = 2.0, 5  # limit: of B, that so many first frames are off: another posture
+_FRAME_WORK = 360  # limit: us, about, of work in one frame; no piece of it costs more
+_NEWS = 10  # tolerance: frames between two judgements
+_SETTLED_TURNS = 5  # loss: reversals since the change after which the law is settled
+_LEAN_PACE, _LEANS = 0.1, 0.5  # prior: of those means; the mean's share of squares from which it goes on
+_MOST_LEVEL = 5.0  # loss: of the calibration's residual, that a law may leave and be trusted
+_UNKNOWN = 1.0  # prior: of B: what a width's sigma is at most taken for
 
 
 class State(StrEnum):
@@ -132,16 +126,11 @@ class LawTracker:
         self._pending: tuple[float, tuple[float, ...] | None] | None = None
         self._way, self._far, self._stroke = 0, np.nan, 0
         self._begins: deque[tuple[int, int]] = deque(maxlen=64)  # stroke, its first entry
-        self._running, self._off = 1.0, 0.0
+        self._doubts = Doubt(), Doubt()  # that the law changed; that its onsets did
+        self._doubted_in, self._off = 0, 0.0  # the last stroke in which it was in doubt
         self._off_track, self._wanders = 1.0, 1.0  # running mean squares
         self._rested = (np.nan, np.nan, np.nan)  # the frame before: motor, tip, its sigma
-        self._stroke_sum, self._stroke_count = 0.0, 0
-        self._after_sum, self._after_count, self._turned_at = 0.0, 0, np.inf  # shortly after the last turn
-        self._after_ended = self._after_amiss = False  # whether that was judged, and is amiss
-        self._amiss: deque[bool] = deque(maxlen=3)
-        self._afters: deque[tuple[float, int]] = deque()  # of three strokes, shortly after their turns: squares, frames
-        self._usual = 1.0  # mean square there
-        self._well = 0  # the entry up to which the law in use held
+        self._turned_at = np.inf
         self._recording_entry = 0  # the recording's first
         self._since = 0  # from which on the evidence is judged
         self._anchor: int | None = None  # since when the law in use was learnt
@@ -168,9 +157,9 @@ class LawTracker:
         self._fresh_until = self._stroke + 1
         self._window.cut()
         self._passes.clear()
-        self._well = self._since = self._recording_entry = self._window.end
+        self._since = self._recording_entry = self._window.end
+        self._clear_doubts(self._since)
         self._anchor, self._work, self._proposal = None, None, None
-        self._running = 1.0
         self._strange, self._visit = 0, None
         self._quiet_s = -np.inf
         self._leans = [0.0, 0.0]
@@ -281,46 +270,13 @@ class LawTracker:
         elif self._way * (self._far - q) > self._turn:
             self._turned_at = self._far
             self._way, self._far = -self._way, q
-            self._end_stroke()
             self._next_stroke()
+            if self.state is State.STALE and self._stroke > self._doubted_in + _WELL_STROKES:
+                self._settle("the model holds again as it was")
 
     def _next_stroke(self) -> None:
         self._stroke += 1
         self._begins.append((self._stroke, self._window.end))
-
-    def _end_stroke(self) -> None:
-        if self._stroke_count >= STROKE_FRAMES:
-            mean = self._stroke_sum / self._stroke_count
-            self._end_after()
-            by_chance = 1.0 + _STROKE_SIGMAS * np.sqrt(2.0 / self._stroke_count)
-            self._amiss.append(mean > max(_STROKE_AMISS, by_chance) or self._after_amiss)
-            if self.state is State.TRUSTED and sum(self._amiss) >= 2:
-                self._doubt(self._begin_of(self._stroke - 2))
-            elif self.state is State.STALE and mean < _STROKE_WELL and not any(self._amiss):
-                self._settle("the model holds again as it was")
-        self._stroke_sum, self._stroke_count = 0.0, 0
-        self._after_sum, self._after_count = 0.0, 0
-        self._after_ended = self._after_amiss = False
-
-    def _end_after(self) -> None:
-        """The frames shortly after a turn are judged as soon as there are no more of them: a gradual onset is not
-        waited for until the stroke's end."""
-        if self._after_ended:
-            return
-        self._after_ended = True
-        self._after_amiss = self._after_sum > _AFTER_AMISS * max(self._after_count, _AFTER_FRAMES)
-        again = self._after_amiss and any(list(self._amiss)[-2:])
-        if self.state is State.TRUSTED and (self._turns_amiss() or again):
-            self._doubt(self._begin_of(self._stroke - 2))
-
-    def _turns_amiss(self) -> bool:
-        """Whether the last three strokes leave more after their turns than those before did: a gradual onset."""
-        if len(self._afters) == 3:
-            squares, frames = self._afters.popleft()
-            self._usual += _USUAL_PACE * (squares - self._usual * frames) / max(frames, _TOGETHER_FRAMES)
-        self._afters.append((self._after_sum, self._after_count))
-        squares, frames = (sum(column) for column in zip(*self._afters, strict=True))
-        return bool(frames >= _TOGETHER_FRAMES and squares > _TOGETHER_AMISS * max(self._usual, 1.0) * frames)
 
     def _begin_of(self, stroke: int) -> int:
         return next((entry for number, entry in self._begins if number >= stroke), self._window.end)
@@ -359,20 +315,19 @@ class LawTracker:
             away = seen.c_deg - float(law.angle(p))
             self._leans[0] += _LEAN_PACE * (away - self._leans[0])
             self._leans[1] += _LEAN_PACE * (away**2 - self._leans[1])
-        square = min((off / (sigma * self._level)) ** 2, _CLIP)
-        self._running += _PACE * (square - self._running)
         self._off += _PACE * (abs(off) - self._off)
-        self._stroke_sum += square
-        self._stroke_count += 1
-        if abs(self._window.last_q - self._turned_at) < _AFTER_TURN * self._width:
-            self._after_sum += min((off / (sigma * self._level)) ** 2, _AFTER_CLIP)
-            self._after_count += 1
-        elif self._after_count >= _AFTER_FRAMES:
-            self._end_after()
-        if self._running < _WELL:
-            self._well = self._window.end
-        if self.state is State.TRUSTED and self._running > _AMISS:
-            self._doubt(self._well)
+        onset = abs(self._window.last_q - self._turned_at) < ONSET * self._width
+        for doubt in self._doubts if onset else self._doubts[:1]:
+            doubt.add(off / (sigma * self._level), self._stroke, scene_s, self._window.end - 1)
+            if doubt.here > 0.0:
+                self._doubted_in = self._stroke
+        worst = max(self._doubts, key=lambda doubt: doubt.odds)
+        if self.state is State.TRUSTED and worst.odds > JUMP:
+            self._in_doubt(worst.since)
+
+    def _clear_doubts(self, entry: int) -> None:
+        for doubt in self._doubts:
+            doubt.clear(entry)
 
     def _disturbed(self, seen: AngleEstimate) -> None:
         """How much the tip leaves its track, and moves while the motor rests."""
@@ -381,7 +336,7 @@ class LawTracker:
         self._rested = (self._window.last_q, seen.c_deg, seen.sigma * self._level)
         if abs(self._rested[0] - q) <= 2.0 * self.model.rig.actuator.encoder_resolution:
             wander = (seen.c_deg - c_deg) / float(np.hypot(sigma, self._rested[2]))
-            self._wanders += _WANDER_PACE * (min(wander**2, _AFTER_CLIP) - self._wanders)
+            self._wanders += _WANDER_PACE * (min(wander**2, _CLIP) - self._wanders)
 
     def _in_doubt_of_frames(self) -> bool:
         """Whether something that is no play moves the tip, or did a short time ago."""
@@ -430,7 +385,8 @@ class LawTracker:
         self._use(theta)
         self._sigma = (float(np.hypot(self._width, 0.5 * abs(off) / _ELSEWHERE)), self._sigma[1])
         self._play.restart(float(self._law.place(self._law.angle(self._within(0.0)))))
-        self._since = self._well = self._recording_entry
+        self._since = self._recording_entry
+        self._clear_doubts(self._since)
         self._say(State.ADAPTING, f"transmission.offset: {self._offset:+.4g} or so, another posture")
 
     def _use(self, theta: Array) -> None:
@@ -440,7 +396,7 @@ class LawTracker:
             self._passes.clear()
         self._offset = self.nominal.offset(theta)
 
-    def _doubt(self, since: int) -> None:
+    def _in_doubt(self, since: int) -> None:
         self._since = since
         self._news = _NEWS
         self._stuck = 0
@@ -450,9 +406,7 @@ class LawTracker:
     def _settle(self, why: str) -> None:
         self._work, self._proposal = None, None
         self._undial()
-        self._amiss.clear()
-        self._afters.clear()
-        self._running = 1.0
+        self._clear_doubts(self._window.end)
         self._say(State.TRUSTED, why)
 
     def _say(self, state: State, why: str) -> None:
@@ -569,10 +523,7 @@ class LawTracker:
         self._play = _native.TrackState(float(self._law.place(now.c_deg[0])))
         path = np.concatenate([now.q, self._window.skipped])
         self._law.followed.run(self._play, path + self._theta[OFFSET], True)
-        self._running = min(self._running, 1.0)
-        self._amiss.clear()
-        self._afters.clear()
-        self._stroke_sum, self._stroke_count = 0.0, 0
+        self._clear_doubts(self._window.end)
         if verdict.narrower:
             self._allowed = np.minimum(self._allowed, np.minimum(self._scale, self._theta[SCALE]))
             self._undial()

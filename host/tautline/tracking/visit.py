@@ -12,7 +12,7 @@ from tautline.tracking.law import OFFSET, LawFamily
 
 Array = npt.NDArray[np.float64]
 
-_FRAMES, _KNOTS = 64, 512  # that are looked at together: what one more costs stays below a frame's time
+_FRAMES, _KNOTS = 64, 512  # tolerance: that are looked at together: what one more costs stays below a frame's time
 
 
 @dataclass

@@ -11,12 +11,12 @@ from tautline.tracking.path import knots
 
 Array = npt.NDArray[np.float64]
 
-CAPACITY = 6000
-LONGEST = 1500  # entries that one fit looks at
-STROKES = 24  # and strokes
-_LONG = 64  # positions of a path that are entered even without a frame
-_REST_S = 0.2  # between two frames that are kept while the motor rests
-_Q, _C, _SIGMA, _T, _STROKE, _OFF = range(6)
+CAPACITY = 6000  # tolerance: entries that are kept
+LONGEST = 1500  # tolerance: entries that one fit looks at
+STROKES = 24  # tolerance: and strokes
+_LONG = 64  # tolerance: positions of a path that are entered even without a frame
+_REST_S = 0.2  # prior: between two frames that are kept while the motor rests
+_Q, _C, _SIGMA, _T, _STROKE, _OFF = range(6)  # format: of a row
 
 
 @dataclass(frozen=True)

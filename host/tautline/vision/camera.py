@@ -14,6 +14,7 @@ import numpy as np
 
 from tautline.errors import TautError
 from tautline.simulated.endoscope import Endoscope
+from tautline.vision import exposure
 from tautline.vision.drops import Drops
 from tautline.vision.timing import FrameTiming
 
@@ -28,6 +29,10 @@ class FrameSource(Protocol):
     clock: str  # what the arrival times count, in words
 
     @property
+    def exposure(self) -> str:
+        """Whether it stays as it is, in words; "" where that is not the source's to say."""
+
+    @property
     def dropped(self) -> int:
         """Frames that the camera took and that never came."""
 
@@ -38,7 +43,8 @@ class FrameSource(Protocol):
 
 
 class VideoCamera:
-    """A device by its index or path, a video file or a stream, through OpenCV's VideoCapture.
+    """A device by its index or path, a video file, a stream or a GStreamer pipeline that ends in an appsink, through
+    OpenCV's VideoCapture.
 
     Arrival times: of a device and a stream, seconds of the host's monotonic clock, taken by the driver where it stamps
     its frames with that clock, else when the frame was grabbed; of a file, the container's, the first frame at 0.
@@ -51,12 +57,23 @@ class VideoCamera:
         """size (width, height) and rate are asked of a device, which may give others: see the first frame's shape."""
         self.name = f"camera {source}" if isinstance(source, int) else str(source)
         self._file = not isinstance(source, int) and Path(source).is_file()
-        if not self._file and isinstance(source, str | Path) and "://" not in str(source) and not Path(source).exists():
-            raise TautError(f"{source}: no such video file, device or stream address")
+        pipeline = not isinstance(source, int) and " ! " in str(source)
+        stream = pipeline or "://" in str(source)
+        if not isinstance(source, int) and not stream and not Path(source).exists():
+            raise TautError(f"{source}: no such video file, device, stream address or GStreamer pipeline")
+        self._device = not self._file and not stream
+        self._exposure: exposure.Exposure | None = None
         with _quiet_opencv():
-            self._capture = cv2.VideoCapture(source if isinstance(source, int) else str(source))
+            if pipeline:
+                self._capture = cv2.VideoCapture(str(source), cv2.CAP_GSTREAMER)
+            else:
+                self._capture = cv2.VideoCapture(source if isinstance(source, int) else str(source))
         if not self._capture.isOpened():
             what = "is it a video?" if self._file else "is it plugged in, and not in use by another program?"
+            if pipeline:
+                what = "does it end in '! appsink', and run with gst-launch-1.0?"
+                if not _has_gstreamer():
+                    what = "it is built without GStreamer: install one that has it, such as Debian's python3-opencv"
             raise TautError(f"{self.name}: OpenCV cannot open it: {what}")
         if not self._file:
             self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # no stale frames where the driver obeys
@@ -86,6 +103,15 @@ class VideoCamera:
         """Of a file: goes on reading at about this frame (how exactly is up to the container)."""
         self._capture.set(cv2.CAP_PROP_POS_FRAMES, frame)
 
+    @property
+    def exposure(self) -> str:
+        return "" if self._exposure is None else self._exposure.says
+
+    def lock_exposure(self) -> None:
+        """Of a device, where its automatic one has settled, until it is closed. `exposure` says what came of it."""
+        if self._device:
+            self._exposure = exposure.lock(self._capture)
+
     def read(self) -> tuple[Array, float] | None:
         if not self._capture.grab():
             self._check_end()
@@ -114,6 +140,7 @@ class VideoCamera:
             raise TautError(f"{self.name}: no more frames: check its cable or the stream's sender")
 
     def close(self) -> None:
+        exposure.release(self._capture, self._exposure)
         self._capture.release()
 
     def __enter__(self) -> Self:
@@ -187,6 +214,7 @@ class SimulatedCamera:
     """
 
     clock = "the simulation's"
+    exposure = ""
     dropped = 0  # what it loses is no camera's fault
 
     def __init__(self, endoscope: Endoscope, scene: Scene, timing: FrameTiming | None = None) -> None:
@@ -213,6 +241,10 @@ class SimulatedCamera:
 
     def close(self) -> None:
         """Nothing is held."""
+
+
+def _has_gstreamer() -> bool:
+    return bool(cv2.videoio_registry.hasBackend(cv2.CAP_GSTREAMER))
 
 
 class _quiet_opencv:

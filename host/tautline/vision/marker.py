@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import sqrt
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -16,14 +15,15 @@ from tautline._native import MARKER_CLIPPED, MARKER_CUT_OFF, MARKER_FOUND, marke
 from tautline.errors import TautError
 from tautline.recording import Marker, Recording, Shown, Video
 from tautline.rig import Rig
-from tautline.vision.camera import VideoCamera, sample_video
+from tautline.vision.camera import sample_video
 from tautline.vision.colour import COLOUR_FILE, MarkerColour, candidates, pick
+from tautline.vision.frames import Progress, every_frame, half
 from tautline.vision.region import REGION_FILE, Region
+from tautline.vision.scene import turned
 from tautline.vision.sighting import Sighting
 from tautline.vision.sighting import lost as _lost
 
 Array = np.ndarray
-Progress = Callable[[float, str], None]
 
 _FAINT = 0.3  # of the picked contrast: fainter is no marker
 _LIKE = 0.92  # cosine between its colour and the picked one: 23 deg, which leaves room for glare
@@ -291,7 +291,8 @@ def track_video(video: Video, colour: MarkerColour | None = None, progress: Prog
             f"{video.path}: no marker stands out: pick its colour with 'taut marker {video.path} --at U,V', or with "
             "--region U,V a place to follow where there is no marker"
         )
-    frames = _seen(video, MarkerTracker(colour, alike_but_still(colour, samples)), progress)
+    tracker = MarkerTracker(colour, alike_but_still(colour, samples))
+    frames = _Frames(*every_frame(video, tracker.track, progress))
     if not any(s.valid for s in frames.seen):
         raise TautError(
             f"{video.path}: no marker is seen in any of its {len(frames.seen)} frames: "
@@ -302,14 +303,10 @@ def track_video(video: Video, colour: MarkerColour | None = None, progress: Prog
 
 def _region_tracked(video: Video, region: Region, progress: Progress | None) -> Marker:
     """Twice: what the region looks like along its way, and what stays behind it, is known after the first time."""
-
-    def half(begins: float) -> Progress:
-        return lambda share, text: progress(begins + 0.5 * share, text) if progress else None
-
     tracker = region.tracker()
-    _seen(video, tracker, half(0.0))
+    every_frame(video, tracker.track, half(progress, 0.0))
     tracker.settle()
-    frames = _seen(video, tracker, half(0.5))
+    frames = _Frames(*every_frame(video, tracker.track, half(progress, 0.5)))
     if not any(s.valid for s in frames.seen):
         raise TautError(
             f"{video.path}: the place of {REGION_FILE} is found in none of its {len(frames.seen)} frames: show it in "
@@ -333,35 +330,11 @@ class _Frames:
         return Marker(self.t_s[timed], u, v, sure[timed], sigma, frame_px=self.size, untimed=int(np.sum(~timed)))
 
 
-class _Follows(Protocol):
-    def track(self, picture: Array) -> Sighting: ...
-
-
-def _seen(video: Video, tracker: _Follows, progress: Progress | None) -> _Frames:
-    size: tuple[int, int] | None = None
-    t_s: list[float] = []
-    seen: list[Sighting] = []
-    with VideoCamera(video.path) as camera:
-        total = camera.frames or 0
-        while (read := camera.read()) is not None:
-            picture, own_s = read
-            size = size or (picture.shape[1], picture.shape[0])
-            k = len(t_s)
-            known = video.arrival_s is None or k < len(video.arrival_s)
-            t_s.append(own_s if video.arrival_s is None else float(video.arrival_s[k]) if known else np.nan)
-            seen.append(tracker.track(picture))
-            if progress and k % 25 == 0:
-                progress(min(1.0, k / total) if total else 0.0, f"tracking {video.path.name}")
-    if video.arrival_s is None and np.any(np.diff(t_s) <= 0):
-        raise TautError(
-            f"{video.path}: its frames' times do not rise: give their arrival times in a frames.csv beside it"
-        )
-    return _Frames(np.array(t_s), seen, size)
-
-
 def with_marker(recording: Recording, rig: Rig, progress: Progress | None = None) -> Recording:
-    """The recording with the marker's track, from its video where there is no marker.csv. Raises TautError where no
-    marker can be told."""
+    """The recording with the marker's track, from its video where there is no marker.csv; from one that the tip's own
+    camera took, the angle. Raises TautError where none can be told."""
+    if rig.sees_from_tip and recording.angle is None and recording.video is not None:
+        return replace(recording, angle=turned(recording.video, recording.motor, rig, progress))
     if recording.marker is not None or recording.video is None or not rig.has_camera:
         return recording
     return replace(recording, marker=track_video(recording.video, progress=progress))

@@ -20,21 +20,16 @@ import numpy.typing as npt
 from scipy.sparse import coo_array
 
 from tautline.errors import TautError
+from tautline.vision.flow import Picture, even_light, found_again
 from tautline.vision.sighting import Sighting, lost
 
 Array = npt.NDArray[np.floating[Any]]
-Picture = npt.NDArray[np.uint8]
 
 SMALLEST_PX, LARGEST_PX, USUAL_PX = 16.0, 400.0, 36.0  # side of the region
 
 _CORNERS, _CORNER_QUALITY, _APART = 80, 0.01, 3.0  # of a keyframe; px between them
 _FEWEST = 8  # corners that go together: three give the six parameters
-_WINDOW, _LEVELS = 15, 2  # of Lucas-Kanade: px, and pyramid levels above the picture
-_AROUND_PX = 31  # two windows: over which light is alike
-_CAMERA_NOISE = 3.0  # levels, which is not to be enlarged to structure
-_MIDDLE, _CONTRAST = 128.0, 42.0  # levels: three times that is in 8 bits
 _MARGIN_PX = 24.0  # around a region, which has not gone further than that from where it is expected
-_THERE_AND_BACK_PX = 0.5  # a corner that is not found again from where it was found was not found
 _TOGETHER_PX = 1.0  # from the common motion
 _TURNED_DEG, _SCALED = 5.0, 0.06  # from the nearest keyframe, from which a new one is taken
 _LEAST = 0.5  # times that, before a new one is taken for any reason
@@ -149,9 +144,7 @@ class _Keyframe:
             return None
         start = (self.corners - self.corner).astype(np.float32)
         guess = (self.corners @ motion[:, :2].T + motion[:, 2] - corner).astype(np.float32)
-        there, found = _followed(self.picture, cut, start, guess)
-        back, again = _followed(cut, self.picture, there, start)
-        kept = np.flatnonzero(found & again & (np.hypot(*(back - start).T) < _THERE_AND_BACK_PX))
+        there, kept = found_again(self.picture, cut, start, guess)
         if len(kept) < _FEWEST:
             return None
         places, here = there[kept] + corner, self.corners[kept]
@@ -189,19 +182,6 @@ def _cut(grey: Picture, u: float, v: float, size: tuple[int, int]) -> tuple[Pict
     return grey[y0 : y0 + size[0], x0 : x0 + size[1]], np.array([x0, y0], dtype=float)
 
 
-def _followed(one: Picture, other: Picture, start: Array, guess: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
-    there, found, _ = cv2.calcOpticalFlowPyrLK(
-        one,
-        other,
-        start,
-        guess.copy(),
-        winSize=(_WINDOW, _WINDOW),
-        maxLevel=_LEVELS,
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-    )
-    return np.asarray(there), found.ravel() > 0
-
-
 class PatchTracker:
     """Follows a region that was shown in one picture: `track` gives the place of its middle, as a marker's tracker
     does. Some 3 ms a frame while it is followed.
@@ -218,7 +198,7 @@ class PatchTracker:
         if not (0 <= at[0] < width and 0 <= at[1] < height):
             raise TautError(f"({at[0]:g}, {at[1]:g}) is outside of the picture of {width} x {height} px")
         self.side_px, self._shape = side_px, picture.shape[:2]
-        self._first = _Keyframe.of(_grey(picture), Pose(*at), side_px)
+        self._first = _Keyframe.of(even_light(picture), Pose(*at), side_px)
         if len(self._first.corners) < _FEWEST:
             raise TautError(
                 f"around {at[0]:g}, {at[1]:g} px there is hardly anything to follow: show a place with structure, or a "
@@ -271,7 +251,7 @@ class PatchTracker:
                 f"frames are {width} x {height} px, the place was shown in one of {shown_width} x {shown_height}: "
                 "show it again with 'taut marker VIDEO --region U,V'"
             )
-        grey = _grey(picture)
+        grey = even_light(picture)
         found = self._near(grey, self._expected) if self._poses else None
         if found is None:
             self._poses.clear()
@@ -338,13 +318,3 @@ class PatchTracker:
 def _smaller(grey: Picture) -> Picture:
     small = cv2.resize(grey, None, fx=1 / _SHRINK, fy=1 / _SHRINK, interpolation=cv2.INTER_AREA)
     return np.asarray(small, dtype=np.uint8)
-
-
-def _grey(picture: Picture) -> Picture:
-    """Of brightness and contrast that are alike everywhere: smoke, shade and glow, which change both over more than a
-    corner's surroundings, move nothing."""
-    grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).astype(np.float32)
-    around = (_AROUND_PX, _AROUND_PX)
-    away = grey - cv2.blur(grey, around)
-    contrast = np.sqrt(np.maximum(cv2.blur(away * away, around), 0.0)) + _CAMERA_NOISE
-    return np.asarray(np.clip(_MIDDLE + _CONTRAST * away / contrast, 0.0, 255.0), dtype=np.uint8)

@@ -14,7 +14,8 @@ import tomli_w
 from tautline.errors import TautError
 from tautline.vision.camera import read_picture
 from tautline.vision.colour import COLOUR_FILE
-from tautline.vision.patch import PatchTracker, Picture
+from tautline.vision.flow import Picture
+from tautline.vision.patch import PatchTracker
 
 FORMAT = "region/1"
 REGION_FILE = "region.toml"  # its name beside a video

@@ -37,6 +37,8 @@ class RosCamera:
     """A topic's frames as they come. Arrival times are of the host's monotonic clock: a message's own stamp, where that
     is of this machine's clock, else when it came. Use it as a context manager."""
 
+    exposure = ""
+
     frames = None  # how many there are: a topic does not end
 
     def __init__(self, source: str) -> None:

@@ -136,7 +136,7 @@ export class Board {
         this.hung = true;
         this.runWhile(() => this.chip.core.IPSR !== 0 || this.chip.core.PM, 10e3);
         const { core } = this.chip;
-        const trap = 0x20040000; // in the scratch bank that nothing uses
+        const trap = 0x20040000; // where no stack is as deep
         this.chip.writeUint16(trap, BRANCH_TO_SELF);
         core.PC = trap;
         core.waiting = false;

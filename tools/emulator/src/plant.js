@@ -182,9 +182,9 @@ export class Plant {
     inject(axis, ill) {
         const shown = this.#count(axis);
         this.ills[axis] = ill;
-        this.driverFault = ill === 'driver';
-        this.supplyVolt = ill === 'supply' ? 2.5 : 6;
-        this.estopClosed = ill === 'estop';
+        this.driverFault = this.ills.includes('driver'); // these three are one line of the board each
+        this.supplyVolt = this.ills.includes('supply') ? 2.5 : 6;
+        this.estopClosed = this.ills.includes('estop');
         this.chip?.drive(ESTOP_PIN, !this.estopClosed);
         this.encoders[axis] = { scale: { coarse: 8, unplugged: Infinity }[ill] ?? 1, from: shown };
         this.pinZero[axis] = Math.floor(this.motors[axis].position) - shown;

@@ -128,7 +128,7 @@ export class SimLink {
                     return { error: `inject takes an axis and ${ILLS.join(', ')}` };
                 }
                 this.board.plant.inject(Number(words[0]), words[1]);
-                return ok();
+                return { ...ok(), ills: this.board.plant.ills };
             case 'unplug':
                 this.usbip.plug(false);
                 this.board.usb.plug(false);

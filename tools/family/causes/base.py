@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-
 from tools.family.line import Line
 from tools.family.ranges import Range
 

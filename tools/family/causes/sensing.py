@@ -1,7 +1,6 @@
 """Causes at the configuration, in the registration, the camera and the acquisition that formats.md lists."""
 
 import numpy as np
-
 from tools.family import ranges
 from tools.family.causes.base import Cause, slider
 from tools.family.line import Line

@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-
 from tools.family import ranges
 from tools.family.causes.base import Cause, follow
 from tools.family.line import Line

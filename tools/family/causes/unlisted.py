@@ -5,7 +5,6 @@ stroke, rest, heat, the largest strain, the direction together with the place, t
 import math
 
 import numpy as np
-
 from tools.family import ranges
 from tools.family.causes.base import Cause, follow
 from tools.family.line import Line

@@ -40,4 +40,8 @@ tl_upload_t tl_app_table_end(tl_app_t *app, uint8_t axis);
 void tl_app_table_abort(tl_app_t *app);
 size_t tl_app_table_read(const tl_app_t *app, uint8_t axis, uint32_t offset, uint8_t *out, size_t room);
 
+/// New firmware from the host, as tl_update.h has it: a tl_wire_update_t, 0 is done.
+uint8_t tl_app_update_data(tl_app_t *app, uint32_t offset, const uint8_t *bytes, size_t size);
+uint8_t tl_app_update_end(tl_app_t *app);
+
 #endif

@@ -23,7 +23,30 @@
 #define TL_PORT_FLASH_SECTOR 4096U ///< bytes that an erase sets to 0xFF
 #define TL_PORT_FLASH_REGION                                                                                           \
     (2U * (TL_WIRE_AXES_MAX + 1U) * TL_PORT_FLASH_SECTOR) ///< bytes that the app keeps things in
+#define TL_PORT_FLASH_LOG  (2U * TL_PORT_FLASH_SECTOR)    ///< bytes behind them for the fault log, where one is kept
 #define TL_PORT_FLASH_PAGE 256U                           ///< bytes that a program writes; it only clears bits
+
+/// What a board needs to take new firmware over USB: two slots of flash (tl_boot.h), and a loader that chose one.
+typedef struct {
+    const uint8_t *key; ///< public key, 32 bytes, with which updates are signed
+    uint32_t room;      ///< bytes of a slot
+    uint8_t slot;       ///< that runs
+    bool trial;         ///< it is on trial
+    bool failed;        ///< the other one is, and a watchdog has ended its trial
+    uint16_t check_ms;  ///< that `is_signed` takes
+
+    /// Reads from a slot. Task.
+    void (*read)(void *context, uint8_t slot, uint32_t offset, uint8_t *out, size_t size);
+    /// As flash_erase and flash_program, of a slot. Task, with every motor off.
+    bool (*erase)(void *context, uint8_t slot, uint32_t offset);
+    bool (*program)(void *context, uint8_t slot, uint32_t offset, const uint8_t *page);
+    /// Whether the signature (64 bytes) is the key's, of a message. Task, with every motor off.
+    bool (*is_signed)(void *context, const uint8_t *signature, const uint8_t *message, size_t size);
+    /// BLAKE2b-256 of the first `size` bytes of a slot's image. Task, with every motor off.
+    void (*hash)(void *context, uint8_t slot, uint32_t size, uint8_t *out);
+    /// The trial is over: what runs is confirmed (true); or it is given up: the board restarts into the other slot.
+    void (*trial_ends)(void *context, bool confirmed);
+} tl_port_update_t;
 
 typedef struct {
     void *context;
@@ -31,6 +54,7 @@ typedef struct {
     const char *serial; ///< USB serial number, at most 31 characters of A-Z a-z 0-9 -, lives for ever
     uint8_t axes;       ///< 1 to TL_APP_AXES
     uint8_t boot;       ///< tl_wire_boot_t: why it started
+    bool keeps_log;     ///< its flash has TL_PORT_FLASH_LOG bytes behind the region
     uint32_t
         control_hz; ///< 1000, 2000, 4000, 5000, 8000 or 10000: a period is whole microseconds, a millisecond periods
 
@@ -71,6 +95,8 @@ typedef struct {
     void (*unlock)(void *context, uint32_t state);
     /// Restarts the board soon after the call, into the chip's boot loader where asked. Task.
     void (*reboot)(void *context, bool bootloader);
+
+    const tl_port_update_t *update; ///< NULL: new firmware does not come over USB
 } tl_port_t;
 
 #endif

@@ -23,6 +23,7 @@ typedef struct {
     int32_t acceleration_scaled; ///< without them
     uint32_t ratio, ratio_down;  ///< 1 / (2 acceleration) in such units: ratio / 2^(16 + ratio_down)
     uint32_t way_down;           ///< bits that a distance in Q16 loses
+    int32_t whole_ticks;         ///< such a distance: what it takes more as a speed changes in ticks
 } tl_reference_limits_t;
 
 typedef struct {

@@ -4,8 +4,10 @@
 #define TAUTLINE_TL_STATE_H
 
 #include "tautline/tl_calibration.h"
+#include "tautline/tl_fault_log.h"
 #include "tautline/tl_outbox.h"
 #include "tautline/tl_tables.h"
+#include "tautline/tl_update.h"
 
 #ifndef TL_APP_AXES
 #define TL_APP_AXES TL_WIRE_AXES_MAX ///< most that a port of this build has
@@ -16,6 +18,8 @@ typedef struct {
     const tl_port_t *port;
     tl_axis_t axes[TL_APP_AXES];
     tl_tables_t tables;
+    tl_update_t update;
+    tl_fault_log_t fault_log;
     tl_calibration_t calibration;
     uint8_t upload[TL_TABLE_SIZE_MAX]; ///< of a table that comes, or what the settings are put together in
     uint8_t settings;                  ///< tl_wire_store_t

@@ -8,7 +8,7 @@
 ///
 /// The compensator calls what is below, once a tick each, where its table has any of these sections or was moved.
 /// O(1); no division and no 64-bit product but in tl_undo_start(), tl_undo_adapt() and tl_undo_load(), which are the
-/// task's. On a Cortex-M0+ at most 480 cycles before p*, 200 for the width, 160 for the encoder. Memory: 200 bytes.
+/// task's. On a Cortex-M0+ at most 480 cycles before p*, 200 for the width, 160 for the encoder. Memory: 208 bytes.
 #ifndef TAUTLINE_TL_UNDO_H
 #define TAUTLINE_TL_UNDO_H
 
@@ -61,7 +61,8 @@ typedef struct {
     int32_t side;                           ///< that the motor pushes on since it last turned
     tl_count_q8_t turned_at;                ///< where p turned
     tl_count_q8_t carried[TL_TABLE_JOINTS]; ///< where other axes have carried the tip,
-    tl_factor_t slope_q28[TL_TABLE_JOINTS]; ///< by so much for each count
+    tl_factor_t slope_q28[TL_TABLE_JOINTS]; ///< by so much for each count; 0 where section 7 names none,
+    uint32_t joints;                        ///< and the last that it names
 } tl_undo_t;
 
 /// Begins, with `moved` as it is at the end of its way. tl_undo_rest(): the tip rests at p.

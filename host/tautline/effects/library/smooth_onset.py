@@ -11,6 +11,7 @@ EFFECTS = (
         brings=("transmission.backlash",),
         tell="After a reversal the tip starts slowly and reaches its slope over a way comparable to B: 'Some onsets "
         "closely' in a report shows no corner.",
-        mend="Nothing is broken: several play elements hold it, and calibration fits them by itself.",
+        mend="Nothing is broken: several play elements hold it, or Bouc-Wen's or Dahl's friction, and calibration fits "
+        "by itself what is likeliest.",
     ),
 )

@@ -113,7 +113,7 @@ def standalone(model: Model, nominal: Nominal) -> dict[str, str]:
     """The callback's code and what it reads."""
     onset = next((effect.parameters for effect in model.effects if effect.id == _ONSET), None)
     elements = onset_elements(model.elements, onset) if onset else model.elements
-    play = replace(model, elements=elements).play
+    play = replace(model, elements=elements, friction=None).play
     about = {
         "format": FORMAT,
         "unit": model.rig.actuator.unit,
@@ -207,8 +207,9 @@ def parts(model: Model, law: Law, motor: Motor, told: Array) -> tuple[list[dict[
     ]
     refused: list[dict[str, Any]] = []
     if not model.elements.single:
-        exported.append({"what": "elements", "in": "callback", "as": "plays side by side", "error": 0.0})
-        one = leaves(replace(model, elements=SINGLE))
+        instead = 0.0 if model.friction is None else leaves(replace(model, friction=None))
+        exported.append({"what": "elements", "in": "callback", "as": "plays side by side", "error": instead})
+        one = leaves(replace(model, elements=SINGLE, friction=None))
         refused.append({"what": "elements", "in": "xml", "why": "one play stands for several", "error": one})
     for effect in of_this_version(model):
         kind = BY_ID[effect.id]
@@ -247,7 +248,8 @@ def _as_exported(model: Model, effect: Effect, leaves: Callable[[Model], float])
     if effect.id != _ONSET:
         return 0.0
     elements = onset_elements(model.elements, effect.parameters)
-    return leaves(replace(model, elements=elements, effects=tuple(e for e in model.effects if e is not effect)))
+    effects = tuple(e for e in model.effects if e is not effect)
+    return leaves(replace(model, elements=elements, friction=None, effects=effects))
 
 
 def _lost(report: dict[str, Any]) -> list[str]:

@@ -1,4 +1,4 @@
-"""The second port in QEMU: what it is, and that its time is one that repeats exactly."""
+"""The port in QEMU, on the core that --board names: what it is, and that its time is one that repeats exactly."""
 
 from __future__ import annotations
 
@@ -17,11 +17,15 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
-def m4(monkeypatch: pytest.MonkeyPatch) -> None:
-    if not (ROOT / "build" / "m4" / "tautline-m4.elf").is_file():
-        pytest.skip("the image is not built: run './run m4'")
+def core(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    board = str(request.config.getoption("--board", default="m4"))
+    name = board if board in ("m4", "m33") else "m4"
+    if not (ROOT / "build" / name / "tautline.elf").is_file():
+        pytest.skip(f"the image is not built: run './run {name}'")
     monkeypatch.setenv(PROGRAM, str(ROOT / "tools" / "qemu" / "board.py"))
+    monkeypatch.setenv("TAUTLINE_QEMU_CORE", name)
     monkeypatch.setenv(LINE, "uart")
+    return name
 
 
 def _motion() -> tuple[bytes, str]:
@@ -57,19 +61,18 @@ def _motion() -> tuple[bytes, str]:
     return bytes(heard), truth.hexdigest()
 
 
-@pytest.mark.usefixtures("m4")
+@pytest.mark.usefixtures("core")
 def test_two_runs_are_the_same_to_the_byte() -> None:
     (heard, truth), (again, truth_again) = _motion(), _motion()
     assert truth == truth_again
     assert heard == again
 
 
-@pytest.mark.usefixtures("m4")
-def test_its_control_step_interrupts_its_task_at_the_stated_rate() -> None:
+def test_its_control_step_interrupts_its_task_at_the_stated_rate(core: str) -> None:
     for rate in (1000, 10000):
         with DesktopBoard(axes=4, rate_hz=rate) as process, open_board(process.where) as board:
             link = process.link()
-            assert board.identity.port == "m4" and board.identity.control_hz == rate and board.axes == 4
+            assert board.identity.port == core and board.identity.control_hz == rate and board.axes == 4
             before = board.sync()
             link.ask("advance 100000")
             assert abs(board.sync() - before - 100_000) <= 1_000_000 // rate
@@ -77,7 +80,7 @@ def test_its_control_step_interrupts_its_task_at_the_stated_rate() -> None:
             link.close()
 
 
-@pytest.mark.usefixtures("m4")
+@pytest.mark.usefixtures("core")
 def test_what_the_line_has_no_room_for_is_sent_as_soon_as_it_has() -> None:
     """The board does not sleep over it, though nobody asks for anything more."""
     with DesktopBoard(serial="SLOW") as process, open_board(process.where) as board:

@@ -1,10 +1,10 @@
-/// Registers of Arm's MPS2 board with its Cortex-M4 image (AN386) that this port uses.
-#ifndef TAUTLINE_M4_MPS2_H
-#define TAUTLINE_M4_MPS2_H
+/// Registers of Arm's MPS2 board that this port uses; where they are depends on the core's image (machine.h).
+#ifndef TAUTLINE_MPS2_H
+#define TAUTLINE_MPS2_H
 
 #include <stdint.h>
 
-#define MPS2_CLOCK_HZ 25000000U
+#include "machine.h"
 
 typedef struct {
     volatile uint32_t data, state, control, interrupt, divider; ///< divider: of the baud rate, 16 or more
@@ -24,18 +24,21 @@ typedef struct {
 #define TIMER_ENABLE           1U
 #define TIMER_INTERRUPT_ENABLE 8U
 
-#define TIMER0 ((mps2_timer_t *)0x40000000U)
-#define UART0  ((mps2_uart_t *)0x40004000U)
-#define UART1  ((mps2_uart_t *)0x40005000U)
+#define TIMER0 ((mps2_timer_t *)MACHINE_TIMER0)
+#define UART0  ((mps2_uart_t *)MACHINE_UART0)
+#define UART1  ((mps2_uart_t *)MACHINE_UART1)
 
-enum { IRQ_UART0_RX = 0, IRQ_UART0_TX = 1, IRQ_UART1_RX = 2, IRQ_TIMER0 = 8, IRQS = 32 };
-
-#define PSRAM         ((uint8_t *)0x21000000U) ///< 16 MB
-#define NVIC_ENABLE   (*(volatile uint32_t *)0xE000E100U)
+#define PSRAM         ((uint8_t *)MACHINE_PSRAM) ///< 16 MB
+#define NVIC_ENABLE   ((volatile uint32_t *)0xE000E100U)
 #define NVIC_PRIORITY ((volatile uint8_t *)0xE000E400U)
 #define SCB_AIRCR     (*(volatile uint32_t *)0xE000ED0CU)
 #define SCB_CPACR     (*(volatile uint32_t *)0xE000ED88U)
 #define AIRCR_RESET   0x05FA0004U
+
+static inline void interrupt_enable(uint32_t number, uint8_t priority) {
+    NVIC_PRIORITY[number] = priority;
+    NVIC_ENABLE[number / 32U] = 1U << number % 32U; // zeros change nothing
+}
 
 static inline uint32_t interrupts_off(void) {
     uint32_t before;

@@ -1,5 +1,5 @@
-// The app on a Cortex-M4 with a serial port: Arm's MPS2 board as QEMU has it. The control step on a timer's interrupt,
-// the task in the main loop, the host on UART 0, and in place of a motor driver the world of world.h.
+// The app on a Cortex-M4 or M33 with a serial port: Arm's MPS2 board as QEMU has it. The control step on a timer's
+// interrupt, the task in the main loop, the host on UART 0, and in place of a motor driver the world of world.h.
 #include "tautline/tl_app.h"
 #include "tautline/tl_axis_watch.h"
 #include "tautline/tl_serial.h"
@@ -183,7 +183,7 @@ static void start(void) {
     board.period_us = 1000000U / options->control_hz;
     board.fed = world.ticks;
     board.port = (tl_port_t){
-        .name = "m4",
+        .name = MACHINE_NAME,
         .serial = options->serial,
         .axes = (uint8_t)options->axes,
         .boot = world.boot,
@@ -234,9 +234,10 @@ int main(void) {
     uart_init(&board.uart, UART0, TL_WIRE_SERIAL_BAUD);
     uart_init(&world_uart, UART1, WORLD_BAUD);
     start();
-    NVIC_PRIORITY[IRQ_TIMER0] = 0x00U; // the control step comes first
-    NVIC_PRIORITY[IRQ_UART0_RX] = NVIC_PRIORITY[IRQ_UART0_TX] = NVIC_PRIORITY[IRQ_UART1_RX] = 0x40U;
-    NVIC_ENABLE = 1U << IRQ_TIMER0 | 1U << IRQ_UART0_RX | 1U << IRQ_UART0_TX | 1U << IRQ_UART1_RX;
+    interrupt_enable(IRQ_TIMER0, 0x00U); // the control step comes first
+    interrupt_enable(IRQ_UART0_RX, 0x40U);
+    interrupt_enable(IRQ_UART0_TX, 0x40U);
+    interrupt_enable(IRQ_UART1_RX, 0x40U);
     if (world.running && world.granted > 0U) { // the board has restarted in the middle of it
         board_clock(true);
     }

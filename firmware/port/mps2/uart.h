@@ -1,6 +1,6 @@
 /// A UART: what comes is taken by its interrupt into a buffer, what goes is written as far as there is room.
-#ifndef TAUTLINE_M4_UART_H
-#define TAUTLINE_M4_UART_H
+#ifndef TAUTLINE_MPS2_UART_H
+#define TAUTLINE_MPS2_UART_H
 
 #include <stdbool.h>
 #include <stddef.h>

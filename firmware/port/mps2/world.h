@@ -2,8 +2,8 @@
 ///
 /// QEMU has no motors. They are here, moved by the timer's interrupt; a second serial port carries what the sim link of
 /// other simulated boards says (tools/qemu/board.py). All of it outlives a reset of the chip, as a world does.
-#ifndef TAUTLINE_M4_WORLD_H
-#define TAUTLINE_M4_WORLD_H
+#ifndef TAUTLINE_MPS2_WORLD_H
+#define TAUTLINE_MPS2_WORLD_H
 
 #include "plant.h"
 #include "uart.h"

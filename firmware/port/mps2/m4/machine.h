@@ -1,0 +1,14 @@
+/// The Cortex-M4 image of Arm's MPS2 board (AN386), which QEMU calls mps2-an386.
+#ifndef TAUTLINE_MPS2_MACHINE_H
+#define TAUTLINE_MPS2_MACHINE_H
+
+#define MACHINE_NAME   "m4"
+#define MPS2_CLOCK_HZ  25000000U
+#define MACHINE_TIMER0 0x40000000U
+#define MACHINE_UART0  0x40004000U
+#define MACHINE_UART1  0x40005000U
+#define MACHINE_PSRAM  0x21000000U
+
+enum { IRQ_UART0_RX = 0, IRQ_UART0_TX = 1, IRQ_UART1_RX = 2, IRQ_TIMER0 = 8, IRQS = 32 };
+
+#endif

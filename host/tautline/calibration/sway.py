@@ -1,0 +1,118 @@
+"""What goes to and fro with time and not with the motor, in the image of a bare instrument whose tip rests.
+
+Tissue that moves behind the place that is followed takes it along a little: where the tip does not move that is the
+only motion there is, and whatever a motor does, something begins after each of its turns. Three explanations of a
+recording are weighed. The place rests and sways by a process in time, an Ornstein-Uhlenbeck process of unknown size and
+memory, smaller than the square that is followed. Or it follows the motor through a play of unknown width, on an unknown
+path about as long as the rig makes it, and sways beside that. Or it goes farther than a place that rests could,
+whatever with. All are linear with Gaussian unknowns, so their likelihoods are exact; size, memory and width are summed
+over. The sway that is expected of a place that rests is taken off, as far as it is probable that it rests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.special import logsumexp
+
+from tautline.elements import Play
+from tautline.recording import Motor
+
+Array = npt.NDArray[np.float64]
+
+# Each prior is flat over its values.
+_SIZES, _MEMORIES_S = 9, np.geomspace(0.04, 20.0, 5)  # prior: from a frame to many breaths
+_LEAST = 0.3  # prior: of the noise: a sway that is none
+_RESTS = 0.25  # prior: of the square's side: a place that goes farther (standard deviation) does not rest
+_WIDTHS = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8])  # prior: of a play, in shares of the motor's way
+_NODES = 12  # prior: places of the path at which it is unknown, straight between them
+_COUNTS = 1e-6  # tolerance: what weighs less changes nothing that is seen
+
+
+@dataclass(frozen=True)
+class _Sway:
+    """One size and memory: what it takes to use the inverse of the covariance of n frames, sway and noise."""
+
+    factor: Array  # of the precision of the sway where it is seen, tridiagonal
+    variance: float  # of the noise
+    volume: float  # log of the covariance's determinant
+
+    @classmethod
+    def of(cls, t_s: Array, size: float, memory_s: float, sigma: float) -> _Sway:
+        kept, fresh = np.exp(-np.diff(t_s) / memory_s), -np.expm1(-2.0 * np.diff(t_s) / memory_s)
+        precision = np.zeros((2, len(t_s)))  # upper form: what is beside the diagonal, the diagonal
+        precision[1] = np.append(1.0, 1.0 / fresh) + np.append(kept**2 / fresh, 0.0)
+        precision[0, 1:] = -kept / fresh
+        precision /= size**2
+        precision[1] += sigma**-2
+        factor = cholesky_banded(precision)
+        volume = 2.0 * float(np.log(factor[1]).sum()) + float(np.log(fresh).sum())
+        return cls(factor, sigma**2, volume + 2.0 * len(t_s) * float(np.log(size * sigma)))
+
+    def expected(self, rows: Array) -> Array:
+        """Of the sway (n, k), where rows (n, k) are sway and noise alone."""
+        return np.asarray(cho_solve_banded((self.factor, False), rows / self.variance))
+
+    def explains(self, columns: Array, spread: float, y: Array) -> tuple[float, Array]:
+        """Log likelihood of y (n, channels) as columns (n, k) of unknown amplitudes (standard deviation `spread`), sway
+        and noise, but for what all explanations share; and the amplitudes (k, channels)."""
+        k = columns.shape[1]
+        rows = np.hstack([columns, y])
+        solved = (rows - self.expected(rows)) / self.variance
+        normal = columns.T @ solved[:, :k] + np.eye(k) / spread**2
+        right = columns.T @ solved[:, k:]
+        amplitudes = np.linalg.solve(normal, right)
+        squares = float(np.sum(y * solved[:, k:]) - np.sum(right * amplitudes))
+        volume = self.volume + float(np.linalg.slogdet(normal)[1]) + 2.0 * k * float(np.log(spread))
+        return -0.5 * (squares + y.shape[1] * volume), np.asarray(amplitudes)
+
+
+@dataclass(frozen=True)
+class Rest:
+    probability: float  # that the place rests
+    sway: Array  # (n, channels) what is expected of its motion then
+
+
+def rest(t_s: Array, y: Array, sigma: float, paths: Sequence[Array], swing: float, side: float) -> Rest:
+    """Of y (n, channels), seen at t_s (n,) with noise sigma. paths: where the play of each width is (n,); swing: how
+    far the rig moves the image over the motor's way; side: of the square that is followed, both of y's unit."""
+    y = y - np.median(y, axis=0)
+    sizes = np.geomspace(_LEAST * sigma, max(swing, side), _SIZES)
+    pairs = [(size, memory) for size in sizes.tolist() for memory in _MEMORIES_S.tolist()]
+    sways = [_Sway.of(t_s, size, memory, sigma) for size, memory in pairs]
+    small = np.array([size <= _RESTS * side for size, _ in pairs])
+    level = np.ones((len(y), 1))
+    alone = [sway.explains(level, swing, y) for sway in sways]
+    told = np.array([likelihood for likelihood, _ in alone])
+    follows = [sway.explains(_hats(path), swing, y)[0] for path in paths for sway in sways]
+    resting = logsumexp(told[small]) - np.log(small.sum())
+    moving = np.logaddexp(
+        logsumexp(follows) - np.log(len(follows)), logsumexp(told[~small]) - np.log((~small).sum())
+    ) - np.log(2.0)
+    weights = np.exp(np.where(small, told, -np.inf) - logsumexp(told[small]))
+    sway = sum(
+        (w * one.expected(y - at) for w, one, (_, at) in zip(weights, sways, alone, strict=True) if w > _COUNTS),
+        np.zeros_like(y),
+    )
+    return Rest(float(np.exp(-np.logaddexp(0.0, moving - resting))), sway)
+
+
+def _hats(path: Array) -> Array:
+    """(n, nodes): pieces, straight between the nodes, over where the path goes."""
+    nodes = np.linspace(path.min(), path.max(), _NODES)
+    return np.stack([np.interp(path, nodes, row) for row in np.eye(_NODES)], axis=1)
+
+
+def driven(motor: Motor, scene_s: Array) -> list[Array]:
+    """The centre of a play (n,) at scene_s (n,), for each width of the prior."""
+    low, high = float(motor.q.min()), float(motor.q.max())
+    paths = []
+    for width in (_WIDTHS * (high - low)).tolist():
+        play = Play(np.array([low, high]), np.full(2, width))
+        centre = play.forward(motor.q) if width else motor.q
+        paths.append(np.interp(scene_s, motor.t_s, centre))
+    return paths

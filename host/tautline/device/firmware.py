@@ -1,0 +1,140 @@
+"""New firmware for a board: update files, what they say of themselves, and whether a board may have them.
+
+A file is one image or several, for each slot that it can be linked for one. An image is a page of 256 bytes, the frame
+of tl_wire.h's `image` and then zeros, and its bytes. The board checks all of this again before it erases anything.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import monocypher
+
+from tautline.device import wire
+from tautline.errors import TautError
+
+PAGE = 256  # format: bytes, of flash and of DFU
+ANY_SLOT = 255  # format: an image that runs wherever it is
+_FORMAT = 1  # format: `format` of tl_wire.h's image
+_HEADER = 8  # format: bytes of a frame before its payload
+_HASH = 32  # format: bytes of BLAKE2b-256
+
+PROTOCOL = (wire.wire.MAJOR, wire.wire.MINOR)  # that the firmware of this clone speaks
+
+Version = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Image:
+    """Firmware for one slot. `page` is the signed page before it."""
+
+    page: bytes
+    content: bytes
+    fields: wire.Message
+
+    @property
+    def version(self) -> Version:
+        return version_of(self.fields.version)
+
+    @property
+    def port(self) -> str:
+        return str(self.fields.port)
+
+    def is_whole(self) -> bool:
+        return bytes(self.fields.hash.tolist()) == digest(self.content)
+
+    def is_signed(self, key: bytes) -> bool:
+        signed = self.page[_HEADER : _HEADER + wire.wire.IMAGE_SIGNED]
+        return bool(monocypher.signature_check(bytes(self.fields.signature.tolist()), key, signed))
+
+
+def digest(content: bytes) -> bytes:
+    return hashlib.blake2b(content, digest_size=_HASH).digest()
+
+
+def version_of(numbers: Sequence[int]) -> Version:
+    major, minor, patch = (int(number) for number in numbers)
+    return major, minor, patch
+
+
+def text_of(version: Version) -> str:
+    return ".".join(map(str, version))
+
+
+def pack(content: bytes, port: str, version: Version, slot: int, sign: Callable[[bytes], bytes]) -> bytes:
+    """One image of an update file; `sign` makes 64 bytes of what is signed."""
+    content += b"\xff" * (-len(content) % PAGE)
+    known: dict[str, Any] = {
+        "format": _FORMAT,
+        "slot": slot,
+        "version": version,
+        "protocol_major": PROTOCOL[0],
+        "protocol_minor": PROTOCOL[1],
+        "port": port,
+        "size": len(content),
+        "hash": tuple(digest(content)),
+    }
+    unsigned = wire.encode("image", 0, **known)
+    signature = sign(unsigned[_HEADER : _HEADER + wire.wire.IMAGE_SIGNED])
+    return wire.encode("image", 0, **known, signature=tuple(signature)).ljust(PAGE, b"\0") + content
+
+
+def read(path: Path) -> list[Image]:
+    """The images of an update file. TautError where it is none, or is not whole."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise TautError(f"{path}: {error.strerror}: name an update file, such as a release's") from error
+    images: list[Image] = []
+    at = 0
+    while at < len(data):
+        page = data[at : at + PAGE]
+        fields = next((message for message in wire.Decoder().feed(page) if message.name == "image"), None)
+        if fields is None or fields.format != _FORMAT:
+            what = "damaged" if images else "no update file of this format"
+            raise TautError(f"{path}: is {what}: get it again, or name a file that 'taut update' takes")
+        image = Image(page, data[at + PAGE : at + PAGE + fields.size], fields)
+        if len(image.content) != fields.size or not image.is_whole():
+            raise TautError(f"{path}: is damaged or cut short: get it again")
+        images.append(image)
+        at += PAGE + fields.size
+    if not images:
+        raise TautError(f"{path}: is empty: get it again")
+    return images
+
+
+def check(path: Path, images: Sequence[Image], port: str, runs: wire.Message, older_too: bool) -> Image:
+    """TautError where the board, whose identity names its port and which says `runs`, would refuse these; else the
+    one that it takes."""
+    if runs.slot == ANY_SLOT and runs.refused == wire.code("UPDATES", "NO_SLOT"):
+        raise TautError(wire.text("UPDATES", runs.refused))
+    others = {image.port for image in images} - {port}
+    if others:
+        raise TautError(f"{path}: is for {', '.join(sorted(others))}, this board is {port}: get the file for {port}")
+    spoken = {int(image.fields.protocol_major) for image in images} - {wire.wire.MAJOR}
+    if spoken:
+        raise TautError(
+            f"{path}: speaks protocol {max(spoken)}, this tautline speaks {wire.wire.MAJOR}: get one that fits"
+        )
+    key = bytes(runs.key.tolist())
+    if not all(image.is_signed(key) for image in images):
+        raise TautError(
+            f"{path}: is not signed with the key that this board trusts ({key.hex()[:8]}...): get a file from whoever "
+            "built its firmware, or flash it as the first time"
+        )
+    free = 1 if runs.slot == 0 else 0
+    fits = [image for image in images if image.fields.slot in (free, ANY_SLOT)]
+    if not fits:
+        raise TautError(f"{path}: {wire.text('UPDATES', wire.code('UPDATES', 'LINKED'))}")
+    if len(fits[0].content) > runs.room:
+        raise TautError(f"{path}: {len(fits[0].content)} bytes are more than the {runs.room} that a slot has")
+    if fits[0].version < version_of(runs.version) and not older_too:
+        raise TautError(
+            f"{path}: is firmware {text_of(fits[0].version)}, the board runs {text_of(version_of(runs.version))}: "
+            "--force takes the older one all the same"
+        )
+    return fits[0]

@@ -1,0 +1,109 @@
+"""An update from its file to firmware that runs: sent, restarted into, talked to; or the old firmware again."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from tautline.device import firmware, wire
+from tautline.device.board import Board, open_board
+from tautline.device.dfu import DfuError
+from tautline.errors import TautError
+
+_BACK_S = 90.0  # tolerance: a restart is done within a second; new firmware that no host hears is given up after 60
+_POLL_S = 0.1  # tolerance: between two looks
+ANSWER_MS = 30000  # tolerance: a signature is checked in 0.2 s, on an emulated board in some seconds of a busy machine
+
+
+@dataclass(frozen=True)
+class Sent:
+    """A board that restarts into new firmware."""
+
+    where: str
+    board: str
+    port: str
+    before: firmware.Version
+    version: firmware.Version
+    slot: int  # that ran
+
+
+@dataclass(frozen=True)
+class Updated:
+    board: str
+    port: str
+    before: firmware.Version
+    version: firmware.Version
+    slot: int
+
+
+def update(
+    where: str | None,
+    path: Path,
+    older_too: bool = False,
+    progress: Callable[[float, str], None] | None = None,
+) -> Updated:
+    """Gives a board new firmware and waits until it has shown that it runs. TautError: the board runs what it ran."""
+    return finish(send(where, path, older_too, progress))
+
+
+def send(
+    where: str | None,
+    path: Path,
+    older_too: bool = False,
+    progress: Callable[[float, str], None] | None = None,
+) -> Sent:
+    """The image that the board needs is in its flash, and the board restarts."""
+    images = firmware.read(path)
+    with open_board(where) as board:
+        runs = board.ask("get_firmware")
+        image = firmware.check(path, images, str(board.identity.port), runs, older_too)
+        if older_too:
+            board.ask("any_firmware", key=wire.wire.KEY)
+        _send(board, image.page + image.content, progress)
+        board.ask("reboot", key=wire.wire.KEY, bootloader=0)
+        before = firmware.version_of(runs.version)
+        identity = board.identity
+        return Sent(board.where, str(identity.serial), str(identity.port), before, image.version, int(runs.slot))
+
+
+def finish(sent: Sent) -> Updated:
+    """The board is back, and what it runs is confirmed."""
+    deadline = time.monotonic() + _BACK_S
+    trial = wire.code("FIRMWARES", "TRIAL")
+    while True:
+        time.sleep(_POLL_S)
+        now = _told(sent.where)
+        if now is not None and now.slot != sent.slot and now.state != trial:
+            return Updated(sent.board, sent.port, sent.before, firmware.version_of(now.version), int(now.slot))
+        if now is not None and now.slot == sent.slot and now.other_state != trial:  # else: not restarted yet
+            raise TautError(
+                f"{sent.board}: firmware {firmware.text_of(sent.version)} did not come up: the board runs "
+                f"{firmware.text_of(sent.before)} as before; run 'taut clear', and tell who built the file"
+            )
+        if time.monotonic() > deadline:
+            raise TautError(
+                f"{sent.board} has not come back with confirmed firmware: switch it off and on, then see 'taut boards'"
+            )
+
+
+def _told(where: str) -> wire.Message | None:
+    """What a board says of its firmware; None where it is not on its bus."""
+    with contextlib.suppress(TautError), open_board(where) as board:
+        return board.ask("get_firmware")
+    return None
+
+
+def _send(board: Board, data: bytes, progress: Callable[[float, str], None] | None) -> None:
+    dfu = board.firmware_route()
+    if dfu is None:
+        raise TautError(f"{board.where}: firmware does not travel over a serial line: connect the board by USB")
+    try:
+        with dfu as route:
+            route.download(data, progress, ANSWER_MS)
+    except DfuError as error:
+        refused = board.ask("get_firmware").refused
+        why = wire.text("UPDATES", refused) if refused else str(error)
+        raise TautError(f"the board refused the firmware: {why}") from error

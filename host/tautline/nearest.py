@@ -1,0 +1,138 @@
+"""The several plays of a board that come nearest to a hysteresis, on loops of all sizes, and how far off they are."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import least_squares, nnls
+from scipy.special import softmax
+
+from tautline import _native
+from tautline.elements import Elements, Hysteresis, Play, warp_of
+
+Array = npt.NDArray[np.float64]
+
+_SHARES = np.concatenate([np.linspace(0.1, 2.0, 20), [2.3, 2.7, 3.2]])  # tolerance: of B, to begin with
+_FIRST = 0.05  # loss: least weight of the first: the inverse is at most 20 times as steep
+_STROKES, _FULL, _ANYWHERE = 100, 0.2, 0.4  # prior: of use; shares of the strokes from end to end, and to any place
+_SMALLEST = 0.2  # prior: of B, a stroke: the others have any size from there to the range, alike in its logarithm
+_SAMPLES = 24  # tolerance: of the loops, a backlash
+_STRICT = 1e3  # tolerance: how much more than the data the two sums weigh
+_SLIGHT = 1e-3  # tolerance: a weight that is none
+_STEPS = 15  # tolerance: of the search for shares and weights, at most
+_GAPS = -9.0, 2.0  # tolerance: logarithms between which differences of shares are
+_PLAYS: int = _native.TABLE_PLAYS_MAX
+
+
+@dataclass(frozen=True)
+class Nearest:
+    elements: Elements
+    left: float  # rms of how far they are off on these loops, unit of q
+    undoes: float  # rms of what there is to undo: motor less tip
+
+    @property
+    def share(self) -> float:
+        """Of what there is to undo, that they leave."""
+        return self.left / max(self.undoes, 1e-300)
+
+
+def nearest_plays(grid: Array, width: Array, hysteresis: Hysteresis, reached: tuple[float, float]) -> Nearest:
+    """By least squares, first of weights on fixed shares and then of both."""
+    q = _loops(grid, width, reached)
+    p = Play(grid, width, hysteresis).forward(q)
+    warp = warp_of(grid, width, Play(grid, width).narrow)
+    half = 0.5 * np.interp(p, grid, width)
+    y = 0.5 * (np.interp(p + half, warp.q, warp.x) + np.interp(p - half, warp.q, warp.x))
+    elements = _polished(np.interp(q, warp.q, warp.x), y)
+    off = Play(grid, width, elements).forward(q) - p
+    return Nearest(elements, float(np.sqrt(np.mean(off**2))), float(np.sqrt(np.mean((q - p) ** 2))))
+
+
+def _loops(grid: Array, width: Array, reached: tuple[float, float]) -> Array:
+    low, high = reached
+    usual = float(np.mean(width[(grid >= low) & (grid <= high)]))
+    rng = np.random.default_rng(0x100B)
+    turns = [low, high, low]
+    for _ in range(_STROKES):
+        kind = rng.uniform()
+        if kind < _FULL:
+            to = high if turns[-1] < 0.5 * (low + high) else low
+        elif kind < _FULL + _ANYWHERE:
+            to = float(rng.uniform(low, high))
+        else:
+            size = np.exp(rng.uniform(np.log(_SMALLEST * usual), np.log(high - low)))
+            to = float(np.clip(turns[-1] + rng.choice([-1.0, 1.0]) * size, low, high))
+        turns.append(to)
+    pieces = [
+        np.linspace(a, b, max(2, int(abs(b - a) / usual * _SAMPLES)), endpoint=False)
+        for a, b in itertools.pairwise(turns)
+    ]
+    return np.concatenate(pieces)
+
+
+def _played(x: Array, share: Array) -> Array:
+    far = 10.0 * float(np.abs(x).max() + share.max())
+    ends = np.array([-far, far])
+    return np.column_stack([_native.Plays(ends, np.full(2, one)).forward(x, float(x[0]))[0] for one in share])
+
+
+def _polished(x: Array, y: Array) -> Elements:
+    """Shares and weights (the first at least _FIRST) by Gauss-Newton steps from those of the fixed shares."""
+    sums = _STRICT * np.vstack([np.ones(len(_SHARES)), _SHARES])
+    rows = np.vstack([_played(x, _SHARES) - x[:, None], sums])
+    weights = nnls(rows, np.concatenate([y - x, [_STRICT, _STRICT]]))[0]
+    start = fewer(_SHARES[weights > _SLIGHT], weights[weights > _SLIGHT])
+    n = len(start.width)
+    gaps = np.diff(start.width, prepend=0.0)
+    begin = np.concatenate([np.log(gaps), np.log(np.array(start.weight) - _FIRST * (np.arange(n) == 0) + _SLIGHT)])
+
+    def parts(unknowns: Array) -> tuple[Array, Array]:
+        weight = softmax(unknowns[n:]) * (1.0 - _FIRST) + _FIRST * (np.arange(n) == 0)
+        share = np.cumsum(np.exp(np.clip(unknowns[:n], *_GAPS)))
+        return share / float(weight @ share), weight
+
+    def off(unknowns: Array) -> Array:
+        share, weight = parts(unknowns)
+        return np.asarray(_played(x, share) @ weight - y)
+
+    share, weight = parts(least_squares(off, begin, max_nfev=_STEPS).x)
+    weight = weight / weight.sum()
+    return Elements(tuple((share / float(weight @ share)).tolist()), tuple(weight.tolist()))
+
+
+def fewer(width: Array, weight: Array) -> Elements:
+    """Of many elements, rising, those that stand for neighbours together, so that the widths within each lot scatter
+    least; the first moves _FIRST at least."""
+    n = len(width)
+    weight = weight / weight.sum()
+    sums = np.array([np.concatenate([[0.0], np.cumsum(weight * width**k)]) for k in range(3)])
+
+    def scatter(i: int, j: int) -> float:
+        w, first, second = sums[:, j] - sums[:, i]
+        return float(second - first * first / w)
+
+    best: dict[tuple[int, int], tuple[float, tuple[int, ...]]] = {(0, 0): (0.0, (0,))}
+    for lots in range(1, _PLAYS + 1):
+        for end in range(1, n + 1):
+            fewest = [
+                (cost + scatter(begin, end), (*ends, end))
+                for begin in range(lots - 1, end)
+                if (known := best.get((lots - 1, begin))) is not None
+                for cost, ends in (known,)
+                if lots > 1 or sums[0, end] >= _FIRST
+            ]
+            if fewest:
+                best[lots, end] = min(fewest)
+    _, ends = min(best[lots, n] for lots in range(1, _PLAYS + 1) if (lots, n) in best)
+    parts = [(sums[:, j] - sums[:, i])[:2] for i, j in itertools.pairwise(ends)]
+    means = np.array([first / w for w, first in parts])
+    shares = np.array([w for w, _ in parts])
+    keep = np.concatenate([[True], np.diff(means) > 1e-9])
+    shares = np.add.reduceat(shares, np.flatnonzero(keep))
+    means = means[keep]
+    shares /= shares.sum()
+    means /= shares @ means
+    return Elements(tuple(means.tolist()), tuple(shares.tolist()))

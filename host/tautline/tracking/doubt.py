@@ -1,0 +1,55 @@
+"""Whether a law still foretells frames: the odds that it has not since some frame, kept up from frame to frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+ONSET = 2.0  # limit: of B, the motor's way from a turn in which an onset, however gradual, is over
+MEMORY_S = 4.0  # prior: of what moves the tip beside the motor: a breath, a hand, tissue that is met
+_SHARE = 0.05  # prior: of strokes in which the tip is elsewhere
+_FREEDOM = 2.0  # prior: numbers of any size that say where it is in one
+_UNSURE = 1.8  # prior: of the calibration's squares, what the same law may leave of another motion
+_CAP = 36.0  # prior: of one frame's square: alone, as an outlier may be, it raises no doubt
+JUMP = 4.0  # prior: log odds against something that begins in a stroke: in one of 50
+
+
+@dataclass
+class Doubt:
+    """Page's sum over strokes, or their parts of MEMORY_S: in each the frames are noise, or the tip is elsewhere by
+    what is as likely of any size."""
+
+    since: int = 0  # the entry from which it is in doubt
+    _odds: float = 0.0  # of the parts before this one
+    _part: tuple[int, int] = (-1, 0)
+    _squares: float = 0.0
+    _count: int = 0
+
+    def clear(self, entry: int) -> None:
+        self.since, self._odds = entry, 0.0
+        self._part, self._squares, self._count = (-1, 0), 0.0, 0
+
+    @property
+    def here(self) -> float:
+        """Log odds by the part that goes on alone."""
+        if not self._count:
+            return 0.0
+        beyond = max(self._squares / _UNSURE - self._count, 0.0)
+        return 0.5 * (beyond - _FREEDOM * float(np.log1p(beyond))) + float(np.log(_SHARE / (1.0 - _SHARE)))
+
+    @property
+    def odds(self) -> float:
+        """Log odds since the worst frame."""
+        return self._odds + self.here
+
+    def add(self, z: float, stroke: int, t_s: float, entry: int) -> None:
+        """A frame that is z of its standard deviations off, and its entry."""
+        part = stroke, int(t_s / MEMORY_S)
+        if part != self._part:
+            self._odds = max(self._odds + self.here, 0.0)
+            if self._odds == 0.0:
+                self.since = entry
+            self._part, self._squares, self._count = part, 0.0, 0
+        self._squares += min(z * z, _CAP)
+        self._count += 1

@@ -1,0 +1,53 @@
+"""A device's exposure, held where its automatic one had settled: where it changes, a frame's middle moves in time by
+half of that, and what is followed looks otherwise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+
+_SETTLES = 20  # tolerance: frames that an automatic exposure is given: most settle within ten
+_V4L2 = "V4L2"
+_MANUAL = {_V4L2: 1.0}  # format: of OpenCV's backends: the menu entry of V4L2's control, else a quarter
+_MANUAL_ELSE = 0.25  # format: the same
+_ALIKE = 1e-3  # tolerance: share: a driver that rounds has obeyed
+_UNIT_MS = 0.1  # format: of V4L2's exposure
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """`locked`: it stays as it is. `says` that, or what the camera refused, in a line."""
+
+    locked: bool
+    says: str
+    before: float | None = None  # the automatic one, as it was found; None where nothing was changed
+
+
+def lock(capture: cv2.VideoCapture) -> Exposure:
+    """After some frames, of which none is kept."""
+    for _ in range(_SETTLES):
+        capture.grab()
+    backend = capture.getBackendName()
+    manual = _MANUAL.get(backend, _MANUAL_ELSE)
+    before, value = capture.get(cv2.CAP_PROP_AUTO_EXPOSURE), capture.get(cv2.CAP_PROP_EXPOSURE)
+    shown = f"{_UNIT_MS * value:.4g} ms" if backend == _V4L2 else f"{value:g} in the units of {backend}"
+    if before == manual:
+        return Exposure(True, f"exposure is manual, {shown}")
+    if not capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, manual) or capture.get(cv2.CAP_PROP_AUTO_EXPOSURE) != manual:
+        return Exposure(False, "exposure stays automatic, the camera refuses a manual one: keep the light as it is")
+    capture.set(cv2.CAP_PROP_EXPOSURE, value)
+    now = capture.get(cv2.CAP_PROP_EXPOSURE)
+    if abs(now - value) > _ALIKE * abs(value):
+        capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, before)
+        return Exposure(
+            False, f"exposure stays automatic, the camera takes {now:g} where it was {value:g}: keep the light as it is"
+        )
+    return Exposure(True, f"exposure locked at {shown}", before)
+
+
+def release(capture: cv2.VideoCapture, exposure: Exposure | None) -> None:
+    """The camera's next user finds it automatic again."""
+    if exposure is not None and exposure.before is not None:
+        capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, exposure.before)

@@ -1,0 +1,49 @@
+"""Corners found again from one picture to another, whatever the light does: what all trackers of a surface stand on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.floating[Any]]
+Picture = npt.NDArray[np.uint8]
+
+_WINDOW, _LEVELS = 15, 2  # of Lucas-Kanade: px, and pyramid levels above the picture
+_AROUND_PX = 31  # two windows: over which light is alike
+_CAMERA_NOISE = 3.0  # levels, which is not to be enlarged to structure
+_MIDDLE, _CONTRAST = 128.0, 42.0  # levels: three times that is in 8 bits
+_THERE_AND_BACK_PX = 0.5  # a corner that is not found again from where it was found was not found
+
+
+def found_again(one: Picture, other: Picture, start: Array, guess: Array) -> tuple[Array, npt.NDArray[np.intp]]:
+    """Where the corners `start` (n, 2) px of one picture are in the other, looked for around `guess` (n, 2), and which
+    of them are found again from there."""
+    there, found = _followed(one, other, start, guess)
+    back, again = _followed(other, one, there, start)
+    return there, np.flatnonzero(found & again & (np.hypot(*(back - start).T) < _THERE_AND_BACK_PX))
+
+
+def _followed(one: Picture, other: Picture, start: Array, guess: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+    there, found, _ = cv2.calcOpticalFlowPyrLK(
+        one,
+        other,
+        start,
+        guess.copy(),
+        winSize=(_WINDOW, _WINDOW),
+        maxLevel=_LEVELS,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )
+    return np.asarray(there), found.ravel() > 0
+
+
+def even_light(picture: Picture) -> Picture:
+    """Of brightness and contrast that are alike everywhere: smoke, shade and glow, which change both over more than a
+    corner's surroundings, move nothing."""
+    grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).astype(np.float32)
+    around = (_AROUND_PX, _AROUND_PX)
+    away = grey - cv2.blur(grey, around)
+    contrast = np.sqrt(np.maximum(cv2.blur(away * away, around), 0.0)) + _CAMERA_NOISE
+    return np.asarray(np.clip(_MIDDLE + _CONTRAST * away / contrast, 0.0, 255.0), dtype=np.uint8)

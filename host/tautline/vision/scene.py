@@ -1,0 +1,231 @@
+"""What an endoscope that sees the world from its own tip tells of the tip's motion: by how much the world turned.
+
+Corners all over the picture are found again from the nearest of several keyframes. What most of them do together (a
+homography, RANSAC) is the world's; tissue that moves by itself, glints that stay with the light, and what of the
+instrument is in view go otherwise. Between the directions in which they are seen lies one rotation. It is taken as if
+the world were far: where it is near, the tip's own way adds to it, by the same at the same bending angle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from tautline.errors import TautError
+from tautline.recording import Angle, Motor, Video
+from tautline.rig import Camera, Coarse, Rig
+from tautline.vision.flow import Picture, even_light, found_again
+from tautline.vision.frames import Progress, every_frame, half
+
+Array = npt.NDArray[np.floating[Any]]
+
+_CORNERS, _CORNER_QUALITY, _APART = 250, 0.01, 5.0  # tolerance: of a keyframe; px between them
+_FEWEST = 20  # tolerance: corners that go together: eight numbers make a homography, four corners
+_BORDER_PX = (
+    12.0  # tolerance: nothing is looked for nearer to the picture's edge: a window of Lucas-Kanade is cut there
+)
+_TOGETHER_PX = 0.5  # tolerance: from the common motion
+_OWN = 0.8  # tolerance: of the pictures in which a corner of the world that stays goes along
+_STEP = 0.08  # tolerance: of the field of view, diagonal: from the nearest keyframe, from which a new one is taken
+_REACH = 3.0  # tolerance: times that, within which a keyframe is tried
+_NEAREST = 2  # tolerance: keyframes that say together
+_KEYFRAMES = 256  # tolerance: memory
+_FEWEST_TURNS = 20  # tolerance: of a video
+_HELD = 1e-3  # prior: pictures' worth that a keyframe is where it was taken
+
+
+@dataclass
+class _Keyframe:
+    picture: Picture
+    corners: Array  # (n, 2) px
+    towards: Array  # (n, 3) unit vectors
+    turn: Array  # (3,) rad, rotation vector from the first picture's directions to its own
+    tried: Array  # (n,) pictures in which a corner was found again
+    met: Array  # (n,) and went along with most
+
+    def settle(self) -> None:
+        """Forgets the corners that often go otherwise: they are on what breathes."""
+        own = self.met >= _OWN * self.tried
+        if own.sum() >= _FEWEST:
+            self.corners, self.towards, self.tried, self.met = (
+                rows[own] for rows in (self.corners, self.towards, self.tried, self.met)
+            )
+
+
+@dataclass
+class SceneTracker:
+    """`track` gives the world's turn since the first picture; after a motion `settle` makes the keyframes agree."""
+
+    camera: Camera
+    _keyframes: list[_Keyframe] = field(default_factory=list)
+    _differ: list[tuple[int, int, Array]] = field(default_factory=list)
+    _turns: list[Array] = field(default_factory=list)  # the last two
+    _learns: bool = True
+
+    def __post_init__(self) -> None:
+        across = np.hypot(self.camera.width_px / self.camera.fx_px, self.camera.height_px / self.camera.fy_px)
+        self._step = _STEP * 2.0 * float(np.arctan(0.5 * across))
+
+    def track(self, picture: Picture) -> Array | None:
+        """(3,) rad, a rotation vector; None where the world is not found again."""
+        grey = even_light(picture)
+        if not self._keyframes:
+            self._keyframes.append(self._keyframe(grey, np.zeros(3)))
+            return np.zeros(3)
+        expected = self._turns[-1] if self._turns else np.zeros(3)
+        if len(self._turns) == 2:  # the motion goes on as it went
+            expected = _vector(_matrix(self._turns[1]) @ _matrix(self._turns[0]).T @ _matrix(self._turns[1]))
+        turn = self._near(grey, expected)
+        if turn is None and (turn := self._anywhere(grey)) is None:
+            self._turns.clear()
+            return None
+        self._turns = [*self._turns[-1:], turn]
+        return turn
+
+    def settle(self) -> None:
+        """Moves the keyframes by what makes them say the same of the pictures that two of them saw, in least squares.
+        From now on none is added; the next picture may be any."""
+        if self._differ:
+            i, j = np.array([(a, b) for a, b, _ in self._differ]).T
+            off = np.array([by for _, _, by in self._differ])
+            told = np.zeros((len(off), len(self._keyframes)))
+            told[np.arange(len(off)), i], told[np.arange(len(off)), j] = 1.0, -1.0
+            normal = told.T @ told + _HELD * np.eye(told.shape[1])
+            normal[0, 0] += len(off)  # the first one is where turns begin
+            for key, by in zip(self._keyframes, -np.linalg.solve(normal, told.T @ off), strict=True):
+                key.turn = _vector(_matrix(by) @ _matrix(key.turn))
+        for key in self._keyframes:
+            key.settle()
+        self._learns = False
+        self._turns.clear()
+
+    def _keyframe(self, grey: Picture, turn: Array) -> _Keyframe:
+        edge = int(_BORDER_PX)
+        mask = np.zeros_like(grey)
+        mask[edge:-edge, edge:-edge] = 255
+        found = cv2.goodFeaturesToTrack(grey, _CORNERS, _CORNER_QUALITY, _APART, mask=mask)
+        corners = np.empty((0, 2)) if found is None else found.reshape(-1, 2).astype(float)
+        return _Keyframe(grey, corners, self._towards(corners), turn, *np.zeros((2, len(corners))))
+
+    def _towards(self, places: Array) -> Array:
+        """Unit vectors (n, 3) in which places (n, 2) px are seen."""
+        if not len(places):
+            return np.empty((0, 3))
+        distortion = np.array(self.camera.distortion)
+        flat = cv2.undistortPoints(places.reshape(-1, 1, 2), self.camera.matrix, distortion).reshape(-1, 2)
+        rays = np.column_stack([flat, np.ones(len(flat))])
+        return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+
+    def _seen_by(self, key: _Keyframe, grey: Picture, expected: Array) -> tuple[Array, int] | None:
+        """The turn, by the corners of a keyframe, and how many go together."""
+        ahead = key.towards @ (_matrix(expected) @ _matrix(key.turn).T).T
+        if not len(ahead):
+            return None
+        guess, _ = cv2.projectPoints(
+            ahead, np.zeros(3), np.zeros(3), self.camera.matrix, np.array(self.camera.distortion)
+        )
+        guess = guess.reshape(-1, 2)
+        size = np.array([grey.shape[1], grey.shape[0]])
+        shown = np.flatnonzero((ahead[:, 2] > 0.1) & (guess > 0.0).all(axis=1) & (guess < size).all(axis=1))
+        if len(shown) < _FEWEST:
+            return None
+        start = key.corners[shown].astype(np.float32)
+        there, kept = found_again(key.picture, grey, start, guess[shown].astype(np.float32))
+        if len(kept) < _FEWEST:
+            return None
+        one, other = key.towards[shown[kept]], self._towards(there[kept].astype(float))
+        within = _TOGETHER_PX / self.camera.fx_px
+        _, inliers = cv2.findHomography(one[:, :2] / one[:, 2:], other[:, :2] / other[:, 2:], cv2.RANSAC, within)
+        together = np.zeros(0, int) if inliers is None else np.flatnonzero(inliers)
+        if len(together) < max(_FEWEST, 0.25 * len(kept)):
+            return None
+        key.tried[shown[kept]] += 1
+        key.met[shown[kept[together]]] += 1
+        return _vector(_between(one[together], other[together]) @ _matrix(key.turn)), len(together)
+
+    def _near(self, grey: Picture, expected: Array) -> Array | None:
+        """By the nearest keyframes, each the more the nearer it is: where one gives way to the next nothing jumps."""
+        away = np.array([np.linalg.norm(_apart(key.turn, expected)) for key in self._keyframes]) / self._step
+        found: list[tuple[float, int, Array]] = []
+        for k in np.argsort(away, kind="stable")[: _NEAREST + 2].tolist():
+            if away[k] < _REACH and len(found) < _NEAREST:
+                seen = self._seen_by(self._keyframes[k], grey, expected)
+                if seen is not None:
+                    found.append(((_REACH - float(away[k])) ** 2, k, seen[0]))
+        if not found:
+            return None
+        (weight, first, turn), *others = found
+        for other_weight, second, other in others:
+            by = _apart(turn, other)
+            if self._learns:
+                self._differ.append((first, second, -by))
+            turn = _vector(_matrix(other_weight / (weight + other_weight) * by) @ _matrix(turn))
+        if self._learns and away.min() > 1.0 and len(self._keyframes) < _KEYFRAMES:
+            self._keyframes.append(self._keyframe(grey, turn))
+        return turn
+
+    def _anywhere(self, grey: Picture) -> Array | None:
+        """By the keyframe of which most is found again, as if it were seen from where it was taken."""
+        seen = [self._seen_by(key, grey, key.turn) for key in self._keyframes]
+        found = max((one for one in seen if one is not None), key=lambda one: one[1], default=None)
+        return None if found is None else found[0]
+
+
+def _between(one: Array, other: Array) -> Array:
+    """The rotation (3, 3) that takes directions (n, 3) to others, in least squares."""
+    left, _, right = np.linalg.svd(other.T @ one)
+    return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
+
+
+def _matrix(turn: Array) -> Array:
+    return np.asarray(cv2.Rodrigues(np.asarray(turn, dtype=float))[0])
+
+
+def _vector(rotation: Array) -> Array:
+    turn: Array = np.asarray(cv2.Rodrigues(rotation)[0], dtype=float).ravel()
+    return turn
+
+
+def _apart(one: Array, other: Array) -> Array:
+    """(3,) rad: what takes one turn to the other."""
+    return _vector(_matrix(other) @ _matrix(one).T)
+
+
+def turned(video: Video, motor: Motor, rig: Rig, progress: Progress | None = None) -> Angle:
+    """The bending angle by a video that the tip's own camera took. It is read twice: how the keyframes lie to each
+    other is known after the first time."""
+    assert rig.camera is not None
+    tracker, own = SceneTracker(rig.camera), (rig.camera.width_px, rig.camera.height_px)
+    size = every_frame(video, tracker.track, half(progress, 0.0))[2]
+    if size not in (None, own):
+        raise TautError(
+            f"{video.path}: its frames are {size[0]} x {size[1]} px, the rig's {own[0]} x {own[1]}: record at the "
+            "rig's size, or calibrate the camera at this one"
+        )
+    tracker.settle()
+    t_s, turns, _ = every_frame(video, tracker.track, half(progress, 0.5))
+    timed = np.isfinite(t_s)
+    rows = np.array([np.full(3, np.nan) if turn is None else turn for turn in turns])[timed]
+    if np.sum(np.isfinite(rows).all(axis=1)) < _FEWEST_TURNS:
+        raise TautError(
+            f'{video.path}: the world is not found again from frame to frame: is [camera] mount = "tip" right, and is '
+            "there light and structure in its view?"
+        )
+    return angle_of(t_s[timed], rows, motor, rig.coarse, rig.delay_s)
+
+
+def angle_of(t_s: Array, turns: Array, motor: Motor, coarse: Coarse, delay_s: float) -> Angle:
+    """The bending angle by the world's turns (n, 3) rad, NaN where it was not found: along the axis about which it
+    turns most, and as f_coarse has it in sign and in the mean, which no turn tells."""
+    seen = np.asarray(np.isfinite(turns).all(axis=1))
+    middle = np.median(turns[seen], axis=0)
+    axis = np.linalg.svd(turns[seen] - middle, full_matrices=False)[2][0]
+    along = np.degrees((turns - middle) @ axis)
+    expected = coarse.gain * np.interp(t_s - delay_s, motor.t_s, motor.q) + coarse.offset
+    if np.sum((along * (expected - expected[seen].mean()))[seen]) < 0.0:
+        along = -along
+    return Angle(t_s, along + float(np.mean((expected - along)[seen])), seen)

@@ -1,0 +1,92 @@
+"""./run dossier: each hazard with the last result of its tests, from what the suites wrote."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from tools import dossier, kept
+
+PAGE = (
+    "| hazard | promise | limit | test | guards |\n| --- | --- | --- | --- | --- |\n"
+    "| fire | off | `x` | tests/c/test_a.c::test_one, tests/board/test_b.py::test_two | g |\n"
+    "| flood & <b> | dry | `y` | tools/emulator/test/image.test.js::a drop of | g |\n"
+    "| code | none | `z` | tests/c/duplicate_code.c:: | g |\n"
+)
+C = (
+    '<testsuite><testcase name="test_a"><system-out>/x/test_a.c:12:test_one:{}\n/x/test_a.c:19:test_other:FAIL: no'
+    '</system-out></testcase><testcase name="codes_given_twice_do_not_compile"/></testsuite>'
+)
+BOARD = (
+    '<testsuites><testsuite><testcase classname="tests.board.test_b" name="test_two[1]"/>'
+    '<testcase classname="tests.board.test_b" name="test_two[2]">{}</testcase></testsuite></testsuites>'
+)
+CHIP = "TAP version 13\n# Subtest: x\n{}ok 1 - a drop of water # time=3\n  ---\n"
+
+
+def made(folder: Path, c: str = "PASS", board: str = "", chip: str = "") -> tuple[str, list[str]]:
+    folder.mkdir(exist_ok=True)
+    (folder / "c.xml").write_text(C.format(c))
+    (folder / "board.xml").write_text(BOARD.format(board))
+    (folder / "chip.tap").write_text(CHIP.format(chip))
+    return dossier.page(folder, dossier.results(folder), dossier.rows(PAGE))
+
+
+def test_a_hazard_whose_tests_passed_is_shown_so(tmp_path: Path) -> None:
+    text, wrong = made(tmp_path)
+    assert wrong == []
+    assert "flood &amp; &lt;b&gt;" in text and "<b>" not in text
+    assert text.count('class="passed"') == 4 and 'class="failed"' not in text
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"c": "FAIL"}, "fire: tests/c/test_a.c::test_one: failed"),
+        ({"board": "<failure/>"}, "fire: tests/board/test_b.py::test_two: failed"),
+        ({"board": "<error/>"}, "fire: tests/board/test_b.py::test_two: failed"),
+        ({"chip": "not "}, "flood & <b>: tools/emulator/test/image.test.js::a drop of: failed"),
+    ],
+)
+def test_a_test_that_failed_in_any_case_is_told(tmp_path: Path, change: dict[str, str], said: str) -> None:
+    text, wrong = made(tmp_path, **change)
+    assert wrong == [said] and 'class="failed"' in text
+
+
+def test_a_test_that_was_not_run_is_no_success(tmp_path: Path) -> None:
+    made(tmp_path)
+    (tmp_path / "board.xml").write_text(
+        BOARD.replace("{}", "")
+        .replace("<testcase ", "<testcase x='' ")
+        .replace('"/>', '"><skipped/></testcase>')
+        .replace('[2]">', '[2]"><skipped/>')
+    )
+    (tmp_path / "chip.tap").unlink()
+    text, wrong = dossier.page(tmp_path, dossier.results(tmp_path), dossier.rows(PAGE))
+    assert [line.rpartition(": ")[2] for line in wrong] == ["not run", "not run"]
+    assert 'class="missing">not run' in text
+
+
+def test_a_hazard_without_a_test_is_refused() -> None:
+    with pytest.raises(SystemExit, match="no test for: code"):
+        dossier.rows(PAGE.replace("tests/c/duplicate_code.c::", ""))
+    with pytest.raises(SystemExit, match="has no table"):
+        dossier.rows(PAGE.replace("| hazard", "| danger"))
+
+
+def test_every_hazard_of_the_page_is_in_it_and_what_else_was_tried(tmp_path: Path) -> None:
+    table = dossier.rows(dossier.SAFETY.read_text())
+    assert len(table) > 50
+    kept.keep("soak", ("board", "hours"), [("desktop", 8)], tmp_path)
+    kept.keep("soak", ("board", "hours"), [("emulated", 0.5)], tmp_path)
+    kept.keep("soak", ("board", "hours"), [("desktop", 9)], tmp_path)  # the last one counts
+    assert json.loads((tmp_path / "soak.json").read_text())["rows"] == [["desktop", "9"], ["emulated", "0.5"]]
+    text, wrong = dossier.page(tmp_path, {}, table)
+    assert len(wrong) == sum(len(row.tests) for row in table)
+    assert "<td>emulated</td><td>0.5</td>" in text
+    parts = re.findall(r"<tr><td>([\w.-]+)</td><td>([\w.]+)</td><td>([^<]+)</td></tr>", text)
+    licences = {name: licence for name, _, licence in parts}
+    assert licences["tautline-robotics"] == "Apache-2.0" and licences["tinyusb"] == "MIT" and "numpy" in licences
