@@ -16,12 +16,12 @@ from tautline import _native
 Array = npt.NDArray[np.float64]
 
 _GRID_S = 0.004  # between nodes at most: finer than a camera's frames by far
-_NO_NOISE = 1e-3  # of a step: less is none
+_NO_NOISE = 1e-3  # tolerance: of a step: less is none
 _LEAST_NOISE = 0.2  # of a step, to begin with
 _RARER = 0.1  # times the square of the usual change, a sweep
-_RAREST = 1e-9  # square of the usual change in a node's time, of a step: what double precision carries
+_RAREST = 1e-9  # tolerance: square of the usual change in a node's time, of a step: what double precision carries
 _SWEEPS = 48  # at most
-_SETTLED = 1e-3  # log probability of a reading that one more sweep must bring
+_SETTLED = 1e-3  # tolerance: log probability of a reading that one more sweep must bring
 
 
 @dataclass(frozen=True, eq=False)

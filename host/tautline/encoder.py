@@ -18,21 +18,21 @@ Array = npt.NDArray[np.float64]
 
 # How far the lines between a motor's knots may be from its samples: less than a camera sees.
 _TOLERANCE_COUNTS, _TOLERANCE_MM, _TOLERANCE_DEG, _TOLERANCE_LOAD = 0.5, 5e-4, 5e-3, 1e-3
-_STEPS = 0.5  # counts more for an encoder's own steps
-_COARSE = 5e-4  # of the motor's travel: finer counts are seen nowhere
-_COARSE_LINES = 2e-4  # of the travel, instead of a coarse count: how far lines may be from its path
+_STEPS = 0.5  # tolerance: counts more for an encoder's own steps
+_COARSE = 5e-4  # tolerance: of the motor's travel: finer counts are seen nowhere
+_COARSE_LINES = 2e-4  # tolerance: of the travel, instead of a coarse count: how far lines may be from its path
 _COARSER = 30.0  # times the rig's step, at most: what is more is a motor that steps
 _LEAPS = 12.0  # times the usual step between readings: a motor that jumps
-_SKIPS = 3.5  # of five neighbouring readings, that changed
-_OWN_STEPS = 0.6  # counts of noise: no more than an encoder's own steps
+_SKIPS = 3.5  # tolerance: of five neighbouring readings, that changed
+_OWN_STEPS = 0.6  # tolerance: counts of noise: no more than an encoder's own steps
 _SCATTERS = 1.0  # counts of noise from which readings are smoothed
 _EXACT = 1e-12  # of the largest value: next to nothing
 _REST_S = 0.05  # a motor that stands still for longer rests
-_CHANGES = 24, 4  # of the count, most and least, that tell how a motor slows down
-_FITS = 0.3  # counts rms: an encoder's step scatters by 0.29
+_CHANGES = 24, 4  # tolerance: of the count, most and least, that tell how a motor slows down
+_FITS = 0.3  # tolerance: counts rms: an encoder's step scatters by 0.29
 _FEWEST, _CLEARLY = 100, 5.0  # readings that tell whether a motor trembles; standard errors of what they share
 _LAST = 2.0  # samples: within so many of a stop no knot tells a speed
-_EXACTLY = 1e-6  # of the motor's travel: readings with finer noise or steps are what they say
+_EXACTLY = 1e-6  # tolerance: of the motor's travel: readings with finer noise or steps are what they say
 _AGREES, _STRAYS = 2.5, 5.0  # counts, and standard deviations of their noise, that readings are from a motor's path
 
 

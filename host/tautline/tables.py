@@ -27,7 +27,7 @@ _NANO = 1e-9
 _SHARE, _WEIGHT = 2.0**28, 2**16  # of an element's width, and of its share of the motion
 _PERIOD_LOG2 = 26  # of the warp, at most
 _HALF_LOG2 = 26  # and of half the widest element
-_WARP_OFF = 4.0, 0.02  # counts, of B: how far the warp may be off between the nodes of a board's grid
+_WARP_OFF = 4.0, 0.02  # tolerance: counts, of B: how far the warp may be off between the nodes of a board's grid
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,9 @@ Array = npt.NDArray[np.float64]
 
 _COUNT = float(_native.COUNT_ONE)
 _DEG = float(_native.DEG_ONE)
-_LEAD = 2e-3, 0.125  # s, share of a lag's stage: the filter within which it is made up for
-_APART = 1.5  # times: the two stages' filters
-_CREEP_MOST = 0.9  # of the motion: more of it is not made up for at once
+_LEAD = 2e-3, 0.125  # tolerance: s, share of a lag's stage: the filter within which it is made up for
+_APART = 1.5  # tolerance: times: the two stages' filters
+_CREEP_MOST = 0.9  # limit: of the motion: more of it is not made up for at once
 _GAIN_MOST = 1000.0
 _STEP_LOG2_MAX = 22
 # Of a section's small table, in its steps.

@@ -54,13 +54,14 @@ def of_source(source: str, file: str) -> Iterator[Constant]:
     """Floats wherever they stand, and whole numbers that a module gives a name; others are shapes and indices."""
     tree = ast.parse(source)
     kinds, of_all = _kinds(source), _OF_ALL.search(source)
+    places = {id(node) for each in ast.walk(tree) if isinstance(each, ast.Subscript) for node in ast.walk(each.slice)}
     usual = of_all[1] if of_all else UNSTATED
     named = {id(node) for each in tree.body if isinstance(each, ast.Assign | ast.AnnAssign) for node in ast.walk(each)}
     for node in ast.walk(tree):
         if not isinstance(node, ast.Constant) or isinstance(node.value, bool):
             continue
         value = node.value
-        chosen = isinstance(value, float) or (isinstance(value, int) and id(node) in named)
+        chosen = isinstance(value, float) or (isinstance(value, int) and id(node) in named - places)
         if chosen and abs(value) not in _PLAIN and abs(value) > _GUARD:
             kind = next((kinds[n] for n in range(node.lineno, node.end_lineno + 1) if n in kinds), usual)
             yield Constant(file, node.lineno, node.col_offset, float(value), kind)

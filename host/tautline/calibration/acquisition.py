@@ -36,7 +36,7 @@ _SCATTERED = 0.15  # of the image's motion that the motor's position leaves unex
 _RATE = 0.05  # by which a steady frame rate may differ from the rig's
 _STEADY = 0.1  # of the frame period: what varies more is no rate
 _PLACES = 12  # of the motor's range, in each of which the marker has to be seen
-_SEEN = 0.3  # of the frames there
+_SEEN = 0.3  # tolerance: of the frames there
 _FEWEST = 20  # frames from which a share is one
 
 

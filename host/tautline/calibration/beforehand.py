@@ -17,7 +17,7 @@ from tautline.value import Value
 
 Array = npt.NDArray[np.float64]
 
-_LEAST = 1e-3  # of the usual B: less has no logarithm that says more
+_LEAST = 1e-3  # tolerance: of the usual B: less has no logarithm that says more
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -19,11 +19,11 @@ Array = npt.NDArray[np.float64]
 
 _KNOTS = 33  # candidates at once
 _PIECES = 10  # of the path, in each of which its second derivative is constant
-_BENDS = 7  # values of its standard deviation, evenly in its logarithm
+_BENDS = 7  # tolerance: values of its standard deviation, evenly in its logarithm
 _LEAST_BEND, _MOST_BEND = 0.3, 2.0  # over the window: of the noise, nothing is seen of it; of the whole swing
-_SPREAD = 0.5  # of the logarithm of the start's slope over the path's mean slope
-_BACKWARDS = 1e-3  # a start against the path counts as this share of it
-_FLAT = 1e-9  # precision of what is fitted, in whitened units over the window
+_SPREAD = 0.5  # prior: of the logarithm of the start's slope over the path's mean slope
+_BACKWARDS = 1e-3  # tolerance: a start against the path counts as this share of it
+_FLAT = 1e-9  # tolerance: precision of what is fitted, in whitened units over the window
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ import numpy.typing as npt
 from tautline.calibration.observations import Mask, Track
 from tautline.calibration.smooth import Domain, fit_jointly, freeze
 
-_RUN = 4  # frames at one place from which it may be held
+_RUN = 4  # tolerance: frames at one place from which it may be held
 _MOVES = 0.02  # of the motor's span, by which it moves meanwhile
-_OFF = 6.0  # scales of what is left, by which the tip is elsewhere then
+_OFF = 6.0  # tolerance: scales of what is left, by which the tip is elsewhere then
 
 
 def released(

@@ -25,12 +25,12 @@ Array = npt.NDArray[np.float64]
 _NODES = 33  # motor positions at which angle and place are unknown
 _SHOWN = 0.25  # of the square's side: standard deviation of its middle from the middle of a tube as wide as the square
 _ROAMS = 0.25  # of it, half a tube's radius: by how much the place goes over to the side that the camera sees then
-_ANYWAY = 0.5  # turns of that side, in radii, that it goes on by where the side is the one that was shown
+_ANYWAY = 0.5  # prior: turns of that side, in radii, that it goes on by where the side is the one that was shown
 _TURN_DEG = 20.0  # of bending over which that stays alike
-_JITTER = 1e-4  # of it, that keeps its covariance regular
-_STEP = 1e-4  # deg or mm, of a derivative by differences
+_JITTER = 1e-4  # tolerance: of it, that keeps its covariance regular
+_STEP = 1e-4  # tolerance: deg or mm, of a derivative by differences
 _MOST_STEPS = 100
-_ENOUGH = 1e-3  # of the cost, sigma^2
+_ENOUGH = 1e-3  # tolerance: of the cost, sigma^2
 
 
 def place_on_tip(fitted: Fitted, rig: Rig, shown: Shown) -> Place | None:

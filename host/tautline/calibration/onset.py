@@ -22,13 +22,13 @@ Array = npt.NDArray[np.float64]
 HINGE, BRACKET, BOUND, NONE = "hinge", "bracket", "bound", "none"
 _LONGEST = 160  # frames after the onset that one hinge takes in
 _BEFORE = 24  # frames before the turn that tell when the image stopped
-_JUMP = 8.0  # sigma: a quantised sensor's steps are no jumps
-_JUMPS_TOGETHER = 8.0  # mean chi-square that jumps explain; 1 to 3 where there are none
+_JUMP = 8.0  # tolerance: sigma: a quantised sensor's steps are no jumps
+_JUMPS_TOGETHER = 8.0  # prior: mean chi-square that jumps explain; 1 to 3 where there are none
 NOMINAL_S = 0.03  # standard deviation of a nominal delay
 _DELAY_REACH_S = 0.12  # the delay is looked for this far around the nominal one
-_AROUND_S = np.array([-0.5, 0.5])  # of a stop: what the motor does in it, at any delay that is looked for
-_SETTLE_S = np.geomspace(0.2, 8.0, 16)  # time constants of a tip that creeps; the first one is a lag's
-_SETTLES = 0.9  # share of the squares after a turn that creeping must explain
+_AROUND_S = np.array([-0.5, 0.5])  # tolerance: of a stop: what the motor does in it, at any delay that is looked for
+_SETTLE_S = np.geomspace(0.2, 8.0, 16)  # prior: time constants of a tip that creeps; the first one is a lag's
+_SETTLES = 0.9  # tolerance: share of the squares after a turn that creeping must explain
 
 
 @dataclass(frozen=True)

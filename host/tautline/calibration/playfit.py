@@ -26,7 +26,7 @@ Array = npt.NDArray[np.float64]
 # (s (n,), translation (n,), rotation (n,)) -> y (n, k) and dy/ds (n, k)
 View = Callable[[Array, Array, Array], tuple[Array, Array]]
 
-EXPLAINED = 1.5  # residual over noise up to which a model explains its data
+EXPLAINED = 1.5  # tolerance: residual over noise up to which a model explains its data
 _STIFF = 1e4  # cost, in sigma^2, of a neighbour difference that is off its limit by the whole limit
 _GAIN = 0.2  # sigma^2: an iteration that gains less is the last but one
 NODES = 1025  # of the tables that fits and models use

@@ -23,8 +23,8 @@ from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
 
-_STRAY = 6.0  # medians of what is left
-_LEAST_SLOPE = 2e-3  # of f_coarse's: f_remain has an inverse everywhere
+_STRAY = 6.0  # tolerance: medians of what is left
+_LEAST_SLOPE = 2e-3  # limit: of f_coarse's: f_remain has an inverse everywhere
 _PICTURE = (720, 1440)  # rows (c) and columns (q) of the characteristic as an image
 
 

@@ -25,11 +25,11 @@ Array = npt.NDArray[np.float64]
 
 # Widths of the elements, of B: a seventh apart about 1, then by a third.
 SHARES = np.array([0.07, 0.2, 0.4, 0.6, 0.8, 0.95, 1.1, 1.4, 1.9, 2.6, 3.6, 5.0])  # tolerance: what lies between
-_FIRST = 0.05  # least weight of the first element: the inverse's slope is one over it (1 / 0.05 = 20)
-_LEAST = 0.01  # of a weight that is kept
+_FIRST = 0.05  # limit: least weight of the first element: the inverse's slope is one over it (1 / 0.05 = 20)
+_LEAST = 0.01  # tolerance: of a weight that is kept
 _STEPS = 12
-_STRICT = 10.0  # how much more than the data the two sums weigh
-_ENOUGH = 2e-3  # of the squares: a step that gains less is the last
+_STRICT = 10.0  # tolerance: how much more than the data the two sums weigh
+_ENOUGH = 2e-3  # tolerance: of the squares: a step that gains less is the last
 
 
 def fit_elements(fitted: Fitted, rig: Rig, fit_delay: bool) -> Fitted:

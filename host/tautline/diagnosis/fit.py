@@ -29,10 +29,11 @@ from tautline.splines import Basis
 Array = npt.NDArray[np.float64]
 
 WIDTH_PIECES, _REMAINING_PIECES = (
-    len(effects.BY_ID[name].curve) - 3 for name in ("transmission.backlash", "configuration.remaining")
+    len(effects.BY_ID[name].curve) - 3  # equation: a cubic spline's coefficients beyond its pieces
+    for name in ("transmission.backlash", "configuration.remaining")
 )
 _ROUGH = 0.001  # prior: second difference of a correction's neighbouring coefficients, share of its range
-STATIC_COLUMNS = slice(2, 8)  # of Seen.columns, with a camera
+STATIC_COLUMNS = slice(2, 8)  # format: of Seen.columns, with a camera
 _STATIC = tuple(p.name for p in effects.BY_ID["registration.static"].amplitudes)
 WIDTH, REMAINING, STATIC, DELAY = PARTS = (
     "transmission.backlash",

@@ -32,7 +32,7 @@ from tautline.nominal import Normal
 
 Array = npt.NDArray[np.float64]
 
-_SHIFT_STEP_S = 0.5  # within which a moment is found first; then to a frame
+_SHIFT_STEP_S = 0.5  # tolerance: within which a moment is found first; then to a frame
 _PERIODS_PER_RANGE = 0.4  # tolerance: step of 1 / encoder_period times the motor's range: phases stay together over it
 _FREE = 1e-3  # tolerance: share of a column's norm that the nominal must leave of it
 _BEFORE_S = 1e-3

@@ -21,7 +21,7 @@ LAWS = frozenset(kind.id for kind in LIBRARY if kind.law)
 MEASURED = frozenset(kind.id for kind in LIBRARY if kind.needs == "load")  # effects that follow a measured column
 BROUGHT = {kind.id: frozenset(kind.brings) for kind in LIBRARY if kind.brings}
 INEXACT = 4.0  # prior: times the floor's power that a nominal model may leave of its own calibration
-CONFINED = 0.5  # probability that what a wrong effect leaves is confined to its stage as well
+CONFINED = 0.5  # prior: probability that what a wrong effect leaves is confined to its stage as well
 FOLLOWED = 0.02  # prior: share of a power above the floor: what leaves less of unseen blocks has followed a path
 SHARES = np.geomspace(1e-5, 1.0, 41)
 WANDERS = np.geomspace(3e-3, 3.0, 31)  # prior: shares by which an amplitude may be another elsewhere
