@@ -39,14 +39,18 @@ def c_components() -> list[dict[str, Any]]:
     """TinyUSB and Monocypher, in the wheel's desktop board and in the image; the Pico SDK, in the image."""
     tinyusb = Path(os.environ.get("TAUTLINE_TINYUSB_DIR", DEPS / "root/usr/src/tinyusb")) / "src/tusb_option.h"
     monocypher = Path(os.environ.get("TAUTLINE_MONOCYPHER_DIR", DEPS / "monocypher")) / "monocypher.c"
-    local = DEPS / "root/usr/src/pico-sdk"
-    sdk = Path(os.environ.get("PICO_SDK_PATH", local if local.is_dir() else "/usr/src/pico-sdk"))
-    sdk_version = sdk / "pico_sdk_version.cmake"
     return [
         _component("tinyusb", "MIT", tinyusb, r"TUSB_VERSION_(?:MAJOR|MINOR|REVISION)\s+(\d+)"),
         _component("monocypher", "BSD-2-Clause OR CC0-1.0", monocypher, r"(?:Monocypher version |(?<=\d)\.)(\d+)"),
-        _component("pico-sdk", "BSD-3-Clause", sdk_version, r"PICO_SDK_VERSION_(?:MAJOR|MINOR|REVISION) (\d+)"),
+        _component("pico-sdk", "BSD-3-Clause", sdk_version(), r"PICO_SDK_VERSION_(?:MAJOR|MINOR|REVISION) (\d+)"),
     ]
+
+
+def sdk_version() -> Path:
+    """Where the Pico SDK says its version, once `./run setup firmware` was there."""
+    local = DEPS / "root/usr/src/pico-sdk"
+    sdk = Path(os.environ.get("PICO_SDK_PATH", local if local.is_dir() else "/usr/src/pico-sdk"))
+    return sdk / "pico_sdk_version.cmake"
 
 
 def _component(name: str, licence: str, file: Path, pattern: str) -> dict[str, Any]:

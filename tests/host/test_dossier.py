@@ -35,6 +35,17 @@ def made(folder: Path, c: str = "PASS", board: str = "", chip: str = "") -> tupl
     return dossier.page(folder, dossier.results(folder), dossier.rows(PAGE))
 
 
+@pytest.fixture(autouse=True)
+def sdk(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The Pico SDK's version, where only the firmware's set-up would fetch it."""
+    folder = tmp_path_factory.mktemp("sdk")
+    lines = (
+        f"set(PICO_SDK_VERSION_{part} {number})\n" for part, number in (("MAJOR", 2), ("MINOR", 1), ("REVISION", 1))
+    )
+    (folder / "pico_sdk_version.cmake").write_text("".join(lines))
+    monkeypatch.setenv("PICO_SDK_PATH", str(folder))
+
+
 def test_a_hazard_whose_tests_passed_is_shown_so(tmp_path: Path) -> None:
     text, wrong = made(tmp_path)
     assert wrong == []

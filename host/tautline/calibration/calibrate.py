@@ -60,7 +60,6 @@ _TOLD_S = 0.001  # tolerance: standard deviation to which a clock that was off i
 _LATER = 0.05  # tolerance: of a frame's period, by which onsets are moved and not looked for again
 _GRADUAL = 0.4  # prior: noise: what a gradual start must leave for several elements to be tried
 _HELD = 0.5  # prior: of the square of what one element leaves beyond noise: several may leave so much
-_HARDLY = 0.5  # tolerance: of B: what may as well be half or one and a half of itself is not measured
 _OF_SENSORS = frozenset({"turn", "tracker"})  # departures that no effect of the library looks like
 _OF_ELEMENTS = frozenset({"phase.even", "image.side"})  # what several elements, or their number, stand for
 _BETWEEN_ELEMENTS = 0.003  # prior: of B: what elements of a few shares leave, alike on every stroke
@@ -547,20 +546,20 @@ class _Session:
     def _doubt_sigma(
         self, joint: Fitted | None, width: Array, sigma: Array, inside: npt.NDArray[np.bool_], holds: bool
     ) -> None:
-        """Where B is known no better than a twentieth: worth knowing, and a doubt where it is hardly known at all; all
-        (k,) where it was measured. A sigma that covers is right, however large."""
-        rms = float(np.sqrt(np.mean(sigma**2)))
-        unsure = rms / max(float(np.median(width)), NO_WIDTH)
-        if unsure <= KNOWN:
-            return
-        late = 0.0
+        """Where B is known no better than a twentieth; all (k,) where it was measured. A doubt unless all but that is
+        the delay's: what the two say together foretells as well as either that is known."""
+        usual = max(float(np.median(width)), NO_WIDTH)
+        unsure, late = sigma / usual, np.zeros_like(sigma)
         if joint is not None and joint.by_delay is not None:
-            late = joint.delay_sigma * float(np.sqrt(np.mean(joint.by_delay[inside] ** 2)))
+            late = joint.delay_sigma * joint.by_delay[inside] / usual
+        all_of_it, of_delay = (float(np.mean(part**2)) for part in (unsure, late))
+        if all_of_it <= KNOWN**2:
+            return
         more = "move back and forth for longer, and turn at more places"
-        if late > np.sqrt(0.5) * rms:
+        if of_delay > 0.5 * all_of_it:
             more = "move at several speeds: at one a delay and a width look alike"
-        mild = holds and unsure <= _HARDLY
-        self.findings.doubt("coverage", f"B(q) is known to {100.0 * unsure:.2g} % only", more, mild=mild)
+        mild = holds and all_of_it - of_delay <= KNOWN**2
+        self.findings.doubt("coverage", f"B(q) is known to {100.0 * np.sqrt(all_of_it):.2g} % only", more, mild=mild)
 
     def _measured(self, curve: WidthCurve | None, joint: Fitted | None, source: str) -> tuple[float, float]:
         """With friction a tip starts at every turn: what was passed near both envelopes is measured."""
