@@ -126,17 +126,17 @@ static void __not_in_flash_func(flash_operation)(void *parameter) {
 }
 
 // PWM goes on while a debugger holds the core: the watchdog does too, and its restart lets every bridge coast.
-static void watch(uint32_t ms) {
-    watchdog_enable(ms, TAUTLINE_HALT_KEEPS_DRIVING);
+void board_watch(uint32_t ms) {
+    watchdog_enable(ms == 0U ? WATCHDOG_MS : ms, TAUTLINE_HALT_KEEPS_DRIVING);
 }
 
 // `offset`: in flash. The SDK's safe path: interrupts off, and so the control step stands still; the app has the motors
 // off.
-static bool flash_safely(uint32_t offset, const uint8_t *page) {
+bool board_flash_safely(uint32_t offset, const uint8_t *page) {
     flash_operation_t operation = {offset, page};
-    watch(WATCHDOG_FLASH_MS);
+    board_watch(WATCHDOG_FLASH_MS);
     const bool done = flash_safe_execute(flash_operation, &operation, FLASH_TIMEOUT_MS) == PICO_OK;
-    watch(WATCHDOG_MS);
+    board_watch(0U);
     return done;
 }
 
@@ -152,12 +152,12 @@ static void port_flash_read(void *context, uint32_t offset, uint8_t *out, size_t
 
 static bool port_flash_erase(void *context, uint32_t offset) {
     (void)context;
-    return offset < TL_PORT_FLASH_REGION + TL_PORT_FLASH_LOG && flash_safely(store_at(offset), NULL);
+    return offset < TL_PORT_FLASH_REGION + TL_PORT_FLASH_LOG && board_flash_safely(store_at(offset), NULL);
 }
 
 static bool port_flash_program(void *context, uint32_t offset, const uint8_t *page) {
     (void)context;
-    return offset < TL_PORT_FLASH_REGION + TL_PORT_FLASH_LOG && flash_safely(store_at(offset), page);
+    return offset < TL_PORT_FLASH_REGION + TL_PORT_FLASH_LOG && board_flash_safely(store_at(offset), page);
 }
 
 static void port_watchdog_feed(void *context) {
@@ -300,11 +300,11 @@ int main(void) {
         .lock = port_lock,
         .unlock = port_unlock,
         .reboot = port_reboot,
-        .update = slots_update(&board.port, flash_safely, watch, WATCHDOG_MS),
+        .update = slots_update(&board.port),
     };
     tl_app_init(&board.app, &board.port);
     tl_usb_init(&board.app);
-    watch(WATCHDOG_MS);
+    board_watch(0U);
     start_control();
     for (;;) {
         tl_app_task(&board.app);

@@ -15,9 +15,6 @@ enum {
 static struct {
     tl_port_update_t update;
     const tl_port_t *port;
-    bool (*flash)(uint32_t offset, const uint8_t *page);
-    void (*watch)(uint32_t ms);
-    uint32_t usual_ms;
 } slots;
 
 static const uint8_t update_key[] = {TAUTLINE_UPDATE_KEY};
@@ -33,27 +30,27 @@ static bool may_write(uint8_t slot, uint32_t offset) {
 
 static bool port_slot_erase(void *context, uint8_t slot, uint32_t offset) {
     (void)context;
-    return may_write(slot, offset) && slots.flash(SLOTS_BEGIN(slot) + offset, NULL);
+    return may_write(slot, offset) && board_flash_safely(SLOTS_BEGIN(slot) + offset, NULL);
 }
 
 static bool port_slot_program(void *context, uint8_t slot, uint32_t offset, const uint8_t *page) {
     (void)context;
-    return may_write(slot, offset) && slots.flash(SLOTS_BEGIN(slot) + offset, page);
+    return may_write(slot, offset) && board_flash_safely(SLOTS_BEGIN(slot) + offset, page);
 }
 
 static bool port_is_signed(void *context, const uint8_t *signature, const uint8_t *message, size_t size) {
     (void)context;
-    slots.watch(WATCHDOG_CHECK_MS);
+    board_watch(WATCHDOG_CHECK_MS);
     const bool is_signed = tl_trust_is_signed(update_key, signature, message, size);
-    slots.watch(slots.usual_ms);
+    board_watch(0U);
     return is_signed;
 }
 
 static void port_hash(void *context, uint8_t slot, uint32_t size, uint8_t *out) {
     (void)context;
-    slots.watch(WATCHDOG_CHECK_MS);
+    board_watch(WATCHDOG_CHECK_MS);
     tl_trust_hash(slots.port, slot, size, out);
-    slots.watch(slots.usual_ms);
+    board_watch(0U);
 }
 
 static void port_trial_ends(void *context, bool confirmed) {
@@ -69,13 +66,9 @@ void slots_end_trial(void) {
     SLOTS_TRIAL_OF = 0U;
 }
 
-const tl_port_update_t *slots_update(const tl_port_t *port, bool (*flash)(uint32_t offset, const uint8_t *page),
-                                     void (*watch)(uint32_t ms), uint32_t usual_ms) {
+const tl_port_update_t *slots_update(const tl_port_t *port) {
     const uint8_t slot = (uintptr_t)update_key < XIP_BASE + SLOTS_BEGIN(1U) ? 0U : 1U; // by where this is linked
     slots.port = port;
-    slots.flash = flash;
-    slots.watch = watch;
-    slots.usual_ms = usual_ms;
     slots.update = (tl_port_update_t){
         .key = update_key,
         .room = SLOT_ROOM,

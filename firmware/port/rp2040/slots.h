@@ -22,20 +22,20 @@
 
 #define SLOTS_WATCHDOG_MAGIC 0x6AB73121U // the SDK's, in scratch[4]: the restart is the watchdog's, nobody asked for it
 
+// main.c's, for both.
+/// Erases the sector at an offset in flash, or programs a page there; whether that was done. With every motor off.
+bool board_flash_safely(uint32_t offset, const uint8_t *page);
+/// Sets the watchdog; 0: as usual.
+void board_watch(uint32_t ms);
+
 #ifdef SLOT_0
-/// What main.c's port takes updates with, by what the loader chose. flash: erases the sector at an offset in flash, or
-/// programs a page there, and says whether that was done. watch: sets the watchdog, which usually bites after usual_ms.
-const tl_port_update_t *slots_update(const tl_port_t *port, bool (*flash)(uint32_t offset, const uint8_t *page),
-                                     void (*watch)(uint32_t ms), uint32_t usual_ms);
+/// What a port takes updates with, by what the loader chose.
+const tl_port_update_t *slots_update(const tl_port_t *port);
 /// A restart that was asked for says nothing against what runs.
 void slots_end_trial(void);
 #else // a chip without slots: its firmware does not come over USB
-static inline const tl_port_update_t *slots_update(const tl_port_t *port, bool (*flash)(uint32_t, const uint8_t *),
-                                                   void (*watch)(uint32_t), uint32_t usual_ms) {
+static inline const tl_port_update_t *slots_update(const tl_port_t *port) {
     (void)port;
-    (void)flash;
-    (void)watch;
-    (void)usual_ms;
     return NULL;
 }
 static inline void slots_end_trial(void) {}

@@ -11,6 +11,7 @@ from pathlib import Path
 from tautline.device import firmware, wire
 from tautline.device.board import Board, open_board
 from tautline.device.dfu import DfuError
+from tautline.device.link import BoardGone
 from tautline.errors import TautError
 
 _BACK_S = 90.0  # tolerance: a restart is done within a second; new firmware that no host hears is given up after 60
@@ -63,7 +64,8 @@ def send(
         if older_too:
             board.ask("any_firmware", key=wire.wire.KEY)
         _send(board, image.page + image.content, progress)
-        board.ask("reboot", key=wire.wire.KEY, bootloader=0)
+        with contextlib.suppress(BoardGone):  # it may restart before its answer is read: `finish` sees what came of it
+            board.ask("reboot", key=wire.wire.KEY, bootloader=0)
         before = firmware.version_of(runs.version)
         identity = board.identity
         return Sent(board.where, str(identity.serial), str(identity.port), before, image.version, int(runs.slot))
