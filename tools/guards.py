@@ -294,7 +294,7 @@ _PORT = (
     _one("the most of four samples", IMAGE + "the most of four samples counts", RP2040 + "bridge.c",
          "most = sample > most ? sample : most;", "most = sample;"),
     _one("a halt is watched", EMULATED + "a_debugger_that_holds_the_core_leaves_no_motor_running", RP2040 + "main.c",
-         "    watchdog_enable(ms, TAUTLINE_HALT_KEEPS_DRIVING);", "    watchdog_enable(ms, true);"),
+         ", TAUTLINE_HALT_KEEPS_DRIVING);", ", true);"),
     _one("a lock is taken from RAM", EMULATED + "no_command_keeps_the_control_step_out", RP2040 + "main.c",
          "static uint32_t __not_in_flash_func(port_lock)", "static uint32_t port_lock"),
     _one("a glitch is looked at again", IMAGE + "a glitch beside an edge is no lost edge",
