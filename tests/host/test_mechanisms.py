@@ -27,7 +27,12 @@ def test_the_slice_has_most_effects_and_both_other_answers():
     assert {case[1] for case in cases} == {"single", "unknown", "none"}
 
 
-@pytest.mark.parametrize("mechanism", MECHANISMS)
+SLICE = ("mujoco.pulleys", "mujoco.arm")  # the others by ./run test long
+
+
+@pytest.mark.parametrize(
+    "mechanism", [each if each in SLICE else pytest.param(each, marks=pytest.mark.long) for each in MECHANISMS]
+)
 def test_what_a_mechanism_has_is_named(mechanism):
     """Of four cases one may be wrong; nothing that is named makes an unseen motion worse."""
     pytest.importorskip("mujoco", reason="the package mujoco is not installed")
