@@ -20,6 +20,7 @@ class WallCamera:
 
     clock = "the host's monotonic clock"
     dropped = 0
+    exposure = None
 
     def __init__(self, link: SimLink, instrument: Instrument, until_s: float = np.inf) -> None:
         self._link, self._instrument = link, instrument
@@ -44,6 +45,9 @@ class WallCamera:
             self._waiting.append(picture)
             if len(self._waiting) > LATE:
                 return self._waiting.pop(0), time.monotonic()
+
+    def lock_exposure(self) -> None:
+        """It is no device: it has none."""
 
     def close(self) -> None:
         """Nothing is held."""
