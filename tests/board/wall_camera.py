@@ -20,7 +20,7 @@ class WallCamera:
 
     clock = "the host's monotonic clock"
     dropped = 0
-    exposure = None
+    exposure = ""
 
     def __init__(self, link: SimLink, instrument: Instrument, until_s: float = np.inf) -> None:
         self._link, self._instrument = link, instrument
