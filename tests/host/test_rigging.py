@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -16,57 +17,22 @@ from tautline import trajectory
 from tautline.calibration.calibrate import calibrate
 from tautline.geometry import project
 from tautline.recording import save
-from tautline.rig import Camera, Rig
-from tautline.rigging import Board, Places, hand_eye, intrinsics
+from tautline.rig import Rig
+from tautline.rigging import Places, hand_eye, intrinsics
 from tautline.rigging import keys as rig_keys
 from tautline.simulated.simulate import run, simulate
 
-BOARD = Board(8, 6, 4.0, 3.0)
-LENS = replace(RIG.camera, fx_px=515.0, fy_px=512.0, cx_px=352.0, cy_px=281.0, distortion=(-0.22, 0.06, 6e-4, -4e-4, 0))
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from tools.bench.rigging import BOARD, pictures, rays_of, rests
+from tools.bench.rigging import LENS as DRAWN
+
+LENS = replace(RIG.camera, **DRAWN)
 ANGLES = np.linspace(-50.0, 50.0, 9)
 
 
 @pytest.fixture
 def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
     return Taut(monkeypatch, capsys)
-
-
-def pictures(camera: Camera, count: int, seed: int) -> list[np.ndarray]:
-    """A board that is held before the camera: each pixel's ray meets its plane; nothing of OpenCV's calibration."""
-    rng = np.random.default_rng(seed)
-    fine = 40  # px a mm of the print
-    width, height = 8 * 4.0, 6 * 4.0
-    print_ = BOARD.opencv().generateImage((int(width * fine / 4), int(height * fine / 4)), marginSize=0).astype(float)
-    v, u = np.mgrid[0 : camera.height_px, 0 : camera.width_px]
-    rays = rays_of(camera, u.ravel().astype(float), v.ravel().astype(float))
-    made = []
-    for _ in range(count):
-        tilt = np.radians([rng.uniform(-35, 35), rng.uniform(-35, 35), rng.uniform(-20, 20)])
-        turn = cv2.Rodrigues(tilt)[0]
-        middle = turn @ np.array([width / 2, height / 2, 0.0])
-        at = np.array([rng.uniform(-6, 6), rng.uniform(-5, 5), rng.uniform(32, 48)]) - middle
-        normal = turn[:, 2]
-        there = rays * ((normal @ at) / (rays @ normal))[:, None] - at
-        x, y = there @ turn[:, 0], there @ turn[:, 1]
-        seen = (x > 0) & (x < width) & (y > 0) & (y < height)
-        grid = [c.reshape(u.shape).astype(np.float32) * fine / 4 - 0.5 for c in (x, y)]
-        picture = cv2.remap(cv2.GaussianBlur(print_, (0, 0), 1.2), *grid, cv2.INTER_LINEAR)
-        picture = np.where(seen.reshape(u.shape), picture, 140.0) + rng.normal(0, 2.0, u.shape)
-        made.append(np.clip(picture, 0, 255).astype(np.uint8))
-    return made
-
-
-def rays_of(camera: Camera, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """(n, 3) directions with z = 1: Brown and Conrady's equations, turned round by iteration."""
-    k1, k2, p1, p2, k3 = camera.distortion
-    xd, yd = (u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px
-    x, y = xd.copy(), yd.copy()
-    for _ in range(50):
-        r2 = x * x + y * y
-        radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
-        x = (xd - 2 * p1 * x * y - p2 * (r2 + 2 * x * x)) / radial
-        y = (yd - p1 * (r2 + 2 * y * y) - 2 * p2 * x * y) / radial
-    return np.column_stack([x, y, np.ones_like(x)])
 
 
 @pytest.fixture(scope="module")
@@ -118,21 +84,8 @@ def test_a_camera_may_look_from_anywhere(rotation):
     assert np.abs(again).max() < 0.3
 
 
-def rests() -> tuple[trajectory.Trajectory, list[float]]:
-    """A motion that rests at nine places, and when each rest has begun, s."""
-    steps = np.linspace(-4.5, 4.5, 9)
-    t, q, when = [0.0], [-5.0], []
-    for at in steps:
-        for wait, to in ((1.2, at), (1.6, at)):
-            t.append(t[-1] + wait)
-            q.append(to)
-        when.append(t[-2] + 0.2)
-    grid = np.arange(0.0, t[-1], 0.004)
-    return trajectory.Trajectory(grid, np.interp(grid, t, q), 0 * grid, 0 * grid), when
-
-
 def known_motion(folder: Path) -> None:
-    motion, when = rests()
+    motion, when = rests(RIG, 9)
     made = run(RIG, PLANT, motion, noise_px=0.05, seed=4)
     save(made.recording, folder)
     (folder / "rig.toml").unlink()

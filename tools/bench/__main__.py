@@ -1,4 +1,4 @@
-"""./run bench [--json], and one of: videos, faults, importing, bare, drivers, constants"""
+"""./run bench [--json], and one of: videos, faults, importing, bare, rig, drivers, constants"""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from tools.bench import (
     faults,
     importing,
     live_page,
+    rigging,
     trackers,
     tracking,
     videos,
@@ -102,6 +103,7 @@ main.add_command(videos.command)
 main.add_command(faults.command)
 main.add_command(importing.command)
 main.add_command(bare.command)
+main.add_command(rigging.command)
 main.add_command(drivers.command)
 main.add_command(constants.command)
 
