@@ -358,7 +358,7 @@ def test_short_strokes_are_not_doubted_for_what_few_frames_leave_by_chance():
 
 @pytest.mark.parametrize("seed", [21, 23])
 def test_what_was_amiss_where_a_recording_begins_is_not_learnt(seed):
-    """A tip that is three and a half times the noise off at first and comes to where the model says within two strokes."""
+    """A tip that is 3.5 times the noise off at first and comes to where the model says within two strokes."""
     instrument, noise = Instrument(seed), 0.02
     made = session(instrument, "nothing", seed, 40.0)
     motor, scene = made.recording.motor, made.recording.marker.t_s - instrument.camera.delay

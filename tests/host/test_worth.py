@@ -91,10 +91,11 @@ def test_a_block_is_foretold_as_a_fit_without_it_does(made: Recording, monkeypat
         assert np.sqrt(np.mean((missed - again)[here] ** 2)) < 0.5 * moved
 
 
-def over_noise(off: np.ndarray, moving: np.ndarray) -> float:
-    """Of misses (n, 2) of an image in which the tip moves along u."""
+def over_noise(off: np.ndarray, moving: np.ndarray, placed: float = 0.0) -> float:
+    """Of misses (n, 2) of an image in which the tip moves along u, over the frames' noise; placed: what a tracker adds
+    to that at each place, in noise."""
     n = len(off)
-    track = SimpleNamespace(sigma=np.ones(n))
+    track = SimpleNamespace(sigma=np.ones(n), placed_px=placed)
     fit = SimpleNamespace(
         tracks=[SimpleNamespace(track=track)],
         simulated=[SimpleNamespace(moving=moving, p=np.zeros(n))],
@@ -115,6 +116,8 @@ def test_what_neighbours_miss_alike_is_the_models_and_the_rest_is_noise() -> Non
     for size in (0.8, 2.0, 3.0):
         assert over_noise(noise + size * wave, moving) == pytest.approx(np.hypot(1.0, size), rel=0.03)
         assert over_noise(1.7 * (noise + size * wave), moving) == pytest.approx(np.hypot(1.0, size), rel=0.03)
+        share = size / np.hypot(1.0, 1.5)
+        assert over_noise(noise + size * wave, moving, 1.5) == pytest.approx(np.hypot(1.0, share), rel=0.03)
     lost = noise.copy()
     lost[1000:1200] += [300.0, -200.0]  # another blob
     assert over_noise(lost, moving) < 1.05

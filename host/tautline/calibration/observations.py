@@ -32,6 +32,8 @@ _STILL_MM, _STILL_DEG = 0.02, 0.05  # tolerance: other degrees of freedom that s
 # px: standard deviation, per coordinate, of what this package's tracker is off by in every frame alike near one
 # place: the rms of what docs/marker.md has, 0.02 (a flat disc) to 0.17 (a ball lit from one side, in MJPEG).
 TRACKED_PX = 0.1  # prior: by docs/marker.md
+# px, likewise, but another at each place: by how the marker lies on the pixels, its shade and what is beside it.
+PLACED_PX = 0.05  # prior: by docs/marker.md, 0.05 to 0.09
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,11 @@ class Track:
     def only(self, frames: Mask | npt.NDArray[np.intp] | slice) -> Track:
         """With these of its frames."""
         return replace(self, t_s=self.t_s[frames], y=self.y[frames], sigma=self.sigma[frames])
+
+    @property
+    def placed_px(self) -> float:
+        """Prior of what it is off by at each place anew, per coordinate; 0 of places that others tell."""
+        return PLACED_PX if self.tracked_px else 0.0
 
     def scene_s(self, delay_s: float) -> Array:
         return self.t_s - delay_s

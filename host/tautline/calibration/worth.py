@@ -119,10 +119,10 @@ def _of_tip(
 
 def _over_noise(fit: PlayFit, curves: Curves, missed: Sequence[Array], masks: Sequence[npt.NDArray[np.bool_]]) -> float:
     """What neighbouring frames miss alike is the model's. What they do not is the sensor's: as much as is stated, or
-    as where the tip rests, or as across its path in the image, where nothing moves it. What is more than that along the
-    path is an error of times, and so of what is foretold."""
+    as where the tip rests, or as across its path in the image, where nothing moves it; a tracker's own at each place is
+    added. What is more than that along the path is an error of times, and so of what is foretold."""
     limit = _STRAY * bounded_rms(_counted(missed, masks))
-    alike, along, beside, still = [], [], [], []
+    alike, along, beside, still, placed = [], [], [], [], []
     for frozen, sim, off, mask in zip(fit.tracks, fit.simulated, missed, masks, strict=True):
         off = np.where(mask[:, None], off, 0.0)
         norm = np.sqrt(np.mean(off**2, axis=1))
@@ -135,13 +135,14 @@ def _over_noise(fit: PlayFit, curves: Curves, missed: Sequence[Array], masks: Se
         alike.append(np.mean(near[1:] * near[:-1], axis=1)[pair])
         along.append(forward[pair & moves])
         still.append(forward[pair & ~moves])
+        placed.append((frozen.track.placed_px / frozen.track.sigma[mask]) ** 2)
         if step.shape[1] > 1:
             across = np.sum(step**2, axis=1) - forward
             beside.append(across[pair & moves])
             still.append(across[pair & ~moves])
     at_rest, moving = _mean(still), _mean(along)
     usual = _mean(beside) if beside else at_rest
-    noise2 = max(at_rest, usual, 1.0)
+    noise2 = max(at_rest, usual, 1.0) + _mean(placed)
     jitter2 = max(moving - max(usual, 1.0), 0.0) / step.shape[1]
     model2 = max(float(np.concatenate(alike).mean()), 0.0)
     return float(np.sqrt(1.0 + (model2 + jitter2) / noise2))

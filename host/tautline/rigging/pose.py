@@ -11,13 +11,13 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from tautline.calibration.observations import PLACED_PX
 from tautline.errors import TautError
 from tautline.geometry import project_with_slope, tip_bend
 from tautline.rig import Actuator, Camera, Coarse, HandEye, Kinematics, Rig
 from tautline.rigging.places import Places
 
 Array = npt.NDArray[np.float64]
-_TRACKER_PX = 0.05  # what a marker is placed off by where it stands (docs/marker.md): no mean goes below it
 _LEAST_DEG = 1e-6
 _RIVAL = 9.0  # of its sum of squares: a pose that is as far off is left at 3 sigma
 _STRAYS = 2.0  # times what was stated
@@ -63,7 +63,7 @@ def hand_eye(places: Places, kinematics: Kinematics, camera: Camera, angle_sigma
     """Least squares over the pose and the true angles, which are stated to `angle_sigma_deg`, from both poses that a
     planar curve allows (cv2.SOLVEPNP_IPPE). Sigma grows with what is left above what was stated. Raises TautError where
     the places do not tell a pose."""
-    sigma_px = np.hypot(places.sigma_px, _TRACKER_PX)
+    sigma_px = np.hypot(places.sigma_px, PLACED_PX)  # no mean goes below what a place is off by
     sigma_c = max(angle_sigma_deg, _LEAST_DEG)
 
     def seen(pose: Array, c_deg: Array) -> tuple[Array, Array]:
