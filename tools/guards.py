@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 RANDOM = "tests/c/test_random.c::test_whatever_happens_an_axis_keeps_its_word"
-SAFETY, AXIS, LINK, STORE, STOPS = (
-    f"tests/c/test_{name}.c::test_" for name in ("safety", "axis", "link", "store", "stop")
+SAFETY, AXIS, LINK, STORE, STOPS, SIGHT = (
+    f"tests/c/test_{name}.c::test_" for name in ("safety", "axis", "link", "store", "stop", "sight")
 )
 IMAGE = "tools/emulator/test/image.test.js::"
 EVERY_POINT = "tests/board/test_every_point.py::test_whatever_goes_wrong_at_any_point"
@@ -19,9 +19,9 @@ PAGE, C_FILES = (f"tests/host/test_{name}.py::test_" for name in ("safety_page",
 UPDATE, UPDATED = "tests/c/test_update.c::test_", "tests/firmware/test_emulated_update.py::test_"
 EMULATED, BUILT = (f"tests/firmware/test_{name}.py::test_" for name in ("emulated_board", "image"))
 
-ASK, GUARD, REST, STOP, APP, COMMAND, TABLES, SETTINGS = (
+ASK, GUARD, REST, SEEN, STOP, APP, COMMAND, TABLES, SETTINGS = (
     f"firmware/app/src/tl_{name}.c"
-    for name in ("axis_ask", "axis_guard", "axis_rest", "stop", "app", "command", "tables", "settings")
+    for name in ("axis_ask", "axis_guard", "axis_rest", "sight", "stop", "app", "command", "tables", "settings")
 )
 HEADERS = "firmware/app/include/tautline/"
 RP2040 = "firmware/port/rp2040/"
@@ -102,7 +102,17 @@ _APP = (
          GUARD, "pushes || more > 2 * CHECK_PUSH", "pushes || more > 99 * CHECK_PUSH"),
     _one("a stall adds up", SAFETY + "an_encoder_lost_while_its_path_goes_to_and_fro_is_noticed", GUARD,
          "pushes ? guard->pushed_ms + 1 : guard->pushed_ms - 1;", "pushes ? guard->pushed_ms + 1 : 0;"),
-    _one("an unseen motion takes the reference", SAFETY + "an_encoder_lost_at_full_speed_leaves_no_position",
+    _one("momentum tells a dropout", SIGHT + "a_dropout_at_speed_is_fifty_counts_at_most",
+         HEADERS + "tl_sight.h", "#define TL_SIGHT_MOST 6 ", "#define TL_SIGHT_MOST 60 "),
+    _one("one line alone is no motion", SIGHT + "a_dropout_at_speed_is_fifty_counts_at_most",
+         SEEN, "(2 * TL_COUNT_ONE)", "(1 * TL_COUNT_ONE)"),
+    _one("a dropout takes the reference", SIGHT + "a_dropout_at_speed_is_fifty_counts_at_most",
+         GUARD, "    guard->blind = true;\n"),
+    _one("a motor that runs down is watched", SIGHT + "a_dropout_while_it_runs_down_leaves_no_position",
+         GUARD, "off ? guard->off_ms < RUN_DOWN_MS", "off ? false"),
+    _one("what brakes a motor is no dropout", SIGHT + "no_sound_motion_is_taken_for_a_dropout",
+         SEEN, "less = MARGIN + s->doubt;", "less = 0;"),
+    _one("an unseen motion takes the reference", SAFETY + "another_fault_while_nothing_is_seen_leaves_no_position",
          REST, "unseen ? OF_POSITION | OF_MOTION : OF_POSITION", "unseen ? OF_POSITION : OF_POSITION"),
     _one("off in the dark takes the reference",
          SAFETY + "an_encoder_lost_just_before_switching_off_leaves_no_position",

@@ -167,7 +167,7 @@ def rested(live: Live, since_s: float) -> float:
 
 
 INJECTED = {
-    "blocked": ("CURRENT", 0.35),
+    "blocked": ("STALL", 0.35),
     "unplugged": ("UNMOVED", 1.2),
     "reversed": ("REVERSED", 0.2),
     "coarse": ("SCALE", 0.6),

@@ -73,10 +73,10 @@ static void assert_safe(uint8_t axis, tl_wire_fault_t fault) {
 
 static void test_a_blocked_motor_faults(void) {
     fake_enable(0, 1);
+    fake.blocked = true;
     TEST_ASSERT_EQUAL(0, move(0, 2000));
     fake_run_ms(20);
     TEST_ASSERT_EQUAL(TL_WIRE_FAULT_NONE, fake_status(0).fault);
-    fake.blocked = true;
     fake_run_ms(300);
     fake_listen();
     TEST_ASSERT_EQUAL(TL_WIRE_EVENT_FAULT, heard[TL_WIRE_EVENT].event.event);

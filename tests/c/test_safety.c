@@ -138,9 +138,27 @@ static void test_an_encoder_lost_at_full_speed_leaves_no_position(void) {
     fake_run_ms(200);
     fake.shown = fake_encoder(&fake, 0);
     fake.stuck = true;
-    TEST_ASSERT_TRUE(until_fault(100) <= 25U); // 300 counts at 16000 a second
-    assert_fault(TL_WIRE_FAULT_FOLLOWING);
+    TEST_ASSERT_TRUE(until_fault(100) <= 3U); // 50 counts at 16000 a second
+    assert_fault(TL_WIRE_FAULT_STALL);
     TEST_ASSERT_EQUAL(0, fake_status(0).flags & TL_WIRE_FLAG_REFERENCED);
+}
+
+// Too slowly for its momentum to tell: another fault that comes after some milliseconds.
+static void test_another_fault_while_nothing_is_seen_leaves_no_position(void) {
+    for (int lost = 0; lost < 2; lost++) {
+        fake_new(1);
+        hold();
+        const tl_wire_move_t slow = {
+            .axis = 0, .q_q8 = COUNTS(10000), .speed_q8_s = COUNTS(400), .silence_us = 60000000};
+        TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_MOVE, &slow));
+        fake_run_ms(200);
+        fake.shown = fake_encoder(&fake, 0);
+        fake.stuck = lost != 0;
+        fake.current_ma = 3000;
+        TEST_ASSERT_INT_WITHIN(5, 12, (int)until_fault(20)); // its mean is above the limit
+        assert_fault(TL_WIRE_FAULT_CURRENT);
+        TEST_ASSERT_EQUAL(lost == 0, (fake_status(0).flags & TL_WIRE_FLAG_REFERENCED) != 0);
+    }
 }
 
 static void test_an_encoder_lost_while_its_path_goes_to_and_fro_is_noticed(void) {
@@ -804,6 +822,7 @@ int main(void) {
     RUN_TEST(test_an_encoder_lost_just_before_switching_off_leaves_no_position);
     RUN_TEST(test_an_encoder_lost_next_to_its_target_leaves_no_position_when_switched_off);
     RUN_TEST(test_an_encoder_lost_at_full_speed_leaves_no_position);
+    RUN_TEST(test_another_fault_while_nothing_is_seen_leaves_no_position);
     RUN_TEST(test_an_encoder_lost_while_its_path_goes_to_and_fro_is_noticed);
     RUN_TEST(test_a_sound_motor_that_sticks_at_every_count_is_no_stall);
     RUN_TEST(test_a_driver_that_chops_its_current_at_a_blocked_motor_is_a_stall);

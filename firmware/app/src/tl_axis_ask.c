@@ -99,6 +99,7 @@ static bool set_gains(tl_axis_t *axis, const tl_wire_servo_t *from) {
     if (!tl_servo_configure(&axis->motor.servo, &gains, axis->port->control_hz)) {
         return false;
     }
+    tl_actuator_know(&axis->motor);
     axis->checked = false; // its scale is checked against them
     return true;
 }
@@ -314,6 +315,7 @@ void tl_axis_init(tl_axis_t *axis, const tl_port_t *port, uint8_t index) {
     axis->plan.stream.now_us = port->time_us(port->context) + axis->plan.lead_us + index % axis->ticks * period_us;
     tl_path_init(&axis->path, 0, axis->ticks);
     axis->tip.strength_q15 = TL_RATIO_ONE;
+    axis->guard.off_ms = UINT8_MAX;
     const tl_wire_settings_t settings = tl_axis_default_settings(port, index);
     tl_axis_use_settings(axis, &settings);
 }

@@ -4,6 +4,7 @@
 #include "tautline/tl_fast.h"
 
 #define STALL_WAY     (8 * TL_COUNT_ONE) // within it for the stall time, a pushing motor stands still
+#define RUN_DOWN_MS   150U               // of a motor that is off: 0.11 s from full speed
 #define SETTLES_MS    20U                // without a count after which it brakes no more
 #define STICKS        1311               // of drive beyond sliding friction, both ways: 4 %
 #define DRIVER_MS     5U                 // a fault line that is low for as long is no glitch
@@ -57,6 +58,25 @@ static int32_t measure(tl_axis_t *axis) {
         guard->driver_ms = counted(guard->driver_ms, port->driver_fault(port->context, axis->index));
     }
     return magnitude;
+}
+
+// -- what is to be seen of a motor, also while it runs down -------------------------------------------------------
+
+// It was moving, must have gone on, and its encoder shows nothing: it has met something hard, or the encoder is lost.
+// An end that is looked for is hard; a check finds out by itself; one whose drive sinks gives way; a motor that nobody
+// has commissioned may be another than the gains are for; and one that has run down is turned by hand.
+static bool is_lost(tl_axis_t *axis, tl_us_t now_us) {
+    tl_axis_guarded_t *guard = &axis->guard;
+    const bool off = axis->mode == TL_WIRE_MODE_OFF;
+    guard->off_ms = counted(guard->off_ms, off);
+    if (tl_actuator_sees(&axis->motor, axis->q) || axis->settings.commissioned == 0U ||
+        !(off ? guard->off_ms < RUN_DOWN_MS
+              : axis->closed && axis->mode != TL_WIRE_MODE_HOME && guard->sink == 0 && guard->swing == 0)) {
+        return false;
+    }
+    guard->blind = true;
+    return fails(axis, true, off ? TL_WIRE_FAULT_EDGES : TL_WIRE_FAULT_STALL,
+                 off ? tl_actuator_speed(&axis->motor) : axis->motor.duty, now_us);
 }
 
 // -- faults of a driven motor -----------------------------------------------------------------------------------
@@ -293,6 +313,9 @@ static __attribute__((noinline)) TL_FAST void try_out(tl_axis_t *axis, tl_us_t n
 
 TL_FAST void tl_axis_guard(tl_axis_t *axis, tl_us_t now_us) {
     const int32_t size_ma = measure(axis);
+    if (is_lost(axis, now_us)) {
+        return;
+    }
     if (has_patience(axis) && --axis->guard.patience == 0U) {
         tl_axis_silence(axis); // all that this millisecond has room for
         return;

@@ -93,6 +93,17 @@ static inline void tl_actuator_reset(tl_actuator_t *actuator, tl_count_q8_t q) {
     tl_servo_reset(&actuator->servo, q);
 }
 
+// A drive looks after its own encoder.
+static inline bool tl_actuator_sees(tl_actuator_t *actuator, tl_count_q8_t q) {
+    (void)actuator;
+    (void)q;
+    return true;
+}
+
+static inline void tl_actuator_know(tl_actuator_t *actuator) {
+    (void)actuator;
+}
+
 static inline uint8_t tl_actuator_pushed(tl_actuator_t *actuator) {
     (void)actuator;
     return 0;

@@ -17,6 +17,7 @@
 
 #include "tautline/tl_port.h"
 #include "tautline/tl_servo.h"
+#include "tautline/tl_sight.h"
 
 #define TL_ACTUATOR_JUMP 2048U ///< counts in one step: above any motor's speed, below a glitch's
 
@@ -27,6 +28,7 @@ typedef struct {
     tl_duty_q15_t duty;  ///< as driven
     tl_duty_q15_t limit; ///< most drive in closed loop
     tl_servo_t servo;
+    tl_sight_t sight;
     int32_t jump; ///< what tl_actuator_measure() refused last, counts; behind what every step needs
 } tl_actuator_t;
 
@@ -100,6 +102,17 @@ static inline void tl_actuator_release(tl_actuator_t *actuator) {
 /// Forgets what it has learnt: it rests at `q`.
 static inline void tl_actuator_reset(tl_actuator_t *actuator, tl_count_q8_t q) {
     tl_servo_reset(&actuator->servo, q);
+    tl_sight_reset(&actuator->sight, q);
+}
+
+/// Once a millisecond: whether what it measures is still what the motor does.
+static inline bool tl_actuator_sees(tl_actuator_t *actuator, tl_count_q8_t q) {
+    return tl_sight_step(&actuator->sight, q, actuator->duty);
+}
+
+/// Its gains have changed. Task.
+static inline void tl_actuator_know(tl_actuator_t *actuator) {
+    tl_sight_configure(&actuator->sight, &actuator->servo.gains);
 }
 
 /// Since the last call: bit 0, it has been at its upper limit; bit 1, at its lower one.

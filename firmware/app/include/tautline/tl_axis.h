@@ -75,6 +75,7 @@ typedef struct {
     uint8_t estop_ms;        ///< the stop input is active (tl_stop.h)
     uint8_t still_ms;        ///< a move is at its target
     uint8_t pushed;          ///< limits of the last millisecond, likewise
+    uint8_t off_ms;          ///< since it is off, up to 255
     uint8_t unseen_ms;       ///< that it has shown nothing new, in closed loop; up to 20
     bool blind;              ///< the motor may have moved without its encoder: off, its position is not known
     bool lapsed;             ///< the host is lost: a fault as soon as the axis rests
