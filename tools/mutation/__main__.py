@@ -6,7 +6,7 @@ A mutant is one change in one function of common/, firmware/estimator or firmwar
 a statement dropped, a sign, a condition negated. It is killed where a program of tests/c fails or does not end; what
 the host's and the boards' tests would see is not asked. Not counted: what does not compile, what compiles to the same,
 what is in equivalent.toml. Outcomes are kept in build/mutants/outcomes.jsonl: a run that was ended goes on, one
-with another --count tries only what is new, and one after a new test what survived.
+with another --count tries only what is new, and one after a new test shows this one to what survived.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from rich.progress import Progress
 from scipy.stats import binomtest
 
 from tools.kept import keep
+from tools.mutation.coverage import reached
 from tools.mutation.equivalent import equivalents
 from tools.mutation.sites import Mutant, all_mutants, drawn
 from tools.mutation.trial import Outcome, Trial, digest, programs
@@ -34,36 +35,43 @@ KEPT = ROOT / "build" / "mutants"
 OPERATORS = ("comparison", "constant", "dropped", "sign", "condition")
 
 
-def known(file: Path, of: dict[str, str]) -> dict[Mutant, Outcome]:
-    """The outcomes in a JSON lines file that are `of` today's sources and tests; a last line cut off is none."""
-    found = {}
+def known(file: Path, of: dict[str, str]) -> tuple[dict[Mutant, Outcome], dict[Mutant, frozenset[str]]]:
+    """From a JSON lines file what holds for today's sources and tests: outcomes, and of others the tests that they pass.
+    `of` has their digests, under "" that of the sources. A last line cut off says nothing."""
+    outcomes, passes = {}, {}
     for line in file.read_text("utf-8").splitlines() if file.is_file() else []:
         try:
             row = json.loads(line)
         except json.JSONDecodeError:
             continue
-        if row["of"] == of.get(row["outcome"]["test"]):
-            found[Mutant(**row["mutant"])] = Outcome(**row["outcome"])
-    return found
+        mutant = Mutant(**row["mutant"])
+        holds = frozenset(test for test, digest_of in row["of"].items() if of.get(test) == digest_of)
+        survived = row["outcome"]["how"] == "survived"
+        if holds == row["of"].keys() and (not survived or holds >= of.keys() - {""}):
+            outcomes[mutant] = Outcome(**row["outcome"], passes=tuple(sorted(holds)) if survived else ())
+        elif survived:
+            passes[mutant] = holds
+    return outcomes, passes
 
 
 def tried(mutants: list[Mutant], jobs: int, kept: Path) -> dict[Mutant, Outcome]:
     """The outcome of each, tried now or before; each is kept as soon as it is there."""
     file, of = kept / "outcomes.jsonl", {test: digest(ROOT, test) for test in ("", *programs(ROOT))}
-    outcomes = known(file, of)
+    outcomes, passes = known(file, of)
     left = [mutant for mutant in mutants if mutant not in outcomes]
     kept.mkdir(parents=True, exist_ok=True)
     jobs = min(jobs, len(left))
     with Progress(transient=True) as progress, ThreadPoolExecutor(max(1, jobs)) as pool, file.open("a") as out:
         task = progress.add_task("building the tests", total=None)
+        covers = reached(ROOT, kept / "coverage", {test: of[test] for test in programs(ROOT)}) if left else {}
         free: SimpleQueue[Trial] = SimpleQueue()
-        for trial in pool.map(lambda number: Trial(ROOT, kept / str(number)), range(jobs)):
+        for trial in pool.map(lambda number: Trial(ROOT, kept / str(number), covers), range(jobs)):
             free.put(trial)
 
         def one(mutant: Mutant) -> tuple[Mutant, Outcome]:
             trial = free.get()
             try:
-                return mutant, trial.of(mutant)
+                return mutant, trial.of(mutant, passes.get(mutant, frozenset()))
             finally:
                 free.put(trial)
 
@@ -71,7 +79,8 @@ def tried(mutants: list[Mutant], jobs: int, kept: Path) -> dict[Mutant, Outcome]
         for done in as_completed([pool.submit(one, mutant) for mutant in left]):
             mutant, outcome = done.result()
             outcomes[mutant] = outcome
-            row = {"of": of[outcome.test], "mutant": asdict(mutant), "outcome": asdict(outcome)}
+            asked = {test: of[test] for test in outcome.passes or (outcome.test,)}
+            row = {"of": asked, "mutant": asdict(mutant), "outcome": {"how": outcome.how, "test": outcome.test}}
             out.write(json.dumps(row) + "\n")
             out.flush()
             progress.advance(task)
