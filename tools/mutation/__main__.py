@@ -36,8 +36,8 @@ OPERATORS = ("comparison", "constant", "dropped", "sign", "condition")
 
 
 def known(file: Path, of: dict[str, str]) -> tuple[dict[Mutant, Outcome], dict[Mutant, frozenset[str]]]:
-    """From a JSON lines file what holds for today's sources and tests: outcomes, and of others the tests that they pass.
-    `of` has their digests, under "" that of the sources. A last line cut off says nothing."""
+    """From a JSON lines file what holds for today's sources and tests: outcomes, and the tests that others pass. `of` has
+    their digests, under "" that of the sources. A last line cut off says nothing."""
     outcomes, passes = {}, {}
     for line in file.read_text("utf-8").splitlines() if file.is_file() else []:
         try:

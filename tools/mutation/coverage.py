@@ -7,7 +7,7 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
-from tools.mutation.sites import ROOMS, Mutant
+from tools.mutation.sites import ROOMS, Mutant, functions_of
 
 
 @dataclass(frozen=True)
@@ -64,17 +64,18 @@ def _of(root: Path, build: Path, test: str) -> dict[str, dict[str, list]]:
     _run([str(build / "tests" / "c" / test)])
     counted = [str(path) for path in build.rglob("*.gcda")]
     lines: dict[str, set[int]] = {}
-    functions: dict[str, set[tuple[int, int]]] = {}
     for text in _run(["gcov", "--json-format", "--stdout", *counted]).splitlines():
         for row in json.loads(text)["files"]:
             path = (build / row["file"]).resolve()
             file = path.relative_to(root).as_posix() if path.is_relative_to(root) else ""
-            if not file.startswith(ROOMS):
-                continue
-            lines.setdefault(file, set()).update(each["line_number"] for each in row["lines"] if each["count"])
-            ran = {(each["start_line"], each["end_line"]) for each in row["functions"] if each["execution_count"]}
-            functions.setdefault(file, set()).update(ran)
+            if file.startswith(ROOMS):
+                lines.setdefault(file, set()).update(each["line_number"] for each in row["lines"] if each["count"])
     return {
         "lines": {file: sorted(numbers) for file, numbers in lines.items()},
-        "functions": {file: sorted(spans) for file, spans in functions.items()},
+        "functions": {file: _ran((root / file).read_bytes(), numbers) for file, numbers in lines.items()},
     }
+
+
+def _ran(source: bytes, lines: set[int]) -> list[tuple[int, int]]:
+    """By their lines: gcov does not list every static function."""
+    return [(first, last) for first, last in functions_of(source) if lines & set(range(first, last + 1))]

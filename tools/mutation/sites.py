@@ -86,6 +86,17 @@ def _nodes(node: Node, inside: bool) -> Iterator[Node]:
         yield from _nodes(child, inside or child == body)
 
 
+def functions_of(source: bytes) -> list[tuple[int, int]]:
+    """First and last line of each function."""
+    functions, left = [], [PARSER.parse(source).root_node]
+    while left:
+        node = left.pop()
+        if node.type == "function_definition":
+            functions.append((node.start_point[0] + 1, node.end_point[0] + 1))
+        left += node.children
+    return sorted(functions)
+
+
 def mutants_of(file: str, source: bytes) -> list[Mutant]:
     """All mutants of one source, in its order."""
     found = []
