@@ -25,6 +25,7 @@ from rich.progress import Progress
 from scipy.stats import binomtest
 
 from tools.kept import keep
+from tools.mutation import hosted
 from tools.mutation.coverage import reached
 from tools.mutation.equivalent import equivalents
 from tools.mutation.sites import Mutant, all_mutants, drawn
@@ -36,8 +37,10 @@ OPERATORS = ("comparison", "constant", "dropped", "sign", "condition")
 
 
 def known(file: Path, of: dict[str, str]) -> tuple[dict[Mutant, Outcome], dict[Mutant, frozenset[str]]]:
-    """From a JSON lines file what holds for today's sources and tests: outcomes, and the tests that others pass. `of` has
-    their digests, under "" that of the sources. A last line cut off says nothing."""
+    """From a JSON lines file what holds for today's sources and tests: outcomes, and the tests that others pass.
+
+    `of` has their digests, under "" that of the sources. A last line cut off says nothing.
+    """
     outcomes, passes = {}, {}
     for line in file.read_text("utf-8").splitlines() if file.is_file() else []:
         try:
@@ -54,9 +57,10 @@ def known(file: Path, of: dict[str, str]) -> tuple[dict[Mutant, Outcome], dict[M
     return outcomes, passes
 
 
-def tried(mutants: list[Mutant], jobs: int, kept: Path) -> dict[Mutant, Outcome]:
+def tried(mutants: list[Mutant], jobs: int, kept: Path, host: bool) -> dict[Mutant, Outcome]:
     """The outcome of each, tried now or before; each is kept as soon as it is there."""
-    file, of = kept / "outcomes.jsonl", {test: digest(ROOT, test) for test in ("", *programs(ROOT))}
+    tests = [*programs(ROOT), *(hosted.OF if host else ())]
+    file, of = kept / "outcomes.jsonl", {test: digest(ROOT, test) for test in ("", *tests)}
     outcomes, passes = known(file, of)
     left = [mutant for mutant in mutants if mutant not in outcomes]
     kept.mkdir(parents=True, exist_ok=True)
@@ -64,6 +68,7 @@ def tried(mutants: list[Mutant], jobs: int, kept: Path) -> dict[Mutant, Outcome]
     with Progress(transient=True) as progress, ThreadPoolExecutor(max(1, jobs)) as pool, file.open("a") as out:
         task = progress.add_task("building the tests", total=None)
         covers = reached(ROOT, kept / "coverage", {test: of[test] for test in programs(ROOT)}) if left else {}
+        covers |= hosted.covers({Path(each.file).stem: each.file for each in mutants}) if host else {}
         free: SimpleQueue[Trial] = SimpleQueue()
         for trial in pool.map(lambda number: Trial(ROOT, kept / str(number), covers), range(jobs)):
             free.put(trial)
@@ -128,6 +133,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="mutants at once; as many as there are cores")
     parser.add_argument("--at", metavar="FILE:LINE", default="", help="all mutants of this line instead of drawn ones")
+    parser.add_argument("--host", action="store_true", help="show what survives to the host's tests of this code, too")
     options = parser.parse_args()
     mutants = all_mutants(ROOT)
     listed = equivalents(mutants, ROOT)
@@ -135,7 +141,7 @@ def main() -> int:
     if options.at:
         chosen = [each for each in mutants if f"/{each.file}:{each.line}".endswith(f"/{options.at}")]
     print(f"{len(chosen)} of {len(mutants)} mutants", flush=True)
-    killed = report(tried(chosen, options.jobs, KEPT), listed)
+    killed = report(tried(chosen, options.jobs, KEPT, options.host), listed)
     if not options.at:
         keep("mutants", ("drawn", "killed"), [(f"{len(chosen)} by seed {options.seed}", killed)])
     return 0

@@ -9,6 +9,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from tools.mutation import hosted
 from tools.mutation.coverage import Reached, asked
 from tools.mutation.sites import ROOMS, Mutant
 
@@ -37,6 +38,12 @@ def digest(root: Path, test: str) -> str:
     total = hashlib.sha256(FLAGS.encode())
     files = (root / "tests/c").iterdir() if test else ()
     read = sorted(path for path in files if path.suffix == ".h" or path.name.startswith(f"{test}."))
+    if test in hosted.OF:  # and with the helpers of its folder
+        read = sorted(
+            path
+            for path in (root / hosted.FOLDER).glob("*.py")
+            if path.name == test or not path.name.startswith("test_")
+        )
     for path in [*(path for room in ROOMS for path in sorted((root / room).rglob("*.[ch]"))), *read]:
         total.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
     return total.hexdigest()[:16]
@@ -58,7 +65,8 @@ class Trial:
         self._run(["cmake", "-S", str(self.source), "-B", str(self.build), "-G", "Ninja", *flags])
         self._run(self._ninja())
         self.objects = self._compiled()
-        self.took = {name: self._timed(name) for name in self.names}
+        self.took = {name: self._timed(name) for name in self.names} | dict.fromkeys(hosted.OF, hosted.TOOK_S)
+        self.sound: set[str] = set()  # the host's tests that pass here as the sources are
         self.changed: str | None = None
 
     def _copy(self) -> None:
@@ -88,9 +96,24 @@ class Trial:
         return {path: hashlib.sha256(path.read_bytes()).digest() for path in self.build.rglob("*.o")}
 
     def _passes(self, name: str, limit_s: float | None) -> bool:
-        command = [str(self.build / "tests" / "c" / name)]
+        command, environment = [str(self.build / "tests" / "c" / name)], None
+        if name in hosted.OF:
+            command, environment = hosted.command(self.root, name), hosted.environment(self.build)
         quiet = subprocess.DEVNULL
-        return subprocess.run(command, stdout=quiet, stderr=quiet, timeout=limit_s, check=False).returncode == 0
+        done = subprocess.run(command, stdout=quiet, stderr=quiet, timeout=limit_s, check=False, env=environment)
+        return done.returncode == 0
+
+    def _limit_s(self, name: str) -> float:
+        return hosted.LONGEST_S if name in hosted.OF else LEAST_S + LONGEST * self.took[name]
+
+    def _see_that_it_is_sound(self, name: str) -> None:
+        """That one of the host's tests fails may be the mutant's doing only if it passes without."""
+        if name in hosted.OF and name not in self.sound:
+            self._restore()
+            self._run(self._ninja())
+            if not self._passes(name, None):
+                raise SystemExit(f"mutation: {name} fails as the sources are: see './run test host'")
+            self.sound.add(name)
 
     def _timed(self, name: str) -> float:
         began = time.monotonic()
@@ -98,9 +121,12 @@ class Trial:
             raise SystemExit(f"mutation: {name} fails as the sources are: see './run test c'")
         return time.monotonic() - began
 
-    def _write(self, mutant: Mutant) -> None:
+    def _restore(self) -> None:
         if self.changed is not None:
             shutil.copyfile(self.root / self.changed, self.source / self.changed)
+
+    def _write(self, mutant: Mutant) -> None:
+        self._restore()
         (self.source / mutant.file).write_bytes(mutant.applied((self.root / mutant.file).read_bytes()))
         self.changed = mutant.file
 
@@ -114,8 +140,9 @@ class Trial:
             return Outcome("same", "")
         for name in asked(mutant, self.covers, self.took):
             try:
-                if name not in passes and not self._passes(name, LEAST_S + LONGEST * self.took[name]):
+                if name not in passes and not self._passes(name, self._limit_s(name)):
+                    self._see_that_it_is_sound(name)
                     return Outcome("killed", name)
             except subprocess.TimeoutExpired:
                 return Outcome("time", name)
-        return Outcome("survived", "", tuple(self.names))
+        return Outcome("survived", "", tuple(self.covers))
