@@ -427,6 +427,29 @@ static void test_configurations_out_of_range_are_refused(void) {
     FROM_TO(frames_max, 4, TL_ONSET_WINDOW - 2);
 }
 
+/// The sums of a long level are halved with what has left the window: 128 frames become (128 + 64) / 2.
+static void test_a_long_level_fades(void) {
+    enter();
+    int32_t most = 0;
+    for (uint32_t ms = 0; ms < 12000; ms++) {
+        const int32_t before = detector.all.n;
+        step(motor, true);
+        most = detector.all.n > most ? detector.all.n : most;
+        TEST_ASSERT_TRUE(detector.all.n >= before || (before == 127 && detector.all.n == 96));
+    }
+    TEST_ASSERT_EQUAL_INT32(127, most);
+}
+
+static void test_another_motion_forgets_the_window(void) {
+    enter();
+    go(800);
+    other_motion = true;
+    wait_ms(FRAME_US / 1000, true);
+    TEST_ASSERT_EQUAL(0, detector.held);
+    TEST_ASSERT_EQUAL(0, detector.known);
+    TEST_ASSERT_FALSE(detector.on_envelope);
+}
+
 /// What a reversal forgets and counts.
 static void test_the_frames_of_a_reversal_are_counted(void) {
     enter();
@@ -485,6 +508,8 @@ int main(void) {
     RUN_TEST(test_a_still_image_is_no_onset);
     RUN_TEST(test_frames_out_of_order_are_ignored);
     RUN_TEST(test_the_defaults_are_the_header_s);
+    RUN_TEST(test_a_long_level_fades);
+    RUN_TEST(test_another_motion_forgets_the_window);
     RUN_TEST(test_the_frames_of_a_reversal_are_counted);
     RUN_TEST(test_configurations_out_of_range_are_refused);
     RUN_TEST(test_any_input_is_survived);
