@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 from tools.mutation import __main__ as program
+from tools.mutation import hosted
 from tools.mutation.coverage import Reached, asked
 from tools.mutation.equivalent import equivalents
-from tools.mutation.sites import ROOMS, Mutant, all_mutants, drawn, mutants_of
+from tools.mutation.sites import ROOMS, Mutant, all_mutants, drawn, mutants_of, same_either_way
 from tools.mutation.trial import Outcome, digest
 
 ROOT = Path(__file__).parents[2]
@@ -47,6 +48,34 @@ def test_only_what_functions_do_is_changed() -> None:
     assert mutants_of("f.h", b"#define LIMIT (3 + 4)\nenum { A = 1 };\nstatic const int B = 2; // a < 5\n") == []
     assert changes("(void)a;") == set()
     assert changes("int c[sizeof(int[3])];") == set()
+
+
+@pytest.mark.parametrize(
+    ("chosen", "same"),
+    [
+        ("a < b ? a : b", True),
+        ("(a > b) ? a : b", True),
+        ("a > b ? a - b : 0", True),
+        ("a < 0 ? -a : a", True),
+        ("a < b ? b - a : 0", False),
+        ("a < b ? 1 : 2", False),
+        ("a == b ? a : b", False),
+        ("a < b + 1 ? a : b", False),
+    ],
+)
+def test_a_comparison_that_only_chooses_between_equals_is_equivalent(chosen: str, same: bool) -> None:
+    source = f"int f(int a, int b) {{ return {chosen}; }}\n".encode()
+    compared = [each for each in mutants_of("f.c", source) if each.operator == "comparison"]
+    assert [same_either_way(each, source) for each in compared] == [same]
+    others = [each for each in mutants_of("f.c", source) if each.operator != "comparison"]
+    assert not any(same_either_way(each, source) for each in others)
+
+
+def test_each_host_test_of_fixed_point_is_there_and_of_files_that_are() -> None:
+    stems = {path.stem for room in ROOMS for path in (ROOT / room).rglob("*.[ch]")}
+    for test, of in hosted.OF.items():
+        assert (ROOT / hosted.FOLDER / test).is_file()
+        assert set(of) <= stems
 
 
 def test_a_mutant_differs_from_its_source_in_its_bytes_alone() -> None:

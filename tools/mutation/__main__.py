@@ -1,10 +1,11 @@
 """How many wrong programs the C tests tell from the right one: mutants by fixed operators, drawn by a seed.
 
-    ./run trust mutants [--count 400] [--seed 1] [--jobs N] [--at FILE:LINE]
+    ./run trust mutants [--count 400] [--seed 1] [--jobs N] [--at FILE:LINE] [--host]
 
 A mutant is one change in one function of common/, firmware/estimator or firmware/app: a comparison, a constant by one,
-a statement dropped, a sign, a condition negated. It is killed where a program of tests/c fails or does not end; what
-the host's and the boards' tests would see is not asked. Not counted: what does not compile, what compiles to the same,
+a statement dropped, a sign, a condition negated. It is killed where a program of tests/c fails or does not end, those
+first that run its line; with --host also where one of the host's tests of the fixed-point code does. What the boards'
+tests would see is not asked. Not counted: what does not compile, what compiles to the same,
 what is in equivalent.toml. Outcomes are kept in build/mutants/outcomes.jsonl: a run that was ended goes on, one
 with another --count tries only what is new, and one after a new test shows this one to what survived.
 """
