@@ -125,6 +125,8 @@ def report(outcomes: dict[Mutant, Outcome], listed: dict[Mutant, str]) -> str:
         hows = [each.how for mutant, each in counted.items() if operator in (mutant.operator, "all")]
         said[operator] = share(sum(how != "survived" for how in hows), len(hows))
         print(f"{operator:11s}{said[operator]}")
+    killed, alive = (sum(how.how in hows for how in outcomes.values()) for hows in (("killed", "time"), ("survived",)))
+    print(f"with those listed counted as survivors: {share(killed, killed + alive)}")
     return said["all"]
 
 

@@ -87,9 +87,7 @@ def _nodes(node: Node, inside: bool) -> Iterator[Node]:
 
 
 def same_either_way(mutant: Mutant, source: bytes) -> bool:
-    """Whether it tells equal ones apart where equal ones give the same: the smaller, the larger or the size of something,
-    or by how much something is larger.
-    """
+    """Whether it tells equal ones apart where equal ones give the same: the smaller, the larger, a size, an excess."""
     node = PARSER.parse(source).root_node.descendant_for_byte_range(mutant.start, mutant.end)
     compared = node.parent if node is not None else None
     if mutant.operator != "comparison" or mutant.after not in ("<", "<=", ">", ">=") or compared is None:
