@@ -171,31 +171,32 @@ static int follow(tl_wire_follow_t request) {
     return fake_ask(TL_WIRE_FOLLOW, &request);
 }
 
-#define HOME(...) home((tl_wire_home_t){.direction = 1, .reach_q8 = COUNTS(100), __VA_ARGS__})
-#define RANGE     TL_WIRE_REASON_RANGE
+#define HOME(way, reach, ...) home((tl_wire_home_t){.direction = (way), .reach_q8 = (reach), __VA_ARGS__})
+#define RANGE                 TL_WIRE_REASON_RANGE
 
 static void test_the_ranges_of_a_homing(void) {
     const int32_t low = TL_RATIO_ONE / 4; // the settings' low duty
-    TEST_ASSERT_EQUAL(0, HOME(.duty_q15 = low));
-    TEST_ASSERT_EQUAL(RANGE, HOME(.duty_q15 = low + 1));
-    TEST_ASSERT_EQUAL(RANGE, HOME(.duty_q15 = -1));
-    TEST_ASSERT_EQUAL(RANGE, HOME(.speed_q8_s = -1));
-    TEST_ASSERT_EQUAL(RANGE, HOME(.retreat_q8 = -1));
-    TEST_ASSERT_EQUAL(0, HOME(.reach_q8 = 1));
-    TEST_ASSERT_EQUAL(RANGE, HOME(.reach_q8 = 0));
-    TEST_ASSERT_EQUAL(0, HOME(.reach_q8 = END));
-    TEST_ASSERT_EQUAL(RANGE, HOME(.reach_q8 = END + 1));
+    TEST_ASSERT_EQUAL(0, HOME(1, COUNTS(100), .duty_q15 = low));
+    TEST_ASSERT_EQUAL(RANGE, HOME(1, COUNTS(100), .duty_q15 = low + 1));
+    TEST_ASSERT_EQUAL(RANGE, HOME(1, COUNTS(100), .duty_q15 = -1));
+    TEST_ASSERT_EQUAL(RANGE, HOME(1, COUNTS(100), .speed_q8_s = -1));
+    TEST_ASSERT_EQUAL(RANGE, HOME(1, COUNTS(100), .retreat_q8 = -1));
+    TEST_ASSERT_EQUAL(0, HOME(1, 1, .retreat_q8 = 0));
+    TEST_ASSERT_EQUAL(RANGE, HOME(1, 0, .retreat_q8 = 0));
+    TEST_ASSERT_EQUAL(0, HOME(1, END, .retreat_q8 = 0));
+    TEST_ASSERT_EQUAL(RANGE, HOME(1, END + 1, .retreat_q8 = 0));
     for (int8_t direction = -3; direction <= 3; direction++) {
-        TEST_ASSERT_EQUAL(direction == 1 || direction == -1 ? 0 : RANGE, HOME(.direction = direction));
+        TEST_ASSERT_EQUAL(direction == 1 || direction == -1 ? 0 : RANGE, HOME(direction, COUNTS(100), .retreat_q8 = 0));
     }
-    TEST_ASSERT_EQUAL(0, HOME(.end_q8 = END));
-    TEST_ASSERT_EQUAL(0, HOME(.end_q8 = -END));
-    TEST_ASSERT_EQUAL(RANGE, HOME(.end_q8 = END + 1, .retreat_q8 = 1)); // though it goes back to one that may be
-    TEST_ASSERT_EQUAL(RANGE, HOME(.direction = -1, .end_q8 = -END - 1, .retreat_q8 = 1));
-    TEST_ASSERT_EQUAL(RANGE, HOME(.end_q8 = -END, .retreat_q8 = 1)); // goes back to where it may not be
-    TEST_ASSERT_EQUAL(RANGE, HOME(.direction = -1, .end_q8 = END, .retreat_q8 = 1));
-    TEST_ASSERT_EQUAL(0, HOME(.silence_us = 60000000));
-    TEST_ASSERT_EQUAL(RANGE, HOME(.silence_us = 60000001));
+    TEST_ASSERT_EQUAL(0, HOME(1, COUNTS(100), .end_q8 = END));
+    TEST_ASSERT_EQUAL(0, HOME(1, COUNTS(100), .end_q8 = -END));
+    TEST_ASSERT_EQUAL(
+        RANGE, HOME(1, COUNTS(100), .end_q8 = END + 1, .retreat_q8 = 1)); // though it goes back to one that may be
+    TEST_ASSERT_EQUAL(RANGE, HOME(-1, COUNTS(100), .end_q8 = -END - 1, .retreat_q8 = 1));
+    TEST_ASSERT_EQUAL(RANGE, HOME(1, COUNTS(100), .end_q8 = -END, .retreat_q8 = 1)); // goes back to where it may not be
+    TEST_ASSERT_EQUAL(RANGE, HOME(-1, COUNTS(100), .end_q8 = END, .retreat_q8 = 1));
+    TEST_ASSERT_EQUAL(0, HOME(1, COUNTS(100), .silence_us = 60000000));
+    TEST_ASSERT_EQUAL(RANGE, HOME(1, COUNTS(100), .silence_us = 60000001));
 }
 
 static void test_the_ranges_of_jogs_and_moves(void) {
@@ -243,11 +244,11 @@ static void test_motions_go_as_fast_as_asked_and_no_faster_than_they_may(void) {
     TEST_ASSERT_EQUAL_INT32(app.axes[0].plan.travel.speed / 10, app.axes[0].plan.move.speed);
     TEST_ASSERT_EQUAL(0, jog((tl_wire_jog_t){.way_q8 = COUNTS(100), .speed_q8_s = COUNTS(20000)}));
     TEST_ASSERT_EQUAL_INT32(app.axes[0].plan.travel.speed / 2, app.axes[0].plan.move.speed);
-    TEST_ASSERT_EQUAL(0, HOME(.speed_q8_s = 0));
+    TEST_ASSERT_EQUAL(0, HOME(1, COUNTS(100), .speed_q8_s = 0));
     TEST_ASSERT_EQUAL_INT32(app.axes[0].plan.travel.speed / 10, app.axes[0].plan.move.speed);
-    TEST_ASSERT_EQUAL(0, HOME(.speed_q8_s = COUNTS(20000)));
+    TEST_ASSERT_EQUAL(0, HOME(1, COUNTS(100), .speed_q8_s = COUNTS(20000)));
     TEST_ASSERT_EQUAL_INT32(app.axes[0].plan.travel.speed / 2, app.axes[0].plan.move.speed);
-    TEST_ASSERT_EQUAL(0, HOME(.speed_q8_s = COUNTS(300)));
+    TEST_ASSERT_EQUAL(0, HOME(1, COUNTS(100), .speed_q8_s = COUNTS(300)));
     assert_speed(300);
 }
 
