@@ -175,6 +175,25 @@ static void test_a_reboot_leaves_time_for_its_acknowledgement(void) {
     TEST_ASSERT_EQUAL(2, fake.rebooted);
 }
 
+static void test_a_reboot_brings_every_motor_to_rest_first(void) {
+    fake_ready();
+    TEST_ASSERT_EQUAL(0, fake_enable(0, 1));
+    TEST_ASSERT_EQUAL(0, fake_enable(1, 1));
+    const tl_wire_move_t move = {.axis = 1, .q_q8 = 3000 * TL_COUNT_ONE};
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_MOVE, &move));
+    fake_run_ms(50);
+    const tl_wire_reboot_t reboot = {.key = TL_WIRE_KEY};
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_REBOOT, &reboot));
+    TEST_ASSERT_EQUAL(TL_WIRE_MODE_STOPPING_OFF, app.axes[0].mode);
+    TEST_ASSERT_EQUAL(TL_WIRE_MODE_STOPPING_OFF, app.axes[1].mode);
+    for (uint32_t ms = 0; ms < 400U; ms++) {
+        fake_run_ms(1);
+        fake_listen();
+    }
+    TEST_ASSERT_EQUAL(0, fake.duty[1]);
+    TEST_ASSERT_EQUAL(1, fake.rebooted);
+}
+
 static void test_replies_that_find_no_room_are_counted_and_input_goes_on(void) {
     uint8_t frame[TL_WIRE_FRAME_MAX];
     const tl_wire_ping_t ping = {0};
@@ -384,6 +403,7 @@ int main(void) {
     RUN_TEST(test_no_event_is_lost_to_the_control_step);
     RUN_TEST(test_settings_read_back_as_set);
     RUN_TEST(test_a_reboot_leaves_time_for_its_acknowledgement);
+    RUN_TEST(test_a_reboot_brings_every_motor_to_rest_first);
     RUN_TEST(test_replies_that_find_no_room_are_counted_and_input_goes_on);
     RUN_TEST(test_a_new_host_never_sees_what_the_last_one_left);
     RUN_TEST(test_nothing_that_a_host_sends_breaks_the_board);

@@ -226,6 +226,7 @@ static void test_losing_the_bus_while_following_comes_to_rest_at_once(void) {
 
 static void test_set_points_are_joined_by_straight_lines_in_time(void) {
     fake_enable(0, 1);
+    fake_run_ms(3);
     follow(0, 0);
     const tl_us_t start = fake.t_us;
     TEST_ASSERT_EQUAL(-1, set_point(0, 10 * TL_COUNT_ONE, start + 10000));

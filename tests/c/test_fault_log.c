@@ -67,6 +67,21 @@ static void test_a_fault_that_stays_is_logged_once_and_the_same_again_anew(void)
     TEST_ASSERT_EQUAL(2, count());
 }
 
+// tl_fault_log.h: an entry is a frame in a page of its own, whose rest stays blank.
+static void test_an_entry_is_a_frame_alone_in_its_page(void) {
+    fault(0, 5);
+    static tl_wire_parser_t parser;
+    const uint8_t *page = fake.flash + TL_PORT_FLASH_REGION, *rest = page;
+    size_t left = TL_PORT_FLASH_PAGE;
+    tl_wire_frame_t frame;
+    TEST_ASSERT_TRUE(tl_wire_parse(&parser, &rest, &left, &frame));
+    TEST_ASSERT_EQUAL(TL_WIRE_LOGGED, frame.type);
+    TEST_ASSERT_EQUAL(0, frame.sequence);
+    for (; rest < page + TL_PORT_FLASH_PAGE; rest++) {
+        TEST_ASSERT_EQUAL_HEX8(0xFF, *rest);
+    }
+}
+
 static void test_nothing_is_written_while_a_motor_is_on(void) {
     fake_ready();
     TEST_ASSERT_EQUAL(0, fake_enable(1, 1));
@@ -143,6 +158,7 @@ int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_a_fault_is_there_after_the_power_was_off);
     RUN_TEST(test_a_fault_that_stays_is_logged_once_and_the_same_again_anew);
+    RUN_TEST(test_an_entry_is_a_frame_alone_in_its_page);
     RUN_TEST(test_nothing_is_written_while_a_motor_is_on);
     RUN_TEST(test_a_host_that_makes_faults_wears_no_flash);
     RUN_TEST(test_the_last_sixteen_at_least_are_kept);

@@ -371,28 +371,94 @@ static void test_frames_out_of_order_are_ignored(void) {
     TEST_ASSERT_EQUAL_UINT32(1, detector.lost); // the history held nothing
 }
 
+/// tl_onset.h says each.
+static void test_the_defaults_are_the_header_s(void) {
+    const tl_onset_config_t made = tl_onset_defaults();
+    TEST_ASSERT_EQUAL_UINT32(80000, made.delay_us);
+    TEST_ASSERT_EQUAL_UINT32(20000, made.guard_us);
+    TEST_ASSERT_EQUAL_UINT32(400000, made.lost_us);
+    TEST_ASSERT_EQUAL_UINT32(30000000, made.timeout_us);
+    TEST_ASSERT_EQUAL_INT32(4 * 256, made.turn);
+    TEST_ASSERT_EQUAL_INT32(384, made.sigma_wanted);
+    TEST_ASSERT_EQUAL_INT32(25 * 256, made.sigma_usable);
+    TEST_ASSERT_EQUAL_INT32(409, made.noise_px); // 0.1 px Q12
+    TEST_ASSERT_EQUAL_UINT32(400, made.curvature);
+    TEST_ASSERT_EQUAL_UINT32(384, made.threshold);
+    TEST_ASSERT_EQUAL(4, made.frames_min);
+    TEST_ASSERT_EQUAL(32, made.frames_max);
+}
+
 static void test_configurations_out_of_range_are_refused(void) {
     const tl_onset_config_t good = tl_onset_defaults();
     TEST_ASSERT_TRUE(tl_onset_init(&detector, &good));
-#define REFUSE(field, value)                                                                                           \
+#define TRY(expected, field, value)                                                                                    \
     do {                                                                                                               \
-        tl_onset_config_t bad = good;                                                                                  \
-        bad.field = (value);                                                                                           \
-        TEST_ASSERT_FALSE_MESSAGE(tl_onset_init(&detector, &bad), #field);                                             \
+        tl_onset_config_t one = good;                                                                                  \
+        one.field = (value);                                                                                           \
+        TEST_ASSERT_EQUAL_MESSAGE(expected, tl_onset_init(&detector, &one), #field " = " #value);                      \
     } while (0)
-    REFUSE(delay_us, 400001);
-    REFUSE(guard_us, 400001);
-    REFUSE(lost_us, 0);
-    REFUSE(timeout_us, 0);
-    REFUSE(turn, 0);
-    REFUSE(sigma_wanted, 0);
-    REFUSE(sigma_usable, 1);
-    REFUSE(noise_px, 0);
-    REFUSE(curvature, 1U << 20);
-    REFUSE(threshold, 0);
-    REFUSE(frames_min, 2);
-    REFUSE(frames_max, 3);
-    REFUSE(frames_max, TL_ONSET_WINDOW);
+#define FROM_TO(field, least, most)                                                                                    \
+    do {                                                                                                               \
+        TRY(true, field, least);                                                                                       \
+        TRY(true, field, most);                                                                                        \
+        TRY(false, field, (least) - 1);                                                                                \
+        TRY(false, field, (most) + 1);                                                                                 \
+    } while (0)
+    TRY(true, delay_us, 0);
+    TRY(true, delay_us, 400000);
+    TRY(false, delay_us, 400001);
+    TRY(true, guard_us, 0);
+    TRY(true, guard_us, 400000);
+    TRY(false, guard_us, 400001);
+    FROM_TO(timeout_us, 1, 600000000);
+    FROM_TO(lost_us, 1, 10000000);
+    TRY(true, turn, 1);
+    TRY(false, turn, 0);
+    TRY(true, sigma_wanted, 1);
+    TRY(false, sigma_wanted, 0);
+    TRY(true, sigma_usable, good.sigma_wanted);
+    TRY(false, sigma_usable, good.sigma_wanted - 1);
+    FROM_TO(noise_px, 1, 8 * TL_PX_ONE);
+    TRY(true, curvature, (1U << 20) - 1U);
+    TRY(false, curvature, 1U << 20);
+    TRY(true, threshold, 1);
+    TRY(false, threshold, 0);
+    FROM_TO(frames_min, 3, 32);
+    FROM_TO(frames_max, 4, TL_ONSET_WINDOW - 2);
+}
+
+/// The sums of a long level are halved with what has left the window: 128 frames become (128 + 64) / 2.
+static void test_a_long_level_fades(void) {
+    enter();
+    int32_t most = 0;
+    for (uint32_t ms = 0; ms < 12000; ms++) {
+        const int32_t before = detector.all.n;
+        step(motor, true);
+        most = detector.all.n > most ? detector.all.n : most;
+        TEST_ASSERT_TRUE(detector.all.n >= before || (before == 127 && detector.all.n == 96));
+    }
+    TEST_ASSERT_EQUAL_INT32(127, most);
+}
+
+static void test_another_motion_forgets_the_window(void) {
+    enter();
+    go(800);
+    other_motion = true;
+    wait_ms(FRAME_US / 1000, true);
+    TEST_ASSERT_EQUAL(0, detector.held);
+    TEST_ASSERT_EQUAL(0, detector.known);
+    TEST_ASSERT_FALSE(detector.on_envelope);
+}
+
+/// What a reversal forgets and counts.
+static void test_the_frames_of_a_reversal_are_counted(void) {
+    enter();
+    go(300);
+    check_reason(TL_ONSET_USED);
+    const int32_t from = (int32_t)((found[0].turn_us + config.guard_us - 1000000U + FRAME_US - 1U) / FRAME_US);
+    const int32_t until = (int32_t)((detector.arrival_us - 1000000U) / FRAME_US); // the first came at a second
+    TEST_ASSERT_TRUE(found[0].frames <= until - from + 1);
+    TEST_ASSERT_TRUE(found[0].frames * (int32_t)FRAME_US > 1422222); // it lasted at least until the onset
 }
 
 /// Anything at all may come over USB. The sanitizers watch.
@@ -441,6 +507,10 @@ int main(void) {
     RUN_TEST(test_a_jittering_motor_tells_nothing);
     RUN_TEST(test_a_still_image_is_no_onset);
     RUN_TEST(test_frames_out_of_order_are_ignored);
+    RUN_TEST(test_the_defaults_are_the_header_s);
+    RUN_TEST(test_a_long_level_fades);
+    RUN_TEST(test_another_motion_forgets_the_window);
+    RUN_TEST(test_the_frames_of_a_reversal_are_counted);
     RUN_TEST(test_configurations_out_of_range_are_refused);
     RUN_TEST(test_any_input_is_survived);
     return UNITY_END();

@@ -140,6 +140,156 @@ static void test_limits_are_the_settings_at_most(void) {
     TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_LIMITS, &limits));
 }
 
+// -- motions: each number of a request at its ends, and one beyond ----------------------------------------------------
+
+// Holds, nothing known of where it is: a homing and a jog may begin again and again.
+static void hold(void) {
+    fake_new(1);
+    app.axes[0].checked = true;
+    TEST_ASSERT_EQUAL(0, fake_enable(0, 1));
+}
+
+static int home(tl_wire_home_t request) {
+    hold();
+    return fake_ask(TL_WIRE_HOME, &request);
+}
+
+static int jog(tl_wire_jog_t request) {
+    hold();
+    return fake_ask(TL_WIRE_JOG, &request);
+}
+
+static int move(tl_wire_move_t request) {
+    hold();
+    fake_ready();
+    return fake_ask(TL_WIRE_MOVE, &request);
+}
+
+static int follow(tl_wire_follow_t request) {
+    hold();
+    fake_ready();
+    return fake_ask(TL_WIRE_FOLLOW, &request);
+}
+
+#define HOME(way, reach, ...) home((tl_wire_home_t){.direction = (way), .reach_q8 = (reach), __VA_ARGS__})
+#define RANGE                 TL_WIRE_REASON_RANGE
+
+static void test_the_ranges_of_a_homing(void) {
+    const int32_t low = TL_RATIO_ONE / 4; // the settings' low duty
+    TEST_ASSERT_EQUAL(0, HOME(1, COUNTS(100), .duty_q15 = low));
+    TEST_ASSERT_EQUAL(RANGE, HOME(1, COUNTS(100), .duty_q15 = low + 1));
+    TEST_ASSERT_EQUAL(RANGE, HOME(1, COUNTS(100), .duty_q15 = -1));
+    TEST_ASSERT_EQUAL(RANGE, HOME(1, COUNTS(100), .speed_q8_s = -1));
+    TEST_ASSERT_EQUAL(RANGE, HOME(1, COUNTS(100), .retreat_q8 = -1));
+    TEST_ASSERT_EQUAL(0, HOME(1, 1, .retreat_q8 = 0));
+    TEST_ASSERT_EQUAL(RANGE, HOME(1, 0, .retreat_q8 = 0));
+    TEST_ASSERT_EQUAL(0, HOME(1, END, .retreat_q8 = 0));
+    TEST_ASSERT_EQUAL(RANGE, HOME(1, END + 1, .retreat_q8 = 0));
+    for (int8_t direction = -3; direction <= 3; direction++) {
+        TEST_ASSERT_EQUAL(direction == 1 || direction == -1 ? 0 : RANGE, HOME(direction, COUNTS(100), .retreat_q8 = 0));
+    }
+    TEST_ASSERT_EQUAL(0, HOME(1, COUNTS(100), .end_q8 = END));
+    TEST_ASSERT_EQUAL(0, HOME(1, COUNTS(100), .end_q8 = -END));
+    TEST_ASSERT_EQUAL(
+        RANGE, HOME(1, COUNTS(100), .end_q8 = END + 1, .retreat_q8 = 1)); // though it goes back to one that may be
+    TEST_ASSERT_EQUAL(RANGE, HOME(-1, COUNTS(100), .end_q8 = -END - 1, .retreat_q8 = 1));
+    TEST_ASSERT_EQUAL(RANGE, HOME(1, COUNTS(100), .end_q8 = -END, .retreat_q8 = 1)); // goes back to where it may not be
+    TEST_ASSERT_EQUAL(RANGE, HOME(-1, COUNTS(100), .end_q8 = END, .retreat_q8 = 1));
+    TEST_ASSERT_EQUAL(0, HOME(1, COUNTS(100), .silence_us = 60000000));
+    TEST_ASSERT_EQUAL(RANGE, HOME(1, COUNTS(100), .silence_us = 60000001));
+}
+
+static void test_the_ranges_of_jogs_and_moves(void) {
+    TEST_ASSERT_EQUAL(0, jog((tl_wire_jog_t){.way_q8 = END}));
+    TEST_ASSERT_EQUAL(RANGE, jog((tl_wire_jog_t){.way_q8 = END + 1}));
+    TEST_ASSERT_EQUAL(0, jog((tl_wire_jog_t){.way_q8 = -END}));
+    TEST_ASSERT_EQUAL(RANGE, jog((tl_wire_jog_t){.way_q8 = -END - 1}));
+    TEST_ASSERT_EQUAL(RANGE, jog((tl_wire_jog_t){.speed_q8_s = -1}));
+    TEST_ASSERT_EQUAL(0, jog((tl_wire_jog_t){.silence_us = 60000000}));
+    TEST_ASSERT_EQUAL(RANGE, jog((tl_wire_jog_t){.silence_us = 60000001}));
+    TEST_ASSERT_EQUAL(0, move((tl_wire_move_t){.q_q8 = END}));
+    TEST_ASSERT_EQUAL(RANGE, move((tl_wire_move_t){.q_q8 = END + 1}));
+    TEST_ASSERT_EQUAL(0, move((tl_wire_move_t){.q_q8 = -END}));
+    TEST_ASSERT_EQUAL(RANGE, move((tl_wire_move_t){.q_q8 = -END - 1}));
+    TEST_ASSERT_EQUAL(RANGE, move((tl_wire_move_t){.speed_q8_s = -1}));
+    TEST_ASSERT_EQUAL(0, move((tl_wire_move_t){.silence_us = 60000000}));
+    TEST_ASSERT_EQUAL(RANGE, move((tl_wire_move_t){.silence_us = 60000001}));
+}
+
+static void test_the_ranges_of_a_follower(void) {
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_NO_TABLE, follow((tl_wire_follow_t){.target = 1, .compensation = 2}));
+    TEST_ASSERT_EQUAL(RANGE, follow((tl_wire_follow_t){.target = 2}));
+    TEST_ASSERT_EQUAL(RANGE, follow((tl_wire_follow_t){.compensation = 3}));
+    TEST_ASSERT_EQUAL(0, follow((tl_wire_follow_t){.silence_us = 60000000}));
+    TEST_ASSERT_EQUAL(RANGE, follow((tl_wire_follow_t){.silence_us = 60000001}));
+    TEST_ASSERT_EQUAL(0, follow((tl_wire_follow_t){.silence_us = 0}));
+    tl_wire_set_point_t point = {.at_us = fake.t_us + 10000000};
+    TEST_ASSERT_EQUAL(-1, fake_ask(TL_WIRE_SET_POINT, &point)); // taken, and not acknowledged
+    point.at_us = fake.t_us + 10000001;
+    TEST_ASSERT_EQUAL(RANGE, fake_ask(TL_WIRE_SET_POINT, &point));
+}
+
+// The speed that a motion goes at is its plan's.
+static void assert_speed(int32_t counts_s) {
+    TEST_ASSERT_EQUAL_INT32(tl_reference_speed(COUNTS(counts_s), TL_AXIS_PLAN_HZ), app.axes[0].plan.move.speed);
+}
+
+static void test_motions_go_as_fast_as_asked_and_no_faster_than_they_may(void) {
+    const tl_wire_limits_t *most = &app.axes[0].limits;
+    TEST_ASSERT_EQUAL(0, move((tl_wire_move_t){.q_q8 = COUNTS(100)}));
+    assert_speed(most->speed_q8_s / TL_COUNT_ONE);
+    TEST_ASSERT_EQUAL(0, move((tl_wire_move_t){.q_q8 = COUNTS(100), .speed_q8_s = COUNTS(1)}));
+    assert_speed(1);
+    TEST_ASSERT_EQUAL(0, jog((tl_wire_jog_t){.way_q8 = COUNTS(100)}));
+    TEST_ASSERT_EQUAL_INT32(app.axes[0].plan.travel.speed / 10, app.axes[0].plan.move.speed);
+    TEST_ASSERT_EQUAL(0, jog((tl_wire_jog_t){.way_q8 = COUNTS(100), .speed_q8_s = COUNTS(20000)}));
+    TEST_ASSERT_EQUAL_INT32(app.axes[0].plan.travel.speed / 2, app.axes[0].plan.move.speed);
+    TEST_ASSERT_EQUAL(0, HOME(1, COUNTS(100), .speed_q8_s = 0));
+    TEST_ASSERT_EQUAL_INT32(app.axes[0].plan.travel.speed / 10, app.axes[0].plan.move.speed);
+    TEST_ASSERT_EQUAL(0, HOME(1, COUNTS(100), .speed_q8_s = COUNTS(20000)));
+    TEST_ASSERT_EQUAL_INT32(app.axes[0].plan.travel.speed / 2, app.axes[0].plan.move.speed);
+    TEST_ASSERT_EQUAL(0, HOME(1, COUNTS(100), .speed_q8_s = COUNTS(300)));
+    assert_speed(300);
+}
+
+// Milliseconds until a move whose host says nothing more is told to be without one.
+static uint32_t until_silent(void) {
+    uint32_t ms = 0;
+    while (!app.axes[0].silent && ms < 3000U) {
+        fake_run_ms(1);
+        ms++;
+    }
+    return ms;
+}
+
+static void test_a_motion_waits_for_its_host_as_long_as_it_says(void) {
+    TEST_ASSERT_EQUAL(0, move((tl_wire_move_t){.q_q8 = COUNTS(1000000), .speed_q8_s = COUNTS(10)}));
+    TEST_ASSERT_INT_WITHIN(1, 1001, until_silent()); // tl_wire.h: 0 is a second
+    TEST_ASSERT_EQUAL(0,
+                      move((tl_wire_move_t){.q_q8 = COUNTS(1000000), .speed_q8_s = COUNTS(10), .silence_us = 250000}));
+    TEST_ASSERT_INT_WITHIN(1, 251, until_silent());
+    TEST_ASSERT_EQUAL(0, follow((tl_wire_follow_t){.target = 0}));
+    TEST_ASSERT_INT_WITHIN(1, 101, until_silent()); // a tenth of one
+    TEST_ASSERT_EQUAL(0, follow((tl_wire_follow_t){.silence_us = 250000}));
+    TEST_ASSERT_INT_WITHIN(1, 251, until_silent());
+}
+
+// docs/safety.md: a motor that is switched off while a host was away may be switched on again, and moves.
+static void test_switching_on_again_forgets_the_silence(void) {
+    TEST_ASSERT_EQUAL(0, move((tl_wire_move_t){.q_q8 = COUNTS(1000), .silence_us = 20000}));
+    while (!app.axes[0].silent) {
+        fake_run_ms(1);
+    }
+    TEST_ASSERT_EQUAL(TL_WIRE_MODE_STOPPING_OFF, app.axes[0].mode);
+    TEST_ASSERT_EQUAL(0, fake_enable(0, 1)); // before it rests
+    fake_run_ms(500);
+    TEST_ASSERT_EQUAL(TL_WIRE_MODE_HOLD, app.axes[0].mode);
+    TEST_ASSERT_EQUAL(0, fake_enable(0, 0));
+    fake_run_ms(100);
+    TEST_ASSERT_EQUAL(TL_WIRE_MODE_OFF, app.axes[0].mode);
+    TEST_ASSERT_EQUAL(TL_WIRE_FAULT_NONE, app.axes[0].fault);
+}
+
 // -- what is counted -------------------------------------------------------------------------------------------------
 
 static void test_every_frame_and_every_late_step_is_counted(void) {
@@ -188,6 +338,12 @@ int main(void) {
     RUN_TEST(test_the_range_of_each_setting);
     RUN_TEST(test_a_range_is_not_empty_and_a_low_duty_is_no_higher_than_the_duty);
     RUN_TEST(test_limits_are_the_settings_at_most);
+    RUN_TEST(test_the_ranges_of_a_homing);
+    RUN_TEST(test_the_ranges_of_jogs_and_moves);
+    RUN_TEST(test_the_ranges_of_a_follower);
+    RUN_TEST(test_motions_go_as_fast_as_asked_and_no_faster_than_they_may);
+    RUN_TEST(test_a_motion_waits_for_its_host_as_long_as_it_says);
+    RUN_TEST(test_switching_on_again_forgets_the_silence);
     RUN_TEST(test_every_frame_and_every_late_step_is_counted);
     RUN_TEST(test_a_table_half_sent_is_gone_with_its_sender);
     return UNITY_END();

@@ -234,6 +234,43 @@ static void test_a_width_is_scaled_by_a_product(void) {
     }
 }
 
+// tl_table.h, section 6, and its inverse: what makes the angle 1 + g times as large is undone by a gain of -g / (1 +
+// g).
+static void test_a_load_moves_offset_width_and_gain_by_what_is_beyond_its_reference(void) {
+    enum { REFERENCE = 20 * 256 };
+    for (int32_t load = -300 * 256; load <= 300 * 256; load += 997) {
+        table.has = TL_TABLE_HAS_load;
+        table.load = (tl_table_load_t){.reference = REFERENCE, .width = 1 << 15, .gain = -(1 << 15), .offset = 1 << 16};
+        memset(&undo, 0, sizeof undo);
+        begin();
+        tl_undo_load(&undo, &lookup, load, 0);
+        const double beyond = (load - REFERENCE) / 256.0; // mNm
+        const double gain = fmin(fmax(beyond * table.load.gain / (1 << 24), -0.5), 0.5);
+        TEST_ASSERT_DOUBLE_WITHIN(1.0, beyond * table.load.offset, undo.moved.offset.now); // counts Q16
+        TEST_ASSERT_DOUBLE_WITHIN(1.0, fmin(fmax(beyond * table.load.width / 2.0, -8388608.0), 8388607.0),
+                                  undo.moved.scale.now);                                       // Q23
+        TEST_ASSERT_DOUBLE_WITHIN(5.0, -gain / (1.0 + gain) * (1 << 23), undo.moved.gain.now); // of a bit of g four
+    }
+}
+
+static void test_a_slope_has_eleven_bits_and_is_rounded(void) {
+    static const struct {
+        int32_t slope;
+        int16_t value;
+        uint8_t log2;
+    } of[] = {{0, 0, 0},         {1, 1, 0},         {2047, 2047, 0},    {-2047, -2047, 0},
+              {2048, 1024, 1},   {2049, 1025, 1},   {4093, 2047, 1},    {4095, 2047, 1},
+              {-4095, -2047, 1}, {-4093, -2046, 1}, {1 << 20, 1024, 10}};
+    for (unsigned i = 0; i < sizeof of / sizeof of[0]; i++) {
+        table.has = TL_TABLE_HAS_joints;
+        table.joints.axis[0] = 3;
+        table.joints.slope[0] = of[i].slope;
+        begin();
+        TEST_ASSERT_EQUAL_INT16(of[i].value, undo.slope_q28[0].value);
+        TEST_ASSERT_EQUAL_UINT8(of[i].log2, undo.slope_q28[0].log2);
+    }
+}
+
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_the_encoder_s_error_is_its_harmonics);
@@ -245,5 +282,7 @@ int main(void) {
     RUN_TEST(test_a_table_is_moved_in_its_ticks_and_as_far_as_asked);
     RUN_TEST(test_another_axis_carries_the_angle_behind_its_own_play);
     RUN_TEST(test_a_width_is_scaled_by_a_product);
+    RUN_TEST(test_a_load_moves_offset_width_and_gain_by_what_is_beyond_its_reference);
+    RUN_TEST(test_a_slope_has_eleven_bits_and_is_rounded);
     return UNITY_END();
 }

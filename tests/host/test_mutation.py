@@ -9,8 +9,10 @@ from pathlib import Path
 import pytest
 
 from tools.mutation import __main__ as program
+from tools.mutation import hosted
+from tools.mutation.coverage import Reached, asked
 from tools.mutation.equivalent import equivalents
-from tools.mutation.sites import ROOMS, Mutant, all_mutants, drawn, mutants_of
+from tools.mutation.sites import ROOMS, Mutant, all_mutants, drawn, mutants_of, same_either_way
 from tools.mutation.trial import Outcome, digest
 
 ROOT = Path(__file__).parents[2]
@@ -48,6 +50,34 @@ def test_only_what_functions_do_is_changed() -> None:
     assert changes("int c[sizeof(int[3])];") == set()
 
 
+@pytest.mark.parametrize(
+    ("chosen", "same"),
+    [
+        ("a < b ? a : b", True),
+        ("(a > b) ? a : b", True),
+        ("a > b ? a - b : 0", True),
+        ("a < 0 ? -a : a", True),
+        ("a < b ? b - a : 0", False),
+        ("a < b ? 1 : 2", False),
+        ("a == b ? a : b", False),
+        ("a < b + 1 ? a : b", False),
+    ],
+)
+def test_a_comparison_that_only_chooses_between_equals_is_equivalent(chosen: str, same: bool) -> None:
+    source = f"int f(int a, int b) {{ return {chosen}; }}\n".encode()
+    compared = [each for each in mutants_of("f.c", source) if each.operator == "comparison"]
+    assert [same_either_way(each, source) for each in compared] == [same]
+    others = [each for each in mutants_of("f.c", source) if each.operator != "comparison"]
+    assert not any(same_either_way(each, source) for each in others)
+
+
+def test_each_host_test_of_fixed_point_is_there_and_of_files_that_are() -> None:
+    stems = {path.stem for room in ROOMS for path in (ROOT / room).rglob("*.[ch]")}
+    for test, of in hosted.OF.items():
+        assert (ROOT / hosted.FOLDER / test).is_file()
+        assert set(of) <= stems
+
+
 def test_a_mutant_differs_from_its_source_in_its_bytes_alone() -> None:
     for mutant in drawn(all_mutants(ROOT), 200, 7):
         source = (ROOT / mutant.file).read_bytes()
@@ -71,29 +101,66 @@ def test_more_of_a_seed_begin_with_fewer_and_another_seed_has_others() -> None:
     assert sorted(drawn(mutants, len(mutants), 3)) == mutants
 
 
+def kept_rows(file: Path, *rows: tuple[Mutant, Outcome, dict[str, str]]) -> None:
+    lines = [
+        json.dumps({"of": of, "mutant": asdict(mutant), "outcome": {"how": outcome.how, "test": outcome.test}})
+        for mutant, outcome, of in rows
+    ]
+    file.write_text("\n".join(lines), "utf-8")
+
+
 def test_an_outcome_of_other_sources_and_a_line_cut_off_are_no_outcomes(tmp_path: Path) -> None:
-    mutant = Mutant("f.c", 1, 2, "+", "sign", 1, 2)
-    row = {"of": "these test_f", "mutant": asdict(mutant), "outcome": asdict(Outcome("killed", "test_f"))}
+    mutant, other = (Mutant("f.c", at, at + 1, "+", "sign", 1, at + 1) for at in (1, 2))
     file = tmp_path / "outcomes.jsonl"
-    file.write_text(json.dumps(row) + "\n" + json.dumps(row | {"of": "others test_f"})[:-9], "utf-8")
-    assert program.known(file, {"test_f": "these test_f"}) == {mutant: Outcome("killed", "test_f")}
-    assert program.known(file, {"test_f": "others test_f"}) == {}
-    assert program.known(tmp_path / "none.jsonl", {}) == {}
+    kept_rows(
+        file,
+        (mutant, Outcome("killed", "test_f"), {"test_f": "today's"}),
+        (other, Outcome("killed", "test_f"), {"test_f": "another"}),
+        (other, Outcome("build", ""), {"": "cut off"}),
+    )
+    file.write_text(file.read_text("utf-8")[:-9], "utf-8")
+    assert program.known(file, {"": "cut off", "test_f": "today's"}) == ({mutant: Outcome("killed", "test_f")}, {})
+    assert program.known(file, {"": "cut off", "test_f": "new"}) == ({}, {})
+    assert program.known(tmp_path / "none.jsonl", {}) == ({}, {})
 
 
-def test_a_new_test_asks_again_for_what_survived_alone(tmp_path: Path) -> None:
+def test_a_survivor_is_asked_only_what_it_was_not(tmp_path: Path) -> None:
+    mutant, file = Mutant("f.c", 1, 2, "+", "sign", 1, 2), tmp_path / "outcomes.jsonl"
+    kept_rows(file, (mutant, Outcome("survived", ""), {"test_f": "1", "test_g": "1"}))
+    survived = {mutant: Outcome("survived", "", ("test_f", "test_g"))}
+    assert program.known(file, {"": "0", "test_f": "1", "test_g": "1"}) == (survived, {})
+    assert program.known(file, {"": "0", "test_f": "1", "test_g": "2"}) == ({}, {mutant: frozenset({"test_f"})})
+    new = {"": "0", "test_f": "1", "test_g": "1", "test_h": "1"}
+    assert program.known(file, new) == ({}, {mutant: frozenset({"test_f", "test_g"})})
+
+
+def test_an_outcome_is_of_its_test_and_of_what_all_tests_read(tmp_path: Path) -> None:
     tests = tmp_path / "tests" / "c"
     tests.mkdir(parents=True)
     (tests / "test_f.c").write_text("old")
-    killed, survived = digest(tmp_path, "test_f"), digest(tmp_path, "")
+    before, sources = digest(tmp_path, "test_f"), digest(tmp_path, "")
     (tests / "test_g.c").write_text("new")
-    assert digest(tmp_path, "test_f") == killed
-    assert digest(tmp_path, "") != survived
+    assert digest(tmp_path, "test_f") == before
     (tests / "test_f.c").write_text("changed")
-    assert digest(tmp_path, "test_f") != killed
+    assert digest(tmp_path, "test_f") != before
     (tests / "test_f.c").write_text("old")
     (tests / "used.h").write_text("by all")
-    assert digest(tmp_path, "test_f") != killed
+    assert digest(tmp_path, "test_f") != before
+    assert digest(tmp_path, "") == sources
+
+
+def test_the_tests_that_run_its_line_come_first_and_others_of_its_function_after() -> None:
+    mutant = Mutant("f.c", 1, 2, "+", "sign", 12, 1)
+    line = Reached({"f.c": {11, 12}}, {"f.c": [(10, 20)]})
+    function = Reached({"f.c": {11}}, {"f.c": [(10, 20)]})
+    neither = Reached({"f.c": {31}, "g.c": {12}}, {"f.c": [(30, 40)], "g.c": [(10, 20)]})
+    assert [each.line(mutant) for each in (line, function, neither)] == [True, False, False]
+    assert [each.function(mutant) for each in (line, function, neither)] == [True, True, False]
+    assert asked(mutant, {"a": function, "b": line, "c": neither, "d": line}, {"a": 0, "b": 2, "c": 0, "d": 1}) == [
+        "d",
+        "b",
+        "a",
+    ]
 
 
 def test_the_share_is_of_what_counts(capsys: pytest.CaptureFixture[str]) -> None:

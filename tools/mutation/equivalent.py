@@ -1,16 +1,18 @@
-"""Mutants that behave as the program does for every input, by hand and each with its reason: equivalent.toml."""
+"""Mutants that behave as the program does for every input, each with its reason: by hand (equivalent.toml), and those
+that only choose otherwise between two that are the same.
+"""
 
 from __future__ import annotations
 
 import tomllib
 from pathlib import Path
 
-from tools.mutation.sites import Mutant
+from tools.mutation.sites import Mutant, same_either_way
 
 LIST = Path(__file__).with_name("equivalent.toml")
 
 
-def equivalents(mutants: list[Mutant], root: Path) -> dict[Mutant, str]:
+def listed(mutants: list[Mutant], root: Path) -> dict[Mutant, str]:
     """The reason of each that is listed; an entry that is not one mutant of today's sources ends the program."""
     by_change: dict[tuple[str, str, str], list[Mutant]] = {}
     for mutant in mutants:
@@ -22,3 +24,13 @@ def equivalents(mutants: list[Mutant], root: Path) -> dict[Mutant, str]:
             raise SystemExit(f"mutation: {len(same)} mutants of {entry['file']} are '{entry['becomes']}': mend {LIST}")
         found[same[0]] = entry["reason"]
     return found
+
+
+def equivalents(mutants: list[Mutant], root: Path) -> dict[Mutant, str]:
+    """The reason of each that is listed or only chooses between equals."""
+    chooses = {
+        mutant: "It differs where two are the same, and either gives the same there."
+        for mutant in mutants
+        if mutant.operator == "comparison" and same_either_way(mutant, (root / mutant.file).read_bytes())
+    }
+    return chooses | listed(mutants, root)

@@ -9,14 +9,18 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from tools.mutation import hosted
+from tools.mutation.coverage import Reached, asked
 from tools.mutation.sites import ROOMS, Mutant
 
 BUILT = ("CMakeLists.txt", "common", "firmware", "tests/c", "tools/bench", "tools/examples")
 # Warnings stay warnings: a mutant that only warns would be killed by no test. No debugging symbols: the same
 # instructions are the same bytes.
 FLAGS = "-O2 -w"
+# The rooms are shared libraries: a mutant compiles one file and links one of them, and no test.
+SHARED = ("BUILD_SHARED_LIBS", "CMAKE_LINK_DEPENDS_NO_SHARED", "CMAKE_ENABLE_EXPORTS")
 LONGEST = 20.0  # times what a test needs, and
-LEAST_S = 10.0  # so long in any case: a mutant that loops is killed by time
+LEAST_S = 5.0  # so long in any case: a mutant that loops is killed by time
 BUILD_S = 300.0
 
 
@@ -26,13 +30,20 @@ class Outcome:
 
     how: str
     test: str  # that killed it, or ""
+    passes: tuple[str, ...] = ()  # the tests that do not tell a survivor from the program
 
 
 def digest(root: Path, test: str) -> str:
-    """Of what an outcome depends on: the sources, and the program that killed the mutant or, without one, all."""
+    """Of what a test's outcome depends on: the sources, the test and the headers of tests; of the sources for ""."""
     total = hashlib.sha256(FLAGS.encode())
-    tests = [path for path in (root / "tests/c").iterdir() if path.suffix == ".h" or path.name.startswith(f"{test}.")]
-    read = sorted(tests if test else (root / "tests/c").iterdir())
+    files = (root / "tests/c").iterdir() if test else ()
+    read = sorted(path for path in files if path.suffix == ".h" or path.name.startswith(f"{test}."))
+    if test in hosted.OF:  # and with the helpers of its folder
+        read = sorted(
+            path
+            for path in (root / hosted.FOLDER).glob("*.py")
+            if path.name == test or not path.name.startswith("test_")
+        )
     for path in [*(path for room in ROOMS for path in sorted((root / room).rglob("*.[ch]"))), *read]:
         total.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
     return total.hexdigest()[:16]
@@ -45,17 +56,17 @@ def programs(root: Path) -> list[str]:
 class Trial:
     """`folder` keeps its copy and build from one run to the next. Errors: the tests fail as they are."""
 
-    def __init__(self, root: Path, folder: Path) -> None:
-        self.root, self.source, self.build = root, folder / "source", folder / "build"
+    def __init__(self, root: Path, folder: Path, covers: dict[str, Reached]) -> None:
+        self.root, self.source, self.build, self.covers = root, folder / "source", folder / "build", covers
         self._copy()
         self.names = programs(root)
         flags = [f"-DCMAKE_C_FLAGS={FLAGS}", "-DCMAKE_BUILD_TYPE=", "-DCMAKE_C_COMPILER=gcc"]
+        flags += [f"-D{name}=ON" for name in SHARED]
         self._run(["cmake", "-S", str(self.source), "-B", str(self.build), "-G", "Ninja", *flags])
         self._run(self._ninja())
-        self.programs, self.objects = self._digests(), self._compiled()
-        took = {name: self._timed(name) for name in self.names}
-        self.names.sort(key=took.__getitem__)
-        self.limits = {name: LEAST_S + LONGEST * took[name] for name in self.names}
+        self.objects = self._compiled()
+        self.took = {name: self._timed(name) for name in self.names} | dict.fromkeys(hosted.OF, hosted.TOOK_S)
+        self.sound: set[str] = set()  # the host's tests that pass here as the sources are
         self.changed: str | None = None
 
     def _copy(self) -> None:
@@ -80,20 +91,29 @@ class Trial:
         if done.returncode != 0:
             raise SystemExit(f"mutation: {' '.join(command)}:\n{done.stdout}{done.stderr}")
 
-    def _program(self, name: str) -> Path:
-        return self.build / "tests" / "c" / name
-
-    def _digests(self) -> dict[str, bytes]:
-        return {name: hashlib.sha256(self._program(name).read_bytes()).digest() for name in self.names}
-
     def _compiled(self) -> dict[Path, bytes]:
         """Of every object file, so that what no test links is not taken for the same."""
         return {path: hashlib.sha256(path.read_bytes()).digest() for path in self.build.rglob("*.o")}
 
     def _passes(self, name: str, limit_s: float | None) -> bool:
-        command = [str(self._program(name))]
+        command, environment = [str(self.build / "tests" / "c" / name)], None
+        if name in hosted.OF:
+            command, environment = hosted.command(self.root, name), hosted.environment(self.build)
         quiet = subprocess.DEVNULL
-        return subprocess.run(command, stdout=quiet, stderr=quiet, timeout=limit_s, check=False).returncode == 0
+        done = subprocess.run(command, stdout=quiet, stderr=quiet, timeout=limit_s, check=False, env=environment)
+        return done.returncode == 0
+
+    def _limit_s(self, name: str) -> float:
+        return hosted.LONGEST_S if name in hosted.OF else LEAST_S + LONGEST * self.took[name]
+
+    def _see_that_it_is_sound(self, name: str) -> None:
+        """That one of the host's tests fails may be the mutant's doing only if it passes without."""
+        if name in hosted.OF and name not in self.sound:
+            self._restore()
+            self._run(self._ninja())
+            if not self._passes(name, None):
+                raise SystemExit(f"mutation: {name} fails as the sources are: see './run test host'")
+            self.sound.add(name)
 
     def _timed(self, name: str) -> float:
         began = time.monotonic()
@@ -101,25 +121,28 @@ class Trial:
             raise SystemExit(f"mutation: {name} fails as the sources are: see './run test c'")
         return time.monotonic() - began
 
-    def _write(self, mutant: Mutant) -> None:
+    def _restore(self) -> None:
         if self.changed is not None:
             shutil.copyfile(self.root / self.changed, self.source / self.changed)
+
+    def _write(self, mutant: Mutant) -> None:
+        self._restore()
         (self.source / mutant.file).write_bytes(mutant.applied((self.root / mutant.file).read_bytes()))
         self.changed = mutant.file
 
-    def of(self, mutant: Mutant) -> Outcome:
-        """What the tests say of it, those that end soonest first."""
+    def of(self, mutant: Mutant, passes: frozenset[str] = frozenset()) -> Outcome:
+        """What the tests say of it; of those in `passes` it is known that they do not see it."""
         self._write(mutant)
         built = subprocess.run(self._ninja(), capture_output=True, timeout=BUILD_S, check=False)
         if built.returncode != 0:
             return Outcome("build", "")
         if self._compiled() == self.objects:
             return Outcome("same", "")
-        now = self._digests()
-        for name in self.names:
+        for name in asked(mutant, self.covers, self.took):
             try:
-                if now[name] != self.programs[name] and not self._passes(name, self.limits[name]):
+                if name not in passes and not self._passes(name, self._limit_s(name)):
+                    self._see_that_it_is_sound(name)
                     return Outcome("killed", name)
             except subprocess.TimeoutExpired:
                 return Outcome("time", name)
-        return Outcome("survived", "")
+        return Outcome("survived", "", tuple(self.covers))

@@ -14,11 +14,12 @@ TL_FAST void tl_reference_set(tl_reference_t *reference,
     reference->behind = false;
 }
 
-// What one tick at `speed` (0 to twice the limit) and then braking take at most, in Q16 without way_down bits. With
-// v = n a + f that is a n (n + 1) / 2 + (n + 1) f = v (v + a) / 2a + f (a - f) / 2a, whose last part is a / 8 at most.
+// What one tick at `speed` (0 to twice the limit) and then braking take at most, in Q16 without way_down bits; of a
+// speed above, where the limit was lowered meanwhile, some number: catch_up() then brakes whatever it is. With v = n a
+// + f that is a n (n + 1) / 2 + (n + 1) f = v (v + a) / 2a + f (a - f) / 2a, whose last part is a / 8 at most.
 static inline int32_t stopping(int32_t speed, const tl_reference_limits_t *limits) {
-    const int32_t v = (speed >> limits->speed_down) + 1;
-    const uint32_t product = (uint32_t)(v * (v + limits->acceleration_scaled + 1)), ratio = limits->ratio;
+    const uint32_t v = (uint32_t)(speed >> limits->speed_down) + 1U;
+    const uint32_t product = v * (v + (uint32_t)limits->acceleration_scaled + 1U), ratio = limits->ratio;
     return (int32_t)(((product >> 16) * ratio + ((product & 0xFFFFU) * ratio >> 16)) >> limits->ratio_down) +
            limits->whole_ticks;
 }
