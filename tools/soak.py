@@ -22,6 +22,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.progress import Progress
@@ -40,6 +41,7 @@ from tools.kept import keep  # noqa: E402
 AXES = 2
 LIFE_S = 600.0  # board time of one
 SLICE_US = 20_000  # a set-point, and a look at what holds
+LISTEN = 25  # slices from one look at what the board says to the next: a read that brings nothing takes a millisecond
 AHEAD_US = 40_000  # that set-points are sent before they hold: two periods, as docs/protocol.md asks
 DEGREE, COUNT = 65536, 256  # a set-point's value: deg Q16 or counts Q8, by what `follow` said
 SWEEP = 25.0  # deg, and
@@ -94,17 +96,16 @@ class Life:
 
     def pass_by(self, seconds: float, look: bool = True) -> None:
         for _ in range(max(1, round(seconds * 1e6 / SLICE_US))):
-            rows = self.link.ask(f"advance {SLICE_US}")["q"]
+            passed, state = self.link.ask_all(f"advance {SLICE_US}", "state")
             self.seconds += SLICE_US * 1e-6
-            for axis, row in enumerate(rows[:AXES]):
+            for axis, row in enumerate(passed["q"][:AXES]):
                 if row:
                     self.way[axis] = (max(row) - min(row)) / COUNT
                     self.true[axis] = row[-1] / COUNT
             if look:
-                self.look()
+                self.look(state)
 
-    def look(self) -> None:
-        state = self.link.ask("state")
+    def look(self, state: dict[str, Any]) -> None:
         self.now_us = state["board_us"]
         if not state["powered"]:
             return
@@ -197,14 +198,17 @@ class Life:
         """Strokes of an operator's hand: both axes, at a rate that changes from one to the next, with pauses."""
         rate = [self.random.uniform(0.3, 2.5) for _ in range(AXES)]
         pause = self.random.random() < 0.2
-        for _ in range(round(seconds * 1e6 / SLICE_US)):
+        for each in range(round(seconds * 1e6 / SLICE_US)):
+            points = []
             for axis in range(AXES):
                 self.phase[axis] += 0.0 if pause else rate[axis] * SLICE_US * 1e-6
                 hand = float(np.sin(self.phase[axis]))
                 value = int(hand * (SWEEP * DEGREE if axis == 0 else REACH * COUNT))
-                self.host.tell("set_point", axis=axis, value=value, at_us=self.now_us + AHEAD_US)
+                points.append({"axis": axis, "value": value, "at_us": self.now_us + AHEAD_US})
+            self.host.tell_all("set_point", points)
             self.pass_by(SLICE_US * 1e-6)
-            self.host.poll(0.0)
+            if each % LISTEN == 0:
+                self.host.poll(0.0)
         self.seen["following, s"] += round(seconds)
 
     # -- what goes wrong -----------------------------------------------------------------------------------------
