@@ -27,7 +27,7 @@ def test_a_life_of_some_seconds_keeps_its_word() -> None:
 
 def test_what_breaks_is_told_with_an_id_that_lives_it_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody presses the stop button that this life is told to have been pressed."""
-    monkeypatch.setattr(soak.Life, "mishaps", lambda self: {"stop": self.stop})
+    monkeypatch.setattr(soak, "MISHAPS", {"stop": soak.Life.stop})
     asked = soak.SimLink.ask
     monkeypatch.setattr(soak.SimLink, "ask", lambda link, line: asked(link, line.replace("0 estop", "0 well")))
     said: list[list[str]] = [[], []]
