@@ -1,10 +1,11 @@
 """Runs the harnesses of tests/fuzz with libFuzzer under ASan and UBSan, and prints executions and what they reached.
 
-    python tools/trust.py [--seconds S] [--keep] [TARGET...]
+    python tools/trust.py [--long | --seconds S] [--keep] [TARGET...]
 
-Without --seconds each target has the executions of ./run test trust, always the same ones: its seed is fixed. With it
-each runs for so long, with inputs that nobody has tried; --keep adds those that reach something new to
-tests/fuzz/corpus. What breaks a promise is left in build/fuzz/found, with the line that replays it.
+As it is each target has the executions of ./run test trust, always the same ones: its seed is fixed. With --long it has
+those of ./run trust, a hundred million in sum and a million at least of each, with inputs that nobody has tried; with
+--seconds as many as fit. --keep adds those that reach something new to tests/fuzz/corpus. What breaks a promise is left
+in build/fuzz/found, with the line that replays it.
 """
 
 from __future__ import annotations
@@ -34,14 +35,18 @@ AT_ONCE = 2
 class Target:
     what: str
     runs: int  # of ./run test trust
+    long: int  # of ./run trust
     longest: int  # bytes of an input
 
 
+MILLION = 1_000_000
 TARGETS = {
-    "wire": Target("bytes on the bus, message by message", 200_000, 1024),
-    "table": Target("table blobs with all sections, and look-ups in them", 200_000, 4096),
-    "changes": Target("a compensator while tables, modes and loads change", 4_000, 1024),
-    "onset": Target("the onset detector, any motor and camera", 4_000, 512),
+    "wire": Target("bytes on the bus, message by message", 200_000, 56 * MILLION, 1024),
+    "table": Target("table blobs with all sections, and look-ups in them", 200_000, 40 * MILLION, 4096),
+    "changes": Target("a compensator while tables, modes and loads change", 4_000, MILLION, 1024),
+    "onset": Target("the onset detector, any motor and camera", 4_000, MILLION, 512),
+    "app": Target("the whole app on a fake clock: requests, tables, cut power, ills", 4_000, MILLION, 512),
+    "usb": Target("TinyUSB with the whole app on the desktop bus", 4_000, MILLION, 512),
 }
 
 
@@ -55,11 +60,10 @@ class Result:
     broken: str  # what, and how to replay it; empty: nothing
 
 
-def run(name: str, seconds: int | None, keep: bool, progress: Progress, task: TaskID) -> Result:
+def run(name: str, amount: list[str], keep: bool, progress: Progress, task: TaskID) -> Result:
     """One target. Its corpus grows in a folder of its own, so that a run with a fixed seed always does the same."""
     target = TARGETS[name]
     kept = CORPUS / name
-    amount = [f"-runs={target.runs}", "-seed=1"] if seconds is None else [f"-max_total_time={seconds}"]
     with tempfile.TemporaryDirectory() as grown:
         command = [str(HARNESSES / f"fuzz_{name}"), *amount, f"-max_len={target.longest}", "-len_control=0"]
         command += ["-print_final_stats=1", f"-artifact_prefix={FOUND}/{name}-", grown, str(kept)]
@@ -106,10 +110,20 @@ def _merge(name: str, grown: Path, kept: Path) -> None:
     subprocess.run(command, check=True, capture_output=True)
 
 
+def amount(name: str, long: bool, seconds: int | None) -> tuple[list[str], int | None]:
+    """libFuzzer's options, and how many executions that is, if they say."""
+    if seconds is not None:
+        return [f"-max_total_time={seconds}"], None
+    target = TARGETS[name]
+    return ([f"-runs={target.long}"], target.long) if long else ([f"-runs={target.runs}", "-seed=1"], target.runs)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("targets", nargs="*", metavar="TARGET", help=f"of {', '.join(TARGETS)}; all of them")
-    parser.add_argument("--seconds", type=int, help="for each target, instead of a fixed number of executions")
+    many = parser.add_mutually_exclusive_group()
+    many.add_argument("--long", action="store_true", help="a hundred million executions in sum: hours")
+    many.add_argument("--seconds", type=int, help="for each target, instead of a fixed number of executions")
     parser.add_argument("--keep", action="store_true", help="adds what reaches something new to tests/fuzz/corpus")
     options = parser.parse_args()
     if unknown := set(options.targets) - TARGETS.keys():
@@ -117,11 +131,9 @@ def main() -> int:
     names = options.targets or list(TARGETS)
     FOUND.mkdir(parents=True, exist_ok=True)
     with Progress(transient=True) as progress, ThreadPoolExecutor(AT_ONCE) as pool:
-        tasks = {
-            name: progress.add_task(name, total=TARGETS[name].runs if options.seconds is None else None)
-            for name in names
-        }
-        results = list(pool.map(lambda name: run(name, options.seconds, options.keep, progress, tasks[name]), names))
+        amounts = {name: amount(name, options.long, options.seconds) for name in names}
+        tasks = {name: progress.add_task(name, total=amounts[name][1]) for name in names}
+        results = list(pool.map(lambda name: run(name, amounts[name][0], options.keep, progress, tasks[name]), names))
     print(f"{'target':9s}{'executions':>12s}{'edges reached':>16s}{'kept inputs':>13s}")
     for each in results:
         edges = f"{each.reached} of {each.edges}"
