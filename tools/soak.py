@@ -393,8 +393,10 @@ def main() -> int:
             f"soak: {each} (again: ./run trust soak --board {options.board} --at {each.split(': ')[0]})",
             file=sys.stderr,
         )
-    heads = ("board", "hours", "following", "mishaps", "failures")
-    keep("soak", heads, [(options.board, f"{lived_s / 3600.0:.2f}", follows, mishaps, "; ".join(failures) or "none")])
+    heads = ("board", "hours", "following", "mishaps", "of which", "failures")
+    kinds = ", ".join(f"{name} {seen[name]}" for name in MISHAPS)
+    kept = (options.board, f"{lived_s / 3600.0:.2f}", follows, mishaps, kinds, "; ".join(failures) or "none")
+    keep("soak", heads, [kept])
     return 1 if failures else 0
 
 

@@ -152,8 +152,11 @@ def main() -> int:
         edges, inputs = (f"{each.reached} of {each.edges}", str(each.inputs)) if each.edges else ("-", "-")
         print(f"{each.name:10s}{each.executions:12d}{edges:>16s}{inputs:>13s}  {EVERY[each.name].what}")
     heads = ("target", "executions", "edges reached", "of", "kept inputs", "broken")
-    kept = [(each.name, each.executions, each.reached, each.edges, each.inputs, each.broken) for each in results]
-    keep("fuzz", heads, kept)
+    kept = [
+        (each.name, each.executions, *((each.reached, each.edges, each.inputs) if each.edges else "---"), each.broken)
+        for each in results
+    ]
+    keep("fuzz" if options.long or options.seconds else "fuzz-short", heads, kept)
     for each in results:
         if each.broken:
             print(f"{each.name}: {each.broken}")

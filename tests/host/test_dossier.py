@@ -101,3 +101,37 @@ def test_every_hazard_of_the_page_is_in_it_and_what_else_was_tried(tmp_path: Pat
     parts = re.findall(r"<tr><td>([\w.-]+)</td><td>([\w.]+)</td><td>([^<]+)</td></tr>", text)
     licences = {name: licence for name, _, licence in parts}
     assert licences["tautline-robotics"] == "Apache-2.0" and licences["tinyusb"] == "MIT" and "numpy" in licences
+
+
+def test_in_sum_what_was_run_and_lost(tmp_path: Path) -> None:
+    assert [said for _, said in dossier.summed(tmp_path)] == [
+        *("not run", "not run"),
+        *("no suite was run; 0 in lives", "no suite was run; 0 in lives"),
+        *("not run", "not run; lost: nothing"),
+    ]
+    heads = ("target", "executions", "edges reached", "of", "kept inputs", "broken")
+    kept.keep("fuzz", heads, [("wire", 900, 20, 40, 3, ""), ("rig", 100, "-", "-", "-", "TypeError")], tmp_path)
+    kept.keep("proofs", ("proof", "result"), [("a", "proven"), ("b", "2 alarms left")], tmp_path)
+    lives = [
+        ("desktop", "8.00", "5 h following", 30, "cable 9, power 7, cut 4", "none"),
+        ("emulated", "0.50", "0 h following", 3, "cable 1, power 2, cut 0", "40:16: lost"),
+    ]
+    kept.keep("soak", ("board", "hours", "following", "mishaps", "of which", "failures"), lives, tmp_path)
+    names = (
+        "test_a_power_cut",
+        "test_any[power-flash]",
+        "test_any[flash-cable-0]",
+        "test_unplugged",
+        "test_powerful[x]",
+    )
+    made = [f'<testcase classname="tests.board.test_b" name="{name}">{{}}</testcase>' for name in names]
+    inner = "".join(each.format("<failure/>" if "unplugged" in each else "") for each in made)
+    (tmp_path / "board.xml").write_text(f"<testsuite>{inner}</testsuite>")
+    assert [said for _, said in dossier.summed(tmp_path)] == [
+        "1000 of 2 targets, 100 at least; broken: rig",
+        "20 of 40",
+        "2 cases in the suites, none failed; 13 in lives",
+        "2 cases in the suites, 1 failed; 10 in lives",
+        "1 of 2 without an alarm, the others' explained",
+        "desktop 8.00 h with 30 mishaps, emulated 0.50 h with 3 mishaps; lost: 40:16: lost",
+    ]
