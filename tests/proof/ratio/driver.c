@@ -1,4 +1,4 @@
-#include "tl_ratio.h"
+#include "../../../firmware/estimator/src/tl_ratio.h"
 
 #include "__fc_builtin.h"
 
