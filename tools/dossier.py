@@ -36,6 +36,8 @@ body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 70re
 table { border-collapse: collapse; width: 100%; margin: 1rem 0 }
 th, td { text-align: left; vertical-align: top; padding: .3rem .6rem; border-bottom: 1px solid #8886 }
 small, pre { opacity: .75 }
+small { overflow-wrap: anywhere }
+td:first-child { min-width: 9rem }
 pre { overflow-x: auto }
 .passed { color: #2a8f45 }
 .failed, .missing { color: #d2363e; font-weight: 600 }
@@ -190,6 +192,19 @@ def _table(heads: tuple[str, ...], body: list[list[str]]) -> str:
     )
 
 
+def _text(markdown: str) -> str:
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", html.escape(markdown))
+
+
+def _suites(folder: Path, found: Results) -> str:
+    """Which were run, when, and how many tests they had."""
+    said = []
+    for file in sorted((*folder.glob("*.xml"), *folder.glob("*.tap"))):
+        count = sum(file.stem in by for by in found.values())
+        said.append(f"{file.stem} ({count} tests, {datetime.fromtimestamp(file.stat().st_mtime, UTC):%Y-%m-%d %H:%M})")
+    return ", ".join(said) or "none was run"
+
+
 def _said(outcomes: list[Outcome]) -> str:
     if not outcomes:
         return '<span class="missing">not run</span>'
@@ -204,10 +219,11 @@ def hazards(table: list[Row], found: Results) -> tuple[str, list[str]]:
         said = []
         for test in row.tests:
             outcomes = of_test(test, found)
-            said.append(f"<small>{html.escape(test.partition('::')[2] or test)}</small><br>{_said(outcomes)}")
+            name = test.partition("::")[2] or test.removesuffix("::")
+            said.append(f"<small>{html.escape(name)}</small><br>{_said(outcomes)}")
             if not outcomes or not all(each.passed for each in outcomes):
                 wrong.append(f"{row.hazard}: {test}: {'failed' if outcomes else 'not run'}")
-        body.append([html.escape(row.hazard), html.escape(row.promise), "<br>".join(said)])
+        body.append([_text(row.hazard), _text(row.promise), "<br>".join(said)])
     return _table(("hazard", "promise", "test and its last result"), body), wrong
 
 
@@ -271,8 +287,12 @@ def page(folder: Path, found: Results, table: list[Row]) -> tuple[str, list[str]
     safety, wrong = hazards(table, found)
     parts = [
         "<h1>tautline: dossier</h1>",
-        f"<p>{len(table)} hazards, {len(found)} tests with a result, made {datetime.now(UTC):%Y-%m-%d %H:%M} UTC.</p>",
-        f"<h2>In sum</h2>{_table(('what', 'in sum'), [[html.escape(cell) for cell in row] for row in summed(folder)])}",
+        f"<p>{len(table)} hazards, made {datetime.now(UTC):%Y-%m-%d %H:%M} UTC of the suites that were run: "
+        f"{html.escape(_suites(folder, found))}.</p>",
+        f'<p class="failed">{len(wrong)} tests of hazards failed or were not run.</p>'
+        if wrong
+        else '<p class="passed">Each test of each hazard passed.</p>',
+        f"<h2>In sum</h2>{_table(('what', 'came to'), [[*map(html.escape, row)] for row in summed(folder)])}",
         f"<h2>Hazards</h2>{safety}",
     ]
     parts += [f"<h2>{title}</h2><p><code>{command}</code></p>{body}" for title, command, body in _lists(folder)]

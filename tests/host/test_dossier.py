@@ -50,7 +50,8 @@ def test_a_hazard_whose_tests_passed_is_shown_so(tmp_path: Path) -> None:
     text, wrong = made(tmp_path)
     assert wrong == []
     assert "flood &amp; &lt;b&gt;" in text and "<b>" not in text
-    assert text.count('class="passed"') == 4 and 'class="failed"' not in text
+    assert text.count('class="passed"') == 5 and 'class="failed"' not in text
+    assert "Each test of each hazard passed." in text and "board (1 tests, " in text
 
 
 @pytest.mark.parametrize(
@@ -64,7 +65,7 @@ def test_a_hazard_whose_tests_passed_is_shown_so(tmp_path: Path) -> None:
 )
 def test_a_test_that_failed_in_any_case_is_told(tmp_path: Path, change: dict[str, str], said: str) -> None:
     text, wrong = made(tmp_path, **change)
-    assert wrong == [said] and 'class="failed"' in text
+    assert wrong == [said] and "1 tests of hazards failed or were not run." in text
 
 
 def test_a_test_that_was_not_run_is_no_success(tmp_path: Path) -> None:
