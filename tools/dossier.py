@@ -36,8 +36,8 @@ body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 70re
 table { border-collapse: collapse; width: 100%; margin: 1rem 0 }
 th, td { text-align: left; vertical-align: top; padding: .3rem .6rem; border-bottom: 1px solid #8886 }
 small, pre { opacity: .75 }
-small { overflow-wrap: anywhere }
 td:first-child { min-width: 9rem }
+td:has(> small) { min-width: 24rem }
 pre { overflow-x: auto }
 .passed { color: #2a8f45 }
 .failed, .missing { color: #d2363e; font-weight: 600 }
@@ -219,7 +219,7 @@ def hazards(table: list[Row], found: Results) -> tuple[str, list[str]]:
         said = []
         for test in row.tests:
             outcomes = of_test(test, found)
-            name = test.partition("::")[2] or test.removesuffix("::")
+            name = test.partition("::")[2].removeprefix("test_").replace("_", " ") or test.removesuffix("::")
             said.append(f"<small>{html.escape(name)}</small><br>{_said(outcomes)}")
             if not outcomes or not all(each.passed for each in outcomes):
                 wrong.append(f"{row.hazard}: {test}: {'failed' if outcomes else 'not run'}")
@@ -264,7 +264,7 @@ def _licence(known: metadata.PackageMetadata) -> str:
 def _lists(folder: Path) -> Iterator[tuple[str, str, str]]:
     """Title, what it is, and the last result of each long command, as it left it: {"heads": [..], "rows": [[..]]}."""
     kinds = {
-        "fuzz": ("Hostile bytes", "./run trust"),
+        "fuzz": ("Hostile bytes", "./run trust --long"),
         "fuzz-short": ("Hostile bytes, the same in every run of the tests", "./run test trust"),
         "mutants": ("Wrong programs that the C tests see", "./run trust mutants"),
         "proofs": ("Proofs", "./run trust proofs"),
