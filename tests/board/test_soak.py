@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import sys
 from pathlib import Path
@@ -56,3 +57,22 @@ def test_what_has_to_hold_is_looked_at(axis: dict[str, int | str], says: str) ->
 
     with pytest.raises(soak.Broken, match=re.escape(says)):
         life.look({"powered": True, "board_us": 0, "axes": [each]})
+
+
+@pytest.mark.parametrize(("after", "breaks"), [(0, False), (3, True)])
+def test_a_bridge_has_a_period_to_go_off(after: int, breaks: bool) -> None:
+    """The real image is looked at between the fault and the end of the PWM's period, too."""
+    life = object.__new__(soak.Life)
+    life.allowed, life.seen, life.known = {"SUPPLY"}, soak.Counter(), [False]
+    life.true, life.way, life.seconds = [0.0], [0.0], 0.0
+    duties = iter((3, after))
+
+    class Link:
+        def ask_all(self, *_: str) -> list[dict[str, object]]:
+            fault = soak.wire.code("FAULTS", "SUPPLY")
+            axis = {"mode": soak.OFF, "fault": fault, "duty_q15": next(duties), "q_q8": 0}
+            return [{"q": [[0]]}, {"powered": True, "board_us": 0, "axes": [axis]}]
+
+    life.link = Link()  # type: ignore[assignment]
+    with pytest.raises(soak.Broken, match="is off, at duty 3") if breaks else contextlib.nullcontext():
+        life.pass_by(0.02)
