@@ -36,6 +36,8 @@ body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 70re
 table { border-collapse: collapse; width: 100%; margin: 1rem 0 }
 th, td { text-align: left; vertical-align: top; padding: .3rem .6rem; border-bottom: 1px solid #8886 }
 small, pre { opacity: .75 }
+td:first-child { min-width: 9rem }
+td:has(> small) { min-width: 24rem }
 pre { overflow-x: auto }
 .passed { color: #2a8f45 }
 .failed, .missing { color: #d2363e; font-weight: 600 }
@@ -88,18 +90,24 @@ def results(folder: Path) -> Results:
 
 
 def _junit(file: Path) -> Iterator[tuple[str, bool]]:
+    for test, _, passed in cases(file):
+        yield test, passed
+
+
+def cases(file: Path) -> Iterator[tuple[str, str, bool]]:
+    """Of one file of JUnit: test, parameters, whether it passed."""
     for case in ElementTree.parse(file).getroot().iter("testcase"):
         passed = case.find("failure") is None and case.find("error") is None
         name, place = case.get("name", ""), case.get("classname", "")
         if case.find("skipped") is not None:
             continue
         if place.startswith("tests."):
-            yield f"{place.replace('.', '/')}.py::{name.partition('[')[0]}", passed
+            yield f"{place.replace('.', '/')}.py::{name.partition('[')[0]}", name.partition("[")[2].rstrip("]"), passed
         elif name == COMPILED_AS:
-            yield COMPILED, passed
+            yield COMPILED, "", passed
         else:  # one of ctest's programs: Unity says what each of its tests did
             for test, said in re.findall(r":\d+:(\w+):(PASS|FAIL)", case.findtext("system-out") or ""):
-                yield f"tests/c/{name}.c::{test}", said == "PASS"
+                yield f"tests/c/{name}.c::{test}", "", said == "PASS"
 
 
 def _tap(file: Path) -> Iterator[tuple[str, bool]]:
@@ -115,6 +123,63 @@ def of_test(test: str, found: Results) -> list[Outcome]:
     return [outcome for name, by in found.items() if name.startswith(begins) for outcome in by.values()]
 
 
+# -- in sum -------------------------------------------------------------------------------------------------------
+
+
+def _kept(folder: Path, name: str) -> list[dict[str, str]]:
+    """What a long command left, its rows by their heads; none where it was not run."""
+    file = folder / f"{name}.json"
+    said = json.loads(file.read_text("utf-8")) if file.is_file() else {"heads": [], "rows": []}
+    return [dict(zip(said["heads"], row, strict=True)) for row in said["rows"]]
+
+
+def _tried(folder: Path, what: str, parameter: str) -> str:
+    """Cases of the suites in which something is done, by a test's name or its parameter."""
+    found = [
+        passed
+        for file in sorted(folder.glob("*.xml"))
+        for test, parameters, passed in cases(file)
+        if re.search(what, test.partition("::")[2]) or parameter in parameters.split("-")
+    ]
+    lost = found.count(False)
+    return f"{len(found)} cases in the suites, {lost or 'none'} failed" if found else "no suite was run"
+
+
+def _in_lives(soak: list[dict[str, str]], *kinds: str) -> str:
+    counts = [(kind, int(n)) for row in soak for kind, n in re.findall(r"(\w+) (\d+)", row.get("of which", ""))]
+    return f"{sum(n for kind, n in counts if kind in kinds)} in lives"
+
+
+def _fuzzed(fuzz: list[dict[str, str]]) -> tuple[str, str]:
+    """Executions, and edges."""
+    if not fuzz:
+        return "not run", "not run"
+    runs = [int(row["executions"]) for row in fuzz]
+    edges = [(int(row["edges reached"]), int(row["of"])) for row in fuzz if row["of"].isdigit()]
+    broken = [row["target"] for row in fuzz if row["broken"]]
+    return (
+        f"{sum(runs)} of {len(runs)} targets, {min(runs)} at least; broken: {', '.join(broken) or 'none'}",
+        f"{sum(reached for reached, _ in edges)} of {sum(of for _, of in edges)}",
+    )
+
+
+def summed(folder: Path) -> list[tuple[str, str]]:
+    """Executions, coverage, cuts, unplugs, proofs, hours: what of it was run, and what it lost."""
+    soak, proofs = _kept(folder, "soak"), _kept(folder, "proofs")
+    executions, edges = _fuzzed(_kept(folder, "fuzz"))
+    proven = sum(row["result"] == "proven" for row in proofs)
+    lost = [row["failures"] for row in soak if row.get("failures", "none") != "none"]
+    hours = [f"{row['board']} {row['hours']} h with {row.get('mishaps', 'no')} mishaps" for row in soak]
+    return [
+        ("executions", executions),
+        ("edges reached", edges),
+        ("cuts of power", f"{_tried(folder, 'power_cut|cut_short', 'power')}; {_in_lives(soak, 'power', 'cut')}"),
+        ("pulled plugs", f"{_tried(folder, 'unplugged', 'cable')}; {_in_lives(soak, 'cable')}"),
+        ("proofs", f"{proven} of {len(proofs)} without an alarm, the others' explained" if proofs else "not run"),
+        ("hours", f"{', '.join(hours) or 'not run'}; lost: {'; '.join(lost) or 'nothing'}"),
+    ]
+
+
 # -- the page ----------------------------------------------------------------------------------------------------
 
 
@@ -125,6 +190,19 @@ def _table(heads: tuple[str, ...], body: list[list[str]]) -> str:
         + "".join(f"<tr>{''.join(f'<td>{c}</td>' for c in row)}</tr>" for row in body)
         + "</table>"
     )
+
+
+def _text(markdown: str) -> str:
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", html.escape(markdown))
+
+
+def _suites(folder: Path, found: Results) -> str:
+    """Which were run, when, and how many tests they had."""
+    said = []
+    for file in sorted((*folder.glob("*.xml"), *folder.glob("*.tap"))):
+        count = sum(file.stem in by for by in found.values())
+        said.append(f"{file.stem} ({count} tests, {datetime.fromtimestamp(file.stat().st_mtime, UTC):%Y-%m-%d %H:%M})")
+    return ", ".join(said) or "none was run"
 
 
 def _said(outcomes: list[Outcome]) -> str:
@@ -141,10 +219,11 @@ def hazards(table: list[Row], found: Results) -> tuple[str, list[str]]:
         said = []
         for test in row.tests:
             outcomes = of_test(test, found)
-            said.append(f"<small>{html.escape(test.partition('::')[2] or test)}</small><br>{_said(outcomes)}")
+            name = test.partition("::")[2].removeprefix("test_").replace("_", " ") or test.removesuffix("::")
+            said.append(f"<small>{html.escape(name)}</small><br>{_said(outcomes)}")
             if not outcomes or not all(each.passed for each in outcomes):
                 wrong.append(f"{row.hazard}: {test}: {'failed' if outcomes else 'not run'}")
-        body.append([html.escape(row.hazard), html.escape(row.promise), "<br>".join(said)])
+        body.append([_text(row.hazard), _text(row.promise), "<br>".join(said)])
     return _table(("hazard", "promise", "test and its last result"), body), wrong
 
 
@@ -185,7 +264,8 @@ def _licence(known: metadata.PackageMetadata) -> str:
 def _lists(folder: Path) -> Iterator[tuple[str, str, str]]:
     """Title, what it is, and the last result of each long command, as it left it: {"heads": [..], "rows": [[..]]}."""
     kinds = {
-        "fuzz": ("Hostile bytes", "./run trust"),
+        "fuzz": ("Hostile bytes", "./run trust --long"),
+        "fuzz-short": ("Hostile bytes, the same in every run of the tests", "./run test trust"),
         "mutants": ("Wrong programs that the C tests see", "./run trust mutants"),
         "proofs": ("Proofs", "./run trust proofs"),
         "soak": ("Long lives", "./run trust soak"),
@@ -207,7 +287,12 @@ def page(folder: Path, found: Results, table: list[Row]) -> tuple[str, list[str]
     safety, wrong = hazards(table, found)
     parts = [
         "<h1>tautline: dossier</h1>",
-        f"<p>{len(table)} hazards, {len(found)} tests with a result, made {datetime.now(UTC):%Y-%m-%d %H:%M} UTC.</p>",
+        f"<p>{len(table)} hazards, made {datetime.now(UTC):%Y-%m-%d %H:%M} UTC of the suites that were run: "
+        f"{html.escape(_suites(folder, found))}.</p>",
+        f'<p class="failed">{len(wrong)} tests of hazards failed or were not run.</p>'
+        if wrong
+        else '<p class="passed">Each test of each hazard passed.</p>',
+        f"<h2>In sum</h2>{_table(('what', 'came to'), [[*map(html.escape, row)] for row in summed(folder)])}",
         f"<h2>Hazards</h2>{safety}",
     ]
     parts += [f"<h2>{title}</h2><p><code>{command}</code></p>{body}" for title, command, body in _lists(folder)]
@@ -227,7 +312,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--results", type=Path, default=ROOT / "build" / "results")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "dossier")
+    parser.add_argument("--sum", action="store_true", help="prints the page's first table alone")
     options = parser.parse_args()
+    if options.sum:
+        for what, said in summed(options.results):
+            print(f"{what:14s} {said}")
+        return 0
     text, wrong = page(options.results, results(options.results), rows(SAFETY.read_text("utf-8")))
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "index.html").write_text(text, "utf-8")

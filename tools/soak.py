@@ -2,18 +2,19 @@
 
     ./run trust soak [--hours 8] [--board desktop|emulated] [--seed 1] [--at SEED:STEP]
 
-A life is ten minutes on a fresh board: an operator's set-points at 50 Hz on both axes, one through the tables, and
-every few seconds a mishap: the cable pulled, the host killed or silent, the power cut in a flash operation or while it
-moves, an encoder that drops out, the stop button, a driver, a supply, a motor that is blocked, a main loop that hangs.
-After each the host does what the board says and goes on. What must hold is looked at in every 20 ms of it, as
-tests/c/test_random.c does in every control step of a board without a bus. Lives differ by their seed alone and nothing
-in them goes by the wall clock: a failure prints SEED:STEP, and --at lives that life again up to there and says each
-step.
+A life is ten minutes on a fresh board (two and a half on the emulated one): an operator's set-points at 50 Hz on both
+axes, one through the tables, and every few seconds a mishap: the cable pulled, the host killed or silent, the power cut
+in a flash operation or while it moves, an encoder that drops out, the stop button, a driver, a supply, a motor that is
+blocked, a main loop that hangs. After each the host does what the board says and goes on. What must hold is looked at
+in every 20 ms of it, as tests/c/test_random.c does in every control step of a board without a bus. Lives differ by
+their seed alone and nothing in them goes by the wall clock: a failure prints SEED:STEP, and --at lives that life again
+up to there and says each step. Ctrl-C ends it, and what was lived by then is told.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import random
 import sys
@@ -22,6 +23,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.progress import Progress
@@ -38,8 +40,9 @@ from tautline.simulated.simlink import PROGRAM, DesktopBoard, SimLink  # noqa: E
 from tools.kept import keep  # noqa: E402
 
 AXES = 2
-LIFE_S = 600.0  # board time of one
+LIFE_S = {"desktop": 600.0, "emulated": 150.0}  # board time of one
 SLICE_US = 20_000  # a set-point, and a look at what holds
+LISTEN = 25  # slices from one look at what the board says to the next: a read that brings nothing takes a millisecond
 AHEAD_US = 40_000  # that set-points are sent before they hold: two periods, as docs/protocol.md asks
 DEGREE, COUNT = 65536, 256  # a set-point's value: deg Q16 or counts Q8, by what `follow` said
 SWEEP = 25.0  # deg, and
@@ -48,6 +51,9 @@ DUTY = 0.8  # the most of the settings, which drives at
 SPEED = 8000.0  # counts/s with all of their acceleration
 MOST_DUTY = int(32768 * DUTY) + 33  # and a thousandth: a bridge's PWM is seen in whole steps
 LATEST_S = 1.15  # after its last word, with the braking: docs/safety.md, the host dies
+LATCH_US = (
+    1000  # the image is looked at between any two instructions, and a bridge has its duty from the next period on
+)
 LAG_US = 1000  # by which what the board says of its position may be older than where the motor is
 SETTLED = 2.0  # counts that a motor at rest may still be seen to move, by rounding
 GRID = np.linspace(-5.0, 5.0, 257)
@@ -94,17 +100,19 @@ class Life:
 
     def pass_by(self, seconds: float, look: bool = True) -> None:
         for _ in range(max(1, round(seconds * 1e6 / SLICE_US))):
-            rows = self.link.ask(f"advance {SLICE_US}")["q"]
+            passed, state = self.link.ask_all(f"advance {SLICE_US}", "state")
             self.seconds += SLICE_US * 1e-6
-            for axis, row in enumerate(rows[:AXES]):
+            for axis, row in enumerate(passed["q"][:AXES]):
                 if row:
                     self.way[axis] = (max(row) - min(row)) / COUNT
                     self.true[axis] = row[-1] / COUNT
+            if look and any(each["mode"] == OFF and each["duty_q15"] for each in state["axes"][:AXES]):
+                _, state = self.link.ask_all(f"advance {LATCH_US}", "state")
+                self.seconds += LATCH_US * 1e-6
             if look:
-                self.look()
+                self.look(state)
 
-    def look(self) -> None:
-        state = self.link.ask("state")
+    def look(self, state: dict[str, Any]) -> None:
         self.now_us = state["board_us"]
         if not state["powered"]:
             return
@@ -197,14 +205,17 @@ class Life:
         """Strokes of an operator's hand: both axes, at a rate that changes from one to the next, with pauses."""
         rate = [self.random.uniform(0.3, 2.5) for _ in range(AXES)]
         pause = self.random.random() < 0.2
-        for _ in range(round(seconds * 1e6 / SLICE_US)):
+        for each in range(round(seconds * 1e6 / SLICE_US)):
+            points = []
             for axis in range(AXES):
                 self.phase[axis] += 0.0 if pause else rate[axis] * SLICE_US * 1e-6
                 hand = float(np.sin(self.phase[axis]))
                 value = int(hand * (SWEEP * DEGREE if axis == 0 else REACH * COUNT))
-                self.host.tell("set_point", axis=axis, value=value, at_us=self.now_us + AHEAD_US)
+                points.append({"axis": axis, "value": value, "at_us": self.now_us + AHEAD_US})
+            self.host.tell_all("set_point", points)
             self.pass_by(SLICE_US * 1e-6)
-            self.host.poll(0.0)
+            if each % LISTEN == 0:
+                self.host.poll(0.0)
         self.seen["following, s"] += round(seconds)
 
     # -- what goes wrong -----------------------------------------------------------------------------------------
@@ -309,33 +320,33 @@ class Life:
         self.arrive()
         self.stored(list(self.table.values()))
 
-    def mishaps(self) -> dict[str, Callable[[], None]]:
-        return {
-            "cable": self.cable,
-            "killed": self.killed,
-            "silent": self.silent,
-            "power": self.power,
-            "cut": self.cut,
-            "dropout": self.dropout,
-            "stop": self.stop,
-            "hung": self.hung,
-            "driver": lambda: self.injected("driver", {"DRIVER"}),
-            "supply": lambda: self.injected("supply", {"SUPPLY"}),
-            "blocked": lambda: self.injected("blocked", WIRES),
-        }
-
     def live(self, last: int | None, least_s: float) -> None:
         """For so long, or up to a step. Broken: what did not hold; TautError: what the board refused."""
         self.begin()
-        names = self.mishaps()
+        names = list(MISHAPS)
         while self.seconds < least_s and (last is None or self.step <= last):
             self.teleoperate(self.random.uniform(1.0, 8.0))
-            name = self.random.choice(list(names))
+            name = self.random.choice(names)
             self.step += 1
             self.say(f"{self.seed}:{self.step} after {self.seconds:.2f} s: {name}")
             self.seen[name] += 1
-            names[name]()
+            MISHAPS[name](self)
             self.work()
+
+
+MISHAPS: dict[str, Callable[[Life], None]] = {
+    "cable": Life.cable,
+    "killed": Life.killed,
+    "silent": Life.silent,
+    "power": Life.power,
+    "cut": Life.cut,
+    "dropout": Life.dropout,
+    "stop": Life.stop,
+    "hung": Life.hung,
+    "driver": lambda life: life.injected("driver", {"DRIVER"}),
+    "supply": lambda life: life.injected("supply", {"SUPPLY"}),
+    "blocked": lambda life: life.injected("blocked", WIRES),
+}
 
 
 def lived(seed: int, last: int | None, least_s: float, say: Callable[[str], None]) -> tuple[Life, str]:
@@ -363,34 +374,35 @@ def main() -> int:
         os.environ[PROGRAM] = str(ROOT / "tools" / "emulator" / "board.js")
     if options.at:
         seed, _, step = options.at.partition(":")
-        life, broken = lived(int(seed), int(step), LIFE_S, print)
+        life, broken = lived(int(seed), int(step), LIFE_S[options.board], print)
         print(broken or f"{options.at}: nothing broke in {life.seconds:.0f} s")
         return 1 if broken else 0
     left_s = 3600.0 * (options.hours or (8.0 if options.board == "desktop" else 0.5))
     seen: Counter[str] = Counter()
     failures, lived_s, seed, began = [], 0.0, options.seed, time.monotonic()
-    with Progress(transient=True) as progress:
+    with Progress(transient=True) as progress, contextlib.suppress(KeyboardInterrupt):  # Ctrl-C: as far as it came
         task = progress.add_task("board time", total=left_s)
         while lived_s < left_s:
-            life, broken = lived(seed, None, min(LIFE_S, left_s - lived_s), lambda _: None)
+            life, broken = lived(seed, None, min(LIFE_S[options.board], left_s - lived_s), lambda _: None)
             seen += life.seen
             failures += [broken] if broken else []
             lived_s, seed = lived_s + max(life.seconds, 1.0), seed + 1
             progress.update(task, completed=lived_s)
-    known = life.mishaps().keys()
-    mishaps = sum(seen[name] for name in known)
+    mishaps = sum(seen[name] for name in MISHAPS)
     follows = f"{seen['following, s'] / 3600.0:.2f} h following"
     print(
         f"{options.board}: {lived_s / 3600.0:.2f} h in {time.monotonic() - began:.0f} s, {follows}, {mishaps} mishaps"
     )
-    print("    " + ", ".join(f"{name} {seen[name]}" for name in known))
+    print("    " + ", ".join(f"{name} {seen[name]}" for name in MISHAPS))
     for each in failures:
         print(
             f"soak: {each} (again: ./run trust soak --board {options.board} --at {each.split(': ')[0]})",
             file=sys.stderr,
         )
-    heads = ("board", "hours", "following", "mishaps", "failures")
-    keep("soak", heads, [(options.board, f"{lived_s / 3600.0:.2f}", follows, mishaps, "; ".join(failures) or "none")])
+    heads = ("board", "hours", "following", "mishaps", "of which", "failures")
+    kinds = ", ".join(f"{name} {seen[name]}" for name in MISHAPS)
+    kept = (options.board, f"{lived_s / 3600.0:.2f}", follows, mishaps, kinds, "; ".join(failures) or "none")
+    keep("soak", heads, [kept])
     return 1 if failures else 0
 
 

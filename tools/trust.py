@@ -1,10 +1,12 @@
-"""Runs the harnesses of tests/fuzz with libFuzzer under ASan and UBSan, and prints executions and what they reached.
+"""Runs the harnesses of tests/fuzz, those in C with libFuzzer under ASan and UBSan, those of what the host reads
+(readers.py) as they are, and prints executions and what they reached.
 
-    python tools/trust.py [--seconds S] [--keep] [TARGET...]
+    python tools/trust.py [--long | --seconds S] [--keep] [TARGET...]
 
-Without --seconds each target has the executions of ./run test trust, always the same ones: its seed is fixed. With it
-each runs for so long, with inputs that nobody has tried; --keep adds those that reach something new to
-tests/fuzz/corpus. What breaks a promise is left in build/fuzz/found, with the line that replays it.
+As it is each target has the executions of ./run test trust, always the same ones: its seed is fixed. With --long it has
+those of ./run trust, a hundred million in sum and a million at least of each, with inputs that nobody has tried; with
+--seconds as many as fit. --keep adds those that reach something new to tests/fuzz/corpus. What breaks a promise is left
+in build/fuzz/found, with the line that replays it.
 """
 
 from __future__ import annotations
@@ -34,15 +36,30 @@ AT_ONCE = 2
 class Target:
     what: str
     runs: int  # of ./run test trust
-    longest: int  # bytes of an input
+    long: int  # of ./run trust
+    longest: int = 0  # bytes of an input; 0: a reader, which is given a seed
 
 
+MILLION = 1_000_000
 TARGETS = {
-    "wire": Target("bytes on the bus, message by message", 200_000, 1024),
-    "table": Target("table blobs with all sections, and look-ups in them", 200_000, 4096),
-    "changes": Target("a compensator while tables, modes and loads change", 4_000, 1024),
-    "onset": Target("the onset detector, any motor and camera", 4_000, 512),
+    "wire": Target("bytes on the bus, message by message", 200_000, 56 * MILLION, 1024),
+    "table": Target("table blobs with all sections, and look-ups in them", 200_000, 40 * MILLION, 4096),
+    "changes": Target("a compensator while tables, modes and loads change", 4_000, MILLION, 1024),
+    "onset": Target("the onset detector, any motor and camera", 4_000, MILLION, 512),
+    "app": Target("the whole app on a fake clock: requests, tables, cut power, ills", 4_000, MILLION, 512),
+    "usb": Target("TinyUSB with the whole app on the desktop bus", 4_000, MILLION, 512),
 }
+READER = ROOT / "tests" / "fuzz" / "readers.py"
+READERS = {
+    "recording": Target("a recording's folder, at the host", 300, MILLION),
+    "model": Target("a model's folder", 1_000, MILLION),
+    "rig": Target("a rig.toml", 1_000, MILLION),
+    "replies": Target("what a board answers, as messages", 1_000, MILLION),
+    "stream": Target("bytes of the bus, at the host", 2_000, MILLION),
+    "dfu": Target("what a board answers to DFU requests", 2_000, MILLION),
+    "usbip": Target("what a USB/IP server sends", 2_000, MILLION),
+}
+EVERY = TARGETS | READERS
 
 
 @dataclass(frozen=True)
@@ -55,14 +72,14 @@ class Result:
     broken: str  # what, and how to replay it; empty: nothing
 
 
-def run(name: str, seconds: int | None, keep: bool, progress: Progress, task: TaskID) -> Result:
+def run(name: str, amount: list[str], keep: bool, progress: Progress, task: TaskID) -> Result:
     """One target. Its corpus grows in a folder of its own, so that a run with a fixed seed always does the same."""
-    target = TARGETS[name]
-    kept = CORPUS / name
-    amount = [f"-runs={target.runs}", "-seed=1"] if seconds is None else [f"-max_total_time={seconds}"]
+    target, kept = EVERY[name], CORPUS / name
     with tempfile.TemporaryDirectory() as grown:
         command = [str(HARNESSES / f"fuzz_{name}"), *amount, f"-max_len={target.longest}", "-len_control=0"]
         command += ["-print_final_stats=1", f"-artifact_prefix={FOUND}/{name}-", grown, str(kept)]
+        if name in READERS:
+            command = [sys.executable, str(READER), name, *amount]
         said: list[str] = []
         with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, errors="replace") as process:
             assert process.stderr is not None
@@ -71,7 +88,7 @@ def run(name: str, seconds: int | None, keep: bool, progress: Progress, task: Ta
                 if match := re.match(r"#(\d+)\t", line):
                     progress.update(task, completed=int(match[1]))
         result = _result(name, said, process.returncode)
-        if keep and not result.broken:
+        if keep and name in TARGETS and not result.broken:
             _merge(name, Path(grown), kept)
     progress.update(task, completed=result.executions, total=result.executions)
     return result
@@ -95,7 +112,7 @@ def _result(name: str, said: list[str], code: int) -> Result:
         int(executions[-1]) if executions else 0,
         int(reached[-1]) if reached else 0,
         int(edges[1]) if edges else 0,
-        len(list((CORPUS / name).iterdir())),
+        len(list((CORPUS / name).iterdir())) if name in TARGETS else 0,
         broken,
     )
 
@@ -106,29 +123,40 @@ def _merge(name: str, grown: Path, kept: Path) -> None:
     subprocess.run(command, check=True, capture_output=True)
 
 
+def amount(name: str, long: bool, seconds: int | None) -> tuple[list[str], int | None]:
+    """libFuzzer's options, and how many executions that is, if they say."""
+    if seconds is not None:
+        return [f"-max_total_time={seconds}"], None
+    target = EVERY[name]
+    return ([f"-runs={target.long}"], target.long) if long else ([f"-runs={target.runs}", "-seed=1"], target.runs)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("targets", nargs="*", metavar="TARGET", help=f"of {', '.join(TARGETS)}; all of them")
-    parser.add_argument("--seconds", type=int, help="for each target, instead of a fixed number of executions")
+    parser.add_argument("targets", nargs="*", metavar="TARGET", help=f"of {', '.join(EVERY)}; all of them")
+    many = parser.add_mutually_exclusive_group()
+    many.add_argument("--long", action="store_true", help="a hundred million executions in sum: hours")
+    many.add_argument("--seconds", type=int, help="for each target, instead of a fixed number of executions")
     parser.add_argument("--keep", action="store_true", help="adds what reaches something new to tests/fuzz/corpus")
     options = parser.parse_args()
-    if unknown := set(options.targets) - TARGETS.keys():
-        parser.error(f"no target {', '.join(sorted(unknown))}: choose of {', '.join(TARGETS)}")
-    names = options.targets or list(TARGETS)
+    if unknown := set(options.targets) - EVERY.keys():
+        parser.error(f"no target {', '.join(sorted(unknown))}: choose of {', '.join(EVERY)}")
+    names = options.targets or list(EVERY)
     FOUND.mkdir(parents=True, exist_ok=True)
     with Progress(transient=True) as progress, ThreadPoolExecutor(AT_ONCE) as pool:
-        tasks = {
-            name: progress.add_task(name, total=TARGETS[name].runs if options.seconds is None else None)
-            for name in names
-        }
-        results = list(pool.map(lambda name: run(name, options.seconds, options.keep, progress, tasks[name]), names))
-    print(f"{'target':9s}{'executions':>12s}{'edges reached':>16s}{'kept inputs':>13s}")
+        amounts = {name: amount(name, options.long, options.seconds) for name in names}
+        tasks = {name: progress.add_task(name, total=amounts[name][1]) for name in names}
+        results = list(pool.map(lambda name: run(name, amounts[name][0], options.keep, progress, tasks[name]), names))
+    print(f"{'target':10s}{'executions':>12s}{'edges reached':>16s}{'kept inputs':>13s}")
     for each in results:
-        edges = f"{each.reached} of {each.edges}"
-        print(f"{each.name:9s}{each.executions:12d}{edges:>16s}{each.inputs:13d}  {TARGETS[each.name].what}")
+        edges, inputs = (f"{each.reached} of {each.edges}", str(each.inputs)) if each.edges else ("-", "-")
+        print(f"{each.name:10s}{each.executions:12d}{edges:>16s}{inputs:>13s}  {EVERY[each.name].what}")
     heads = ("target", "executions", "edges reached", "of", "kept inputs", "broken")
-    kept = [(each.name, each.executions, each.reached, each.edges, each.inputs, each.broken) for each in results]
-    keep("fuzz", heads, kept)
+    kept = [
+        (each.name, each.executions, *((each.reached, each.edges, each.inputs) if each.edges else "---"), each.broken)
+        for each in results
+    ]
+    keep("fuzz" if options.long or options.seconds else "fuzz-short", heads, kept)
     for each in results:
         if each.broken:
             print(f"{each.name}: {each.broken}")

@@ -17,7 +17,8 @@ template <typename T> nb::object to_python(const T &value) {
 
 template <typename T, size_t N> nb::object to_python(const T (&values)[N]) {
     if constexpr (std::is_same_v<T, char>) {
-        return nb::str(values, strnlen(values, N));
+        const auto size = static_cast<Py_ssize_t>(strnlen(values, N));
+        return nb::steal(PyUnicode_DecodeUTF8(values, size, "replace")); // any bytes may come
     } else {
         nb::list list;
         for (const T &value : values) {

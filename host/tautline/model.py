@@ -140,7 +140,7 @@ class Model(Value):
             raise TautError(of_system(error)) from error
         except UnicodeDecodeError as error:
             raise TautError(f"{path}: damaged, it is no text: make the model again with taut calibrate") from error
-        except json.JSONDecodeError as error:
+        except (json.JSONDecodeError, RecursionError) as error:
             raise TautError(f"{path}: not valid JSON ({error}): make the model again with taut calibrate") from error
         if not isinstance(document, dict) or document.get("format") != FORMAT:
             raise TautError(f'{path}: format is not "{FORMAT}": make the model again with taut calibrate')
@@ -160,7 +160,7 @@ class Model(Value):
             friction = None if document.get("friction") is None else Friction.from_json(document["friction"])
             sensor = document.get("sensor")
             place = None if document.get("place") is None else Place.from_json(document["place"])
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             what = f"a key {error} is missing" if isinstance(error, KeyError) else f"a value is wrong ({error})"
             raise TautError(f"{path}: damaged, {what}: make the model again with taut calibrate") from error
         good = all(a.ndim == 1 and a.shape == q.shape and np.isfinite(a).all() for a in arrays) and len(q) >= 2

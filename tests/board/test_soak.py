@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import sys
 from pathlib import Path
@@ -27,7 +28,7 @@ def test_a_life_of_some_seconds_keeps_its_word() -> None:
 
 def test_what_breaks_is_told_with_an_id_that_lives_it_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody presses the stop button that this life is told to have been pressed."""
-    monkeypatch.setattr(soak.Life, "mishaps", lambda self: {"stop": self.stop})
+    monkeypatch.setattr(soak, "MISHAPS", {"stop": soak.Life.stop})
     asked = soak.SimLink.ask
     monkeypatch.setattr(soak.SimLink, "ask", lambda link, line: asked(link, line.replace("0 estop", "0 well")))
     said: list[list[str]] = [[], []]
@@ -54,10 +55,24 @@ def test_what_has_to_hold_is_looked_at(axis: dict[str, int | str], says: str) ->
     each = {"mode": soak.wire.code("MODES", "HOLD"), "fault": "NONE", "duty_q15": 0, "q_q8": 0, "flags": 0} | axis
     each["fault"] = soak.wire.code("FAULTS", str(each["fault"]))
 
+    with pytest.raises(soak.Broken, match=re.escape(says)):
+        life.look({"powered": True, "board_us": 0, "axes": [each]})
+
+
+@pytest.mark.parametrize(("after", "breaks"), [(0, False), (3, True)])
+def test_a_bridge_has_a_period_to_go_off(after: int, breaks: bool) -> None:
+    """The real image is looked at between the fault and the end of the PWM's period, too."""
+    life = object.__new__(soak.Life)
+    life.allowed, life.seen, life.known = {"SUPPLY"}, soak.Counter(), [False]
+    life.true, life.way, life.seconds = [0.0], [0.0], 0.0
+    duties = iter((3, after))
+
     class Link:
-        def ask(self, _: str) -> dict[str, object]:
-            return {"powered": True, "board_us": 0, "axes": [each]}
+        def ask_all(self, *_: str) -> list[dict[str, object]]:
+            fault = soak.wire.code("FAULTS", "SUPPLY")
+            axis = {"mode": soak.OFF, "fault": fault, "duty_q15": next(duties), "q_q8": 0}
+            return [{"q": [[0]]}, {"powered": True, "board_us": 0, "axes": [axis]}]
 
     life.link = Link()  # type: ignore[assignment]
-    with pytest.raises(soak.Broken, match=re.escape(says)):
-        life.look()
+    with pytest.raises(soak.Broken, match="is off, at duty 3") if breaks else contextlib.nullcontext():
+        life.pass_by(0.02)

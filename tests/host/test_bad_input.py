@@ -160,7 +160,7 @@ def test_an_output_folder_of_something_else_is_left_alone(taut: Taut, folder: Pa
     assert (thesis / "chapter1.tex").read_text() == "words"
 
 
-@pytest.mark.parametrize("content", [b"", b"{}", b'{"format": "model/1"}', b"\xff\0", b"[1, 2"])
+@pytest.mark.parametrize("content", [b"", b"{}", b'{"format": "model/1"}', b"\xff\0", b"[1, 2", b"[" * 100000])
 def test_a_damaged_model(taut: Taut, folder: Path, model: Path, tmp_path: Path, content: bytes) -> None:
     (model / "model.json").write_bytes(content)
     assert "model" in taut.refuses("predict", model, folder, "--csv", tmp_path / "o.csv")

@@ -50,7 +50,8 @@ def test_a_hazard_whose_tests_passed_is_shown_so(tmp_path: Path) -> None:
     text, wrong = made(tmp_path)
     assert wrong == []
     assert "flood &amp; &lt;b&gt;" in text and "<b>" not in text
-    assert text.count('class="passed"') == 4 and 'class="failed"' not in text
+    assert text.count('class="passed"') == 5 and 'class="failed"' not in text
+    assert "Each test of each hazard passed." in text and "board (1 tests, " in text
 
 
 @pytest.mark.parametrize(
@@ -64,7 +65,7 @@ def test_a_hazard_whose_tests_passed_is_shown_so(tmp_path: Path) -> None:
 )
 def test_a_test_that_failed_in_any_case_is_told(tmp_path: Path, change: dict[str, str], said: str) -> None:
     text, wrong = made(tmp_path, **change)
-    assert wrong == [said] and 'class="failed"' in text
+    assert wrong == [said] and "1 tests of hazards failed or were not run." in text
 
 
 def test_a_test_that_was_not_run_is_no_success(tmp_path: Path) -> None:
@@ -101,3 +102,37 @@ def test_every_hazard_of_the_page_is_in_it_and_what_else_was_tried(tmp_path: Pat
     parts = re.findall(r"<tr><td>([\w.-]+)</td><td>([\w.]+)</td><td>([^<]+)</td></tr>", text)
     licences = {name: licence for name, _, licence in parts}
     assert licences["tautline-robotics"] == "Apache-2.0" and licences["tinyusb"] == "MIT" and "numpy" in licences
+
+
+def test_in_sum_what_was_run_and_lost(tmp_path: Path) -> None:
+    assert [said for _, said in dossier.summed(tmp_path)] == [
+        *("not run", "not run"),
+        *("no suite was run; 0 in lives", "no suite was run; 0 in lives"),
+        *("not run", "not run; lost: nothing"),
+    ]
+    heads = ("target", "executions", "edges reached", "of", "kept inputs", "broken")
+    kept.keep("fuzz", heads, [("wire", 900, 20, 40, 3, ""), ("rig", 100, "-", "-", "-", "TypeError")], tmp_path)
+    kept.keep("proofs", ("proof", "result"), [("a", "proven"), ("b", "2 alarms left")], tmp_path)
+    lives = [
+        ("desktop", "8.00", "5 h following", 30, "cable 9, power 7, cut 4", "none"),
+        ("emulated", "0.50", "0 h following", 3, "cable 1, power 2, cut 0", "40:16: lost"),
+    ]
+    kept.keep("soak", ("board", "hours", "following", "mishaps", "of which", "failures"), lives, tmp_path)
+    names = (
+        "test_a_power_cut",
+        "test_any[power-flash]",
+        "test_any[flash-cable-0]",
+        "test_unplugged",
+        "test_powerful[x]",
+    )
+    made = [f'<testcase classname="tests.board.test_b" name="{name}">{{}}</testcase>' for name in names]
+    inner = "".join(each.format("<failure/>" if "unplugged" in each else "") for each in made)
+    (tmp_path / "board.xml").write_text(f"<testsuite>{inner}</testsuite>")
+    assert [said for _, said in dossier.summed(tmp_path)] == [
+        "1000 of 2 targets, 100 at least; broken: rig",
+        "20 of 40",
+        "2 cases in the suites, none failed; 13 in lives",
+        "2 cases in the suites, 1 failed; 10 in lives",
+        "1 of 2 without an alarm, the others' explained",
+        "desktop 8.00 h with 30 mishaps, emulated 0.50 h with 3 mishaps; lost: 40:16: lost",
+    ]

@@ -75,7 +75,10 @@ def test_a_model_without_a_key(taut: Taut, model: Path, key: str) -> None:
     assert f"{key} missing" in line and "KeyError" not in line
 
 
-@pytest.mark.parametrize("damage", [{"effects": [{}]}, {"quality": {}}, {"elements": {}}, {"measured": 3}])
+@pytest.mark.parametrize(
+    "damage",
+    [{"effects": [{}]}, {"quality": {}}, {"elements": {}}, {"measured": 3}, {"delay_s": 10**400}, {"quality": []}],
+)
 def test_a_model_with_a_wrong_value(taut: Taut, model: Path, damage: dict[str, object]) -> None:
     document = json.loads((model / "model.json").read_text()) | damage
     (model / "model.json").write_text(json.dumps(document))

@@ -1,5 +1,7 @@
 """Messages as physical values: what goes in comes out, on the grid of its fixed-point format, through any garbage."""
 
+import zlib
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -26,6 +28,14 @@ def test_a_message_survives_its_way(q: float, speed: float, junk: list[bytes], c
     assert [m.sequence for m in found if m.name == "move"] == [1, 2]
     for message in found:
         assert abs(message.q - q) <= 0.5 / 256 and abs(message.speed_s - speed) <= 0.5 / 256
+
+
+def test_a_text_that_is_none_is_read_as_far_as_it_goes() -> None:
+    frame = bytearray(wire.encode("identity", 3, serial="AB"))
+    frame[frame.index(b"AB")] = 0xFF
+    frame[-4:] = zlib.crc32(frame[:-4]).to_bytes(4, "little")
+    (message,) = wire.Decoder().feed(bytes(frame))
+    assert message.serial == "\N{REPLACEMENT CHARACTER}B"
 
 
 def test_arrays_defaults_and_saturation() -> None:

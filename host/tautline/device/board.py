@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+from tautline import _native
 from tautline.device import holder, wire
 from tautline.device.clock import BoardClock
 from tautline.device.dfu import DfuError
@@ -250,6 +251,8 @@ class Board:
             if answer.reason == wire.code("REASONS", "FAULT") and "axis" in values:
                 fault = self._fault(values["axis"])
             raise BoardRefused(name, answer.reason, fault)
+        if answer.name != wire.ANSWERS[name]:
+            raise TautError(f"{self.where}: the board answers '{name}' by '{answer.name}': switch it off and on")
         return answer
 
     def _check_known(self, name: str) -> None:
@@ -442,11 +445,12 @@ class Board:
 
     def read_table_by_messages(self, axis: int) -> bytes:
         blob = bytearray()
-        while True:
+        while len(blob) <= _native.TABLE_SIZE_MAX:
             part = self.ask("table_read", axis=axis, offset=len(blob))
             blob += bytes(part.bytes[: part.count].tolist())
             if part.count < wire.wire.PART:
                 return bytes(blob)
+        raise TautError(f"{self.where}: the table of axis {axis} does not end: switch it off and on")
 
     def _refusal(self, axis: int, error: DfuError) -> TautError:
         """DFU has one byte for the reason; the status message has the table's own."""

@@ -10,6 +10,7 @@ from typing import Any
 import usb.core
 import usb.util
 
+from tautline import _native
 from tautline.errors import TautError
 
 _OUT, _IN = 0x21, 0xA1  # class requests to an interface
@@ -55,6 +56,8 @@ class Dfu:
         if len(extra) < 9 or extra[1] != _FUNCTIONAL:
             raise DfuError("the board has no DFU interface: its firmware is not tautline's")
         self._block = struct.unpack_from("<H", extra, 5)[0]
+        if self._block == 0:
+            raise DfuError("the board takes no bytes by DFU: its firmware is not tautline's")
         usb.util.claim_interface(device, interface)
         device.set_interface_altsetting(interface, alternate)
 
@@ -90,12 +93,13 @@ class Dfu:
         """What the board has stored."""
         blob = bytearray()
         number = 0
-        while True:
+        while len(blob) <= _native.TABLE_SIZE_MAX:
             part = bytes(self._receive(_UPLOAD, number, self._block))
             blob += part
             number += 1
             if len(part) < self._block:
                 return bytes(blob)
+        raise DfuError("the board's table does not end: its firmware is not tautline's")
 
     def _send(self, request: int, value: int, data: bytes) -> None:
         self._control(_OUT, request, value, data)
@@ -127,9 +131,10 @@ class Dfu:
                 raise self._refusal(status)
             if state == wanted:
                 return
-            if time.monotonic() > deadline:
+            left = deadline - time.monotonic()
+            if left <= 0.0:
                 raise DfuError(f"the board stays in DFU state {state}: switch it off and on, then load again")
-            time.sleep(pause)
+            time.sleep(min(pause, left))
 
     def _make_idle(self) -> None:
         for _ in range(4):
@@ -139,7 +144,7 @@ class Dfu:
             if state == _ERROR:
                 self._send(_CLRSTATUS, 0, b"")
             elif state in (_DNBUSY, _MANIFEST, _MANIFEST_SYNC):
-                time.sleep(pause)
+                time.sleep(min(pause, _BUSY_S))
             else:
                 self._send(_ABORT, 0, b"")
         raise DfuError("the board's DFU interface does not come to rest: switch the board off and on")

@@ -34,6 +34,8 @@ class _Field:
 
 
 _FIELDS = {name: tuple(_Field.of(*field[:3]) for field in message["fields"]) for name, message in wire.MESSAGES.items()}
+# By what a request is answered, as tl_wire.h says: "-> status".
+ANSWERS = {name: found[1] for name, m in wire.MESSAGES.items() if (found := re.match(r"-> (\w+)", m["doc"]))}
 
 
 @dataclass(frozen=True)

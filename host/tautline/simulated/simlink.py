@@ -45,8 +45,22 @@ class SimLink:
         self._lines = self._socket.makefile("rb")
 
     def ask(self, request: str) -> dict[str, Any]:
+        self._send(request)
+        return self._answer(request)
+
+    def ask_all(self, *requests: str) -> list[dict[str, Any]]:
+        """Several in one round trip, which costs more than most answers; none may move a connection, as `quit` does."""
+        self._send("\n".join(requests))
+        return [self._answer(request) for request in requests]
+
+    def _send(self, lines: str) -> None:
         try:
-            self._socket.sendall(request.encode() + b"\n")
+            self._socket.sendall(lines.encode() + b"\n")
+        except OSError as error:
+            raise TautError("the simulated board has stopped: start it again") from error
+
+    def _answer(self, request: str) -> dict[str, Any]:
+        try:
             line = self._lines.readline()
         except OSError as error:
             raise TautError("the simulated board has stopped: start it again") from error

@@ -1,0 +1,91 @@
+"""A board that is damaged, or none of ours: what it answers ends in words, and never keeps the host for long."""
+
+from __future__ import annotations
+
+import random
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tautline.device import dfu, wire
+from tautline.device.board import Board, BoardAddress
+from tautline.errors import TautError
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "fuzz"))
+import readers
+
+
+class Answers(readers.Link):
+    """hello as it should be, then one kind of answer for ever."""
+
+    def __init__(self, name: str, **values: Any) -> None:
+        super().__init__(random.Random(1))
+        self.name, self.values = name, values
+
+    def read(self, _: float) -> bytes:
+        asked, self.asked = self.asked, b""
+        said = b""
+        for name, _type, sequence, _fields in wire.wire.Parser().feed(asked):
+            if name == "hello":
+                said += wire.encode("identity", sequence, protocol_major=wire.wire.MAJOR, axes=1)
+            else:
+                said += wire.encode(self.name, sequence, **self.values)
+        return said
+
+
+def opened(link: readers.Link) -> Board:
+    return Board(BoardAddress("usb:X", "X", False, (wire.wire.MAJOR, wire.wire.MINOR), lambda: link))
+
+
+def test_an_answer_to_something_else_is_no_answer() -> None:
+    with opened(Answers("ack")) as board, pytest.raises(TautError, match="answers 'get_status' by 'ack'"):
+        board.status(0)
+
+
+def test_a_table_without_end_is_given_up() -> None:
+    link = Answers("table_part", count=wire.wire.PART)
+    with opened(link) as board, pytest.raises(TautError, match="does not end"):
+        board.read_table(0)
+
+
+class Device:
+    """Every status is this one, and an upload is always a whole block."""
+
+    def __init__(self, state: int, pause_ms: int) -> None:
+        self.state, self.pause_ms = state, pause_ms
+
+    def ctrl_transfer(self, kind: int, request: int, value: int, index: int, what: bytes | int, _: int) -> bytes | int:
+        if isinstance(what, bytes):
+            return len(what)
+        return bytes((0, *self.pause_ms.to_bytes(3, "little"), self.state, 0)) if request == 3 else bytes(what)
+
+
+@pytest.fixture
+def slept(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    found: list[float] = []
+    monkeypatch.setattr(dfu.time, "sleep", found.append)
+    monkeypatch.setattr(dfu.time, "monotonic", lambda: sum(found))
+    return found
+
+
+def route(device: Device) -> dfu.Dfu:
+    made = object.__new__(dfu.Dfu)
+    made._device, made._interface, made._answer_ms, made._block = device, 1, 1000, 256
+    return made
+
+
+def test_a_board_that_wants_hours_has_ten_seconds(slept: list[float]) -> None:
+    with pytest.raises(TautError, match="stays in DFU state 4"):
+        route(Device(4, 0xFFFFFF)).download(b"x" * 300)
+    assert sum(slept) == pytest.approx(10.0)
+    slept.clear()
+    with pytest.raises(TautError, match="does not come to rest"):
+        route(Device(7, 0xFFFFFF))._make_idle()
+    assert sum(slept) <= 40.0
+
+
+def test_an_upload_without_end_is_given_up() -> None:
+    with pytest.raises(TautError, match="does not end"):
+        route(Device(2, 0)).upload()
