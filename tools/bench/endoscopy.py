@@ -7,6 +7,7 @@ line with it. A recording is a folder as docs/files.md has it, with truth.json (
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -37,7 +38,8 @@ _AT_ONCE = 3  # places of the marker within one exposure
 
 @dataclass(frozen=True)
 class Condition:
-    """What a video goes through. `scale` is of its size against the rig's."""
+    """What a video goes through. `scale` is of its size against the rig's; lasts_s: of a calibration's motion, which
+    else goes once up the range and once down, in some 95 s."""
 
     name: str
     codec: str = "MJPG"  # a fourcc of OpenCV's, or "h264"
@@ -50,6 +52,7 @@ class Condition:
     alike: bool = False
     variable: bool = False
     refused: bool = False  # the calibration has to be unusable
+    lasts_s: float = math.inf
 
 
 CONDITIONS = (
@@ -98,7 +101,8 @@ class World:
         self.waves = self.rng.uniform([-3.0, 0.4, 0.0], [3.0, 0.9, 6.3])
         self.fault = Fault() if use is None else use.fault
         if use is None:
-            self.t, self.q = _strokes(self.rng)
+            t, q = _strokes(self.rng)
+            self.t, self.q = t[t < condition.lasts_s], q[t < condition.lasts_s]
         else:
             self.rng = np.random.default_rng([seed, use.seed, 0xE5])
             self.t, self.q = use.motion()
@@ -196,7 +200,7 @@ class World:
             scene += self.rng.uniform(0.4, 2.2) / RATE_HZ if self.condition.variable else 1.0 / RATE_HZ
 
     def _draw(self, scene: float) -> Array:
-        picture = self.background.copy()
+        picture = self._behind(scene)
         places, radius = self.seen(scene + EXPOSURE_S * np.linspace(-0.5, 0.5, _AT_ONCE))
         if self.condition.alike:
             breath = 1.5 * np.sin(1.9 * scene)
@@ -208,6 +212,9 @@ class World:
         if self.condition.covered and 0.0 < (scene % 9.0) - 6.0 < 1.1:
             self._cover(picture, (scene % 9.0) - 6.0)
         return picture
+
+    def _behind(self, scene: float) -> Array:
+        return self.background.copy()
 
     def _draw_tube(self, picture: Array, scene: float) -> None:
         body = self._along(np.interp([scene], self.t, self.c), np.linspace(0.0, 1.0, 16))[0]
