@@ -236,5 +236,5 @@ def test_a_model_keeps_its_place(calibrated: list[tuple[Calibration, np.ndarray]
     assert again.rig.place == model.rig.place is not None
     path = tmp_path / "model" / "model.json"
     path.write_text(path.read_text().replace('"sigma_deg": [', '"sigma_deg": [1.0, ', 1))
-    with pytest.raises(TautError, match="a place is told at 17 angles"):
+    with pytest.raises(TautError, match="a place is told at 65 angles"):
         Model.load(tmp_path / "model")

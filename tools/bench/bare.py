@@ -1,8 +1,8 @@
 """./run bench bare: what a calibration makes of an instrument without a marker, beside what a marker gives.
 
-Each world is drawn twice: bare, followed by a square that is shown in its first picture, and with a marker, moved by the
-same motor over the same tissue. A tip whose tendon is torn is drawn once, bare. OUT keeps a line of JSON and a picture of
-each; what is there is not done again.
+Each world is drawn twice: bare, followed by a square that is shown in its first picture, and with a marker, moved by
+the same motor over the same tissue. A tip whose tendon is torn is drawn once, bare. OUT keeps a line of JSON and a
+picture of each; what is there is not done again.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ SHEET_PX = 180  # height of one picture on the sheet of all
 @dataclass(frozen=True)
 class Pair:
     """bare, marked: None where the calibration refuses, which `refused` then says of the bare one. onsets: reversals
-    after which the tip is said to have been seen to begin to move. bends_deg, bends_sigma_deg: error of f_remain and its
-    stated sigma, rms within `measured`."""
+    after which the tip is said to have been seen to begin to move. bends_deg, bends_sigma_deg: error of f_remain and
+    its stated sigma, rms within `measured`."""
 
     kind: str
     seed: int
@@ -89,18 +89,21 @@ _COLUMNS = (
 
 def _numbers(row: dict[str, Any]) -> dict[str, Any]:
     """JSON has no NaN."""
-    return {key: float("nan") if value is None and key.endswith(("_um", "_deg", "z")) else value for key, value in row.items()}  # fmt: skip
+    nothing = float("nan")
+    return {
+        key: nothing if value is None and key.endswith(("_um", "_deg", "z")) else value for key, value in row.items()
+    }
 
 
 def run(
-    wanted: Sequence[tuple[str, int]], out: Path, say: Callable[[float, str], None], done: Callable[[Pair], None]
+    wanted: Sequence[tuple[int, str]], out: Path, say: Callable[[float, str], None], done: Callable[[Pair], None]
 ) -> list[Pair]:
     """What is not yet in `out`, and all that was wanted."""
     out.mkdir(parents=True, exist_ok=True)
     lines = out / "pairs.jsonl"
     there = [Pair.read(line) for line in lines.read_text(encoding="utf-8").splitlines()] if lines.is_file() else []
     found = {(pair.kind, pair.seed): pair for pair in there}
-    for k, (kind, seed) in enumerate(wanted):
+    for k, (seed, kind) in enumerate(wanted):
         if (kind, seed) not in found:
             say(k / len(wanted), f"{kind}, seed {seed}")
             with tempfile.TemporaryDirectory() as room:
@@ -109,7 +112,8 @@ def run(
             with lines.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(plain(asdict(pair)), allow_nan=False) + "\n")
             done(pair)
-    return [found[key] for key in wanted]
+    order = {kind: k for k, kind in enumerate(tube.KINDS)}
+    return sorted((found[kind, seed] for seed, kind in wanted), key=lambda pair: (order[pair.kind], pair.seed))
 
 
 def _behind(seed: int) -> np.ndarray | None:
@@ -147,7 +151,7 @@ def _calibrated(folder: Path, kind: str, seed: int, truth: dict[str, Any]) -> tu
 
 
 def _shown(video: Path, at: tuple[float, float], picture: Path) -> None:
-    """A frame from the middle of the video, half its size, and beside it the square in the first one, twice its size."""
+    """A frame from the middle of the video, half its size; beside it the square in the first one, twice its size."""
     capture = cv2.VideoCapture(str(video))
     first = capture.read()[1]
     for _ in range(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)) // 2):
@@ -173,7 +177,7 @@ def _sheet(pairs: Sequence[Pair], out: Path) -> None:
         colour = (40, 110, 30) if pair.holds else (30, 30, 200)
         cells.append(cv2.putText(cell, says, (4, 15), cv2.FONT_HERSHEY_SIMPLEX, 0.42, colour, 1, cv2.LINE_AA))
     cells += [np.full_like(cells[0], 255)] * (-len(cells) % 5)
-    cv2.imwrite(str(out / "sheet.jpg"), np.vstack([np.hstack(cells[k : k + 5]) for k in range(0, len(cells), 5)]))
+    cv2.imwrite(str(out / "sheet.png"), np.vstack([np.hstack(cells[k : k + 5]) for k in range(0, len(cells), 5)]))
 
 
 def _bends(document: dict[str, Any], truth: dict[str, Any]) -> tuple[float, float]:
@@ -224,7 +228,7 @@ def _summary(pairs: Sequence[Pair]) -> list[str]:
 def command(torn: int, clean: int, hard: int, seed: int, out: Path, as_json: bool) -> None:
     """Calibrates from videos of an instrument without a marker; of torn tendons too, which move nothing."""
     numbers = zip(tube.KINDS, (torn, clean, hard), strict=True)
-    wanted = [(kind, seed + k) for kind, number in numbers for k in range(number)]
+    wanted = sorted((seed + k, kind) for kind, number in numbers for k in range(number))
     if not backgrounds():
         log("no folder shared/data/backgrounds above the repository: all seeds are drawn over tissue made here")
     with progress_bar("bare") as progress:

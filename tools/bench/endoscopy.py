@@ -7,7 +7,6 @@ line with it. A recording is a folder as docs/files.md has it, with truth.json (
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,6 +30,7 @@ RATE_HZ, DELAY_S = 25.0, 0.085
 MOTOR_HZ = 500.0
 EXPOSURE_S = 0.012
 CRAWL_MM_S, GRIPS_S, CREEP_S, GIVES = 0.5, 0.03, 1.7, 0.3  # of a fault: see there
+BRIEF = (2.6, 1.2, (1.6, 1.0))  # strokes, mm, how far they go on, mm, and their speeds, mm/s
 MARKER_MM, TUBE_MM = 0.8, 1.2  # radii
 MARKER_BGR = np.array([75.0, 170.0, 45.0])
 _AT_ONCE = 3  # places of the marker within one exposure
@@ -38,8 +38,8 @@ _AT_ONCE = 3  # places of the marker within one exposure
 
 @dataclass(frozen=True)
 class Condition:
-    """What a video goes through. `scale` is of its size against the rig's; lasts_s: of a calibration's motion, which
-    else goes once up the range and once down, in some 95 s."""
+    """What a video goes through. `scale` is of its size against the rig's; `brief`: the motion of a calibration takes
+    some 45 s, with longer strokes, instead of 95."""
 
     name: str
     codec: str = "MJPG"  # a fourcc of OpenCV's, or "h264"
@@ -52,7 +52,7 @@ class Condition:
     alike: bool = False
     variable: bool = False
     refused: bool = False  # the calibration has to be unusable
-    lasts_s: float = math.inf
+    brief: bool = False
 
 
 CONDITIONS = (
@@ -101,8 +101,7 @@ class World:
         self.waves = self.rng.uniform([-3.0, 0.4, 0.0], [3.0, 0.9, 6.3])
         self.fault = Fault() if use is None else use.fault
         if use is None:
-            t, q = _strokes(self.rng)
-            self.t, self.q = t[t < condition.lasts_s], q[t < condition.lasts_s]
+            self.t, self.q = _strokes(self.rng, *(BRIEF if condition.brief else ()))
         else:
             self.rng = np.random.default_rng([seed, use.seed, 0xE5])
             self.t, self.q = use.motion()
@@ -334,16 +333,18 @@ def _late(t: Array, x: Array, constant_s: float) -> Array:
     return out
 
 
-def _strokes(rng: np.random.Generator) -> tuple[Array, Array]:
-    """Strokes of 1.9 mm that go on by 0.6 up and down the range, at two speeds."""
+def _strokes(
+    rng: np.random.Generator, stroke: float = 1.9, on: float = 0.6, speeds: tuple[float, float] = (1.3, 0.8)
+) -> tuple[Array, Array]:
+    """Strokes, mm, that go on by `on` up and down the range, at two speeds, mm/s."""
     corners = [0.0, -4.4]
     for way in (1.0, -1.0):
-        while way * corners[-1] < 2.4:
-            corners += [corners[-1] + way * 1.9, corners[-1] + way * (0.6 + rng.uniform(-0.05, 0.05))]
+        while way * corners[-1] < 4.3 - stroke:
+            corners += [corners[-1] + way * stroke, corners[-1] + way * (on + rng.uniform(-0.05, 0.05))]
         corners.append(way * 4.4)
     t, q = [0.0], [corners[0]]
     for k, (start, end) in enumerate(pairwise(corners)):
-        speed = (1.3, 0.8)[k % 4 // 2]
+        speed = speeds[k % 4 // 2]
         lasts = abs(end - start) / speed + 0.1  # its ends are rounded
         s = np.arange(1, int(lasts * MOTOR_HZ)) / (lasts * MOTOR_HZ)
         smooth = np.convolve(np.pad(s, 25, mode="edge"), np.full(51, 1 / 51), mode="valid")

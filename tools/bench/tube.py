@@ -44,7 +44,7 @@ class Scene:
     @property
     def condition(self) -> Condition:
         quality = 23.0 if self.codec == "h264" else 95.0
-        return Condition(self.name, codec=self.codec, quality=quality, lasts_s=TORN_S if self.still else ONCE_UP_S)
+        return Condition(self.name, codec=self.codec, quality=quality, brief=True)
 
     @classmethod
     def drawn(cls, kind: str, seed: int) -> Self:
@@ -53,12 +53,11 @@ class Scene:
         if kind == "clean":
             return cls(kind, texture=float(rng.uniform(0.1, 0.18)))
         texture, breath, glint, smoke = rng.uniform([0.07, 3.0, 40.0, 0.0], [0.16, 10.0, 170.0, 0.35]).tolist()
-        return cls(kind, texture, breath, glint, smoke, "h264" if kind == "hard" or seed % 2 else "MJPG", kind == "torn")
+        codec = "h264" if kind == "hard" or seed % 2 else "MJPG"
+        return cls(kind, texture, breath, glint, smoke, codec, kind == "torn")
 
 
 KINDS = ("torn", "clean", "hard")
-ONCE_UP_S = 48.0  # the range once, some 20 reversals
-TORN_S = 40.0
 
 
 class BareWorld(World):
