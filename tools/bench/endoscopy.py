@@ -457,7 +457,17 @@ def write(folder: Path, world: World, say: Callable[[float], None] = lambda shar
 
 
 def _rig(world: World) -> str:
-    condition = world.condition
+    return f"""{rig_head()}[kinematics]
+bending_length_mm = {BENDING_MM}
+tip_length_mm = {world.tip_mm}
+[camera]
+{rig_camera(world.focal, world.condition.width, world.condition.height)}[hand_eye]
+rotation_deg = {list(TURN_DEG)}
+translation_mm = {list(AWAY_MM)}
+"""
+
+
+def rig_head() -> str:
     return f"""format = "rig/1"
 [actuator]
 unit = "mm"
@@ -466,20 +476,18 @@ encoder_resolution = {COUNT_MM}
 [coarse]
 gain = {GAIN}
 offset = {OFFSET}
-[kinematics]
-bending_length_mm = {BENDING_MM}
-tip_length_mm = {world.tip_mm}
-[camera]
-width_px = {condition.width}
-height_px = {condition.height}
-fx_px = {world.focal}
-fy_px = {world.focal}
-cx_px = {condition.width / 2.0}
-cy_px = {condition.height / 2.0}
+"""
+
+
+def rig_camera(focal: float, width: int, height: int) -> str:
+    """The keys of a camera whose delay is known to 5 ms."""
+    return f"""width_px = {width}
+height_px = {height}
+fx_px = {focal}
+fy_px = {focal}
+cx_px = {width / 2.0}
+cy_px = {height / 2.0}
 distortion = [0.0, 0.0, 0.0, 0.0, 0.0]
 frame_rate_hz = {RATE_HZ}
-delay_s = 0.080
-[hand_eye]
-rotation_deg = {list(TURN_DEG)}
-translation_mm = {list(AWAY_MM)}
+delay_s = {round(DELAY_S - 0.005, 3)}
 """
