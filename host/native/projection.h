@@ -41,7 +41,7 @@ struct projection_parameters {
 
 // Of the bending angle, evenly spaced; between them a cubic with their own slopes (Catmull and Rom's), beyond them
 // held.
-enum { PROJECTION_PLACES = 17 };
+enum { PROJECTION_PLACES = 65 };
 
 // What the rig says; doubles alone, so that it can be filled in one go.
 struct projection_rig {

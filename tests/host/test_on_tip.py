@@ -195,20 +195,21 @@ def breath(scene_s: np.ndarray, px: float) -> np.ndarray:
     return px * deep[:, None] * aside
 
 
-def swaying(seed: int, px: float, torn: bool) -> tuple[Recording, np.ndarray]:
+def swaying(seed: int, px: float, torn: bool, noise_px: float = NOISE_PX) -> tuple[Recording, np.ndarray]:
     recording, scene = bare(seed, np.zeros(3))
     marker = recording.marker
     assert marker is not None
     seen = np.column_stack([marker.u_px, marker.v_px])
     if torn:
-        seen = seen[0] + NOISE_PX * np.random.default_rng([seed, 3]).standard_normal(seen.shape)
+        seen = seen[0] + noise_px * np.random.default_rng([seed, 3]).standard_normal(seen.shape)
     seen = seen + breath(scene, px)
-    return replace(recording, marker=replace(marker, u_px=seen[:, 0], v_px=seen[:, 1])), scene
+    told = np.full(len(seen), noise_px)
+    return replace(recording, marker=replace(marker, u_px=seen[:, 0], v_px=seen[:, 1], sigma_px=told)), scene
 
 
-@pytest.mark.parametrize("px", [0.1, 2.0])
-def test_no_onset_is_invented_where_a_torn_tip_sways(px: float) -> None:
-    recording, _ = swaying(4, px, torn=True)
+@pytest.mark.parametrize(("px", "noise_px"), [(0.1, NOISE_PX), (2.0, NOISE_PX), (6.0, 0.5)])
+def test_no_onset_is_invented_where_a_torn_tip_sways(px: float, noise_px: float) -> None:
+    recording, _ = swaying(4, px, torn=True, noise_px=noise_px)
     calibration = calibrate([recording], RIG)
     assert not [o for o in calibration.onsets if o.used and o.kind != "bound"]
     assert calibration.model.quality.verdict is Verdict.UNUSABLE
@@ -236,5 +237,5 @@ def test_a_model_keeps_its_place(calibrated: list[tuple[Calibration, np.ndarray]
     assert again.rig.place == model.rig.place is not None
     path = tmp_path / "model" / "model.json"
     path.write_text(path.read_text().replace('"sigma_deg": [', '"sigma_deg": [1.0, ', 1))
-    with pytest.raises(TautError, match="a place is told at 17 angles"):
+    with pytest.raises(TautError, match="a place is told at 65 angles"):
         Model.load(tmp_path / "model")

@@ -1,6 +1,8 @@
 """./run bench bare: what a calibration makes of an instrument without a marker, beside what a marker gives.
 
-Each world is drawn twice: bare, followed by a square that is shown in its first picture, and with a marker.
+Each world is drawn twice: bare, followed by a square that is shown in its first picture, and with a marker, moved by
+the same motor over the same tissue. A tip whose tendon is torn is drawn once, bare. OUT keeps a line of JSON and a
+picture of each; what is there is not done again.
 """
 
 from __future__ import annotations
@@ -11,29 +13,33 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import click
+import cv2
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from tautline.cli._common import json_option, progress_bar
+from tautline.cli._common import json_option, log, progress_bar
 from tautline.plain import plain
 from tools.bench import endoscopy, tube
-from tools.bench.videos import Outcome, behind, said
+from tools.bench.videos import Outcome, backgrounds, said
 
 SIDE_PX = 36.0  # of the square
+NEAR = 2.0  # issue 25, Show 3: times the marker's error
+SHEET_PX = 180  # height of one picture on the sheet of all
 
 
 @dataclass(frozen=True)
 class Pair:
-    """bare: None where the calibration refuses, which `refused` then says. onsets: reversals after which the tip is
-    said to have been seen to begin to move. bends_deg, bends_sigma_deg: error of f_remain and its stated sigma, rms
-    within `measured`."""
+    """bare, marked: None where the calibration refuses, which `refused` then says of the bare one. onsets: reversals
+    after which the tip is said to have been seen to begin to move. bends_deg, bends_sigma_deg: error of f_remain and
+    its stated sigma, rms within `measured`."""
 
-    scene: str
+    kind: str
     seed: int
+    scene: dict[str, Any]
     bare: Outcome | None
     marked: Outcome | None
     onsets: int = 0
@@ -41,35 +47,137 @@ class Pair:
     bends_sigma_deg: float = float("nan")
     refused: str = ""
 
+    @classmethod
+    def read(cls, line: str) -> Self:
+        row = json.loads(line)
+        for key in ("bare", "marked"):
+            if row[key] is not None:
+                row[key] = Outcome(**{**_numbers(row[key]), "reasons": tuple(row[key]["reasons"])})
+        return cls(**_numbers(row))
 
-def run(scenes: Sequence[tube.Scene], seeds: Sequence[int], say: Callable[[float, str], None]) -> list[Pair]:
-    pairs: list[Pair] = []
-    for scene in scenes:
-        for seed in seeds:
-            say(len(pairs) / (len(scenes) * len(seeds)), f"{scene.name}, seed {seed}")
+    @property
+    def good(self) -> bool:
+        return self.bare is not None and self.bare.verdict == "good"
+
+    @property
+    def near(self) -> bool:
+        """B is as near the truth as the Show asks."""
+        return bool(self.bare and self.marked and self.bare.error_um <= NEAR * self.marked.error_um)
+
+    @property
+    def holds(self) -> bool:
+        return not self.onsets if self.kind == "torn" else self.near or not self.good
+
+    def cells(self) -> list[str]:
+        marked = f"{self.marked.error_um:.2f}" if self.marked else "-"
+        scene = tube.Scene(**self.scene)
+        looks = f"{scene.texture:.2f}, {scene.breath_px:.0f}, {scene.glint:.0f}, {scene.smoke:.2f}, {scene.codec}"
+        first = [self.kind, str(self.seed), looks]
+        if (o := self.bare) is None:
+            return [*first, "-", "-", "-", "-", "-", marked, "0", "refused", self.refused]
+        return [
+            *first, f"{o.error_um:.2f}", f"{o.sigma_um:.2f}", f"{o.z:.2f}", f"{self.bends_deg:.2f}",
+            f"{self.bends_sigma_deg:.2f}", marked, str(self.onsets), o.verdict, ", ".join(o.reasons),
+        ]  # fmt: skip
+
+
+_COLUMNS = (
+    "", "seed", "texture, breath px, glint, smoke", "B off, um", "sigma", "z", "f off, deg", "sigma",
+    "a marker's, um", "onsets", "verdict", "reasons",
+)  # fmt: skip
+
+
+def _numbers(row: dict[str, Any]) -> dict[str, Any]:
+    """JSON has no NaN."""
+    nothing = float("nan")
+    return {
+        key: nothing if value is None and key.endswith(("_um", "_deg", "z")) else value for key, value in row.items()
+    }
+
+
+def run(
+    wanted: Sequence[tuple[int, str]], out: Path, say: Callable[[float, str], None], done: Callable[[Pair], None]
+) -> list[Pair]:
+    """What is not yet in `out`, and all that was wanted."""
+    out.mkdir(parents=True, exist_ok=True)
+    lines = out / "pairs.jsonl"
+    there = [Pair.read(line) for line in lines.read_text(encoding="utf-8").splitlines()] if lines.is_file() else []
+    found = {(pair.kind, pair.seed): pair for pair in there}
+    for k, (seed, kind) in enumerate(wanted):
+        if (kind, seed) not in found:
+            say(k / len(wanted), f"{kind}, seed {seed}")
             with tempfile.TemporaryDirectory() as room:
-                pairs.append(_pair(Path(room), scene, seed))
-    return pairs
+                pair = _pair(Path(room), kind, seed, out / f"{kind}-{seed}.jpg")
+            found[kind, seed] = pair
+            with lines.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(plain(asdict(pair)), allow_nan=False) + "\n")
+            done(pair)
+    order = {kind: k for k, kind in enumerate(tube.KINDS)}
+    return sorted((found[kind, seed] for seed, kind in wanted), key=lambda pair: (order[pair.kind], pair.seed))
 
 
-def _pair(room: Path, scene: tube.Scene, seed: int) -> Pair:
-    folder, marked = room / "bare", None
-    world = tube.BareWorld(scene, seed, behind(seed))
+def _behind(seed: int) -> np.ndarray | None:
+    """Always a real frame, where there are any."""
+    real = backgrounds()
+    return real[seed % len(real)] if real else None
+
+
+def _pair(room: Path, kind: str, seed: int, picture: Path) -> Pair:
+    scene, marked, truth = tube.Scene.drawn(kind, seed), None, {}
+    world, folder = tube.BareWorld(scene, seed, _behind(seed)), room / "bare"
     endoscopy.write(folder, world)
-    u, v = world.patch(world.t[:1])[0]
-    said("marker", str(next(folder.glob("video.*"))), "--region", f"{u:.1f},{v:.1f},{SIDE_PX:g}")
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    video = next(folder.glob("video.*"))
+    u, v = world.patch(world.t[:1])[0]
+    _shown(video, (float(u), float(v)), picture)
+    said("marker", str(video), "--region", f"{u:.1f},{v:.1f},{SIDE_PX:g}")
     if not scene.still:
-        endoscopy.make(room / "marked", scene.condition, seed, behind(seed))
-        status, document = said("calibrate", str(room / "marked"), "--out", str(room / "marked-model"))
-        marked = Outcome.of(scene.name, seed, status, document, truth)
+        endoscopy.write(room / "marked", tube.MarkedWorld(scene, seed, _behind(seed)))
+        marked = _calibrated(room / "marked", kind, seed, truth)
+    bare = _calibrated(folder, kind, seed, truth)
+    outcome = marked[0] if isinstance(marked, tuple) else None
+    if isinstance(bare, str):
+        return Pair(kind, seed, asdict(scene), None, outcome, refused=bare)
+    onsets = sum(bool(onset["used"]) for onset in bare[1]["onsets"])
+    return Pair(kind, seed, asdict(scene), bare[0], outcome, onsets, *_bends(bare[1], truth))
+
+
+def _calibrated(folder: Path, kind: str, seed: int, truth: dict[str, Any]) -> tuple[Outcome, dict[str, Any]] | str:
     try:
-        status, document = said("calibrate", str(folder), "--out", str(room / "model"))
+        status, document = said("calibrate", str(folder), "--out", str(folder) + "-model")
     except RuntimeError as error:
-        return Pair(scene.name, seed, None, marked, refused=str(error))
-    onsets = sum(bool(onset["used"]) for onset in document["onsets"])
-    outcome = Outcome.of(scene.name, seed, status, document, truth)
-    return Pair(scene.name, seed, outcome, marked, onsets, *_bends(document, truth))
+        return str(error)
+    return Outcome.of(kind, seed, status, document, truth), document
+
+
+def _shown(video: Path, at: tuple[float, float], picture: Path) -> None:
+    """A frame from the middle of the video, half its size; beside it the square in the first one, twice its size."""
+    capture = cv2.VideoCapture(str(video))
+    first = capture.read()[1]
+    for _ in range(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)) // 2):
+        capture.grab()
+    frame = capture.retrieve()[1]
+    half = cv2.resize(frame, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    cut = cv2.getRectSubPix(first, (int(2 * SIDE_PX), half.shape[0] // 2), at)
+    inner = int(0.5 * SIDE_PX)
+    cv2.rectangle(cut, (inner, cut.shape[0] // 2 - inner), (3 * inner, cut.shape[0] // 2 + inner), (255, 255, 255), 1)
+    large = cv2.resize(cut, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_CUBIC)
+    cv2.imwrite(str(picture), np.hstack([half, large[: half.shape[0]]]))
+
+
+def _sheet(pairs: Sequence[Pair], out: Path) -> None:
+    """One picture of all, each with what was made of it."""
+    cells = []
+    for pair in pairs:
+        cell = cv2.imread(str(out / f"{pair.kind}-{pair.seed}.jpg"))
+        cell = cv2.resize(cell, None, fx=SHEET_PX / cell.shape[0], fy=SHEET_PX / cell.shape[0])
+        says = f"{pair.onsets} onsets" if pair.kind == "torn" else f"{pair.cells()[3]} ({pair.cells()[8]})"
+        says = f"{pair.kind} {pair.seed}: {says} {pair.cells()[10]}"
+        cell = cv2.copyMakeBorder(cell, 22, 4, 2, 2, cv2.BORDER_CONSTANT, value=(255, 255, 255))
+        colour = (40, 110, 30) if pair.holds else (30, 30, 200)
+        cells.append(cv2.putText(cell, says, (4, 15), cv2.FONT_HERSHEY_SIMPLEX, 0.42, colour, 1, cv2.LINE_AA))
+    cells += [np.full_like(cells[0], 255)] * (-len(cells) % 5)
+    cv2.imwrite(str(out / "sheet.png"), np.vstack([np.hstack(cells[k : k + 5]) for k in range(0, len(cells), 5)]))
 
 
 def _bends(document: dict[str, Any], truth: dict[str, Any]) -> tuple[float, float]:
@@ -77,66 +185,66 @@ def _bends(document: dict[str, Any], truth: dict[str, Any]) -> tuple[float, floa
     q, c_deg, sigma = (np.array(document["remaining"][key], dtype=float) for key in ("q", "c_deg", "sigma_deg"))
     low, high = document["backlash"]["measured"]
     inside = (q >= low) & (q <= high)
+    if not inside.any():
+        return float("nan"), float("nan")
     error = (c_deg - np.interp(q, truth["remaining"]["q"], truth["remaining"]["c_deg"]))[inside]
     return float(np.sqrt(np.mean(error**2))), float(np.sqrt(np.mean(sigma[inside] ** 2)))
 
 
-@click.command("bare")
-@click.option("--seeds", type=click.IntRange(1, 100), default=2, show_default=True)
-@click.option("--first-seed", type=click.IntRange(0), default=0, show_default=True)
-@click.option("--only", multiple=True, help="A scene's name; may be given several times.")
-@click.option("--still", is_flag=True, help="Torn tendons alone: the motor moves, and what is behind, not the tip.")
-@json_option
-def command(seeds: int, first_seed: int, only: tuple[str, ...], still: bool, as_json: bool) -> None:
-    """Calibrates from videos of an instrument without a marker; of torn tendons too, which move nothing."""
-    named = {scene.name: scene for scene in (*(() if still else tube.SCENES), *tube.STILL)}
-    if unknown := [name for name in only if name not in named]:
-        raise click.UsageError(f"{unknown[0]}: no such scene: {', '.join(named)}")
-    with progress_bar("bare") as progress:
-        pairs = run(
-            [named[name] for name in only] or list(named.values()), range(first_seed, first_seed + seeds), progress
+def _summary(pairs: Sequence[Pair]) -> list[str]:
+    lines = []
+    for kind in tube.KINDS:
+        own = [pair for pair in pairs if pair.kind == kind]
+        if not own:
+            continue
+        if kind == "torn":
+            believed = sum(pair.bare is not None and pair.bare.verdict != "unusable" for pair in own)
+            lines.append(
+                f"torn: onsets in {sum(pair.onsets > 0 for pair in own)} of {len(own)} recordings of a tip that does "
+                f"not move, not called unusable {believed}"
+            )
+            continue
+        covered = sum(pair.bare is not None and pair.bare.z <= NEAR for pair in own)
+        lines.append(
+            f"{kind}: B within {NEAR:g} times the marker's error, or not called good: {sum(p.holds for p in own)} of "
+            f"{len(own)}; within: {sum(p.near for p in own)}; good: {sum(p.good for p in own)}; z at most 2: {covered}"
         )
+    return lines
+
+
+@click.command("bare")
+@click.option("--torn", type=click.IntRange(0, 1000), default=20, show_default=True, help="Tips that do not move.")
+@click.option("--clean", type=click.IntRange(0, 1000), default=20, show_default=True, help="Nothing but a real frame.")
+@click.option(
+    "--hard", type=click.IntRange(0, 1000), default=20, show_default=True,
+    help="Tissue that breathes, glints, smoke, H.264.",
+)  # fmt: skip
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The first one of each kind.")
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build/bare"), show_default=True,
+    help="What is there already is not done again.",
+)  # fmt: skip
+@json_option
+def command(torn: int, clean: int, hard: int, seed: int, out: Path, as_json: bool) -> None:
+    """Calibrates from videos of an instrument without a marker; of torn tendons too, which move nothing."""
+    numbers = zip(tube.KINDS, (torn, clean, hard), strict=True)
+    wanted = sorted((seed + k, kind) for kind, number in numbers for k in range(number))
+    if not backgrounds():
+        log("no folder shared/data/backgrounds above the repository: all seeds are drawn over tissue made here")
+    with progress_bar("bare") as progress:
+        pairs = run(wanted, out, progress, lambda pair: log("  ".join(pair.cells())))
+    if not pairs:
+        return
+    _sheet(pairs, out)
     if as_json:
         click.echo(json.dumps(plain([asdict(pair) for pair in pairs]), allow_nan=False))
         return
     table = Table(title="B(q) without a marker, and with one: error and stated sigma, rms within `measured`")
-    for name in (
-        "",
-        "seed",
-        "error, um",
-        "sigma, um",
-        "z",
-        "f, deg",
-        "sigma, deg",
-        "onsets",
-        "verdict",
-        "reasons",
-        "with a marker, um",
-    ):
+    for name in _COLUMNS:
         table.add_column(name, justify="left" if name in ("", "verdict", "reasons") else "right")
     for pair in pairs:
-        marked = f"{pair.marked.error_um:.2f}" if pair.marked else "-"
-        if (o := pair.bare) is None:
-            table.add_row(pair.scene, str(pair.seed), "-", "-", "-", "-", "-", "0", "refused", pair.refused, marked)
-            continue
-        table.add_row(
-            o.condition, str(o.seed), f"{o.error_um:.2f}", f"{o.sigma_um:.2f}", f"{o.z:.2f}", f"{pair.bends_deg:.2f}",
-            f"{pair.bends_sigma_deg:.2f}", str(pair.onsets), o.verdict, ", ".join(o.reasons), marked,
-        )  # fmt: skip
-    Console(width=None if sys.stdout.isatty() else 160).print(table)
-    both = [(pair.bare, pair.marked) for pair in pairs if pair.bare and pair.marked]
-    if both:
-        near = sum(bare.error_um <= 2.0 * marked.error_um for bare, marked in both)
-        click.echo(
-            f"within twice the marker's error, or not called good: "
-            f"{sum(b.error_um <= 2.0 * m.error_um or b.verdict != 'good' for b, m in both)} of {len(both)}; "
-            f"within twice: {near}; good: {sum(b.verdict == 'good' for b, _ in both)}"
-        )
-    torn = [pair for pair in pairs if named[pair.scene].still]
-    if torn:
-        invented = sum(pair.onsets > 0 for pair in torn)
-        believed = sum(pair.bare is not None and pair.bare.verdict != "unusable" for pair in torn)
-        click.echo(
-            f"the tip does not move in {len(torn)} recordings: onsets invented in {invented}, not called unusable "
-            f"{believed}"
-        )
+        table.add_row(*pair.cells())
+    Console(width=None if sys.stdout.isatty() else 180).print(table)
+    for line in _summary(pairs):
+        click.echo(line)
+    click.echo(f"each of them: {out / 'sheet.jpg'}")

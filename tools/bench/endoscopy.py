@@ -30,6 +30,7 @@ RATE_HZ, DELAY_S = 25.0, 0.085
 MOTOR_HZ = 500.0
 EXPOSURE_S = 0.012
 CRAWL_MM_S, GRIPS_S, CREEP_S, GIVES = 0.5, 0.03, 1.7, 0.3  # of a fault: see there
+BRIEF = (2.6, 1.2, (1.6, 1.0))  # strokes, mm, how far they go on, mm, and their speeds, mm/s
 MARKER_MM, TUBE_MM = 0.8, 1.2  # radii
 MARKER_BGR = np.array([75.0, 170.0, 45.0])
 _AT_ONCE = 3  # places of the marker within one exposure
@@ -37,7 +38,8 @@ _AT_ONCE = 3  # places of the marker within one exposure
 
 @dataclass(frozen=True)
 class Condition:
-    """What a video goes through. `scale` is of its size against the rig's."""
+    """What a video goes through. `scale` is of its size against the rig's; `brief`: the motion of a calibration takes
+    some 45 s, with longer strokes, instead of 95."""
 
     name: str
     codec: str = "MJPG"  # a fourcc of OpenCV's, or "h264"
@@ -50,6 +52,7 @@ class Condition:
     alike: bool = False
     variable: bool = False
     refused: bool = False  # the calibration has to be unusable
+    brief: bool = False
 
 
 CONDITIONS = (
@@ -98,7 +101,7 @@ class World:
         self.waves = self.rng.uniform([-3.0, 0.4, 0.0], [3.0, 0.9, 6.3])
         self.fault = Fault() if use is None else use.fault
         if use is None:
-            self.t, self.q = _strokes(self.rng)
+            self.t, self.q = _strokes(self.rng, *(BRIEF if condition.brief else ()))
         else:
             self.rng = np.random.default_rng([seed, use.seed, 0xE5])
             self.t, self.q = use.motion()
@@ -196,7 +199,7 @@ class World:
             scene += self.rng.uniform(0.4, 2.2) / RATE_HZ if self.condition.variable else 1.0 / RATE_HZ
 
     def _draw(self, scene: float) -> Array:
-        picture = self.background.copy()
+        picture = self._behind(scene)
         places, radius = self.seen(scene + EXPOSURE_S * np.linspace(-0.5, 0.5, _AT_ONCE))
         if self.condition.alike:
             breath = 1.5 * np.sin(1.9 * scene)
@@ -208,6 +211,9 @@ class World:
         if self.condition.covered and 0.0 < (scene % 9.0) - 6.0 < 1.1:
             self._cover(picture, (scene % 9.0) - 6.0)
         return picture
+
+    def _behind(self, scene: float) -> Array:
+        return self.background.copy()
 
     def _draw_tube(self, picture: Array, scene: float) -> None:
         body = self._along(np.interp([scene], self.t, self.c), np.linspace(0.0, 1.0, 16))[0]
@@ -327,16 +333,18 @@ def _late(t: Array, x: Array, constant_s: float) -> Array:
     return out
 
 
-def _strokes(rng: np.random.Generator) -> tuple[Array, Array]:
-    """Strokes of 1.9 mm that go on by 0.6 up and down the range, at two speeds."""
+def _strokes(
+    rng: np.random.Generator, stroke: float = 1.9, on: float = 0.6, speeds: tuple[float, float] = (1.3, 0.8)
+) -> tuple[Array, Array]:
+    """Strokes, mm, that go on by `on` up and down the range, at two speeds, mm/s."""
     corners = [0.0, -4.4]
     for way in (1.0, -1.0):
-        while way * corners[-1] < 2.4:
-            corners += [corners[-1] + way * 1.9, corners[-1] + way * (0.6 + rng.uniform(-0.05, 0.05))]
+        while way * corners[-1] < 4.3 - stroke:
+            corners += [corners[-1] + way * stroke, corners[-1] + way * (on + rng.uniform(-0.05, 0.05))]
         corners.append(way * 4.4)
     t, q = [0.0], [corners[0]]
     for k, (start, end) in enumerate(pairwise(corners)):
-        speed = (1.3, 0.8)[k % 4 // 2]
+        speed = speeds[k % 4 // 2]
         lasts = abs(end - start) / speed + 0.1  # its ends are rounded
         s = np.arange(1, int(lasts * MOTOR_HZ)) / (lasts * MOTOR_HZ)
         smooth = np.convolve(np.pad(s, 25, mode="edge"), np.full(51, 1 / 51), mode="valid")
@@ -449,7 +457,17 @@ def write(folder: Path, world: World, say: Callable[[float], None] = lambda shar
 
 
 def _rig(world: World) -> str:
-    condition = world.condition
+    return f"""{rig_head()}[kinematics]
+bending_length_mm = {BENDING_MM}
+tip_length_mm = {world.tip_mm}
+[camera]
+{rig_camera(world.focal, world.condition.width, world.condition.height)}[hand_eye]
+rotation_deg = {list(TURN_DEG)}
+translation_mm = {list(AWAY_MM)}
+"""
+
+
+def rig_head() -> str:
     return f"""format = "rig/1"
 [actuator]
 unit = "mm"
@@ -458,20 +476,18 @@ encoder_resolution = {COUNT_MM}
 [coarse]
 gain = {GAIN}
 offset = {OFFSET}
-[kinematics]
-bending_length_mm = {BENDING_MM}
-tip_length_mm = {world.tip_mm}
-[camera]
-width_px = {condition.width}
-height_px = {condition.height}
-fx_px = {world.focal}
-fy_px = {world.focal}
-cx_px = {condition.width / 2.0}
-cy_px = {condition.height / 2.0}
+"""
+
+
+def rig_camera(focal: float, width: int, height: int) -> str:
+    """The keys of a camera whose delay is known to 5 ms."""
+    return f"""width_px = {width}
+height_px = {height}
+fx_px = {focal}
+fy_px = {focal}
+cx_px = {width / 2.0}
+cy_px = {height / 2.0}
 distortion = [0.0, 0.0, 0.0, 0.0, 0.0]
 frame_rate_hz = {RATE_HZ}
-delay_s = 0.080
-[hand_eye]
-rotation_deg = {list(TURN_DEG)}
-translation_mm = {list(AWAY_MM)}
+delay_s = {round(DELAY_S - 0.005, 3)}
 """

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from tools.bench import endoscopy
-from tools.bench.endoscopy import COUNT_MM, DELAY_S, EXPOSURE_S, GAIN, OFFSET, RANGE_MM, RATE_HZ, Condition, World
+from tools.bench.endoscopy import EXPOSURE_S, Condition, World, rig_camera, rig_head
 
 Array = np.ndarray
 
@@ -110,28 +110,6 @@ def make(
     """Writes the recording, with truth.json."""
     world = InsideWorld(inside, seed, seconds, background)
     endoscopy.write(folder, world)
-    (folder / "rig.toml").write_text(_rig(world), encoding="utf-8")
+    rig = f'{rig_head()}[camera]\nmount = "tip"\n{rig_camera(world.focal, WIDTH, HEIGHT)}'
+    (folder / "rig.toml").write_text(rig, encoding="utf-8")
     return world
-
-
-def _rig(world: InsideWorld) -> str:
-    return f"""format = "rig/1"
-[actuator]
-unit = "mm"
-range = {list(RANGE_MM)}
-encoder_resolution = {COUNT_MM}
-[coarse]
-gain = {GAIN}
-offset = {OFFSET}
-[camera]
-mount = "tip"
-width_px = {WIDTH}
-height_px = {HEIGHT}
-fx_px = {world.focal}
-fy_px = {world.focal}
-cx_px = {WIDTH / 2.0}
-cy_px = {HEIGHT / 2.0}
-distortion = [0.0, 0.0, 0.0, 0.0, 0.0]
-frame_rate_hz = {RATE_HZ}
-delay_s = {round(DELAY_S - 0.005, 3)}
-"""

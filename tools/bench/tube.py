@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import cv2
 import numpy as np
@@ -15,11 +16,14 @@ import numpy as np
 from tools.bench.endoscopy import BENDING_MM, EXPOSURE_S, TIP_MM, TUBE_MM, Condition, World
 
 Array = np.ndarray
+Place = tuple[slice, slice]
 
 SHAFT_MM = 2.0  # of the straight shaft that the camera sees
 PATCH_MM = 1.6  # before the end of the tip: the middle of what is followed
 RULER_MM = 0.4  # standard deviation, by which the rig has that place elsewhere along the tip
 _FINE = 32.0  # samples of the surface per mm
+_BLUR_PX = 4  # what a blur reaches
+_SMOOTH = 8  # px, within which smoke is alike
 _FULL = 0.5  # samples in a pixel that hide what is behind
 _GAUSS = 0.2887 * np.array([-1.0, 1.0])  # of an exposure: two times with its mean and its spread
 
@@ -39,25 +43,21 @@ class Scene:
 
     @property
     def condition(self) -> Condition:
-        return Condition(self.name, codec=self.codec, quality=23.0 if self.codec == "h264" else 95.0)
+        quality = 23.0 if self.codec == "h264" else 95.0
+        return Condition(self.name, codec=self.codec, quality=quality, brief=True)
+
+    @classmethod
+    def drawn(cls, kind: str, seed: int) -> Self:
+        """One of a kind: what is not as in a clean one is drawn from even distributions."""
+        rng = np.random.default_rng([seed, KINDS.index(kind), 0xBA])
+        if kind == "clean":
+            return cls(kind, texture=float(rng.uniform(0.1, 0.18)))
+        texture, breath, glint, smoke = rng.uniform([0.07, 3.0, 40.0, 0.0], [0.16, 10.0, 170.0, 0.35]).tolist()
+        codec = "h264" if kind == "hard" or seed % 2 else "MJPG"
+        return cls(kind, texture, breath, glint, smoke, codec, kind == "torn")
 
 
-SCENES = (
-    Scene("bare"),
-    Scene("bare, smooth steel", texture=0.05),
-    Scene("bare, tissue breathes", breath_px=6.0),
-    Scene("bare, glints", glint=170.0),
-    Scene("bare, smoke", smoke=0.35),
-    Scene("bare, H.264", codec="h264"),
-    Scene("bare, all of it", texture=0.1, breath_px=6.0, glint=110.0, smoke=0.25, codec="h264"),
-)
-STILL = (
-    Scene("torn tendon", still=True),
-    Scene("torn tendon, tissue breathes", breath_px=6.0, still=True),
-    Scene("torn tendon, breathes, glints", breath_px=10.0, glint=170.0, still=True),
-    Scene("torn tendon, smoke, H.264", breath_px=3.0, smoke=0.3, codec="h264", still=True),
-)
-STILL_S = 40.0  # of the motion, some 15 reversals: every frame of a torn tendon's tip is like the one before
+KINDS = ("torn", "clean", "hard")
 
 
 class BareWorld(World):
@@ -67,8 +67,6 @@ class BareWorld(World):
         self.scene = scene
         super().__init__(scene.condition, seed, background)
         if scene.still:
-            begun = self.t - self.t[0] < STILL_S
-            self.t, self.q = self.t[begun], self.q[begun]
             self.c = np.full_like(self.t, float(self.c[0]))
         self._wind = self.rng.uniform(0.0, 6.3, 4)
         by_ruler = np.random.default_rng([seed, 0x7E1]).normal(0.0, RULER_MM)
@@ -132,52 +130,59 @@ class BareWorld(World):
 
     def _draw(self, scene: float) -> Array:
         behind = self._behind(scene)
-        drawn = self._resting if self.scene.still else self._exposed(scene)
-        hidden = drawn[..., 3:]
-        picture = behind * (1.0 - hidden) + drawn[..., :3]
-        if self.scene.smoke:
-            picture = self._smoked(picture, scene)
-        smooth = cv2.GaussianBlur(picture, (0, 0), 0.7)
-        return np.clip(np.rint(smooth), 0, 255).astype(np.uint8)
+        place, drawn = self._resting if self.scene.still else self._exposed(scene)
+        within = behind[place].astype(np.float32)
+        picture = _soft(behind)
+        shown = np.clip(np.rint(_soft(within * (1.0 - drawn[..., 3:]) + drawn[..., :3])), 0, 255)
+        # Its rim, which lacks what is beyond it, but where the picture ends.
+        rim = [
+            slice(_BLUR_PX * (part.start > 0), shown.shape[k] - _BLUR_PX * (part.stop < picture.shape[k]))
+            for k, part in enumerate(place)
+        ]
+        picture[place][rim[0], rim[1]] = shown[rim[0], rim[1]]
+        return self._smoked(picture, scene) if self.scene.smoke else picture
 
     @cached_property
-    def _resting(self) -> Array:
+    def _resting(self) -> tuple[Place, Array]:
         return self._exposed(float(self.t[0]))
 
-    def _exposed(self, scene: float) -> Array:
-        """Light of the tube (height, width, 3), and how much of each pixel it hides, over an exposure."""
+    def _exposed(self, scene: float) -> tuple[Place, Array]:
+        """Where the tube is in the picture, its light there (.., .., 3), and how much of each pixel it hides, over an
+        exposure."""
         shape = self.condition.height, self.condition.width
-        return sum((self._tube(scene + share * EXPOSURE_S, shape) for share in _GAUSS), np.zeros(())) / len(_GAUSS)
+        parts = [self._tube(scene + share * EXPOSURE_S, shape) for share in _GAUSS]
+        corners = np.array([corner for corner, _ in parts])
+        ends = corners + [part.shape[:2] for _, part in parts]
+        first = np.maximum(corners.min(axis=0) - 2 * _BLUR_PX, 0)
+        last = np.minimum(ends.max(axis=0) + 2 * _BLUR_PX, shape)
+        drawn = np.zeros((*(last - first), 4), np.float32)
+        for corner, end, (_, part) in zip(corners - first, ends - first, parts, strict=True):
+            drawn[corner[0] : end[0], corner[1] : end[1]] += part / len(parts)
+        return (slice(first[0], last[0]), slice(first[1], last[1])), drawn
 
-    def _tube(self, scene: float, shape: tuple[int, int]) -> Array:
-        """The same at one time, (height, width, 4)."""
+    def _tube(self, scene: float, shape: tuple[int, int]) -> tuple[tuple[int, int], Array]:
+        """The same at one time, (.., .., 4), and its upper left corner (row, column)."""
         along, bend, angle, brightness = self._surface
         middle, ahead, aside = self._spine(float(np.interp(scene, self.t, self.c)), along)
         up = self._turned(np.array([[0.0, 1.0, 0.0]]))[0]
         middle, ahead, aside = self._in_camera(middle), self._turned(ahead), self._turned(aside)
-        near = (
-            int(np.rint(self._facing / (2.0 * np.pi) * len(angle)))
-            + np.arange(len(angle) // 2 + 6)
-            - len(angle) // 4
-            - 3
-        )
-        angle, brightness = (
-            angle[near % len(angle)],
-            brightness[:, near % len(angle)],
-        )  # the half that may face the camera
-        out = np.cos(angle)[None, :, None] * aside[:, None] + np.sin(angle)[None, :, None] * up
-        out *= np.cos(bend)[:, None, None]
-        point = middle[:, None] + TUBE_MM * out
-        normal = out + (np.sin(bend)[:, None] * ahead)[:, None]
-        facing = -np.sum(normal * point, axis=2) / np.sqrt(np.sum(point * point, axis=2))
-        brightest = np.maximum(facing.max(axis=1, keepdims=True), 1e-3)
-        glint = (
-            self.scene.glint * np.clip(facing / brightest, 0.0, 1.0) ** 60
-        )  # along the line that faces the camera most
+        middle_of = int(np.rint(self._facing / (2.0 * np.pi) * len(angle)))
+        # The half that may face the camera.
+        near = (middle_of + np.arange(len(angle) // 2 + 6) - len(angle) // 4 - 3) % len(angle)
+        brightness = brightness[:, near]
+        round_about = np.cos(bend)[:, None] * np.stack([np.cos(angle[near]), np.sin(angle[near])])[:, None, :]
+        cos, sin = round_about.astype(np.float32)
+        point, against = [], np.zeros(1, np.float32)
+        for k in range(3):
+            out = cos * aside[:, k, None].astype(np.float32) + sin * np.float32(up[k])
+            point.append(middle[:, k, None].astype(np.float32) + np.float32(TUBE_MM) * out)
+            against = against - (out + (np.sin(bend) * ahead[:, k])[:, None].astype(np.float32)) * point[k]
+        facing = against / np.sqrt(point[0] ** 2 + point[1] ** 2 + point[2] ** 2)
+        brightest = np.maximum(facing.max(axis=1, keepdims=True), np.float32(1e-3))
         seen = facing > 0.02
-        point, facing, brightness, glint = point[seen], facing[seen], brightness[seen], glint[seen]
-        light = 150.0 * brightness * (0.25 + 0.75 * facing) + glint
-        u, v = self._image(point).T
+        glint = self.scene.glint * _sixtieth(np.minimum(facing / brightest, 1.0)[seen])  # where most faces the camera
+        light = 150.0 * brightness[seen] * (0.25 + 0.75 * facing[seen]) + glint
+        u, v = self._image(np.stack([part[seen] for part in point], axis=-1)).T
         height, width = shape
         left, top = np.floor(u).astype(int), np.floor(v).astype(int)
         x0, y0 = max(int(left.min()), 0), max(int(top.min()), 0)
@@ -199,14 +204,13 @@ class BareWorld(World):
                 weight += np.bincount(at, share, cells)
         hidden = np.minimum(weight / _FULL, 1.0)
         grey = hidden * total / np.maximum(weight, 1e-9)
-        drawn = np.zeros((height, width, 4))
-        drawn[y0:y1, x0:x1] = np.stack([grey, grey, 0.95 * grey, hidden], axis=-1).reshape(y1 - y0, x1 - x0, 4)
-        return drawn
+        drawn = np.stack([grey, grey, 0.95 * grey, hidden], axis=-1).reshape(y1 - y0, x1 - x0, 4)
+        return (y0, x0), drawn.astype(np.float32)
 
     def _behind(self, scene: float) -> Array:
         """Tissue that goes to and fro, and is pulled out of shape a little as it does."""
         if not self.scene.breath_px:
-            return self.background.astype(float)
+            return self.background.copy()
         a, b, c, d = self._wind
         out = self.scene.breath_px * np.sin(1.7 * scene + a)
         aside = 0.5 * self.scene.breath_px * np.sin(2.9 * scene + b)
@@ -214,20 +218,44 @@ class BareWorld(World):
         shear = 0.008 * np.sin(2.3 * scene + d)
         height, width = self.background.shape[:2]
         warp = np.array([[1.0 + pull, shear, out - pull * width / 2], [shear, 1.0 - pull, aside + pull * height / 2]])
-        moved = cv2.warpAffine(self.background, warp, (width, height), borderMode=cv2.BORDER_REFLECT)
-        return moved.astype(float)
+        return np.asarray(cv2.warpAffine(self.background, warp, (width, height), borderMode=cv2.BORDER_REFLECT))
 
     def _smoked(self, picture: Array, scene: float) -> Array:
         height, width = picture.shape[:2]
         drift = np.array([31.0 * scene + 9.0 * np.sin(scene), 17.0 * scene])
-        y, x = np.mgrid[0:height, 0:width]
+        y, x = np.mgrid[0 : height : 1j * (height // _SMOOTH), 0 : width : 1j * (width // _SMOOTH)]
         wave = (
             0.5
             + 0.25 * np.sin((x + drift[0]) / 57.0 + np.sin((y - drift[1]) / 41.0))
             + 0.25 * np.sin((y + drift[1]) / 73.0 + 1.3 * np.sin((x - drift[0]) / 90.0))
         )
         thick = self.scene.smoke * wave * (0.6 + 0.4 * np.sin(0.4 * scene + self._wind[0]))
-        return picture * (1.0 - thick[..., None]) + 205.0 * thick[..., None]
+        thick = cv2.resize(thick.astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC)
+        return np.asarray(cv2.blendLinear(picture, np.full_like(picture, 205), 1.0 - thick, thick))
+
+
+class MarkedWorld(BareWorld):
+    """The same with a marker at the end of the tip, on a tube without texture."""
+
+    def __init__(self, scene: Scene, seed: int, background: Array | None = None) -> None:
+        super().__init__(scene, seed, background)
+        self.tip_mm = TIP_MM
+
+    def _draw(self, scene: float) -> Array:
+        picture = World._draw(self, scene)
+        return self._smoked(picture, scene) if self.scene.smoke else picture
+
+
+def _soft(picture: Array) -> Array:
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.7))
+
+
+def _sixtieth(x: Array) -> Array:
+    """x^60."""
+    fourth = (x * x) ** 2
+    eighth = fourth * fourth
+    sixteenth = eighth * eighth
+    return np.asarray(fourth * eighth * sixteenth * sixteenth * sixteenth)
 
 
 def _unit(field: Array) -> Array:

@@ -22,7 +22,7 @@ from tautline.rig import PLACES, Camera, HandEye, Kinematics, Place, Rig
 
 Array = npt.NDArray[np.float64]
 
-_NODES = 33  # motor positions at which angle and place are unknown
+_NODES = PLACES  # motor positions at which angle and place are unknown
 _SHOWN = 0.25  # of the square's side: standard deviation of its middle from the middle of a tube as wide as the square
 _ROAMS = 0.25  # of it, half a tube's radius: by how much the place goes over to the side that the camera sees then
 _ANYWAY = 0.5  # prior: turns of that side, in radii, that it goes on by where the side is the one that was shown
@@ -54,6 +54,8 @@ def place_on_tip(fitted: Fitted, rig: Rig, shown: Shown) -> Place | None:
     turned = np.array([np.linalg.norm(seen.towards_camera(c) - side) for c in coarse.tolist()])
     roams = _ROAMS * side_mm * (_ANYWAY + turned)
     covariance = (_SHOWN * side_mm) ** 2 + np.outer(roams, roams) * alike
+    # What the tracker makes of it is alike whenever it is there again, and another from one node to the next.
+    covariance[np.diag_indices(_NODES)] += (track.tracked_px * seen.mm_per_px(at)) ** 2
     mean = np.repeat(0.5 * side_mm * side, _NODES)
     noise = float(np.median(track.sigma)) * max(fitted.scale, 1.0)
     problem = _Posterior(seen, path, noise, mean, np.kron(np.eye(3), np.linalg.inv(covariance)))

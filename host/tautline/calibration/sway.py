@@ -25,7 +25,7 @@ from tautline.recording import Motor
 Array = npt.NDArray[np.float64]
 
 # Each prior is flat over its values.
-_SIZES, _MEMORIES_S = 9, np.geomspace(0.04, 20.0, 5)  # prior: from a frame to many breaths
+_SIZES, _STEPS = 9, 14  # prior: how far it goes at all, and from one frame to the next
 _LEAST = 0.3  # prior: of the noise: a sway that is none
 _RESTS = 0.25  # prior: of the square's side: a place that goes farther (standard deviation) does not rest
 _WIDTHS = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8])  # prior: of a play, in shares of the motor's way
@@ -82,9 +82,18 @@ def rest(t_s: Array, y: Array, sigma: float, paths: Sequence[Array], swing: floa
     far the rig moves the image over the motor's way; side: of the square that is followed, both of y's unit."""
     y = y - np.median(y, axis=0)
     sizes = np.geomspace(_LEAST * sigma, max(swing, side), _SIZES)
-    pairs = [(size, memory) for size in sizes.tolist() for memory in _MEMORIES_S.tolist()]
+    # Frames tell best how far it goes in one of their periods: a small and a large one are tried at the same steps.
+    steps, period_s = np.geomspace(_LEAST * sigma, side, _STEPS), float(np.median(np.diff(t_s)))
+    pairs = [
+        (size, 2.0 * period_s * (size / step) ** 2)
+        for size in sizes.tolist()
+        for step in steps.tolist()
+        if step <= size
+    ]
     sways = [_Sway.of(t_s, size, memory, sigma) for size, memory in pairs]
-    small = np.array([size <= _RESTS * side for size, _ in pairs])
+    lasts = float(t_s[-1] - t_s[0])
+    # The standard deviation about the mean in such a time: size / sqrt(1 + 3 memory / lasts), to a twentieth.
+    small = np.array([size <= _RESTS * side * np.sqrt(1.0 + 3.0 * memory / lasts) for size, memory in pairs])
     level = np.ones((len(y), 1))
     alone = [sway.explains(level, swing, y) for sway in sways]
     told = np.array([likelihood for likelihood, _ in alone])
