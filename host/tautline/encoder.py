@@ -341,7 +341,10 @@ def _stops(motor: Motor, encoder: _Steps) -> list[_Rest]:
     # The count that holds from change i - 1 to change i.
     edges = np.concatenate([t[:1], at, t[-1:]])
     turned = np.concatenate([[False], step[1:] * step[:-1] < 0, [False]])
-    for i in np.flatnonzero(turned | (np.diff(edges) > _REST_S)):
+    lasts = np.diff(edges)
+    padded = np.concatenate([[0.0], lasts, [0.0]])
+    beside = padded[:-2] + padded[2:]  # a motor that only passes is as long in each of its counts
+    for i in np.flatnonzero(turned | (lasts > np.maximum(beside, _REST_S))):
         first, last = i == 0, i == len(changes)
         centre = counts[0] if first else counts[changes[i - 1] + 1]
         since, until, turns = edges[i], edges[i + 1], turned[i]
@@ -351,19 +354,23 @@ def _stops(motor: Motor, encoder: _Steps) -> list[_Rest]:
         if not level:
             continue
         middle = 0.5 * (since + until)
-        # Beside a jump it stands for as long as samples say so.
-        start_s = since + _half(t, changes, step, i - 1) if slows is None else min(since + slows[0], middle)
-        end_s = until - _half(t, changes, step, i) if starts is None else max(until - starts[0], middle)
+        # Where no vertex is told it comes as fast as through the count before, within a sample where it jumps.
+        start_s = since + min(slows[0] if slows else _half(t, changes, step, lasts, i - 1), middle - since)
+        end_s = until - min(starts[0] if starts else _half(t, changes, step, lasts, i), until - middle)
         if turns and slows is not None and starts is not None and end_s - start_s < 2 * period:
             start_s = end_s = 0.5 * (start_s + end_s)
         stops.append(_Rest(encoder.zero + encoder.count * float(np.mean(level)), start_s, end_s, since, until))
     return stops
 
 
-def _half(t: Array, changes: npt.NDArray[np.intp], step: Array, i: int) -> float:
-    """Half the time between the samples that the i-th change is between, where it is of many counts at once; else 0."""
-    jumps = 0 <= i < len(changes) and abs(step[i]) > 1
-    return 0.5 * float(t[changes[i] + 1] - t[changes[i]]) if jumps else 0.0
+def _half(t: Array, changes: npt.NDArray[np.intp], step: Array, lasts: Array, i: int) -> float:
+    """Half the time that the motor takes for a count beside the i-th change; from one sample to the next where it is of
+    many counts at once."""
+    if not 0 <= i < len(changes):
+        return 0.0
+    if abs(step[i]) > 1:
+        return 0.5 * float(t[changes[i] + 1] - t[changes[i]])
+    return 0.5 * float(min(lasts[i], lasts[i + 1]))
 
 
 def _vertex(at: Array, boundary: Array, step: Array, centre: float, period: float) -> tuple[float, float] | None:

@@ -127,6 +127,23 @@ def test_lines_are_as_near_to_the_truth_as_what_is_between_counts(count, noise):
         assert len(lines.t_s) < 0.4 * len(t_s)
 
 
+@pytest.mark.parametrize("seed", [11, 12])
+def test_a_slow_motor_does_not_rest_in_every_coarse_count(seed):
+    """Counts of 0.1 mm that last for 125, 67 and 25 ms, strokes that stop at once: a rest is anywhere in its count,
+    0.29 of it, and when a count began is known to a millisecond."""
+    count, turns, rest_s = 0.1, 26, 0.15
+    ends = np.concatenate([[0.0], np.random.default_rng(seed).uniform(-4.5, 4.5, turns)])
+    lasts = np.abs(np.diff(ends)) / np.resize([1.5, 4.0, 0.8], turns)
+    times = np.concatenate([[0.0], np.cumsum(np.column_stack([np.full(turns, rest_s), lasts]).ravel())])
+    t_s = np.arange(0.0, times[-1], 1e-3)
+    q = np.interp(t_s, times, np.repeat(ends, 2)[:-1])
+    lines = straight_lines(Motor(t_s, np.round(q / count) * count), count)
+    off = np.interp(t_s, lines.t_s, lines.q) - q
+    rests = turns * (rest_s + 0.5 * count / 0.8) / times[-1]  # with the way to the count's edge
+    print(f"{1e3 * np.sqrt(np.mean(off**2)):.1f} um rms, of {1e3 * count * np.sqrt(rests / 12.0):.1f}")
+    assert np.sqrt(np.mean(off**2)) < count * np.sqrt(rests / 12.0)
+
+
 def test_a_count_is_what_the_readings_show_of_it():
     t = np.arange(0.0, 12.0, 0.02)
     q = 4.0 * np.sin(t)

@@ -16,7 +16,7 @@ from tautline.core.motor import MotorPath
 from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.segment import prepare
 from tautline.elements import SINGLE, Elements
-from tautline.encoder import straight_lines
+from tautline.encoder import cut, straight_lines
 from tautline.friction import Friction
 from tautline.geometry import project
 from tautline.model import Model
@@ -49,7 +49,8 @@ def readings(kind: str) -> Motor:
     every = slice(None, None, 4)
     t, q = strokes.t_s[every], strokes.q[every]
     count = RIG.actuator.encoder_resolution
-    noise = np.random.default_rng(3).normal(0.0, 4 * count, len(q)) if kind == "noise" else 0.0
+    noise = np.random.default_rng(3).normal(0.0, 4 * count, len(q)) if kind in ("noise", "float") else 0.0
+    count = {"coarse": 15 * count, "float": 1e-9}.get(kind, count)  # a servo has 4096 counts a turn
     q = q if kind == "exact" else np.round((q + noise) / count) * count
     assert strokes.translation_mm is not None and strokes.rotation_deg is not None
     return Motor(t, q, None, strokes.translation_mm[every], strokes.rotation_deg[every])
@@ -68,7 +69,7 @@ def recorded(motor: Motor) -> Recording:
 
 
 @pytest.mark.parametrize("elements", [SINGLE, GRADUAL, BOUC_WEN], ids=["single", "several", "friction"])
-@pytest.mark.parametrize("kind", ["counts", "exact", "noise"])
+@pytest.mark.parametrize("kind", ["counts", "coarse", "exact", "noise", "float"])
 def test_all_say_the_same_of_the_marker(elements, kind):
     own, motor = model(elements), readings(kind)
     recording = recorded(motor)
@@ -154,3 +155,18 @@ def test_a_diagnosis_of_what_the_model_says_finds_nothing_to_correct():
     assert max(float(np.abs(r).max()) for r in base.residuals) < SAME_PX
     assert abs(base.state.model.delay_s - DELAY_S) < 1e-9
     assert np.abs(base.state.model.width - own.width).max() < 1e-7
+
+
+@pytest.mark.parametrize("kind", ["counts", "coarse", "exact", "noise", "float"])
+def test_another_horizon_is_the_same_within_what_is_known(kind):
+    """What was read by then decides, bit for bit; later readings move the path by no more than its sigma says."""
+    motor = readings(kind)
+    until = 0.7 * motor.t_s[-1]
+    early, whole = (MotorPath.of(motor, RIG.actuator.encoder_resolution, until_s) for until_s in (until, np.inf))
+    again = MotorPath.of(cut(motor, until), RIG.actuator.encoder_resolution)
+    assert np.array_equal(early.lines.t_s, again.lines.t_s) and np.array_equal(early.lines.q, again.lines.q)
+    at = np.linspace(motor.t_s[0], early.readings.t_s[-1], 5000)
+    away = np.abs(early.at(at) - whole.at(at))
+    sigma = np.hypot(early.sigma_at(at), whole.sigma_at(at))
+    print(f"{kind}: {1e3 * np.quantile(away, 0.99):.3f} um away, sigma {1e3 * np.median(sigma):.3f}")
+    assert (away <= 2.0 * sigma + 1e-9).mean() > 0.99
