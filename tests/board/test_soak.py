@@ -26,6 +26,12 @@ def test_a_life_of_some_seconds_keeps_its_word() -> None:
     assert broken == "" and life.step >= 2 and life.seen["following, s"] > 5
 
 
+def test_a_life_that_broke_is_lived_again() -> None:
+    """The cable is pulled 20 ms after the last count: the pulse that brakes was taken for what the axis held with, and
+    what it really held with for a push, until it was a stall."""
+    assert soak.lived(40, 16, 600.0, lambda _: None)[1] == ""
+
+
 def test_what_breaks_is_told_with_an_id_that_lives_it_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody presses the stop button that this life is told to have been pressed."""
     monkeypatch.setattr(soak, "MISHAPS", {"stop": soak.Life.stop})

@@ -6,6 +6,7 @@
 #define STALL_WAY     (8 * TL_COUNT_ONE) // within it for the stall time, a pushing motor stands still
 #define RUN_DOWN_MS   150U               // of a motor that is off: 0.11 s from full speed
 #define SETTLES_MS    20U                // without a count after which it brakes no more
+#define SETTLED       8                  // ms, of the mean drive while it brakes
 #define STICKS        1311               // of drive beyond sliding friction, both ways: 4 %
 #define DRIVER_MS     5U                 // a fault line that is low for as long is no glitch
 #define SUPPLY_MS     20U                // a dip as long is more than a motor's start
@@ -106,7 +107,7 @@ static void feel(tl_axis_t *axis, int32_t size_ma) {
         guard->seen_duty = axis->motor.duty;
         guard->unseen_ms = 0;
     } else if (guard->unseen_ms < SETTLES_MS) {
-        guard->seen_duty = axis->motor.duty;
+        guard->seen_duty += (axis->motor.duty - guard->seen_duty) / SETTLED; // a pulse that brakes is no drive
         guard->unseen_ms = (uint8_t)(guard->unseen_ms + 1U);
     } else {
         const int32_t grown = axis->motor.duty - guard->seen_duty;
