@@ -14,22 +14,21 @@ static inline bool has_own_fault(const tl_axis_t *axis) {
     return axis->fault != TL_WIRE_FAULT_NONE && axis->fault != TL_WIRE_FAULT_GROUP;
 }
 
-// Where a hold ended for want of a host, one that holds lets go slowly, too: it may bear a load yet.
-static inline bool sinks_too(const tl_axis_t *axis, tl_axis_t *other) {
-    if (axis->fault != TL_WIRE_FAULT_HOST_LOST || axis->guard.sink == 0 || other->mode != TL_WIRE_MODE_HOLD) {
-        return false;
-    }
-    other->guard.alone_ms = TL_AXIS_LET_GO;
-    return true;
-}
-
 TL_FAST void tl_stop_group(const tl_axis_t *axis, tl_us_t now_us) {
-    if (axis->settings.group == 0 || !has_own_fault(axis)) {
+    const uint8_t group = axis->settings.group;
+    if (group == 0 || !has_own_fault(axis)) {
         return;
     }
+    // Where a hold ended for want of a host, one that holds lets go slowly, too: it may bear a load yet.
+    const bool sinks = axis->fault == TL_WIRE_FAULT_HOST_LOST && axis->guard.sink != 0;
     tl_axis_t *other = (tl_axis_t *)axis - axis->index;
-    for (uint8_t i = 0; i < axis->port->axes; i++, other++) {
-        if (of_one_group(axis, other) && other->mode != TL_WIRE_MODE_OFF && !sinks_too(axis, other)) {
+    for (const tl_axis_t *end = other + axis->port->axes; other != end; other++) {
+        if (other->settings.group != group || other == axis || other->mode == TL_WIRE_MODE_OFF) {
+            continue;
+        }
+        if (sinks && other->mode == TL_WIRE_MODE_HOLD) {
+            other->guard.alone_ms = TL_AXIS_LET_GO;
+        } else {
             tl_axis_fail(other, TL_WIRE_FAULT_GROUP, axis->index, now_us);
         }
     }
@@ -56,13 +55,14 @@ static void watch_input(tl_axis_t *axis, bool closed, tl_us_t now_us) {
 
 TL_FAST void tl_stop_watch(tl_axis_t *axes, tl_us_t now_us) {
     const tl_port_t *port = axes->port;
+    const tl_axis_t *const end = axes + port->axes;
     if (port->estop_closed != NULL) {
         const bool closed = port->estop_closed(port->context);
-        for (uint8_t i = 0; i < port->axes; i++) {
-            watch_input(&axes[i], closed, now_us);
+        for (tl_axis_t *axis = axes; axis != end; axis++) {
+            watch_input(axis, closed, now_us);
         }
     }
-    for (uint8_t i = 0; i < port->axes; i++) {
-        tl_stop_group(&axes[i], now_us);
+    for (tl_axis_t *axis = axes; axis != end; axis++) {
+        tl_stop_group(axis, now_us);
     }
 }
