@@ -51,9 +51,7 @@ DUTY = 0.8  # the most of the settings, which drives at
 SPEED = 8000.0  # counts/s with all of their acceleration
 MOST_DUTY = int(32768 * DUTY) + 33  # and a thousandth: a bridge's PWM is seen in whole steps
 LATEST_S = 1.15  # after its last word, with the braking: docs/safety.md, the host dies
-LATCH_US = (
-    1000  # the image is looked at between any two instructions, and a bridge has its duty from the next period on
-)
+LATCH_US = 1000  # several periods of the PWM: from the next one on a bridge has the duty that it was given
 LAG_US = 1000  # by which what the board says of its position may be older than where the motor is
 SETTLED = 2.0  # counts that a motor at rest may still be seen to move, by rounding
 GRID = np.linspace(-5.0, 5.0, 257)

@@ -332,6 +332,21 @@ static inline uint16_t fake_table(uint8_t *blob, uint8_t axis, uint32_t variant)
     return (uint16_t)tl_table_encode(&table, blob, TL_TABLE_SIZE_MAX);
 }
 
+// A calibration of three cycles over two thousand counts to either side.
+static inline tl_wire_motion_start_t fake_calibration(void) {
+    return (tl_wire_motion_start_t){.axis = 0,
+                                    .cycles = 3,
+                                    .low_q8 = -2000 * TL_COUNT_ONE,
+                                    .high_q8 = 2000 * TL_COUNT_ONE,
+                                    .speed_q8_s = {700 * TL_COUNT_ONE},
+                                    .transit_q8_s = 2000 * TL_COUNT_ONE,
+                                    .acceleration_q8_s2 = 20000 * TL_COUNT_ONE,
+                                    .approach_q8 = 100 * TL_COUNT_ONE,
+                                    .stroke_max_q8 = 800 * TL_COUNT_ONE,
+                                    .host_timeout_us = 200000,
+                                    .delay_us = 80000};
+}
+
 static inline tl_upload_t fake_upload(uint8_t axis, const uint8_t *blob, uint32_t size) {
     for (uint32_t at = 0; at < size; at += 256U) {
         const uint32_t left = size - at;

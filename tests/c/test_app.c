@@ -1,4 +1,5 @@
 #include "fake_board.h"
+#include "random_u32.h"
 
 #include "tautline/tl_axis_ask.h"
 #include "tautline/tl_command.h"
@@ -7,15 +8,6 @@ void setUp(void) {
     fake_new(3);
 }
 void tearDown(void) {}
-
-static uint32_t seed;
-
-static uint32_t random_u32(void) { // xorshift
-    seed ^= seed << 13;
-    seed ^= seed >> 17;
-    seed ^= seed << 5;
-    return seed;
-}
 
 static const uint8_t requests[] = {
     TL_WIRE_HELLO,        TL_WIRE_PING,        TL_WIRE_GET_STATUS, TL_WIRE_GET_COUNTERS, TL_WIRE_ENABLE,

@@ -39,20 +39,6 @@ static int clear_fault(uint8_t axis) {
     return fake_ask(TL_WIRE_CLEAR_FAULT, &request);
 }
 
-static tl_wire_motion_start_t calibration(void) {
-    return (tl_wire_motion_start_t){.axis = 0,
-                                    .cycles = 3,
-                                    .low_q8 = -2000 * TL_COUNT_ONE,
-                                    .high_q8 = 2000 * TL_COUNT_ONE,
-                                    .speed_q8_s = {700 * TL_COUNT_ONE},
-                                    .transit_q8_s = 2000 * TL_COUNT_ONE,
-                                    .acceleration_q8_s2 = 20000 * TL_COUNT_ONE,
-                                    .approach_q8 = 100 * TL_COUNT_ONE,
-                                    .stroke_max_q8 = 800 * TL_COUNT_ONE,
-                                    .host_timeout_us = 200000,
-                                    .delay_us = 80000};
-}
-
 // The safe state: motor off, compensation off, every request that would move it refused, until the fault is cleared.
 static void assert_safe(uint8_t axis, tl_wire_fault_t fault) {
     const tl_wire_status_t status = fake_status(axis);
@@ -130,7 +116,7 @@ static void test_safe_stop_works_from_every_state(void) {
         if (state == 2) {
             move(0, 3000);
         } else if (state == 3) {
-            const tl_wire_motion_start_t start = calibration();
+            const tl_wire_motion_start_t start = fake_calibration();
             TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_MOTION_START, &start));
         }
         fake_run_ms(50);
@@ -463,7 +449,7 @@ static void test_an_axis_outside_its_limits_may_stay_and_come_back(void) {
 
 static void test_a_calibration_without_frames_ends_in_the_safe_state(void) {
     fake_enable(0, 1);
-    const tl_wire_motion_start_t start = calibration();
+    const tl_wire_motion_start_t start = fake_calibration();
     TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_MOTION_START, &start));
     fake_run_ms(100);
     TEST_ASSERT_EQUAL(TL_WIRE_MODE_CALIBRATE, fake_status(0).mode);
@@ -484,7 +470,7 @@ static void run_with_frames(uint32_t ms) {
 
 static void test_losing_the_bus_ends_a_calibration_in_the_safe_state(void) {
     fake_enable(0, 1);
-    const tl_wire_motion_start_t start = calibration();
+    const tl_wire_motion_start_t start = fake_calibration();
     TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_MOTION_START, &start));
     run_with_frames(1000);
     TEST_ASSERT_EQUAL(TL_WIRE_MODE_CALIBRATE, fake_status(0).mode);
@@ -497,7 +483,7 @@ static void test_losing_the_bus_ends_a_calibration_in_the_safe_state(void) {
 
 static void test_a_calibration_stopped_by_the_host_rests_and_holds(void) {
     fake_enable(0, 1);
-    const tl_wire_motion_start_t start = calibration();
+    const tl_wire_motion_start_t start = fake_calibration();
     fake_ask(TL_WIRE_MOTION_START, &start);
     run_with_frames(1000);
     const tl_wire_motion_stop_t stop = {.axis = 0};
@@ -525,7 +511,7 @@ static void calibrate(calibrated_t *done, uint8_t left_over, void (*meanwhile)(u
     memset(rubbish, left_over, sizeof(rubbish));
     TEST_ASSERT_EQUAL(TL_UPLOAD_OK, tl_app_table_data(&app, 0, 0, rubbish, sizeof(rubbish)));
     fake_enable(0, 1);
-    const tl_wire_motion_start_t start = calibration();
+    const tl_wire_motion_start_t start = fake_calibration();
     TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_MOTION_START, &start));
     for (uint32_t ms = 0; ms < 1500U; ms++) {
         if (ms % 40U == 0U) {
@@ -581,7 +567,7 @@ static void test_uploads_during_a_calibration_leave_it_as_it_is(void) {
 static void test_a_table_may_come_while_an_axis_calibrates(void) {
     const uint32_t half = 512;
     sent_size = fake_table(sent, 0, 1);
-    const tl_wire_motion_start_t start = calibration();
+    const tl_wire_motion_start_t start = fake_calibration();
     TEST_ASSERT_EQUAL(TL_UPLOAD_OK, tl_app_table_data(&app, 0, 0, sent, half));
     fake_enable(0, 1);
     TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_MOTION_START, &start));

@@ -1,6 +1,7 @@
 // Hours of a board's life in seconds: random requests, encoder values and faults on a fake clock, with what must hold
 // after every control step. tools/guards.py has what each guard of it is worth.
 #include "fake_board.h"
+#include "random_u32.h"
 
 #ifndef RANDOM_STEPS
 #define RANDOM_STEPS 30000000U // control steps
@@ -10,15 +11,6 @@
 
 void setUp(void) {}
 void tearDown(void) {}
-
-static uint32_t seed;
-
-static uint32_t random_u32(void) { // xorshift
-    seed ^= seed << 13;
-    seed ^= seed >> 17;
-    seed ^= seed << 5;
-    return seed;
-}
 
 static int32_t between(int32_t low, int32_t high) {
     return low + (int32_t)(random_u32() % (uint32_t)(high - low + 1));

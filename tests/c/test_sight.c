@@ -3,6 +3,7 @@
 #include <math.h>
 
 #include "fake_board.h"
+#include "random_u32.h"
 
 #ifndef SIGHT_STEPS
 #define SIGHT_STEPS 2000000U // of sound motion
@@ -23,17 +24,8 @@ static struct {
     int32_t zero;
 } motor;
 
-static uint32_t seed;
-
 void setUp(void) {}
 void tearDown(void) {}
-
-static uint32_t random_u32(void) { // xorshift
-    seed ^= seed << 13;
-    seed ^= seed >> 17;
-    seed ^= seed << 5;
-    return seed;
-}
 
 static double uniform(double low, double high) {
     return low + (high - low) * (random_u32() / 4294967296.0);

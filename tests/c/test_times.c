@@ -100,16 +100,7 @@ static void test_a_move_has_arrived_after_ten_milliseconds_of_rest(void) {
 
 // Whatever was under way: a motor that is off has no calibration, no set-points and no drive.
 static void test_off_forgets_what_was_under_way(void) {
-    const tl_wire_motion_start_t start = {.cycles = 3,
-                                          .low_q8 = -2000 * TL_COUNT_ONE,
-                                          .high_q8 = 2000 * TL_COUNT_ONE,
-                                          .speed_q8_s = {700 * TL_COUNT_ONE},
-                                          .transit_q8_s = 2000 * TL_COUNT_ONE,
-                                          .acceleration_q8_s2 = 20000 * TL_COUNT_ONE,
-                                          .approach_q8 = 100 * TL_COUNT_ONE,
-                                          .stroke_max_q8 = 800 * TL_COUNT_ONE,
-                                          .host_timeout_us = 200000,
-                                          .delay_us = 80000};
+    const tl_wire_motion_start_t start = fake_calibration();
     for (int end = 0; end < 2; end++) {
         setUp();
         TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_MOTION_START, &start));

@@ -90,17 +90,11 @@ static void test_telemetry_is_the_axis_at_each_time(void) {
 }
 
 static tl_wire_motion_start_t motion(void) {
-    return (tl_wire_motion_start_t){.axis = 0,
-                                    .cycles = 3,
-                                    .low_q8 = -2000 * TL_COUNT_ONE,
-                                    .high_q8 = 2001 * TL_COUNT_ONE,
-                                    .speed_q8_s = {700 * TL_COUNT_ONE, 500 * TL_COUNT_ONE},
-                                    .transit_q8_s = 2000 * TL_COUNT_ONE,
-                                    .acceleration_q8_s2 = 20000 * TL_COUNT_ONE,
-                                    .approach_q8 = 100 * TL_COUNT_ONE,
-                                    .stroke_max_q8 = 800 * TL_COUNT_ONE,
-                                    .host_timeout_us = 200000,
-                                    .delay_us = 70000};
+    tl_wire_motion_start_t start = fake_calibration();
+    start.high_q8 = 2001 * TL_COUNT_ONE;
+    start.speed_q8_s[1] = 500 * TL_COUNT_ONE;
+    start.delay_us = 70000;
+    return start;
 }
 
 static void test_a_calibration_is_what_was_asked_for(void) {

@@ -4,17 +4,10 @@
 #include <string.h>
 #include <unity.h>
 
+#include "random_u32.h"
+
 void setUp(void) {}
 void tearDown(void) {}
-
-static uint32_t seed;
-
-static uint32_t random_u32(void) { // xorshift
-    seed ^= seed << 13;
-    seed ^= seed >> 17;
-    seed ^= seed << 5;
-    return seed;
-}
 
 static const uint8_t types[] = {
 #define TYPE(code, NAME, name, doc) code,

@@ -24,7 +24,7 @@ from rich.table import Table
 from tautline.cli._common import json_option, log, progress_bar
 from tautline.plain import plain
 from tools.bench import endoscopy, tube
-from tools.bench.videos import Outcome, backgrounds, said
+from tools.bench.videos import Outcome, backgrounds, bends, said
 
 SIDE_PX = 36.0  # of the square
 NEAR = 2.0  # issue 25, Show 3: times the marker's error
@@ -139,7 +139,7 @@ def _pair(room: Path, kind: str, seed: int, picture: Path) -> Pair:
     if isinstance(bare, str):
         return Pair(kind, seed, asdict(scene), None, outcome, refused=bare)
     onsets = sum(bool(onset["used"]) for onset in bare[1]["onsets"])
-    return Pair(kind, seed, asdict(scene), bare[0], outcome, onsets, *_bends(bare[1], truth))
+    return Pair(kind, seed, asdict(scene), bare[0], outcome, onsets, *bends(bare[1], truth))
 
 
 def _calibrated(folder: Path, kind: str, seed: int, truth: dict[str, Any]) -> tuple[Outcome, dict[str, Any]] | str:
@@ -178,17 +178,6 @@ def _sheet(pairs: Sequence[Pair], out: Path) -> None:
         cells.append(cv2.putText(cell, says, (4, 15), cv2.FONT_HERSHEY_SIMPLEX, 0.42, colour, 1, cv2.LINE_AA))
     cells += [np.full_like(cells[0], 255)] * (-len(cells) % 5)
     cv2.imwrite(str(out / "sheet.png"), np.vstack([np.hstack(cells[k : k + 5]) for k in range(0, len(cells), 5)]))
-
-
-def _bends(document: dict[str, Any], truth: dict[str, Any]) -> tuple[float, float]:
-    """Error of f_remain and its stated sigma, deg rms within `measured`."""
-    q, c_deg, sigma = (np.array(document["remaining"][key], dtype=float) for key in ("q", "c_deg", "sigma_deg"))
-    low, high = document["backlash"]["measured"]
-    inside = (q >= low) & (q <= high)
-    if not inside.any():
-        return float("nan"), float("nan")
-    error = (c_deg - np.interp(q, truth["remaining"]["q"], truth["remaining"]["c_deg"]))[inside]
-    return float(np.sqrt(np.mean(error**2))), float(np.sqrt(np.mean(sigma[inside] ** 2)))
 
 
 def _summary(pairs: Sequence[Pair]) -> list[str]:

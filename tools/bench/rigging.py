@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,8 @@ from tautline.simulated.endoscope import Endoscope
 from tautline.simulated.instrument import preset, reference_rig
 from tautline.simulated.simulate import Simulation
 from tautline.simulated.simulate import run as simulate
-from tools.bench.videos import said
+from tools.bench import videos
+from tools.bench.videos import bends, said
 
 Array = np.ndarray
 BOARD = Board(8, 6, 4.0, 3.0, "4X4_50")
@@ -136,7 +137,7 @@ def once(room: Path, seed: int, places: int, views: int, sigma_deg: float) -> Ou
         "--angle-sigma", str(sigma_deg), *given,
     )  # fmt: skip
     truth = json.loads((room / "strokes" / "truth.json").read_text())
-    scores = [_score(room, name, truth) for name in ("true", "made")]
+    scores = [_score(room, name, seed, truth) for name in ("true", "made")]
     width, remaining, verdicts = zip(*scores, strict=True)
     return Outcome(seed, width, remaining, max(told["hand_eye"]["angle_sigma_deg"]), verdicts)
 
@@ -155,16 +156,11 @@ def _given(rig: Rig) -> list[str]:
     ]  # fmt: skip
 
 
-def _score(room: Path, name: str, truth: dict[str, Any]) -> tuple[float, float, str]:
+def _score(room: Path, name: str, seed: int, truth: dict[str, Any]) -> tuple[float, float, str]:
     words = ("--rig", str(room / f"{name}.toml"), "--out", str(room / f"model-{name}"))
-    _, document = said("calibrate", str(room / "strokes"), *words)
-    off = []
-    for part, key in (("backlash", "width"), ("remaining", "c_deg")):
-        q, found = (np.array(document[part][column], dtype=float) for column in ("q", key))
-        low, high = document["backlash"]["measured"]
-        true = np.interp(q, truth[part]["q"], truth[part][key])
-        off.append(float(np.sqrt(np.mean(np.square(found - true)[(q >= low) & (q <= high)]))))
-    return 1e3 * off[0], off[1], document["quality"]["verdict"]
+    status, document = said("calibrate", str(room / "strokes"), *words)
+    outcome = videos.Outcome.of(name, seed, status, document, truth)
+    return outcome.error_um, bends(document, truth)[0], outcome.verdict
 
 
 @click.command("rig")
@@ -183,7 +179,7 @@ def command(seeds: int, first_seed: int, places: int, views: int, angle_sigma: f
             with tempfile.TemporaryDirectory() as room:
                 outcomes.append(once(Path(room), first_seed + k, places, views, angle_sigma))
     if as_json:
-        click.echo(json.dumps([plain(outcome.__dict__) for outcome in outcomes], allow_nan=False))
+        click.echo(json.dumps([plain(asdict(outcome)) for outcome in outcomes], allow_nan=False))
         return
     table = Table(title=f"with the true rig, with the one made (angles to {angle_sigma:g} deg)")
     for name in ("seed", "B, um", "f_remain, deg", "said, deg", "verdict"):

@@ -56,6 +56,15 @@ def _rms(x: Array) -> float:
     return float(np.sqrt(np.mean(np.square(x)))) if len(x) else float("nan")
 
 
+def bends(document: dict[str, Any], truth: dict[str, Any]) -> tuple[float, float]:
+    """Error of f_remain and its stated sigma, deg rms within `measured`."""
+    q, c_deg, sigma = (np.array(document["remaining"][key], dtype=float) for key in ("q", "c_deg", "sigma_deg"))
+    low, high = document["backlash"]["measured"]
+    inside = (q >= low) & (q <= high)
+    error = (c_deg - np.interp(q, truth["remaining"]["q"], truth["remaining"]["c_deg"]))[inside]
+    return _rms(error), _rms(sigma[inside])
+
+
 def said(*words: str) -> tuple[int, dict[str, Any]]:
     """Exit status and result of a `taut` command, in a process of its own."""
     command = [sys.executable, "-m", "tautline", *words, "--json"]

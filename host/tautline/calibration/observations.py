@@ -29,11 +29,6 @@ _HELD, _FEWEST_RUNS = 0.25, 8  # prior: share of values that are repeated then, 
 _FEW = 20  # tolerance: frames below which nothing is told of a motion
 _WORLD_DEG = 8.0  # prior: of a wall that a tip sees breathe, as a square that is followed is in an endoscope's picture
 _STILL_MM, _STILL_DEG = 0.02, 0.05  # tolerance: other degrees of freedom that stay within this do not move
-# px: standard deviation, per coordinate, of what this package's tracker is off by in every frame alike near one
-# place: the rms of what docs/marker.md has, 0.02 (a flat disc) to 0.17 (a ball lit from one side, in MJPEG).
-TRACKED_PX = 0.1  # prior: by docs/marker.md
-# px, likewise, but another at each place: by how the marker lies on the pixels, its shade and what is beside it.
-PLACED_PX = 0.05  # prior: by docs/marker.md, 0.05 to 0.09
 
 
 @dataclass(frozen=True)
@@ -60,7 +55,7 @@ class Track:
     @property
     def placed_px(self) -> float:
         """Prior of what it is off by at each place anew, per coordinate; 0 of places that others tell."""
-        return PLACED_PX if self.tracked_px else 0.0
+        return geometry.PLACED_PX if self.tracked_px else 0.0
 
     def scene_s(self, delay_s: float) -> Array:
         return self.t_s - delay_s
@@ -126,7 +121,7 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
             given = None if marker.sigma_px is None else marker.sigma_px[seen]
             track = _track(recording, path, "px", marker.t_s[seen], y, given)
             of_frames = recording.video is not None or marker.frame_px is not None
-            track = replace(track, shown=marker.shown, tracked_px=TRACKED_PX if of_frames else 0.0)
+            track = replace(track, shown=marker.shown, tracked_px=geometry.TRACKED_PX if of_frames else 0.0)
             tracks.append(track if marker.shown is None else without_sway(track, rig, marker.shown.side_px))
         elif angle is not None:
             seen = angle.seen

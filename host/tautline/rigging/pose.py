@@ -11,9 +11,8 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from tautline.calibration.observations import PLACED_PX
 from tautline.errors import TautError
-from tautline.geometry import project_with_slope, tip_bend
+from tautline.geometry import PLACED_PX, project_with_slope, tip_bend
 from tautline.rig import Actuator, Camera, Coarse, HandEye, Kinematics, Rig
 from tautline.rigging.places import Places
 
