@@ -269,6 +269,8 @@ _APP = (
          NEW, "memcmp(hash, update->hash, sizeof(hash)) != 0", "false"),
     _one("another board's firmware", UPDATE + "nothing_is_erased_for_a_file_that_is_refused",
          NEW, "if (!is_for(update->port, &image)) {", "if (false && !is_for(update->port, &image)) {"),
+    _one("firmware for another number of axes", UPDATE + "firmware_for_another_number_of_axes_is_refused",
+         NEW, "port->axes < TL_WIRE_AXES_MAX ? sizeof(axes) : 0U", "0U * sizeof(axes)"),
     _one("older firmware by --force alone", UPDATE + "an_older_one_comes_where_it_is_asked_for",
          NEW, "if (!update->any && memcmp", "if (false && memcmp"),
     _one("firmware with every motor off", UPDATE + "nothing_is_erased_for_a_file_that_is_refused",

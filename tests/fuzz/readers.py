@@ -162,6 +162,7 @@ class Device:
 def tables_by_dfu(draw: random.Random) -> None:
     route = object.__new__(dfu.Dfu)
     route._device, route._interface, route._answer_ms, route._block = Device(draw), 1, 1000, 256
+    route._asked_s = 0.0
     slept: list[float] = []
     with patch.object(dfu.time, "sleep", slept.append), patch.object(dfu.usb.util, "release_interface"):
         try:
