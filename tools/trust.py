@@ -32,6 +32,7 @@ HARNESSES = ROOT / "build" / "fuzz" / "tests" / "fuzz"
 FOUND = ROOT / "build" / "fuzz" / "found"
 CORPUS = ROOT / "tests" / "fuzz" / "corpus"
 AT_ONCE = 2
+INTERRUPTED = 72  # libFuzzer's exit status after SIGINT: what it has done until then counts
 MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None  # a reader's files need no disk
 
 
@@ -106,7 +107,7 @@ def _result(name: str, said: list[str], code: int) -> Result:
     reached = re.findall(r"cov: (\d+)", text)
     edges = re.search(r"Loaded \d+ modules\s+\((\d+) inline", text)
     broken = ""
-    if code != 0:
+    if code not in (0, INTERRUPTED):
         why = re.search(r"broken: .*|runtime error: .*|SUMMARY: .*", text)
         left = re.search(r"Test unit written to (\S+)", text)
         again = " ".join(
@@ -125,8 +126,8 @@ def _result(name: str, said: list[str], code: int) -> Result:
 
 
 def _merge(name: str, grown: Path, kept: Path) -> None:
-    """Adds what reaches something that the kept inputs do not; they stay, as each was a case once. (Atheris cannot merge:
-    of a reader all that reached something new when it was tried.)"""
+    """Adds what reaches something that the kept inputs do not; they stay, as each was a case once.
+    (Atheris cannot merge: of a reader all that reached something new when it was tried.)"""
     if name in READERS:
         for path in grown.iterdir():
             shutil.copy(path, kept)

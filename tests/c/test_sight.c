@@ -9,7 +9,7 @@
 #define SIGHT_STEPS 2000000U // of sound motion
 #endif
 #define GONE_MOST  50.0  // counts, as docs/safety.md says,
-#define GONE_SPEED 1000  // from that many a second on
+#define GONE_SPEED 500   // from that many a second on
 #define STATIC     150.0 // counts/s within which static friction falls to sliding friction
 #define CHOPS      0.607 // of what full drive makes of a motor that stands
 
