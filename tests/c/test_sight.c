@@ -194,6 +194,24 @@ static void test_a_dropout_at_speed_is_fifty_counts_at_most(void) {
     }
 }
 
+// It shows a count to and fro, as a motor does that hardly turns: whatever trips at last, it is no position.
+static void test_a_line_that_dies_at_any_speed_leaves_no_position(void) {
+    for (int run = 0; run < 200; run++) {
+        seed = (uint32_t)run * 2654435761U + 31U;
+        draw_motor();
+        begin();
+        load_to(uniform(-0.2, 0.2));
+        move(run % 2 == 0 ? 100000.0 : -100000.0, log_uniform(50.0, 12000.0), 200000.0);
+        run_ms(uniform(150.0, 200.0));
+        become(ONE_LINE);
+        for (int ms = 0; app.axes[0].fault == TL_WIRE_FAULT_NONE && ms < 2000; ms++) {
+            run_ms(1.0);
+        }
+        TEST_ASSERT_TRUE(app.axes[0].fault != TL_WIRE_FAULT_NONE);
+        TEST_ASSERT_FALSE(app.axes[0].referenced);
+    }
+}
+
 static void test_a_dropout_while_it_runs_down_leaves_no_position(void) {
     for (int run = 0; run < 100; run++) {
         seed = (uint32_t)run * 2654435761U + 5U;
@@ -220,6 +238,7 @@ int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_no_sound_motion_is_taken_for_a_dropout);
     RUN_TEST(test_a_dropout_at_speed_is_fifty_counts_at_most);
+    RUN_TEST(test_a_line_that_dies_at_any_speed_leaves_no_position);
     RUN_TEST(test_a_dropout_while_it_runs_down_leaves_no_position);
     return UNITY_END();
 }

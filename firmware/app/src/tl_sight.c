@@ -7,6 +7,7 @@
 #define TWO           (2 * TL_COUNT_ONE)    // counts, more than an encoder of which one line is dead goes to and fro
 #define AHEAD_MOST    (32 * 65536)          // counts Q16
 #define LOAD_MOST     65536                 // duty
+#define UNSEEN_MOST   1000                  // ms that are told
 #define MOVED_MOST    (2048 * TL_COUNT_ONE) // in a millisecond
 
 void tl_sight_configure(tl_sight_t *sight, const tl_servo_gains_t *gains) {
@@ -20,7 +21,7 @@ TL_FAST void tl_sight_reset(tl_sight_t *sight, tl_count_q8_t q) {
     sight->q = sight->seen_q = q;
     sight->duty = 0;
     sight->ahead = sight->speed = sight->load = 0;
-    sight->least = sight->least_load = sight->must = sight->doubt = 0;
+    sight->least = sight->least_load = sight->must = sight->doubt = sight->unseen_ms = 0;
 }
 
 // Duty that speeds it up.
@@ -62,6 +63,7 @@ TL_FAST bool tl_sight_step(tl_sight_t *s, tl_count_q8_t q, tl_duty_q15_t duty) {
     s->speed = speed - (ahead >> 3);
     const tl_count_q8_t way = q - s->seen_q;
     if (way > -TWO && way < TWO) {
+        s->unseen_ms += s->unseen_ms < UNSEEN_MOST ? 1 : 0;
         return s->least == 0 || s->gain == 0 || go_unseen(s, drove);
     }
     const int32_t size = (pull < 0 ? -pull : pull), fades = s->doubt - (s->doubt >> 3);
@@ -70,5 +72,6 @@ TL_FAST bool tl_sight_step(tl_sight_t *s, tl_count_q8_t q, tl_duty_q15_t duty) {
     s->least = (way ^ s->speed) >= 0 ? s->speed : 0;
     s->least_load = s->load;
     s->must = 0;
+    s->unseen_ms = 0;
     return true;
 }
