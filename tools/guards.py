@@ -108,6 +108,8 @@ _APP = (
          SEEN, "(2 * TL_COUNT_ONE)", "(1 * TL_COUNT_ONE)"),
     _one("a dropout takes the reference", SIGHT + "a_dropout_at_speed_is_fifty_counts_at_most",
          GUARD, "    guard->blind = true;\n"),
+    _one("a count to and fro is no way", SIGHT + "a_line_that_dies_at_any_speed_leaves_no_position",
+         REST, " || tl_actuator_unseen_ms(&axis->motor) >= NO_WAY_MS", ""),
     _one("a motor that runs down is watched", SIGHT + "a_dropout_while_it_runs_down_leaves_no_position",
          GUARD, "off ? guard->off_ms < RUN_DOWN_MS", "off ? false"),
     _one("what brakes a motor is no dropout", SIGHT + "no_sound_motion_is_taken_for_a_dropout",
