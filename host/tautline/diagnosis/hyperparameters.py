@@ -64,7 +64,10 @@ class Learnt:
     center: Hyperparameters
     spread: Array  # standard deviation of each one's logarithm between instruments
     covers: float  # share of the effects' probability that a set must hold so that it has the right one in 95 %
-    elsewhere: tuple[float, float] = (0.0, 0.0)  # how far apart what an unseen motion leaves may be (gap.elsewhere)
+    elsewhere: tuple[float, float] = (
+        0.0,
+        0.0,
+    )  # 5 and 95 % of gap.normalised_excess on unseen motions
     later: tuple[float, float] = (0.0, 0.0)  # the same where something goes with time: another motion is later
 
     def draws(self) -> list[Hyperparameters]:

@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 from tautline.diagnosis import decide, gap
 from tautline.diagnosis.diagnose import Diagnosis, diagnose
 from tautline.diagnosis.joint import Joint
-from tautline.diagnosis.joint_told import Answer, instead
+from tautline.diagnosis.joint_told import Answer, improved
 from tautline.diagnosis.segment import prepare
 from tautline.model import Model
 from tautline.recording import Recording
@@ -52,7 +52,7 @@ def diagnose_simulator(
         joint = Joint(found.model, simulator.parameters, segments, told.document["noise_floor"])
         with threadpool_limits(1, "blas"):
             fitted = joint.fit(lambda share: progress(0.8 + 0.15 * share, "fitting all parameters together"))
-            answer = instead(told, Answer.of(joint, fitted))
+            answer = improved(told, Answer.of(joint, fitted))
         if answer is told:
             return told
         carried = found.to_json(answer.document["effects"])
