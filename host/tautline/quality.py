@@ -40,6 +40,7 @@ class Quality:
 
     @property
     def verdict(self) -> Verdict:
+        """unusable with a fatal reason, good without one that counts, else doubtful."""
         if any(reason.fatal for reason in self.reasons):
             return Verdict.UNUSABLE
         return Verdict.GOOD if all(reason.mild for reason in self.reasons) else Verdict.DOUBTFUL

@@ -115,7 +115,7 @@ class Recording:
 
 
 def load(path: str | Path, rig: Rig | None = None) -> Recording:
-    """A recording's folder. `rig` wins over a rig.toml in the folder. Raises TautError with file, line and column."""
+    """Reads a recording's folder. rig: wins over a rig.toml in the folder. TautError with file, line and column."""
     folder = _folder(path)
     _check_links(folder)
     warnings: list[str] = []
@@ -143,7 +143,7 @@ def load(path: str | Path, rig: Rig | None = None) -> Recording:
 
 
 def load_all(paths: Sequence[str | Path], rig: Rig | None = None) -> list[Recording]:
-    """Recordings in the order given, each on its own clock (core.session puts them on one), with names that differ."""
+    """Recordings in the order given, each on its own clock (core.session puts them on one), their names made unique."""
     recordings: list[Recording] = []
     for path in paths:
         recording = load(path, rig)
@@ -153,7 +153,7 @@ def load_all(paths: Sequence[str | Path], rig: Rig | None = None) -> list[Record
 
 
 def shifted(recordings: Sequence[Recording], offsets_s: Mapping[str, float]) -> list[Recording]:
-    """With offsets, by the recordings' names, taken from the times of marker and angle."""
+    """Recordings with these offsets, s, by name, taken from the times of marker and angle."""
 
     def moved(recording: Recording) -> Recording:
         offset_s = offsets_s.get(recording.name, 0.0)
@@ -175,7 +175,7 @@ def load_motor(path: str | Path, rig: Rig, warnings: list[str] | None = None) ->
 
 
 def read_motor(file: Path, rig: Rig, warnings: list[str] | None = None) -> Motor:
-    """A file with the columns of motor.csv."""
+    """Reads a file with the columns of motor.csv."""
     warnings = [] if warnings is None else warnings
     unit = rig.actuator.unit
     q_name, other = f"q_{unit}", "q_deg" if unit == "mm" else "q_mm"
@@ -218,7 +218,7 @@ def read_motor(file: Path, rig: Rig, warnings: list[str] | None = None) -> Motor
 
 
 def save(recording: Recording, folder: str | Path) -> None:
-    """Writes the folder whole or not at all. A recording that was there is replaced; other files in it are kept."""
+    """Writes the folder, whole or not at all. A recording that was there is replaced; other files in it stay."""
     if recording.rig is None:
         raise TautError(f"{folder}: a recording is saved with its rig, which names the unit of q")
     with replaced(Path(folder), "motor.csv") as target:
@@ -271,7 +271,7 @@ def _folder(path: str | Path) -> Path:
 
 
 def _check_links(folder: Path) -> None:
-    """A link to nothing is a file that somebody meant to be there."""
+    """TautError for a link to nothing: a file that somebody meant to be there."""
     for path in sorted(folder.iterdir()):
         if path.is_symlink() and not path.exists():
             raise TautError(
@@ -280,7 +280,8 @@ def _check_links(folder: Path) -> None:
 
 
 def _check_reach(columns: Columns, name: str, rig: Rig) -> None:
-    """A motor far beyond the rig's range is another unit or a broken file: an error where nothing can come of it."""
+    """TautError where the motor is so far beyond the rig's range that nothing can come of it; a warning where the unit
+    may be another."""
     q = columns.finite(name)
     low, high = rig.actuator.range
     beyond = np.maximum(low - q, q - high)
@@ -342,7 +343,7 @@ def _load_marker(file: Path, warnings: list[str]) -> Marker:
 
 
 def _frame_size(columns: Columns) -> tuple[int, int] | None:
-    """width_px and height_px of the frames, the same in every row."""
+    """(width, height) of the frames by columns width_px and height_px, the same in every row; None without them."""
     if not set(FRAME_COLUMNS) <= set(columns.names):
         return None
     sizes = [columns.raw(name) for name in FRAME_COLUMNS]
@@ -399,6 +400,7 @@ def _find_video(folder: Path, tracked: bool, warnings: list[str]) -> Video | Non
 
 
 def _check_overlap(motor_file: Path, motor_s: Array, file: Path, t_s: Array) -> None:
+    """TautError where a file's times do not overlap the motor's."""
     if t_s[0] <= motor_s[-1] and t_s[-1] >= motor_s[0]:
         return
     raise TautError(
@@ -412,6 +414,7 @@ def _extra(columns: Columns, known: set[str]) -> dict[str, Array]:
 
 
 def _write(path: Path, columns: Mapping[str, Array | None]) -> None:
+    """Writes columns as a CSV file."""
     present = {name: values for name, values in columns.items() if values is not None}
     rows = max((len(values) for values in present.values()), default=0)
     for first in range(0, max(rows, 1), _WRITTEN_ROWS):

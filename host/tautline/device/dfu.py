@@ -79,18 +79,18 @@ class Dfu:
         progress: Callable[[float, str], None] | None = None,
         answer_ms: int = _TIMEOUT_MS,
     ) -> None:
-        """Writes `blob` and waits until the board has checked and stored it. `answer_ms`: for an answer, at most."""
+        """Writes `blob` and waits until the board has checked and stored it; answer_ms: at most for each answer."""
         self._answer_ms = answer_ms
         for number, start in enumerate(range(0, len(blob), self._block)):
             self._send(_DNLOAD, number, blob[start : start + self._block])
-            self._settle(_DNLOAD_IDLE)
+            self._wait_for_state(_DNLOAD_IDLE)
             if progress:
                 progress(min((start + self._block) / len(blob), 1.0), "loading")
         self._send(_DNLOAD, -(-len(blob) // self._block), b"")
-        self._settle(_IDLE)
+        self._wait_for_state(_IDLE)
 
     def upload(self) -> bytes:
-        """What the board has stored."""
+        """Reads what the board has stored."""
         blob = bytearray()
         number = 0
         while len(blob) <= _native.TABLE_SIZE_MAX:
@@ -117,13 +117,13 @@ class Dfu:
             raise
 
     def _status(self) -> tuple[int, float, int]:
-        """bStatus, seconds to wait before the next question, bState."""
+        """bStatus, bwPollTimeout in s, bState."""
         answer = bytes(self._receive(_GETSTATUS, 0, 6))
         if len(answer) != 6:
             raise DfuError("the board's DFU status is too short: its firmware is not tautline's")
         return answer[0], int.from_bytes(answer[1:4], "little") / 1000.0, answer[4]
 
-    def _settle(self, wanted: int) -> None:
+    def _wait_for_state(self, wanted: int) -> None:
         deadline = time.monotonic() + _BUSY_S
         while True:
             status, pause, state = self._status()
@@ -137,6 +137,7 @@ class Dfu:
             time.sleep(min(pause, left))
 
     def _make_idle(self) -> None:
+        """Brings the device to dfuIDLE, whatever state it is in."""
         for _ in range(4):
             _, pause, state = self._status()
             if state == _IDLE:

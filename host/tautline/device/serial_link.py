@@ -135,7 +135,7 @@ def _is_here(host: str) -> bool:
 
 
 def find_serial(where: str) -> list[BoardAddress]:
-    """Says hello to ask who is there: without an answer nobody is."""
+    """The board on a serial line, if it answers a hello; else none."""
     busy = BoardAddress(where, None, True, (wire.wire.MAJOR, wire.wire.MINOR), lambda: _refuse(where))
     try:
         link = SerialLink(where)

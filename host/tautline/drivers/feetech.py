@@ -59,7 +59,8 @@ class Feetech(SerialServos):
         return Measured(t_s, _signed(state[0:2]), _signed(state[2:4]), _signed(state[13:15]) * _MA, said)
 
     def encoded(self, goal: int) -> bytes:
-        """The sign is bit 15: what lies beyond is not asked for, and the axis notices that it is not there."""
+        """A position as the register holds it: bit 15 is the sign; clipped, so that the axis will notice what lies
+        beyond."""
         goal = max(-0x7FFF, min(goal, 0x7FFF))
         return (abs(goal) | (0x8000 if goal < 0 else 0)).to_bytes(2, "little")
 

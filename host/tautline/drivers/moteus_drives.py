@@ -50,7 +50,7 @@ class Moteus:
             moteus.Controller(id=number, query_resolution=resolution, transport=self._transport) for number in numbers
         ]
         try:
-            known = self._first()
+            known = self._all_referenced()
         except BaseException:
             self.close()
             raise
@@ -60,8 +60,8 @@ class Moteus:
             for number, referenced in zip(numbers, known, strict=True)
         ]
 
-    def _first(self) -> list[bool]:
-        """Whether each knows where its output is."""
+    def _all_referenced(self) -> list[bool]:
+        """Whether every controller knows where its output is."""
         for left in reversed(range(_TRIES)):
             try:
                 answers = self._ask(_FIRST_S)

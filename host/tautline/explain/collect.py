@@ -79,7 +79,9 @@ def _effects() -> Iterator[Topic]:
             if kind.on_board
             else "The board's tables cannot carry it; a corrected model does."
         )
-        rows = tuple((parameter.name, _parameter(parameter.unit, parameter.scale)) for parameter in kind.parameters)
+        rows = tuple(
+            (parameter.name, _unit_and_scale(parameter.unit, parameter.scale)) for parameter in kind.parameters
+        )
         yield Topic(
             kind.id,
             "effect",
@@ -90,7 +92,8 @@ def _effects() -> Iterator[Topic]:
         )
 
 
-def _parameter(unit: str, scale: float) -> str:
+def _unit_and_scale(unit: str, scale: float) -> str:
+    """A parameter's unit and natural scale in words."""
     told = unit.replace("unit", "unit of q") or "a share"
     share = " of the motor's range" if unit.startswith("unit") else ""
     return f"{told}; a change of {scale:g}{share} is noticed"

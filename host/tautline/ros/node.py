@@ -55,11 +55,11 @@ class Node:
             self._marker = node.create_publisher(geometry.PointStamped, "tracked_px", 10)
         live.board.listen("batch", self._batches.append)
         live.board.ask("telemetry", axis=live.axis, divider=1)
-        node.create_subscription(sensor.JointState, "servo_jp", self._take, sensor_qos())
+        node.create_subscription(sensor.JointState, "servo_jp", self._on_set_point, sensor_qos())
 
     def run(self, ended: Callable[[], bool], following: Following | None = None) -> dict[str, Any]:
-        """Until `ended`; then the motor is at rest and off. What was sent, as `taut stream` says it. TautError where
-        the axis has a fault, or its board is gone."""
+        """Runs until `ended()`, then the motor is at rest and off. Returns the counts that `taut stream` gives.
+        TautError where the axis has a fault or the board is gone."""
         parameters = self.parameters
         with SetPointStream(self._live.board, self._live.axis, parameters.timeout_s) as points:
             self._graph.begin()
@@ -72,7 +72,7 @@ class Node:
                 points.pace(parameters.period_s)
         return points.summary() | {"received": self.received, "unusable": self.unusable}
 
-    def _take(self, message: Any) -> None:
+    def _on_set_point(self, message: Any) -> None:
         position = messages.position_of(message, self.parameters.joint)
         if position is None:
             self.unusable += 1
@@ -81,7 +81,7 @@ class Node:
         self._newest = position
 
     def _ros_ns(self, t_us: float) -> int:
-        """ROS time of a time of the board: by way of this host's monotonic clock, which the board's is aligned with."""
+        """ROS time, ns, of a board time: by this host's monotonic clock, with which the board's is aligned."""
         clock = self._graph.node.get_clock()
         reads = [(time.monotonic_ns(), clock.now().nanoseconds, time.monotonic_ns()) for _ in range(_CLOCK_READS)]
         before, now, after = min(reads, key=lambda read: read[2] - read[0])  # nothing came between
@@ -89,7 +89,7 @@ class Node:
         return int(now + 1000 * t_us - 1000 * self._live.board.clock.board_us(1e-9 * middle))
 
     def _publish(self) -> None:
-        """One telemetry sample of each cycle, by the board's time."""
+        """Publishes one telemetry sample of each cycle, at the board's time."""
         if not self._batches:
             return
         began_ns, period_us = self._ros_ns(0.0), round(1e6 * self.parameters.period_s)
@@ -116,7 +116,7 @@ class Node:
             self._joints[name].publish(messages.joint_state(time_ns, positions))
 
     def saw(self, frame: Frame) -> None:
-        """Publishes where the frame shows the tip, a delay before it arrived. From any one thread."""
+        """Publishes the marker of a frame, at its scene time. From one thread at a time."""
         seen = frame.sighting
         if not seen.valid:
             return

@@ -49,7 +49,7 @@ class SimLink:
         return self._answer(request)
 
     def ask_all(self, *requests: str) -> list[dict[str, Any]]:
-        """Several in one round trip, which costs more than most answers; none may move a connection, as `quit` does."""
+        """Several requests in one round trip, which costs more than most answers. None may end the connection."""
         self._send("\n".join(requests))
         return [self._answer(request) for request in requests]
 
@@ -60,6 +60,7 @@ class SimLink:
             raise TautError("the simulated board has stopped: start it again") from error
 
     def _answer(self, request: str) -> dict[str, Any]:
+        """The next answer as a dict. TautError where the board has stopped, or refused the request."""
         try:
             line = self._lines.readline()
         except OSError as error:
@@ -152,7 +153,7 @@ class SimulatedAxis:
     """A simulated instrument on one axis of a simulated board: q, p and c at each millisecond of board time."""
 
     def __init__(self, link: SimLink, instrument: Instrument, axis: int = 0) -> None:
-        """The motor's true position is q; the play begins on its centre."""
+        """The motor's true position is q; the play starts on its centre."""
         self.link, self.instrument, self.axis = link, instrument, axis
         self.resolution = instrument.rig.actuator.encoder_resolution
         self._t: list[Array] = []
@@ -179,7 +180,7 @@ class SimulatedAxis:
         return float(self._t[-1][-1])
 
     def advance_to(self, t_s: float) -> None:
-        """Runs board and instrument until the first millisecond at or after t_s."""
+        """Runs board and instrument in lockstep to the first millisecond at or after t_s."""
         behind_us = int(np.ceil((t_s - self.now_s) * 1e3 - 1e-6)) * 1000
         if behind_us <= 0:
             return

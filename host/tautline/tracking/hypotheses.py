@@ -19,13 +19,13 @@ from tautline.tracking.fit import (
     LawFit,
     Prior,
     Work,
-    at_tip,
-    continued,
     envelopes,
     fitted,
-    guess,
+    from_envelopes,
+    learn_beyond,
     simulated,
     trimmed,
+    with_offset_at_tip,
 )
 from tautline.tracking.law import OFFSET, SCALE, SHAPE, SKEW, SPREAD, TIP, LawFamily, unchanged
 from tautline.tracking.window import WindowKnots
@@ -105,6 +105,8 @@ class _Case:
 
     @classmethod
     def of(cls, nominal: LawFamily, evidence: WindowKnots, theta: Array, origin: Array, level: float) -> Work[_Case]:
+        """Looks at this evidence by the law in use (theta) and by the calibrated one. level: rms of z that the law is
+        known to leave."""
         yield _EASY + len(evidence.seen) // 10
         law = nominal.law(theta)
         envelope = envelopes(evidence, law)
@@ -119,6 +121,7 @@ class _Case:
 
     @property
     def before(self) -> float:
+        """rms of z by the law in use."""
         return trimmed(self.z)
 
     def lately(self, z: Array) -> float:
@@ -126,7 +129,8 @@ class _Case:
         return trimmed(z[self.evidence.stroke > self.evidence.stroke[-1] - _LATELY])
 
     def explained(self, fit: LawFit, of_before: float | None = None) -> bool:
-        """Whether it leaves no more than is known to be left, or so much less than the laws at hand, lately too."""
+        """Whether a fit leaves no more than _EXPLAINED times the known level, in all and lately; or, with `of_before`,
+        at most that share of what the law in use and the calibrated one leave, and lately clearly less than either."""
         if max(fit.level, self.lately(fit.z)) <= _EXPLAINED * self.level:
             return True
         if of_before is None or fit.level > _FAR * self.level:
@@ -139,42 +143,44 @@ class _Case:
         """Whether a fit leaves next to nothing of what the law in use leaves."""
         return fit.level <= _OF_BEFORE[0] * self.before
 
-    def worth(self, z: Array, now: int, fit: LawFit) -> bool:
-        """Whether a law that leaves these residuals takes enough away, in all or lately and, where the best `fit` is
-        not clear, on each of the last `now` strokes: what was amiss once, as where a recording begins, need not be."""
+    def worth_adopting(self, z: Array, now: int, fit: LawFit) -> bool:
+        """Whether a law with residuals z lowers the mean square enough, in all or lately; and, unless the best `fit`
+        leaves next to nothing, on each of the last `now` strokes: a misfit that is over, as at a recording's begin,
+        counts no more."""
         gain = max(trimmed(self.z) ** 2 - trimmed(z) ** 2, self.lately(self.z) ** 2 - self.lately(z) ** 2)
         enough = (_WORTH * self.level) ** 2
-        return gain >= enough and (self.clear(fit) or self.on_each(z, now, enough))
+        return gain >= enough and (self.clear(fit) or self.less_on_each(z, now, enough))
 
     def better(self, fit: LawFit) -> bool:
         """Whether it leaves less than the law in use, in all and lately."""
         return max(fit.level / self.before, self.lately(fit.z) / self.lately(self.z)) < _REFINES
 
-    def on_each(self, z: Array, count: int, least: float = 0.0) -> bool:
-        """Whether a law that leaves these residuals leaves less, in squares, on each of the last strokes."""
+    def less_on_each(self, z: Array, count: int, least: float = 0.0) -> bool:
+        """Whether a law with residuals z lowers the mean square by `least` on each of the last `count` strokes."""
         strokes, frames = np.unique(self.evidence.stroke, return_counts=True)
         parts = [self.evidence.stroke == k for k in strokes[frames >= STROKE_FRAMES][-count:]]
         return all(trimmed(self.z[part]) ** 2 - trimmed(z[part]) ** 2 >= least for part in parts)
 
     def prior(self) -> Prior:
+        """The prior of a fit: about the calibrated law, with offset and shape as they were before this evidence."""
         mean = unchanged()
         mean[OFFSET], mean[SHAPE] = self.origin[OFFSET], self.origin[SHAPE]  # places not seen again stay as they are
         span = self.nominal.model.rig.actuator.span
-        return Prior.of(mean, span, span * abs(self.nominal.tip_slope), self.known)
+        return Prior.of(mean, span, span * abs(self.nominal.tip_slope), self.places_known)
 
     @property
-    def departs(self) -> int:
-        """The first frame of a run that the law in use does not foretell: what comes before it tells of the time before
-        the change, or of places where there is none. 0 where there is no such run."""
+    def first_departure(self) -> int:
+        """Index of the first of three frames in a row that the law in use does not predict: what comes before is of the
+        time before the change, or of places where there is none. 0 where there is no such run."""
         far = np.abs(self.z) > _DEPARTS * self.level
         run = far[:-2] & far[1:-1] & far[2:]
         first = int(run.argmax()) if run.any() else 0
         return first if len(self.z) - first >= STROKE_FRAMES else 0
 
     @property
-    def known(self) -> npt.NDArray[np.bool_]:
-        """(PLACES,) at which the tip was on an envelope. Both ways somewhere is enough: there
-        the offset is told from the width, and with it the width wherever either envelope was seen."""
+    def places_known(self) -> npt.NDArray[np.bool_]:
+        """(PLACES,) Whether the shape of B is told there: the tip was on either envelope, and somewhere on both, which
+        tells the offset from the width."""
         places = self.nominal.places
         if self.passed is None:
             return np.zeros(len(places), dtype=bool)
@@ -197,21 +203,21 @@ def judge(
     level: float,
     proposal: Inference | None,
 ) -> Work[Inference]:
-    """The first stretch that a law explains, else what stands in the way. With each stretch comes the law before
-    anything was learnt of it: it is not to be counted twice. `posture`:
-    a recording has just begun; an offset of more than that may be told from one way alone. `moved`: another posture
-    is being learnt; any simple law that leaves less refines it."""
+    """The first stretch of evidence that a law explains, else why none does. stretches: evidence, and the law before
+    anything was learnt of it. posture: where a recording has just begun, the least offset that one direction alone may
+    tell. moved: another posture is being learnt, and any simple law that leaves less refines it. level: rms of z that
+    is known to be left."""
     verdict = None
     for evidence, origin in stretches:
         case = yield from _Case.of(nominal, evidence, theta, origin, level)
-        if not adapting and np.array_equal(theta, unchanged()) and (first := case.departs):
+        if not adapting and np.array_equal(theta, unchanged()) and (first := case.first_departure):
             case = yield from _Case.of(nominal, evidence.after(first), theta, origin, level)
         verdict = yield from _judged(case, adapting, posture, moved, proposal)
         if verdict.theta is not None:
             refines = verdict.refines or (moved and evidence is not stretches[0][0])
             further = None  # a narrower one keeps what is known beyond the range
             if not verdict.narrower:
-                further = yield from continued(nominal, verdict.evidence, verdict.theta, level)
+                further = yield from learn_beyond(nominal, verdict.evidence, verdict.theta, level)
             verdict = replace(verdict, nominal=further, refines=refines)
             break
     assert verdict is not None
@@ -222,39 +228,41 @@ def judge(
 def _judged(
     case: _Case, adapting: bool, posture: float | None, moved: bool, proposal: Inference | None
 ) -> Work[Inference]:
+    """`judge` for one stretch: disturbance, nothing seen, still holding, calibrated again, enough evidence for the best
+    fit, a narrower B alone, else a proposal to look at again."""
     yield _EASY + len(case.z) // 15
     disturbed = _disturbance(case)
     if disturbed:
         return Inference(disturbed, case.evidence, disturbed=True)
     if case.passed is None:
         if posture is not None:
-            return (yield from _posture(case, posture))
+            return (yield from _judged_by_offset(case, posture))
         return Inference(_ONE_WAY, case.evidence, early=True)
     if not adapting and case.lately(case.z) < _HOLDS * case.level:
         return Inference(_HOLDS_FOR_NOW, case.evidence, early=True)
-    fit = yield from _best(case)
+    fit = yield from _simplest_sufficient(case)
     yield _HARD
     if case.turns and not np.array_equal(case.theta, unchanged()) and _tells_apart(case, lately=True):
         lately = case.lately(case.z_calibrated)
         good = max(_EXPLAINED, _AGAIN[0] * case.lately(fit.z))
-        better = case.lately(case.z) > _AGAIN[1] * lately and case.on_each(case.z_calibrated, _LATELY)
+        better = case.lately(case.z) > _AGAIN[1] * lately and case.less_on_each(case.z_calibrated, _LATELY)
         if lately <= good and better:
-            return _again(case, lately)
-    if not adapting and not case.worth(fit.z, _NOW, fit):
+            return _calibrated_holds(case, lately)
+    if not adapting and not case.worth_adopting(fit.z, _NOW, fit):
         return Inference(_HOLDS_FOR_NOW, case.evidence, early=True)
-    foretold = proposal is not None and (yield from _foretold(case, proposal))
+    foretold = proposal is not None and (yield from _predicts_later_strokes(case, proposal))
     yield _HARD + len(case.z) // 8
     least = max(_TURNS, _RICHER_TURNS * _richness(fit))
     enough = case.turns >= least and case.explained(fit)
     enough |= case.turns >= _RICHER_TURNS and foretold and case.explained(fit, _OF_BEFORE[1])
     enough |= adapting and case.explained(fit, _OF_BEFORE[1])
     if enough:
-        return _learnt(case, fit)
+        return _adopting(case, fit)
     if moved and not _richness(fit) and case.better(fit):
-        return replace(_learnt(case, fit), refines=True)
+        return replace(_adopting(case, fit), refines=True)
     if case.explained(fit, _OF_BEFORE[0]):
-        learnt = _learnt(case, fit)
-        share = _share(case, fit.theta, learnt.passed) / _share(case, case.theta, learnt.passed)
+        learnt = _adopting(case, fit)
+        share = _least_share(case, fit.theta, learnt.passed) / _least_share(case, case.theta, learnt.passed)
         sure = SHAPE.start not in fit.free or case.explained(fit)
         if (
             (SCALE in fit.free or SHAPE.start in fit.free)
@@ -264,7 +272,7 @@ def _judged(
             only = case.theta.copy()
             only[SCALE] *= share
             left = (yield from simulated(case.nominal, case.evidence, only, False))[0]
-            if not case.clear(fit) and not case.worth(left, 1, fit):
+            if not case.clear(fit) and not case.worth_adopting(left, 1, fit):
                 return Inference(_HOLDS_FOR_NOW, case.evidence, proposed=fit.theta)
             return Inference(
                 f"transmission.backlash: {100 * share:.0f} % of the width as it was: no more is taken up",
@@ -279,35 +287,39 @@ def _judged(
                 narrower=True,
             )
         if posture is not None and case.clear(fit):
-            return _learnt(case, fit)
-        return Inference(f"{_name(case, fit.theta)}, if more reversals agree", case.evidence, proposed=fit.theta)
-    says = _unexplained(case)
+            return _adopting(case, fit)
+        return Inference(
+            f"{_changes_in_words(case, fit.theta)}, if more reversals agree", case.evidence, proposed=fit.theta
+        )
+    says = _likely_obstacle(case)
     return Inference(says, case.evidence, proposed=fit.theta if case.explained(fit, _OF_BEFORE[1]) else None)
 
 
-def _best(case: _Case) -> Work[LawFit]:
-    """The simplest law that does not leave more than a richer one would."""
+def _simplest_sufficient(case: _Case) -> Work[LawFit]:
+    """The fit of the simplest law whose cost no richer one lowers by more than the gain that its parameters must bring.
+    Tried in order: the shape in use refined; offset and scale; either alone; gradual onset, shape of B and bent
+    f_remain, one and then two of them."""
     prior = case.prior()
     nominal, evidence = case.nominal, case.evidence
     if np.any(case.theta[SHAPE]):  # a shape that was not seen everywhere: most likely it only goes on
         start = nominal.rescaled(case.theta, case.origin[SCALE])
-        refined = yield from fitted(nominal, evidence, start, _freed(case.theta), prior)
+        refined = yield from fitted(nominal, evidence, start, _free_with_shape(case.theta), prior)
         if max(refined.level, case.lately(refined.z)) <= _GOOD * case.level:
             return refined
     yield _GUESS
-    base = unchanged() if _tells_apart(case) else nominal.lawful(_shape_of(case.theta))
-    start = base if np.any(base[SHAPE]) else guess(nominal, evidence, base, case.envelopes, True)
+    base = unchanged() if _tells_apart(case) else nominal.clipped(_width_alone(case.theta))
+    start = base if np.any(base[SHAPE]) else from_envelopes(nominal, evidence, base, case.envelopes, True)
     before = yield from fitted(nominal, evidence, start, BOTH[0], prior)
-    behind = yield from fitted(nominal, evidence, at_tip(nominal, before.theta), BOTH[1], prior)
+    behind = yield from fitted(nominal, evidence, with_offset_at_tip(nominal, before.theta), BOTH[1], prior)
     both, side = (before, 0) if before.cost <= behind.cost + _GAIN else (behind, 1)
     if not case.explained(both):
-        kept = nominal.lawful(case.theta)
+        kept = nominal.clipped(case.theta)
         other = yield from fitted(nominal, evidence, kept, BOTH[side], prior)
         both = min(both, other, key=lambda fit: fit.cost)
     if max(both.level, case.lately(both.z)) <= _GOOD * case.level:
         if case.turns >= _RICHER_TURNS:  # an onset is short: it hardly shows in the rms
-            gradual = yield from _richer(case, both, GRADUAL, prior)
-            if _gain(both, gradual) > _GAIN_MORE:
+            gradual = yield from _fit_with_more(case, both, GRADUAL, prior)
+            if _gain_of_richer(both, gradual) > _GAIN_MORE:
                 return gradual
         simple = both.theta.copy()
         simple[SCALE] = base[SCALE]
@@ -321,39 +333,40 @@ def _best(case: _Case) -> Work[LawFit]:
     if case.turns < _TURNS:
         return both
     if case.turns < _RICHER_TURNS:  # enough for a narrower place, which is not waited for
-        shaped = yield from _richer(case, both, SHAPED, prior)
-        return shaped if _gain(both, shaped) > _GAIN_MORE else both
+        shaped = yield from _fit_with_more(case, both, SHAPED, prior)
+        return shaped if _gain_of_richer(both, shaped) > _GAIN_MORE else both
     fits = [both]
     for more in (GRADUAL, SHAPED, REMAINING):
-        fits.append((yield from _richer(case, both, more, prior)))
+        fits.append((yield from _fit_with_more(case, both, more, prior)))
     best = min(fits, key=lambda fit: fit.cost)
     if best.level > _GOOD * case.level and len(evidence.strokes) > 3:
         for more in (GRADUAL, SHAPED, REMAINING):
             if not set(more) <= set(best.free):
-                richer = yield from _richer(case, best, more, prior)
-                best = richer if _gain(best, richer) > _GAIN_MORE else best
-    return best if _gain(both, best) > _GAIN_MORE else both
+                richer = yield from _fit_with_more(case, best, more, prior)
+                best = richer if _gain_of_richer(best, richer) > _GAIN_MORE else best
+    return best if _gain_of_richer(both, best) > _GAIN_MORE else both
 
 
-def _freed(theta: Array) -> tuple[int, ...]:
-    """The parameters of a law in use whose shape is refined."""
+def _free_with_shape(theta: Array) -> tuple[int, ...]:
+    """The free parameters when a law with a shape is refined: its shape and what else it has."""
     others = [i for i in (OFFSET, *GRADUAL, *REMAINING) if theta[i]]
     return tuple(sorted({*SHAPED, *others}))
 
 
-def _share(case: _Case, theta: Array, passed: tuple[float, float]) -> float:
-    """The least share of the calibrated B between two places."""
+def _least_share(case: _Case, theta: Array, passed: tuple[float, float]) -> float:
+    """The least ratio of a law's B to the calibrated one between two places."""
     inside = (case.nominal.model.q >= passed[0]) & (case.nominal.model.q <= passed[1])
-    shares = case.nominal.shares_of_width(case.nominal.law(theta))[inside]
+    shares = case.nominal.width_ratio(case.nominal.law(theta))[inside]
     return float(np.min(shares)) if len(shares) else float(theta[SCALE])
 
 
 def _richness(fit: LawFit) -> int:
-    """How much beyond an offset and a scale it holds: B's shape, a gradual onset, a bend."""
+    """How many of these a law has beyond an offset and a scale: a gradual onset, a shape of B, a bent f_remain."""
     return sum(more[-1] in fit.free for more in (GRADUAL, SHAPED, REMAINING))
 
 
-def _richer(case: _Case, fit: LawFit, more: tuple[int, ...], prior: Prior) -> Work[LawFit]:
+def _fit_with_more(case: _Case, fit: LawFit, more: tuple[int, ...], prior: Prior) -> Work[LawFit]:
+    """A fit with `more` parameters free, from an existing one; with a shape the scale stays, as the shape holds it."""
     begin, free = fit.theta, {*fit.free, *more}
     if SPREAD in more:
         begin = case.nominal.gradual_start(begin)
@@ -362,30 +375,32 @@ def _richer(case: _Case, fit: LawFit, more: tuple[int, ...], prior: Prior) -> Wo
     return (yield from fitted(case.nominal, case.evidence, begin, tuple(sorted(free)), prior))
 
 
-def _gain(fit: LawFit, richer: LawFit) -> float:
-    """Of cost, beyond what its further parameters would bring by chance."""
+def _gain_of_richer(fit: LawFit, richer: LawFit) -> float:
+    """By how much a richer fit lowers the cost, over its residual variance, beyond what its additional parameters bring
+    by chance (2 each)."""
     return (fit.cost - richer.cost) / max(1.0, richer.level) ** 2 - 2.0 * (len(richer.free) - len(fit.free))
 
 
-def _posture(case: _Case, least: float) -> Work[Inference]:
-    """The first stroke of a recording: the offset alone, from a tip that follows the motor."""
+def _judged_by_offset(case: _Case, least: float) -> Work[Inference]:
+    """The verdict on a recording's first stroke: the offset of another posture, if it is larger than `least` and
+    explains a tip that follows the motor far enough; else too early."""
     at = case.envelopes.at
     nominal = case.nominal
     y = case.places(case.theta, at)
     if len(at) < _SHORT or np.ptp(y) < _ALONG * float(np.interp(y[0], nominal.model.q, nominal.model.width)):
         return Inference(_ONE_WAY, case.evidence, early=True)
     yield _GUESS
-    start = guess(nominal, case.evidence, case.theta, case.envelopes, False)
+    start = from_envelopes(nominal, case.evidence, case.theta, case.envelopes, False)
     fit = yield from fitted(nominal, case.evidence, start, ONLY_OFFSET[0], case.prior())
-    other = yield from fitted(nominal, case.evidence, at_tip(nominal, start), ONLY_OFFSET[1], case.prior())
+    other = yield from fitted(nominal, case.evidence, with_offset_at_tip(nominal, start), ONLY_OFFSET[1], case.prior())
     fit = fit if fit.cost <= other.cost + _GAIN else other
     if case.explained(fit, _OF_BEFORE[0]) and abs(nominal.offset(fit.theta) - nominal.offset(case.theta)) > least:
-        return _learnt(case, fit)
+        return _adopting(case, fit)
     return Inference(_ONE_WAY, case.evidence, early=True)
 
 
-def _foretold(case: _Case, proposal: Inference) -> Work[bool]:
-    """Whether what was proposed before foretells the strokes that came since."""
+def _predicts_later_strokes(case: _Case, proposal: Inference) -> Work[bool]:
+    """Whether the law that was proposed before predicts at least two strokes that came since."""
     evidence = case.evidence
     new = evidence.t_s > proposal.evidence.t_s[-1]
     if len(np.unique(evidence.stroke[new])) < 2 or proposal.proposed is None:
@@ -395,15 +410,16 @@ def _foretold(case: _Case, proposal: Inference) -> Work[bool]:
     return off <= max(_EXPLAINED * case.level, _OF_BEFORE[1] * before)
 
 
-def _shape_of(theta: Array) -> Array:
-    """B of a law alone."""
+def _width_alone(theta: Array) -> Array:
+    """The calibrated law with theta's scale and shape of B."""
     kept = unchanged()
     kept[SCALE], kept[SHAPE] = theta[SCALE], theta[SHAPE]
     return kept
 
 
 def _tells_apart(case: _Case, lately: bool = False) -> bool:
-    """Whether the tip was passed where the law in use has another B than the calibrated one: elsewhere either holds."""
+    """Whether the frames on an envelope cover most of the places where the law in use has another B than the calibrated
+    one: elsewhere either holds. lately: of the last strokes alone."""
     if not np.any(case.theta[SHAPE]):
         return True
     at = case.envelopes.at
@@ -418,7 +434,8 @@ def _tells_apart(case: _Case, lately: bool = False) -> bool:
     return bool(off[inside].sum() >= _TOLD_APART * off.sum())
 
 
-def _again(case: _Case, level: float) -> Inference:
+def _calibrated_holds(case: _Case, level: float) -> Inference:
+    """The verdict that the calibrated law holds again."""
     return Inference(
         "the calibrated law holds again",
         case.evidence,
@@ -430,12 +447,13 @@ def _again(case: _Case, level: float) -> Inference:
     )
 
 
-def _learnt(case: _Case, fit: LawFit) -> Inference:
+def _adopting(case: _Case, fit: LawFit) -> Inference:
+    """The verdict to use a fit's law from now on."""
     assert case.evidence is fit.evidence
     y = case.places(fit.theta, case.envelopes.at)
     passed = case.envelopes.both(case.evidence, case.nominal.law(fit.theta)) or (float(y.min()), float(y.max()))
     return Inference(
-        _name(case, fit.theta),
+        _changes_in_words(case, fit.theta),
         case.evidence,
         fit.theta,
         max(fit.sigma(OFFSET), fit.sigma(TIP.start) / abs(case.nominal.tip_slope)),
@@ -449,12 +467,12 @@ def _learnt(case: _Case, fit: LawFit) -> Inference:
 
 
 def _scale_sigma(case: _Case, fit: LawFit, passed: tuple[float, float]) -> float:
-    """Of B over the calibrated one, in the mean of the places that were passed."""
+    """Standard deviation of the mean ratio of B to the calibrated one over the places that were passed."""
     return fit.spread_of(case.nominal.ratio_slopes(fit.theta, np.linspace(*passed, 9)))
 
 
-def _name(case: _Case, theta: Array) -> str:
-    """The effects by which theta differs from the calibration."""
+def _changes_in_words(case: _Case, theta: Array) -> str:
+    """The ids of the effects by which theta differs from the calibration, with their size."""
     unit = case.nominal.model.rig.actuator.unit
     changes = []
     if np.any(theta[SHAPE]):
@@ -472,7 +490,8 @@ def _name(case: _Case, theta: Array) -> str:
 
 
 def _disturbance(case: _Case) -> str:
-    """What no play can do."""
+    """What moves the tip and is no play, in words: it leaves the marker's track, or moves while the motor rests; else
+    ""."""
     evidence = case.evidence
     off = trimmed(evidence.off)
     if off > max(_OFF_TRACK * case.level, _OFF_SHARE * case.before):
@@ -487,7 +506,9 @@ def _disturbance(case: _Case) -> str:
     return ""
 
 
-def _unexplained(case: _Case) -> str:
+def _likely_obstacle(case: _Case) -> str:
+    """What may stand in the way where no law explains the tip, in words: it does not follow the motor, or not in one
+    part of its range."""
     evidence = case.evidence
     q, y = evidence.q[evidence.seen], case.places(case.theta)
     late = slice(-min(len(y), 30), None)

@@ -15,7 +15,7 @@ _WAY, _RING = (178, 111, 31), (44, 32, 179)  # BGR: the reports' blue and red
 
 
 def snapshot(recording: Recording) -> Array | None:
-    """BGR uint8: a frame with the marker's way over it; None where no picture was kept, or none can be read."""
+    """A frame with the marker's path drawn over it, BGR uint8; None where no picture was kept or can be read."""
     picture = _frame(recording)
     if picture is None:
         return None

@@ -231,7 +231,7 @@ class Replaying:
 
 
 def _look(desk: Desk, live: Live) -> None:
-    """A frame while nothing runs; where time is the board's, no faster than a camera would be."""
+    """Looks at one frame while nothing runs, at a camera's pace where time is virtual."""
     began_s = time.monotonic()
     frame = live.look()
     desk.show_frame(frame, _motor(live))
@@ -250,7 +250,7 @@ def attend(
     told: Callable[[str], None] = lambda text: None,
     over: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Until `over`, or Ctrl-C while nothing runs: what the page asks for is done, and what came of it said there, and
+    """Until `over()`, or Ctrl-C while nothing runs, does what the page asks for; what came of it goes to the page and
     to `told`."""
     try:
         while not over():
