@@ -43,6 +43,7 @@ class Elements:
     forgotten: ClassVar[float] = 1e-9  # tolerance: of the range, where it started shows by rounding only
 
     def __post_init__(self) -> None:
+        """ValueError where widths and weights are none of a play's elements."""
         width, weight = np.array(self.width, dtype=float), np.array(self.weight, dtype=float)
         if not 1 <= len(width) == len(weight) <= MOST:
             raise ValueError(f"elements: 1 to {MOST} widths and as many weights")

@@ -208,6 +208,7 @@ _paths: WeakKeyDictionary[Motor, dict[float, Driven | None]] = WeakKeyDictionary
 
 
 def _straight_lines(motor: Motor, resolution: float) -> Motor:
+    """As `straight_lines`, which keeps its result."""
     path = posterior_of(motor, resolution)
     if path is not None:
         rested = _levelled_rests(path)

@@ -48,6 +48,7 @@ def _ended(name: str) -> Any:
 
 @contextmanager
 def _processes(jobs: int, died: Died) -> Iterator[Pool]:
+    """A pool of processes on this machine, ended with the block."""
     # Each library reads its own variable when a worker starts: one core a case, and no two cases on one.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
@@ -123,6 +124,7 @@ class _Processes:
 
 @contextmanager
 def _dask(address: str, died: Died) -> Iterator[Pool]:
+    """A pool on a Dask cluster. TautError where its scheduler does not answer or has no workers."""
     try:
         distributed: Any = importlib.import_module("dask.distributed")
     except ImportError as error:

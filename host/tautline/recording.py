@@ -260,6 +260,7 @@ def save(recording: Recording, folder: str | Path) -> None:
 
 
 def _folder(path: str | Path) -> Path:
+    """The folder of a recording. TautError where there is none."""
     folder = Path(path)
     if not folder.exists():
         raise TautError(f"{folder}: there is no such folder: a recording is a folder with motor.csv")
@@ -298,6 +299,7 @@ def _check_reach(columns: Columns, name: str, rig: Rig) -> None:
 
 
 def _own_rig(folder: Path, rig: Rig | None, warnings: list[str]) -> Rig | None:
+    """The rig.toml of the folder; None where there is none, or where it is damaged and another rig was named."""
     path = folder / "rig.toml"
     if not path.exists():
         return None
@@ -314,6 +316,7 @@ def _own_rig(folder: Path, rig: Rig | None, warnings: list[str]) -> Rig | None:
 
 
 def _load_marker(file: Path, warnings: list[str]) -> Marker:
+    """Reads marker.csv."""
     columns = read_columns(file, layouts.MARKER.required(), layouts.MARKER.header())
     t_s = columns.rising_times()
     u_px, v_px = columns.raw("u_px"), columns.raw("v_px")
@@ -360,6 +363,7 @@ def _sizes(marker: Marker) -> dict[str, Array]:
 
 
 def _load_angle(file: Path, warnings: list[str]) -> Angle:
+    """Reads angle.csv."""
     columns = read_columns(file, layouts.ANGLE.required(), layouts.ANGLE.header())
     t_s = columns.rising_times()
     c_deg = columns.raw("c_deg")
@@ -378,6 +382,7 @@ def _load_angle(file: Path, warnings: list[str]) -> Angle:
 
 
 def _find_video(folder: Path, tracked: bool, warnings: list[str]) -> Video | None:
+    """The folder's video with its frames' arrival times; None where there is none."""
     path = next((folder / name for name in VIDEO_NAMES if (folder / name).exists()), None)
     if path is None:
         return None

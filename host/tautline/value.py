@@ -62,6 +62,7 @@ def _same_fields(one: Any, other: Any) -> bool:
 
 
 def _short_repr(value: Any) -> str:
+    """A value's repr, short: of arrays their shape, of long collections their length."""
     if isinstance(value, np.ndarray):
         shape = "x".join(map(str, value.shape))
         if value.dtype.kind not in "fiu" or not np.isfinite(value).any():

@@ -44,6 +44,7 @@ def command(board: str | None, as_json: bool) -> None:
 
 
 def _board_row(description: Any) -> dict[str, Any]:
+    """What is shown of one board: name, firmware, and its axes where it can be opened."""
     from tautline.device.board import Board
 
     row: dict[str, Any] = {
@@ -73,6 +74,7 @@ def _board_row(description: Any) -> dict[str, Any]:
 
 
 def _axis_row(board: Any, axis: int) -> dict[str, Any]:
+    """What is shown of one axis: state, table and instrument."""
     from tautline import tables
     from tautline.device import wire
 
@@ -98,6 +100,7 @@ def _axis_row(board: Any, axis: int) -> dict[str, Any]:
 
 
 def _row_in_words(row: dict[str, Any]) -> str:
+    """A board's row as lines for a terminal."""
     if row.get("error"):
         return str(row["error"])
     if row["busy"]:

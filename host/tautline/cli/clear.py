@@ -36,6 +36,7 @@ def command(board: str | None, axis: int | None, as_json: bool) -> None:
 
 
 def _clear_fault(board: Any, axis: int) -> dict[str, Any]:
+    """Clears the axis' fault; what it was and what mends it."""
     from tautline.device import wire
 
     before = board.status(axis)

@@ -153,6 +153,7 @@ def _diagnose_simulator(
     rig_path: Path | None,
     out: Path,
 ) -> Diagnosis:
+    """Diagnoses a simulator file against the robot's recordings."""
     if not paths:
         raise click.UsageError("name at least one recording of the robot")
     robots, rig = read_recordings(paths, rig_path)
@@ -206,6 +207,7 @@ def _diagnose_live(
     calibration_path: Path | None, test_paths: tuple[Path, ...], rig_path: Path | None, kept: Path, live: LiveOptions,
     most: int, seed: int,
 ) -> Asked:  # fmt: skip
+    """Calibrates on the recording, then diagnoses with motions recorded on the board until one answer is sure."""
     from tautline.live.asking import diagnose_live
     from tautline.live.until import calibrate_until
 

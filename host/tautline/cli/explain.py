@@ -48,6 +48,7 @@ def _first(text: str) -> str:
 
 
 def _topic_in_words(topic: object) -> str:
+    """A topic as text for a terminal."""
     from tautline.explain import Topic
 
     assert isinstance(topic, Topic)

@@ -114,6 +114,7 @@ def _leave(share: float) -> str:
 
 
 def _joint(text: str) -> tuple[str, int, float]:
+    """COLUMN=AXIS:RESOLUTION as its three parts. UsageError where it is none."""
     column, _, rest = text.partition("=")
     axis, _, resolution = rest.partition(":")
     try:

@@ -84,6 +84,7 @@ def command(
 def _print_proposal(
     source: Source, roles: Roles, out: Path | None, unit: str | None, episode: int | None, time_name: str, as_json: bool
 ) -> None:
+    """Prints which channels were found, what each is taken for, and the full command."""
     with progress_bar("reading") as progress:
         listing = scan(source, episode, progress)
     found = propose(listing, told(roles, listing, source, unit))

@@ -54,6 +54,7 @@ def command(
 
 
 def _inject(port: int, axis: int, fault: str) -> None:
+    """Causes the fault on a simulated board that another process has opened."""
     from tautline.live import faults
     from tautline.simulated.simlink import SimLink
 

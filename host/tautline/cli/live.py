@@ -110,6 +110,7 @@ def command(
 
 
 def _calibrate(live: LiveOptions, rig_path: Path | None, out: Path, until: str | None, seed: int) -> dict[str, Any]:
+    """The page's work: a calibration until sigma is reached, its MODEL in `out`."""
     from tautline.live.page.work import Calibrating
     from tautline.live.until import Goal
 
@@ -125,6 +126,7 @@ def _calibrate(live: LiveOptions, rig_path: Path | None, out: Path, until: str |
 def _watch(
     live: LiveOptions, rig_path: Path | None, path: Path, motion: str, speed: float | None, seed: int
 ) -> dict[str, Any]:
+    """The page's work: a tracker of the model at `path` while `motion` runs."""
     from tautline.live.page.work import Watching
 
     model = Model.load(path)
@@ -134,6 +136,7 @@ def _watch(
 
 
 def _diagnose(live: LiveOptions, rig_path: Path | None, path: Path, out: Path, seed: int) -> dict[str, Any]:
+    """The page's work: a live diagnosis of the calibration at `path`, its folder `out`."""
     from tautline.diagnosis.recorded import calibrated
     from tautline.live.page.work import Diagnosing
 
@@ -151,6 +154,7 @@ def _diagnose(live: LiveOptions, rig_path: Path | None, path: Path, out: Path, s
 
 
 def _replay(path: Path, rig_path: Path | None, pace: float) -> dict[str, Any]:
+    """The page's work: a recording played again at `pace`."""
     from tautline.live.page.work import Replaying
     from tautline.vision.marker import with_marker
 

@@ -130,6 +130,7 @@ def command(
 
 
 def _pick_region(source: str, square: tuple[float, float, float], out: Path, as_json: bool) -> None:
+    """Shows a region to follow on an instrument without a marker, and keeps it as region.toml."""
     pictures, _ = _pictures(source)
     region = Region(square[:2], square[2], np.asarray(pictures[0], dtype=np.uint8))
     tracker = region.tracker()

@@ -33,6 +33,7 @@ def command(board: str | None, once: bool, as_json: bool) -> None:
 
 
 def _board_state(board: Any) -> dict[str, Any]:
+    """Status and counters of all axes, as JSON."""
     from tautline.device import wire
 
     axes = []
@@ -59,6 +60,7 @@ def _axis_line(axis: dict[str, Any]) -> str:
 
 
 def _table(state: dict[str, Any]) -> Any:
+    """The state as a table for a terminal."""
     from rich.table import Table
 
     table = Table(title=f"board {state['board']}")

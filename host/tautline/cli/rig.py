@@ -138,6 +138,7 @@ def command(
 
 
 def _ask_for_sensor() -> Sensor:
+    """Asks in a terminal which sensor the rig has."""
     if not sys.stdin.isatty():
         return MARKER
     return (
@@ -182,6 +183,7 @@ def _intrinsics(
     marker_mm: float | None,
     dictionary: str,
 ) -> Intrinsics:
+    """The camera's intrinsics from pictures or videos of a ChArUco board."""
     if squares is None or square_mm is None or marker_mm is None:
         raise TautError("--board needs --squares, --square-mm and --marker-mm, as they are on the print")
     pictures = []
@@ -198,6 +200,7 @@ def _intrinsics(
 def _from_known_angles(
     document: rig_keys.Document, motion: Path, angles: Path | None, angle_sigma: float
 ) -> tuple[Places, HandEyeFit, Coarse, float]:
+    """Hand-eye transform and coarse law from a recording with rests at known angles."""
     known = read_known(angles or motion / "angles.csv")
     unknown = {"rotation_deg": [0.0, 0.0, 0.0], "translation_mm": [0.0, 0.0, 0.0]}
     so_far = Rig.from_document({**document, "coarse": {"gain": 1.0, "offset": 0.0}, "hand_eye": unknown}, "so far")

@@ -104,6 +104,7 @@ def _progress_display(unit: str, as_json: bool) -> Iterator[Callable[[Row, float
 
 
 def _row_line(row: Row, t_s: float, unit: str) -> Any:
+    """A tracker's row in one line. unit: of q."""
     from rich.text import Text
 
     line = Text(f"{t_s:8.1f} s  ")
@@ -115,6 +116,7 @@ def _row_line(row: Row, t_s: float, unit: str) -> Any:
 
 
 def _result_in_words(result: dict[str, Any], unit: str) -> str:
+    """The result as text for a terminal. unit: of q."""
     if result["state"] is None:
         return "no frame was tracked: does the board send telemetry, does the camera see the marker?"
     rms = "" if result["rms_px"] is None else f", off by {result['rms_px']:.3g} px rms"

@@ -111,6 +111,7 @@ class Board:
     """
 
     def __init__(self, description: BoardAddress) -> None:
+        """Opens the board and asks who it is. TautError where it speaks another protocol or does not answer."""
         check_protocol(description)
         self.where = description.where
         self.clock = BoardClock()
@@ -139,6 +140,7 @@ class Board:
             raise
 
     def _hello(self) -> wire.Message:
+        """The board's identity. TautError where it does not answer."""
         tries = self._link.hello_tries
         for left in reversed(range(tries)):
             try:

@@ -48,6 +48,7 @@ class Dfu:
     """The DFU interface of an open device, on one alternate setting. Leaves the board idle, also after a failure."""
 
     def __init__(self, device: usb.core.Device, interface: int, alternate: int) -> None:
+        """Claims the alternate setting (an axis) of a DFU interface. DfuError where there is none."""
         self._device, self._interface, self._answer_ms = device, interface, _TIMEOUT_MS
         settings = [i for i in device.get_active_configuration() if i.bInterfaceNumber == interface]
         if alternate not in [i.bAlternateSetting for i in settings]:
@@ -108,6 +109,8 @@ class Dfu:
         return self._control(_IN, request, value, length)
 
     def _control(self, kind: int, request: int, value: int, what: bytes | int) -> Any:
+        """One control transfer of DFU, `what` being the bytes to send or the length to read. A stall becomes the
+        DfuError that the device's status gives."""
         try:
             return self._device.ctrl_transfer(kind, request, value, self._interface, what, self._answer_ms)
         except usb.core.USBError as error:
@@ -124,6 +127,7 @@ class Dfu:
         return answer[0], int.from_bytes(answer[1:4], "little") / 1000.0, answer[4]
 
     def _wait_for_state(self, wanted: int) -> None:
+        """Asks for the status until the state is `wanted`. DfuError with the device's reason, or after _BUSY_S."""
         deadline = time.monotonic() + _BUSY_S
         while True:
             status, pause, state = self._status()

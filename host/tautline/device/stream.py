@@ -106,6 +106,7 @@ class SetPointStream:
         return len(self._board.refused)
 
     def summary(self) -> dict[str, Any]:
+        """Counts for a command's JSON: set-points sent and late, silences."""
         return {
             "sent": self.sent,
             "seconds": self.seconds,

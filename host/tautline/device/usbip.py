@@ -58,6 +58,7 @@ class Exported:
 
 
 def _receive(sock: socket.socket, size: int) -> bytes:
+    """Exactly `size` bytes. OSError where the connection ends before."""
     data = bytearray()
     while len(data) < size:
         chunk = sock.recv(size - len(data))
@@ -259,6 +260,8 @@ class Connection:
             return list(self._parse())
 
     def _parse(self) -> Iterator[Urb]:
+        """Transfers that the received bytes end; incomplete replies stay in the buffer. A reply of unknown kind ends
+        the connection."""
         while len(self._input) >= _URB.size:
             command, seqnum, _, _, _, status, actual, _, _, _, _ = _URB.unpack_from(self._input)
             if command == _RET_SUBMIT:
@@ -286,6 +289,7 @@ class Connection:
         return urb
 
     def _lose(self) -> list[Urb]:
+        """Marks the connection as lost and returns the transfers that were under way, ended with an error."""
         with self._changed:
             self.lost = True
             ended = [self._finish(urb, -errno.ESHUTDOWN) for urb in list(self._pending.values())]
@@ -294,6 +298,7 @@ class Connection:
             return ended
 
     def _send(self, message: bytes) -> None:
+        """Sends a message; a failure ends the connection."""
         view = memoryview(message)
         with self._sending:
             while view:

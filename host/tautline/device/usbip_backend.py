@@ -145,6 +145,8 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
             connection.close()
 
     def _read_open_descriptors(self, dev: _Device, handle: _Handle) -> None:
+        """Reads an open device's descriptors by control transfers."""
+
         def descriptor(kind: int, index: int, length: int) -> bytes:
             return self._control_in(handle, _DEVICE_TO_HOST, _GET_DESCRIPTOR, kind << 8 | index, 0, length)
 
@@ -155,6 +157,7 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
 
     @staticmethod
     def _located(descriptor: _Descriptor, exported: usbip.Exported) -> _Descriptor:
+        """The descriptor with bus, address and speed from the server's list."""
         for name, value in (
             ("bus", exported.bus),
             ("address", exported.device),
@@ -222,6 +225,7 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
         data: array.array[int],
         timeout: int,
     ) -> int:
+        """A control transfer as PyUSB asks for it; returns the number of bytes."""
         size = len(data) * data.itemsize
         setup = struct.pack("<BBHHH", bmRequestType, bRequest, wValue, wIndex, size)
         payload = None if bmRequestType & _DEVICE_TO_HOST else data.tobytes()

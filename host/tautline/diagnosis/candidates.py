@@ -91,6 +91,7 @@ class Search:
         progress: Progress,
         scopes: Sequence[Scope] = tuple(Scope),
     ) -> None:
+        """kinds: effects to try; scopes: since when each may be there. `base`, the nominal alone, is judged first."""
         self.fitter, self.kinds, self._progress, self.scopes = fitter, kinds, progress, scopes
         self._with_path = [kind for kind in kinds if not kind.event]
         self.labels = [np.unique(gap.blocks(s), return_inverse=True)[1] for s in fitter.segments]

@@ -187,6 +187,7 @@ class _Descent:
         self.joint, self.noise = joint, noise
 
     def linearised(self, point: _Point) -> tuple[Array, Array, float]:
+        """Normal matrix, gradient and cost at a point; unknowns at a bound are held."""
         slopes = self.joint.slopes(point.u, point.residuals)
         matrix, gradient = _normal_equations(self.noise, point, slopes)
         held = np.flatnonzero(_at_bound(self.joint, point.u, gradient))

@@ -31,6 +31,7 @@ class Likelihoods:
     predicted."""
 
     def __init__(self, case: Stacked, by: Hyperparameters) -> None:
+        """case: the evidence as arrays; by: the hyperparameters."""
         self.by = by
         self._case = case
         self._tells = case.tells(by.misfit_tells, by.noise_tells)

@@ -140,6 +140,8 @@ class _Joined:
     """The frames of all recordings, and the log-density (n,) of each under each explanation."""
 
     def __init__(self, parts: Sequence[Frames], floor: float) -> None:
+        """parts: frames of each recording; floor: the noise of one coordinate."""
+
         def joined(of: Callable[[Frames], Array]) -> Array:
             return np.concatenate([of(part) for part in parts])
 

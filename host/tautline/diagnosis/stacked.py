@@ -74,6 +74,8 @@ class Stacked:
     """Rows are hypotheses, columns blocks; powers are mean squares."""
 
     def __init__(self, evidence: CaseEvidence) -> None:
+        """Arrays over the hypotheses: power and scatter by block, which effects each holds, which sets contain
+        which."""
         hypotheses = evidence.hypotheses
         self.floor2 = evidence.floor**2
         self._doubt, self._unsteady = evidence.doubt, evidence.unsteady

@@ -92,6 +92,7 @@ class Cia402:
             raise TautError(f"canopen {number} does not answer ({error}): check power, node id and bit rate") from error
 
     def _number(self, number: int, index: tuple[int, int], otherwise: float | None = None) -> float:
+        """A number from the drive's object dictionary; `otherwise` where it has no such object."""
         try:
             data = self._read(number, index)
         except _Refused:
@@ -107,6 +108,7 @@ class Cia402:
             return ""
 
     def _describe(self, number: int, period_s: float) -> Drive:
+        """Reads a drive's limits, counts and state, and maps its process data at this period."""
         self._nodes[number].nmt.send_command(0x80)  # pre-operational: its process data may be set
         turn = self._number(number, _INCREMENTS) / max(self._number(number, _REVOLUTIONS, 1.0), 1.0)
         speed = self._number(number, _MOTOR_RPM) / 60.0 * turn
@@ -183,6 +185,7 @@ class Cia402:
             self._beat_s = self._clock()
 
     def measure(self) -> list[Measured]:
+        """A SYNC, and each drive's position and status at it. Missed where one does not answer."""
         self._sync()
         with self._answered:
             self._positions.clear()
@@ -211,6 +214,7 @@ class Cia402:
                 self._send(0x200 + number, struct.pack("<Hi", _OPERATE, round(goal.q)))
 
     def enable(self, axis: int, on: bool) -> None:
+        """Switches a drive's operation on or off, through the states of CiA 402."""
         number = self._numbers[axis]
         if not on:
             self._send(0x200 + number, struct.pack("<Hi", _VOLTAGE_OFF, 0))
@@ -222,9 +226,10 @@ class Cia402:
         steps = (_SHUT_DOWN, _READY), (_SWITCH_ON, _ON), (_OPERATE, _OPERATIONAL)
         for control, state in steps:
             self._write(number, _CONTROL, control, 2)
-            self._drive_to_state(number, state)
+            self._wait_for_state(number, state)
 
-    def _drive_to_state(self, number: int, state: int) -> None:
+    def _wait_for_state(self, number: int, state: int) -> None:
+        """Waits until the drive's status word shows this state. TautError after _STATE_S."""
         deadline = time.monotonic() + _STATE_S
         while (status := int.from_bytes(self._read(number, _STATUS), "little")) & 0x6F != state:
             self._sync()  # a brake takes longer than the drive waits for it

@@ -43,6 +43,7 @@ class Feetech(SerialServos):
         super().__init__(scservo_sdk, 0, bus, numbers, baud, clock)
 
     def describe(self, number: int) -> Drive:
+        """A servo's limits and resolution from its registers."""
         mode = self.read(number, _MODE)
         if mode != 0:
             raise TautError(f"feetech {number}: mode {mode}: set 0 (position) with Feetech's tools")
@@ -65,6 +66,7 @@ class Feetech(SerialServos):
         return (abs(goal) | (0x8000 if goal < 0 else 0)).to_bytes(2, "little")
 
     def enable(self, axis: int, on: bool) -> None:
+        """Switches a servo's torque."""
         number = self.numbers[axis]
         if on:
             self.write(number, _OWN_ACCELERATION, 0)  # the application plans; the servo's own profile would lag

@@ -64,6 +64,8 @@ class HostedLink:
     def __init__(
         self, drives: Drives, where: str, rate_hz: float, clock: Clock = time.monotonic, paced: bool = True
     ) -> None:
+        """where: the drives' address, which names their flash file; paced: cycles by the clock in a thread of their
+        own."""
         self.drives, self.where, self.period_s, self.timing = drives, where, 1.0 / rate_hz, Timing()
         self.log_divider = min(max(round(1e3 * self.period_s), 1), 60)
         self._clock, self._epoch_s = clock, clock()
@@ -97,6 +99,7 @@ class HostedLink:
             self._thread.start()
 
     def _first_measurement(self) -> list[Measured]:
+        """The first measurement of all drives; retried, as drives may still be starting."""
         for left in reversed(range(5)):
             try:
                 return self.drives.measure()
@@ -115,7 +118,7 @@ class HostedLink:
     def _adopt_limits_and_positions(self, first: list[float]) -> None:
         """Sets the axes' positions to the drives', and where no settings are stored, their limits too. A drive takes no
         duty that could sink: it holds until its host is lost or says otherwise."""
-        ask = self._serve
+        ask = self._request
         ask("hello", protocol_major=wire.wire.MAJOR, protocol_minor=wire.wire.MINOR)
         fresh = ask("get_status", axis=0).settings == wire.code("STORES", "DEFAULT")
         for axis, drive in enumerate(self.drives.drives):
@@ -135,7 +138,8 @@ class HostedLink:
                 ask("set_position", axis=axis, q=first[axis])
         self._store_flash()
 
-    def _serve(self, name: str, **values: Any) -> wire.Message:
+    def _request(self, name: str, **values: Any) -> wire.Message:
+        """Sends the application a message of this link's own, and returns its answer. TautError where it refuses."""
         self._board.receive(wire.encode(name, 1, **values), self._us(self._clock()))
         for message in wire.Decoder().feed(self._board.transmit()):
             if message.sequence == 1 and message.name not in ("batch", "event", "progress", "onset"):
@@ -151,6 +155,7 @@ class HostedLink:
     # -- the bus ------------------------------------------------------------------------------------------------
 
     def _pace(self) -> None:
+        """The thread: a cycle each period until the link is closed. Late ones are counted; an error ends the link."""
         due = self._clock()
         while not self._stop.is_set():
             due += self.period_s
@@ -248,6 +253,7 @@ class HostedLink:
                 self._board.lead(axis, round(lag_s * 1e6))
 
     def _note(self, began: float, t_s: float) -> None:
+        """Keeps a cycle's round trip and jitter."""
         timing, n = self.timing, max(self.timing.cycles - self.timing.missed, 1)
         took = self._clock() - began
         timing.round_trip_s += (took - timing.round_trip_s) / n
@@ -257,6 +263,7 @@ class HostedLink:
         self._last_s = t_s
 
     def _connection_lost(self, error: TautError) -> None:
+        """Raises BoardGone, here and for whoever reads, with how the motors come to rest."""
         says = f"{self.where}: {error}. Its motors come to rest by themselves, within {self.drives.rest_s:.2g} s and "
         gone = BoardGone(says + f"what braking takes ({self.drives.watchdog})")
         with self._arrived:
@@ -288,6 +295,7 @@ class HostedLink:
     # -- the link -----------------------------------------------------------------------------------------------
 
     def write(self, data: bytes) -> None:
+        """Gives the application bytes from the host."""
         if self._gone is not None:
             raise self._gone
         with self._lock:
@@ -303,6 +311,7 @@ class HostedLink:
                 self._arrived.notify_all()
 
     def read(self, timeout_s: float) -> bytes:
+        """The application's bytes for the host, waiting at most this long."""
         with self._arrived:
             if not self._out and self._thread is not None:
                 self._arrived.wait_for(lambda: self._out or self._gone is not None, timeout_s)
@@ -316,6 +325,7 @@ class HostedLink:
         return None
 
     def bus(self) -> dict[str, Any]:
+        """Drives, watchdog and the bus' measured timing, for JSON."""
         drives = [
             f"{drive.number}: {drive.model}, firmware {drive.firmware}, "
             f"{drive.counts_per_turn * scale:g} counts a {drive.per}"
@@ -325,6 +335,7 @@ class HostedLink:
         return {"rate_hz": 1.0 / self.period_s, **asdict(self.timing), **of_drives}
 
     def close(self) -> None:
+        """Switches the drives off and ends the thread."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join()

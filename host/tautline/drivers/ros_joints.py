@@ -57,6 +57,7 @@ class RosJoints:
             raise
 
     def _open(self, states: str, commands: str) -> None:
+        """Subscribes to the states, publishes to the commands, and waits for both."""
         description = self._description_topic(states)
         where = "are they of this machine, of the same $ROS_DOMAIN_ID, and active?"
         self._find_joints(states, where)
@@ -144,6 +145,7 @@ class RosJoints:
         self._description = message.data
 
     def measure(self) -> list[Measured]:
+        """The joints' newest state, waiting for one that was not used before. Missed where none comes."""
         with self._came:
             if not self._came.wait_for(
                 lambda: self._newest is not None and self._newest[1] is not self._used, _ANSWER_S
@@ -154,6 +156,7 @@ class RosJoints:
         return [self._measured(axis, t_s, self._used) for axis in range(len(self._names))]
 
     def _measured(self, axis: int, t_s: float, message: Any) -> Measured:
+        """A joint's position, counts, at a time of this machine's clock."""
         at = list(message.name).index(self._names[axis])
         place = float(message.position[at])
         fault = "" if math.isfinite(place) else "its position is not known: is the hardware active?"
@@ -170,6 +173,7 @@ class RosJoints:
         self._send()
 
     def _send(self) -> None:
+        """Publishes all goals in one message."""
         message = self._message_type()()
         if self._kind == _ARRAY:  # those that are off stay where they were: the newest place gives way under a load
             message.data = [rest if told is None else told for told, rest in zip(self._told, self._rests, strict=True)]

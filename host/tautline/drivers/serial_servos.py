@@ -88,6 +88,7 @@ class SerialServos:
         return int.from_bytes(bytes(data), "little") if whole else None
 
     def write(self, number: int, register: Register, value: int) -> None:
+        """Writes a register, with retries."""
         address, size = register
         data = list((value & ((1 << 8 * size) - 1)).to_bytes(size, "little"))
         error = self._retry(number, lambda: self._packets.writeTxRx(self._port, number, address, size, data))[-1]
@@ -123,6 +124,7 @@ class SerialServos:
     # -- cycles ---------------------------------------------------------------------------------------------------
 
     def measure(self) -> list[Measured]:
+        """Positions and status of all servos by one sync read. Missed where one is missing."""
         sent = self._clock()
         result = self._sdk_answer(self._reading.txRxPacket)
         if result != self._sdk.COMM_SUCCESS:

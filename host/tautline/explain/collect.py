@@ -57,6 +57,7 @@ def _names(topic: Topic) -> set[str]:
 
 
 def _effects() -> Iterator[Topic]:
+    """A topic for every effect of the library."""
     from tautline.effects import LIBRARY, SIMULATOR, of_simulator
 
     own = of_simulator("NAME")
@@ -100,6 +101,7 @@ def _unit_and_scale(unit: str, scale: float) -> str:
 
 
 def _faults() -> Iterator[Topic]:
+    """A topic for every fault of a board."""
     from tautline.device import wire
 
     for name, (number, text) in wire.wire.FAULTS.items():
@@ -111,6 +113,7 @@ def _faults() -> Iterator[Topic]:
 
 
 def _refusals() -> Iterator[Topic]:
+    """A topic for every reason why a board refuses something."""
     from tautline.device import wire
 
     for name, (_, text) in wire.wire.REASONS.items():
@@ -124,6 +127,7 @@ def _refusals() -> Iterator[Topic]:
 
 
 def _keys() -> Iterator[Topic]:
+    """A topic for every key of the files."""
     from tautline.rig import SECTIONS
     from tautline.shapes import SHAPE
 
@@ -146,6 +150,7 @@ def _keys() -> Iterator[Topic]:
 
 
 def _formats() -> Iterator[Topic]:
+    """A topic for every export format."""
     from tautline.io.exporting.formats import EXTRA, FORMATS
 
     for form in FORMATS:
@@ -162,6 +167,7 @@ def _formats() -> Iterator[Topic]:
 
 
 def _files() -> Iterator[Topic]:
+    """A topic for every file."""
     from tautline.layouts import LAYOUTS
 
     for layout in LAYOUTS:

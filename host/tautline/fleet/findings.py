@@ -55,6 +55,7 @@ class Findings:
         return asdict(self)
 
     def sentences(self) -> list[str]:
+        """The findings in sentences, the most urgent first."""
         made, of = _counted(self.sessions, "session"), _counted(self.robots, "robot")
         said = [f"{made} of {of}, {self.failed} without a calibration."]
         if np.isfinite(self.wear):
@@ -130,6 +131,7 @@ def findings(rows: Sequence[Row]) -> Findings:
 
 
 def _findings(rows: Sequence[Row]) -> Findings:
+    """Findings from the rows of all sessions."""
     growth = _Growth.of(rows)
     groups = _groups(growth)
     worn: list[Named] = []

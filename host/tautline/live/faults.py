@@ -95,6 +95,8 @@ def _watch(live: Live) -> None:
 
 
 def _noticed(live: Live, says: str, injected_s: float) -> Noticed:
+    """Lets half a second pass: which fault the board noticed, after how long, and how long and far the motor still
+    moved."""
     plant = live.plant
     assert plant is not None
     plant.advance_to(plant.now_s + 0.5)

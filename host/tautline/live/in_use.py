@@ -49,6 +49,7 @@ class TableMover:
     """Moves the tables of a board's axis, within what they allow themselves (their section `adapt`)."""
 
     def __init__(self, live: Live) -> None:
+        """Reads how far the board's tables may be moved, and resets them to as they were calibrated."""
         self._live = live
         blob = live.board.read_table(live.axis)
         self.most = tables.decode(blob).limits.adapt if blob else None

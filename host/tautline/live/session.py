@@ -115,7 +115,7 @@ def probe(live: Live, seen: Callable[[Frame], object], speed: float) -> None:
     low, high = rig.actuator.range
 
     def marker(frames: int) -> tuple[Array, float]:
-        """Mean position and its error, px."""
+        """Mean marker position of these frames and its standard error, px."""
         places = []
         for _ in range(frames + round(rig.delay_s * (rig.camera.frame_rate_hz if rig.camera else 25.0)) + 1):
             frame = live.look()

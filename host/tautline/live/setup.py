@@ -81,6 +81,7 @@ class CameraSource:
         return {"clock": self._camera.clock, "exposure": self._camera.exposure, "dropped": self.dropped}
 
     def look(self) -> Frame:
+        """The next frame with its marker. TautError where the camera ends, or gives another size."""
         taken = self._camera.read()
         if taken is None:
             raise TautError("the camera's source has ended: a live session needs a camera, not a file")
@@ -131,6 +132,7 @@ class PointSource:
         self._rng = np.random.default_rng([seed, 0xE1E])
 
     def look(self) -> Frame:
+        """The next frame: the marker's projection with noise."""
         scene_s, arrival_s = next(self._frames)
         while arrival_s < self._plant.now_s:  # frames that passed while nobody looked
             scene_s, arrival_s = next(self._frames)
@@ -271,6 +273,7 @@ class Recorder:
     """Writes a recording while it is made: whatever ends the session, what was measured is on the disk."""
 
     def __init__(self, live: Live, folder: Path, video: bool = False) -> None:
+        """Opens the files of a recording in `folder`; video: the frames are kept too."""
         self.folder, self._live = folder, live
         unit = live.rig.actuator.unit
         try:
@@ -307,6 +310,7 @@ class Recorder:
             self._video.release()
 
     def _write_telemetry(self, batch: wire.Message) -> None:
+        """Writes a telemetry message of this axis to motor.csv."""
         if batch.axis != self._live.axis or self._paused:
             return
         resolution = self._live.resolution
@@ -369,6 +373,7 @@ class Recorder:
             self._marker.flush()
 
     def _add_picture(self, picture: Array, t_s: float) -> None:
+        """Writes a picture to the video, which begins with the first one."""
         if self._video is None:
             height, width = picture.shape[:2]
             rate = self._live.rig.camera.frame_rate_hz if self._live.rig.camera else 25.0

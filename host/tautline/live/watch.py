@@ -125,6 +125,7 @@ class Watch:
     def __init__(
         self, live: Watched, recorder: Kept, view: View, options: Options | None = None, show: Show | None = None
     ) -> None:
+        """show: called after every frame."""
         self.view = view
         self._live, self._recorder, self._options, self._show = live, recorder, options, show
         self._began_us = live.now_us()

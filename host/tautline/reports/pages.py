@@ -66,6 +66,7 @@ def _keep_picture(recordings: Sequence[Recording], folder: Path) -> None:
 
 
 def _camera(folder: Path) -> Picture | None:
+    """The picture with the marker's way that was kept beside a model, inside a page; None without."""
     path = folder / CAMERA_FILE
     if not path.is_file():
         return None
@@ -327,6 +328,7 @@ def _times(worse: float, better: float) -> str:
 
 
 def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence: Evidence | None) -> list[Number]:
+    """The rows of the page's table of numbers."""
     unit, inside = model.rig.actuator.unit, _inside(model)
     numbers = []
     if inside.any():
@@ -350,6 +352,7 @@ def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence:
 
 
 def _stages(evidence: Evidence | None) -> list[list[str]]:
+    """The rms at each stage of the model, for the page."""
     if evidence is None or not evidence.settled.any():
         return []
     rms = evidence.rms()
@@ -369,6 +372,8 @@ def _stages(evidence: Evidence | None) -> list[list[str]]:
 
 
 def _onset_row(onset: figures.Onset) -> list[str]:
+    """An onset as a row of the page's table."""
+
     def told(value: float, places: int) -> str:
         return "" if np.isnan(value) else f"{value:.{places}f}"
 
@@ -384,6 +389,7 @@ def _onset_row(onset: figures.Onset) -> list[str]:
 
 
 def _run_sentences(runs: Mapping[str, Run]) -> list[str]:
+    """A sentence that compares the runs of `taut follow` without and with compensation; none unless both are there."""
     off, full = runs.get("off"), runs.get("full")
     if off is None or full is None:
         return []
@@ -394,6 +400,7 @@ def _run_sentences(runs: Mapping[str, Run]) -> list[str]:
 
 
 def _comparison_sentences(rows: Sequence[Mapping[str, Any]], unit: str) -> list[str]:
+    """How the models differ, a sentence each. unit: of q."""
     sentences = []
     fine, times = figures.finer(unit)
     for row in rows[1:]:

@@ -37,6 +37,7 @@ class Node:
     `run` sends and publishes."""
 
     def __init__(self, graph: Graph, parameters: Parameters, live: Live, model: Model) -> None:
+        """Creates publishers of joint states, marker and diagnostics, and subscribes to set-points."""
         self._graph, self.parameters, self._live, self._model = graph, parameters, live, model
         self.received = self.unusable = 0  # set-points: with a position of the joint, and without one
         self._newest: float | None = None  # rad, not sent on yet
@@ -73,6 +74,7 @@ class Node:
         return points.summary() | {"received": self.received, "unusable": self.unusable}
 
     def _on_set_point(self, message: Any) -> None:
+        """Takes a set-point for the joint; messages without it are counted."""
         position = messages.position_of(message, self.parameters.joint)
         if position is None:
             self.unusable += 1
@@ -104,6 +106,7 @@ class Node:
                     self._state(began_ns + 1000 * t_us, *(float(column[i]) for column in _columns(batch)))
 
     def _state(self, time_ns: int, q: float, q_ref: float, c_deg: float, c_ref_deg: float) -> None:
+        """Publishes motor and tip, measured and commanded. q, q_ref: counts."""
         tip, motor = self.parameters.joint, self.parameters.command_joint
         unit = messages.si(self._live.rig) * self._live.resolution
         c, goal = math.radians(c_deg), math.radians(c_ref_deg)
@@ -128,6 +131,7 @@ class Node:
         self._tracked.publish(messages.joint_state(time_ns, angle))
 
     def _diagnose(self, points: SetPointStream, following: Following | None) -> None:
+        """Publishes the state of board and calibration as diagnostics."""
         now = time.monotonic()
         if now < self._diagnosed_s + _DIAGNOSED_S:
             return
@@ -158,6 +162,7 @@ class Node:
             board.check_fault(self._live.axis)
 
     def _level(self, status: wire.Message, following: Following | None) -> tuple[str, str]:
+        """The diagnostic level and a sentence."""
         verdict = self._model.quality.verdict
         if status.fault:
             return "ERROR", wire.fault(status)

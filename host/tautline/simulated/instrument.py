@@ -139,6 +139,7 @@ class Corrected(Instrument):
         return self.course(t_s, q, None, None).c_deg
 
     def course(self, t_s: Array, q: Array, translation_mm: Array | None, rotation_deg: Array | None) -> InstrumentPath:
+        """As `Instrument.course`, with the model's effects."""
         new = np.array([np.atleast_1d(t_s), np.atleast_1d(q)], dtype=np.float64)
         if not new.size:
             return InstrumentPath(*np.empty((3, 0)))

@@ -36,6 +36,7 @@ class SimLink:
     """One text request a line, one JSON object a line back; see `tautline-board`."""
 
     def __init__(self, port: int, host: str = "127.0.0.1") -> None:
+        """Connects to the board's sim link."""
         try:
             self._socket = socket.create_connection((host, port), timeout=_START_S)
         except OSError as error:
@@ -108,6 +109,7 @@ class DesktopBoard:
         rate_hz: int = 5000,
         update_key: bytes | None = None,
     ) -> None:
+        """Starts the desktop board and waits until its links answer."""
         self._folder = None if flash else tempfile.TemporaryDirectory(prefix="tautline-")
         self.flash = flash or Path(self._folder.name if self._folder else ".") / "flash.bin"
         line = os.environ.get(LINE, "usbip")
@@ -133,6 +135,7 @@ class DesktopBoard:
         return SimLink(self.ports["sim"])
 
     def close(self) -> None:
+        """Ends the board's process and removes its temporary flash."""
         self.process.kill()
         self.process.wait()
         if self.process.stdout is not None:

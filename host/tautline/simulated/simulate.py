@@ -83,6 +83,7 @@ class Simulation:
         return np.interp(t_s, self.t_s, self.c_deg), *others
 
     def _save_video(self, folder: Path, endoscope: Endoscope, lossless: bool, progress: Progress | None) -> None:
+        """Draws the frames at their scene times and writes them as a video with frames.csv."""
         camera = SimulatedCamera(endoscope, self.scene, self.timing)
         total = len(self.scene_s)
         place = endoscope.position(*self.scene(self.scene_s[:1]))[0]

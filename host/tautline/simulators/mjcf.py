@@ -114,6 +114,7 @@ class Mjcf:
         return int(self._model.actuator_trnid[self._index, 0]) if drives else None
 
     def _declared(self) -> Iterator[Declared]:
+        """Parameters of the file that a diagnosis may change, with their ranges."""
         import mujoco
 
         model, data = self._model, mujoco.MjData(self._model)

@@ -71,6 +71,7 @@ def nominal(
 
 
 def _model(simulator: Simulator, rig: Rig, by_marker: bool) -> Model:
+    """A model without backlash whose law is the rig's f_coarse."""
     low, high = rig.actuator.range
     q = np.linspace(low, high, _POINTS)
     sensor = MARKER if by_marker else ANGLE

@@ -77,6 +77,7 @@ class Tracker:
         return row
 
     def _hand_over(self, scene_s: float) -> None:
+        """Gives the tracker the motor samples up to a scene time."""
         upto = int(np.searchsorted(self._t_s, scene_s, side="right"))
         if not np.isfinite(self._frame_s):
             if not len(self._t_s):

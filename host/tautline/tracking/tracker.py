@@ -89,6 +89,7 @@ class LawTracker:
     that came, `predict`, and `see` or `read` where the frame shows the tip. At most 1 ms a frame."""
 
     def __init__(self, model: Model, sensor: Sensor) -> None:
+        """sensor: MARKER or ANGLE. TautError where the model cannot be tracked with it."""
         if sensor == MARKER and not model.rig.has_camera:
             raise TautError("the model's rig has no camera: track an angle sensor's recordings, or calibrate with one")
         if SIMULATOR in model.extra:
@@ -205,12 +206,12 @@ class LawTracker:
         return Row(self.state, c, u, v, self._offset, offset_sigma, self._scale, scale_sigma, self.reason)
 
     def see(self, u_px: float, v_px: float, sigma_px: float | None = None) -> None:
-        """The marker in the frame that was predicted last."""
+        """Takes the marker's position, px, in the frame that was predicted last."""
         assert self._pending is not None
         self._pending = (self._pending[0], (u_px, v_px, sigma_px or 0.0))
 
     def read(self, c_deg: float) -> None:
-        """The angle sensor's reading that was predicted last."""
+        """Takes the angle sensor's reading, deg, for the frame that was predicted last."""
         assert self._pending is not None
         self._pending = (self._pending[0], (c_deg,))
 

@@ -115,6 +115,7 @@ class VideoCamera:
             self._exposure = exposure.lock(self._capture)
 
     def read(self) -> tuple[Array, float] | None:
+        """The next picture with its time, s; None at a file's end."""
         if not self._capture.grab():
             self._check_end()
             return None

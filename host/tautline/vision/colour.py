@@ -41,6 +41,7 @@ class MarkerColour:
         return np.asarray(cv2.transform(picture.astype(np.float32), row))
 
     def save(self, path: str | Path) -> None:
+        """Writes marker.toml."""
         document = {
             "format": FORMAT,
             "weights_bgr": list(self.weights),
@@ -53,6 +54,7 @@ class MarkerColour:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
+        """Reads marker.toml. TautError where it is none."""
         path = Path(path)
         try:
             document = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -72,6 +74,7 @@ class MarkerColour:
 
 
 def _number(document: dict[str, Any], key: str, path: Path) -> float:
+    """A number of a key of marker.toml. TautError where it has none."""
     value = document.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TautError(f"{path}: {key} is {value!r}, expected a number: run 'taut marker' again")
@@ -79,6 +82,7 @@ def _number(document: dict[str, Any], key: str, path: Path) -> float:
 
 
 def _three(document: dict[str, Any], key: str, path: Path) -> tuple[float, float, float]:
+    """Three numbers of a key of marker.toml. TautError where it has none."""
     value = document.get(key)
     if not isinstance(value, list) or len(value) != 3:
         raise TautError(f"{path}: {key} is {value!r}, expected three numbers: run 'taut marker' again")

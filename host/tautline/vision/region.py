@@ -51,6 +51,7 @@ class Region:
 
     @classmethod
     def load(cls, path: Path) -> Self:
+        """Reads region.toml and its picture. TautError where they are none."""
         again = "show the place again with 'taut marker VIDEO --region U,V'"
         try:
             document = tomllib.loads(path.read_text(encoding="utf-8"))

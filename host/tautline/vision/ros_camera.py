@@ -42,6 +42,7 @@ class RosCamera:
     frames = None  # how many there are: a topic does not end
 
     def __init__(self, source: str) -> None:
+        """source: ros:TOPIC. Subscribes to it."""
         self.name, topic = source, source.removeprefix(_PREFIX)
         self.clock = "not known before the first frame"
         self._drops = Drops()
@@ -78,6 +79,7 @@ class RosCamera:
         return self._drops.count
 
     def _receive(self, message: Any) -> None:
+        """Queues a message with the time, monotonic, that its stamp gives; without a sensible stamp when it came."""
         now = time.monotonic()
         at = message.header.stamp
         age_s = 1e-9 * self._graph.node.get_clock().now().nanoseconds - (at.sec + 1e-9 * at.nanosec)
@@ -98,6 +100,7 @@ class RosCamera:
         return self._picture(message), arrival_s
 
     def _picture(self, message: Any) -> Array:
+        """The message's picture, BGR."""
         data = np.frombuffer(message.data, np.uint8)
         if not hasattr(message, "encoding"):
             decoded = cv2.imdecode(data, cv2.IMREAD_COLOR)

@@ -33,6 +33,7 @@ def snapshot(recording: Recording) -> Array | None:
 
 
 def _frame(recording: Recording) -> Array | None:
+    """The picture that was kept, else a frame from the middle of the video; None without."""
     if recording.picture is not None:
         picture = cv2.imread(str(recording.picture), cv2.IMREAD_COLOR)
         return None if picture is None else np.asarray(picture)

@@ -115,6 +115,7 @@ class _Chosen:
             raise TautError("--tip is one angle or orientation, or twice a place in the image: u, then v, in px")
 
     def _expand_tip(self) -> None:
+        """Replaces the name of an orientation or a point by its channels. TautError for any other group of channels."""
         known = set(self.source.facts)
         for each in list(self.tip):
             inner = {axis: f"{each.name}.{axis}" for axis in QUATERNION if f"{each.name}.{axis}" in known}
@@ -132,6 +133,7 @@ class _Chosen:
                 )
 
     def by_group(self) -> dict[str, list[str]]:
+        """The channels to read of each group."""
         wanted: dict[str, list[str]] = {}
         everything = [self.motor, *self.tip, *self.joints, *(x for x in (self.command, self.load) if x)]
         for each in everything:
@@ -178,6 +180,7 @@ class _Maker:
         return Motor(t_s=t_s, q=q, q_cmd=q_cmd, load_mNm=load, extra=joints)
 
     def angle(self) -> Angle:
+        """The tip's angle, deg; of an orientation the one about its main axis."""
         tip = self._chosen.tip[0]
         if tip.name in self._chosen.parts:
             t_s, parts = self._times(tip, self._chosen.parts[tip.name])
@@ -197,6 +200,7 @@ class _Maker:
         return Angle(t_s, c_deg, ~lost if lost.any() else None)
 
     def marker(self) -> Marker:
+        """The tip's position in the image, px."""
         u, v = self._chosen.tip
         if self._chosen.groups[u.name] != self._chosen.groups[v.name]:
             raise TautError(f"{u.name} and {v.name} are of two topics: name u and v of one")

@@ -56,6 +56,7 @@ class Delimited:
         return Clip(self.path.parent / video)
 
     def _frames(self, rows: int | None = None) -> Iterator[pd.DataFrame]:
+        """Frames of a table's rows, in batches."""
         how = self._layout
         try:
             with pd.read_csv(
@@ -88,6 +89,7 @@ class Delimited:
         return column.to_numpy(dtype=np.float64, na_value=np.nan)
 
     def _seconds(self, column: pd.Series) -> Array:
+        """The column's times in s."""
         if self._dated:
             moments = _moments(column)
             since = (moments - self._origin) * 1e-9

@@ -134,6 +134,7 @@ def _write(
     source: Source, origin: dict[str, Any], folder: Path, roles: Roles, unit: str | None, rig: Rig | None,
     episode: int, progress: Progress,
 ) -> Imported:  # fmt: skip
+    """Writes one episode as a recording with its import.toml."""
     with TemporaryDirectory(prefix="taut-import-") as scratch:
         made = assemble(source, episode, roles, unit, rig, Path(scratch), progress)
         known = made.rig_known or made.recording.angle is not None

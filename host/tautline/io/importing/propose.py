@@ -95,6 +95,7 @@ def propose(listing: Listing, hold: Proposal | None = None) -> Proposal:
 
 
 def _compare(listing: Listing) -> _Compared:
+    """How all channels move together: correlations, delays and ratios."""
     channels = [c for c in listing.channels.values() if c.moves and not _is_part_of_orientation(c.name, listing)]
     channels = [c for c in channels if np.isfinite(c.values).sum() > 8]
     changes = [float(np.mean(np.diff(c.values[np.isfinite(c.values)]) != 0)) for c in channels]

@@ -76,6 +76,7 @@ class Calibrating:
         _look(desk, self.live)
 
     def run(self, desk: Desk) -> str:
+        """Calibrates until the goal is reached, and keeps MODEL and report."""
         kept = self.recording()
         found, reached = calibrate_until(self.live, kept, self.goal, show=desk.show, resting=desk.resting)
         self.found = found
@@ -91,6 +92,7 @@ class Calibrating:
         self.live.let_go()
 
     def _pick(self, desk: Desk, place: tuple[float, float]) -> None:
+        """Picks the marker's colour at a place of the picture."""
         if desk.picture is None or self.live.marker_source is None:
             return
         try:
@@ -131,6 +133,7 @@ class Watching:
         _look(desk, self.live)
 
     def run(self, desk: Desk) -> str:
+        """Tracks the model in use until stopped."""
         desk.events.publish("fit", shown.backlash(self.model))
 
         def told(row: Row, t_s: float) -> None:
@@ -178,6 +181,7 @@ class Diagnosing:
         _look(desk, self.live)
 
     def run(self, desk: Desk) -> str:
+        """Diagnoses with motions recorded on the way."""
         answers: list[Leading] = []
         desk.events.publish("fit", shown.fit(self.calibration, None))
         desk.events.publish("diagnosis", None)
@@ -266,6 +270,7 @@ def attend(
 
 
 def _ran(desk: Desk, work: Work) -> str:
+    """Runs the work once; what came of it, in words."""
     try:
         desk.check_stop()  # that came before it began
         return work.run(desk)

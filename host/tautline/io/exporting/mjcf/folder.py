@@ -152,6 +152,7 @@ def _csv(header: str, rows: Array) -> str:
 def _measured(
     model: Model, nominal: Nominal, law: Law, folder: Path, progress: Callable[[float, str], None]
 ) -> dict[str, Any]:
+    """The report of what each part of the export leaves of the model's prediction, by simulating the scenes."""
     motor = measure.motion(model, nominal.timestep)
     told = predict(model, motor, motor.t_s).c_deg
     q = float(motor.q[0])
@@ -253,6 +254,7 @@ def _as_exported(model: Model, effect: Effect, leaves: Callable[[Model], float])
 
 
 def _lost(report: dict[str, Any]) -> list[str]:
+    """The report's losses, one line each."""
     unit, errors = report["unit"], report["error"]
     lost = [
         f"{what} leaves {errors[name]['rms']:.3g} {unit} rms, {errors[name]['largest']:.3g} at most, of taut predict"

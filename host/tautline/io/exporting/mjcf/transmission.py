@@ -70,6 +70,7 @@ class Transmission:
         return self._bent(self._late(before, p, dt))
 
     def _centre(self) -> float:
+        """The centre coordinate: by the warp of the elements' mean; that of the single play where B is narrow."""
         if self.warp is None:
             return self.single
         y = float(self.w @ self.z)
@@ -110,6 +111,7 @@ class Transmission:
         return u1
 
     def _bent(self, p: float) -> float:
+        """The bending angle, deg, at p; beyond the angle contact_c an obstacle holds a share of it back."""
         c = _line(p, self.grid, self.c_deg)
         get = self.values.get
         beyond = (c - get("contact_c", 0.0)) * get("contact_side", 1.0)
