@@ -3,7 +3,7 @@ started."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -12,6 +12,7 @@ from scipy.linalg import solveh_banded
 
 from tautline import _native
 from tautline.driven import Driven, driven, white_noise
+from tautline.encoder_steps import CHANGES, REST_S, Rest, Steps, rests_and_turns, steps_of
 from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
@@ -21,15 +22,11 @@ _TOLERANCE_COUNTS, _TOLERANCE_MM, _TOLERANCE_DEG, _TOLERANCE_LOAD = 0.5, 5e-4, 5
 _STEPS = 0.5  # tolerance: counts more for an encoder's own steps
 _COARSE = 5e-4  # tolerance: of the motor's travel: finer counts are seen nowhere
 _COARSE_LINES = 2e-4  # tolerance: of the travel, instead of a coarse count: how far lines may be from its path
-_COARSER = 30.0  # times the rig's step, at most: what is more is a motor that steps
 _LEAPS = 12.0  # times the usual step between readings: a motor that jumps
 _SKIPS = 3.5  # tolerance: of five neighbouring readings, that changed
 _OWN_STEPS = 0.6  # tolerance: counts of noise: no more than an encoder's own steps
 _SCATTERS = 1.0  # counts of noise from which readings are smoothed
 _EXACT = 1e-12  # of the largest value: next to nothing
-_REST_S = 0.05  # a motor that stands still for longer rests
-_CHANGES = 24, 4  # tolerance: of the count, most and least, that tell how a motor slows down
-_FITS = 0.3  # tolerance: counts rms: an encoder's step scatters by 0.29
 _FEWEST, _CLEARLY = 100, 5.0  # readings that tell whether a motor trembles; standard errors of what they share
 _LAST = 2.0  # samples: within so many of a stop no knot tells a speed
 _EXACTLY = 1e-6  # tolerance: of the motor's travel: readings with finer noise or steps are what they say
@@ -49,9 +46,9 @@ def between_counts(motor: Motor, resolution: float) -> Motor:
     )
 
 
-def _between_and_steps(motor: Motor, resolution: float) -> tuple[Motor, _Steps | None]:
+def _between_and_steps(motor: Motor, resolution: float) -> tuple[Motor, Steps | None]:
     """`between_counts`, and the encoder's steps where the readings have some that tell stops and turns."""
-    steps = _steps_of(motor, resolution)
+    steps = steps_of(motor, resolution)
     noise = white_noise(motor.q) / (resolution if steps is None else steps.count)
     if (noise > _SCATTERS and not swings(motor)) or _skips_counts(motor, steps):
         return replace(motor, q=_smoothed(motor.q)), steps if noise < _OWN_STEPS else None
@@ -102,36 +99,11 @@ def _third_difference_score(motor: Motor) -> float:
 def count_of(motor: Motor, resolution: float) -> float:
     """The encoder's step as the readings show it, their unit; without steps sqrt(12) times their noise, at most the
     rig's step."""
-    steps = _steps_of(motor, resolution)
+    steps = steps_of(motor, resolution)
     return min(resolution, float(np.sqrt(12.0)) * white_noise(motor.q)) if steps is None else steps.count
 
 
-@dataclass(frozen=True)
-class _Steps:
-    """Readings are zero + count * counts, counts whole."""
-
-    count: float
-    zero: float
-    counts: Array
-
-
-def _steps_of(motor: Motor, resolution: float) -> _Steps | None:
-    """The steps of the readings: the rig's, whatever their zero, or a coarser one; None where readings have no
-    steps."""
-    moves = np.abs(np.diff(motor.q))
-    moves = moves[moves > 0.02 * resolution]
-    if len(moves) < 2:
-        return None
-    coarser = min(float(moves.min()), _COARSER * resolution)
-    for count, zero in ((resolution, 0.0), (resolution, float(motor.q[0])), (coarser, float(motor.q[0]))):
-        counts = (motor.q - zero) / count
-        whole = np.rint(counts)
-        if np.count_nonzero(np.diff(whole)) >= 2 and np.mean(np.abs(counts - whole) < 0.05) >= 0.95:
-            return _Steps(count, zero, whole)
-    return None
-
-
-def _skips_counts(motor: Motor, encoder: _Steps | None) -> bool:
+def _skips_counts(motor: Motor, encoder: Steps | None) -> bool:
     """Whether a moving motor changes its (coarse) count at most readings, so that no time of a change is seen."""
     steps = np.abs(np.diff(motor.q))
     moves = steps[steps > 0]
@@ -228,9 +200,9 @@ def posterior_of(motor: Motor, resolution: float) -> Driven | None:
 
 def _posterior_if_jumping(motor: Motor, resolution: float) -> Driven | None:
     """As `posterior_of`, which keeps its result."""
-    steps, noise = _steps_of(motor, resolution), white_noise(motor.q)
+    steps, noise = steps_of(motor, resolution), white_noise(motor.q)
     unsure = noise if steps is None else steps.count
-    if len(motor.q) < _CHANGES[0] or unsure <= _EXACTLY * float(np.ptp(motor.q)):
+    if len(motor.q) < CHANGES[0] or unsure <= _EXACTLY * float(np.ptp(motor.q)):
         return None
     if noise >= unsure and swings(motor):  # less is an encoder's own steps
         return None
@@ -272,18 +244,18 @@ def _constant_acceleration_lines(motor: Motor, resolution: float) -> Motor:
     count, travel = resolution if steps is None else steps.count, float(np.ptp(motor.q))
     tolerance = (_TOLERANCE_COUNTS + (0.0 if steps is None else _STEPS)) * count
     tolerance = _COARSE_LINES * travel if count > _COARSE * travel else tolerance
-    t_s, q, fixed = _knots(smooth, tolerance, [] if steps is None else _rests_and_turns(motor, steps))
+    t_s, q, fixed = _knots(smooth, tolerance, [] if steps is None else rests_and_turns(motor, steps))
     return _with_others(motor, t_s, q, fixed, smooth.q)
 
 
 def _levelled_rests(path: Driven) -> Array:
     """The path's positions with each rest at its mean; it rests while it moves by less than its own sigma."""
-    slow = np.abs(np.diff(path.q)) * _REST_S < path.sigma[1:] * np.diff(path.t_s)
+    slow = np.abs(np.diff(path.q)) * REST_S < path.sigma[1:] * np.diff(path.t_s)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]]).astype(int)))
     q = path.q.copy()
     for first, last in edges.reshape(-1, 2).tolist():
         rest = slice(first, last + 1)
-        if path.t_s[last] - path.t_s[first] > _REST_S and np.ptp(q[rest]) < 2.0 * float(np.median(path.sigma[rest])):
+        if path.t_s[last] - path.t_s[first] > REST_S and np.ptp(q[rest]) < 2.0 * float(np.median(path.sigma[rest])):
             q[rest] = np.mean(q[rest])
     return q
 
@@ -324,95 +296,13 @@ def _without_collinear(motor: Motor) -> Motor:
     return Motor(motor.t_s[keep], q, None, translation, rotation, load, named)
 
 
-@dataclass(frozen=True)
-class _Rest:
-    """The motor stands at `q`, the rig's unit, from `start_s` to `end_s`, the same where it turns at once; the count
-    last changed before it at `since_s` and next changes at `until_s`."""
-
-    q: float
-    start_s: float
-    end_s: float
-    since_s: float
-    until_s: float
-
-
-def _rests_and_turns(motor: Motor, encoder: _Steps) -> list[_Rest]:
-    """Where the motor rests or turns, extrapolated from the changes of count before and after at constant acceleration:
-    an encoder shows nothing of the last count before a stop, which takes 13 ms at 12 mm/s^2 and 1 um."""
-    t, counts = motor.t_s, encoder.counts
-    changes = np.flatnonzero(np.diff(counts))
-    at, step = 0.5 * (t[changes] + t[changes + 1]), np.diff(counts)[changes]
-    boundary = counts[changes] + 0.5 * step
-    period = float(np.median(np.diff(t)))
-    stops = []
-    # The count that holds from change i - 1 to change i.
-    edges = np.concatenate([t[:1], at, t[-1:]])
-    turned = np.concatenate([[False], step[1:] * step[:-1] < 0, [False]])
-    lasts = np.diff(edges)
-    padded = np.concatenate([[0.0], lasts, [0.0]])
-    beside = padded[:-2] + padded[2:]  # a motor that only passes is as long in each of its counts
-    for i in np.flatnonzero(turned | (lasts > np.maximum(beside, _REST_S))):
-        first, last = i == 0, i == len(changes)
-        centre = counts[0] if first else counts[changes[i - 1] + 1]
-        since, until, turns = edges[i], edges[i + 1], turned[i]
-        slows = None if first else _stop_by_parabola(at[:i][::-1], boundary[:i][::-1], step[:i][::-1], centre, period)
-        starts = None if last else _stop_by_parabola(at[i:], boundary[i:], -step[i:], centre, period)
-        level = [vertex[1] for vertex in (slows, starts) if vertex is not None]
-        if not level:
-            continue
-        middle = 0.5 * (since + until)
-        # Where no vertex is told it comes as fast as through the count before, within a sample where it jumps.
-        start_s = since + min(slows[0] if slows else _half_count_time(t, changes, step, lasts, i - 1), middle - since)
-        end_s = until - min(starts[0] if starts else _half_count_time(t, changes, step, lasts, i), until - middle)
-        if turns and slows is not None and starts is not None and end_s - start_s < 2 * period:
-            start_s = end_s = 0.5 * (start_s + end_s)
-        stops.append(_Rest(encoder.zero + encoder.count * float(np.mean(level)), start_s, end_s, since, until))
-    return stops
-
-
-def _half_count_time(t: Array, changes: npt.NDArray[np.intp], step: Array, lasts: Array, i: int) -> float:
-    """Half the time, s, that the motor takes for a count beside the i-th change; half a sample where it is of several
-    counts."""
-    if not 0 <= i < len(changes):
-        return 0.0
-    if abs(step[i]) > 1:
-        return 0.5 * float(t[changes[i] + 1] - t[changes[i]])
-    return 0.5 * float(min(lasts[i], lasts[i + 1]))
-
-
-def _stop_by_parabola(
-    at: Array, boundary: Array, step: Array, centre: float, period: float
-) -> tuple[float, float] | None:
-    """How long the motor moves on beyond the change of count nearest to a stop, s, and where it stops, counts: the
-    vertex of a parabola through as many changes as it fits. None for too few. at, boundary, step: of the changes, the
-    nearest first."""
-    most, least = _CHANGES
-    way = np.sign(step[0])
-    one_way = np.flatnonzero((np.sign(step[:most]) != way) | (np.abs(np.diff(at[:most], prepend=at[0])) > _REST_S))
-    n = min(len(at), most, int(one_way[0]) if len(one_way) else most)
-    while n >= least:
-        away, since = way * (centre - boundary[:n]), np.abs(at[:n] - at[0])
-        # A change that comes after a while is known to a fraction of a count.
-        sure = np.maximum(1.0, np.gradient(since) / period)
-        line = np.column_stack([np.ones(n), since, since**2])
-        fitted = np.linalg.lstsq(line * sure[:, None], away * sure, rcond=None)[0]
-        if float(np.sqrt(np.mean(np.square(sure * (away - line @ fitted))))) <= _FITS:
-            offset, speed, bend = (float(value) for value in fitted)
-            left = offset - speed**2 / (4.0 * bend) if bend > 0.0 and speed > 0.0 else -np.inf
-            if abs(left) <= 1.0:
-                return speed / (2.0 * bend), centre - way * float(np.clip(left, -0.5, 0.5))
-            return 0.5 * float(since[1]), centre  # it hardly slows down
-        n = int(0.7 * n)
-    return None
-
-
 def _needed_knots(t_s: Array, channels: list[tuple[Array, float]]) -> npt.NDArray[np.bool_]:
     """Which samples are needed for straight lines between them to be within every channel's tolerance."""
     values, tolerances = np.concatenate([v for v, _ in channels]), np.array([tolerance for _, tolerance in channels])
-    return np.asarray(_native.thin(t_s, values, tolerances, _REST_S), dtype=bool)
+    return np.asarray(_native.thin(t_s, values, tolerances, REST_S), dtype=bool)
 
 
-def _knots(motor: Motor, tolerance: float, stops: list[_Rest]) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+def _knots(motor: Motor, tolerance: float, stops: list[Rest]) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
     """Times and positions of the bending motor's knots, and which of them are at rests or turns."""
     keep = _needed_knots(motor.t_s, [(motor.q, tolerance)])
     t, q = motor.t_s[keep], motor.q[keep]

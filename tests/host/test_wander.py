@@ -9,7 +9,8 @@ import pytest
 from scipy.stats import chi2
 
 from tautline.diagnosis import resembles, wander
-from tautline.diagnosis.fit import Fit, Fitter, Hypothesis, Scope
+from tautline.diagnosis.fit import Fitter
+from tautline.diagnosis.fitted import Fit, Hypothesis, Scope
 from tautline.diagnosis.hypotheses import Wander
 from tautline.diagnosis.segment import prepare
 from tautline.effects import BY_ID, of_simulator

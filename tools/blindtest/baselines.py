@@ -24,7 +24,8 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.diagnosis import candidates, gap, where
-from tautline.diagnosis.fit import Fit, Fitter, Hypothesis, Scope
+from tautline.diagnosis.fit import Fitter
+from tautline.diagnosis.fitted import Fit, Hypothesis, Scope
 from tautline.diagnosis.screen import Screened, screen
 from tautline.diagnosis.segment import Segment, load_reference, prepare
 from tautline.effects import Kind

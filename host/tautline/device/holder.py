@@ -24,7 +24,7 @@ def take(where: str) -> None:
 
 
 def leave(where: str) -> None:
-    """Removes the note."""
+    """Removes this process' own note."""
     if _read(where).get("pid") == os.getpid():
         with contextlib.suppress(OSError):
             note(where).unlink()

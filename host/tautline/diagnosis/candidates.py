@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.diagnosis import confined, gap, heldout, moments, wander
-from tautline.diagnosis.fit import Fit, Fitter, ParameterState, Scope, outlier_limit
+from tautline.diagnosis.fit import Fitter, outlier_limit
+from tautline.diagnosis.fitted import Fit, ParameterState, Scope
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.hypotheses import Beyond, Wander
 from tautline.diagnosis.screen import Screened, screen

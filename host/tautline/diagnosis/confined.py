@@ -16,7 +16,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnosis.fit import STATIC_COLUMNS, Fit, Fitter, ScoredRows
+from tautline.diagnosis.fit import STATIC_COLUMNS, Fitter, ScoredRows
+from tautline.diagnosis.fitted import Fit
 from tautline.diagnosis.segment import Segment
 from tautline.effects import Kind
 

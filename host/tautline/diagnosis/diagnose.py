@@ -14,7 +14,8 @@ from tautline.diagnosis import confounded, decide, gap, motion, moved, repeated,
 from tautline.diagnosis.candidates import Candidate, applicable
 from tautline.diagnosis.document import Found, to_document
 from tautline.diagnosis.findings import Finding, Gap
-from tautline.diagnosis.fit import Fit, Fitter
+from tautline.diagnosis.fit import Fitter
+from tautline.diagnosis.fitted import Fit
 from tautline.diagnosis.gather import Gathered, gather
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.hypotheses import CaseEvidence

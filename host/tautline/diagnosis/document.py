@@ -13,7 +13,8 @@ import numpy.typing as npt
 from tautline import effects
 from tautline.diagnosis import confounded, decide, flexible, gap, motion, moved, shapley, where
 from tautline.diagnosis.candidates import Candidate
-from tautline.diagnosis.fit import Fit, Fitter, Scope, key
+from tautline.diagnosis.fit import Fitter
+from tautline.diagnosis.fitted import Fit, Scope, key
 from tautline.diagnosis.gather import Gathered
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.moved import Moved

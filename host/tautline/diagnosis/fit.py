@@ -8,18 +8,17 @@ the effects' Jacobian is a difference quotient of the simulation.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from enum import IntEnum
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
 from tautline import effects, spread
+from tautline.diagnosis.fitted import STATIC_NAMES, Fit, Hypothesis, ParameterState, Scope
 from tautline.diagnosis.segment import Segment
-from tautline.effects import Kind, Parameter, Path
+from tautline.effects import Parameter, Path
 from tautline.elements import SINGLE
 from tautline.least_squares import descend
 from tautline.model import Model, allowed_width
@@ -34,7 +33,6 @@ WIDTH_PIECES, _REMAINING_PIECES = (
 )
 _ROUGH = 0.001  # prior: second difference of a correction's neighbouring coefficients, share of its range
 STATIC_COLUMNS = slice(2, 8)  # format: of Seen.columns, with a camera
-_STATIC = tuple(p.name for p in effects.BY_ID["registration.static"].amplitudes)
 WIDTH, REMAINING, STATIC, DELAY = PARTS = (
     "transmission.backlash",
     "configuration.remaining",
@@ -53,115 +51,12 @@ _KNOWN = 1e-6  # of the prior, which is a step's: where a simulator is the nomin
 _RARE = 0.01  # tolerance: a misfit that lasts longer than this share of a recording is no outlier
 
 
-class Scope(IntEnum):
-    """Since when an effect is there; what is false is there from the start."""
-
-    START = 0
-    TESTS = 1  # in all recordings after the calibration, the same
-    EACH = 2  # in each of them another
-
-    @property
-    def since(self) -> str:
-        return ("start", "calibration", "recording")[self]
-
-
-@dataclass(frozen=True)
-class Slot:
-    """A number that is fitted."""
-
-    parameter: Parameter
-    key: str  # of State.values
-    scope: Scope
-    number: int = 0  # of the recording, where each has its own
-
-    def holds_in(self, segment: Segment) -> bool:
-        """Whether this number is a parameter of that recording."""
-        if self.scope == Scope.EACH:
-            return segment.number == self.number
-        return not (self.scope and segment.calibration)
-
-
-def key(name: str, number: int) -> str:
-    """Of a parameter's value in one recording only."""
-    return f"{name}@{number}"
-
-
-@dataclass(frozen=True)
-class Hypothesis:
-    """Effects that are present, and since when."""
-
-    kinds: tuple[Kind, ...] = ()
-    scopes: tuple[Scope, ...] = ()
-    tests: int = 1  # recordings after the calibration
-
-    def plus(self, kind: Kind, scope: Scope) -> Hypothesis:
-        return replace(self, kinds=(*self.kinds, kind), scopes=(*self.scopes, scope))
-
-    def find(self, name: str) -> tuple[Kind, Scope] | None:
-        """The effect of an id."""
-        return next(((k, s) for k, s in zip(self.kinds, self.scopes, strict=True) if k.id == name), None)
-
-    @property
-    def slots(self) -> list[Slot]:
-        """The numbers that are fitted: amplitudes and continuous shapes; one for each recording, if each has its
-        own."""
-        collected = []
-        for kind, scope in zip(self.kinds, self.scopes, strict=True):
-            for p in (p for p in kind.parameters if not p.searched):
-                if scope == Scope.EACH:
-                    collected += [Slot(p, key(p.name, i), scope, i) for i in range(1, self.tests + 1)]
-                else:
-                    collected.append(Slot(p, p.name, scope))
-        return collected
-
-
-@dataclass(frozen=True)
-class ParameterState:
-    """A point of the parameter space."""
-
-    model: Model  # the nominal with its corrections
-    static: Mapping[str, float]  # nominal registration, all recordings
-    values: Mapping[str, float] = field(default_factory=dict)  # of the effects
-
-    def at(self, segment: Segment, hypothesis: Hypothesis) -> dict[str, Any]:
-        """The effects' and the registration's parameters by name that hold in one recording."""
-        chosen: dict[str, Any] = dict(self.static)
-        for kind, scope in zip(hypothesis.kinds, hypothesis.scopes, strict=True):
-            if scope and segment.calibration:
-                continue
-            if kind.column:
-                chosen["column"] = kind.column
-            for p in kind.parameters:
-                own = scope == Scope.EACH and not p.searched
-                value = self.values.get(key(p.name, segment.number) if own else p.name)
-                if value is not None:
-                    chosen[p.name] = chosen.get(p.name, 0.0) + value if p.name in _STATIC else value
-        return chosen
-
-
 @dataclass(frozen=True)
 class ScoredRows(Rows):
     """One recording's scored observations. Unknowns beside B and f_remain: factors on their details and, with a camera,
     static registration and delay."""
 
     path: Path  # at all observations
-
-
-@dataclass(frozen=True)
-class Fit:
-    hypothesis: Hypothesis
-    state: ParameterState
-    residuals: list[Array]  # of each segment, (scored, k)
-
-    @property
-    def finite(self) -> bool:
-        """Not so where the marker would be behind the camera."""
-        return all(bool(np.isfinite(r).all()) for r in self.residuals)
-
-    @property
-    def freedom(self) -> int:
-        """How many parameters the effects have."""
-        return len(self.hypothesis.slots)
 
 
 class Fitter:
@@ -233,7 +128,7 @@ class Fitter:
         return parameter.scale * (self.model.rig.actuator.span if parameter.unit.startswith("unit") else 1.0)
 
     def start(self) -> ParameterState:
-        return ParameterState(self.model, dict.fromkeys(_STATIC, 0.0) if self.px else {})
+        return ParameterState(self.model, dict.fromkeys(STATIC_NAMES, 0.0) if self.px else {})
 
     def residuals(self, state: ParameterState, hypothesis: Hypothesis) -> list[Array]:
         """Observed less predicted at the scored observations, (scored, k) for each recording."""

@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from tautline.diagnosis import confounded, decide, exact, scatter
 from tautline.diagnosis.candidates import Candidate, Search
-from tautline.diagnosis.fit import DELAY, WIDTH, Fit, Fitter, Scope
+from tautline.diagnosis.fit import DELAY, WIDTH, Fitter
+from tautline.diagnosis.fitted import Fit, Scope
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.hypotheses import CaseEvidence, Weighed
 from tautline.diagnosis.scatter import Scatter

@@ -14,7 +14,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnosis.fit import Fitter, Hypothesis, ScoredRows
+from tautline.diagnosis.fit import Fitter, ScoredRows
+from tautline.diagnosis.fitted import Hypothesis
 from tautline.nominal import Normal, Rows
 
 Array = npt.NDArray[np.float64]

@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnosis.fit import Fit, Fitter
+from tautline.diagnosis.fit import Fitter
+from tautline.diagnosis.fitted import Fit
 from tautline.diagnosis.segment import Segment
 
 Array = npt.NDArray[np.float64]

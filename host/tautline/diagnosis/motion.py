@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 
 from tautline import trajectory
-from tautline.diagnosis.fit import Fit, Fitter
+from tautline.diagnosis.fit import Fitter
+from tautline.diagnosis.fitted import Fit
 from tautline.effects import simulate
 from tautline.recording import Motor
 from tautline.trajectory import Trajectory

@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.diagnosis import gap
-from tautline.diagnosis.fit import DELAY, PARTS, REMAINING, STATIC, WIDTH, Fit, Fitter
+from tautline.diagnosis.fit import DELAY, PARTS, REMAINING, STATIC, WIDTH, Fitter
+from tautline.diagnosis.fitted import Fit
 from tautline.diagnosis.shapley import shares
 
 Array = npt.NDArray[np.float64]

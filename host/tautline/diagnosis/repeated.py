@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import spread
-from tautline.diagnosis.fit import Scope
+from tautline.diagnosis.fitted import Scope
 from tautline.diagnosis.segment import Segment
 from tautline.effects import BY_ID
 from tautline.model import Model

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from tautline.diagnosis import decide, gap
-from tautline.diagnosis.fit import Fit
+from tautline.diagnosis.fitted import Fit
 from tautline.diagnosis.gather import Gathered
 from tautline.diagnosis.narration import digits
 from tautline.effects import SIMULATOR

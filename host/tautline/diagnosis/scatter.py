@@ -16,7 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnosis.fit import Fit, Fitter
+from tautline.diagnosis.fit import Fitter
+from tautline.diagnosis.fitted import Fit
 
 Array = npt.NDArray[np.float64]
 

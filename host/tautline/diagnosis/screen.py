@@ -15,18 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
-from tautline.diagnosis.fit import (
-    STATIC_COLUMNS,
-    Fit,
-    Fitter,
-    Hypothesis,
-    ParameterState,
-    Scope,
-    ScoredRows,
-    inside,
-    key,
-    moves_tip,
-)
+from tautline.diagnosis.fit import STATIC_COLUMNS, Fitter, ScoredRows, inside, moves_tip
+from tautline.diagnosis.fitted import Fit, Hypothesis, ParameterState, Scope, key
 from tautline.effects import SIMULATOR, Kind, Parameter
 from tautline.nominal import Normal
 

@@ -15,7 +15,8 @@ import numpy as np
 from tautline.diagnosis import confounded, decide, gap, tracker
 from tautline.diagnosis.candidates import applicable
 from tautline.diagnosis.decide import Decision
-from tautline.diagnosis.fit import WIDTH_PIECES, Fitter, Scope, spline_residual
+from tautline.diagnosis.fit import WIDTH_PIECES, Fitter, spline_residual
+from tautline.diagnosis.fitted import Scope
 from tautline.diagnosis.gather import Gathered, gather
 from tautline.diagnosis.segment import Segment, load_reference, prepare
 from tautline.diagnosis.tracker import TrackerError

@@ -15,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import correlate
 
-from tautline.diagnosis.fit import Fit, Fitter, ScoredRows
+from tautline.diagnosis.fit import Fitter, ScoredRows
+from tautline.diagnosis.fitted import Fit
 from tautline.diagnosis.hypotheses import Wander
 
 Array = npt.NDArray[np.float64]

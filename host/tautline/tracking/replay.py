@@ -109,7 +109,8 @@ def _frames(recording: Recording, sensor: Sensor) -> Marker | Angle:
 
 
 def _readings(frames: Marker | Angle) -> Callable[[int], tuple[float, ...]]:
-    """For each frame what was seen, as `Tracker.see` takes it; None where the tip was not seen."""
+    """A function that gives, for each row, what was seen as LawTracker takes it: (c_deg,) or (u, v) or (u, v, sigma);
+    () where the tip was not seen."""
     if isinstance(frames, Angle):
         seen, c = frames.seen, frames.c_deg
         return lambda k: (float(c[k]),) if seen[k] else ()

@@ -122,7 +122,7 @@ def write_klipper(model: Model, out: Path, axis: str) -> list[Path]:
 
 
 def _axis(name: str) -> str:
-    """The axis' letter in upper case. TautError where it is none."""
+    """The axis' letter in lower case. TautError where it is none."""
     letter = name.lower()
     if len(letter) != 1 or letter not in _AXES:
         raise TautError(f"--axis {name}: name one of {', '.join(_AXES)}")

@@ -90,14 +90,14 @@ class Played:
         now_s = self._t_s[self._at]
         return replace(
             self._whole,
-            motor=_first_rows(self._whole.motor, self._whole.motor.t_s <= now_s),
-            marker=_first_rows(self._marker, self._t_s <= now_s),
-            angle=self._whole.angle and _first_rows(self._whole.angle, self._whole.angle.t_s <= now_s),
+            motor=_rows_of(self._whole.motor, self._whole.motor.t_s <= now_s),
+            marker=_rows_of(self._marker, self._t_s <= now_s),
+            angle=self._whole.angle and _rows_of(self._whole.angle, self._whole.angle.t_s <= now_s),
         )
 
 
-def _first_rows(series: Series, rows: Array) -> Series:
-    """The first rows of every column of a series."""
+def _rows_of(series: Series, rows: Array) -> Series:
+    """The series with these rows of every column."""
     kept = {}
     for field in fields(series):
         value = getattr(series, field.name)
