@@ -121,13 +121,10 @@ class Warp:
 
 
 def warp_of(grid: Array, width: Array, narrow: float) -> Warp:
-    """The warp of a backlash table, whose widths are taken as `narrow` (> 0) where they are less.
-
-    G(T(u)) = G(u) + 1 for the map T from p - B/2 to p + B/2, which is straight between the table's nodes: G is known
-    everywhere from one period about the table's middle. Within that it is free; the choice is the least integral of
-    G'''^2 over the table, B being smooth between its nodes. The knots are those of one period and their images, the
-    nodes' corners among them, so that nothing is lost between them. G(middle) = 0.
-    """
+    """The warp x = G(q) of a backlash table; widths below `narrow` (> 0) count as `narrow`. With T the map from p - B/2
+    to p + B/2, G(T(u)) = G(u) + 1: one period about the table's middle determines all others. Within it G has the least
+    integral of G'''^2 over the table. Knots: those of the period, the table's corners among them, and their images
+    under T. G(middle) = 0."""
     middle = 0.5 * (grid[0] + grid[-1])
     grid, width = _with_least_width(grid, width, narrow)
     table = _Periods(grid, width)

@@ -21,7 +21,7 @@ PLACED_PX = 0.05  # prior: by docs/marker.md, 0.05 to 0.09
 
 
 def tip_bend(kinematics: Kinematics, c_deg: npt.ArrayLike) -> Array:
-    """g: the marker (n, 3) mm in the section's own frame."""
+    """g of the paper: the marker's position (n, 3) mm in the bending section's frame, at bending angles c (n,) deg."""
     c = np.radians(np.atleast_1d(np.asarray(c_deg, dtype=float)))
     length, tip = kinematics.bending_length_mm, kinematics.tip_length_mm
     sin, cos = np.sin(c), np.cos(c)
@@ -57,8 +57,8 @@ def to_camera(hand_eye: HandEye, base: Array) -> Array:
 
 
 def to_image(camera: Camera, point: Array) -> Array:
-    """h: pinhole with OpenCV's k1 k2 p1 p2 k3. Image positions (n, 2) px of camera points (n, 3) mm; NaN where a point
-    is not in front of the camera."""
+    """h of the paper: pinhole projection with OpenCV's k1 k2 p1 p2 k3. Image positions (n, 2) px of camera points (n,
+    3) mm; NaN where a point is not in front of the camera."""
     seen = point[:, 2:] > 1e-6
     ahead = np.where(seen, point, [0.0, 0.0, 1.0])
     image, _ = cv2.projectPoints(ahead, np.zeros(3), np.zeros(3), camera.matrix, np.array(camera.distortion))

@@ -59,7 +59,7 @@ class Quality:
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Self:
-        """Raises KeyError or TypeError where it is not what `to_json` gave."""
+        """From what `to_json` gave. KeyError or TypeError where it is something else."""
         return cls(
             tuple(
                 Reason(

@@ -112,7 +112,7 @@ class Place:
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Self:
-        """What dataclasses.asdict made of one. KeyError, TypeError or ValueError where it is no such thing."""
+        """From what dataclasses.asdict made of one. KeyError, TypeError or ValueError where it is something else."""
         mm = tuple(tuple(float(x) for x in row) for row in document["mm"])
         sigma_deg = tuple(float(x) for x in document["sigma_deg"])
         if [len(row) for row in (*mm, sigma_deg)] != 4 * [PLACES]:

@@ -77,7 +77,7 @@ class Likelihoods:
 
     @cached_property
     def best(self) -> dict[frozenset[str], int]:
-        """Of the hypotheses with the same effects."""
+        """For each set of effects the index of its likeliest hypothesis."""
         of = self.of.tolist()
         return {key: max(same, key=of.__getitem__) for key, same in self._case.same.items()}
 

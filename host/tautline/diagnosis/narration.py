@@ -185,7 +185,7 @@ class NextStep:
 
 
 def steps(document: Mapping[str, Any], folder: str) -> list[NextStep]:
-    """What to do next, most useful first; `folder` is the diagnosis' own."""
+    """What to do next, the most useful first. folder: where the diagnosis is kept."""
     verdict, following = document["verdict"], document["next_motion"]
     effects = document["effects"]
     event = bool(effects) and effects[0]["id"] in EVENTS
@@ -290,7 +290,7 @@ def left_out_frames(document: Mapping[str, Any]) -> str:
 
 
 def text(document: Mapping[str, Any], folder: str) -> str:
-    """For a terminal: the sentence, the gap, the candidates, what to do next, where it is."""
+    """The diagnosis as text for a terminal: sentence, gap, candidates, next steps, and where its page is."""
     gap, unit = document["gap"], document["unit"]
     low, high = gap["after_ci"]
     lines = [sentence(document), ""]

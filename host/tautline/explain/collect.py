@@ -16,14 +16,15 @@ from tautline.explain.topic import KINDS, Topic
 
 @cache
 def topics() -> Mapping[str, Topic]:
-    """By code, in the order of KINDS."""
+    """All topics by code, in the order of KINDS."""
     listed = list(chain(_effects(), REASONS, _faults(), _refusals(), _keys(), _files(), _formats(), TERMS))
     listed.sort(key=lambda topic: list(KINDS).index(topic.kind))
     return {topic.code: topic for topic in listed}
 
 
 def find(name: str) -> Topic:
-    """By its code, its last part or another name, in any case; TautError with the nearest ones where there is none."""
+    """The topic of a code, its last part or an alias, in any case. TautError with the nearest ones where there is
+    none."""
     known = topics()
     wanted = name.strip().strip("[]").casefold()
     if wanted.startswith("simulator."):

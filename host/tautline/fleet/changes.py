@@ -45,8 +45,8 @@ def compared(rows: Sequence[Row]) -> list[Row]:
 
 
 def scatter_of(levels: Iterable[_Levels]) -> float:
-    """By how much log B departs from a robot's own line beyond its sigma, alike for all robots: chi square over its
-    degrees of freedom is then 1."""
+    """Standard deviation of log B about a robot's own line beyond the stated sigmas, common to all robots: with it chi
+    square equals its degrees of freedom."""
     long = [each for each in levels if len(each.at) > 2]
     freedom = sum(len(each.at) - 2 for each in long)
 

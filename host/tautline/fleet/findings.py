@@ -118,14 +118,14 @@ class _Groups:
     odds: float
 
     def log_odds(self, growth: _Growth) -> Array:
-        """Of the data alone, that each is of the second group."""
+        """For each robot the log-likelihood ratio of being of the second group, by the data alone."""
         sigma = np.hypot(self.spread, growth.log_sigma)
         second = norm.logpdf(growth.log, self.usual + self.sooner, sigma)
         return np.asarray(second - norm.logpdf(growth.log, self.usual, sigma))
 
 
 def findings(rows: Sequence[Row]) -> Findings:
-    """Of a fleet's rows, as a run ends with them."""
+    """What a run finds in the rows of all sessions, as it ends with them."""
     with threadpool_limits(1, "blas"):  # its systems are small
         return _findings(rows)
 

@@ -345,7 +345,7 @@ def cross_check(model: Model, pass_width: Array) -> Figure:
 
 @mpl.rc_context(STYLE)
 def followed(runs: Mapping[str, Run]) -> Figure:
-    """What was asked of the tip, where it was without and with compensation, and the difference."""
+    """The tip's commanded angle, its angle without and with compensation, and the differences, over time."""
     made, axes = figure(11, 4.6, 2, 1, sharex=True)
     top, bottom = axes[:, 0]
     names = {"off": "without compensation", "backlash": "with f_coarse and B", "full": "with f_remain and B"}
@@ -405,7 +405,7 @@ def compared(models: Mapping[str, Model]) -> Figure:
 
 
 def _draw_change(width: Axes, angle: Axes, first: Model, model: Model, line: Mapping[str, Any]) -> None:
-    """One model less the first, over the q that both have measured."""
+    """Draws one model's B and f_remain less the first's, over the q that both have measured."""
     low, high = max(first.measured[0], model.measured[0]), min(first.measured[1], model.measured[1])
     if not high > low:
         return

@@ -199,8 +199,8 @@ def write_comparison(models: Mapping[str, Model], path: Path) -> None:
 
 
 def comparison(models: Mapping[str, Model]) -> list[dict[str, Any]]:
-    """Each model against the first, over the q that both have measured. The change of f_remain is counted after its
-    mean is taken off (the zero of the motor is not the instrument's); the mean is beside it."""
+    """For each model its changes against the first, over the q that both have measured. The mean change of f_remain is
+    taken off its rms (the zero of the motor is not the instrument's) and stands beside it."""
     names = list(models)
     first = models[names[0]]
     rows = []
@@ -316,7 +316,8 @@ def sentences(model: Model, evidence: Evidence | None) -> list[str]:
 
 
 def _backlash_share(model: Model, evidence: Evidence) -> tuple[float, float]:
-    """What a tip would be off by, rms, that followed f_remain and had no backlash: deg, and the motor's unit."""
+    """Rms difference between the seen angle and f_remain at the motor position, which is what backlash does
+    uncompensated: deg, and in the motor unit."""
     q, c_deg = evidence.q[evidence.settled], evidence.c_deg[evidence.settled]
     off = np.column_stack([model.remaining(q) - c_deg, q - model.remaining_inverse(c_deg)])
     deg, motor = np.sqrt(np.nanmean(off**2, axis=0))

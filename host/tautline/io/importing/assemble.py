@@ -331,7 +331,7 @@ def _check_units(
 
 
 def _check_motor(motor: Motor, name: str, rig: Rig | None, warnings: list[str]) -> None:
-    """What loading a recording checks of its motor."""
+    """TautError or warnings for a motor that loading the recording would refuse or doubt."""
     step = np.diff(motor.t_s)
     if (usual := float(np.median(step))) >= MAX_MOTOR_STEP_S:
         raise TautError(

@@ -152,7 +152,7 @@ class LeRobot:
         return rows
 
     def _unit(self, feature: Mapping[str, Any]) -> str:
-        """Where info.json says so: a key `unit` of a feature, or of its `info`."""
+        """The unit that info.json gives a feature, by its key `unit` or that of its `info`; "" without."""
         inner = feature.get("info")
         stated = str(feature.get("unit") or (inner.get("unit") if isinstance(inner, Mapping) else "") or "")
         short = {"degrees": "deg", "degree": "deg", "radians": "rad", "radian": "rad"}.get(stated.lower(), stated)

@@ -162,7 +162,7 @@ def picture(message: Any, log_s: float, stamp_s: float) -> Picture | None:
 
 
 def _unit(type_name: str, path: str) -> str:
-    """What the message's own definition says: ROS has radians, metres and newton metres (REP 103)."""
+    """The unit by the message's own definition: ROS has radians, metres and newton metres (REP 103)."""
     if type_name.replace("/", ".").split(".")[-1] in ("JointState", "JointTrajectoryControllerState"):
         field = path.rsplit(".", 1)[-1]
         return "rad" if field.startswith("position") else "Nm" if field.startswith("effort") else ""

@@ -173,7 +173,7 @@ class Desk:
         self.check_stop()
 
     def check_stop(self) -> None:
-        """Raises Stopped where that was asked for."""
+        """Raises Stopped if stop was pressed."""
         if self._stop:
             raise Stopped
 
