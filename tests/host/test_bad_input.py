@@ -10,11 +10,26 @@ import numpy as np
 import pandas as pd
 import pytest
 from cli_runner import Finished, Taut
-from reference_instrument import PLANT, moved
+from reference_instrument import PLANT, moved, saved_model, saved_recording
 
 from tautline.errors import TautError
 from tautline.recording import Recording, save
 from tautline.simulated import simlink
+
+
+@pytest.fixture
+def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
+    return Taut(monkeypatch, capsys)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return saved_recording(tmp_path / "run")
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> Path:
+    return saved_model(tmp_path / "model")
 
 
 def rows(path: Path, change: Callable[[pd.DataFrame], pd.DataFrame]) -> None:

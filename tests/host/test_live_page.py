@@ -380,6 +380,11 @@ def test_a_marker_that_is_lost_has_no_place_and_no_angle() -> None:
     assert document["u_px"] is None and document["q"] is None
 
 
+@pytest.fixture
+def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
+    return Taut(monkeypatch, capsys)
+
+
 def test_what_cannot_be_shown_is_told_before_a_page_is_served(taut: Taut, tmp_path: Path, recording: Recording) -> None:
     folder = tmp_path / "run"
     save(recording, folder)

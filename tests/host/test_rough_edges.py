@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from cli_runner import Taut
-from reference_instrument import RIG
+from reference_instrument import RIG, saved_model, saved_recording
 
 from tautline.cli import marker as marker_command
 from tautline.device import usb_link
@@ -32,6 +32,16 @@ def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) ->
     monkeypatch.delenv("TAUTLINE_BOARD", raising=False)
     monkeypatch.setattr("tautline.device.board.find_usb", list)  # whatever is plugged in here
     return Taut(monkeypatch, capsys)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return saved_recording(tmp_path / "run")
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> Path:
+    return saved_model(tmp_path / "model")
 
 
 def test_without_a_board_only_what_a_command_has_is_advised(taut: Taut, model: Path) -> None:
