@@ -48,6 +48,7 @@ def _program() -> str:
 
 
 def _read(where: str) -> dict[str, object]:
+    """What the note says; {} where there is none, or it is damaged."""
     try:
         document = json.loads(note(where).read_text(encoding="utf-8"))
     except (OSError, ValueError):

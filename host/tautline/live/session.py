@@ -194,6 +194,7 @@ class Motions:
         self.made.reversals = self._before + message.reversals
 
     def _onset(self, message: wire.Message) -> None:
+        """Keeps an onset that the board found, positions in the unit of q, times in s of the board."""
         onset = {key: message.values[key] * self.live.resolution for key in ("q1", "q2", "width", "sigma")}
         onset |= {"direction": message.direction, "t_s": message.start_us * 1e-6, "used": message.reason == 0}
         self.made.onsets.append(onset)

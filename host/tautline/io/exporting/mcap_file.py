@@ -109,6 +109,7 @@ def _write_curve(writer: Any, curve: Curve, t_s: float) -> None:
 
 
 def _channel(writer: Any, name: str, schema: dict[str, Any]) -> int:
+    """Registers a channel /NAME of JSON messages with this schema; returns its number."""
     title = "tautline." + name.replace("/", ".")
     number = writer.register_schema(title, "jsonschema", json.dumps({"title": title, **schema}).encode())
     return int(writer.register_channel(f"/{name}", "json", number))

@@ -125,6 +125,7 @@ def suspected(ratio: float, values: Array, target: str, off: float) -> str:
 
 
 def _possible(unit: str, values: Array) -> bool:
+    """Whether values (n,) can be in this unit: ticks are whole, radians and metres not too large."""
     most = float(np.max(np.abs(values)))
     if unit == "tick":
         return bool(np.all(values == np.rint(values)))
