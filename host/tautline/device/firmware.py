@@ -73,7 +73,7 @@ def place_of(port: str, axes: int) -> str:
 
 
 def pack(content: bytes, port: str, version: Version, slot: int, sign: Callable[[bytes], bytes]) -> bytes:
-    """One image of an update file; `sign` makes 64 bytes of what is signed."""
+    """One image of an update file; `sign` gives the 64-byte signature of what is signed."""
     content += b"\xff" * (-len(content) % PAGE)
     known: dict[str, Any] = {
         "format": _FORMAT,
@@ -91,7 +91,7 @@ def pack(content: bytes, port: str, version: Version, slot: int, sign: Callable[
 
 
 def read(path: Path) -> list[Image]:
-    """The images of an update file. TautError where it is none, or is not whole."""
+    """The images of an update file. TautError where it is none or incomplete."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -127,7 +127,8 @@ def _for_another(path: Path, images: Sequence[Image], port: str, axes: int) -> N
 
 
 def check(path: Path, images: Sequence[Image], identity: wire.Message, runs: wire.Message, older_too: bool) -> Image:
-    """TautError where the board, which says `identity` and `runs`, would refuse these; else the one that it takes."""
+    """The image that a board would take; TautError where it would refuse all. identity, runs: what it says of itself and
+    of the firmware that it runs."""
     if runs.slot == ANY_SLOT and runs.refused == wire.code("UPDATES", "NO_SLOT"):
         raise TautError(wire.text("UPDATES", runs.refused))
     _for_another(path, images, str(identity.port), int(identity.axes))
