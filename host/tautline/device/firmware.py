@@ -127,8 +127,8 @@ def _for_another(path: Path, images: Sequence[Image], port: str, axes: int) -> N
 
 
 def check(path: Path, images: Sequence[Image], identity: wire.Message, runs: wire.Message, older_too: bool) -> Image:
-    """The image that a board would take; TautError where it would refuse all. identity, runs: what it says of itself and
-    of the firmware that it runs."""
+    """The image that a board would take; TautError where it would refuse all. identity, runs: what it says of
+    itself and of the firmware that it runs."""
     if runs.slot == ANY_SLOT and runs.refused == wire.code("UPDATES", "NO_SLOT"):
         raise TautError(wire.text("UPDATES", runs.refused))
     _for_another(path, images, str(identity.port), int(identity.axes))
