@@ -61,7 +61,7 @@ static tl_onset_config_t any_config(void) {
     return c;
 }
 
-static void begin_life(uint64_t begin_us) {
+static void begin_life(void) {
     const tl_onset_config_t config = any_config();
     TEST_ASSERT_TRUE(tl_onset_init(&d, &config));
     model_begins(&model, &config);
@@ -162,7 +162,7 @@ static void check(bool expected, const tl_onset_t *of_model, bool got, const tl_
 }
 
 static void live(uint64_t begin_us) {
-    begin_life(begin_us);
+    begin_life();
     int32_t to_frame = 1, away_ms = 0, silent_ms = 0;
     for (uint32_t ms = 0; ms < LIFE_MS; ms++) {
         const uint64_t now_us = begin_us + ms * UINT64_C(1000);
