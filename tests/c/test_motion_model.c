@@ -200,8 +200,15 @@ static void begin(void) {
             .rate_hz = once_in(2) ? 1000U : (uint32_t)between(1000, 10000),
         };
         config.high = config.low + 2 * config.stroke_max + between(1, 800 * TL_COUNT_ONE);
+        const bool whole = once_in(4); // ticks of braking, of each speed
+        if (whole) {
+            config.rate_hz = 1000U;
+            config.acceleration = between(8, 800) * 125000; // of 2^-24 counts a tick^2
+        }
         for (uint32_t i = 0; i < config.speed_count; i++) {
             config.speed[i] = once_in(6) ? config.transit : between(config.transit / 20 + 64, config.transit);
+            const int32_t step = config.acceleration / 1000, steps = config.speed[i] / step;
+            config.speed[i] = whole && steps > 0 ? steps * step : config.speed[i];
         }
         memset(&m, 0, sizeof m);
         m.at = between(config.low - 20000, config.high + 20000) * ONE;

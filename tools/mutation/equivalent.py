@@ -7,7 +7,8 @@ from __future__ import annotations
 import tomllib
 from pathlib import Path
 
-from tools.mutation.sites import Mutant, same_either_way
+from tools.mutation.choices import same_either_way
+from tools.mutation.sites import Mutant
 
 LIST = Path(__file__).with_name("equivalent.toml")
 
@@ -31,6 +32,6 @@ def equivalents(mutants: list[Mutant], root: Path) -> dict[Mutant, str]:
     chooses = {
         mutant: "It differs where two are the same, and either gives the same there."
         for mutant in mutants
-        if mutant.operator == "comparison" and same_either_way(mutant, (root / mutant.file).read_bytes())
+        if same_either_way(mutant, (root / mutant.file).read_bytes())
     }
     return chooses | listed(mutants, root)
