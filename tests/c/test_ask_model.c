@@ -8,7 +8,7 @@
 #include <stdlib.h>
 #include <unity.h>
 
-#define TRIALS 6000
+#define TRIALS 3000
 
 static tl_axis_t axis, was;
 static tl_reference_t reference_was;

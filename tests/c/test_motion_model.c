@@ -7,7 +7,9 @@
 #include <string.h>
 #include <unity.h>
 
-#define MOTIONS    400
+#ifndef MOTIONS
+#define MOTIONS 400U
+#endif
 #define TICKS_MOST 30000U
 #define ONE        ((int64_t)1 << 24) // a Q8 count in Q32
 

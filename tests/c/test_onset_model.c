@@ -5,9 +5,11 @@
 
 #include <unity.h>
 
-#define LIVES    300
+#ifndef LIVES
+#define LIVES 300U
+#endif
 #define LIFE_MS  24000
-#define LEAST_OF 12 // each reason is told at least so often
+#define LEAST_OF (LIVES / 20U) // each reason is told at least so often
 
 static tl_onset_detector_t d;
 static tl_history_t history;

@@ -66,8 +66,9 @@ static int64_t within(int64_t x, int64_t low, int64_t high) {
     return x < low ? low : (x > high ? high : x);
 }
 
-static int64_t stopping(int64_t speed) { // Q16 less way_down bits
-    const int64_t v = (speed >> limits.speed_down) + 1, product = v * (v + limits.acceleration_scaled + 1);
+static int64_t stopping(int64_t speed) {                                // Q16 less way_down bits
+    const int64_t v = within(speed >> limits.speed_down, 0, 65535) + 1; // of more it brakes, whatever this is
+    const int64_t product = v * (v + limits.acceleration_scaled + 1);
     return ((product * limits.ratio) >> (16U + limits.ratio_down)) + limits.whole_ticks;
 }
 
