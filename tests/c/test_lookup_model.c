@@ -295,11 +295,88 @@ static void test_the_warp_goes_on_beyond_the_grid_as_the_width_says(void) {
     }
 }
 
+// -- loading ----------------------------------------------------------------------------------------------------------
+
+static int64_t down(int64_t x) { // half of it, rounded down
+    return x >= 0 ? x / 2 : (x - 1) / 2;
+}
+
+static void check_loaded(const tl_lookup_t *l) {
+    const int32_t turn = table.angle[last] < table.angle[0] ? -1 : 0;
+    TEST_ASSERT_EQUAL_INT32(table.q0, l->q0);
+    TEST_ASSERT_EQUAL_UINT32(table.step_log2, l->step_log2);
+    TEST_ASSERT_EQUAL_INT64(last * step, l->extent);
+    TEST_ASSERT_EQUAL_INT32(turn, l->turn);
+    TEST_ASSERT_EQUAL_INT32(table.angle[0] ^ turn, l->angle_first);
+    TEST_ASSERT_EQUAL_INT32(table.angle[last] ^ turn, l->angle_last);
+    TEST_ASSERT_EQUAL_INT64(down(twice_low(0)), l->low_first);
+    TEST_ASSERT_EQUAL_INT64(down(twice_low(last) + 1), l->low_last);
+    TEST_ASSERT_EQUAL_INT64(down(twice_high(0)), l->high_first);
+    TEST_ASSERT_EQUAL_INT64(down(twice_high(last) + 1), l->high_last);
+    uint32_t flags = 0, flat = 0;
+    const int32_t a = tl_lookup_angle(l, table.q_min, &flags), b = tl_lookup_angle(l, table.q_max, &flags);
+    TEST_ASSERT_EQUAL_INT32(a < b ? a : b, l->c_low);
+    TEST_ASSERT_EQUAL_INT32(a < b ? b : a, l->c_high);
+    TEST_ASSERT_EQUAL_UINT32(tl_table_flat_below(&table), l->flat_below);
+    for (int64_t i = 0; i < last; i++) {
+        flat |= (uint32_t)llabs((int64_t)table.angle[i + 1] - table.angle[i]) < l->flat_below ? 1U : 0U;
+        TEST_ASSERT_EQUAL(flat != 0U && (uint32_t)llabs((int64_t)table.angle[i + 1] - table.angle[i]) < l->flat_below,
+                          tl_lookup_is_flat(l, (int32_t)position(i)));
+    }
+    TEST_ASSERT_EQUAL_UINT32(flat, l->has_flat);
+    TEST_ASSERT_FALSE(tl_lookup_is_flat(l, (int32_t)position(last)));
+    TEST_ASSERT_FALSE(tl_lookup_is_flat(l, (int32_t)position(0) - 1));
+    TEST_ASSERT_EQUAL_UINT32(table.plays, l->plays);
+    TEST_ASSERT_EQUAL_INT32(table.plays != 0U ? table.narrow : 0, l->narrow);
+    TEST_ASSERT_EQUAL_INT32(table.plays != 0U ? 1 << (table.period_log2 - 1) : 0, l->half);
+    if ((table.has & TL_TABLE_HAS_encoder) != 0U) {
+        const uint64_t share = ((uint64_t)1 << 52) / (uint64_t)table.encoder.period_q12; // of a turn, Q48
+        TEST_ASSERT_EQUAL_UINT64(share, (uint64_t)l->phase << 16 | l->phase_rest);
+    }
+}
+
+static void test_loading_says_all_anew(void) {
+    for (uint32_t i = 0; i < TABLES; i++) {
+        i % 2U == 0U ? any_table() : any_warp();
+        table.flat_speed_q8 = TL_COUNT_ONE;
+        table.slope_min_q28 = abs(any(20));
+        if (i % 3U == 0U) {
+            table.has = TL_TABLE_HAS_encoder;
+            table.encoder = (tl_table_encoder_t){.period_q12 = between(1 << 20, 1 << 28), .sine = 100};
+        }
+        memset(&lookup, i % 4U < 2U ? 0xA5 : 0, sizeof lookup); // whatever was there before
+        if (tl_lookup_derive(&lookup, &table, TL_TABLE_ANY_AXIS) == TL_TABLE_OK) {
+            check_loaded(&lookup);
+        }
+    }
+}
+
+// p_lo and p_hi are a period of Y apart to a sixteenth of it.
+static void test_a_warp_is_right_to_a_sixteenth(void) {
+    static const double off[] = {0.05, 0.06, 0.065, 0.075};
+    for (uint32_t i = 0; i < 8U; i++) {
+        table = table_fixture_several(1);
+        last = table.nodes - 1;
+        const double by = 1.0 + (i % 2U == 0U ? off[i / 2U] : -off[i / 2U]);
+        for (int64_t k = 0; k <= last; k++) {
+            table.centre[k] = (int32_t)(table.centre[k] * by);
+        }
+        TEST_ASSERT_EQUAL(off[i / 2U] < 1.0 / 16.0 ? TL_TABLE_OK : TL_TABLE_BAD_WARP,
+                          tl_lookup_derive(&lookup, &table, TL_TABLE_ANY_AXIS));
+    }
+    table = table_fixture_several(1); // at the last of the nodes that have both
+    step = 1 << 14;
+    table.centre[table.nodes - 1U] += 1 << 18;
+    TEST_ASSERT_EQUAL(TL_TABLE_BAD_WARP, tl_lookup_derive(&lookup, &table, TL_TABLE_ANY_AXIS));
+}
+
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_width_and_angle_are_straight_between_nodes_and_held_beyond);
     RUN_TEST(test_inverses_are_where_the_function_is);
     RUN_TEST(test_the_coarse_kinematics_is_a_line);
     RUN_TEST(test_the_warp_goes_on_beyond_the_grid_as_the_width_says);
+    RUN_TEST(test_loading_says_all_anew);
+    RUN_TEST(test_a_warp_is_right_to_a_sixteenth);
     return UNITY_END();
 }
