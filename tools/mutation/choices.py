@@ -113,3 +113,28 @@ def same_either_way(mutant: Mutant, source: bytes) -> bool:
         or (then, otherwise) == (f"{left} - {right}", "0")
         or (right == "0" and {then, otherwise} == {left, f"-{left}"})
     )
+
+
+def starts_what_is_never_read(mutant: Mutant, source: bytes) -> bool:
+    """Whether it changes the first value of a variable that others are given to write into, and nobody reads."""
+    node = PARSER.parse(source).root_node.descendant_for_byte_range(mutant.start, mutant.end)
+    begun = node.parent if node is not None else None
+    if mutant.operator != "constant" or begun is None or begun.type != "init_declarator":
+        return False
+    name, left = _text(begun.child_by_field_name("declarator")), [_outward(begun, "function_definition")]
+    uses = []
+    while left:
+        each = left.pop()
+        if each is not None:
+            left += each.children
+            uses += [each] if each.type == "identifier" and _text(each) == name else []
+    others = [use for use in uses if use.parent is not None and use.parent.type != "init_declarator"]
+    return all(_is_given_away(use) for use in others)
+
+
+def _is_given_away(use: Node) -> bool:
+    pointer = use.parent
+    given = pointer.parent if pointer is not None else None
+    return (
+        pointer is not None and _text(pointer).startswith("&") and given is not None and given.type == "argument_list"
+    )
