@@ -523,7 +523,7 @@ static void test_hearing(void) {
         any_state();
         axis.guard.homed = once_in(2);
         axis.trial.way = once_in(2) ? 1 : -1;
-        axis.trial.end = axis.q + axis.trial.way * between(0, 200) * 256;
+        axis.trial.end = axis.q + axis.trial.way * between(0, 900) * 256; // also so far that the tip follows
         const bool found = axis.guard.homed && axis.has_table;
         tl_axis_hear(&axis);
         TEST_ASSERT_EQUAL(0, depth);

@@ -85,6 +85,7 @@ static const uint8_t modes[] = {TL_WIRE_MODE_OFF,         TL_WIRE_MODE_HOLD,    
 static void any_life(void) {
     life.speed = once_in(3) ? 0 : between(-1500, 1500);
     life.current = once_in(8) ? between(900, 1300) : between(0, 250);
+    life.current = once_in(12) ? between(0, 1) * 120000 : life.current; // from one end to the other
     life.pushed_of = once_in(3) ? between(1, 3) : between(4, 1000);
     life.dip_of = once_in(6) ? between(1, 4) : 100000;
     life.fault_of = once_in(12) ? between(1, 2) : 50;
@@ -123,7 +124,7 @@ static void any_settings(void) {
     settings.hold_ms = once_in(3) ? 0U : (uint32_t)between(1, 500);
     settings.current_ma = once_in(4) ? 0 : between(300, 1200);
     settings.friction_q15 = between(0, 3000);
-    settings.feed_forward = once_in(5) ? 0 : between(300, 4000);
+    settings.feed_forward = once_in(5) ? between(0, 1) : between(300, 4000);
     settings.low_duty_q15 = between(1000, 16000);
     settings.arrive_q8 = between(256, 4096);
     settings.following_error_q8 = between(256, 300 * 256);
@@ -134,6 +135,7 @@ static void any_settings(void) {
     tl_servo_gains_t *gains = &axis.motor.servo.gains;
     gains->friction = settings.friction_q15;
     axis.limits.current_ma = settings.current_ma;
+    axis.limits.duty_q15 = once_in(4) ? between(500, 6000) : axis.limits.duty_q15;
 }
 
 static void begin(void) {
@@ -180,6 +182,7 @@ static void something_happens(void) {
         any_life();
     }
     in.duty = tl_clamp(life.duty + between(-900, 900), -32768, 32768);
+    in.duty = once_in(9) ? between(-1, 1) : in.duty;
     in.pushed = once_in(life.pushed_of) ? (once_in(8) ? between(1, 3) : life.way) : 0;
     in.current_ma = (life.current + between(-300, 300)) * (once_in(2) ? 1 : -1);
     in.current_ma = once_in(3000) ? between(-2, 2) * 150000 : in.current_ma;

@@ -4,6 +4,7 @@
 #include "table_fixture.h"
 #include "tautline/tl_undo.h"
 
+#include <math.h>
 #include <stdlib.h>
 #include <unity.h>
 
@@ -332,6 +333,36 @@ static void test_the_width_grows_by_speed_and_side(void) {
     }
 }
 
+// -- the encoder ------------------------------------------------------------------------------------------------------
+
+// A turn is a whole number of periods anywhere: 48 bits of a Q8 count's share of it.
+static void test_an_encoder_s_error_is_periodic_to_the_ends_of_the_range(void) {
+    static tl_table_t table;
+    for (uint32_t i = 0; i < 60U; i++) {
+        setUp();
+        seed += i;
+        table = table_fixture(1);
+        table.has = TL_TABLE_HAS_encoder;
+        const double period = between(700 << 12, 60000 << 12), size = 9000.0;
+        table.encoder = (tl_table_encoder_t){.period_q12 = (int32_t)period};
+        *(i % 2U == 0U ? &table.encoder.sine : &table.encoder.cosine) = (int32_t)size;
+        TEST_ASSERT_EQUAL(TL_TABLE_OK, tl_lookup_derive(&lookup, &table, TL_TABLE_ANY_AXIS));
+        for (uint32_t k = 0; k < 200U; k++) {
+            const int32_t q = any(k % 2U == 0U ? 29 : 21);
+            const double turn = 2.0 * 3.14159265358979323846 * fmod(q * 16.0 / period, 1.0);
+            const double expected = size * (i % 2U == 0U ? sin(turn) : cos(turn));
+            // the sine to 1.4e-4, a product to 2^-13, a turn to 2^-14; last bits
+            TEST_ASSERT_DOUBLE_WITHIN(size * (1.4e-4 + 1.0 / 8192.0 + 3.2 / 16384.0) + 2.0, expected,
+                                      (double)q - tl_undo_reading(&undo, &lookup, q));
+            undo.moved.offset.now = any(24);
+            const int32_t shaft = q - (undo.moved.offset.now >> 8);
+            const int32_t reading = tl_undo_reading(&undo, &lookup, q);
+            undo.moved.offset.now = 0;
+            TEST_ASSERT_EQUAL_INT32(tl_undo_reading(&undo, &lookup, shaft), reading); // from where the shaft is
+        }
+    }
+}
+
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_a_width_is_scaled);
@@ -339,5 +370,6 @@ int main(void) {
     RUN_TEST(test_what_other_axes_carry_is_taken_from_the_angle);
     RUN_TEST(test_what_is_late_is_led);
     RUN_TEST(test_the_width_grows_by_speed_and_side);
+    RUN_TEST(test_an_encoder_s_error_is_periodic_to_the_ends_of_the_range);
     return UNITY_END();
 }

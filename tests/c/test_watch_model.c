@@ -368,6 +368,29 @@ static void test_a_frame_is_its_bytes(void) {
     }
 }
 
+// A byte that cannot stand there is dropped with what came before it as soon as it comes.
+static void test_what_is_no_frame_is_dropped_at_once(void) {
+    const tl_wire_ping_t ping = {.host_us = 1};
+    uint8_t frame[TL_WIRE_FRAME_MAX];
+    (void)tl_wire_frame(frame, TL_WIRE_PING, 0x1234, &ping);
+    for (uint32_t wrong = 0; wrong < TL_WIRE_HEADER_SIZE; wrong++) {
+        tl_wire_parser_t parser = {.fill = 0};
+        tl_wire_frame_t got;
+        for (uint32_t i = 0; i < TL_WIRE_HEADER_SIZE; i++) {
+            const uint8_t byte = (uint8_t)(frame[i] ^ (i == wrong ? 0x40U : 0U)), *bytes = &byte;
+            size_t size = 1;
+            TEST_ASSERT_FALSE(tl_wire_parse(&parser, &bytes, &size, &got));
+            // of the magic's two bytes at once; of the others once the check can be made
+            const bool known = wrong < 2U ? i >= wrong : i + 1U == TL_WIRE_HEADER_SIZE;
+            TEST_ASSERT_EQUAL_UINT32(known ? i + 1U : 0U, parser.bytes_bad);
+            if (known) {
+                TEST_ASSERT_EQUAL_UINT32(0, parser.fill);
+                break;
+            }
+        }
+    }
+}
+
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_flags_sample_and_what_is_handed_on);
@@ -376,5 +399,6 @@ int main(void) {
     RUN_TEST(test_how_a_calibration_ends);
     RUN_TEST(test_set_points_are_joined_by_straight_lines);
     RUN_TEST(test_a_frame_is_its_bytes);
+    RUN_TEST(test_what_is_no_frame_is_dropped_at_once);
     return UNITY_END();
 }
