@@ -24,8 +24,17 @@ void tearDown(void) {}
 
 // -- the control step -------------------------------------------------------------------------------------------------
 
-static void test_each_axis_is_guarded_once_a_millisecond_and_in_a_tick_of_its_own(void) {
+static uint32_t sum_of(const uint32_t *counts) {
+    uint32_t sum = 0;
+    for (uint32_t i = 0; i < TL_WIRE_AXES_MAX; i++) {
+        sum += counts[i];
+    }
+    return sum;
+}
+
+static void test_each_axis_is_watched_and_guarded_once_a_millisecond_in_ticks_of_its_own(void) {
     for (uint8_t axes = 1; axes <= TL_WIRE_AXES_MAX; axes++) {
+        uint32_t watched[TL_WIRE_AXES_MAX] = {0};
         fake_new(axes);
         fake_port.current_ma = counting_current;
         fake_port.estop_closed = counting_estop;
@@ -33,34 +42,22 @@ static void test_each_axis_is_guarded_once_a_millisecond_and_in_a_tick_of_its_ow
         memset(guarded, 0, sizeof guarded);
         stops_watched = 0;
         for (uint32_t tick = 0; tick < 50U; tick++) {
-            uint32_t before = 0, after = 0;
+            const uint32_t before = sum_of(watched), guards = sum_of(guarded), stops = stops_watched, steps = app.steps;
             for (uint8_t i = 0; i < axes; i++) {
-                before += guarded[i];
-            }
-            const uint32_t stopped = stops_watched, steps = app.steps;
-            uint32_t planned[TL_WIRE_AXES_MAX];
-            for (uint8_t i = 0; i < axes; i++) {
-                planned[i] = (uint32_t)app.axes[i].plan.stream.now_us;
+                app.axes[i].plan.stream.now_us = 0;
             }
             fake.t_us += 200U;
             tl_app_control(&app);
             TEST_ASSERT_EQUAL(steps + 1U, app.steps);
-            uint32_t watched = 0;
-            for (uint8_t i = 0; i < axes; i++) {
-                after += guarded[i];
-                // the watch sets what is planned for to the clock: nothing else brings it to lead_us ahead of this step
-                watched += (uint32_t)app.axes[i].plan.stream.now_us == (uint32_t)fake.t_us + app.axes[i].plan.lead_us &&
-                                   planned[i] != (uint32_t)app.axes[i].plan.stream.now_us
-                               ? 1U
-                               : 0U;
+            for (uint8_t i = 0; i < axes; i++) { // the watch sets what is planned for
+                watched[i] += app.axes[i].plan.stream.now_us == fake.t_us + app.axes[i].plan.lead_us ? 1U : 0U;
             }
-            TEST_ASSERT_TRUE(after - before <= 1U);
-            if (stops_watched != stopped && axes == TL_WIRE_AXES_MAX) {
-                TEST_ASSERT_EQUAL(0, watched);
-            }
+            TEST_ASSERT_TRUE(sum_of(watched) - before <= 1U && sum_of(guarded) - guards <= 1U);
+            TEST_ASSERT_TRUE(stops_watched == stops || axes < TL_WIRE_AXES_MAX || sum_of(watched) == before);
         }
-        for (uint8_t i = 0; i < axes; i++) {
-            TEST_ASSERT_EQUAL(10, guarded[i]); // of ten milliseconds
+        for (uint8_t i = 0; i < axes; i++) { // of ten milliseconds
+            TEST_ASSERT_EQUAL(10, watched[i]);
+            TEST_ASSERT_EQUAL(10, guarded[i]);
         }
         TEST_ASSERT_EQUAL(10, stops_watched);
     }
@@ -193,6 +190,49 @@ static void test_a_session_s_end_takes_telemetry_and_motion_with_it(void) {
     TEST_ASSERT_EQUAL(1, app.counters.bus_losses);
 }
 
+static void test_a_session_begins_with_nothing_of_the_last_one(void) {
+    uint8_t blob[TL_TABLE_SIZE_MAX];
+    const uint16_t size = fake_table(blob, 0, 1);
+    TEST_ASSERT_EQUAL(TL_UPLOAD_OK, tl_app_table_data(&app, 0, 0, blob, 256));
+    tl_app_receive(&app, blob, 1);
+    app.parser.bytes_bad = 7;
+    app.parser.fill = 3;
+    tl_app_bus(&app, true);
+    TEST_ASSERT_EQUAL(0, app.parser.fill);
+    TEST_ASSERT_EQUAL(0, app.parser.consumed);
+    TEST_ASSERT_EQUAL(7, app.parser.bytes_bad);
+    TEST_ASSERT_TRUE(tl_app_table_data(&app, 0, 256, blob + 256, 256) != TL_UPLOAD_OK);
+    TEST_ASSERT_EQUAL(TL_UPLOAD_OK, fake_upload(0, blob, size));
+}
+
+static void test_a_session_s_end_ends_a_calibration(void) {
+    const tl_wire_motion_start_t start = fake_calibration();
+    TEST_ASSERT_EQUAL(0, fake_enable(0, 1));
+    fake_run_ms(5);
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_MOTION_START, &start));
+    tl_app_bus(&app, false);
+    TEST_ASSERT_TRUE(app.calibration.host_lost);
+    TEST_ASSERT_EQUAL(TL_MOTION_STOPPING, tl_motion_state(&app.calibration.work.motion));
+}
+
+static void test_each_axis_hears_each_frame(void) {
+    const tl_wire_ping_t ping = {.host_us = 5};
+    app.axes[0].guard.alone_ms = app.axes[1].guard.alone_ms = 9;
+    (void)fake_ask(TL_WIRE_PING, &ping);
+    TEST_ASSERT_EQUAL(0, app.axes[0].guard.alone_ms + app.axes[1].guard.alone_ms);
+}
+
+static void test_a_start_by_the_watchdog_is_a_fault_of_each_axis(void) {
+    fake.t_us = 123;
+    fake_start(3, TL_WIRE_BOOT_WATCHDOG);
+    for (uint8_t i = 0; i < 3U; i++) {
+        TEST_ASSERT_EQUAL(TL_WIRE_FAULT_WATCHDOG, app.axes[i].fault);
+        TEST_ASSERT_EQUAL(0, app.axes[i].guard.fault_value);
+        TEST_ASSERT_TRUE(app.axes[i].guard.fault_us == 123U);
+    }
+    TEST_ASSERT_EQUAL(TL_WIRE_FAULT_NONE, app.axes[3].fault);
+}
+
 static void test_a_lost_edge_is_a_fault_of_its_axis_at_its_speed(void) {
     app.axes[1].motor.servo.velocity = 3 << 24; // 3 counts a tick
     fake.slipped[1] = true;
@@ -267,13 +307,17 @@ static void test_a_sample_is_told_field_by_field(void) {
 
 int main(void) {
     UNITY_BEGIN();
-    RUN_TEST(test_each_axis_is_guarded_once_a_millisecond_and_in_a_tick_of_its_own);
+    RUN_TEST(test_each_axis_is_watched_and_guarded_once_a_millisecond_in_ticks_of_its_own);
     RUN_TEST(test_a_step_is_late_after_two_periods_and_a_fault_after_20_ms);
     RUN_TEST(test_the_watchdog_is_fed_once_a_millisecond_while_steps_go_on);
     RUN_TEST(test_the_rest_of_a_frame_is_waited_for_20_ms);
     RUN_TEST(test_a_restart_waits_for_its_answer_to_leave);
     RUN_TEST(test_a_restart_waits_for_axes_for_10_seconds_at_most);
     RUN_TEST(test_a_session_s_end_takes_telemetry_and_motion_with_it);
+    RUN_TEST(test_a_session_begins_with_nothing_of_the_last_one);
+    RUN_TEST(test_a_session_s_end_ends_a_calibration);
+    RUN_TEST(test_each_axis_hears_each_frame);
+    RUN_TEST(test_a_start_by_the_watchdog_is_a_fault_of_each_axis);
     RUN_TEST(test_a_lost_edge_is_a_fault_of_its_axis_at_its_speed);
     RUN_TEST(test_events_without_room_are_counted);
     RUN_TEST(test_a_sample_is_told_field_by_field);
