@@ -10,7 +10,7 @@
 // lost, or one of its lines, and the motor have run on.
 #define OF_MOTION (BIT(FOLLOWING) | BIT(CURRENT) | BIT(STALL))
 #define UNSEEN_MS 5U
-#define NO_WAY_MS 20
+#define NO_WAY_MS 20U
 // After these somebody may have changed its wires.
 #define OF_WIRING (OF_POSITION | OF_MOTION | BIT(DRIVER) | BIT(SUPPLY))
 

@@ -2,15 +2,13 @@
 
 #include "tautline/tl_fast.h"
 
-#define INERTIA_LEAST 500                   // of the gains: a motor ten times as quick as the default's
-#define SLOWER        5                     // feed-forward of an inertia: a motor's lag is 2 ms, two steps, at least
-#define SPEED_MOST    (64 * 65536)          // counts/ms Q16: beyond any motor's; nothing overflows
-#define MARGIN        2621                  // duty by which a load grows at once: 8 %
-#define TWO           (2 * TL_COUNT_ONE)    // counts, more than an encoder of which one line is dead goes to and fro
-#define AHEAD_MOST    (32 * 65536)          // counts Q16
-#define LOAD_MOST     65536                 // duty
-#define UNSEEN_MOST   1000                  // ms that are told
-#define MOVED_MOST    (2048 * TL_COUNT_ONE) // in a millisecond
+#define INERTIA_LEAST 500       // of the gains: a motor ten times as quick as the default's
+#define SLOWER        5         // feed-forward of an inertia: a motor's lag is 2 ms, two steps, at least
+#define SPEED_MOST (64 * 65536) // counts/ms Q16: beyond any motor's, where the estimate begins anew; nothing overflows
+#define MARGIN     2621         // duty by which a load grows at once: 8 %
+#define TWO        (2 * TL_COUNT_ONE)  // counts, more than an encoder of which one line is dead goes to and fro
+#define LOAD_MOST  65536               // duty
+#define MOVED_MOST (64 * TL_COUNT_ONE) // in a millisecond: 64 000 counts/s, as SPEED_MOST
 
 void tl_sight_configure(tl_sight_t *sight, const tl_servo_gains_t *gains) {
     const int32_t inertia = gains->inertia > INERTIA_LEAST ? gains->inertia : INERTIA_LEAST;
@@ -23,7 +21,8 @@ TL_FAST void tl_sight_reset(tl_sight_t *sight, tl_count_q8_t q) {
     sight->q = sight->seen_q = q;
     sight->duty = 0;
     sight->ahead = sight->speed = sight->load = 0;
-    sight->least = sight->least_load = sight->must = sight->doubt = sight->unseen_ms = 0;
+    sight->least = sight->least_load = sight->must = sight->doubt = 0;
+    sight->unseen_ms = 0;
 }
 
 // Duty that speeds it up.
@@ -59,13 +58,14 @@ TL_FAST bool tl_sight_step(tl_sight_t *s, tl_count_q8_t q, tl_duty_q15_t duty) {
     // and of the load 1/64 of full drive a count.
     const int32_t pull = pull_of(s, s->speed, drove - s->load);
     const int32_t speed = s->speed + (pull * s->gain >> 8);
-    const int32_t ahead = tl_clamp(s->ahead + speed - moved * 256, -AHEAD_MOST, AHEAD_MOST);
+    const int32_t ahead = s->ahead + speed - moved * 256;
     s->ahead = ahead - (ahead >> 1) - (ahead >> 3);
     s->load = tl_clamp(s->load + (ahead >> 7), -LOAD_MOST, LOAD_MOST);
-    s->speed = tl_clamp(speed - (ahead >> 3), -SPEED_MOST, SPEED_MOST);
+    const int32_t held = speed - (ahead >> 3);
+    s->speed = (uint32_t)(held + SPEED_MOST) <= 2U * SPEED_MOST ? held : 0;
     const tl_count_q8_t way = q - s->seen_q;
     if (way > -TWO && way < TWO) {
-        s->unseen_ms += s->unseen_ms < UNSEEN_MOST ? 1 : 0;
+        s->unseen_ms++;
         return s->least == 0 || s->gain == 0 || go_unseen(s, drove);
     }
     const int32_t size = (pull < 0 ? -pull : pull), fades = s->doubt - (s->doubt >> 3);

@@ -111,7 +111,7 @@ static inline bool tl_actuator_sees(tl_actuator_t *actuator, tl_count_q8_t q) {
 }
 
 /// Milliseconds since it was seen to go one way: one of its encoder's lines alone goes to and fro.
-static inline int32_t tl_actuator_unseen_ms(const tl_actuator_t *actuator) {
+static inline uint32_t tl_actuator_unseen_ms(const tl_actuator_t *actuator) {
     return actuator->sight.unseen_ms;
 }
 
