@@ -6,9 +6,10 @@ the camera, with a glint that stays where the light is while the surface goes on
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import cv2
 import numpy as np
@@ -71,6 +72,7 @@ class BareWorld(World):
         else:  # who shows the tip bends it before, until the camera sees it from its side
             shows = np.arange(len(self.t)) >= int(np.argmax(self.q <= self.q.min()))
             self.t, self.q, self.c = self.t[shows], self.q[shows], self.c[shows]
+        self._before: tuple[Array, Any] = np.empty(0), None
         self._wind = self.rng.uniform(0.0, 6.3, 4)
         by_ruler = np.random.default_rng([seed, 0x7E1]).normal(0.0, RULER_MM)
         self.tip_mm = round(TIP_MM - PATCH_MM + float(by_ruler), 2)
@@ -145,7 +147,7 @@ class BareWorld(World):
 
     def _draw(self, scene: float) -> Array:
         behind = self._behind(scene)
-        place, drawn = self._resting if self.scene.still else self._exposed(scene)
+        place, drawn = self._exposed(scene)
         within = behind[place].astype(np.float32)
         picture = _soft(behind)
         shown = np.clip(np.rint(_soft(within * (1.0 - drawn[..., 3:]) + drawn[..., :3])), 0, 255)
@@ -157,15 +159,17 @@ class BareWorld(World):
         picture[place][rim[0], rim[1]] = shown[rim[0], rim[1]]
         return self._smoked(picture, scene) if self.scene.smoke else picture
 
-    @cached_property
-    def _resting(self) -> tuple[Place, Array]:
-        return self._exposed(float(self.t[0]))
-
     def _exposed(self, scene: float) -> tuple[Place, Array]:
         """Where the tube is in the picture, its light there (.., .., 3), and how much of each pixel it hides, over an
         exposure."""
+        bent = np.interp([scene + share * EXPOSURE_S for share in _GAUSS], self.t, self.c)
+        if not np.array_equal(bent, self._before[0]):  # else it rests
+            self._before = bent, self._drawn(bent.tolist())
+        return self._before[1]
+
+    def _drawn(self, bent: Sequence[float]) -> tuple[Place, Array]:
         shape = self.condition.height, self.condition.width
-        parts = [self._tube(scene + share * EXPOSURE_S, shape) for share in _GAUSS]
+        parts = [self._tube(c_deg, shape) for c_deg in bent]
         corners = np.array([corner for corner, _ in parts])
         ends = corners + [part.shape[:2] for _, part in parts]
         first = np.maximum(corners.min(axis=0) - 2 * _BLUR_PX, 0)
@@ -175,10 +179,10 @@ class BareWorld(World):
             drawn[corner[0] : end[0], corner[1] : end[1]] += part / len(parts)
         return (slice(first[0], last[0]), slice(first[1], last[1])), drawn
 
-    def _tube(self, scene: float, shape: tuple[int, int]) -> tuple[tuple[int, int], Array]:
-        """The same at one time, (.., .., 4), and its upper left corner (row, column)."""
+    def _tube(self, c_deg: float, shape: tuple[int, int]) -> tuple[tuple[int, int], Array]:
+        """The same at one angle, (.., .., 4), and its upper left corner (row, column)."""
         along, bend, angle, brightness = self._surface
-        middle, ahead, aside = self._spine(float(np.interp(scene, self.t, self.c)), along)
+        middle, ahead, aside = self._spine(c_deg, along)
         up = self._turned(np.array([[0.0, 1.0, 0.0]]))[0]
         middle, ahead, aside = self._in_camera(middle), self._turned(ahead), self._turned(aside)
         # Of each section the half that may face the camera.
