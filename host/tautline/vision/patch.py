@@ -20,7 +20,7 @@ import numpy.typing as npt
 from scipy.sparse import coo_array
 
 from tautline.errors import TautError
-from tautline.vision.flow import Picture, even_light, found_again
+from tautline.vision.flow import EvenLight, Picture, found_again
 from tautline.vision.sighting import Sighting, lost
 
 Array = npt.NDArray[np.floating[Any]]
@@ -113,10 +113,9 @@ class _Keyframe:
         self._tried, self._met = np.zeros((2, len(self.corners)))  # away from here: and how often it went along
 
     @classmethod
-    def of(cls, grey: Picture, pose: Pose, side_px: float) -> Self:
+    def of(cls, light: EvenLight, pose: Pose, side_px: float) -> Self:
         long = int(1.5 * side_px + 2.0 * _MARGIN_PX)
-        cut, corner = _cut(grey, pose.u, pose.v, (min(long, grey.shape[0]), min(long, grey.shape[1])))
-        return cls(cut.copy(), corner, pose, side_px)
+        return cls(*light.cut(pose.u, pose.v, (min(long, light.shape[0]), min(long, light.shape[1]))), pose, side_px)
 
     def turned(self, turn_deg: float) -> _Keyframe:
         """As it would look turned about the region's middle."""
@@ -135,11 +134,11 @@ class _Keyframe:
         middle = self.pose.u - float(self.corner[0]), self.pose.v - float(self.corner[1])
         return np.asarray(cv2.getRectSubPix(self.picture, (side, side), middle), dtype=np.uint8)
 
-    def seen_at(self, grey: Picture, expected: Pose) -> tuple[Pose, float] | None:
+    def seen_at(self, light: EvenLight, expected: Pose) -> tuple[Pose, float] | None:
         """The pose in another picture by the corners that go together there, and one standard deviation of its middle,
         px a coordinate."""
         motion = self.pose.to(expected)
-        cut, corner = _cut(grey, expected.u, expected.v, (self.picture.shape[0], self.picture.shape[1]))
+        cut, corner = light.cut(expected.u, expected.v, (self.picture.shape[0], self.picture.shape[1]))
         if len(self.corners) < _FEWEST:
             return None
         start = (self.corners - self.corner).astype(np.float32)
@@ -174,14 +173,6 @@ class _Keyframe:
         return len(self.corners) >= _FEWEST
 
 
-def _cut(grey: Picture, u: float, v: float, size: tuple[int, int]) -> tuple[Picture, Array]:
-    """The picture (height, width = size) around a place, as far as it goes, and its corner (2,) in the whole."""
-    y0, x0 = (
-        int(np.clip(at - 0.5 * long, 0, whole - long)) for at, long, whole in zip((v, u), size, grey.shape, strict=True)
-    )
-    return grey[y0 : y0 + size[0], x0 : x0 + size[1]], np.array([x0, y0], dtype=float)
-
-
 class PatchTracker:
     """Follows a region that was shown in one picture: `track` gives the place of its middle, as a marker's tracker
     does. Some 3 ms a frame while it is followed.
@@ -198,7 +189,7 @@ class PatchTracker:
         if not (0 <= at[0] < width and 0 <= at[1] < height):
             raise TautError(f"({at[0]:g}, {at[1]:g}) is outside of the picture of {width} x {height} px")
         self.side_px, self._shape = side_px, picture.shape[:2]
-        self._first = _Keyframe.of(even_light(picture), Pose(*at), side_px)
+        self._first = _Keyframe.of(EvenLight(picture), Pose(*at), side_px)
         if len(self._first.corners) < _FEWEST:
             raise TautError(
                 f"around {at[0]:g}, {at[1]:g} px there is hardly anything to follow: show a place with structure, or a "
@@ -251,11 +242,11 @@ class PatchTracker:
                 f"frames are {width} x {height} px, the place was shown in one of {shown_width} x {shown_height}: "
                 "show it again with 'taut marker VIDEO --region U,V'"
             )
-        grey = even_light(picture)
-        found = self._near(grey, self._expected) if self._poses else None
+        light = EvenLight(picture)
+        found = self._near(light, self._expected) if self._poses else None
         if found is None:
             self._poses.clear()
-            found = self._search(grey)
+            found = self._search(light)
         if found is None:
             return lost("the region is not found")
         pose, sigma = found
@@ -268,7 +259,7 @@ class PatchTracker:
         before, last = self._poses[0], self._poses[-1]
         return last.then(before.to(last))
 
-    def _near(self, grey: Picture, expected: Pose) -> tuple[Pose, float] | None:
+    def _near(self, light: EvenLight, expected: Pose) -> tuple[Pose, float] | None:
         """By the nearest keyframes, each the more the nearer it is: where one gives way to the next nothing jumps."""
         ranked = sorted((key.pose.unlike(expected, self.side_px), i) for i, key in enumerate(self._keyframes))
         found: list[tuple[float, Pose, float]] = []
@@ -277,7 +268,7 @@ class PatchTracker:
             weight = max(_REACH - unlike, 0.0) ** 2
             if found and (not weight or len(found) == _NEAREST):
                 break
-            seen = self._keyframes[i].seen_at(grey, expected)
+            seen = self._keyframes[i].seen_at(light, expected)
             if seen is not None:
                 found.append((max(weight, 1e-6), *seen))
                 told.append(i)
@@ -289,14 +280,14 @@ class PatchTracker:
         pose = Pose.mean([(weight, pose) for weight, pose, _ in found])
         fades = ranked[0][0] > _LEAST and self._keyframes[ranked[0][1]].together < _FADES
         if self._learns and (ranked[0][0] > 1.0 or fades) and len(self._keyframes) < _KEYFRAMES:
-            self._keyframes.append(_Keyframe.of(grey, pose, self.side_px))
+            self._keyframes.append(_Keyframe.of(light, pose, self.side_px))
         total = sum(weight for weight, _, _ in found)
         return pose, float(np.sqrt(sum((weight / total * sigma) ** 2 for weight, _, sigma in found)))
 
-    def _search(self, grey: Picture) -> tuple[Pose, float] | None:
+    def _search(self, light: EvenLight) -> tuple[Pose, float] | None:
         """Over the whole frame, made smaller: the keyframe that looks most like a place of it; the first one turned as
         well, as long as it is alone."""
-        small = _smaller(grey)
+        small = _smaller(light.whole)
         views = self._keyframes
         if len(views) == 1:
             turns = np.arange(-_TURNS_DEG, _TURNS_DEG + 1, 2 * _TURNED_DEG)
@@ -309,7 +300,7 @@ class PatchTracker:
                 ranked.append((like, _SHRINK * (np.array(place) + 0.5 * np.array(square.shape[::-1])), view))
         ranked.sort(key=lambda entry: -entry[0])
         for like, (u, v), view in ranked[:_NEAREST]:
-            found = view.seen_at(grey, replace(view.pose, u=float(u), v=float(v))) if like > _LIKE else None
+            found = view.seen_at(light, replace(view.pose, u=float(u), v=float(v))) if like > _LIKE else None
             if found is not None:
                 return found
         return None
