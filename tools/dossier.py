@@ -23,6 +23,7 @@ from pathlib import Path
 
 from packaging.requirements import Requirement
 
+from tools.kept import RESULTS
 from tools.sbom import DISTRIBUTION, c_components
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -310,7 +311,7 @@ def page(folder: Path, found: Results, table: list[Row]) -> tuple[str, list[str]
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--results", type=Path, default=ROOT / "build" / "results")
+    parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "dossier")
     parser.add_argument("--sum", action="store_true", help="prints the page's first table alone")
     options = parser.parse_args()

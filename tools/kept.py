@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
-RESULTS = Path(__file__).resolve().parents[1] / "build" / "results"
+RESULTS = Path(os.environ.get("TAUTLINE_RESULTS") or Path(__file__).resolve().parents[1] / "build" / "results")
 
 
 def keep(name: str, heads: Sequence[str], rows: Sequence[Sequence[object]], folder: Path = RESULTS) -> None:

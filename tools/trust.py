@@ -1,5 +1,5 @@
-"""Runs the harnesses of tests/fuzz, those in C with libFuzzer under ASan and UBSan, those of what the host reads
-(readers.py) as they are, and prints executions and what they reached.
+"""Runs the harnesses of tests/fuzz with libFuzzer, those in C under ASan and UBSan, those of what the host reads
+(readers.py) through Atheris, and prints executions and what they reached.
 
     python tools/trust.py [--long | --seconds S] [--keep] [TARGET...]
 
@@ -12,7 +12,9 @@ in build/fuzz/found, with the line that replays it.
 from __future__ import annotations
 
 import argparse
+import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -30,6 +32,8 @@ HARNESSES = ROOT / "build" / "fuzz" / "tests" / "fuzz"
 FOUND = ROOT / "build" / "fuzz" / "found"
 CORPUS = ROOT / "tests" / "fuzz" / "corpus"
 AT_ONCE = 2
+INTERRUPTED = 72  # libFuzzer's exit status after SIGINT: what it has done until then counts
+MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None  # a reader's files need no disk
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,7 @@ class Target:
     what: str
     runs: int  # of ./run test trust
     long: int  # of ./run trust
-    longest: int = 0  # bytes of an input; 0: a reader, which is given a seed
+    longest: int = 512  # bytes of an input
 
 
 MILLION = 1_000_000
@@ -49,7 +53,7 @@ TARGETS = {
     "app": Target("the whole app on a fake clock: requests, tables, cut power, ills", 4_000, MILLION, 512),
     "usb": Target("TinyUSB with the whole app on the desktop bus", 4_000, MILLION, 512),
 }
-READER = ROOT / "tests" / "fuzz" / "readers.py"
+READER = ROOT / "tests" / "fuzz" / "guided.py"
 READERS = {
     "recording": Target("a recording's folder, at the host", 300, MILLION),
     "model": Target("a model's folder", 1_000, MILLION),
@@ -66,29 +70,32 @@ EVERY = TARGETS | READERS
 class Result:
     name: str
     executions: int
-    reached: int  # edges of harness and library
-    edges: int
+    reached: int  # edges of harness and library; of a reader: of the package's Python
+    edges: int  # that there are, where it is known
     inputs: int  # that are kept
     broken: str  # what, and how to replay it; empty: nothing
 
 
+def harness(name: str) -> list[str]:
+    return [sys.executable, str(READER), name] if name in READERS else [str(HARNESSES / f"fuzz_{name}")]
+
+
 def run(name: str, amount: list[str], keep: bool, progress: Progress, task: TaskID) -> Result:
     """One target. Its corpus grows in a folder of its own, so that a run with a fixed seed always does the same."""
-    target, kept = EVERY[name], CORPUS / name
-    with tempfile.TemporaryDirectory() as grown:
-        command = [str(HARNESSES / f"fuzz_{name}"), *amount, f"-max_len={target.longest}", "-len_control=0"]
+    kept = CORPUS / name
+    with tempfile.TemporaryDirectory() as grown, tempfile.TemporaryDirectory(dir=MEMORY) as scratch:
+        command = [*harness(name), *amount, f"-max_len={EVERY[name].longest}", "-len_control=0"]
         command += ["-print_final_stats=1", f"-artifact_prefix={FOUND}/{name}-", grown, str(kept)]
-        if name in READERS:
-            command = [sys.executable, str(READER), name, *amount]
         said: list[str] = []
-        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, errors="replace") as process:
+        environment = os.environ | {"TMPDIR": scratch, "OPENBLAS_NUM_THREADS": "1"}
+        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, errors="replace", env=environment) as process:
             assert process.stderr is not None
             for line in process.stderr:
                 said.append(line)
                 if match := re.match(r"#(\d+)\t", line):
                     progress.update(task, completed=int(match[1]))
         result = _result(name, said, process.returncode)
-        if keep and name in TARGETS and not result.broken:
+        if keep and not result.broken:
             _merge(name, Path(grown), kept)
     progress.update(task, completed=result.executions, total=result.executions)
     return result
@@ -100,26 +107,32 @@ def _result(name: str, said: list[str], code: int) -> Result:
     reached = re.findall(r"cov: (\d+)", text)
     edges = re.search(r"Loaded \d+ modules\s+\((\d+) inline", text)
     broken = ""
-    if code != 0:
+    if code not in (0, INTERRUPTED):
         why = re.search(r"broken: .*|runtime error: .*|SUMMARY: .*", text)
         left = re.search(r"Test unit written to (\S+)", text)
-        replay = (
-            f"; again by {HARNESSES.relative_to(ROOT)}/fuzz_{name} {Path(left[1]).relative_to(ROOT)}" if left else ""
+        again = " ".join(
+            str(part).removeprefix(f"{ROOT}/") for part in [*harness(name), *(left.groups() if left else ())]
         )
+        replay = f"; again by {again}" if left else ""
         broken = (why[0] if why else f"ended with {code}") + replay
     return Result(
         name,
         int(executions[-1]) if executions else 0,
         int(reached[-1]) if reached else 0,
         int(edges[1]) if edges else 0,
-        len(list((CORPUS / name).iterdir())) if name in TARGETS else 0,
+        len(list((CORPUS / name).iterdir())),
         broken,
     )
 
 
 def _merge(name: str, grown: Path, kept: Path) -> None:
-    """Adds what reaches something that the kept inputs do not; they stay, as each was a case once."""
-    command = [str(HARNESSES / f"fuzz_{name}"), "-merge=1", "-use_counters=0", str(kept), str(grown)]
+    """Adds what reaches something that the kept inputs do not; they stay, as each was a case once.
+    (Atheris cannot merge: of a reader all that reached something new when it was tried.)"""
+    if name in READERS:
+        for path in grown.iterdir():
+            shutil.copy(path, kept)
+        return
+    command = [*harness(name), "-merge=1", "-use_counters=0", str(kept), str(grown)]
     subprocess.run(command, check=True, capture_output=True)
 
 
@@ -149,13 +162,10 @@ def main() -> int:
         results = list(pool.map(lambda name: run(name, amounts[name][0], options.keep, progress, tasks[name]), names))
     print(f"{'target':10s}{'executions':>12s}{'edges reached':>16s}{'kept inputs':>13s}")
     for each in results:
-        edges, inputs = (f"{each.reached} of {each.edges}", str(each.inputs)) if each.edges else ("-", "-")
-        print(f"{each.name:10s}{each.executions:12d}{edges:>16s}{inputs:>13s}  {EVERY[each.name].what}")
+        edges = f"{each.reached} of {each.edges}" if each.edges else str(each.reached)
+        print(f"{each.name:10s}{each.executions:12d}{edges:>16s}{each.inputs:13d}  {EVERY[each.name].what}")
     heads = ("target", "executions", "edges reached", "of", "kept inputs", "broken")
-    kept = [
-        (each.name, each.executions, *((each.reached, each.edges, each.inputs) if each.edges else "---"), each.broken)
-        for each in results
-    ]
+    kept = [(each.name, each.executions, each.reached, each.edges or "-", each.inputs, each.broken) for each in results]
     keep("fuzz" if options.long or options.seconds else "fuzz-short", heads, kept)
     for each in results:
         if each.broken:

@@ -75,7 +75,7 @@ def test_dfu_util_loads_firmware(request: pytest.FixtureRequest, tmp_path: Path)
         pytest.skip("an image for the desktop board")
     secret, public = map(bytes, monocypher.generate_signing_key_pair())
     file = tmp_path / "new.update"
-    file.write_bytes(update_file(secret, "desktop", [b"one", b"one"], (0, 9, 0)))  # for either slot
+    file.write_bytes(update_file(secret, "desktop-1", [b"one", b"one"], (0, 9, 0)))  # for either slot
     with DesktopBoard(update_key=public) as process, contextlib.closing(process.link()) as link:
         bench = Bench(process.where, link, process)
         on_the_bus(bench, "dfu-util", "-a", "firmware", "-D", str(file))

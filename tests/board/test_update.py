@@ -51,7 +51,7 @@ def file_of(
     keys: Keys,
     word: str,
     version: firmware.Version = NEWER,
-    port: str = "desktop",
+    port: str = "desktop-1",
     protocol: int = wire.wire.MAJOR,
 ) -> Path:
     image = word.encode().ljust(SIZE, b"\1")
@@ -112,7 +112,9 @@ def test_a_file_that_is_not_for_this_board_is_refused_in_a_line(
             (tmp_path / "missing", "No such file"),
             (generation, f"speaks protocol {wire.wire.MAJOR + 1}, this tautline"),
             (stranger, "not signed with the key"),
-            (file_of(tmp_path, keys, "pico", port="rp2040"), "is for rp2040, this board is desktop"),
+            (file_of(tmp_path, keys, "pico", port="rp2040"), "is for rp2040, this board is desktop-1"),
+            (file_of(tmp_path, keys, "three", port="desktop-3"), "is for a desktop with 3 axes, this board has 1: get"),
+            (file_of(tmp_path, keys, "four", port="desktop"), "is for a desktop with 4 axes, this board has 1: get"),
         ):
             with pytest.raises(TautError, match=says):
                 update(desktop.where, file)
@@ -127,12 +129,25 @@ def test_the_board_itself_refuses_what_a_host_lets_through(
         for file, why in (
             (file_of(tmp_path, Keys(), "two"), "SIGNATURE"),
             (file_of(tmp_path, keys, "pico", port="rp2040"), "PORT"),
+            (file_of(tmp_path, keys, "three", port="desktop-3"), "PORT"),
+            (file_of(tmp_path, keys, "four", port="desktop"), "PORT"),
             (file_of(tmp_path, keys, "old", OLDER), "OLDER"),
         ):
             with pytest.raises(TautError) as refused:
                 update(desktop.where, file)
             assert wire.text("UPDATES", wire.code("UPDATES", why)) in str(refused.value)
         assert link.ask("state")["flash_operations"] == 0
+
+
+def test_a_board_of_all_axes_keeps_what_runs_from_an_image_of_three(keys: Keys, tmp_path: Path) -> None:
+    three = file_of(tmp_path, keys, "three", port="desktop-3")
+    with DesktopBoard(serial="TEST-1", axes=4, update_key=keys.public) as board:
+        assert give(board, file_of(tmp_path, keys, "four", port="desktop")) == NEWER
+        with pytest.raises(TautError, match="is for a desktop with 3 axes, this board has 4: get the file for"):
+            give(board, three, force=True)
+        with open_board(board.where) as opened, opened.firmware_route() as route, pytest.raises(TautError):
+            route.download(three.read_bytes())
+        assert running(board) == (NEWER, "CONFIRMED")
 
 
 def test_a_motor_that_is_on(desktop: DesktopBoard, keys: Keys, tmp_path: Path) -> None:

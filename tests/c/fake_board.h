@@ -24,8 +24,10 @@ typedef struct {
     int32_t current_ma;
     bool slipped[TL_WIRE_AXES_MAX]; // until the app has asked
     bool blocked;
-    bool stuck;    // the encoders,
-    int32_t shown; // at this
+    bool stuck;                     // the encoders,
+    int32_t shown;                  // at this
+    bool dropped[TL_WIRE_AXES_MAX]; // an encoder, which shows `held` meanwhile and has `missed` afterwards
+    int32_t held[TL_WIRE_AXES_MAX], missed[TL_WIRE_AXES_MAX];
     bool driver_fault[TL_WIRE_AXES_MAX];
     bool estop_closed;
     uint16_t supply_mv;
@@ -59,7 +61,14 @@ static int32_t fake_encoder(void *context, uint8_t axis) {
     if (f->stuck) {
         return f->shown;
     }
-    return (int32_t)(position < 0.0 ? position - 1.0 : position);
+    return f->dropped[axis] ? f->held[axis] : (int32_t)(position < 0.0 ? position - 1.0 : position) - f->missed[axis];
+}
+static inline void fake_drop(uint8_t axis, bool drops) {
+    const int32_t held = fake_encoder(&fake, axis);
+    fake.held[axis] = held;
+    fake.dropped[axis] = false;
+    fake.missed[axis] += fake_encoder(&fake, axis) - held;
+    fake.dropped[axis] = drops;
 }
 static void fake_drive(void *context, uint8_t axis, tl_duty_q15_t duty) {
     ((fake_t *)context)->duty[axis] = duty;

@@ -3,11 +3,15 @@
 #include "fake_board.h"
 #include "random_u32.h"
 
+#include <math.h>
+
 #ifndef RANDOM_STEPS
 #define RANDOM_STEPS 30000000U // control steps
 #endif
-#define AXES       2U
-#define COUNTS_LOW (-400 * TL_COUNT_ONE) // of a calibration motion
+#define AXES           2U
+#define DROPOUT_ONE_IN 16U                   // events
+#define DROPOUT_SPEED  500                   // counts/s from which on 50 counts are promised
+#define COUNTS_LOW     (-400 * TL_COUNT_ONE) // of a calibration motion
 
 void setUp(void) {}
 void tearDown(void) {}
@@ -43,11 +47,16 @@ typedef struct {
     uint32_t sink_steps;    // its drive sinks: whether it stalls, follows or swings is not looked at meanwhile
     uint32_t group_steps;   // driven though another one of its group has failed
     bool mate_failed;
+    uint32_t steady_steps;  // its path goes at one speed, and it goes with it
+    uint32_t dropout_steps; // that its encoder has still dropped out for
+    bool steady;            // and has dropped out in such a motion, which goes on
+    double gone_from;       // where the motor was then
+    uint32_t astray_steps;  // driven away from its path unseen
 } seen_t;
 
 static seen_t seen[AXES];
 static uint32_t heard_steps_ago;
-static uint32_t moved, arrived, faults, homed, checked, stopped, taken, sunk;
+static uint32_t moved, arrived, faults, homed, checked, stopped, taken, sunk, dropped, steady, told;
 
 #define STEPS(ms) ((ms) * FAKE_HZ / 1000U)
 
@@ -82,6 +91,34 @@ static void check_stops(uint8_t i) {
     stopped += s->mode != TL_WIRE_MODE_OFF && axis->fault == TL_WIRE_FAULT_ESTOP ? 1U : 0U;
     taken += s->mode != TL_WIRE_MODE_OFF && axis->fault == TL_WIRE_FAULT_GROUP ? 1U : 0U;
     sunk += lets_go && s->sink_steps == STEPS(10U) ? 1U : 0U;
+}
+
+// docs/safety.md: an encoder that drops out.
+static void check_sight(uint8_t i) {
+    const tl_axis_t *axis = &app.axes[i];
+    seen_t *s = &seen[i];
+    const tl_wire_settings_t *own = &axis->settings, usual = tl_axis_default_settings(&fake_port, i);
+    const int32_t error = axis->path.q - axis->q;
+    const bool driven = axis->closed && axis->mode != TL_WIRE_MODE_HOME && axis->guard.sink == 0 &&
+                        own->commissioned != 0U && own->proportional == usual.proportional;
+    const bool one_speed = driven && axis->path.speed == s->path_speed && axis->guard.swing == 0 && !fake.blocked &&
+                           llabs((int64_t)axis->path.speed * (int32_t)FAKE_HZ >> 24) >= DROPOUT_SPEED;
+    s->steady_steps = one_speed && !fake.dropped[i] && abs(error) < 3 * TL_COUNT_ONE ? s->steady_steps + 1U : 0U;
+    if (!fake.dropped[i]) {
+        s->astray_steps = 0U;
+        return;
+    }
+    dropped++;
+    s->steady = s->steady && one_speed;
+    TEST_ASSERT_TRUE_MESSAGE(!s->steady || fabs(fake.position[i] - s->gone_from) <= 50.0, "fifty counts unseen");
+    told += s->was_closed && axis->mode == TL_WIRE_MODE_OFF && axis->fault == TL_WIRE_FAULT_STALL ? 1U : 0U;
+    s->astray_steps = driven && abs(error) >= 6 * TL_COUNT_ONE ? s->astray_steps + 1U : 0U;
+    TEST_ASSERT_TRUE_MESSAGE(s->astray_steps <= STEPS(own->stall_ms + 150U), "not driven for long unseen");
+    TEST_ASSERT_TRUE_MESSAGE(axis->fault != TL_WIRE_FAULT_STALL || !s->was_closed || !axis->referenced,
+                             "a stall in the dark takes the position");
+    if (--s->dropout_steps == 0U) {
+        fake_drop(i, false);
+    }
 }
 
 // What must hold after each step, whatever happened.
@@ -153,6 +190,7 @@ static void check_axis(uint8_t i) {
     const bool depends = axis->mode != TL_WIRE_MODE_OFF && axis->mode != TL_WIRE_MODE_HOLD;
     TEST_ASSERT_TRUE_MESSAGE(!depends || heard_steps_ago <= STEPS(4000U), "no motion without a host");
     check_stops(i);
+    check_sight(i);
     // A position that the motor does not follow, a drive that swings, a motor that turns against its encoder.
     const bool apart = axis->closed && !sinks && abs(axis->path.q - axis->q) > axis->limits.following_error_q8;
     s->apart_steps = apart ? s->apart_steps + 1U : 0U;
@@ -357,6 +395,23 @@ static void a_request(void) {
     }
 }
 
+static void see_again(void) {
+    for (uint8_t i = 0; i < AXES; i++) {
+        fake_drop(i, false);
+    }
+}
+
+static void drop_out(uint8_t axis) {
+    seen_t *s = &seen[axis];
+    if (!fake.dropped[axis] && app.axes[axis].closed) {
+        s->steady = s->steady_steps >= STEPS(60U);
+        steady += s->steady ? 1U : 0U;
+        s->gone_from = fake.position[axis];
+        s->dropout_steps = (uint32_t)between(1, one_in(2) ? (int32_t)STEPS(100U) : (int32_t)STEPS(800U));
+        fake_drop(axis, true);
+    }
+}
+
 static void lose(uint8_t axis) {
     seen[axis].truly_referenced = false;
     seen[axis].off_by = INT64_MIN;
@@ -364,6 +419,7 @@ static void lose(uint8_t axis) {
 
 // With the power off somebody changes the wires.
 static void rewire(uint8_t axis, double wiring) {
+    see_again();
     fake.wiring[axis] = wiring;
     fake_start(AXES, TL_WIRE_BOOT_POWER); // where nothing is stored, nobody has commissioned it
     memset(seen, 0, sizeof(seen));        // another life
@@ -404,6 +460,7 @@ static void help(uint8_t axis) {
 // What happens to hardware.
 static void a_mishap(void) {
     const uint8_t axis = (uint8_t)(random_u32() % AXES);
+    see_again(); // what happens unseen is not known
     switch (random_u32() % 14U) {
     case 0:
         fake.blocked = true;
@@ -472,6 +529,9 @@ static void test_whatever_happens_an_axis_keeps_its_word(void) {
             } else {
                 a_request();
             }
+            if (one_in(DROPOUT_ONE_IN)) {
+                drop_out((uint8_t)(random_u32() % AXES));
+            }
             const uint32_t most =
                 one_in(400) ? STEPS(12000U) : (one_in(40) ? STEPS(2000U) : (one_in(4) ? 1000U : 100U));
             for (uint32_t left = random_u32() % most; left > 0U; left--) {
@@ -486,8 +546,11 @@ static void test_whatever_happens_an_axis_keeps_its_word(void) {
                                  checked > RANDOM_STEPS / 1000000U,
                              "and got somewhere");
     TEST_ASSERT_TRUE_MESSAGE(stopped > RANDOM_STEPS / 1000000U && taken > RANDOM_STEPS / 1000000U &&
-                                 sunk > RANDOM_STEPS / 10000000U,
+                                 sunk > RANDOM_STEPS / 20000000U,
                              "and was stopped in every way");
+    TEST_ASSERT_TRUE_MESSAGE(dropped > RANDOM_STEPS / 30U && told > RANDOM_STEPS / 200000U &&
+                                 steady > RANDOM_STEPS / 1000000U,
+                             "and was in the dark");
 }
 
 int main(void) {

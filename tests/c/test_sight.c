@@ -9,7 +9,7 @@
 #define SIGHT_STEPS 2000000U // of sound motion
 #endif
 #define GONE_MOST  50.0  // counts, as docs/safety.md says,
-#define GONE_SPEED 1000  // from that many a second on
+#define GONE_SPEED 500   // from that many a second on
 #define STATIC     150.0 // counts/s within which static friction falls to sliding friction
 #define CHOPS      0.607 // of what full drive makes of a motor that stands
 
@@ -194,6 +194,24 @@ static void test_a_dropout_at_speed_is_fifty_counts_at_most(void) {
     }
 }
 
+// It shows a count to and fro, as a motor does that hardly turns: whatever trips at last, it is no position.
+static void test_a_line_that_dies_at_any_speed_leaves_no_position(void) {
+    for (int run = 0; run < 200; run++) {
+        seed = (uint32_t)run * 2654435761U + 31U;
+        draw_motor();
+        begin();
+        load_to(uniform(-0.2, 0.2));
+        move(run % 2 == 0 ? 100000.0 : -100000.0, log_uniform(50.0, 12000.0), 200000.0);
+        run_ms(uniform(150.0, 200.0));
+        become(ONE_LINE);
+        for (int ms = 0; app.axes[0].fault == TL_WIRE_FAULT_NONE && ms < 2000; ms++) {
+            run_ms(1.0);
+        }
+        TEST_ASSERT_TRUE(app.axes[0].fault != TL_WIRE_FAULT_NONE);
+        TEST_ASSERT_FALSE(app.axes[0].referenced);
+    }
+}
+
 static void test_a_dropout_while_it_runs_down_leaves_no_position(void) {
     for (int run = 0; run < 100; run++) {
         seed = (uint32_t)run * 2654435761U + 5U;
@@ -216,10 +234,32 @@ static void test_a_dropout_while_it_runs_down_leaves_no_position(void) {
     }
 }
 
+// Nothing overflows (UBSan): settings may say any gains, and an encoder may show anything.
+static void test_any_gains_and_any_encoder(void) {
+    for (uint32_t run = 0; run < 2000; run++) {
+        seed = run * 2654435761U + 3U;
+        const tl_servo_gains_t gains = {.inertia = (int32_t)log_uniform(1.0, 32767.9),
+                                        .feed_forward = (int32_t)log_uniform(1.0, 32767.9)};
+        tl_sight_t sight = {.gain = 0};
+        tl_sight_configure(&sight, &gains);
+        tl_sight_reset(&sight, 0);
+        const int32_t most = (int32_t)log_uniform(1.0, 2048.0 * 256.0);
+        int32_t q = 0, way = 0, duty = 0;
+        for (int ms = 0; ms < 300; ms++) {
+            way = ms % 20 == 0 ? (int32_t)uniform(-most, most) : way;
+            duty = ms % 30 == 0 ? (int32_t)uniform(-32768.0, 32768.0) : duty;
+            q += ms % 50 < 40 ? way : 0;
+            (void)tl_sight_step(&sight, q, duty);
+        }
+    }
+}
+
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_no_sound_motion_is_taken_for_a_dropout);
     RUN_TEST(test_a_dropout_at_speed_is_fifty_counts_at_most);
+    RUN_TEST(test_a_line_that_dies_at_any_speed_leaves_no_position);
     RUN_TEST(test_a_dropout_while_it_runs_down_leaves_no_position);
+    RUN_TEST(test_any_gains_and_any_encoder);
     return UNITY_END();
 }

@@ -117,7 +117,7 @@ static void make_head(uint8_t *page, uint8_t slot, const uint8_t *image, uint8_t
 static void make_file(uint8_t major) {
     for (uint8_t slot = 0; slot < 2; slot++) {
         uint8_t *page = file + slot * (256U + IMAGE);
-        make_head(page, slot, new_image, major, "fake");
+        make_head(page, slot, new_image, major, "fake-1");
         memcpy(page + 256, new_image, IMAGE);
     }
 }
@@ -325,10 +325,10 @@ static void test_nothing_is_erased_for_a_file_that_is_refused(void) {
         const char *port;
         uint32_t flipped; // byte of the head of slot 1's image
     } cases[] = {
-        {TL_WIRE_UPDATE_OLDER, 0, "fake", 0},
-        {TL_WIRE_UPDATE_PORT, 1, "fak", 0},
-        {TL_WIRE_UPDATE_PORT, 1, "fakes", 0},
-        {TL_WIRE_UPDATE_DAMAGED, 1, "fake", 9},
+        {TL_WIRE_UPDATE_OLDER, 0, "fake-1", 0},   {TL_WIRE_UPDATE_PORT, 1, "fak", 0},
+        {TL_WIRE_UPDATE_PORT, 1, "fake", 0},      {TL_WIRE_UPDATE_PORT, 1, "fake-2", 0},
+        {TL_WIRE_UPDATE_PORT, 1, "fake-11", 0},   {TL_WIRE_UPDATE_PORT, 1, "fake-1-of-a-page", 0},
+        {TL_WIRE_UPDATE_DAMAGED, 1, "fake-1", 9},
     };
     begin(true);
     memcpy(app.update.version, (uint8_t[]){1, 0, 0}, 3); // what runs
@@ -345,7 +345,7 @@ static void test_nothing_is_erased_for_a_file_that_is_refused(void) {
     uint8_t seed[32] = {9}, other[32];
     memcpy(bad, file, FILE_SIZE);
     crypto_eddsa_key_pair(secret, other, seed);
-    make_head(bad + 256 + IMAGE, 1, new_image, 1, "fake");
+    make_head(bad + 256 + IMAGE, 1, new_image, 1, "fake-1");
     TEST_ASSERT_EQUAL(TL_WIRE_UPDATE_SIGNATURE, send(bad, FILE_SIZE));
     // The image for slot 0 alone; a head alone, of another size; out of order; not whole pages.
     TEST_ASSERT_EQUAL(TL_WIRE_UPDATE_LINKED, send(file, 256 + IMAGE));
@@ -359,6 +359,25 @@ static void test_nothing_is_erased_for_a_file_that_is_refused(void) {
     TEST_ASSERT_EQUAL(TL_WIRE_UPDATE_NOT_OFF, send(file, FILE_SIZE));
     TEST_ASSERT_EQUAL(0, fake.operations);
     TEST_ASSERT_TRUE(tl_boot_slot(&flash, 1).whole);
+}
+
+// An image for three would leave the fourth motor alone. With all four the name is the port's alone, as it was before
+// there was a number.
+static void test_firmware_for_another_number_of_axes_is_refused(void) {
+    for (uint8_t axes = 1; axes <= TL_WIRE_AXES_MAX; axes++) {
+        for (uint8_t of = 1; of <= TL_WIRE_AXES_MAX; of++) {
+            char name[16];
+            (void)snprintf(name, sizeof(name), of < 4 ? "fake-%u" : "fake", of);
+            begin(true);
+            fake_start(axes, TL_WIRE_BOOT_POWER);
+            memcpy(app.update.version, (uint8_t[]){1, 0, 0}, 3);
+            const uint32_t before = fake.operations;
+            make_head(file, 0, new_image, 1, name);
+            make_head(file + 256 + IMAGE, 1, new_image, 1, name);
+            TEST_ASSERT_EQUAL(of == axes ? TL_WIRE_UPDATE_NONE : TL_WIRE_UPDATE_PORT, send(file, FILE_SIZE));
+            TEST_ASSERT_EQUAL(of == axes, fake.operations != before);
+        }
+    }
 }
 
 static void test_an_older_one_comes_where_it_is_asked_for(void) {
@@ -438,6 +457,7 @@ int main(void) {
     RUN_TEST(test_new_firmware_that_hangs_gives_way_to_the_old_one_for_good);
     RUN_TEST(test_new_firmware_that_no_host_has_talked_to_is_given_up);
     RUN_TEST(test_nothing_is_erased_for_a_file_that_is_refused);
+    RUN_TEST(test_firmware_for_another_number_of_axes_is_refused);
     RUN_TEST(test_an_older_one_comes_where_it_is_asked_for);
     RUN_TEST(test_a_file_that_ends_early_or_changed_on_its_way_does_not_count);
     RUN_TEST(test_on_trial_the_old_one_is_not_overwritten);

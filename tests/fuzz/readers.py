@@ -1,27 +1,19 @@
 """What the host reads, made hostile: recordings, models, rigs, replies of a board and of its USB.
 
-    python tests/fuzz/readers.py TARGET [-runs=N | -max_total_time=S] [-seed=SEED]
-
 One execution is one of TARGETS with a random.Random: it may end in a result or in a TautError, in nothing else, and
-within moments. Seeds count on from the first one; the same seed does the same. Options and what is said are as of
-libFuzzer, so that tools/trust.py runs these as it runs the harnesses in C.
-
-What is changed is whole files and messages, in their own terms (a cell, a key, a field), now and then in bytes.
+within moments. What is changed is whole files and messages, in their own terms (a cell, a key, a field), now and then
+in bytes. `guided.py` looks for what nobody has tried.
 """
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import copy
 import errno
 import json
 import random
 import socket
-import sys
 import tempfile
-import time
-import traceback
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -39,6 +31,8 @@ from tautline.errors import TautError
 from tautline.model import Model
 from tautline.rig import Rig
 from tautline.simulated.instrument import preset, reference_rig
+
+FOLDER = tempfile.TemporaryDirectory(prefix="hostile-")
 
 CELLS = (
     "", "nan", "inf", "-inf", "-1", "0", "1e308", "-1e308", "1e400", "1e-320", "9" * 400, "0x10", "1_000", "true",
@@ -162,6 +156,7 @@ class Device:
 def tables_by_dfu(draw: random.Random) -> None:
     route = object.__new__(dfu.Dfu)
     route._device, route._interface, route._answer_ms, route._block = Device(draw), 1, 1000, 256
+    route._asked_s = 0.0
     slept: list[float] = []
     with patch.object(dfu.time, "sleep", slept.append), patch.object(dfu.usb.util, "release_interface"):
         try:
@@ -278,7 +273,7 @@ def _toml(draw: random.Random, text: str) -> str:
 
 
 def _json(draw: random.Random, text: str) -> str:
-    document = copy.deepcopy(json.loads(text))
+    document = json.loads(text)
     for _ in range(draw.randrange(1, 4)):
         at: Any = document
         while True:
@@ -292,25 +287,32 @@ def _json(draw: random.Random, text: str) -> str:
             if draw.random() < 0.15:
                 del at[place]
             else:
-                at[place] = draw.choice(VALUES)
+                at[place] = copy.deepcopy(draw.choice(VALUES))
             break
     deep = draw.randrange(2000) if draw.random() < 0.01 else 0
     return "[" * deep + json.dumps(document) + "]" * deep
 
 
-def _changed(draw: random.Random, files: dict[str, str], folder: Path) -> None:
-    chosen = draw.choice(sorted(files))
+def _in_folder(
+    files: dict[str, str], needed: tuple[str, ...], read: Callable[[Path], object]
+) -> Callable[[random.Random], None]:
+    """One of the files is changed, any that is not needed may be left out."""
     changes = {".csv": _csv, ".toml": _toml, ".json": _json}
-    for name, text in files.items():
-        change = changes.get(Path(name).suffix) if name == chosen else None
-        (folder / name).write_bytes(_bytes(draw, change(draw, text)) if change else text.encode())
+    there: dict[str, bytes] = {}
 
-
-def _in_folder(files: dict[str, str], read: Callable[[Path], object]) -> Callable[[random.Random], None]:
     def read_once(draw: random.Random) -> None:
-        with tempfile.TemporaryDirectory(prefix="hostile-") as folder:
-            _changed(draw, files, Path(folder))
-            read(Path(folder))
+        chosen = draw.choice(sorted(files))
+        change = changes[Path(chosen).suffix]
+        wanted = {name: text.encode() for name, text in files.items() if name in needed or draw.random() < 0.5}
+        wanted[chosen] = _bytes(draw, change(draw, files[chosen]))
+        for name in there.keys() - wanted.keys():
+            Path(FOLDER.name, name).unlink()
+        for name, data in wanted.items():
+            if there.get(name) != data:
+                Path(FOLDER.name, name).write_bytes(data)
+        there.clear()
+        there.update(wanted)
+        read(Path(FOLDER.name))
 
     return read_once
 
@@ -331,46 +333,18 @@ def _load_rig(folder: Path) -> None:
     assert np.isfinite(found.actuator.range).all() and found.actuator.span > 0
 
 
-TARGETS: dict[str, tuple[Callable[[random.Random], None], str]] = {
-    "recording": (_in_folder(RECORDING, _load_recording), "a recording's folder: rig, motor, marker, angle"),
-    "model": (_in_folder(MODEL, _load_model), "a model's folder"),
-    "rig": (_in_folder({"rig.toml": RECORDING["rig.toml"]}, _load_rig), "a rig.toml"),
-    "replies": (replies, "what a board answers, as messages"),
-    "stream": (stream, "bytes of the bus, at the host"),
-    "dfu": (tables_by_dfu, "what a board answers to DFU requests"),
-    "usbip": (usb_over_ip, "what a USB/IP server sends"),
+TARGETS: dict[str, Callable[[random.Random], None]] = {
+    "recording": _in_folder(RECORDING, ("rig.toml", "motor.csv"), _load_recording),
+    "model": _in_folder(MODEL, tuple(MODEL), _load_model),
+    "rig": _in_folder({"rig.toml": RECORDING["rig.toml"]}, ("rig.toml",), _load_rig),
+    "replies": replies,
+    "stream": stream,
+    "dfu": tables_by_dfu,
+    "usbip": usb_over_ip,
 }
 
 
-def once(name: str, seed: int) -> None:
+def once(name: str, draw: random.Random) -> None:
     """Ends as it may, or in the error that it may not end in."""
     with contextlib.suppress(TautError):
-        TARGETS[name][0](random.Random(f"{name}:{seed}"))
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("target", choices=TARGETS)
-    parser.add_argument("-runs", type=int, default=sys.maxsize)
-    parser.add_argument("-max_total_time", type=float, default=float("inf"), help="seconds")
-    parser.add_argument("-seed", type=int, help="of the first execution; otherwise any")
-    options = parser.parse_args()
-    seed = random.SystemRandom().randrange(1 << 48) if options.seed is None else options.seed
-    runs, began = 0, time.monotonic()
-    while runs < options.runs and time.monotonic() - began < options.max_total_time:
-        try:
-            once(options.target, seed + runs)
-        except Exception:
-            traceback.print_exc()
-            again = f"python tests/fuzz/readers.py {options.target} -runs=1 -seed={seed + runs}"
-            print(f"broken: {sys.exc_info()[1]!r}; again by {again}", file=sys.stderr)
-            return 1
-        runs += 1
-        if runs % 256 == 0:
-            print(f"#{runs}\t", file=sys.stderr)
-    print(f"stat::number_of_executed_units: {runs}", file=sys.stderr)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        TARGETS[name](draw)

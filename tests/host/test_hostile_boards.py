@@ -73,6 +73,7 @@ def slept(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 def route(device: Device) -> dfu.Dfu:
     made = object.__new__(dfu.Dfu)
     made._device, made._interface, made._answer_ms, made._block = device, 1, 1000, 256
+    made._asked_s = 0.0
     return made
 
 
@@ -84,6 +85,23 @@ def test_a_board_that_wants_hours_has_ten_seconds(slept: list[float]) -> None:
     with pytest.raises(TautError, match="does not come to rest"):
         route(Device(7, 0xFFFFFF))._make_idle()
     assert sum(slept) <= 40.0
+
+
+class Waiting(Device):
+    """It asks for ten seconds after every answer, and then has done what it was asked for."""
+
+    asked = 0
+
+    def ctrl_transfer(self, kind: int, request: int, value: int, index: int, what: bytes | int, _: int) -> bytes | int:
+        self.asked += request == 3
+        self.state = 4 if self.asked % 2 else 5
+        return super().ctrl_transfer(kind, request, value, index, what, _)
+
+
+def test_a_board_that_wants_ten_seconds_for_each_block_is_given_up(slept: list[float]) -> None:
+    with pytest.raises(TautError, match="wait without end"):
+        route(Waiting(4, 10_000)).download(b"x" * 256 * 20)
+    assert sum(slept) <= 45.0
 
 
 def test_an_upload_without_end_is_given_up() -> None:

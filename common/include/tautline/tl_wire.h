@@ -258,7 +258,7 @@ extern "C" {
     A(u8, version, 3, "major, minor, patch")                                                                           \
     F(u8, protocol_major, "that it speaks")                                                                            \
     F(u8, protocol_minor, "")                                                                                          \
-    A(text, port, 16, "the board that it is for: an identity's port")                                                  \
+    A(text, port, 16, "the board that it is for: an identity's port, with fewer axes than 4 -N")                       \
     F(u32, size, "bytes of the image, which follows the page; a multiple of 256")                                      \
     A(u8, hash, 32, "BLAKE2b-256 of the image")                                                                        \
     A(u8, signature, 64, "EdDSA over Curve25519 with BLAKE2b, of all before it")
@@ -551,7 +551,7 @@ extern "C" {
     C(0, NONE, "none was refused")                                                                                     \
     C(1, NO_SLOT, "this board takes no update over USB: flash it as the first time")                                   \
     C(2, DAMAGED, "the file is damaged or cut short: get it again")                                                    \
-    C(3, PORT, "the file is for another board")                                                                        \
+    C(3, PORT, "the file is for another board, or for another number of axes")                                         \
     C(4, LINKED, "the file holds no image for the slot that is free: send the whole file")                             \
     C(5, OLDER, "the file is older than the firmware that runs: taut update --force takes it all the same")            \
     C(6, SIGNATURE, "the file is not signed with the key that this board trusts")                                      \

@@ -6,9 +6,11 @@
 
 // After these nobody knows where the motor is;
 #define OF_POSITION (BIT(ENCODER) | BIT(EDGES) | BIT(REVERSED) | BIT(SCALE) | BIT(UNMOVED))
-// nor after these where the encoder showed nothing for so long: it may have been lost, and the motor have run on.
+// nor after these where the encoder showed nothing for so long, or no way but a count to and fro: it may have been
+// lost, or one of its lines, and the motor have run on.
 #define OF_MOTION (BIT(FOLLOWING) | BIT(CURRENT) | BIT(STALL))
 #define UNSEEN_MS 5U
+#define NO_WAY_MS 20
 // After these somebody may have changed its wires.
 #define OF_WIRING (OF_POSITION | OF_MOTION | BIT(DRIVER) | BIT(SUPPLY))
 
@@ -24,7 +26,7 @@ TL_FAST void tl_axis_off(tl_axis_t *axis) {
 TL_FAST void tl_axis_fail(tl_axis_t *axis, tl_wire_fault_t fault, int32_t value, tl_us_t now_us) {
     tl_axis_off(axis);
     axis->guard.lapsed = false;
-    const bool unseen = axis->guard.unseen_ms >= UNSEEN_MS;
+    const bool unseen = axis->guard.unseen_ms >= UNSEEN_MS || tl_actuator_unseen_ms(&axis->motor) >= NO_WAY_MS;
     if (((unseen ? OF_POSITION | OF_MOTION : OF_POSITION) >> fault & 1U) != 0) {
         axis->referenced = false;
     }

@@ -90,8 +90,13 @@ static uint8_t refuse(tl_update_t *update, uint8_t why) {
     return why;
 }
 
+// Images of fewer axes than there may be have "-" and their number behind the port's name.
 static bool is_for(const tl_port_t *port, const tl_wire_image_t *image) {
-    return strncmp(image->port, port->name, sizeof(image->port)) == 0;
+    const char axes[] = {'-', (char)('0' + port->axes)};
+    const size_t most = sizeof(image->port), length = strlen(port->name);
+    const size_t size = length + (port->axes < TL_WIRE_AXES_MAX ? sizeof(axes) : 0U);
+    return size <= most && memcmp(image->port, port->name, length) == 0 &&
+           memcmp(image->port + length, axes, size - length) == 0 && (size == most || image->port[size] == '\0');
 }
 
 // Everything that can be known before a byte of the old image is lost.

@@ -100,6 +100,11 @@ static inline bool tl_actuator_sees(tl_actuator_t *actuator, tl_count_q8_t q) {
     return true;
 }
 
+static inline int32_t tl_actuator_unseen_ms(const tl_actuator_t *actuator) {
+    (void)actuator;
+    return 0;
+}
+
 static inline void tl_actuator_know(tl_actuator_t *actuator) {
     (void)actuator;
 }

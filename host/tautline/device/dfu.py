@@ -18,7 +18,8 @@ _DNLOAD, _UPLOAD, _GETSTATUS, _CLRSTATUS, _ABORT = 1, 2, 3, 4, 6
 _IDLE, _DNLOAD_SYNC, _DNBUSY, _DNLOAD_IDLE, _MANIFEST_SYNC, _MANIFEST, _WAIT_RESET, _UPLOAD_IDLE, _ERROR = range(2, 11)
 _FUNCTIONAL = 0x21
 _TIMEOUT_MS = 2000
-_BUSY_S = 10.0
+_BUSY_S = 10.0  # tolerance: for an answer that is to come next
+_ASKED_S = 45.0  # tolerance: that a board may have us wait in all; a table or an image has one wait, of a second
 _STATUS = {  # DFU 1.1, table in 6.1.2, as a board uses them for tables
     0x01: "the board has no such axis",
     0x02: "the table does not fit this board or axis",
@@ -49,7 +50,7 @@ class Dfu:
 
     def __init__(self, device: usb.core.Device, interface: int, alternate: int) -> None:
         """Claims the alternate setting (an axis) of a DFU interface. DfuError where there is none."""
-        self._device, self._interface, self._answer_ms = device, interface, _TIMEOUT_MS
+        self._device, self._interface, self._answer_ms, self._asked_s = device, interface, _TIMEOUT_MS, 0.0
         settings = [i for i in device.get_active_configuration() if i.bInterfaceNumber == interface]
         if alternate not in [i.bAlternateSetting for i in settings]:
             raise DfuError(f"the board has no axis {alternate}: its axes are 0 to {len(settings) - 1}")
@@ -138,7 +139,7 @@ class Dfu:
             left = deadline - time.monotonic()
             if left <= 0.0:
                 raise DfuError(f"the board stays in DFU state {state}: switch it off and on, then load again")
-            time.sleep(min(pause, left))
+            self._wait(min(pause, left))
 
     def _make_idle(self) -> None:
         """Brings the device to dfuIDLE, whatever state it is in."""
@@ -149,10 +150,16 @@ class Dfu:
             if state == _ERROR:
                 self._send(_CLRSTATUS, 0, b"")
             elif state in (_DNBUSY, _MANIFEST, _MANIFEST_SYNC):
-                time.sleep(min(pause, _BUSY_S))
+                self._wait(min(pause, _BUSY_S))
             else:
                 self._send(_ABORT, 0, b"")
         raise DfuError("the board's DFU interface does not come to rest: switch the board off and on")
+
+    def _wait(self, pause: float) -> None:
+        self._asked_s += pause
+        if self._asked_s > _ASKED_S:
+            raise DfuError("the board has us wait without end: switch it off and on, then load again")
+        time.sleep(pause)
 
     @staticmethod
     def _refusal(status: int) -> DfuError:

@@ -25,6 +25,8 @@ _HASH = 32  # format: bytes of BLAKE2b-256
 
 PROTOCOL = (wire.wire.MAJOR, wire.wire.MINOR)  # that the firmware of this clone speaks
 
+_AXES_MOST = 4  # format: axes of an image whose port's name has no number behind it
+
 Version = tuple[int, int, int]
 
 
@@ -63,6 +65,11 @@ def version_of(numbers: Sequence[int]) -> Version:
 
 def text_of(version: Version) -> str:
     return ".".join(map(str, version))
+
+
+def place_of(port: str, axes: int) -> str:
+    """What an image for a board with so many axes calls it: one for three would leave the fourth motor alone."""
+    return port if axes == _AXES_MOST else f"{port}-{axes}"
 
 
 def pack(content: bytes, port: str, version: Version, slot: int, sign: Callable[[bytes], bytes]) -> bytes:
@@ -107,14 +114,24 @@ def read(path: Path) -> list[Image]:
     return images
 
 
-def check(path: Path, images: Sequence[Image], port: str, runs: wire.Message, older_too: bool) -> Image:
-    """The image that a board would take; TautError where it would refuse all. port: of its identity; runs: the version
-    that it runs."""
+def _for_another(path: Path, images: Sequence[Image], port: str, axes: int) -> None:
+    """TautError where an image is not for this board, or for another number of its axes."""
+    place = place_of(port, axes)
+    others = {image.port for image in images} - {place}
+    fewer = {place_of(port, count): count for count in range(1, _AXES_MOST + 1)}
+    if others and others <= fewer.keys():
+        counts = ", ".join(str(fewer[other]) for other in sorted(others))
+        raise TautError(f"{path}: is for a {port} with {counts} axes, this board has {axes}: get the file for {place}")
+    if others:
+        raise TautError(f"{path}: is for {', '.join(sorted(others))}, this board is {place}: get the file for {place}")
+
+
+def check(path: Path, images: Sequence[Image], identity: wire.Message, runs: wire.Message, older_too: bool) -> Image:
+    """The image that a board would take; TautError where it would refuse all. identity, runs: what it says of
+    itself and of the firmware that it runs."""
     if runs.slot == ANY_SLOT and runs.refused == wire.code("UPDATES", "NO_SLOT"):
         raise TautError(wire.text("UPDATES", runs.refused))
-    others = {image.port for image in images} - {port}
-    if others:
-        raise TautError(f"{path}: is for {', '.join(sorted(others))}, this board is {port}: get the file for {port}")
+    _for_another(path, images, str(identity.port), int(identity.axes))
     spoken = {int(image.fields.protocol_major) for image in images} - {wire.wire.MAJOR}
     if spoken:
         raise TautError(

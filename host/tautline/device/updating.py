@@ -60,7 +60,7 @@ def send(
     images = firmware.read(path)
     with open_board(where) as board:
         runs = board.ask("get_firmware")
-        image = firmware.check(path, images, str(board.identity.port), runs, older_too)
+        image = firmware.check(path, images, board.identity, runs, older_too)
         if older_too:
             board.ask("any_firmware", key=wire.wire.KEY)
         _download(board, image.page + image.content, progress)

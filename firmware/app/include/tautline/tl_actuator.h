@@ -110,6 +110,11 @@ static inline bool tl_actuator_sees(tl_actuator_t *actuator, tl_count_q8_t q) {
     return tl_sight_step(&actuator->sight, q, actuator->duty);
 }
 
+/// Milliseconds since it was seen to go one way: one of its encoder's lines alone goes to and fro.
+static inline int32_t tl_actuator_unseen_ms(const tl_actuator_t *actuator) {
+    return actuator->sight.unseen_ms;
+}
+
 /// Its gains have changed. Task.
 static inline void tl_actuator_know(tl_actuator_t *actuator) {
     tl_sight_configure(&actuator->sight, &actuator->servo.gains);

@@ -31,6 +31,7 @@ typedef struct {
     int32_t least_load;   ///< against this load,
     int32_t must;         ///< and the way that is, counts Q8
     int32_t doubt;        ///< duty
+    int32_t unseen_ms;    ///< since the encoder has gone two counts, one way
 } tl_sight_t;
 
 /// Of a motor with these gains. Task; a division.
