@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnosis.joint import Fitted, Unknown
+from tautline.diagnosis.joint import BENDS, Fitted, Unknown
 from tautline.diagnosis.stacked import log_sum
 
 Array = npt.NDArray[np.float64]
@@ -60,14 +60,14 @@ class Sets:
     @property
     def count(self) -> list[float]:
         """Probability that none, one, two, more of them are there."""
-        many = np.minimum(self.present.sum(axis=1), 3)
+        many = np.minimum(self.present[:, [name != BENDS for name in self.ids]].sum(axis=1), 3)
         return [float(p) for p in np.bincount(many, self.probability, minlength=4)]
 
     @cached_property
     def groups(self) -> list[tuple[str, ...]]:
         """The smallest groups of which surely one is there, the likeliest of each first: of more than one, these data
         do not tell which."""
-        rest = sorted(self.ids, key=lambda name: -self.each[name])
+        rest = sorted((name for name in self.ids if name != BENDS), key=lambda name: -self.each[name])
         found: list[tuple[str, ...]] = []
         while rest:
             group: tuple[str, ...] = (rest[0],)

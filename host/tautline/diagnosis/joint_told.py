@@ -35,20 +35,21 @@ class Answer:
 
     def corrected(self) -> Model:
         """With all unknowns, what is known of its law in c_sigma and of single readings in its evidence."""
-        model, fitted = self.joint.at(self.fitted.u), self.fitted
-        law = next(unknown for unknown in self.joint.unknowns if unknown.id == LAW)
-        names = [fitted.posterior.names[i] for i in law.places]
-        c_sigma = fitted.posterior.marginal(names).spread(self.joint.law_slopes())
-        return replace(model, c_sigma=c_sigma, extra={**model.extra, "evidence": {"residual": gap.rms(self.left)}})
+        joint, fitted = self.joint, self.fitted
+        names = [fitted.posterior.names[i] for i in joint.places[LAW]]
+        c_sigma = fitted.posterior.marginal(names).spread(joint.law_slopes())
+        before = gap.rms(joint.residuals(np.zeros(joint.size)))
+        noise = gap.unseen(before, gap.rms(self.left), joint.floor, learnt().elsewhere)
+        model = joint.at(fitted.u)
+        return replace(model, c_sigma=c_sigma, extra={**model.extra, "evidence": {"residual": noise}})
 
     def shares(self, names: Sequence[str], before: float) -> list[float]:
         """Of each named, of the shrinkage: exact Shapley shares of the linearised fit, the unnamed at zero."""
-        places = {unknown.id: unknown.places for unknown in self.joint.unknowns}
 
         def worth(there: frozenset[str]) -> float:
             on = np.zeros(self.joint.size, dtype=bool)
             for name in there:
-                on[places[name]] = True
+                on[self.joint.places[name]] = True
             off = np.where(on, 0.0, self.fitted.u)
             pairs = zip(self.fitted.residuals, self.fitted.slopes, strict=True)
             return 1.0 - gap.rms([residual + slope @ off for residual, slope in pairs]) / before
@@ -57,13 +58,13 @@ class Answer:
 
     def values(self, name: str) -> dict[str, float]:
         """Of an effect's parameters, as a diagnosis reports them."""
-        changes, model = self.joint.changes(self.fitted.u), self.joint.at(self.fitted.u)
+        added = {effect.id: dict(effect.parameters) for effect in self.joint.effects(self.fitted.u)}
+        model = self.joint.at(self.fitted.u)
         own = {
             WIDTH: {"width_everywhere": float(np.max(model.width - self.joint.model.width))},
             DELAY: {"delay": model.delay_s - self.joint.model.delay_s},
-            LAW: {},
         }
-        return {**(own[name] if name in own else {name: changes[name]}), "since_calibration": 1.0}
+        return {**(own | added).get(name, {}), "since_calibration": 1.0}
 
 
 def left_out(joint: Joint, fitted: Fitted) -> list[Array]:
