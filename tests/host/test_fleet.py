@@ -287,7 +287,7 @@ def test_a_new_robot_is_as_far_off_as_the_spread_says():
     rng = np.random.default_rng(3)
     found = population(drawn(rng, 150, 0.003))
     others = drawn(rng, 300, 0.003)
-    chance = found.chance(others.value, others.sigma)
+    chance = found.chance(others)
     assert np.mean(chance < 0.1) == pytest.approx(0.1, abs=0.08)
 
 
