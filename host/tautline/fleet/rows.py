@@ -130,9 +130,5 @@ class DataSet:
 
 
 def _row(line: Mapping[str, Any]) -> Row:
-    return Row(
-        **{
-            name: tuple(value or ()) if isinstance(value, list) or name in _LISTS else value
-            for name, value in line.items()
-        }
-    )
+    values: dict[str, Any] = {k: tuple(value or ()) if k in _LISTS else value for k, value in line.items()}
+    return Row(**values | {"reasons": tuple(line["reasons"])})
