@@ -354,7 +354,7 @@ _HOST = (
     _one("stored when agreed to", COMMISSION + "commission_does_nothing_that_was_not_agreed_to",
          HOST + "live/commission.py", "    if not agree(question):", "    if not agree(question) and False:"),
     _one("tried gains are taken back", COMMISSION + "a_fault_while_commissioning_stores_nothing",
-         HOST + "live/commission.py", '            board.ask("servo", **_servo(before))\n'),
+         HOST + "live/commission.py", '            board.ask("servo", **_servo_fields(before))\n'),
     _one("commissioning that stops half way", COMMISSION + "commission_does_nothing_that_was_not_agreed_to",
          HOST + "live/commission.py", "            _store(live, settings)\n", "            pass\n"),
     _one("homing ends with its program", COMMISSION + "ctrl_c_during_homing_leaves_the_motor_at_rest_and_no_position",

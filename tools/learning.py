@@ -229,7 +229,7 @@ def conformal(verdicts: Sequence[tuple[Case, Decision]]) -> float:
 @dataclass(frozen=True)
 class Claim:
     generator: str
-    apart: float  # gap.apart
+    apart: float  # gap.normalised_excess
     sort: str = "elsewhere"  # "later" where something that goes with time was named
 
     @property
@@ -251,7 +251,7 @@ def claims(folders: Sequence[Path]) -> list[Claim]:
             before, after, floor = (case["realised"][name] for name in ("before", "after", "floor"))
             if before >= CLOSABLE * floor:
                 sort = "later" if any(BY_ID[name].course for name in case["named"]) else "elsewhere"
-                apart = gap.apart(case["gap"][1] / case["gap"][0], after / before)
+                apart = gap.normalised_excess(case["gap"][1] / case["gap"][0], after / before)
                 found.append(Claim(case["generator"], apart, sort))
     return found
 

@@ -141,10 +141,10 @@ def read_columns(path: Path, required: Iterable[str], expected: str, mend: bool 
     try:
         frame = pd.read_csv(io.BytesIO(body.encode()), header=None, low_memory=False, skipinitialspace=True)
     except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError, OverflowError, csv.Error) as error:
-        raise _uneven(path, text, header_line, len(names)) from error
+        raise _uneven_error(path, text, header_line, len(names)) from error
     extra = frame.iloc[:, len(names) :]
     if extra.notna().to_numpy().any():
-        raise _uneven(path, text, header_line, len(names))
+        raise _uneven_error(path, text, header_line, len(names))
     frame = frame.iloc[:, : len(names)]
     for missing in range(frame.shape[1], len(names)):
         frame[missing] = np.nan
@@ -173,6 +173,7 @@ def read_times(path: Path, warnings: list[str] | None = None) -> tuple[list[str]
 
 
 def _read_text(path: Path) -> tuple[str, bool]:
+    """A CSV file's text, and whether its last line is ended. TautError where it cannot be read or is no UTF-8 text."""
     try:
         data = path.read_bytes()
     except FileNotFoundError as error:
@@ -209,6 +210,8 @@ def _is_number(cell: str) -> bool:
 
 
 def _header(path: Path, line: str, number: int, expected: str) -> list[str]:
+    """The names of the header line. TautError for other separators than commas, numbers alone, or a name that is there
+    twice."""
     for separator, word in ((";", "semicolons"), ("\t", "tabs")):
         if separator in line and "," not in line:
             raise TautError(
@@ -225,7 +228,8 @@ def _header(path: Path, line: str, number: int, expected: str) -> list[str]:
     return names
 
 
-def _uneven(path: Path, text: str, header_line: int, count: int) -> TautError:
+def _uneven_error(path: Path, text: str, header_line: int, count: int) -> TautError:
+    """The error that names the first line with more cells than the header has columns."""
     for number, line in enumerate(_lines(text)[header_line:], header_line + 1):
         cells = line.rstrip(", \t").split(",")
         if len(cells) > count:

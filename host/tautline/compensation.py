@@ -69,8 +69,8 @@ class Compensator:
     """
 
     def __init__(self, model: Model, rate_hz: int = 1000, mode: str = "full", start_deg: float | None = None) -> None:
-        """It starts at rest where the mode puts the motor for the first command, or start_deg, with the tip on the
-        centre line. TautError for a mode or a rate that is not there, and for a model that a board would refuse."""
+        """Starts at rest, where the mode puts the motor for the first command, or for start_deg, with the tip on the
+        centre line. TautError for an unknown mode or rate, and for a model that a board would refuse."""
         if mode not in MODES:
             raise TautError(f"mode {mode!r} is not there: choose one of {', '.join(MODES)}")
         if not RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
@@ -104,8 +104,8 @@ class Compensator:
         c_deg: npt.ArrayLike,
         progress: Progress = lambda fraction, text: None,
     ) -> SetPoints:
-        """The set-points of all ticks up to the last of the times (n,), s, of the commands (n,), deg. TautError as
-        `step`."""
+        """The set-points of all ticks up to the last command. t_s, c_deg (n,): times, s, and angles, deg, of the
+        commands. TautError as in `step`."""
         t_s, c_deg = np.asarray(t_s, dtype=float), np.asarray(c_deg, dtype=float)
         if t_s.ndim != 1 or t_s.shape != c_deg.shape or not len(t_s):
             shapes = f"t_s {t_s.shape} and c_deg {c_deg.shape}"
@@ -131,7 +131,7 @@ class Compensator:
         clipped = flags & _CLIPPED != 0
         q *= self._unit
         if self._most is not None and len(q):
-            limited = _no_faster(q, self._most, float(q[0]) if self._ticks == 0 else self._q)
+            limited = _rate_limited(q, self._most, float(q[0]) if self._ticks == 0 else self._q)
             clipped |= limited != q
             q = limited
         if len(q):
@@ -141,6 +141,7 @@ class Compensator:
         return SetPoints(times, q, clipped)
 
     def _start(self, t_s: float, c_deg: float) -> None:
+        """Prepares the board's compensator for the first command."""
         start = _raw(np.array([c_deg if self._start_deg is None else self._start_deg]))
         inverse = self._table.angle_inverse if self.mode == "full" else self._table.coarse_inverse
         low, high = self._table.fields["q_min"], self._table.fields["q_max"]
@@ -155,7 +156,7 @@ def _raw(c_deg: Array) -> npt.NDArray[np.int32]:
 
 
 def _limits(model: Model) -> tables.Limits:
-    """The board's, but no slower than the rig's motor."""
+    """The board's default limits, reduced to the speed of the rig's motor."""
     resolution = model.rig.actuator.encoder_resolution
     most = _native.TABLE_VALUE_MAX // _native.COUNT_ONE * resolution
     speed = min(most, model.rig.actuator.speed_max or most)
@@ -164,8 +165,8 @@ def _limits(model: Model) -> tables.Limits:
     return replace(own, speed_max=speed, takeup_speed=speed, takeup_accel=accel, slope_min=0.0)
 
 
-def _no_faster(q: Array, step: float, here: float) -> Array:
-    """q, following itself from `here` by at most `step` a row."""
+def _rate_limited(q: Array, step: float, here: float) -> Array:
+    """q with steps of at most `step`, beginning from `here`."""
     limited = np.empty(len(q))
     for k, wanted in enumerate(q.tolist()):
         here = wanted if abs(wanted - here) <= step else here + np.copysign(step, wanted - here)

@@ -35,10 +35,10 @@ class Driven:
 
 
 def driven(t_s: Array, q: Array, step: float, *, rounded: bool) -> Driven:
-    """By readings q (n,) at rising times t_s (n,), at least four. step: the encoder's, or about their noise where they
-    are not rounded."""
+    """The posterior of a motor's path by readings q (n,) at rising times t_s (n,), at least four. step: the encoder's
+    step, or, if readings are not rounded, about their noise."""
     begin_s, end_s = float(t_s[0]), float(t_s[-1])
-    t_s, readings = _grouped(t_s, q)
+    t_s, readings = _block_means(t_s, q)
     usual_s = float(np.median(np.diff(t_s)))
     parts = max(int(np.ceil(usual_s / _GRID_S - 1e-6)), 1)
     size = len(readings)
@@ -49,13 +49,13 @@ def driven(t_s: Array, q: Array, step: float, *, rounded: bool) -> Driven:
     reading = np.zeros(len(nodes))
     reading[::parts] = (readings - zero) / step
     steps = np.diff(nodes) / usual_s
-    found = _swept(steps, reading, read, rounded)
+    found = _fitted_path(steps, reading, read, rounded)
     mean, sigma = found.mean.copy(), found.sigma
     # Where neighbours were taken together it ends half of them early: it goes on as it went.
     ends = np.clip(np.array([begin_s - nodes[0], end_s - nodes[-1]]), [-_GRID_S, 0.0], [0.0, _GRID_S])
     mean[[0, -1]] += ends * np.diff(mean)[[0, -1]] / np.diff(nodes)[[0, -1]]
     nodes[[0, -1]] += ends
-    nodes, mean, sigma = _cornered(nodes, mean, sigma)
+    nodes, mean, sigma = _corners_placed(nodes, mean, sigma)
     return Driven(nodes, zero + step * mean, step * sigma, step * found.noise * float(np.sqrt(len(q) / size)))
 
 
@@ -69,8 +69,10 @@ class _Swept:
     noise: float
 
 
-def _swept(steps: Array, reading: Array, read: npt.NDArray[np.uint8], rounded: bool) -> _Swept:
-    """steps (n - 1): times between nodes, in a usual one."""
+def _fitted_path(steps: Array, reading: Array, read: npt.NDArray[np.uint8], rounded: bool) -> _Swept:
+    """The path on a grid of nodes by repeated sweeps with ever rarer jumps of speed; the sweep with the best held-out
+    probability counts. steps (n - 1): intervals between nodes over the usual one; reading (n,) in the encoder's steps,
+    where `read` is 1."""
     size, seen = len(reading), np.flatnonzero(read)
     noise = max(white_noise(reading[seen]), _LEAST_NOISE if rounded else _NO_NOISE)
     state = np.interp(np.arange(size), seen, reading[seen])
@@ -94,8 +96,9 @@ def _swept(steps: Array, reading: Array, read: npt.NDArray[np.uint8], rounded: b
     return best
 
 
-def _cornered(t_s: Array, q: Array, sigma: Array) -> tuple[Array, Array, Array]:
-    """A jump of speed between two nodes shows as one at either: it is where the lines beside them meet."""
+def _corners_placed(t_s: Array, q: Array, sigma: Array) -> tuple[Array, Array, Array]:
+    """Moves each jump of speed, which shows at the nodes on either side of it, to where the lines beside it meet.
+    Times, positions and sigmas."""
     jump = np.diff(np.diff(q) / np.diff(t_s))  # at nodes 1 to n - 2
     pair = np.where(jump[1:] * jump[:-1] > 0.0, np.abs(jump[1:] + jump[:-1]), 0.0)
     around = np.concatenate([[0.0], pair, [0.0]])
@@ -109,15 +112,15 @@ def _cornered(t_s: Array, q: Array, sigma: Array) -> tuple[Array, Array, Array]:
 
 
 def white_noise(q: Array) -> float:
-    """Standard deviation of white noise on readings (n,) of a smooth motion, their unit, from third differences; 0 of
+    """Standard deviation of white noise on readings (n,) of a smooth motion, their unit, by third differences; 0 for
     fewer than four."""
     third = np.diff(q, 3)
     # The median of a chi-squared variable is 0.455, and 20 the sum of a third difference's squares.
     return float(np.sqrt(np.median(third**2) / 0.455 / 20.0)) if len(third) else 0.0
 
 
-def _grouped(t_s: Array, q: Array) -> tuple[Array, Array]:
-    """Means of neighbours that come faster than nodes; each is as near to the path's mean as readings are to it."""
+def _block_means(t_s: Array, q: Array) -> tuple[Array, Array]:
+    """Times and readings averaged over neighbours that come faster than the nodes of the grid."""
     many = int(_GRID_S / float(np.median(np.diff(t_s))) + 1e-6)
     if many < 2 or len(q) < 4 * many:
         return t_s, q

@@ -43,6 +43,7 @@ class Elements:
     forgotten: ClassVar[float] = 1e-9  # tolerance: of the range, where it started shows by rounding only
 
     def __post_init__(self) -> None:
+        """ValueError where widths and weights are none of a play's elements."""
         width, weight = np.array(self.width, dtype=float), np.array(self.weight, dtype=float)
         if not 1 <= len(width) == len(weight) <= MOST:
             raise ValueError(f"elements: 1 to {MOST} widths and as many weights")
@@ -84,15 +85,15 @@ class Play:
         return self.native.forward(np.asarray(q, dtype=float), p0)[0]  # type: ignore[no-any-return]
 
     def inverse(self, p: npt.ArrayLike, q0: float | None = None) -> Array:
-        """Motor positions (n,) that lead the centre coordinate along p (n,), from the motor's q0 (unless told p[0], the
-        centre) with the tip at p[0]. While p rests so does the motor."""
+        """Motor positions (n,) that lead the centre coordinate along p (n,). The tip starts at p[0] and the motor at
+        q0, by default p[0] (the centre). While p rests the motor rests."""
         p = np.asarray(p, dtype=float)
         start = float(p[0]) if q0 is None else q0
         return self.native.inverse(p, start, float(p[0]))  # type: ignore[no-any-return]
 
     @cached_property
     def native(self) -> Any:
-        """What C has of it: a single play needs no warp, nor does friction."""
+        """The C object that runs it; a single play needs no warp, nor does friction."""
         if isinstance(self.elements, Friction):
             return self.elements.native(self.grid, self.width)
         if self.elements.single:
@@ -120,20 +121,17 @@ class Warp:
 
 
 def warp_of(grid: Array, width: Array, narrow: float) -> Warp:
-    """The warp of a backlash table, whose widths are taken as `narrow` (> 0) where they are less.
-
-    G(T(u)) = G(u) + 1 for the map T from p - B/2 to p + B/2, which is straight between the table's nodes: G is known
-    everywhere from one period about the table's middle. Within that it is free; the choice is the least integral of
-    G'''^2 over the table, B being smooth between its nodes. The knots are those of one period and their images, the
-    nodes' corners among them, so that nothing is lost between them. G(middle) = 0.
-    """
+    """The warp x = G(q) of a backlash table; widths below `narrow` (> 0) count as `narrow`. With T the map from p - B/2
+    to p + B/2, G(T(u)) = G(u) + 1: one period about the table's middle determines all others. Within it G has the least
+    integral of G'''^2 over the table. Knots: those of the period, the table's corners among them, and their images
+    under T. G(middle) = 0."""
     middle = 0.5 * (grid[0] + grid[-1])
-    grid, width = _floored(grid, width, narrow)
+    grid, width = _with_least_width(grid, width, narrow)
     table = _Periods(grid, width)
     first = float(table.low(middle))
     last = float(table.up(first))
-    base = _base(grid, width, first, last)
-    corners = table.brought_home(grid - 0.5 * width, first, last)
+    base = _warp_in_one_period(grid, width, first, last)
+    corners = table.into_period(grid - 0.5 * width, first, last)
     knots = np.unique(np.concatenate([np.linspace(first, last, _FINE + 1)[:-1], corners[corners < last]]))
     knots = knots[np.concatenate([[True], np.diff(knots) > _SAME * (last - first)])]
     if last - knots[-1] < _SAME * (last - first):
@@ -156,8 +154,8 @@ def warp_of(grid: Array, width: Array, narrow: float) -> Warp:
     return Warp(q, x - np.interp(middle, q, x))
 
 
-def _floored(grid: Array, width: Array, narrow: float) -> tuple[Array, Array]:
-    """The table with widths of at least `narrow`; where it crosses that it gets a node. At least two nodes."""
+def _with_least_width(grid: Array, width: Array, narrow: float) -> tuple[Array, Array]:
+    """Grid and width (at least two nodes) with width at least `narrow`, and a node where it crosses that."""
     if len(grid) == 1:
         grid, width = np.array([grid[0], grid[0] + max(width[0], narrow)]), np.repeat(width, 2)
     above = width > narrow
@@ -180,13 +178,13 @@ class _Periods:
         return np.asarray(p - 0.5 * np.interp(p, self.grid, self.width))
 
     def up(self, u: npt.ArrayLike) -> Array:
-        return _straight(u, self.left, self.right)
+        return _interpolated(u, self.left, self.right)
 
     def down(self, u: npt.ArrayLike) -> Array:
-        return _straight(u, self.right, self.left)
+        return _interpolated(u, self.right, self.left)
 
-    def brought_home(self, u: Array, first: float, last: float) -> Array:
-        """Each of u moved by whole periods to where it is in [first, last)."""
+    def into_period(self, u: Array, first: float, last: float) -> Array:
+        """Each of u moved by whole periods into [first, last)."""
         u = u.copy()
         while (above := u >= last).any():
             u[above] = self.down(u[above])
@@ -195,16 +193,17 @@ class _Periods:
         return u
 
 
-def _straight(x: npt.ArrayLike, from_: Array, to: Array) -> Array:
-    """Linear between nodes, moved by the ends' own distance beyond them."""
+def _interpolated(x: npt.ArrayLike, from_: Array, to: Array) -> Array:
+    """Linear interpolation from nodes `from_` to `to`; beyond the ends shifted by as much as the end node is."""
     x = np.asarray(x, dtype=float)
     beyond = np.minimum(x - from_[0], 0.0) + np.maximum(x - from_[-1], 0.0)
     return np.asarray(np.interp(x, from_, to) + beyond)
 
 
-def _base(grid: Array, width: Array, first: float, last: float) -> PchipInterpolator:
-    """G - G(first) within the period [first, last) as the least integral of G'''^2 over the whole table has it."""
-    smooth = _Periods(*_smoothed(grid, width))
+def _warp_in_one_period(grid: Array, width: Array, first: float, last: float) -> PchipInterpolator:
+    """G - G(first) over the period [first, last): the one whose continuation over the whole table has the least
+    integral of G'''^2."""
+    smooth = _Periods(*_without_corners(grid, width))
     nodes = first + (float(smooth.up(first)) - first) * np.arange(_MESH) / _MESH
     columns = [nodes]
     while columns[-1][-1] < grid[-1] + 0.5 * width[-1]:
@@ -217,15 +216,15 @@ def _base(grid: Array, width: Array, first: float, last: float) -> PchipInterpol
     q = np.concatenate(columns)
     inside = (q >= grid[0] - 0.5 * width[0]) & (q <= grid[-1] + 0.5 * width[-1])  # beyond, B is held: a corner
     if len(columns) > 1:
-        values = _smoothest(q, period, inside)
+        values = _least_third_derivative(q, period, inside)
     # with a neighbour on either side for the slopes; stretched to the table's own period
     around = np.concatenate([smooth.down(nodes), nodes, smooth.up(nodes)])
     scale = (last - first) / (float(smooth.up(first)) - first)
     return PchipInterpolator(first + scale * (around - first), np.concatenate([values - 1, values, values + 1]))
 
 
-def _smoothed(grid: Array, width: Array) -> tuple[Array, Array]:
-    """The table with curves instead of corners where that is lawful, finer."""
+def _without_corners(grid: Array, width: Array) -> tuple[Array, Array]:
+    """The table on a finer grid as a cubic spline, if that is still a valid backlash table; else as it is."""
     if len(grid) < 4:
         return grid, width
     fine = np.linspace(grid[0], grid[-1], 8 * len(grid))
@@ -234,9 +233,9 @@ def _smoothed(grid: Array, width: Array) -> tuple[Array, Array]:
     return (fine, curve) if lawful else (grid, width)
 
 
-def _smoothest(q: Array, period: Array, inside: npt.NDArray[np.bool_]) -> Array:
-    """(_MESH,) rising values v, v[0] = 0, for which v[k mod _MESH] + period[k] at q[k] has the least third differences
-    among those `inside`."""
+def _least_third_derivative(q: Array, period: Array, inside: npt.NDArray[np.bool_]) -> Array:
+    """(_MESH,) Rising values v with v[0] = 0 for which v[k mod _MESH] + period[k] at q[k] has the least squared third
+    derivative where `inside`; mixed with even steps as far as they must rise."""
     weights = np.zeros((len(q) - 3, 4))
     for i in range(4):  # 6 f[q0, q1, q2, q3]: the third derivative
         others = [q[i : len(q) - 3 + i] - q[j : len(q) - 3 + j] for j in range(4) if j != i]

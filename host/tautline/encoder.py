@@ -3,7 +3,7 @@ started."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -12,6 +12,7 @@ from scipy.linalg import solveh_banded
 
 from tautline import _native
 from tautline.driven import Driven, driven, white_noise
+from tautline.encoder_steps import CHANGES, REST_S, Rest, Steps, rests_and_turns, steps_of
 from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
@@ -21,15 +22,11 @@ _TOLERANCE_COUNTS, _TOLERANCE_MM, _TOLERANCE_DEG, _TOLERANCE_LOAD = 0.5, 5e-4, 5
 _STEPS = 0.5  # tolerance: counts more for an encoder's own steps
 _COARSE = 5e-4  # tolerance: of the motor's travel: finer counts are seen nowhere
 _COARSE_LINES = 2e-4  # tolerance: of the travel, instead of a coarse count: how far lines may be from its path
-_COARSER = 30.0  # times the rig's step, at most: what is more is a motor that steps
 _LEAPS = 12.0  # times the usual step between readings: a motor that jumps
 _SKIPS = 3.5  # tolerance: of five neighbouring readings, that changed
 _OWN_STEPS = 0.6  # tolerance: counts of noise: no more than an encoder's own steps
 _SCATTERS = 1.0  # counts of noise from which readings are smoothed
 _EXACT = 1e-12  # of the largest value: next to nothing
-_REST_S = 0.05  # a motor that stands still for longer rests
-_CHANGES = 24, 4  # tolerance: of the count, most and least, that tell how a motor slows down
-_FITS = 0.3  # tolerance: counts rms: an encoder's step scatters by 0.29
 _FEWEST, _CLEARLY = 100, 5.0  # readings that tell whether a motor trembles; standard errors of what they share
 _LAST = 2.0  # samples: within so many of a stop no knot tells a speed
 _EXACTLY = 1e-6  # tolerance: of the motor's travel: readings with finer noise or steps are what they say
@@ -42,14 +39,18 @@ def between_counts(motor: Motor, resolution: float) -> Motor:
     resolution are left as they are. Readings that scatter by more than a count, or that pass coarse counts about as
     fast as they come, are smoothed: a play follows their extremes. A motor whose speed jumps is on its path."""
     path = posterior_of(motor, resolution)
-    return _between(motor, resolution)[0] if path is None else _sampled(motor, straight_lines(motor, resolution))
+    return (
+        _between_and_steps(motor, resolution)[0]
+        if path is None
+        else _with_sample_knots(motor, straight_lines(motor, resolution))
+    )
 
 
-def _between(motor: Motor, resolution: float) -> tuple[Motor, _Steps | None]:
-    """`between_counts`, and the steps by which the readings tell stops and turns."""
-    steps = _steps_of(motor, resolution)
+def _between_and_steps(motor: Motor, resolution: float) -> tuple[Motor, Steps | None]:
+    """`between_counts`, and the encoder's steps where the readings have some that tell stops and turns."""
+    steps = steps_of(motor, resolution)
     noise = white_noise(motor.q) / (resolution if steps is None else steps.count)
-    if (noise > _SCATTERS and not swings(motor)) or _skips(motor, steps):
+    if (noise > _SCATTERS and not swings(motor)) or _skips_counts(motor, steps):
         return replace(motor, q=_smoothed(motor.q)), steps if noise < _OWN_STEPS else None
     if steps is None:
         return motor, None
@@ -78,14 +79,14 @@ def _between(motor: Motor, resolution: float) -> tuple[Motor, _Steps | None]:
 
 
 def swings(motor: Motor) -> bool:
-    """Whether the motor itself goes to and fro from sample to sample: neighbouring third differences of white readings
-    go together by -3/4, of a motor that trembles more."""
-    return _beside_white(motor) < -_CLEARLY
+    """Whether the motor itself oscillates from sample to sample: neighbouring third differences are correlated by -3/4
+    for white noise, more negatively for such a motor."""
+    return _third_difference_score(motor) < -_CLEARLY
 
 
-def _beside_white(motor: Motor) -> float:
-    """By how many standard errors neighbouring third differences go together more than those of white readings: less
-    than 0 where the motor trembles, far above where it only bends; 0 of too few."""
+def _third_difference_score(motor: Motor) -> float:
+    """The correlation of neighbouring third differences less that of white noise (-3/4), in standard errors: negative
+    where the motor oscillates, far above 0 where it only bends; 0 for too few."""
     third = np.diff(motor.q, 3)
     if len(third) < _FEWEST:
         return 0.0
@@ -96,39 +97,14 @@ def _beside_white(motor: Motor) -> float:
 
 
 def count_of(motor: Motor, resolution: float) -> float:
-    """The encoder's step as the readings show it, their unit; where they show none, by how much they scatter, up to the
-    rig's."""
-    steps = _steps_of(motor, resolution)
+    """The encoder's step as the readings show it, their unit; without steps sqrt(12) times their noise, at most the
+    rig's step."""
+    steps = steps_of(motor, resolution)
     return min(resolution, float(np.sqrt(12.0)) * white_noise(motor.q)) if steps is None else steps.count
 
 
-@dataclass(frozen=True)
-class _Steps:
-    """Readings are zero + count * counts, counts whole."""
-
-    count: float
-    zero: float
-    counts: Array
-
-
-def _steps_of(motor: Motor, resolution: float) -> _Steps | None:
-    """The encoder's steps as the readings show them: the rig's, wherever their zero is, or coarser ones. None where
-    the readings have none."""
-    moves = np.abs(np.diff(motor.q))
-    moves = moves[moves > 0.02 * resolution]
-    if len(moves) < 2:
-        return None
-    coarser = min(float(moves.min()), _COARSER * resolution)
-    for count, zero in ((resolution, 0.0), (resolution, float(motor.q[0])), (coarser, float(motor.q[0]))):
-        counts = (motor.q - zero) / count
-        whole = np.rint(counts)
-        if np.count_nonzero(np.diff(whole)) >= 2 and np.mean(np.abs(counts - whole) < 0.05) >= 0.95:
-            return _Steps(count, zero, whole)
-    return None
-
-
-def _skips(motor: Motor, encoder: _Steps | None) -> bool:
-    """Whether a moving motor is in another coarse count at most readings: when it passed the boundary is not seen."""
+def _skips_counts(motor: Motor, encoder: Steps | None) -> bool:
+    """Whether a moving motor changes its (coarse) count at most readings, so that no time of a change is seen."""
     steps = np.abs(np.diff(motor.q))
     moves = steps[steps > 0]
     if len(moves) < 10 or encoder is None or encoder.count < _COARSE * float(np.ptp(motor.q)):
@@ -140,8 +116,8 @@ def _skips(motor: Motor, encoder: _Steps | None) -> bool:
 
 
 def between_samples(motor: Motor) -> float:
-    """How far straight lines between samples may be from the motor's path, its unit: the sagitta at the sharpest turns
-    that are no noise."""
+    """How far straight lines between samples may be from the motor's path, its unit: the sagitta at its sharpest bends
+    above the noise."""
     bend = np.abs(np.diff(motor.q, 2)) / 8.0
     if len(bend) < 3:
         return float("inf")
@@ -149,7 +125,7 @@ def between_samples(motor: Motor) -> float:
 
 
 def _smoothed(q: Array) -> Array:
-    """Whittaker's smoother with third differences: as smooth as its noise asks for, by generalised cross-validation."""
+    """Whittaker's smoother with third differences, its strength by generalised cross-validation."""
     n = len(q)
     wave = (2.0 - 2.0 * np.cos(np.pi * (np.arange(512) + 0.5) / 512)) ** 3
     best, least = q, np.inf
@@ -176,9 +152,9 @@ def _smoothed(q: Array) -> Array:
 
 
 def straight_lines(motor: Motor, resolution: float) -> Motor:
-    """The motor, as it was recorded, as straight lines between few knots, within what cannot be seen of the samples;
-    it rests and turns exactly when its changes of count say so. Readings without steps or noise are what they say.
-    q_cmd and columns that are no joint's are left out. Every prediction is made with this motion."""
+    """The recorded motor as straight lines between few knots, to within what no sensor sees; it rests and turns when
+    the counts say so. Without steps or noise readings stay as they are. q_cmd and columns of no joint are left out.
+    Every prediction uses this motion."""
     known = _lines.setdefault(motor, {})
     if resolution not in known:
         known[resolution] = _straight_lines(motor, resolution)
@@ -186,7 +162,7 @@ def straight_lines(motor: Motor, resolution: float) -> Motor:
 
 
 def cut(motor: Motor, until_s: float) -> Motor:
-    """The motor with its readings up to a time, at least one."""
+    """The motor with the readings up to `until_s`, at least one."""
     known = slice(max(int(np.searchsorted(motor.t_s, until_s, side="right")), 1))
 
     def first(values: Array | None) -> Array | None:
@@ -204,33 +180,35 @@ _paths: WeakKeyDictionary[Motor, dict[float, Driven | None]] = WeakKeyDictionary
 
 
 def _straight_lines(motor: Motor, resolution: float) -> Motor:
+    """As `straight_lines`, which keeps its result."""
     path = posterior_of(motor, resolution)
     if path is not None:
-        rested = _rested(path)
-        keep = _thinned(path.t_s, [(rested, float(np.median(path.sigma)))])
+        rested = _levelled_rests(path)
+        keep = _needed_knots(path.t_s, [(rested, float(np.median(path.sigma)))])
         return _with_others(motor, path.t_s[keep], rested[keep], np.zeros(int(keep.sum()), dtype=bool))
     return _even_lines(motor, resolution)
 
 
 def posterior_of(motor: Motor, resolution: float) -> Driven | None:
-    """The path of a motor whose speed jumps: readings contradict lines that let it stop at a constant acceleration, or
-    have noise and no steps, though less than the rig's. None of any other."""
+    """The posterior of the path of a motor whose speed jumps: where readings contradict lines of constant acceleration
+    at stops, or have noise without steps. None for any other motor."""
     known = _paths.setdefault(motor, {})
     if resolution not in known:
-        known[resolution] = _jumps(motor, resolution)
+        known[resolution] = _posterior_if_jumping(motor, resolution)
     return known[resolution]
 
 
-def _jumps(motor: Motor, resolution: float) -> Driven | None:
-    steps, noise = _steps_of(motor, resolution), white_noise(motor.q)
+def _posterior_if_jumping(motor: Motor, resolution: float) -> Driven | None:
+    """As `posterior_of`, which keeps its result."""
+    steps, noise = steps_of(motor, resolution), white_noise(motor.q)
     unsure = noise if steps is None else steps.count
-    if len(motor.q) < _CHANGES[0] or unsure <= _EXACTLY * float(np.ptp(motor.q)):
+    if len(motor.q) < CHANGES[0] or unsure <= _EXACTLY * float(np.ptp(motor.q)):
         return None
     if noise >= unsure and swings(motor):  # less is an encoder's own steps
         return None
     if steps is None:
         told = len(motor.q) >= _FEWEST + 3  # as many third differences tell noise from a bend
-        noisy = told and noise <= _SCATTERS * resolution and _beside_white(motor) < _CLEARLY
+        noisy = told and noise <= _SCATTERS * resolution and _third_difference_score(motor) < _CLEARLY
         return driven(motor.t_s, motor.q, noise, rounded=False) if noisy else None
     lines = _even_lines(Motor(motor.t_s, motor.q), resolution)  # another channel's knots make no motor even
     away = float(np.abs(np.interp(motor.t_s, lines.t_s, lines.q) - motor.q).max())
@@ -239,8 +217,8 @@ def _jumps(motor: Motor, resolution: float) -> Driven | None:
     return driven(motor.t_s, motor.q, steps.count, rounded=True)
 
 
-def _sampled(motor: Motor, lines: Motor) -> Motor:
-    """Its lines, with knots at its samples too."""
+def _with_sample_knots(motor: Motor, lines: Motor) -> Motor:
+    """The lines with a knot at every sample of the motor too."""
     t_s = np.union1d(lines.t_s, motor.t_s)
 
     def taken(values: Array | None) -> Array | None:
@@ -254,30 +232,30 @@ def _sampled(motor: Motor, lines: Motor) -> Motor:
 def _even_lines(motor: Motor, resolution: float) -> Motor:
     known = _evens.setdefault(motor, {})
     if resolution not in known:
-        known[resolution] = _even(motor, resolution)
+        known[resolution] = _constant_acceleration_lines(motor, resolution)
     return known[resolution]
 
 
-def _even(motor: Motor, resolution: float) -> Motor:
-    """Lines that let the motor stop and start at a constant acceleration."""
-    smooth, steps = _between(motor, resolution)
+def _constant_acceleration_lines(motor: Motor, resolution: float) -> Motor:
+    """Straight lines through a motor that stops and starts at a constant acceleration."""
+    smooth, steps = _between_and_steps(motor, resolution)
     if smooth is motor:
-        return _without_idle(motor)
+        return _without_collinear(motor)
     count, travel = resolution if steps is None else steps.count, float(np.ptp(motor.q))
     tolerance = (_TOLERANCE_COUNTS + (0.0 if steps is None else _STEPS)) * count
     tolerance = _COARSE_LINES * travel if count > _COARSE * travel else tolerance
-    t_s, q, fixed = _knots(smooth, tolerance, [] if steps is None else _stops(motor, steps))
+    t_s, q, fixed = _knots(smooth, tolerance, [] if steps is None else rests_and_turns(motor, steps))
     return _with_others(motor, t_s, q, fixed, smooth.q)
 
 
-def _rested(path: Driven) -> Array:
-    """The path's positions, one for each rest: while the motor is too slow to go further than is known of it."""
-    slow = np.abs(np.diff(path.q)) * _REST_S < path.sigma[1:] * np.diff(path.t_s)
+def _levelled_rests(path: Driven) -> Array:
+    """The path's positions with each rest at its mean; it rests while it moves by less than its own sigma."""
+    slow = np.abs(np.diff(path.q)) * REST_S < path.sigma[1:] * np.diff(path.t_s)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]]).astype(int)))
     q = path.q.copy()
     for first, last in edges.reshape(-1, 2).tolist():
         rest = slice(first, last + 1)
-        if path.t_s[last] - path.t_s[first] > _REST_S and np.ptp(q[rest]) < 2.0 * float(np.median(path.sigma[rest])):
+        if path.t_s[last] - path.t_s[first] > REST_S and np.ptp(q[rest]) < 2.0 * float(np.median(path.sigma[rest])):
             q[rest] = np.mean(q[rest])
     return q
 
@@ -285,14 +263,15 @@ def _rested(path: Driven) -> Array:
 def _with_others(
     motor: Motor, t_s: Array, q: Array, fixed: npt.NDArray[np.bool_], smooth: Array | None = None
 ) -> Motor:
-    """Knots (n,) of q, joined by those of the other columns; levelled to smooth, one of each sample, if given."""
+    """The motor of knots t_s, q (n,), with knots added for the other columns. smooth: a position of each sample, to
+    which the knots are fitted where not `fixed`."""
     others = [motor.translation_mm, motor.rotation_deg, motor.load_mNm]
     swing = 0.0 if motor.load_mNm is None else _TOLERANCE_LOAD * float(np.ptp(motor.load_mNm))
     tolerances = zip(others, (_TOLERANCE_MM, _TOLERANCE_DEG, swing), strict=True)
     channels = [(values, tolerance) for values, tolerance in tolerances if values is not None]
     channels += [(v, _TOLERANCE_DEG if name.endswith("_deg") else _TOLERANCE_MM) for name, v in motor.joints.items()]
     if channels:  # their knots are the bending motor's too, but it stays at rest where it rests
-        at = np.union1d(t_s, motor.t_s[_thinned(motor.t_s, channels)])
+        at = np.union1d(t_s, motor.t_s[_needed_knots(motor.t_s, channels)])
         left = np.searchsorted(t_s, at, side="right") - 1
         right = np.minimum(left + (t_s[left] < at), len(t_s) - 1)
         fixed = fixed[left] & fixed[right] & (q[left] == q[right])
@@ -301,109 +280,31 @@ def _with_others(
     def taken(values: Array | None) -> Array | None:
         return None if values is None else np.interp(t_s, motor.t_s, values)
 
-    level = q if smooth is None else _levelled(motor.t_s, smooth, t_s, q, fixed)
+    level = q if smooth is None else _least_squares_knots(motor.t_s, smooth, t_s, q, fixed)
     joints = {name: np.interp(t_s, motor.t_s, values) for name, values in motor.joints.items()}
     return Motor(t_s, level, None, taken(others[0]), taken(others[1]), taken(others[2]), joints)
 
 
-def _without_idle(motor: Motor) -> Motor:
-    """Without the samples that straight lines between the others pass."""
+def _without_collinear(motor: Motor) -> Motor:
+    """The motor without samples that lie on the straight line between their neighbours."""
     columns = [motor.q, motor.translation_mm, motor.rotation_deg, motor.load_mNm, *motor.joints.values()]
     channels = [(values, _EXACT * float(np.abs(values).max()) + 1e-300) for values in columns if values is not None]
-    keep = _thinned(motor.t_s, channels)
+    keep = _needed_knots(motor.t_s, channels)
     q, translation, rotation, load, *joints = (None if values is None else values[keep] for values in columns)
     named = {name: values for name, values in zip(motor.joints, joints, strict=True) if values is not None}
     assert q is not None
     return Motor(motor.t_s[keep], q, None, translation, rotation, load, named)
 
 
-@dataclass(frozen=True)
-class _Rest:
-    """The motor stands at `q`, the rig's unit, from `start_s` to `end_s`, the same where it turns at once; the count
-    last changed before it at `since_s` and next changes at `until_s`."""
-
-    q: float
-    start_s: float
-    end_s: float
-    since_s: float
-    until_s: float
-
-
-def _stops(motor: Motor, encoder: _Steps) -> list[_Rest]:
-    """Where the motor rests or turns, as far as its counts show it slow down and start: at a constant acceleration. An
-    encoder shows nothing of the last count before a stop, which at 12 mm/s^2 and 1 um takes 13 ms."""
-    t, counts = motor.t_s, encoder.counts
-    changes = np.flatnonzero(np.diff(counts))
-    at, step = 0.5 * (t[changes] + t[changes + 1]), np.diff(counts)[changes]
-    boundary = counts[changes] + 0.5 * step
-    period = float(np.median(np.diff(t)))
-    stops = []
-    # The count that holds from change i - 1 to change i.
-    edges = np.concatenate([t[:1], at, t[-1:]])
-    turned = np.concatenate([[False], step[1:] * step[:-1] < 0, [False]])
-    lasts = np.diff(edges)
-    padded = np.concatenate([[0.0], lasts, [0.0]])
-    beside = padded[:-2] + padded[2:]  # a motor that only passes is as long in each of its counts
-    for i in np.flatnonzero(turned | (lasts > np.maximum(beside, _REST_S))):
-        first, last = i == 0, i == len(changes)
-        centre = counts[0] if first else counts[changes[i - 1] + 1]
-        since, until, turns = edges[i], edges[i + 1], turned[i]
-        slows = None if first else _vertex(at[:i][::-1], boundary[:i][::-1], step[:i][::-1], centre, period)
-        starts = None if last else _vertex(at[i:], boundary[i:], -step[i:], centre, period)
-        level = [vertex[1] for vertex in (slows, starts) if vertex is not None]
-        if not level:
-            continue
-        middle = 0.5 * (since + until)
-        # Where no vertex is told it comes as fast as through the count before, within a sample where it jumps.
-        start_s = since + min(slows[0] if slows else _half(t, changes, step, lasts, i - 1), middle - since)
-        end_s = until - min(starts[0] if starts else _half(t, changes, step, lasts, i), until - middle)
-        if turns and slows is not None and starts is not None and end_s - start_s < 2 * period:
-            start_s = end_s = 0.5 * (start_s + end_s)
-        stops.append(_Rest(encoder.zero + encoder.count * float(np.mean(level)), start_s, end_s, since, until))
-    return stops
-
-
-def _half(t: Array, changes: npt.NDArray[np.intp], step: Array, lasts: Array, i: int) -> float:
-    """Half the time that the motor takes for a count beside the i-th change; from one sample to the next where it is of
-    many counts at once."""
-    if not 0 <= i < len(changes):
-        return 0.0
-    if abs(step[i]) > 1:
-        return 0.5 * float(t[changes[i] + 1] - t[changes[i]])
-    return 0.5 * float(min(lasts[i], lasts[i + 1]))
-
-
-def _vertex(at: Array, boundary: Array, step: Array, centre: float, period: float) -> tuple[float, float] | None:
-    """From the nearest change of count on away from a stop: how long the motor still moves beyond it, s, and where it
-    stops, counts. A parabola through as many changes as it fits; None where there are too few."""
-    most, least = _CHANGES
-    way = np.sign(step[0])
-    one_way = np.flatnonzero((np.sign(step[:most]) != way) | (np.abs(np.diff(at[:most], prepend=at[0])) > _REST_S))
-    n = min(len(at), most, int(one_way[0]) if len(one_way) else most)
-    while n >= least:
-        away, since = way * (centre - boundary[:n]), np.abs(at[:n] - at[0])
-        # A change that comes after a while is known to a fraction of a count.
-        sure = np.maximum(1.0, np.gradient(since) / period)
-        line = np.column_stack([np.ones(n), since, since**2])
-        fitted = np.linalg.lstsq(line * sure[:, None], away * sure, rcond=None)[0]
-        if float(np.sqrt(np.mean(np.square(sure * (away - line @ fitted))))) <= _FITS:
-            offset, speed, bend = (float(value) for value in fitted)
-            left = offset - speed**2 / (4.0 * bend) if bend > 0.0 and speed > 0.0 else -np.inf
-            if abs(left) <= 1.0:
-                return speed / (2.0 * bend), centre - way * float(np.clip(left, -0.5, 0.5))
-            return 0.5 * float(since[1]), centre  # it hardly slows down
-        n = int(0.7 * n)
-    return None
-
-
-def _thinned(t_s: Array, channels: list[tuple[Array, float]]) -> npt.NDArray[np.bool_]:
+def _needed_knots(t_s: Array, channels: list[tuple[Array, float]]) -> npt.NDArray[np.bool_]:
+    """Which samples are needed for straight lines between them to be within every channel's tolerance."""
     values, tolerances = np.concatenate([v for v, _ in channels]), np.array([tolerance for _, tolerance in channels])
-    return np.asarray(_native.thin(t_s, values, tolerances, _REST_S), dtype=bool)
+    return np.asarray(_native.thin(t_s, values, tolerances, REST_S), dtype=bool)
 
 
-def _knots(motor: Motor, tolerance: float, stops: list[_Rest]) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-    """Times and positions of the bending motor's knots, and which of them are where it rests or turns."""
-    keep = _thinned(motor.t_s, [(motor.q, tolerance)])
+def _knots(motor: Motor, tolerance: float, stops: list[Rest]) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    """Times and positions of the bending motor's knots, and which of them are at rests or turns."""
+    keep = _needed_knots(motor.t_s, [(motor.q, tolerance)])
     t, q = motor.t_s[keep], motor.q[keep]
     fixed = np.zeros(len(t), dtype=bool)
     rests = np.flatnonzero(np.diff(q) == 0)
@@ -421,9 +322,9 @@ def _knots(motor: Motor, tolerance: float, stops: list[_Rest]) -> tuple[Array, A
     return t, q, fixed
 
 
-def _levelled(t_s: Array, values: Array, knots: Array, v: Array, fixed: npt.NDArray[np.bool_]) -> Array:
-    """(knots,) values at the knots of the straight lines that fit all samples best, v where they are fixed: an
-    encoder's steps average out."""
+def _least_squares_knots(t_s: Array, values: Array, knots: Array, v: Array, fixed: npt.NDArray[np.bool_]) -> Array:
+    """(knots,) Positions at the knots for which straight lines fit all samples best, so that an encoder's steps average
+    out; v where they are fixed."""
     if len(knots) < 2 or fixed.all():
         return v
     left = np.clip(np.searchsorted(knots, t_s, side="right") - 1, 0, len(knots) - 2)

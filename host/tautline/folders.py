@@ -13,7 +13,7 @@ from tautline.errors import TautError
 
 
 def check_replaceable(folder: Path, key_file: str) -> None:
-    """Only a new or empty folder, or an earlier result (one that holds `key_file`), may be written to."""
+    """TautError unless the folder is new, empty, or an earlier result (it holds `key_file`)."""
     if folder.is_dir():
         if (folder / key_file).exists() or not any(folder.iterdir()):
             return
@@ -24,8 +24,8 @@ def check_replaceable(folder: Path, key_file: str) -> None:
 
 @contextmanager
 def replaced(folder: Path, key_file: str, stale: Sequence[str] = ()) -> Iterator[Path]:
-    """A temporary folder of the same name to write into; it takes `folder`'s place when the block ends without error.
-    Other files in it are kept, but for those that match one of `stale`, which belong to the earlier result."""
+    """A temporary folder to write into, which takes `folder`'s place when the block ends without error. Other files in
+    it are kept, except those that match `stale`, which belong to the earlier result."""
     folder = Path(os.path.realpath(folder))  # where it is a link, what it leads to is replaced
     check_replaceable(folder, key_file)
     beside = folder.with_name(f".{folder.name}.{os.getpid()}.new")
@@ -54,7 +54,7 @@ def replaced(folder: Path, key_file: str, stale: Sequence[str] = ()) -> Iterator
 
 
 def write_file(path: Path, text: str) -> None:
-    """Text into a file, whole or not at all."""
+    """Writes text into a file, whole or not at all."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -68,7 +68,7 @@ def write_file(path: Path, text: str) -> None:
 
 @contextmanager
 def unpacked(files: Mapping[str, bytes]) -> Iterator[Path]:
-    """A temporary folder that holds these files, by their paths in it."""
+    """A temporary folder with these files, by their paths in it."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for path, content in files.items():

@@ -51,7 +51,7 @@ class Friction:
         return 2.0 * self.beta if self.kind == BOUC_WEN else float(2.0**self.exponent)
 
     def native(self, grid: Array, width: Array) -> Any:
-        """As C has it, on a backlash table: B width (n,) at positions grid (n,)."""
+        """The C object on a backlash table: B width (n,) at positions grid (n,)."""
         values = (self.length, self.share, self.exponent, self.beta)
         return _native.Plays(grid, width, KINDS[self.kind], *values)
 

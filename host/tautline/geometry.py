@@ -21,7 +21,7 @@ PLACED_PX = 0.05  # prior: by docs/marker.md, 0.05 to 0.09
 
 
 def tip_bend(kinematics: Kinematics, c_deg: npt.ArrayLike) -> Array:
-    """g: the marker (n, 3) mm in the section's own frame."""
+    """g of the paper: the marker's position (n, 3) mm in the bending section's frame, at bending angles c (n,) deg."""
     c = np.radians(np.atleast_1d(np.asarray(c_deg, dtype=float)))
     length, tip = kinematics.bending_length_mm, kinematics.tip_length_mm
     sin, cos = np.sin(c), np.cos(c)
@@ -57,8 +57,8 @@ def to_camera(hand_eye: HandEye, base: Array) -> Array:
 
 
 def to_image(camera: Camera, point: Array) -> Array:
-    """h: pinhole with OpenCV's k1 k2 p1 p2 k3. Image positions (n, 2) px of camera points (n, 3) mm; NaN where a point
-    is not in front of the camera."""
+    """h of the paper: pinhole projection with OpenCV's k1 k2 p1 p2 k3. Image positions (n, 2) px of camera points (n,
+    3) mm; NaN where a point is not in front of the camera."""
     seen = point[:, 2:] > 1e-6
     ahead = np.where(seen, point, [0.0, 0.0, 1.0])
     image, _ = cv2.projectPoints(ahead, np.zeros(3), np.zeros(3), camera.matrix, np.array(camera.distortion))
@@ -66,7 +66,7 @@ def to_image(camera: Camera, point: Array) -> Array:
 
 
 def projection_rig(rig: Rig) -> Array:
-    """The numbers of struct projection_rig (host/native/projection.h)."""
+    """The fields of struct projection_rig (host/native/projection.h) in order."""
     if rig.kinematics is None or rig.camera is None or rig.hand_eye is None:
         raise TautError("the rig needs [kinematics], [camera] and [hand_eye] to project a marker: add them to rig.toml")
     camera, place = rig.camera, rig.place
@@ -104,7 +104,7 @@ def project(
 def px_per_deg(
     rig: Rig, c_deg: npt.ArrayLike, translation_mm: npt.ArrayLike = 0.0, rotation_deg: npt.ArrayLike = 0.0
 ) -> Array:
-    """(n,) how far the marker goes in the image for each deg of bending, at bending angles c (n,) deg."""
+    """(n,) How far the marker moves in the image per deg of bending, at bending angles c (n,) deg."""
     return np.asarray(np.linalg.norm(project_with_slope(rig, c_deg, translation_mm, rotation_deg)[1], axis=1))
 
 
@@ -115,10 +115,9 @@ def tracked_deg(
     translation_mm: npt.ArrayLike = 0.0,
     rotation_deg: npt.ArrayLike = 0.0,
 ) -> Array:
-    """(n,) deg, one standard deviation: what a tracker that is off by d(u, v), the same whenever the marker is there,
-    makes of f_remain. Frames see f + s.d / |s|^2, s px per deg of bending: no number of them tells d apart from f. B
-    and delay, which compare passes over one place, do not feel it. tracked_px: of d, per coordinate; 0: no such error.
-    """
+    """(n,) One standard deviation, deg, of f_remain by a tracker that is off by a constant d(u, v) of rms tracked_px
+    per coordinate. Frames see f + s.d / |s|^2, s in px per deg, so no number of them tells d from f; B and delay, which
+    compare passes over one place, are free of it."""
     if not tracked_px:
         return np.zeros(np.shape(c_deg))
     return tracked_px / px_per_deg(rig, c_deg, translation_mm, rotation_deg)
@@ -174,12 +173,13 @@ def pose(
 
 
 def coarse_range_deg(rig: Rig) -> tuple[float, float]:
-    """The bending angles that f_coarse gives over the motor's range."""
+    """The lowest and highest bending angle that f_coarse gives over the motor's range."""
     ends = [rig.coarse.gain * q + rig.coarse.offset for q in rig.actuator.range]
     return min(ends), max(ends)
 
 
 def _nearest_on_grid(rig: Rig, image: Array, translation: Array, turn: Array) -> Array:
+    """Start angles (n,) for `pose`: of a grid those whose image is nearest."""
     low, high = coarse_range_deg(rig)
     margin = 0.25 * (high - low)
     grid = np.linspace(low - margin, high + margin, 121)

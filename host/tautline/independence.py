@@ -35,8 +35,8 @@ def frames_each(
 
 
 def first_order(residuals: Array) -> float:
-    """The same where the autocorrelation falls geometrically, from neighbours alone: of a fit that is far from done,
-    whose longer correlations are what is still to be fitted."""
+    """As `frames_each` for an autocorrelation that falls geometrically, from neighbours alone: for a fit that is not
+    finished, whose longer correlations are what is still to be fitted."""
     power = max(float(np.sum(residuals**2)), 1e-30)
     alike = float(np.clip(np.sum(residuals[1:] * residuals[:-1]) / power, 0.0, 0.999))
     return (1.0 + alike) / (1.0 - alike)

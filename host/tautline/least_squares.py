@@ -25,8 +25,8 @@ _RIDGE, _FLOOR = 1e-9, 1e-12  # tolerance: of a factor: of the diagonal, and bes
 
 class Problem(Protocol[Point]):
     def linearised(self, point: Point) -> tuple[Array, Array, float]:
-        """Normal matrix and gradient (towards less) with the priors' parts, and the cost. Until the next call weights
-        stay as they are."""
+        """Normal matrix, gradient (the direction that lowers the cost) and cost at a point, priors included. Robust
+        weights stay until the next call."""
         ...
 
     def moved(self, point: Point, step: Array) -> Point:
@@ -43,7 +43,7 @@ class Problem(Protocol[Point]):
 
 
 def descend(problem: Problem[Point], point: Point, most: int) -> Point:
-    """The best point after at most so many steps."""
+    """The best point after at most `most` damped Gauss-Newton steps."""
     damping = _DAMPING
     for _ in range(most):
         matrix, gradient, cost = problem.linearised(point)
@@ -69,7 +69,7 @@ def descend(problem: Problem[Point], point: Point, most: int) -> Point:
 
 
 def factor(matrix: Array) -> tuple[Array, bool]:
-    """Cholesky's, with a ridge that no data notice. Raises LinAlgError."""
+    """Cholesky factor of the matrix with a negligible ridge. Raises LinAlgError."""
     ridge = _RIDGE * np.diag(np.diag(matrix)) + _FLOOR * np.eye(len(matrix))
     factored: tuple[Array, bool] = cho_factor(matrix + ridge, check_finite=False)
     return factored

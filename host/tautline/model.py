@@ -68,8 +68,8 @@ class Model(Value):
         return self.delay_s if sensor == self.sensor else self.rig.nominal_delay_s(sensor)
 
     def noise_of(self, sensor: Sensor) -> float:
-        """What a sensor shows beside what the model says of it, px a coordinate or deg, one standard deviation: what
-        the calibration left; of one that was not calibrated with, a usual sensor's."""
+        """One standard deviation of a sensor's noise, px a coordinate or deg: what the calibration left, or a usual
+        value for a sensor that it had not."""
         evidence = self.extra.get("evidence", {})
         known = [evidence.get(name) for name in ("residual", "error")]
         finite = [float(value) for value in known if value is not None and np.isfinite(value) and value > 0.0]
@@ -84,7 +84,7 @@ class Model(Value):
         return interpolate(p, self.q, self.c_deg)
 
     def remaining_inverse(self, c_deg: npt.ArrayLike) -> Array:
-        """The centre coordinates (n,), unit of q, at which f_remain is c_deg (n,); any other shape as well."""
+        """Centre coordinates, unit of q, at which f_remain is c_deg; of any shape."""
         order = slice(None) if self.c_deg[-1] > self.c_deg[0] else slice(None, None, -1)
         return interpolate(c_deg, self.c_deg[order], self.q[order])
 
@@ -202,7 +202,7 @@ def is_backlash_table(grid: Array, width: Array) -> bool:
 
 
 def allowed_width(grid: Array, width: Array, steepest: float = STEEPEST) -> Array:
-    """The nearest lawful backlash table from below: width >= 0, |width'| <= steepest."""
+    """The nearest valid backlash table from below: width >= 0, |width'| <= steepest."""
     step = steepest * np.diff(grid)
     lawful: Array = np.maximum(width, 0.0)
     if (np.abs(np.diff(lawful)) <= step).all():
@@ -215,7 +215,7 @@ def allowed_width(grid: Array, width: Array, steepest: float = STEEPEST) -> Arra
 
 
 def monotone(c_deg: Array) -> Array:
-    """f_remain rising or falling strictly, as a model's must, where it is level."""
+    """f_remain made strictly rising or falling where it is level, as a model's must be."""
     sign = np.sign(c_deg[-1] - c_deg[0])
     least = 1e-6 * abs(c_deg[-1] - c_deg[0]) / len(c_deg) * np.arange(len(c_deg))
     rising: Array = sign * (np.maximum.accumulate(sign * c_deg - least) + least)
@@ -223,7 +223,7 @@ def monotone(c_deg: Array) -> Array:
 
 
 def interpolate(x: npt.ArrayLike, grid: Array, values: Array) -> Array:
-    """Linear between the points of a rising grid, going on beyond its ends with the slope of the last span."""
+    """Linear between the points of a rising grid; beyond its ends with the slope of the last span."""
     x = np.asarray(x, dtype=float)
     first = (values[1] - values[0]) / (grid[1] - grid[0])
     last = (values[-1] - values[-2]) / (grid[-1] - grid[-2])

@@ -40,18 +40,20 @@ class Nearest:
 
 
 def nearest_plays(grid: Array, width: Array, hysteresis: Hysteresis, reached: tuple[float, float]) -> Nearest:
-    """By least squares, first of weights on fixed shares and then of both."""
-    q = _loops(grid, width, reached)
+    """The plays nearest to a hysteresis on loops of all sizes within `reached`, and their error: least squares, first
+    of weights at fixed widths, then of both."""
+    q = _test_motion(grid, width, reached)
     p = Play(grid, width, hysteresis).forward(q)
     warp = warp_of(grid, width, Play(grid, width).narrow)
     half = 0.5 * np.interp(p, grid, width)
     y = 0.5 * (np.interp(p + half, warp.q, warp.x) + np.interp(p - half, warp.q, warp.x))
-    elements = _polished(np.interp(q, warp.q, warp.x), y)
+    elements = _fitted_elements(np.interp(q, warp.q, warp.x), y)
     off = Play(grid, width, elements).forward(q) - p
     return Nearest(elements, float(np.sqrt(np.mean(off**2))), float(np.sqrt(np.mean((q - p) ** 2))))
 
 
-def _loops(grid: Array, width: Array, reached: tuple[float, float]) -> Array:
+def _test_motion(grid: Array, width: Array, reached: tuple[float, float]) -> Array:
+    """Motor positions of a random motion with full strokes, strokes to anywhere and small loops of all sizes."""
     low, high = reached
     usual = float(np.mean(width[(grid >= low) & (grid <= high)]))
     rng = np.random.default_rng(0x100B)
@@ -73,16 +75,18 @@ def _loops(grid: Array, width: Array, reached: tuple[float, float]) -> Array:
     return np.concatenate(pieces)
 
 
-def _played(x: Array, share: Array) -> Array:
+def _elements_response(x: Array, share: Array) -> Array:
+    """(n, m) Centre coordinate of a play of each width `share` (m,) along motor positions x (n,)."""
     far = 10.0 * float(np.abs(x).max() + share.max())
     ends = np.array([-far, far])
     return np.column_stack([_native.Plays(ends, np.full(2, one)).forward(x, float(x[0]))[0] for one in share])
 
 
-def _polished(x: Array, y: Array) -> Elements:
-    """Shares and weights (the first at least _FIRST) by Gauss-Newton steps from those of the fixed shares."""
+def _fitted_elements(x: Array, y: Array) -> Elements:
+    """Widths and weights (the first at least _FIRST) that fit y along x best, by least squares from non-negative
+    weights at fixed widths."""
     sums = _STRICT * np.vstack([np.ones(len(_SHARES)), _SHARES])
-    rows = np.vstack([_played(x, _SHARES) - x[:, None], sums])
+    rows = np.vstack([_elements_response(x, _SHARES) - x[:, None], sums])
     weights = nnls(rows, np.concatenate([y - x, [_STRICT, _STRICT]]))[0]
     start = fewer(_SHARES[weights > _SLIGHT], weights[weights > _SLIGHT])
     n = len(start.width)
@@ -90,13 +94,14 @@ def _polished(x: Array, y: Array) -> Elements:
     begin = np.concatenate([np.log(gaps), np.log(np.array(start.weight) - _FIRST * (np.arange(n) == 0) + _SLIGHT)])
 
     def parts(unknowns: Array) -> tuple[Array, Array]:
+        """Relative widths (mean 1) and weights (sum 1) of the unconstrained unknowns."""
         weight = softmax(unknowns[n:]) * (1.0 - _FIRST) + _FIRST * (np.arange(n) == 0)
         share = np.cumsum(np.exp(np.clip(unknowns[:n], *_GAPS)))
         return share / float(weight @ share), weight
 
     def off(unknowns: Array) -> Array:
         share, weight = parts(unknowns)
-        return np.asarray(_played(x, share) @ weight - y)
+        return np.asarray(_elements_response(x, share) @ weight - y)
 
     share, weight = parts(least_squares(off, begin, max_nfev=_STEPS).x)
     weight = weight / weight.sum()
@@ -104,29 +109,11 @@ def _polished(x: Array, y: Array) -> Elements:
 
 
 def fewer(width: Array, weight: Array) -> Elements:
-    """Of many elements, rising, those that stand for neighbours together, so that the widths within each lot scatter
-    least; the first moves _FIRST at least."""
-    n = len(width)
+    """At most _PLAYS elements in place of many (width rising): each stands for a run of neighbours by their mean, the
+    runs chosen so that widths scatter least within them. The first run moves a share _FIRST of the tip at least."""
     weight = weight / weight.sum()
     sums = np.array([np.concatenate([[0.0], np.cumsum(weight * width**k)]) for k in range(3)])
-
-    def scatter(i: int, j: int) -> float:
-        w, first, second = sums[:, j] - sums[:, i]
-        return float(second - first * first / w)
-
-    best: dict[tuple[int, int], tuple[float, tuple[int, ...]]] = {(0, 0): (0.0, (0,))}
-    for lots in range(1, _PLAYS + 1):
-        for end in range(1, n + 1):
-            fewest = [
-                (cost + scatter(begin, end), (*ends, end))
-                for begin in range(lots - 1, end)
-                if (known := best.get((lots - 1, begin))) is not None
-                for cost, ends in (known,)
-                if lots > 1 or sums[0, end] >= _FIRST
-            ]
-            if fewest:
-                best[lots, end] = min(fewest)
-    _, ends = min(best[lots, n] for lots in range(1, _PLAYS + 1) if (lots, n) in best)
+    ends = _least_scatter_runs(sums)
     parts = [(sums[:, j] - sums[:, i])[:2] for i, j in itertools.pairwise(ends)]
     means = np.array([first / w for w, first in parts])
     shares = np.array([w for w, _ in parts])
@@ -136,3 +123,27 @@ def fewer(width: Array, weight: Array) -> Elements:
     shares /= shares.sum()
     means /= shares @ means
     return Elements(tuple(means.tolist()), tuple(shares.tolist()))
+
+
+def _least_scatter_runs(sums: Array) -> tuple[int, ...]:
+    """Where each run ends, from 0 on, of at most _PLAYS runs with the least weighted variance within, by dynamic
+    programming. sums (3, n + 1): cumulative sums of the weights times 1, width and width^2."""
+    n = sums.shape[1] - 1
+
+    def scatter(i: int, j: int) -> float:
+        w, first, second = sums[:, j] - sums[:, i]
+        return float(second - first * first / w)
+
+    best: dict[tuple[int, int], tuple[float, tuple[int, ...]]] = {(0, 0): (0.0, (0,))}  # by (runs, end of the last)
+    for runs in range(1, _PLAYS + 1):
+        for end in range(1, n + 1):
+            tried = [
+                (cost + scatter(begin, end), (*ends, end))
+                for begin in range(runs - 1, end)
+                if (known := best.get((runs - 1, begin))) is not None
+                for cost, ends in (known,)
+                if runs > 1 or sums[0, end] >= _FIRST
+            ]
+            if tried:
+                best[runs, end] = min(tried)
+    return min(best[runs, n] for runs in range(1, _PLAYS + 1) if (runs, n) in best)[1]

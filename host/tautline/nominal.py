@@ -57,8 +57,8 @@ class Nominal:
     def add(
         self, rows: Rows, into: Normal, columns: Array | None = None, weight: Array | None = None, first: int = 0
     ) -> None:
-        """columns: instead of the rows' own; those before `first`, and the curves, have been summed already. weight
-        (n, k): ones where none is given."""
+        """Adds rows' normal equations. columns: in place of the rows' own; those before `first`, and the curves, have
+        been summed already. weight (n, k): of each residual, default 1."""
         _native.normal_add(
             *(rows.p, rows.tip, rows.by_width, rows.by_follow, rows.by_c),
             *(np.ascontiguousarray(rows.columns if columns is None else columns), rows.residual, weight),
@@ -67,7 +67,7 @@ class Nominal:
         )
 
     def moved(self, rows: Rows, step: Array) -> Array:
-        """(n, k): by how much a step of the unknowns moves the prediction."""
+        """(n, k) The change of the prediction by a step of the unknowns."""
         b, both = self.width.size, self.size
         c = rows.by_width * self.width.value(step[:b], rows.p)
         c = c + rows.by_follow * self.follow.value(step[b:both], rows.tip)

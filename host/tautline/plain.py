@@ -11,7 +11,7 @@ import numpy as np
 
 
 def plain(value: Any) -> Any:
-    """Arrays, paths and numpy scalars as JSON has them; NaN and infinities become null."""
+    """The value as JSON has it: arrays, paths and numpy scalars converted, NaN and infinities as null."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):

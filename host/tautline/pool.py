@@ -29,8 +29,8 @@ _TRIES = 2  # of a task alone, before it counts as what kills its worker: one ma
 
 @contextmanager
 def pool(jobs: int | None, dask: str | None, died: Died | None = None) -> Iterator[Pool]:
-    """`jobs`: processes on this machine, default all cores; 1: this process. `dask`: a scheduler's address. `died`
-    None: a task that kills its workers ends the work with a TautError."""
+    """Where tasks are run. jobs: processes on this machine, all cores by default; 1 means this process. dask: a
+    scheduler's address. died: result of a task that kills its workers; None ends the work with a TautError."""
     died = died or _ended
     if dask is not None:
         with _dask(dask, died) as made:
@@ -48,6 +48,7 @@ def _ended(name: str) -> Any:
 
 @contextmanager
 def _processes(jobs: int, died: Died) -> Iterator[Pool]:
+    """A pool of processes on this machine, ended with the block."""
     # Each library reads its own variable when a worker starts: one core a case, and no two cases on one.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
@@ -72,6 +73,8 @@ class _Processes:
         return ProcessPoolExecutor(self.jobs, multiprocessing.get_context("spawn"), initializer=_ignore_interrupt)
 
     def run(self, function: Callable[..., Any], work: Work) -> Done:
+        """Runs (name, arguments) of `work`, yielding (name, result) as they come. A few more tasks are submitted than
+        there are processes."""
         waiting: dict[Future[Any], Task] = {}
         lost: list[Task] = []
         for task in work:
@@ -84,13 +87,15 @@ class _Processes:
     def _submit(
         self, function: Callable[..., Any], task: Task, waiting: dict[Future[Any], Task], lost: list[Task]
     ) -> None:
+        """Submits a task; it counts as lost if the pool is already broken."""
         try:
             waiting[self.executor.submit(function, *task[1])] = task
         except BrokenProcessPool:
             lost.append(task)
 
     def _collected(self, function: Callable[..., Any], waiting: dict[Future[Any], Task], lost: list[Task]) -> Done:
-        """The results that are there first; where a worker died, those of all that wait."""
+        """Results that are there; once a worker has died, of all that wait, and then the lost tasks run again one by
+        one."""
         for future in wait(waiting, return_when=FIRST_COMPLETED).done if not lost else list(waiting):
             task = waiting.pop(future)
             try:
@@ -107,6 +112,7 @@ class _Processes:
                 yield task[0], self._alone(function, task)
 
     def _alone(self, function: Callable[..., Any], task: Task) -> Any:
+        """Runs a task with nothing beside it, in new processes if they die; after _TRIES it is what kills them."""
         for _ in range(_TRIES):
             try:
                 return self.executor.submit(function, *task[1]).result()
@@ -118,6 +124,7 @@ class _Processes:
 
 @contextmanager
 def _dask(address: str, died: Died) -> Iterator[Pool]:
+    """A pool on a Dask cluster. TautError where its scheduler does not answer or has no workers."""
     try:
         distributed: Any = importlib.import_module("dask.distributed")
     except ImportError as error:

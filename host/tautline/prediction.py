@@ -54,8 +54,8 @@ class Prediction(Value):
 
 
 def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float | None = None) -> Prediction:
-    """At scene times (n,) on the motor's clock, in any order. The tip starts on the centre line, c = f_remain(q[0]), or
-    at start_deg; q is held before the first and after the last motor sample."""
+    """What is seen at scene times (n,) on the motor's clock, in any order. The tip starts on the centre line, c =
+    f_remain(q[0]), or at start_deg; q is held before the first and after the last motor sample."""
     scene = np.asarray(scene_s, dtype=float)
     seen = Chain(model).at(path_of(model, motor), scene, start_deg)
     return Prediction(seen.c_deg, seen.image_px)
@@ -64,13 +64,13 @@ def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float
 def predict_with_sigma(
     model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float | None = None
 ) -> Prediction:
-    """`predict`, and how far off what the sensor shows may be. What is known of B, f_remain, the delay, the motor's
-    path and, unless start_deg is given, of where the tip lay in its backlash at first goes through the chain to each
-    row; beside it stands what the calibration left, its noise among it."""
+    """`predict` with one standard deviation of what the sensor would show: the uncertainty of B, f_remain, the delay,
+    the motor's path and, unless start_deg is given, of the start within the backlash, propagated by differences through
+    the chain; and the noise."""
     scene = np.asarray(scene_s, dtype=float)
     path = path_of(model, motor)
     told = Chain(model).at(path, scene, start_deg)
-    known = _known(model, path, start_deg)
+    known = _input_uncertainty(model, path, start_deg)
     unseen_deg = _unseen_deg(model, model.c_deg)
     together = width_by_delay(model, float(known.sigma[2]))
     by_delay = together / known.sigma[2] if known.sigma[2] > 0.0 else together
@@ -78,6 +78,7 @@ def predict_with_sigma(
     fitted_deg = None if model.c_sigma is None else np.sqrt(np.maximum(model.c_sigma**2 - unseen_deg**2, 0.0))
 
     def rows(off: Array) -> Array:
+        """The prediction (n, 1 or 3) with these deviations: of B and f_remain in sigmas, delay, start and motor."""
         width, remaining, delay_s, start, q = off
         moved = replace(
             model,
@@ -113,16 +114,16 @@ def width_by_delay(model: Model, delay_sigma_s: float) -> Array:
 
 
 def _unseen_deg(model: Model, c_deg: Array, *others: Array) -> Array:
-    """(n,) deg, a part of f_remain's sigma: by it angles are off, and the image shows nothing of it: where the place of
-    a bare instrument lies, and what a tracker is off by wherever the marker is."""
+    """(n,) deg The part of f_remain's sigma that shifts the angle and leaves the image as it is: where the place of a
+    bare instrument lies, and a tracker's constant error."""
     of_tracker = tracked_deg(float(model.extra.get("tracked_px", 0.0)), model.rig, c_deg, *others)
     place = model.rig.place
     return of_tracker if place is None else np.hypot(place.sigma_at(c_deg), of_tracker)
 
 
-def _known(model: Model, path: MotorPath, start_deg: float | None) -> Posterior:
-    """B and f_remain in their own sigmas, alike along the curve: a row sees one place. The delay, s; where in the
-    backlash the tip began, in halves of it, anywhere alike; the motor, unit of q, alike at all times."""
+def _input_uncertainty(model: Model, path: MotorPath, start_deg: float | None) -> Posterior:
+    """Independent deviations: B and f_remain in their own sigmas (a row sees one place of the curve); the delay, s; the
+    start within the backlash, in half widths, uniform; the motor, unit of q."""
     delay_s = model.extra.get("delay_sigma_s")
     sigma = [1.0, 1.0, delay_s or 0.0, 0.0 if start_deg is not None else _ANYWHERE, path.sigma]
     return Posterior(("width", "remaining", "delay", "start", "motor"), np.zeros(5), np.diag(np.square(sigma)))
@@ -136,7 +137,7 @@ def settled_from(model: Model, motor: Motor) -> float:
 
 
 def driven_both_ways_from(t_s: Array, q: Array, width: float) -> float:
-    """The time from which q has gone further than `width` either way, infinite where it never has."""
+    """The time from which q has moved by more than `width` in both directions; infinite where it never has."""
     up = np.flatnonzero(q - np.minimum.accumulate(q) > width)
     down = np.flatnonzero(np.maximum.accumulate(q) - q > width)
     if len(up) == 0 or len(down) == 0:
@@ -144,8 +145,8 @@ def driven_both_ways_from(t_s: Array, q: Array, width: float) -> float:
     return float(t_s[max(up[0], down[0])])
 
 
-def misses(model: Model, motor: Motor, scene_s: npt.ArrayLike, seen: Array) -> Array:
-    """What was seen at scene times less what the model says: seen is (n, 2) px, or (n,) or (n, 1) deg; so is that."""
+def residuals(model: Model, motor: Motor, scene_s: npt.ArrayLike, seen: Array) -> Array:
+    """Seen less predicted at scene times. seen: (n, 2) px, or (n,) or (n, 1) deg; the result has the same shape."""
     told = predict(model, motor, scene_s)
     if seen.ndim == 2 and seen.shape[1] == 2:
         assert told.image_px is not None  # the model has a camera
@@ -154,8 +155,8 @@ def misses(model: Model, motor: Motor, scene_s: npt.ArrayLike, seen: Array) -> A
 
 
 def foretold(model: Model, recording: Recording, settled_by: Model | None = None) -> float:
-    """rms of what the model says of a recording, px a coordinate, deg without a marker or a camera, from when the tip
-    was driven through the backlash (of settled_by, if given) both ways. TautError where it was not."""
+    """Rms of the model's error on a recording, px a coordinate, or deg without a marker, once both directions were
+    driven through the backlash (of `settled_by`, if given). TautError where they never were."""
     usual, motor = settled_by or model, recording.motor
     begin_s = settled_from(usual, motor)
     if not np.isfinite(begin_s):
@@ -166,11 +167,11 @@ def foretold(model: Model, recording: Recording, settled_by: Model | None = None
     counted = valid & (arrival_s - usual.delay_of(sensor) >= begin_s)
     if not counted.any():
         raise TautError(f"{recording.name}: nothing was seen after the tip was driven both ways")
-    return rms([misses(model, motor, (arrival_s - model.delay_of(sensor))[counted], seen[counted])])
+    return rms([residuals(model, motor, (arrival_s - model.delay_of(sensor))[counted], seen[counted])])
 
 
 def _observed(model: Model, recording: Recording) -> tuple[Sensor, Array, npt.NDArray[np.bool_], Array]:
-    """The sensor, its arrival times (n,), which of them show the tip, and what: (n, 2) px or (n,) deg."""
+    """The sensor, its arrival times (n,), which of them show the tip, and its values: (n, 2) px or (n,) deg."""
     marker, angle = recording.marker, recording.angle
     if marker is not None and model.rig.has_camera:
         return MARKER, marker.t_s, marker.valid, np.column_stack([marker.u_px, marker.v_px])
@@ -191,7 +192,8 @@ class Score:
 
 
 def score(model: Model, recording: Recording, start_deg: float | None = None) -> Score:
-    """Of a recording in which the tip was seen. TautError where it was not, or not after it was driven both ways."""
+    """How well the model predicts a recording. TautError where the tip was not seen, or not after both directions were
+    driven."""
     sensor, arrival_s, valid, seen = _observed(model, recording)
     scene = arrival_s - model.delay_of(sensor)
     counted = valid & (scene >= settled_from(model, recording.motor)) & (scene <= recording.motor.t_s[-1])
@@ -213,7 +215,7 @@ def score(model: Model, recording: Recording, start_deg: float | None = None) ->
 
 
 def rms(off: Sequence[Array]) -> float:
-    """Of all together; infinite where a place cannot be in the image at all."""
+    """Root mean square of all; infinite where a predicted place cannot be in the image."""
     value = float(np.sqrt(np.mean(np.concatenate(off) ** 2)))
     return value if np.isfinite(value) else float("inf")
 
@@ -221,9 +223,8 @@ def rms(off: Sequence[Array]) -> float:
 def times_of(
     model: Model, folder: Path, motor: Motor, file: Path | None = None, warnings: list[str] | None = None
 ) -> Times:
-    """`file`'s column t_s; else the recording's: the rows of marker.csv, else of angle.csv, else of a video's
-    frames.csv, else one per frame period from motor t[0] + delay on (one per motor sample where the model's rig has no
-    camera)."""
+    """The times at which to predict: `file`'s column t_s; else those of marker.csv, else angle.csv, else a video's
+    frames.csv, else one per frame period from motor t[0] + delay on (per motor sample without a camera)."""
     rig = model.rig
     for path, delay_s in (
         (file, model.delay_s),
@@ -243,9 +244,9 @@ def times_of(
     return Times([f"{t:.6f}" for t in t_s], t_s, model.delay_s)
 
 
-def off_the_truth(model: Model, folder: Path, motor: Motor, times: Times, prediction: Prediction) -> float | None:
-    """rms of the bending angle less truth.csv's (t_s, c_deg at scene times), deg, from when the tip was driven through
-    the backlash both ways; None where the folder has no truth, or none of then."""
+def rms_to_truth(model: Model, folder: Path, motor: Motor, times: Times, prediction: Prediction) -> float | None:
+    """Rms of the predicted angle less truth.csv's (t_s, c_deg at scene times), deg, once both directions were driven
+    through the backlash; None where there is no such truth."""
     if not (folder / TRUTH_FILE).exists():
         return None
     truth = read_columns(folder / TRUTH_FILE, ["t_s", "c_deg"], "t_s,c_deg")
@@ -258,8 +259,8 @@ def off_the_truth(model: Model, folder: Path, motor: Motor, times: Times, predic
 
 
 def write_csv(path: Path, times: Times, prediction: Prediction) -> None:
-    """COLUMNS; t_s as it was written. Empty are u_px, v_px and their sigmas without a camera or where the marker cannot
-    be, and a sigma that the model does not know."""
+    """Writes COLUMNS; t_s as it was read. u_px, v_px and their sigmas are empty where the marker cannot be seen, a
+    sigma where the model does not know it."""
     nothing = np.full(len(times.cells), np.nan)
     absent = np.column_stack([nothing, nothing])
     image = absent if prediction.image_px is None else prediction.image_px

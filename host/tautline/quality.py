@@ -40,6 +40,7 @@ class Quality:
 
     @property
     def verdict(self) -> Verdict:
+        """unusable with a fatal reason, good without one that counts, else doubtful."""
         if any(reason.fatal for reason in self.reasons):
             return Verdict.UNUSABLE
         return Verdict.GOOD if all(reason.mild for reason in self.reasons) else Verdict.DOUBTFUL
@@ -58,7 +59,7 @@ class Quality:
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Self:
-        """Raises KeyError or TypeError where it is not what `to_json` gave."""
+        """From what `to_json` gave. KeyError or TypeError where it is something else."""
         return cls(
             tuple(
                 Reason(

@@ -115,7 +115,7 @@ class Recording:
 
 
 def load(path: str | Path, rig: Rig | None = None) -> Recording:
-    """A recording's folder. `rig` wins over a rig.toml in the folder. Raises TautError with file, line and column."""
+    """Reads a recording's folder. rig: wins over a rig.toml in the folder. TautError with file, line and column."""
     folder = _folder(path)
     _check_links(folder)
     warnings: list[str] = []
@@ -143,7 +143,7 @@ def load(path: str | Path, rig: Rig | None = None) -> Recording:
 
 
 def load_all(paths: Sequence[str | Path], rig: Rig | None = None) -> list[Recording]:
-    """Recordings in the order given, each on its own clock (core.session puts them on one), with names that differ."""
+    """Recordings in the order given, each on its own clock (core.session puts them on one), their names made unique."""
     recordings: list[Recording] = []
     for path in paths:
         recording = load(path, rig)
@@ -153,7 +153,7 @@ def load_all(paths: Sequence[str | Path], rig: Rig | None = None) -> list[Record
 
 
 def shifted(recordings: Sequence[Recording], offsets_s: Mapping[str, float]) -> list[Recording]:
-    """With offsets, by the recordings' names, taken from the times of marker and angle."""
+    """Recordings with these offsets, s, by name, taken from the times of marker and angle."""
 
     def moved(recording: Recording) -> Recording:
         offset_s = offsets_s.get(recording.name, 0.0)
@@ -175,7 +175,7 @@ def load_motor(path: str | Path, rig: Rig, warnings: list[str] | None = None) ->
 
 
 def read_motor(file: Path, rig: Rig, warnings: list[str] | None = None) -> Motor:
-    """A file with the columns of motor.csv."""
+    """Reads a file with the columns of motor.csv."""
     warnings = [] if warnings is None else warnings
     unit = rig.actuator.unit
     q_name, other = f"q_{unit}", "q_deg" if unit == "mm" else "q_mm"
@@ -218,7 +218,7 @@ def read_motor(file: Path, rig: Rig, warnings: list[str] | None = None) -> Motor
 
 
 def save(recording: Recording, folder: str | Path) -> None:
-    """Writes the folder whole or not at all. A recording that was there is replaced; other files in it are kept."""
+    """Writes the folder, whole or not at all. A recording that was there is replaced; other files in it stay."""
     if recording.rig is None:
         raise TautError(f"{folder}: a recording is saved with its rig, which names the unit of q")
     with replaced(Path(folder), "motor.csv") as target:
@@ -260,6 +260,7 @@ def save(recording: Recording, folder: str | Path) -> None:
 
 
 def _folder(path: str | Path) -> Path:
+    """The folder of a recording. TautError where there is none."""
     folder = Path(path)
     if not folder.exists():
         raise TautError(f"{folder}: there is no such folder: a recording is a folder with motor.csv")
@@ -271,7 +272,7 @@ def _folder(path: str | Path) -> Path:
 
 
 def _check_links(folder: Path) -> None:
-    """A link to nothing is a file that somebody meant to be there."""
+    """TautError for a link to nothing: a file that somebody meant to be there."""
     for path in sorted(folder.iterdir()):
         if path.is_symlink() and not path.exists():
             raise TautError(
@@ -280,7 +281,8 @@ def _check_links(folder: Path) -> None:
 
 
 def _check_reach(columns: Columns, name: str, rig: Rig) -> None:
-    """A motor far beyond the rig's range is another unit or a broken file: an error where nothing can come of it."""
+    """TautError where the motor is so far beyond the rig's range that nothing can come of it; a warning where the unit
+    may be another."""
     q = columns.finite(name)
     low, high = rig.actuator.range
     beyond = np.maximum(low - q, q - high)
@@ -297,6 +299,7 @@ def _check_reach(columns: Columns, name: str, rig: Rig) -> None:
 
 
 def _own_rig(folder: Path, rig: Rig | None, warnings: list[str]) -> Rig | None:
+    """The rig.toml of the folder; None where there is none, or where it is damaged and another rig was named."""
     path = folder / "rig.toml"
     if not path.exists():
         return None
@@ -313,6 +316,7 @@ def _own_rig(folder: Path, rig: Rig | None, warnings: list[str]) -> Rig | None:
 
 
 def _load_marker(file: Path, warnings: list[str]) -> Marker:
+    """Reads marker.csv."""
     columns = read_columns(file, layouts.MARKER.required(), layouts.MARKER.header())
     t_s = columns.rising_times()
     u_px, v_px = columns.raw("u_px"), columns.raw("v_px")
@@ -342,7 +346,7 @@ def _load_marker(file: Path, warnings: list[str]) -> Marker:
 
 
 def _frame_size(columns: Columns) -> tuple[int, int] | None:
-    """width_px and height_px of the frames, the same in every row."""
+    """(width, height) of the frames by columns width_px and height_px, the same in every row; None without them."""
     if not set(FRAME_COLUMNS) <= set(columns.names):
         return None
     sizes = [columns.raw(name) for name in FRAME_COLUMNS]
@@ -359,6 +363,7 @@ def _sizes(marker: Marker) -> dict[str, Array]:
 
 
 def _load_angle(file: Path, warnings: list[str]) -> Angle:
+    """Reads angle.csv."""
     columns = read_columns(file, layouts.ANGLE.required(), layouts.ANGLE.header())
     t_s = columns.rising_times()
     c_deg = columns.raw("c_deg")
@@ -377,6 +382,7 @@ def _load_angle(file: Path, warnings: list[str]) -> Angle:
 
 
 def _find_video(folder: Path, tracked: bool, warnings: list[str]) -> Video | None:
+    """The folder's video with its frames' arrival times; None where there is none."""
     path = next((folder / name for name in VIDEO_NAMES if (folder / name).exists()), None)
     if path is None:
         return None
@@ -399,6 +405,7 @@ def _find_video(folder: Path, tracked: bool, warnings: list[str]) -> Video | Non
 
 
 def _check_overlap(motor_file: Path, motor_s: Array, file: Path, t_s: Array) -> None:
+    """TautError where a file's times do not overlap the motor's."""
     if t_s[0] <= motor_s[-1] and t_s[-1] >= motor_s[0]:
         return
     raise TautError(
@@ -412,6 +419,7 @@ def _extra(columns: Columns, known: set[str]) -> dict[str, Array]:
 
 
 def _write(path: Path, columns: Mapping[str, Array | None]) -> None:
+    """Writes columns as a CSV file."""
     present = {name: values for name, values in columns.items() if values is not None}
     rows = max((len(values) for values in present.values()), default=0)
     for first in range(0, max(rows, 1), _WRITTEN_ROWS):

@@ -105,13 +105,14 @@ class Place:
     sigma_deg: tuple[float, ...]  # (PLACES,) of an angle that is told by this place, alike along the curve
 
     def sigma_at(self, c_deg: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """One standard deviation of the angle at c (n,) deg. An image that is foretold does not have it."""
+        """(n,) One standard deviation, deg, of the angle at c by not knowing where the place lies; it is in no
+        predicted image."""
         at = self.from_deg + self.step_deg * np.arange(PLACES)
         return np.asarray(np.interp(np.asarray(c_deg, dtype=float), at, self.sigma_deg))
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Self:
-        """What dataclasses.asdict made of one. Raises KeyError, TypeError or ValueError where it is no such thing."""
+        """From what dataclasses.asdict made of one. KeyError, TypeError or ValueError where it is something else."""
         mm = tuple(tuple(float(x) for x in row) for row in document["mm"])
         sigma_deg = tuple(float(x) for x in document["sigma_deg"])
         if [len(row) for row in (*mm, sigma_deg)] != 4 * [PLACES]:
@@ -278,7 +279,7 @@ class Rig:
 
     @property
     def misspelt(self) -> list[str]:
-        """What is said of keys and sections that are none, but look like one."""
+        """Sentences on unknown keys and sections that look like known ones."""
         said = []
         for name, value in self.extra.items():
             section = SECTIONS.get(name)
@@ -328,7 +329,7 @@ class Rig:
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any], where: str) -> Self:
-        """From what its TOML holds. Raises TautError that says what is wrong where; `where` names the file in it."""
+        """A rig from what its TOML holds. `where` names the file in a TautError."""
         if document.get("format") != FORMAT:
             raise TautError(f'{where}: format is {document.get("format")!r}, expected "{FORMAT}" in the first line')
         read = {
@@ -378,6 +379,7 @@ def _wrong(where: str, name: str, says: str) -> TautError:
 
 
 def _unknown(document: Mapping[str, Any]) -> dict[str, Any]:
+    """The keys and sections that no definition has."""
     extra: dict[str, Any] = {}
     for key, value in document.items():
         if key == "format":

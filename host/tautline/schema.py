@@ -30,6 +30,7 @@ class Key:
 
     @property
     def expected(self) -> str:
+        """What may stand there, in words."""
         if self.choices:
             return " or ".join(f'"{choice}"' for choice in self.choices)
         if self.kind == "text":
@@ -42,7 +43,8 @@ class Key:
         return f"{self.at_least:g} or more" if self.at_least is not None else f"a finite {what.removeprefix('a ')}"
 
     def read(self, value: Any, name: str, where: str, file: str = "rig") -> Any:
-        """The value as its dataclass has it. `name`: section.key; `where`: the file; `file`: as a Section's."""
+        """The value, checked, as its dataclass has it. name: section.key; where: the file's name; file: as in
+        Section."""
         if self.kind == "text":
             good = isinstance(value, str) and (not self.choices or value in self.choices)
             if not good or (self.pattern and not re.fullmatch(self.pattern, value)):
@@ -77,7 +79,7 @@ class Section:
     file: str = "rig"  # of its topics: 'taut explain FILE.SECTION.KEY'
 
     def read(self, document: Mapping[str, Any], where: str) -> dict[str, Any]:
-        """Its keys that are there, checked, by name."""
+        """The section's keys that are there, checked, by name; TautError for a missing section or key."""
         table = document.get(self.name)
         if not isinstance(table, Mapping):
             names = ", ".join(key.name for key in self.keys)
@@ -96,7 +98,7 @@ class Section:
         return values
 
     def misspelt(self, table: Mapping[str, Any]) -> list[tuple[str, str]]:
-        """Keys of the table that are not the section's, and which of it they look like."""
+        """Unknown keys of the table, each with the known key that it looks like."""
         known = [key.name for key in self.keys]
         found = ((name, nearest(name, known)) for name in table if name not in known)
         return [(name, meant) for name, meant in found if meant is not None]

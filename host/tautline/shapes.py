@@ -65,7 +65,7 @@ class Library:
 
     @classmethod
     def load(cls, folder: str | Path) -> Library:
-        """TautError where there is none, or its index is damaged."""
+        """Reads a library. TautError where there is none, or its index is damaged."""
         folder = Path(folder)
         index = folder / INDEX
         try:
@@ -85,12 +85,13 @@ class Library:
         return Model.load(self.folder / self.of(name).name)
 
     def first(self) -> Model:
-        """The model that the others' offset and scale are told by."""
+        """The model against which the others' offset and scale are given."""
         if not self.shapes:
             raise TautError(f"{self.folder}: no shapes in it: add them with 'taut shapes add'")
         return self.model(self.shapes[0].name)
 
     def of(self, name: str) -> Shape:
+        """The shape of this name. TautError where there is none."""
         for shape in self.shapes:
             if shape.name == name:
                 return shape
@@ -99,13 +100,13 @@ class Library:
         )
 
     def add(self, name: str, model: Model, current_mA: float | None = None) -> Library:
-        """The library with a model's shape, in the place of one of that name, written to its folder."""
+        """The library with a model's shape, which replaces one of that name; written to its folder."""
         SHAPE.keys[0].read(name, "shape.name", str(self.folder / INDEX), SHAPE.file)
         others = tuple(shape for shape in self.shapes if shape.name != name)
         first = next((shape for shape in self.shapes[:1] if shape.name != name), None)
         if first is None and others:
             raise TautError(f"{self.folder}: {name} is the shape that the others are told by: begin another library")
-        offset, scale = (0.0, 1.0) if first is None else apart(self.model(first.name), model)
+        offset, scale = (0.0, 1.0) if first is None else offset_and_scale(self.model(first.name), model)
         model.save(self.folder / name)
         made = Library(self.folder, (*others, Shape(name, offset, scale, current_mA)))
         listed = [{k: v for k, v in asdict(shape).items() if v is not None} for shape in made.shapes]
@@ -119,8 +120,8 @@ class Library:
         return next((s for s in self.shapes if tables.model_id(self.model(s.name)) == wanted), None)
 
     def nearest(self, seen: Seen, own: Shape, width: float) -> Shape | None:
-        """The one shape that what was seen, beside `own` whose mean B is `width`, can be; None: none of them, or
-        more than one."""
+        """The only shape whose offset and scale (and current) agree with what was seen from `own`, whose mean B is
+        `width`; None where none or several do."""
         fits = []
         for shape in self.shapes:
             by = (seen.offset - (shape.offset - own.offset), seen.scale - shape.scale / own.scale)
@@ -136,8 +137,8 @@ class Library:
         return fits[0] if len(fits) == 1 else None
 
 
-def apart(first: Model, other: Model) -> tuple[float, float]:
-    """The offset (unit of q) and the scale of B that a tracker of `first` finds where `other` holds."""
+def offset_and_scale(first: Model, other: Model) -> tuple[float, float]:
+    """The offset (unit of q) and the scale of B that a tracker of `first` would find where `other` holds."""
     if first.rig.actuator.unit != other.rig.actuator.unit:
         raise TautError(f"one model is in {first.rig.actuator.unit}, the other in {other.rig.actuator.unit}")
     low, high = (pick(a, b) for pick, a, b in zip((max, min), first.measured, other.measured, strict=True))
@@ -157,8 +158,8 @@ def apart(first: Model, other: Model) -> tuple[float, float]:
 
 
 def recalled(library: Library, recording: Recording) -> tuple[Shape, dict[str, float]]:
-    """The shape whose model foretells a recording best, and by name how far off each was (rms). TautError where two
-    are alike."""
+    """The shape whose model predicts a recording best, and the rms of each by name. TautError where two are equally
+    good."""
     rms = {shape.name: foretold(library.model(shape.name), recording) for shape in library.shapes}
     if not rms:
         raise TautError(f"{library.folder}: no shapes in it: add them with 'taut shapes add'")

@@ -59,13 +59,14 @@ class Basis:
 
     @cached_property
     def roughness(self) -> Array:
-        """(size, size): coefficients' second differences squared, and a thousandth of the first ones: where nothing is
-        measured the curve levels out."""
+        """(size, size) Penalty on squared second differences of the coefficients and a thousandth of the first ones:
+        where nothing is measured the curve levels out."""
         second, first = np.diff(np.eye(self.size), 2, axis=0), np.diff(np.eye(self.size), 1, axis=0)
         return second.T @ second + 1e-6 * first.T @ first
 
     @cached_property
     def bending(self) -> Array:
-        """(size, size): second differences only: where nothing is measured the curve goes straight on."""
+        """(size, size) Penalty on squared second differences alone: where nothing is measured the curve goes straight
+        on."""
         second = np.diff(np.eye(self.size), 2, axis=0)
         return second.T @ second

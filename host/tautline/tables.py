@@ -45,7 +45,7 @@ class Limits:
 
     @classmethod
     def of(cls, rig: Rig) -> Limits:
-        """Moderate ones: the range in half a second, a take-up at half of that speed, reached within 0.1 s."""
+        """Moderate limits: the range in half a second; take-up at half that speed, reached within 0.1 s."""
         actuator = rig.actuator
         return cls(
             speed_max=2.0 * actuator.span,
@@ -86,8 +86,7 @@ class Table:
 
 
 def model_id(model: Model, joints: Mapping[str, Joint] | None = None) -> bytes:
-    """8 bytes that are the same for the same B, elements, f, delay, actuator and effects that the tables undo, and
-    hardly ever else."""
+    """8 bytes by a hash over B, elements, f, delay, actuator and the effects that the tables undo."""
     model, sections = undone(model, joints)
     actuator = model.rig.actuator
     digest = hashlib.sha256(repr((actuator.unit, actuator.range, actuator.encoder_resolution, model.delay_s)).encode())
@@ -125,7 +124,7 @@ def encode(
     rig = model.rig
     limits = limits or Limits.of(rig)
     if limits.adapt is not None:
-        sections = {**sections, "adapt": _adapt(limits.adapt, rig)}
+        sections = {**sections, "adapt": _adapt_section(limits.adapt, rig)}
     q_min, q_max = (_counts(q, rig, "actuator.range") for q in rig.actuator.range)
     span = q_max - q_min
     if span < 1:
@@ -138,8 +137,8 @@ def encode(
     q_raw = q_min - below + (np.arange(-(-span >> step_log2) + 1, dtype=np.int64) << step_log2)
     q = q_raw * (rig.actuator.encoder_resolution / _COUNT)
     width = np.interp(q, model.q, model.width)
-    c_deg = _extended(q, np.asarray(model.q, float), np.asarray(model.c_deg, float))
-    fields = _fields(rig, axis, limits, kind, model.delay_of(MARKER), created_s)
+    c_deg = _extrapolated(q, np.asarray(model.q, float), np.asarray(model.c_deg, float))
+    fields = _header_fields(rig, axis, limits, kind, model.delay_of(MARKER), created_s)
     fields |= {"q0": int(q_raw[0]), "step_log2": step_log2}
     raw_width = _raw(width / rig.actuator.encoder_resolution * _COUNT, "a backlash width")
     blob: bytes = _native.table_encode(
@@ -148,13 +147,15 @@ def encode(
         _raw(c_deg * _DEG, "f_remain"),
         identity,
         instrument if instrument is not None else rig.actuator.instrument or "",
-        _plays(model, q_raw.astype(float), raw_width.astype(float)),
+        _plays_section(model, q_raw.astype(float), raw_width.astype(float)),
         sections,
     )
     return _checked(blob, axis)
 
 
-def _adapt(adapt: tuple[float, float, float], rig: Rig) -> Section:
+def _adapt_section(adapt: tuple[float, float, float], rig: Rig) -> Section:
+    """The blob's section `adapt`: how far tables may be moved in use. adapt: offset (unit of q), least and most share
+    of B."""
     offset, least, most = adapt
     return {
         "offset": _counts(offset, rig, "limits.adapt"),
@@ -163,12 +164,10 @@ def _adapt(adapt: tuple[float, float, float], rig: Rig) -> Section:
     }
 
 
-def _plays(model: Model, q: Array, width: Array) -> dict[str, Any] | None:
-    """Section 1 of the blob for widths (n,) at nodes q (n,), Q8 counts; None for a single play.
-
-    The board's warp is straight between its nodes. Where its grid is too coarse for that, B is called narrow; should
-    that be everywhere, the single play is what is left.
-    """
+def _plays_section(model: Model, q: Array, width: Array) -> dict[str, Any] | None:
+    """Section 1 of the blob, several plays, for widths (n,) at nodes q (n,), Q8 counts; None for a single play. The
+    board's warp is straight between nodes; where the grid is too coarse for that, B counts as narrow, and if it is
+    everywhere, a single play is left."""
     elements, unit = model.elements, model.rig.actuator.encoder_resolution / _COUNT
     if elements.single:
         return None
@@ -181,7 +180,7 @@ def _plays(model: Model, q: Array, width: Array) -> dict[str, Any] | None:
         warp = warp_of(model.q, model.width, narrow * unit)
         floored = np.maximum(np.interp(q * unit, model.q, model.width), narrow * unit)
         centre = np.interp(q * unit - 0.5 * floored, warp.q, warp.x) + 0.5
-        if _warp_off(q, width, narrow, centre) <= 1.0:
+        if _warp_error(q, width, narrow, centre) <= 1.0:
             periods, widest = float(np.abs(centre).max()), float(width_share[-1])
             log2 = min(
                 _PERIOD_LOG2,
@@ -199,9 +198,9 @@ def _plays(model: Model, q: Array, width: Array) -> dict[str, Any] | None:
     return None
 
 
-def _warp_off(q: Array, width: Array, narrow: float, centre: Array) -> float:
-    """How far p_lo and p_hi of a motor between the nodes are from a period apart, relative to what may be, where
-    neither is in a narrow place."""
+def _warp_error(q: Array, width: Array, narrow: float, centre: Array) -> float:
+    """Largest error of the piecewise linear warp between nodes (a period should be 1), over the allowed one, where B is
+    not narrow."""
     floored = np.maximum(width, narrow)
     low, high = q + 0.5 * floored, q - 0.5 * floored
     motor = np.linspace(low[0], high[-1], 4 * len(q))
@@ -216,14 +215,14 @@ def _warp_off(q: Array, width: Array, narrow: float, centre: Array) -> float:
 def encode_identity(
     rig: Rig, axis: int = 0, limits: Limits | None = None, kind: str = "bending", created_s: int | None = None
 ) -> bytes:
-    """The blob without backlash whose f is the coarse kinematics: an axis that is not calibrated."""
-    fields = _fields(rig, axis, limits or Limits.of(rig), kind, rig.delay_s, created_s)
+    """The blob of an axis that is not calibrated: no backlash, f the coarse kinematics."""
+    fields = _header_fields(rig, axis, limits or Limits.of(rig), kind, rig.delay_s, created_s)
     empty = np.empty(0, np.int32)
     return _checked(_native.table_encode(fields | {"q0": 0, "step_log2": 0}, empty, empty, bytes(8)), axis)
 
 
 def decode(blob: bytes, axis: int | None = None) -> Table:
-    """The blob in physical units; a TautError with the reason where a board would refuse it (for `axis`)."""
+    """A blob in physical units; TautError with the reason where a board would refuse it for `axis`."""
     try:
         fields = _native.FixedTable(blob, _native.TABLE_ANY_AXIS if axis is None else axis).fields
     except ValueError as error:
@@ -250,7 +249,7 @@ def decode(blob: bytes, axis: int | None = None) -> Table:
             slope_min=fields["slope_min_q28"] / _SLOPE / resolution,
             flat_speed=fields["flat_speed_q8"] * unit,
             strength=fields["strength_q15"] / _native.RATIO_ONE,
-            adapt=_adapted(fields["sections"].get("adapt"), unit),
+            adapt=_adapt_limits(fields["sections"].get("adapt"), unit),
         ),
         delay_s=fields["delay_us"] * 1e-6,
         created_s=fields["created_s"],
@@ -264,7 +263,8 @@ def decode(blob: bytes, axis: int | None = None) -> Table:
     )
 
 
-def _adapted(section: Mapping[str, int] | None, unit: float) -> tuple[float, float, float] | None:
+def _adapt_limits(section: Mapping[str, int] | None, unit: float) -> tuple[float, float, float] | None:
+    """Offset (unit of q), least and most share of B by the section `adapt`; None without one."""
     if section is None:
         return None
     least, most = (section[f"width_{name}_q15"] / _native.RATIO_ONE for name in ("least", "most"))
@@ -272,6 +272,7 @@ def _adapted(section: Mapping[str, int] | None, unit: float) -> tuple[float, flo
 
 
 def _elements(plays: dict[str, Any] | None) -> Elements:
+    """The play's elements by section 1; a single one without it."""
     if plays is None:
         return SINGLE
     weight = np.array(plays["weight_q16"]) / _WEIGHT
@@ -279,7 +280,10 @@ def _elements(plays: dict[str, Any] | None) -> Elements:
     return Elements(tuple((width / (weight @ width)).tolist()), tuple(weight.tolist()))
 
 
-def _fields(rig: Rig, axis: int, limits: Limits, kind: str, delay_s: float, created_s: int | None) -> dict[str, int]:
+def _header_fields(
+    rig: Rig, axis: int, limits: Limits, kind: str, delay_s: float, created_s: int | None
+) -> dict[str, int]:
+    """The blob's header in the board's units."""
     if kind not in KINDS:
         raise TautError(f"{kind!r} is not a kind of axis: {', '.join(KINDS)}")
     if not 0 <= axis < _native.TABLE_AXES:
@@ -308,8 +312,8 @@ def _fields(rig: Rig, axis: int, limits: Limits, kind: str, delay_s: float, crea
     }
 
 
-def _extended(x: Array, grid: Array, values: Array) -> Array:
-    """Linear between the grid's points and, with the outermost slopes, beyond them."""
+def _extrapolated(x: Array, grid: Array, values: Array) -> Array:
+    """Linear between the grid's points, and beyond them with the outermost slopes."""
     inside: Array = np.interp(x, grid, values)
     if len(grid) < 2:
         return inside
@@ -320,7 +324,7 @@ def _extended(x: Array, grid: Array, values: Array) -> Array:
 
 
 def _counts(value: float, rig: Rig, name: str) -> int:
-    """Q8 counts."""
+    """The value, unit of q, in Q8 counts; TautError, naming it, where it does not fit."""
     limit: int = _native.TABLE_VALUE_MAX
     return _whole(value / rig.actuator.encoder_resolution * _COUNT, name, -limit, limit)
 
@@ -331,6 +335,7 @@ def _angle(value: float, name: str) -> int:
 
 
 def _whole(value: float, name: str, low: int, high: int) -> int:
+    """The value rounded; TautError, naming it, outside of low .. high."""
     if not np.isfinite(value) or not low <= round(value) <= high:
         raise TautError(
             f"{name} is too large or too small for the board's numbers: check it and the encoder resolution"
@@ -339,6 +344,7 @@ def _whole(value: float, name: str, low: int, high: int) -> int:
 
 
 def _raw(values: Array, name: str) -> Array:
+    """Values rounded to 32 bits; TautError, naming them, where they do not fit."""
     limit = float(_native.TABLE_VALUE_MAX)
     if not np.all(np.isfinite(values)) or np.abs(values).max() > limit:
         raise TautError(f"{name} is too large for the board's numbers or not finite: check the model and its units")
@@ -347,6 +353,7 @@ def _raw(values: Array, name: str) -> Array:
 
 
 def _checked(blob: bytes, axis: int) -> bytes:
+    """The blob, after the board's own check; TautError with its reason."""
     name, text = _native.table_check(blob, axis)
     if name != "OK":
         raise TautError(f"the model cannot be loaded into a board: {text}")

@@ -31,7 +31,8 @@ class Trajectory:
         return float(self.t_s[-1])
 
     def with_sway(self, translation_mm: float, rotation_deg: float, period_s: float) -> Trajectory:
-        """The same bending; the other two degrees of freedom sway by these amplitudes, rotation 1.618 times slower."""
+        """The same bending while translation and rotation oscillate with these amplitudes, rotation 1.618 times
+        slower."""
         phase = 2 * np.pi * self.t_s / period_s
         return replace(
             self,
@@ -43,10 +44,8 @@ class Trajectory:
 def through(
     points: Sequence[float] | Array, speed: float | Sequence[float], acceleration: float, dwell_s: float = 0.0
 ) -> Trajectory:
-    """Rest to rest through `points` at trapezoidal speed, waiting `dwell_s` at each.
-
-    speed: unit/s, one or one for each stroke; acceleration: unit/s^2.
-    """
+    """Rest to rest through `points` with trapezoidal speed, waiting `dwell_s` at each. speed: unit/s, one or one for
+    each stroke; acceleration: unit/s^2."""
     points = np.asarray(points, dtype=np.float64)
     if len(points) < 2 or acceleration <= 0 or np.any(np.asarray(speed) <= 0) or dwell_s < 0:
         raise TautError("a motion needs two points or more, speed and acceleration above 0 and a dwell of 0 or more")
@@ -68,7 +67,7 @@ def through(
 
 
 def in_turn(*parts: Trajectory) -> Trajectory:
-    """Of the bending motor: one after the other, each from where the one before ends."""
+    """Bending motions one after the other, each from where the one before ends."""
     q = np.concatenate([part.q for part in parts])
     return Trajectory(np.arange(len(q)) / RATE_HZ, q)
 
@@ -129,7 +128,7 @@ def sines(actuator: Actuator, speed: float, duration_s: float) -> Trajectory:
 
 
 def random_smooth(actuator: Actuator, speed: float, duration_s: float, seed: int) -> Trajectory:
-    """A smooth wander over the range whose reversals fall anywhere; `speed` is its greatest, within some 20 %."""
+    """A smooth random motion over the range with reversals anywhere; `speed` is its greatest, within some 20 %."""
     low, high = actuator.range
     rng = np.random.default_rng([seed, 0x7247])
     rates = np.exp(rng.uniform(np.log(0.4), np.log(2.5), 9))  # rad per unit of the wander's own time

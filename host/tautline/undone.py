@@ -44,14 +44,14 @@ class Joint:
 
 
 def parameters_of(model: Model) -> dict[str, dict[str, Any]]:
-    """Those of the model's effects that its own tables do not hold, by the effect's id."""
+    """Parameters, by effect id, of the effects that the model's own tables do not hold."""
     from tautline.effects import BY_ID, of_this_version
 
     return {effect.id: dict(effect.parameters) for effect in of_this_version(model) if BY_ID[effect.id].holds is None}
 
 
-def left(model: Model, joints: Mapping[str, Joint] | None = None) -> list[str]:
-    """Ids of the model's effects that its tables cannot undo; `joints` as in undone."""
+def not_undone(model: Model, joints: Mapping[str, Joint] | None = None) -> list[str]:
+    """Ids of the model's effects that its tables cannot undo; joints: as in `undone`."""
     from tautline.effects import BY_ID, of_this_version
 
     ids = [effect.id for effect in of_this_version(model) if not BY_ID[effect.id].on_board]
@@ -61,7 +61,7 @@ def left(model: Model, joints: Mapping[str, Joint] | None = None) -> list[str]:
 
 
 def stands_in(model: Model) -> Nearest | None:
-    """The plays that a board has instead of the model's hysteresis; None where its tables hold that itself."""
+    """The plays that a board has instead of the model's hysteresis; None where tables hold that itself."""
     if model.friction is None and len(model.elements.width) <= _native.TABLE_PLAYS_MAX:
         return None
     low, high = model.rig.actuator.range
@@ -84,21 +84,22 @@ def undone(model: Model, joints: Mapping[str, Joint] | None = None) -> tuple[Mod
     count = model.rig.actuator.encoder_resolution / _COUNT
     sections: dict[str, Section] = {}
     if encoder := parameters.get("actuator.encoder_periodic"):
-        sections["encoder"] = _encoder(encoder, count)
+        sections["encoder"] = _encoder_section(encoder, count)
     if asymmetry := parameters.get("transmission.asymmetric_backlash"):
-        sections["sides"] = _sides(asymmetry, count)
+        sections["sides"] = _sides_section(asymmetry, count)
     if speed := parameters.get("transmission.rate_dependent_backlash"):
-        sections["speed"] = _speed(speed, model, count)
+        sections["speed"] = _speed_section(speed, model, count)
     if late := {name: value for of in _LATE for name, value in parameters.get(of, {}).items()}:
-        sections["late"] = _late(late)
+        sections["late"] = _late_section(late)
     if load := parameters.get("transmission.load_dependence"):
-        sections["load"] = _load(load, model, count)
+        sections["load"] = _load_section(load, model, count)
     if coupling := parameters.get(COUPLED):
-        sections |= _joints(coupling, joints or {})
+        sections |= _joints_section(coupling, joints or {})
     return model, {name: section for name, section in sections.items() if any(map(np.any, section.values()))}
 
 
-def _encoder(v: Mapping[str, float], count: float) -> Section:
+def _encoder_section(v: Mapping[str, float], count: float) -> Section:
+    """Section `encoder`: first and second harmonics in counts, and the period, of the once-per-turn error."""
     names = {"sine": "sin", "cosine": "cos", "sine2": "sin2", "cosine2": "cos2"}
     section: Section = {to: round(v.get(f"encoder_{name}", 0.0) / count) for to, name in names.items()}
     period = round(v["encoder_period"] / count * 16.0)
@@ -111,9 +112,9 @@ def _step_log2(reach: float) -> int:
     return int(np.clip(np.ceil(np.log2(max(reach, 1.0) / _native.TABLE_STEPS)), 0, _STEP_LOG2_MAX))
 
 
-def _sides(v: Mapping[str, float], count: float) -> Section:
-    """The play is late by L(x) once it has been carried by x of the motor's way: by the tip's own, d = x + L(0) - L(x),
-    that is a table of d."""
+def _sides_section(v: Mapping[str, float], count: float) -> Section:
+    """Section `sides` of an asymmetric backlash: the play is late by L(x) once the motor has carried it by x, that is d
+    = x + L(0) - L(x) of the tip's way; a table of L over d."""
     size, travel, form = abs(v["asymmetry"]) / count, v["asymmetry_travel"] / count, v.get("asymmetry_form", 1.0)
     if size < 1.0:
         return {}
@@ -126,9 +127,9 @@ def _sides(v: Mapping[str, float], count: float) -> Section:
     return {"side": 1 if v["asymmetry"] > 0.0 else -1, "step_log2": step_log2, "late": values.tolist()}
 
 
-def _speed(v: Mapping[str, float], model: Model, count: float) -> Section:
-    """width_per_speed is of a speed of a tenth of the table's grid a second, the law host/native/effects' own; the
-    board's table ends at twice the range a second."""
+def _speed_section(v: Mapping[str, float], model: Model, count: float) -> Section:
+    """Section `speed`: the additional width over speed up to twice the range a second. width_per_speed is per a tenth
+    of the table's grid a second, as in host/native/effects."""
     usual = 0.1 * float(model.q[-1] - model.q[0])
     step_log2 = _step_log2(2.0 * model.rig.actuator.span / count)
     speed = _NODES * 2.0**step_log2 * count
@@ -143,8 +144,9 @@ def _speed(v: Mapping[str, float], model: Model, count: float) -> Section:
     }
 
 
-def _late(v: Mapping[str, float]) -> Section:
-    """1 / (what lag and creep do) as a sum of first-order followers, by partial fractions: y + sum a (y - y_T)."""
+def _late_section(v: Mapping[str, float]) -> Section:
+    """Section `late`: the inverse of lag and creep as a sum of first-order followers, y + sum a (y - y_T), by partial
+    fractions."""
     lag, second = v.get("lag", 0.0), v.get("lag_second", 0.0)
     above, below = np.poly1d([1.0]), np.poly1d([1.0])
     filtered = 0.0
@@ -167,7 +169,8 @@ def _late(v: Mapping[str, float]) -> Section:
     return {"gain_q16": gains_q16 + [0] * free, "time_us": times_us + [0] * free} if len(order) else {}
 
 
-def _load(v: Mapping[str, float], model: Model, count: float) -> Section:
+def _load_section(v: Mapping[str, float], model: Model, count: float) -> Section:
+    """Section `load`: width, gain and offset per load about the reference load."""
     reference = float(model.extra.get("load_reference_mNm", 0.0))
     return {
         "reference": round(reference * 256.0),
@@ -178,8 +181,8 @@ def _load(v: Mapping[str, float], model: Model, count: float) -> Section:
     }
 
 
-def _joints(v: Mapping[str, Any], joints: Mapping[str, Joint]) -> dict[str, Section]:
-    """The columns whose axis is known."""
+def _joints_section(v: Mapping[str, Any], joints: Mapping[str, Joint]) -> dict[str, Section]:
+    """Section `joints`: the columns that couple in whose axis is known."""
     by_column = {column: float(v[name]) for name, column in _COLUMNS.items() if v.get(name)}
     if v.get("c_per_joint"):
         by_column[str(v["column"])] = float(v["c_per_joint"])
@@ -200,8 +203,8 @@ def _joints(v: Mapping[str, Any], joints: Mapping[str, Joint]) -> dict[str, Sect
 
 
 def onset_elements(elements: Elements, v: Mapping[str, float]) -> Elements:
-    """The elements that come nearest to a play whose thresholds are spread (transmission.smooth_onset), each of
-    `elements` having lots of them."""
+    """The elements nearest to a play with spread thresholds (transmission.smooth_onset); each of `elements` is spread
+    by itself."""
     spread, share = _native.onset_lots(dict(v))
     width = np.outer(elements.width, spread).ravel()
     weight = np.outer(elements.weight, share).ravel()

@@ -26,13 +26,13 @@ class Value:
         return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
     def __repr__(self) -> str:
-        shown = (f"{field.name}={_shown(getattr(self, field.name))}" for field in fields(self) if field.repr)  # type: ignore[arg-type]
+        shown = (f"{field.name}={_short_repr(getattr(self, field.name))}" for field in fields(self) if field.repr)  # type: ignore[arg-type]
         return f"{type(self).__name__}({', '.join(shown)})"
 
 
 def same(one: Any, other: Any) -> bool:
-    """Whether two hold the same: arrays and dataclasses element by element, NaN being equal to itself, tuples and lists
-    by what is in them."""
+    """Whether two values hold the same: arrays and dataclasses element by element (NaN equals itself), tuples and lists
+    by their items."""
     if one is other:
         return True
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
@@ -61,7 +61,8 @@ def _same_fields(one: Any, other: Any) -> bool:
     return all(same(getattr(one, field.name), getattr(other, field.name)) for field in fields(one) if field.compare)
 
 
-def _shown(value: Any) -> str:
+def _short_repr(value: Any) -> str:
+    """A value's repr, short: of arrays their shape, of long collections their length."""
     if isinstance(value, np.ndarray):
         shape = "x".join(map(str, value.shape))
         if value.dtype.kind not in "fiu" or not np.isfinite(value).any():
@@ -74,7 +75,7 @@ def _shown(value: Any) -> str:
     if isinstance(value, str | int) or value is None:
         return repr(value)
     if isinstance(value, tuple | list) and len(value) <= _SHOWN:
-        return f"({', '.join(map(_shown, value))})"
+        return f"({', '.join(map(_short_repr, value))})"
     if isinstance(value, tuple | list | Mapping):
         return f"<{len(value)}>"
     return f"<{type(value).__name__}>"

@@ -85,7 +85,7 @@ def test_what_the_line_has_no_room_for_is_sent_as_soon_as_it_has() -> None:
     """The board does not sleep over it, though nobody asks for anything more."""
     with DesktopBoard(serial="SLOW") as process, open_board(process.where) as board:
         for _ in range(3):
-            asked = [board._next() for _ in range(30)]
+            asked = [board._next_sequence() for _ in range(30)]
             board._write(b"".join(wire.encode("get_status", number, axis=0) for number in asked))
             time.sleep(0.002)
             process.process.send_signal(signal.SIGSTOP)  # nobody empties the line

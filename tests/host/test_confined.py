@@ -7,7 +7,8 @@ import pytest
 
 from tautline import effects
 from tautline.diagnosis import confined
-from tautline.diagnosis.fit import Fit, Fitter, Hypothesis
+from tautline.diagnosis.fit import Fitter
+from tautline.diagnosis.fitted import Fit, Hypothesis
 from tautline.diagnosis.segment import prepare
 from tautline.effects import BY_ID
 from tests.host.test_diagnose import NOISE, RIG, recordings, true_model

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tautline.diagnosis.confounded import DRIFT, LOAD, hidden, load_goes_with_time, load_tells_apart, told
+from tautline.diagnosis.confounded import DRIFT, LOAD, add_hidden, hidden, load_goes_with_time, load_tells_apart
 from tautline.diagnosis.segment import Segment
 from tautline.effects import BY_ID
 from tautline.recording import Motor
@@ -62,7 +62,7 @@ def test_what_stands_for_another_shares_its_probability():
             {"id": "transmission.lag", "probability": 0.05, "shrink": 0.1, "identifiable": True},
         ],
     }
-    told(document, hidden([BY_ID[LOAD], BY_ID[DRIFT]], runs(12.0, 24.0)))
+    add_hidden(document, hidden([BY_ID[LOAD], BY_ID[DRIFT]], runs(12.0, 24.0)))
     assert document["effects"][0]["ambiguous_with"] == [DRIFT]
     found = {c["id"]: c for c in document["candidates"]}
     assert list(found) == [LOAD, DRIFT, "transmission.lag"]

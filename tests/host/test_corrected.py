@@ -7,7 +7,7 @@ import pytest
 
 from tautline import effects, trajectory
 from tautline.diagnosis.diagnose import _corrected
-from tautline.diagnosis.fit import Fit, Hypothesis, ParameterState
+from tautline.diagnosis.fitted import Fit, Hypothesis, ParameterState
 from tautline.diagnosis.segment import Segment
 from tautline.effects import BY_ID, LIBRARY
 from tautline.errors import TautError

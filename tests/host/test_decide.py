@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tautline.diagnosis.decide import Decision, _one_of, decide, that_help
+from tautline.diagnosis.decide import Decision, _next_to_name, decide, that_help
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.hypotheses import Beyond, CaseEvidence, Wander, Weighed
 from tautline.plain import plain
@@ -106,7 +106,7 @@ def test_one_of_several_is_named_where_one_is_likelier_than_not_by_two_to_one():
     def told(with_rate: float, with_delay: float) -> list[str]:
         alone = 1.0 - with_rate - with_delay
         sets = {frozenset({LOAD}): alone, frozenset({LOAD, RATE}): with_rate, frozenset({LOAD, DELAY}): with_delay}
-        return [name for name in _one_of(sets, [LOAD]) if name]
+        return [name for name in _next_to_name(sets, [LOAD]) if name]
 
     assert told(0.70, 0.10) == [RATE]
     assert told(0.40, 0.30) == [RATE, DELAY]

@@ -12,7 +12,8 @@ from tautline.calibration.calibrate import calibrate
 from tautline.diagnosis import narration
 from tautline.diagnosis.candidates import Search
 from tautline.diagnosis.diagnose import _corrected, diagnose
-from tautline.diagnosis.fit import Fit, Fitter, Hypothesis
+from tautline.diagnosis.fit import Fitter
+from tautline.diagnosis.fitted import Fit, Hypothesis
 from tautline.diagnosis.segment import prepare
 from tautline.effects import LIBRARY, STAGES
 from tautline.model import Model

@@ -8,7 +8,8 @@ import pytest
 from tautline import effects, trajectory
 from tautline.core.session import SessionClock
 from tautline.diagnosis.candidates import applicable
-from tautline.diagnosis.fit import Fitter, Hypothesis
+from tautline.diagnosis.fit import Fitter
+from tautline.diagnosis.fitted import Hypothesis
 from tautline.diagnosis.moments import refined
 from tautline.diagnosis.screen import screen
 from tautline.diagnosis.segment import prepare

@@ -83,12 +83,14 @@ def test_the_likelihood_s_slopes_are_its_derivatives() -> None:
     x, y = rng.normal(size=(30, 3)), rng.normal(size=(30, 2))
     squares = (x[:, None] - x) ** 2
     at = rng.normal(0.0, 0.3, 5)
-    value, slopes = flexible._surprise(at, squares, y)
+    value, slopes = flexible._negative_log_marginal(at, squares, y)
     size, lengths, white = np.exp(at[0]), np.exp(at[1:4]), np.exp(at[4])
     covariance = size * np.exp(-0.5 * squares @ lengths**-2) + white * np.eye(30)
     expected = -sum(multivariate_normal(np.zeros(30), covariance).logpdf(column) for column in y.T)
     assert value == pytest.approx(expected - 30 * np.log(2 * np.pi), rel=1e-9)  # 2 columns of 30 values
-    assert slopes == pytest.approx(approx_fprime(at, lambda z: flexible._surprise(z, squares, y)[0], 1e-6), rel=1e-3)
+    assert slopes == pytest.approx(
+        approx_fprime(at, lambda z: flexible._negative_log_marginal(z, squares, y)[0], 1e-6), rel=1e-3
+    )
 
 
 @pytest.mark.filterwarnings("ignore:The optimal value:UserWarning")  # inputs that tell nothing
@@ -104,4 +106,4 @@ def test_a_process_follows_as_well_as_scikit_learn_s() -> None:
     few = np.linspace(0, 299, 200).astype(int)
     lengths = sklearn.GaussianProcessRegressor(kernel).fit(x[few], y[few] / scale).kernel_
     theirs = scale * sklearn.GaussianProcessRegressor(lengths, optimizer=None).fit(x, y / scale).predict(asked)
-    assert np.abs(flexible._process(x, y, 0.05, asked) - theirs).max() < 1e-3
+    assert np.abs(flexible._gp_mean(x, y, 0.05, asked) - theirs).max() < 1e-3

@@ -51,7 +51,7 @@ def test_what_is_left_of_a_straight_line_is_what_theory_says():
     line = np.column_stack([np.ones(n), np.arange(n)])
     drawn = remembering(rho, 5, 40_000 * n)[:, 0].reshape(-1, n)
     left = drawn - drawn @ line @ np.linalg.pinv(line.T @ line) @ line.T
-    squares, neighbours = gap._of_first_order(n)[:, at]
+    squares, neighbours = gap._expected_sums(n)[:, at]
     assert np.mean(np.sum(left**2, axis=1)) == pytest.approx(squares, rel=0.02)
     assert np.mean(np.sum(left[:, 1:] * left[:, :-1], axis=1)) == pytest.approx(neighbours, rel=0.02)
 
@@ -64,4 +64,4 @@ def test_numbers_that_tell_the_same_are_told_by_how_much_their_power_scatters(rh
     noise = noise + (rng.random((40_000, 2)) < strays) * rng.normal(0.0, 6.0, (40_000, 2))
     power = np.mean(np.minimum(np.abs(noise), 5.0).reshape(200, -1) ** 2, axis=1)
     scatters = float(np.var(power) / np.mean(power) ** 2) / (2.0 / 400)
-    assert gap.alike([still(noise[:8000])], 5.0) == pytest.approx(scatters, rel=0.3)
+    assert gap.noise_samples_per_independent([still(noise[:8000])], 5.0) == pytest.approx(scatters, rel=0.3)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tautline.diagnosis import gap, heldout
-from tautline.diagnosis.fit import Fitter, Hypothesis
+from tautline.diagnosis.fit import Fitter
+from tautline.diagnosis.fitted import Hypothesis
 from tautline.diagnosis.segment import prepare
 from tautline.effects import BY_ID
 from tests.host.test_diagnose import recordings, rms, true_model

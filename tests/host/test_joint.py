@@ -12,7 +12,7 @@ from tautline.diagnosis import gap
 from tautline.diagnosis.diagnose import diagnose
 from tautline.diagnosis.joint import BENDS, LAW, SPEED, WIDTH, Fitted, Joint, Noise, Unknown
 from tautline.diagnosis.joint_sets import Sets
-from tautline.diagnosis.joint_told import Answer, instead, left_out
+from tautline.diagnosis.joint_told import Answer, held_out_residuals, improved
 from tautline.diagnosis.segment import prepare
 from tautline.effects import LIBRARY, simulator_id
 from tautline.recording import Angle, Motor, Recording
@@ -89,12 +89,12 @@ def test_several_parameters_and_a_play_are_told_at_once(answer):
     """Of gain and load only the ratio moves the tip: 1 / 4, which a law stands for where the play may bend as well. A
     lag is late by its time constant."""
     values = {p.name: p.nominal + answer.joint.changes(answer.fitted.u)[simulator_id(p.name)] for p in PARAMETERS}
-    assert values["tau"] + answer.joint.at(answer.fitted.u).delay_s == pytest.approx(0.12, abs=0.005)
+    assert values["tau"] + answer.joint.model_at(answer.fitted.u).delay_s == pytest.approx(0.12, abs=0.005)
     known = answer.fitted.posterior.given({f"{BENDS}:0": 0.0, f"{BENDS}:1": 0.0})
     mean, covariance = known.mean[1:3], known.covariance[1:3, 1:3]  # logarithms, gain and load
     ratio = np.array([-1.0, 1.0])
     assert abs(ratio @ mean - np.log(2.5)) < 3.0 * np.sqrt(ratio @ covariance @ ratio) < 0.3
-    width = answer.joint.at(answer.fitted.u).width
+    width = answer.joint.model_at(answer.fitted.u).width
     np.testing.assert_allclose(width, 1.5, atol=0.15)
 
 
@@ -121,7 +121,7 @@ def test_the_fit_foretells_another_motion_and_says_how_well(answer, folder):
     q = np.interp(segment.arrival_s, segment.motor.t_s, segment.motor.q)
     inside = segment.part((q > low) & (q < high))
     assert inside.scored.sum() > 300
-    model = answer.corrected()
+    model = answer.corrected_model()
     told = segment.predict(model, answer.joint.changes(answer.fitted.u), 0.0)[1]
     assert gap.rms([(segment.observed - told)[inside.scored]]) < 1.2 * NOISE_DEG
     assert model.noise_of(ANGLE) == pytest.approx(NOISE_DEG, rel=0.1)
@@ -135,7 +135,7 @@ def test_friction_that_falls_with_speed_and_goes_with_the_place_is_foretold(fold
     joint = Joint(seen.model, PARAMETERS, prepare(seen.model, seen.calibration, seen.tests, seen.drives)[1:], NOISE_DEG)
     fitted = joint.fit()
     assert {SPEED} in [set(group) for group in Sets.of(joint.unknowns, fitted).groups]
-    model = joint.at(fitted.u)
+    model = joint.model_at(fitted.u)
     per = model.effects[-1].parameters
     assert model.effects[-1].id == SPEED
     usual = 0.1 * model.rig.actuator.span
@@ -174,7 +174,7 @@ def test_what_is_better_on_blocks_that_were_not_seen_answers(found, answer):
     """Beside a diagnosis that knows the simulator's parameters alone, none of which is a play."""
     left_out = [kind.id for kind in LIBRARY]
     told = diagnose(found.model, found.calibration, found.tests, left_out=left_out, simulated=found)
-    instead_of = instead(told, answer)
+    instead_of = improved(told, answer)
     document = instead_of.document
     assert document["verdict"] == "effect" and gap.rms(instead_of.after) < gap.rms(told.after)
     leads = {effect["id"]: effect for effect in document["effects"]}
@@ -184,7 +184,7 @@ def test_what_is_better_on_blocks_that_were_not_seen_answers(found, answer):
     assert total == pytest.approx(1.0)
     assert sum(effect["shrink"] for effect in document["effects"]) == pytest.approx(document["gap"]["shrink"])
     worse = Answer(answer.joint, answer.fitted, answer.sets, [2.0 * left for left in told.after])
-    assert instead(told, worse) is told
+    assert improved(told, worse) is told
 
 
 def linear(slopes, y, noise):
@@ -223,7 +223,7 @@ def test_a_block_that_is_left_out_is_foretold_by_a_fit_without_it(answer):
     count = int(segment.scored.sum())
     slopes, noise = rng.normal(size=(count, 3)), 0.5
     y = slopes @ np.array([1.0, 0.0, -0.5]) + noise * rng.normal(size=count)
-    left = left_out(joint, linear(slopes, y, noise))[0][:, 0]
+    left = held_out_residuals(joint, linear(slopes, y, noise))[0][:, 0]
     label = gap.blocks(segment)
     assert label.max() > 0
     for number in np.unique(label):

@@ -81,16 +81,16 @@ def test_an_interval_learnt_on_others_covers_what_a_further_motion_leaves():
     def drawn(generator: str, many: int, wide: float) -> list[learning.Claim]:
         left = rng.uniform(0.01, 0.3, many)
         realised = left + (left + 0.05) * (1.0 - left) * wide * rng.standard_normal(many)
-        return [learning.Claim(generator, gap.apart(a, b)) for a, b in zip(left, realised, strict=True)]
+        return [learning.Claim(generator, gap.normalised_excess(a, b)) for a, b in zip(left, realised, strict=True)]
 
     low, high = learning.elsewhere([*drawn("a", 900, 0.1), *drawn("b", 300, 0.5)])
     fresh = [*drawn("a", 500, 0.1), *drawn("b", 500, 0.5)]
     assert 0.87 < np.mean([low <= claim.apart <= high for claim in fresh]) < 0.93
     few = learning.elsewhere(drawn("a", 10, 0.1))
     left = 0.1
-    shrinks = gap.elsewhere(left, few)
+    shrinks = gap.shrink_interval_elsewhere(left, few)
     assert shrinks[0] < 1.0 - left < shrinks[1] <= 1.0
-    assert gap.apart(left, 1.0 - shrinks[0]) == pytest.approx(few[1])
+    assert gap.normalised_excess(left, 1.0 - shrinks[0]) == pytest.approx(few[1])
 
 
 def test_what_is_learnt_survives_its_file():

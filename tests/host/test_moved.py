@@ -127,6 +127,6 @@ def test_shares_add_up_and_small_ones_are_not_told():
     def worth(parts):
         return sum({"a": 0.7, "b": 0.28, "c": 0.01}[part] for part in parts)
 
-    found = moved._shares(("a", "b", "c"), worth)
+    found = moved._shapley_shares(("a", "b", "c"), worth)
     assert [m.id for m in found] == ["a", "b"]
     assert [m.share for m in found] == pytest.approx([0.7 / 0.98, 0.28 / 0.98])

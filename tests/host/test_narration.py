@@ -92,7 +92,7 @@ def test_a_width_is_told_in_the_motors_unit():
     models = [Model(RIG, q, np.full(101, b), 0.01 + 0 * q, PLANT.bend(q), 0.08, (-4.0, 4.0)) for b in (0.4, 0.253)]
     width = page.width_now(*models)
     document = explained(0.88, 1.0)
-    (row,) = page._parameters(document, document["effects"][0], "mm", width)
+    (row,) = page._parameter_rows(document, document["effects"][0], "mm", width)
     assert (row["name"], row["value"]) == ("B is now", "0.253 mm in the mean, it was 0.4")
 
 

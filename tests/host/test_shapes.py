@@ -10,7 +10,7 @@ from cli_runner import Taut
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.recording import save
-from tautline.shapes import INDEX, Library, Seen, Shape, apart
+from tautline.shapes import INDEX, Library, Seen, Shape, offset_and_scale
 from tautline.tracking import replay
 from tools.tracking.sessions import Change, Instrument, ideal_model, session
 
@@ -38,7 +38,7 @@ def library(folder: Path) -> Library:
 
 
 def test_offset_and_scale_are_those_that_a_tracker_finds():
-    offset, scale = apart(FIRST, bent(0.4, 0.8))
+    offset, scale = offset_and_scale(FIRST, bent(0.4, 0.8))
     assert offset == pytest.approx(0.4, abs=0.005) and scale == pytest.approx(0.8, abs=0.02)
     made = session(INSTRUMENT, "offset", 4, 60.0, change=Change("offset", offset=0.4, scale=0.8), start_s=15.0)
     row = replay(FIRST, [made.recording]).rows[-1]

@@ -69,7 +69,7 @@ def segments(made: list[Recording]):
 
 def test_what_goes_with_the_place_is_taken_off_across_the_path_alone() -> None:
     before = segments(recordings())
-    found = tracker.without(model(), before, 0.0)
+    found = tracker.without_tracker_error(model(), before, 0.0)
     assert found is not None
     assert found.noise == pytest.approx(NOISE, rel=0.1) and found.left_out < 0.05
     for old, new in zip(before, found.segments, strict=True):
@@ -84,7 +84,7 @@ def test_what_goes_with_the_place_is_taken_off_across_the_path_alone() -> None:
 
 def test_where_the_calibration_does_not_hold_no_recording_is_scored() -> None:
     before = segments(recordings(glare_px=3.0))
-    found = tracker.without(model(), before, 0.0)
+    found = tracker.without_tracker_error(model(), before, 0.0)
     assert found is not None
     assert found.noise == pytest.approx(NOISE, rel=0.1)
     for old, new in zip(before, found.segments, strict=True):
@@ -99,7 +99,7 @@ def test_other_axes_move_the_path_and_nothing_is_said() -> None:
     made = recordings()
     moved = replace(made[1].motor, translation_mm=np.linspace(0.0, 2.0, len(made[1].motor.t_s)))
     made[1] = replace(made[1], motor=moved)
-    assert tracker.without(model(), segments(made), 0.0) is None
+    assert tracker.without_tracker_error(model(), segments(made), 0.0) is None
 
 
 def test_a_tracker_that_errs_by_the_place_is_no_effect() -> None:

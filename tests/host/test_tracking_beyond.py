@@ -91,8 +91,10 @@ def test_frames_one_by_one_tell_what_they_tell_together(seed, count):
     expected = np.linalg.solve(information, (by.T / sigma**2) @ off)
     one_by_one = unseen
     for i in range(count):
-        one_by_one = one_by_one.seen(by[i : i + 1], off[i : i + 1] - by[i : i + 1] @ one_by_one.mean, sigma[i : i + 1])
-    for found in (unseen.seen(by, off, sigma), one_by_one):
+        one_by_one = one_by_one.updated(
+            by[i : i + 1], off[i : i + 1] - by[i : i + 1] @ one_by_one.mean, sigma[i : i + 1]
+        )
+    for found in (unseen.updated(by, off, sigma), one_by_one):
         np.testing.assert_allclose(found.mean, expected, atol=1e-8)
         np.testing.assert_allclose(found.covariance, np.linalg.inv(information), atol=1e-8)
 
@@ -101,7 +103,7 @@ def test_an_outlier_tells_less():
     unseen = Beyond.unseen(ideal_model(Drawn(1)))
     by = unseen.curves(np.full(1, unseen.model.measured[1] + 0.3)).T
     by = np.hstack([by, np.zeros_like(by)])
-    near, far = (unseen.seen(by, np.array([off]), np.array([0.01])).covariance[2, 2] for off in (0.01, 1e3))
+    near, far = (unseen.updated(by, np.array([off]), np.array([0.01])).covariance[2, 2] for off in (0.01, 1e3))
     assert near < far < unseen.covariance[2, 2]
 
 

@@ -9,7 +9,8 @@ import pytest
 from scipy.stats import chi2
 
 from tautline.diagnosis import resembles, wander
-from tautline.diagnosis.fit import Fit, Fitter, Hypothesis, Scope
+from tautline.diagnosis.fit import Fitter
+from tautline.diagnosis.fitted import Fit, Hypothesis, Scope
 from tautline.diagnosis.hypotheses import Wander
 from tautline.diagnosis.segment import prepare
 from tautline.effects import BY_ID, of_simulator
@@ -107,10 +108,10 @@ def test_a_small_effect_beside_a_large_one_is_measured_by_both(lagging: Fitter, 
     rows = lagging.linearised(both)
     sizes = [both.state.values[s.key] * (s.parameter.name != "lag_second") for s in both.hypothesis.slots]
     whole = sum(float(np.sum((row.columns[:, :, -len(sizes) :] @ np.array(sizes)) ** 2)) for row in rows)
-    places = wander._places(lagging, rows)
+    places = wander._axes_values(lagging, rows)
     coupling = [row.columns[:, :, -2:] @ np.array(sizes[-2:]) for row in rows]
     assert wander._power(coupling) < 0.5 * whole
-    functions, _ = wander._functions(places, coupling, whole)
+    functions, _ = wander._varying_columns(places, coupling, whole)
     assert np.sum([np.sum(each**2, axis=(0, 1)) for each in functions], axis=0) == pytest.approx(whole)
     alone, beside = (wander.of_fit(lagging, fit, lagging.linearised(fit), LIMITS) for fit in (lag, both))
     assert [of.id for of in beside] == [LAG, small.id]
@@ -140,13 +141,13 @@ def test_memory_makes_numbers_tell_less() -> None:
     remembered = np.zeros_like(white)
     for i in range(1, len(white)):
         remembered[i] = 0.8 * remembered[i - 1] + 0.6 * white[i]
-    assert wander._independent([white]) == pytest.approx(1.0, rel=0.1)
-    assert wander._independent([remembered[:30_000], remembered[30_000:]]) == pytest.approx(9.0, rel=0.15)
+    assert wander._power_per_independent([white]) == pytest.approx(1.0, rel=0.1)
+    assert wander._power_per_independent([remembered[:30_000], remembered[30_000:]]) == pytest.approx(9.0, rel=0.15)
 
 
 def test_it_is_told_in_the_effects_own_unit(lag: Fit) -> None:
     size = lag.state.values["lag"]
-    assert resembles._says(lag, "speed", 0.03 / size, 0.08 / size) == "30 ms when slow, 80 ms when fast"
+    assert resembles._amplitudes_in_words(lag, "speed", 0.03 / size, 0.08 / size) == "30 ms when slow, 80 ms when fast"
 
 
 def test_of_a_simulators_parameter_the_change_is_told(lag: Fit) -> None:
@@ -155,7 +156,7 @@ def test_of_a_simulators_parameter_the_change_is_told(lag: Fit) -> None:
         hypothesis=SimpleNamespace(kinds=(kind,)),
         state=SimpleNamespace(values={kind.id: -1.0}, model=lag.state.model),
     )
-    assert resembles._says(fit, "speed", 0.5, 1.5) == "changed by -0.5 when slow, -1.5 when fast"
+    assert resembles._amplitudes_in_words(fit, "speed", 0.5, 1.5) == "changed by -0.5 when slow, -1.5 when fast"
 
 
 def test_it_is_kept_without_loss(lagging: Fitter, lag: Fit) -> None:

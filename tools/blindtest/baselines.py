@@ -24,7 +24,8 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.diagnosis import candidates, gap, where
-from tautline.diagnosis.fit import Fit, Fitter, Hypothesis, Scope
+from tautline.diagnosis.fit import Fitter
+from tautline.diagnosis.fitted import Fit, Hypothesis, Scope
 from tautline.diagnosis.screen import Screened, screen
 from tautline.diagnosis.segment import Segment, load_reference, prepare
 from tautline.effects import Kind
@@ -165,7 +166,7 @@ def features(evidence: Comparison) -> Array:
     floor = evidence.floor
     numbers = [np.log(gap.rms(r) / floor) for r in (evidence.frozen[1:], evidence.base.residuals[1:])]
     numbers += [np.log(gap.rms([r]) / floor) for r in (*evidence.frozen, *evidence.base.residuals)]
-    numbers.append(np.log(gap.memory(evidence.base.residuals[1:])))
+    numbers.append(np.log(gap.residuals_per_independent(evidence.base.residuals[1:])))
     everything = np.concatenate([r.ravel() for r in evidence.base.residuals[1:]])
     numbers.append(float(np.log(np.mean(everything**4) / np.mean(everything**2) ** 2)))
     fitter = evidence.fitter

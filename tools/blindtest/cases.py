@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from tautline import trajectory
 from tautline.diagnosis import candidates
-from tautline.diagnosis.fit import Fit, Fitter, Scope
+from tautline.diagnosis.fit import Fitter
+from tautline.diagnosis.fitted import Fit, Scope
 from tautline.diagnosis.gap import rms
 from tautline.diagnosis.screen import Screened, screen
 from tautline.diagnosis.segment import load_reference, prepare

@@ -58,15 +58,15 @@ def taut() -> None:
 
 
 def main() -> None:
-    """Exit status: EXIT_STATUS. With --json an error is a JSON object on stdout beside its line on stderr, where the
-    result is not there already; NO_COLOR takes the escapes out.
-    TAUT_TRACEBACK=1 shows where an error that nobody foresaw comes from."""
+    """The command line. Exit status: EXIT_STATUS. With --json an error is a JSON object on stdout beside its line on
+    stderr, if the result is not there already; NO_COLOR removes the escapes. TAUT_TRACEBACK=1 shows where an unexpected
+    error comes from."""
     said = Said()
     try:
         taut(standalone_mode=False, obj=said, color=False if os.environ.get("NO_COLOR") else None)
     except click.ClickException as error:
         error.show()
-        _end(said, error.format_message(), 2 if isinstance(error, click.UsageError) else 1)
+        _exit_with_error(said, error.format_message(), 2 if isinstance(error, click.UsageError) else 1)
     except (click.Abort, KeyboardInterrupt):
         _fail(said, "stopped", 130)
     except TautError as error:
@@ -86,10 +86,10 @@ def main() -> None:
 
 def _fail(said: Said, what: str, status: int) -> None:
     click.echo(f"taut: {what}", err=True)
-    _end(said, what, status)
+    _exit_with_error(said, what, status)
 
 
-def _end(said: Said, what: str, status: int) -> None:
+def _exit_with_error(said: Said, what: str, status: int) -> None:
     if "--json" in sys.argv and not said.result:
         click.echo(json.dumps({"error": what, "status": status}))
     sys.exit(status)

@@ -51,7 +51,7 @@ force_option = click.option("--force", is_flag=True, help="Use a model whose cal
 
 
 def refuse_unusable(model: Model, folder: Path, force: bool = False) -> None:
-    """Before anything is driven with the model."""
+    """TautError for an unusable model before anything is driven with it, unless `force`."""
     if model.quality.usable:
         return
     why = model.quality.reasons[0]
@@ -69,7 +69,7 @@ _COLOURS = {Verdict.GOOD: "green", Verdict.DOUBTFUL: "yellow", Verdict.UNUSABLE:
 
 
 def quality_lines(quality: Quality) -> list[str]:
-    """The verdict in colour, and a line for each reason: what stands before a result."""
+    """The verdict in colour and a line for each reason; printed before a result."""
     word = click.style(quality.verdict.value, fg=_COLOURS[quality.verdict], bold=True)
     lines = [f"taut: calibration {word}" + (": the stated sigmas cover" if quality.verdict is Verdict.GOOD else "")]
     lines += [f"taut:   {click.style(reason.code, bold=True)} {reason}" for reason in quality.reasons]
@@ -80,7 +80,7 @@ def quality_lines(quality: Quality) -> list[str]:
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Progress]:
-    """A bar on stderr, fed with (fraction 0 to 1, what is being done); silent where stderr is no terminal."""
+    """A bar on stderr, called with (fraction 0 to 1, what is being done); nothing where stderr is no terminal."""
     if not sys.stderr.isatty():
         yield lambda fraction, text: None
         return
@@ -109,7 +109,7 @@ def warn(text: str) -> None:
 
 
 def emit(result: Mapping[str, Any], as_json: bool, text: str) -> None:
-    """The command's result on stdout: one JSON object, or text for a person."""
+    """Prints the command's result on stdout: one JSON object, or text for a person."""
     context = click.get_current_context(silent=True)
     if context is not None and (said := context.find_object(Said)) is not None:
         said.result = True
@@ -117,7 +117,7 @@ def emit(result: Mapping[str, Any], as_json: bool, text: str) -> None:
 
 
 def read_rig(path: Path) -> Rig:
-    """A rig file that was named. Prints what may be misspelt in it."""
+    """Reads the rig file of --rig, and prints which keys may be misspelt."""
     rig = Rig.load(path)
     for said in rig.misspelt:
         warn(f"{path}: {said}")
@@ -125,8 +125,8 @@ def read_rig(path: Path) -> Rig:
 
 
 def read_recordings(paths: Sequence[Path], rig_path: Path | None) -> tuple[list[Recording], Rig]:
-    """Recordings and the rig that holds for them: --rig, else the one beside the first recording that has one.
-    Prints their warnings."""
+    """Reads recordings and the rig that holds for them: --rig, else the first recording's own. Prints their
+    warnings."""
     if rig_path is not None:
         rig = read_rig(rig_path)
         recordings = load_all(paths, rig)
@@ -145,6 +145,7 @@ def read_recordings(paths: Sequence[Path], rig_path: Path | None) -> tuple[list[
 
 
 def _own_rig(paths: Sequence[Path]) -> Rig:
+    """The rig beside the first recording that has one."""
     for path in paths:
         if not path.is_dir():
             raise TautError(f"{path}: there is no such folder: a recording is a folder with motor.csv")

@@ -72,7 +72,7 @@ until_option = click.option(
 
 
 def motion_option(none: str) -> Callable[..., Any]:
-    """--motion; none: what its absence means."""
+    """The option --motion; none: what happens without it."""
     return click.option(
         "--motion",
         metavar="FILE|SHAPE",
@@ -83,7 +83,7 @@ def motion_option(none: str) -> Callable[..., Any]:
 
 
 def shapes_option(without_model: str = "") -> Callable[..., Any]:
-    """--shapes, given as library_path; without_model: what it does where no MODEL is named."""
+    """The option --shapes, given as library_path; without_model: what it does where no MODEL is named."""
     return click.option(
         "--shapes",
         "library_path",
@@ -143,7 +143,7 @@ def _free(out: Path, what: str) -> Path:
 
 
 def sigma_of(text: str, unit: str) -> float:
-    """The goal in the rig's unit, from a number with or without a unit."""
+    """A sigma in the rig's unit from text with or without a unit, such as "5um"."""
     matched = re.fullmatch(r"\s*([0-9.]+(?:e[-+]?\d+)?)\s*(um|µm|mm|deg|)\s*", text)
     try:
         value = float(matched[1]) if matched else 0.0
@@ -161,8 +161,8 @@ def sigma_of(text: str, unit: str) -> float:
 def opened(
     live: LiveOptions, rig_path: Path | None, seed: int = 0, model: Model | None = None, picks: bool = False
 ) -> Iterator[Live]:
-    """The live set-up that the options name. The rig is --rig's, else the model's, else the simulation's own. picks:
-    a camera may be opened before the marker's colour is known."""
+    """The live set-up of these options. The rig is --rig's, else the model's, else the simulation's. picks: a camera
+    may be opened before the marker's colour is known."""
     from tautline.live.setup import CameraSource, open_live
     from tautline.vision.colour import MarkerColour
 
@@ -197,7 +197,7 @@ def opened(
 
 
 def recalled(setup: Live, library: Library) -> tuple[Model, Path]:
-    """The model of the shape that the shaft has, found by a short motion, and its folder."""
+    """The model of the shape that the shaft now has, found by a short motion, and its folder."""
     from tautline.live.recalling import recall
 
     with progress_bar("recall") as progress:
@@ -207,7 +207,7 @@ def recalled(setup: Live, library: Library) -> tuple[Model, Path]:
 
 
 def shape_text(tracking: dict[str, Any], library: Library | None) -> str:
-    """What follows the result where another shape was recognised."""
+    """A sentence after the result, if another shape was recognised; else ""."""
     if library is None or tracking["shape"] is None:
         return ""
     folder = library.folder / tracking["shape"]
@@ -215,7 +215,7 @@ def shape_text(tracking: dict[str, Any], library: Library | None) -> str:
 
 
 def bus_text(bus: dict[str, Any]) -> str:
-    """What motors on a bus of their own can be held to; "" for a board."""
+    """The measured timing of motors on a bus of their own; "" for a board."""
     if not bus:
         return ""
     return (
@@ -225,7 +225,7 @@ def bus_text(bus: dict[str, Any]) -> str:
 
 
 def tracking_text(tracking: dict[str, Any]) -> str:
-    """What a tracker learnt while the instrument was used, and what the board was told of it."""
+    """What a tracker learnt in use, and how far the board's tables were moved."""
     if tracking["state"] is None:
         return "not tracked: no frame came"
     moves = tracking["moves"]

@@ -27,22 +27,22 @@ _FRAME_S = 0.1  # between two pictures, wall clock
 
 
 def picture(view: View) -> list[Text]:
-    """Lines of text; colours say how far sigma is from the goal."""
-    lines = [_heading(view), _way("seen rising", view.rising), _way("seen falling", view.falling)]
+    """The picture of a live calibration, line by line; colours say how far sigma is from the goal."""
+    lines = [_heading(view), _coverage_line("seen rising", view.rising), _coverage_line("seen falling", view.falling)]
     if view.calibration is not None:
         q = view.low + (np.arange(BINS) + 0.5) * (view.high - view.low) / BINS
         model = view.calibration.model
         known = (q >= model.measured[0]) & (q <= model.measured[1])
         width = np.where(known, np.interp(q, model.q, model.width), np.nan)
         sigma = np.where(known, np.interp(q, model.q, model.width_sigma), np.inf)
-        styles = [_style(value, view.until) for value in sigma]
-        lines += [*_curve(width, styles, view.unit), _sigmas(sigma, styles, view)]
-    lines.append(_axis(view))
+        styles = [_sigma_colour(value, view.until) for value in sigma]
+        lines += [*_width_columns(width, styles, view.unit), _sigma_digits(sigma, styles, view)]
+    lines.append(_axis_labels(view))
     return [*lines, *(Text(part) for part in in_short(view))]
 
 
 def standing(view: View) -> str:
-    """In one line: what was seen and what is known by now."""
+    """One line: what was recorded so far and how well B(q) is known."""
     return ": ".join(in_short(view))
 
 
@@ -50,8 +50,9 @@ def _heading(view: View) -> Text:
     return Text(view.doing, style="bold")
 
 
-def _way(label: str, frames: Array) -> Text:
-    """Which positions were seen on this way: more frames, a higher block; ! where the marker was mostly lost."""
+def _coverage_line(label: str, frames: Array) -> Text:
+    """One direction's coverage over the motor's range: a higher block for more frames, ! where the marker was mostly
+    lost. frames (BINS, 2): seen and lost."""
     line = Text(label.ljust(_LABEL))
     seen, lost = frames.T
     for here, away in zip(seen, lost, strict=True):
@@ -62,7 +63,9 @@ def _way(label: str, frames: Array) -> Text:
     return line
 
 
-def _style(sigma: float, until: float | None) -> str:
+def _sigma_colour(sigma: float, until: float | None) -> str:
+    """The colour of a sigma beside the goal `until`: green at most that, yellow up to three times, red above; dim where
+    unknown."""
     if not np.isfinite(sigma):
         return "dim"
     if until is None or sigma <= until:
@@ -70,8 +73,8 @@ def _style(sigma: float, until: float | None) -> str:
     return "yellow" if sigma <= 3 * until else "red"
 
 
-def _curve(width: Array, styles: list[str], unit: str) -> list[Text]:
-    """B as columns from 0 up."""
+def _width_columns(width: Array, styles: list[str], unit: str) -> list[Text]:
+    """B over the motor's range as columns from 0 up, _HEIGHT lines."""
     known = width[np.isfinite(width)]
     most = float(known.max()) if len(known) else 1.0
     eighths = np.round(np.nan_to_num(width) / max(most, 1e-9) * 8 * _HEIGHT).astype(int)
@@ -85,8 +88,9 @@ def _curve(width: Array, styles: list[str], unit: str) -> list[Text]:
     return lines
 
 
-def _sigmas(sigma: Array, styles: list[str], view: View) -> Text:
-    """In thirds of the goal, or multiples of the best: 1 to 9, then +; a dot where nothing is known."""
+def _sigma_digits(sigma: Array, styles: list[str], view: View) -> Text:
+    """Sigma over the motor's range in thirds of the goal (without one, in multiples of the smallest): 1 to 9, + above,
+    a dot where unknown."""
     finite = sigma[np.isfinite(sigma)]
     one = view.until / 3 if view.until is not None else (float(finite.min()) if len(finite) else 1.0)
     line = Text(f"sigma/{in_words(one, view.unit)}".ljust(_LABEL))
@@ -96,7 +100,8 @@ def _sigmas(sigma: Array, styles: list[str], view: View) -> Text:
     return line
 
 
-def _axis(view: View) -> Text:
+def _axis_labels(view: View) -> Text:
+    """The lowest, middle and highest motor position below the columns."""
     low, middle, high = (f"{q:.3g}" for q in (view.low, 0.5 * (view.low + view.high), view.high))
     line = f"{low}{middle.center(BINS - 2 * max(len(low), len(high)))}{high.rjust(max(len(low), len(high)))}"
     return Text(f"q, {view.unit}".ljust(_LABEL) + line, style="dim")
@@ -104,21 +109,22 @@ def _axis(view: View) -> Text:
 
 @contextmanager
 def calibration_picture(as_json: bool) -> Iterator[Show]:
-    """Shows each View: a picture where stderr is a terminal, else a line for each calibration on the way."""
-    with _drawn() if sys.stderr.isatty() and not as_json else _told() as show:
+    """Shows each View: as a picture where stderr is a terminal, else a line for each calibration made meanwhile."""
+    with _pictures() if sys.stderr.isatty() and not as_json else _lines() as show:
         yield show
 
 
 @contextmanager
-def _drawn() -> Iterator[Show]:
+def _pictures() -> Iterator[Show]:
     from rich.console import Console, Group
     from rich.live import Live
 
     with Live(console=Console(stderr=True), auto_refresh=False, transient=True) as screen:
-        yield _every(_FRAME_S, lambda view: screen.update(Group(*picture(view)), refresh=True))
+        yield _at_most_every(_FRAME_S, lambda view: screen.update(Group(*picture(view)), refresh=True))
 
 
-def _every(seconds: float, show: Show) -> Show:
+def _at_most_every(seconds: float, show: Show) -> Show:
+    """`show`, called at most once in so many seconds."""
     last = [float("-inf")]
 
     def shown(view: View) -> None:
@@ -131,7 +137,8 @@ def _every(seconds: float, show: Show) -> Show:
 
 
 @contextmanager
-def _told() -> Iterator[Callable[[View], None]]:
+def _lines() -> Iterator[Callable[[View], None]]:
+    """Logs what is being done and each new calibration, a line each."""
     last = [0.0, ""]
 
     def tell(view: View) -> None:

@@ -24,7 +24,7 @@ _FEW = 5  # amplitudes that are shown together
 
 
 def write_all(folder: Path) -> Path:
-    """Every topic's page, and the index that leads to them."""
+    """Writes every topic's page and the index."""
     known = topics()
     for topic in known.values():
         page = {
@@ -41,7 +41,7 @@ def write_all(folder: Path) -> Path:
 
 
 def picture(topic: Topic) -> pages.Picture | None:
-    """Of an effect; None where it moves nothing by itself, as of what only scatters."""
+    """The picture of an effect; None where it changes no path, as one that only scatters."""
     kind = effects.BY_ID.get(topic.code)
     if kind is None or kind.event:
         return None
@@ -55,7 +55,8 @@ def picture(topic: Topic) -> pages.Picture | None:
 
 @mpl.rc_context(figures.STYLE)
 def drawn(kind: Kind) -> Figure:
-    """The characteristic, or the marker's track where only the image changes, and the difference over time."""
+    """An effect's figure: the characteristic (or the marker's track where only the image changes) and the difference
+    over time."""
     rig = instrument.reference_rig()
     plant = instrument.preset("reference", rig)
     q = np.linspace(*rig.actuator.range, 201)
@@ -95,7 +96,7 @@ def drawn(kind: Kind) -> Figure:
 
 
 def parameters(kind: Kind, span: float, seconds: float) -> dict[str, float]:
-    """Values at which the effect is seen: amplitudes at _TIMES their scale, shapes at the first they start from."""
+    """Parameter values at which an effect is visible: amplitudes at _TIMES their scale, shapes at their first start."""
 
     def scaled(unit: str, value: float) -> float:
         return value * span if unit.startswith("unit") else value

@@ -27,14 +27,14 @@ def command(board: str | None, as_json: bool) -> None:
     from tautline.device.board import find
     from tautline.drivers.addresses import KINDS
 
-    rows = [_describe(description) for description in find(board)]
+    rows = [_board_row(description) for description in find(board)]
     if board is not None and not rows:
         raise TautError(f"no board '{board}' was found: 'taut boards' lists those that are attached")
     drivers = [
         {"kind": name, "motors": kind.says, "example": kind.example, "installed": kind.installed}
         for name, kind in KINDS.items()
     ]
-    lines = list(map(_text, rows)) or ["no board is attached"]
+    lines = list(map(_row_in_words, rows)) or ["no board is attached"]
     if board is None:
         lines += ["", "motors on a bus of their own, as --board or a rig's actuator.board names them:"]
         for kind in KINDS.values():
@@ -43,7 +43,8 @@ def command(board: str | None, as_json: bool) -> None:
     emit({"boards": rows, "drivers": drivers}, as_json, "\n".join(lines))
 
 
-def _describe(description: Any) -> dict[str, Any]:
+def _board_row(description: Any) -> dict[str, Any]:
+    """What is shown of one board: name, firmware, and its axes where it can be opened."""
     from tautline.device.board import Board
 
     row: dict[str, Any] = {
@@ -64,7 +65,7 @@ def _describe(description: Any) -> dict[str, Any]:
                 "kind": identity.port,
                 "table_format": identity.table_version,
                 "control_hz": identity.control_hz,
-                "axes": [_axis(board, axis) for axis in range(board.axes)],
+                "axes": [_axis_row(board, axis) for axis in range(board.axes)],
                 "bus": board.bus(),
             }
     except TautError as error:
@@ -72,7 +73,8 @@ def _describe(description: Any) -> dict[str, Any]:
     return row
 
 
-def _axis(board: Any, axis: int) -> dict[str, Any]:
+def _axis_row(board: Any, axis: int) -> dict[str, Any]:
+    """What is shown of one axis: state, table and instrument."""
     from tautline import tables
     from tautline.device import wire
 
@@ -97,7 +99,8 @@ def _axis(board: Any, axis: int) -> dict[str, Any]:
     return row
 
 
-def _text(row: dict[str, Any]) -> str:
+def _row_in_words(row: dict[str, Any]) -> str:
+    """A board's row as lines for a terminal."""
     if row.get("error"):
         return str(row["error"])
     if row["busy"]:

@@ -106,7 +106,7 @@ def command(
         if live["live"].camera is None and live["live"].simulate is None:
             raise click.UsageError("name a RECORDING, or for a live calibration --camera SOURCE or --simulate")
         kept = kept or free_recording(out.absolute())
-        calibration, lines, made = _live(kept, rig_path, out, options, as_json=as_json, **live)
+        calibration, lines, made = _calibrate_live(kept, rig_path, out, options, as_json=as_json, **live)
         proposed = None  # what was missing was moved through, or it was said why not
     quality = calibration.model.quality
     verdict = quality_lines(quality)
@@ -126,7 +126,7 @@ def command(
 def _from_recordings(
     paths: tuple[Path, ...], rig_path: Path | None, out: Path, options: Options, fleet: Path | None
 ) -> tuple[Calibration, list[str], dict[str, Any] | None]:
-    """The calibration, what it says, and the motion that would measure what it could not."""
+    """Calibrates recordings: the calibration, the text of its result, and the motion that would close its gaps."""
     recordings, rig = read_recordings(paths, rig_path)
     if fleet is not None:
         from tautline.fleet import prior
@@ -149,7 +149,7 @@ def _from_recordings(
     return calibration, lines, {"file": path, "seconds": motion.duration_s}
 
 
-def _live(
+def _calibrate_live(
     kept: Path,
     rig_path: Path | None,
     out: Path,
@@ -164,7 +164,7 @@ def _live(
     seed: int,
     as_json: bool,
 ) -> tuple[Calibration, list[str], dict[str, Any]]:
-    """The calibration, what it says, and how its motion went."""
+    """Calibrates on a board and a camera: the calibration, the text of its result, and how the motion went."""
     from tautline.cli._picture import calibration_picture
     from tautline.live.session import MotionOptions, calibrate_live
     from tautline.live.until import Goal, calibrate_until

@@ -28,14 +28,15 @@ def command(board: str | None, axis: int | None, as_json: bool) -> None:
     with open_board(board) as opened:
         if axis is not None:
             opened.check_axis(axis)
-        rows = [_clear(opened, each) for each in (range(opened.axes) if axis is None else [axis])]
+        rows = [_clear_fault(opened, each) for each in (range(opened.axes) if axis is None else [axis])]
         serial = opened.identity.serial
-        log = _log(opened, axis)
-    lines = [*map(_text, rows), *log_text(log)]
+        log = _fault_log(opened, axis)
+    lines = [*map(_result_in_words, rows), *log_text(log)]
     emit({"board": serial, "axes": rows, "log": log}, as_json, "\n".join(lines))
 
 
-def _clear(board: Any, axis: int) -> dict[str, Any]:
+def _clear_fault(board: Any, axis: int) -> dict[str, Any]:
+    """Clears the axis' fault; what it was and what mends it."""
     from tautline.device import wire
 
     before = board.status(axis)
@@ -52,8 +53,8 @@ def _clear(board: Any, axis: int) -> dict[str, Any]:
     }
 
 
-def _log(board: Any, axis: int | None) -> list[dict[str, Any]] | None:
-    """The newest first; None where the board's firmware keeps no log."""
+def _fault_log(board: Any, axis: int | None) -> list[dict[str, Any]] | None:
+    """The board's fault log, the newest first; None where its firmware keeps none."""
     from tautline.device import wire
 
     if board.identity.protocol_minor < wire.wire.SINCE["get_logged"]:
@@ -78,6 +79,7 @@ def _log(board: Any, axis: int | None) -> list[dict[str, Any]] | None:
 
 
 def log_text(log: list[dict[str, Any]] | None) -> list[str]:
+    """The fault log as lines for a terminal."""
     if log is None:
         return ["no log: the board's firmware keeps none; 'taut update' brings one that does"]
     shown = log[:_SHOWN]
@@ -89,7 +91,7 @@ def log_text(log: list[dict[str, Any]] | None) -> list[str]:
     return lines
 
 
-def _text(row: dict[str, Any]) -> str:
+def _result_in_words(row: dict[str, Any]) -> str:
     text = f"axis {row['axis']}: {row['fault'] or 'no fault'}"
     text += f" ('taut explain {row['code']}' says more)" if row["code"] else ""
     if row["left"]:

@@ -34,7 +34,7 @@ def command(model_paths: tuple[Path, ...], html_path: Path | None, as_json: bool
 
 
 def _names(paths: tuple[Path, ...]) -> list[str]:
-    """Folder names, or whole paths where those are not different."""
+    """Names for the models: folder names, or whole paths where these are not unique."""
     names = [path.absolute().name for path in paths]
     if len(set(names)) < len(names):
         names = [str(path) for path in paths]
@@ -44,6 +44,7 @@ def _names(paths: tuple[Path, ...]) -> list[str]:
 
 
 def _table(rows: list[dict[str, object]], first: Model) -> str:
+    """The comparison's rows as a table for a terminal. first: the model that the others are compared with."""
     unit = first.rig.actuator.unit
     table = Table(box=None, pad_edge=False)
     fine, times = figures.finer(unit)

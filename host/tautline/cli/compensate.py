@@ -9,7 +9,7 @@ import click
 from tautline.cli._common import compensation_option, emit, json_option, progress_bar, warn, warn_unusable
 from tautline.compensation import RATES_HZ, compensate, read_trajectory, write_csv
 from tautline.model import Model
-from tautline.undone import left
+from tautline.undone import not_undone
 
 
 @click.command("compensate")
@@ -51,7 +51,7 @@ def command(
     """
     model = Model.load(model_path)
     warn_unusable(model, model_path)
-    if remains := left(model):  # a trajectory says nothing of other axes
+    if remains := not_undone(model):  # a trajectory says nothing of other axes
         warn(f"{model_path}: no table can undo {', '.join(remains)}: these are not undone")
     warnings: list[str] = []
     t_s, c_deg = read_trajectory(trajectory_path, warnings)

@@ -29,7 +29,8 @@ def command(out: Path | None, instrument: str, seed: int, as_json: bool) -> None
 def run(
     out: Path, instrument: str, seed: int, progress: Callable[[float, str], None], say: Callable[[str], None]
 ) -> dict[str, Any]:
-    """What was measured and gained; the recording, MODEL and report are in `out`."""
+    """The whole job on a simulated instrument; what was measured and gained. Recording, MODEL and report are in
+    `out`."""
     from tautline import tables
     from tautline.folders import check_replaceable, replaced
     from tautline.live.following import follow_run

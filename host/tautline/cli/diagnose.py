@@ -103,7 +103,9 @@ def command(
             raise click.UsageError("--simulator needs recordings: name them")
         robots = [path for path in (calibration_path, *test_paths) if path is not None]
         _tell(
-            _with_simulator(simulator, actuator, tip, live.camera, scale, workers, robots, rig_path, out), out, as_json
+            _diagnose_simulator(simulator, actuator, tip, live.camera, scale, workers, robots, rig_path, out),
+            out,
+            as_json,
         )
         return
     if actuator is not None or tip is not None or scale is not None:
@@ -111,19 +113,19 @@ def command(
     if is_live:
         if live.camera is None and live.simulate is None:
             raise click.UsageError("--live needs --camera SOURCE (and a board), or --simulate")
-        asked = _ask(calibration_path, test_paths, rig_path, kept or out.absolute().with_name(f"{out.name}-recordings"),
-                     live, most, seed)  # fmt: skip
+        kept = kept or out.absolute().with_name(f"{out.name}-recordings")
+        asked = _diagnose_live(calibration_path, test_paths, rig_path, kept, live, most, seed)
         save(asked.diagnosis, out)
         more = {"recordings": asked.recordings, "why": asked.why, "sure": asked.sure}
         said = f"{narration.text(asked.diagnosis.document, str(out))}\n\nStopped: {asked.why}."
         emit({**asked.diagnosis.document, "live": more}, as_json, said)
-        _lead(asked.diagnosis.document)
+        _topics_of(asked.diagnosis.document)
         return
     if calibration_path is None or not test_paths:
         raise click.UsageError("name CALIBRATION and at least one TEST, or record them with --live")
     recordings, rig = read_recordings([calibration_path, *test_paths], rig_path)
     with progress_bar("diagnosing") as progress:
-        calibration, recordings = _calibrated(recordings, rig, calibration_path, progress)
+        calibration, recordings = _calibrate_first(recordings, rig, calibration_path, progress)
         diagnosis = diagnose(
             calibration.model,
             recordings[0],
@@ -137,10 +139,10 @@ def command(
 
 def _tell(diagnosis: Diagnosis, out: Path, as_json: bool) -> None:
     emit(diagnosis.document, as_json, narration.text(diagnosis.document, str(out)))
-    _lead(diagnosis.document)
+    _topics_of(diagnosis.document)
 
 
-def _with_simulator(
+def _diagnose_simulator(
     name: str,
     actuator: str | None,
     tip: str | None,
@@ -151,12 +153,13 @@ def _with_simulator(
     rig_path: Path | None,
     out: Path,
 ) -> Diagnosis:
+    """Diagnoses a simulator file against the robot's recordings."""
     if not paths:
         raise click.UsageError("name at least one recording of the robot")
     robots, rig = read_recordings(paths, rig_path)
     with progress_bar("diagnosing") as progress:
         if camera is not None:
-            tip, robots = _seen_by(name, tip, camera, robots, rig)
+            tip, robots = _angle_through_camera(name, tip, camera, robots, rig)
         simulator = _simulator(name, actuator, tip, scale, rig)
         diagnosis = diagnose_simulator(
             simulator, robots, rig, lambda fraction, text: progress(0.95 * fraction, text), workers
@@ -174,8 +177,10 @@ def _simulator(name: str, actuator: str | None, tip: str | None, scale: float | 
     return mjcf.simulator(name, actuator, tip, rig.actuator.unit, scale)
 
 
-def _seen_by(name: str, tip: str | None, camera: str, robots: list[Recording], rig: Rig) -> tuple[str, list[Recording]]:
-    """The tip's hinge, and the recordings with its angle as the file's camera sees it."""
+def _angle_through_camera(
+    name: str, tip: str | None, camera: str, robots: list[Recording], rig: Rig
+) -> tuple[str, list[Recording]]:
+    """The tip's hinge, and the recordings with its angle as the simulated camera sees the marker."""
     if source.is_python(name) or tip is None or not tip.startswith("site:"):
         raise click.UsageError("--camera goes with --simulator FILE and --tip site:S, which it sees")
     seen = sight(Path(name), tip.removeprefix("site:"), camera)
@@ -183,25 +188,26 @@ def _seen_by(name: str, tip: str | None, camera: str, robots: list[Recording], r
     return f"joint:{seen.hinge}", [seen.seen(robot, late_s) for robot in robots]
 
 
-def _lead(document: Mapping[str, Any]) -> None:
-    """To the pages of what was named."""
+def _topics_of(document: Mapping[str, Any]) -> None:
+    """The names of the topics about what was found."""
     for effect in document["effects"]:
         log(f"taut: 'taut explain {effect['id']}' says how to tell it and what mends it")
 
 
-def _calibrated(
+def _calibrate_first(
     recordings: list[Recording], rig: Rig, path: Path, progress: Progress
 ) -> tuple[Calibration, list[Recording]]:
-    """On the first of them; all on the motor's clock."""
+    """The calibration on the first recording, and all recordings on the motor's clock."""
     calibration, recordings = calibrated(recordings, rig, lambda fraction, text: progress(0.3 * fraction, text))
     warn_unusable(calibration.model, path)
     return calibration, recordings
 
 
-def _ask(
+def _diagnose_live(
     calibration_path: Path | None, test_paths: tuple[Path, ...], rig_path: Path | None, kept: Path, live: LiveOptions,
     most: int, seed: int,
 ) -> Asked:  # fmt: skip
+    """Calibrates on the recording, then diagnoses with motions recorded on the board until one answer is sure."""
     from tautline.live.asking import diagnose_live
     from tautline.live.until import calibrate_until
 
@@ -214,5 +220,5 @@ def _ask(
             calibrate_until(setup, calibration_path, progress=progress)
             given, rig = [load(calibration_path, setup.rig)], setup.rig
         assert rig is not None
-        calibration, recordings = _calibrated(given, rig, calibration_path, progress)
+        calibration, recordings = _calibrate_first(given, rig, calibration_path, progress)
         return diagnose_live(setup, calibration, recordings[0], recordings[1:], kept, most, progress, log)

@@ -34,7 +34,7 @@ def command(code: str | None, folder: Path | None, as_json: bool) -> None:
         return
     if code is not None:
         topic = find(code)
-        emit(asdict(topic), as_json, _text(topic))
+        emit(asdict(topic), as_json, _topic_in_words(topic))
         return
     lines = []
     for kind, title in KINDS.items():
@@ -47,7 +47,8 @@ def _first(text: str) -> str:
     return textwrap.shorten(text, 78, placeholder=" ...")
 
 
-def _text(topic: object) -> str:
+def _topic_in_words(topic: object) -> str:
+    """A topic as text for a terminal."""
     from tautline.explain import Topic
 
     assert isinstance(topic, Topic)

@@ -62,12 +62,12 @@ def command(
     from tautline.device.board import open_board
     from tautline.errors import TautError
     from tautline.model import Model
-    from tautline.undone import COUPLED, Joint, left, stands_in
+    from tautline.undone import COUPLED, Joint, not_undone, stands_in
 
     model = Model.load(model_path)
     refuse_unusable(model, model_path, force)
     known = {column: Joint(number, resolution) for column, number, resolution in map(_joint, joints)}
-    remains = left(model, known)
+    remains = not_undone(model, known)
     if remains and not without_effects:
         told = ", ".join(f"{name} (without --joint)" if name == COUPLED else name for name in remains)
         raise TautError(
@@ -114,6 +114,7 @@ def _leave(share: float) -> str:
 
 
 def _joint(text: str) -> tuple[str, int, float]:
+    """COLUMN=AXIS:RESOLUTION as its three parts. UsageError where it is none."""
     column, _, rest = text.partition("=")
     axis, _, resolution = rest.partition(":")
     try:

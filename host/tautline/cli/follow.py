@@ -113,7 +113,7 @@ def command(
                 progress=progress,
             )
     if model is not None and model_path is not None and result.scored_by:
-        _into_report(model, model_path, result, compensation)
+        _add_to_report(model, model_path, result, compensation)
     emit(_report(result, compensation, out), as_json, _text(result, compensation, out, library))
     if result.clipped:
         low, high = result.reach_deg
@@ -127,8 +127,8 @@ def command(
         log(f"taut: {result.counters['telemetry_dropped']} telemetry samples were dropped")
 
 
-def _into_report(model: Any, folder: Path, result: Any, compensation: str) -> None:
-    """The run beside the model's others, and its report written again."""
+def _add_to_report(model: Any, folder: Path, result: Any, compensation: str) -> None:
+    """Keeps the run beside the model's others and writes the model's report anew."""
     from tautline.reports import pages
     from tautline.reports.evidence import Evidence, Run
 

@@ -52,7 +52,7 @@ def command(
     source = open_source(source_path, time_name)
     roles = Roles(motor or "", tip, commanded, load, video, joint)
     if motor is None or not (tip or video):
-        _show_proposal(source, roles, out, unit or (rig.actuator.unit if rig else None), episode, time_name, as_json)
+        _print_proposal(source, roles, out, unit or (rig.actuator.unit if rig else None), episode, time_name, as_json)
         return
     with progress_bar("importing") as progress:
         written, skipped = import_episodes(
@@ -81,9 +81,10 @@ def command(
     )
 
 
-def _show_proposal(
+def _print_proposal(
     source: Source, roles: Roles, out: Path | None, unit: str | None, episode: int | None, time_name: str, as_json: bool
 ) -> None:
+    """Prints which channels were found, what each is taken for, and the full command."""
     with progress_bar("reading") as progress:
         listing = scan(source, episode, progress)
     found = propose(listing, told(roles, listing, source, unit))
@@ -119,11 +120,11 @@ def _show_proposal(
         "notes": found.notes,
         "command": text or None,
     }
-    emit(result, as_json, _page(source, listing, found.notes, text))
+    emit(result, as_json, _proposal_page(source, listing, found.notes, text))
 
 
-def _page(source: Source, listing: Listing, notes: tuple[str, ...], text: str) -> str:
-    """What a person is shown: what is there, what each is taken for, the command."""
+def _proposal_page(source: Source, listing: Listing, notes: tuple[str, ...], text: str) -> str:
+    """What a person is shown: the channels, what each is taken for, and the command."""
     moving = [c for c in listing.channels.values() if c.moves]
     many = len(source.episodes())
     head = f"{source.path}: {source.kind}" + (f", {many} episodes, this is {listing.episode}" if many > 1 else "")

@@ -38,7 +38,7 @@ def command(
     if fault not in faults.FAULTS and not (fault == "well" and sim is not None):
         raise click.UsageError(f"no fault '{fault}': choose one of {', '.join(faults.FAULTS)}")
     if sim is not None:
-        _into(sim, axis, fault)
+        _inject(sim, axis, fault)
         emit({"fault": fault, "axis": axis, "sim": sim}, as_json, f"axis {axis}: {fault}")
         return
     with opened(LiveOptions(None, axis, None, Path(), simulate or "reference", None), None) as live:
@@ -53,7 +53,8 @@ def command(
     )
 
 
-def _into(port: int, axis: int, fault: str) -> None:
+def _inject(port: int, axis: int, fault: str) -> None:
+    """Causes the fault on a simulated board that another process has opened."""
     from tautline.live import faults
     from tautline.simulated.simlink import SimLink
 

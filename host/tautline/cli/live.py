@@ -110,6 +110,7 @@ def command(
 
 
 def _calibrate(live: LiveOptions, rig_path: Path | None, out: Path, until: str | None, seed: int) -> dict[str, Any]:
+    """The page's work: a calibration until sigma is reached, its MODEL in `out`."""
     from tautline.live.page.work import Calibrating
     from tautline.live.until import Goal
 
@@ -117,7 +118,7 @@ def _calibrate(live: LiveOptions, rig_path: Path | None, out: Path, until: str |
         goal = Goal(None if until is None else sigma_of(until, setup.rig.actuator.unit))
         keeps = live.colour if live.simulate is None else None
         work = Calibrating(setup, out, lambda: free_recording(out.absolute()), goal, keeps)
-        says = _attended(work)
+        says = _serve_page(work)
     quality = None if work.found is None else work.found.model.quality.to_json()
     return {"says": says, "model": None if work.found is None else out, "quality": quality}
 
@@ -125,15 +126,17 @@ def _calibrate(live: LiveOptions, rig_path: Path | None, out: Path, until: str |
 def _watch(
     live: LiveOptions, rig_path: Path | None, path: Path, motion: str, speed: float | None, seed: int
 ) -> dict[str, Any]:
+    """The page's work: a tracker of the model at `path` while `motion` runs."""
     from tautline.live.page.work import Watching
 
     model = Model.load(path)
     warn_unusable(model, path)
     with opened(live, rig_path, seed, model=model) as setup, setup.interruptible():
-        return {"says": _attended(Watching(setup, model, motion, speed, seed=seed)), "model": path}
+        return {"says": _serve_page(Watching(setup, model, motion, speed, seed=seed)), "model": path}
 
 
 def _diagnose(live: LiveOptions, rig_path: Path | None, path: Path, out: Path, seed: int) -> dict[str, Any]:
+    """The page's work: a live diagnosis of the calibration at `path`, its folder `out`."""
     from tautline.diagnosis.recorded import calibrated
     from tautline.live.page.work import Diagnosing
 
@@ -143,7 +146,7 @@ def _diagnose(live: LiveOptions, rig_path: Path | None, path: Path, out: Path, s
     warn_unusable(calibration.model, path)
     with opened(live, rig_path, seed, model=calibration.model) as setup, setup.interruptible():
         work = Diagnosing(setup, calibration, recordings, out, lambda: free_recordings(out.absolute()))
-        says = _attended(work)
+        says = _serve_page(work)
     found = work.found
     if found is None:
         return {"says": says, "diagnosis": None}
@@ -151,17 +154,18 @@ def _diagnose(live: LiveOptions, rig_path: Path | None, path: Path, out: Path, s
 
 
 def _replay(path: Path, rig_path: Path | None, pace: float) -> dict[str, Any]:
+    """The page's work: a recording played again at `pace`."""
     from tautline.live.page.work import Replaying
     from tautline.vision.marker import with_marker
 
     recordings, rig = read_recordings([path], rig_path)
     with progress_bar("tracking") as progress:
         recording = with_marker(recordings[0], rig, progress)
-    return {"says": _attended(Replaying(recording, rig, pace)), "recording": path}
+    return {"says": _serve_page(Replaying(recording, rig, pace)), "recording": path}
 
 
-def _attended(work: Any) -> str:
-    """Serves the page until Ctrl-C; what was said last."""
+def _serve_page(work: Any) -> str:
+    """Serves the page until Ctrl-C; returns what was said last."""
     from tautline.live.page.desk import Desk
     from tautline.live.page.server import serving
     from tautline.live.page.work import attend

@@ -86,11 +86,11 @@ def command(
     if region is not None:
         if at is not None:
             raise click.UsageError("--at is a marker's place, --region one without a marker: give one of both")
-        _bare(source, region, out or _place(source, REGION_FILE), as_json)
+        _pick_region(source, region, out or _file_beside(source, REGION_FILE), as_json)
         return
-    out = out or _place(source, COLOUR_FILE)
+    out = out or _file_beside(source, COLOUR_FILE)
     pictures, spread = _pictures(source)
-    colour = pick(pictures[0], at) if at or len(spread) == 1 else _found(spread)
+    colour = pick(pictures[0], at) if at or len(spread) == 1 else _find_colour(spread)
     if colour is None:
         raise TautError(
             f"{source}: no marker stands out by its colour: show where it is in the first picture with --at U,V"
@@ -107,7 +107,7 @@ def command(
     first = seen.index(valid[0])
     _save(colour, out)
     shown = out.with_suffix(".png")
-    cv2.imwrite(str(shown), _drawn(pictures[first], colour, seen[first]))
+    cv2.imwrite(str(shown), _marker_picture(pictures[first], colour, seen[first]))
     sigma = float(np.median([s.sigma_px for s in valid]))
     result = {
         "file": out,
@@ -129,7 +129,8 @@ def command(
     emit(result, as_json, f"{text}\n{out} holds its colour; look at {shown} to see that it is the right one")
 
 
-def _bare(source: str, square: tuple[float, float, float], out: Path, as_json: bool) -> None:
+def _pick_region(source: str, square: tuple[float, float, float], out: Path, as_json: bool) -> None:
+    """Shows a region to follow on an instrument without a marker, and keeps it as region.toml."""
     pictures, _ = _pictures(source)
     region = Region(square[:2], square[2], np.asarray(pictures[0], dtype=np.uint8))
     tracker = region.tracker()
@@ -145,7 +146,7 @@ def _bare(source: str, square: tuple[float, float, float], out: Path, as_json: b
         )
     _save(region, out)
     shown = out.with_suffix(".look.png")
-    cv2.imwrite(str(shown), _squared(pictures[0], region))
+    cv2.imwrite(str(shown), _region_picture(pictures[0], region))
     sigma = float(np.median([s.sigma_px for s in valid]))
     result = {
         "file": out, "picture": shown, "at_px": region.at, "side_px": region.side_px, "sigma_px": sigma,
@@ -167,7 +168,7 @@ def _save(what: MarkerColour | Region, out: Path) -> None:
         raise TautError(f"{out}: cannot be written ({error.strerror}): name another file with --out") from error
 
 
-def _squared(picture: np.ndarray, region: Region) -> np.ndarray:
+def _region_picture(picture: np.ndarray, region: Region) -> np.ndarray:
     """The picture with the region drawn in, beside the region enlarged."""
     drawn = picture.copy()
     corners = np.rint(np.array(region.at) + 0.5 * region.side_px * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]))
@@ -177,14 +178,14 @@ def _squared(picture: np.ndarray, region: Region) -> np.ndarray:
     return np.hstack([drawn, cv2.resize(large, (picture.shape[0], picture.shape[0]), interpolation=cv2.INTER_NEAREST)])
 
 
-def _place(source: str, name: str) -> Path:
-    """Where the file is looked for without being named: beside a video, else in the working directory."""
+def _file_beside(source: str, name: str) -> Path:
+    """Where a marker's file is looked for if it is not named: beside a video, else in the working directory."""
     video = Path(source)
     return (video.parent if video.is_file() and not cv2.haveImageReader(source) else Path()) / name
 
 
 def _pictures(source: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """The source's first pictures, and some from all over it."""
+    """The source's first pictures, and some spread over it."""
     if source.isdigit() and not Path(source).exists():
         with VideoCamera(int(source)) as camera:
             for _ in range(_WARM_UP):
@@ -201,9 +202,9 @@ def _pictures(source: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
     return pictures, sample_video(Path(source), _SPREAD) if is_file else pictures[:: _STILL_FRAMES // 10]
 
 
-def _found(pictures: list[np.ndarray]) -> MarkerColour | None:
-    """The marker's colour in pictures of one scene. Large ones are searched smaller, where everything stands out as
-    well and costs a quarter or less; its colour is then picked as they are."""
+def _find_colour(pictures: list[np.ndarray]) -> MarkerColour | None:
+    """The marker's colour in pictures of one scene. Large pictures are searched at a smaller size, which is enough to
+    see what stands out; the colour is then picked at full size."""
     shrink = min(pictures[0].shape[:2]) // _SEARCHED_LINES
     if shrink < 2:
         return find_colour(pictures)
@@ -225,7 +226,7 @@ def _where(colour: MarkerColour) -> str:
     return f"{colour.at[0]:.0f}, {colour.at[1]:.0f} px"
 
 
-def _drawn(picture: np.ndarray, colour: MarkerColour, sighting: Sighting) -> np.ndarray:
+def _marker_picture(picture: np.ndarray, colour: MarkerColour, sighting: Sighting) -> np.ndarray:
     """The picture with the marker ringed, beside its membership with an enlarged cut of the marker in the corner."""
     ringed = picture.copy()
     centre = np.rint([sighting.u_px * 16, sighting.v_px * 16]).astype(int).tolist()

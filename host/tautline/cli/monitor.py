@@ -21,18 +21,19 @@ def command(board: str | None, once: bool, as_json: bool) -> None:
 
     with open_board(board) as opened:
         if once or as_json:
-            state = _state(opened)
-            emit(state, as_json, "\n".join(_line(axis) for axis in state["axes"]))
+            state = _board_state(opened)
+            emit(state, as_json, "\n".join(_axis_line(axis) for axis in state["axes"]))
             return
         from rich.live import Live
 
         with Live(refresh_per_second=8) as view:
             while True:
-                view.update(_table(_state(opened)))
+                view.update(_table(_board_state(opened)))
                 time.sleep(0.1)
 
 
-def _state(board: Any) -> dict[str, Any]:
+def _board_state(board: Any) -> dict[str, Any]:
+    """Status and counters of all axes, as JSON."""
     from tautline.device import wire
 
     axes = []
@@ -51,7 +52,7 @@ def _state(board: Any) -> dict[str, Any]:
     }
 
 
-def _line(axis: dict[str, Any]) -> str:
+def _axis_line(axis: dict[str, Any]) -> str:
     return (
         f"axis {axis['axis']}: {axis['fault'] or axis['mode']}, q {axis['q']:.1f} counts (to {axis['q_ref']:.1f}), "
         f"c {axis['c_est']:.3f} deg (to {axis['c_ref']:.3f}), drive {100 * axis['duty']:.0f} %, table {axis['table']}"
@@ -59,6 +60,7 @@ def _line(axis: dict[str, Any]) -> str:
 
 
 def _table(state: dict[str, Any]) -> Any:
+    """The state as a table for a terminal."""
     from rich.table import Table
 
     table = Table(title=f"board {state['board']}")

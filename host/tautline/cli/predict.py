@@ -14,8 +14,8 @@ from tautline.model import Model
 from tautline.prediction import (
     COLUMNS,
     TRUTH_FILE,
-    off_the_truth,
     predict_with_sigma,
+    rms_to_truth,
     score,
     times_of,
     write_csv,
@@ -59,7 +59,7 @@ def command(
     write_csv(csv_path, times, prediction)
     off_deg = None
     try:
-        off_deg = off_the_truth(model, recording_path, motor, times, prediction)
+        off_deg = rms_to_truth(model, recording_path, motor, times, prediction)
     except TautError as error:  # somebody else's file of that name
         warn(f"{error}: the prediction is not held against it")
     result: dict[str, Any] = {"csv": csv_path, "rows": len(times.cells), "delay_s": times.delay_s}

@@ -98,23 +98,23 @@ def command(
         raise click.UsageError("--board and --motion are for a camera: leave --sensor angle out")
     if sensor is None:
         by_camera = bool(board or motion) or "camera" in document
-        sensor = MARKER if by_camera else ANGLE if "angle" in document else _asked_sensor()
+        sensor = MARKER if by_camera else ANGLE if "angle" in document else _ask_for_sensor()
     result: dict[str, Any] = {"file": out, "sensor": sensor}
     told: list[str] = []
     if board:
         seen = _intrinsics(board, squares, square_mm, marker_mm, dictionary)
         document["camera"] = {**document.get("camera", {}), **seen.camera()}
         result["camera"] = {"sigma": seen.sigma, "rms_px": seen.rms_px, "views": seen.views, "of": seen.of}
-        told.append(seen.told())
+        told.append(seen.in_words())
     if motion is not None:
         for part in ("coarse", "hand_eye"):
             document.pop(part, None)
-        _ask(document, sensor, without=("coarse", "hand_eye"))
-        places, found, line, left_deg = _moved(document, motion, angles, angle_sigma)
+        _ask_for_keys(document, sensor, without=("coarse", "hand_eye"))
+        places, found, line, left_deg = _from_known_angles(document, motion, angles, angle_sigma)
         document["coarse"] = _rounded(asdict(line))
         document["hand_eye"] = _rounded(asdict(found.hand_eye))
         told += [
-            found.told(),
+            found.in_words(),
             f"coarse: gain {line.gain:.4g} deg per {document['actuator']['unit']}, offset {line.offset:.3g} deg; "
             f"{left_deg:.2g} deg are left, play among it",
         ]
@@ -125,7 +125,7 @@ def command(
             "angle_sigma_deg": [found.measures_deg.min(), found.measures_deg.max()],
             "places": len(places.c_deg),
         }
-    _ask(document, sensor)
+    _ask_for_keys(document, sensor)
     if sensor == ANGLE:
         document.setdefault("angle", {})  # all of its keys may be left out
     rig = Rig.from_document(document, str(out))
@@ -137,7 +137,8 @@ def command(
     emit(result, as_json, "\n".join([*told, f"{out} is whole: taut calibrate RECORDING --rig {out}"]))
 
 
-def _asked_sensor() -> Sensor:
+def _ask_for_sensor() -> Sensor:
+    """Asks in a terminal which sensor the rig has."""
     if not sys.stdin.isatty():
         return MARKER
     return (
@@ -147,8 +148,8 @@ def _asked_sensor() -> Sensor:
     )
 
 
-def _ask(document: rig_keys.Document, sensor: Sensor, without: tuple[str, ...] = ()) -> None:
-    """Each key that is left, in a terminal; TautError with all of them elsewhere."""
+def _ask_for_keys(document: rig_keys.Document, sensor: Sensor, without: tuple[str, ...] = ()) -> None:
+    """Asks for each missing key in a terminal; elsewhere a TautError that names all of them."""
     left = [(section, key) for section, key in rig_keys.missing(document, sensor) if section.name not in without]
     if left and not sys.stdin.isatty():
         raise TautError(
@@ -182,6 +183,7 @@ def _intrinsics(
     marker_mm: float | None,
     dictionary: str,
 ) -> Intrinsics:
+    """The camera's intrinsics from pictures or videos of a ChArUco board."""
     if squares is None or square_mm is None or marker_mm is None:
         raise TautError("--board needs --squares, --square-mm and --marker-mm, as they are on the print")
     pictures = []
@@ -195,9 +197,10 @@ def _intrinsics(
     return seen
 
 
-def _moved(
+def _from_known_angles(
     document: rig_keys.Document, motion: Path, angles: Path | None, angle_sigma: float
 ) -> tuple[Places, HandEyeFit, Coarse, float]:
+    """Hand-eye transform and coarse law from a recording with rests at known angles."""
     known = read_known(angles or motion / "angles.csv")
     unknown = {"rotation_deg": [0.0, 0.0, 0.0], "translation_mm": [0.0, 0.0, 0.0]}
     so_far = Rig.from_document({**document, "coarse": {"gain": 1.0, "offset": 0.0}, "hand_eye": unknown}, "so far")
@@ -215,7 +218,7 @@ def _moved(
 
 
 def _rounded(section: dict[str, Any]) -> dict[str, Any]:
-    """To 9 digits, far below every sigma: a file that can be read."""
+    """Numbers rounded to 9 digits, far finer than every sigma, so that the file is readable."""
 
     def short(value: float) -> float:
         return float(f"{value:.9g}")

@@ -74,7 +74,7 @@ def command(
     options = LiveOptions(board=board, axis=axis, camera=camera, colour=colour, simulate=None, at=at)
     following = None
     with ExitStack() as stack:
-        ended = stack.enter_context(_ending(duration))
+        ended = stack.enter_context(_end_condition(duration))
         graph = stack.enter_context(Graph("tautline", ["--ros-args", *ros_arguments] if of_ros else []))
         parameters = Parameters.of(graph.node)
         live = stack.enter_context(opened(options, rig_path, model=model))
@@ -88,13 +88,14 @@ def command(
     tracking = None if following is None else following.summary()
     if following is not None and (following.lost or following.beyond):
         warn(following.lost or following.beyond)
-    text = _text(result)
+    text = _counts_in_words(result)
     emit(result | {"tracking": tracking}, as_json, text if tracking is None else f"{text}; {tracking_text(tracking)}")
 
 
 @contextmanager
-def _ending(duration_s: float | None) -> Iterator[Callable[[], bool]]:
-    """Whether it is time to end: Ctrl-C or SIGTERM came, or the time is over. Between two messages, not in one."""
+def _end_condition(duration_s: float | None) -> Iterator[Callable[[], bool]]:
+    """A function that says whether to end: Ctrl-C or SIGTERM came, or the time is over. Signals take effect between two
+    messages."""
     came = False
     began = time.monotonic()
 
@@ -110,7 +111,8 @@ def _ending(duration_s: float | None) -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
-def _text(result: dict[str, Any]) -> str:
+def _counts_in_words(result: dict[str, Any]) -> str:
+    """Set-points sent and received, unusable messages, silences and refusals, as one line."""
     return (
         f"{result['sent']} set-points in {result['seconds']:.1f} s of {result['received']} that came, "
         f"{result['unusable']} without the joint, {result['silences']} silences, {result['refused']} refused"

@@ -85,7 +85,7 @@ def recall(
         with opened(live, rig_path, seed, model=known.first()) as setup, progress_bar("recall") as progress:
             nearest, rms = of_live(setup, known, progress)
     else:
-        nearest, rms = _of_recording(known, recording_path)
+        nearest, rms = _recall_from_recording(known, recording_path)
     for name, off in rms.items():
         log(f"taut: {name}: off by {off:.3g} rms")
     folder = library / nearest.name
@@ -96,7 +96,8 @@ def recall(
     )
 
 
-def _of_recording(known: Library, path: Path) -> tuple[Shape, dict[str, float]]:
+def _recall_from_recording(known: Library, path: Path) -> tuple[Shape, dict[str, float]]:
+    """The shape that a recording shows, and the rms of each."""
     from tautline.recording import load
     from tautline.shapes import recalled
     from tautline.vision.marker import with_marker

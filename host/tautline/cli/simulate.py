@@ -41,8 +41,8 @@ def _back_and_forth(actuator: Actuator, wish: _Wish) -> Trajectory:
 
 
 def usual_stroke(span: float, reversals: int) -> float:
-    """15 % of the range, and more where there are few reversals: the way back, a stroke less what the ramp goes on by,
-    has to stay longer than any backlash, _WAY_BACK of the range."""
+    """15 % of the range, more with few reversals: the way back (a stroke less the ramp's advance) has to be longer than
+    any backlash, _WAY_BACK of the range."""
     advances = max(1, reversals // 2)
     return max(0.15, (_WAY_BACK * advances + 1.0) / (advances + 1.0)) * span
 
@@ -66,8 +66,8 @@ def _one_speed(actuator: Actuator, wish: _Wish) -> float:
     return wish.speeds[0] if wish.speeds else 0.1 * actuator.span
 
 
-def _short_strokes(trajectory: Trajectory, instrument: Instrument) -> int:
-    """Strokes between two reversals that do not get through the backlash."""
+def _count_short_strokes(trajectory: Trajectory, instrument: Instrument) -> int:
+    """How many strokes between two reversals are too short to get through the backlash."""
     way = np.sign(np.diff(trajectory.q))
     moving = np.flatnonzero(way)
     turns = moving[np.flatnonzero(np.diff(way[moving]))] + 1  # the last sample before each
@@ -171,7 +171,7 @@ def command(
     if video and not made.drawn:
         raise TautError(f"{instrument}: its effects change what is seen, which no drawn video shows: leave --video out")
     trajectory = _MOTIONS[motion](rig.actuator, _Wish(speeds, amplitude, reversals, dwell, duration, seed))
-    if short := _short_strokes(trajectory, made):
+    if short := _count_short_strokes(trajectory, made):
         warn(
             f"{short} of the motor's strokes are shorter than the instrument's backlash: nothing moves on them and no "
             "calibration can use them. Choose a larger --amplitude or more --reversals"

@@ -99,7 +99,7 @@ def command(
     before = signal.signal(signal.SIGINT, stop)
     try:
         with ExitStack() as stack:
-            opened, following = _opened(stack, board, axis, model, camera, colour, rig_path, library, force)
+            opened, following = _open_board(stack, board, axis, model, camera, colour, rig_path, library, force)
             points = stack.enter_context(SetPointStream(opened, axis, silence))
             began = time.monotonic()
             newest, fresh = points.start_deg, 0.0
@@ -130,7 +130,7 @@ def command(
     )
 
 
-def _opened(
+def _open_board(
     stack: ExitStack,
     where: str | None,
     axis: int,
@@ -141,7 +141,7 @@ def _opened(
     library: Library | None,
     force: bool,
 ) -> tuple[Board, Following | None]:
-    """The board with the model's tables in the axis; with a camera, what keeps the model calibrated."""
+    """The board with the model's tables in the axis and, with a camera, what keeps the model calibrated."""
     from tautline.device.board import open_board
     from tautline.live.in_use import Following, TableMover, beside, load_tables
 
@@ -178,7 +178,7 @@ class _Lines:
         self.ended = False
 
     def newest(self) -> str | None:
-        """The last whole line that came since, None where there is none."""
+        """The last whole line that has come since the last call; None where there is none."""
         last = None
         while not self.ended and self._inputs.select(0):
             data = os.read(sys.stdin.fileno(), 1 << 16)

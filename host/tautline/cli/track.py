@@ -63,7 +63,7 @@ def command(
     changes = [{"recording": c.recording, "t_s": c.t_s, "state": c.state, "says": c.says} for c in result.changes]
     summary = _summary(result, recordings)
     if not as_json:
-        _tell(result, summary)
+        _log_result(result, summary)
     emit(
         {"csv": csv_path, "rows": len(result.rows), "changes": changes, "recordings": summary},
         as_json,
@@ -72,7 +72,7 @@ def command(
 
 
 def _summary(result: Tracked, recordings: list[Any]) -> list[dict[str, Any]]:
-    """For each recording: residual rms, the law at its end, how long each state lasted (frames)."""
+    """For each recording the residual's rms, the law at its end, and how many frames each state lasted."""
     from tautline.tracking import residuals
 
     off = residuals(result, recordings)
@@ -96,7 +96,8 @@ def _summary(result: Tracked, recordings: list[Any]) -> list[dict[str, Any]]:
     return table
 
 
-def _tell(result: Tracked, summary: list[dict[str, Any]]) -> None:
+def _log_result(result: Tracked, summary: list[dict[str, Any]]) -> None:
+    """Logs the changes of state and, for each recording, its residual and the law at its end."""
     unit = "px" if result.sensor == "marker" else "deg"
     for change in result.changes[:_MOST_CHANGES]:
         state = click.style(change.state.value, fg=_COLOURS[change.state.value], bold=True)

@@ -65,14 +65,17 @@ def command(
     library = None if library_path is None else Library.load(library_path)
     if live.simulate is not None and motion == "none" and duration is None:
         raise click.UsageError("a simulated instrument that nothing moves: name --motion or --duration")
-    with opened(live, rig_path, seed, model=model) as setup, _shown(model.rig.actuator.unit, as_json) as told:
+    with (
+        opened(live, rig_path, seed, model=model) as setup,
+        _progress_display(model.rig.actuator.unit, as_json) as told,
+    ):
         result = watch(setup, model, motion, speed=speed, duration_s=duration, seed=seed, library=library, told=told)
-    emit(result, as_json, _text(result, model.rig.actuator.unit) + shape_text(result, library))
+    emit(result, as_json, _result_in_words(result, model.rig.actuator.unit) + shape_text(result, library))
 
 
 @contextmanager
-def _shown(unit: str, as_json: bool) -> Iterator[Callable[[Row, float], None]]:
-    """The latest row where stderr is a terminal, else a line for each change of state."""
+def _progress_display(unit: str, as_json: bool) -> Iterator[Callable[[Row, float], None]]:
+    """Shows the latest row where stderr is a terminal, else logs a line for each change of state."""
     last: list[Any] = [None, float("-inf")]
 
     def changed(row: Row, t_s: float) -> None:
@@ -95,12 +98,13 @@ def _shown(unit: str, as_json: bool) -> Iterator[Callable[[Row, float], None]]:
             now = time.monotonic()
             if now - last[1] >= _FRAME_S:
                 last[1] = now
-                screen.update(_line(row, t_s, unit), refresh=True)
+                screen.update(_row_line(row, t_s, unit), refresh=True)
 
         yield drawn
 
 
-def _line(row: Row, t_s: float, unit: str) -> Any:
+def _row_line(row: Row, t_s: float, unit: str) -> Any:
+    """A tracker's row in one line. unit: of q."""
     from rich.text import Text
 
     line = Text(f"{t_s:8.1f} s  ")
@@ -111,7 +115,8 @@ def _line(row: Row, t_s: float, unit: str) -> Any:
     return line
 
 
-def _text(result: dict[str, Any], unit: str) -> str:
+def _result_in_words(result: dict[str, Any], unit: str) -> str:
+    """The result as text for a terminal. unit: of q."""
     if result["state"] is None:
         return "no frame was tracked: does the board send telemetry, does the camera see the marker?"
     rms = "" if result["rms_px"] is None else f", off by {result['rms_px']:.3g} px rms"

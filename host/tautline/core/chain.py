@@ -70,6 +70,7 @@ class Chain:
     outside: Sequence[OutsideBlock] = field(default=())
 
     def __post_init__(self) -> None:
+        """TautError for blocks from outside that do not go together, or not with the model's effects."""
         inside = [block for block in self.outside if block.stage in (Stage.PLANT, Stage.STATE)]
         if sum(block.stage is Stage.PLANT for block in inside) > 1:
             raise TautError("a chain has one plant: put the others into states")
@@ -77,19 +78,21 @@ class Chain:
             raise TautError(f"{inside[0].name}: the model's own effects stand where it would: use its nominal model")
 
     def at(self, path: MotorPath, scene_s: npt.ArrayLike, start_deg: float | None = None) -> Seen:
-        """Scene times (n,) on the motor's clock, in any order. The tip starts on the centre line, or at start_deg."""
+        """What is seen at scene times (n,) on the motor's clock, in any order. The tip starts on the centre line, or at
+        start_deg."""
         scene = np.asarray(scene_s, dtype=float)
         if not self.outside:
-            return Seen(_rows(self.model, self._simulated(path, scene, start_deg)))
+            return Seen(_seen_rows(self.model, self._simulated(path, scene, start_deg)))
         course = np.union1d(path.lines.t_s, scene)
-        q = self._through(Stage.INPUT, course, path.at(course))
-        tip = self._simulated(_driven(path, course, q), course, start_deg)
+        q = self._through_blocks(Stage.INPUT, course, path.at(course))
+        tip = self._simulated(_resampled(path, course, q), course, start_deg)
         if any(block.stage in (Stage.PLANT, Stage.STATE) for block in self.outside):
             plant = any(block.stage is Stage.PLANT for block in self.outside)
-            p = self._through(Stage.STATE, course, self._through(Stage.PLANT, course, q) if plant else tip.p)
+            p = self._through_blocks(Stage.PLANT, course, q) if plant else tip.p
+            p = self._through_blocks(Stage.STATE, course, p)
             tip = replace(tip, p=p, tip=p, c_deg=self.model.remaining(p))
-        tip = replace(tip, c_deg=self._through(Stage.OUTPUT, course, tip.c_deg))
-        return Seen(_rows(self.model, tip)[np.searchsorted(course, scene)])
+        tip = replace(tip, c_deg=self._through_blocks(Stage.OUTPUT, course, tip.c_deg))
+        return Seen(_seen_rows(self.model, tip)[np.searchsorted(course, scene)])
 
     def slopes(self, path: MotorPath, scene_s: npt.ArrayLike, start_deg: float | None = None) -> Array:
         """(n, 1 or 3, m) derivatives of `at`'s rows by the values of all blocks from outside, in their order."""
@@ -101,7 +104,8 @@ class Chain:
         rest = iter(values.tolist())
         return replace(self, outside=[replace(b, values=tuple(next(rest) for _ in b.values)) for b in self.outside])
 
-    def _through(self, stage: Stage, t_s: Array, x: Array) -> Array:
+    def _through_blocks(self, stage: Stage, t_s: Array, x: Array) -> Array:
+        """Values x at times t_s after all blocks of this stage."""
         for block in self.outside:
             if block.stage is stage:
                 x = np.asarray(block.run(t_s, x, np.array(block.values)), dtype=float)
@@ -115,7 +119,8 @@ class Chain:
 
 
 def by_differences(rows: Callable[[Array], Array], at: Array, steps: Array) -> Array:
-    """(..., m) central differences of an array (...) that follows from values (m,); 0 where a step is."""
+    """(..., m) Central differences of the array rows(values) (...) by values (m,), with these steps; 0 where a step is
+    0."""
     columns = []
     for i, step in enumerate(steps):
         away = np.zeros(len(at))
@@ -124,15 +129,16 @@ def by_differences(rows: Callable[[Array], Array], at: Array, steps: Array) -> A
     return np.stack(columns, axis=-1) if columns else np.zeros((*rows(at).shape, 0))
 
 
-def _rows(model: Model, tip: effects.Path) -> Array:
+def _seen_rows(model: Model, tip: effects.Path) -> Array:
+    """(n, 1) deg, or (n, 3) deg and px with a camera, of a tip's path."""
     c = tip.c_deg[:, None]
     if not model.rig.has_camera:
         return c
     return np.column_stack([c, effects.image(model, tip, effects.of_model(model))])
 
 
-def _driven(path: MotorPath, at: Array, q: Array) -> MotorPath:
-    """The path with knots at times (n,), its motor at q there and all else where it was."""
+def _resampled(path: MotorPath, at: Array, q: Array) -> MotorPath:
+    """The path with knots at times (n,): its motor at q there, the other axes interpolated."""
     lines = path.lines
 
     def taken(values: Array | None) -> Array | None:

@@ -26,14 +26,16 @@ class MotorPath:
 
     @classmethod
     def of(cls, readings: Motor, resolution: float, until_s: float = np.inf) -> Self:
-        """By the readings up to a horizon, s; resolution: the encoder's step. The same readings make the same path."""
+        """The path by the readings up to `until_s`; resolution: the encoder's step. The same readings give the same
+        path."""
         known = readings if until_s >= readings.t_s[-1] else cut(readings, until_s)
         return cls(known, straight_lines(known, resolution), posterior_of(known, resolution))
 
     @classmethod
     def closely(cls, readings: Motor, resolution: float) -> Self:
-        """With a knot at every reading, for what averages over thousands of them: few lines leave up to a count where
-        the motor slows down, on average too, which moves a calibration's delay by 0.4 ms at 1 um and 12 mm/s^2."""
+        """The path with a knot at every reading, for estimates that average over thousands of them: few lines are off
+        by up to a count where the motor slows down, also in the mean, which shifts a calibration's delay by 0.4 ms at 1
+        um and 12 mm/s^2."""
         return cls(readings, between_counts(readings, resolution), posterior_of(readings, resolution))
 
     def at(self, t_s: Array) -> Array:
@@ -47,21 +49,21 @@ class MotorPath:
 
     @cached_property
     def bending_alone(self) -> Self:
-        """Without translation and rotation."""
+        """The path without translation and rotation."""
         readings, lines = (
             replace(motor, translation_mm=None, rotation_deg=None) for motor in (self.readings, self.lines)
         )
         return type(self)(readings, lines, self.posterior)
 
     def course(self, from_s: float, to_s: float) -> tuple[Array, Array]:
-        """Times and q (n,) of all that it does between two times, both of them included: straight in between."""
+        """Knots of the path from one time to another, both included: times and q (n,), straight lines between them."""
         knots = self.lines.t_s
         inner = knots[np.searchsorted(knots, from_s, side="right") : np.searchsorted(knots, to_s)]
         t_s = np.concatenate([[from_s], inner, [to_s]])
         return t_s, self.at(t_s)
 
     def others_at(self, t_s: Array) -> tuple[Array, Array]:
-        """translation (n,) mm and rotation (n,) deg; 0 where they are not recorded."""
+        """Translation (n,) mm and rotation (n,) deg at these times; 0 where they are not recorded."""
         columns = self.lines.translation_mm, self.lines.rotation_deg
         translation, rotation = (
             np.zeros_like(t_s) if values is None else np.asarray(np.interp(t_s, self.lines.t_s, values))
@@ -70,15 +72,15 @@ class MotorPath:
         return translation, rotation
 
     def sigma_at(self, t_s: Array) -> Array:
-        """One standard deviation of q at times (n,), its unit: the posterior's, else the same at all times."""
+        """(n,) One standard deviation of q at these times, its unit: the posterior's if there is one, else `sigma`."""
         if self.posterior is None:
             return np.full(np.shape(t_s), self.sigma)
         return np.asarray(np.interp(t_s, self.posterior.t_s, self.posterior.sigma))
 
     @cached_property
     def sigma(self) -> float:
-        """One standard deviation of q(t), its unit, by the scatter of the readings: what the lines leave of them, less
-        as many of them as there are go into a line. How far lines are from a curved path, up to a count or what no
-        camera sees, is not in it."""
+        """One standard deviation of q(t), its unit: the rms of the readings about the lines, times sqrt(knots /
+        readings), as each line averages over its readings. Not included is how far straight lines are from a curved
+        path (up to a count, or what no camera sees)."""
         left = float(np.sqrt(np.mean((self.readings.q - self.at(self.readings.t_s)) ** 2)))
         return left * float(np.sqrt(min(len(self.lines.t_s) / len(self.readings.t_s), 1.0)))

@@ -37,8 +37,8 @@ class Posterior(Value):
 
     @classmethod
     def laplace(cls, names: Sequence[str], mode: Array, hessian: Array, log_joint: float) -> Self:
-        """By Laplace: about the mode (n,) of the parameters, where the logarithm of likelihood times prior is log_joint
-        and its second derivatives are -hessian (n, n), positive definite. Raises LinAlgError where that is not."""
+        """The normal approximation at the mode (n,) of the parameters, where log(likelihood times prior) is log_joint
+        and its second derivatives are -hessian (n, n). LinAlgError where that is not positive definite."""
         factor = cho_factor(hessian)
         half_log_det = float(np.sum(np.log(np.diag(factor[0]))))
         evidence = log_joint + 0.5 * len(mode) * float(np.log(2.0 * np.pi)) - half_log_det
@@ -50,13 +50,14 @@ class Posterior(Value):
         return np.sqrt(np.diag(self.covariance))
 
     def marginal(self, names: Sequence[str]) -> Self:
-        """Of these parameters, whatever the others are."""
-        at = self._at(names)
+        """The posterior of these parameters alone, the others integrated out."""
+        at = self._indices(names)
         return type(self)(tuple(names), self.mean[at], self.covariance[np.ix_(at, at)], self.log_evidence)
 
     def given(self, values: Mapping[str, float]) -> Self:
-        """Of the others, with these known; its evidence is the density of data and these together."""
-        known = self._at(list(values))
+        """The posterior of the other parameters if these have known values; its evidence is the joint density of the
+        data and these values."""
+        known = self._indices(list(values))
         rest = np.setdiff1d(np.arange(len(self.names)), known)
         off = np.array(list(values.values())) - self.mean[known]
         within = self.covariance[np.ix_(known, known)]
@@ -83,7 +84,7 @@ class Posterior(Value):
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """What `save` wrote. TautError where it is not there, or is something else."""
+        """Reads what `save` wrote. TautError where there is none, or something else."""
         try:
             document = json.loads(path.read_text(encoding="utf-8"))
             if document["format"] != FORMAT:
@@ -96,7 +97,7 @@ class Posterior(Value):
         except (ValueError, KeyError, TypeError) as error:
             raise TautError(f"{path}: no posterior, or a damaged one: write it again") from error
 
-    def _at(self, names: Sequence[str]) -> npt.NDArray[np.intp]:
+    def _indices(self, names: Sequence[str]) -> npt.NDArray[np.intp]:
         if unknown := [name for name in names if name not in self.names]:
             raise ValueError(f"{', '.join(unknown)}: no such parameter, there are {', '.join(self.names)}")
         return np.array([self.names.index(name) for name in names], dtype=np.intp)

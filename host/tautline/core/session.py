@@ -25,9 +25,9 @@ class SessionClock:
 
     @classmethod
     def of(cls, recordings: Sequence[Recording]) -> Self:
-        """Recordings share one clock where their times do not overlap, in whatever order they are given; the first
-        that overlaps one before it follows all of them, and those given after it, and later than it, share its clock.
-        On the common clock no two overlap."""
+        """The offsets that put recordings on one clock. Recordings share a clock where their times do not overlap, in
+        whatever order they are given. The first that overlaps an earlier one is put after all before it, and later ones
+        that are after it share its clock."""
         offsets: list[float] = []
         known: list[bool] = []
         group: list[tuple[float, float]] = []  # spans that share the clock in use
@@ -59,7 +59,7 @@ class Session(Value, Sequence[Recording]):
         return SessionClock.of(self.recordings)
 
     def in_time(self) -> Session:
-        """The same, the earliest first: what they say together does not depend on the order of their files."""
+        """The same session, the earliest recording first: results do not depend on the order of the files."""
         begins = [
             float(r.motor.t_s[0]) + offset for r, offset in zip(self.recordings, self.clock.offset_s, strict=True)
         ]

@@ -43,8 +43,8 @@ class BoardRefused(TautError):
 
 
 def find(where: str | None = None) -> list[BoardAddress]:
-    """`where`: usbip:HOST:PORT, serial:DEVICE, motors as in drivers/addresses, a serial number, usb:SERIAL, or None for
-    every board on USB and the one that the environment variable TAUTLINE_BOARD names."""
+    """Boards by name: usbip:HOST:PORT, serial:DEVICE, motors as in drivers/addresses, a serial number or usb:SERIAL;
+    None means every board on USB and the one that TAUTLINE_BOARD names."""
     if where is not None and _is_address(where):
         return _find_named(where)
     boards = find_usb()
@@ -68,8 +68,8 @@ def _find_named(where: str) -> list[BoardAddress]:
 
 
 def open_board(where: str | None = None, otherwise: str = "") -> Board:
-    """The one board that `where` names (see `find`), checked to speak this protocol and to be free. `otherwise`: what
-    else the caller could use where there is none, for the error."""
+    """The one board that `where` names (see `find`), opened after checking that it speaks this protocol and is free.
+    otherwise: what else the caller can use, for the error's text."""
     boards = find(where)
     if not boards:
         looked = f"no board '{where}' was found" if where else "no board was found"
@@ -84,7 +84,7 @@ def open_board(where: str | None = None, otherwise: str = "") -> Board:
 
 
 def check_protocol(description: BoardAddress) -> None:
-    """Before anything is opened: a board of another protocol generation is left alone."""
+    """TautError for a board of another protocol generation, before anything is opened."""
     ours, theirs = wire.wire.MAJOR, description.protocol[0]
     if theirs == ours:
         return
@@ -95,7 +95,7 @@ def check_protocol(description: BoardAddress) -> None:
 
 
 def newer_firmware(where: str, protocol: tuple[int, int]) -> str:
-    """How a board that speaks this protocol gets it."""
+    """How to give a board of this protocol newer firmware, in words."""
     if where.startswith(("usbip:", "serial:tcp:")):
         return "run 'cmake --build --preset gcc' and start the board again"
     if protocol >= (wire.wire.MAJOR, wire.wire.SINCE["get_firmware"]):
@@ -111,6 +111,7 @@ class Board:
     """
 
     def __init__(self, description: BoardAddress) -> None:
+        """Opens the board and asks who it is. TautError where it speaks another protocol or does not answer."""
         check_protocol(description)
         self.where = description.where
         self.clock = BoardClock()
@@ -139,6 +140,7 @@ class Board:
             raise
 
     def _hello(self) -> wire.Message:
+        """The board's identity. TautError where it does not answer."""
         tries = self._link.hello_tries
         for left in reversed(range(tries)):
             try:
@@ -169,7 +171,7 @@ class Board:
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[None]:
-        """A thread takes in what the board sends, until the end of the block."""
+        """Inside, a thread takes in what the board sends."""
         self._stop.clear()
         self._reader = threading.Thread(target=self._read, name="board reader", daemon=True)
         self._reader.start()
@@ -199,7 +201,7 @@ class Board:
 
     @contextlib.contextmanager
     def listening(self, **listeners: Listener) -> Iterator[None]:
-        """Listens inside: a listener by its message's name."""
+        """Inside, these listeners get the messages of their name."""
         for name, listener in listeners.items():
             self.listen(name, listener)
         try:
@@ -213,11 +215,11 @@ class Board:
         self.tell_all(name, [values])
 
     def tell_all(self, name: str, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Several such messages in one transfer."""
+        """Sends several messages of one kind in one transfer."""
         self._check_known(name)
         frames = []
         for values in rows:
-            sequence = self._next()
+            sequence = self._next_sequence()
             self._told[sequence] = name
             self._told.pop((sequence - 1000) & 0xFFFF, None)
             frames.append(wire.encode(name, sequence, **values))
@@ -225,10 +227,11 @@ class Board:
             self._write(b"".join(frames))
 
     def ask(self, name: str, timeout_s: float | None = None, **values: Any) -> wire.Message:
-        """Sends a request and gives its answer; BoardRefused where that is an error."""
+        """Sends a request and returns its answer; BoardRefused where that is an error, TautError without one in
+        time."""
         self._check_known(name)
         timeout_s = self._answer_s if timeout_s is None else timeout_s
-        sequence = self._next()
+        sequence = self._next_sequence()
         frame = wire.encode(name, sequence, **values)
         deadline = time.monotonic() + timeout_s
         self._answers.pop(sequence, None)  # a late one, from before the sequence wrapped
@@ -249,14 +252,14 @@ class Board:
                 raise BoardGone(f"{self.where}: the board has restarted: run the command again")
             fault = ""
             if answer.reason == wire.code("REASONS", "FAULT") and "axis" in values:
-                fault = self._fault(values["axis"])
+                fault = self._fault_in_words(values["axis"])
             raise BoardRefused(name, answer.reason, fault)
         if answer.name != wire.ANSWERS[name]:
             raise TautError(f"{self.where}: the board answers '{name}' by '{answer.name}': switch it off and on")
         return answer
 
     def _check_known(self, name: str) -> None:
-        """TautError where the board's firmware is older than the message."""
+        """TautError where the board's firmware is older than this message."""
         since = wire.wire.SINCE.get(name, 0)
         if since and self.identity.protocol_minor < since:
             major, minor = self.identity.protocol_major, self.identity.protocol_minor
@@ -266,7 +269,7 @@ class Board:
             )
 
     def poll(self, timeout_s: float) -> int:
-        """Takes in what the board sends next, waiting up to the time; the number of messages."""
+        """Takes in what the board sends, waiting for at most this time; returns the number of messages."""
         if self._lost is not None:
             raise self._lost
         try:
@@ -279,10 +282,11 @@ class Board:
         count = 0
         for message in self._decoder.feed(data):
             count += 1
-            self._take(message)
+            self._dispatch(message)
         return count
 
-    def _take(self, message: wire.Message) -> None:
+    def _dispatch(self, message: wire.Message) -> None:
+        """Hands a message to whoever waits for it or listens."""
         if message.name in self._listeners:
             if self._unasked is not None:
                 self.missed += (message.sequence - self._unasked - 1) & 0xFFFF
@@ -296,7 +300,7 @@ class Board:
                 self._answers[message.sequence] = message
                 self._arrived.notify_all()
 
-    def _next(self) -> int:
+    def _next_sequence(self) -> int:
         with self._asking:
             self._sequence = self._sequence % 0xFFFF + 1
             return self._sequence
@@ -333,7 +337,7 @@ class Board:
         return int(self.ask("ping", host_us=0).t_us)
 
     def align(self, trips: int = 8) -> float:
-        """Round trips for `clock` (against time.monotonic()); the error now, s."""
+        """Makes round trips for `clock` (against time.monotonic()); returns the bound of its error, s."""
         for _ in range(trips):
             sent = time.monotonic()
             stamp = self.ask("ping", host_us=round(sent * 1e6)).t_us
@@ -346,11 +350,11 @@ class Board:
 
     def check_fault(self, axis: int) -> None:
         """TautError where the axis has a fault."""
-        if fault := self._fault(axis):
+        if fault := self._fault_in_words(axis):
             raise TautError(fault)
 
-    def _fault(self, axis: int) -> str:
-        """The axis' fault and what mends it, "" where it has none."""
+    def _fault_in_words(self, axis: int) -> str:
+        """The axis' fault with its remedy, "" where it has none."""
         status = self.status(axis)
         if not status.fault:
             return ""
@@ -365,14 +369,13 @@ class Board:
             )
 
     def trust_motor(self, axis: int) -> None:
-        """Stores the settings of an axis as commissioned as they are: of a simulated motor, which the defaults are
-        for."""
+        """Stores the axis' settings as commissioned, as they are: for a simulated motor, which the defaults fit."""
         own = dict(self.ask("get_settings", axis=axis).values)
         self.ask("settings", **(own | {"commissioned": 1, "key": wire.wire.KEY}), timeout_s=5.0)
 
     def switch_on(self, axis: int, wait: Callable[[float], None] = time.sleep) -> None:
-        """Motor on and holding. The first time, and after settings or wiring may have changed, the board turns it a
-        little either way to check motor and encoder, half a second. `wait` lets board time pass."""
+        """Switches the motor on, holding. The first time, and after settings or wiring may have changed, the board
+        turns it a little in both directions to check motor and encoder, half a second. wait: lets board time pass."""
         self.check_fault(axis)
         self.ask("enable", axis=axis, on=1)
         for _ in range(round(_CHECK_S / _POLL_S)):
@@ -390,8 +393,8 @@ class Board:
         progress: Callable[[float, str], None] | None = None,
         any_instrument: bool = False,
     ) -> None:
-        """Stores a table (motors off) and compares what the board then holds byte for byte: by DFU on USB, elsewhere
-        in messages. `any_instrument`: one for another instrument than the settings name, too."""
+        """Stores a table (motors off) and compares what the board then holds byte for byte; by DFU on USB, else in
+        messages. any_instrument: also one for another instrument than the settings name."""
         self.check_axis(axis)
         if any_instrument:
             self.ask("any_table", axis=axis)
@@ -425,7 +428,7 @@ class Board:
     def load_table_by_messages(
         self, axis: int, blob: bytes, progress: Callable[[float, str], None] | None = None
     ) -> None:
-        """What any link can do, USB too."""
+        """`load_table` over any link."""
         part = wire.wire.PART
         try:
             for offset in range(0, len(blob), part):
@@ -444,6 +447,7 @@ class Board:
             raise TautError(says + _left_without(status)) from error
 
     def read_table_by_messages(self, axis: int) -> bytes:
+        """`read_table` over any link."""
         blob = bytearray()
         while len(blob) <= _native.TABLE_SIZE_MAX:
             part = self.ask("table_read", axis=axis, offset=len(blob))
@@ -453,7 +457,7 @@ class Board:
         raise TautError(f"{self.where}: the table of axis {axis} does not end: switch it off and on")
 
     def _refusal(self, axis: int, error: DfuError) -> TautError:
-        """DFU has one byte for the reason; the status message has the table's own."""
+        """The error of a refused table with its reason from the status message, as DFU has a single byte for it."""
         status = self.status(axis)
         if error.status == 0x02 and status.table_reason:
             says = f"the board refused the table of axis {axis}: {wire.table_reason(status.table_reason)}"
@@ -462,6 +466,6 @@ class Board:
 
 
 def _left_without(status: wire.Message) -> str:
-    """That no table is in use any more, where the one that was is damaged in flash."""
+    """A sentence where no table is in use any more, because the one that was is damaged in flash; else ""."""
     lost = status.table == wire.code("TABLES", "BAD")
     return "; the one that was in use is damaged in flash: flash a table that is whole" if lost else ""

@@ -30,7 +30,8 @@ class BoardClock:
             return np.array(self._trips)
 
     def _line(self) -> tuple[float, float, float, np.ndarray, np.ndarray] | None:
-        """Through the shortest round trips: mean time, offset there, drift; and their times and half lengths."""
+        """A line through the shortest round trips: its mean time, the offset there and the drift; and the trips' times
+        and half lengths, s."""
         trips = self._all()
         if len(trips) < 8:
             return None
@@ -43,7 +44,7 @@ class BoardClock:
         return float(mean), float(offset.mean()), drift, t, half
 
     def offset(self, host_s: float) -> tuple[float, float]:
-        """Board time minus host time at `host_s`, and what its error cannot exceed while both clocks run evenly; s."""
+        """Board time less host time at `host_s`, s, and the bound of its error while both clocks run evenly, s."""
         if not self._trips:
             return 0.0, float("inf")
         trips = self._all()
@@ -61,7 +62,7 @@ class BoardClock:
 
     @property
     def drift(self) -> float:
-        """By how much the board's clock runs faster; 0 until round trips span 5 s."""
+        """Rate of the board's clock less 1; 0 until the round trips span 5 s."""
         line = self._line()
         return line[2] if line else 0.0
 
@@ -69,6 +70,7 @@ class BoardClock:
         return max(round((host_s + self.offset(host_s)[0]) * 1e6), 0)
 
     def host_s(self, board_us: int) -> float:
+        """Host time, s, of a board time, us."""
         board = board_us * 1e-6
         host = board - (self._trips[-1][1] if self._trips else 0.0)
         for _ in range(3):  # the offset changes by less than STEADY of the step

@@ -48,6 +48,7 @@ class Dfu:
     """The DFU interface of an open device, on one alternate setting. Leaves the board idle, also after a failure."""
 
     def __init__(self, device: usb.core.Device, interface: int, alternate: int) -> None:
+        """Claims the alternate setting (an axis) of a DFU interface. DfuError where there is none."""
         self._device, self._interface, self._answer_ms = device, interface, _TIMEOUT_MS
         settings = [i for i in device.get_active_configuration() if i.bInterfaceNumber == interface]
         if alternate not in [i.bAlternateSetting for i in settings]:
@@ -79,18 +80,18 @@ class Dfu:
         progress: Callable[[float, str], None] | None = None,
         answer_ms: int = _TIMEOUT_MS,
     ) -> None:
-        """Writes `blob` and waits until the board has checked and stored it. `answer_ms`: for an answer, at most."""
+        """Writes `blob` and waits until the board has checked and stored it; answer_ms: at most for each answer."""
         self._answer_ms = answer_ms
         for number, start in enumerate(range(0, len(blob), self._block)):
             self._send(_DNLOAD, number, blob[start : start + self._block])
-            self._settle(_DNLOAD_IDLE)
+            self._wait_for_state(_DNLOAD_IDLE)
             if progress:
                 progress(min((start + self._block) / len(blob), 1.0), "loading")
         self._send(_DNLOAD, -(-len(blob) // self._block), b"")
-        self._settle(_IDLE)
+        self._wait_for_state(_IDLE)
 
     def upload(self) -> bytes:
-        """What the board has stored."""
+        """Reads what the board has stored."""
         blob = bytearray()
         number = 0
         while len(blob) <= _native.TABLE_SIZE_MAX:
@@ -108,6 +109,8 @@ class Dfu:
         return self._control(_IN, request, value, length)
 
     def _control(self, kind: int, request: int, value: int, what: bytes | int) -> Any:
+        """One control transfer of DFU, `what` being the bytes to send or the length to read. A stall becomes the
+        DfuError that the device's status gives."""
         try:
             return self._device.ctrl_transfer(kind, request, value, self._interface, what, self._answer_ms)
         except usb.core.USBError as error:
@@ -117,13 +120,14 @@ class Dfu:
             raise
 
     def _status(self) -> tuple[int, float, int]:
-        """bStatus, seconds to wait before the next question, bState."""
+        """bStatus, bwPollTimeout in s, bState."""
         answer = bytes(self._receive(_GETSTATUS, 0, 6))
         if len(answer) != 6:
             raise DfuError("the board's DFU status is too short: its firmware is not tautline's")
         return answer[0], int.from_bytes(answer[1:4], "little") / 1000.0, answer[4]
 
-    def _settle(self, wanted: int) -> None:
+    def _wait_for_state(self, wanted: int) -> None:
+        """Asks for the status until the state is `wanted`. DfuError with the device's reason, or after _BUSY_S."""
         deadline = time.monotonic() + _BUSY_S
         while True:
             status, pause, state = self._status()
@@ -137,6 +141,7 @@ class Dfu:
             time.sleep(min(pause, left))
 
     def _make_idle(self) -> None:
+        """Brings the device to dfuIDLE, whatever state it is in."""
         for _ in range(4):
             _, pause, state = self._status()
             if state == _IDLE:

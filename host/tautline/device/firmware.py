@@ -66,7 +66,7 @@ def text_of(version: Version) -> str:
 
 
 def pack(content: bytes, port: str, version: Version, slot: int, sign: Callable[[bytes], bytes]) -> bytes:
-    """One image of an update file; `sign` makes 64 bytes of what is signed."""
+    """One image of an update file; `sign` gives the 64-byte signature of what is signed."""
     content += b"\xff" * (-len(content) % PAGE)
     known: dict[str, Any] = {
         "format": _FORMAT,
@@ -84,7 +84,7 @@ def pack(content: bytes, port: str, version: Version, slot: int, sign: Callable[
 
 
 def read(path: Path) -> list[Image]:
-    """The images of an update file. TautError where it is none, or is not whole."""
+    """The images of an update file. TautError where it is none or incomplete."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -108,8 +108,8 @@ def read(path: Path) -> list[Image]:
 
 
 def check(path: Path, images: Sequence[Image], port: str, runs: wire.Message, older_too: bool) -> Image:
-    """TautError where the board, whose identity names its port and which says `runs`, would refuse these; else the
-    one that it takes."""
+    """The image that a board would take; TautError where it would refuse all. port: of its identity; runs: the version
+    that it runs."""
     if runs.slot == ANY_SLOT and runs.refused == wire.code("UPDATES", "NO_SLOT"):
         raise TautError(wire.text("UPDATES", runs.refused))
     others = {image.port for image in images} - {port}

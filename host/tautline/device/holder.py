@@ -12,25 +12,26 @@ from pathlib import Path
 
 
 def note(where: str) -> Path:
-    """The file that says who holds this board."""
+    """The path of the file that says which process holds this board."""
     folder = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir())
     return folder / f"tautline-board-{hashlib.sha256(where.encode()).hexdigest()[:16]}.json"
 
 
 def take(where: str) -> None:
-    """Notes that this process holds the board. A note that cannot be written costs a name in a message, no more."""
+    """Notes that this process holds the board; failing to write it only costs a name in a message."""
     with contextlib.suppress(OSError):
         note(where).write_text(json.dumps({"pid": os.getpid(), "program": _program()}), encoding="utf-8")
 
 
 def leave(where: str) -> None:
+    """Removes this process' own note."""
     if _read(where).get("pid") == os.getpid():
         with contextlib.suppress(OSError):
             note(where).unlink()
 
 
 def busy(where: str) -> str:
-    """One line: who uses the board, as far as it is known, and what to do."""
+    """One line: which process uses the board, if known, and what to do."""
     held = _read(where)
     pid, program = held.get("pid"), held.get("program")
     if isinstance(pid, int) and isinstance(program, str) and pid != os.getpid() and _lives(pid):
@@ -47,6 +48,7 @@ def _program() -> str:
 
 
 def _read(where: str) -> dict[str, object]:
+    """What the note says; {} where there is none, or it is damaged."""
     try:
         document = json.loads(note(where).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -55,6 +57,7 @@ def _read(where: str) -> dict[str, object]:
 
 
 def _lives(pid: int) -> bool:
+    """Whether a process of this number exists."""
     try:
         os.kill(pid, 0)
     except PermissionError:

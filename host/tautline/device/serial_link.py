@@ -37,6 +37,7 @@ class _Socket:
         self.timeout: float | None = 0.0
 
     def read(self, size: int) -> bytes:
+        """Up to `size` bytes, waiting for the first as long as the time-out says; b"" where none come."""
         ready, _, _ = select.select([self._socket], [], [], self.timeout)
         if not ready:
             return b""
@@ -71,6 +72,7 @@ class SerialLink:
             raise self._gone() from error
 
     def read(self, timeout_s: float) -> bytes:
+        """The bytes that come within the time."""
         try:
             self._port.timeout = max(timeout_s, 0.0)
             first = self._port.read(1)
@@ -100,6 +102,7 @@ def _busy(where: str) -> TautError:
 
 
 def _open(where: str) -> Any:
+    """The open line of serial:DEVICE[@BAUD] or of a socket of a simulated board. TautError with a remedy."""
     name = where.removeprefix("serial:")
     if match := re.fullmatch(r"tcp:(.+):(\d+)", name):
         if not _is_here(match[1]):
@@ -126,6 +129,7 @@ def _open(where: str) -> Any:
 
 
 def _is_here(host: str) -> bool:
+    """Whether a host name is this machine."""
     if host == "localhost":
         return True
     try:
@@ -135,7 +139,7 @@ def _is_here(host: str) -> bool:
 
 
 def find_serial(where: str) -> list[BoardAddress]:
-    """Says hello to ask who is there: without an answer nobody is."""
+    """The board on a serial line, if it answers a hello; else none."""
     busy = BoardAddress(where, None, True, (wire.wire.MAJOR, wire.wire.MINOR), lambda: _refuse(where))
     try:
         link = SerialLink(where)
@@ -162,6 +166,7 @@ def _refuse(where: str) -> SerialLink:
 
 
 def _identity(link: SerialLink) -> wire.Message | None:
+    """The identity that a board on this line answers; None where nobody does."""
     decoder = wire.Decoder()
     deadline = time.monotonic() + _ASK_S
     while (left := deadline - time.monotonic()) > 0.0:

@@ -19,7 +19,7 @@ class SetPointStream:
     """Sends c*, deg, to one axis through its tables. After the block the axis is at rest and off."""
 
     def __init__(self, board: Board, axis: int, silence_s: float = 0.1) -> None:
-        """silence_s: without a set-point for so long the board brings the axis to rest by itself."""
+        """silence_s: after so long without a set-point the board brings the axis to rest by itself."""
         board.check_axis(axis)
         board.check_fault(axis)
         board.check_reference(axis)
@@ -54,7 +54,8 @@ class SetPointStream:
             self._board.check_fault(self._axis)  # one that came too late for pace() to see
 
     def send(self, c_deg: float) -> bool:
-        """False where the axis is still coming to rest after a silence: nothing was sent, send again."""
+        """Sends a set-point, deg. False where nothing was sent, as the axis is still coming to rest after a silence:
+        send again."""
         now = time.monotonic()
         if now - self._last > 0.9 * self._silence_s and not self._resume():
             return False
@@ -65,7 +66,7 @@ class SetPointStream:
         return True
 
     def _resume(self) -> bool:
-        """After a silence the axis holds: it follows again, from where it is and within its limits."""
+        """After a silence, makes the axis follow again from where it is, within its limits."""
         mode = self._board.status(self._axis).mode
         if mode == wire.code("MODES", "HOLD"):
             self._follow()
@@ -75,8 +76,8 @@ class SetPointStream:
         return bool(mode == wire.code("MODES", "FOLLOW_TIP"))
 
     def pace(self, period_s: float) -> None:
-        """Sleeps until the next set-point is due. Four times a second a round trip keeps the clocks together, and shows
-        whether the board took what was sent; TautError where the axis has a fault."""
+        """Sleeps until the next set-point is due. Every quarter of a second a round trip aligns the clocks and checks
+        the board; TautError where the axis has a fault."""
         self._next += period_s
         now = time.monotonic()
         if now > self._next + 0.5 * period_s:
@@ -105,6 +106,7 @@ class SetPointStream:
         return len(self._board.refused)
 
     def summary(self) -> dict[str, Any]:
+        """Counts for a command's JSON: set-points sent and late, silences."""
         return {
             "sent": self.sent,
             "seconds": self.seconds,

@@ -46,7 +46,7 @@ def update(
     older_too: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> Updated:
-    """Gives a board new firmware and waits until it has shown that it runs. TautError: the board runs what it ran."""
+    """Sends new firmware and waits until it runs and is confirmed. On TautError the board runs the old one."""
     return finish(send(where, path, older_too, progress))
 
 
@@ -56,14 +56,14 @@ def send(
     older_too: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> Sent:
-    """The image that the board needs is in its flash, and the board restarts."""
+    """Writes the image that the board needs into its flash and restarts the board."""
     images = firmware.read(path)
     with open_board(where) as board:
         runs = board.ask("get_firmware")
         image = firmware.check(path, images, str(board.identity.port), runs, older_too)
         if older_too:
             board.ask("any_firmware", key=wire.wire.KEY)
-        _send(board, image.page + image.content, progress)
+        _download(board, image.page + image.content, progress)
         with contextlib.suppress(BoardGone):  # it may restart before its answer is read: `finish` sees what came of it
             board.ask("reboot", key=wire.wire.KEY, bootloader=0)
         before = firmware.version_of(runs.version)
@@ -72,12 +72,12 @@ def send(
 
 
 def finish(sent: Sent) -> Updated:
-    """The board is back, and what it runs is confirmed."""
+    """Waits until the board is back and its firmware is confirmed."""
     deadline = time.monotonic() + _BACK_S
     trial = wire.code("FIRMWARES", "TRIAL")
     while True:
         time.sleep(_POLL_S)
-        now = _told(sent.where)
+        now = _firmware_of(sent.where)
         if now is not None and now.slot != sent.slot and now.state != trial:
             return Updated(sent.board, sent.port, sent.before, firmware.version_of(now.version), int(now.slot))
         if now is not None and now.slot == sent.slot and now.other_state != trial:  # else: not restarted yet
@@ -91,14 +91,15 @@ def finish(sent: Sent) -> Updated:
             )
 
 
-def _told(where: str) -> wire.Message | None:
+def _firmware_of(where: str) -> wire.Message | None:
     """What a board says of its firmware; None where it is not on its bus."""
     with contextlib.suppress(TautError), open_board(where) as board:
         return board.ask("get_firmware")
     return None
 
 
-def _send(board: Board, data: bytes, progress: Callable[[float, str], None] | None) -> None:
+def _download(board: Board, data: bytes, progress: Callable[[float, str], None] | None) -> None:
+    """Writes the image by DFU. TautError where the link has none, or the board refuses the firmware."""
     dfu = board.firmware_route()
     if dfu is None:
         raise TautError(f"{board.where}: firmware does not travel over a serial line: connect the board by USB")

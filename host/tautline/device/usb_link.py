@@ -67,6 +67,7 @@ class UsbLink:
             raise self._explain(error) from error
 
     def _explain(self, error: usb.core.USBError) -> TautError:
+        """The TautError for a USB error, with its remedy."""
         if error.errno in (errno.ENODEV, errno.EIO, errno.ESHUTDOWN, errno.ENOENT):
             return BoardGone(f"{self._where}: the board is gone: check plug and power, then run the command again")
         if error.errno == errno.EBUSY:
@@ -85,6 +86,7 @@ def _found(device: usb.core.Device, where: str, serial: str | None, busy: bool) 
 
 
 def find_usb() -> list[BoardAddress]:
+    """Boards on this machine's USB."""
     backend = libusb_package.get_libusb1_backend()
     if backend is None:
         return []
@@ -101,6 +103,7 @@ def find_usb() -> list[BoardAddress]:
 
 
 def find_usbip(where: str) -> list[BoardAddress]:
+    """Boards that a USB/IP server exports."""
     address = where.split(":")
     if len(address) != 3 or not address[2].isdigit():
         raise TautError(f"--board {where}: expected usbip:HOST:PORT, such as usbip:127.0.0.1:3240")
@@ -122,6 +125,7 @@ def named() -> str | None:
 
 
 def _ours(backend: Any) -> Iterator[usb.core.Device]:
+    """The devices of a backend with the project's vendor and product numbers."""
     devices = usb.core.find(
         find_all=True, backend=backend, idVendor=wire.wire.USB_VENDOR, idProduct=wire.wire.USB_PRODUCT
     )

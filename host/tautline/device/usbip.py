@@ -51,13 +51,14 @@ class Exported:
 
     @classmethod
     def unpack(cls, host: str, port: int, raw: bytes) -> tuple[Exported, int]:
-        """The entry, and how many interface records follow it in a device list."""
+        """The entry of a device list, and how many interface records follow it."""
         f = _DEVICE.unpack(raw)
         busid = f[1].split(b"\0", 1)[0].decode("ascii", "replace")
         return cls(host, port, busid, f[2], f[3], f[4], f[5], f[6], f[7], (f[8], f[9], f[10]), f[11], f[12]), f[13]
 
 
 def _receive(sock: socket.socket, size: int) -> bytes:
+    """Exactly `size` bytes. OSError where the connection ends before."""
     data = bytearray()
     while len(data) < size:
         chunk = sock.recv(size - len(data))
@@ -77,7 +78,7 @@ def _connect(host: str, port: int) -> socket.socket:
 
 
 def devices(host: str, port: int) -> list[Exported]:
-    """What the server at host:port exports. ENODEV where no server answers."""
+    """The devices that the server at host:port exports. ENODEV where no server answers."""
     with _connect(host, port) as sock:
         try:
             sock.sendall(_OP.pack(VERSION, _OP_DEVLIST, 0))
@@ -118,7 +119,7 @@ class Urb:
     context: object = field(default=None, repr=False)  # the caller's
 
     def result(self) -> int:
-        """Bytes moved; OSError where the transfer failed."""
+        """Number of bytes transferred; OSError where the transfer failed."""
         if self.status:
             code = _URB_ERRNO.get(self.status, errno.EIO)
             raise OSError(code, f"endpoint {self.endpoint} {'in' if self.reading else 'out'}: {errno.errorcode[code]}")
@@ -158,7 +159,8 @@ class Connection:
         return self._socket.fileno()
 
     def close(self) -> None:
-        """Returns when the server has let the device go, so that the next import finds it free."""
+        """Closes the connection and waits until the server has released the device, so that the next import finds it
+        free."""
         self._lose()
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_WR)
@@ -168,7 +170,7 @@ class Connection:
         self._socket.close()
 
     def submit(self, endpoint: int, data: bytes | None, length: int = 0, setup: bytes = b"") -> Urb:
-        """Starts a transfer: sends `data`, or receives up to `length` bytes where it is None; `setup` on endpoint 0."""
+        """Starts a transfer: sends `data`, or receives up to `length` bytes if it is None. setup: of endpoint 0."""
         reading = data is None
         size = length if data is None else len(data)
         with self._changed:
@@ -186,7 +188,7 @@ class Connection:
         return urb
 
     def unlink(self, urb: Urb) -> None:
-        """Asks for an end; it completes by itself or with -ECONNRESET."""
+        """Asks the server to cancel a transfer; it completes normally or with -ECONNRESET."""
         with self._changed:
             if urb.status is not None or urb.unlink or self.lost:
                 return
@@ -200,7 +202,7 @@ class Connection:
         )
 
     def wait(self, urb: Urb, timeout_s: float | None) -> bool:
-        """True when the transfer is done. None waits for ever."""
+        """Waits until the transfer is done; False on time-out. None waits for ever."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         with self._changed:
             while urb.status is None:
@@ -221,7 +223,8 @@ class Connection:
         return True
 
     def transfer(self, endpoint: int, data: bytes | None, length: int, setup: bytes, timeout_ms: int) -> Urb:
-        """One whole transfer, done without error. timeout_ms 0 waits for ever. What came before a time-out counts."""
+        """One whole transfer; OSError where it fails. timeout_ms 0 waits for ever. Bytes that came before a time-out
+        count."""
         urb = self.submit(endpoint, data, length, setup)
         try:
             done = self.wait(urb, timeout_ms / 1000.0 if timeout_ms > 0 else None)
@@ -239,7 +242,7 @@ class Connection:
         return urb
 
     def receive(self, timeout_s: float | None) -> list[Urb]:
-        """Takes in what the server sent within the time, and gives the transfers that it ended."""
+        """Takes in what the server sends within the time; returns the transfers that ended."""
         poll = select.poll()
         try:
             poll.register(self._socket, select.POLLIN)
@@ -257,6 +260,8 @@ class Connection:
             return list(self._parse())
 
     def _parse(self) -> Iterator[Urb]:
+        """Transfers that the received bytes end; incomplete replies stay in the buffer. A reply of unknown kind ends
+        the connection."""
         while len(self._input) >= _URB.size:
             command, seqnum, _, _, _, status, actual, _, _, _, _ = _URB.unpack_from(self._input)
             if command == _RET_SUBMIT:
@@ -284,6 +289,7 @@ class Connection:
         return urb
 
     def _lose(self) -> list[Urb]:
+        """Marks the connection as lost and returns the transfers that were under way, ended with an error."""
         with self._changed:
             self.lost = True
             ended = [self._finish(urb, -errno.ESHUTDOWN) for urb in list(self._pending.values())]
@@ -292,6 +298,7 @@ class Connection:
             return ended
 
     def _send(self, message: bytes) -> None:
+        """Sends a message; a failure ends the connection."""
         view = memoryview(message)
         with self._sending:
             while view:

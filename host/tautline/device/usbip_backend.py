@@ -43,7 +43,8 @@ def _device(raw: bytes) -> _Descriptor:
 
 
 def _configuration(raw: bytes) -> _Descriptor:
-    """The configuration, its interfaces (one child per alternate setting) and their endpoints, in the order given."""
+    """A configuration descriptor with its interfaces (one child for each alternate setting) and their endpoints, in
+    order."""
     names = (
         "bLength bDescriptorType wTotalLength bNumInterfaces bConfigurationValue iConfiguration bmAttributes bMaxPower"
     )
@@ -115,6 +116,7 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
             raise IndexError(f"no configuration {config}") from None
 
     def get_interface_descriptor(self, dev: _Device, intf: int, alt: int, config: int) -> _Descriptor:
+        """The descriptor of an interface's alternate setting, by their indices."""
         settings: dict[int, list[_Descriptor]] = {}
         for interface in self.get_configuration_descriptor(dev, config).children:
             settings.setdefault(interface.bInterfaceNumber, []).append(interface)
@@ -124,7 +126,8 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
         return self.get_interface_descriptor(dev, intf, alt, config).children[ep]
 
     def _read_descriptors(self, dev: _Device) -> None:
-        """From the device where it is free; a busy one is not disturbed, and shows only what the server's list says."""
+        """Reads a free device's descriptors from it; of a busy one, which is not disturbed, only what the server's list
+        says."""
         exported = dev.exported
         try:
             with _usb_errors():
@@ -142,6 +145,8 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
             connection.close()
 
     def _read_open_descriptors(self, dev: _Device, handle: _Handle) -> None:
+        """Reads an open device's descriptors by control transfers."""
+
         def descriptor(kind: int, index: int, length: int) -> bytes:
             return self._control_in(handle, _DEVICE_TO_HOST, _GET_DESCRIPTOR, kind << 8 | index, 0, length)
 
@@ -152,6 +157,7 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
 
     @staticmethod
     def _located(descriptor: _Descriptor, exported: usbip.Exported) -> _Descriptor:
+        """The descriptor with bus, address and speed from the server's list."""
         for name, value in (
             ("bus", exported.bus),
             ("address", exported.device),
@@ -163,7 +169,8 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
         return descriptor
 
     def open_device(self, dev: _Device) -> _Handle:
-        """EBUSY while another host has the device. The first configuration is set, as an operating system does."""
+        """Imports the device and sets its first configuration, as an operating system does. EBUSY while another host
+        has it."""
         with _usb_errors():
             handle = _Handle(usbip.Connection(dev.exported))
         try:
@@ -189,7 +196,7 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
         self._control_out(dev_handle, 0x01, _SET_INTERFACE, altsetting, intf)
 
     def claim_interface(self, dev_handle: _Handle, intf: int) -> None:
-        """An imported device has one host: nothing to do but to notice that it is gone."""
+        """Nothing to claim, as an imported device has one host; fails where it is gone."""
         if dev_handle.connection.lost:
             raise usb.core.USBError("the device is gone", None, errno.ENODEV)
 
@@ -218,6 +225,7 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
         data: array.array[int],
         timeout: int,
     ) -> int:
+        """A control transfer as PyUSB asks for it; returns the number of bytes."""
         size = len(data) * data.itemsize
         setup = struct.pack("<BBHHH", bmRequestType, bRequest, wValue, wIndex, size)
         payload = None if bmRequestType & _DEVICE_TO_HOST else data.tobytes()
@@ -239,7 +247,7 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
         self._control_out(dev_handle, 0x02, _CLEAR_FEATURE, 0, ep)
 
     def reset_device(self, dev_handle: _Handle) -> None:
-        """USB/IP has no port reset: the device is let go and imported again, which resets it."""
+        """Releases the device and imports it again, which resets it: USB/IP has no port reset."""
         exported = dev_handle.connection.device
         dev_handle.connection.close()
         with _usb_errors():

@@ -54,7 +54,7 @@ class Message:
 
 
 def encode(name: str, sequence: int, **values: Any) -> bytes:
-    """The frame of a message; fields not given are 0, fixed-point ones are rounded and held within 32 bits."""
+    """A message's frame. Fields not given are 0; fixed-point ones are rounded and clipped to 32 bits."""
     fields = {}
     for field in _FIELDS[name]:
         value = values.pop(field.name, field.zero)
@@ -104,7 +104,7 @@ def name(codes: str, number: int) -> str:
 
 
 def text(codes: str, number: int) -> str:
-    """What tl_wire.h says of a number in one of its lists."""
+    """The text of a number in one of tl_wire.h's lists."""
     for value, says in getattr(wire, codes).values():
         if value == number:
             return str(says)
@@ -117,7 +117,7 @@ def fault(status: Message) -> str:
 
 
 def fault_text(number: int, value: int) -> str:
-    """A fault with what was measured in its brackets."""
+    """A fault's text with the measured value in its brackets."""
     says = text("FAULTS", number)
     return _MEASURED.sub(lambda found: f"({found[1] or ''}{value}{found[2] or ' '}{found[3]})", says, 1)
 
@@ -127,6 +127,6 @@ def flags(number: int) -> list[str]:
 
 
 def table_reason(number: int) -> str:
-    """Why a board refused a table (tl_table.h), from the number in its status."""
+    """Why a board refused a table (tl_table.h), by the number in its status."""
     reasons = list(_native.TABLE_REASONS.values())
     return str(reasons[number - 1]) if 0 < number <= len(reasons) else f"reason {number}"

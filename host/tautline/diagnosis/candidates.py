@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.diagnosis import confined, gap, heldout, moments, wander
-from tautline.diagnosis.fit import Fit, Fitter, ParameterState, Scope, outlier_limit
+from tautline.diagnosis.fit import Fitter, outlier_limit
+from tautline.diagnosis.fitted import Fit, ParameterState, Scope
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.hypotheses import Beyond, Wander
 from tautline.diagnosis.screen import Screened, screen
@@ -44,8 +45,9 @@ class Candidate:
 
     @property
     def parameters(self) -> int:
-        """Those that were fitted, and those of the scatter. A curve is smooth: it counts as what its level, slope and
-        bend take; one that each recording has of its own is paid for by its own blocks."""
+        """How many parameters were fitted, those of events without a path included. A curve is smooth, so it counts as
+        its level, slope and curvature; of a parameter that each recording has for itself one counts: the recordings'
+        own blocks pay for theirs."""
         hypothesis, values = self.fit.hypothesis, self.fit.state.values
         single = {p for kind in hypothesis.kinds if kind.each for p in kind.amplitudes}
         keys = {slot.key for slot in hypothesis.slots if slot.number <= 1 or slot.parameter in single}
@@ -56,23 +58,25 @@ class Candidate:
 
     @property
     def has_path(self) -> bool:
-        """Whether a prediction follows all of its effects, as far as they can be followed."""
+        """Whether the prediction follows every effect of this hypothesis: events (jitter, stick-slip) only by their
+        mean."""
         events = [kind.event for kind in self.fit.hypothesis.kinds if kind.event]
         return all(event.mean in self.fit.state.values for event in events)
 
     @property
     def follows(self) -> bool:
-        """Whether any of its effects has a path in this fit."""
+        """Whether the prediction follows at least one effect of this hypothesis."""
         kinds, values = self.fit.hypothesis.kinds, self.fit.state.values
         return any(not kind.event or kind.event.mean in values for kind in kinds)
 
     def of(self, state: ParameterState, left: list[Array]) -> Candidate:
-        """The same effects in another nominal model, which leaves this."""
+        """The same effects on the nominal model and registration of `state`, where the residuals are `left`."""
         own = replace(self.fit.state, model=state.model, static=state.static)
         return replace(self, fit=replace(self.fit, state=own), left=left)
 
     def reported(self) -> Candidate:
-        """With the parameters of its scatter in the fit, where no residual is asked for any more."""
+        """The candidate with the amounts of its events among the fitted values, as diagnosis.json reports them. No
+        residual may be computed from it any more."""
         values = {**self.fit.state.values, **self.scatters}
         return replace(self, fit=replace(self.fit, state=replace(self.fit.state, values=values)))
 
@@ -88,11 +92,12 @@ class Search:
         progress: Progress,
         scopes: Sequence[Scope] = tuple(Scope),
     ) -> None:
+        """kinds: effects to try; scopes: since when each may be there. `base`, the nominal alone, is judged first."""
         self.fitter, self.kinds, self._progress, self.scopes = fitter, kinds, progress, scopes
         self._with_path = [kind for kind in kinds if not kind.event]
         self.labels = [np.unique(gap.blocks(s), return_inverse=True)[1] for s in fitter.segments]
         self.limits = outlier_limits(fitter, base)
-        self._alike = gap.alike(fitter.segments, _NOISE * fitter.floor)  # of the noise's numbers
+        self._noise_samples_each = gap.noise_samples_per_independent(fitter.segments, _NOISE * fitter.floor)
         self.base = self.judged(base)
 
     @property
@@ -101,8 +106,8 @@ class Search:
         return Scope.TESTS in self.scopes
 
     def by_what_is_recorded(self) -> Search:
-        """Without what another posture changes where following a measured load leaves less than a wrong effect does:
-        what is recorded comes before what is not."""
+        """The search without effects of posture, where a fit of a measured load already leaves less than a wrong effect
+        does: a cause that was recorded comes before one that was not. Else this search."""
         loads = [kind for kind in self.kinds if kind.needs == "load"]
         floor2 = self.fitter.floor**2
         little = learnt().center.unexplained_by_wrong * (float(np.mean(self.base.power)) - floor2)
@@ -113,17 +118,22 @@ class Search:
         return self
 
     def judged(self, fit: Fit) -> Candidate:
+        """A fit with what it leaves on blocks held out of it, beyond its stages, and how its amplitudes wander."""
         rows = self.fitter.linearised(fit)
         left = heldout.residuals(self.fitter, fit.hypothesis, rows, self.labels, self.limits)
         wanders = wander.of_fit(self.fitter, fit, rows, self.limits)
         return Candidate(fit, left, self.power(left), self.beyond(fit), wanders=wanders)
 
     def beyond(self, fit: Fit, further: Sequence[Kind] = ()) -> Beyond | None:
-        """What no law of the stages of the fit's effects and of `further` could leave of each block."""
+        """Mean square of each block that no law of the stages of the fit's effects and of `further` could leave, and
+        how many independent numbers it is of; None where they could leave anything."""
         left = confined.residuals(self.fitter, fit, further)
         if left is None:
             return None
-        count = [np.bincount(label) * r.shape[1] / self._alike for label, r in zip(self.labels, left, strict=True)]
+        count = [
+            np.bincount(label) * r.shape[1] / self._noise_samples_each
+            for label, r in zip(self.labels, left, strict=True)
+        ]
         return Beyond(self._power(left, [_NOISE * self.fitter.floor] * len(left)), np.concatenate(count).astype(float))
 
     def power(self, residuals: Sequence[Array]) -> Array:
@@ -131,6 +141,8 @@ class Search:
         return self._power(residuals, self.limits)
 
     def _power(self, residuals: Sequence[Array], limits: Sequence[float]) -> Array:
+        """(blocks,) mean squares of the residuals cut to each recording's limit, block after block, recording after
+        recording."""
         parts = []
         for r, label, limit in zip(residuals, self.labels, limits, strict=True):
             squares = np.mean(np.minimum(np.abs(r), limit) ** 2, axis=1)
@@ -138,14 +150,16 @@ class Search:
         return np.concatenate(parts)
 
     def on_top_of(self, below: Candidate, refits: int, both_scopes: int) -> list[Candidate]:
-        """The `refits` effects that screen best, each in the scope that screens
-        best; the best `both_scopes` of them in their other scopes too. Best first."""
+        """Fits of one more effect on top of `below`, the smallest loss first: the `refits` effects with the largest
+        linear score, each in the scope that scores best; the best `both_scopes` of them in their other scopes too."""
         seen: dict[str, dict[Scope, Screened]] = {}
         for entry in screen(self.fitter, below.fit, self._with_path, self.limits, self.scopes):
             seen.setdefault(entry.kind.id, {}).setdefault(entry.scope, entry)
         candidates: list[Candidate] = []
 
         def refit(entry: Screened) -> Candidate | None:
+            """Fits the screened effect beside those of `below`; None where the fit fails, or its events or its drift
+            are not seen in any recording. Appends to `candidates`."""
             self._progress(f"fitting {' and '.join((*below.ids, entry.kind.id))}")
             start = {**below.fit.state.values, **entry.values}
             hypothesis = below.fit.hypothesis.plus(entry.kind, entry.scope)
@@ -158,10 +172,11 @@ class Search:
             return candidates[-1]
 
         def as_often_as_it_helps(entry: Screened) -> None:
+            """Fits what happens at moments once, then once more as long as that lowers the loss."""
             before = refit(entry)
             for often in entry.more:
                 one = refit(often) if before else None
-                if one is None or before is None or _loss(one) > _loss(before):
+                if one is None or before is None or _mean_log_power(one) > _mean_log_power(before):
                     return
                 before = one
 
@@ -175,18 +190,18 @@ class Search:
                 as_often_as_it_helps(best)
             for other in rest if both_scopes and best.kind.each else []:
                 refit(other)
-        candidates.sort(key=_loss)
+        candidates.sort(key=_mean_log_power)
         for one in candidates[:both_scopes]:
             kind, tried = one.fit.hypothesis.kinds[-1], one.fit.hypothesis.scopes[-1]
             for scope, other in seen[kind.id].items():
                 if scope != tried and not kind.each:
                     refit(other)
-        return sorted(candidates, key=_loss)
+        return sorted(candidates, key=_mean_log_power)
 
     def posture(self, below: Candidate, only: Collection[str] | None = None, simple: bool = False) -> Candidate | None:
-        """All that another posture, tension or homing changes at once on top of a hypothesis, in each recording another
-        where there are several; or these ids of it only, in their simple forms where they have one. `below` may have
-        some of it already."""
+        """Fits everything that another posture, tension or homing changes at once on top of `below`, for each recording
+        separately where there are several tests. only: these effects' ids alone. simple: with their forms of one
+        number, where they have one. None where nothing is to be added or the fit fails."""
         kinds = [kind for kind in self.kinds if kind.posture and not below.fit.hypothesis.find(kind.id)]
         kinds = [(simple and kind.simple) or kind for kind in kinds]
         if only is not None:
@@ -201,7 +216,8 @@ class Search:
         return self.judged(fit) if kinds and fit.finite else None
 
     def with_brought(self) -> list[Candidate]:
-        """Effects that came after the calibration and moved parts of the nominal model with them, on top of it."""
+        """Fits of effects that came after the calibration together with the parts of the nominal model that they bring
+        along."""
         judged = []
         for kind in self.kinds:
             parts = [part for part in self.kinds if part.id in kind.brings]
@@ -221,8 +237,9 @@ class Search:
         return judged
 
     def in_the_mean(self, below: Candidate, kind: Kind, amount: float) -> Candidate | None:
-        """An event after the calibration on top of a hypothesis, as it is in the mean: with sticking the play is wider
-        by about the length that the tip sticks for (while calibrating it is B's own)."""
+        """An event after the calibration on top of a hypothesis, by its mean effect alone: sticking widens the play by
+        about the length that the tip sticks for (what was there while calibrating is in B). amount: of the event, where
+        the fit begins. None where the fit finds no such mean."""
         assert kind.event
         hypothesis = below.fit.hypothesis.plus(kind, Scope.TESTS)
         values = {**below.fit.state.values, kind.event.amount: 0.0, kind.event.mean: amount}
@@ -231,8 +248,9 @@ class Search:
         return self.judged(fit) if fit.finite and fit.state.values[kind.event.mean] > 0.0 else None
 
     def _seen_to_change(self, fit: Fit) -> bool:
-        """Of an effect that goes with time: some recording shows more of its change than is there throughout. What is
-        constant in every recording is another width or offset."""
+        """For an effect with a course over time (drift): whether some recording shows a change of more than a share
+        _CHANGES of its largest value. What is constant in every recording is another width or offset. True for all
+        other effects."""
         kind, scope = fit.hypothesis.kinds[-1], fit.hypothesis.scopes[-1]
         if kind.course is None:
             return True
@@ -246,12 +264,14 @@ class Search:
         return max(abs(last - first) for first, last in at) > _CHANGES * most
 
 
-def _loss(candidate: Candidate) -> float:
+def _mean_log_power(candidate: Candidate) -> float:
+    """Mean logarithm of the blocks' held-out mean squares: what hypotheses are compared by."""
     return float(np.mean(np.log(candidate.power)))
 
 
 def applicable(fitter: Fitter, left_out: Collection[str] = ()) -> list[Kind]:
-    """The effects that these recordings could show at all, but for those left out."""
+    """The effects of the library that these recordings could show (by sensor, load, other joints), but for those left
+    out."""
     load = any(s.motor.load_mNm is not None for s in fitter.segments)
     freedom = any(
         values is not None and float(np.ptp(values)) > 0.0
@@ -266,5 +286,6 @@ def applicable(fitter: Fitter, left_out: Collection[str] = ()) -> list[Kind]:
 
 
 def outlier_limits(fitter: Fitter, base: Fit) -> list[float]:
-    """Of each recording, one for all that are compared."""
+    """For each recording the magnitude to which residuals are cut, the same for all hypotheses that are compared, px or
+    deg."""
     return [max(outlier_limit(r), 8.0 * fitter.floor) for r in base.residuals]

@@ -16,7 +16,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnosis.fit import STATIC_COLUMNS, Fit, Fitter, ScoredRows
+from tautline.diagnosis.fit import STATIC_COLUMNS, Fitter, ScoredRows
+from tautline.diagnosis.fitted import Fit
 from tautline.diagnosis.segment import Segment
 from tautline.effects import Kind
 
@@ -29,8 +30,10 @@ _TRAVELS = (0.003, 0.01, 0.03)  # prior: of the motor's range, in which an instr
 
 
 def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Array] | None:
-    """(scored, 1 or 2) of each recording, px; None where the effects' stages could leave anything. `further`: effects
-    beside the fit's own, which change nothing of it."""
+    """For each recording (scored, 1 or 2), px: the residual's part that no law of the effects' stages could leave, each
+    stage's freedom fitted and the rest projected across it. None where the stages could leave anything (no camera, no
+    effect, or both angle and time are free). further: effects whose freedom is allowed besides, without fitting them.
+    """
     kinds = (*fit.hypothesis.kinds, *further)
     if not fitter.px or not kinds:
         return None
@@ -38,20 +41,11 @@ def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Ar
     timed = any(kind.leaves == "time" for kind in kinds)
     if along and timed:
         return None
-    rows = fitter.linearised(fit)  # their own parameters free: what an inexact law leaves has biased them
-    scopes = list(zip(fit.hypothesis.kinds, fit.hypothesis.scopes, strict=True))
-    for what, freedom in _FREEDOM.items():
-        only = [only for kind, only in scopes if kind.leaves == what]
-        if only:
-            extra = freedom(fitter, rows)
-            rows = [
-                replace(row, columns=np.concatenate([row.columns, more * (not (all(only) and s.calibration))], axis=2))
-                for s, row, more in zip(fitter.segments, rows, extra, strict=True)
-            ]
+    rows = _with_stage_freedom(fitter, fit)
     if not (along or timed):
         return fitter.left(rows) if rows[0].columns.shape[2] <= _MOST_COLUMNS else None
-    velocities = [row.by_c for row in rows] if along else [_velocity(s) for s in fitter.segments]
-    parts = [_across(row, way) for row, way in zip(rows, velocities, strict=True)]
+    directions = [row.by_c for row in rows] if along else [_velocity(s) for s in fitter.segments]
+    parts = [_normal_component(row, way) for row, way in zip(rows, directions, strict=True)]
     columns = np.concatenate([part[1] for part in parts])
     size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     seen = np.concatenate([part[0] for part in parts])
@@ -59,21 +53,39 @@ def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Ar
     return [(left - moved @ step)[:, None] for left, moved in parts]
 
 
-def _across(row: ScoredRows, way: Array) -> tuple[Array, Array]:
-    """Of residual (n,) and of columns (n, m): what is normal to `way` (n, 2)."""
+def _with_stage_freedom(fitter: Fitter, fit: Fit) -> list[ScoredRows]:
+    """The fit's rows with the columns of what the stages of its effects could leave (lens, plane, channel); those of
+    effects that came later are zero in the calibration. The effects' own parameters are free, too: an inexact law has
+    biased them."""
+    rows = fitter.linearised(fit)
+    scopes = list(zip(fit.hypothesis.kinds, fit.hypothesis.scopes, strict=True))
+    for what, freedom in _FREEDOM.items():
+        since = [scope for kind, scope in scopes if kind.leaves == what]
+        if since:
+            later = all(since)
+            rows = [
+                replace(row, columns=np.concatenate([row.columns, more * (not (later and s.calibration))], axis=2))
+                for s, row, more in zip(fitter.segments, rows, freedom(fitter, rows), strict=True)
+            ]
+    return rows
+
+
+def _normal_component(row: ScoredRows, way: Array) -> tuple[Array, Array]:
+    """The components normal to the image direction `way` (n, 2) of the residual (n,) and of each column (n, m)."""
     unit = way / np.maximum(np.linalg.norm(way, axis=1), 1e-12)[:, None]
     normal = np.column_stack([-unit[:, 1], unit[:, 0]])
     return np.einsum("nk,nk->n", row.residual, normal), np.einsum("nkm,nk->nm", row.columns, normal)
 
 
 def _velocity(segment: Segment) -> Array:
-    """(scored, 2) of the image, per second."""
+    """Image velocity of the scored observations, (scored, 2) px/s."""
     velocity: Array = np.gradient(segment.observed, segment.arrival_s, axis=0)
     return velocity[segment.scored]
 
 
 def _lens(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
-    """Polynomials of where the image should be (where it is has the noise in it), for either coordinate."""
+    """Freedom of a lens: columns (n, 2, m), Chebyshev polynomials of the predicted image position for either coordinate
+    (the observed position has noise in it)."""
     seen = [s.observed[s.scored] - row.residual for s, row in zip(fitter.segments, rows, strict=True)]
     low, high = (f([f(x, axis=0) for x in seen], axis=0) for f in (np.min, np.max))
     columns = []
@@ -86,7 +98,8 @@ def _lens(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
 
 
 def _plane(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
-    """The bending plane's two directions in the image, times polynomials of the angle."""
+    """Freedom of another curvature within the bending plane: the plane's two directions in the image, each times
+    polynomials of the bending angle, (n, 2, m)."""
     angles = [row.path.c_deg[s.scored] for s, row in zip(fitter.segments, rows, strict=True)]
     low, high = min(float(c.min()) for c in angles), max(float(c.max()) for c in angles)
     columns = []
@@ -101,7 +114,8 @@ def _plane(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
 
 
 def _channel(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
-    """Rigid motions of the instrument that depend on the direction and die away after it changes."""
+    """Freedom of an instrument that rocks in its channel: rigid motions that depend on the direction and decay
+    exponentially with the travel since the last reversal, (n, 2, m)."""
     columns = []
     for segment, row in zip(fitter.segments, rows, strict=True):
         step = np.diff(row.path.p, prepend=row.path.p[0])

@@ -39,8 +39,9 @@ def load_tells_apart(segments: Sequence[Segment]) -> bool:
     return max(levels) - min(levels) > _TOLD * within
 
 
-def told(document: dict[str, Any], hidden: Mapping[str, str]) -> None:
-    """Writes into a diagnosis.json what it cannot tell: the hidden effects beside those that stand for them."""
+def add_hidden(document: dict[str, Any], hidden: Mapping[str, str]) -> None:
+    """Writes the hidden effects into a diagnosis.json, as ambiguous with those that stand for them. hidden: as `hidden`
+    gives it."""
     for name, shown in hidden.items():
         for effect in document["effects"]:
             if effect["id"] == shown:
@@ -54,8 +55,8 @@ def told(document: dict[str, Any], hidden: Mapping[str, str]) -> None:
 
 
 def load_goes_with_time(segments: Sequence[Segment]) -> bool:
-    """Whether every recording has one of two loads, and once changed it stays. What the load does along with the motor
-    is the motion's own, and no change of load."""
+    """Whether every recording has one of two load levels and the load changes once between them: then load and time
+    cannot be told apart. What the load does in step with the motor's motion is not counted as a change."""
     levels, within = [], []
     for segment in segments:
         load = segment.motor.load_mNm
@@ -63,7 +64,7 @@ def load_goes_with_time(segments: Sequence[Segment]) -> bool:
             return False
         seen = np.interp(segment.arrival_s, segment.motor.t_s, load)[segment.scored]
         levels.append(float(np.median(seen)))
-        within.append(_apart_from_motion(segment, seen))
+        within.append(_load_spread_beside_motion(segment, seen))
     span = max(levels) - min(levels)
     if span <= 0.0 or max(within) > _LEVEL * span:
         return False
@@ -73,8 +74,9 @@ def load_goes_with_time(segments: Sequence[Segment]) -> bool:
     return max(nearest) < _LEVEL * span and changes == 1
 
 
-def _apart_from_motion(segment: Segment, load: np.ndarray) -> float:
-    """How the load scatters about its mean at each place and way of the motor, in its slow part."""
+def _load_spread_beside_motion(segment: Segment, load: np.ndarray) -> float:
+    """Standard deviation of the slow part of the load about its mean at each place and direction of the motor, mNm.
+    load: at the scored observations."""
     t = segment.arrival_s[segment.scored]
     q = np.interp(t, segment.motor.t_s, segment.motor.q)
     way = np.sign(np.gradient(q)) if len(q) > 1 else np.zeros_like(q)

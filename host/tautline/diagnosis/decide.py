@@ -53,8 +53,8 @@ class Decision:
         return sorted(self.leading, key=lambda name: -self.leading[name])
 
     def ambiguous(self, covers: float | None = None) -> list[str]:
-        """The smallest set of effects that holds `covers` (what is learnt unless told) of the probability that any
-        leads."""
+        """The smallest set of effects whose probabilities of leading sum to a share `covers` of that of any effect, the
+        likeliest first. covers: the learnt level by default."""
         covers = learnt().covers if covers is None else covers
         total, held = sum(self.leading.values()), 0.0
         names: list[str] = []
@@ -67,7 +67,8 @@ class Decision:
 
 
 def decide(evidence: CaseEvidence, by: Learnt | None = None) -> Decision:
-    """by: what is learnt unless told; over what instruments may have of it probabilities are averaged."""
+    """The probabilities of none, of unknown and of each effect to lead, and which effects are named. by: the
+    hyperparameters, the learnt ones by default; probabilities are averaged over their spread between instruments."""
     by = by or learnt()
     case = Stacked(evidence)
     weights = Likelihoods(case, by.center)
@@ -90,7 +91,7 @@ def decide(evidence: CaseEvidence, by: Learnt | None = None) -> Decision:
     instead: list[str] = []
     while named and not instead:
         given = {key: float(p[i]) for key, i in best.items() if set(named) <= key}
-        further, *instead = _one_of(given, named)
+        further, *instead = _next_to_name(given, named)
         if not further:
             break
         named.append(further)
@@ -107,13 +108,14 @@ def decide(evidence: CaseEvidence, by: Learnt | None = None) -> Decision:
         best.get(frozenset(named), 0),
         tuple(name for name in named if name in with_them),
         tuple(instead) if named and named[-1] not in with_them else (),
-        _count(case, p),
+        _count_probabilities(case, p),
     )
 
 
-def _one_of(given: Mapping[frozenset[str], float], named: Sequence[str]) -> tuple[str, ...]:
-    """The effect that is surely there beside those named, or the fewest of which one is, the likeliest first; ("",)
-    where that is not so sure. given: probabilities of sets that hold those named."""
+def _next_to_name(given: Mapping[frozenset[str], float], named: Sequence[str]) -> tuple[str, ...]:
+    """The next effect to name beside those named: one whose conditional probability reaches FURTHER, or the smallest
+    group of which one is there with that probability, the likeliest first; ("",) where there is none. given: the
+    probability of each set of effects that contains those named."""
     total = sum(given.values())
     likely = dict.fromkeys((name for key in given for name in sorted(key) if name not in named), 0.0)
     for key, value in given.items():
@@ -127,7 +129,9 @@ def _one_of(given: Mapping[frozenset[str], float], named: Sequence[str]) -> tupl
     return ("",)
 
 
-def _count(case: Stacked, p: Array) -> tuple[float, ...]:
+def _count_probabilities(case: Stacked, p: Array) -> tuple[float, ...]:
+    """Probabilities of 0, 1, 2 and at least 3 effects; an unknown one counts as one. p: (hypotheses + 1,), the last of
+    unknown."""
     many = [min(len(case.leaders[key]), 3) for key in case.sets]
     told = np.bincount(many, p[:-1], minlength=4)
     told[1] += p[-1]
@@ -135,7 +139,8 @@ def _count(case: Stacked, p: Array) -> tuple[float, ...]:
 
 
 def probabilities(case: Stacked, effect: str, by: Hyperparameters) -> tuple[float, float, float]:
-    """Of none, of unknown, and of `effect` to lead, as `decide` has them of one instrument."""
+    """Probabilities of none, of unknown and of `effect` to lead, as `decide` finds them with one set of
+    hyperparameters."""
     weights = Likelihoods(case, by)
     p, best = _posterior(weights), weights.best
     leads = (float(p[i]) for key, i in best.items() if effect in key and weights.leader(key, best) == effect)
@@ -143,7 +148,8 @@ def probabilities(case: Stacked, effect: str, by: Hyperparameters) -> tuple[floa
 
 
 def _posterior(weights: Likelihoods) -> Array:
-    """Of each hypothesis, the best of the same effects, and at the end of none that was tried: (hypotheses + 1,)."""
+    """(hypotheses + 1,) Posterior probability of each hypothesis, and last that of an unknown cause. Of hypotheses with
+    the same effects only the best has any."""
     best = list(weights.best.values())
     log = np.full(len(weights.of) + 1, -np.inf)
     log[best] = weights.of[best] + weights.prior[best]
@@ -153,8 +159,8 @@ def _posterior(weights: Likelihoods) -> Array:
 
 
 def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]], by: Learnt | None = None) -> Decision:
-    """Recalibrating closed the gap, so what these parts of the nominal model did (ids with shares) is what was there;
-    it may yet stand in for an unknown effect. They are named as the nominal hypothesis has them."""
+    """The verdict with these parts of the nominal model (ids and shares) named as the cause, as recalibrating closed
+    the gap. The rest of the probability of unknown stays: they may imitate an unknown effect."""
     certain = 1.0 - (by or learnt()).center.mimics
     told = certain * verdict.unknown
     leading = dict(verdict.leading)
@@ -174,8 +180,9 @@ def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]], by: Learnt
 
 
 def that_help(evidence: CaseEvidence, verdict: Decision) -> Decision:
-    """Only effects without which the model leaves more on blocks that the fits did not see, by more than the blocks
-    scatter; unknown where none does. Events have no path to be judged by."""
+    """The verdict without effects that do not lower the held-out loss: one stays only if without it the mean square
+    over blocks rises by more than HELPS standard errors. Unknown where none stays. Events are kept, as they have no
+    path to be judged by."""
     ids = [h.ids for h in evidence.hypotheses]
 
     def least(names: Sequence[str]) -> int:
@@ -208,8 +215,8 @@ def that_help(evidence: CaseEvidence, verdict: Decision) -> Decision:
 
 
 def wanders(evidence: CaseEvidence) -> list[bool]:
-    """Of each hypothesis, whether an effect's amplitude is clearly another elsewhere, as a wrong one's rather than as a
-    right one's."""
+    """For each hypothesis, whether an effect's amplitude differs between places, speeds, times or loads, CLEARLY as a
+    wrong effect's does rather than as a right one's."""
     return [bool(says < -np.log(CLEARLY)) for says in Likelihoods(Stacked(evidence), learnt().center).steady]
 
 

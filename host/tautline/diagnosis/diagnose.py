@@ -12,9 +12,10 @@ from threadpoolctl import threadpool_limits
 
 from tautline.diagnosis import confounded, decide, gap, motion, moved, repeated, resembles, start, tip, tracker, where
 from tautline.diagnosis.candidates import Candidate, applicable
-from tautline.diagnosis.document import Found, written
+from tautline.diagnosis.document import Found, to_document
 from tautline.diagnosis.findings import Finding, Gap
-from tautline.diagnosis.fit import Fit, Fitter
+from tautline.diagnosis.fit import Fitter
+from tautline.diagnosis.fitted import Fit
 from tautline.diagnosis.gather import Gathered, gather
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.hypotheses import CaseEvidence
@@ -60,7 +61,8 @@ class Diagnosis(Value):
 
     @property
     def probabilities(self) -> dict[str, float]:
-        """Of each effect to be the leading one, the likeliest first, and of "none" and "unknown": they sum to 1."""
+        """The probability of each effect to be the leading one, the likeliest first, and of "none" and "unknown"; they
+        sum to 1."""
         leading = {each["id"]: float(each["probability"]) for each in self.document["candidates"]}
         return {**leading, "none": self.document["probability_none"], "unknown": self.document["probability_unknown"]}
 
@@ -87,11 +89,15 @@ def _diagnosis(
     left_out: Collection[str],
     simulated: SimulatedNominal | None,
 ) -> Diagnosis:
+    """`diagnose`, in the order: segments and tracker errors, fits, verdict, what was there from the start, shares,
+    document."""
     progress(0.0, "preparing")
     segments = prepare(model, calibration, tests, simulated.drives if simulated else ())
     tracked = tracker.of_videos(model, segments, load_reference(calibration), [calibration, *tests])
-    fitter, frozen = _fitter(model, tracked.segments if tracked else segments, load_reference(calibration), simulated)
-    base = _with_floor(fitter, frozen, tracked)
+    fitter, frozen = _fitter_and_residuals(
+        model, tracked.segments if tracked else segments, load_reference(calibration), simulated
+    )
+    base = _recalibrate_and_set_noise(fitter, frozen, tracked)
     segments = fitter.segments
     kinds = [*applicable(fitter, left_out), *(simulated.kinds if simulated else ())]
     hidden = confounded.hidden(kinds, segments)
@@ -109,21 +115,23 @@ def _diagnosis(
         if from_start.named:
             fitter, gathered, verdict = from_start.fitter, from_start.gathered, from_start.verdict
     progress(0.92, "attributing")
-    verdict, parts = _moved(fitter, frozen, base, gathered, verdict)
+    verdict, parts = _with_moved_parts(fitter, frozen, base, gathered, verdict)
     found = Found(
         *(model, segments, fitter, tracked, frozen, gap.rms(base.residuals[1:]), kinds, gathered, verdict),
-        _chosen(fitter, frozen, gathered, verdict),
+        _chosen_candidate(fitter, frozen, gathered, verdict),
         parts,
     )
-    document = written(found, hidden)
+    document = to_document(found, hidden)
     if repeated.HELD not in left_out:
-        repeated.told(document, model, segments, fitter.load_reference)
-    document["resembles"] = resembles.told(gathered, found.gap["before"]) if document["verdict"] == "unknown" else []
+        repeated.add_repeats(document, model, segments, fitter.load_reference)
+    document["resembles"] = (
+        resembles.closest_effects(gathered, found.gap["before"]) if document["verdict"] == "unknown" else []
+    )
     progress(1.0, "done")
     corrected = _corrected(found.chosen.fit, max(found.tests, key=lambda test: test.end_s)) if found.named else model
     corrected = replace(corrected, extra={**model.extra, "load_reference_mNm": fitter.load_reference})
     # With the old tables, and with the new: a simulator's are for no board.
-    document["tip"] = tip.foretold(model, corrected) if found.named and simulated is None else None
+    document["tip"] = tip.simulated_error(model, corrected) if found.named and simulated is None else None
     if simulated is not None:
         document["simulator"] = simulated.to_json(document["effects"])
     return Diagnosis(
@@ -133,11 +141,11 @@ def _diagnosis(
     )
 
 
-def _fitter(
+def _fitter_and_residuals(
     model: Model, segments: list[Segment], load_mNm: float, simulated: SimulatedNominal | None
 ) -> tuple[Fitter, list[Array]]:
-    """And what the calibrated model leaves of each recording as it is. A simulator's recording has the noise of the
-    robot's sensor."""
+    """A fitter of these recordings, and the residuals (scored, k) that the calibrated model leaves of each as it is. A
+    simulator's recording is given noise like the robot's sensor."""
     fitter = Fitter(model, segments, load_mNm)
     frozen = fitter.residuals(fitter.start(), fitter.nothing)
     if simulated is None:
@@ -147,8 +155,9 @@ def _fitter(
     return fitter, fitter.residuals(fitter.start(), fitter.nothing)
 
 
-def _with_floor(fitter: Fitter, frozen: Sequence[Array], tracked: TrackerError | None) -> Fit:
-    """The recalibrated nominal; sets the fitter's noise."""
+def _recalibrate_and_set_noise(fitter: Fitter, frozen: Sequence[Array], tracked: TrackerError | None) -> Fit:
+    """The recalibrated nominal model's fit. Sets the fitter's noise floor: from the rests and the calibration's own
+    residuals; where videos were tracked, at least the noise of a moving marker."""
     moving, segments = tracked.noise if tracked else 0.0, fitter.segments
     fitter.floor = max(gap.noise_floor(segments, frozen), moving)
     if tracked is not None:
@@ -157,15 +166,16 @@ def _with_floor(fitter: Fitter, frozen: Sequence[Array], tracked: TrackerError |
     # A rest in which the tip goes on moving is no noise: the calibration has no more of it than its own fit leaves. A
     # simulator's has none at all, and the robot's sensor still has its own.
     floor = gap.noise_floor(segments, base.residuals)
-    left = max(gap.rms(frozen[:1]), gap.counted(segments), gap.jitters(base.residuals[1:]))
+    left = max(gap.rms(frozen[:1]), gap.rounding_noise(segments), gap.second_difference_noise(base.residuals[1:]))
     fitter.floor = max(left if left < _NO_NOISE * floor else floor, moving)
     return base
 
 
-def _moved(
+def _with_moved_parts(
     fitter: Fitter, frozen: Sequence[Array], base: Fit, gathered: Gathered, verdict: decide.Decision
 ) -> tuple[decide.Decision, list[Moved]]:
-    """The verdict with the parts of the nominal model that moved, where a recalibration closes the gap."""
+    """The verdict and the parts of the nominal model that moved: where a recalibration closes an unexplained gap, these
+    are named; else the verdict as it is and no parts."""
     before, recalibrated = gap.rms(frozen[1:]), gap.rms(base.residuals[1:])
     still_open = decide.is_open(gathered.evidence, recalibrated**2)
     swallowed = moved.is_all(before, recalibrated, fitter.floor, still_open, learnt().center.unexplained_by_law)
@@ -173,13 +183,13 @@ def _moved(
     return (decide.with_moved(verdict, [(part.id, part.share) for part in parts]) if parts else verdict), parts
 
 
-def _chosen(fitter: Fitter, frozen: list[Array], gathered: Gathered, verdict: decide.Decision) -> Candidate:
-    """The hypothesis of what is named, on the calibrated model as it is where another nominal model, in which what has
-    no path is as large, does not surely leave less."""
+def _chosen_candidate(fitter: Fitter, frozen: list[Array], gathered: Gathered, verdict: decide.Decision) -> Candidate:
+    """The hypothesis of what is named. Where it has events only and its recalibrated nominal does not surely leave
+    less, its effects on the calibrated model as it is."""
     chosen = gathered.candidates[verdict.chosen]
     if verdict.name != "effect" or not verdict.named or chosen.follows:
         return chosen
-    if gap.shrinks(frozen[1:], chosen.left[1:], fitter.segments[1:]) >= gap.SURELY:
+    if gap.probability_of_shrinking(frozen[1:], chosen.left[1:], fitter.segments[1:]) >= gap.SURELY:
         return chosen
     return chosen.of(fitter.start(), frozen)
 

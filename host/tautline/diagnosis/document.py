@@ -13,7 +13,8 @@ import numpy.typing as npt
 from tautline import effects
 from tautline.diagnosis import confounded, decide, flexible, gap, motion, moved, shapley, where
 from tautline.diagnosis.candidates import Candidate
-from tautline.diagnosis.fit import Fit, Fitter, Scope, key
+from tautline.diagnosis.fit import Fitter
+from tautline.diagnosis.fitted import Fit, Scope, key
 from tautline.diagnosis.gather import Gathered
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.moved import Moved
@@ -69,33 +70,36 @@ class Found:
 
     @cached_property
     def conditions(self) -> list[where.Condition]:
+        """The conditions under which the gap is large, the most telling first; without time where what is named does
+        not depend on it."""
         paths = [s.predict(self.model, {}, self.fitter.load_reference)[0] for s in self.tests]
         every = where.conditions(self.tests, paths, self.before)
-        if self.verdict.name == "effect" and not _changes(self.chosen.fit, self.named):
+        if self.verdict.name == "effect" and not _depends_on_time(self.chosen.fit, self.named):
             return [condition for condition in every if condition.axis != "time"]
         return every
 
     @cached_property
     def next_motion(self) -> motion.NextMotion | None:
-        return motion.best(self.fitter, _leading(self.gathered, self.verdict))
+        return motion.best(self.fitter, _fits_to_tell_apart(self.gathered, self.verdict))
 
     @cached_property
     def gap(self) -> dict[str, Any]:
+        """The object `gap` of diagnosis.json; nothing shrinks where nothing is named."""
         later = any(effects.BY_ID[name].course for name in self.named)
         apart = learnt().later if later else learnt().elsewhere
-        told = gap.told(self.before, self.after, self.tests, self.floor, apart)
+        told = gap.with_intervals(self.before, self.after, self.tests, self.floor, apart)
         return told if self.named else {**told, "shrink_ci": [0.0, 0.0], "closable_shrink": 0.0}
 
     @cached_property
     def rest(self) -> flexible.Flexible | None:
-        """What a Gaussian process closes of what is left."""
+        """What a Gaussian process would close of the residuals that are left; None where these are only noise."""
         still = decide.is_open(self.gathered.evidence, self.gap["after"] ** 2)
         return flexible.close(self.tests, self.after, self.floor) if still else None
 
 
-def written(found: Found, hidden: Mapping[str, str]) -> dict[str, Any]:
-    """diagnosis.json, but for what repeated samples, the tip and a simulator add. hidden: effects that were not tried,
-    with those that stand for them."""
+def to_document(found: Found, hidden: Mapping[str, str]) -> dict[str, Any]:
+    """The content of diagnosis.json, but for what repeated samples, the tip and a simulator add. hidden: effects that
+    were not tried, with those that stand for them."""
     told = found.gap
     shares, parts = _shares(found)
     document: dict[str, Any] = {
@@ -120,12 +124,13 @@ def written(found: Found, hidden: Mapping[str, str]) -> dict[str, Any]:
         "signature": _signature(found),
         "next_motion": {"why": found.next_motion.why, "file": "next_motion.csv"} if found.next_motion else None,
     }
-    confounded.told(document, hidden)
+    confounded.add_hidden(document, hidden)
     return document
 
 
 def _shares(found: Found) -> tuple[dict[str, float], Sequence[Moved]]:
-    """Of what is named, of the shrinkage; and the parts of the nominal model that moved, where they are all of it."""
+    """The share of the shrinkage of each named cause, by id; and the parts of the nominal model that moved, where these
+    close the whole gap."""
     told = found.gap
     if found.parts:
         return {part.id: part.share * told["shrink"] for part in found.parts}, found.parts
@@ -139,6 +144,7 @@ def _shares(found: Found) -> tuple[dict[str, float], Sequence[Moved]]:
 
 
 def _effects(found: Found, shares: Mapping[str, float]) -> list[dict[str, Any]]:
+    """The list `effects` of diagnosis.json. shares: of the shrinkage, by id."""
     fit, ambiguous = found.chosen.fit, found.verdict.ambiguous()
     brought = {
         name: [part for part in found.verdict.brought if part in effects.BY_ID[name].brings] for name in found.named
@@ -148,19 +154,21 @@ def _effects(found: Found, shares: Mapping[str, float]) -> list[dict[str, Any]]:
             "id": name,
             "probability": probability,
             "since": _since(found, name).since,
-            "parameters": _reported(fit, name),
-            **_of_each(fit, name, found.segments),
+            "parameters": _parameter_values(fit, name),
+            **_values_by_recording(fit, name, found.segments),
             **_brings(brought[name], shares),
             "shrink": shares[name] + sum(shares[part] for part in brought[name]),
             "swallowed_by_recalibration": moved.closes(found.gap["before"], found.recalibrated, found.floor),
             "loads_on_board": effects.BY_ID[name].on_board,
-            "ambiguous_with": _instead(found.verdict, name, ambiguous),
+            "ambiguous_with": _alternatives(found.verdict, name, ambiguous),
         }
         for name, probability in zip(found.named, found.verdict.probability, strict=False)
     ]
 
 
 def _candidates(found: Found) -> list[dict[str, Any]]:
+    """The list `candidates` of diagnosis.json: every effect weighed, the likeliest to lead first, then those that were
+    not."""
     verdict, best, before = found.verdict, best_of_each(found.gathered), found.gap["before"]
     ambiguous = verdict.ambiguous()
     names = [*verdict.ranked, *(kind.id for kind in found.kinds if kind.id not in verdict.leading)]
@@ -176,7 +184,7 @@ def _candidates(found: Found) -> list[dict[str, Any]]:
 
 
 def best_of_each(gathered: Gathered) -> dict[str, Candidate]:
-    """The hypothesis of each effect alone that leaves least."""
+    """For each effect its hypothesis without others that leaves the least held-out power."""
     best: dict[str, Candidate] = {}
     for candidate in gathered.candidates:
         if len(candidate.ids) == 1:
@@ -186,23 +194,25 @@ def best_of_each(gathered: Gathered) -> dict[str, Candidate]:
     return best
 
 
-def _leading(gathered: Gathered, verdict: decide.Decision) -> list[Fit]:
-    """Of the three likeliest effects that have a path, those that cannot be told apart or else the best two."""
+def _fits_to_tell_apart(gathered: Gathered, verdict: decide.Decision) -> list[Fit]:
+    """Fits of up to three effects with a path: the two likeliest, and the third where it is one of those that cannot be
+    told apart."""
     best = best_of_each(gathered)
     names = [name for name in verdict.ranked if name in best and name not in effects.EVENTS]
     unsure = set(verdict.ambiguous())
     return [best[name].fit for i, name in enumerate(names[:3]) if i < 2 or name in unsure]
 
 
-def _instead(verdict: decide.Decision, name: str, leads: Sequence[str]) -> list[str]:
-    """What may be there in a named effect's place. leads: those of which one leads."""
+def _alternatives(verdict: decide.Decision, name: str, leads: Sequence[str]) -> list[str]:
+    """Effects that may be there in the place of the named one. leads: those that cannot be told apart as the leading
+    one."""
     if name == verdict.named[0]:
         return [other for other in leads if other != name]
     return list(verdict.instead) if name == verdict.named[-1] else []
 
 
 def _stage(verdict: decide.Decision) -> str | None:
-    """The likeliest: every effect counts for its own."""
+    """The stage whose effects together are likeliest to lead; None where nothing is there."""
     if verdict.name == "none" or not verdict.leading:
         return None
     stages: dict[str, float] = {}
@@ -213,8 +223,8 @@ def _stage(verdict: decide.Decision) -> str | None:
 
 
 def _shapley(found: Found, named: Sequence[str]) -> list[float]:
-    """Each named effect's exact Shapley share of the shrinkage. A set of effects is worth what its own fit shrinks,
-    or, where it was not tried, what the chosen fit does with the others at zero; no effect is worth nothing."""
+    """Each named effect's exact Shapley share of the shrinkage. The worth of a set of effects is the shrinkage by its
+    own fit, or, where it was not tried, by the chosen fit with the other effects at zero; no effect has the worth 0."""
     chosen, before = found.chosen, gap.rms(found.before)
     known: dict[frozenset[str], float] = {frozenset(): 0.0}
     for candidate in found.gathered.candidates:
@@ -224,6 +234,7 @@ def _shapley(found: Found, named: Sequence[str]) -> list[float]:
     known[frozenset(named)] = 1.0 - gap.rms(chosen.left[1:]) / before
 
     def worth(names: frozenset[str]) -> float:
+        """Shrinkage of the rms, 1 - after / before, with these effects alone."""
         if names in known:
             return known[names]
         off = {p.name for name in named if name not in names for p in effects.BY_ID[name].amplitudes} | effects.SCATTERS
@@ -235,13 +246,13 @@ def _shapley(found: Found, named: Sequence[str]) -> list[float]:
 
 
 def _scope(fit: Fit, name: str) -> Scope:
-    """A part of the nominal that no effect stands for moved in all recordings."""
+    """Since when a named effect is there; START for a part of the nominal model that no effect stands for."""
     placed = fit.hypothesis.find(name)
     return placed[1] if placed else Scope.START
 
 
 def _since(found: Found, name: str) -> Scope:
-    """What happens at a moment after the calibration's end was not there before."""
+    """As `_scope`, but TESTS for an event that happened after the calibration's end."""
     fit = found.chosen.fit
     placed = fit.hypothesis.find(name)
     happens_s = [fit.state.values[at] for at in placed[0].moments] if placed else []
@@ -249,14 +260,15 @@ def _since(found: Found, name: str) -> Scope:
     return Scope.TESTS if later else _scope(fit, name)
 
 
-def _changes(fit: Fit, named: Sequence[str]) -> bool:
-    """Whether some of what is named goes with the session's time; else it only seems to, because the motions do."""
+def _depends_on_time(fit: Fit, named: Sequence[str]) -> bool:
+    """Whether a named effect changes with the session's time or from recording to recording; else the gap varies with
+    time only because the motions do."""
     kinds = [effects.BY_ID[name] for name in named]
     return any(k.course or k.scan == "moment" or _scope(fit, k.id) == Scope.EACH for k in kinds)
 
 
-def _reported(fit: Fit, name: str) -> dict[str, Any]:
-    """Where each recording has its own, those of the last test."""
+def _parameter_values(fit: Fit, name: str) -> dict[str, Any]:
+    """An effect's fitted parameters as reported: where each recording has its own, those of the last test."""
     kind, scope = fit.hypothesis.find(name) or (effects.BY_ID[name], Scope.START)
     values = fit.state.values if fit.hypothesis.find(name) else fit.state.static
     last = fit.hypothesis.tests
@@ -271,8 +283,8 @@ def _brings(parts: Sequence[str], shares: Mapping[str, float]) -> dict[str, Any]
     return {"brings": [{"id": part, "shrink": shares[part]} for part in parts]} if parts else {}
 
 
-def _of_each(fit: Fit, name: str, segments: Sequence[Segment]) -> dict[str, Any]:
-    """What each recording has, where they differ."""
+def _values_by_recording(fit: Fit, name: str, segments: Sequence[Segment]) -> dict[str, Any]:
+    """{"recordings": each test's name and values of the effect}, where each has its own; else {}."""
     kind, scope = fit.hypothesis.find(name) or (effects.BY_ID[name], Scope.START)
     if scope != Scope.EACH:
         return {}
@@ -286,7 +298,7 @@ def _of_each(fit: Fit, name: str, segments: Sequence[Segment]) -> dict[str, Any]
 
 
 def _signature(found: Found) -> str | None:
-    """What a gap without a cause looks like: of an unknown effect, and of a drift, which only says when."""
+    """The gap's conditions in words, for an unknown cause and for a drift, which itself says only when; else None."""
     conditions = found.conditions
     if not conditions or not (found.verdict.name == "unknown" or confounded.DRIFT in found.named):
         return None

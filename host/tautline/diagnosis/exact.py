@@ -23,14 +23,14 @@ _ALIKE = 0.05  # tolerance: a correlation from which there is none
 
 
 def is_law(ids: Sequence[str]) -> bool:
-    """Laws, and parts of the nominal model beside them."""
+    """Whether the hypothesis is of laws, perhaps beside parts of the nominal model, and of nothing else."""
     key = frozenset(ids)
     return bool(key & LAWS) and key <= LAWS | CONSTANT and not key & EVENTS
 
 
 def likelier(left: Sequence[Array], others: Sequence[Array], limits: Sequence[float], noise: float) -> float:
-    """Logarithm of how much likelier noise makes what another hypothesis leaves of unseen blocks than what a law does.
-    left, others: (scored, k) of each recording; limits: beyond these a frame is an outlier."""
+    """Log-likelihood ratio of Gaussian noise: what another hypothesis leaves of held-out blocks against what a law
+    leaves. left, others: (scored, k) of each recording; limits: beyond these a frame is an outlier."""
     more = [
         np.sum(np.square(np.clip(own, -limit, limit)) - np.square(np.clip(other, -limit, limit)), axis=1)
         for own, other, limit in zip(left, others, limits, strict=True)
@@ -42,6 +42,7 @@ def likelier(left: Sequence[Array], others: Sequence[Array], limits: Sequence[fl
 
 
 def chance(likelier_than_law: Sequence[float]) -> float:
-    """Of the best of so many others to be so much likelier though the law is right."""
+    """Probability that the best of so many other hypotheses is so much likelier though the law is right.
+    likelier_than_law: of each, a logarithm."""
     surest = max(likelier_than_law, default=0.0)
     return min(1.0, len(likelier_than_law) * float(np.exp(-max(surest, 0.0)))) if surest > 0.0 else 1.0

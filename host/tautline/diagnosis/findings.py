@@ -52,6 +52,7 @@ class Gap(Value):
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> Self:
+        """From the object `gap` of a diagnosis.json."""
         gap: dict[str, Any] = {name: tuple(v) if name.endswith("_ci") else v for name, v in document["gap"].items()}
         again = document["gap_recalibrated"]["before"]
         return cls(unit=document["unit"], floor=document["noise_floor"], recalibrated=again, **gap)

@@ -8,18 +8,17 @@ the effects' Jacobian is a difference quotient of the simulation.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from enum import IntEnum
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
 from tautline import effects, spread
+from tautline.diagnosis.fitted import STATIC_NAMES, Fit, Hypothesis, ParameterState, Scope
 from tautline.diagnosis.segment import Segment
-from tautline.effects import Kind, Parameter, Path
+from tautline.effects import Parameter, Path
 from tautline.elements import SINGLE
 from tautline.least_squares import descend
 from tautline.model import Model, allowed_width
@@ -34,7 +33,6 @@ WIDTH_PIECES, _REMAINING_PIECES = (
 )
 _ROUGH = 0.001  # prior: second difference of a correction's neighbouring coefficients, share of its range
 STATIC_COLUMNS = slice(2, 8)  # format: of Seen.columns, with a camera
-_STATIC = tuple(p.name for p in effects.BY_ID["registration.static"].amplitudes)
 WIDTH, REMAINING, STATIC, DELAY = PARTS = (
     "transmission.backlash",
     "configuration.remaining",
@@ -53,113 +51,12 @@ _KNOWN = 1e-6  # of the prior, which is a step's: where a simulator is the nomin
 _RARE = 0.01  # tolerance: a misfit that lasts longer than this share of a recording is no outlier
 
 
-class Scope(IntEnum):
-    """Since when an effect is there; what is false is there from the start."""
-
-    START = 0
-    TESTS = 1  # in all recordings after the calibration, the same
-    EACH = 2  # in each of them another
-
-    @property
-    def since(self) -> str:
-        return ("start", "calibration", "recording")[self]
-
-
-@dataclass(frozen=True)
-class Slot:
-    """A number that is fitted."""
-
-    parameter: Parameter
-    key: str  # of State.values
-    scope: Scope
-    number: int = 0  # of the recording, where each has its own
-
-    def holds_in(self, segment: Segment) -> bool:
-        if self.scope == Scope.EACH:
-            return segment.number == self.number
-        return not (self.scope and segment.calibration)
-
-
-def key(name: str, number: int) -> str:
-    """Of a parameter's value in one recording only."""
-    return f"{name}@{number}"
-
-
-@dataclass(frozen=True)
-class Hypothesis:
-    """Effects that are present, and since when."""
-
-    kinds: tuple[Kind, ...] = ()
-    scopes: tuple[Scope, ...] = ()
-    tests: int = 1  # recordings after the calibration
-
-    def plus(self, kind: Kind, scope: Scope) -> Hypothesis:
-        return replace(self, kinds=(*self.kinds, kind), scopes=(*self.scopes, scope))
-
-    def find(self, name: str) -> tuple[Kind, Scope] | None:
-        """The effect of an id."""
-        return next(((k, s) for k, s in zip(self.kinds, self.scopes, strict=True) if k.id == name), None)
-
-    @property
-    def slots(self) -> list[Slot]:
-        """Amplitudes and continuous shapes."""
-        collected = []
-        for kind, scope in zip(self.kinds, self.scopes, strict=True):
-            for p in (p for p in kind.parameters if not p.searched):
-                if scope == Scope.EACH:
-                    collected += [Slot(p, key(p.name, i), scope, i) for i in range(1, self.tests + 1)]
-                else:
-                    collected.append(Slot(p, p.name, scope))
-        return collected
-
-
-@dataclass(frozen=True)
-class ParameterState:
-    """A point of the parameter space."""
-
-    model: Model  # the nominal with its corrections
-    static: Mapping[str, float]  # nominal registration, all recordings
-    values: Mapping[str, float] = field(default_factory=dict)  # of the effects
-
-    def at(self, segment: Segment, hypothesis: Hypothesis) -> dict[str, Any]:
-        """The parameters that hold in one recording."""
-        chosen: dict[str, Any] = dict(self.static)
-        for kind, scope in zip(hypothesis.kinds, hypothesis.scopes, strict=True):
-            if scope and segment.calibration:
-                continue
-            if kind.column:
-                chosen["column"] = kind.column
-            for p in kind.parameters:
-                own = scope == Scope.EACH and not p.searched
-                value = self.values.get(key(p.name, segment.number) if own else p.name)
-                if value is not None:
-                    chosen[p.name] = chosen.get(p.name, 0.0) + value if p.name in _STATIC else value
-        return chosen
-
-
 @dataclass(frozen=True)
 class ScoredRows(Rows):
     """One recording's scored observations. Unknowns beside B and f_remain: factors on their details and, with a camera,
     static registration and delay."""
 
     path: Path  # at all observations
-
-
-@dataclass(frozen=True)
-class Fit:
-    hypothesis: Hypothesis
-    state: ParameterState
-    residuals: list[Array]  # of each segment, (scored, k)
-
-    @property
-    def finite(self) -> bool:
-        """Not so where the marker would be behind the camera."""
-        return all(bool(np.isfinite(r).all()) for r in self.residuals)
-
-    @property
-    def freedom(self) -> int:
-        """How many parameters the effects have."""
-        return len(self.hypothesis.slots)
 
 
 class Fitter:
@@ -182,7 +79,7 @@ class Fitter:
         prior = [np.full(curves.width.size, 0.03 * span), np.full(curves.follow.size, 0.1 * gain * span), np.ones(2)]
         # What the splines cannot follow: an effect that was there during calibration left its ripple in it.
         self._details = tuple(
-            beyond(basis, model.q, values)
+            spline_residual(basis, model.q, values)
             for basis, values in ((curves.width, model.width), (curves.follow, model.c_deg))
         )
         if self.px:
@@ -208,14 +105,14 @@ class Fitter:
         return Hypothesis(tests=len(self.segments) - 1)
 
     def nominal(self, free: Collection[str] = PARTS) -> Fit:
-        """The recalibrated model without any effect; of PARTS only those that are free."""
+        """The recalibrated model without any effect: of PARTS only the free ones move."""
         held = self._columns_of(set(PARTS) - set(free))
         minimum = self.descend(self.nothing, self.start(), _NOMINAL_STEPS, held=held)
         # Beside an effect as large as an obstacle a descent may stall for once.
         return self.descend(self.nothing, minimum.state, _NOMINAL_STEPS, held=held)
 
     def _columns_of(self, parts: Collection[str]) -> npt.NDArray[np.int64]:
-        """The nominal's unknowns that belong to these of PARTS."""
+        """Indices of the nominal's unknowns that belong to these of PARTS."""
         b, details = self.nominal_curves.width.size, self.nominal_curves.size
         delay = len(self._prior) - 1
         of = {
@@ -231,10 +128,10 @@ class Fitter:
         return parameter.scale * (self.model.rig.actuator.span if parameter.unit.startswith("unit") else 1.0)
 
     def start(self) -> ParameterState:
-        return ParameterState(self.model, dict.fromkeys(_STATIC, 0.0) if self.px else {})
+        return ParameterState(self.model, dict.fromkeys(STATIC_NAMES, 0.0) if self.px else {})
 
     def residuals(self, state: ParameterState, hypothesis: Hypothesis) -> list[Array]:
-        """Of each recording, (scored, k)."""
+        """Observed less predicted at the scored observations, (scored, k) for each recording."""
         per_segment = []
         for segment in self.segments:
             _, predicted = segment.predict(state.model, state.at(segment, hypothesis), self.load_reference)
@@ -242,7 +139,7 @@ class Fitter:
         return per_segment
 
     def rows(self, state: ParameterState, hypothesis: Hypothesis) -> list[ScoredRows]:
-        """Of each recording."""
+        """For each recording its residual and its derivatives by the nominal's unknowns, at the scored observations."""
         slope_b = np.gradient(state.model.width, state.model.q)
         slope_f = np.gradient(state.model.c_deg, state.model.q)
         for segment in self.segments:
@@ -252,6 +149,7 @@ class Fitter:
     def _rows(
         self, segment: Segment, state: ParameterState, hypothesis: Hypothesis, slope_b: Array, slope_f: Array
     ) -> ScoredRows:
+        """`rows` of one recording. slope_b, slope_f: dB/dq and df_remain/dq on the model's grid."""
         parameters, keep = state.at(segment, hypothesis), segment.scored
         path = segment.follow(state.model, parameters, self.load_reference)
         model = effects.tabled(state.model, parameters)
@@ -283,8 +181,8 @@ class Fitter:
     def normal(
         self, rows: Rows, extra: Array | None = None, weight: Array | None = None, known: Normal | None = None
     ) -> Normal:
-        """Of one recording. extra (n, k, m): further columns, their unknowns behind the others. known: the same without
-        `extra`, which then need not be summed again."""
+        """Normal matrix and gradient of one recording. extra (n, k, m): further columns, whose unknowns come after the
+        others. known: the result without `extra`, which is then not summed again."""
         columns, first = rows.columns, rows.columns.shape[2]
         before = self.nominal_curves.size + first
         if extra is not None:
@@ -296,8 +194,8 @@ class Fitter:
         return total
 
     def left(self, rows: Sequence[Rows]) -> list[Array]:
-        """What a step of the nominal, as far as it likes, leaves of each recording's residual: least squares of the
-        linearisation."""
+        """The residual of each recording after an unlimited linear least-squares step of the nominal's unknowns,
+        (scored, k)."""
         parts = [self.normal(row) for row in rows]
         matrix = np.asarray(sum(part.matrix for part in parts))
         scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-12 * float(np.diag(matrix).max())))
@@ -313,19 +211,19 @@ class Fitter:
         """Standard deviations of the prior: of the nominal's corrections, then of the effects' parameters."""
         return np.concatenate([self._prior, [_FAR * self.scale(slot.parameter) for slot in hypothesis.slots]])
 
-    def stiffness(self, hypothesis: Hypothesis) -> Array:
-        """The prior's inverse covariance: 1 / spread^2, and B and f_remain move smoothly: where a motion hardly reaches
-        they go with what is beside them."""
+    def prior_precision(self, hypothesis: Hypothesis) -> Array:
+        """The inverse covariance of the unknowns' prior: 1 / spread^2, and a penalty on the bending of the corrections
+        of B and f_remain, so that where a motion hardly reaches they continue smoothly."""
         stiff = np.diag(1 / self.spread(hypothesis) ** 2)
         n = len(self._bending)
         stiff[:n, :n] += self._bending
         at = len(self._prior)
-        stiff[at:, at:] += self.curves(hypothesis)
+        stiff[at:, at:] += self.curve_precision(hypothesis)
         return stiff
 
-    def curves(self, hypothesis: Hypothesis) -> Array:
-        """The inverse covariance of effects that are curves over the motor's range, of the slots: smooth, and back at
-        nothing where no motion was."""
+    def curve_precision(self, hypothesis: Hypothesis) -> Array:
+        """The part of the slots' prior precision that belongs to effects that are curves over the motor's range:
+        smooth, and zero where no motion was."""
         slots = hypothesis.slots
         stiff = np.zeros((len(slots), len(slots)))
         for curve in {kind.curve for kind in hypothesis.kinds}:
@@ -334,17 +232,20 @@ class Fitter:
                 if here := [own[name] for name in curve if name in own]:
                     coefficient = slots[here[0]].parameter
                     stiff[here, here] += 1 / (_CURVES_FAR * self.scale(coefficient)) ** 2
-                    stiff[np.ix_(here, here)] += self._bending_of(coefficient, len(here))
+                    stiff[np.ix_(here, here)] += self._bending_precision(coefficient, len(here))
         return stiff
 
-    def _bending_of(self, coefficient: Parameter, size: int) -> Array:
+    def _bending_precision(self, coefficient: Parameter, size: int) -> Array:
+        """Precision of the bending of a curve with `size` cubic B-spline coefficients, as for a correction of B or
+        f_remain."""
         actuator = self.model.rig.actuator
         share = _ROUGH * actuator.span * ((_REMAINING_PIECES + 3) / size) ** 2
         by_unit = 1.0 if coefficient.unit == "unit" else abs(self.model.rig.coarse.gain)
         return np.asarray(Basis(*actuator.range, size - 3).bending / (share * by_unit) ** 2)
 
     def effect_columns(self, state: ParameterState, hypothesis: Hypothesis, rows: Sequence[ScoredRows]) -> list[Array]:
-        """Of each recording (n, k, m) by difference quotients, one column for each of the hypothesis' slots."""
+        """Derivatives of the prediction by the hypothesis' slots, (scored, k, slots) for each recording, by difference
+        quotients of the simulation."""
         slots, per_segment = hypothesis.slots, []
         steps = [_DIFFERENCE * self.scale(slot.parameter) for slot in slots]
         there = [
@@ -358,13 +259,13 @@ class Fitter:
             columns = np.zeros((*row.residual.shape, len(slots)))
             for i, slot in enumerate(slots):
                 if slot.holds_in(segment):
-                    moved = self.moved_by(segment, there[i], hypothesis, slot.parameter, row, row.residual)
+                    moved = self.change_of_prediction(segment, there[i], hypothesis, slot.parameter, row, row.residual)
                     columns[:, :, i] = moved / steps[i]
             per_segment.append(columns)
         return per_segment
 
     def linearised(self, fit: Fit) -> list[ScoredRows]:
-        """Of each recording, at a fit: the columns of its slots behind the nominal's."""
+        """The rows of each recording at a fit, with the columns of its slots after the nominal's."""
         plain = self.rows(fit.state, fit.hypothesis)
         own = self.effect_columns(fit.state, fit.hypothesis, plain)
         return [
@@ -372,7 +273,7 @@ class Fitter:
             for row, columns in zip(plain, own, strict=True)
         ]
 
-    def moved_by(
+    def change_of_prediction(
         self,
         segment: Segment,
         state: ParameterState,
@@ -381,8 +282,8 @@ class Fitter:
         row: ScoredRows,
         residual: Array,
     ) -> Array:
-        """(scored, k): by how much the prediction is another than where `residual` is left, `state` differing from
-        where `row` is by `parameter` alone. An observation that it would take behind the camera is not moved."""
+        """(scored, k) The change of the prediction when `state` replaces the one that left `residual` and `row`'s path,
+        the two differing by `parameter` alone; 0 where the marker would be behind the camera."""
         values = state.at(segment, hypothesis)
         path = segment.follow(state.model, values, self.load_reference) if moves_tip(parameter) else row.path
         moved = residual - (segment.observed - segment.seen(state.model, values, path))[segment.scored]
@@ -395,10 +296,10 @@ class Fitter:
         start: ParameterState,
         others: Sequence[Mapping[str, float]] = (),
     ) -> Fit:
-        """From `values` and `others` of the effects' parameters; the nominal from `start`, and of a first effect as it
-        was calibrated too (a recalibration bends towards an effect and finds back slowly). What was there from the
-        start may be what calibration took for several plays: then with one play too. A few observations say which
-        of these is best and how it goes on; all of them end it."""
+        """The best fit of a hypothesis from several starts. The effects start from `values` and from each of `others`;
+        the nominal from `start`, for a single effect also as calibrated (a recalibration has bent towards the effect),
+        and if it was there from the start also with one play in place of several. A few observations choose the start;
+        all of them end the fit."""
         coarse, fits, nominals = self.coarse, [], [start]
         if len(hypothesis.kinds) == 1:
             nominals.append(self.start())
@@ -406,13 +307,13 @@ class Fitter:
                 nominals.append(replace(self.start(), model=replace(self.model, elements=SINGLE, friction=None)))
         for nominal in nominals:
             states = [replace(nominal, values={**values, **each}) for each in ({}, *others)]
-            best = _best([coarse.descend(hypothesis, state, _ROUGH_STEPS) for state in states])
+            best = _best_fit([coarse.descend(hypothesis, state, _ROUGH_STEPS) for state in states])
             fits.append(coarse.descend(hypothesis, best.state, _COARSE_STEPS, _COARSE_GAIN))
-        return self.descend(hypothesis, _best(fits).state, _FULL_STEPS)
+        return self.descend(hypothesis, _best_fit(fits).state, _FULL_STEPS)
 
     @property
     def coarse(self) -> Fitter:
-        """The same with fewer observations."""
+        """A fitter of the same recordings with about _COARSE_FRAMES observations."""
         self._coarse.floor = self.floor
         return self._coarse
 
@@ -431,14 +332,14 @@ class Fitter:
         enough: float = _SMALL_GAIN,
         held: npt.NDArray[np.int64] | None = None,
     ) -> Fit:
-        """At most so many steps, and no more where one gains less than `enough` of the cost. held: unknowns of the
-        nominal that stay."""
+        """Damped Gauss-Newton from `state`, at most `most` steps, ended when one lowers the cost by less than a share
+        `enough`. held: indices of the nominal's unknowns that stay fixed."""
         held = np.zeros(0, dtype=np.int64) if held is None else held
         minimum = descend(_Descent(self, hypothesis, enough, held), _Point(state, self.rows(state, hypothesis)), most)
         return Fit(hypothesis, minimum.state, [row.residual for row in minimum.rows])
 
     def stepped(self, state: ParameterState, hypothesis: Hypothesis, step: Array) -> ParameterState:
-        """The state a step of all unknowns further."""
+        """The state after adding `step` to all unknowns, widths and parameters kept within their ranges."""
         model, curves = state.model, self.nominal_curves
         b, both = curves.width.size, curves.size
         width = model.width + curves.width.value(step[:b], model.q) + step[both] * self._details[0]
@@ -465,12 +366,15 @@ class _Descent:
     an effect's parameter stays at the end of its range where a step would lead beyond it."""
 
     def __init__(self, fitter: Fitter, hypothesis: Hypothesis, enough: float, held: npt.NDArray[np.int64]) -> None:
+        """enough: share of the cost; a step that lowers it by less ends the descent. held: indices of unknowns that
+        stay."""
         self.fitter, self.hypothesis, self.least, self.held = fitter, hypothesis, enough, held
-        self.prior = fitter.floor**2 * fitter.stiffness(hypothesis)
-        self.curves = fitter.floor**2 * fitter.curves(hypothesis)
+        self.prior = fitter.floor**2 * fitter.prior_precision(hypothesis)
+        self.curve_precision = fitter.floor**2 * fitter.curve_precision(hypothesis)
         self.limits: list[float] = []
 
     def linearised(self, point: _Point) -> tuple[Array, Array, float]:
+        """Normal matrix, gradient (the direction that lowers the cost) and cost at a point."""
         fitter, hypothesis = self.fitter, self.hypothesis
         self.limits = [outlier_limit(row.residual) for row in point.rows]
         matrix, gradient = self.prior.copy(), np.zeros(len(self.prior))
@@ -481,13 +385,14 @@ class _Descent:
             matrix += part.matrix
             gradient += part.gradient
         values = self._values(point.state)
-        gradient[len(gradient) - len(values) :] -= self.curves @ values
-        held = np.concatenate([self.held, self._at_their_ends(point.state, gradient)])
+        gradient[len(gradient) - len(values) :] -= self.curve_precision @ values
+        held = np.concatenate([self.held, self._at_bounds(point.state, gradient)])
         matrix[held, :] = matrix[:, held] = gradient[held] = 0.0
         matrix[held, held] = 1.0
         return matrix, gradient, self.cost(point)
 
-    def _at_their_ends(self, state: ParameterState, gradient: Array) -> npt.NDArray[np.int64]:
+    def _at_bounds(self, state: ParameterState, gradient: Array) -> npt.NDArray[np.int64]:
+        """Indices of the slots whose value is at an end of its range with the gradient pointing beyond it."""
         ends = []
         for i, slot in enumerate(self.hypothesis.slots, len(gradient) - len(self.hypothesis.slots)):
             value = state.values[slot.key]
@@ -502,7 +407,9 @@ class _Descent:
 
     def cost(self, point: _Point) -> float:
         values = self._values(point.state)
-        return _cost([row.residual for row in point.rows], self.limits) + float(values @ self.curves @ values)
+        return _huber_cost([row.residual for row in point.rows], self.limits) + float(
+            values @ self.curve_precision @ values
+        )
 
     def _values(self, state: ParameterState) -> Array:
         return np.array([state.values[slot.key] for slot in self.hypothesis.slots])
@@ -512,13 +419,14 @@ class _Descent:
 
 
 def _smoothed(curves: Nominal, model: Model) -> Model:
-    width = model.width - beyond(curves.width, model.q, model.width)
-    c_deg = model.c_deg - beyond(curves.follow, model.q, model.c_deg)
+    """The model as one play, without the details of B and f_remain that the corrections' splines cannot follow."""
+    width = model.width - spline_residual(curves.width, model.q, model.width)
+    c_deg = model.c_deg - spline_residual(curves.follow, model.q, model.c_deg)
     return replace(model, width=allowed_width(model.q, width), c_deg=c_deg, elements=SINGLE, friction=None)
 
 
-def beyond(basis: Basis, grid: Array, values: Array) -> Array:
-    """What of a curve on a grid the basis cannot follow."""
+def spline_residual(basis: Basis, grid: Array, values: Array) -> Array:
+    """A curve's values on a grid less the least-squares spline of this basis; 0 outside of the basis' range."""
     reached = (grid >= basis.low) & (grid <= basis.high)
     design = basis.design(grid).toarray()
     coefficients = np.linalg.lstsq(design[reached], values[reached], rcond=None)[0]
@@ -532,20 +440,20 @@ def moves_tip(parameter: Parameter) -> bool:
 
 
 def inside(parameter: Parameter, value: float) -> float:
-    """A parameter kept where it means something."""
+    """The value clipped to the parameter's range."""
     return min(max(value, parameter.low), parameter.high)
 
 
-def _best(fits: Sequence[Fit]) -> Fit:
-    """That leaves least; one that ended behind the camera only where all did."""
+def _best_fit(fits: Sequence[Fit]) -> Fit:
+    """The fit of the lowest Huber cost; one with non-finite residuals (marker behind the camera) only if all are."""
     fits = [fit for fit in fits if fit.finite] or fits
     limits = [min(map(outlier_limit, each)) for each in zip(*(fit.residuals for fit in fits), strict=True)]
-    return min(fits, key=lambda fit: _cost(fit.residuals, limits))
+    return min(fits, key=lambda fit: _huber_cost(fit.residuals, limits))
 
 
-def _cost(residuals: Sequence[Array], limits: Sequence[float]) -> float:
-    """Huber's: quadratic to the recording's limit, linear beyond: one that fits badly throughout is not an outlier of
-    those that fit."""
+def _huber_cost(residuals: Sequence[Array], limits: Sequence[float]) -> float:
+    """Huber's cost, twice: r^2 up to each recording's limit, linear beyond. With a limit of its own a recording that
+    fits badly throughout is not an outlier beside those that fit."""
     total = 0.0
     for residual, limit in zip(residuals, limits, strict=True):
         size = np.abs(residual)
@@ -559,7 +467,8 @@ def velocity(segment: Segment, c_deg: Array) -> Array:
 
 
 def outlier_limit(residual: Array) -> float:
-    """Of one recording: a lost marker must not decide, and what follows every reversal must."""
+    """The residual magnitude beyond which one recording's observations count linearly: several robust deviations, but
+    at least what a share _RARE of the residuals exceeds, so that a misfit after every reversal still counts in full."""
     if residual.size == 0:
         return 1.0
     return max(_OUTLIER * spread.deviation(residual), 1.2 * float(np.quantile(np.abs(residual), 1.0 - _RARE)))

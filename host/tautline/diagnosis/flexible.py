@@ -42,7 +42,8 @@ class Flexible:
 
     @property
     def closable_shrink(self) -> float:
-        """Of the power above the noise floor, 0 to 1; 0 where there is none."""
+        """Share of the residuals' power above the noise floor that the process closes, 0 to 1; 0 where there is
+        none."""
         open_before = self.before**2 - self.floor**2
         if open_before <= 0.0:
             return 0.0
@@ -59,10 +60,10 @@ class Flexible:
 
 
 def close(segments: Sequence[Segment], residuals: Sequence[Array], floor: float) -> Flexible | None:
-    """What a Gaussian process of motor position, travel since the reversal, direction, speed, the other axes, the load,
-    the session's time and a swing's phase closes of `residuals` (each recording's scored ones): each half of the blocks
-    is predicted by a process trained on the other half. None where there are not two halves. About a second."""
-    swing_s = _swing(segments, residuals)
+    """Cross-validated closing of `residuals` (scored, k of each recording) by a Gaussian process of motor position,
+    travel since the reversal, direction, speed, other axes, load, time and a swing's phase: each half of the blocks is
+    predicted from the other half. None where a half has fewer than 50 observations. About a second."""
+    swing_s = _swing_period(segments, residuals)
     inputs, half = _inputs(segments, swing_s), _halves(segments)
     seen = np.concatenate(residuals)
     if any(np.count_nonzero(half == h) < 50 for h in (0, 1)):
@@ -72,28 +73,29 @@ def close(segments: Sequence[Segment], residuals: Sequence[Array], floor: float)
     count = 0
     with threadpool_limits(1):  # many small systems
         for trained in (0, 1):
-            known = _some(np.flatnonzero(half == trained), _TRAINED_ON)
-            asked = _some(np.flatnonzero(half != trained), _SCORED_ON // 2)
-            predicted = _process(inputs[known], seen[known], floor, inputs[asked])
+            known = _thinned(np.flatnonzero(half == trained), _TRAINED_ON)
+            asked = _thinned(np.flatnonzero(half != trained), _SCORED_ON // 2)
+            predicted = _gp_mean(inputs[known], seen[known], floor, inputs[asked])
             before += float(np.sum(seen[asked] ** 2))
             after += float(np.sum((seen[asked] - predicted) ** 2))
             count += seen[asked].size
     return Flexible(float(np.sqrt(before / count)), float(np.sqrt(after / count)), floor, swing_s)
 
 
-def _process(inputs: Array, seen: Array, floor: float, asked: Array) -> Array:
-    """The mean (m, k) at `asked` (m, d) of a Gaussian process trained on `seen` (n, k) at `inputs` (n, d): a squared
-    exponential with a length for each input and white noise, by the marginal likelihood of some of them."""
+def _gp_mean(inputs: Array, seen: Array, floor: float, asked: Array) -> Array:
+    """(m, k) Posterior mean at `asked` (m, d) of a Gaussian process trained on `seen` (n, k) at `inputs` (n, d):
+    squared-exponential kernel with a length scale for each input, and white noise of at least about `floor`; the
+    hyperparameters maximise the marginal likelihood of a subset."""
     scale = float(np.sqrt(np.mean(seen**2))) or 1.0
     noise = max((floor / scale) ** 2, 1e-4)
     d = inputs.shape[1]
-    few = _some(np.arange(len(inputs)), _LENGTHS_FROM)
+    few = _thinned(np.arange(len(inputs)), _LENGTHS_FROM)
     start: Array = np.log(np.array([1.0, *np.ones(d), noise]))
     bounds = [_SIZES, *[(_SHORTEST, _LONGEST)] * d, (0.5 * noise, 10.0)]
     apart, shown = (inputs[few, None] - inputs[few]) ** 2, seen[few] / scale
     limits = Bounds(*np.log(bounds).T)
     minimum = minimize(  # type: ignore[call-overload]  # the stubs' jac=True takes no array of any shape
-        lambda at: _surprise(at, apart, shown), start, jac=True, method="L-BFGS-B", bounds=limits
+        lambda at: _negative_log_marginal(at, apart, shown), start, jac=True, method="L-BFGS-B", bounds=limits
     )
     size, lengths, white = _hyper(minimum.x)
     near = size * np.exp(-0.5 * cdist(inputs / lengths, inputs / lengths, "sqeuclidean"))
@@ -103,9 +105,10 @@ def _process(inputs: Array, seen: Array, floor: float, asked: Array) -> Array:
     return predicted
 
 
-def _surprise(logs: Array, squares: Array, seen: Array) -> tuple[float, Array]:
-    """Minus the log marginal likelihood of `seen` (n, k), less its constant, and its derivatives by `logs`: of size,
-    lengths (d) and white noise. squares (n, n, d): of the inputs' distances."""
+def _negative_log_marginal(logs: Array, squares: Array, seen: Array) -> tuple[float, Array]:
+    """The negative log marginal likelihood of `seen` (n, k) up to a constant, and its gradient by `logs`: logarithms of
+    the kernel's size, the d length scales and the white noise's variance. squares (n, n, d): squared differences of the
+    inputs."""
     size, lengths, white = _hyper(logs)
     smooth = size * np.exp(-0.5 * squares @ lengths**-2.0)
     factor = cho_factor(smooth + (white + _JITTER) * np.eye(len(seen)), lower=True)
@@ -124,7 +127,7 @@ def _hyper(logs: Array) -> tuple[float, Array, float]:
 
 
 def _inputs(segments: Sequence[Segment], swing_s: float | None) -> Array:
-    """(n, d) at the scored observations of all recordings; only what varies."""
+    """(n, d) The process' inputs at the scored observations of all recordings; constant columns are dropped."""
     parts = []
     for segment in segments:
         t = segment.arrival_s
@@ -163,12 +166,12 @@ def _features(segment: Segment) -> Array:
     return np.column_stack([q, travel, np.sign(q - start), np.abs(rate), *others])
 
 
-def _swing(segments: Sequence[Segment], residuals: Sequence[Array]) -> float | None:
-    """The period, s, of a swing that takes _SWINGS of the residuals' power and that in some recording neither the motor
-    nor another axis makes."""
+def _swing_period(segments: Sequence[Segment], residuals: Sequence[Array]) -> float | None:
+    """The period, s, of an oscillation with at least a share _SWINGS of the residuals' power that in some recording is
+    neither at the rate nor at a harmonic of the motor or another axis; None where there is none."""
     taken, driven, total = np.zeros(len(_RATES)), np.ones(len(_RATES), dtype=bool), 0.0
     for segment, residual in zip(segments, residuals, strict=True):
-        at = _some(np.arange(len(residual)), _SCORED_ON // 2)
+        at = _thinned(np.arange(len(residual)), _SCORED_ON // 2)
         t, motor = segment.arrival_s[segment.scored][at], segment.motor
         if len(t) < 10:
             continue
@@ -176,10 +179,10 @@ def _swing(segments: Sequence[Segment], residuals: Sequence[Array]) -> float | N
         q = np.interp(t, motor.t_s, motor.q)
         q_moves = np.column_stack([q, np.gradient(q)])
         turned = np.exp(2j * np.pi * _RATES[:, None] * t)
-        taken += np.sum(_shares(turned, residual[at]) * np.var(residual[at], axis=0) * len(residual), axis=1)
-        here = np.max(_shares(turned, np.column_stack([q_moves, *axes])), axis=1) > _DRIVEN
+        taken += np.sum(_sinusoid_shares(turned, residual[at]) * np.var(residual[at], axis=0) * len(residual), axis=1)
+        here = np.max(_sinusoid_shares(turned, np.column_stack([q_moves, *axes])), axis=1) > _DRIVEN
         for k in range(2, _HARMONICS + 1):  # what follows the motor's way and stroke swings at its rate's multiples
-            here |= np.max(_shares(np.exp(2j * np.pi * _RATES[:, None] / k * t), q_moves), axis=1) > _DRIVES
+            here |= np.max(_sinusoid_shares(np.exp(2j * np.pi * _RATES[:, None] / k * t), q_moves), axis=1) > _DRIVES
         driven &= here
         total += float(np.sum(np.var(residual[at], axis=0))) * len(residual)
     best = int(np.argmax(taken))
@@ -188,15 +191,15 @@ def _swing(segments: Sequence[Segment], residuals: Sequence[Array]) -> float | N
     return float(1.0 / _RATES[best])
 
 
-def _shares(turned: npt.NDArray[np.complex128], values: Array) -> Array:
-    """(rates, k) of each column's variance that a sinusoid of each rate takes."""
+def _sinusoid_shares(turned: npt.NDArray[np.complex128], values: Array) -> Array:
+    """(rates, k) The share of each column's variance that a sinusoid of each rate explains."""
     apart = values - values.mean(axis=0)
     power = np.maximum(np.sum(apart**2, axis=0), 1e-300)
     return np.asarray(2.0 * np.abs(turned @ apart) ** 2 / (len(values) * power))
 
 
 def _halves(segments: Sequence[Segment]) -> npt.NDArray[np.int64]:
-    """(n,) 0 or 1: every other block of manoeuvres."""
+    """(n,) 0 or 1: the parity of each scored observation's block of manoeuvres."""
     count, halves = 0, []
     for segment in segments:
         block = gap.blocks(segment) + count
@@ -205,8 +208,8 @@ def _halves(segments: Sequence[Segment]) -> npt.NDArray[np.int64]:
     return np.concatenate(halves)
 
 
-def _some(index: npt.NDArray[np.int64], most: int) -> npt.NDArray[np.int64]:
-    """At most so many, evenly."""
+def _thinned(index: npt.NDArray[np.int64], most: int) -> npt.NDArray[np.int64]:
+    """At most `most` of these indices, evenly spaced."""
     if len(index) <= most:
         return index
     return index[np.linspace(0, len(index) - 1, most).astype(np.int64)]

@@ -34,40 +34,42 @@ SURELY = 0.95  # loss: a worse model that is handed out costs as much as 19 bett
 
 
 def rms(residuals: Sequence[Array]) -> float:
-    """Per coordinate."""
+    """Root mean square over all numbers of all recordings (a coordinate of a frame each), in the residuals' unit."""
     values = np.concatenate([r.ravel() for r in residuals])
     return float(np.sqrt(np.mean(values**2)))
 
 
 def noise_floor(segments: Sequence[Segment], residuals: Sequence[Array]) -> float:
-    """Per coordinate: the scatter of what was observed while the motor stood still, about a straight line through each
-    rest, as of noise that remembers from frame to frame (of the first order); where it hardly ever rests, the
-    residual's second differences, which a smooth misfit does not reach. Never below what the sensor's own step
-    scatters: one that rests within a step shows no noise at all."""
-    least = counted(segments)
+    """One standard deviation of the sensor's noise per coordinate, px or deg. From the observations while the motor
+    rests, each rest less its own straight line, as first-order autoregressive noise; where the motor hardly ever rests,
+    from the second differences of the residuals, which a smooth misfit does not reach. Never below the rounding noise
+    of the sensor's step: a sensor that rests within one step shows no noise at all."""
+    least = rounding_noise(segments)
     steady = _rests(segments)
     if steady is None:
-        return max(jitters(residuals), least)
+        return max(second_difference_noise(residuals), least)
     squares = sum(float(np.sum(rest**2)) for rest in steady)
-    remembers, expected = _remembers(steady)
+    remembers, expected = _first_order_noise(steady)
     return max(float(np.sqrt(squares / np.interp(remembers, _MEMORIES, expected))), least)
 
 
-def alike(segments: Sequence[Segment], most: float) -> float:
-    """How many numbers of the noise, cut to `most`, tell as much of its power as one of white Gaussian noise does: more
-    where it remembers, or where single frames are elsewhere."""
+def noise_samples_per_independent(segments: Sequence[Segment], most: float) -> float:
+    """How many noise samples, cut to `most`, tell the noise's power as well as one independent Gaussian sample: above 1
+    where the noise is correlated from frame to frame (factor (1 + rho^2) / (1 - rho^2)) or has outliers (kurtosis above
+    3)."""
     steady = _rests(segments)
     if steady is None:
         return 1.0
     values = np.clip(np.concatenate([rest.ravel() for rest in steady]), -most, most)
-    memory, _ = _remembers(steady)
+    memory, _ = _first_order_noise(steady)
     tailed = float(np.mean(values**4)) / max(float(np.mean(values**2)) ** 2, 1e-300)
     tailed = max(tailed - _SURE * np.sqrt(24.0 / len(values)), 3.0)  # of a Gaussian: 3
     return float(0.5 * (tailed - 1.0) * (1.0 + memory**2) / (1.0 - memory**2))
 
 
 def _rests(segments: Sequence[Segment]) -> list[Array] | None:
-    """What was observed in each rest about a straight line; None where there is too little."""
+    """The observations of each rest of the motor, (n, k), less a straight line over time; outliers are cut. None where
+    there are fewer than 60 degrees of freedom in all."""
     rests: list[Array] = []
     for segment in segments:
         for stretch in still_stretches(segment):
@@ -86,25 +88,25 @@ def _rests(segments: Sequence[Segment]) -> list[Array] | None:
     return [np.clip(rest, -most, most) for rest, p in zip(rests, power, strict=True) if p <= _UNLIKE * usual]
 
 
-def _remembers(rests: Sequence[Array]) -> tuple[float, Array]:
-    """Memory of the first order from one frame to the next, and the sum of squares that noise of unit variance would
-    leave at each of _MEMORIES. Of each rest (n, k) its own line was taken: what noise remembers looks like a line, so
-    much less is left than of white noise."""
+def _first_order_noise(rests: Sequence[Array]) -> tuple[float, Array]:
+    """First-order autocorrelation rho of the noise in these rests, and the sum of squares that noise of unit variance
+    would leave in them at each rho of _MEMORIES. Subtracting each rest's own line removes slow noise too, so correlated
+    noise leaves much less than white noise: both are corrected for that."""
     count: Counter[int] = Counter()
     for rest in rests:
         count[len(rest)] += rest.shape[1]
     squares = sum(float(np.sum(rest**2)) for rest in rests)
     follows = sum(float(np.sum(rest[1:] * rest[:-1])) for rest in rests) / max(squares, 1e-300)
-    expected = np.sum([many * _of_first_order(n) for n, many in count.items()], axis=0)  # (2, memories)
+    expected = np.sum([many * _expected_sums(n) for n, many in count.items()], axis=0)  # (2, memories)
     unsure = 1.0 / np.sqrt(expected[0, 0])  # of `follows`: no more memory is believed in than it shows
     memory = float(np.interp(follows - unsure, np.maximum.accumulate(expected[1] / expected[0]), _MEMORIES))
     return memory, expected[0]
 
 
 @cache
-def _of_first_order(n: int) -> Array:
-    """Expected sums of squares and of products of neighbours of n values of unit variance less their straight line, at
-    each of _MEMORIES: (2, memories)."""
+def _expected_sums(n: int) -> Array:
+    """(2, memories) For n samples of first-order autoregressive noise of unit variance less their straight line: the
+    expected sum of squares, and the expected sum of products of neighbours, at each rho of _MEMORIES."""
     line, _ = np.linalg.qr(np.column_stack([np.ones(n), np.arange(n) - 0.5 * (n - 1)]))
     sums = []
     for rho in _MEMORIES:
@@ -117,13 +119,13 @@ def _of_first_order(n: int) -> Array:
     return np.array(sums).T
 
 
-def counted(segments: Sequence[Segment]) -> float:
-    """What the sensors' own steps scatter, of the coarsest."""
+def rounding_noise(segments: Sequence[Segment]) -> float:
+    """One standard deviation of the rounding to the coarsest sensor's step, in the observations' unit."""
     return spread.of_rounding(max(_step(s.observed) for s in segments))
 
 
-def jitters(residuals: Sequence[Array]) -> float:
-    """The scatter from one observation to the next, by second differences: of white noise its deviation."""
+def second_difference_noise(residuals: Sequence[Array]) -> float:
+    """One standard deviation of white noise by the residuals' second differences, whose variance is 6 sigma^2."""
     bends = [np.diff(r, n=2, axis=0).ravel() for r in residuals if len(r) > 2]
     return spread.deviation(np.concatenate(bends)) / float(np.sqrt(6.0)) if bends else 0.0  # equation: 1, -2, 1
 
@@ -181,24 +183,27 @@ def blocks(segment: Segment) -> npt.NDArray[np.int64]:
 
 
 def _goes_both_ways(way: Array) -> bool:
+    """Whether either direction has at least a share _EACH_WAY of the moving samples. way: (n,) -1, 0 or 1."""
     moving = int(np.count_nonzero(way))
     return bool(min(np.count_nonzero(way > 0), np.count_nonzero(way < 0)) > _EACH_WAY * max(moving, 1))
 
 
-def elsewhere(left: float, apart: tuple[float, float]) -> tuple[float, float]:
-    """90 % interval of 1 - after / before on a motion that was not recorded; left: after / before on those that were.
-    apart: 5 and 95 % quantiles, over unseen motions, of `apart` (learnt)."""
+def shrink_interval_elsewhere(left: float, apart: tuple[float, float]) -> tuple[float, float]:
+    """90 % interval of the shrinkage 1 - after / before on a motion that was not recorded. left: after / before on the
+    recorded ones. apart: the learnt 5 and 95 % quantiles of `normalised_excess` over unseen motions."""
     low, high = (left + end * _scale(left) for end in apart)
     return 1.0 - high, 1.0 - max(low, 0.0)
 
 
-def apart(left: float, realised: float) -> float:
-    """How much more of a gap one unseen motion left than these did, in shares of what is left and of what little a gap
-    may always leave, the less the less was closed."""
+def normalised_excess(left: float, realised: float) -> float:
+    """By how much an unseen motion left another ratio after / before (`realised`) than the recorded motions did
+    (`left`), in units of `_scale`: comparable between large and small gaps."""
     return (realised - left) / _scale(left)
 
 
 def _scale(left: float) -> float:
+    """The typical spread of the ratio after / before between motions: proportional to the ratio, and to what was
+    closed; neither factor falls below _LITTLE."""
     return (left + _LITTLE) * max(1.0 - left, _LITTLE)
 
 
@@ -212,8 +217,9 @@ def unseen(before: float, left: float, floor: float, apart: tuple[float, float])
     return float(np.hypot(min(left, floor), beside * np.sqrt(more2)))
 
 
-def memory(residuals: Sequence[Array]) -> float:
-    """How many neighbouring residuals tell as much as one independent one, in recordings that are long enough."""
+def residuals_per_independent(residuals: Sequence[Array]) -> float:
+    """How many successive residuals tell as much as one independent one, by their autocorrelation; 1 where no recording
+    is long enough."""
     long = [r - r.mean(axis=0) for r in residuals if len(r) > _REMEMBERED + 1]
     if not long:
         return 1.0
@@ -221,19 +227,20 @@ def memory(residuals: Sequence[Array]) -> float:
     return frames_each(np.concatenate(long), _REMEMBERED, least=_ALIKE, group=recording)
 
 
-def told(
+def with_intervals(
     before: Sequence[Array],
     after: Sequence[Array],
     segments: Sequence[Segment],
     floor: float,
     apart: tuple[float, float],
 ) -> dict[str, Any]:
-    """The gap of diagnosis.json with its intervals. before, after: residuals (scored, k) of each of `segments`. apart:
-    as `elsewhere` takes it: the shrinkage's interval is of blocks like these and of motions that were not recorded."""
+    """The object `gap` of diagnosis.json, with its intervals. before, after: residuals (scored, k) of each of
+    `segments`. apart: as in `shrink_interval_elsewhere`; the shrinkage's interval covers blocks like the recorded ones
+    and motions that were not recorded."""
     was, left = rms(before), rms(after)
     drawn = bootstrap(before, after, [blocks(segment) for segment in segments])
     own = spread.interval(1.0 - drawn[1] / drawn[0], _SHRINKS)
-    other = elsewhere(left / was, apart) if was > 0.0 else (0.0, 0.0)
+    other = shrink_interval_elsewhere(left / was, apart) if was > 0.0 else (0.0, 0.0)
     excess = max(was**2 - floor**2, 1e-12)
     return {
         "before": was,
@@ -246,8 +253,8 @@ def told(
     }
 
 
-def shrinks(before: Sequence[Array], after: Sequence[Array], segments: Sequence[Segment]) -> float:
-    """How surely `after` leaves less than `before` does: the share of draws of the blocks in which it does."""
+def probability_of_shrinking(before: Sequence[Array], after: Sequence[Array], segments: Sequence[Segment]) -> float:
+    """The probability, over bootstrap draws of the blocks, that `after` has a smaller rms than `before`."""
     drawn = bootstrap(before, after, [blocks(segment) for segment in segments])
     return float(np.mean(drawn[1] < drawn[0]))
 
@@ -255,7 +262,8 @@ def shrinks(before: Sequence[Array], after: Sequence[Array], segments: Sequence[
 def bootstrap(
     before: Sequence[Array], after: Sequence[Array], labels: Sequence[npt.NDArray[np.int64]], seed: int = 7
 ) -> Array:
-    """(2, 400) rms before and after with blocks drawn with replacement."""
+    """(2, 400) rms of `before` and of `after` in each bootstrap draw of the blocks (drawn with replacement, the same
+    blocks for both). labels: the block of each row of each recording."""
     sums = []
     for b, a, label in zip(before, after, labels, strict=True):
         for number in np.unique(label):

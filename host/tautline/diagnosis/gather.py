@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from tautline.diagnosis import confounded, decide, exact, scatter
 from tautline.diagnosis.candidates import Candidate, Search
-from tautline.diagnosis.fit import DELAY, WIDTH, Fit, Fitter, Scope
+from tautline.diagnosis.fit import DELAY, WIDTH, Fitter
+from tautline.diagnosis.fitted import Fit, Scope
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.hypotheses import CaseEvidence, Weighed
 from tautline.diagnosis.scatter import Scatter
@@ -39,9 +40,9 @@ def gather(
     progress: Progress,
     scopes: Sequence[Scope] = tuple(Scope),
 ) -> Gathered:
-    """`frozen`: what the calibrated model leaves of each recording as it is. `base`: the recalibrated nominal. scopes:
-    since when an effect may be there; where only from the start, no recording is better than another, and none excuses
-    what is left."""
+    """The evidence for a verdict: fits of single effects, then of further ones on top of the most probable. frozen:
+    residuals of each recording by the calibrated model as it is. base: the recalibrated nominal's fit. scopes: since
+    when an effect may be there; with START alone no recording counts as the calibration."""
     steps = [0]
 
     def told(text: str) -> None:
@@ -72,6 +73,8 @@ def gather(
 
 class _Weighing:
     def __init__(self, search: Search, frozen: Array, calibrated: float) -> None:
+        """frozen: (blocks,) mean squares by the calibrated model as it is. calibrated: its mean square on its own
+        calibration, 0 where no recording is one."""
         self.search, self._frozen, self._calibrated = search, frozen, calibrated
         self.candidates: list[Candidate] = []
         self._weighed: list[Weighed] = []
@@ -79,7 +82,8 @@ class _Weighing:
         self._likelier: dict[tuple[int, int], float] = {}  # than a law's hypothesis another is
 
     def add(self, candidate: Candidate, events: bool = False) -> None:
-        """events: with the effects without a path on top of it."""
+        """Adds a fitted hypothesis to the evidence; with `events` also every event (an effect without a path) on top of
+        it."""
         nothing = np.zeros_like(candidate.power)
         self.candidates.append(candidate)
         self._weighed.append(
@@ -100,16 +104,17 @@ class _Weighing:
                 self._add_scatter(replace(candidate, fit=fit, beyond=beyond[kind.id]), kind, left)
 
     def add_posture(self, candidates: Sequence[Candidate]) -> None:
-        """On top of the best of its parts."""
+        """Adds the fit of all that another posture changes, on top of the best single effect of a posture or of
+        none."""
         part = next((one for one in candidates if one.fit.hypothesis.kinds[0].posture), self.search.base)
         posture = self.search.posture(part)
         if posture is not None:
             self.add(posture)
 
     def add_changed(self, below: Candidate) -> None:
-        """Beside an effect since the calibration another width, and where that leaves more than noise all that another
-        posture changes: where another machine was calibrated, such as a simulator, its nominal is not this one's. The
-        width everywhere by as much first: one that differs from place to place can be as wide as a lag is late."""
+        """Adds fits with another width, and while more than noise is left with all that another posture changes, beside
+        an effect that came after the calibration: if another machine was calibrated, such as a simulator, its nominal
+        is not this one's. A constant change of width comes first, as one that varies with place can imitate a lag."""
         hypothesis = below.fit.hypothesis
         if hypothesis.scopes[0] == Scope.START or hypothesis.kinds[0].posture:
             return
@@ -124,7 +129,8 @@ class _Weighing:
                         return
 
     def add_in_the_mean(self, below: Candidate) -> None:
-        """Events after the calibration, as they are in the mean, on top of what is weighed already."""
+        """Adds fits of events after the calibration by their mean effect, on top of `below`, if they explain its
+        scatter better than noise does."""
         left = self._scatter_left(below, True)
         for kind in self.search.kinds:
             if kind.event and kind.event.mean and left.beats_noise(kind.id):
@@ -133,7 +139,7 @@ class _Weighing:
                     self._add_with_scatter(held)
 
     def _add_with_scatter(self, candidate: Candidate) -> None:
-        """A fit that has an event after the calibration among its effects, as it is in the mean."""
+        """Adds a fit that has an event's mean effect, with what its scatter says of that event."""
         kind = next(kind for kind in candidate.fit.hypothesis.kinds if kind.event and kind.event.mean)
         self._add_scatter(candidate, kind, self._scatter_left(candidate, True))
 
@@ -141,7 +147,8 @@ class _Weighing:
         return scatter.of_fit(self.search.fitter, candidate.fit, self.search.labels, only_tests)
 
     def _add_scatter(self, candidate: Candidate, kind: Kind, left: Scatter) -> None:
-        """`candidate` with what the scatter that it leaves says of one of its effects."""
+        """Adds `candidate` with the log-likelihoods by block, from the scatter that it leaves, of the event `kind` and
+        of the best rival explanation, both against plain noise."""
         plain, level = left.loss["as it is"], left.loss["level"]
         rival = min(
             (left.loss[name] for name in scatter.RIVALS if name != kind.id), key=lambda loss: float(np.mean(loss))
@@ -163,7 +170,8 @@ class _Weighing:
         )
 
     def add_single(self, candidates: Sequence[Candidate]) -> None:
-        """Best first. Where none of them leaves little an event may be there, which hides what it is beside."""
+        """Adds fits of single effects, the best first. Where the best still leaves much, an event may be there that
+        hides what is beside it: then also events on top of each, what a posture changes, and events in the mean."""
         floor2 = self.search.fitter.floor**2
         before = float(np.mean(self.search.base.power)) - floor2
         hidden = (
@@ -187,7 +195,7 @@ class _Weighing:
                 self.add_in_the_mean(best)
 
     def add_further(self, candidates: Sequence[Candidate]) -> None:
-        """Of more than one effect, best first."""
+        """Adds fits of several effects, the best first; on the best one also events."""
         for i, one in enumerate(candidates):
             if set(one.ids) & EVENTS:
                 self._add_with_scatter(one)
@@ -200,11 +208,13 @@ class _Weighing:
         return bool(singles) and self._open(min(singles, key=lambda candidate: float(np.mean(candidate.power))))
 
     def _open(self, candidate: Candidate) -> bool:
+        """Whether a fit leaves more than noise and the nominal model's own misfit."""
         return decide.is_open(self.evidence(), candidate.power)
 
     def next_to_extend(self, size: int) -> Candidate | None:
-        """The most probable hypothesis of so many effects with a path that has room for a further one, which may well
-        account for what their own stages cannot, and for an amplitude that wanders."""
+        """The most probable hypothesis of `size` effects, with a path and not extended before, if it leaves more than
+        noise. A missing effect may explain what is left beyond its stages and an amplitude that wanders, so neither
+        counts here."""
         evidence = self.evidence()
         anyhow = tuple(replace(h, beyond=None, wanders=()) for h in evidence.hypotheses)
         verdict = decide.decide(replace(evidence, hypotheses=anyhow), learnt().typical)
@@ -227,6 +237,7 @@ class _Weighing:
         return None
 
     def evidence(self) -> CaseEvidence:
+        """All hypotheses so far with what they leave, as `decide` takes it."""
         fitter = self.search.fitter
         weighed = tuple(replace(h, chance=self._chance(i)) for i, h in enumerate(self._weighed))
         weighed_kinds = len(self.search.kinds)
@@ -235,7 +246,8 @@ class _Weighing:
         )
 
     def _chance(self, law: int) -> float:
-        """Of another single effect to leave so much less than a law does though that is right."""
+        """For a hypothesis of laws: the probability that some other single effect leaves so much less though the law is
+        right; else 1."""
         one, search = self.candidates[law], self.search
         if not exact.is_law(one.ids):
             return 1.0

@@ -14,7 +14,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnosis.fit import Fitter, Hypothesis, ScoredRows
+from tautline.diagnosis.fit import Fitter, ScoredRows
+from tautline.diagnosis.fitted import Hypothesis
 from tautline.nominal import Normal, Rows
 
 Array = npt.NDArray[np.float64]
@@ -26,15 +27,15 @@ Labels = Sequence[npt.NDArray[np.int64]]  # of each recording's scored observati
 def residuals(
     fitter: Fitter, hypothesis: Hypothesis, rows: Sequence[ScoredRows], labels: Labels, limits: Sequence[float]
 ) -> list[Array]:
-    """(scored, k) of each recording. rows: the fit's (Fitter.linearised). limits: beyond these an observation is an
-    outlier and pulls no more."""
-    matrix = fitter.floor**2 * fitter.stiffness(hypothesis)
+    """(scored, k) for each recording: the residual of every block of manoeuvres by the fit without that block. rows: of
+    the fit (Fitter.linearised). limits: of each recording, beyond which an observation counts linearly."""
+    matrix = fitter.floor**2 * fitter.prior_precision(hypothesis)
     parts: list[list[tuple[npt.NDArray[np.bool_], Rows, Normal]]] = []
     for row, label, limit in zip(rows, labels, limits, strict=True):
         parts.append([])
         for number in np.unique(label):
             here = label == number
-            block = _taken(row, here)
+            block = _rows_where(row, here)
             weight = np.minimum(1.0, limit / np.maximum(np.abs(block.residual), 1e-12))
             normal = fitter.normal(block, weight=weight)
             matrix += normal.matrix
@@ -51,6 +52,7 @@ def residuals(
     return result
 
 
-def _taken(row: Rows, here: npt.NDArray[np.bool_]) -> Rows:
+def _rows_where(row: Rows, here: npt.NDArray[np.bool_]) -> Rows:
+    """The rows of the observations where the mask is true."""
     chosen = {name: getattr(row, name)[here] for name in _PER_OBSERVATION}
     return replace(row, **chosen)

@@ -64,11 +64,14 @@ class Learnt:
     center: Hyperparameters
     spread: Array  # standard deviation of each one's logarithm between instruments
     covers: float  # share of the effects' probability that a set must hold so that it has the right one in 95 %
-    elsewhere: tuple[float, float] = (0.0, 0.0)  # how far apart what an unseen motion leaves may be (gap.elsewhere)
+    elsewhere: tuple[float, float] = (
+        0.0,
+        0.0,
+    )  # 5 and 95 % of gap.normalised_excess on unseen motions
     later: tuple[float, float] = (0.0, 0.0)  # the same where something goes with time: another motion is later
 
     def draws(self) -> list[Hyperparameters]:
-        """Of a new instrument: the same each time, spread as the distribution is."""
+        """Hyperparameters of hypothetical instruments, a fixed sample of the learnt distribution."""
         center = self.center.logarithms()
         if not self.spread.any():
             return [self.center]
@@ -81,7 +84,7 @@ class Learnt:
         return replace(self, spread=np.zeros_like(self.spread))
 
     def to_toml(self, cases: Mapping[str, int]) -> str:
-        """cases: of each generator, how many it was learnt on."""
+        """As TOML text. cases: how many of each generator it was learnt on."""
         center = {name: float(f"{value:.4g}") for name, value in asdict(self.center).items()}
         spread = {name: float(f"{value:.3g}") for name, value in zip(NAMES, self.spread, strict=True)}
         learnt_on = {"cases": dict(cases), "covers": float(f"{self.covers:.4g}")}

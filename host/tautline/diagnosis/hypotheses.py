@@ -32,8 +32,8 @@ class Wander:
 
     @property
     def between(self) -> tuple[str, float, float]:
-        """The axis along which the amplitude is another most, and how many times itself it is at either end; the
-        factors as far as the data tell them from nothing (of a prior whose variances sum to 1)."""
+        """The axis along which the amplitude varies most, and the amplitude at its low and at its high end, as
+        multiples of the fitted one. The factors are posterior means under a normal prior whose variances sum to 1."""
         size = len(self.gradient)
         factors = np.linalg.solve(self.matrix + size * np.eye(size), self.gradient)
         at = {axis: 1.0 + ends @ factors for axis, ends in self.ends.items()}

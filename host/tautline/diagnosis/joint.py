@@ -63,7 +63,8 @@ class Noise:
 
     @classmethod
     def of(cls, residuals: Sequence[Array], floor: float) -> Noise:
-        return cls(max(gap.rms(residuals), floor), gap.memory(residuals))
+        """From residuals: their rms, at least the floor, and their autocorrelation."""
+        return cls(max(gap.rms(residuals), floor), gap.residuals_per_independent(residuals))
 
     @property
     def weight(self) -> float:
@@ -135,11 +136,11 @@ class Joint:
         return tuple(found)
 
     def changes(self, u: Array) -> dict[str, float]:
-        """The parameters of all its effects."""
+        """The parameters of all effects at u (m,), by name, in their own units: the simulator's as changes."""
         return {name: value for effect in self.effects(u) for name, value in effect.parameters.items()}
 
-    def at(self, u: Array) -> Model:
-        """(m,): a model with all of it, the simulator's changes as effects."""
+    def model_at(self, u: Array) -> Model:
+        """The model with these unknowns u (m,), the simulator's changes and what speed does as its effects."""
         model = self.model
         return replace(
             model,
@@ -155,20 +156,21 @@ class Joint:
         return np.asarray(max(float(u[self.places[WIDTH]][0]), 0.0) * np.exp(bent))
 
     def law_slopes(self) -> Array:
-        """(grid, coefficients) deg of the law, on the model's grid."""
+        """(grid, coefficients) d c_deg / d coefficient of the law, deg, on the model's grid."""
         return np.asarray(_LAW_DEG * self._law)
 
     def residuals(self, u: Array) -> list[Array]:
-        """Of each recording, (scored, k)."""
-        model, changes = self.at(u), self.changes(u)
+        """Observed less predicted, (scored, k) for each recording, at u (m,)."""
+        model, changes = self.model_at(u), self.changes(u)
         told = [s.predict(model, changes, 0.0)[1] for s in self.segments]
         return [(s.observed - seen)[s.scored] for s, seen in zip(self.segments, told, strict=True)]
 
     def slopes(self, u: Array, residuals: Sequence[Array]) -> list[Array]:
-        """Of each recording, (scored, k, m) of what is predicted, by differences towards what may be."""
+        """d prediction / d u, (scored, k, m) for each recording, by difference quotients that stay within the
+        parameters' ranges."""
         steps = []
         for step in _DIFFERENCE * np.eye(len(u)):
-            steps.append(step if np.array_equal(self._inside(u + step), u + step) else -step)
+            steps.append(step if np.array_equal(self._clipped(u + step), u + step) else -step)
         for step in steps:
             for segment in self.segments:
                 segment.ask(self.changes(u + step))
@@ -179,7 +181,8 @@ class Joint:
         return columns
 
     def fit(self, progress: Callable[[float], None] = lambda share: None) -> Fitted:
-        """Of all unknowns at once, from the simulator as it is."""
+        """The maximum of the posterior over all unknowns, starting at the simulator as it is; the noise is estimated
+        anew between rounds."""
         u = np.zeros(self.size)
         point = _Point(u, self.residuals(u))
         noise = Noise.of(point.residuals, self.floor)
@@ -187,22 +190,23 @@ class Joint:
             point = descend(_Descent(self, noise), point, _STEPS)
             noise = Noise.of(point.residuals, self.floor)
             progress((i + 1) / _ROUNDS)
-        return self._told(point, noise)
+        return self._laplace(point, noise)
 
-    def _told(self, point: _Point, noise: Noise) -> Fitted:
+    def _laplace(self, point: _Point, noise: Noise) -> Fitted:
+        """The posterior's normal approximation at its maximum; unknowns at an end of their range have variance 0."""
         slopes = self.slopes(point.u, point.residuals)
-        matrix, gradient = _normal(noise, point, slopes)
-        free = np.flatnonzero(~_at_an_end(self, point.u, gradient))
+        matrix, gradient = _normal_equations(noise, point, slopes)
+        free = np.flatnonzero(~_at_bound(self, point.u, gradient))
         names = tuple(f"{unknown.id}:{i}" for unknown in self.unknowns for i in range(len(unknown.places)))
         covariance = np.zeros((self.size, self.size))
         covariance[np.ix_(free, free)] = np.linalg.inv(matrix[np.ix_(free, free)])
         return Fitted(Posterior(names, point.u, covariance), noise, point.residuals, slopes, free)
 
-    def _inside(self, u: Array) -> Array:
-        """The nearest vector whose values may be."""
+    def _clipped(self, u: Array) -> Array:
+        """u with every parameter clipped to its range, and the play not negative."""
         kept = u.copy()
         kept[: len(self.parameters)] = [
-            _place(p, _change(p, float(x)), float(x)) for p, x in zip(self.parameters, u, strict=False)
+            _unknown_of_change(p, _change(p, float(x)), float(x)) for p, x in zip(self.parameters, u, strict=False)
         ]
         width, speed = self.places[WIDTH], self.places[SPEED]
         kept[width] = np.maximum(kept[width], 0.0)
@@ -217,15 +221,16 @@ class _Descent:
         self.joint, self.noise = joint, noise
 
     def linearised(self, point: _Point) -> tuple[Array, Array, float]:
+        """Normal matrix, gradient and cost at a point; unknowns at a bound are held."""
         slopes = self.joint.slopes(point.u, point.residuals)
-        matrix, gradient = _normal(self.noise, point, slopes)
-        held = np.flatnonzero(_at_an_end(self.joint, point.u, gradient))
+        matrix, gradient = _normal_equations(self.noise, point, slopes)
+        held = np.flatnonzero(_at_bound(self.joint, point.u, gradient))
         matrix[held, :] = matrix[:, held] = gradient[held] = 0.0
         matrix[held, held] = 1.0
         return matrix, gradient, _cost(self.noise, point)
 
     def moved(self, point: _Point, step: Array) -> _Point:
-        u = self.joint._inside(point.u + step)
+        u = self.joint._clipped(point.u + step)
         return _Point(u, self.joint.residuals(u))
 
     def cost(self, point: _Point) -> float:
@@ -236,12 +241,12 @@ class _Descent:
 
 
 def _cost(noise: Noise, point: _Point) -> float:
-    """Twice the negative logarithm of likelihood times prior, but for what the noise alone says."""
+    """Minus twice the log of likelihood times prior, up to a constant."""
     return noise.weight * sum(float(np.sum(r**2)) for r in point.residuals) + float(point.u @ point.u)
 
 
-def _normal(noise: Noise, point: _Point, slopes: Sequence[Array]) -> tuple[Array, Array]:
-    """Normal matrix and gradient (towards less)."""
+def _normal_equations(noise: Noise, point: _Point, slopes: Sequence[Array]) -> tuple[Array, Array]:
+    """Normal matrix (m, m) of likelihood and standard-normal prior, and the gradient (m,) that lowers the cost."""
     matrix, gradient = np.eye(len(point.u)), -point.u.copy()
     for residual, slope in zip(point.residuals, slopes, strict=True):
         flat = slope.reshape(-1, slope.shape[2])
@@ -250,9 +255,10 @@ def _normal(noise: Noise, point: _Point, slopes: Sequence[Array]) -> tuple[Array
     return matrix, gradient
 
 
-def _at_an_end(joint: Joint, u: Array, gradient: Array) -> npt.NDArray[np.bool_]:
+def _at_bound(joint: Joint, u: Array, gradient: Array) -> npt.NDArray[np.bool_]:
+    """(m,) Whether each unknown is at an end of its range and the gradient points beyond."""
     onward = u + np.sign(gradient) * 1e-6
-    return np.asarray(joint._inside(onward) != onward)
+    return np.asarray(joint._clipped(onward) != onward)
 
 
 def _positive(parameter: Declared) -> bool:
@@ -260,12 +266,14 @@ def _positive(parameter: Declared) -> bool:
 
 
 def _change(parameter: Declared, u: float) -> float:
+    """A parameter's change, own unit, for its unknown u: on a log scale where it is positive, else linear; clipped to
+    its range."""
     off = parameter.nominal * np.expm1(_FACTOR * u) if _positive(parameter) else _SPREADS * parameter.spread * u
     return float(np.clip(off, parameter.low - parameter.nominal, parameter.high - parameter.nominal))
 
 
-def _place(parameter: Declared, change: float, u: float) -> float:
-    """u itself where it makes the change, else the end of the range."""
+def _unknown_of_change(parameter: Declared, change: float, u: float) -> float:
+    """The unknown that gives `change`: u itself, or that of the range's end where u was clipped."""
     if _positive(parameter):
         free = parameter.nominal * np.expm1(_FACTOR * u)
         return u if free == change else float(np.log1p(max(change / parameter.nominal, -1.0 + 1e-9)) / _FACTOR)

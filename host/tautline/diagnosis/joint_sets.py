@@ -34,39 +34,41 @@ class Sets:
 
     @classmethod
     def of(cls, unknowns: tuple[Unknown, ...], fitted: Fitted) -> Sets:
-        """Of the unknowns that stand out most; the others are in every set. One at an end of its range is in none."""
+        """The posterior over the sets of up to _MOST unknowns, those that would be missed most; the others are in every
+        set. One at an end of its range is in none."""
         free = [unknown for unknown in unknowns if np.isin(unknown.places, fitted.free).any()]
-        free = sorted(free, key=lambda unknown: -_against_nothing(fitted, [unknown]))[-_MOST:]
+        free = sorted(free, key=lambda unknown: -_log_evidence_against_zero(fitted, [unknown]))[-_MOST:]
         present, log = [], []
         for size in range(len(free) + 1):
             for without in combinations(range(len(free)), size):
                 present.append([i not in without for i in range(len(free))])
                 log.append(
-                    -_against_nothing(fitted, [free[i] for i in without]) + size * np.log((1.0 - _THERE) / _THERE)
+                    -_log_evidence_against_zero(fitted, [free[i] for i in without])
+                    + size * np.log((1.0 - _THERE) / _THERE)
                 )
         weights = np.array(log)
         return cls(tuple(u.id for u in free), np.array(present, dtype=bool), np.exp(weights - log_sum(weights)))
 
     def any_of(self, names: tuple[str, ...]) -> float:
-        """Probability that at least one is there."""
+        """Probability that at least one of these is there."""
         columns = [self.ids.index(name) for name in names]
         return float(self.probability @ self.present[:, columns].any(axis=1))
 
     @cached_property
     def each(self) -> dict[str, float]:
-        """Probability of each to be there."""
+        """Probability of each unknown to be there, by id."""
         return dict(zip(self.ids, (self.probability @ self.present).tolist(), strict=True))
 
     @property
     def count(self) -> list[float]:
-        """Probability that none, one, two, more of them are there."""
+        """Probabilities that none, one, two, and three or more are there."""
         many = np.minimum(self.present[:, [name != BENDS for name in self.ids]].sum(axis=1), 3)
         return [float(p) for p in np.bincount(many, self.probability, minlength=4)]
 
     @cached_property
     def groups(self) -> list[tuple[str, ...]]:
-        """The smallest groups of which surely one is there, the likeliest of each first: of more than one, these data
-        do not tell which."""
+        """Disjoint groups of ids, the likeliest first in each, of which at least one is there with probability _SURE; a
+        group of several means that the data do not tell which."""
         rest = sorted((name for name in self.ids if name != BENDS), key=lambda name: -self.each[name])
         found: list[tuple[str, ...]] = []
         while rest:
@@ -81,8 +83,9 @@ class Sets:
         return found
 
 
-def _against_nothing(fitted: Fitted, unknowns: list[Unknown]) -> float:
-    """Logarithm of the evidence with these at zero over that with them, negated. Those at an end are known."""
+def _log_evidence_against_zero(fitted: Fitted, unknowns: list[Unknown]) -> float:
+    """log evidence(all unknowns) - log evidence(these at zero), by the Savage-Dickey ratio of the normal posterior; 0
+    where all of them are at an end of their range."""
     places = [int(i) for unknown in unknowns for i in unknown.places if i in fitted.free]
     if not places:
         return 0.0

@@ -31,22 +31,26 @@ class Answer:
 
     @classmethod
     def of(cls, joint: Joint, fitted: Fitted) -> Answer:
-        return cls(joint, fitted, Sets.of(joint.unknowns, fitted), left_out(joint, fitted))
+        """With the sets' posterior and the held-out residuals of a joint fit."""
+        return cls(joint, fitted, Sets.of(joint.unknowns, fitted), held_out_residuals(joint, fitted))
 
-    def corrected(self) -> Model:
-        """With all unknowns, what is known of its law in c_sigma and of single readings in its evidence."""
+    def corrected_model(self) -> Model:
+        """The model with all unknowns as fitted; its c_sigma is the law's posterior spread, its evidence what a reading
+        of an unseen motion is off by."""
         joint, fitted = self.joint, self.fitted
         names = [fitted.posterior.names[i] for i in joint.places[LAW]]
         c_sigma = fitted.posterior.marginal(names).spread(joint.law_slopes())
         before = gap.rms(joint.residuals(np.zeros(joint.size)))
         noise = gap.unseen(before, gap.rms(self.left), joint.floor, learnt().elsewhere)
-        model = joint.at(fitted.u)
+        model = joint.model_at(fitted.u)
         return replace(model, c_sigma=c_sigma, extra={**model.extra, "evidence": {"residual": noise}})
 
     def shares(self, names: Sequence[str], before: float) -> list[float]:
-        """Of each named, of the shrinkage: exact Shapley shares of the linearised fit, the unnamed at zero."""
+        """Exact Shapley share of each named unknown of the shrinkage, by the linearised fit with the unnamed at zero.
+        before: rms."""
 
         def worth(there: frozenset[str]) -> float:
+            """Shrinkage of the rms with these unknowns alone."""
             on = np.zeros(self.joint.size, dtype=bool)
             for name in there:
                 on[self.joint.places[name]] = True
@@ -56,10 +60,10 @@ class Answer:
 
         return shapley.shares(names, worth)
 
-    def values(self, name: str) -> dict[str, float]:
-        """Of an effect's parameters, as a diagnosis reports them."""
+    def parameter_values(self, name: str) -> dict[str, float]:
+        """The fitted parameters of one effect as diagnosis.json reports them."""
         added = {effect.id: dict(effect.parameters) for effect in self.joint.effects(self.fitted.u)}
-        model = self.joint.at(self.fitted.u)
+        model = self.joint.model_at(self.fitted.u)
         own = {
             WIDTH: {"width_everywhere": float(np.max(model.width - self.joint.model.width))},
             DELAY: {"delay": model.delay_s - self.joint.model.delay_s},
@@ -67,9 +71,9 @@ class Answer:
         return {**(own | added).get(name, {}), "since_calibration": 1.0}
 
 
-def left_out(joint: Joint, fitted: Fitted) -> list[Array]:
-    """(scored, k) of each recording: what the fit leaves of every block of manoeuvres when it has not seen it, as in
-    heldout.py, with the prior for what the block alone shows."""
+def held_out_residuals(joint: Joint, fitted: Fitted) -> list[Array]:
+    """(scored, k) for each recording: the residual of every block of manoeuvres by a fit without it, from one linear
+    step as in heldout.py; the prior holds what the block alone shows."""
     free, weight = fitted.free, fitted.noise.weight
     slopes = [slope[:, :, free] for slope in fitted.slopes]
     flat = [slope.reshape(-1, len(free)) for slope in slopes]
@@ -86,27 +90,28 @@ def left_out(joint: Joint, fitted: Fitted) -> list[Array]:
     return result
 
 
-def instead(told: Diagnosis, answer: Answer) -> Diagnosis:
-    """The diagnosis with the joint fit's answer, where that leaves less on blocks that neither saw; else as it is."""
+def improved(told: Diagnosis, answer: Answer) -> Diagnosis:
+    """The diagnosis with the joint fit's answer in place of its own, if that surely leaves less on blocks that neither
+    saw; else unchanged."""
     groups = answer.sets.groups
-    sure = gap.shrinks(told.after, answer.left, answer.joint.segments)
+    sure = gap.probability_of_shrinking(told.after, answer.left, answer.joint.segments)
     if sure < gap.SURELY or not groups:
         return told
     before, after = gap.rms(told.before), gap.rms(answer.left)
-    groups = _by_share(groups, answer, before)
+    groups = _largest_share_first(groups, answer, before)
     names = [group[0] for group in groups]
     shrink, shares = 1.0 - after / before, answer.shares(names, before)
     total, floor = max(sum(shares), 1e-12), told.document["noise_floor"]
     document = {
         **told.document,
         "verdict": "effect",
-        "gap": gap.told(told.before, answer.left, answer.joint.segments, floor, learnt().elsewhere),
+        "gap": gap.with_intervals(told.before, answer.left, answer.joint.segments, floor, learnt().elsewhere),
         "effects": [
             {
                 "id": group[0],
                 "probability": answer.sets.any_of(group),
                 "since": "calibration",
-                "parameters": answer.values(group[0]),
+                "parameters": answer.parameter_values(group[0]),
                 "shrink": shrink * share / total,
                 "swallowed_by_recalibration": False,
                 "loads_on_board": False,
@@ -116,7 +121,7 @@ def instead(told: Diagnosis, answer: Answer) -> Diagnosis:
         ]
         + [effect for effect in told.document["effects"] if effect["id"] == repeated.HELD],  # of the sensor's link
         "count": [sure * j + (1.0 - sure) * t for j, t in zip(answer.sets.count, told.document["count"], strict=True)],
-        **_probabilities(told.document, groups[0], answer.sets.each, sure),
+        **_mixed_probabilities(told.document, groups[0], answer.sets.each, sure),
         "where": {**told.document["where"], "stage": effects.BY_ID[names[0]].stage},
         "signature": None,
         "moved": [],
@@ -125,19 +130,20 @@ def instead(told: Diagnosis, answer: Answer) -> Diagnosis:
     is_open = decide.is_open(told.evidence, after**2)
     rest = flexible.close(told.segments[1:], answer.left, floor) if is_open else None
     document["flexible"] = rest.to_json() if rest else None
-    return replace(told, document=document, corrected=answer.corrected(), after=answer.left)
+    return replace(told, document=document, corrected=answer.corrected_model(), after=answer.left)
 
 
-def _by_share(groups: list[tuple[str, ...]], answer: Answer, before: float) -> list[tuple[str, ...]]:
-    """What closes most first."""
+def _largest_share_first(groups: list[tuple[str, ...]], answer: Answer, before: float) -> list[tuple[str, ...]]:
+    """The groups in order of what their first member closes."""
     shares = answer.shares([group[0] for group in groups], before)
     return [groups[i] for i in np.argsort(-np.array(shares))]
 
 
-def _probabilities(
+def _mixed_probabilities(
     document: Mapping[str, Any], leading: tuple[str, ...], each: Mapping[str, float], sure: float
 ) -> dict[str, Any]:
-    """The joint fit's leading group has what is sure, shared as its members are likely; all else the rest."""
+    """The probabilities of diagnosis.json as a mixture: with probability `sure` the joint fit's leading group, each
+    member by its own, else as they were."""
     weights = {name: each[name] / sum(each[other] for other in leading) for name in leading}
     candidates = [
         {

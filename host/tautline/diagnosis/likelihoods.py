@@ -31,6 +31,7 @@ class Likelihoods:
     predicted."""
 
     def __init__(self, case: Stacked, by: Hyperparameters) -> None:
+        """case: the evidence as arrays; by: the hyperparameters."""
         self.by = by
         self._case = case
         self._tells = case.tells(by.misfit_tells, by.noise_tells)
@@ -40,13 +41,15 @@ class Likelihoods:
         price = 0.5 * by.parameter_price * np.log1p(told) * np.minimum(case.parameters, told)
         # The share that a set may well leave: as the worst of it.
         self._most = np.where(case.law, by.unexplained_by_law, by.unexplained)
-        by_law, usual, any_share = (self._up_to(most) for most in (by.unexplained_by_law, by.unexplained, 1.0))
+        by_law, usual, any_share = (
+            self._log_right_share(most) for most in (by.unexplained_by_law, by.unexplained, 1.0)
+        )
         alone = np.where(case.law[:, None], by_law, usual)
         right = log_sum(table + np.where(case.scatters[:, None], any_share, alone)) - price
         gain, rival = self._gain(case.scatter), self._gain(case.rival)
         # A law is exact, but for what the nominal beside it leaves.
         beaten = np.log(by.mimics + (1.0 - by.mimics) * case.chance)
-        own = np.where(case.size > 0, right + gain + beaten, self._nothing)
+        own = np.where(case.size > 0, right + gain + beaten, self._log_likelihood_of_no_change)
         # Scatter of an event or of another origin: as their likelihoods are.
         other = np.where(case.scatters, rival - gain, -np.inf)
         self.elsewhere = np.where((case.size == 1) & ~case.path, own + log_expit(other), -np.inf)
@@ -57,31 +60,31 @@ class Likelihoods:
         own = own - np.where(further, beside, np.logaddexp(0.0, other))
         far = np.where(further & (other < -LOG_ODDS_MARGIN), beside, 0.0)
         confined = case.confined(by.floor_known, by.floor_steady, by.disturbed)
-        reached, by_chance = own.copy(), self._by_chance
+        reached, by_chance = own.copy(), self._log_chance_of_misfit
         for size in range(int(case.size.max()), 1, -1):  # what two further ones close may be what one leaves as well
             pairs = case.size[case.further] == size
             i, j = case.fewer[pairs], case.further[pairs]
             np.maximum.at(reached, i, reached[j] + np.where(case.scatters[i], far[j], 0.0) + by_chance[pairs])
         self.of: Array = np.maximum(own + far, reached) + confined + self.steady
-        says_nothing = self._give_way
+        says_nothing = self._contained_suffices
         self.of[says_nothing | (case.repeats & ~further)] = -np.inf
         # Now and then the best effect follows an unknown one as closely as if it were right.
         follows = np.where(case.size > 0, np.log(by.mimics) + right, -np.inf)
-        stands_in = np.logaddexp(follows, np.log1p(-by.mimics) + log_sum(table + self._wrong) - price)
+        stands_in = np.logaddexp(follows, np.log1p(-by.mimics) + log_sum(table + self._log_wrong_share) - price)
         stands_in = stands_in + np.where(case.measured, np.log(COINCIDES), 0.0)
         stands_in = stands_in + np.where(case.size > 0, self.prior, 0.0)
         self.unknown = float(np.max(stands_in[~case.scatters & ~says_nothing]))
 
     @cached_property
     def best(self) -> dict[frozenset[str], int]:
-        """Of the hypotheses with the same effects."""
+        """For each set of effects the index of its likeliest hypothesis."""
         of = self.of.tolist()
         return {key: max(same, key=of.__getitem__) for key, same in self._case.same.items()}
 
     def leader(self, key: frozenset[str], best: Mapping[frozenset[str], int]) -> str:
-        """Which effect of a set leads: the one that says most alone, where the others make its amplitude wander. Of a
-        law nothing may be left, but what it leaves beside others is not its own: there the one leads that leaves least.
-        best: the hypothesis of each set."""
+        """Which effect of the set `key` leads: the one whose hypothesis alone is likeliest, not counting that its
+        amplitude wanders as others are missing. Among laws the one that alone leaves the least power: a law leaves
+        nothing of its own. best: the hypothesis of each set."""
         by_power = LAWS & key and not EVENTS & key
 
         def alone(name: str) -> float:
@@ -94,26 +97,28 @@ class Likelihoods:
 
     @cached_property
     def prior(self) -> Array:
+        """(hypotheses,) Logarithm of each hypothesis' prior weight, by the number of its causes, up to a constant."""
         case, by = self._case, self.by
         some = (case.causes - 1) * np.log(by.odds_further) - np.log(case.applicable)
         some = some + np.where(case.brings, np.log(by.odds_brought), 0.0)
         return np.where(case.causes > 0, some, np.log(by.odds_none))
 
     def _gain(self, scatter: Array) -> Array:
+        """(hypotheses,) Log-likelihood gained by the logarithm `scatter` that an event takes off the power."""
         return np.asarray(-0.5 * (self.by.misfit_tells + self.by.noise_tells * self._case.forgets) * scatter)
 
     @property
-    def _give_way(self) -> npt.NDArray[np.bool_]:
-        """An effect that can do a simpler one's part too says nothing where the simpler one alone leaves no more than a
-        right effect may: it is that one, and more of it only beside it."""
+    def _contained_suffices(self) -> npt.NDArray[np.bool_]:
+        """(hypotheses,) Whether a more flexible effect gives way to a simpler one that it contains: the simpler one
+        alone leaves no more than a right effect may."""
         before = max(float(np.mean(self._case.before)), 1e-300)
         little = self._case.mean - self._case.floor2 < self._most * before
         return np.asarray(self._case.does_as_well[:, little].any(axis=1))
 
     @property
-    def _nothing(self) -> float:
-        """The calibrated model as it is leaves noise and little more: what a recalibration takes of it is what the
-        calibration did not know, and a gap that it closes is a gap, one in a single block too."""
+    def _log_likelihood_of_no_change(self) -> float:
+        """Log-likelihood that nothing changed: the calibrated model leaves noise and what a nominal model may leave.
+        What a recalibration takes off is improbable then, be it in one block only."""
         case, by, n = self._case, self.by, self._tells
         usual = (by.block_freedom + n) * np.log1p(n / by.block_freedom)  # where the power is as predicted both agree
         recalibrated = case.power[0]
@@ -126,10 +131,11 @@ class Likelihoods:
         return float(log_sum(said) - np.log(len(said))) - taken / (own + by.calibration_excess)
 
     @property
-    def _by_chance(self) -> Array:
-        """Logarithm of the probability that what a further effect closes is what a right one leaves: that this is so
-        much, and that another effect looks so like it (what it closes of it is as likely to be any share). Another part
-        of the nominal model is a curve by the place too, and follows whatever little the first leaves of a gap."""
+    def _log_chance_of_misfit(self) -> Array:
+        """(pairs,) Logarithm of the probability that what one further effect closes is only the misfit that the right
+        one leaves: that this misfit is as large, times that the further effect looks so like it (the share that it
+        closes of it is uniform). A further part of the nominal model is a curve by place, which follows any small
+        misfit."""
         case = self._case
         left, after = np.maximum(case.left[case.fewer], 1e-300), case.left[case.further]
         share = np.maximum((left - after) / max(float(np.sum(case.before)), 1e-300), 1e-12)
@@ -140,9 +146,9 @@ class Likelihoods:
 
     @cached_property
     def steady(self) -> Array:
-        """(hypotheses,) logarithm of how much likelier its effects' amplitudes are as those of right ones, the same at
-        all places, speeds, times, sides and loads but for what no law has exactly, than as those of wrong ones, which
-        are others by any share of themselves; 0 where that speaks for them. One that wanders is enough."""
+        """(hypotheses,) Log-likelihood ratio, at most 0, of the amplitudes varying over place, speed, time, side and
+        load as a right effect's do (little) against as a wrong one's do (by any share). The worst effect of each
+        hypothesis counts."""
         case, by = self._case, self.by
         right, wrong = (log_sum(case.wander + wander) for wander in (_exponential(by.wanders), _exponential(1.0)))
         each = right - np.logaddexp(np.log(by.mimics) + right, np.log1p(-by.mimics) + wrong)
@@ -150,14 +156,16 @@ class Likelihoods:
         np.minimum.at(least, case.wandering, each)
         return least
 
-    def _up_to(self, most: float) -> Array:
-        """Logarithms of SHARES' probabilities where any magnitude up to `most` may well be left; falling beyond."""
+    def _log_right_share(self, most: float) -> Array:
+        """Log-probabilities of SHARES for what a right effect leaves: any magnitude up to `most` alike, log-normally
+        falling above."""
         log: Array = -0.5 * np.square(np.maximum(np.log(SHARES / most), 0.0) / self.by.share_spread)
         return np.asarray(log - log_sum(log))
 
     @property
-    def _wrong(self) -> Array:
-        """The same if the best effect stands in for another: from a least share any magnitude to 1, falling below."""
+    def _log_wrong_share(self) -> Array:
+        """Log-probabilities of SHARES for what a wrong effect leaves: log-normally rising to the learnt least share,
+        any magnitude from it to 1 alike."""
         log: Array = -0.5 * np.square(
             np.minimum(np.log(SHARES / self.by.unexplained_by_wrong), 0.0) / self.by.share_spread
         )
@@ -165,6 +173,6 @@ class Likelihoods:
 
 
 def _exponential(mean: float) -> Array:
-    """Logarithms of WANDERS' probabilities."""
+    """Log-probabilities of WANDERS for an exponential density of this mean over a grid of logarithmic steps."""
     log: Array = np.log(WANDERS) - WANDERS / mean
     return np.asarray(log - log_sum(log))

@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnosis.fit import Fit, Fitter
+from tautline.diagnosis.fit import Fitter
+from tautline.diagnosis.fitted import Fit
 from tautline.diagnosis.segment import Segment
 
 Array = npt.NDArray[np.float64]
@@ -30,11 +31,12 @@ def moments_of(fit: Fit) -> list[str]:
 
 
 def refined(fitter: Fitter, fit: Fit, limits: Sequence[float]) -> Fit:
-    """A fit with its moments to a frame. limits: of each recording, what residuals are cut to."""
+    """The fit with its events' moments searched to a frame and everything else fitted again. limits: of each recording,
+    to which residuals are cut."""
     for _ in range(_ROUNDS):
         values = dict(fit.state.values)
         for moment in moments_of(fit):
-            values[moment] = _best(fitter, fit, values, moment, limits)
+            values[moment] = _best_moment(fitter, fit, values, moment, limits)
         if values == fit.state.values:
             return fit
         fit = fitter.descend(fit.hypothesis, replace(fit.state, values=values), _STEPS)
@@ -42,16 +44,17 @@ def refined(fitter: Fitter, fit: Fit, limits: Sequence[float]) -> Fit:
 
 
 def seen_to_happen(fitter: Fitter, fit: Fit, limits: Sequence[float]) -> bool:
-    """Of the effect that was added last: a recording shows each of its moments: what comes before in it fits better
-    without, and what comes after with it. What happens between two recordings is another registration or offset of
-    those after it."""
+    """Whether each moment of the last added effect is shown by a recording: before it the frames fit better without the
+    event, after it with it. A change between two recordings is another registration or offset instead."""
     return all(_is_seen(fitter, fit, moment, limits) for moment in fit.hypothesis.kinds[-1].moments)
 
 
 def _is_seen(fitter: Fitter, fit: Fit, moment: str, limits: Sequence[float]) -> bool:
+    """Whether some recording shows this moment with _MARGIN_S on either side, and fits better with the event after it
+    only."""
     happens_s = fit.state.values[moment]
     for segment, limit in zip(fitter.segments, limits, strict=True):
-        seen = _times(segment)
+        seen = _session_times(segment)
         if seen[0] + _MARGIN_S < happens_s < seen[-1] - _MARGIN_S:
             never, always = (
                 _squares(fitter, fit, segment, {**fit.state.values, moment: at}, limit) for at in (np.inf, -np.inf)
@@ -61,15 +64,15 @@ def _is_seen(fitter: Fitter, fit: Fit, moment: str, limits: Sequence[float]) -> 
     return False
 
 
-def _best(fitter: Fitter, fit: Fit, values: Mapping[str, float], moment: str, limits: Sequence[float]) -> float:
-    """Of the moment as it is and those beside it that which leaves least: a few that lie evenly, then a few between the
-    neighbours of the best one, to a frame."""
-    tried = {values[moment]: _after(fitter, fit, values, {moment: values[moment]}, limits)}
-    near = _near(fitter, fit, values[moment])
+def _best_moment(fitter: Fitter, fit: Fit, values: Mapping[str, float], moment: str, limits: Sequence[float]) -> float:
+    """The moment of the smallest sum of squares among the frames beside the present one: evenly spaced ones first, then
+    those between the best one's neighbours."""
+    tried = {values[moment]: _squares_beside(fitter, fit, values, {moment: values[moment]}, limits)}
+    near = _moments_beside(fitter, fit, values[moment])
     low, high = 0, len(near) - 1
     while low <= high:
         some = sorted(set(np.linspace(low, high, min(_TRIED, high - low + 1)).round().astype(int).tolist()))
-        left = [_after(fitter, fit, values, {moment: near[i]}, limits) for i in some]
+        left = [_squares_beside(fitter, fit, values, {moment: near[i]}, limits) for i in some]
         tried |= {near[i]: one for i, one in zip(some, left, strict=True)}
         k = int(np.argmin(left))
         if len(some) == high - low + 1:
@@ -78,32 +81,32 @@ def _best(fitter: Fitter, fit: Fit, values: Mapping[str, float], moment: str, li
     return min(tried, key=tried.__getitem__)
 
 
-def _near(fitter: Fitter, fit: Fit, at: float) -> list[float]:
-    """Moments beside one, of the scene, rising: a little before each frame, as the fit has its delay."""
+def _moments_beside(fitter: Fitter, fit: Fit, at: float) -> list[float]:
+    """Moments (scene time, rising) just before each frame within _NEAR_S of `at`."""
     delay = fit.state.model.delay_s + fit.state.values.get("delay", 0.0)
-    frames = np.concatenate([_times(segment) for segment in fitter.segments]) - delay
+    frames = np.concatenate([_session_times(segment) for segment in fitter.segments]) - delay
     return [float(frame) for frame in np.unique(frames[np.abs(frames - at) < _NEAR_S] - _BEFORE_S)]
 
 
-def _after(
+def _squares_beside(
     fitter: Fitter, fit: Fit, values: Mapping[str, float], moment: Mapping[str, float], limits: Sequence[float]
 ) -> float:
-    """Sum of squares of the recording in which it happens."""
+    """Sum of squares over the recordings in which the moment is or may be."""
     (at,) = moment.values()
     return sum(
         float(_squares(fitter, fit, segment, {**values, **moment}, limit).sum())
         for segment, limit in zip(fitter.segments, limits, strict=True)
-        if _times(segment)[0] - _NEAR_S < at < _times(segment)[-1] + _NEAR_S
+        if _session_times(segment)[0] - _NEAR_S < at < _session_times(segment)[-1] + _NEAR_S
     )
 
 
-def _times(segment: Segment) -> Array:
-    """Of the session, at which scored frames arrived."""
+def _session_times(segment: Segment) -> Array:
+    """(scored,) Arrival times of the scored frames on the session's clock, s."""
     return np.asarray(segment.arrival_s[segment.scored] + segment.offset_s)
 
 
 def _squares(fitter: Fitter, fit: Fit, segment: Segment, values: Mapping[str, float], limit: float) -> Array:
-    """(scored,) of a recording, outliers pulled in."""
+    """(scored,) Squared residual of each frame of a recording, coordinates cut to `limit`."""
     state = replace(fit.state, values=values)
     _, predicted = segment.predict(state.model, state.at(segment, fit.hypothesis), fitter.load_reference)
     left = (segment.observed - predicted)[segment.scored]

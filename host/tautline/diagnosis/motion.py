@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 
 from tautline import trajectory
-from tautline.diagnosis.fit import Fit, Fitter
+from tautline.diagnosis.fit import Fitter
+from tautline.diagnosis.fitted import Fit
 from tautline.effects import simulate
 from tautline.recording import Motor
 from tautline.trajectory import Trajectory
@@ -25,12 +26,13 @@ class NextMotion:
 
 
 def best(fitter: Fitter, fits: Sequence[Fit]) -> NextMotion | None:
-    """None where fewer than two candidates have a path to differ in."""
+    """The motion for which the simulations of these fits differ most (the smallest rms between two of them is largest);
+    None for fewer than two fits."""
     if len(fits) < 2:
         return None
     chosen: NextMotion | None = None
     for why, motion in _motions(fitter):
-        images = [_simulated(fitter, fit, motion) for fit in fits]
+        images = [_prediction(fitter, fit, motion) for fit in fits]
         least = min(float(np.sqrt(np.nanmean((a - b) ** 2))) for a, b in itertools.combinations(images, 2))
         if chosen is None or least > chosen.separation:
             chosen = NextMotion(why, motion, least)
@@ -47,7 +49,8 @@ def table(motion: Trajectory, unit: str) -> pd.DataFrame:
     return pd.DataFrame(columns).iloc[::10]
 
 
-def _simulated(fitter: Fitter, fit: Fit, motion: Trajectory) -> np.ndarray:
+def _prediction(fitter: Fitter, fit: Fit, motion: Trajectory) -> np.ndarray:
+    """(n, k) px or deg that a fit predicts for a motion, every 40 ms, after the last test."""
     motor = Motor(motion.t_s, motion.q, None, motion.translation_mm, motion.rotation_deg)
     scene = np.arange(0.0, motion.duration_s, 0.04)
     test = fitter.segments[-1]
@@ -58,12 +61,14 @@ def _simulated(fitter: Fitter, fit: Fit, motion: Trajectory) -> np.ndarray:
     return path.image_px if fitter.px else path.c_deg[:, None]
 
 
-def _sways(motor: Motor) -> bool:
+def _moves_other_axes(motor: Motor) -> bool:
     """Whether the set-up moves another axis: what it cannot do nobody should be asked for."""
     return any(x is not None and float(np.ptp(x)) > 0.0 for x in (motor.translation_mm, motor.rotation_deg))
 
 
 def _motions(fitter: Fitter) -> list[tuple[str, Trajectory]]:
+    """Motions to choose from, each with what it is in words, within the rig's range and the speeds that were
+    recorded."""
     actuator = fitter.model.rig.actuator
     span = actuator.span
     fastest = max(float(np.abs(np.gradient(s.motor.q, s.motor.t_s)).max()) for s in fitter.segments)
@@ -80,7 +85,7 @@ def _motions(fitter: Fitter) -> list[tuple[str, Trajectory]]:
         ("fast strokes with long rests", steps(speed, 8.0)),
         ("two sines over the whole range", trajectory.sines(actuator, speed, 60.0)),
     ]
-    if fitter.px and any(_sways(s.motor) for s in fitter.segments):
+    if fitter.px and any(_moves_other_axes(s.motor) for s in fitter.segments):
         swaying = [(f"{why} while the other axes sway", m.with_sway(2.0, 20.0, 17.0)) for why, m in motions[1:]]
         motions += swaying
     return motions

@@ -42,7 +42,7 @@ def listed(names: Sequence[str], last: str = "and") -> str:
 
 
 def sentence(document: Mapping[str, Any]) -> str:
-    """Verdict, effect and shrinkage."""
+    """Verdict, effect and shrinkage in one sentence."""
     gap, unit, floor = document["gap"], document["unit"], document["noise_floor"]
     before = f"{digits(gap['before'])} {unit} rms"
     times = f"{gap['before'] / floor:.2g} times the noise"
@@ -54,13 +54,13 @@ def sentence(document: Mapping[str, Any]) -> str:
     if document["verdict"] == "unknown":
         small = _is_small(document)
         what = "Nothing large is left: a small gap" if small else "A gap"
-        seen = "" if small else _seen(document)
+        seen = "" if small else _pattern(document)
         near = max(document["candidates"], key=lambda c: c["shrink"], default=None)
         again = 1.0 - document["gap_recalibrated"]["before"] / max(gap["before"], 1e-300)
         if near and near["shrink"] > max(_NEAR, again):
             return (
                 f"{what} of {before}, {times}: of the known effects {near['id']} comes nearest and would close "
-                f"{percent(near['shrink'])}, but {_against(document, near['id'])}{seen}."
+                f"{percent(near['shrink'])}, but {_why_not(document, near['id'])}{seen}."
             )
         if again > _NEAR:
             return (
@@ -71,11 +71,11 @@ def sentence(document: Mapping[str, Any]) -> str:
     effects = document["effects"]
     told = [
         f"{simulator_words.says(document, e['id'])}{_since(e)} "
-        f"({e['id']}, {percent(e['probability'])} sure{_brings(e)}{_one_of(e) if i else ''})"
+        f"({e['id']}, {percent(e['probability'])} sure{_brings(e)}{_or_else(e) if i else ''})"
         for i, e in enumerate(effects)
     ]
     if len(effects) > _TOLD:
-        rest = [f"{e['id']} ({percent(e['probability'])}{_one_of(e)})" for e in effects[1:]]
+        rest = [f"{e['id']} ({percent(e['probability'])}{_or_else(e)})" for e in effects[1:]]
         told = [told[0], f"beside it {listed(rest)}"]
     named = listed(told)
     if effects[0]["id"] in EVENTS and gap["shrink"] > _SHRINKS:
@@ -89,7 +89,7 @@ def sentence(document: Mapping[str, Any]) -> str:
         shrinks = "removes" if gap["shrink"] > 0.995 else f"shrinks by {percent(gap['shrink'])}"
         text = (
             f"{_capital(named)}: with {'it' if len(effects) == 1 else 'them'} in the model the gap {shrinks}, "
-            f"from {before} to {digits(gap['after'])}{_but_noise(gap)}; on another motion expect "
+            f"from {before} to {digits(gap['after'])}{_beside_noise(gap)}; on another motion expect "
             f"{_between(gap['shrink_ci'])}."
         )
     others = [name for name in effects[0]["ambiguous_with"] if name not in {e["id"] for e in effects}]
@@ -101,14 +101,15 @@ def sentence(document: Mapping[str, Any]) -> str:
     return text
 
 
-def _against(document: Mapping[str, Any], name: str) -> str:
+def _why_not(document: Mapping[str, Any], name: str) -> str:
     """Why an unknown cause is not the effect that it resembles."""
     says = next((entry["says"] for entry in document.get("resembles", ()) if entry["id"] == name), "")
     return f"would be another law elsewhere ({says})" if says else "leaves what it could not"
 
 
-def _but_noise(gap: Mapping[str, Any]) -> str:
-    """Where less than all of it goes, and yet all that is no noise."""
+def _beside_noise(gap: Mapping[str, Any]) -> str:
+    """The share of the gap's power above the noise that is closed, where it is clearly more than the gap's shrinkage;
+    else ""."""
     above = gap.get("closable_shrink")
     if above is None or above - gap["shrink"] < _NEAR:
         return ""
@@ -116,18 +117,19 @@ def _but_noise(gap: Mapping[str, Any]) -> str:
 
 
 def _brings(effect: Mapping[str, Any]) -> str:
+    """The parts of the nominal model that a named effect changed too; "" where there are none."""
     parts = [part["id"] for part in effect.get("brings", ())]
     return f"; it brings a change of {listed(parts)}" if parts else ""
 
 
-def _one_of(effect: Mapping[str, Any]) -> str:
-    """Of what is named beside another: what may be there in its place."""
+def _or_else(effect: Mapping[str, Any]) -> str:
+    """Which other effects may be there in the place of a further one; "" where it is told for sure."""
     others = effect["ambiguous_with"]
     return f", or else {listed(others, 'or')}" if others else ""
 
 
 def _since(effect: Mapping[str, Any]) -> str:
-    """Of a part of the nominal model; other effects are there or not."""
+    """Since when, for a part of the nominal model; "" for other effects."""
     return SINCE[effect["since"]] if BY_ID[effect["id"]].nominal else ""
 
 
@@ -150,7 +152,7 @@ def _between(interval: Sequence[float]) -> str:
 
 
 def flexible(document: Mapping[str, Any]) -> str:
-    """What a model without any physics would close; "" where it was not asked."""
+    """What a Gaussian process without any physics would close of the gap; "" where none was fitted."""
     closed = document.get("flexible")
     if not closed:
         return ""
@@ -183,7 +185,7 @@ class NextStep:
 
 
 def steps(document: Mapping[str, Any], folder: str) -> list[NextStep]:
-    """What to do next, most useful first; `folder` is the diagnosis' own."""
+    """What to do next, the most useful first. folder: where the diagnosis is kept."""
     verdict, following = document["verdict"], document["next_motion"]
     effects = document["effects"]
     event = bool(effects) and effects[0]["id"] in EVENTS
@@ -248,7 +250,7 @@ def steps(document: Mapping[str, Any], folder: str) -> list[NextStep]:
 
 
 def board(effects: Sequence[Mapping[str, Any]], folder: str) -> NextStep:
-    """What `taut flash` can do about it."""
+    """The next step at the board: what `taut flash` can load of the named effects."""
     left = [e["id"] for e in effects if not e["loads_on_board"]]
     if left:
         why = [f"{name} ({_REMAINS[name]})" if name in _REMAINS else name for name in left]
@@ -265,7 +267,7 @@ def board(effects: Sequence[Mapping[str, Any]], folder: str) -> NextStep:
 
 
 def tip(document: Mapping[str, Any]) -> str:
-    """What the tip will do with the new tables."""
+    """The simulated error of the tip with the old and the new tables; "" where it was not simulated."""
     errors = document.get("tip")
     if not errors:
         return ""
@@ -276,8 +278,8 @@ def tip(document: Mapping[str, Any]) -> str:
     )
 
 
-def tracker(document: Mapping[str, Any]) -> str:
-    """What of the videos was not looked at; "" where all was."""
+def left_out_frames(document: Mapping[str, Any]) -> str:
+    """Which share of the videos' frames was not scored, and why; "" where hardly any."""
     tracked = document.get("tracker")
     if not tracked or tracked["left_out"] < _LEFT_OUT:
         return ""
@@ -288,7 +290,7 @@ def tracker(document: Mapping[str, Any]) -> str:
 
 
 def text(document: Mapping[str, Any], folder: str) -> str:
-    """For a terminal: the sentence, the gap, the candidates, what to do next, where it is."""
+    """The diagnosis as text for a terminal: sentence, gap, candidates, next steps, and where its page is."""
     gap, unit = document["gap"], document["unit"]
     low, high = gap["after_ci"]
     lines = [sentence(document), ""]
@@ -309,7 +311,7 @@ def text(document: Mapping[str, Any], folder: str) -> str:
     closed = flexible(document)
     if closed:
         lines += ["", closed]
-    for told in (tip(document), tracker(document)):
+    for told in (tip(document), left_out_frames(document)):
         lines += ["", told] if told else []
     lines.append("")
     for step in steps(document, folder):
@@ -319,9 +321,9 @@ def text(document: Mapping[str, Any], folder: str) -> str:
 
 
 def rows(document: Mapping[str, Any], most: int) -> list[tuple[str, float, str]]:
-    """Candidate, its probability to be the leading one, and what it closes: the likeliest, unknown and none. Where
-    nothing is explained, what closes next to nothing says nothing."""
-    least = told(document)
+    """Up to `most` candidates, unknown and none, each with its probability to lead and what it closes in words (""
+    where next to nothing), the likeliest first."""
+    least = least_told(document)
     candidates = [
         (c["id"], c["probability"], f"closes {percent(c['shrink'])}" if c["shrink"] > least else "")
         for c in document["candidates"][:most]
@@ -335,12 +337,13 @@ def rows(document: Mapping[str, Any], most: int) -> list[tuple[str, float, str]]
     return sorted(candidates, key=lambda row: -row[1])
 
 
-def told(document: Mapping[str, Any]) -> float:
-    """Share of the gap from which on it is said that an effect closes it."""
+def least_told(document: Mapping[str, Any]) -> float:
+    """The share of the gap below which nothing is said of what an effect closes."""
     return {"effect": 0.005, "unknown": _NEAR, "none": 1.0}[str(document["verdict"])]
 
 
-def _seen(document: Mapping[str, Any]) -> str:
+def _pattern(document: Mapping[str, Any]) -> str:
+    """The pattern of an unexplained gap: a swing's period or the signature; "" where none was seen."""
     swing = _swing(document)
     if swing:
         return f"; it swings with a period of {swing:.2g} s, whatever the motor does"

@@ -43,13 +43,14 @@ _TITLES = {
 
 
 def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
-    """known_as: what the page's commands call the folder, where it is not there yet."""
+    """Writes FILE into `folder` and returns its path. known_as: the folder's name in the page's commands, if it is
+    moved later."""
     document = diagnosis.document
     unit = diagnosis.nominal.rig.actuator.unit
     named = document["verdict"] == "effect"
     page = {
         "title": "Where model and robot part",
-        "source": _source(diagnosis),
+        "source": _recordings_in_words(diagnosis),
         "sentence": narration.sentence(document),
         "document": document,
         "named": named,
@@ -79,11 +80,11 @@ def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
         "parameters": [
             row
             for effect in document["effects"]
-            for row in _parameters(document, effect, unit, width_now(diagnosis.nominal, diagnosis.corrected))
+            for row in _parameter_rows(document, effect, unit, width_now(diagnosis.nominal, diagnosis.corrected))
         ],
         "moved": narration.moved(document),
         "tip": narration.tip(document),
-        "tracker": narration.tracker(document),
+        "tracker": narration.left_out_frames(document),
         "conditions": _conditions(diagnosis, unit),
         "colours": "Blue: mean residual across the image; orange: down."
         if document["unit"] == "px"
@@ -94,7 +95,8 @@ def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
     return path
 
 
-def _source(diagnosis: Diagnosis) -> str:
+def _recordings_in_words(diagnosis: Diagnosis) -> str:
+    """Which recordings the diagnosis is of, and how long they are."""
     names = [segment.name for segment in diagnosis.segments]
     seconds = sum(float(np.ptp(segment.motor.t_s)) for segment in diagnosis.segments)
     return f"calibrated on {names[0]}, tested on {narration.listed(names[1:])}; {seconds:.0f} s in all"
@@ -110,7 +112,7 @@ def _chain(document: Mapping[str, Any]) -> list[dict[str, Any]]:
         closes = max((c["shrink"] for c in of_stage), default=0.0)
         share = sum(e["shrink"] for e in document["effects"] if e["id"].startswith(stage + "."))
         says = f"{narration.percent(share)} of the gap" if stage in named and share > 0.005 else ""
-        if not says and closes > narration.told(document):
+        if not says and closes > narration.least_told(document):
             says = f"could close {narration.percent(closes)}"
         certain = document["verdict"] == "effect"
         mark = "named" if certain and (stage == marked or stage in named) else ""
@@ -121,29 +123,32 @@ def _chain(document: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def width_now(nominal: Model, corrected: Model) -> str:
-    """Where a width is named: what it came to, over what was measured."""
+    """The mean B before and after over the measured range, in words."""
     unit, inside = nominal.rig.actuator.unit, (nominal.q >= nominal.measured[0]) & (nominal.q <= nominal.measured[1])
     was = float(nominal.width[inside].mean())
     now = float(np.interp(nominal.q[inside], corrected.q, corrected.width).mean())
     return f"{narration.digits(now)} {unit} in the mean, it was {narration.digits(was)}"
 
 
-def _parameters(document: Mapping[str, Any], effect: Mapping[str, Any], unit: str, width: str) -> list[dict[str, Any]]:
+def _parameter_rows(
+    document: Mapping[str, Any], effect: Mapping[str, Any], unit: str, width: str
+) -> list[dict[str, Any]]:
+    """The table's rows of one named effect: its parameters, and what it brings. unit: of q; width: `width_now`."""
     if own := simulator_words.values(document, effect["id"]):
-        return [_row(effect, *own, True)]
+        return [_table_row(effect, *own, True)]
     kind = BY_ID[effect["id"]]
     if kind.of_joint and "column" in effect["parameters"]:
         kind = kind.of_joint(effect["parameters"]["column"])
     known = {p.name: p for p in kind.parameters if p.name in effect["parameters"]}
     known = dict([item for item in known.items() if item[0] not in kind.curve][:_PARAMETERS])
-    brought = [_row(effect, "brings", part["id"], False) for part in effect.get("brings", ())]
+    brought = [_table_row(effect, "brings", part["id"], False) for part in effect.get("brings", ())]
     if effect["id"] == "transmission.backlash":
-        return [_row(effect, "B is now", width, True), *brought]
+        return [_table_row(effect, "B is now", width, True), *brought]
     if not known and "column" not in effect["parameters"]:
-        return [_row(effect, "a curve", "", True)]
+        return [_table_row(effect, "a curve", "", True)]
     shown = {name: value for name, value in effect["parameters"].items() if name in known or name == "column"}
     return [
-        _row(
+        _table_row(
             effect,
             name.replace("_", " "),
             f"{narration.digits(value)} {_unit(known[name], unit)}".strip() if name in known else value,
@@ -153,7 +158,8 @@ def _parameters(document: Mapping[str, Any], effect: Mapping[str, Any], unit: st
     ] + brought
 
 
-def _row(effect: Mapping[str, Any], name: str, value: str, first: bool) -> dict[str, Any]:
+def _table_row(effect: Mapping[str, Any], name: str, value: str, first: bool) -> dict[str, Any]:
+    """One row of the table of parameters; first: whether it is the effect's first."""
     return {
         "effect": effect["id"],
         "name": name,
@@ -185,7 +191,7 @@ def _conditions(diagnosis: Diagnosis, unit: str) -> list[dict[str, Any]]:
     pictures = []
     for condition in shown:
         title = _TITLES.get(condition.axis, condition.axis)
-        drawn = _condition(diagnosis, condition, after.get(condition.axis), unit, top)
+        drawn = _condition_figure(diagnosis, condition, after.get(condition.axis), unit, top)
         caption = f"{narration.percent(condition.share)} of the gap's power goes with it; largest {condition.says}."
         pictures.append({"title": title, "picture": pages.picture(drawn, title, caption)})
     return pictures
@@ -197,7 +203,10 @@ def _rms(condition: Condition) -> where.Array:
 
 
 @mpl.rc_context(figures.STYLE)
-def _condition(diagnosis: Diagnosis, condition: Condition, after: Condition | None, unit: str, top: float) -> Figure:
+def _condition_figure(
+    diagnosis: Diagnosis, condition: Condition, after: Condition | None, unit: str, top: float
+) -> Figure:
+    """Residual over one axis: rms (area), mean (lines), rms after (red). top: the common end of the vertical axis."""
     made, axes = figures.figure(3.5, 2.2)
     ax: Axes = axes[0, 0]
     floor = diagnosis.document["noise_floor"]
@@ -231,7 +240,7 @@ def _condition(diagnosis: Diagnosis, condition: Condition, after: Condition | No
 
 @mpl.rc_context(figures.STYLE)
 def residuals(diagnosis: Diagnosis) -> Figure:
-    """Over the session's time, both models."""
+    """Distance between prediction and measurement over the session's time, by both models."""
     made, axes = figures.figure(10.5, 2.8)
     ax = axes[0, 0]
     named = diagnosis.document["verdict"] == "effect"

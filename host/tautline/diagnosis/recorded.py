@@ -16,8 +16,8 @@ Progress = Callable[[float, str], None]
 def calibrated(
     recordings: Sequence[Recording], rig: Rig, progress: Progress = lambda fraction, text: None
 ) -> tuple[Calibration, list[Recording]]:
-    """On the first of them; all with their marker's track, on the motor's clock. Raises TautError where nothing can be
-    measured."""
+    """A calibration on the first recording, and all recordings with their marker's track, on the motor's clock.
+    TautError where nothing can be measured."""
     seen = [with_marker(recording, rig, progress) for recording in recordings]
     calibration = calibrate(seen[:1], rig, progress=progress, naming=False)  # a diagnosis names what is in all of them
     return calibration, [*shifted(seen[:1], calibration.offsets), *on_motor_clock(seen[1:], rig)]

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import spread
-from tautline.diagnosis.fit import Scope
+from tautline.diagnosis.fitted import Scope
 from tautline.diagnosis.segment import Segment
 from tautline.effects import BY_ID
 from tautline.model import Model
@@ -22,7 +22,7 @@ _SEEN = 0.1  # loss: of the floor's power, by which repeats raise the gap's
 _SURE = 0.98
 
 
-def told(document: dict[str, Any], model: Model, segments: Sequence[Segment], load_reference: float) -> None:
+def add_repeats(document: dict[str, Any], model: Model, segments: Sequence[Segment], load_reference: float) -> None:
     """Writes into a diagnosis.json what repeated samples add to the gap of `model`, and names them where they are much
     of it. segments: the calibration first."""
     squares, fresh, frames = 0.0, 0.0, 0
@@ -47,7 +47,7 @@ def told(document: dict[str, Any], model: Model, segments: Sequence[Segment], lo
     alone = document["verdict"] == "none"
     probability = _SURE if alone else min(share, _SURE)
     named = alone or share > 0.5 or document["verdict"] == "effect"
-    _widen(document["gap"], float(np.sqrt(power)), floor2, named)
+    _count_repeats_in_gap(document["gap"], float(np.sqrt(power)), floor2, named)
     for candidate in document["candidates"]:
         candidate["probability"] *= 1.0 - probability
     document["probability_none"] *= 1.0 - probability
@@ -85,14 +85,15 @@ def told(document: dict[str, Any], model: Model, segments: Sequence[Segment], lo
 
 
 def _with_one_more(count: Sequence[float], probability: float) -> list[float]:
-    """Of none, one, two, more, where with this probability there is one that was not counted."""
+    """The probabilities of 0, 1, 2 and 3 or more effects when with `probability` there is one more that was not
+    counted."""
     none, one, two, more = count
     return [probability * w + (1.0 - probability) * o for w, o in zip((0.0, none, one, two + more), count, strict=True)]
 
 
-def _widen(told: dict[str, Any], before: float, floor2: float, named: bool) -> None:
-    """A gap's figures with the repeats in `before`; after: a repeat is as far off as the sample that it repeats. Both
-    ends of an interval at their worst."""
+def _count_repeats_in_gap(told: dict[str, Any], before: float, floor2: float, named: bool) -> None:
+    """Changes a gap's figures so that `before` includes the repeated samples and `after` has each as far off as the
+    sample that it repeats; intervals are combined at their worst ends. floor2: noise power."""
     wider = before / told["before"]
     told["before"], told["before_ci"] = before, [wider * end for end in told["before_ci"]]
     if named:

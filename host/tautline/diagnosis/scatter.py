@@ -16,7 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnosis.fit import Fit, Fitter
+from tautline.diagnosis.fit import Fitter
+from tautline.diagnosis.fitted import Fit
 
 Array = npt.NDArray[np.float64]
 
@@ -58,8 +59,9 @@ class Frames:
 
 
 def of_fit(fitter: Fitter, fit: Fit, labels: Sequence[npt.NDArray[np.int64]], only_tests: bool) -> Scatter:
-    """Of what a fit leaves; labels: blocks of each recording's scored observations. only_tests: the calibration has
-    none of it; its blocks' losses are zero."""
+    """Losses of each explanation of the residuals' scatter for one fit. labels: the block of each recording's scored
+    observations. only_tests: an effect after the calibration, whose blocks' losses are 0 then. Frames near an event's
+    moment are left out."""
     parts, count = [], 0
     for segment, label in zip(fitter.segments, labels, strict=True):
         block = np.full(len(segment.scored), -1)
@@ -76,7 +78,8 @@ def of_fit(fitter: Fitter, fit: Fit, labels: Sequence[npt.NDArray[np.int64]], on
 
 
 def frames(t: Array, observed: Array, predicted: Array, p: Array, block: npt.NDArray[np.int64]) -> Frames:
-    """Of one recording; block -1: not scored."""
+    """The frames of one recording that count: scored (block >= 0), with _REMEMBERED evenly timed predecessors. t:
+    arrival times, s; observed, predicted: (n, k); p: the centre coordinate (n,)."""
     step = np.diff(t)
     whole = np.concatenate([[False], np.abs(step - np.median(step)) < 0.5 * np.median(step)])
     known = block >= 0
@@ -103,111 +106,149 @@ def frames(t: Array, observed: Array, predicted: Array, p: Array, block: npt.NDA
 
 
 def weighed(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
-    """floor: the noise of one coordinate."""
-
-    def joined(of: Callable[[Frames], Array]) -> Array:
-        return np.concatenate([of(part) for part in parts])
-
-    # Sticking holds the tip back by half a jump in the mean: more of it than while calibrating widens the play.
-    behind = np.concatenate([_mean_along(part.residual, part.per_unit) for part in parts])
-    as_it_is, moved = joined(lambda f: f.residual), joined(lambda f: f.moved)
-    r, before = as_it_is - behind, joined(lambda f: f.before) - behind[:, :, None]
-    velocity, per_unit = joined(lambda f: f.velocity), joined(lambda f: f.per_unit)
-    driven, period = joined(lambda f: f.driven), joined(lambda f: f.period)
-    block = np.concatenate([part.block for part in parts])
-    recording = np.repeat(np.arange(len(parts)), [len(part.block) for part in parts])
-    n, k = r.shape
-    f2 = floor**2
-    speed = np.linalg.norm(velocity, axis=1)
-    along, across2 = _split(r, velocity)
-    moving = driven > _MOVES * max(float(np.quantile(driven, 0.99)), 1e-12)
-    broad = _isotropic(np.sum(r**2, axis=1), max(float(np.mean(r**2)), f2), k)
-
-    def with_broad(log_density: Array) -> Array:
-        return np.asarray(np.logaddexp(np.log1p(-_BROAD) + log_density, np.log(_BROAD) + broad))
-
-    def best(family: Callable[[float], Array], scales: Array) -> tuple[Array, float]:
-        tried = [with_broad(family(float(s))) for s in scales]
-        chosen = int(np.argmax([float(np.sum(x)) for x in tried]))
-        return tried[chosen], float(scales[chosen])
-
-    def two_levels(left: Array) -> Array:
-        """Of each recording one variance while the motor drives, another while it does not, both told robustly."""
-        squares = np.sum(left**2, axis=1)
-        variance = np.empty(n)
-        for number in range(len(parts)):
-            for part in (moving & (recording == number), ~moving & (recording == number)):
-                if part.any():
-                    here = squares[part] / k
-                    variance[part] = max(float(np.mean(np.minimum(here, np.quantile(here, 0.97)))), f2)
-        return with_broad(_isotropic(squares, variance, k))
-
-    memory = np.linalg.lstsq(before.reshape(n * k, -1), r.ravel(), rcond=None)[0]
-    repeated = _isotropic(np.sum(moved**2, axis=1), 2.0 * f2, k)  # the place of before, both with their noise
-
-    def jitter(seconds: float) -> Array:
-        variance = f2 + (seconds * speed) ** 2
-        return _apart(along, across2, variance, f2, k)
-
-    def stick(jump: float) -> Array:
-        held = np.where(driven > 0.0, np.clip(1.0 - driven / jump, 0.01, 0.99), 0.99)
-        variance = f2 + np.sum(per_unit**2, axis=1) * jump**2 / 12.0
-        within = _apart(*_split(r, per_unit), variance, f2, k)
-        return np.asarray(np.logaddexp(np.log(held) + repeated, np.log1p(-held) + within))
-
-    def repeats(share: float) -> Array:
-        # The fitted delay has taken up how late such images are in the mean.
-        early = r - share * velocity * period[:, None]
-        steady = _isotropic(np.sum(early**2, axis=1), 2.0 * f2, k)
-        return np.asarray(np.logaddexp(np.log(share) + repeated, np.log1p(-share) + steady))
-
+    """Losses and amounts of each explanation, its one number by maximum likelihood. parts: of each recording; floor:
+    the noise of one coordinate; blocks: how many there are in all."""
+    frames = _Joined(parts, floor)
+    speed, driven = frames.speed, frames.driven
     finest = floor / max(float(np.quantile(speed, 0.9)), 1e-9)
-    jittered, jitter_s = best(jitter, np.geomspace(min(0.1 * finest, 0.1 * _LONGEST_S), _LONGEST_S, 41))
+    jittered, jitter_s = frames.likeliest(
+        frames.jitter, np.geomspace(min(0.1 * finest, 0.1 * _LONGEST_S), _LONGEST_S, 41)
+    )
     reach = max(float(np.quantile(driven, 0.99)), 1e-9)
-    stuck, jump = best(stick, np.geomspace(0.1 * reach, 30.0 * reach, 61))
-    frozen, held = best(repeats, np.array([0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 0.9]))
-    told = {
+    stuck, jump = frames.likeliest(frames.stick, np.geomspace(0.1 * reach, 30.0 * reach, 61))
+    frozen, held = frames.likeliest(
+        frames.repeats, np.array([0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 0.9])
+    )
+    log_densities = {
         JITTER: jittered,
         STICK_SLIP: stuck,
-        "as it is": two_levels(as_it_is),
-        "level": two_levels(r),
-        "memory": two_levels(r - before @ memory),
+        "as it is": frames.two_levels(frames.as_it_is),
+        "level": frames.two_levels(frames.residual),
+        "memory": frames.two_levels(frames.residual - frames.by_memory()),
         HELD: frozen,
-        "pixels": two_levels(r - _of_place_in_pixel(r, joined(lambda f: f.image))),
+        "pixels": frames.two_levels(frames.residual - _pixel_phase_part(frames.residual, frames.image)),
     }
-    count = np.maximum(np.bincount(block, minlength=blocks), 1)
-    seen = np.bincount(block, minlength=blocks) > 0
-    loss = {name: seen * (-2.0 / k * np.bincount(block, x, minlength=blocks) / count - 1.0) for name, x in told.items()}
+    count = np.maximum(np.bincount(frames.block, minlength=blocks), 1)
+    seen = np.bincount(frames.block, minlength=blocks) > 0
+    loss = {
+        name: seen * (-2.0 / frames.coordinates * np.bincount(frames.block, x, minlength=blocks) / count - 1.0)
+        for name, x in log_densities.items()
+    }
     return Scatter(loss, {JITTER: jitter_s, STICK_SLIP: jump, HELD: held})
 
 
+class _Joined:
+    """The frames of all recordings, and the log-density (n,) of each under each explanation."""
+
+    def __init__(self, parts: Sequence[Frames], floor: float) -> None:
+        """parts: frames of each recording; floor: the noise of one coordinate."""
+
+        def joined(of: Callable[[Frames], Array]) -> Array:
+            return np.concatenate([of(part) for part in parts])
+
+        # Sticking holds the tip back by half a jump in the mean: more of it than while calibrating widens the play.
+        behind = np.concatenate([_fitted_lag(part.residual, part.per_unit) for part in parts])
+        self.as_it_is, self.image = joined(lambda f: f.residual), joined(lambda f: f.image)
+        self.residual = self.as_it_is - behind
+        self._before = joined(lambda f: f.before) - behind[:, :, None]
+        self._velocity, self._per_unit = joined(lambda f: f.velocity), joined(lambda f: f.per_unit)
+        self.driven, self._period = joined(lambda f: f.driven), joined(lambda f: f.period)
+        self.block = np.concatenate([part.block for part in parts])
+        self._recording = np.repeat(np.arange(len(parts)), [len(part.block) for part in parts])
+        self.coordinates = self.residual.shape[1]
+        self._floor2 = floor**2
+        self.speed = np.linalg.norm(self._velocity, axis=1)
+        self._moving = self.driven > _MOVES * max(float(np.quantile(self.driven, 0.99)), 1e-12)
+        level = max(float(np.mean(self.residual**2)), self._floor2)
+        self._broad = _isotropic(np.sum(self.residual**2, axis=1), level, self.coordinates)
+        # The place of the frame before, both with their noise.
+        moved = joined(lambda f: f.moved)
+        self._repeated = _isotropic(np.sum(moved**2, axis=1), 2.0 * self._floor2, self.coordinates)
+
+    def likeliest(self, family: Callable[[float], Array], scales: Array) -> tuple[Array, float]:
+        """The log-density of the likeliest member of a family, and its scale."""
+        tried = [self._with_broad(family(float(s))) for s in scales]
+        chosen = int(np.argmax([float(np.sum(x)) for x in tried]))
+        return tried[chosen], float(scales[chosen])
+
+    def _with_broad(self, log_density: Array) -> Array:
+        """A mixture with a broad density: of a share _BROAD of the frames nothing is said."""
+        return np.asarray(np.logaddexp(np.log1p(-_BROAD) + log_density, np.log(_BROAD) + self._broad))
+
+    def two_levels(self, left: Array) -> Array:
+        """Gaussian noise `left` (n, k) of one variance while the motor drives and another while it rests, for each
+        recording, both estimated robustly."""
+        squares = np.sum(left**2, axis=1)
+        variance = np.empty(len(left))
+        for number in np.unique(self._recording):
+            for part in (self._moving & (self._recording == number), ~self._moving & (self._recording == number)):
+                if part.any():
+                    here = squares[part] / self.coordinates
+                    clipped = np.minimum(here, np.quantile(here, 0.97))
+                    variance[part] = max(float(np.mean(clipped)), self._floor2)
+        return self._with_broad(_isotropic(squares, variance, self.coordinates))
+
+    def by_memory(self) -> Array:
+        """(n, k) The part of the residual that the residuals of the frames before predict linearly."""
+        n, k = self.residual.shape
+        memory = np.linalg.lstsq(self._before.reshape(n * k, -1), self.residual.ravel(), rcond=None)[0]
+        return np.asarray(self._before @ memory)
+
+    def jitter(self, seconds: float) -> Array:
+        """Frame times that scatter by so many seconds: along the motion in proportion to the speed."""
+        along, across2 = _along_and_across2(self.residual, self._velocity)
+        variance = self._floor2 + (seconds * self.speed) ** 2
+        return _gaussian_along(along, across2, variance, self._floor2, self.coordinates)
+
+    def stick(self, jump: float) -> Array:
+        """A tip that stays while the motor drives, with a probability that falls to 0 over `jump` (of the centre
+        coordinate), and else is anywhere within a jump of the prediction."""
+        held = np.where(self.driven > 0.0, np.clip(1.0 - self.driven / jump, 0.01, 0.99), 0.99)
+        variance = self._floor2 + np.sum(self._per_unit**2, axis=1) * jump**2 / 12.0  # equation: of a uniform density
+        along, across2 = _along_and_across2(self.residual, self._per_unit)
+        within = _gaussian_along(along, across2, variance, self._floor2, self.coordinates)
+        return np.asarray(np.logaddexp(np.log(held) + self._repeated, np.log1p(-held) + within))
+
+    def repeats(self, share: float) -> Array:
+        """A link that shows this share of the frames a second time."""
+        # The fitted delay has taken up how late such images are in the mean.
+        early = self.residual - share * self._velocity * self._period[:, None]
+        steady = _isotropic(np.sum(early**2, axis=1), 2.0 * self._floor2, self.coordinates)
+        return np.asarray(np.logaddexp(np.log(share) + self._repeated, np.log1p(-share) + steady))
+
+
 def _isotropic(squares: Array, variance: Array | float, k: int) -> Array:
+    """Log-density (n,) of an isotropic Gaussian in k coordinates, less its constant. squares: of the distance;
+    variance: of a coordinate."""
     return np.asarray(-0.5 * (k * np.log(variance) + squares / variance))
 
 
-def _apart(along: Array, across2: Array, variance: Array, across_variance: float, k: int) -> Array:
-    """Gaussian with its own variance along the motion."""
+def _gaussian_along(along: Array, across2: Array, variance: Array, across_variance: float, k: int) -> Array:
+    """Log-density (n,) of a Gaussian with `variance` along the motion and `across_variance` across it; across2: squared
+    distance across."""
     value: Array = -0.5 * (np.log(variance) + along**2 / variance)
     if k > 1:
         value = value - 0.5 * (np.log(across_variance) + across2 / across_variance)
     return value
 
 
-def _split(r: Array, direction: Array) -> tuple[Array, Array]:
-    """(n,) along a direction, and squared across it."""
+def _along_and_across2(r: Array, direction: Array) -> tuple[Array, Array]:
+    """(n,) The component of r (n, k) along a direction (n, k), and its squared distance across."""
     unit = direction / np.maximum(np.linalg.norm(direction, axis=1), 1e-9)[:, None]
     along = np.sum(r * unit, axis=1)
     return along, np.maximum(np.sum(r**2, axis=1) - along**2, 0.0)
 
 
-def _mean_along(r: Array, per_unit: Array) -> Array:
-    """(n, k): what one length along the motion explains of a recording's residual."""
+def _fitted_lag(r: Array, per_unit: Array) -> Array:
+    """(n, k) The part of a recording's residual that a constant lag of the centre coordinate along the motion
+    explains."""
     length = float(np.sum(r * per_unit)) / max(float(np.sum(per_unit**2)), 1e-12)
     return length * per_unit
 
 
-def _of_place_in_pixel(r: Array, image: Array) -> Array:
-    """(n, k): what the place within a pixel explains of each coordinate: two harmonics."""
+def _pixel_phase_part(r: Array, image: Array) -> Array:
+    """(n, k) The part of the residual that the position within a pixel explains: two harmonics of each image
+    coordinate."""
     explained = np.empty_like(r)
     for i, (left, x) in enumerate(zip(r.T, image.T, strict=True)):
         turns = 2.0 * np.pi * x

@@ -15,18 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
-from tautline.diagnosis.fit import (
-    STATIC_COLUMNS,
-    Fit,
-    Fitter,
-    Hypothesis,
-    ParameterState,
-    Scope,
-    ScoredRows,
-    inside,
-    key,
-    moves_tip,
-)
+from tautline.diagnosis.fit import STATIC_COLUMNS, Fitter, ScoredRows, inside, moves_tip
+from tautline.diagnosis.fitted import Fit, Hypothesis, ParameterState, Scope, key
 from tautline.effects import SIMULATOR, Kind, Parameter
 from tautline.nominal import Normal
 
@@ -54,8 +44,8 @@ class Screened:
 def screen(
     fitter: Fitter, base: Fit, kinds: Iterable[Kind], limits: Sequence[float], scopes: Sequence[Scope] = tuple(Scope)
 ) -> list[Screened]:
-    """Every kind in these scopes, best first. limits: of each recording, what residuals are cut to. Effects that the
-    nominal absorbs are left out."""
+    """Effects by their linear score on top of `base`, the largest first, in each of these scopes. limits: of each
+    recording, to which residuals are cut. Effects that the nominal model absorbs are left out."""
     scan = _Scan(fitter.coarse, base, limits, scopes)
     fine: _Scan | None = None  # of all observations
     screened: list[Screened] = []
@@ -70,7 +60,7 @@ def screen(
                     found = fine.moments(kind, [rough[-1].values[name] for name in rough[-1].kind.moments])
                     screened += [replace(once, more=tuple(found[1:])) for once in found[:1]]
                 continue
-            starts = sorted(scan.kind(kind), key=lambda entry: -entry.gain)
+            starts = sorted(scan.scores(kind), key=lambda entry: -entry.gain)
             for scope in (Scope.TESTS, Scope.EACH, Scope.START):
                 best = [entry for entry in starts if entry.scope == scope][: 1 + _OTHERS]
                 if best:
@@ -80,6 +70,7 @@ def screen(
 
 class _Scan:
     def __init__(self, fitter: Fitter, base: Fit, limits: Sequence[float], scopes: Sequence[Scope]) -> None:
+        """Prepares the normal equations of `base` with its residuals cut to `limits`."""
         self.fitter, self.base, self.scopes = fitter, base, scopes
         plain = fitter.rows(base.state, base.hypothesis)
         known = fitter.effect_columns(base.state, base.hypothesis, plain)
@@ -93,59 +84,63 @@ class _Scan:
             for row, columns, limit in zip(plain, known, limits, strict=True)
         ]
         self.known = [fitter.normal(row) for row in self.rows]
-        matrix = fitter.floor**2 * fitter.stiffness(base.hypothesis) + sum(n.matrix for n in self.known)
+        matrix = fitter.floor**2 * fitter.prior_precision(base.hypothesis) + sum(n.matrix for n in self.known)
         self.factor = cho_factor(matrix)
         self.gradient = np.asarray(sum(n.gradient for n in self.known))
         self.absorbed = cho_solve(self.factor, self.gradient)
         self.squares = sum(float(np.sum(row.residual**2)) for row in self.rows) - float(self.gradient @ self.absorbed)
 
-    def kind(self, kind: Kind) -> list[Screened]:
+    def scores(self, kind: Kind) -> list[Screened]:
+        """Linear scores of one effect, for every combination of starting shapes, sign and scope."""
         if kind.scan == "period":
-            return self._encoder(kind)
+            return self._encoder_scores(kind)
         signs = (1.0, -1.0) if any(p.one_way for p in kind.amplitudes) else (1.0,)
         return [
             entry
-            for shapes, sign in itertools.product(_starts(self.fitter, self.base, kind), signs)
+            for shapes, sign in itertools.product(_starting_shapes(self.fitter, self.base, kind), signs)
             for entry in self._score(kind, shapes, self._columns(kind, shapes, sign), sign)
         ]
 
     def _columns(self, kind: Kind, shapes: Mapping[str, float], sign: float) -> list[Array]:
-        """d prediction / d amplitude of each recording, (n, k, m), the effect in every recording."""
+        """d prediction / d amplitude for each recording, (scored, k, amplitudes), as if the effect were in all
+        recordings."""
         fitter, base = self.fitter, self.base
         hypothesis = base.hypothesis.plus(kind, Scope.START)
         per_segment = [np.empty((*here.shape, len(kind.amplitudes))) for here in self.here]
         for i, parameter in enumerate(kind.amplitudes):
-            state, step = self._probed(kind, parameter, shapes, sign)
+            state, step = self._with_small_amplitude(kind, parameter, shapes, sign)
             for segment, row, here, columns in zip(fitter.segments, self.rows, self.here, per_segment, strict=True):
-                columns[:, :, i] = fitter.moved_by(segment, state, hypothesis, parameter, row, here) / step
+                columns[:, :, i] = fitter.change_of_prediction(segment, state, hypothesis, parameter, row, here) / step
         return per_segment
 
-    def _probed(
+    def _with_small_amplitude(
         self, kind: Kind, parameter: Parameter, shapes: Mapping[str, float], sign: float
     ) -> tuple[ParameterState, float]:
-        """Where a small amplitude leads, and how small it is."""
+        """The base's parameters with one amplitude set to a small step, and that step."""
         step = sign * parameter.probe * self.fitter.scale(parameter)
         others = {p.name: 0.0 for p in kind.amplitudes}
         values = {**self.base.state.values, **shapes, **others, parameter.name: step}
         return replace(self.base.state, values=values), step
 
     def ask(self, kind: Kind) -> None:
-        """Of a simulator for what the kind's columns need."""
+        """Announces to a simulator the runs that this effect's columns need."""
         if kind.stage == SIMULATOR:
             hypothesis = self.base.hypothesis.plus(kind, Scope.START)
             for parameter in kind.amplitudes:
-                state, _ = self._probed(kind, parameter, {}, 1.0)
+                state, _ = self._with_small_amplitude(kind, parameter, {}, 1.0)
                 for segment in self.fitter.segments:
                     segment.ask(state.at(segment, hypothesis))
 
     def _score(self, kind: Kind, shapes: Mapping[str, float], columns: Sequence[Array], sign: float) -> list[Screened]:
+        """Linear scores of an effect with given shapes, one for each scope: columns (scored, k, amplitudes) for each
+        recording. An amplitude of the wrong sign kind 0."""
         parts = [
             self.fitter.normal(row, extra, known=known)
             for row, extra, known in zip(self.rows, columns, self.known, strict=True)
         ]
         scored = []
         tests, count = len(parts) - 1, len(kind.amplitudes)
-        prior = self.fitter.floor**2 * self.fitter.curves(Hypothesis((kind,), (Scope.START,)))
+        prior = self.fitter.floor**2 * self.fitter.curve_precision(Hypothesis((kind,), (Scope.START,)))
         for scope in self.scopes:
             if (scope == Scope.START and (kind.nominal or not self.fitter.from_start)) or (
                 scope == Scope.EACH and not (kind.each and tests > 1)
@@ -153,7 +148,7 @@ class _Scan:
                 continue
             summed = parts if scope == Scope.START else parts[1:]
             if scope == Scope.EACH:
-                summed = [self._apart(part, i, tests, count) for i, part in enumerate(parts[1:])]
+                summed = [self._normal_of_own_amplitudes(part, i, tests, count) for i, part in enumerate(parts[1:])]
             own = block_diag(*[prior] * (tests if scope == Scope.EACH else 1)) if kind.curve else 0.0
             amplitude, gain = self.gain(summed, own)
             if amplitude is None:
@@ -170,8 +165,9 @@ class _Scan:
             scored.append(Screened(gain, kind, scope, start))
         return scored
 
-    def _apart(self, part: Normal, which: int, of: int, count: int) -> Normal:
-        """A recording's equations where each has amplitudes of its own."""
+    def _normal_of_own_amplitudes(self, part: Normal, which: int, of: int, count: int) -> Normal:
+        """A test's normal equations where every test has amplitudes of its own. which: the test's index, of: number of
+        tests, count: amplitudes of each."""
         cut = len(self.gradient)
         size = cut + of * count
         at = np.concatenate([np.arange(cut), cut + which * count + np.arange(count)])
@@ -181,8 +177,9 @@ class _Scan:
         return normal
 
     def gain(self, parts: Sequence[Normal], prior: Array | float = 0.0) -> tuple[Array | None, float]:
-        """Amplitudes and the share of the squares that they take, from the normal equations of the recordings that the
-        effect is in and a prior's matrix; None where the nominal absorbs it."""
+        """Best amplitudes and the share of the residual's sum of squares that they explain, once the nominal model has
+        absorbed what it can. parts: normal equations of the recordings with the effect; prior: precision matrix of the
+        amplitudes. (None, 0) where the nominal absorbs the effect."""
         cut = len(self.gradient)
         cross = np.asarray(sum(part.matrix[cut:, :cut] for part in parts))
         own = np.asarray(sum(part.matrix[cut:, cut:] for part in parts))
@@ -200,9 +197,9 @@ class _Scan:
 
     # ---- shapes that are scanned densely
 
-    def _encoder(self, kind: Kind) -> list[Screened]:
-        """An error d of the motor's position moves the tip by d(q) / (1 + side B'/2), q being where it was last
-        carried."""
+    def _encoder_scores(self, kind: Kind) -> list[Screened]:
+        """Scores of a periodic encoder error, over a grid of periods. An error d of the motor's position moves the tip
+        by d(q) / (1 + side B'/2), q the motor position at which the tip was last carried."""
         fitter, model = self.fitter, self.base.state.model
         slope_f, slope_b = (np.gradient(values, model.q) for values in (model.c_deg, model.width))
         low, high = (shape * fitter.model.rig.actuator.span for shape in kind.shapes[0].shape)
@@ -225,13 +222,13 @@ class _Scan:
         return per_segment
 
     def moments(self, kind: Kind, near: Sequence[float] = ()) -> list[Screened]:
-        """What happens at moments, once and then as often as it may, each beside those before: the effect's columns
-        from a time on, found roughly, or to a frame `near` rough ones (of the scene)."""
+        """Scores of an event at moments: once, then once more at a time beside those before. near: rough moments, scene
+        time, beside which every frame is tried; else a grid of _SHIFT_STEP_S."""
         delay = self.base.state.model.delay_s + self.base.state.values.get("delay", 0.0)
-        edges, windows = self._edges([at + delay for at in near])
+        edges, windows = self._candidate_times([at + delay for at in near])
         if not len(edges):  # of recordings of a few seconds
             return []
-        later = _Later(self, self._from_the_first(kind), edges)
+        later = _Later(self, self._columns_if_always(kind), edges)
         chosen: list[int] = []
         found: list[Screened] = []
         for form, window in zip((kind.happening(n + 1) for n in range(len(kind.moments))), windows, strict=False):
@@ -246,8 +243,9 @@ class _Scan:
             found.append(Screened(gain, form, Scope.START, {**values, **times}))
         return found
 
-    def _edges(self, near: Sequence[float]) -> tuple[Array, Iterable[Sequence[int]]]:
-        """Times of arrival from which on an effect's columns are tried, and of each time that it happens which."""
+    def _candidate_times(self, near: Sequence[float]) -> tuple[Array, Iterable[Sequence[int]]]:
+        """Arrival times from which an event may hold, and for each of its moments the indices of those to try. near:
+        rough arrival times; without, a grid over the session."""
         times = [t for s in self.fitter.segments if len(t := (s.arrival_s + s.offset_s)[s.scored])]
         ends = [t[[0, -1]] for t in times]
         if not near:
@@ -260,8 +258,9 @@ class _Scan:
             return edges, itertools.repeat(range(len(edges)))
         return edges, [np.flatnonzero(np.abs(edges - at) <= 1.5 * _SHIFT_STEP_S).tolist() for at in near]
 
-    def _from_the_first(self, kind: Kind) -> list[Array]:
-        """The columns of what happens at moments, of each recording, had it happened before the first of them."""
+    def _columns_if_always(self, kind: Kind) -> list[Array]:
+        """The event's columns (scored, k, amplitudes) for each recording, as if it had happened before the first
+        frame."""
         once = kind.happening(1)
         if not any(moves_tip(p) for p in once.amplitudes):
             return [row.columns[:, :, STATIC_COLUMNS] for row in self.rows]
@@ -272,6 +271,7 @@ class _Later:
     """Normal equations of columns (n, k, m) from each of several times on, edges (e,)."""
 
     def __init__(self, scan: _Scan, columns: Sequence[Array], edges: Array) -> None:
+        """Sums the normal equations of `columns` from the last edge back to the first. edges: rising arrival times."""
         self.cut, self.each = len(scan.gradient), columns[0].shape[2]
         nothing, total = Normal.zeros(self.cut), Normal.zeros(self.cut + self.each)
         self._own: list[Array] = []  # the last edge first: the columns' rows of the matrix, and their gradient
@@ -280,7 +280,7 @@ class _Later:
             for t, row, column in zip(times, scan.rows, columns, strict=True):
                 a, b = np.searchsorted(t, [begin, end])
                 if a < b:
-                    piece = _cut(row, slice(int(a), int(b)))
+                    piece = _slice_of_rows(row, slice(int(a), int(b)))
                     part = scan.fitter.normal(piece, column[a:b], known=nothing)
                     total.matrix[...] += part.matrix
                     total.gradient[...] += part.gradient
@@ -288,7 +288,8 @@ class _Later:
         self._own.reverse()
 
     def of(self, which: Sequence[int]) -> Normal:
-        """Of the columns from each of these edges on: two of them have what is after the later one in common."""
+        """Normal equations with the event's columns from each of these edges on as separate unknowns: two of them share
+        the frames after the later one."""
         cut, m = self.cut, self.each
         normal = Normal.zeros(cut + len(which) * m)
         for i, at in enumerate(which):
@@ -300,7 +301,8 @@ class _Later:
         return normal
 
 
-def _cut(row: ScoredRows, part: slice) -> ScoredRows:
+def _slice_of_rows(row: ScoredRows, part: slice) -> ScoredRows:
+    """The rows of a contiguous part of the scored observations."""
     return replace(
         row,
         **{
@@ -310,8 +312,11 @@ def _cut(row: ScoredRows, part: slice) -> ScoredRows:
     )
 
 
-def _starts(fitter: Fitter, base: Fit, kind: Kind) -> list[dict[str, float]]:
+def _starting_shapes(fitter: Fitter, base: Fit, kind: Kind) -> list[dict[str, float]]:
+    """All combinations of starting values of the effect's shape parameters, in their units."""
+
     def values(parameter: Parameter) -> list[float]:
+        """Starting values of one shape parameter: quantiles of the reached angles, or the effect's own list."""
         if parameter.reached:
             c = np.concatenate([s.follow(base.state.model, {}, 0.0).c_deg for s in fitter.segments])
             return [float(v) for v in np.quantile(c, [0.1, 0.25, 0.5, 0.75, 0.9])]

@@ -58,12 +58,12 @@ class Segment:
         return MARKER if self.unit == "px" else ANGLE
 
     def ask(self, parameters: Mapping[str, Any]) -> None:
-        """That `follow` will be called with these, where a simulator takes its time."""
+        """Announces that `follow` will be called with these parameters, so that a simulator can run several at once."""
         if self.drive is not None:
             self.drive.ask(parameters)
 
     def follow(self, model: Model, parameters: Mapping[str, Any], load_reference: float) -> Path:
-        """Where the tip is at the observations."""
+        """The tip's path at the observations."""
         scene = self.arrival_s - model.delay_of(self.sensor)
         motor = self.motor if self.drive is None else self.drive.motor(parameters)
         return effects.follow(
@@ -71,7 +71,7 @@ class Segment:
         )
 
     def seen(self, model: Model, parameters: Mapping[str, Any], path: Path) -> Array:
-        """(n, k) what is observed of a tip that moves so."""
+        """(n, k) What the sensor shows of this path: px with a marker, else deg."""
         return effects.image(model, path, parameters, self.offset_s) if self.unit == "px" else path.c_deg[:, None]
 
     def predict(self, model: Model, parameters: Mapping[str, Any], load_reference: float) -> tuple[Path, Array]:
@@ -80,25 +80,25 @@ class Segment:
         return path, self.seen(model, parameters, path)
 
     def every(self, stride: int) -> Segment:
-        """The same recording with fewer observations."""
+        """The same recording with every `stride`-th observation."""
         kept = slice(None, None, stride)
         few = {name: getattr(self, name)[kept] for name in ("arrival_s", "observed", "scored")}
         return replace(self, **few, repeats=self.held[kept])
 
     def part(self, keep: npt.NDArray[np.bool_]) -> Segment:
-        """The same recording scored only where `keep` (n,) says."""
+        """The same recording, scored only where `keep` (n,) is true."""
         return replace(self, scored=self.scored & keep)
 
 
 def sensed(simulated: Segment, noise: float) -> Segment:
-    """What a simulator shows, seen with the robot's own sensor: white noise of this deviation, the same each time. Else
-    it would be told from the robot by its noise alone."""
+    """A simulator's recording with white noise of this standard deviation added (fixed seed): without, it would be told
+    from the robot by its noise alone."""
     off = np.random.default_rng(0).normal(0.0, noise, simulated.observed.shape)
     return replace(simulated, observed=simulated.observed + off)
 
 
 def load_reference(calibration: Recording) -> float:
-    """mNm at which a model calibrated on it holds."""
+    """The load, mNm, at which a model calibrated on this recording holds: its median, 0 where none was recorded."""
     load = calibration.motor.load_mNm
     return 0.0 if load is None else float(np.median(load))
 
@@ -106,8 +106,9 @@ def load_reference(calibration: Recording) -> float:
 def prepare(
     model: Model, calibration: Recording, tests: Sequence[Recording], drives: Sequence[Drive] = ()
 ) -> list[Segment]:
-    """The calibration first. px where every recording has a marker, else deg where every one has an angle. drives: of
-    each, where the recordings' motor is a simulator's tip."""
+    """A segment of each recording, the calibration first: of markers (px) where every recording has one, else of angles
+    (deg). drives: one of each recording, if the recordings' motor is a simulator's tip. TautError where a recording
+    cannot be scored."""
     recordings = [calibration, *tests]
     by_marker = model.rig.has_camera and all(recording.marker is not None for recording in recordings)
     if not by_marker and not all(recording.angle is not None for recording in recordings):
@@ -156,8 +157,8 @@ def prepare(
 
 
 def repeated(observed: Array) -> npt.NDArray[np.bool_]:
-    """(n,) observations (n, k) of a continuous sensor that are those before to the last digit: it shows no place twice.
-    One that counts in steps may rest on one: of that none."""
+    """(n,) Whether each observation (n, k) of a continuous sensor is equal to the one before to the last digit: that is
+    a repetition by its link. All false for a sensor that counts in steps, which may rest within one."""
     again = np.concatenate([[False], (observed[1:] == observed[:-1]).all(axis=1)])
     fresh = observed[~again]
     continuous = all(len(np.unique(column)) > _CONTINUOUS * len(fresh) for column in fresh.T)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 
 
 def shares(names: Sequence[str], worth: Callable[[frozenset[str]], float]) -> list[float]:
-    """Of worth(names), one for each name. `worth` is asked for each subset once: 2^n of them."""
+    """The Shapley share of each name; worth(names) is asked once for every subset, 2^n times."""
     known = {frozenset(s): worth(frozenset(s)) for k in range(len(names) + 1) for s in itertools.combinations(names, k)}
     n = len(names)
     weight = [math.factorial(k) * math.factorial(n - k - 1) / math.factorial(n) for k in range(n)]

@@ -11,7 +11,7 @@ from tautline.diagnosis import decide, gap
 from tautline.diagnosis.diagnose import Diagnosis, diagnose
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.joint import Joint
-from tautline.diagnosis.joint_told import Answer, instead
+from tautline.diagnosis.joint_told import Answer, improved
 from tautline.diagnosis.segment import prepare
 from tautline.model import Model
 from tautline.recording import Recording
@@ -31,9 +31,9 @@ def diagnose_simulator(
     progress: Progress = lambda fraction, text: None,
     workers: int = 1,
 ) -> Diagnosis:
-    """What the robots' recordings show and the simulator under the same motions does not. workers: processes in which
-    it is run side by side; the result is the same. TautError where a recording holds nothing to compare, where nothing
-    can be scored, and for what the simulator cannot do."""
+    """Diagnoses what a simulator lacks: the difference between the robots' recordings and the simulator under the same
+    motions. workers: processes for simulations side by side, with the same result. TautError where a recording has
+    nothing to compare, nothing can be scored, or the simulator fails."""
     progress(0.0, "simulating")
     seen = [with_marker(robot, rig, progress) for robot in robots]
     with pool(simulator, workers) as processes:
@@ -53,7 +53,7 @@ def diagnose_simulator(
         joint = Joint(found.model, simulator.parameters, segments, told.document["noise_floor"])
         with threadpool_limits(1, "blas"):
             fitted = joint.fit(lambda share: progress(0.8 + 0.15 * share, "fitting all parameters together"))
-            answer = instead(told, Answer.of(joint, fitted))
+            answer = improved(told, Answer.of(joint, fitted))
         if answer is told:
             return told
         carried = found.to_json(answer.document["effects"])

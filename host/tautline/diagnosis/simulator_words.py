@@ -9,7 +9,7 @@ from tautline.effects import BY_ID, simulator_id
 
 
 def says(document: Mapping[str, Any], name: str) -> str:
-    """Of an effect: what is there; of a simulator's parameter with both values."""
+    """What an effect does, in words; of a simulator's parameter its value in the simulator and on the robot."""
     for parameter in _named(document):
         if simulator_id(parameter["name"]) == name:
             return f"the simulator has {parameter['name']} {parameter['nominal']:.3g}, the robot {_value(parameter)}"
@@ -17,7 +17,8 @@ def says(document: Mapping[str, Any], name: str) -> str:
 
 
 def values(document: Mapping[str, Any], name: str) -> tuple[str, str] | None:
-    """A parameter's name, and its value on the robot beside that in the simulator; None of an effect of the library."""
+    """A parameter's name, and in words its values on the robot and in the simulator; None for an effect of the
+    library."""
     for parameter in _named(document):
         if simulator_id(parameter["name"]) == name:
             return parameter["name"], f"{_value(parameter)}, in the simulator {parameter['nominal']:.3g}"
@@ -25,7 +26,7 @@ def values(document: Mapping[str, Any], name: str) -> tuple[str, str] | None:
 
 
 def steps(document: Mapping[str, Any]) -> list[str]:
-    """What to do to the simulator, in sentences."""
+    """What to change in the simulator, in sentences."""
     told = []
     if named := [f"{parameter['name']} {_value(parameter)}" for parameter in _named(document)]:
         told.append(f"Put into the simulator what the robot has: {', '.join(named)}.")

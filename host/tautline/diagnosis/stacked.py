@@ -34,21 +34,21 @@ _REMEMBERED = 4  # tolerance: settings of a few hyperparameters
 
 
 def log_sum(logarithms: Array) -> Array:
-    """Of exponentials along the last axis, as a logarithm."""
+    """log(sum(exp(x))) along the last axis, without overflow."""
     most = np.max(logarithms, axis=-1)
     return np.asarray(most + np.log(np.sum(np.exp(logarithms - most[..., None]), axis=-1)))
 
 
-def _student(x: Array) -> Array:
-    """Logarithm of the density of Student's t."""
+def _student_log_density(x: Array) -> Array:
+    """Log-density of Student's t with _DEGREES degrees of freedom."""
     n = _DEGREES
     constant = gammaln(0.5 * (n + 1.0)) - gammaln(0.5 * n) - 0.5 * np.log(n * np.pi)
     return np.asarray(constant - 0.5 * (n + 1.0) * np.log1p(np.square(x) / n))
 
 
-def _wander(matrix: Array, gradient: Array) -> Array:
-    """(WANDERS,) logarithm of how much likelier an amplitude that wanders so far makes the data than one that does not:
-    factors (m,) of normal equations whose prior variances sum to the square of it."""
+def _wander_log_ratio(matrix: Array, gradient: Array) -> Array:
+    """(WANDERS,) Log-likelihood ratio of an amplitude whose m factors have prior variances that sum to WANDERS^2,
+    against a constant amplitude. matrix, gradient: the factors' normal equations over the noise's power."""
     tells, ways = np.linalg.eigh(matrix / len(gradient))
     squares, tells = np.square(ways.T @ gradient) / len(gradient), np.maximum(tells, 0.0)
     variance = np.square(WANDERS)[:, None]
@@ -61,9 +61,9 @@ def brought(ids: Collection[str]) -> frozenset[str]:
     return frozenset().union(*(BROUGHT.get(name, frozenset()) for name in ids)) & set(ids)
 
 
-def _does_as_well(key: frozenset[str], one: frozenset[str]) -> bool:
-    """Whether a set can do what one effect alone does, by what contains it: an effect, or what moves of the nominal
-    model, beside that one or not. An event beside it would be seen beside that one too."""
+def _contains_and_replaces(key: frozenset[str], one: frozenset[str]) -> bool:
+    """Whether the effects `key` can do what the single effect `one` does, as one of them contains it. Events do not
+    count: one would be seen beside `one` too."""
     key = key - EVENTS
     if len(one) != 1 or key == one or not any(one <= {*BY_ID[name].contains} for name in key):
         return False
@@ -74,6 +74,8 @@ class Stacked:
     """Rows are hypotheses, columns blocks; powers are mean squares."""
 
     def __init__(self, evidence: CaseEvidence) -> None:
+        """Arrays over the hypotheses: power and scatter by block, which effects each holds, which sets contain
+        which."""
         hypotheses = evidence.hypotheses
         self.floor2 = evidence.floor**2
         self._doubt, self._unsteady = evidence.doubt, evidence.unsteady
@@ -104,7 +106,7 @@ class Stacked:
         self.repeats: Flags = self.scatters & misfit & (self.mean > _A_GAP * self.floor2)
         rest = np.maximum(self.power[int(np.argmin(of_paths))], self.floor2)
         self._least = np.where(misfit[:, None], rest, self.floor2)
-        self.scatter, self.rival = self._taken_off(scatter), self._taken_off(rival)
+        self.scatter, self.rival = self._event_log_factor(scatter), self._event_log_factor(rival)
         self.forgets = np.where(self.path, 0.0, np.square([h.white for h in hypotheses]))
         self.parameters = np.array([h.parameters for h in hypotheses], dtype=float)
         self.chance = np.array([h.chance for h in hypotheses])
@@ -117,7 +119,7 @@ class Stacked:
         # Parts of the nominal model move together; what brings one with it is one cause.
         self.causes = np.array([len(key - CONSTANT) + bool(mine) for key, mine in zip(self.sets, own, strict=True)])
         self.brings = np.array([mine != key & CONSTANT for key, mine in zip(self.sets, own, strict=True)])
-        self.does_as_well = np.array([[_does_as_well(k, m) for m in self.sets] for k in self.sets])
+        self.does_as_well = np.array([[_contains_and_replaces(k, m) for m in self.sets] for k in self.sets])
         self.left = np.sum(self.power * np.exp(scatter) - self.floor2, axis=1)
         pairs = [
             (i, j)
@@ -127,7 +129,7 @@ class Stacked:
         ]
         self.fewer, self.further = np.array(pairs, dtype=int).reshape(-1, 2).T
 
-        told = [(i, _wander(of.matrix, of.gradient)) for i, h in enumerate(hypotheses) for of in h.wanders]
+        told = [(i, _wander_log_ratio(of.matrix, of.gradient)) for i, h in enumerate(hypotheses) for of in h.wanders]
         self.wandering = np.array([i for i, _ in told], dtype=int)  # of each row of `wander` its hypothesis
         self.wander = np.array([of for _, of in told]).reshape(-1, len(WANDERS))
         self._beyond: list[int] = []  # of each hypothesis the row of what is left beyond its stages; none: -1
@@ -144,25 +146,28 @@ class Stacked:
                 count.append(h.beyond.count)
             self._beyond.append(rows[key_of])
         self._beyond_power, self._beyond_count = np.array(power), np.array(count)
-        self.by_share = lru_cache(_REMEMBERED)(self._by_share)
-        self.confined = lru_cache(_REMEMBERED)(self._confined)
+        self.by_share = lru_cache(_REMEMBERED)(self._log_likelihood_by_share)
+        self.confined = lru_cache(_REMEMBERED)(self._confined_log_ratio)
 
-    def _taken_off(self, scatter: Array) -> Array:
-        """(hypotheses,) what scatter takes off in all blocks, as a logarithm: not what the hypothesis' own path has put
-        on, and where a path follows it no more than that could, down to what that leaves or to the noise."""
+    def _event_log_factor(self, scatter: Array) -> Array:
+        """(hypotheses,) By how much an event lowers the power of all blocks, sums of logarithms. Not counted is what
+        the hypothesis' own path had added before; where the path follows the event, no more than down to the least
+        power that any path leaves, or the noise."""
         put_on = np.maximum(np.log(self.power / self.power[0]), 0.0)
         off = scatter + np.minimum(put_on, np.maximum(-scatter, 0.0))
         above = np.maximum(np.log(self.power / self._least), 0.0)
         return np.asarray(np.sum(np.where(self.path[:, None], np.maximum(off, -above), off), axis=1))
 
     def tells(self, misfit_tells: float, noise_tells: float) -> Array:
-        """(blocks,) independent observations."""
+        """(blocks,) How many independent observations each block counts as: a few for a systematic misfit, more the
+        closer its power is to the noise."""
         return np.asarray(misfit_tells + noise_tells * np.square(self.floor2 / (self.floor2 + self.before)))
 
-    def _by_share(
+    def _log_likelihood_by_share(
         self, misfit_tells: float, noise_tells: float, block_freedom: float, calibration_excess: float
     ) -> Array:
-        """(hypotheses, SHARES) logarithm of the likelihood of what is left of the blocks."""
+        """(hypotheses, SHARES) Log-likelihood of all blocks' powers, if the hypothesis leaves that share of the gap's
+        power."""
         n = self.tells(misfit_tells, noise_tells)
         alone = (1.0 + calibration_excess) * self.floor2 + SHARES[:, None] * self.before
         seen = self.power[:, None, :]
@@ -171,10 +176,10 @@ class Stacked:
         return np.asarray(once - 0.5 * (np.log(predicted) @ n + unlike))
 
     def with_own(self, alone: Array, seen: Array, misfit_tells: float, noise_tells: float) -> tuple[Array, Array]:
-        """What is predicted of the blocks, (..., blocks), where what is seen beside what a hypothesis predicts `alone`
-        is, up to so much as the calibration leaves of its own recording, that misfit; and (...,) what the logarithm of
-        a likelihood by blocks lacks, as the one misfit that all share is counted in each: of its k numbers, as many as
-        a block of noise tells, n of all blocks tell each n / k times. log|I + J J'| in place of its diagonal's."""
+        """The predicted powers (..., blocks) with the nominal model's own misfit added where a block shows more
+        (`seen`) than a hypothesis predicts (`alone`), up to what the calibration leaves of its own recording; and a
+        correction (...,) of the log-likelihood, as this one misfit is common to all blocks but counted in each: log|I +
+        J J'| in place of its diagonal's, J the misfit's columns, of which n of all blocks tell each n / k times."""
         n = self.tells(misfit_tells, noise_tells)
         predicted = alone + np.clip(seen - alone, 0.0, self.nominal2 - self.floor2)
         more = predicted / alone - 1.0
@@ -182,10 +187,11 @@ class Stacked:
         once = 0.5 * (np.log1p(more) @ n - numbers * np.log1p(more @ n / numbers))
         return predicted, np.asarray(once)
 
-    def _confined(self, floor_known: float, floor_steady: float, disturbed: float) -> Array:
-        """(hypotheses,) logarithm of how much likelier what is left beyond the effects' stages is as noise, in all
-        blocks but a few, than as what a wrong effect leaves: noise as well, or noise in any share of the blocks
-        only."""
+    def _confined_log_ratio(self, floor_known: float, floor_steady: float, disturbed: float) -> Array:
+        """(hypotheses,) Log-likelihood ratio of what is left beyond the effects' stages (confined.py): noise in all but
+        a share `disturbed` of the blocks, as beside right effects, against more than noise in any share of the blocks,
+        as beside wrong ones. floor_known: standard deviation of the log noise power's error; floor_steady: between
+        blocks."""
         if not len(self._beyond_power):
             return np.zeros(len(self._beyond))
         x = np.log(np.maximum(self._beyond_power / self.floor2, 1e-6))[:, None]
@@ -195,7 +201,7 @@ class Stacked:
         off = np.linspace(-20.0, 3.0, 116) * floor_known
         prior = np.where(off > 0.0, -0.5 * np.square(off / floor_known), -np.abs(off))
         away = x - off[:, None]
-        noise = _student(away / spread) - np.log(spread)
+        noise = _student_log_density(away / spread) - np.log(spread)
         # What disturbs a block comes on top of its noise, which has to be low where the block is.
         low = np.log(stdtr(_DEGREES, away / spread))
         any_size = low - np.log((np.maximum(away, 0.0) + spread) * np.log1p(_WIDEST / spread))

@@ -15,7 +15,8 @@ import numpy as np
 from tautline.diagnosis import confounded, decide, gap, tracker
 from tautline.diagnosis.candidates import applicable
 from tautline.diagnosis.decide import Decision
-from tautline.diagnosis.fit import WIDTH_PIECES, Fitter, Scope, beyond
+from tautline.diagnosis.fit import WIDTH_PIECES, Fitter, spline_residual
+from tautline.diagnosis.fitted import Scope
 from tautline.diagnosis.gather import Gathered, gather
 from tautline.diagnosis.segment import Segment, load_reference, prepare
 from tautline.diagnosis.tracker import TrackerError
@@ -57,7 +58,7 @@ def in_the_width(model: Model) -> bool:
     q, width, sigma = (values[inside] for values in (model.q, model.width, model.width_sigma))
     if len(q) < 2 * WIDTH_PIECES:
         return False
-    finer = beyond(Basis(float(q[0]), float(q[-1]), WIDTH_PIECES), q, width)
+    finer = spline_residual(Basis(float(q[0]), float(q[-1]), WIDTH_PIECES), q, width)
     return float(np.mean(finer**2)) > _SURE**2 * float(np.mean(sigma**2))
 
 

@@ -23,19 +23,20 @@ _FREE = 0.1  # format: of the angles that the tables reach, at either end: effec
 _SETTLED = 0.3  # format: share of the trajectory after which the tip has been driven through both ways
 
 
-def foretold(nominal: Model, corrected: Model) -> dict[str, Any] | None:
-    """The rms of the tip's angle off a smooth trajectory through the reached angles, deg, of the instrument that
-    `corrected` says: with the tables of `nominal`, and with its own. None where one of them makes no table. Loads and
-    other axes stay where they were calibrated."""
+def simulated_error(nominal: Model, corrected: Model) -> dict[str, Any] | None:
+    """Rms error of the tip's angle, deg, on a smooth trajectory over the reached angles, simulated with the instrument
+    `corrected`: `before_deg` with the tables of `nominal`, `after_deg` with its own. None where one of them makes no
+    table. Loads and other axes stay as calibrated."""
     try:
         t_s, c_deg = _trajectory(corrected)
-        before, after = (_off(tables, corrected, t_s, c_deg) for tables in (nominal, corrected))
+        before, after = (_rms_error(tables, corrected, t_s, c_deg) for tables in (nominal, corrected))
     except TautError:
         return None
     return {"before_deg": before, "after_deg": after}
 
 
 def _trajectory(model: Model) -> tuple[Array, Array]:
+    """Times, s, and angles, deg, of a smooth random trajectory within the reached angles."""
     ends = np.sort(model.remaining(np.array(model.rig.actuator.range)))
     free = _FREE * (ends[1] - ends[0])
     tip = Actuator("deg", (float(ends[0] + free), float(ends[1] - free)), 1e-3)
@@ -43,7 +44,9 @@ def _trajectory(model: Model) -> tuple[Array, Array]:
     return planned.t_s, planned.q
 
 
-def _off(tables: Model, instrument: Model, t_s: Array, c_deg: Array) -> float:
+def _rms_error(tables: Model, instrument: Model, t_s: Array, c_deg: Array) -> float:
+    """Rms difference, deg, between the trajectory and the simulated instrument's angle under these tables, after both
+    directions were driven through."""
     points = compensate(tables, t_s, c_deg)
     motor = Motor(points.t_s, points.q)
     parameters = effects.of_model(instrument, scatter=True)

@@ -47,8 +47,9 @@ class TrackerError:
         return {"noise": self.noise, "left_out": self.left_out}
 
 
-def without(model: Model, segments: Sequence[Segment], load_reference: float) -> TrackerError | None:
-    """Recordings of videos, the calibration first. None where other axes move the path, or too little is seen of it."""
+def without_tracker_error(model: Model, segments: Sequence[Segment], load_reference: float) -> TrackerError | None:
+    """Recordings of videos (the calibration first) less the tracker's error at each place along the marker's path, with
+    what is left as noise. None where other axes move the path, or the calibration shows too few places."""
     moved = (column for s in segments for column in (s.motor.translation_mm, s.motor.rotation_deg))
     if segments[0].unit != "px" or any(column is not None and np.ptp(column) > 0.0 for column in moved):
         return None
@@ -68,24 +69,26 @@ def without(model: Model, segments: Sequence[Segment], load_reference: float) ->
         return None
     first = corrected[0].scored
     own = gap.rms([(views[0].across - places.across(views[0].seen))[first]])
-    left = _left(views[0], first, places)
+    left = _cross_validated_error(views[0], first, places)
     others = max(gap.rms([left]), own)
     noise, doubt = float(np.sqrt(own * others)), float(np.log(others / own))
-    return TrackerError(corrected, noise, doubt, _unsteady(left, gap.blocks(corrected[0])), 1.0 - kept / scored)
+    return TrackerError(
+        corrected, noise, doubt, _spread_of_log_power(left, gap.blocks(corrected[0])), 1.0 - kept / scored
+    )
 
 
 def of_videos(
     model: Model, segments: Sequence[Segment], load_reference: float, recordings: Sequence[Recording]
 ) -> TrackerError | None:
-    """`without`, where all of them were tracked here."""
+    """`without_tracker_error`, if all recordings are videos tracked here; else None."""
     if any(recording.video is None for recording in recordings):
         return None
-    return without(model, segments, load_reference)
+    return without_tracker_error(model, segments, load_reference)
 
 
-def _left(view: _View, scored: Mask, places: _Places) -> Array:
-    """(scored,) across the path, of frames about what others at other times showed of their places: what a codec makes
-    of one pass is no error of the place."""
+def _cross_validated_error(view: _View, scored: Mask, places: _Places) -> Array:
+    """(scored,) px across the path, each frame less the error that the other half of the calibration shows at its
+    place: an error of one pass, as a codec makes it, is not the place's."""
     part = np.arange(len(scored)) * _PARTS // len(scored) % 2
     left = view.across - places.across(view.seen)
     for own in (part == 0, part == 1):
@@ -96,7 +99,8 @@ def _left(view: _View, scored: Mask, places: _Places) -> Array:
     return np.asarray(left[scored])
 
 
-def _unsteady(left: Array, block: npt.NDArray[np.int64]) -> float:
+def _spread_of_log_power(left: Array, block: npt.NDArray[np.int64]) -> float:
+    """Standard deviation between blocks of the logarithm of their mean square."""
     frames = np.bincount(block)
     power = np.bincount(block, left**2)[frames > 0] / frames[frames > 0]
     return float(np.std(np.log(power)))
@@ -123,6 +127,7 @@ class _Path:
 
     @classmethod
     def of(cls, model: Model) -> _Path:
+        """The marker's path in the image over the model's angles, and _BEYOND_DEG farther."""
         low, high = float(np.min(model.c_deg)) - _BEYOND_DEG, float(np.max(model.c_deg)) + _BEYOND_DEG
         point = project(model.rig, np.arange(low, high, _STEP_DEG))
         step = np.gradient(point, axis=0)
@@ -131,6 +136,7 @@ class _Path:
         return cls(point, np.column_stack([-way[:, 1], way[:, 0]]), np.concatenate([[0.0], np.cumsum(lengths)]))
 
     def view(self, observed: Array, predicted: Array) -> _View:
+        """A recording's frames in coordinates along and across the path. observed, predicted: (n, 2) px."""
         tree = KDTree(self.point)
         at, expected = (np.asarray(tree.query(where)[1], dtype=np.intp) for where in (observed, predicted))
         normal = self.normal[at]
@@ -140,8 +146,9 @@ class _Path:
         return _View(at, self.length[at], self.length[expected], across, along)
 
 
-def _edges(seen: Array) -> Array:
-    """Of stretches with enough frames each, and of those where there are none though they lie between others."""
+def _stretch_edges(seen: Array) -> Array:
+    """Edges, px along the path, of stretches with at least _FEWEST frames and _PLACE_PX; a hole without frames becomes
+    a stretch of its own. seen: sorted positions along the path."""
     edges = [seen[0]]
     frames = 0
     for last, at in pairwise(seen):
@@ -166,7 +173,10 @@ class _Places:
 
     @classmethod
     def of(cls, view: _View, scored: Mask) -> _Places | None:
-        edges = _edges(np.sort(view.seen[scored]))
+        """From the calibration's scored frames: the median error of each stretch, smoothed along the path, and which
+        stretches are wrong (many far frames or a large scatter, or beside such a one). None where fewer than _PLACES
+        are right."""
+        edges = _stretch_edges(np.sort(view.seen[scored]))
         count = len(edges) - 1
         place = np.clip(np.digitize(view.seen, edges) - 1, 0, count - 1)
         frames = np.bincount(place[scored], minlength=count)
@@ -192,13 +202,16 @@ class _Places:
         return cls(edges, wrong, middle, np.asarray(smooth(middle)))
 
     def across(self, at: Array) -> Array:
+        """px across the path, by which the marker is seen off at these positions along it."""
         return np.interp(at, self.middle, self.error)
 
     def reaches(self, at: Array) -> Mask:
+        """Whether these positions lie between the first and the last stretch that is right."""
         reaches: Mask = (at >= self.middle[0]) & (at <= self.middle[-1])
         return reaches
 
     def holds(self, at: Array) -> Mask:
+        """Whether these positions are in no wrong stretch."""
         place = np.digitize(at, self.edges) - 1
         inside = (place >= 0) & (place < len(self.wrong))
         holds: Mask = ~(inside & self.wrong[np.clip(place, 0, len(self.wrong) - 1)])

@@ -15,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import correlate
 
-from tautline.diagnosis.fit import Fit, Fitter, ScoredRows
+from tautline.diagnosis.fit import Fitter, ScoredRows
+from tautline.diagnosis.fitted import Fit
 from tautline.diagnosis.hypotheses import Wander
 
 Array = npt.NDArray[np.float64]
@@ -27,13 +28,14 @@ _SAME = 1e-6  # tolerance: variance of a function over an effect's own signal: o
 
 
 def of_fit(fitter: Fitter, fit: Fit, rows: Sequence[ScoredRows], limits: Sequence[float]) -> tuple[Wander, ...]:
-    """Of each effect of a fit that adds anything. rows: the fit's (Fitter.linearised). limits: of each recording,
-    beyond which an observation pulls no more."""
+    """For each effect of a fit that adds anything: the normal equations of how its amplitude varies over place, speed,
+    time, side and load, everything else free. rows: of the fit (Fitter.linearised). limits: of each recording, to which
+    residuals are cut."""
     slots = fit.hypothesis.slots
     if not slots:
         return ()
-    places = _places(fitter, rows)
-    stiff = fitter.floor**2 * fitter.stiffness(fit.hypothesis)
+    places = _axes_values(fitter, rows)
+    stiff = fitter.floor**2 * fitter.prior_precision(fit.hypothesis)
     signals = []
     for kind in fit.hypothesis.kinds:
         names = {parameter.name for parameter in kind.amplitudes}
@@ -44,7 +46,7 @@ def of_fit(fitter: Fitter, fit: Fit, rows: Sequence[ScoredRows], limits: Sequenc
     for kind, signal in zip(fit.hypothesis.kinds, signals, strict=True):
         # A curve over the place may be any.
         axes = {axis: at for axis, at in places.items() if not (kind.curve and axis == "place")}
-        functions, told = _functions(axes, signal, together)
+        functions, told = _varying_columns(axes, signal, together)
         if not told:
             continue
         wider = [
@@ -57,19 +59,19 @@ def of_fit(fitter: Fitter, fit: Fit, rows: Sequence[ScoredRows], limits: Sequenc
         ]
         matrix, gradient = (np.sum([getattr(part, of) for part in parts], axis=0) for of in ("matrix", "gradient"))
         matrix[: len(stiff), : len(stiff)] += stiff
-        own, pull, step = _beside(matrix, gradient, len(stiff))
+        own, pull, step = _reduced_normal(matrix, gradient, len(stiff))
         left = [
             np.clip(row.residual - fitter.moved(row, step), -limit, limit)
             for row, limit in zip(wider, limits, strict=True)
         ]
-        noise = max(_independent(left), fitter.floor**2)
+        noise = max(_power_per_independent(left), fitter.floor**2)
         found.append(Wander(kind.id, own / noise, pull / noise, told))
     return tuple(found)
 
 
-def _places(fitter: Fitter, rows: Sequence[ScoredRows]) -> dict[str, list[Array]]:
-    """What an amplitude may go with, of each recording's scored observations (n,): -1 to 1, the logarithm of a speed,
-    the load as it is. A rest is at the speed and on the side of the motion before it."""
+def _axes_values(fitter: Fitter, rows: Sequence[ScoredRows]) -> dict[str, list[Array]]:
+    """What an amplitude may vary with, by axis and recording (scored,), scaled to -1 .. 1; of the speed the logarithm.
+    At rest the speed and side of the motion before count."""
     segments = fitter.segments
     speeds = [np.gradient(row.path.p, s.arrival_s) for s, row in zip(segments, rows, strict=True)]
     fast = max(float(np.quantile(np.abs(np.concatenate(speeds)), _FAST)), 1e-300)
@@ -84,23 +86,26 @@ def _places(fitter: Fitter, rows: Sequence[ScoredRows]) -> dict[str, list[Array]
         found["time"].append((segment.arrival_s + segment.offset_s)[segment.scored])
         found["side"].append(np.sign(speed[last]))
         found["load"].append(np.interp(segment.arrival_s, motor.t_s, load)[segment.scored])
-    return {name: _within(values) for name, values in found.items()}
+    return {name: _scaled_to_unit(values) for name, values in found.items()}
 
 
-def _within(values: Sequence[Array]) -> list[Array]:
+def _scaled_to_unit(values: Sequence[Array]) -> list[Array]:
+    """The same values scaled linearly so that all recordings together span -1 to 1."""
     low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
     return [2.0 * (v - low) / max(high - low, 1e-300) - 1.0 for v in values]
 
 
 def _power(signals: Sequence[Array]) -> float:
+    """Sum of squares over all recordings."""
     return sum(float(np.sum(signal**2)) for signal in signals)
 
 
-def _functions(
+def _varying_columns(
     places: dict[str, list[Array]], signals: Sequence[Array], together: float
 ) -> tuple[list[Array], dict[str, Array]]:
-    """Of each recording (n, k, m): an effect's signal (n, k) times functions of mean 0 over its own power, each of the
-    power of all effects `together`; and of each axis (2, m) what its own are at its low and at its high end."""
+    """The columns by which an amplitude varies, (n, k, m) for each recording: the effect's signal (n, k) times Legendre
+    polynomials of each axis, less their mean over the signal's power, each scaled to the power `together` of all
+    effects; and for each axis (2, m) their values at its low and its high end."""
     power = [np.sum(signal**2, axis=1) for signal in signals]
     total = sum(float(np.sum(of)) for of in power)
     if total <= 0.0:
@@ -131,8 +136,9 @@ def _functions(
     return functions, told
 
 
-def _beside(matrix: Array, gradient: Array, first: int) -> tuple[Array, Array, Array]:
-    """Normal equations of the unknowns from `first` on whatever the others are, and the step of all of them."""
+def _reduced_normal(matrix: Array, gradient: Array, first: int) -> tuple[Array, Array, Array]:
+    """Normal matrix and gradient of the unknowns from index `first` on with all others eliminated (Schur complement),
+    and the least-squares step of all unknowns."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     scaled, pull = matrix * np.outer(scale, scale), scale * gradient
     follows = np.linalg.pinv(scaled[:first, :first], rcond=1e-10, hermitian=True) @ scaled[:first, first:]
@@ -143,9 +149,9 @@ def _beside(matrix: Array, gradient: Array, first: int) -> tuple[Array, Array, A
     return own / np.outer(of, of), own_pull / of, step
 
 
-def _independent(left: Sequence[Array]) -> float:
-    """Power of what is left (n, k) of each recording, times how many numbers tell as much as one that is independent:
-    autocorrelations up to the first that is none."""
+def _power_per_independent(left: Sequence[Array]) -> float:
+    """Mean square of the residuals `left` (n, k) of each recording times the number of samples that count as one
+    independent one, by the autocorrelations up to the first that is not positive."""
     summed: Array = np.zeros(max(len(values) for values in left))
     for values in left:
         for column in values.T:

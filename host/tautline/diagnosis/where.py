@@ -47,7 +47,8 @@ class Condition:
 
 
 def conditions(segments: Sequence[Segment], paths: Sequence[Path], residuals: Sequence[Array]) -> list[Condition]:
-    """Of the scored observations, the most telling axis first."""
+    """How much of the residuals' power goes with each axis (position, speed, time, ...), the largest share first.
+    paths, residuals: of each segment, at all and at scored observations."""
     columns: dict[str, list[Array]] = {}
     for segment, path in zip(segments, paths, strict=True):
         for name, values in axis_values(segment, path).items():
@@ -60,12 +61,14 @@ def conditions(segments: Sequence[Segment], paths: Sequence[Path], residuals: Se
         values = np.concatenate(parts)
         if np.ptp(values) > 0.0:
             result.append(_condition(name, values, residual))
-    return sorted(_timeless(result, columns, residual), key=lambda c: -c.share)
+    return sorted(_without_apparent_time(result, columns, residual), key=lambda c: -c.share)
 
 
-def _timeless(conditions: Sequence[Condition], columns: Mapping[str, list[Array]], residual: Array) -> list[Condition]:
-    """Motions differ between recordings: what goes with the session's time only because something else does, such as
-    the speed, does not go with time."""
+def _without_apparent_time(
+    conditions: Sequence[Condition], columns: Mapping[str, list[Array]], residual: Array
+) -> list[Condition]:
+    """The conditions with time's share reduced to what is left of it once the power is normalised by the best other
+    axis: as motions differ between recordings, a gap that goes with speed seems to go with time."""
     others = [c for c in conditions if c.axis != "time"]
     if not others:
         return list(conditions)
@@ -88,7 +91,7 @@ def steady(residuals: Sequence[Array]) -> float:
 
 
 def axis_values(segment: Segment, path: Path) -> dict[str, Array]:
-    """(n,) each, at the recording's observations."""
+    """Values (n,) of each axis of AXES that was recorded, at the recording's observations."""
     motor, t = segment.motor, segment.arrival_s
     q = np.interp(t, motor.t_s, motor.q)
     rate = np.gradient(q, t) if len(t) > 1 else np.zeros_like(q)
@@ -108,34 +111,38 @@ def axis_values(segment: Segment, path: Path) -> dict[str, Array]:
 
 
 def _condition(name: str, values: Array, residual: Array) -> Condition:
-    levels = np.unique(values)
-    if len(levels) <= 3:  # directions: a bin each
-        middles = 0.5 * (levels[1:] + levels[:-1])
-        edges = np.concatenate([[2 * levels[0] - middles[0]], middles, [2 * levels[-1] - middles[-1]]])
-    else:
-        edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)))
+    """How the residual (n, k) goes with one axis' values (n,). Its share of the power is the larger of what the bins'
+    mean residuals explain, and of how unevenly the power is spread over the bins (half the mean deviation)."""
+    edges = _bin_edges(values)
     at = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
     count = np.bincount(at, minlength=len(edges) - 1).astype(float)
     filled = count > 0
-    edges_low, edges_high, count = edges[:-1][filled], edges[1:][filled], count[filled]
+    low, high, count = edges[:-1][filled], edges[1:][filled], count[filled]
     squares = np.bincount(at, np.sum(residual**2, axis=1))[filled]
     mean = np.column_stack([np.bincount(at, column)[filled] / count for column in residual.T])
     total = float(np.sum(residual**2))
-    # What the bins' means take of the power, or how unevenly the power lies, whichever tells more.
     explained = float(np.sum(count * np.sum(mean**2, axis=1))) / total
     power = squares / count
     weight = count / count.sum()
     uneven = float(np.sum(weight * np.abs(power / (total / count.sum()) - 1.0))) / 2
     worst = int(np.argmax(power))
-    low_end, high_end, _ = AXES[name]
-    middle = 0.5 * (edges_low[worst] + edges_high[worst])
-    says = low_end if middle < float(np.median(values)) else high_end
+    at_low_end, at_high_end, _ = AXES[name]
+    middle = 0.5 * (low[worst] + high[worst])
     return Condition(
-        name,
-        max(explained, uneven),
-        (float(edges_low[worst]), float(edges_high[worst])),
-        says,
-        0.5 * (edges_low + edges_high),
-        mean,
-        power,
+        axis=name,
+        share=max(explained, uneven),
+        range=(float(low[worst]), float(high[worst])),
+        says=at_low_end if middle < float(np.median(values)) else at_high_end,
+        centres=0.5 * (low + high),
+        mean=mean,
+        power=power,
     )
+
+
+def _bin_edges(values: Array) -> Array:
+    """Edges of bins that hold about as many values each; of up to three distinct values (directions) a bin for each."""
+    levels = np.unique(values)
+    if len(levels) > 3:
+        return np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)))
+    middles = 0.5 * (levels[1:] + levels[:-1])
+    return np.concatenate([[2 * levels[0] - middles[0]], middles, [2 * levels[-1] - middles[-1]]])

@@ -116,13 +116,13 @@ def _module(kind: str) -> Any:
 
 
 def open_drives(address: Address, **options: Any) -> Drives:
-    """`options`: what a driver's class takes beside an address."""
+    """The driver of an address, opened. options: further arguments of its class."""
     make: Callable[..., Drives] = getattr(_module(address.kind), KINDS[address.kind].driver)
     return make(address.bus, address.numbers, address.baud, address.rate_hz, **options)
 
 
 def find_motors(where: str) -> list[BoardAddress]:
-    """The motors that an address names, as a board that can be opened."""
+    """The motors of an address as a board that can be opened."""
     address = parse(where)
 
     def opened() -> Link:

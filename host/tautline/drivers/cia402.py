@@ -75,13 +75,14 @@ class Cia402:
     # -- objects, while nothing moves -----------------------------------------------------------------------------
 
     def _read(self, number: int, index: tuple[int, int]) -> bytes:
-        return self._insist(number, index, lambda: self._nodes[number].sdo.upload(*index))
+        return self._retry(number, index, lambda: self._nodes[number].sdo.upload(*index))
 
     def _write(self, number: int, index: tuple[int, int], value: int, size: int) -> None:
         data = value.to_bytes(size, "little", signed=value < 0)
-        self._insist(number, index, lambda: self._nodes[number].sdo.download(*index, data))
+        self._retry(number, index, lambda: self._nodes[number].sdo.download(*index, data))
 
-    def _insist(self, number: int, index: tuple[int, int], ask: Callable[[], bytes]) -> bytes:
+    def _retry(self, number: int, index: tuple[int, int], ask: Callable[[], bytes]) -> bytes:
+        """`ask` with a few retries; TautError where the drive does not answer."""
         self._nodes[number].sdo.RESPONSE_TIMEOUT, self._nodes[number].sdo.MAX_RETRIES = _SDO_S, 3
         try:
             return ask()
@@ -91,6 +92,7 @@ class Cia402:
             raise TautError(f"canopen {number} does not answer ({error}): check power, node id and bit rate") from error
 
     def _number(self, number: int, index: tuple[int, int], otherwise: float | None = None) -> float:
+        """A number from the drive's object dictionary; `otherwise` where it has no such object."""
         try:
             data = self._read(number, index)
         except _Refused:
@@ -106,6 +108,7 @@ class Cia402:
             return ""
 
     def _describe(self, number: int, period_s: float) -> Drive:
+        """Reads a drive's limits, counts and state, and maps its process data at this period."""
         self._nodes[number].nmt.send_command(0x80)  # pre-operational: its process data may be set
         turn = self._number(number, _INCREMENTS) / max(self._number(number, _REVOLUTIONS, 1.0), 1.0)
         speed = self._number(number, _MOTOR_RPM) / 60.0 * turn
@@ -128,15 +131,15 @@ class Cia402:
         self._write(number, _ON_LOSS, _QUICK_STOP, 2)
         homed = self._homed(number)
         self._write(number, _MODE, _CSP, 1)
-        self._network.subscribe(0x180 + number, self._hear_position)
+        self._network.subscribe(0x180 + number, self._on_position)
         self._network.subscribe(0x280 + number, self._hear_speed)
         self._nodes[number].nmt.send_command(0x01)
         versions = " ".join(filter(None, (self._text(number, _HARDWARE), self._text(number, _SOFTWARE))))
         return Drive(number, self._text(number, _DEVICE) or "CiA 402", versions or "-", round(turn), limits, homed)
 
     def _homed(self, number: int) -> bool:
-        """Bit 12 of the status is "homing attained" once the drive is in the homing mode: in another it says something
-        else. A drive that does not go there is not homed."""
+        """Whether the drive has been homed: bit 12 of the status in homing mode (in other modes it means something
+        else). One that does not enter the mode is not homed."""
         try:
             self._write(number, _MODE, _HOMING, 1)
             deadline = time.monotonic() + _STATE_S
@@ -148,7 +151,7 @@ class Cia402:
         return bool(int.from_bytes(self._read(number, _STATUS), "little") & 0x1000)
 
     def _map(self, number: int, mapping: int, parameters: int, cob: int, objects: list[tuple[int, int, int]]) -> None:
-        """A process data object with these objects, at every SYNC."""
+        """Maps these objects into a process data object that is sent at every SYNC."""
         self._write(number, (parameters, 1), 1 << 31 | cob + number, 4)
         self._write(number, (mapping, 0), 0, 1)
         for i, (index, sub, bits) in enumerate(objects):
@@ -159,7 +162,7 @@ class Cia402:
 
     # -- cycles ---------------------------------------------------------------------------------------------------
 
-    def _hear_position(self, cob: int, data: bytearray, stamp: float) -> None:
+    def _on_position(self, cob: int, data: bytearray, stamp: float) -> None:
         if len(data) == 6:
             with self._answered:
                 self._positions[cob - 0x180] = struct.unpack("<Hi", data)
@@ -176,13 +179,14 @@ class Cia402:
         except (can.CanError, OSError) as error:
             raise Missed(f"the bus takes nothing ({error})") from error
 
-    def _beat(self) -> None:
+    def _sync(self) -> None:
         if self._clock() - self._beat_s >= _HEARTBEAT_S:
             self._send(0x700 + _HOST, b"\x05")
             self._beat_s = self._clock()
 
     def measure(self) -> list[Measured]:
-        self._beat()
+        """A SYNC, and each drive's position and status at it. Missed where one does not answer."""
+        self._sync()
         with self._answered:
             self._positions.clear()
             for number in self._numbers:
@@ -199,7 +203,7 @@ class Cia402:
         return [self._measured(number, sent, *heard[number]) for number in self._numbers]
 
     def _measured(self, number: int, t_s: float, status: int, counts: int) -> Measured:
-        """Drives sample at the SYNC."""
+        """A drive's position as of its SYNC, when drives sample."""
         speed, share = self._speeds.get(number, (0, 0))
         fault = f"drive {number} has a fault" if status & 0x08 else ""
         return Measured(t_s, float(counts), float(speed), share * self._rated_ma[number] / 1000.0, fault)
@@ -210,6 +214,7 @@ class Cia402:
                 self._send(0x200 + number, struct.pack("<Hi", _OPERATE, round(goal.q)))
 
     def enable(self, axis: int, on: bool) -> None:
+        """Switches a drive's operation on or off, through the states of CiA 402."""
         number = self._numbers[axis]
         if not on:
             self._send(0x200 + number, struct.pack("<Hi", _VOLTAGE_OFF, 0))
@@ -221,12 +226,13 @@ class Cia402:
         steps = (_SHUT_DOWN, _READY), (_SWITCH_ON, _ON), (_OPERATE, _OPERATIONAL)
         for control, state in steps:
             self._write(number, _CONTROL, control, 2)
-            self._reach(number, state)
+            self._wait_for_state(number, state)
 
-    def _reach(self, number: int, state: int) -> None:
+    def _wait_for_state(self, number: int, state: int) -> None:
+        """Waits until the drive's status word shows this state. TautError after _STATE_S."""
         deadline = time.monotonic() + _STATE_S
         while (status := int.from_bytes(self._read(number, _STATUS), "little")) & 0x6F != state:
-            self._beat()  # a brake takes longer than the drive waits for it
+            self._sync()  # a brake takes longer than the drive waits for it
             if time.monotonic() > deadline:
                 raise TautError(
                     f"canopen {number} is not switched on (status word {status:04X}h): see its fault with its own tools"

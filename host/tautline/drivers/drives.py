@@ -58,7 +58,7 @@ class Drive:
 
 
 def all_off(axes: int, enable: Callable[[int, bool], None]) -> None:
-    """Each, whatever the others answer. Raises what the first of them said that is not off."""
+    """Switches every axis off, whatever errors others raise; then raises the first of these errors."""
     errors = []
     for axis in range(axes):
         try:

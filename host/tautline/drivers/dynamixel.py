@@ -54,6 +54,7 @@ class Dynamixel(SerialServos):
         super().__init__(dynamixel_sdk, 2.0, bus, numbers, baud, clock)
 
     def describe(self, number: int) -> Drive:
+        """A servo's limits, resolution and mode from its registers."""
         mode, model = self.read(number, _MODE), self.read(number, _MODEL)
         if mode not in (3, 4):
             raise TautError(
@@ -70,6 +71,7 @@ class Dynamixel(SerialServos):
         return Drive(number, f"model {model}", str(self.read(number, _FIRMWARE)), _COUNTS_PER_TURN, limits, True)
 
     def measure(self) -> list[Measured]:
+        """Positions of all servos by one sync read; every _ASK_ERRORS cycles also one servo's error register."""
         measured = super().measure()
         self._cycles += 1
         if self._cycles % _ASK_ERRORS == 0:  # of one servo after the other
@@ -89,6 +91,7 @@ class Dynamixel(SerialServos):
         return struct.pack("<i", goal)
 
     def enable(self, axis: int, on: bool) -> None:
+        """Switches a servo's torque."""
         number = self.numbers[axis]
         if not on:
             self.write(number, _TORQUE, 0)

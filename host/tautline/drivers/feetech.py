@@ -43,6 +43,7 @@ class Feetech(SerialServos):
         super().__init__(scservo_sdk, 0, bus, numbers, baud, clock)
 
     def describe(self, number: int) -> Drive:
+        """A servo's limits and resolution from its registers."""
         mode = self.read(number, _MODE)
         if mode != 0:
             raise TautError(f"feetech {number}: mode {mode}: set 0 (position) with Feetech's tools")
@@ -59,11 +60,13 @@ class Feetech(SerialServos):
         return Measured(t_s, _signed(state[0:2]), _signed(state[2:4]), _signed(state[13:15]) * _MA, said)
 
     def encoded(self, goal: int) -> bytes:
-        """The sign is bit 15: what lies beyond is not asked for, and the axis notices that it is not there."""
+        """A position as the register holds it: bit 15 is the sign; clipped, so that the axis will notice what lies
+        beyond."""
         goal = max(-0x7FFF, min(goal, 0x7FFF))
         return (abs(goal) | (0x8000 if goal < 0 else 0)).to_bytes(2, "little")
 
     def enable(self, axis: int, on: bool) -> None:
+        """Switches a servo's torque."""
         number = self.numbers[axis]
         if on:
             self.write(number, _OWN_ACCELERATION, 0)  # the application plans; the servo's own profile would lag

@@ -50,7 +50,7 @@ class Timing:
 
 
 def flash_file(where: str) -> Path:
-    """Where tables and settings of these drives are kept, as a board keeps them in flash."""
+    """The file that keeps tables and settings for these drives, as a board keeps them in flash."""
     base = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
     return base / "tautline" / f"{where.split(':')[0]}-{hashlib.sha256(where.encode()).hexdigest()[:16]}.bin"
 
@@ -64,6 +64,8 @@ class HostedLink:
     def __init__(
         self, drives: Drives, where: str, rate_hz: float, clock: Clock = time.monotonic, paced: bool = True
     ) -> None:
+        """where: the drives' address, which names their flash file; paced: cycles by the clock in a thread of their
+        own."""
         self.drives, self.where, self.period_s, self.timing = drives, where, 1.0 / rate_hz, Timing()
         self.log_divider = min(max(round(1e3 * self.period_s), 1), 60)
         self._clock, self._epoch_s = clock, clock()
@@ -79,8 +81,8 @@ class HostedLink:
                 raise TautError(f"{where}: motor {drive.number} has a speed limit of 0: set one with its maker's tools")
         self._file = flash_file(where)
         flash = self._file.read_bytes() if self._file.is_file() else b""
-        self._scales = [_scale(drive.limits.speed) for drive in drives.drives]
-        first = self._rows(self._first(), whole=True)
+        self._scales = [_counts_divisor(drive.limits.speed) for drive in drives.drives]
+        first = self._rows(self._first_measurement(), whole=True)
         self._last_s = clock()
         most_ma = max(round(min(drive.limits.current_ma for drive in drives.drives)), 0)
         kind, _, serial = where.partition(":")
@@ -89,14 +91,15 @@ class HostedLink:
         except ValueError as error:
             raise TautError(f"{self._file}: is no memory of such motors ({error}): remove it") from error
         self._writes = 0
-        self._settle([q / _Q8 for q, _, _ in first])
+        self._adopt_limits_and_positions([q / _Q8 for q, _, _ in first])
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         if paced:
             self._thread = threading.Thread(target=self._pace, name="drives", daemon=True)
             self._thread.start()
 
-    def _first(self) -> list[Measured]:
+    def _first_measurement(self) -> list[Measured]:
+        """The first measurement of all drives; retried, as drives may still be starting."""
         for left in reversed(range(5)):
             try:
                 return self.drives.measure()
@@ -106,15 +109,16 @@ class HostedLink:
         raise AssertionError
 
     def _rows(self, measured: list[Measured], whole: bool = False) -> list[tuple[int, int, bool]]:
-        """As the application takes them. `whole`: in whole counts, so that its positions are the drives' own."""
+        """Measurements as the application takes them. whole: rounded to counts, so that its positions are the drives'
+        own."""
         counts = [m.q * scale for m, scale in zip(measured, self._scales, strict=True)]
         places = [round(q) * round(_Q8) if whole else round(q * _Q8) for q in counts]
         return [(q, round(m.current_ma), bool(m.fault)) for q, m in zip(places, measured, strict=True)]
 
-    def _settle(self, first: list[float]) -> None:
-        """The drives' own limits become the axes' settings, where none are stored; their positions are the axes'. A
-        drive takes no duty that could sink: what it holds it holds until its host is lost, or says otherwise."""
-        ask = self._converse
+    def _adopt_limits_and_positions(self, first: list[float]) -> None:
+        """Sets the axes' positions to the drives', and where no settings are stored, their limits too. A drive takes no
+        duty that could sink: it holds until its host is lost or says otherwise."""
+        ask = self._request
         ask("hello", protocol_major=wire.wire.MAJOR, protocol_minor=wire.wire.MINOR)
         fresh = ask("get_status", axis=0).settings == wire.code("STORES", "DEFAULT")
         for axis, drive in enumerate(self.drives.drives):
@@ -132,9 +136,10 @@ class HostedLink:
                 ask("settings", **settings)
             if drive.referenced:
                 ask("set_position", axis=axis, q=first[axis])
-        self._keep()
+        self._store_flash()
 
-    def _converse(self, name: str, **values: Any) -> wire.Message:
+    def _request(self, name: str, **values: Any) -> wire.Message:
+        """Sends the application a message of this link's own, and returns its answer. TautError where it refuses."""
         self._board.receive(wire.encode(name, 1, **values), self._us(self._clock()))
         for message in wire.Decoder().feed(self._board.transmit()):
             if message.sequence == 1 and message.name not in ("batch", "event", "progress", "onset"):
@@ -150,6 +155,7 @@ class HostedLink:
     # -- the bus ------------------------------------------------------------------------------------------------
 
     def _pace(self) -> None:
+        """The thread: a cycle each period until the link is closed. Late ones are counted; an error ends the link."""
         due = self._clock()
         while not self._stop.is_set():
             due += self.period_s
@@ -168,7 +174,8 @@ class HostedLink:
                 return
 
     def cycle(self) -> None:
-        """Asks the drives, runs the application until then, tells the drives. TautError where they are gone."""
+        """One control cycle: measures, runs the application up to then, and sends its set-points. TautError where the
+        drives are gone."""
         if self._gone is not None:
             raise self._gone
         began = self._clock()
@@ -178,10 +185,10 @@ class HostedLink:
         except Missed as missed:
             self.timing.missed += 1
             if began - self._heard_s > _LOST_S:
-                self._lose(missed)
+                self._connection_lost(missed)
             return
         except TautError as error:
-            self._lose(error)
+            self._connection_lost(error)
             return
         t_s = measured[0].t_s
         self._heard_s = t_s
@@ -190,21 +197,22 @@ class HostedLink:
             rows = self._rows(measured)
             self._board.run(self._us(t_s), rows, 0)
             goals = [self._board.goal(axis) for axis in range(len(measured))]
-            self._plan_ahead([q for q, _, _ in rows], goals)
-            self._keep()
+            self._estimate_delay([q for q, _, _ in rows], goals)
+            self._store_flash()
             sent = self._board.transmit()
         self._give(sent)
         waited = 0.0
         try:
-            waited = self._tell(goals)
+            waited = self._send(goals)
         except Missed:
             self.timing.missed += 1
         except TautError as error:
-            self._lose(error)
+            self._connection_lost(error)
         self._note(began + waited, t_s + waited)
 
-    def _tell(self, goals: list[tuple[int, int, bool, bool]]) -> float:
-        """Seconds that switching a drive on took, for which the application waited."""
+    def _send(self, goals: list[tuple[int, int, bool, bool]]) -> float:
+        """Sends the set-points; returns the seconds that switching a drive on took, during which the application stood
+        still."""
         waited = 0.0
         wanted = [
             Goal(goal / _Q8 / scale, speed / _Q8 / scale) if on else None
@@ -218,8 +226,8 @@ class HostedLink:
         return waited
 
     def _switch(self, axis: int, on: bool) -> float:
-        """Seconds that the application was given for it: as long as the drives say that it may take, and while none of
-        them is driven. Else its rule for control steps that come late holds."""
+        """Switches an axis; returns the seconds granted to the application for that: what the drives name, and only
+        while none of them is driven. Else its rule for late control steps holds."""
         began = self._clock()
         with self._lock:
             self.drives.enable(axis, on)
@@ -231,8 +239,8 @@ class HostedLink:
         self._on[axis] = on
         return now - began if patient else 0.0
 
-    def _plan_ahead(self, places: list[int], goals: list[tuple[int, int, bool, bool]]) -> None:
-        """How late each drive follows, from what it is behind while it moves; used once it rests."""
+    def _estimate_delay(self, places: list[int], goals: list[tuple[int, int, bool, bool]]) -> None:
+        """Estimates how late each drive follows, from its lag while it moves; used once it rests."""
         for axis, (goal, speed, _, moves) in enumerate(goals):
             sums = self._lags[axis]
             v = speed / _Q8
@@ -245,6 +253,7 @@ class HostedLink:
                 self._board.lead(axis, round(lag_s * 1e6))
 
     def _note(self, began: float, t_s: float) -> None:
+        """Keeps a cycle's round trip and jitter."""
         timing, n = self.timing, max(self.timing.cycles - self.timing.missed, 1)
         took = self._clock() - began
         timing.round_trip_s += (took - timing.round_trip_s) / n
@@ -253,7 +262,8 @@ class HostedLink:
         timing.jitter_s = (self._squares / n) ** 0.5
         self._last_s = t_s
 
-    def _lose(self, error: TautError) -> None:
+    def _connection_lost(self, error: TautError) -> None:
+        """Raises BoardGone, here and for whoever reads, with how the motors come to rest."""
         says = f"{self.where}: {error}. Its motors come to rest by themselves, within {self.drives.rest_s:.2g} s and "
         gone = BoardGone(says + f"what braking takes ({self.drives.watchdog})")
         with self._arrived:
@@ -262,15 +272,15 @@ class HostedLink:
         raise gone
 
     def _end(self, error: TautError) -> None:
-        """All off, and whoever waits for the link is told."""
+        """Switches all drives off and tells whoever waits for the link."""
         with contextlib.suppress(Exception):
             self.drives.stop()
         with self._arrived:
             self._gone = self._gone or error
             self._arrived.notify_all()
 
-    def _keep(self) -> None:
-        """What was stored goes to the file, whole or not at all."""
+    def _store_flash(self) -> None:
+        """Writes what was stored to the file, whole or not at all."""
         if self._board.flash_writes == self._writes:
             return
         self._writes = self._board.flash_writes
@@ -285,11 +295,12 @@ class HostedLink:
     # -- the link -----------------------------------------------------------------------------------------------
 
     def write(self, data: bytes) -> None:
+        """Gives the application bytes from the host."""
         if self._gone is not None:
             raise self._gone
         with self._lock:
             self._board.receive(data, self._us(self._last_s))  # no later than the application's own last step
-            self._keep()
+            self._store_flash()
             sent = self._board.transmit()
         self._give(sent)
 
@@ -300,6 +311,7 @@ class HostedLink:
                 self._arrived.notify_all()
 
     def read(self, timeout_s: float) -> bytes:
+        """The application's bytes for the host, waiting at most this long."""
         with self._arrived:
             if not self._out and self._thread is not None:
                 self._arrived.wait_for(lambda: self._out or self._gone is not None, timeout_s)
@@ -313,6 +325,7 @@ class HostedLink:
         return None
 
     def bus(self) -> dict[str, Any]:
+        """Drives, watchdog and the bus' measured timing, for JSON."""
         drives = [
             f"{drive.number}: {drive.model}, firmware {drive.firmware}, "
             f"{drive.counts_per_turn * scale:g} counts a {drive.per}"
@@ -322,6 +335,7 @@ class HostedLink:
         return {"rate_hz": 1.0 / self.period_s, **asdict(self.timing), **of_drives}
 
     def close(self) -> None:
+        """Switches the drives off and ends the thread."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join()
@@ -332,8 +346,9 @@ class HostedLink:
             self.drives.close()
 
 
-def _scale(speed: float) -> float:
-    """Of the application's counts to a drive's: halved until it counts fast enough. It sees 1/256 of a count."""
+def _counts_divisor(speed: float) -> float:
+    """Drive counts per count of the application: doubled until the application can count at this speed; it resolves
+    1/256 count."""
     scale = 1.0
     while speed * scale > _SPEED_MOST:
         scale *= 0.5

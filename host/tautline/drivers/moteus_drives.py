@@ -50,7 +50,7 @@ class Moteus:
             moteus.Controller(id=number, query_resolution=resolution, transport=self._transport) for number in numbers
         ]
         try:
-            known = self._first()
+            known = self._all_referenced()
         except BaseException:
             self.close()
             raise
@@ -60,8 +60,8 @@ class Moteus:
             for number, referenced in zip(numbers, known, strict=True)
         ]
 
-    def _first(self) -> list[bool]:
-        """Whether each knows where its output is."""
+    def _all_referenced(self) -> list[bool]:
+        """Whether every controller knows where its output is."""
         for left in reversed(range(_TRIES)):
             try:
                 answers = self._ask(_FIRST_S)
@@ -72,6 +72,8 @@ class Moteus:
         raise AssertionError("one try at least")
 
     def _cycle(self, commands: list[Any], within_s: float) -> list[Any]:
+        """Sends commands to all controllers and returns their answers. Missed where one is missing."""
+
         async def all_of_them() -> list[Any]:
             return list(await asyncio.wait_for(self._transport.cycle(commands), within_s))
 
@@ -98,6 +100,7 @@ class Moteus:
         return [self._measured(t_s, values) for values in answers]
 
     def _measured(self, t_s: float, values: dict[int, float]) -> Measured:
+        """A controller's answer as position and status."""
         fault = f"fault {int(values[_Register.FAULT])}" if int(values[_Register.MODE]) == _FAULT_MODE else ""
         position, speed = values[_Register.POSITION], values[_Register.VELOCITY]
         if not math.isfinite(position):
@@ -106,6 +109,7 @@ class Moteus:
         return Measured(t_s, position * _COUNTS_PER_TURN, speed * _COUNTS_PER_TURN, current_ma, fault)
 
     def set_positions(self, goals: Sequence[Goal | None]) -> None:
+        """Sends the controllers that have a goal its position and speed, at which they go on until the next one."""
         self._cycle(
             [
                 controller.make_position(

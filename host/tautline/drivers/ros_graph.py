@@ -31,7 +31,8 @@ def library(module: str) -> Any:
 
 
 def sensor_qos(depth: int = 10) -> Any:
-    """From publishers of any reliability; more than one may be on a topic, and what is nobody's stands between."""
+    """A profile for publishers of any reliability; with several on a topic a queue of `depth` keeps what is nobody's
+    from displacing the rest."""
     qos = library("rclpy.qos")
     return qos.QoSProfile(depth=depth, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
 
@@ -68,7 +69,7 @@ class Graph:
         return str(self.node.resolve_topic_name(name))
 
     def begin(self) -> None:
-        """From now on callbacks come: after all subscriptions were made."""
+        """Starts the callbacks, after all subscriptions were made."""
         self._thread = threading.Thread(target=self._executor.spin, name="ros", daemon=True)
         self._thread.start()
 

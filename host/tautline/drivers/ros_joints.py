@@ -57,12 +57,13 @@ class RosJoints:
             raise
 
     def _open(self, states: str, commands: str) -> None:
-        description = self._listen(states)
+        """Subscribes to the states, publishes to the commands, and waits for both."""
+        description = self._description_topic(states)
         where = "are they of this machine, of the same $ROS_DOMAIN_ID, and active?"
         self._find_joints(states, where)
-        self._kind = self._taken_by(commands, where)
+        self._kind = self._command_type(commands, where)
         self._commands = self._graph.node.create_publisher(self._message_type(), commands, 10)
-        self._until(lambda: self._commands.get_subscription_count() > 0, _FIRST_S)
+        self._wait_for(lambda: self._commands.get_subscription_count() > 0, _FIRST_S)
         self._places = [math.nan for _ in self._names]
         if any(math.isnan(m.q) for m in self.measure()):
             raise TautError(f"ros: {states} has no position of {', '.join(self._names)}: is the hardware active?")
@@ -71,10 +72,10 @@ class RosJoints:
         self.drives = [_drive(name, described.get(name, {})) for name in self._names]
         self._counts = [float(drive.counts_per_turn) / (1.0 if drive.per == "m" else math.tau) for drive in self.drives]
 
-    def _listen(self, states: str) -> str:
-        """The description's topic."""
+    def _description_topic(self, states: str) -> str:
+        """Subscribes to the states and returns the topic of the robot's description."""
         node, qos = self._graph.node, library("rclpy.qos")
-        node.create_subscription(library("sensor_msgs.msg").JointState, states, self._take, sensor_qos())
+        node.create_subscription(library("sensor_msgs.msg").JointState, states, self._on_state, sensor_qos())
         kept = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
         description = f"{states.rpartition('/')[0]}/{_DESCRIPTION}"
         node.create_subscription(library("std_msgs.msg").String, description, self._describe, kept)
@@ -82,33 +83,34 @@ class RosJoints:
         return description
 
     def _find_joints(self, states: str, where: str) -> None:
-        if not self._until(lambda: self._newest is not None, _FIRST_S):
+        if not self._wait_for(lambda: self._newest is not None, _FIRST_S):
             if self._others:
                 missing = ", ".join(name for name in self._names if name not in self._others)
                 raise TautError(f"ros: no joint {missing} in {states}, which names {', '.join(sorted(self._others))}")
             raise TautError(f"ros: no joint states came on {states}: {where}")
 
     def _read_description(self, topic: str) -> dict[str, dict[str, str]]:
-        """Empty where nobody publishes one: who does may be found a moment later than the states are."""
-        if not self._until(lambda: bool(self._description), _DESCRIBED_S):
+        """The description's text; "" where nobody publishes one. A publisher may be found a moment later than the
+        states."""
+        if not self._wait_for(lambda: bool(self._description), _DESCRIBED_S):
             if self._graph.node.count_publishers(topic):
                 raise TautError(f"ros: {topic} is published but did not come: run the command again")
             return {}
-        described = _described(self._description)
+        described = _joints_of_description(self._description)
         for name in self._names:
             if name not in described:
                 raise TautError(f"ros: {topic} has no joint {name}: check its name")
         return described
 
-    def _taken_by(self, commands: str, where: str) -> str:
-        """The message that the subscribers of set-points take."""
+    def _command_type(self, commands: str, where: str) -> str:
+        """The type of message that the subscribers of set-points take."""
         node = self._graph.node
         topic = self._graph.topic(commands)
 
         def kinds() -> set[str]:
             return {info.topic_type for info in node.get_subscriptions_info_by_topic(topic)}
 
-        if not self._until(lambda: bool(kinds()), _FIRST_S):
+        if not self._wait_for(lambda: bool(kinds()), _FIRST_S):
             raise TautError(f"ros: nobody takes set-points on {commands}: {where}")
         found = kinds() & {_ARRAY, _STATE}
         if not found:
@@ -120,15 +122,16 @@ class RosJoints:
         return getattr(library(f"{package}.msg"), name)
 
     @staticmethod
-    def _until(there: Callable[[], bool], within_s: float) -> bool:
+    def _wait_for(there: Callable[[], bool], within_s: float) -> bool:
+        """Waits until `there()` is true, at most this long; whether it is."""
         end = time.monotonic() + within_s
         while not there() and time.monotonic() < end:
             time.sleep(0.005)
         return there()
 
-    def _take(self, message: Any) -> None:
-        """A state is as old as its stamp says, where that is of this machine's clock. What others of the robot say on
-        the topic, without these joints, is left out."""
+    def _on_state(self, message: Any) -> None:
+        """Takes a joint state, as old as its stamp says if that is of this machine's clock. Messages without these
+        joints are ignored."""
         if not set(self._names) <= set(message.name[: len(message.position)]):
             self._others |= set(message.name)
             return
@@ -142,6 +145,7 @@ class RosJoints:
         self._description = message.data
 
     def measure(self) -> list[Measured]:
+        """The joints' newest state, waiting for one that was not used before. Missed where none comes."""
         with self._came:
             if not self._came.wait_for(
                 lambda: self._newest is not None and self._newest[1] is not self._used, _ANSWER_S
@@ -152,6 +156,7 @@ class RosJoints:
         return [self._measured(axis, t_s, self._used) for axis in range(len(self._names))]
 
     def _measured(self, axis: int, t_s: float, message: Any) -> Measured:
+        """A joint's position, counts, at a time of this machine's clock."""
         at = list(message.name).index(self._names[axis])
         place = float(message.position[at])
         fault = "" if math.isfinite(place) else "its position is not known: is the hardware active?"
@@ -168,6 +173,7 @@ class RosJoints:
         self._send()
 
     def _send(self) -> None:
+        """Publishes all goals in one message."""
         message = self._message_type()()
         if self._kind == _ARRAY:  # those that are off stay where they were: the newest place gives way under a load
             message.data = [rest if told is None else told for told, rest in zip(self._told, self._rests, strict=True)]
@@ -178,7 +184,8 @@ class RosJoints:
         self._commands.publish(message)
 
     def enable(self, axis: int, on: bool) -> None:
-        """A topic switches no torque: on and off, the joint is to stay where it is, without a force that grew."""
+        """Switches the axis; a topic switches no torque, so that on and off alike the joint is told to stay where it
+        is."""
         if not on and self._told[axis] is None:
             return
         self._told[axis] = self._rests[axis] = self._places[axis]
@@ -193,8 +200,8 @@ class RosJoints:
         self._graph.close()
 
 
-def _described(text: str) -> dict[str, dict[str, str]]:
-    """By joint of a URDF: its type and what its limit says. Empty where it is none."""
+def _joints_of_description(text: str) -> dict[str, dict[str, str]]:
+    """Type and limits by joint from a URDF's text; {} where it is none."""
     try:
         joints = ElementTree.fromstring(text).iterfind("joint") if text else ()
         return {
@@ -207,7 +214,7 @@ def _described(text: str) -> dict[str, dict[str, str]]:
 
 
 def _drive(name: str, said: dict[str, str]) -> Drive:
-    """A joint of a description, or one that turns without an end."""
+    """The drive of a joint by its description; without one, a joint that turns without an end."""
     slides = said.get("type") == "prismatic"
     per, counts = ("m", _METRE) if slides else ("turn", _TURN)
     unit = counts if slides else counts / math.tau

@@ -78,26 +78,29 @@ class SerialServos:
     # -- registers, while nothing moves ---------------------------------------------------------------------------
 
     def read(self, number: int, register: Register) -> int:
-        data: list[int] = self._insist(number, lambda: self._packets.readTxRx(self._port, number, *register))[0]
+        data: list[int] = self._retry(number, lambda: self._packets.readTxRx(self._port, number, *register))[0]
         return int.from_bytes(bytes(data), "little")
 
     def glance(self, number: int, register: Register) -> int | None:
-        """Between two cycles: one try."""
-        data, result, _ = self._whole(lambda: self._packets.readTxRx(self._port, number, *register))
+        """One try to read a register between two cycles."""
+        data, result, _ = self._sdk_answer(lambda: self._packets.readTxRx(self._port, number, *register))
         whole = result == self._sdk.COMM_SUCCESS and len(data) == register[1]
         return int.from_bytes(bytes(data), "little") if whole else None
 
     def write(self, number: int, register: Register, value: int) -> None:
+        """Writes a register, with retries."""
         address, size = register
         data = list((value & ((1 << 8 * size) - 1)).to_bytes(size, "little"))
-        error = self._insist(number, lambda: self._packets.writeTxRx(self._port, number, address, size, data))[-1]
+        error = self._retry(number, lambda: self._packets.writeTxRx(self._port, number, address, size, data))[-1]
         if error & self.refusal:
             why = self._packets.getRxPacketError(error & self.refusal)
             raise TautError(f"{self.kind} {number}: register {address} refused {value}: {why}")
 
-    def _insist(self, number: int, ask: Callable[[], Any]) -> Any:
+    def _retry(self, number: int, ask: Callable[[], Any]) -> Any:
+        """`ask` with retries: the SDK's answer, whose last but one element is its communication result. TautError where
+        the servo does not answer."""
         for left in reversed(range(_SETUP_TRIES)):
-            answer = self._whole(ask)
+            answer = self._sdk_answer(ask)
             result = answer[-2]
             if result == self._sdk.COMM_SUCCESS:
                 return answer
@@ -108,8 +111,8 @@ class SerialServos:
                 )
         raise AssertionError("one try at least")
 
-    def _whole(self, ask: Callable[[], Any]) -> Any:
-        """What the SDK answers; where the port goes, or a packet is so damaged that the SDK stumbles, one error."""
+    def _sdk_answer(self, ask: Callable[[], Any]) -> Any:
+        """What the SDK answers; a lost port and a packet so damaged that the SDK fails on it become one error."""
         try:
             return ask()
         except (serial.SerialException, OSError) as error:
@@ -121,8 +124,9 @@ class SerialServos:
     # -- cycles ---------------------------------------------------------------------------------------------------
 
     def measure(self) -> list[Measured]:
+        """Positions and status of all servos by one sync read. Missed where one is missing."""
         sent = self._clock()
-        result = self._whole(self._reading.txRxPacket)
+        result = self._sdk_answer(self._reading.txRxPacket)
         if result != self._sdk.COMM_SUCCESS:
             raise Missed(f"no answer ({self._packets.getTxRxResult(result)})")
         t_s = 0.5 * (sent + self._clock())
@@ -136,7 +140,7 @@ class SerialServos:
         for number, goal in zip(self.numbers, goals, strict=True):
             if goal is not None:
                 self._writing.addParam(number, list(self.encoded(round(goal.q))))
-        self._whole(self._writing.txPacket)
+        self._sdk_answer(self._writing.txPacket)
 
     def stop(self) -> None:
         all_off(len(self.numbers), self.enable)
@@ -146,7 +150,7 @@ class SerialServos:
 
 
 def _port(sdk: ModuleType, bus: str) -> Any:
-    """The SDK's port, which waits for bytes instead of asking for them all the time, and keeps others off the line."""
+    """The SDK's port, changed to wait for bytes instead of polling and to lock the line for itself."""
 
     class Port(sdk.PortHandler):  # type: ignore[misc, name-defined]
         def setupPort(self, baud: int) -> bool:

@@ -16,14 +16,15 @@ from tautline.explain.topic import KINDS, Topic
 
 @cache
 def topics() -> Mapping[str, Topic]:
-    """By code, in the order of KINDS."""
+    """All topics by code, in the order of KINDS."""
     listed = list(chain(_effects(), REASONS, _faults(), _refusals(), _keys(), _files(), _formats(), TERMS))
     listed.sort(key=lambda topic: list(KINDS).index(topic.kind))
     return {topic.code: topic for topic in listed}
 
 
 def find(name: str) -> Topic:
-    """By its code, its last part or another name, in any case; TautError with the nearest ones where there is none."""
+    """The topic of a code, its last part or an alias, in any case. TautError with the nearest ones where there is
+    none."""
     known = topics()
     wanted = name.strip().strip("[]").casefold()
     if wanted.startswith("simulator."):
@@ -57,6 +58,7 @@ def _names(topic: Topic) -> set[str]:
 
 
 def _effects() -> Iterator[Topic]:
+    """A topic for every effect of the library."""
     from tautline.effects import LIBRARY, SIMULATOR, of_simulator
 
     own = of_simulator("NAME")
@@ -79,7 +81,9 @@ def _effects() -> Iterator[Topic]:
             if kind.on_board
             else "The board's tables cannot carry it; a corrected model does."
         )
-        rows = tuple((parameter.name, _parameter(parameter.unit, parameter.scale)) for parameter in kind.parameters)
+        rows = tuple(
+            (parameter.name, _unit_and_scale(parameter.unit, parameter.scale)) for parameter in kind.parameters
+        )
         yield Topic(
             kind.id,
             "effect",
@@ -90,13 +94,15 @@ def _effects() -> Iterator[Topic]:
         )
 
 
-def _parameter(unit: str, scale: float) -> str:
+def _unit_and_scale(unit: str, scale: float) -> str:
+    """A parameter's unit and natural scale in words."""
     told = unit.replace("unit", "unit of q") or "a share"
     share = " of the motor's range" if unit.startswith("unit") else ""
     return f"{told}; a change of {scale:g}{share} is noticed"
 
 
 def _faults() -> Iterator[Topic]:
+    """A topic for every fault of a board."""
     from tautline.device import wire
 
     for name, (number, text) in wire.wire.FAULTS.items():
@@ -108,6 +114,7 @@ def _faults() -> Iterator[Topic]:
 
 
 def _refusals() -> Iterator[Topic]:
+    """A topic for every reason why a board refuses something."""
     from tautline.device import wire
 
     for name, (_, text) in wire.wire.REASONS.items():
@@ -121,6 +128,7 @@ def _refusals() -> Iterator[Topic]:
 
 
 def _keys() -> Iterator[Topic]:
+    """A topic for every key of the files."""
     from tautline.rig import SECTIONS
     from tautline.shapes import SHAPE
 
@@ -143,6 +151,7 @@ def _keys() -> Iterator[Topic]:
 
 
 def _formats() -> Iterator[Topic]:
+    """A topic for every export format."""
     from tautline.io.exporting.formats import EXTRA, FORMATS
 
     for form in FORMATS:
@@ -159,6 +168,7 @@ def _formats() -> Iterator[Topic]:
 
 
 def _files() -> Iterator[Topic]:
+    """A topic for every file."""
     from tautline.layouts import LAYOUTS
 
     for layout in LAYOUTS:

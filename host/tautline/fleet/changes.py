@@ -45,8 +45,8 @@ def compared(rows: Sequence[Row]) -> list[Row]:
 
 
 def scatter_of(levels: Iterable[_Levels]) -> float:
-    """By how much log B departs from a robot's own line beyond its sigma, alike for all robots: chi square over its
-    degrees of freedom is then 1."""
+    """Standard deviation of log B about a robot's own line beyond the stated sigmas, common to all robots: with it chi
+    square equals its degrees of freedom."""
     long = [each for each in levels if len(each.at) > 2]
     freedom = sum(len(each.at) - 2 for each in long)
 
@@ -59,6 +59,8 @@ def scatter_of(levels: Iterable[_Levels]) -> float:
 
 
 def _levels(robot: Sequence[Row]) -> _Levels | None:
+    """The logarithm of the mean B of a robot's usable sessions, over the range that all have measured, with sigmas;
+    None where there is none."""
     usable = [(k, row) for k, row in enumerate(robot) if row.usable and row.q == _first(robot).q]
     if not usable:
         return None
@@ -79,6 +81,7 @@ def _first(robot: Sequence[Row]) -> Row:
 
 
 def _unknown(robot: Sequence[Row]) -> list[Row]:
+    """The robot's rows with nothing said of changes."""
     return [
         replace(
             row, since=None, width_change=None, width_change_sigma=None, offset_change=None, wear=None, wear_sigma=None
@@ -88,6 +91,7 @@ def _unknown(robot: Sequence[Row]) -> list[Row]:
 
 
 def _changed(robot: Sequence[Row], known: _Levels, scatter: float) -> list[Row]:
+    """The robot's rows with their changes of B and offset since its first usable session, and its growth a session."""
     first = robot[known.at[0]]
     wear = wear_sigma = None
     if len(known.at) > 1:

@@ -55,6 +55,7 @@ class Findings:
         return asdict(self)
 
     def sentences(self) -> list[str]:
+        """The findings in sentences, the most urgent first."""
         made, of = _counted(self.sessions, "session"), _counted(self.robots, "robot")
         said = [f"{made} of {of}, {self.failed} without a calibration."]
         if np.isfinite(self.wear):
@@ -117,19 +118,20 @@ class _Groups:
     odds: float
 
     def log_odds(self, growth: _Growth) -> Array:
-        """Of the data alone, that each is of the second group."""
+        """For each robot the log-likelihood ratio of being of the second group, by the data alone."""
         sigma = np.hypot(self.spread, growth.log_sigma)
         second = norm.logpdf(growth.log, self.usual + self.sooner, sigma)
         return np.asarray(second - norm.logpdf(growth.log, self.usual, sigma))
 
 
 def findings(rows: Sequence[Row]) -> Findings:
-    """Of a fleet's rows, as a run ends with them."""
+    """What a run finds in the rows of all sessions, as it ends with them."""
     with threadpool_limits(1, "blas"):  # its systems are small
         return _findings(rows)
 
 
 def _findings(rows: Sequence[Row]) -> Findings:
+    """Findings from the rows of all sessions."""
     growth = _Growth.of(rows)
     groups = _groups(growth)
     worn: list[Named] = []

@@ -84,6 +84,7 @@ def _percent(share: float) -> str:
 
 @mpl.rc_context(figures.STYLE)
 def growth_of(rows: Sequence[Row], found: Findings) -> Figure:
+    """Each robot's growth of B a session with two sigmas, worn ones in another colour."""
     known = {row.robot: row for row in rows if row.wear is not None}
     order = sorted(known.values(), key=lambda row: (row.batch or "", row.robot))
     worn = {one.name for one in found.worn}
@@ -102,6 +103,7 @@ def growth_of(rows: Sequence[Row], found: Findings) -> Figure:
 
 @mpl.rc_context(figures.STYLE)
 def spread_of(last: Sequence[Row], found: Findings) -> Figure:
+    """B over q of some robots, and of all that are unlike the others, in another colour."""
     unlike = {one.name for one in found.unlike}
     shown = last[:: max(1, len(last) // _CURVES)]
     made, axes = figures.figure(10.5, 3.6)

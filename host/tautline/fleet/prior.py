@@ -33,7 +33,8 @@ def write(rows: Sequence[Row], out: Path) -> None:
 
 
 def read(out: Path, rig: Rig) -> Beforehand:
-    """For a calibration with this rig. TautError where the fleet taught nothing, or its robots are others."""
+    """The prior that the fleet in `out` gives a calibration with this rig. TautError where it taught nothing, or its
+    robots are others."""
     path = out / FILE
     try:
         document = json.loads(path.read_text(encoding="utf-8"))

@@ -89,7 +89,7 @@ class DataSet:
         return found
 
     def append(self, rows: Iterable[Row]) -> None:
-        """One more part; nothing where there are no rows."""
+        """Writes the rows as one more part of the data set; nothing without rows."""
         if rows := list(rows):
             self._write(rows)
 

@@ -44,7 +44,7 @@ class Session:
 
     @property
     def date(self) -> str | None:
-        """Where its name begins with one, YYYY-MM-DD."""
+        """The date with which the session's name begins (YYYY-MM-DD), if it does."""
         found = _DATE.match(self.name)
         return found.group() if found else None
 
@@ -64,7 +64,7 @@ class Session:
 
 
 def digest(files: dict[str, bytes], made_by: str) -> str:
-    """Of all that a row depends on: the files and what calibrates them."""
+    """A hash over everything that a row depends on: the files and what calibrates them."""
     hashed = hashlib.sha256(made_by.encode())
     for name in sorted(files):
         hashed.update(f"\n{name} ".encode() + hashlib.sha256(files[name]).digest())

@@ -35,6 +35,7 @@ def calibrated(row: Row, files: Mapping[str, bytes]) -> Row:
 
 
 def _calibrated(row: Row, folder: Path) -> Row:
+    """The row of a session after calibrating it."""
     try:
         paths = sorted(each for each in folder.iterdir() if each.is_dir())
         own = folder / RIG_FILE
@@ -47,6 +48,7 @@ def _calibrated(row: Row, folder: Path) -> Row:
 
 
 def _told(row: Row, calibration: Calibration) -> Row:
+    """The row with what a calibration found."""
     model = calibration.model
     at = np.linspace(*model.rig.actuator.range, PLACES)
 

@@ -30,7 +30,7 @@ Answered = Callable[[Diagnosis, "Leading", str], None]
 
 
 def answers_of(document: Mapping[str, Any]) -> dict[str, float]:
-    """The probability of each effect, by its id, of "none" and of "unknown"."""
+    """The probability of each effect by its id, and of "none" and "unknown", from a diagnosis.json."""
     probabilities = {c["id"]: float(c["probability"]) for c in document["candidates"]}
     none, unknown = float(document["probability_none"]), float(document["probability_unknown"])
     return probabilities | {"none": none, "unknown": unknown}
@@ -45,6 +45,7 @@ class Leading:
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> Leading:
+        """The likeliest answer of a diagnosis.json."""
         probabilities = answers_of(document)
         name = max(probabilities, key=lambda name: probabilities[name])
         return cls(name, probabilities[name])
@@ -70,8 +71,8 @@ class Asked:
 def why_stop(
     answers: Sequence[Leading], asked: Sequence[str], following: NextMotion | None, noise: float, most: int
 ) -> str:
-    """Why nothing more is recorded; empty where `following` is worth it. answers: after each recording, `asked` the
-    motions' names. noise: of what `following` separates, px or deg."""
+    """Why no further recording is made; "" where `following` is worth recording. answers: the leading one after each
+    recording; asked: the names of the motions so far; noise: px or deg, as of the motion's separation."""
     last = answers[-1]
     if last.probability >= SURE:
         return f"one answer is sure: {last}"
@@ -90,6 +91,7 @@ def why_stop(
 
 
 def _no_news(answers: Sequence[Leading]) -> bool:
+    """Whether the last recording hardly changed the leading answer."""
     before, last = answers[-2:]
     return before.name == last.name and abs(last.probability - before.probability) < _NO_NEWS
 
@@ -106,10 +108,10 @@ def diagnose_live(
     seen: Callable[[Frame], None] = lambda frame: None,
     answered: Answered = lambda diagnosis, leading, why: None,
 ) -> Asked:
-    """`calibration` on the motor's clock, and what `found` gave; `tests` were recorded before. What is recorded here
-    is kept in `folder`. `told`: a line after every recording. `seen`: every frame. `answered`: after every recording
-    the diagnosis, what leads, and why it ends, empty where another one is made. Ctrl-C ends a recording early, and it
-    is diagnosed."""
+    """Diagnoses, records the motion that tells most, and diagnoses again, until one answer is sure or no motion helps.
+    calibration: on the motor's clock, what `calibrated_on` was made of; tests: recorded before. Recordings go to
+    `folder`. told: gets a line after every recording; seen: every frame; answered: after every recording the diagnosis,
+    what leads and why it ends ("" if it goes on). Ctrl-C ends a recording early, which is diagnosed all the same."""
     if folder.exists() and any(folder.iterdir()):
         raise TautError(f"{folder}: is not empty: name another folder for the recordings with --recordings")
     folder.mkdir(parents=True, exist_ok=True)

@@ -29,9 +29,9 @@ _WITHIN_S = 0.05  # over which a motor's speed in use is taken: its counts are n
 
 
 def closing(model: Model, gaps: Sequence[Gap], recordings: Sequence[Recording]) -> Trajectory | None:
-    """Through all gaps, from the lowest up, within the range and no faster than the motor went in `recordings`, which
-    show the tip (marker or angle); None where there are no gaps. Of the plans within 20 s the one with the most turns,
-    then with the most speeds; the shortest where none is."""
+    """A motion through all gaps from the lowest up, within the range and no faster than the motor went in `recordings`
+    (of marker or angle); None where there are no gaps. Of the plans that last at most SECONDS the one with most turns,
+    then with most speeds; else the shortest."""
     if not gaps:
         return None
     actuator = model.rig.actuator
@@ -48,8 +48,8 @@ def closing(model: Model, gaps: Sequence[Gap], recordings: Sequence[Recording]) 
 
 
 def _through(actuator: Actuator, gap: Gap, widest: float, times: float, speeds: Sequence[float]) -> Trajectory:
-    """Up through a gap by strokes of `times` the widest B that go back by a little more than it, down again, and a
-    turn at the low end."""
+    """Up through one gap by strokes of `times` the widest B, each going back by a little more than it; down again; and
+    a turn at the low end."""
     reach = widest + _BESIDE * actuator.span
     low, high = max(gap.low - reach, actuator.range[0]), min(gap.high + reach, actuator.range[1])
     way = high - low
@@ -63,20 +63,20 @@ def _through(actuator: Actuator, gap: Gap, widest: float, times: float, speeds: 
 
 
 def _joined(parts: Sequence[Trajectory], speed: float) -> Trajectory:
-    """One after the other, with a move from where each ends to where the next begins."""
+    """The parts in turn, with a move at `speed` from where each ends to where the next begins."""
     ways = [(before.q[-1], after.q[0]) for before, after in pairwise(parts)]
     moves = [trajectory.through(way, speed, _QUICK * speed) for way in ways]
     return trajectory.in_turn(parts[0], *(each for pair in zip(moves, parts[1:], strict=True) for each in pair))
 
 
 def _frame_rate(recordings: Sequence[Recording]) -> float:
-    """Hz, of what shows the tip."""
+    """Median rate, Hz, of the frames or readings that show the tip."""
     shown = [each.marker or each.angle for each in recordings]
     return 1.0 / float(np.median(np.concatenate([np.diff(seen.t_s) for seen in shown if seen is not None])))
 
 
 def _fastest(motor: Motor) -> float:
-    """Its top speed, unit of q per s."""
+    """Top speed of a motor, unit of q per s, by its moves over _WITHIN_S."""
     t_s = np.arange(motor.t_s[0], motor.t_s[-1], _WITHIN_S)
     moved = np.abs(np.diff(np.interp(t_s, motor.t_s, motor.q)))
     return float(moved.max(initial=0.0)) / _WITHIN_S

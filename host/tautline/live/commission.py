@@ -79,7 +79,7 @@ class _Tape:
         self._rows.clear()
 
     def read(self) -> tuple[Array, Array, Array, Array]:
-        """t_s, q, q_ref in counts, duty."""
+        """Recorded telemetry as (n,) arrays: times, s; position and set-point, counts; duty, -1 to 1."""
         if not self._rows:
             raise TautError("the board sends no telemetry: run 'taut monitor' and look for what was dropped")
         t, q, q_ref, duty = np.concatenate(self._rows).T
@@ -89,12 +89,10 @@ class _Tape:
 def commission(
     live: Live, agree: Agree, say: Say, homing: Homing | None = None, wanted: dict[str, Any] | None = None
 ) -> Commissioned:
-    """The whole walk. `agree` is asked before anything moves or is stored, `say` is told what was found. `wanted`:
-    settings that nothing measures, as the board has them; None leaves one as it is.
-
-    TautError where something is wrong, with what mends it, or where it was not agreed to: the settings then stay, but
-    for the range, which is the rig's, and how the stop input is wired, which comes first. The board drives at low duty
-    until the ends are known, and again where it stops after that."""
+    """Puts an axis into service: wiring, stop input, end, friction, scale and servo gains, stored on the board. `agree`
+    is asked before anything moves or is stored; `say` is told what was found. wanted: settings that nothing measures,
+    None leaves one as it is. TautError, with a remedy, where something is wrong or not agreed to: settings then stay,
+    but for the range and how the stop input is wired. The board drives at low duty until the ends are known."""
     board, axis, unit = live.board, live.axis, live.rig.actuator.unit
     board.check_axis(axis)
     asked = {name: value for name, value in (wanted or {}).items() if value is not None}
@@ -107,7 +105,7 @@ def commission(
     commissioned = Commissioned(before, ranged | asked | {"commissioned": 1})
 
     _agreed(agree, "The motor turns a little either way. Is the instrument free to move?")
-    _check(live)
+    _check_motor_and_encoder(live)
     say("polarity and scale: motor and encoder agree")
 
     _store(live, ranged)
@@ -121,21 +119,21 @@ def commission(
     with _at_full_drive(live, ranged):
         tape = _Tape(live)
         try:
-            _friction(live, tape, commissioned, homing.direction)
+            _measure_drive_law(live, tape, commissioned, homing.direction)
             say(
                 f"drive: friction {100 * commissioned.friction:.1f} %, {commissioned.speed_s:.0f} counts/s at full "
                 f"drive; current up to {commissioned.current_ma} mA, limit {commissioned.settings['current_ma']} mA"
             )
-            _tune(live, tape, commissioned, homing.direction, say)
+            _tune_gains(live, tape, commissioned, homing.direction, say)
         finally:
             tape.close()
             with contextlib.suppress(TautError):  # gone: what is stored holds at its next start
                 board.ask("telemetry", axis=axis, divider=0)
-                board.ask("servo", **_servo(before))
+                board.ask("servo", **_servo_fields(before))
 
         _agreed(agree, f"Store gains x {commissioned.factor:g}, range, current limit and instrument on the board?")
         _store(live, commissioned.settings)
-    _check(live)
+    _check_motor_and_encoder(live)
     say("stored, and checked again")
     return commissioned
 
@@ -146,8 +144,8 @@ def _agreed(agree: Agree, question: str) -> None:
 
 
 def _wire_stop(live: Live, agree: Agree, estop: int) -> None:
-    """The stop input is the board's: all axes have it wired alike. Until they do, a button that opens counts as
-    pressed."""
+    """Stores for all axes which state of the stop input stops them, and clears the stop that its wiring had caused
+    until then."""
     board, axes = live.board, range(live.board.axes)
     kept = [dict(board.ask("get_settings", axis=axis).values) for axis in axes]
     if all(settings["estop"] == estop for settings in kept):
@@ -163,7 +161,8 @@ def _wire_stop(live: Live, agree: Agree, estop: int) -> None:
 
 @contextlib.contextmanager
 def _at_full_drive(live: Live, settings: dict[str, Any]) -> Iterator[None]:
-    """The axis counts as commissioned inside; after that only where all went well, or where it did before."""
+    """Inside, the axis counts as commissioned, so that the board allows full drive; afterwards only if all went well,
+    or if it did before."""
     if settings["commissioned"]:
         yield
         return
@@ -177,8 +176,8 @@ def _at_full_drive(live: Live, settings: dict[str, Any]) -> Iterator[None]:
         raise
 
 
-def _check(live: Live) -> None:
-    """Motor and encoder, at low drive; leaves the motor off."""
+def _check_motor_and_encoder(live: Live) -> None:
+    """Lets the board check motor and encoder at low drive; leaves the motor off."""
     with live.interruptible():
         try:
             live.board.ask("check", axis=live.axis)
@@ -191,15 +190,17 @@ def _store(live: Live, settings: dict[str, Any]) -> None:
     live.board.ask("settings", **(settings | {"key": wire.wire.KEY}), timeout_s=5.0)
 
 
-def _servo(settings: dict[str, Any]) -> dict[str, Any]:
+def _servo_fields(settings: dict[str, Any]) -> dict[str, Any]:
+    """The servo's gains among the settings, as the message `servo` takes them."""
     return {name: settings[name] for name in ("axis", *_GAINS, "feed_forward", "inertia", "friction")}
 
 
 # -- friction and speed -----------------------------------------------------------------------------------------------
 
 
-def _friction(live: Live, tape: _Tape, commissioned: Commissioned, direction: int) -> None:
-    """Drive at two speeds either way, the motor's own: by gains that are not tuned yet it swings around its path."""
+def _measure_drive_law(live: Live, tape: _Tape, commissioned: Commissioned, direction: int) -> None:
+    """Measures friction and free speed by moves at two speeds in both directions, and sets the feed-forward from them.
+    Speeds are the motor's own: by gains that are not tuned yet it oscillates about its path."""
     span, start = live.rig.actuator.span, commissioned.q
     stretches = []
     with driving(live):
@@ -215,7 +216,7 @@ def _friction(live: Live, tape: _Tape, commissioned: Commissioned, direction: in
                 if len(even) <= 4 * _BLOCK:
                     raise TautError("too little of the motion was even: allow more speed in the board's settings")
                 stretches.append((t[even], q[even], duty[even]))
-    friction, slope = _drive_law(stretches)
+    friction, slope = _fitted_drive_law(stretches)
     if slope <= 0:
         raise TautError("more speed took less drive: look for what rubs, and for a supply that sags")
     commissioned.friction, commissioned.speed_s = max(friction, 0.0), 1.0 / slope
@@ -223,14 +224,11 @@ def _friction(live: Live, tape: _Tape, commissioned: Commissioned, direction: in
     commissioned.settings["feed_forward"] = min(round(1000.0 * 32768.0 * slope), _GAIN_MAX)
 
 
-def _drive_law(stretches: Sequence[tuple[Array, Array, Array]]) -> tuple[float, float]:
-    """Friction, a share of full drive, and 1 / free speed, in s/count, of
-
-        duty = friction sign(v) + v / free speed + inertia dv/dt
-
-    by least squares over blocks of each stretch in which the motor slides, at half the stretch's mean speed or more:
-    where it swings to rest static friction holds it. t_s rising, q in counts, duty -1 to 1, all (n,) with n above
-    four blocks; each stretch goes one way, and they differ in speed."""
+def _fitted_drive_law(stretches: Sequence[tuple[Array, Array, Array]]) -> tuple[float, float]:
+    """Friction, a share of full drive, and 1 / free speed, s/count, of duty = friction sign(v) + v / free speed +
+    inertia dv/dt, by least squares over blocks of samples at half the stretch's mean speed or more (slower, static
+    friction may hold the motor). stretches: t_s, q in counts and duty -1 to 1, all (n,), each in one direction, of
+    several speeds."""
     rows = []
     for t, q, duty in stretches:
         edges = np.arange(0, len(t), _BLOCK)
@@ -249,11 +247,12 @@ def _drive_law(stretches: Sequence[tuple[Array, Array, Array]]) -> tuple[float, 
 # -- servo gains ------------------------------------------------------------------------------------------------------
 
 
-def _tune(live: Live, tape: _Tape, commissioned: Commissioned, direction: int, say: Say) -> None:
-    """The gains that follow best of those that are sound with a margin."""
+def _tune_gains(live: Live, tape: _Tape, commissioned: Commissioned, direction: int, say: Say) -> None:
+    """Tries growing gains by a step response, and chooses those that follow best among the ones that are stable with a
+    factor of _MARGIN in hand."""
     for factor in FACTORS:
         tried = commissioned.settings | _scaled(commissioned.settings, factor)
-        step = _try(live, tape, tried, commissioned.q, direction)
+        step = _step_responses(live, tape, tried, commissioned.q, direction)
         if step is None:
             say(f"gains x {factor:g}: not sound")
             break
@@ -274,18 +273,23 @@ def _tune(live: Live, tape: _Tape, commissioned: Commissioned, direction: int, s
 
 
 def _scaled(settings: dict[str, Any], factor: float) -> dict[str, Any]:
+    """The gains times a factor."""
     return {name: min(round(settings[name] * factor), _GAIN_MAX) for name in _GAINS}
 
 
-def _try(live: Live, tape: _Tape, settings: dict[str, Any], start: float, direction: int) -> StepResponse | None:
-    """A step either way; None where the gains are not sound. The worse of the two counts."""
-    live.board.ask("servo", **_servo(settings))
+def _step_responses(
+    live: Live, tape: _Tape, settings: dict[str, Any], start: float, direction: int
+) -> StepResponse | None:
+    """Worst figures of a step in either direction with these settings; None where the servo is not stable."""
+    live.board.ask("servo", **_servo_fields(settings))
     span = live.rig.actuator.span
     centre = start - direction * _CENTRE * span
     try:
         with driving(live):
             move_to(live, centre, 0.25 * live.top_speed)
-            steps = [_step(live, tape, centre + way * _STEP * span, settings["arrive"]) for way in (-direction, 0)]
+            steps = [
+                _step_response(live, tape, centre + way * _STEP * span, settings["arrive"]) for way in (-direction, 0)
+            ]
     except TautError:
         fault = live.board.status(live.axis).fault
         if fault not in [wire.code("FAULTS", name) for name in _UNSOUND]:
@@ -300,7 +304,9 @@ def _try(live: Live, tape: _Tape, settings: dict[str, Any], start: float, direct
     )
 
 
-def _step(live: Live, tape: _Tape, q_to: float, arrive: float) -> StepResponse:
+def _step_response(live: Live, tape: _Tape, q_to: float, arrive: float) -> StepResponse:
+    """A step to q_to (unit): positions in counts from where it began, rms and overshoot in counts, settling time in s.
+    arrive: counts from the target that count as there."""
     live.wait(_SETTLE_S)
     tape.rewind()
     move_to(live, q_to, live.top_speed)

@@ -51,7 +51,7 @@ class Noticed:
 
 
 def inject(link: SimLink, axis: int, name: str) -> None:
-    """From now on, acknowledged by the board. TautError where it cannot, or does not, do it."""
+    """Makes a simulated board fail this way from now on. TautError where the board refuses to."""
     request = FAULTS[name].request
     if request is None:
         raise TautError("nobody can silence another program: stop it, or leave --sim out")
@@ -61,7 +61,7 @@ def inject(link: SimLink, axis: int, name: str) -> None:
 
 
 def show(live: Live, name: str) -> Noticed:
-    """Runs into the fault and tells what came of it. `live` is simulated, its axis referenced."""
+    """Causes a fault on a simulated board, its axis referenced, and tells how and when the board noticed it."""
     assert live.plant is not None
     injected_s = live.plant.now_s
     try:
@@ -95,6 +95,8 @@ def _watch(live: Live) -> None:
 
 
 def _noticed(live: Live, says: str, injected_s: float) -> Noticed:
+    """Lets half a second pass: which fault the board noticed, after how long, and how long and far the motor still
+    moved."""
     plant = live.plant
     assert plant is not None
     plant.advance_to(plant.now_s + 0.5)

@@ -76,7 +76,7 @@ def tip_trajectory(live: Live, what: str, speed_deg_s: float, seed: int, seconds
         columns = read_columns(Path(what), TRAJECTORY.required(), TRAJECTORY.header())
         return columns.rising_times(), columns.finite("c_deg")
     speed_deg_s = min(speed_deg_s, 0.3 * live.top_speed * abs(live.rig.coarse.gain))  # f may be flatter than f_coarse
-    low, high = _reach(live)
+    low, high = _reachable_deg(live)
     free = _MARGIN * (high - low)
     tip = Actuator("deg", (low + free, high - free), 1e-3)
     if what == "smooth":
@@ -86,8 +86,8 @@ def tip_trajectory(live: Live, what: str, speed_deg_s: float, seed: int, seconds
     return planned.t_s, planned.q
 
 
-def _reach(live: Live) -> tuple[float, float]:
-    """The angles that the instrument can take, deg: of the tables in use, else of f_coarse."""
+def _reachable_deg(live: Live) -> tuple[float, float]:
+    """The lowest and the highest angle that the instrument can take, deg, by the tables in use, else by f_coarse."""
     from tautline import tables
 
     blob = live.board.read_table(live.axis)
@@ -110,11 +110,9 @@ def follow(
     seen: Callable[[Frame], None] | None = None,
     progress: Progress = None,
 ) -> tuple[float, Array, Array]:
-    """Sends the set-points of value(t): deg of the tip through the tables, or the rig's unit of the motor.
-
-    It starts with a straight move to the first value and ends at rest with the motor off. Returns the board time at
-    which the trajectory proper begins, and the times and values that were sent, board time.
-    """
+    """Sends set-points of value(t): deg of the tip through the tables, or the rig's unit of the motor. It begins with a
+    straight move to the first value and ends at rest, motor off. Returns the board time, s, at which the trajectory
+    proper begins, and times (board, s) and values of all set-points."""
     board, axis = live.board, live.axis
     scale = _DEG if tip else _COUNT / live.resolution
     board.refused.clear()
@@ -141,25 +139,25 @@ def follow(
             board.tell_all("set_point", [{"axis": axis, "value": int(v), "at_us": int(t)} for v, t in points])
             sent = max(due, sent)
             step(live, seen)
-            _check(live)
+            _check_refusals(live)
             if progress:
                 progress(sent / len(grid), "following")
         while live.now_us() < start_us + grid[-1] * 1e6:
             step(live, seen)
-    _check(live)
+    _check_refusals(live)
     return start_us * 1e-6 + lead + _SETTLE_S, start_us * 1e-6 + grid, plan
 
 
 def step(live: Live, seen: Callable[[Frame], None] | None) -> None:
-    """Until the next frame, which goes to `seen`, or for a while where there is no camera."""
+    """Waits for the next frame and hands it to `seen`; without a camera waits _STEP_S."""
     if live.marker_source is not None and seen is not None:
         seen(live.look())
     else:
         live.wait(_STEP_S)
 
 
-def _check(live: Live) -> None:
-    """A refused set-point ends the run: with the fault that caused it, where there is one."""
+def _check_refusals(live: Live) -> None:
+    """TautError where the board refused a set-point, naming the fault that caused it."""
     if live.board.refused:
         live.board.check_fault(live.axis)
         refused = live.board.refused[0]
@@ -185,12 +183,9 @@ def follow_run(
     library: Library | None = None,
     progress: Progress = None,
 ) -> Followed:
-    """One run of `taut follow`: tables, trajectory, recording, score.
-
-    compensation: off (the motor follows f_coarse's inverse), backlash (f_coarse and B), full (f_remain and B).
-    track: the model is kept calibrated by the camera meanwhile, and the board's tables are moved with it; the shapes of
-    `library` are looked for then.
-    """
+    """One run of `taut follow`: loads tables, follows a trajectory, records and scores it. compensation: off (the motor
+    follows f_coarse's inverse), backlash (f_coarse and B) or full (f_remain and B). track: the camera keeps the model
+    calibrated meanwhile and moves the board's tables; the shapes of `library` are recognised then."""
     if track and model is None:
         raise TautError("nothing to track: name the MODEL whose tables are in the board")
 
@@ -201,7 +196,7 @@ def follow_run(
     if not has_tables and compensation != "off":
         raise TautError(f"axis {axis} has no tables: flash a model first, or use --compensation off")
     t_s, c_deg = tip_trajectory(live, what, speed_deg_s, seed)
-    low, high = _reach(live)
+    low, high = _reachable_deg(live)
     asked = np.interp(np.linspace(t_s[0], t_s[-1], _LOOKS), t_s, c_deg)
     clipped = float(np.mean((asked < low - _COUNTS_AS_BEYOND) | (asked > high + _COUNTS_AS_BEYOND)))
     following = None
@@ -243,13 +238,15 @@ def follow_run(
         np.savetxt(
             folder / "trajectory.csv", rows, fmt=["%.6f", "%.5f"], delimiter=",", header="t_s,c_deg", comments=""
         )
-    scored = _score(live, begin_s, sent_s, plan, frames)
+    scored = _compared_with_plan(live, begin_s, sent_s, plan, frames)
     counted = {name: int(v) for name, v in counters.values.items() if name != "t_us"}
     learnt = None if following is None else following.summary()
     return replace(scored, counters=counted, bus=board.bus(), clipped=clipped, reach_deg=(low, high), tracking=learnt)
 
 
-def _score(live: Live, begin_s: float, t_s: Array, plan: Array, frames: list[Frame]) -> Followed:
+def _compared_with_plan(live: Live, begin_s: float, t_s: Array, plan: Array, frames: list[Frame]) -> Followed:
+    """The tip's angle beside the plan at the same times: the simulated instrument's true angle, else the camera's, else
+    NaN."""
     if live.plant is not None:
         when, q, p, c = live.plant.truth()
         half = 0.5 * live.plant.instrument.backlash(p)
@@ -267,7 +264,8 @@ def _score(live: Live, begin_s: float, t_s: Array, plan: Array, frames: list[Fra
 
 
 def taken_up(q: Array, p: Array, half: Array) -> Array:
-    """(n,) bool: from the moment on at which the play has been driven through in both directions."""
+    """(n,) Whether the play has been driven through in both directions by then. q, p: motor and centre coordinate;
+    half: B/2."""
     up, down = q - p >= half - 1e-9, q - p <= 1e-9 - half
     counted: Array = np.logical_or.accumulate(up) & np.logical_or.accumulate(down)
     return counted
@@ -285,8 +283,8 @@ def record(
     seen: Callable[[Frame], None] = lambda frame: None,
     progress: Progress = None,
 ) -> dict[str, Any]:
-    """Records motor and marker while the motor follows `motion`, or is off. Ctrl-C, which `seen` may raise, ends it and
-    is no failure."""
+    """Records motor and marker while the motor follows `motion`, or is off. Ctrl-C, which may also come from `seen`,
+    ends it and is no failure. Returns the command's result."""
     counts = {"frames": 0, "lost_frames": 0}
     samples = [0]
 
@@ -325,7 +323,7 @@ def record(
 
 
 def other_axes(motion: str) -> list[str]:
-    """Columns of a motion's file that this board's axis does not move."""
+    """The columns of a motion's file that this board's axis does not move."""
     if not Path(motion).is_file():
         return []
     header = Path(motion).read_text(encoding="utf-8").split("\n", 1)[0].split(",")
@@ -333,7 +331,8 @@ def other_axes(motion: str) -> list[str]:
 
 
 def motor_trajectory(live: Live, what: str, speed: float | None, seconds: float, seed: int) -> tuple[Array, Array]:
-    """t_s and q of a file or a shape (trapezoids, smooth)."""
+    """Times, s, and motor positions of a file or of a shape (trapezoids, smooth) within the range. seconds, seed: of
+    the smooth one."""
     actuator = live.rig.actuator
     if what not in ("trapezoids", "smooth"):
         if not Path(what).is_file():

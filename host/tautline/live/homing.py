@@ -31,14 +31,15 @@ class Homing:
 
 @contextmanager
 def weakly(live: Live) -> Iterator[None]:
-    """The motor is on inside, referenced or not, and off after."""
+    """Inside, the motor is on, referenced or not; afterwards it is off."""
     live.board.check_fault(live.axis)
     with live.powered():
         yield
 
 
 def home(live: Live, homing: Homing | None = None) -> float:
-    """Looks for the end and goes back a little; the position after it, the rig's unit. Leaves the motor off."""
+    """Drives to the end stop and backs off a little; returns the position then, the rig's unit. Leaves the motor
+    off."""
     homing = homing or Homing()
     low, high = live.rig.actuator.range
     span, unit = live.rig.actuator.span, live.rig.actuator.unit
@@ -70,7 +71,7 @@ def home(live: Live, homing: Homing | None = None) -> float:
 
 
 def settle(live: Live, longest_s: float) -> None:
-    """Waits until the axis holds; TautError where it has a fault, or goes on for too long."""
+    """Waits until the axis holds its position; TautError where it has a fault or takes longer."""
     waited = 0.0
     while waited < longest_s:
         live.wait(_STEP_S)

@@ -30,7 +30,7 @@ _AGAIN_S = 1.0  # a board that lost its host meanwhile has forgotten: it is told
 
 
 def load_tables(board: Board, axis: int, model: Model) -> None:
-    """Loads the model's tables into an axis. One that has them keeps them, and how far they may be moved."""
+    """Loads the model's tables into an axis, unless it already has them; then their limits of adaptation stay too."""
     there = board.read_table(axis)
     if not there or tables.decode(there).model_id != tables.model_id(model):
         board.load_table(axis, tables.encode(model, axis=axis, limits=tables.Limits.in_use(model.rig)))
@@ -49,6 +49,7 @@ class TableMover:
     """Moves the tables of a board's axis, within what they allow themselves (their section `adapt`)."""
 
     def __init__(self, live: Live) -> None:
+        """Reads how far the board's tables may be moved, and resets them to as they were calibrated."""
         self._live = live
         blob = live.board.read_table(live.axis)
         self.most = tables.decode(blob).limits.adapt if blob else None
@@ -56,10 +57,11 @@ class TableMover:
         self.beyond = ""  # what was learnt beyond that
         self._told_s = -np.inf
         if self.most is not None:
-            self._tell(TablesMoved(-np.inf, 0.0, 1.0), 0.0)
+            self._send(TablesMoved(-np.inf, 0.0, 1.0), 0.0)
 
     def use(self, t_s: float, offset: float, scale: float) -> None:
-        """What was learnt by a frame that arrived at t_s: offset (unit of q) and the share of B to take up."""
+        """Moves the board's tables to what was learnt by a frame that arrived at t_s: offset (unit of q) and scale of
+        B, clipped to what the tables allow. Small changes are not sent; the last one is repeated every _AGAIN_S."""
         if self.most is None:
             return
         farthest, least, most = self.most
@@ -76,9 +78,10 @@ class TableMover:
         if news:
             self.moves.append(within)
         if news or (self.moves and t_s > self._told_s + _AGAIN_S):
-            self._tell(within if news else self._now, t_s)
+            self._send(within if news else self._now, t_s)
 
-    def _tell(self, move: TablesMoved, t_s: float) -> None:
+    def _send(self, move: TablesMoved, t_s: float) -> None:
+        """Tells the board, which blends to it over BLEND_S. A refusal ends all moving."""
         offset = move.offset / self._live.resolution
         scale = {"offset": offset, "scale": move.scale, "within_ms": round(1e3 * BLEND_S)}
         try:
@@ -133,7 +136,8 @@ class Following:
         """What the board sends is no longer gathered."""
         self.live.board.forget("batch", self._batches.append)
 
-    def _take_in(self) -> None:
+    def _read_telemetry(self) -> None:
+        """Hands the telemetry that has come to the tracker, samples not seen before."""
         while self._batches:
             batch = self._batches.popleft()
             if batch.axis != self.live.axis:
@@ -154,13 +158,14 @@ class Following:
         return float("nan")
 
     def seen(self, frame: Frame) -> None:
-        """A frame; those whose scene the telemetry has reached are tracked."""
-        self._take_in()
+        """Queues a frame, and tracks those whose scene time the telemetry has reached."""
+        self._read_telemetry()
         self._waiting.append(frame)
         while self._waiting and self._waiting[0].t_us * 1e-6 - self._delay_s <= self._newest_s:
             self._track(self._waiting.pop(0))
 
     def _track(self, frame: Frame) -> None:
+        """Predicts a frame, learns from it if it shows the marker, and moves the tables by what was learnt."""
         arrival_s, sighting = frame.t_us * 1e-6, frame.sighting
         self.row = self.tracker.predict(arrival_s - self._delay_s, arrival_s)
         self.frames += 1
@@ -180,7 +185,7 @@ class Following:
         self.shown(frame, self.motor_at(arrival_s - self._delay_s))
 
     def _recognise(self, row: Row) -> None:
-        """Another shape of the library, where what was learnt is its."""
+        """Sets `known` to another shape of the library, if what was learnt is nearest to that."""
         if self.library is None or self._own is None or row.state is State.STALE:
             return
         law = (row.offset, row.offset_sigma, row.scale, row.scale_sigma)
@@ -197,10 +202,11 @@ class Following:
 
     @property
     def rms_px(self) -> float | None:
-        """Of the predictions, a coordinate."""
+        """Rms of the predictions' error per coordinate, px; None before any."""
         return float(np.sqrt(self._squares / self._counted)) if self._counted else None
 
     def summary(self) -> dict[str, Any]:
+        """The tracking part of a command's JSON result."""
         row = self.row
         changes = [{"t_s": c.t_s, "state": c.state.value, "says": c.says} for c in self.tracker.changes]
         document: dict[str, Any] = {

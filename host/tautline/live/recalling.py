@@ -26,8 +26,8 @@ _SPEED_DEG_S = 15.0
 
 
 def recall(live: Live, library: Library, progress: Progress = None) -> tuple[Shape, dict[str, float]]:
-    """Moves the motor out and back twice, where it stands, and says whose model foretells that best and how far off
-    each is. TautError where two do so alike."""
+    """Moves the motor out and back twice from where it is, and returns which shape's model predicts that best and how
+    far off each is. TautError where two are equally good."""
     if live.marker_source is None:
         raise TautError("no camera: a shape is told by what it sees; name one with --camera, or use --simulate")
     t_s, q = _motion(live, [library.model(shape.name) for shape in library.shapes])
@@ -38,7 +38,7 @@ def recall(live: Live, library: Library, progress: Progress = None) -> tuple[Sha
 
 
 def _motion(live: Live, models: Sequence[Model]) -> tuple[Array, Array]:
-    """t_s and q, from where the motor is towards the end of the range that is further."""
+    """Times, s, and motor positions of the test motion, towards the farther end of the range."""
     actuator = live.rig.actuator
     low, high = actuator.range
     here = float(np.clip(live.board.status(live.axis).q * live.resolution, low, high))

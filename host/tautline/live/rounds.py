@@ -59,6 +59,7 @@ class Round:
     sigma_usable: float
 
     def says(self, unit: str) -> str:
+        """The round in words. unit: of q."""
         speeds = " and ".join(f"{speed:.3g}" for speed in dict.fromkeys(self.speeds))
         return f"{self.low:.3g} to {self.high:.3g} {unit} at {speeds} {unit}/s"
 
@@ -81,6 +82,7 @@ class Strokes:
     transit: float
 
     def says(self, unit: str) -> str:
+        """The strokes in words. unit: of q."""
         return " and ".join(f"{place.low:.3g} to {place.high:.3g} {unit}" for place in self.places) + " and back"
 
 
@@ -99,6 +101,8 @@ class Means:
         cls, low: float, high: float, frame_rate_hz: float, top_speed: float, top_acceleration: float,
         speeds: tuple[float, ...] | None = None,
     ) -> Means:  # fmt: skip
+        """The speeds and acceleration of calibration passes: as fast as the frame rate, the motor and a pass of at
+        least some time allow, unless `speeds` are given. top_speed, top_acceleration: unit of q."""
         if speeds is None:
             fast = min(
                 _FRAME * frame_rate_hz * (high - low), _SECOND * (high - low), _OF_TOP_SPEED * top_speed,
@@ -139,6 +143,7 @@ class Standing:
 
     @classmethod
     def of(cls, calibration: Calibration, low: float, high: float, until: float) -> Standing:
+        """The standing of a calibration. low, high: the range; until: the wanted sigma of B; all in the unit of q."""
         model = calibration.model
         bounds = max((onset.low for onset in calibration.onsets if onset.used and onset.kind == BOUND), default=0.0)
         doubt = next((str(reason) for reason in model.quality.reasons if not reason.mild), "")
@@ -149,10 +154,16 @@ class Standing:
         sigma = np.where(np.isfinite(model.width_sigma), model.width_sigma, np.inf)[inside]
         worst = int(np.argmax(sigma))
         return cls(
-            float(sigma[worst]), float(q[worst]), _places(q, sigma, until, widest), (float(q[0]), float(q[-1])),
-            _missing(calibration, low, high), widest, bounds, float(np.mean(np.maximum(sigma / until, 1.0) ** 2)),
-            doubt,
-        )  # fmt: skip
+            worst=float(sigma[worst]),
+            where=float(q[worst]),
+            need=_insufficient_places(q, sigma, until, widest),
+            ends=(float(q[0]), float(q[-1])),
+            missing=_unmeasured(calibration, low, high),
+            widest=widest,
+            strokes=bounds,
+            work=float(np.mean(np.maximum(sigma / until, 1.0) ** 2)),
+            doubt=doubt,
+        )
 
     @property
     def covered(self) -> bool:
@@ -162,19 +173,21 @@ class Standing:
         return self.covered and self.worst <= until
 
     def share(self, until: float) -> float:
-        """Of the way there, 0 to 1: variance falls as time goes."""
+        """Progress towards the goal, 0 to 1, as variance falls in proportion to time."""
         return min((until / self.worst) ** 2, 1.0) if self.worst > 0 else 1.0
 
 
-def _places(q: Array, sigma: Array, until: float, apart: float) -> tuple[Place, ...]:
-    """Where sigma is near the goal or above; places less than `apart` from each other are one."""
+def _insufficient_places(q: Array, sigma: Array, until: float, apart: float) -> tuple[Place, ...]:
+    """The stretches of q where sigma is above _AIM times the goal; those less than `apart` from each other are
+    joined."""
     bad = np.flatnonzero(sigma > _AIM * until)
     runs = np.split(bad, np.flatnonzero(np.diff(q[bad]) > apart) + 1) if len(bad) else []
     return tuple(Place(float(q[run[0]]), float(q[run[-1]]), float(sigma[run].max())) for run in runs)
 
 
-def _missing(calibration: Calibration, low: float, high: float) -> Span:
-    """What is not measured of the positions where B can be seen: all but B/2 at either end."""
+def _unmeasured(calibration: Calibration, low: float, high: float) -> Span:
+    """What is not measured yet of the positions where B can be seen (all but B/2 at either end), as (from, to): the
+    whole range where both ends are missing, (0, 0) where none is."""
     model = calibration.model
     first, last = seeable(model, low, high)
     below, above = model.measured[0] > first, model.measured[1] < last
@@ -205,35 +218,34 @@ def both_made(done: Sequence[Round | Strokes]) -> bool:
 
 def first_round(means: Means) -> Round:
     """All of the range, out and back."""
-    return _round(means, means.low, means.high, means.speeds[:1], _CYCLES, _STROKE * means.span)
+    return _round_over(means, means.low, means.high, means.speeds[:1], _CYCLES, _STROKE * means.span)
 
 
 def next_round(
     means: Means, standing: Standing, until: float, done: Sequence[Round | Strokes], seconds: float
 ) -> Round | Strokes:
-    """Strokes where B(q) is known too badly; all of the range again, as long as it will take, where that is much of it
-    or something is missing. The first strokes are at both ends, too, in any case: passes are there once, for a frame
-    or two, and what a smooth curve says of the rest is no measurement.
-
-    seconds: that the rounds so far took.
-    """
+    """Strokes where sigma of B is too large, the first time also at both ends (passes are there for a frame or two
+    only); passes over the whole range where that is much of it, as many as will take, or where something is not
+    measured at all. seconds: that the rounds so far took."""
     speed = means.speeds[len(done) % len(means.speeds)]
     if not standing.covered:
         stroke = _LONGEST_STROKE if standing.strokes > 0 else _STROKE
-        return _round(means, means.low, means.high, (speed,), _CYCLES, stroke * means.span)
+        return _round_over(means, means.low, means.high, (speed,), _CYCLES, stroke * means.span)
     more = (standing.worst / until) ** 2
     need = standing.need if both_made(done) else _with_ends(standing, until)
     if sum(place.high - place.low for place in need) <= _WHOLE * means.span:
-        return Strokes(tuple(_stroke(means, place, standing.widest, until, seconds) for place in need), means.speeds[0])
+        return Strokes(
+            tuple(_stroke_for(means, place, standing.widest, until, seconds) for place in need), means.speeds[0]
+        )
     # A place's variance falls as the time spent there grows.
     approach = _APPROACH * means.span
     pass_s = (2 * means.span + 4 * _CYCLES * (standing.widest + approach + _LATENCY_S * speed)) / speed
     passes = int(np.clip(np.ceil(seconds * (more - 1.0) / pass_s), 1, _MOST_PASSES))
-    return _round(means, means.low, means.high, (speed,) * passes, _CYCLES, _STROKE * means.span)
+    return _round_over(means, means.low, means.high, (speed,) * passes, _CYCLES, _STROKE * means.span)
 
 
 def why_another(standing: Standing, until: float, unit: str, done: Sequence[Round | Strokes]) -> str:
-    """Why a round follows those that are done."""
+    """Why another round follows those that are done, in words."""
     if not standing.covered:
         return f"{not_measured(standing.missing, unit)} yet"
     here, wanted = in_words(standing.worst, unit), in_words(until, unit)
@@ -243,7 +255,8 @@ def why_another(standing: Standing, until: float, unit: str, done: Sequence[Roun
 
 
 def no_longer(best: float, standing: Standing, until: float, unit: str) -> str:
-    """What is said of a goal that looked reached after an earlier round, whose worst sigma was `best`; else empty."""
+    """What is said if the goal looked reached after an earlier round (worst sigma `best`) and is not any more; else
+    ""."""
     if best > until or standing.reached(until):
         return ""
     return (
@@ -253,7 +266,7 @@ def no_longer(best: float, standing: Standing, until: float, unit: str) -> str:
 
 
 def _with_ends(standing: Standing, until: float) -> tuple[Place, ...]:
-    """What is needed, and the ends where they are not in it; the low end first: there a pass back ends."""
+    """The places that need strokes, with both ends of the measured range, from low to high."""
     first, last = (Place(end, end, until) for end in standing.ends)
     need = standing.need
     below = () if need and need[0].low <= first.low else (first,)
@@ -261,7 +274,10 @@ def _with_ends(standing: Standing, until: float) -> tuple[Place, ...]:
     return (*below, *need, *above)
 
 
-def _stroke(means: Means, place: Place, widest: float, until: float, seconds: float) -> Stroke:
+def _stroke_for(means: Means, place: Place, widest: float, until: float, seconds: float) -> Stroke:
+    """The stroke across a place, B and a margin longer on either side, slow enough for _FRAMES_A_STROKE frames; how
+    often: until the variance, which falls as the time spent there grows, reaches the goal. seconds: that all rounds
+    took."""
     beside = _BESIDE * means.span
     reach = 0.5 * widest + beside
     low, high = max(place.low - reach, means.low), min(place.high + reach, means.high)
@@ -274,7 +290,9 @@ def _stroke(means: Means, place: Place, widest: float, until: float, seconds: fl
     return Stroke(low, high, speed, times)
 
 
-def _round(means: Means, low: float, high: float, speeds: tuple[float, ...], cycles: int, stroke: float) -> Round:
+def _round_over(means: Means, low: float, high: float, speeds: tuple[float, ...], cycles: int, stroke: float) -> Round:
+    """A round of passes from low to high at these speeds with `cycles` calibration strokes of length `stroke` at each
+    turn."""
     approach = min(_APPROACH * means.span, 0.4 * stroke)
     span = means.span
     return Round(
@@ -302,14 +320,14 @@ def why_not(
     if standing.reached(until) or (rounds < FEWEST and not out_of_time):
         return ""
     if not standing.covered:
-        return _uncovered(standing, unit, camera)
+        return _why_not_measured(standing, unit, camera)
     needed = seconds * standing.work
     if not out_of_time and needed <= _HOPELESS * at_most_s:
         return ""
     here = f"sigma is {in_words(standing.worst, unit)} at {standing.where:.3g} {unit}"
     low, high = camera.unseen
     if low - standing.widest < standing.where < high + standing.widest and low < high:
-        return f"{here}: {_unseen(camera, unit)}"
+        return f"{here}: {_marker_not_seen(camera, unit)}"
     if standing.doubt:
         return f"{here}, and more frames of the same do not help: {standing.doubt}"
     return (
@@ -318,10 +336,11 @@ def why_not(
     )
 
 
-def _uncovered(standing: Standing, unit: str, camera: CameraView) -> str:
+def _why_not_measured(standing: Standing, unit: str, camera: CameraView) -> str:
+    """Why a part of the range has given no width, with a remedy."""
     low, high = standing.missing
     if camera.unseen[0] < camera.unseen[1]:
-        return _unseen(camera, unit)
+        return _marker_not_seen(camera, unit)
     if standing.strokes > 0:
         return (
             f"strokes of {standing.strokes:.3g} {unit} moved nothing: the range leaves no room to cross the backlash: "
@@ -330,7 +349,7 @@ def _uncovered(standing: Standing, unit: str, camera: CameraView) -> str:
     return f"no reversal from {low:.3g} to {high:.3g} {unit} gave a width: is the tip free to move there?"
 
 
-def _unseen(camera: CameraView, unit: str) -> str:
+def _marker_not_seen(camera: CameraView, unit: str) -> str:
     low, high = camera.unseen
     return (
         f"the marker is not seen from {low:.3g} to {high:.3g} {unit}: bring it into view there, or take these "

@@ -70,7 +70,8 @@ def driving(live: Live) -> Iterator[None]:
 
 
 def set_range(live: Live, low: float, high: float) -> None:
-    """Position limits of the axis, the rig's unit, within the settings on the board. The other limits stay."""
+    """Sets the position limits of the axis, in the rig's unit, within the settings on the board; its other limits
+    stay."""
     limits = dict(live.board.ask("get_limits", axis=live.axis).values)
     own = live.board.ask("get_settings", axis=live.axis)
     limits.update(q_low=max(low / live.resolution, own.q_low), q_high=min(high / live.resolution, own.q_high))
@@ -83,7 +84,8 @@ def set_range(live: Live, low: float, high: float) -> None:
 
 
 def move_to(live: Live, q: float, speed: float, seen: Callable[[Frame], object] | None = None) -> None:
-    """Moves the motor to q (unit) at up to `speed` (unit/s) and waits; frames meanwhile go to `seen`."""
+    """Moves the motor to q (unit) at up to `speed` (unit/s) and waits until it is there; frames meanwhile go to
+    `seen`."""
     start = live.board.status(live.axis).q * live.resolution
     live.board.ask("move", axis=live.axis, q=q / live.resolution, speed_s=speed / live.resolution)
     longest = 2.0 + 1.5 * abs(q - start) / speed
@@ -107,13 +109,13 @@ def move_to(live: Live, q: float, speed: float, seen: Callable[[Frame], object] 
 
 
 def probe(live: Live, seen: Callable[[Frame], object], speed: float) -> None:
-    """A small move either way, whose frames go to `seen`; TautError where marker and motor do not fit, said before a
-    motion is blamed."""
+    """A small move in both directions, whose frames go to `seen`; TautError where the marker's motion does not fit the
+    motor's, before a motion is blamed for it."""
     rig, unit = live.rig, live.rig.actuator.unit
     low, high = rig.actuator.range
 
     def marker(frames: int) -> tuple[Array, float]:
-        """Mean position and its error, px."""
+        """Mean marker position of these frames and its standard error, px."""
         places = []
         for _ in range(frames + round(rig.delay_s * (rig.camera.frame_rate_hz if rig.camera else 25.0)) + 1):
             frame = live.look()
@@ -184,7 +186,7 @@ class Motions:
         self._state = _RUNNING[0]
 
     def listening(self) -> AbstractContextManager[None]:
-        """What the board says of it is taken inside."""
+        """Takes the board's messages on progress and onsets inside."""
         return self.live.board.listening(progress=self._took, onset=self._onset)
 
     def _took(self, message: wire.Message) -> None:
@@ -192,12 +194,14 @@ class Motions:
         self.made.reversals = self._before + message.reversals
 
     def _onset(self, message: wire.Message) -> None:
+        """Keeps an onset that the board found, positions in the unit of q, times in s of the board."""
         onset = {key: message.values[key] * self.live.resolution for key in ("q1", "q2", "width", "sigma")}
         onset |= {"direction": message.direction, "t_s": message.start_us * 1e-6, "used": message.reason == 0}
         self.made.onsets.append(onset)
 
     def run(self, wanted: Round, enough: Callable[[Frame], bool]) -> None:
-        """Until the round is complete or `enough` says so; then the axis is at rest."""
+        """Runs the board's calibration motion until it is complete or `enough(frame)` is true; then the axis is at
+        rest."""
         live, resolution = self.live, self.live.resolution
         counts = (wanted.high - wanted.low) / resolution
         camera = live.rig.camera
@@ -237,7 +241,8 @@ class Motions:
             raise TautError(f"the calibration motion is {ended}: what was recorded is in {self.made.folder}")
 
     def stroke(self, wanted: Strokes, enough: Callable[[Frame], bool]) -> None:
-        """Until all is done or `enough` says so; then the axis is at rest."""
+        """Makes the strokes one place after the other until all are done or `enough(frame)` is true; then the axis is
+        at rest."""
         done = [False]
 
         def seen(frame: Frame) -> None:
@@ -258,15 +263,16 @@ class Motions:
         self.made.lost_frames += not frame.sighting.valid
 
     def still(self) -> None:
-        """Frames of the axis at rest: they show the noise, and the last of the motion has arrived with them."""
+        """Records frames of the axis at rest: they show the noise, and those of the motion that are still on their
+        way."""
         for _ in range(_STILL_FRAMES):
             self.recorder.add(self.live.look())
 
 
 @contextmanager
 def moving(live: Live, folder: Path, low: float, high: float, video: bool) -> Iterator[Motions]:
-    """The motor is on within these limits and all is recorded; whatever happens, the axis comes to rest and what was
-    recorded so far stays."""
+    """Inside, the motor is on within these limits and everything is recorded. Whatever happens, the axis comes to rest
+    and what was recorded stays."""
     made = Motion(folder)
     began = live.now_us()
     with Recorder(live, folder, video) as recorder, driving(live):
@@ -289,6 +295,8 @@ def moving(live: Live, folder: Path, low: float, high: float, video: bool) -> It
 
 
 def check_rig(live: Live) -> None:
+    """TautError where the rig has not what a live calibration needs, or is not for the instrument of the board's
+    settings."""
     rig = live.rig
     if rig.sees_from_tip:
         raise TautError("a camera on the tip sees no marker: 'taut record --video' first, then 'taut calibrate' that")
@@ -326,10 +334,8 @@ def record_calibration(
     progress: Progress = None,
     show: Show | None = None,
 ) -> Motion:
-    """Runs the thorough calibration motion and records it in `folder`; `calibrate` takes it from there.
-
-    Stopped at any time (Ctrl-C, an error), the axis comes to rest and what was recorded so far stays.
-    """
+    """Runs the thorough calibration motion and records it in `folder`, for `calibrate` to use. Stopped at any time
+    (Ctrl-C, an error), the axis comes to rest and what was recorded stays."""
     check_rig(live)
     options = options or MotionOptions()
     wanted = thorough(live, options)
@@ -370,7 +376,7 @@ def calibrate_live(
     progress: Progress = None,
     show: Show | None = None,
 ) -> tuple[Calibration, Motion]:
-    """The thorough calibration motion, recorded in `folder`, and what comes of it."""
+    """Runs the thorough calibration motion, records it in `folder`, and calibrates that."""
 
     def part(low: float, high: float) -> Progress:
         return (lambda share, what: progress(low + (high - low) * share, what)) if progress else None
@@ -380,7 +386,7 @@ def calibrate_live(
 
 
 def _stop(live: Live) -> None:
-    """Comes to rest within the limits, where the board still answers."""
+    """Brings the axis to rest within its limits, if the board still answers."""
     try:
         live.board.ask("motion_stop", axis=live.axis)
         live.rest()

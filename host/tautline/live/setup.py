@@ -66,8 +66,8 @@ class CameraSource:
     def __init__(
         self, board: Board, camera: FrameSource, tracker: MarkerTracker | None, size: tuple[int, int] | None = None
     ) -> None:
-        """tracker: None finds nothing before `use`. size (width, height): what the rig says that frames measure; any
-        other is an error."""
+        """tracker: None finds no marker before `use`. size: (width, height) of frames that the rig names; TautError for
+        frames of another size."""
         self._board, self._camera, self._tracker, self._size = board, camera, tracker, size
 
     @property
@@ -81,6 +81,7 @@ class CameraSource:
         return {"clock": self._camera.clock, "exposure": self._camera.exposure, "dropped": self.dropped}
 
     def look(self) -> Frame:
+        """The next frame with its marker. TautError where the camera ends, or gives another size."""
         taken = self._camera.read()
         if taken is None:
             raise TautError("the camera's source has ended: a live session needs a camera, not a file")
@@ -131,6 +132,7 @@ class PointSource:
         self._rng = np.random.default_rng([seed, 0xE1E])
 
     def look(self) -> Frame:
+        """The next frame: the marker's projection with noise."""
         scene_s, arrival_s = next(self._frames)
         while arrival_s < self._plant.now_s:  # frames that passed while nobody looked
             scene_s, arrival_s = next(self._frames)
@@ -169,7 +171,7 @@ class Live:
 
     @contextmanager
     def interruptible(self) -> Iterator[None]:
-        """Inside, Ctrl-C ends the session between two messages (in look or wait) and never in the middle of one."""
+        """Inside, Ctrl-C ends the session between two messages (in `look` or `wait`), never in the middle of one."""
         if threading.current_thread() is not threading.main_thread():
             yield
             return
@@ -188,7 +190,7 @@ class Live:
 
     @contextmanager
     def powered(self) -> Iterator[None]:
-        """The motor is on inside; whatever happens, the axis is at rest and the motor off after."""
+        """Inside, the motor is on; afterwards the axis is at rest and the motor off, whatever happens."""
         with self.interruptible():
             try:
                 self.board.switch_on(self.axis, self.wait)
@@ -207,7 +209,7 @@ class Live:
         return float(self.board.ask("get_limits", axis=self.axis).speed_s) * self.resolution
 
     def look(self) -> Frame:
-        """The next frame. What the board said until then has been taken in."""
+        """The next frame; what the board has sent until then is taken in before."""
         self._check_stop()
         if self.marker_source is None:
             raise TautError("no camera: name one with --camera, or use --simulate")
@@ -220,7 +222,7 @@ class Live:
         return frame
 
     def wait(self, seconds: float) -> None:
-        """Lets the time pass: virtual time where the set-up is simulated."""
+        """Waits, in virtual time where the set-up is simulated."""
         self._check_stop()
         if self.plant is None:
             time.sleep(seconds)
@@ -239,7 +241,7 @@ class Live:
         return round(self.plant.now_s * 1e6) if self.plant is not None else self.board.sync()
 
     def rest(self, timeout_s: float = 5.0) -> wire.Message:
-        """Waits until the axis rests; TautError where it does not, or has a fault."""
+        """Waits until the axis rests; TautError where it has a fault or does not come to rest in time."""
         waited = 0.0
         while True:
             status = self.board.status(self.axis)
@@ -253,8 +255,8 @@ class Live:
             waited += _STEP_S
 
     def let_go(self) -> None:
-        """From another thread: a board that has a reader of its own is told at once to rest and switch the motor off,
-        though a camera hangs. Whoever drives it learns that as it looks next."""
+        """For another thread: tells the board at once to rest and to switch the motor off, even if the camera hangs;
+        the driving thread learns it at its next `look`. Only for boards with a reader of their own."""
         if not self.virtual:
             self.board.ask("enable", axis=self.axis, on=0)
 
@@ -271,6 +273,7 @@ class Recorder:
     """Writes a recording while it is made: whatever ends the session, what was measured is on the disk."""
 
     def __init__(self, live: Live, folder: Path, video: bool = False) -> None:
+        """Opens the files of a recording in `folder`; video: the frames are kept too."""
         self.folder, self._live = folder, live
         unit = live.rig.actuator.unit
         try:
@@ -291,7 +294,7 @@ class Recorder:
         self._last_us = -1
         self._paused = False
         self._rows: dict[str, list[tuple[float, ...]]] = {"motor": [], "marker": []}
-        live.board.listen("batch", self._batch)
+        live.board.listen("batch", self._write_telemetry)
 
     def __enter__(self) -> Recorder:
         self._live.board.ask("telemetry", axis=self._live.axis, divider=self._live.board.log_divider)
@@ -299,14 +302,15 @@ class Recorder:
 
     def __exit__(self, *_: object) -> None:
         self._paused = True
-        self._live.board.forget("batch", self._batch)
+        self._live.board.forget("batch", self._write_telemetry)
         for file in (self._motor, self._marker, self._frames):
             if file is not None:
                 file.close()
         if self._video is not None:
             self._video.release()
 
-    def _batch(self, batch: wire.Message) -> None:
+    def _write_telemetry(self, batch: wire.Message) -> None:
+        """Writes a telemetry message of this axis to motor.csv."""
         if batch.axis != self._live.axis or self._paused:
             return
         resolution = self._live.resolution
@@ -323,7 +327,7 @@ class Recorder:
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Inside, nothing is written: what comes is dropped."""
+        """Inside, nothing is recorded."""
         self._paused = True
         try:
             yield
@@ -331,7 +335,7 @@ class Recorder:
             self._paused = False
 
     def so_far(self) -> Recording:
-        """What the files hold, the numbers as they are written there. From any thread."""
+        """A recording of what the files hold now, with the numbers as written. From any thread."""
         motor, marker = (np.array(list(self._rows[name])) for name in ("motor", "marker"))
         if not len(motor) or not len(marker):
             raise TautError("nothing was recorded yet: no telemetry or no frame came")
@@ -341,13 +345,13 @@ class Recorder:
         return Recording(self.folder.name, Motor(*motor.T), seen, rig=self._live.rig)
 
     def motor_at(self, t_s: float) -> float:
-        """q at a time not long ago, the rig's unit; NaN before the first sample."""
+        """The motor's position at a recent time, the rig's unit; NaN before the first sample."""
         rows = self._rows["motor"]
         after = bisect.bisect_right(rows, (t_s, np.inf))
         return rows[after - 1][1] if after else float("nan")
 
     def add(self, frame: Frame) -> None:
-        """One frame: marker.csv, and video where it was asked for."""
+        """Records one frame: a row of marker.csv, and of the video if there is one."""
         if self._marker is None:
             self._marker = (self.folder / "marker.csv").open("w", buffering=1 << 13)
             size = None if frame.picture is None else (frame.picture.shape[1], frame.picture.shape[0])
@@ -369,6 +373,7 @@ class Recorder:
             self._marker.flush()
 
     def _add_picture(self, picture: Array, t_s: float) -> None:
+        """Writes a picture to the video, which begins with the first one."""
         if self._video is None:
             height, width = picture.shape[:2]
             rate = self._live.rig.camera.frame_rate_hz if self._live.rig.camera else 25.0
@@ -386,8 +391,8 @@ def _pass(link: SimLink, seconds: float) -> None:
     link.ask(f"advance {round(seconds * 1e6)}")
 
 
-def _of_board(rig: Rig, board: Board, axis: int) -> Rig:
-    """The rig with the instrument that the board's settings name, where it names none itself."""
+def _with_board_instrument(rig: Rig, board: Board, axis: int) -> Rig:
+    """The rig with the instrument that the board's settings name, if it names none itself."""
     there: str = board.ask("get_settings", axis=axis).instrument
     return replace(rig, actuator=replace(rig.actuator, instrument=rig.actuator.instrument or there or None))
 
@@ -462,7 +467,7 @@ def open_live(
         opened.check_axis(axis)
         opened.align(16)
         stack.enter_context(opened.reading())
-        live = Live(opened, _of_board(rig, opened, axis), axis)
+        live = Live(opened, _with_board_instrument(rig, opened, axis), axis)
         if at is not None:
             opened.ask("set_position", axis=axis, q=at / live.resolution)
         if camera is not None:

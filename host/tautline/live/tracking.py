@@ -29,9 +29,8 @@ def watch(
     progress: Progress = None,
     shown: Callable[[Frame, float], None] = lambda frame, q: None,
 ) -> dict[str, Any]:
-    """Tracks while the motor follows `motion` (as in `record`), or whatever drives it. Ctrl-C ends it, and is no
-    failure; so does duration_s. `library`: its shapes are looked for. `shown`: each frame, with
-    the motor at the time that it shows."""
+    """Tracks while the motor follows `motion` (as in `record`), or whatever else drives it. Ctrl-C or duration_s end
+    it. library: its shapes are recognised. shown: gets each frame with the motor position at its scene time."""
     with closing(Following(live, model, told, library=library, shown=shown)) as following, live.interruptible():
         plan = None if motion == "none" else motor_trajectory(live, motion, speed, duration_s or 60.0, seed)
         began = live.now_us()

@@ -66,12 +66,10 @@ def calibrate_until(
     progress: Callable[[float, str], None] | None = None,
     resting: Callable[[], bool] = lambda: False,
 ) -> tuple[Calibration, Reached]:
-    """Fast passes over the range, then rounds where B(q) is known worst. Recorded in `folder`, and what comes of it is
-    what `calibrate` makes of that recording.
-
-    Stopped at any time (Ctrl-C, an error), the axis comes to rest and what was recorded so far stays. While `resting`
-    says so it rests with its motor on, from the end of the stroke that it makes; then the round is made again.
-    """
+    """Fast passes over the range, then rounds where B(q) is known worst, until the goal is reached or out of reach.
+    Recorded in `folder`; the calibration is what `calibrate` makes of that recording. Stopped at any time (Ctrl-C, an
+    error), the axis comes to rest and what was recorded stays. While `resting()` is true the axis rests, motor on, at
+    the end of its stroke; the interrupted round is then made again."""
     check_rig(live)
     goal = goal or Goal()
     rig, unit = live.rig, live.rig.actuator.unit
@@ -117,12 +115,13 @@ def calibrate_until(
 def _rounds(
     motions: Motions, watch: Watch, means: Means, until: float, at_most_s: float, resting: Callable[[], bool]
 ) -> tuple[list[Round | Strokes], str]:
-    """Rounds until the goal is reached; the rounds and why it was not."""
+    """Makes rounds until the goal is reached: those made, and why it was not reached ("" if it was)."""
     view = watch.view
     lost_since: list[float] = []  # when the marker was last seen, where it is not now
     halted = False  # the round was broken off for a rest, which may be over before its stroke is
 
     def enough(frame: Frame) -> bool:
+        """Whether the present round may end: the goal is reached, the time is up, or a rest was asked for."""
         fresh = watch.frame(frame, motions.made.reversals)
         if frame.sighting.valid:
             lost_since.clear()

@@ -54,13 +54,13 @@ class View:
 
     @property
     def share(self) -> float:
-        """Of the work, 0 to 1."""
+        """Progress, 0 to 1: the mean of coverage and of the way to the goal's sigma."""
         near = self.standing.share(self.until) if self.standing is not None and self.until is not None else 0.0
         return 0.5 * (self.coverage + near)
 
     @property
     def unseen(self) -> tuple[float, float]:
-        """From the first to the last position at which the marker was mostly lost; (0, 0) where it was none."""
+        """The first and the last position between which the marker was mostly lost; (0, 0) where it never was."""
         seen, lost = (self.rising + self.falling).T
         bad = np.flatnonzero(lost > seen)
         if not len(bad):
@@ -73,7 +73,7 @@ Show = Callable[[View], None]
 
 
 def in_short(view: View) -> tuple[str, str]:
-    """What was seen, and what is known by now, a line each."""
+    """Two lines: what was recorded so far, and how well B(q) is known by it."""
     seen = f"{view.seconds:.1f} s, {view.frames - view.lost} of {view.frames} frames, {view.reversals} reversals"
     if view.calibration is None:
         return seen, "too early to tell B(q)"
@@ -125,6 +125,7 @@ class Watch:
     def __init__(
         self, live: Watched, recorder: Kept, view: View, options: Options | None = None, show: Show | None = None
     ) -> None:
+        """show: called after every frame."""
         self.view = view
         self._live, self._recorder, self._options, self._show = live, recorder, options, show
         self._began_us = live.now_us()
@@ -140,7 +141,7 @@ class Watch:
             self._pool.shutdown(wait=False, cancel_futures=True)
 
     def frame(self, frame: Frame, reversals: int) -> bool:
-        """Takes in a frame; whether a calibration of what was recorded so far came with it."""
+        """Takes in a frame; returns whether a calibration of what was recorded so far was finished with it."""
         view = self.view
         view.seconds = (frame.t_us - self._began_us) * 1e-6
         view.frames += 1
@@ -148,27 +149,27 @@ class Watch:
         view.reversals = reversals
         view.frame = frame
         self._cover(frame)
-        fresh = self._take()
+        fresh = self._take_calibration()
         if self._fit is None and view.seconds >= self._due_s:
             self._due_s = view.seconds + max(_FIRST_FIT_S, _BETWEEN_FITS * view.seconds)
-            self._fit = self._begin()
-            fresh = self._take() or fresh
+            self._fit = self._start_calibration()
+            fresh = self._take_calibration() or fresh
         if self._show is not None:
             self._show(view)
         return fresh
 
     def settle(self) -> None:
-        """Waits for a calibration of all that was recorded. TautError where nothing can be measured in it."""
-        while not self._take() and self._fit is not None:  # an earlier one
+        """Waits until everything recorded is calibrated. TautError where nothing can be measured in it."""
+        while not self._take_calibration() and self._fit is not None:  # an earlier one
             self._idle()
-        self._fit = self._begin(naming=True)
-        while not self._take(strict=True):
+        self._fit = self._start_calibration(naming=True)
+        while not self._take_calibration(strict=True):
             self._idle()
         if self._show is not None:
             self._show(self.view)
 
     def rest(self, resting: Callable[[], bool]) -> None:
-        """Until `resting` no longer holds the axis stands still: that time counts for nothing and is not recorded."""
+        """Rests while `resting()` is true: the time is not counted and nothing is recorded."""
         began_us, doing = self._live.now_us(), self.view.doing
         self.view.doing = "at rest"
         with self._recorder.paused():
@@ -180,16 +181,18 @@ class Watch:
         self.view.doing = doing
 
     def camera_view(self) -> CameraView:
-        """What the camera made of it so far."""
+        """The marker's noise at rest and where it was lost, so far."""
         steps = np.abs(self._steps)
         noise = spread.deviation(steps) / float(np.sqrt(2.0)) if steps.size else float("nan")
         return CameraView(noise, self.view.unseen)
 
     def _idle(self) -> None:
-        """One frame more, so that none is stale after the wait."""
+        """Records one frame while waiting, so that none is stale afterwards."""
         self._recorder.add(self._live.look())
 
-    def _begin(self, naming: bool = False) -> Future[tuple[Calibration, float]]:
+    def _start_calibration(self, naming: bool = False) -> Future[tuple[Calibration, float]]:
+        """Starts the calibration of what was recorded so far: in the thread, or at once in virtual time. Its result
+        comes with the time, s, that the recording covers. naming: with names of what departs."""
         recording, seconds = self._recorder.so_far(), self.view.seconds
 
         def work() -> tuple[Calibration, float]:
@@ -204,7 +207,9 @@ class Watch:
             done.set_exception(error)
         return done
 
-    def _take(self, strict: bool = False) -> bool:
+    def _take_calibration(self, strict: bool = False) -> bool:
+        """Takes a finished calibration into the view; whether there was one. One that failed counts as none, unless
+        `strict`."""
         if self._fit is None or not self._fit.done():
             return False
         fit, self._fit = self._fit, None
@@ -218,7 +223,8 @@ class Watch:
         return False
 
     def _cover(self, frame: Frame) -> None:
-        """Counts the positions from the frame before to this one, at the time that the frame shows."""
+        """Counts the positions between the last frame's scene and this one's as seen or lost, by direction; at rest,
+        keeps the marker's motion for its noise."""
         view = self.view
         q = self._recorder.motor_at(frame.t_us * 1e-6 - self._live.rig.delay_s)
         before, self._last_q, view.q = self._last_q, q, q

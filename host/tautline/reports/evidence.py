@@ -54,7 +54,7 @@ class Evidence:
         return int(np.argmax(self.names == name))
 
     def rms(self) -> list[float]:
-        """Of each of STAGES, per coordinate, where the tip was settled; NaN where it never was."""
+        """Rms per coordinate at each of STAGES where the tip's place was settled; NaN where it never was."""
         error = self.error[:, self.settled]
         if error.shape[1] == 0:
             return [float("nan")] * len(STAGES)
@@ -65,7 +65,7 @@ class Evidence:
 
     @classmethod
     def load(cls, folder: Path) -> Self | None:
-        """None where the model has none."""
+        """The evidence beside a model; None where there is none."""
         path = folder / FILE
         if not path.exists():
             return None
@@ -88,7 +88,7 @@ class Evidence:
 
 
 def collect(model: Model, recordings: Sequence[Recording]) -> Evidence:
-    """Recordings with a marker (or, without a camera, an angle); those with neither are left out."""
+    """The evidence for a report from recordings with a marker (without a camera: an angle); others are left out."""
     clock = SessionClock.of(recordings)
     parts = [
         _collect_one(model, recording, index, clock.offset_s[index])
@@ -107,6 +107,7 @@ def collect(model: Model, recordings: Sequence[Recording]) -> Evidence:
 
 
 def _collect_one(model: Model, recording: Recording, index: int, offset_s: float) -> Evidence:
+    """The evidence of one recording. index: its number; offset_s: onto the session's clock."""
     motor, rig = recording.motor, model.rig
     track = observe([recording], rig)[0]
     t_s, seen = track.scene_s(model.delay_of(track.sensor)), track.y
@@ -146,7 +147,7 @@ def _collect_one(model: Model, recording: Recording, index: int, offset_s: float
 
 
 def settled(model: Model, motor: Motor, t_s: Array) -> Array:
-    """(n,) bool: from when on the tip's place no longer depends on where in its backlash it started."""
+    """(n,) Whether the tip's place no longer depends on where within its backlash it started."""
     reach = 0.5 * float(model.width.max())
     ends = [model.simulate(motor, t_s, float(model.remaining(motor.q[0] + side * reach))) for side in (-1.0, 1.0)]
     apart = np.abs(ends[0] - ends[1]) > 1e-9
@@ -169,7 +170,7 @@ class Run:
         return float(np.sqrt(np.mean(error**2))) if len(error) else float("nan")
 
     def save(self, folder: Path, compensation: str) -> None:
-        """Beside a model, for its report; `compensation` is one of COMPENSATIONS."""
+        """Writes the run beside a model, for its report."""
         columns = {"t_s": self.t_s, "goal_deg": self.goal_deg, "tip_deg": self.tip_deg, "counted": self.counted}
         table = pd.DataFrame({name: values.astype(float) for name, values in columns.items()})
         write_file(folder / f"follow-{compensation}.csv", table.to_csv(index=False, float_format="%.6g"))

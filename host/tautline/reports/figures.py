@@ -63,13 +63,13 @@ def data_uri(made: Figure) -> str:
 
 
 def save(made: Figure, path: Path) -> None:
-    """As a picture; the name's ending says of which kind."""
+    """Writes a figure as a picture, its kind by the name's ending."""
     with mpl.rc_context(STYLE):
         made.savefig(path, dpi=120)
 
 
 def onsets_of(model: Model) -> list[Onset]:
-    """The model's reversals in order of time; what could not be measured of them is NaN."""
+    """The model's reversals by time; NaN for what could not be measured of them."""
     numbers = ("t_s", "direction", "q1", "q2", "width", "sigma")
     onsets: list[Onset] = []
     try:
@@ -92,7 +92,7 @@ def split_onsets(onsets: Sequence[Onset]) -> tuple[list[Onset], list[Onset]]:
 
 
 def knots_of(model: Model) -> Array | None:
-    """Where the paper's spline of B has its knots, if B is that spline."""
+    """The knots of the paper's spline of B; empty where B is another curve."""
     if model.extra.get("options", {}).get("knots") != "paper":
         return None
     return paper_knots(float(model.q[0]), float(model.q[-1]))
@@ -179,6 +179,7 @@ def draw_characteristic(axes: Axes, model: Model, evidence: Evidence | None) -> 
 
 @mpl.rc_context(STYLE)
 def hero(model: Model, onsets: Sequence[Onset], evidence: Evidence | None, knots: Array | None = None) -> Figure:
+    """The first picture of a report: B(q) beside the characteristic."""
     made, axes = figure(11, 3.9, 1, 2)
     draw_backlash(axes[0, 0], model, onsets, knots)
     draw_characteristic(axes[0, 1], model, evidence)
@@ -187,7 +188,7 @@ def hero(model: Model, onsets: Sequence[Onset], evidence: Evidence | None, knots
 
 @mpl.rc_context(STYLE)
 def gain(evidence: Evidence) -> Figure:
-    """How far off each model is over time (the paper's Fig. 11)."""
+    """The error of each model over time (the paper's Fig. 11)."""
     made, axes = figure(11, 3.0)
     ax = axes[0, 0]
     scored = evidence.settled
@@ -209,7 +210,7 @@ def gain(evidence: Evidence) -> Figure:
 
 
 def main_axis(evidence: Evidence) -> tuple[Array, str]:
-    """(n,) the seen positions along the direction in which they spread most, and its name."""
+    """(n,) Seen positions along their principal direction, px or deg, and the axis' label."""
     if evidence.seen.shape[1] == 1:
         return evidence.seen[:, 0], "c (deg)"
     centred = evidence.seen - evidence.seen.mean(axis=0)
@@ -344,7 +345,7 @@ def cross_check(model: Model, pass_width: Array) -> Figure:
 
 @mpl.rc_context(STYLE)
 def followed(runs: Mapping[str, Run]) -> Figure:
-    """What was asked of the tip, where it was without and with compensation, and the difference."""
+    """The tip's commanded angle, its angle without and with compensation, and the differences, over time."""
     made, axes = figure(11, 4.6, 2, 1, sharex=True)
     top, bottom = axes[:, 0]
     names = {"off": "without compensation", "backlash": "with f_coarse and B", "full": "with f_remain and B"}
@@ -404,7 +405,7 @@ def compared(models: Mapping[str, Model]) -> Figure:
 
 
 def _draw_change(width: Axes, angle: Axes, first: Model, model: Model, line: Mapping[str, Any]) -> None:
-    """One model less the first, over the q that both have measured."""
+    """Draws one model's B and f_remain less the first's, over the q that both have measured."""
     low, high = max(first.measured[0], model.measured[0]), min(first.measured[1], model.measured[1])
     if not high > low:
         return

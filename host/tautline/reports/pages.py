@@ -66,6 +66,7 @@ def _keep_picture(recordings: Sequence[Recording], folder: Path) -> None:
 
 
 def _camera(folder: Path) -> Picture | None:
+    """The picture with the marker's way that was kept beside a model, inside a page; None without."""
     path = folder / CAMERA_FILE
     if not path.is_file():
         return None
@@ -198,8 +199,8 @@ def write_comparison(models: Mapping[str, Model], path: Path) -> None:
 
 
 def comparison(models: Mapping[str, Model]) -> list[dict[str, Any]]:
-    """Each model against the first, over the q that both have measured. The change of f_remain is counted after its
-    mean is taken off (the zero of the motor is not the instrument's); the mean is beside it."""
+    """For each model its changes against the first, over the q that both have measured. The mean change of f_remain is
+    taken off its rms (the zero of the motor is not the instrument's) and stands beside it."""
     names = list(models)
     first = models[names[0]]
     rows = []
@@ -315,7 +316,8 @@ def sentences(model: Model, evidence: Evidence | None) -> list[str]:
 
 
 def _backlash_share(model: Model, evidence: Evidence) -> tuple[float, float]:
-    """What a tip would be off by, rms, that followed f_remain and had no backlash: deg, and the motor's unit."""
+    """Rms difference between the seen angle and f_remain at the motor position, which is what backlash does
+    uncompensated: deg, and in the motor unit."""
     q, c_deg = evidence.q[evidence.settled], evidence.c_deg[evidence.settled]
     off = np.column_stack([model.remaining(q) - c_deg, q - model.remaining_inverse(c_deg)])
     deg, motor = np.sqrt(np.nanmean(off**2, axis=0))
@@ -327,6 +329,7 @@ def _times(worse: float, better: float) -> str:
 
 
 def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence: Evidence | None) -> list[Number]:
+    """The rows of the page's table of numbers."""
     unit, inside = model.rig.actuator.unit, _inside(model)
     numbers = []
     if inside.any():
@@ -350,6 +353,7 @@ def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence:
 
 
 def _stages(evidence: Evidence | None) -> list[list[str]]:
+    """The rms at each stage of the model, for the page."""
     if evidence is None or not evidence.settled.any():
         return []
     rms = evidence.rms()
@@ -369,6 +373,8 @@ def _stages(evidence: Evidence | None) -> list[list[str]]:
 
 
 def _onset_row(onset: figures.Onset) -> list[str]:
+    """An onset as a row of the page's table."""
+
     def told(value: float, places: int) -> str:
         return "" if np.isnan(value) else f"{value:.{places}f}"
 
@@ -384,6 +390,7 @@ def _onset_row(onset: figures.Onset) -> list[str]:
 
 
 def _run_sentences(runs: Mapping[str, Run]) -> list[str]:
+    """A sentence that compares the runs of `taut follow` without and with compensation; none unless both are there."""
     off, full = runs.get("off"), runs.get("full")
     if off is None or full is None:
         return []
@@ -394,6 +401,7 @@ def _run_sentences(runs: Mapping[str, Run]) -> list[str]:
 
 
 def _comparison_sentences(rows: Sequence[Mapping[str, Any]], unit: str) -> list[str]:
+    """How the models differ, a sentence each. unit: of q."""
     sentences = []
     fine, times = figures.finer(unit)
     for row in rows[1:]:

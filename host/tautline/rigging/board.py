@@ -35,7 +35,7 @@ class Board:
     dictionary: str = "4X4_50"
 
     def opencv(self) -> cv2.aruco.CharucoBoard:
-        """Raises TautError where no such board can be."""
+        """OpenCV's board of these squares. TautError where there can be none."""
         if not 0.0 < self.marker_mm < self.square_mm:
             raise TautError(
                 f"a marker of {self.marker_mm:g} mm does not lie within a square of {self.square_mm:g} mm: measure both"
@@ -62,13 +62,13 @@ class Intrinsics:
     of: int
 
     def camera(self) -> dict[str, Any]:
-        """The keys of rig.toml's [camera] that they give."""
+        """The keys of rig.toml's [camera] that these give."""
         width, height = self.size
         fx, fy, cx, cy, *distortion = self.values.tolist()
         keys = {"width_px": width, "height_px": height, "fx_px": fx, "fy_px": fy, "cx_px": cx, "cy_px": cy}
         return {**keys, "distortion": distortion}
 
-    def told(self) -> str:
+    def in_words(self) -> str:
         fx, fy, cx, cy = self.values[:4]
         s = self.sigma
         return (
@@ -79,6 +79,7 @@ class Intrinsics:
 
     @property
     def doubts(self) -> list[str]:
+        """Sentences on what speaks against these intrinsics."""
         share = float(self.sigma[0] / self.values[0])
         if share <= _FOCAL_SHARE:
             return []
@@ -86,8 +87,9 @@ class Intrinsics:
 
 
 def intrinsics(pictures: Sequence[npt.NDArray[Any]], board: Board, progress: Progress | None = None) -> Intrinsics:
-    """Of BGR or grey pictures of one size. k3 is fitted only where the corners ask for it by the Bayesian information
-    criterion: over a moderate view it is hardly told from k1 and k2. Raises TautError where too few show the board."""
+    """A camera's intrinsics from BGR or grey pictures of one size. k3 is fitted only where the corners ask for it by
+    the Bayesian information criterion, as over a moderate view it is hardly told from k1 and k2. TautError where too
+    few pictures show the board."""
     opencv = board.opencv()
     detector = cv2.aruco.CharucoDetector(opencv)
     objects, images = [], []
@@ -114,13 +116,14 @@ def intrinsics(pictures: Sequence[npt.NDArray[Any]], board: Board, progress: Pro
             "and is it sharp?"
         )
     numbers = 2 * sum(len(o) for o in objects)
-    without, with_k3 = (_fit(objects, images, size, flags) for flags in (cv2.CALIB_FIX_K3, 0))
+    without, with_k3 = (_calibrated_camera(objects, images, size, flags) for flags in (cv2.CALIB_FIX_K3, 0))
     asked_for = 2.0 * numbers * np.log(without[0] / with_k3[0]) > np.log(numbers)
     rms, values, sigma = with_k3 if asked_for else without
     return Intrinsics(size, values, sigma, rms, len(objects), len(pictures))
 
 
-def _fit(objects: Any, images: Any, size: tuple[int, int], flags: int) -> tuple[float, Array, Array]:
+def _calibrated_camera(objects: Any, images: Any, size: tuple[int, int], flags: int) -> tuple[float, Array, Array]:
+    """OpenCV's calibration with these flags: rms px, values and their standard deviations."""
     rms, matrix, distortion, _, _, sigma, _, _ = cv2.calibrateCameraExtended(
         objects, images, size, np.eye(3), np.zeros(5), flags=flags
     )

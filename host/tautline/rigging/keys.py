@@ -18,7 +18,8 @@ _OF: Mapping[Sensor, tuple[str, ...]] = {
 
 
 def put(document: Document, section: Section, key: Key, text: str) -> None:
-    """A value as it is typed: TOML, a bare word, or numbers with commas. Raises TautError where the key refuses it."""
+    """Sets a key from text as it is typed: TOML, a bare word, or numbers with commas. TautError where the key refuses
+    it."""
     bare = text.strip()
     if key.kind == "text" and not bare.startswith(('"', "'")):
         bare = f'"{bare}"'
@@ -33,7 +34,7 @@ def put(document: Document, section: Section, key: Key, text: str) -> None:
 
 
 def named(name: str) -> tuple[Section, Key]:
-    """`section.key`. Raises TautError where rig.toml has no such key."""
+    """The section and key of `section.key`. TautError where rig.toml has no such key."""
     section = SECTIONS.get(name.partition(".")[0])
     key = next((k for k in section.keys if k.name == name.partition(".")[2]), None) if section else None
     if section is None or key is None:
@@ -42,7 +43,7 @@ def named(name: str) -> tuple[Section, Key]:
 
 
 def missing(document: Mapping[str, Any], sensor: Sensor) -> Iterator[tuple[Section, Key]]:
-    """What a rig with this sensor needs and is not told, in the order of the file."""
+    """The keys that a rig with this sensor still needs, in the order of the file."""
     for name in _OF[sensor]:
         for key in SECTIONS[name].keys:
             if key.needed and key.name not in document.get(name, {}):

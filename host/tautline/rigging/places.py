@@ -31,13 +31,13 @@ class Places:
 
 
 def read_known(file: Path) -> Angle:
-    """A CSV with t_s,c_deg: when the tip came to rest for a second, on the recording's clock, and at which angle."""
+    """A CSV with t_s,c_deg: when the tip rested for a second, on the recording's clock, and at which angle."""
     columns = read_columns(file, layouts.ANGLE.required(), layouts.ANGLE.header(), mend=False)
     return Angle(columns.rising_times(), columns.finite("c_deg"))
 
 
 def places_of(recording: Recording, known: Angle) -> Places:
-    """Raises TautError where the tip did not rest, or the marker was not seen."""
+    """Mean marker position and motor position of each rest. TautError where the tip did not rest, or was not seen."""
     marker, motor = recording.marker, recording.motor
     if marker is None:
         raise TautError(f"{recording.name}: holds no marker: record a video of the motion, or a marker.csv")
@@ -63,7 +63,7 @@ def places_of(recording: Recording, known: Angle) -> Places:
 
 
 def coarse(places: Places) -> tuple[Coarse, float]:
-    """f_coarse by least squares over the places, and the rms of what it leaves, deg: play and curvature are in it."""
+    """f_coarse by least squares over the places, and the rms of its residual, deg, play and curvature included."""
     if np.ptp(places.q) <= 0.0:
         raise TautError("the motor stood at one place for all known angles: is the log that of the motion?")
     gain, offset = np.polyfit(places.q, places.c_deg, 1)

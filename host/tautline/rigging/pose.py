@@ -33,7 +33,7 @@ class HandEyeFit:
     angle_sigma_deg: float  # as it was stated
     rival: float  # the sum of squares that the other pose of a planar curve leaves more, in those of this one's spread
 
-    def told(self) -> str:
+    def in_words(self) -> str:
         rx, ry, rz = self.hand_eye.rotation_deg
         x, y, z = self.hand_eye.translation_mm
         s = self.sigma
@@ -45,6 +45,7 @@ class HandEyeFit:
 
     @property
     def doubts(self) -> list[str]:
+        """Sentences on what speaks against this hand-eye transform."""
         found = []
         if self.rival < _RIVAL:
             found.append(
@@ -59,9 +60,9 @@ class HandEyeFit:
 
 
 def hand_eye(places: Places, kinematics: Kinematics, camera: Camera, angle_sigma_deg: float) -> HandEyeFit:
-    """Least squares over the pose and the true angles, which are stated to `angle_sigma_deg`, from both poses that a
-    planar curve allows (cv2.SOLVEPNP_IPPE). Sigma grows with what is left above what was stated. Raises TautError where
-    the places do not tell a pose."""
+    """The hand-eye transform by least squares over its pose and the true angles, whose stated sigma is
+    `angle_sigma_deg`, starting from both poses that a planar curve allows (cv2.SOLVEPNP_IPPE). Sigma grows if more is
+    left than was stated. TautError where the places do not determine a pose."""
     sigma_px = np.hypot(places.sigma_px, PLACED_PX)  # no mean goes below what a place is off by
     sigma_c = max(angle_sigma_deg, _LEAST_DEG)
 
@@ -72,7 +73,7 @@ def hand_eye(places: Places, kinematics: Kinematics, camera: Camera, angle_sigma
         off = (seen(x[:6], x[6:])[0] - places.image_px) / sigma_px[:, None]
         return np.concatenate([np.nan_to_num(off, nan=1e6).ravel(), (x[6:] - places.c_deg) / sigma_c])
 
-    starts = _starts(places, kinematics, camera)
+    starts = _planar_poses(places, kinematics, camera)
     fits = [least_squares(residuals, np.concatenate([s, places.c_deg]), x_scale="jac", method="lm") for s in starts]
     fits.sort(key=lambda fit: float(fit.cost))
     best = fits[0]
@@ -92,7 +93,7 @@ def hand_eye(places: Places, kinematics: Kinematics, camera: Camera, angle_sigma
         np.sqrt(np.diag(covariance)),
         float(np.sqrt(np.mean(off**2))),
         strays,
-        _measures(seen, pose, covariance, places.c_deg),
+        _angle_sigma(seen, pose, covariance, places.c_deg),
         angle_sigma_deg,
         min((2.0 * float(fit.cost - best.cost) / spread for fit in apart), default=np.inf),
     )
@@ -108,7 +109,7 @@ def _rig(kinematics: Kinematics, camera: Camera, pose: Array) -> Rig:
     return Rig(*unused, kinematics, camera, _hand_eye(pose))
 
 
-def _starts(places: Places, kinematics: Kinematics, camera: Camera) -> list[Array]:
+def _planar_poses(places: Places, kinematics: Kinematics, camera: Camera) -> list[Array]:
     """(6,) rx ry rz, x y z of each pose that the planar curve allows."""
     turned = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # the bending plane becomes z = 0
     flat = tip_bend(kinematics, places.c_deg) @ turned.T
@@ -124,11 +125,11 @@ def _starts(places: Places, kinematics: Kinematics, camera: Camera) -> list[Arra
     return starts
 
 
-def _measures(
+def _angle_sigma(
     seen: Callable[[Array, Array], tuple[Array, Array]], pose: Array, covariance: Array, c_deg: Array
 ) -> Array:
-    """Sigma of angles over the range: a pose that is off by dp moves the image by h_p dp, which is read as an angle
-    dc = -(h_c . h_p dp) / |h_c|^2."""
+    """Standard deviation of angles over the range by the pose's covariance: a pose that is off by dp moves the image by
+    h_p dp, which is read as an angle dc = -(h_c . h_p dp) / |h_c|^2."""
     grid = np.linspace(c_deg.min(), c_deg.max(), 25)
     slope = seen(pose, grid)[1]
     step = 1e-4

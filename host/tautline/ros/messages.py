@@ -24,28 +24,28 @@ def stamp(time_ns: int) -> Any:
 
 
 def joint_state(time_ns: int, positions: Mapping[str, float], frame: str = "") -> Any:
-    """positions: rad or m, by joint."""
+    """A JointState; positions by joint, rad or m."""
     header = library("std_msgs.msg").Header(stamp=stamp(time_ns), frame_id=frame)
     return library("sensor_msgs.msg").JointState(header=header, name=list(positions), position=list(positions.values()))
 
 
 def point(time_ns: int, u_px: float, v_px: float, sigma_px: float) -> Any:
-    """Where the marker is in the image: x and y in px, z how far off it may be."""
+    """The marker in the image as a PointStamped: x, y in px, z its sigma in px."""
     header = library("std_msgs.msg").Header(stamp=stamp(time_ns), frame_id="image")
     geometry = library("geometry_msgs.msg")
     return geometry.PointStamped(header=header, point=geometry.Point(x=u_px, y=v_px, z=sigma_px))
 
 
 def position_of(message: Any, joint: str) -> float | None:
-    """rad of the joint in a JointState; without names that of its only position. None where it has none that is
-    finite, or one that no board's angle holds."""
+    """The joint's position, rad, in a JointState (of its only one where it has no names); None where there is none that
+    is finite and within a board's numbers."""
     names, positions = list(message.name), message.position
     at = names.index(joint) if joint in names else 0 if not names and len(positions) == 1 else len(positions)
     return float(positions[at]) if at < len(positions) and abs(positions[at]) < _FARTHEST else None
 
 
 def diagnostics(time_ns: int, name: str, board: str, level: str, says: str, values: Mapping[str, Any]) -> Any:
-    """level: OK, WARN or ERROR. Values that are None are left out."""
+    """A DiagnosticArray; level: OK, WARN or ERROR. Values that are None are left out."""
     of = library("diagnostic_msgs.msg")
     rows = [of.KeyValue(key=key, value=_text(value)) for key, value in values.items() if value is not None]
     status = of.DiagnosticStatus(
@@ -59,7 +59,7 @@ def _text(value: Any) -> str:
 
 
 def axis_values(status: wire.Message) -> dict[str, Any]:
-    """Of the board's answer, for diagnostics."""
+    """An axis' status as values for diagnostics."""
     return {
         "mode": wire.text("MODES", status.mode),
         "fault": wire.text("FAULTS", status.fault) if status.fault else None,

@@ -37,6 +37,7 @@ class Node:
     `run` sends and publishes."""
 
     def __init__(self, graph: Graph, parameters: Parameters, live: Live, model: Model) -> None:
+        """Creates publishers of joint states, marker and diagnostics, and subscribes to set-points."""
         self._graph, self.parameters, self._live, self._model = graph, parameters, live, model
         self.received = self.unusable = 0  # set-points: with a position of the joint, and without one
         self._newest: float | None = None  # rad, not sent on yet
@@ -55,11 +56,11 @@ class Node:
             self._marker = node.create_publisher(geometry.PointStamped, "tracked_px", 10)
         live.board.listen("batch", self._batches.append)
         live.board.ask("telemetry", axis=live.axis, divider=1)
-        node.create_subscription(sensor.JointState, "servo_jp", self._take, sensor_qos())
+        node.create_subscription(sensor.JointState, "servo_jp", self._on_set_point, sensor_qos())
 
     def run(self, ended: Callable[[], bool], following: Following | None = None) -> dict[str, Any]:
-        """Until `ended`; then the motor is at rest and off. What was sent, as `taut stream` says it. TautError where
-        the axis has a fault, or its board is gone."""
+        """Runs until `ended()`, then the motor is at rest and off. Returns the counts that `taut stream` gives.
+        TautError where the axis has a fault or the board is gone."""
         parameters = self.parameters
         with SetPointStream(self._live.board, self._live.axis, parameters.timeout_s) as points:
             self._graph.begin()
@@ -72,7 +73,8 @@ class Node:
                 points.pace(parameters.period_s)
         return points.summary() | {"received": self.received, "unusable": self.unusable}
 
-    def _take(self, message: Any) -> None:
+    def _on_set_point(self, message: Any) -> None:
+        """Takes a set-point for the joint; messages without it are counted."""
         position = messages.position_of(message, self.parameters.joint)
         if position is None:
             self.unusable += 1
@@ -81,7 +83,7 @@ class Node:
         self._newest = position
 
     def _ros_ns(self, t_us: float) -> int:
-        """ROS time of a time of the board: by way of this host's monotonic clock, which the board's is aligned with."""
+        """ROS time, ns, of a board time: by this host's monotonic clock, with which the board's is aligned."""
         clock = self._graph.node.get_clock()
         reads = [(time.monotonic_ns(), clock.now().nanoseconds, time.monotonic_ns()) for _ in range(_CLOCK_READS)]
         before, now, after = min(reads, key=lambda read: read[2] - read[0])  # nothing came between
@@ -89,7 +91,7 @@ class Node:
         return int(now + 1000 * t_us - 1000 * self._live.board.clock.board_us(1e-9 * middle))
 
     def _publish(self) -> None:
-        """One telemetry sample of each cycle, by the board's time."""
+        """Publishes one telemetry sample of each cycle, at the board's time."""
         if not self._batches:
             return
         began_ns, period_us = self._ros_ns(0.0), round(1e6 * self.parameters.period_s)
@@ -104,6 +106,7 @@ class Node:
                     self._state(began_ns + 1000 * t_us, *(float(column[i]) for column in _columns(batch)))
 
     def _state(self, time_ns: int, q: float, q_ref: float, c_deg: float, c_ref_deg: float) -> None:
+        """Publishes motor and tip, measured and commanded. q, q_ref: counts."""
         tip, motor = self.parameters.joint, self.parameters.command_joint
         unit = messages.si(self._live.rig) * self._live.resolution
         c, goal = math.radians(c_deg), math.radians(c_ref_deg)
@@ -116,7 +119,7 @@ class Node:
             self._joints[name].publish(messages.joint_state(time_ns, positions))
 
     def saw(self, frame: Frame) -> None:
-        """Publishes where the frame shows the tip, a delay before it arrived. From any one thread."""
+        """Publishes the marker of a frame, at its scene time. From one thread at a time."""
         seen = frame.sighting
         if not seen.valid:
             return
@@ -128,6 +131,7 @@ class Node:
         self._tracked.publish(messages.joint_state(time_ns, angle))
 
     def _diagnose(self, points: SetPointStream, following: Following | None) -> None:
+        """Publishes the state of board and calibration as diagnostics."""
         now = time.monotonic()
         if now < self._diagnosed_s + _DIAGNOSED_S:
             return
@@ -158,6 +162,7 @@ class Node:
             board.check_fault(self._live.axis)
 
     def _level(self, status: wire.Message, following: Following | None) -> tuple[str, str]:
+        """The diagnostic level and a sentence."""
         verdict = self._model.quality.verdict
         if status.fault:
             return "ERROR", wire.fault(status)

@@ -18,7 +18,7 @@ class Parameters:
 
     @classmethod
     def of(cls, node: Any) -> Parameters:
-        """Declared on the node, and as its arguments set them. TautError where they cannot be used."""
+        """Declares the parameters on the node and reads their values. TautError where they cannot be used."""
         describe = library("rcl_interfaces.msg").ParameterDescriptor
         defaults = {"joints": ["tip"], "command_joints": ["motor"], "update_rate": 250, "cmd_timeout": 0.1}
         try:

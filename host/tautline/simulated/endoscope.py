@@ -39,7 +39,7 @@ class Endoscope:
     """
 
     def __init__(self, rig: Rig, look: Look | None = None, background: Array | None = None, seed: int = 0) -> None:
-        """background: a BGR picture that is scaled to cover the frame; None makes a tissue-like one from the seed."""
+        """background: a BGR picture scaled to cover the frame; without one a tissue-like one is made from the seed."""
         if rig.camera is None or rig.kinematics is None or rig.hand_eye is None:
             raise TautError("the rig needs [kinematics], [camera] and [hand_eye] to draw what its camera sees")
         self.rig, self.look = rig, look or Look()
@@ -62,15 +62,15 @@ class Endoscope:
     def position(
         self, c_deg: npt.ArrayLike, translation_mm: npt.ArrayLike = 0.0, rotation_deg: npt.ArrayLike = 0.0
     ) -> Array:
-        """The marker's true place (n, 2) px at each state."""
+        """The marker's true place (n, 2) px in each state."""
         image: Array = project(self.rig, c_deg, translation_mm, rotation_deg)
         return image
 
     def frame(
         self, c_deg: npt.ArrayLike, translation_mm: npt.ArrayLike = 0.0, rotation_deg: npt.ArrayLike = 0.0
     ) -> Array:
-        """A BGR picture (height, width, 3) uint8. Each argument is a scalar, or the (n,) states that the exposure
-        passes through at equal intervals: the marker is then blurred along them."""
+        """A BGR picture (height, width, 3) uint8. Each argument is a scalar, or (n,) states through which the exposure
+        passes at equal intervals; the marker is then blurred along them."""
         c, translation, turn = np.broadcast_arrays(
             *(np.atleast_1d(np.asarray(x, dtype=np.float64)) for x in (c_deg, translation_mm, rotation_deg))
         )
@@ -184,7 +184,7 @@ def _levels(picture: Array) -> Array:
 
 
 def _cover(picture: Array, width: int, height: int) -> Array:
-    """Scaled so that it fills the frame, cut in the middle."""
+    """The picture scaled to cover width x height, cut in the middle."""
     if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
         raise TautError("a background is a BGR picture of 8 bits: (height, width, 3) uint8")
     scale = max(width / picture.shape[1], height / picture.shape[0])
@@ -195,7 +195,7 @@ def _cover(picture: Array, width: int, height: int) -> Array:
 
 
 def _tissue(width: int, height: int, rng: np.random.Generator) -> Array:
-    """Folds, mottling, vessels, a dark lumen and wet highlights, BGR levels."""
+    """A tissue-like picture, BGR levels: folds, mottling, vessels, a dark lumen and wet highlights."""
 
     def cloud(scale: float) -> Array:
         small = rng.standard_normal((int(height / scale) + 4, int(width / scale) + 4)).astype(np.float32)

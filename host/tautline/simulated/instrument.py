@@ -40,7 +40,7 @@ class Instrument:
     """
 
     def __init__(self, rig: Rig, grid: Array, width: Array, c_deg: Array, name: str = "own") -> None:
-        """`grid` rises strictly (unit of q); `width` B >= 0 with |B'| < 2; `c_deg` f_remain, strictly monotone."""
+        """grid: rising, unit of q; width: B >= 0 with |B'| < 2; c_deg: f_remain, strictly monotone."""
         self.rig, self.name = rig, name
         self.grid = np.ascontiguousarray(grid, dtype=np.float64)
         self.width = np.ascontiguousarray(width, dtype=np.float64)
@@ -62,7 +62,7 @@ class Instrument:
 
     @classmethod
     def of(cls, rig: Rig, backlash: Law, remaining: Law, name: str = "own") -> Instrument:
-        """From two functions of p, sampled on a fine grid."""
+        """An instrument from two functions of p, sampled on a fine grid."""
         low, high = rig.actuator.range
         margin = _BEYOND * rig.actuator.span
         grid = np.linspace(low - margin, high + margin, _NODES)
@@ -73,10 +73,8 @@ class Instrument:
         self.p = p
 
     def centre(self, t_s: Array, q: Array) -> Array:
-        """p at the motor positions q, true and in order of time t_s; the state carries over to the next call.
-
-        Exact as long as q is monotone between neighbours. t_s may be anything today: this play knows no rate.
-        """
+        """p at motor positions q in order of time; the state carries over to the next call. Exact where q is monotone
+        between neighbours."""
         q = np.atleast_1d(np.asarray(q, dtype=np.float64))
         if q.shape != np.atleast_1d(t_s).shape:
             raise ValueError("t_s and q differ in length")
@@ -141,6 +139,7 @@ class Corrected(Instrument):
         return self.course(t_s, q, None, None).c_deg
 
     def course(self, t_s: Array, q: Array, translation_mm: Array | None, rotation_deg: Array | None) -> InstrumentPath:
+        """As `Instrument.course`, with the model's effects."""
         new = np.array([np.atleast_1d(t_s), np.atleast_1d(q)], dtype=np.float64)
         if not new.size:
             return InstrumentPath(*np.empty((3, 0)))
@@ -161,7 +160,7 @@ class Corrected(Instrument):
 
 
 def of_name(name: str, rig: Rig | None = None, seed: int = 0) -> Instrument:
-    """A preset, or the folder of a model: its instrument with all its effects (the rig is then the model's)."""
+    """A preset, or, by the folder of a model, its instrument with all its effects and rig."""
     if name not in PRESETS and (Path(name) / MODEL_FILE).is_file():
         return Corrected(Model.load(name), name)
     return preset(name, rig, seed)
@@ -188,7 +187,7 @@ class _Scale:
         self.straight = straight if low < straight < high else 0.5 * (low + high)
 
     def instrument(self, name: str, backlash: Law, remaining: Law) -> Instrument:
-        """`backlash` and `remaining` in half ranges; remaining has slope 1 where it equals f_coarse."""
+        """backlash, remaining: functions in half ranges; remaining has slope 1 where it equals f_coarse."""
         coarse = self.rig.coarse
 
         def width(p: Array) -> Array:
@@ -207,7 +206,7 @@ def _bump(x: Array, centre: float, spread: float) -> Array:
 
 
 def _bump_integral(x: Array, centre: float, spread: float) -> Array:
-    """From 0 to x."""
+    """The integral of `_bump` from 0 to x."""
     scale = spread * np.sqrt(2)
     area: Array = scale * np.sqrt(np.pi) / 2 * (erf((x - centre) / scale) - erf(-centre / scale))
     return area
@@ -219,6 +218,7 @@ def _sum(shape: Callable[[Array, float, float], Array], x: Array, parts: list[tu
 
 
 def _reference(rig: Rig, seed: int) -> Instrument:
+    """B with a bump near the straight pose, f_remain with a dead zone there."""
     return _Scale(rig).instrument(
         "reference",
         lambda x: 0.07 + 0.01 * x + 0.09 * _bump(x, 0.06, 0.17),
@@ -231,13 +231,15 @@ def _constant(rig: Rig, seed: int) -> Instrument:
 
 
 def _davinci(rig: Rig, seed: int) -> Instrument:
+    """A rigid cable-driven tool."""
     return _Scale(rig).instrument(
         "davinci", lambda x: 0.085 + 0.03 * _bump(x, 0.0, 0.5), lambda x: 0.93 * x + 0.05 * np.sin(2.0 * x)
     )
 
 
 def _random(rig: Rig, seed: int) -> Instrument:
-    """Two to four bumps in B, one to three dead or lively zones in f; |B'| <= 1.2, f's slope 0.25 to 1.6 of coarse."""
+    """B with two to four bumps, |B'| <= 1.2; f_remain with one to three dead or lively zones, slope 0.25 to 1.6 of
+    coarse."""
     rng = np.random.default_rng([seed, 0x1457])
     count = rng.integers([2, 1], [5, 4])
     bumps = [(rng.uniform(-0.9, 0.9), rng.uniform(0.12, 0.5), rng.uniform(-0.6, 1.0)) for _ in range(count[0])]

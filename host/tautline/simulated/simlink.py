@@ -36,6 +36,7 @@ class SimLink:
     """One text request a line, one JSON object a line back; see `tautline-board`."""
 
     def __init__(self, port: int, host: str = "127.0.0.1") -> None:
+        """Connects to the board's sim link."""
         try:
             self._socket = socket.create_connection((host, port), timeout=_START_S)
         except OSError as error:
@@ -49,7 +50,7 @@ class SimLink:
         return self._answer(request)
 
     def ask_all(self, *requests: str) -> list[dict[str, Any]]:
-        """Several in one round trip, which costs more than most answers; none may move a connection, as `quit` does."""
+        """Several requests in one round trip, which costs more than most answers. None may end the connection."""
         self._send("\n".join(requests))
         return [self._answer(request) for request in requests]
 
@@ -60,6 +61,7 @@ class SimLink:
             raise TautError("the simulated board has stopped: start it again") from error
 
     def _answer(self, request: str) -> dict[str, Any]:
+        """The next answer as a dict. TautError where the board has stopped, or refused the request."""
         try:
             line = self._lines.readline()
         except OSError as error:
@@ -107,6 +109,7 @@ class DesktopBoard:
         rate_hz: int = 5000,
         update_key: bytes | None = None,
     ) -> None:
+        """Starts the desktop board and waits until its links answer."""
         self._folder = None if flash else tempfile.TemporaryDirectory(prefix="tautline-")
         self.flash = flash or Path(self._folder.name if self._folder else ".") / "flash.bin"
         line = os.environ.get(LINE, "usbip")
@@ -132,6 +135,7 @@ class DesktopBoard:
         return SimLink(self.ports["sim"])
 
     def close(self) -> None:
+        """Ends the board's process and removes its temporary flash."""
         self.process.kill()
         self.process.wait()
         if self.process.stdout is not None:
@@ -152,7 +156,7 @@ class SimulatedAxis:
     """A simulated instrument on one axis of a simulated board: q, p and c at each millisecond of board time."""
 
     def __init__(self, link: SimLink, instrument: Instrument, axis: int = 0) -> None:
-        """The motor's true position is q; the play begins on its centre."""
+        """The motor's true position is q; the play starts on its centre."""
         self.link, self.instrument, self.axis = link, instrument, axis
         self.resolution = instrument.rig.actuator.encoder_resolution
         self._t: list[Array] = []
@@ -179,7 +183,7 @@ class SimulatedAxis:
         return float(self._t[-1][-1])
 
     def advance_to(self, t_s: float) -> None:
-        """Runs board and instrument until the first millisecond at or after t_s."""
+        """Runs board and instrument in lockstep to the first millisecond at or after t_s."""
         behind_us = int(np.ceil((t_s - self.now_s) * 1e3 - 1e-6)) * 1000
         if behind_us <= 0:
             return

@@ -75,7 +75,7 @@ class Simulation:
             self._save_video(folder, endoscope, lossless, progress)
 
     def scene(self, t_s: Array) -> tuple[Array | float, Array | float, Array | float]:
-        """The instrument at any times: c, translation, rotation."""
+        """The instrument's state at any times: c (deg), translation, rotation."""
         motor = self.recording.motor
         others = (
             0.0 if x is None else np.interp(t_s, motor.t_s, x) for x in (motor.translation_mm, motor.rotation_deg)
@@ -83,6 +83,7 @@ class Simulation:
         return np.interp(t_s, self.t_s, self.c_deg), *others
 
     def _save_video(self, folder: Path, endoscope: Endoscope, lossless: bool, progress: Progress | None) -> None:
+        """Draws the frames at their scene times and writes them as a video with frames.csv."""
         camera = SimulatedCamera(endoscope, self.scene, self.timing)
         total = len(self.scene_s)
         place = endoscope.position(*self.scene(self.scene_s[:1]))[0]
@@ -104,7 +105,7 @@ _WRITTEN = ("motor.csv", "marker.csv", "angle.csv", "rig.toml", "truth.csv", "tr
 
 
 def _make_room(folder: Path) -> None:
-    """An earlier simulation's files go, so that no marker.csv stays beside another's video."""
+    """Removes an earlier simulation's files, so that no marker.csv stays beside another's video."""
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return
     if not (folder / "truth.json").is_file():

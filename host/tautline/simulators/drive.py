@@ -40,7 +40,7 @@ class Drive:
         return Drive(self._simulator, motor, self._rig, self._pool)
 
     def ask(self, parameters: Mapping[str, Any]) -> None:
-        """What `motor` will be asked for: it is simulated meanwhile, where there are processes to do so."""
+        """Announces parameters for `motor`, so that processes, if there are any, can simulate them meanwhile."""
         changes, key = self._changes(parameters)
         if self._pool is not None and key not in self._known and key not in self._asked:
             self._asked[key] = self._pool.submit(side_by_side.tip, self.log, changes)
@@ -63,7 +63,7 @@ class Drive:
 
 
 def _log(motor: Motor, rig: Rig) -> Motor:
-    """At a fixed step, straight lines between samples."""
+    """The motor command (without one, the path) and the other columns at a fixed step, linear between samples."""
     path = MotorPath.of(motor, rig.actuator.encoder_resolution)
     steps = int(np.floor((motor.t_s[-1] - motor.t_s[0]) / STEP_S))
     t_s = motor.t_s[0] + STEP_S * np.arange(steps + 1)

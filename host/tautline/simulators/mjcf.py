@@ -107,13 +107,14 @@ class Mjcf:
 
     @cached_property
     def _joint(self) -> int | None:
-        """That the actuator drives; None where it pulls something else."""
+        """The joint that the actuator drives; None where it pulls something else."""
         import mujoco
 
         drives = self._model.actuator_trntype[self._index] == mujoco.mjtTrn.mjTRN_JOINT
         return int(self._model.actuator_trnid[self._index, 0]) if drives else None
 
     def _declared(self) -> Iterator[Declared]:
+        """Parameters of the file that a diagnosis may change, with their ranges."""
         import mujoco
 
         model, data = self._model, mujoco.MjData(self._model)
@@ -178,7 +179,7 @@ class Mjcf:
         return model
 
     def _begun(self, model: mujoco.MjModel, control: float) -> mujoco.MjData:
-        """In the file's first key frame, if it has any, with the driven joint where it is told to be."""
+        """The initial state: the file's first key frame, if it has any, with the driven joint at its first command."""
         import mujoco
 
         data = mujoco.MjData(model)

@@ -32,14 +32,15 @@ class SimulatedNominal:
 
     @property
     def kinds(self) -> tuple[effects.Kind, ...]:
-        """One for each of the simulator's parameters."""
+        """An effect for each of the simulator's parameters."""
         return tuple(
             effects.of_simulator(p.name, p.unit, p.spread, p.low - p.nominal, p.high - p.nominal)
             for p in self.simulator.parameters
         )
 
     def to_json(self, named: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """What simulated, and of its parameters those among the effects that a diagnosis named, with both values."""
+        """The simulator's source, and the parameters among the named effects with their values in the simulator and on
+        the robot."""
         changes = {name: value for effect in named for name, value in effect["parameters"].items()}
         return {
             "source": dict(self.simulator.source),
@@ -54,8 +55,8 @@ class SimulatedNominal:
 def nominal(
     simulator: Simulator, robots: Sequence[Recording], rig: Rig, pool: Executor | None = None
 ) -> SimulatedNominal:
-    """robots: recordings with angle.csv, or with marker.csv where the rig has a camera. TautError where there is none,
-    and for what the simulator cannot do."""
+    """The simulator as the nominal of a diagnosis of these recordings (with angle.csv, or marker.csv and a camera).
+    TautError where there is none, or the simulator fails."""
     if not robots:
         raise TautError("name at least one recording of the robot")
     by_marker = rig.has_camera and all(robot.marker is not None for robot in robots)
@@ -71,6 +72,7 @@ def nominal(
 
 
 def _model(simulator: Simulator, rig: Rig, by_marker: bool) -> Model:
+    """A model without backlash whose law is the rig's f_coarse."""
     low, high = rig.actuator.range
     q = np.linspace(low, high, _POINTS)
     sensor = MARKER if by_marker else ANGLE

@@ -20,7 +20,7 @@ _simulator: list[Simulator] = []  # of a worker: sent to it once
 
 @contextmanager
 def pool(simulator: Simulator, workers: int) -> Iterator[Executor | None]:
-    """None for one worker. TautError where the simulator cannot be sent to another process."""
+    """Processes that run the simulator; None for one worker. TautError where it cannot be sent to another process."""
     if workers < 2:
         yield None
         return

@@ -35,8 +35,8 @@ class Beyond:
 
     @classmethod
     def unseen(cls, model: Model) -> Self:
-        """Before use showed anything. Standard deviations are those of each curve's slope, and of its change from
-        place to place, where it was measured."""
+        """The prior, before frames showed anything there: means 0; standard deviations of slope and curvature are those
+        by which each curve varies from place to place where it was measured."""
         if not model.measured[1] > model.measured[0]:  # one place, or none: nothing is beyond it
             model = replace(model, measured=(float(model.q[0]), float(model.q[-1])))
         low, high = model.measured
@@ -53,7 +53,8 @@ class Beyond:
         return cls(on, np.zeros(2 * CURVES), np.diag(np.square(np.concatenate(sigma))))
 
     def curves(self, p: npt.ArrayLike) -> Array:
-        """(CURVES, n) at centre coordinates p; 0 where the calibration measured."""
+        """(CURVES, n) Linear and quadratic continuation below and above the measured range, at centre coordinates p; 0
+        within it."""
         low, high = self.model.measured
         below, above = np.maximum(low - np.asarray(p), 0.0), np.maximum(np.asarray(p) - high, 0.0)
         return np.stack([below, 0.5 * below**2, above, 0.5 * above**2])
@@ -65,16 +66,16 @@ class Beyond:
 
     @cached_property
     def known(self) -> Model:
-        """The model with what is known there."""
+        """The model with the posterior mean added beyond the measured range."""
         if not self.mean.any():
             return self.model
         more = self.mean.reshape(2, CURVES) @ self.on_grid
         c_deg, width = self.model.c_deg + more[0], self.model.width + more[1]
-        return replace(self.model, c_deg=self.lawful(c_deg), width=allowed_width(self.model.q, width))
+        return replace(self.model, c_deg=self.monotone(c_deg), width=allowed_width(self.model.q, width))
 
-    def lawful(self, c_deg: Array) -> Array:
-        """f_remain that rises or falls as it was calibrated, from the middle of what was measured on to either side:
-        what frames tell of one end is level from where it would turn, and changes nothing nearer to the middle."""
+    def monotone(self, c_deg: Array) -> Array:
+        """c_deg (nodes,) made monotone as calibrated, outwards from the middle of the measured range: where one end
+        would turn back it is level, and what is nearer to the middle stays."""
         model = self.model
         rise = model.c_deg[-1] - model.c_deg[0]
         least = _LEVEL * np.abs(rise) / len(c_deg) * np.arange(len(c_deg))
@@ -84,9 +85,9 @@ class Beyond:
         down = np.minimum.accumulate(straight[: middle + 1][::-1])[::-1]
         return np.asarray(np.sign(rise) * (np.concatenate([down[:-1], up]) + least))
 
-    def seen(self, by: Array, off: Array, sigma: Array) -> Beyond:
-        """With frames that are off (n,) of what this foretold, their standard deviations, deg, and derivatives by theta
-        (n, 2 CURVES) of what is foretold."""
+    def updated(self, by: Array, off: Array, sigma: Array) -> Beyond:
+        """The posterior after n frames (one Kalman update): off (n,), the angle seen less the one predicted, deg; sigma
+        (n,); by (n, 2 CURVES), the prediction's derivatives by theta. Outliers weigh less."""
         spread = np.sqrt(np.einsum("ni,ij,nj->n", by, self.covariance, by) + sigma**2)
         precise = np.minimum(1.0, OUTLYING * spread / np.maximum(np.abs(off), 1e-300)) / sigma**2
         weighted = by.T * precise

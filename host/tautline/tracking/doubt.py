@@ -27,12 +27,13 @@ class Doubt:
     _count: int = 0
 
     def clear(self, entry: int) -> None:
+        """Starts anew at this entry."""
         self.since, self._odds = entry, 0.0
         self._part, self._squares, self._count = (-1, 0), 0.0, 0
 
     @property
     def here(self) -> float:
-        """Log odds by the part that goes on alone."""
+        """Log odds of a change, by the present part alone."""
         if not self._count:
             return 0.0
         beyond = max(self._squares / _UNSURE - self._count, 0.0)
@@ -44,7 +45,7 @@ class Doubt:
         return self._odds + self.here
 
     def add(self, z: float, stroke: int, t_s: float, entry: int) -> None:
-        """A frame that is z of its standard deviations off, and its entry."""
+        """Adds a frame whose residual is z standard deviations. entry: its number in the window."""
         part = stroke, int(t_s / MEMORY_S)
         if part != self._part:
             self._odds = max(self._odds + self.here, 0.0)

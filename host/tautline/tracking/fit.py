@@ -39,7 +39,7 @@ class Envelopes:
     way: Array  # +1 rising q, -1 falling
 
     def both(self, evidence: WindowKnots, law: Law) -> tuple[float, float] | None:
-        """The centre coordinates that were passed both ways. None where there are none."""
+        """The range (low, high) of centre coordinates that was passed in both directions; None where there is none."""
         y = law.place(evidence.c_deg[self.at])
         up, down = y[self.way > 0], y[self.way < 0]
         if len(up) < 3 or len(down) < 3:
@@ -49,6 +49,8 @@ class Envelopes:
 
 
 def envelopes(evidence: WindowKnots, law: Law) -> Envelopes:
+    """The frames at which the tip moved with the motor by about the law's slope, and so was on an envelope of the play;
+    the first of each run is left out, as an onset may lie in it."""
     q, y = evidence.q[evidence.seen], law.place(evidence.c_deg)
     sigma = evidence.sigma / np.abs(law.slope(y))
     by_q, by_y = np.diff(q), np.diff(y)
@@ -77,19 +79,22 @@ class LawFit:
         return trimmed(self.z)
 
     def spread_of(self, slopes: Array) -> float:
-        """Standard deviation of what has these slopes (PARAMETERS,) by theta."""
+        """Standard deviation of a quantity whose derivatives by theta are `slopes` (PARAMETERS,)."""
         picked = slopes[list(self.free)]
         return float(np.sqrt(picked @ self.covariance @ picked))
 
     def sigma(self, parameter: int) -> float:
+        """Standard deviation of one parameter; 0 where it was not free."""
         return float(np.sqrt(self.covariance[i, i])) if (i := _index(self.free, parameter)) >= 0 else 0.0
 
 
 def _index(free: Sequence[int], parameter: int) -> int:
+    """The place of a parameter among the free ones; -1 where it is not free."""
     return free.index(parameter) if parameter in free else -1
 
 
 def trimmed(z: Array) -> float:
+    """rms of z without its largest share _WITHOUT; 0 where there are none."""
     if len(z) == 0:
         return 0.0
     squares = np.sort(np.minimum(z * z, 1e12))  # tolerance: sums of them are finite
@@ -106,12 +111,16 @@ class Prior:
 
     @classmethod
     def of(cls, mean: Array, span: float, span_deg: float, known: npt.NDArray[np.bool_]) -> Prior:
+        """The prior about `mean`. span: the motor's range; span_deg: f_remain's over it; known (PLACES,): where both
+        envelopes tell the shape."""
         sigma = np.full(PARAMETERS, 0.5)
         sigma[OFFSET], sigma[SCALE] = span, 2.0
         sigma[TIP] = span_deg, _BENT * span_deg, _BENT * span_deg
         return cls(mean, sigma, known)
 
     def information(self, free: Sequence[int]) -> Array:
+        """Precision matrix (free, free). Neighbouring places of the shape differ by _NEIGHBOURS; where one was not seen
+        it follows the nearer seen one with a decay of _FADES."""
         whole = np.diag(1.0 / self.sigma**2)
         bend = np.diff(np.eye(PLACES), axis=0) / _NEIGHBOURS
         for i in np.flatnonzero(~(self.known[1:] & self.known[:-1])):
@@ -126,15 +135,16 @@ class Prior:
 def simulated(
     nominal: LawFamily, evidence: WindowKnots, theta: Array, with_slopes: bool = True
 ) -> Work[tuple[Array, Array]]:
-    """Residuals (seen,) over sigma, and their slopes (seen, PARAMETERS), or (0, PARAMETERS) without."""
+    """Residuals over sigma (seen,) of the centre coordinate, and their derivatives (seen, PARAMETERS) by theta, or (0,
+    PARAMETERS) without. Frames before every element was carried weigh less."""
     seen = evidence.seen
     yield 110 + len(seen) // 20
     law = nominal.law(theta)
     y = law.place(evidence.c_deg)
     by_y = law.slope(y)
     scale = 1.0 / nominal.sigma(y, evidence.sigma / by_y)
-    scale[: _carried(nominal, evidence, y)] *= _UNSURE
-    parts = yield from _followed(law.native, law.elements, evidence, theta, float(y[0]), with_slopes)
+    scale[: _first_carried(nominal, evidence, y)] *= _UNSURE
+    parts = yield from _run_along_path(law.native, law.elements, evidence, theta, float(y[0]), with_slopes)
     yield 15 + len(seen) // (12 if with_slopes else 200)
     p, _, *by = (np.concatenate(column)[seen] for column in parts)
     z = (y - p) * scale
@@ -147,10 +157,10 @@ def simulated(
     return z, slopes
 
 
-def _followed(
+def _run_along_path(
     native: Any, elements: int, evidence: WindowKnots, theta: Array, start: float, with_slopes: bool
 ) -> Work[list[tuple[Array, ...]]]:
-    """What the native play says along the path, in pieces: p, moving and, with slopes, those."""
+    """The native play's output along the motor's path in pieces: p, whether it moves and, with slopes, dp/dtheta."""
     state = _native.TrackState(start)
     q = evidence.q + theta[OFFSET]
     parts = []
@@ -161,40 +171,40 @@ def _followed(
     return list(zip(*parts, strict=True))
 
 
-def _carried(nominal: LawFamily, evidence: WindowKnots, y: Array) -> int:
-    """The first of the frames seen at which every element was carried."""
+def _first_carried(nominal: LawFamily, evidence: WindowKnots, y: Array) -> int:
+    """Index of the first seen frame at which the motor has moved far enough to have carried every element."""
     reach = REACH * float(np.interp(y[0], nominal.model.q, nominal.model.width))
     carried = np.abs(evidence.q - evidence.q[0]) > reach
     return int(np.searchsorted(evidence.seen, carried.argmax() if carried.any() else len(carried)))
 
 
-def continued(nominal: LawFamily, evidence: WindowKnots, theta: Array, level: float) -> Work[LawFamily]:
-    """With what is seen beyond the measured range, by the law that theta is everywhere."""
+def learn_beyond(nominal: LawFamily, evidence: WindowKnots, theta: Array, level: float) -> Work[LawFamily]:
+    """The family with what these frames tell beyond the measured range, theta's law holding everywhere."""
     seen = evidence.seen
     yield 150 + len(seen) // 20
     law = nominal.law(theta)
     y = law.place(evidence.c_deg)
     if not nominal.beyond.curves(y).any():
         return nominal
-    parts = yield from _followed(law.followed, law.elements, evidence, theta, float(y[0]), True)
+    parts = yield from _run_along_path(law.followed, law.elements, evidence, theta, float(y[0]), True)
     yield 300
     p, _, by = (np.concatenate(column)[seen] for column in parts)
     sigma = level * nominal.sigma(y, evidence.sigma / law.slope(y)) * np.abs(law.slope(y))
-    sure = slice(_carried(nominal, evidence, y), None)
+    sure = slice(_first_carried(nominal, evidence, y), None)
     return nominal.with_frames(nominal, law, p[sure], by[sure, 1:], evidence.c_deg[sure], sigma[sure])
 
 
 def fitted(
     nominal: LawFamily, evidence: WindowKnots, start: Array, free: tuple[int, ...], prior: Prior
 ) -> Work[LawFit]:
-    """Levenberg and Marquardt's method on Huber's cost."""
+    """The law of least cost, `free` parameters varying, by Levenberg-Marquardt on Huber's cost with the prior."""
     picked = list(free)
     information = prior.information(picked)
-    theta = nominal.lawful(start)
+    theta = nominal.clipped(start)
     z, by = yield from simulated(nominal, evidence, theta)
     algebra = 70 + len(z) * (3 + len(free)) // 300
     yield algebra
-    cost = _cost(z, theta, prior, picked, information)
+    cost = _huber_cost(z, theta, prior, picked, information)
     damping = 1e-3
     for _ in range(_TURNS):
         if not free:
@@ -208,10 +218,10 @@ def fitted(
         step = np.linalg.solve(damped, force)
         trial = theta.copy()
         trial[picked] += step
-        trial = nominal.lawful(trial)
+        trial = nominal.clipped(trial)
         trial_z, trial_by = yield from simulated(nominal, evidence, trial)
         yield algebra
-        trial_cost = _cost(trial_z, trial, prior, picked, information)
+        trial_cost = _huber_cost(trial_z, trial, prior, picked, information)
         if trial_cost < cost:
             gained = cost - trial_cost
             theta, z, by, cost = trial, trial_z, trial_by, trial_cost
@@ -226,7 +236,8 @@ def fitted(
     return LawFit(evidence, theta, free, z, cost, _covariance(evidence, z, by[:, picked], information))
 
 
-def _cost(z: Array, theta: Array, prior: Prior, free: list[int], information: Array) -> float:
+def _huber_cost(z: Array, theta: Array, prior: Prior, free: list[int], information: Array) -> float:
+    """Half the Huber cost of the residuals plus half the prior's quadratic form."""
     size = np.abs(z)
     robust = np.where(size < OUTLYING, 0.5 * z * z, OUTLYING * (size - 0.5 * OUTLYING))
     away = (theta - prior.mean)[free]
@@ -234,7 +245,8 @@ def _cost(z: Array, theta: Array, prior: Prior, free: list[int], information: Ar
 
 
 def _covariance(evidence: WindowKnots, z: Array, slopes: Array, information: Array) -> Array:
-    """The larger of the fit's own, at the level of what it leaves, and the sandwich by stroke."""
+    """Covariance of the free parameters: the larger, by trace, of the fit's own (scaled by its residual level) and the
+    sandwich estimate clustered by stroke; twice the own where there are too few strokes for a sandwich."""
     if slopes.shape[1] == 0:
         return np.zeros((0, 0))
     inverse = np.linalg.inv(slopes.T @ slopes + information)
@@ -249,9 +261,9 @@ def _covariance(evidence: WindowKnots, z: Array, slopes: Array, information: Arr
     return np.asarray(sandwich if wider else own * inverse)
 
 
-def guess(nominal: LawFamily, evidence: WindowKnots, theta: Array, envelope: Envelopes, both: bool) -> Array:
-    """theta with the offset, and where both ways were seen the scale, that the envelopes ask for: on them
-    way (q - y) = scale B(q)/2 - way offset."""
+def from_envelopes(nominal: LawFamily, evidence: WindowKnots, theta: Array, envelope: Envelopes, both: bool) -> Array:
+    """theta with the offset, and with `both` also the scale, by a robust line through the envelopes: on these way (q -
+    y) = scale B(q)/2 - way offset."""
     theta = theta.copy()
     if len(envelope.at) == 0:
         return theta
@@ -270,11 +282,11 @@ def guess(nominal: LawFamily, evidence: WindowKnots, theta: Array, envelope: Env
         off = np.abs(right - slopes @ solution)
         weight = 1.0 / np.sqrt(np.maximum(off, 1e-3 * np.ptp(y) + 1e-9))
     theta[SCALE], theta[OFFSET] = float(solution[0]), float(solution[1])
-    return nominal.lawful(theta)
+    return nominal.clipped(theta)
 
 
-def at_tip(nominal: LawFamily, theta: Array) -> Array:
-    """theta with its offset behind the play instead of before it."""
+def with_offset_at_tip(nominal: LawFamily, theta: Array) -> Array:
+    """theta with its offset behind the play (a shift of f_remain) instead of before it."""
     theta = theta.copy()
     theta[TIP.start] += theta[OFFSET] * nominal.tip_slope
     theta[OFFSET] = 0.0

@@ -53,7 +53,7 @@ class Law:
         return np.asarray(interpolate(p, self.grid, self.c_deg))
 
     def place(self, c_deg: npt.ArrayLike) -> Array:
-        """The centre coordinates at which f_remain is c_deg."""
+        """Centre coordinates at which f_remain is c_deg."""
         order = slice(None) if self.c_deg[-1] > self.c_deg[0] else slice(None, None, -1)
         return np.asarray(interpolate(c_deg, self.c_deg[order], self.grid[order]))
 
@@ -78,15 +78,15 @@ class LawFamily:
         """As calibrated, on a grid that goes on beyond the actuator's range."""
         return self.beyond.model
 
-    def learnt(self, beyond: Beyond) -> LawFamily:
-        """The same with more known of what is beyond."""
+    def with_beyond(self, beyond: Beyond) -> LawFamily:
+        """The same family with another posterior beyond the measured range."""
         family = LawFamily(beyond)
-        family.__dict__["waves"] = self.waves  # they depend on the grid alone
+        family.__dict__["shape_basis"] = self.shape_basis  # they depend on the grid alone
         return family
 
     @cached_property
-    def waves(self) -> Array:
-        """(PLACES, nodes): the natural cubic spline that is 1 at one place and 0 at the others, held beyond."""
+    def shape_basis(self) -> Array:
+        """(PLACES, nodes) Cardinal natural cubic splines: 1 at one place, 0 at the others, constant beyond the ends."""
         places = self.places
         q = np.clip(self.model.q, places[0], places[-1])
         return np.ascontiguousarray(CubicSpline(places, np.eye(PLACES), bc_type="natural")(q).T)
@@ -96,26 +96,27 @@ class LawFamily:
         return np.linspace(*self.model.measured, PLACES)
 
     def powers(self, p: npt.ArrayLike) -> Array:
-        """(3, n): what a constant, a slope and a bend of f_remain's change are at p; 1 at the ends of the measured
-        range, and held to twice that."""
+        """(3, n) Basis of f_remain's change at p: constant, slope and bend over the measured range scaled to -1 .. 1,
+        held at +-2."""
         low, high = self.places[0], self.places[-1]
         along = np.clip((np.asarray(p) - 0.5 * (low + high)) / (0.5 * (high - low)), -2.0, 2.0)
         return np.stack([np.ones_like(along), along, along**2])
 
     @cached_property
     def tip_slope(self) -> float:
-        """Of f_remain in the mean, deg per unit."""
+        """Mean slope of f_remain over the measured range, deg per unit."""
         low, high = self.places[0], self.places[-1]
         ends = self.model.remaining(np.array([low, high]))
         return float((ends[1] - ends[0]) / (high - low))
 
     def offset(self, theta: Array) -> float:
-        """Of the transmission as a whole, unit of q."""
+        """The law's whole offset, before and behind the play, unit of q."""
         return float(theta[OFFSET] + theta[TIP][0] / self.tip_slope)
 
     @cached_property
-    def _lots(self) -> tuple[Array, Array, Array]:
-        """Shares, their deviations from the mean and weights of elements whose spread can change."""
+    def _elements(self) -> tuple[Array, Array, Array]:
+        """Relative widths of the play's elements, their deviations from the mean and their weights; a single play is
+        split into _LOTS equal ones, whose spread can grow."""
         elements = self.model.elements
         if elements.single:
             away = (2.0 * np.arange(_LOTS) - _LOTS + 1) / _LOTS
@@ -124,22 +125,24 @@ class LawFamily:
         return share, share - 1.0, np.array(elements.weight)
 
     @cached_property
-    def _floors(self) -> Array:
+    def _own_sigma(self) -> Array:
+        """(nodes,) Standard deviation of the calibrated centre coordinate by B's sigma and the encoder's rounding."""
         model, count = self.model, self.model.rig.actuator.encoder_resolution
         return np.asarray(np.hypot(0.5 * model.width_sigma, count / np.sqrt(12.0)))
 
     def sigma(self, p: npt.ArrayLike, sensor: npt.ArrayLike) -> Array:
-        """Standard deviation of a frame at centre coordinates p: the sensor's and, up to a multiple of that, the
-        calibrated law's own. What a calibration hardly knew is learnt in use."""
-        own = np.interp(np.asarray(p, dtype=float), self.model.q, self._floors)
+        """Standard deviation of a frame's centre coordinate at p: the sensor's and the calibrated law's own, which
+        counts up to _MOST_OWN times the sensor's, so that what a calibration hardly knew is learnt in use."""
+        own = np.interp(np.asarray(p, dtype=float), self.model.q, self._own_sigma)
         return np.asarray(np.hypot(sensor, np.minimum(own, _MOST_OWN * np.abs(sensor))))
 
     def shares(self, theta: Array) -> Array:
-        share, away, weight = self._lots
+        """Relative widths of the elements by theta's spread and skew, not negative."""
+        share, away, weight = self._elements
         return np.asarray(np.maximum(share + theta[SPREAD] * away + theta[SKEW] * (away**2 - weight @ away**2), 0.0))
 
-    def lawful(self, theta: Array) -> Array:
-        """The nearest theta that a play can have."""
+    def clipped(self, theta: Array) -> Array:
+        """theta with every parameter clipped to what a play can have."""
         theta = theta.copy()
         theta[SCALE] = min(max(theta[SCALE], _LEAST_SCALE), _MOST_SCALE)
         theta[SHAPE] = np.clip(theta[SHAPE], _LEAST_SHAPE, _MOST_SHAPE)
@@ -149,23 +152,24 @@ class LawFamily:
         return theta
 
     def law(self, theta: Array) -> Law:
-        """theta must be lawful. Cheap where it was asked for lately."""
+        """The law of a theta that is within its limits (`clipped`); the last few are kept."""
         key = theta.tobytes()
         if key not in self._kept:
             if len(self._kept) > 8:
                 self._kept.clear()
-            self._kept[key] = self._made(theta)
+            self._kept[key] = self._law_of(theta)
         return self._kept[key]
 
-    def _made(self, theta: Array) -> Law:
+    def _law_of(self, theta: Array) -> Law:
+        """Tables and native play of a theta."""
         model = self.beyond.known
-        around = 1.0 + theta[SHAPE] @ self.waves
+        around = 1.0 + theta[SHAPE] @ self.shape_basis
         width = allowed_width(model.q, theta[SCALE] * model.width * around)
-        basis = np.vstack([model.width * around, theta[SCALE] * model.width * self.waves])
+        basis = np.vstack([model.width * around, theta[SCALE] * model.width * self.shape_basis])
         c_deg = model.c_deg
         if np.any(theta[TIP]):
-            c_deg = self.beyond.lawful(model.c_deg + theta[TIP] @ self.powers(model.q))
-        _, away, weight = self._lots
+            c_deg = self.beyond.monotone(model.c_deg + theta[TIP] @ self.powers(model.q))
+        _, away, weight = self._elements
         if model.elements.single and not theta[SPREAD] and not theta[SKEW]:
             spread, shares, weight = np.zeros((2, 1)), np.ones(1), np.ones(1)
         else:
@@ -180,36 +184,37 @@ class LawFamily:
     def with_frames(
         self, about: LawFamily, law: Law, p: Array, by_width: Array, c_deg: Array, sigma: Array
     ) -> LawFamily:
-        """With what frames tell of what is beyond: the tip is seen at c_deg (n,), with standard deviations of sigma,
-        where a law of the family `about` foretells p (n,), whose derivatives by what is added to B are by_width
-        (n, CURVES). Angles in deg."""
+        """The family after n frames told something beyond the measured range. The tip is seen at c_deg (n,), deg, with
+        sigma (n,); `law`, of the family `about`, predicts p (n,), with derivatives by_width (n, CURVES) by what is
+        added to B."""
         by = np.hstack([self.beyond.curves(p).T, law.slope(p)[:, None] * by_width])
         off = c_deg - law.angle(p) + by @ (about.beyond.mean - self.beyond.mean)
         told = by.any(1)
-        return self.learnt(self.beyond.seen(by[told], off[told], sigma[told])) if told.any() else self
+        return self.with_beyond(self.beyond.updated(by[told], off[told], sigma[told])) if told.any() else self
 
     def gradual_start(self, theta: Array) -> Array:
-        """theta with a little spread: derivatives by it exist only where there are several elements."""
+        """theta with a small spread of the elements where there is none: its derivatives exist only with several
+        elements."""
         theta = theta.copy()
         if self.model.elements.single and theta[SPREAD] < _LEAST_GRADUAL:
             theta[SPREAD] = _GRADUAL
         return theta
 
     def rescaled(self, theta: Array, scale: float) -> Array:
-        """theta with another scale and the same B."""
+        """theta with this scale, its shape changed so that B stays the same."""
         theta = theta.copy()
         theta[SHAPE] = (1.0 + theta[SHAPE]) * theta[SCALE] / scale - 1.0
         theta[SCALE] = scale
-        return self.lawful(theta)
+        return self.clipped(theta)
 
-    def shares_of_width(self, law: Law) -> Array:
-        """(nodes,) of B by a law over the calibrated one, 1 where there is none."""
+    def width_ratio(self, law: Law) -> Array:
+        """(nodes,) A law's B over the calibrated one; 1 where that is 0."""
         width = self.model.width
         return np.asarray(np.divide(law.width, width, out=np.ones(len(width)), where=width > 0.0))
 
     def ratio_slopes(self, theta: Array, p: Array) -> Array:
-        """(PARAMETERS,) how B over the calibrated one changes with theta, in the mean of places."""
-        at = np.array([np.interp(p, self.model.q, wave).mean() for wave in self.waves])
+        """(PARAMETERS,) Derivatives by theta of the mean ratio of B to the calibrated one over the places p."""
+        at = np.array([np.interp(p, self.model.q, wave).mean() for wave in self.shape_basis])
         slopes = np.zeros(PARAMETERS)
         slopes[SCALE] = 1.0 + theta[SHAPE] @ at
         slopes[SHAPE] = theta[SCALE] * at

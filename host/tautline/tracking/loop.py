@@ -22,7 +22,8 @@ class Tracker:
     """
 
     def __init__(self, model: Model, sensor: Sensor | None = None) -> None:
-        """sensor: default the one that was calibrated with. TautError where the model's rig has no camera for it."""
+        """sensor: MARKER or ANGLE, by default what was calibrated with. TautError where the rig has no camera for
+        it."""
         self.model, self.sensor = model, sensor or model.sensor
         self._laws = LawTracker(model, self.sensor)
         self._delay_s = model.delay_of(self.sensor)
@@ -61,9 +62,9 @@ class Tracker:
         self._taken -= done
 
     def see(self, t_s: float, *seen: float) -> Row:
-        """What was predicted for the frame that arrived at t_s, s; then what it shows is learnt from: u, v (px) and, if
-        known, their sigma; c (deg) of an angle sensor; nothing where the tip was not seen. TautError for a frame before
-        the last one, or before any motor sample."""
+        """Returns what was predicted for the frame that arrived at t_s, s, and then learns from what it shows: u, v
+        (px) and, if known, their sigma; c (deg) of an angle sensor; nothing where the tip was not seen. TautError for a
+        frame before the last one, or before any motor sample."""
         scene_s = t_s - self._delay_s
         self._hand_over(scene_s)
         if not t_s > self._frame_s:
@@ -77,6 +78,7 @@ class Tracker:
         return row
 
     def _hand_over(self, scene_s: float) -> None:
+        """Gives the tracker the motor samples up to a scene time."""
         upto = int(np.searchsorted(self._t_s, scene_s, side="right"))
         if not np.isfinite(self._frame_s):
             if not len(self._t_s):

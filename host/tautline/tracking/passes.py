@@ -34,7 +34,7 @@ class Passes:
     """The last pass of each place, each way. O(1) a frame, O(places) a question."""
 
     def __init__(self, model: Model, width: float) -> None:
-        """width: the mean B."""
+        """width: the mean B, unit of q; a cell is 1/_CELLS of it."""
         self._model, self._cell = model, width / _CELLS
         grid = model.q
         self._low = float(grid[0])
@@ -56,8 +56,9 @@ class Passes:
         self._last, self._moves = None, False
 
     def add(self, q: float, y: float, sigma: float, off: float, stroke: int, travel: float, entry: int) -> None:
-        """A frame: the motor, the tip by the calibrated f_remain, its standard deviation, the stroke and how much of it
-        is behind, in shares of where the law in use is on its envelope again, the number of its entry."""
+        """Adds a frame: motor q, tip y by the calibrated f_remain with its sigma, off: standard deviations off the
+        track; travel: motor's way since the turn over the way after which the law is on its envelope; entry: its
+        number. Cells between it and the last frame are filled, if the tip moved with the motor."""
         last, self._last = self._last, (q, y, sigma, off, stroke)
         moved, self._moves = self._moves, False
         if last is None or last[4] != stroke or travel < float(np.interp(y, self.place, self._b)):
@@ -82,8 +83,8 @@ class Passes:
         of[_ENTRY, cells] = entry
 
     def narrowing(self, law: Law, theta: Array, level: float, since: int) -> Narrowing | None:
-        """Where the tip is ahead of the law in use both ways, in passes since an entry: an offset would put it behind
-        on one of them. As much as it is ahead on both: what was seen before a change is where the law in use has it."""
+        """The least share of the calibrated B, where the tip is ahead of the law in use on passes both ways since an
+        entry (an offset would put it behind on one); None where it is not ahead clearly enough."""
         if law is not self._law:
             self._law = law
             self._by_law = law.place(self._model.remaining(self.place))
@@ -115,7 +116,7 @@ class Passes:
 
 
 def _means(rows: Array) -> Array:
-    """(2, n - window + 1) of neighbouring cells; NaN where one was not passed."""
+    """(2, n - _WINDOW + 1) Means over _WINDOW neighbouring cells; NaN where one of them was not passed."""
     count = rows.shape[1] - _WINDOW + 1
     total = rows[:, :count].copy()
     for i in range(1, _WINDOW):

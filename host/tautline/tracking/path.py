@@ -32,7 +32,7 @@ class MotorPath:
         self.others = np.concatenate([self.others, others])
 
     def forget(self, done_s: float) -> None:
-        """What happened up to done_s was used."""
+        """Marks the motion up to done_s as used; old samples are dropped."""
         self.done_s = done_s
         first = int(np.searchsorted(self.t_s, done_s, side="right")) - _SPEED_SAMPLES
         if first > 256:
@@ -48,7 +48,8 @@ class MotorPath:
         return float(np.interp(t_s, self.t_s, self.q))
 
     def ahead(self, t_s: float) -> float:
-        """The position at t_s from the samples up to it alone: the last, moved on by its speed for a sample at most."""
+        """The position at t_s from the samples up to it alone: the last one, extrapolated by its speed for at most one
+        sample's period."""
         last = int(np.searchsorted(self.t_s, t_s, side="right"))
         if last == 0:
             return float(self.q[0])
@@ -62,14 +63,15 @@ class MotorPath:
         return float(q[-1]) + speed * min(t_s - float(t[-1]), float(t[-1] - t[-2]))
 
     def others_at(self, t_s: float) -> tuple[float, float, float]:
-        """The last known before t_s."""
+        """Translation (mm), rotation (deg) and load (mNm) of the last sample up to t_s."""
         last = max(int(np.searchsorted(self.t_s, t_s, side="right")) - 1, 0)
         translation, rotation, load = self.others[last].tolist()
         return translation, rotation, load
 
 
 def knots(before: float, q: Array, end: float) -> Array:
-    """What of a piece of path from `before` through q to `end` moves a play: turns beyond both ends, then the end."""
+    """The points of a path from `before` through q to `end` that a play depends on: the extremes that lie beyond both
+    ends, in order, then the end."""
     if len(q) == 0:
         return np.array([end])
     low, high = int(q.argmin()), int(q.argmax())

@@ -19,6 +19,7 @@ _MANY = 4000  # tolerance: rows that are drawn
 
 
 def draw(tracked: Tracked, recordings: Sequence[Recording], unit: str) -> Figure:
+    """State, offset and scale over the time of use."""
     with mpl.rc_context(figures.STYLE):
         made, axes = figures.figure(9.0, 6.0, rows=3, sharex=True)
         t_s = tracked.t_s + np.array(SessionClock.of(recordings).offset_s)[tracked.recording]
@@ -45,6 +46,7 @@ def draw(tracked: Tracked, recordings: Sequence[Recording], unit: str) -> Figure
 
 
 def _bands(panel: Axes, t_s: np.ndarray, states: list[str]) -> None:
+    """Shades the background by the state over time."""
     begin = 0
     for k in range(1, len(states) + 1):
         if k == len(states) or states[k] != states[begin]:

@@ -44,6 +44,8 @@ class Projection:
         return projection_rig(self.model.rig)
 
     def image(self, c_deg: float, translation: float, rotation: float) -> tuple[float, float]:
+        """Marker's position, px, at a bending angle, with the other two axes at `translation` (mm) and `rotation`
+        (deg)."""
         px = _native.see({}, self._rig, np.array([c_deg]), np.array([translation]), np.array([rotation]))
         return float(px[0, 0]), float(px[0, 1])
 
@@ -53,7 +55,8 @@ class Projection:
     def from_image(
         self, u: float, v: float, translation: float, rotation: float, near: float, sigma: float = 0.0
     ) -> AngleEstimate | None:
-        """Looked for from the angle `near` on. None where no tip is seen there."""
+        """The angle whose image is nearest to (u, v), by Newton's method from the angle `near`, deg; sigma: of the
+        marker, px. None where the tip would be behind the camera or no angle is found."""
         sigma = max(sigma, self.noise)
         c, off_u, off_v, by_u, by_v, squares = near, 0.0, 0.0, 0.0, 0.0, 0.0
         moved, turned = np.array([translation]), np.array([rotation])

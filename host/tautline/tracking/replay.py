@@ -65,8 +65,8 @@ def replay(model: Model, recordings: Sequence[Recording], progress: Progress = l
 
 
 def off_by(tracked: Tracked, recordings: Sequence[Recording]) -> Array:
-    """How far each row's prediction is from what was seen, px or deg, NaN where nothing was. As a length over sqrt(2)
-    in the image: its rms is that of a coordinate."""
+    """Distance of each row's prediction from what was seen, px per coordinate (a length over sqrt(2)) or deg; NaN where
+    nothing was seen."""
     parts = []
     for i, recording in enumerate(recordings):
         frames = _frames(recording, tracked.sensor)
@@ -94,6 +94,7 @@ def residuals(tracked: Tracked, recordings: Sequence[Recording]) -> list[float |
 
 
 def _sensor(recordings: Sequence[Recording]) -> Sensor:
+    """MARKER or ANGLE: what all recordings have. TautError where they have neither in common."""
     for sensor, name in ((MARKER, "marker"), (ANGLE, "angle")):
         if all(getattr(recording, name) is not None for recording in recordings):
             return sensor
@@ -101,12 +102,15 @@ def _sensor(recordings: Sequence[Recording]) -> Sensor:
 
 
 def _frames(recording: Recording, sensor: Sensor) -> Marker | Angle:
+    """The recording's table of this sensor."""
     frames = recording.marker if sensor == MARKER else recording.angle
     assert frames is not None
     return frames
 
 
 def _readings(frames: Marker | Angle) -> Callable[[int], tuple[float, ...]]:
+    """A function that gives, for each row, what was seen as LawTracker takes it: (c_deg,) or (u, v) or (u, v, sigma);
+    () where the tip was not seen."""
     if isinstance(frames, Angle):
         seen, c = frames.seen, frames.c_deg
         return lambda k: (float(c[k]),) if seen[k] else ()

@@ -89,6 +89,7 @@ class LawTracker:
     that came, `predict`, and `see` or `read` where the frame shows the tip. At most 1 ms a frame."""
 
     def __init__(self, model: Model, sensor: Sensor) -> None:
+        """sensor: MARKER or ANGLE. TautError where the model cannot be tracked with it."""
         if sensor == MARKER and not model.rig.has_camera:
             raise TautError("the model's rig has no camera: track an angle sensor's recordings, or calibrate with one")
         if SIMULATOR in model.extra:
@@ -166,7 +167,7 @@ class LawTracker:
         self._offset_before = self._offset
 
     def _noise(self) -> float:
-        """Of a frame, unit of q, in the middle of what was measured."""
+        """Standard deviation of one frame's centre coordinate in the middle of the measured range, unit of q."""
         middle = 0.5 * (self.model.measured[0] + self.model.measured[1])
         c = float(self.model.remaining(middle))
         slope = max(abs(self.nominal.tip_slope), 1e-9)
@@ -183,8 +184,8 @@ class LawTracker:
     def predict(self, scene_s: float, arrival_s: float | None = None) -> Row:
         """The tip at a scene time on the motor's clock, later than all before."""
         self._arrival_s = scene_s if arrival_s is None else arrival_s
-        self._take_in()
-        self._think()
+        self._use_last_frame()
+        self._work_on_verdict()
         path = self._path
         if not self._started:
             self._start(float(path.q[0]))
@@ -192,7 +193,7 @@ class LawTracker:
         ahead = knots(self._window.last_q, path.between(scene_s), q)
         law = self._law
         p = float(law.followed.run(self._play.copy(), ahead + self._theta[OFFSET])[0][-1])
-        c = float(law.angle(p)) + self._expected()
+        c = float(law.angle(p)) + self._persistent_error()
         u = v = np.nan
         if self.model.rig.has_camera:
             translation, rotation, _ = path.others_at(scene_s)
@@ -205,12 +206,12 @@ class LawTracker:
         return Row(self.state, c, u, v, self._offset, offset_sigma, self._scale, scale_sigma, self.reason)
 
     def see(self, u_px: float, v_px: float, sigma_px: float | None = None) -> None:
-        """The marker in the frame that was predicted last."""
+        """Takes the marker's position, px, in the frame that was predicted last."""
         assert self._pending is not None
         self._pending = (self._pending[0], (u_px, v_px, sigma_px or 0.0))
 
     def read(self, c_deg: float) -> None:
-        """The angle sensor's reading that was predicted last."""
+        """Takes the angle sensor's reading, deg, for the frame that was predicted last."""
         assert self._pending is not None
         self._pending = (self._pending[0], (c_deg,))
 
@@ -225,12 +226,14 @@ class LawTracker:
         return min(self._scale, max(0.0, self._scale - (0.0 if self._scale == 1.0 else 2.0 * self._sigma[1])))
 
     def _start(self, q: float) -> None:
+        """Starts the play with the tip on the centre line of q."""
         self._play = _native.TrackState(q + float(self._theta[OFFSET]))
         self._window.last_q = self._start_q = q
         self._started = True
 
-    def _take_in(self) -> None:
-        """The frame before, now that the motor's way to it is known."""
+    def _use_last_frame(self) -> None:
+        """Moves the play to the last frame's scene time, now that the motor's path to it is known, and learns from what
+        it showed."""
         if self._pending is None:
             return
         scene_s, reading = self._pending
@@ -242,15 +245,17 @@ class LawTracker:
         ps, moving, _ = self._law.followed.run(self._play, way + self._theta[OFFSET], True)
         p = float(ps[-1])
         path.forget(scene_s)
-        self._go_beyond(before, way, p, bool(moving[-1]))
+        self._follow_beyond(before, way, p, bool(moving[-1]))
         for knot in way.tolist():
-            self._turned(knot)
-        seen = None if reading is None else self._seen(scene_s, reading, p)
+            self._detect_reversal(knot)
+        seen = None if reading is None else self._angle_of(scene_s, reading, p)
         self._window.move(way, self._stroke)
         if seen is not None:
-            self._weigh(scene_s, seen, p)
+            self._learn_from(scene_s, seen, p)
 
-    def _seen(self, scene_s: float, reading: tuple[float, ...], p: float) -> AngleEstimate | None:
+    def _angle_of(self, scene_s: float, reading: tuple[float, ...], p: float) -> AngleEstimate | None:
+        """The angle that a reading shows: (c_deg,) or (u_px, v_px, sigma_px). None where there is no such angle. p:
+        predicted centre coordinate."""
         if len(reading) == 1:
             seen: AngleEstimate | None = self.projection.from_angle(reading[0])
         else:
@@ -259,7 +264,8 @@ class LawTracker:
             seen = self.projection.from_image(reading[0], reading[1], translation, rotation, near, reading[2])
         return None if seen is None or not np.isfinite(seen.c_deg) else seen
 
-    def _turned(self, q: float) -> None:
+    def _detect_reversal(self, q: float) -> None:
+        """Follows the motor's extreme; a return from it by more than _turn is a reversal and begins a stroke."""
         if self._way == 0:
             if np.isnan(self._far):
                 self._far = q
@@ -272,27 +278,29 @@ class LawTracker:
             self._way, self._far = -self._way, q
             self._next_stroke()
             if self.state is State.STALE and self._stroke > self._doubted_in + _WELL_STROKES:
-                self._settle("the model holds again as it was")
+                self._become_trusted("the model holds again as it was")
 
     def _next_stroke(self) -> None:
         self._stroke += 1
         self._begins.append((self._stroke, self._window.end))
 
     def _begin_of(self, stroke: int) -> int:
+        """Number of the first entry of a stroke."""
         return next((entry for number, entry in self._begins if number >= stroke), self._window.end)
 
-    def _weigh(self, scene_s: float, seen: AngleEstimate, p: float) -> None:
-        """How well the law in use foresaw a frame."""
+    def _learn_from(self, scene_s: float, seen: AngleEstimate, p: float) -> None:
+        """Compares a frame with the prediction p: keeps it as evidence, and updates passes, disturbance, doubts and
+        running means."""
         law = self._law
         y = float(law.place(seen.c_deg))
         sigma = float(self.nominal.sigma(y, seen.sigma / law.slope(y)))
         loose = self._play.driven == 0.0
         if loose:  # nothing has carried the tip yet: it is where it is seen
-            within = self._within(y)
+            within = self._clipped_to_play(y)
             if abs(y - within) > _ELSEWHERE * self._width:
                 self._strange += 1
                 if self._strange == _STRANGE_FRAMES:
-                    self._jump(y - within)
+                    self._begin_with_offset(y - within)
                     return
         kept = self._window.frame(scene_s, seen.c_deg, seen.sigma, seen.off, self._stroke)
         if not kept:
@@ -306,10 +314,10 @@ class LawTracker:
         place = self._calibrated.place(seen.c_deg)
         q, travel = self._window.last_q, abs(self._window.last_q - self._turned_at) / self._law.most
         self._passes.add(q, float(place), sigma, seen.off, self._stroke, travel, self._window.end - 1)
-        self._disturbed(seen)
+        self._watch_for_disturbance(seen)
         if self.state is not State.TRUSTED:
-            self._dial_down()
-        self._look_beyond(seen, p)
+            self._reduce_scale()
+        self._learn_beyond(seen, p)
         self._news += 1
         if self._stroke <= self._fresh_until:
             away = seen.c_deg - float(law.angle(p))
@@ -323,14 +331,15 @@ class LawTracker:
                 self._doubted_in = self._stroke
         worst = max(self._doubts, key=lambda doubt: doubt.odds)
         if self.state is State.TRUSTED and worst.odds > JUMP:
-            self._in_doubt(worst.since)
+            self._become_stale(worst.since)
 
     def _clear_doubts(self, entry: int) -> None:
         for doubt in self._doubts:
             doubt.clear(entry)
 
-    def _disturbed(self, seen: AngleEstimate) -> None:
-        """How much the tip leaves its track, and moves while the motor rests."""
+    def _watch_for_disturbance(self, seen: AngleEstimate) -> None:
+        """Running mean squares, in standard deviations, of the tip's distance from its track and of its motion while
+        the motor rests."""
         self._off_track += _OFF_PACE * ((seen.off / self._level) ** 2 - self._off_track)
         q, c_deg, sigma = self._rested
         self._rested = (self._window.last_q, seen.c_deg, seen.sigma * self._level)
@@ -338,13 +347,13 @@ class LawTracker:
             wander = (seen.c_deg - c_deg) / float(np.hypot(sigma, self._rested[2]))
             self._wanders += _WANDER_PACE * (min(wander**2, _CLIP) - self._wanders)
 
-    def _in_doubt_of_frames(self) -> bool:
+    def _is_disturbed(self) -> bool:
         """Whether something that is no play moves the tip, or did a short time ago."""
         return self._arrival_s < self._quiet_s or max(self._off_track / _OFF_TRACK, self._wanders / _WANDERS) > 1.0
 
-    def _go_beyond(self, before: Any, way: Array, p: float, moving: bool) -> None:
-        """The tip went to p, its elements from where they were before: whether that is a stay beyond what the
-        calibration measured, of which a law that holds elsewhere can learn."""
+    def _follow_beyond(self, before: Any, way: Array, p: float, moving: bool) -> None:
+        """Begins, continues or ends a stay beyond the measured range, from which the law there is learnt as long as it
+        holds elsewhere. before: the play's state before this path; p: after it."""
         if np.abs(way - self._start_q).max() > REACH * float(np.interp(p, self._law.grid, self._law.width)):
             self._start_q = np.inf
         placed = self.state is State.TRUSTED and self._start_q == np.inf
@@ -355,67 +364,73 @@ class LawTracker:
             self._visit = Visit(self.nominal, before)
         self._visit.move(way)
 
-    def _look_beyond(self, seen: AngleEstimate, p: float) -> None:
-        """What a frame foretold at p tells of it."""
-        if self._visit is None or self._visit.full or self._in_doubt_of_frames():
+    def _learn_beyond(self, seen: AngleEstimate, p: float) -> None:
+        """Updates the law beyond the measured range with a frame of the present stay."""
+        if self._visit is None or self._visit.full or self._is_disturbed():
             return
         slope = float(self._law.slope(p))
         sigma = self._level * abs(slope) * float(self.nominal.sigma(p, seen.sigma / slope))
         self.nominal, self._play = self._visit.see(self.nominal, self._theta, seen.c_deg, sigma)
         self._law = self.nominal.law(self._theta)
 
-    def _expected(self) -> float:
-        """What of the tip is off where a recording has just begun, deg: it most likely goes on, whatever its cause,
-        until the other way of the motor tells a posture's offset from a width."""
+    def _persistent_error(self) -> float:
+        """What is added to the predicted angle at a recording's begin, deg: the running mean of the residual, if it is
+        steady. It most likely goes on until the other direction tells an offset from a width."""
         if self.state is State.TRUSTED or self._stroke > self._fresh_until:
             return 0.0
         mean, square = self._leans
         return mean if mean**2 > _LEANS * square else 0.0
 
-    def _within(self, y: float) -> float:
-        """The nearest place at which a tip that nothing has carried yet can be."""
+    def _clipped_to_play(self, y: float) -> float:
+        """The centre coordinate nearest to y that is within the play of the present motor position."""
         half = 0.5 * float(np.interp(y, self._law.grid, self._law.width))
         q = self._window.last_q + float(self._theta[OFFSET])
         return min(max(y, q - half), q + half)
 
-    def _jump(self, off: float) -> None:
-        """A recording that begins so far off that no play can be the cause: the offset of another posture, roughly."""
+    def _begin_with_offset(self, off: float) -> None:
+        """Takes a rough offset into use where a recording begins so far off (unit of q) that no play can be the
+        cause."""
         theta = self._theta.copy()
         theta[TIP.start] += off * self.nominal.tip_slope
-        self._use(theta)
+        self._use_law(theta)
         self._sigma = (float(np.hypot(self._width, 0.5 * abs(off) / _ELSEWHERE)), self._sigma[1])
-        self._play.restart(float(self._law.place(self._law.angle(self._within(0.0)))))
+        self._play.restart(float(self._law.place(self._law.angle(self._clipped_to_play(0.0)))))
         self._since = self._recording_entry
         self._clear_doubts(self._since)
-        self._say(State.ADAPTING, f"transmission.offset: {self._offset:+.4g} or so, another posture")
+        self._change_state(State.ADAPTING, f"transmission.offset: {self._offset:+.4g} or so, another posture")
 
-    def _use(self, theta: Array) -> None:
+    def _use_law(self, theta: Array) -> None:
+        """Takes the law of theta into use."""
         self._theta, self._visit, before = theta, None, self._law
         self._law = self.nominal.law(theta)
         if self._law.most > before.most:  # what lay on its envelope need not any more
             self._passes.clear()
         self._offset = self.nominal.offset(theta)
 
-    def _in_doubt(self, since: int) -> None:
+    def _become_stale(self, since: int) -> None:
+        """The model is stale from now on; evidence counts from the entry `since`."""
         self._since = since
         self._news = _NEWS
         self._stuck = 0
         self._proposal = None
-        self._say(State.STALE, "the tip is not where the model says: more reversals will tell why")
+        self._change_state(State.STALE, "the tip is not where the model says: more reversals will tell why")
 
-    def _settle(self, why: str) -> None:
+    def _become_trusted(self, why: str) -> None:
+        """Ends learning: the law in use is trusted."""
         self._work, self._proposal = None, None
-        self._undial()
+        self._reset_scale()
         self._clear_doubts(self._window.end)
-        self._say(State.TRUSTED, why)
+        self._change_state(State.TRUSTED, why)
 
-    def _say(self, state: State, why: str) -> None:
+    def _change_state(self, state: State, why: str) -> None:
+        """Sets state and reason, and records a change of state."""
         if state is not self.state:
             self.changes.append(Change(self.recording, self._arrival_s, state, why))
         self.state, self.reason = state, why
 
-    def _think(self) -> None:
-        """As much work as a frame has time for. What that is, is counted, not timed: a replay repeats bit for bit."""
+    def _work_on_verdict(self) -> None:
+        """Continues the judgement of hypotheses by as much work as a frame has time for, or begins one. Work is
+        counted, not timed, so that a replay repeats bit for bit."""
         if self._work is None:
             if self.state is State.TRUSTED or self._news < _NEWS:
                 return
@@ -444,9 +459,11 @@ class LawTracker:
                 self._due = next(self._work)
         except StopIteration as end:
             self._work = None
-            self._decide(end.value)
+            self._act_on(end.value)
 
-    def _decide(self, verdict: Inference) -> None:
+    def _act_on(self, verdict: Inference) -> None:
+        """Draws the consequences of a verdict: adopts its law and perhaps trusts it, stays, or discards what was learnt
+        once it has not explained three strokes."""
         if self._proposal is None or self._stroke > self._proposal.evidence.stroke[-1] + _FORETELLS:
             self._proposal = verdict.proposal
         if verdict.disturbed:
@@ -461,36 +478,39 @@ class LawTracker:
                     self._anchor = None
                     self._since = self._begin_of(self._stroke - 1)
                     self._stuck = 0
-                    self._say(State.STALE, verdict.says)
+                    self._change_state(State.STALE, verdict.says)
             return
         self._stuck = 0
         self._adopt(verdict)
         again = verdict.settled and np.array_equal(self._theta, unchanged())
         if again or (verdict.turns >= _SETTLED_TURNS and verdict.settled):
             self._level = min(max(1.0, verdict.level), _MOST_LEVEL)
-            self._settle(verdict.says)
+            self._become_trusted(verdict.says)
         else:
-            self._say(State.ADAPTING, verdict.says)
+            self._change_state(State.ADAPTING, verdict.says)
 
-    def _widen(self, passed: tuple[float, float]) -> None:
-        """What may be taken up by the law in use: no more than before at places that were not passed both ways."""
+    def _allow_law(self, passed: tuple[float, float]) -> None:
+        """Sets the share of B that may be taken up to that of the law in use, but no more than before at places that
+        were not passed both ways."""
         if np.any(self._theta[SHAPE]):
-            q, share = self.nominal.model.q, self.nominal.shares_of_width(self._law)
+            q, share = self.nominal.model.q, self.nominal.width_ratio(self._law)
             seen = (q >= passed[0]) & (q <= passed[1])
             self._allowed = np.where(seen, share, np.minimum(share, self._allowed))
         else:
             self._allowed = np.full(len(self._allowed), self._theta[SCALE])
-        self._undial()
+        self._reset_scale()
 
-    def _undial(self) -> None:
+    def _reset_scale(self) -> None:
+        """Sets the scale to the least allowed share of B over the measured range; ends a reduction by passes."""
         self._dialled = ""
         (low, high), q = self.model.measured, self.nominal.model.q
         inside = (q >= low) & (q <= high)
         self._scale = float(np.min(self._allowed[inside])) if inside.any() else float(self._theta[SCALE])
 
-    def _dial_down(self) -> None:
-        """Less is taken up at once; the law in use goes on foretelling, as that is not known to be it everywhere."""
-        if self._in_doubt_of_frames():
+    def _reduce_scale(self) -> None:
+        """Takes up less at once where two passes show a narrower B. The law in use goes on predicting, as it may hold
+        elsewhere."""
+        if self._is_disturbed():
             return
         narrow = self._passes.narrowing(self._law, self._theta, self._level, self._anchor or 0)
         if narrow is not None and narrow.share < self._scale:
@@ -503,7 +523,8 @@ class LawTracker:
             self.reason = self._dialled
 
     def _adopt(self, verdict: Inference) -> None:
-        """The law in use from now on, with the tip where it would be by it."""
+        """Takes a verdict's law into use, and follows the evidence again by it, so that the play is where it would
+        be."""
         assert verdict.theta is not None
         anchor = self._window.number_of(verdict.evidence.t_s[0], self._recording_entry)
         if verdict.refines and self._anchor is not None:
@@ -513,7 +534,7 @@ class LawTracker:
         self._since = anchor
         if verdict.nominal is not None:
             self.nominal = verdict.nominal
-        self._use(verdict.theta)
+        self._use_law(verdict.theta)
         self._sigma = (
             float(np.hypot(self._own[0], verdict.offset_sigma)),
             float(np.hypot(self._own[1], verdict.scale_sigma)),
@@ -526,7 +547,7 @@ class LawTracker:
         self._clear_doubts(self._window.end)
         if verdict.narrower:
             self._allowed = np.minimum(self._allowed, np.minimum(self._scale, self._theta[SCALE]))
-            self._undial()
+            self._reset_scale()
         else:
-            self._widen(verdict.passed)
-        self._dial_down()
+            self._allow_law(verdict.passed)
+        self._reduce_scale()

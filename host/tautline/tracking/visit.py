@@ -30,12 +30,13 @@ class Visit:
         return len(self._frames) >= _FRAMES or len(self._path) >= _KNOTS
 
     def move(self, path: Array) -> None:
+        """The motor's path went on."""
         if not self.full:
             self._path += path.tolist()
 
     def see(self, family: LawFamily, theta: Array, c_deg: float, sigma: float) -> tuple[LawFamily, Any]:
-        """With a frame where the path ends, by the law theta about what `family` knows: what is known now, and where
-        the elements are by that."""
+        """Adds a frame at the end of the path. Returns the family with what all frames of the stay tell, and the play's
+        state by it. family, theta: of the law in use."""
         self._frames.append((len(self._path) - 1, c_deg, sigma))
         at, seen, sigmas = (np.array(column) for column in zip(*self._frames, strict=True))
         q, law = np.array(self._path) + theta[OFFSET], family.law(theta)

@@ -36,7 +36,7 @@ class WindowKnots:
         return np.unique(self.stroke)
 
     def after(self, first: int) -> WindowKnots:
-        """From one of those seen on."""
+        """The evidence from the seen frame with index `first` on."""
         begin = int(self.seen[first])
         c_deg, sigma, t_s = self.c_deg[first:], self.sigma[first:], self.t_s[first:]
         seen, stroke, off = self.seen[first:] - begin, self.stroke[first:], self.off[first:]
@@ -47,7 +47,7 @@ class Window:
     """A ring of entries. Their numbers count from the start of use and never change."""
 
     def __init__(self, apart: float) -> None:
-        """`apart`: how far the motor moves between two frames that are kept, unit of q."""
+        """apart: the motor's way between two frames that are kept, unit of q."""
         self._apart = apart
         self._rows = np.empty((CAPACITY, 6))
         self._first = 0  # number of row 0
@@ -68,26 +68,27 @@ class Window:
         return np.array(self._skipped)
 
     def number_of(self, t_s: float, since: int) -> int:
-        """Of the first frame at t_s or later, from an entry on."""
+        """Number of the first frame at t_s or later among the entries from `since` on."""
         first = min(max(since - self._first, 0), self._count)
         late = np.flatnonzero(self._rows[first : self._count, _T] >= t_s)
         return self._first + first + (int(late[0]) if len(late) else 0)
 
     def cut(self) -> None:
-        """What comes does not continue the path."""
+        """Ends the path: what comes does not continue it."""
         self._skipped.clear()
         self._kept_q, self._kept_t = np.inf, -np.inf
         self._entered_q = self.last_q = np.nan
 
     def move(self, path: Array, stroke: int) -> None:
-        """The motor's path went on."""
+        """Adds a piece of the motor's path."""
         self._skipped += path.tolist()
         self.last_q = self._skipped[-1]
         if len(self._skipped) > _LONG:
             self._enter_path(stroke)
 
     def frame(self, t_s: float, c_deg: float, sigma: float, off: float, stroke: int) -> bool:
-        """What was seen where the path ends. Whether it was kept."""
+        """Adds a frame at the end of the path: angle and sigma, deg; off: standard deviations off the track. Returns
+        whether it was kept: it is not if motor and time are near those of the last one."""
         q = self.last_q
         if abs(q - self._kept_q) < self._apart and t_s - self._kept_t < _REST_S:
             return False
@@ -99,6 +100,7 @@ class Window:
         return True
 
     def _enter_path(self, stroke: int) -> None:
+        """Enters the path since the last entry, reduced to the points that a play depends on."""
         path = np.array(self._skipped)
         before = self._entered_q if np.isfinite(self._entered_q) else float(path[0])
         for q in knots(before, path[:-1], float(path[-1])).tolist():
@@ -107,6 +109,7 @@ class Window:
         self._skipped.clear()
 
     def _enter(self, row: tuple[float, ...]) -> None:
+        """Appends a row; when the ring is full the older half is dropped."""
         if self._count == CAPACITY:
             half = CAPACITY // 2
             self._rows[:half] = self._rows[half:]
@@ -116,7 +119,8 @@ class Window:
         self._count += 1
 
     def since(self, number: int) -> WindowKnots | None:
-        """From an entry on, or as much of it as is still kept and can be looked at. None where too little was seen."""
+        """The evidence from an entry on, as far as it is still kept and not too long. None for fewer than three seen
+        frames."""
         first = max(number - self._first, 0, self._count - LONGEST)
         rows = self._rows[first : self._count]
         if len(rows) and rows[0, _STROKE] < rows[-1, _STROKE] - STROKES:

@@ -54,7 +54,8 @@ class VideoCamera:
     def __init__(
         self, source: int | str | Path, *, size: tuple[int, int] | None = None, rate_hz: float | None = None
     ) -> None:
-        """size (width, height) and rate are asked of a device, which may give others: see the first frame's shape."""
+        """source: a device's number, a file or a stream. size (width, height) and rate are asked of a device, which may
+        choose others."""
         self.name = f"camera {source}" if isinstance(source, int) else str(source)
         self._file = not isinstance(source, int) and Path(source).is_file()
         pipeline = not isinstance(source, int) and " ! " in str(source)
@@ -95,7 +96,7 @@ class VideoCamera:
 
     @property
     def frames(self) -> int | None:
-        """How many frames a file says that it holds; None for a device or a stream."""
+        """How many frames a file holds, by its header; None for a device or a stream."""
         count = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)) if self._file else 0
         return count if count > 0 else None
 
@@ -108,11 +109,13 @@ class VideoCamera:
         return "" if self._exposure is None else self._exposure.says
 
     def lock_exposure(self) -> None:
-        """Of a device, where its automatic one has settled, until it is closed. `exposure` says what came of it."""
+        """Locks a device's exposure, once automatic exposure has settled, until the camera is closed; `exposure` says
+        what came of it."""
         if self._device:
             self._exposure = exposure.lock(self._capture)
 
     def read(self) -> tuple[Array, float] | None:
+        """The next picture with its time, s; None at a file's end."""
         if not self._capture.grab():
             self._check_end()
             return None
@@ -153,7 +156,7 @@ class VideoCamera:
 
 
 def read_picture(path: str | Path) -> Array | None:
-    """A picture file, BGR; None where it is none, as a video is."""
+    """A picture file, BGR; None where it is none (a video)."""
     if not (Path(path).is_file() and cv2.haveImageReader(str(path))):
         return None
     picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
@@ -163,7 +166,7 @@ def read_picture(path: str | Path) -> Array | None:
 
 
 def sample_video(path: Path, count: int) -> list[Array]:
-    """About `count` frames from all over a video file, or its first ones where it does not know how long it is."""
+    """About `count` frames spread over a video file; its first ones if its length is unknown."""
     with VideoCamera(path) as camera:
         total = camera.frames or 0
         pictures = []
@@ -187,7 +190,7 @@ class VideoFile:
         self._writer: cv2.VideoWriter | None = None
 
     def write(self, picture: Array) -> None:
-        """All pictures have the first one's size."""
+        """Adds a BGR picture; all have the first one's size."""
         if self._writer is None:
             height, width = picture.shape[:2]
             with _quiet_opencv():
@@ -218,7 +221,7 @@ class SimulatedCamera:
     dropped = 0  # what it loses is no camera's fault
 
     def __init__(self, endoscope: Endoscope, scene: Scene, timing: FrameTiming | None = None) -> None:
-        """timing: default the rig's nominal rate and delay."""
+        """timing: the rig's nominal rate and delay by default."""
         self._endoscope, self._scene = endoscope, scene
         self._frames = (timing or FrameTiming.of(endoscope.rig)).frames()
         self._next = next(self._frames)

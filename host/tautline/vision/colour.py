@@ -36,11 +36,12 @@ class MarkerColour:
     at: tuple[float, float] = (float("nan"), float("nan"))  # where it was picked, px
 
     def membership(self, picture: Array) -> Array:
-        """Float32 (height, width) of a BGR picture uint8."""
+        """(height, width) float32: membership of each pixel of a BGR uint8 picture."""
         row = np.array([[*self.weights, self.offset]], dtype=np.float32)
         return np.asarray(cv2.transform(picture.astype(np.float32), row))
 
     def save(self, path: str | Path) -> None:
+        """Writes marker.toml."""
         document = {
             "format": FORMAT,
             "weights_bgr": list(self.weights),
@@ -53,6 +54,7 @@ class MarkerColour:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
+        """Reads marker.toml. TautError where it is none."""
         path = Path(path)
         try:
             document = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -72,6 +74,7 @@ class MarkerColour:
 
 
 def _number(document: dict[str, Any], key: str, path: Path) -> float:
+    """A number of a key of marker.toml. TautError where it has none."""
     value = document.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TautError(f"{path}: {key} is {value!r}, expected a number: run 'taut marker' again")
@@ -79,6 +82,7 @@ def _number(document: dict[str, Any], key: str, path: Path) -> float:
 
 
 def _three(document: dict[str, Any], key: str, path: Path) -> tuple[float, float, float]:
+    """Three numbers of a key of marker.toml. TautError where it has none."""
     value = document.get(key)
     if not isinstance(value, list) or len(value) != 3:
         raise TautError(f"{path}: {key} is {value!r}, expected three numbers: run 'taut marker' again")
@@ -110,8 +114,8 @@ def pick(picture: Array, at: tuple[float, float] | None = None) -> MarkerColour:
 
 
 def candidates(picture: Array, places: int = 12) -> list[MarkerColour]:
-    """The blobs that stand out by their colour, the most marker-like first: around the places whose colour, smoothed
-    over a small marker, is farthest from the picture's own (Mahalanobis)."""
+    """Up to `places` blobs that stand out by their colour, the most marker-like first. They are looked for where the
+    smoothed colour is farthest from the picture's own (Mahalanobis distance)."""
     _check(picture)
     around = _surroundings(picture)
     mean, covariance = around
@@ -138,7 +142,8 @@ def _check(picture: Array) -> None:
 
 
 def _surroundings(picture: Array) -> tuple[Array, Array]:
-    """Mean (3,) and covariance (3, 3) of the picture's colours, with glare and noise allowed for."""
+    """Mean (3,) and covariance (3, 3) of the picture's colours, widened by a variance of glare (all channels alike) and
+    noise."""
     step = max(1, int(np.sqrt(picture.shape[0] * picture.shape[1] / 40_000)))
     sample = picture[::step, ::step].reshape(-1, 3).astype(np.float64)
     covariance = np.cov(sample.T) + _GLARE**2 * np.ones((3, 3)) + _NOISE**2 * np.eye(3)
@@ -146,7 +151,9 @@ def _surroundings(picture: Array) -> tuple[Array, Array]:
 
 
 def _pick_at(picture: Array, at: tuple[float, float], around: tuple[Array, Array]) -> tuple[MarkerColour, float] | None:
-    """Fisher's direction between the blob at `at` and what is around it; a score: distinct, compact, alone, large."""
+    """The colour of the blob at `at` (u, v) px by Fisher's linear discriminant against the surroundings, and a score
+    that is high where it is distinct, compact, the only one and large; None where there is no blob of a marker's
+    size."""
     height, width = picture.shape[:2]
     column, row = int(at[0]), int(at[1])
     patch = picture[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3].reshape(-1, 3)

@@ -21,7 +21,8 @@ class Drops:
         self._missing = 0
 
     def add(self, t_s: float) -> None:
-        """A frame arrived, after the last one."""
+        """A frame arrived at t_s, after the last one: lost ones are counted by how many of the camera's periods late it
+        is. A long gap is a pause of the reader and counts as none."""
         before, self._last_s = self._last_s, t_s
         if before is None:
             return
@@ -41,6 +42,7 @@ class Drops:
         self._missing += missing
 
     def _paused(self, gap_s: float) -> bool:
+        """Whether a gap is too long for frames that the camera lost."""
         if len(self._intervals) < _FIRST:
             return False
         return gap_s > max(_PAUSE_S, _PAUSE * float(np.median(self._intervals)))

@@ -26,7 +26,8 @@ class Exposure:
 
 
 def lock(capture: cv2.VideoCapture) -> Exposure:
-    """After some frames, of which none is kept."""
+    """Waits until the automatic exposure has settled (its frames are dropped), then sets the same exposure as a manual
+    one."""
     for _ in range(_SETTLES):
         capture.grab()
     backend = capture.getBackendName()
@@ -48,6 +49,6 @@ def lock(capture: cv2.VideoCapture) -> Exposure:
 
 
 def release(capture: cv2.VideoCapture, exposure: Exposure | None) -> None:
-    """The camera's next user finds it automatic again."""
+    """Sets the exposure back to automatic, as the camera was found."""
     if exposure is not None and exposure.before is not None:
         capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, exposure.before)

@@ -19,14 +19,15 @@ _THERE_AND_BACK_PX = 0.5  # a corner that is not found again from where it was f
 
 
 def found_again(one: Picture, other: Picture, start: Array, guess: Array) -> tuple[Array, npt.NDArray[np.intp]]:
-    """Where the corners `start` (n, 2) px of one picture are in the other, looked for around `guess` (n, 2), and which
-    of them are found again from there."""
-    there, found = _followed(one, other, start, guess)
-    back, again = _followed(other, one, there, start)
+    """Optical flow of the corners `start` (n, 2) px from one picture to the other, searched around `guess` (n, 2):
+    their places there, and the indices of those that the flow back returns to where they were."""
+    there, found = _optical_flow(one, other, start, guess)
+    back, again = _optical_flow(other, one, there, start)
     return there, np.flatnonzero(found & again & (np.hypot(*(back - start).T) < _THERE_AND_BACK_PX))
 
 
-def _followed(one: Picture, other: Picture, start: Array, guess: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+def _optical_flow(one: Picture, other: Picture, start: Array, guess: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Lucas-Kanade's places (n, 2) px of the corners in the other picture, and which were found."""
     there, found, _ = cv2.calcOpticalFlowPyrLK(
         one,
         other,
@@ -40,8 +41,8 @@ def _followed(one: Picture, other: Picture, start: Array, guess: Array) -> tuple
 
 
 def even_light(picture: Picture) -> Picture:
-    """Of brightness and contrast that are alike everywhere: smoke, shade and glow, which change both over more than a
-    corner's surroundings, move nothing."""
+    """The grey picture with brightness and contrast made alike everywhere (local mean and standard deviation), so that
+    smoke, shade and glow do not shift corners."""
     grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).astype(np.float32)
     around = (_AROUND_PX, _AROUND_PX)
     away = grey - cv2.blur(grey, around)

@@ -19,7 +19,8 @@ Seen = TypeVar("Seen")
 def every_frame(
     video: Video, look: Callable[[Array], Seen], progress: Progress | None = None
 ) -> tuple[Array, list[Seen], tuple[int, int] | None]:
-    """Arrival times (n,), NaN where frames.csv does not name one; what `look` says of each picture; their size."""
+    """Calls `look` with every picture of a video. Returns arrival times (n,), NaN where frames.csv does not name one;
+    what `look` returned; the pictures' size (width, height)."""
     size: tuple[int, int] | None = None
     t_s: list[float] = []
     seen: list[Seen] = []

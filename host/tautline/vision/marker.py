@@ -19,7 +19,7 @@ from tautline.vision.camera import sample_video
 from tautline.vision.colour import COLOUR_FILE, MarkerColour, candidates, pick
 from tautline.vision.frames import Progress, every_frame, half
 from tautline.vision.region import REGION_FILE, Region
-from tautline.vision.scene import turned
+from tautline.vision.scene import bending_by_scene
 from tautline.vision.sighting import Sighting
 from tautline.vision.sighting import lost as _lost
 
@@ -59,9 +59,10 @@ class MarkerTracker:
     """
 
     def __init__(self, colour: MarkerColour, alike: Sequence[tuple[float, float]] = ()) -> None:
-        """alike: where things of the marker's colour and size are that are not the marker and stay there, px."""
+        """alike: places (u, v) px of things with the marker's colour and size that are not the marker and do not
+        move."""
         self.colour = colour
-        self._alike = np.array(alike, dtype=float).reshape(-1, 2)
+        self._same_colour_and_size = np.array(alike, dtype=float).reshape(-1, 2)
         self._weights = np.array([*colour.weights, colour.offset], dtype=np.float32)
         length = max(sqrt(sum(level * level for level in colour.colour)), 1.0)
         self._hue = tuple(level / length for level in colour.colour)
@@ -92,10 +93,12 @@ class MarkerTracker:
         return sighting
 
     def _at_another(self, sighting: Sighting) -> bool:
-        away = np.hypot(*(self._alike - (sighting.u_px, sighting.v_px)).T)
+        """Whether a sighting is at one of the places of things that look like the marker."""
+        away = np.hypot(*(self._same_colour_and_size - (sighting.u_px, sighting.v_px)).T)
         return bool((away < _SAME_PLACE * sighting.diameter_px).any())
 
     def _follow(self, picture: Array, last: Sighting) -> Sighting:
+        """The marker where it should be if it moves on as before; lost where its size jumps."""
         speed = max(abs(self._step[0]), abs(self._step[1]))
         u, v = last.u_px + self._step[0], last.v_px + self._step[1]
         sighting = self._measure(picture, u, v, last.diameter_px, 0.5 * speed)
@@ -104,6 +107,8 @@ class MarkerTracker:
         return sighting
 
     def _measure(self, picture: Array, u: float, v: float, diameter: float, slack: float) -> Sighting:
+        """The outline of the marker around (u, v) px, its expected diameter and `slack` px of room about it given;
+        lost, with the reason, where it is none."""
         half = int(0.6 * diameter + _MARGIN_PX + slack)
         for _ in range(3):
             status, outline = marker_measure(picture, self._weights, self._cut, u, v, diameter, half)
@@ -127,7 +132,8 @@ class MarkerTracker:
         return Sighting(outline.u, outline.v, max(outline.sigma, _SURE_PX), outline.diameter)
 
     def _search(self, picture: Array) -> Sighting:
-        """Over the whole frame: the most marker-like blob, of several the one nearest to where the marker was."""
+        """The marker anywhere in the frame: the most marker-like blob, weighted by its distance from where the marker
+        was last seen."""
         blobs = self.blobs(picture)
         others = [blob for blob in blobs if not self._at_another(blob.seen)]
         if not others:
@@ -138,13 +144,15 @@ class MarkerTracker:
         return best.seen
 
     def _likeness(self, blob: _Blob) -> float:
+        """The blob's score, less the farther it is from where the marker was last seen."""
         if self._left is None:
             return blob.score
         away = float(np.hypot(blob.seen.u_px - self._left.u_px, blob.seen.v_px - self._left.v_px))
         return blob.score / (1.0 + (away / (_NEAR * self.colour.diameter_px)) ** 2)
 
     def blobs(self, picture: Array) -> list[_Blob]:
-        """What could be the marker, over the whole frame made as small as the smallest marker allows."""
+        """Blobs that may be the marker, measured at full size. They are searched in the frame shrunk as far as the
+        smallest marker allows; fainter ones only where there is no clear one."""
         shrink = 1
         while shrink < 4 and self._smallest_px / shrink > 2.0 and min(picture.shape[:2]) > 16 * shrink:
             shrink *= 2
@@ -157,7 +165,8 @@ class MarkerTracker:
         return []
 
     def _blobs_above(self, picture: Array, y: Array, level: float, shrink: int) -> list[_Blob]:
-        """Marker-like blobs above `level` in the membership y of the picture made `shrink` times smaller."""
+        """Measured blobs of about the marker's area where the membership y exceeds `level`; y is of the picture made
+        `shrink` times smaller."""
         _, _, stats, centroids = cv2.connectedComponentsWithStats((y > level).astype(np.uint8), connectivity=4)
         expected = 0.25 * np.pi * (self.colour.diameter_px / shrink) ** 2
         blobs: list[_Blob] = []
@@ -182,27 +191,32 @@ class MarkerTracker:
 
 
 def find_colour(pictures: Sequence[Array]) -> MarkerColour | None:
-    """The colour of the marker in pictures of one scene, some time apart: of what stands out, what is seen most often
-    and moves. None where nothing stands out."""
+    """The marker's colour from pictures of one scene that were taken some time apart: of the colours that stand out,
+    the one seen most often that moves. None where nothing stands out."""
     colours: list[MarkerColour] = []
     for picture in pictures[:: max(1, len(pictures) // 3)][:3]:
-        colours += [colour for colour in candidates(picture)[:6] if not any(_alike(colour, other) for other in colours)]
-    scored = [(_moving_share(colour, pictures), -k, colour) for k, colour in enumerate(colours)]
+        colours += [
+            colour
+            for colour in candidates(picture)[:6]
+            if not any(_same_colour_and_size(colour, other) for other in colours)
+        ]
+    scored = [(_moving_score(colour, pictures), -k, colour) for k, colour in enumerate(colours)]
     if not scored:
         return None
     share, _, best = max(scored, key=lambda entry: entry[:2])
-    usual = _as_usual(best, pictures)
+    usual = _of_median_purity(best, pictures)
     pale = _purity(best) < _PALE * _purity(usual)
-    return usual if pale and _moving_share(usual, pictures) >= _AS_OFTEN * share else best
+    return usual if pale and _moving_score(usual, pictures) >= _AS_OFTEN * share else best
 
 
 def _purity(colour: MarkerColour) -> float:
+    """Saturation of a marker's colour, 0 to 1."""
     return 1.0 - min(colour.colour) / max(*colour.colour, 1.0)
 
 
-def _as_usual(colour: MarkerColour, pictures: Sequence[Array]) -> MarkerColour:
-    """The marker's colour picked again in all pictures, where its purity is the middle one: in the first it may have
-    been pale with light, and like other things."""
+def _of_median_purity(colour: MarkerColour, pictures: Sequence[Array]) -> MarkerColour:
+    """The marker's colour picked anew in all pictures, the one of median purity: in the first picture it may have been
+    pale with light."""
     tracker = MarkerTracker(colour)
     usual = []
     for picture in pictures:
@@ -216,8 +230,8 @@ def _as_usual(colour: MarkerColour, pictures: Sequence[Array]) -> MarkerColour:
 
 
 def alike_but_still(colour: MarkerColour, pictures: Sequence[Array]) -> list[tuple[float, float]]:
-    """Where things of the marker's colour and size stay in pictures of one scene, some time apart, while another one
-    moves: that is the marker. Empty where all of them move, or none does."""
+    """Places (u, v) px where things of the marker's colour and size rest in pictures taken some time apart, while
+    another one, the marker, moves. Empty where all of them move, or none does."""
     tracker = MarkerTracker(colour)
     seen = [[(b.seen.u_px, b.seen.v_px) for b in tracker.blobs(picture)] for picture in pictures]
     places = np.array([place for one in seen for place in one]).reshape(-1, 2)
@@ -240,15 +254,16 @@ def alike_but_still(colour: MarkerColour, pictures: Sequence[Array]) -> list[tup
     return still if moving >= _ELSEWHERE * len(pictures) else []
 
 
-def _alike(one: MarkerColour, other: MarkerColour) -> bool:
+def _same_colour_and_size(one: MarkerColour, other: MarkerColour) -> bool:
+    """Whether two picked colours are of the same hue and of about the same diameter."""
     a, b = np.array(one.colour), np.array(other.colour)
     size = one.diameter_px / other.diameter_px
     return bool(a @ b > 0.995 * np.linalg.norm(a) * np.linalg.norm(b)) and 0.7 < size < 1.4
 
 
-def _moving_share(colour: MarkerColour, pictures: Sequence[Array]) -> float:
-    """How much of a moving marker `colour` finds: 1 where it is seen in every picture and never where it was; a tenth
-    of the share of pictures that it is seen in, where what it finds stays where it is."""
+def _moving_score(colour: MarkerColour, pictures: Sequence[Array]) -> float:
+    """How well `colour` finds a moving marker, 0 to 1: 1 where it is found in every picture and never where it was in
+    another; a tenth of the share of pictures in which it is found, if what it finds does not move."""
     tracker = MarkerTracker(colour)
     places = []
     for picture in pictures:
@@ -273,15 +288,13 @@ def _moving_share(colour: MarkerColour, pictures: Sequence[Array]) -> float:
 
 
 def track_video(video: Video, colour: MarkerColour | None = None, progress: Progress | None = None) -> Marker:
-    """The marker in every frame of a video, as marker.csv would have it: rows where it is lost are not valid.
-
-    colour: as picked with `taut marker`; default the marker.toml beside the video, or its region.toml, a place of an
-    instrument without a marker; else the colour of what stands out and moves. Times are those of frames.csv, else the
-    container's with the first frame at 0; frames that frames.csv does not list have no time and give no row.
-    """
+    """The marker in every frame of a video, as marker.csv would have it: rows where it is lost are not valid. colour:
+    as picked with `taut marker`; default the marker.toml or region.toml beside the video, else the colour of what
+    stands out and moves. Times are those of frames.csv, else the container's with the first frame at 0; frames that
+    frames.csv does not list give no row. TautError where no marker is found."""
     region = Region.beside(video.path) if colour is None else None
     if region is not None:
-        return _region_tracked(video, region, progress)
+        return _track_region(video, region, progress)
     beside = video.path.parent / COLOUR_FILE
     samples = sample_video(video.path, _SAMPLES)
     if colour is None:
@@ -301,8 +314,9 @@ def track_video(video: Video, colour: MarkerColour | None = None, progress: Prog
     return frames.rows(of_one_marker(frames.seen))
 
 
-def _region_tracked(video: Video, region: Region, progress: Progress | None) -> Marker:
-    """Twice: what the region looks like along its way, and what stays behind it, is known after the first time."""
+def _track_region(video: Video, region: Region, progress: Progress | None) -> Marker:
+    """The region's place in every frame. The video is read twice: what the region looks like along its way, and what
+    stays behind, is learnt in the first pass."""
     tracker = region.tracker()
     every_frame(video, tracker.track, half(progress, 0.0))
     tracker.settle()
@@ -323,7 +337,8 @@ class _Frames:
     size: tuple[int, int] | None
 
     def rows(self, sure: npt.NDArray[np.bool_]) -> Marker:
-        """sure: which of them are right."""
+        """The frames with a time as marker.csv's rows. sure (n,): which sightings are the marker's; others are NaN and
+        not valid."""
         timed = np.isfinite(self.t_s)
         rows = np.array([(s.u_px, s.v_px, s.sigma_px) for s in self.seen])
         u, v, sigma = np.where(sure[:, None], rows, np.nan)[timed].T
@@ -331,19 +346,20 @@ class _Frames:
 
 
 def with_marker(recording: Recording, rig: Rig, progress: Progress | None = None) -> Recording:
-    """The recording with the marker's track, from its video where there is no marker.csv; from one that the tip's own
-    camera took, the angle. Raises TautError where none can be told."""
+    """The recording with what its video shows, where it has no marker.csv: the marker's track, or the bending angle
+    where the tip's own camera took it. Unchanged where there is nothing to track. TautError where nothing can be told
+    from the video."""
     if rig.sees_from_tip and recording.angle is None and recording.video is not None:
-        return replace(recording, angle=turned(recording.video, recording.motor, rig, progress))
+        return replace(recording, angle=bending_by_scene(recording.video, recording.motor, rig, progress))
     if recording.marker is not None or recording.video is None or not rig.has_camera:
         return recording
     return replace(recording, marker=track_video(recording.video, progress=progress))
 
 
 def of_one_marker(seen: Sequence[Sighting]) -> npt.NDArray[np.bool_]:
-    """Which sightings (n,) are the marker's. After a loss something else may have been taken for it: what cannot be
-    reached from where it was, at the speed that it has, is left out; of all ways to go on, the one that keeps most.
-    Nor is a sighting beside a loss taken whose size differs: something is in front of a part of it."""
+    """(n,) Which sightings are the marker's. After a jump that is too far for its speed something else was taken for
+    it: of all chains of stretches that a marker could go, the one with most frames is kept. A sighting beside a lost
+    frame is dropped if its size differs, as it may be partly hidden."""
     valid = np.array([s.valid for s in seen])
     place = np.array([(s.u_px, s.v_px) for s in seen])
     size = np.array([s.diameter_px for s in seen])
@@ -367,7 +383,8 @@ def of_one_marker(seen: Sequence[Sighting]) -> npt.NDArray[np.bool_]:
 
 
 def _not_in_chain(stretches: Sequence[Array], place: Array, reach: Callable[[int], float]) -> list[int]:
-    """All but those that follow each other within reach and hold most frames together."""
+    """Indices of the stretches outside of the chain with most frames in which each stretch begins within reach(frames)
+    px of the end of the one before."""
     best = np.array([len(stretch) for stretch in stretches])
     before = np.full(len(stretches), -1)
     for k, stretch in enumerate(stretches):

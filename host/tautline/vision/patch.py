@@ -58,13 +58,14 @@ class Pose:
     b: float = 0.0  # scale * sin(turn)
 
     def then(self, motion: Array) -> Pose:
-        """motion (2, 3): of the picture, affine; what of it is no similarity moves the middle alone."""
+        """The pose after a motion of the picture, affine (2, 3): its similarity part turns and scales, all of it moves
+        the middle."""
         c, s = 0.5 * float(motion[0, 0] + motion[1, 1]), 0.5 * float(motion[1, 0] - motion[0, 1])
         u, v = motion @ (self.u, self.v, 1.0)
         return Pose(float(u), float(v), c * self.a - s * self.b, s * self.a + c * self.b)
 
     def to(self, other: Pose) -> Array:
-        """The similarity (2, 3) that takes this one to the other."""
+        """The similarity (2, 3) that takes this pose to the other."""
         size = self.a**2 + self.b**2
         c = (other.a * self.a + other.b * self.b) / size
         s = (other.b * self.a - other.a * self.b) / size
@@ -72,23 +73,24 @@ class Pose:
 
     @property
     def size(self) -> float:
-        """Against the first picture."""
+        """Scale against the first picture."""
         return float(np.hypot(self.a, self.b))
 
     @staticmethod
     def mean(weighted: Sequence[tuple[float, Pose]]) -> Pose:
+        """The weighted mean of poses; weighted: (weight, pose) each."""
         weights = np.array([weight for weight, _ in weighted])
         rows = np.array([(pose.u, pose.v, pose.a, pose.b) for _, pose in weighted])
         return Pose(*map(float, weights @ rows / weights.sum()))
 
     def square(self, side_px: float) -> Array:
-        """The region's corners (4, 2), px."""
+        """The region's corners (4, 2) px."""
         corners = 0.5 * side_px * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
         placed: Array = corners @ np.array([[self.a, self.b], [-self.b, self.a]]) / self.size + (self.u, self.v)
         return placed
 
     def unlike(self, other: Pose, side_px: float) -> float:
-        """1 where one has gone as far from the other as a keyframe is told by alone."""
+        """Distance between two poses by turn, scale and shift, in units of what asks for a new keyframe."""
         motion = self.to(other)
         turn = np.degrees(np.arctan2(motion[1, 0], motion[0, 0]))
         scale = np.log(np.hypot(motion[1, 0], motion[0, 0]))
@@ -100,7 +102,8 @@ class _Keyframe:
     """What the region and its surroundings looked like once, and the corners in it."""
 
     def __init__(self, cut: Picture, corner: Array, pose: Pose, side_px: float) -> None:
-        """cut: of a grey picture, around the region; corner (2,): where it lies in it, px."""
+        """cut: the part of a grey picture around the region; corner (2,): the place of cut's first pixel in the
+        picture, px."""
         self.picture, self.corner, self.pose, self._side_px = cut, corner, pose, side_px
         mask = np.zeros(cut.shape, dtype=np.uint8)
         cv2.fillConvexPoly(mask, np.rint(pose.square(side_px) - corner).astype(np.int32), 255)
@@ -114,12 +117,13 @@ class _Keyframe:
 
     @classmethod
     def of(cls, grey: Picture, pose: Pose, side_px: float) -> Self:
+        """A keyframe of the region as a grey picture shows it."""
         long = int(1.5 * side_px + 2.0 * _MARGIN_PX)
         cut, corner = _cut(grey, pose.u, pose.v, (min(long, grey.shape[0]), min(long, grey.shape[1])))
         return cls(cut.copy(), corner, pose, side_px)
 
     def turned(self, turn_deg: float) -> _Keyframe:
-        """As it would look turned about the region's middle."""
+        """The keyframe as it would look with the region turned by so many degrees."""
         pose = self.pose
         warp = cv2.getRotationMatrix2D((pose.u - float(self.corner[0]), pose.v - float(self.corner[1])), -turn_deg, 1.0)
         size = self.picture.shape[1], self.picture.shape[0]
@@ -130,14 +134,14 @@ class _Keyframe:
 
     @property
     def square(self) -> Picture:
-        """Upright, around the region's middle."""
+        """The region cut out upright, (side, side)."""
         side = max(int(self._side_px), 2)
         middle = self.pose.u - float(self.corner[0]), self.pose.v - float(self.corner[1])
         return np.asarray(cv2.getRectSubPix(self.picture, (side, side), middle), dtype=np.uint8)
 
     def seen_at(self, grey: Picture, expected: Pose) -> tuple[Pose, float] | None:
-        """The pose in another picture by the corners that go together there, and one standard deviation of its middle,
-        px a coordinate."""
+        """The region's pose in another picture, by the corners that follow one affine motion (RANSAC), and one standard
+        deviation of its middle per coordinate, px; None where too few do. expected: where it is looked for."""
         motion = self.pose.to(expected)
         cut, corner = _cut(grey, expected.u, expected.v, (self.picture.shape[0], self.picture.shape[1]))
         if len(self.corners) < _FEWEST:
@@ -168,14 +172,15 @@ class _Keyframe:
         return pose, max(float(np.hypot(sigma, self.off_px)), _SURE_PX)
 
     def settle(self) -> bool:
-        """Forgets the corners that stayed behind where the region went. Whether enough are left to follow."""
+        """Drops the corners that stayed behind when the region moved (background); returns whether enough are left."""
         own = self._met >= _OWN * self._tried
         self.corners, self._tried, self._met = self.corners[own], self._tried[own], self._met[own]
         return len(self.corners) >= _FEWEST
 
 
 def _cut(grey: Picture, u: float, v: float, size: tuple[int, int]) -> tuple[Picture, Array]:
-    """The picture (height, width = size) around a place, as far as it goes, and its corner (2,) in the whole."""
+    """A part (height, width = size) of the picture around (u, v), moved to lie inside, and the place (2,) of its first
+    pixel."""
     y0, x0 = (
         int(np.clip(at - 0.5 * long, 0, whole - long)) for at, long, whole in zip((v, u), size, grey.shape, strict=True)
     )
@@ -189,7 +194,7 @@ class PatchTracker:
 
     def __init__(self, picture: Picture, at: tuple[float, float], side_px: float = USUAL_PX) -> None:
         """picture: BGR, in which the region is a square of side_px around `at`, px. It should lie on the instrument's
-        tip, with as little of what is behind as can be."""
+        tip with as little background as possible. TautError where there is nothing to follow."""
         if not SMALLEST_PX <= side_px <= LARGEST_PX:
             raise TautError(
                 f"a region of {side_px:g} px: between {SMALLEST_PX:g} and {LARGEST_PX:g} px can be followed"
@@ -207,23 +212,23 @@ class PatchTracker:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets where the region was, and all that was seen since it was shown."""
+        """Forgets the region's place and all keyframes but the first."""
         self._keyframes = [self._first]
         self._learns = True
         self._differ: list[tuple[int, int, float, float]] = []  # by how much two keyframes differ of one picture, px
         self._poses: deque[Pose] = deque(maxlen=2)
 
     def settle(self) -> None:
-        """After a motion: from now on the region is followed by what it has looked like, without what stayed behind.
+        """Ends learning, after a motion: keyframes are adjusted to each other and corners of the background dropped.
         The next picture may be any."""
-        self._agree()
+        self._adjust_keyframes()
         self._keyframes = [key for key in self._keyframes if key.settle()] or [self._first]
         self._learns = False
         self._poses.clear()
 
-    def _agree(self) -> None:
-        """Moves the keyframes by what makes them say the same of the pictures that two of them saw, in least squares:
-        what one is off by is not handed on to those that were taken from it."""
+    def _adjust_keyframes(self) -> None:
+        """Shifts the keyframes, the first one fixed, so that they differ least in the pictures that two of them saw
+        (least squares): errors do not add up from keyframe to keyframe. What they still differ by is their `off_px`."""
         if not self._differ:
             return
         i, j, off_u, off_v = np.array(self._differ).T
@@ -252,7 +257,7 @@ class PatchTracker:
                 "show it again with 'taut marker VIDEO --region U,V'"
             )
         grey = even_light(picture)
-        found = self._near(grey, self._expected) if self._poses else None
+        found = self._pose_by_nearest(grey, self._expected) if self._poses else None
         if found is None:
             self._poses.clear()
             found = self._search(grey)
@@ -264,12 +269,13 @@ class PatchTracker:
 
     @property
     def _expected(self) -> Pose:
-        """The motion goes on as it went."""
+        """The pose in the next frame if the motion goes on as before."""
         before, last = self._poses[0], self._poses[-1]
         return last.then(before.to(last))
 
-    def _near(self, grey: Picture, expected: Pose) -> tuple[Pose, float] | None:
-        """By the nearest keyframes, each the more the nearer it is: where one gives way to the next nothing jumps."""
+    def _pose_by_nearest(self, grey: Picture, expected: Pose) -> tuple[Pose, float] | None:
+        """The pose and its sigma, px, by the nearest keyframes, weighted so that it does not jump where one replaces
+        another; None where none finds it. While learning a keyframe is added where the nearest is far or fading."""
         ranked = sorted((key.pose.unlike(expected, self.side_px), i) for i, key in enumerate(self._keyframes))
         found: list[tuple[float, Pose, float]] = []
         told: list[int] = []
@@ -294,8 +300,8 @@ class PatchTracker:
         return pose, float(np.sqrt(sum((weight / total * sigma) ** 2 for weight, _, sigma in found)))
 
     def _search(self, grey: Picture) -> tuple[Pose, float] | None:
-        """Over the whole frame, made smaller: the keyframe that looks most like a place of it; the first one turned as
-        well, as long as it is alone."""
+        """The pose and its sigma, px, anywhere in the frame: template matching of the keyframes in the shrunk picture
+        (a single keyframe also turned), then measured; None where nothing is found."""
         small = _smaller(grey)
         views = self._keyframes
         if len(views) == 1:

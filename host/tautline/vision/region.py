@@ -31,7 +31,7 @@ class Region:
 
     @classmethod
     def beside(cls, video: Path) -> Self | None:
-        """The video's own; None where it has none."""
+        """The region.toml beside a video; None where there is none."""
         path = video.parent / REGION_FILE
         if not path.is_file():
             return None
@@ -43,7 +43,7 @@ class Region:
         return PatchTracker(self.picture, self.at, self.side_px)
 
     def save(self, path: Path) -> None:
-        """And the picture as a PNG of the same name."""
+        """Writes the region, and its picture as a PNG of the same name."""
         shown = path.with_suffix(".png")
         cv2.imwrite(str(shown), self.picture)
         document = {"format": FORMAT, "at_px": list(self.at), "side_px": self.side_px, "picture": shown.name}
@@ -51,6 +51,7 @@ class Region:
 
     @classmethod
     def load(cls, path: Path) -> Self:
+        """Reads region.toml and its picture. TautError where they are none."""
         again = "show the place again with 'taut marker VIDEO --region U,V'"
         try:
             document = tomllib.loads(path.read_text(encoding="utf-8"))

@@ -42,6 +42,7 @@ class RosCamera:
     frames = None  # how many there are: a topic does not end
 
     def __init__(self, source: str) -> None:
+        """source: ros:TOPIC. Subscribes to it."""
         self.name, topic = source, source.removeprefix(_PREFIX)
         self.clock = "not known before the first frame"
         self._drops = Drops()
@@ -49,17 +50,17 @@ class RosCamera:
         self._waiting: deque[tuple[float, Any]] = deque(maxlen=_KEPT)
         self._graph = Graph("tautline_camera")
         try:
-            kind = self._kind(topic)
+            kind = self._message_type(topic)
             self._graph.node.create_subscription(
-                getattr(library("sensor_msgs.msg"), kind), topic, self._take, sensor_qos(_KEPT)
+                getattr(library("sensor_msgs.msg"), kind), topic, self._receive, sensor_qos(_KEPT)
             )
             self._graph.begin()
         except BaseException:
             self.close()
             raise
 
-    def _kind(self, topic: str) -> str:
-        """The message of who publishes it."""
+    def _message_type(self, topic: str) -> str:
+        """The type of image message that the topic's publisher sends."""
         end = time.monotonic() + _FIRST_S
         while time.monotonic() < end:
             offered = {
@@ -77,7 +78,8 @@ class RosCamera:
         """Frames that never came, or that were not read in time."""
         return self._drops.count
 
-    def _take(self, message: Any) -> None:
+    def _receive(self, message: Any) -> None:
+        """Queues a message with the time, monotonic, that its stamp gives; without a sensible stamp when it came."""
         now = time.monotonic()
         at = message.header.stamp
         age_s = 1e-9 * self._graph.node.get_clock().now().nanoseconds - (at.sec + 1e-9 * at.nanosec)
@@ -88,7 +90,8 @@ class RosCamera:
             self._came.notify()
 
     def read(self) -> tuple[Array, float] | None:
-        """TautError where no frame comes any more, or where it is none that can be shown."""
+        """The next frame with its arrival time. TautError where none comes any more, or its encoding cannot be
+        shown."""
         with self._came:
             if not self._came.wait_for(lambda: bool(self._waiting), _NEXT_S):
                 raise TautError(f"{self.name}: no more images: is its camera still there?")
@@ -97,6 +100,7 @@ class RosCamera:
         return self._picture(message), arrival_s
 
     def _picture(self, message: Any) -> Array:
+        """The message's picture, BGR."""
         data = np.frombuffer(message.data, np.uint8)
         if not hasattr(message, "encoding"):
             decoded = cv2.imdecode(data, cv2.IMREAD_COLOR)

@@ -48,7 +48,7 @@ class _Keyframe:
     met: Array  # (n,) and went along with most
 
     def settle(self) -> None:
-        """Forgets the corners that often go otherwise: they are on what breathes."""
+        """Drops the corners that often move apart from the rest: they are on what breathes."""
         own = self.met >= _OWN * self.tried
         if own.sum() >= _FEWEST:
             self.corners, self.towards, self.tried, self.met = (
@@ -71,7 +71,7 @@ class SceneTracker:
         self._step = _STEP * 2.0 * float(np.arctan(0.5 * across))
 
     def track(self, picture: Picture) -> Array | None:
-        """(3,) rad, a rotation vector; None where the world is not found again."""
+        """(3,) rad Rotation vector of the camera since the first frame; None where the scene is not found again."""
         grey = even_light(picture)
         if not self._keyframes:
             self._keyframes.append(self._keyframe(grey, np.zeros(3)))
@@ -79,16 +79,16 @@ class SceneTracker:
         expected = self._turns[-1] if self._turns else np.zeros(3)
         if len(self._turns) == 2:  # the motion goes on as it went
             expected = _vector(_matrix(self._turns[1]) @ _matrix(self._turns[0]).T @ _matrix(self._turns[1]))
-        turn = self._near(grey, expected)
-        if turn is None and (turn := self._anywhere(grey)) is None:
+        turn = self._turn_by_nearest(grey, expected)
+        if turn is None and (turn := self._turn_by_best(grey)) is None:
             self._turns.clear()
             return None
         self._turns = [*self._turns[-1:], turn]
         return turn
 
     def settle(self) -> None:
-        """Moves the keyframes by what makes them say the same of the pictures that two of them saw, in least squares.
-        From now on none is added; the next picture may be any."""
+        """Ends learning: turns the keyframes so that they differ least in the pictures that two of them saw (least
+        squares). No keyframe is added any more; the next picture may be any."""
         if self._differ:
             i, j = np.array([(a, b) for a, b, _ in self._differ]).T
             off = np.array([by for _, _, by in self._differ])
@@ -104,15 +104,16 @@ class SceneTracker:
         self._turns.clear()
 
     def _keyframe(self, grey: Picture, turn: Array) -> _Keyframe:
+        """A keyframe of this picture, which the camera took at this turn; corners near the border are left out."""
         edge = int(_BORDER_PX)
         mask = np.zeros_like(grey)
         mask[edge:-edge, edge:-edge] = 255
         found = cv2.goodFeaturesToTrack(grey, _CORNERS, _CORNER_QUALITY, _APART, mask=mask)
         corners = np.empty((0, 2)) if found is None else found.reshape(-1, 2).astype(float)
-        return _Keyframe(grey, corners, self._towards(corners), turn, *np.zeros((2, len(corners))))
+        return _Keyframe(grey, corners, self._directions(corners), turn, *np.zeros((2, len(corners))))
 
-    def _towards(self, places: Array) -> Array:
-        """Unit vectors (n, 3) in which places (n, 2) px are seen."""
+    def _directions(self, places: Array) -> Array:
+        """Unit vectors (n, 3) of the rays to places (n, 2) px, undistorted."""
         if not len(places):
             return np.empty((0, 3))
         distortion = np.array(self.camera.distortion)
@@ -120,8 +121,9 @@ class SceneTracker:
         rays = np.column_stack([flat, np.ones(len(flat))])
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
-    def _seen_by(self, key: _Keyframe, grey: Picture, expected: Array) -> tuple[Array, int] | None:
-        """The turn, by the corners of a keyframe, and how many go together."""
+    def _turn_by(self, key: _Keyframe, grey: Picture, expected: Array) -> tuple[Array, int] | None:
+        """The camera's turn (3,) rad by one keyframe's corners, and how many of them follow one homography (RANSAC);
+        None where too few do. expected: the turn near which they are looked for."""
         ahead = key.towards @ (_matrix(expected) @ _matrix(key.turn).T).T
         if not len(ahead):
             return None
@@ -137,7 +139,7 @@ class SceneTracker:
         there, kept = found_again(key.picture, grey, start, guess[shown].astype(np.float32))
         if len(kept) < _FEWEST:
             return None
-        one, other = key.towards[shown[kept]], self._towards(there[kept].astype(float))
+        one, other = key.towards[shown[kept]], self._directions(there[kept].astype(float))
         within = _TOGETHER_PX / self.camera.fx_px
         _, inliers = cv2.findHomography(one[:, :2] / one[:, 2:], other[:, :2] / other[:, 2:], cv2.RANSAC, within)
         together = np.zeros(0, int) if inliers is None else np.flatnonzero(inliers)
@@ -145,22 +147,23 @@ class SceneTracker:
             return None
         key.tried[shown[kept]] += 1
         key.met[shown[kept[together]]] += 1
-        return _vector(_between(one[together], other[together]) @ _matrix(key.turn)), len(together)
+        return _vector(_rotation_between(one[together], other[together]) @ _matrix(key.turn)), len(together)
 
-    def _near(self, grey: Picture, expected: Array) -> Array | None:
-        """By the nearest keyframes, each the more the nearer it is: where one gives way to the next nothing jumps."""
-        away = np.array([np.linalg.norm(_apart(key.turn, expected)) for key in self._keyframes]) / self._step
+    def _turn_by_nearest(self, grey: Picture, expected: Array) -> Array | None:
+        """The turn (3,) by the nearest keyframes, weighted so that it does not jump where one replaces another; None
+        where none finds the scene. While learning a keyframe is added where the nearest is far."""
+        away = np.array([np.linalg.norm(_relative_turn(key.turn, expected)) for key in self._keyframes]) / self._step
         found: list[tuple[float, int, Array]] = []
         for k in np.argsort(away, kind="stable")[: _NEAREST + 2].tolist():
             if away[k] < _REACH and len(found) < _NEAREST:
-                seen = self._seen_by(self._keyframes[k], grey, expected)
+                seen = self._turn_by(self._keyframes[k], grey, expected)
                 if seen is not None:
                     found.append(((_REACH - float(away[k])) ** 2, k, seen[0]))
         if not found:
             return None
         (weight, first, turn), *others = found
         for other_weight, second, other in others:
-            by = _apart(turn, other)
+            by = _relative_turn(turn, other)
             if self._learns:
                 self._differ.append((first, second, -by))
             turn = _vector(_matrix(other_weight / (weight + other_weight) * by) @ _matrix(turn))
@@ -168,36 +171,38 @@ class SceneTracker:
             self._keyframes.append(self._keyframe(grey, turn))
         return turn
 
-    def _anywhere(self, grey: Picture) -> Array | None:
-        """By the keyframe of which most is found again, as if it were seen from where it was taken."""
-        seen = [self._seen_by(key, grey, key.turn) for key in self._keyframes]
+    def _turn_by_best(self, grey: Picture) -> Array | None:
+        """The turn by the keyframe that finds most corners again at its own turn; None where none does."""
+        seen = [self._turn_by(key, grey, key.turn) for key in self._keyframes]
         found = max((one for one in seen if one is not None), key=lambda one: one[1], default=None)
         return None if found is None else found[0]
 
 
-def _between(one: Array, other: Array) -> Array:
-    """The rotation (3, 3) that takes directions (n, 3) to others, in least squares."""
+def _rotation_between(one: Array, other: Array) -> Array:
+    """The least-squares rotation (3, 3) of directions (n, 3) to others (Kabsch)."""
     left, _, right = np.linalg.svd(other.T @ one)
     return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
 
 
 def _matrix(turn: Array) -> Array:
+    """(3, 3) of a rotation vector."""
     return np.asarray(cv2.Rodrigues(np.asarray(turn, dtype=float))[0])
 
 
 def _vector(rotation: Array) -> Array:
+    """The rotation vector of a matrix (3, 3), rad."""
     turn: Array = np.asarray(cv2.Rodrigues(rotation)[0], dtype=float).ravel()
     return turn
 
 
-def _apart(one: Array, other: Array) -> Array:
-    """(3,) rad: what takes one turn to the other."""
+def _relative_turn(one: Array, other: Array) -> Array:
+    """(3,) rad Rotation vector that takes the turn `one` to `other`."""
     return _vector(_matrix(other) @ _matrix(one).T)
 
 
-def turned(video: Video, motor: Motor, rig: Rig, progress: Progress | None = None) -> Angle:
-    """The bending angle by a video that the tip's own camera took. It is read twice: how the keyframes lie to each
-    other is known after the first time."""
+def bending_by_scene(video: Video, motor: Motor, rig: Rig, progress: Progress | None = None) -> Angle:
+    """The bending angle over a video that the tip's own camera took. It is read twice: keyframes are learnt and
+    adjusted in the first pass. TautError where the scene is not found from frame to frame."""
     assert rig.camera is not None
     tracker, own = SceneTracker(rig.camera), (rig.camera.width_px, rig.camera.height_px)
     size = every_frame(video, tracker.track, half(progress, 0.0))[2]
@@ -219,8 +224,8 @@ def turned(video: Video, motor: Motor, rig: Rig, progress: Progress | None = Non
 
 
 def angle_of(t_s: Array, turns: Array, motor: Motor, coarse: Coarse, delay_s: float) -> Angle:
-    """The bending angle by the world's turns (n, 3) rad, NaN where it was not found: along the axis about which it
-    turns most, and as f_coarse has it in sign and in the mean, which no turn tells."""
+    """The bending angle by the camera's turns (n, 3) rad (NaN: not found): the component along the axis about which it
+    turns most, its sign and mean set by f_coarse, as a turn tells neither."""
     seen = np.asarray(np.isfinite(turns).all(axis=1))
     middle = np.median(turns[seen], axis=0)
     axis = np.linalg.svd(turns[seen] - middle, full_matrices=False)[2][0]

@@ -31,7 +31,7 @@ class Constant:
 
 
 def constant(model: Model) -> Constant:
-    """The number whose expected loss is least over the places that were measured, with B's own standard deviation."""
+    """The constant backlash of least expected loss over the measured places, by B's own standard deviation."""
     low, high = model.measured
     inside = (model.q >= low) & (model.q <= high)
     if not inside.any():
@@ -49,7 +49,7 @@ def constant(model: Model) -> Constant:
 
 
 def loses(model: Model) -> list[str]:
-    """What one number does not carry, one line each."""
+    """What a single number does not carry, one line each."""
     number, unit = constant(model), model.rig.actuator.unit
     lost = [
         f"B(q) goes from {number.least:.4g} to {number.most:.4g} {unit}, {number.mean:.4g} in the mean: one "
@@ -62,7 +62,7 @@ def loses(model: Model) -> list[str]:
 
 
 def write_marlin(model: Model, out: Path, axis: str) -> list[Path]:
-    """Lines for Configuration_adv.h, and the same at run time."""
+    """Writes the lines for Configuration_adv.h, and the command that sets the same at run time."""
     letter = _axis(axis)
     if letter not in "xyz":
         raise TautError(f"--axis {axis}: Marlin takes backlash up on x, y and z")
@@ -84,7 +84,7 @@ def write_marlin(model: Model, out: Path, axis: str) -> list[Path]:
 
 
 def write_fluidnc(model: Model, out: Path, axis: str) -> list[Path]:
-    """config.yaml of FluidNC's proposal for backlash."""
+    """Writes config.yaml of FluidNC's proposal for backlash."""
     width = constant(model).width
     _write(
         out,
@@ -101,7 +101,7 @@ def write_fluidnc(model: Model, out: Path, axis: str) -> list[Path]:
 
 
 def write_klipper(model: Model, out: Path, axis: str) -> list[Path]:
-    """printer.cfg of Klipper's draft of backlash compensation."""
+    """Writes printer.cfg of Klipper's draft of backlash compensation."""
     letter = _axis(axis)
     if letter not in "xyz":
         raise TautError(f"--axis {axis}: Klipper's draft takes backlash up on x, y and z")
@@ -122,6 +122,7 @@ def write_klipper(model: Model, out: Path, axis: str) -> list[Path]:
 
 
 def _axis(name: str) -> str:
+    """The axis' letter in lower case. TautError where it is none."""
     letter = name.lower()
     if len(letter) != 1 or letter not in _AXES:
         raise TautError(f"--axis {name}: name one of {', '.join(_AXES)}")
@@ -129,6 +130,7 @@ def _axis(name: str) -> str:
 
 
 def _write(out: Path, mark: str, model: Model, lines: list[str]) -> None:
+    """Writes `lines` below a header that says what they are of; `mark` begins a comment."""
     low, high = model.measured
     unit = model.rig.actuator.unit
     said = [

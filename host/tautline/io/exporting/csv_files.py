@@ -15,7 +15,7 @@ INDEX = "columns.json"
 
 
 def write(log: Log, out: Path) -> list[Path]:
-    """The folder's files. Empty cells are what is not there; times in s."""
+    """Writes a log as CSV files in a folder. Cells without a value are empty; times in s."""
     with replaced(out, INDEX, stale=("*.csv",)) as folder:
         listed = []
         parts: list[Series | Curve] = [*log.series, *log.curves]

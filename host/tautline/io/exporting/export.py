@@ -43,7 +43,7 @@ def export(
     axis: str | None = None,
     progress: Progress = lambda share, what: None,
 ) -> Exported:
-    """Writes `out`, whole or not at all. TautError says what is wrong with format, source, names or place."""
+    """Writes `out`, whole or not at all. TautError where format, source, names or place do not fit."""
     form = BY_NAME.get(to)
     if form is None:
         raise TautError(f"--to {to}: no such format: choose one of {', '.join(BY_NAME)}")
@@ -77,6 +77,7 @@ def export(
 
 
 def _check(form: Format, source: Source, mount: Mount | None, axis: str | None) -> None:
+    """TautError where the format does not take this source or these options."""
     if source.kind not in form.takes:
         raise TautError(f"{source.name}: is {source.kind}: --to {form.name} takes {' or '.join(form.takes)}")
     if source.models and (form.axis or form.name == "mjcf") and SIMULATOR in source.model.extra:

@@ -18,12 +18,10 @@ _DIGITS = 6  # after the point: a millionth of the unit
 
 
 def write(model: Model, out: Path, joint: str) -> list[Path]:
-    """out, and out with .ini for the section of `joint`, a number.
-
-    LinuxCNC moves the motor to nominal + (nominal - forward) while the joint rises and to nominal + (nominal - reverse)
-    while it falls. The nominal joint is where f_coarse says that the motor is for an angle: so both columns carry
-    f_remain and B at once. It stops reading at the first line that is no triplet: what is said stands behind them.
-    """
+    """Writes the table `out`, and the INI section of `joint` as out.ini. LinuxCNC moves the motor to nominal + (nominal
+    - forward) while the joint rises and to nominal + (nominal - reverse) while it falls. The nominal joint is where
+    f_coarse has the motor for an angle, so the columns carry f_remain and B at once. Comments stand behind the
+    triplets, as LinuxCNC stops reading at the first other line."""
     if not joint.isdigit():
         raise TautError(f"--axis {joint}: LinuxCNC numbers its joints: name 0, 1, 2, ...")
     nominal, rising, falling = targets(model)
@@ -53,8 +51,8 @@ def write(model: Model, out: Path, joint: str) -> list[Path]:
 
 
 def targets(model: Model) -> tuple[Array, Array, Array]:
-    """Nominal joint positions (n <= 256,), rising, and where the motor stands for them while they rise and while they
-    fall (n,) each; all in the unit of q, and where the motor stays within its range."""
+    """Nominal joint positions (n <= 256,), rising, and the motor positions for them while they rise and while they
+    fall, (n,) each, unit of q; only where the motor stays within its range."""
     coarse, (low, high) = model.rig.coarse, model.rig.actuator.range
     if not coarse.gain:
         raise TautError("the rig's coarse.gain is 0: LinuxCNC's table needs a nominal position for each angle")

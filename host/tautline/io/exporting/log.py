@@ -49,7 +49,7 @@ class Log:
     video: Video | None = None
 
     def frames(self) -> Iterator[tuple[float, npt.NDArray[np.uint8]]]:
-        """Arrival time and picture (height, width, 3) BGR of each frame that has a time."""
+        """Arrival time and BGR picture (height, width, 3) of each frame that has a time."""
         if self.video is None:
             return
         from tautline.vision.camera import VideoCamera
@@ -66,7 +66,7 @@ class Log:
 
 
 def of_source(source: Source) -> Log:
-    """All that there is to see. TautError where there is nothing."""
+    """Everything that a source has to show, as series and curves. TautError where there is nothing."""
     unit = source.rig.actuator.unit
     facts: dict[str, Any] = {"name": source.name, "is": source.kind, "unit_of_q": unit, "seconds": "arrival times"}
     series: list[Series] = []
@@ -96,6 +96,7 @@ def of_source(source: Source) -> Log:
 
 
 def _recorded(recording: Recording, unit: str) -> list[Series]:
+    """Series of what was recorded: motor, marker, angle."""
     motor = recording.motor
     columns = {f"q_{unit}": motor.q}
     for name, values in (
@@ -116,7 +117,7 @@ def _recorded(recording: Recording, unit: str) -> list[Series]:
 
 
 def _foretold(recording: Recording, name: str, model: Model, unit: str) -> list[Series]:
-    """What a model says at the sensor's times, and what it leaves."""
+    """Series of a model's prediction at the sensor's times, and of its residual."""
     marker, angle, motor = recording.marker, recording.angle, recording.motor
     sensor = ANGLE if marker is None and (angle is not None or not model.rig.has_camera) else MARKER
     rows = marker if marker is not None else angle
@@ -179,8 +180,8 @@ def _in(order: npt.NDArray[np.int64], columns: dict[str, Array]) -> dict[str, Ar
 
 
 def _onsets(source: Source, unit: str) -> Series | None:
-    """The reversals that a calibration used. A model's own are on its recordings' clocks: they go with the model, and
-    with a recording only where it is the one named in them."""
+    """Series of the reversals that a calibration used. Their times are of their own recordings' clocks: they go with
+    the model, and with a recording only if it is the one named in them."""
     model = source.models[0][1]
     listed = [onset for onset in model.extra.get("onsets", []) if onset.get("t_s") is not None]
     if source.kind != MODEL:
@@ -199,6 +200,7 @@ def _onsets(source: Source, unit: str) -> Series | None:
 
 
 def _curves(name: str, model: Model, unit: str) -> list[Curve]:
+    """B and f_remain over q, with their sigmas."""
     sigma = np.full_like(model.q, np.nan) if model.c_sigma is None else model.c_sigma
     q = {f"q_{unit}": model.q}
     return [

@@ -38,7 +38,8 @@ _IMAGE = {
 
 
 def write(log: Log, out: Path, progress: Callable[[float, str], None]) -> list[Path]:
-    """The file and its layout. Messages have the recording's own times, moved to begin at 0 if before it."""
+    """Writes the MCAP file and its layout. Messages have the recording's own times, shifted to begin at 0 where they
+    are negative."""
     import cv2
     from mcap.writer import Writer
 
@@ -108,6 +109,7 @@ def _write_curve(writer: Any, curve: Curve, t_s: float) -> None:
 
 
 def _channel(writer: Any, name: str, schema: dict[str, Any]) -> int:
+    """Registers a channel /NAME of JSON messages with this schema; returns its number."""
     title = "tautline." + name.replace("/", ".")
     number = writer.register_schema(title, "jsonschema", json.dumps({"title": title, **schema}).encode())
     return int(writer.register_channel(f"/{name}", "json", number))
@@ -117,8 +119,8 @@ def _channel(writer: Any, name: str, schema: dict[str, Any]) -> int:
 
 
 def foxglove_layout(log: Log) -> dict[str, Any]:
-    """What Foxglove imports as a layout: the picture, motor and angle, the image's coordinates, what is left, B and
-    f_remain over q. A panel that would stay empty is left out."""
+    """A layout to import into Foxglove: picture, motor and angle, image coordinates, residual, B and f_remain over q.
+    Panels that would stay empty are left out."""
     panels: dict[str, dict[str, Any]] = {}
     if log.video is not None:
         panels["Image!camera"] = {"imageMode": {"imageTopic": CAMERA}}
@@ -151,6 +153,7 @@ def _paths(log: Log, wanted: tuple[str, ...]) -> list[str]:
 
 
 def _plot(key: str, title: str, paths: list[str], more: dict[str, Any] | None = None) -> dict[str, dict[str, Any]]:
+    """A plot panel's configuration."""
     if not paths:
         return {}
     lines = [{"value": path, "enabled": True, "timestampMethod": "receiveTime", "label": path[1:]} for path in paths]
@@ -167,7 +170,7 @@ def _plot(key: str, title: str, paths: list[str], more: dict[str, Any] | None = 
 
 
 def _tiled(panels: list[str], direction: str) -> Any:
-    """Foxglove's tree of halves, rows and columns in turn."""
+    """Panels as Foxglove's tree of halves, rows and columns alternating."""
     if len(panels) <= 1:
         return panels[0] if panels else ""
     half = (len(panels) + 1) // 2

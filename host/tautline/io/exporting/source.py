@@ -60,7 +60,7 @@ def read(path: Path, rig: Rig | None = None, beside: Path | None = None) -> Sour
 
 
 def of(what: Recording | Model | Diagnosis, beside: Model | None = None) -> Source:
-    """What is at hand already. `beside`: for a recording, the model whose predictions go along."""
+    """A source from an object at hand. beside: for a recording, the model whose predictions are exported with it."""
     if isinstance(what, Recording):
         return of_recording(what, None, of_model(beside) if beside is not None else None)
     if isinstance(what, Model):

@@ -52,8 +52,9 @@ class Assembled:
 def assemble(
     source: Source, episode: int, roles: Roles, unit: str | None, rig: Rig | None, scratch: Path, progress: Progress
 ) -> Assembled:
-    """Reads the channels named. q in the rig's unit, else `unit`, else what the motor's own unit is of. scratch: a
-    folder for a video. TautError where a channel is not there, is empty, or its unit or times contradict another's."""
+    """Reads the named channels of an episode as a recording. q in the rig's unit, else in `unit`, else in the motor's
+    own. scratch: a folder for a video. TautError where a channel is missing or empty, or units or times contradict each
+    other."""
     chosen = _Chosen(source, episode, roles)
     rows = read(source, episode, chosen.by_group(), progress)
     frames = _frames(source, episode, roles.video, scratch) if roles.video else None
@@ -114,6 +115,7 @@ class _Chosen:
             raise TautError("--tip is one angle or orientation, or twice a place in the image: u, then v, in px")
 
     def _expand_tip(self) -> None:
+        """Replaces the name of an orientation or a point by its channels. TautError for any other group of channels."""
         known = set(self.source.facts)
         for each in list(self.tip):
             inner = {axis: f"{each.name}.{axis}" for axis in QUATERNION if f"{each.name}.{axis}" in known}
@@ -131,6 +133,7 @@ class _Chosen:
                 )
 
     def by_group(self) -> dict[str, list[str]]:
+        """The channels to read of each group."""
         wanted: dict[str, list[str]] = {}
         everything = [self.motor, *self.tip, *self.joints, *(x for x in (self.command, self.load) if x)]
         for each in everything:
@@ -160,6 +163,7 @@ class _Maker:
         return "mm" if stated and stated not in ANGLES and factor_fits(channel, stated, "mm") else "deg"
 
     def motor(self, target: str) -> Motor:
+        """The motor by its channels, q in `target`."""
         t_s, q = self._series(self._chosen.motor, target, "motor")
         q_cmd = load = None
         if (command := self._chosen.command) is not None:
@@ -176,6 +180,7 @@ class _Maker:
         return Motor(t_s=t_s, q=q, q_cmd=q_cmd, load_mNm=load, extra=joints)
 
     def angle(self) -> Angle:
+        """The tip's angle, deg; of an orientation the one about its main axis."""
         tip = self._chosen.tip[0]
         if tip.name in self._chosen.parts:
             t_s, parts = self._times(tip, self._chosen.parts[tip.name])
@@ -195,6 +200,7 @@ class _Maker:
         return Angle(t_s, c_deg, ~lost if lost.any() else None)
 
     def marker(self) -> Marker:
+        """The tip's position in the image, px."""
         u, v = self._chosen.tip
         if self._chosen.groups[u.name] != self._chosen.groups[v.name]:
             raise TautError(f"{u.name} and {v.name} are of two topics: name u and v of one")
@@ -223,7 +229,7 @@ class _Maker:
         return Video(path, t_s)
 
     def _series(self, channel: Named, target: str, role: str, keep_lost: bool = False) -> tuple[Array, Array]:
-        """Times, and values in `target`."""
+        """A channel's times and its values in `target`."""
         t_s, (values,) = self._times(channel, (channel.name,))
         times, unit = factor(channel, self._chosen.stated(channel), target)
         finite = np.isfinite(values)
@@ -292,7 +298,8 @@ def _frames(source: Source, episode: int, name: str, scratch: Path) -> tuple[Arr
 def _check_units(
     chosen: _Chosen, motor: Motor, angle: Angle | None, target: str, rig: Rig | None, warnings: list[str]
 ) -> None:
-    """57.3 is radians, 1000 metres: an error where nobody said which unit it is, else a warning."""
+    """Compares motion ratios with what units would make of them: 57.3 is radians, 1000 metres. TautError where nobody
+    stated the unit, else a warning."""
     span = _span(motor.q)
     if span <= 0.0:
         raise TautError(f"{chosen.motor.name}: does not move: name another --motor")
@@ -324,7 +331,7 @@ def _check_units(
 
 
 def _check_motor(motor: Motor, name: str, rig: Rig | None, warnings: list[str]) -> None:
-    """What a recording that is loaded is asked of its motor."""
+    """TautError or warnings for a motor that loading the recording would refuse or doubt."""
     step = np.diff(motor.t_s)
     if (usual := float(np.median(step))) >= MAX_MOTOR_STEP_S:
         raise TautError(
@@ -345,7 +352,7 @@ def _check_motor(motor: Motor, name: str, rig: Rig | None, warnings: list[str]) 
 
 
 def _rig(motor: Motor, angle: Angle | None, unit: str) -> Rig:
-    """What a recording shows of its set-up: range, one count and the coarse law."""
+    """A rig from what the recording shows: range, one count and the coarse law."""
     low, high = float(motor.q.min()), float(motor.q.max())
     step = 10.0 ** (np.ceil(np.log10(high - low)) - _RANGE_DIGITS)
     low, high = (float(f"{side(end / step) * step:.10g}") for side, end in ((np.floor, low), (np.ceil, high)))
@@ -362,7 +369,7 @@ def _rig(motor: Motor, angle: Angle | None, unit: str) -> Rig:
 
 
 def _count(q: Array) -> float:
-    """The smallest step that the motor's position is told in."""
+    """The smallest step of the motor's positions."""
     values = np.unique(q[:: max(1, len(q) // _SAMPLED)])
     steps = np.diff(values)
     least = _RESOLUTION_LEAST * (values[-1] - values[0])

@@ -30,8 +30,8 @@ class Clock:
 
 
 def choose(times: Mapping[str, tuple[Array, Array | None]]) -> Clock:
-    """The times of all groups: their senders' stamps where all have them on one clock, else when they were logged.
-    times: (n,) s of log and stamps, by group."""
+    """Times of all groups: the senders' stamps where all have them on one clock, else the log times. times: (n,) s of
+    log and stamps, by group."""
     stamped = {group: stamp for group, (_, stamp) in times.items() if stamp is not None}
     if not stamped:
         return Clock(FILE if set(times) == {""} else LOG)
@@ -72,8 +72,8 @@ def choose(times: Mapping[str, tuple[Array, Array | None]]) -> Clock:
 
 
 def tidy(t_s: Array, what: str, warnings: list[str]) -> Array:
-    """Indices (m,) of the rows to keep, in the order of time: of rows of one time the first. TautError where times go
-    back, or repeat, too often for one clock."""
+    """Indices (m,) of the rows to keep, rising in time; of rows with the same time the first. TautError where times go
+    back or repeat too often for one clock."""
     kept: Array = np.flatnonzero(np.isfinite(t_s))
     if lost := len(t_s) - len(kept):
         warnings.append(f"{what}: {lost} rows without a time were left out")
@@ -111,7 +111,7 @@ def tidy(t_s: Array, what: str, warnings: list[str]) -> Array:
 
 
 def overlap(motor_s: Array, tip_s: Array, motor: str, tip: str) -> None:
-    """TautError where two channels share no time."""
+    """TautError where the times of motor and tip do not overlap."""
     if motor_s[0] <= tip_s[-1] and tip_s[0] <= motor_s[-1]:
         return
     raise TautError(

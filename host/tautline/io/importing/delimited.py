@@ -56,6 +56,7 @@ class Delimited:
         return Clip(self.path.parent / video)
 
     def _frames(self, rows: int | None = None) -> Iterator[pd.DataFrame]:
+        """Frames of a table's rows, in batches."""
         how = self._layout
         try:
             with pd.read_csv(
@@ -79,7 +80,7 @@ class Delimited:
             raise TautError(f"{self.path}: cannot be read to its end ({what}): mend that line") from error
 
     def _numbers(self, column: pd.Series) -> Array:
-        """NaN where a cell holds no number."""
+        """The column as numbers, NaN where a cell holds none."""
         if not pd.api.types.is_numeric_dtype(column):
             text = column.astype("string").str.strip()
             if self._layout.thousands:
@@ -88,6 +89,7 @@ class Delimited:
         return column.to_numpy(dtype=np.float64, na_value=np.nan)
 
     def _seconds(self, column: pd.Series) -> Array:
+        """The column's times in s."""
         if self._dated:
             moments = _moments(column)
             since = (moments - self._origin) * 1e-9
@@ -98,7 +100,7 @@ class Delimited:
         return (self._numbers(column) - self._origin) * TIMES[self._unit]
 
     def _told_by(self, column: pd.Series, unit: str) -> tuple[str, float | int]:
-        """The unit of the times, and what is taken off."""
+        """The unit of the times and the origin that is subtracted."""
         if self._dated:
             moments = _moments(column.head())
             if moments.min() == np.iinfo(np.int64).min:
@@ -121,7 +123,7 @@ class Delimited:
         return unit, start
 
     def _rising(self, first: pd.DataFrame) -> str:
-        """The column that rises as times do; by its name where several do."""
+        """The column that rises as times do; of several the one with a time's name."""
         rising = [name for name in self._layout.names if _rises(first[name])]
         called = [name for name in self._layout.names if _TIME_WORDS.match(name.strip().lower())]
         found = [name for name in called if name in rising] or called or rising
@@ -141,7 +143,7 @@ def _rises(column: pd.Series) -> bool:
 
 
 def _moments(column: pd.Series) -> Array:
-    """(n,) int64 ns of dates: 2026-11-23 15:13:47.5, or day first where the year is last."""
+    """(n,) int64 ns of dates: 2026-11-23 15:13:47.5, or day first with the year last."""
     text = column.astype("string").str.replace(",", ".", regex=False)
     day_first = not re.match(r"\d{4}", str(text.iloc[0]))
     moments = pd.to_datetime(text, errors="coerce", dayfirst=day_first, format="mixed")

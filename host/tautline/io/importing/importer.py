@@ -43,7 +43,8 @@ class Imported:
 
 
 def open_source(path: str | Path, time: str = "") -> Source:
-    """What is at a path, by what it holds. time: a CSV's column of times. TautError where it is none of these."""
+    """The reader for what is at a path, by its content. time: a CSV's column of times. TautError where it is none of
+    these."""
     path = Path(path)
     if not path.exists():
         raise TautError(f"{path}: there is no such file or folder")
@@ -116,7 +117,7 @@ def import_episodes(
 
 
 def _share_rig(folders: Sequence[Path], named: Rig | None) -> None:
-    """One rig for all episodes, of what each of them showed: recordings that go together have one."""
+    """Writes one rig for all episodes from what each showed, as recordings that go together have one."""
     files = [folder / "rig.toml" for folder in folders if (folder / "rig.toml").is_file()]
     if named is not None or not files:
         return
@@ -133,6 +134,7 @@ def _write(
     source: Source, origin: dict[str, Any], folder: Path, roles: Roles, unit: str | None, rig: Rig | None,
     episode: int, progress: Progress,
 ) -> Imported:  # fmt: skip
+    """Writes one episode as a recording with its import.toml."""
     with TemporaryDirectory(prefix="taut-import-") as scratch:
         made = assemble(source, episode, roles, unit, rig, Path(scratch), progress)
         known = made.rig_known or made.recording.angle is not None
@@ -171,7 +173,7 @@ def _origin(source: Source) -> dict[str, Any]:
 
 
 def _sha256(path: Path) -> tuple[str, int]:
-    """Of a file; of a folder its files' names and bytes in order of names, videos by their size alone."""
+    """SHA-256 of a file; of a folder over its files' names and contents in order, of videos over their size alone."""
     digest, size = hashlib.sha256(), 0
     files = [path] if path.is_file() else sorted(each for each in path.rglob("*") if each.is_file())
     for file in files:
@@ -188,7 +190,7 @@ def _sha256(path: Path) -> tuple[str, int]:
 
 
 def told(roles: Roles, listing: Listing, source: Source, unit: str | None) -> Proposal:
-    """What a user named already, as a proposal holds it."""
+    """The roles that a user named, as a proposal holds them."""
     known = listing.channels
 
     def of(text: str) -> Named:
@@ -203,7 +205,7 @@ def told(roles: Roles, listing: Listing, source: Source, unit: str | None) -> Pr
 def proposed_command(
     source: Source, out: Path | None, found: Proposal, joints: Sequence[str], episode: int | None, time: str = ""
 ) -> str:
-    """The whole command that a proposal is; "" where it names no motor, or nothing of the tip."""
+    """The whole command for a proposal; "" where it has no motor or no tip."""
     if found.motor is None or not (found.tip or found.video):
         return ""
     words = ["taut", "import", str(source.path), "--out", str(out or "recording"), "--motor", found.motor.text]

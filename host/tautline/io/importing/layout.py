@@ -66,7 +66,7 @@ def is_date(cell: str) -> bool:
 
 
 def _head(path: Path) -> tuple[list[str], str]:
-    """The first lines, and the encoding that reads them."""
+    """The first lines of a file, and the encoding that reads them. TautError where it is no text."""
     with path.open("rb") as stream:
         data = stream.read(_LOOKED_AT_BYTES)
     if not data.strip():
@@ -90,7 +90,7 @@ def _head(path: Path) -> tuple[list[str], str]:
 
 
 def _separated(path: Path, lines: Sequence[str]) -> tuple[str, list[list[str]]]:
-    """The separator by which most lines are rows of as many numbers, and the cells."""
+    """The separator that makes most lines rows of the same number of numbers, and the cells."""
     best: tuple[int, str, list[list[str]]] = (0, "", [])
     for separator in _SEPARATORS:
         rows = [_split(line, separator) for line in lines]
@@ -110,7 +110,7 @@ def _split(line: str, separator: str) -> list[str]:
 
 
 def _is_numeric(row: Sequence[str]) -> bool:
-    """At least two columns, one of them a number, and fewer than half of them texts."""
+    """Whether a row has at least two cells, one of them a number, and texts in less than half."""
     numbers = sum(bool(_NUMBER.fullmatch(cell)) for cell in row)
     texts = sum(bool(cell) and not is_date(cell) for cell in row) - numbers
     return len(row) > 1 and numbers > 0 and texts < 0.5 * len(row)

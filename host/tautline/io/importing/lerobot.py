@@ -61,6 +61,7 @@ class LeRobot:
         return sorted(self._rows)
 
     def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
+        """The episode's rows of these groups, in batches."""
         row, file = self._row(episode), self._file(episode)
         columns = [*self._numeric, "timestamp"]
         filters = [("episode_index", "=", episode)] if self._layout == "v3" else None
@@ -86,6 +87,7 @@ class LeRobot:
             self.notes.append(f"{file}: episode {episode} has {count} rows, its list says {row['length']}")
 
     def pictures(self, episode: int, video: str) -> Clip:
+        """The episode's clip of one video."""
         row = self._row(episode)
         if self._layout == "v2":
             chunk = episode // int(self._info.get("chunks_size") or 1000)
@@ -139,6 +141,7 @@ class LeRobot:
         return self._rows[episode]
 
     def _episode_rows(self) -> dict[int, dict[str, Any]]:
+        """The table of episodes, read from its files."""
         listed = self.path / _EPISODES[self._layout]
         if self._layout == "v2":
             try:
@@ -159,7 +162,7 @@ class LeRobot:
         return rows
 
     def _unit(self, feature: Mapping[str, Any]) -> str:
-        """Where info.json says so: a key `unit` of a feature, or of its `info`."""
+        """The unit that info.json gives a feature, by its key `unit` or that of its `info`; "" without."""
         inner = feature.get("info")
         stated = str(feature.get("unit") or (inner.get("unit") if isinstance(inner, Mapping) else "") or "")
         short = {"degrees": "deg", "degree": "deg", "radians": "rad", "radian": "rad"}.get(stated.lower(), stated)

@@ -102,8 +102,8 @@ class _Group:
 
 
 def scan(source: Source, episode: int | None, progress: Progress) -> Listing:
-    """One pass over an episode (None: the first): (k,) arrays of at most 8192 rows a channel, t_s in s. TautError where
-    it has no rows."""
+    """One pass over an episode (None: the first): at most 8192 rows of each channel, (k,), t_s in s. TautError where it
+    has no rows."""
     episodes = source.episodes()
     if not episodes:
         raise TautError(f"{source.path}: is empty: it holds no messages")
@@ -140,13 +140,13 @@ QUATERNION_TYPE = "orientation"
 
 
 def _orientations(names: Collection[str]) -> list[str]:
-    """Names of which x, y, z and w are channels."""
+    """Names whose .x, .y, .z and .w are all channels: quaternions."""
     ends = [name.removesuffix(".w") for name in names if name.endswith(".w")]
     return [each for each in ends if all(f"{each}.{axis}" in names for axis in QUATERNION)]
 
 
 def resolve(wanted: str, source: Source, known: Collection[str]) -> str:
-    """The channel that is meant: by its name, its label, or NAME[label]. TautError with the nearest ones."""
+    """The channel that is meant by its name, its label, or NAME[label]. TautError with the nearest ones."""
     if wanted in known:
         return wanted
     labelled = {

@@ -48,6 +48,7 @@ class Mcap:
         return () if self._empty else (0,)
 
     def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
+        """The file's messages of these groups as numbers, in batches."""
         gathered = Gathered()
         flatteners: dict[int, Flattener] = {}
         for schema, channel, message, decode in self._messages(groups):
@@ -73,6 +74,7 @@ class Mcap:
                 self.notes.append(note)
 
     def pictures(self, episode: int, video: str) -> Iterator[Picture]:
+        """The pictures of an image topic."""
         for _, _, message, decode in self._messages([video]):
             decoded = decode(message.data)
             found = picture(decoded, self._s(message.log_time), self._s(stamp_ns(decoded)))
@@ -81,6 +83,7 @@ class Mcap:
             yield found
 
     def _messages(self, topics: Collection[str] | None) -> Iterator[tuple[Any, Any, Any, Callable[[bytes], Any]]]:
+        """Decoded messages of these topics in order of their log time."""
         decoders: dict[int, Callable[[bytes], Any] | None] = {}
         wanted = None if topics is None else list(topics)
         try:
@@ -96,6 +99,7 @@ class Mcap:
             raise self._cut(error) from error
 
     def _decoder(self, schema: Any, channel: Any) -> Callable[[bytes], Any] | None:
+        """The decoder for a channel's messages; None where its encoding is unknown."""
         encoding = channel.message_encoding
         found: Callable[[bytes], Any] | None = None
         if encoding == "json":

@@ -62,6 +62,7 @@ class Flattener:
         return found
 
     def _walk(self, path: str, message: Any, found: dict[str, float]) -> None:
+        """Collects the numbers below a message's part."""
         parts = fields(message)
         names = next((list(v) for name, v in parts if name in _NAMES and _texts(v)), None)
         for name, value in parts:
@@ -70,6 +71,7 @@ class Flattener:
             self._leaf(f"{path}.{name}", value, names, found)
 
     def _leaf(self, path: str, value: Any, names: list[str] | None, found: dict[str, float]) -> None:
+        """Collects a value that is a number or an array of few numbers."""
         if isinstance(value, _NUMBER):
             self._number(path, float(value), "", found)
         elif value is None or isinstance(value, _NO_NUMBERS):
@@ -160,7 +162,7 @@ def picture(message: Any, log_s: float, stamp_s: float) -> Picture | None:
 
 
 def _unit(type_name: str, path: str) -> str:
-    """What the message's own definition says: ROS has radians, metres and newton metres (REP 103)."""
+    """The unit by the message's own definition: ROS has radians, metres and newton metres (REP 103)."""
     if type_name.replace("/", ".").split(".")[-1] in ("JointState", "JointTrajectoryControllerState"):
         field = path.rsplit(".", 1)[-1]
         return "rad" if field.startswith("position") else "Nm" if field.startswith("effort") else ""

@@ -61,7 +61,7 @@ class _Compared:
 
 
 def propose(listing: Listing, hold: Proposal | None = None) -> Proposal:
-    """Roles for a listing's channels. hold: what the user named already, which stays."""
+    """Proposes which channel is motor, tip, command, load and video. hold: roles that the user has named."""
     held = hold or Proposal()
     compared = _compare(listing)
     notes: list[str] = []
@@ -95,6 +95,7 @@ def propose(listing: Listing, hold: Proposal | None = None) -> Proposal:
 
 
 def _compare(listing: Listing) -> _Compared:
+    """How all channels move together: correlations, delays and ratios."""
     channels = [c for c in listing.channels.values() if c.moves and not _is_part_of_orientation(c.name, listing)]
     channels = [c for c in channels if np.isfinite(c.values).sum() > 8]
     changes = [float(np.mean(np.diff(c.values[np.isfinite(c.values)]) != 0)) for c in channels]
@@ -142,7 +143,8 @@ def _on(times: Array, channel: Channel) -> Array:
 
 
 def _pair(listing: Listing, compared: _Compared, motor: Named | None, tip: Sequence[Named]) -> tuple[int, int] | None:
-    """Motor and tip: what moves together, the later one the tip. Names count a little; what is no place does not."""
+    """Motor and tip: two channels that move together, the later one the tip. Names count a little; what is no position
+    does not count."""
     names = compared.names
     best: tuple[int, int, float] | None = None
     before, after = _chained(listing, compared)
@@ -171,7 +173,7 @@ def _pair(listing: Listing, compared: _Compared, motor: Named | None, tip: Seque
 
 
 def _chained(listing: Listing, compared: _Compared) -> tuple[Array, Array]:
-    """(n,) bool: what has a likely command before it; what has something after it, and so is no tip."""
+    """(n,) Whether a channel has a likely command before it; one that others follow is no tip."""
     places = np.array([not _no_place(name, listing) for name in compared.names], dtype=bool)
     span = np.maximum(compared.span, 1e-12)
     follows = (compared.correlation > _CHAINED) & (compared.lag_s > _SIMULTANEOUS_S) & places[:, None] & places
@@ -180,7 +182,7 @@ def _chained(listing: Listing, compared: _Compared) -> tuple[Array, Array]:
 
 
 def _command(listing: Listing, compared: _Compared, motor: int, taken: set[str]) -> Named | None:
-    """What moves with the motor, before it and by as much."""
+    """The channel that moves with the motor, earlier and by as much."""
     best: tuple[float, str] | None = None
     for k, name in enumerate(compared.names):
         together, early = compared.correlation[motor, k], -compared.lag_s[motor, k]
@@ -204,8 +206,8 @@ def _command(listing: Listing, compared: _Compared, motor: int, taken: set[str])
 
 
 def _load(listing: Listing, compared: _Compared, motor: Named, taken: set[str]) -> Named | None:
-    """What is called a load and is of the motor's own joint; else what follows the direction in which the motor moves,
-    as friction does, and not its place."""
+    """The channel named as a load of the motor's joint; else one that follows the motor's direction, as friction does,
+    and not its position."""
     joint = _joint(motor.name, listing)
     named = [
         name
@@ -327,7 +329,7 @@ def _no_place(name: str, listing: Listing) -> bool:
 
 
 def _joint(name: str, listing: Listing) -> str:
-    """Which joint a channel is of: its label or its index, with the topic."""
+    """The joint that a channel belongs to: its label or index, with its topic."""
     channel = listing.channels.get(name)
     if channel is None:
         return ""

@@ -38,6 +38,7 @@ class Rosbag:
         return (0,) if self._count else ()
 
     def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
+        """The bag's messages of these groups as numbers, in batches."""
         gathered = Gathered()
         flatteners: dict[str, Flattener] = {}
         with self._opened() as reader:
@@ -59,6 +60,7 @@ class Rosbag:
         yield from gathered.rest()
 
     def pictures(self, episode: int, video: str) -> Iterator[Picture]:
+        """The pictures of an image topic."""
         with self._opened() as reader:
             for connection, log_ns, raw in reader.messages([c for c in reader.connections if c.topic == video]):
                 message = reader.deserialize(raw, connection.msgtype)

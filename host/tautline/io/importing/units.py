@@ -49,7 +49,7 @@ class Named:
 
 
 def known_unit(text: str, of: Iterable[str] | None = None) -> str:
-    """The unit that a text is, as UNITS has it; "" where it is none."""
+    """The unit that a text means, as UNITS has it; "" where none."""
     listed = list(of) if of is not None else [unit for units in UNITS.values() for unit in units]
     stripped = text.strip()
     if stripped in listed:
@@ -62,7 +62,7 @@ def known_unit(text: str, of: Iterable[str] | None = None) -> str:
 
 
 def unit_in(name: str, of: Iterable[str] | None = None) -> str:
-    """The unit that a column's name ends with, as in `q_deg`, `Winkel [rad]`, `Zeit (ms)`; "" where there is none."""
+    """The unit at the end of a column's name, as in `q_deg`, `Winkel [rad]`, `Zeit (ms)`; "" where there is none."""
     for pattern in (_BRACKETED, _SUFFIXED):
         found = pattern.search(name)
         if found and (unit := known_unit(found[1], of)):
@@ -99,8 +99,8 @@ def dimension(unit: str) -> str:
 
 
 def factor(channel: Named, stated: str, target: str) -> tuple[float, str]:
-    """(what to multiply with, the unit that was taken) to have `target`. stated: the file's unit, "" where it says
-    none. TautError where the unit is of another kind."""
+    """The factor from the channel's unit to `target`, and the unit that was taken. stated: the file's unit, "" without.
+    TautError where the unit is of another kind."""
     if channel.factor is not None:
         return channel.factor, f"x{channel.factor:g}"
     unit = channel.unit or stated
@@ -115,8 +115,8 @@ def factor(channel: Named, stated: str, target: str) -> tuple[float, str]:
 
 
 def suspected(ratio: float, values: Array, target: str, off: float) -> str:
-    """The unit that values (n,), taken as `target`, seem to be in, as they move `ratio` times too little: 57.3 is
-    radians, 1000 metres. "" where the ratio is none, to a share `off`, or the values cannot be in that unit."""
+    """The unit that values (n,), read as `target`, seem to be in when they move `ratio` times too little: 57.3 is
+    radians, 1000 metres. "" where the ratio fits none within a share `off`, or the values cannot be in that unit."""
     for unit, times in UNITS[target].items():
         likely = unit in SPOKEN and abs(log(ratio / times)) < log(1.0 + off) if ratio > 0.0 else False
         if likely and _possible(unit, values):
@@ -125,6 +125,7 @@ def suspected(ratio: float, values: Array, target: str, off: float) -> str:
 
 
 def _possible(unit: str, values: Array) -> bool:
+    """Whether values (n,) can be in this unit: ticks are whole, radians and metres not too large."""
     most = float(np.max(np.abs(values)))
     if unit == "tick":
         return bool(np.all(values == np.rint(values)))

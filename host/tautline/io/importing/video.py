@@ -50,8 +50,8 @@ def from_pictures(pictures: Iterable[Picture], path: Path, name: str) -> tuple[A
 
 
 def cut(clip: Clip, path: Path) -> Array:
-    """Copies a clip's packets, from the key frame before its first frame on; (n,) s: when each frame of what was
-    written is, NaN for those before the clip."""
+    """Copies a clip's packets from the key frame before its first frame on. Returns (n,) s, the time of each written
+    frame; NaN for those before the clip."""
     av = library("av", f"{clip.path}: video")
     if not clip.path.is_file():
         raise TautError(f"{clip.path}: the video is not there: copy it too, or leave --video out")

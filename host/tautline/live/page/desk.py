@@ -41,7 +41,7 @@ class Picture:
 
 class Desk:
     def __init__(self, rig: Rig, about: dict[str, Any], unwatched_s: float = _UNWATCHED_S) -> None:
-        """about: what the page says of the session, as it is shown. unwatched_s: without a page, until it rests."""
+        """about: what the page says of the session. unwatched_s: time without a page after which it rests."""
         self.events, self.pictures = Stream(), Stream()
         self._rig, self._unwatched_s = rig, unwatched_s
         self._rests = about.get("rests", True)
@@ -65,39 +65,39 @@ class Desk:
         """Begins, or goes on after a rest."""
         with self._changed:
             if self._state in (READY, RESTING):
-                self._enter(RUNNING)
+                self._set_state(RUNNING)
 
     def rest(self) -> None:
-        """Where there is something that can go on after it."""
+        """Asks for a rest, if what runs can go on after one."""
         with self._changed:
             if self._state == RUNNING and self._rests:
-                self._enter(RESTING)
+                self._set_state(RESTING)
 
     def stop(self) -> None:
-        """Ends what runs. A real board is told at once, and again where it is asked again: it may not have heard."""
+        """Ends what runs. A real board is told at once, and again at every call, as it may have missed the first."""
         with self._changed:
             if self._state == READY:
                 return
             self._stop = True
-            self._enter(STOPPING)
+            self._set_state(STOPPING)
             let_go = self._let_go
         with suppress(TautError):  # gone or faulted: the session's thread says so
             let_go()
 
     def pick(self, u_px: float, v_px: float) -> None:
-        """The marker is at this place of the latest picture. While something runs it stays what it was."""
+        """The person pointed at the marker in the latest picture; ignored while something runs."""
         with self._changed:
             if self._state == READY:
                 self._picked = (u_px, v_px)
 
     def here(self) -> None:
-        """A page is open. It says so again and again: one that sleeps, or behind a tunnel that broke, does not."""
+        """Notes that a page is open. It repeats this: one that sleeps, or whose connection broke, does not."""
         with self._changed:
             self._heard_s = time.monotonic()
 
     @contextmanager
     def watched(self) -> Iterator[None]:
-        """A page of this process is open inside: it need not say so."""
+        """Inside, a page of this process is open and need not say so."""
         with self._changed:
             self._nearby += 1
         try:
@@ -115,7 +115,7 @@ class Desk:
 
     @contextmanager
     def running(self, let_go: Callable[[], None]) -> Iterator[None]:
-        """What was started runs inside. let_go: brings the board to rest from another thread."""
+        """Inside, what was started runs. let_go: brings the board to rest, from another thread."""
         with self._changed:
             self._let_go, self._calibrated_s, self._shown_s = let_go, 0.0, float("-inf")
         self.events.publish("fit", None)  # what was found before is not of this
@@ -124,7 +124,7 @@ class Desk:
         finally:
             with self._changed:
                 self._let_go, self._stop = lambda: None, False
-                self._enter(READY)
+                self._set_state(READY)
 
     @property
     def unwatched(self) -> bool:
@@ -133,11 +133,10 @@ class Desk:
             return self._nearby == 0 and time.monotonic() - self._heard_s > self._unwatched_s
 
     def resting(self) -> bool:
-        """Whether the axis is to stand still. Where the last page is gone, so is its stop: then it rests until a page
-        says start."""
+        """Whether the axis shall stand still: a rest was asked for, or no page is open, and with it no stop button."""
         with self._changed:
             if self.unwatched and self._state == RUNNING:
-                self._enter(RESTING, "no page is open: it rests until Start")
+                self._set_state(RESTING, "no page is open: it rests until Start")
             if self._state != RESTING:
                 return False
             self._changed.wait(_REST_S)
@@ -150,13 +149,13 @@ class Desk:
             return place
 
     def say(self, text: str) -> None:
-        """What came of it, or went wrong, until something else is said."""
+        """Sets the text that the page shows until another replaces it: a result or an error."""
         with self._changed:
             self._says = text
             self._tell()
 
     def show(self, view: View) -> None:
-        """A `Show`. Raises Stopped where that was asked for."""
+        """Publishes a View. Raises Stopped if stop was pressed."""
         if view.frame is not None:
             self.show_frame(view.frame, view.q)
         now = time.monotonic()
@@ -169,17 +168,17 @@ class Desk:
         self.check_stop()
 
     def doing(self, share: float, text: str) -> None:
-        """What is being done, and how much of it is. Raises Stopped where that was asked for."""
+        """Publishes what is being done and how much of it, 0 to 1. Raises Stopped if stop was pressed."""
         self.events.publish("doing", {"doing": text, "share": share})
         self.check_stop()
 
     def check_stop(self) -> None:
-        """Raises Stopped where that was asked for."""
+        """Raises Stopped if stop was pressed."""
         if self._stop:
             raise Stopped
 
     def show_frame(self, frame: Frame, q: float) -> None:
-        """Goes on beside what is tracked: the picture is coded where a page asks for it."""
+        """Publishes a frame, beside what is tracked; its picture is coded only when a page asks for it."""
         self._frames += 1
         seen = shown.moment(frame, q, shown.bent(self._rig, frame))
         self.events.publish("frame", seen)
@@ -196,7 +195,8 @@ class Desk:
         self.events.close()
         self.pictures.close()
 
-    def _enter(self, state: str, says: str = "") -> None:
+    def _set_state(self, state: str, says: str = "") -> None:
+        """Changes the state and tells the page; the lock is held."""
         self._state = state
         self._changed.notify_all()
         if state in (RUNNING, RESTING):

@@ -53,7 +53,8 @@ class Played:
         return float(self._t_s[max(self._at, 0)] - self._t_s[0])
 
     def play(self, picture: Callable[[float], Array | None]) -> Frame:
-        """The next frame. picture: at an arrival time of marker.csv, BGR."""
+        """Advances to the next frame and returns it. picture: gives the BGR picture of an arrival time of
+        marker.csv."""
         self._at += 1
         k, marker = self._at, self._marker
         seen = Sighting(np.nan, np.nan, np.nan, np.nan, "the marker was not found")
@@ -83,18 +84,20 @@ class Played:
         return float(np.interp(t_s, motor.t_s, motor.q, left=np.nan))
 
     def so_far(self) -> Recording:
+        """The part of the recording that was played."""
         if self._at + 1 >= self.frames:
             return self._whole
         now_s = self._t_s[self._at]
         return replace(
             self._whole,
-            motor=_until(self._whole.motor, self._whole.motor.t_s <= now_s),
-            marker=_until(self._marker, self._t_s <= now_s),
-            angle=self._whole.angle and _until(self._whole.angle, self._whole.angle.t_s <= now_s),
+            motor=_rows_of(self._whole.motor, self._whole.motor.t_s <= now_s),
+            marker=_rows_of(self._marker, self._t_s <= now_s),
+            angle=self._whole.angle and _rows_of(self._whole.angle, self._whole.angle.t_s <= now_s),
         )
 
 
-def _until(series: Series, rows: Array) -> Series:
+def _rows_of(series: Series, rows: Array) -> Series:
+    """The series with these rows of every column."""
     kept = {}
     for field in fields(series):
         value = getattr(series, field.name)
@@ -115,13 +118,13 @@ class _Film:
         self._coming = self._read()
 
     def at(self, t_s: float) -> Array | None:
-        """The last that arrived by then, BGR; None before the first."""
+        """The last picture that arrived by t_s, BGR; None before the first. Times do not go back."""
         while self._coming is not None and self._coming[1] <= t_s + _SAME_S:
             self._shown, self._coming = self._coming[0], self._read()
         return self._shown
 
     def _read(self) -> tuple[Array, float] | None:
-        """The next frame that has a time."""
+        """Reads on to the next frame that has a time."""
         while (read := self._video.read()) is not None:
             if self._arrival_s is None:
                 return read
@@ -133,7 +136,7 @@ class _Film:
 
 @contextmanager
 def _pictures(recording: Recording) -> Iterator[Callable[[float], Array | None]]:
-    """The picture at an arrival time: the video's, else the one that was kept, else none."""
+    """A function from arrival time to picture: of the video, else of the picture that was kept, else None."""
     if recording.video is None:
         still = None if recording.picture is None else cv2.imread(str(recording.picture), cv2.IMREAD_COLOR)
         yield lambda t_s: still
@@ -143,7 +146,8 @@ def _pictures(recording: Recording) -> Iterator[Callable[[float], Array | None]]
 
 
 def replay(recording: Recording, rig: Rig, show: Show, resting: Callable[[], bool], pace: float = 1.0) -> View:
-    """Plays it at `pace` times its own speed. In the end the View knows what a calibration of all of it gives."""
+    """Plays a recording through a Watch at `pace` times its speed; in the end the View holds the calibration of all of
+    it."""
     played = Played(recording, rig)
     low, high = rig.actuator.range
     view = View(low, high, rig.actuator.unit, default_until(rig.actuator), f"replay of {recording.name}")

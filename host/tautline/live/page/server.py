@@ -55,14 +55,14 @@ class PageServer(ThreadingHTTPServer):
         return f"http://{LOOPBACK}:{self.server_address[1]}/{self.token}/"
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A page that goes in the middle of an answer is no error."""
+        """Ignores a page that goes away in the middle of an answer."""
         if not isinstance(sys.exc_info()[1], OSError):
             super().handle_error(request, client_address)
 
 
 @contextmanager
 def serving(desk: Desk) -> Iterator[PageServer]:
-    """The server answers inside, on threads of its own."""
+    """Inside, the server answers on threads of its own."""
     with PageServer(desk) as server:
         thread = threading.Thread(target=server.serve_forever, name="page", daemon=True, args=(0.05,))
         thread.start()
@@ -84,21 +84,21 @@ class _Handler(BaseHTTPRequestHandler):
         """The terminal is the session's."""
 
     def do_GET(self) -> None:
-        name = self._asked()
+        name = self._authorised_path()
         if name is None:
             return
         if name in _ASSETS:
             file, kind = _ASSETS[name]
             self._answer((files(__package__) / "assets" / file).read_bytes(), kind)
         elif name == "events":
-            self._events()
+            self._send_events()
         elif name == "picture":
-            self._picture()
+            self._send_picture()
         else:
             self._refuse(HTTPStatus.NOT_FOUND)
 
     def do_POST(self) -> None:
-        name = self._asked()
+        name = self._authorised_path()
         if name is None:
             return
         desk = self.server.desk
@@ -106,7 +106,7 @@ class _Handler(BaseHTTPRequestHandler):
             "start": desk.start, "rest": desk.rest, "stop": desk.stop, "here": desk.here,
         }  # fmt: skip
         desk.here()
-        sent = self._sent()
+        sent = self._json_body()
         if sent is None:
             self._refuse(HTTPStatus.BAD_REQUEST)
         elif name in orders:
@@ -118,8 +118,9 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             self._refuse(HTTPStatus.BAD_REQUEST if name == "pick" else HTTPStatus.NOT_FOUND)
 
-    def _asked(self) -> str | None:
-        """What is behind the token; None, and refused, without it, or by a name that is not this machine's."""
+    def _authorised_path(self) -> str | None:
+        """The path behind the token. None, with an answer that refuses, without the token or under a host name that is
+        not this machine's."""
         _, _, behind = self.path.partition("?")[0].partition("/")
         token, slash, name = behind.partition("/")
         if not hmac.compare_digest(token.encode(), self.server.token.encode()) or not slash:
@@ -135,8 +136,8 @@ class _Handler(BaseHTTPRequestHandler):
             return None
         return name
 
-    def _sent(self) -> dict[str, Any] | None:
-        """The JSON object of a request, empty where it has none; None for anything else."""
+    def _json_body(self) -> dict[str, Any] | None:
+        """The JSON object of a request, {} without a body; None for anything else."""
         length = _whole(self.headers.get("Content-Length", "0"))
         if length is None or length > _MOST_BYTES:
             return None
@@ -146,9 +147,9 @@ class _Handler(BaseHTTPRequestHandler):
             return None
         return sent if isinstance(sent, dict) else None
 
-    def _events(self) -> None:
-        """Server-sent events: the latest of each topic, then what is new, for as long as the page is there. It is to
-        answer `alive`: a write to one that sleeps fails only minutes later."""
+    def _send_events(self) -> None:
+        """Server-sent events as long as the page is there: the latest of each topic, then what is new. The page has to
+        answer `alive`, as a write to one that sleeps fails only minutes later."""
         self._head(HTTPStatus.OK, {"Content-Type": "text/event-stream", "Connection": "close"})
         self.close_connection = True
         events, at, due_s = self.server.desk.events, 0, 0.0
@@ -161,8 +162,8 @@ class _Handler(BaseHTTPRequestHandler):
                     told, due_s = told + _event("alive", {}), time.monotonic() + _ALIVE_S
                 self.wfile.write(told.encode())
 
-    def _picture(self) -> None:
-        """The first picture after the one that the page has: a page that is slow gets fewer, none wait."""
+    def _send_picture(self) -> None:
+        """Sends the first picture after the one that the page has; a slow page gets fewer."""
         after = _whole(parse_qs(self.path.partition("?")[2]).get("after", ["0"])[0])
         if after is None:
             self._refuse(HTTPStatus.BAD_REQUEST)
@@ -183,7 +184,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def _refuse(self, status: HTTPStatus) -> None:
-        """Says nothing of what is here; the connection ends, as what was sent with it may be unread."""
+        """Answers with a bare status and closes the connection, as an unread body may follow."""
         self.close_connection = True
         self._answer(b"", "text/plain", status, {"Connection": "close"})
 

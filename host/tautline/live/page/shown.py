@@ -23,14 +23,14 @@ _NODES = 161  # of B(q), as it is drawn
 
 
 def bent(rig: Rig, frame: Frame) -> float | None:
-    """The bending angle at which the marker would be nearest to where it was seen, deg."""
+    """The bending angle, deg, whose image is nearest to the marker in a frame."""
     if not frame.sighting.valid:
         return None
     return _finite(float(pose(rig, [(frame.sighting.u_px, frame.sighting.v_px)])[0][0]))
 
 
 def moment(frame: Frame, q: float, c_deg: float | None) -> dict[str, Any]:
-    """One frame: when it arrived, the motor at the time that it shows, the angle, the marker in px."""
+    """One frame as a document: arrival, motor at its scene time, angle, marker in px."""
     seen = frame.sighting
     return {
         "t_s": frame.t_us * 1e-6,
@@ -44,7 +44,7 @@ def moment(frame: Frame, q: float, c_deg: float | None) -> dict[str, Any]:
 
 
 def progress(view: View) -> dict[str, Any]:
-    """What is being done, what was seen, what is missing."""
+    """A View's progress as a document: what is done, what was seen, what is missing."""
     seen, known = in_short(view)
     return {
         "doing": view.doing,
@@ -62,7 +62,7 @@ def progress(view: View) -> dict[str, Any]:
 
 
 def missing(view: View) -> list[str]:
-    """What stands between what is known and the goal, a sentence each."""
+    """What is missing to reach the goal, a sentence each."""
     unit, standing = view.unit, view.standing
     said = []
     if view.coverage < 1.0:
@@ -85,7 +85,8 @@ def missing(view: View) -> list[str]:
 
 
 def fit(calibration: Calibration, seconds: float | None) -> dict[str, Any]:
-    """B(q) with its band, the onsets and the verdict of a calibration of the first `seconds`, None: of all there is."""
+    """A calibration as a document: B(q) with its band, onsets and verdict. seconds: of the recording, None for all of
+    it."""
     return backlash(calibration.model) | {
         "seconds": seconds,
         "onsets": [
@@ -97,7 +98,7 @@ def fit(calibration: Calibration, seconds: float | None) -> dict[str, Any]:
 
 
 def backlash(model: Model) -> dict[str, Any]:
-    """B(q) with its band and the verdict of a model, from no time and without onsets."""
+    """A model's B(q) with its band and verdict as a document."""
     low, high = model.measured
     q = np.linspace(low, high, _NODES) if low < high else np.zeros(0)
     return {
@@ -117,8 +118,8 @@ def backlash(model: Model) -> dict[str, Any]:
 
 
 def diagnosis(document: Mapping[str, Any], answers: Sequence[Leading], why: str) -> dict[str, Any]:
-    """What may be the cause, likeliest first, what led after each recording, and what is recorded next. why: nothing
-    is, empty where something is."""
+    """A diagnosis as a document: candidates, what led after each recording, and the next motion, or why there is
+    none."""
     following = document["next_motion"]
     probable = sorted(answers_of(document).items(), key=lambda item: -item[1])
     return {
@@ -131,7 +132,7 @@ def diagnosis(document: Mapping[str, Any], answers: Sequence[Leading], why: str)
 
 
 def holds(row: Row, t_s: float) -> dict[str, Any]:
-    """Whether the model still holds at a frame, and what was learnt: an offset in the rig's unit, a scale of B."""
+    """A tracker's row as a document: state, offset (the rig's unit) and scale of B."""
     numbers = {name: _finite(float(getattr(row, name))) for name in ("offset", "offset_sigma", "scale", "scale_sigma")}
     return {"t_s": t_s, "state": row.state.value, "reason": row.reason} | numbers
 

@@ -16,22 +16,22 @@ class Stream:
         self._closed = False
 
     def publish(self, topic: str, what: Any) -> None:
-        """`what` is read by other threads from now on: it does not change any more."""
+        """Makes `what` the latest of a topic. Other threads read it from now on: it must not change any more."""
         with self._changed:
             self._count += 1
             self._latest[topic] = (self._count, what)
             self._changed.notify_all()
 
     def newer(self, after: int, timeout_s: float) -> tuple[int, dict[str, Any]]:
-        """What was published after number `after`, by topic, oldest first, and the newest number; waits for it. Empty
-        when the time is up or the stream closed."""
+        """What was published after number `after`, by topic, oldest first, and the newest number. Waits for it; empty
+        when the time is up or the stream is closed."""
         with self._changed:
             self._changed.wait_for(lambda: self._count > after or self._closed, timeout_s)
             fresh = sorted((number, topic, what) for topic, (number, what) in self._latest.items() if number > after)
         return (fresh[-1][0] if fresh else after), {topic: what for _, topic, what in fresh}
 
     def close(self) -> None:
-        """Whoever waits is let go."""
+        """Wakes whoever waits."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()

@@ -76,6 +76,7 @@ class Calibrating:
         _look(desk, self.live)
 
     def run(self, desk: Desk) -> str:
+        """Calibrates until the goal is reached, and keeps MODEL and report."""
         kept = self.recording()
         found, reached = calibrate_until(self.live, kept, self.goal, show=desk.show, resting=desk.resting)
         self.found = found
@@ -91,6 +92,7 @@ class Calibrating:
         self.live.let_go()
 
     def _pick(self, desk: Desk, place: tuple[float, float]) -> None:
+        """Picks the marker's colour at a place of the picture."""
         if desk.picture is None or self.live.marker_source is None:
             return
         try:
@@ -131,6 +133,7 @@ class Watching:
         _look(desk, self.live)
 
     def run(self, desk: Desk) -> str:
+        """Tracks the model in use until stopped."""
         desk.events.publish("fit", shown.backlash(self.model))
 
         def told(row: Row, t_s: float) -> None:
@@ -178,6 +181,7 @@ class Diagnosing:
         _look(desk, self.live)
 
     def run(self, desk: Desk) -> str:
+        """Diagnoses with motions recorded on the way."""
         answers: list[Leading] = []
         desk.events.publish("fit", shown.fit(self.calibration, None))
         desk.events.publish("diagnosis", None)
@@ -231,7 +235,7 @@ class Replaying:
 
 
 def _look(desk: Desk, live: Live) -> None:
-    """A frame while nothing runs; where time is the board's, no faster than a camera would be."""
+    """Looks at one frame while nothing runs, at a camera's pace where time is virtual."""
     began_s = time.monotonic()
     frame = live.look()
     desk.show_frame(frame, _motor(live))
@@ -250,7 +254,7 @@ def attend(
     told: Callable[[str], None] = lambda text: None,
     over: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Until `over`, or Ctrl-C while nothing runs: what the page asks for is done, and what came of it said there, and
+    """Until `over()`, or Ctrl-C while nothing runs, does what the page asks for; what came of it goes to the page and
     to `told`."""
     try:
         while not over():
@@ -266,6 +270,7 @@ def attend(
 
 
 def _ran(desk: Desk, work: Work) -> str:
+    """Runs the work once; what came of it, in words."""
     try:
         desk.check_stop()  # that came before it began
         return work.run(desk)

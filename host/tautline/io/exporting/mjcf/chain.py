@@ -31,7 +31,7 @@ class Chain:
     rms: float  # of the curve less the chain, on the curve's nodes
 
     def values(self, x: npt.ArrayLike) -> list[Array]:
-        """What each link hands out, the last is y."""
+        """The output of every link at x; the last one is y."""
         at = np.asarray(x, dtype=float)
         found = []
         for link in self.links:
@@ -44,8 +44,8 @@ class Chain:
 
 
 def fit(x: Array, y: Array, enough: float) -> Chain:
-    """The shortest chain of at most MOST_LINKS whose rms is `enough` on the curve's nodes (x, y), else the best one.
-    x rises. The same curve gives the same chain. 0.1 to 5 s."""
+    """The shortest chain of at most MOST_LINKS polynomials whose rms error on the curve (x rising, y) is `enough`, else
+    the best one. Deterministic. 0.1 to 5 s."""
     u = (2.0 * x - x[0] - x[-1]) / (x[-1] - x[0])
     scale = np.array([-(x[0] + x[-1]), 2.0]) / (x[-1] - x[0])
     best, free = _outer([], u, y, scale), np.zeros(0)
@@ -76,7 +76,8 @@ def fit_sum(x: Array, y: Array, enough: float) -> Sum:
 
 
 def _search(u: Array, y: Array, scale: Array, known: Array) -> tuple[Chain, Array]:
-    """One link more than the `known` ones, which are where the search starts; the free coefficients too."""
+    """The best chain with one link more than `known`, which are the start of the search; their free coefficients vary
+    too."""
     nodes = np.linspace(-1.0, 1.0, _NODES)
     wanted = np.interp(nodes, u, y)
     spread = max(float(np.ptp(wanted)), 1e-300)
@@ -116,7 +117,7 @@ def _unit(at: Array) -> tuple[Array, Array]:
 
 
 def _outer(inner: list[Array], u: Array, y: Array, scale: Array) -> Chain:
-    """The chain with its last link solved for; scale brings x to u."""
+    """The chain with its last link by linear least squares; scale brings x to u."""
     at, before, links = u, scale, []
     for link in inner:
         raw: Array = np.asarray(polynomial.polyval(at, link), dtype=float)
@@ -132,7 +133,7 @@ def _outer(inner: list[Array], u: Array, y: Array, scale: Array) -> Chain:
 
 
 def _of_line(link: Array, line: Array) -> Array:
-    """link(line(x)), five coefficients."""
+    """Coefficients of link(line(x)), five."""
     composed = np.zeros(1)
     for coefficient in link[::-1]:
         composed = polynomial.polyadd(polynomial.polymul(composed, line), [coefficient])

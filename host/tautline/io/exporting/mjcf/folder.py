@@ -89,7 +89,7 @@ def _at_least_zero(half: Chain, x: Array) -> Chain:
 
 
 def _parameters(model: Model) -> dict[str, float]:
-    """Of the effects that the callback simulates."""
+    """The parameters of those effects that the callback simulates."""
     return {
         name: float(value)
         for effect in of_this_version(model)
@@ -152,6 +152,7 @@ def _csv(header: str, rows: Array) -> str:
 def _measured(
     model: Model, nominal: Nominal, law: Law, folder: Path, progress: Callable[[float, str], None]
 ) -> dict[str, Any]:
+    """The report of what each part of the export leaves of the model's prediction, by simulating the scenes."""
     motor = measure.motion(model, nominal.timestep)
     told = predict(model, motor, motor.t_s).c_deg
     q = float(motor.q[0])
@@ -186,7 +187,8 @@ def _measured(
 
 
 def parts(model: Model, law: Law, motor: Motor, told: Array) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Each of what the model holds: where it went, and what its form there leaves of the prediction by itself."""
+    """For each part of the model where in the export it went, and the prediction error that its form there leaves by
+    itself."""
     x = model.q - law.middle
     width = replace(model, width=allowed_width(model.q, 2.0 * law.half(x)))
     bent = replace(model, c_deg=monotone(np.degrees(law.angle(x))))
@@ -253,6 +255,7 @@ def _as_exported(model: Model, effect: Effect, leaves: Callable[[Model], float])
 
 
 def _lost(report: dict[str, Any]) -> list[str]:
+    """The report's losses, one line each."""
     unit, errors = report["unit"], report["error"]
     lost = [
         f"{what} leaves {errors[name]['rms']:.3g} {unit} rms, {errors[name]['largest']:.3g} at most, of taut predict"

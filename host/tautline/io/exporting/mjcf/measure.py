@@ -63,8 +63,8 @@ def simulate(
 
 
 def error(model: Model, motor: Motor, c_deg: Array, told: Array | None = None) -> tuple[float, float]:
-    """rms and largest difference of two angles (n,), told's default being the model's prediction, from where the start
-    no longer matters: px a coordinate where the rig has a camera, else deg."""
+    """rms and largest difference of two angles (n,), once the start no longer matters: px per coordinate with a camera,
+    else deg. told: to compare with, by default the model's prediction."""
     told = predict(model, motor, motor.t_s).c_deg if told is None else told
     counted = motor.t_s >= settled_from(model, motor)
     if model.rig.has_camera:

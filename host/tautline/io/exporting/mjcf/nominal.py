@@ -57,6 +57,7 @@ def look(mount: Mount, unit: str, motor: tuple[float, float], tip_rad: Array) ->
 
 
 def _check_actuator(model: Any, mount: Mount, scale: float, unit: str, motor: tuple[float, float]) -> None:
+    """TautError where the actuator does not fit the motor's unit and range."""
     names = [model.actuator(i).name for i in range(model.nu)]
     if mount.actuator not in names:
         raise TautError(f"{mount.into}: has no actuator {mount.actuator}, but {', '.join(names) or 'none at all'}")

@@ -65,7 +65,7 @@ class Scene:
         self._tip()
 
     def text(self, out: Path) -> str:
-        """The MJCF for a file in the folder `out`, compiled once to see that it is whole."""
+        """The MJCF text for a file in the folder `out`; compiled once as a check."""
         for key in self.spec.keys:  # the slides stand behind all that was there
             if len(key.qpos):
                 key.qpos = [*key.qpos, *self.added]
@@ -90,7 +90,7 @@ class Scene:
         return ElementTree.tostring(whole, encoding="unicode") + "\n"
 
     def slide(self, name: str, mass: float, reference: float) -> Any:
-        """A coordinate that stands at `reference` at first, and nothing pulls down."""
+        """Adds a slide joint that starts at `reference`, without gravity."""
         body = self.spec.worldbody.add_body(
             name=name,
             gravcomp=1.0,
@@ -106,7 +106,7 @@ class Scene:
         )
 
     def motor(self) -> None:
-        """The user's actuator moves the slide MOTOR: its control is q as it was, in its own unit."""
+        """Makes the user's actuator drive the slide MOTOR; its control is q as before, in its own unit."""
         nominal, mass = self.nominal, _MOTOR_HEAVY * self.mass
         self.slide(MOTOR, mass, self.law.middle)
         rate, scale = _SERVO / nominal.timestep, nominal.scale
@@ -127,7 +127,7 @@ class Scene:
         )
 
     def play(self) -> None:
-        """q - p - half <= 0 and q - p + half >= 0, half = B(p)/2; friction holds p."""
+        """The play as inequalities q - p - half <= 0 and q - p + half >= 0, half = B(p)/2; friction holds p."""
         nominal, law, mass = self.nominal, self.law, self.mass
         centre = self.slide(CENTRE, mass, law.middle)
         centre.frictionloss = max(_FRICTION * nominal.load * law.steepest, _STOPS * law.span * mass)
@@ -140,7 +140,7 @@ class Scene:
                 wall.wrap_joint(joint, share)
 
     def follow(self) -> None:
-        """The tip follows the play by f_remain, late by the lag."""
+        """The tip follows the play by f_remain, delayed by the lag."""
         law, behind = self.law, CENTRE
         if law.lag_s > 0.0:  # a spring to the play against a damper: a light one, so that nothing swings
             damping = self.mass / self.nominal.timestep
@@ -167,8 +167,8 @@ class Scene:
         self.lead_tip([LEAD], _SAME, start)
 
     def chained(self, name: str, joint: str, links: tuple[Array, ...], x0: float) -> tuple[str, float]:
-        """A slide for each link, which an equality holds to the one before; the last one's name and its reference. x0
-        is the first link's argument where `joint` is at its reference."""
+        """Adds a slide for each link, held by an equality to the one before; returns the last one's name and reference.
+        x0: the first link's argument where `joint` is at its reference."""
         for i, link in enumerate(links):
             y0 = float(polynomial.polyval(x0, link))
             this = f"{name}_{i + 1}"
@@ -178,13 +178,14 @@ class Scene:
         return joint, x0
 
     def lead_tip(self, joints: list[str], link: Array, x0: float) -> None:
-        """The tip's hinges together are link(the joints' sum); x0 as in `chained`."""
+        """Holds the sum of the tip's hinges to link(sum of these joints); x0 as in `chained`."""
         leads = self.spec.add_tendon(name=f"{TIP}_leads")
         for joint in joints:
             leads.wrap_joint(joint, 1.0)
         self._equal(self.mj.mjtObj.mjOBJ_TENDON, TIP, leads.name, _about(link, x0, self.nominal.rest))
 
     def _equal(self, kind: Any, one: str, other: str, coefficients: Array) -> None:
+        """Adds an equality between joints or tendons with polynomial coefficients."""
         of_joint = kind == self.mj.mjtObj.mjOBJ_JOINT
         equality = self.spec.add_equality(
             name=f"{one}_equal",
@@ -197,7 +198,7 @@ class Scene:
         equality.solref, equality.solimp = self.stiff, _IMPEDANCE
 
     def _tip(self) -> None:
-        """A tendon over the tip's hinges, and what it reads: at once, and as late as the sensor sees it."""
+        """Adds a tendon over the tip's hinges with two sensors: without delay, and with the sensor's."""
         tip = self.spec.add_tendon(name=TIP)
         for name, sign in self.nominal.tip:
             tip.wrap_joint(name, sign)
@@ -209,7 +210,7 @@ class Scene:
 
 
 def _about(link: Array, x0: float, y0: float) -> Array:
-    """Coefficients of d in link(x0 + d) - y0."""
+    """Polynomial coefficients, in d, of link(x0 + d) - y0."""
     shifted = np.zeros(1)
     for coefficient in link[::-1]:
         shifted = polynomial.polyadd(polynomial.polymul(shifted, [x0, 1.0]), [coefficient])

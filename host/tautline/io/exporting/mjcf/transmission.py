@@ -43,7 +43,7 @@ class Transmission:
         self.start(float(self.grid[len(self.grid) // 2]))
 
     def start(self, q: float) -> float:
-        """At rest with the motor at q, the tip on the centre line; c in deg."""
+        """Puts the motor at rest at q with the tip on the centre line; returns c, deg."""
         q = self._shaft(q)
         self.single = q
         if self.warp is not None:
@@ -70,6 +70,7 @@ class Transmission:
         return self._bent(self._late(before, p, dt))
 
     def _centre(self) -> float:
+        """The centre coordinate: by the warp of the elements' mean; that of the single play where B is narrow."""
         if self.warp is None:
             return self.single
         y = float(self.w @ self.z)
@@ -110,6 +111,7 @@ class Transmission:
         return u1
 
     def _bent(self, p: float) -> float:
+        """The bending angle, deg, at p; beyond the angle contact_c an obstacle holds a share of it back."""
         c = _line(p, self.grid, self.c_deg)
         get = self.values.get
         beyond = (c - get("contact_c", 0.0)) * get("contact_side", 1.0)
@@ -120,7 +122,7 @@ class Transmission:
         return c
 
     def _shaft(self, q: float) -> float:
-        """Where the motor is that reads q: its encoder errs once and twice a turn."""
+        """The true motor position where the encoder reads q, its error having one and two periods a turn."""
         get = self.values.get
         sin, cos, sin2, cos2 = (get(f"encoder_{name}", 0.0) for name in ("sin", "cos", "sin2", "cos2"))
         if not (sin or cos or sin2 or cos2):
@@ -153,7 +155,7 @@ class Control:
         self.time = -math.inf
 
     def __call__(self, model: Any, data: Any) -> None:
-        """From the control to the speed with which the tip is led to where it is at the end of the step."""
+        """Sets the speed that leads the tip to where the transmission has it at the end of the step."""
         if data.time == self.time:  # a stage of the same step
             return
         self.time = float(data.time)

@@ -1,0 +1,186 @@
+"""One stretch of evidence, looked at by the law in use and by the calibrated one: what is left, where the tip was, and
+what may stand in the way of any law."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.tracking.fit import Envelopes, LawFit, Prior, Work, envelopes, simulated, trimmed
+from tautline.tracking.law import OFFSET, SCALE, SHAPE, SKEW, SPREAD, TIP, LawFamily, unchanged
+from tautline.tracking.window import WindowKnots
+
+Array = npt.NDArray[np.float64]
+
+EXPLAINED = 1.5  # tolerance: times the level known so far: a fit that explains its data
+_FAR = 10.0  # loss: times the level known so far: it explains nothing, however little that is of what was left before
+OF_BEFORE = 0.3, 0.5  # loss: of what was left before: enough at once, enough where it also foretells
+_REFINES = 0.9  # loss: of what the law in use leaves: worth a step where one is being learnt
+LATELY, _LATELY_OF = 3, 0.6  # loss: strokes, on which a law must leave so much less than others do
+_OFF_TRACK = 3.0  # prior: standard deviations off the marker's track (rms), or
+_OFF_SHARE = 0.3  # prior: of the residual along it: then it is no motion of the play
+_WANDERS = 4.0  # prior: standard deviations of the tip's motion while the motor rests
+_DEPARTS = 3.0  # prior: standard deviations that each of three frames is off where a change shows
+_WORTH = 0.5  # loss: times the level known so far, in quadrature: what a new law must take away
+STROKE_FRAMES = 8  # loss: frames that a stroke has at least
+EASY = 120  # tolerance: us, at most, of an easy look at a case
+
+
+@dataclass(frozen=True)
+class Case:
+    """One stretch of evidence, looked at with the law in use."""
+
+    nominal: LawFamily
+    evidence: WindowKnots
+    theta: Array
+    origin: Array  # the law before anything was learnt of this evidence
+    level: float
+    envelopes: Envelopes
+    passed: tuple[float, float] | None
+    turns: int  # reversals after which the tip was seen to move
+    z: Array  # residuals by the law in use
+    z_calibrated: Array
+
+    @classmethod
+    def of(cls, nominal: LawFamily, evidence: WindowKnots, theta: Array, origin: Array, level: float) -> Work[Case]:
+        """Looks at this evidence by the law in use (theta) and by the calibrated one. level: rms of z that the law is
+        known to leave."""
+        yield EASY + len(evidence.seen) // 10
+        law = nominal.law(theta)
+        envelope = envelopes(evidence, law)
+        strokes, frames = np.unique(evidence.stroke[envelope.at], return_counts=True)
+        turns = max(int(np.sum(frames >= 2)) - 1, 0) if len(strokes) else 0
+        passed = envelope.both(evidence, law)
+        z = calibrated = (yield from simulated(nominal, evidence, theta, False))[0]
+        first = unchanged()
+        if not np.array_equal(theta, first):
+            calibrated = (yield from simulated(nominal, evidence, first, False))[0]
+        return cls(nominal, evidence, theta, origin, level, envelope, passed, turns, z, calibrated)
+
+    @property
+    def before(self) -> float:
+        """rms of z by the law in use."""
+        return trimmed(self.z)
+
+    def lately(self, z: Array) -> float:
+        """rms over the last strokes."""
+        return trimmed(z[self.evidence.stroke > self.evidence.stroke[-1] - LATELY])
+
+    def explained(self, fit: LawFit, of_before: float | None = None) -> bool:
+        """Whether a fit leaves no more than EXPLAINED times the known level, in all and lately; or, with `of_before`,
+        at most that share of what the law in use and the calibrated one leave, and lately clearly less than either."""
+        if max(fit.level, self.lately(fit.z)) <= EXPLAINED * self.level:
+            return True
+        if of_before is None or fit.level > _FAR * self.level:
+            return False
+        if fit.level > of_before * max(self.before, trimmed(self.z_calibrated)):
+            return False
+        return self.lately(fit.z) <= _LATELY_OF * min(self.lately(self.z), self.lately(self.z_calibrated))
+
+    def clear(self, fit: LawFit) -> bool:
+        """Whether a fit leaves next to nothing of what the law in use leaves."""
+        return fit.level <= OF_BEFORE[0] * self.before
+
+    def worth_adopting(self, z: Array, now: int, fit: LawFit) -> bool:
+        """Whether a law with residuals z lowers the mean square enough, in all or lately; and, unless the best `fit`
+        leaves next to nothing, on each of the last `now` strokes: a misfit that is over, as at a recording's begin,
+        counts no more."""
+        gain = max(trimmed(self.z) ** 2 - trimmed(z) ** 2, self.lately(self.z) ** 2 - self.lately(z) ** 2)
+        enough = (_WORTH * self.level) ** 2
+        return gain >= enough and (self.clear(fit) or self.less_on_each(z, now, enough))
+
+    def better(self, fit: LawFit) -> bool:
+        """Whether it leaves less than the law in use, in all and lately."""
+        return max(fit.level / self.before, self.lately(fit.z) / self.lately(self.z)) < _REFINES
+
+    def less_on_each(self, z: Array, count: int, least: float = 0.0) -> bool:
+        """Whether a law with residuals z lowers the mean square by `least` on each of the last `count` strokes."""
+        strokes, frames = np.unique(self.evidence.stroke, return_counts=True)
+        parts = [self.evidence.stroke == k for k in strokes[frames >= STROKE_FRAMES][-count:]]
+        return all(trimmed(self.z[part]) ** 2 - trimmed(z[part]) ** 2 >= least for part in parts)
+
+    def prior(self) -> Prior:
+        """The prior of a fit: about the calibrated law, with offset and shape as they were before this evidence."""
+        mean = unchanged()
+        mean[OFFSET], mean[SHAPE] = self.origin[OFFSET], self.origin[SHAPE]  # places not seen again stay as they are
+        span = self.nominal.model.rig.actuator.span
+        return Prior.of(mean, span, span * abs(self.nominal.tip_slope), self.places_known)
+
+    @property
+    def first_departure(self) -> int:
+        """Index of the first of three frames in a row that the law in use does not predict: what comes before is of the
+        time before the change, or of places where there is none. 0 where there is no such run."""
+        far = np.abs(self.z) > _DEPARTS * self.level
+        run = far[:-2] & far[1:-1] & far[2:]
+        first = int(run.argmax()) if run.any() else 0
+        return first if len(self.z) - first >= STROKE_FRAMES else 0
+
+    @property
+    def places_known(self) -> npt.NDArray[np.bool_]:
+        """(PLACES,) Whether the shape of B is told there: the tip was on either envelope, and somewhere on both, which
+        tells the offset from the width."""
+        places = self.nominal.places
+        if self.passed is None:
+            return np.zeros(len(places), dtype=bool)
+        y = self.places(self.theta, self.envelopes.at)
+        passed: npt.NDArray[np.bool_] = (places > y.min()) & (places < y.max())
+        return passed
+
+    def places(self, theta: Array, at: npt.NDArray[np.intp] | slice = slice(None)) -> Array:
+        """The centre coordinates of frames by a law."""
+        return self.nominal.law(theta).place(self.evidence.c_deg[at])
+
+
+def changes_in_words(case: Case, theta: Array) -> str:
+    """The ids of the effects by which theta differs from the calibration, with their size."""
+    unit = case.nominal.model.rig.actuator.unit
+    changes = []
+    if np.any(theta[SHAPE]):
+        changes.append("transmission.backlash: B has another shape")
+    elif theta[SCALE] != 1.0:
+        changes.append(f"transmission.backlash: {100 * theta[SCALE]:.0f} % of the calibrated width")
+    if theta[SPREAD] or theta[SKEW]:
+        changes.append("transmission.smooth_onset: the tip starts gradually")
+    offset = case.nominal.offset(theta)
+    if offset != 0.0:
+        changes.append(f"transmission.offset: {offset:+.4g} {unit}")
+    if np.any(theta[TIP][1:]):
+        changes.append("configuration.remaining: the static law bends otherwise")
+    return "; ".join(changes) or "the calibrated law"
+
+
+def disturbance_in_words(case: Case) -> str:
+    """What moves the tip and is no play, in words: it leaves the marker's track, or moves while the motor rests; else
+    ""."""
+    evidence = case.evidence
+    off = trimmed(evidence.off)
+    if off > max(_OFF_TRACK * case.level, _OFF_SHARE * case.before):
+        return "registration.shift or breathing: the marker leaves the track that the joint can give it"
+    q = evidence.q[evidence.seen]
+    count = case.nominal.model.rig.actuator.encoder_resolution
+    rests = np.abs(np.diff(q)) <= 2.0 * count
+    if rests.sum() >= 5:
+        wander = np.diff(evidence.c_deg)[rests] / np.hypot(evidence.sigma[1:], evidence.sigma[:-1])[rests]
+        if trimmed(np.sort(np.abs(wander))[:-1]) > _WANDERS * case.level:  # a change that comes at once is one of them
+            return "the tip moves while the motor rests: breathing or a hand on the shaft"
+    return ""
+
+
+def likely_obstacle(case: Case) -> str:
+    """What may stand in the way where no law explains the tip, in words: it does not follow the motor, or not in one
+    part of its range."""
+    evidence = case.evidence
+    q, y = evidence.q[evidence.seen], case.places(case.theta)
+    late = slice(-min(len(y), 30), None)
+    moved = float(np.ptp(q[late]))
+    width = float(np.interp(y[-1], case.nominal.model.q, case.nominal.model.width))
+    if moved > 2.0 * width and float(np.ptp(y[late])) < 0.1 * moved:
+        return "configuration.contact or a hand: the tip does not follow the motor"
+    far = np.abs(case.z) > EXPLAINED * 3.0 * case.level
+    if far.any() and not far.all():
+        inner, outer = y[~far], y[far]
+        if outer.min() > np.quantile(inner, 0.8) or outer.max() < np.quantile(inner, 0.2):
+            return "configuration.contact: the tip is held back in one part of its way"
+    return "unknown: no change of offset or backlash explains where the tip is"
