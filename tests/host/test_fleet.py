@@ -344,7 +344,7 @@ def known_fleet():
     made = [robots.Robot(9, k).instrument(k % 3, rig).backlash(PLACES) for k in range(100)]
     value = np.log(np.array(made))
     sigma = np.full(value.shape, 0.002)
-    found = population(Curves(PLACES, value, sigma, tuple(f"r{k}" for k in range(100))))
+    found = population(Curves(PLACES, value, sigma, tuple(f"r{k}" for k in range(100))), of_next=True)
     return Beforehand(found.q, found.mean, found.scale, found.freedom)
 
 

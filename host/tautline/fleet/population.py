@@ -27,9 +27,10 @@ Array = npt.NDArray[np.float64]
 LEAST_ROBOTS = 4  # that a spread can be told of
 _STEPS = 40  # of expectation and maximisation
 _PARTS = 3  # in which robots are left out
-_LENGTHS = (0.08, 0.16, 0.32, 0.64)  # of the range, over which a kernel's values go together
-_WORTH = (0.01, 0.1, 0.5, 2.0, 8.0, 32.0)  # robots that the kernel counts as
-_TAILS = (4.0, 12.0, 1e6)  # degrees of freedom; the last is a normal distribution
+_LENGTHS = (0.08, 0.16, 0.32)  # of the range, over which a kernel's values go together
+_WORTH = (0.1, 0.5, 2.0, 8.0, 32.0)  # robots that the kernel counts as
+_WORTH_OF_NEXT = 0.5  # prior: at least, of the next robot: wear is of shapes that no sound robot has
+_TAILS = (4.0, 12.0, 1e6)  # degrees of freedom; the last is a normal distribution. prior: the first, of the next robot
 _MOST = 600  # sessions, evenly taken, that S is found from
 _UNKNOWN = 1.0  # of log B: a sigma that says nothing
 _UNTOLD = 1e3  # of log B, where no reversal was
@@ -125,16 +126,17 @@ def log_widths(rows: Sequence[Row]) -> Curves:
     return Curves(q, np.log(width), sigma, tuple(row.robot for row in usable), together)
 
 
-def population(curves: Curves) -> Population:
-    """See the module."""
+def population(curves: Curves, of_next: bool = False) -> Population:
+    """See the module. of_next: what the next robot may be, which may be worn as none of these is."""
     if len(curves.value) > _MOST:
         curves = curves.of(np.linspace(0, len(curves.value) - 1, _MOST).astype(np.intp))
-    choices = list(product(_LENGTHS, _WORTH, _TAILS))
+    tails = _TAILS[:1] if of_next else _TAILS
+    choices = [each for each in product(_LENGTHS, _WORTH, tails) if not of_next or each[1] >= _WORTH_OF_NEXT]
     told = np.zeros(len(choices))
     for part in range(_PARTS):
         out = curves.robot % _PARTS == part
         rest, left = curves.of(np.flatnonzero(~out)), curves.of(np.flatnonzero(out))
-        fitted = {free: _fitted(rest, free) for free in _TAILS}
+        fitted = {free: _fitted(rest, free) for free in tails}
         for i, (length, worth, free) in enumerate(choices):
             there = _shrunk(*fitted[free], rest, length, worth, free)
             told[i] += float(left.weight @ there.log_density(left))
