@@ -219,7 +219,7 @@ def _unlike(rows: Sequence[Row]) -> list[Named]:
         return []
     known = population(curves)
     chance = known.chance(curves)
-    far = known.distance(curves) / len(curves.q)
+    far = known.distance(curves) / np.maximum(curves.told, 1.0)
     found = [
         Named(name, float(1.0 - p), float(d), float("nan"))
         for name, p, d in zip(curves.names, chance, far, strict=True)
