@@ -29,7 +29,7 @@ PAGES = {
     "Explain": ("docs/diagnosis.md", "docs/fleet.md", "docs/blindtest.md", "docs/results.md"),
     "In and out": ("docs/import.md", "docs/export.md", "docs/files.md", "examples/README.md"),
     "Reference": (
-        "docs/commands.md", "docs/protocol.md", "docs/update.md", "docs/safety.md", "docs/proofs.md",
+        "docs/commands.md", "docs/protocol.md", "docs/update.md", "docs/safety.md", "docs/proofs.md", "docs/mutants.md",
         "docs/emulator.md", "docs/porting.md",
         "firmware/estimator/README.md",
     ),

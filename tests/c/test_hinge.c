@@ -215,6 +215,23 @@ static void test_a_break_is_where_level_and_line_leave_least(void) {
     }
 }
 
+// Travel in 17 bits and a sign: the scale is the smallest that leaves them.
+static void test_the_scale_is_the_smallest(void) {
+    for (int32_t bits = 0; bits < 12; bits++) {
+        const int32_t most = (1 << (17 + bits)) - 1;
+        const int32_t travels[] = {most, most + 1, -most - 1, -most - 2};
+        for (uint32_t i = 0; i < 8U; i++) {
+            window(3, 1, 1, 1, 1, 0);
+            d.direction = (int8_t)(i < 4U ? 1 : -1);
+            for (uint32_t k = 0; k < 3U; k++) {
+                d.window[(d.oldest + k) % TL_ONSET_WINDOW].q = k == 1U ? 5000 + d.direction * travels[i % 4U] : 5000;
+            }
+            TEST_ASSERT_EQUAL_INT32(i % 2U == 0U ? bits : bits + 1, tl_hinge_scale(&d, 0, 5000));
+            TEST_ASSERT_EQUAL_INT32(0, tl_hinge_scale(&d, 2, 5000)); // of those from there on
+        }
+    }
+}
+
 static void test_a_line_is_determined_by_two_samples_and_a_level_by_one(void) {
     const tl_onset_sums_t level = {.w = 16, .n = 1};
     const tl_onset_sums_t line = {.w = 32, .x = 64, .xx = 160, .u = 320, .v = 64, .xu = 720, .xv = 130, .n = 2};
@@ -291,6 +308,7 @@ int main(void) {
     RUN_TEST(test_how_far_a_knot_as_good_may_be);
     RUN_TEST(test_what_would_have_stayed_unseen);
     RUN_TEST(test_a_break_is_where_level_and_line_leave_least);
+    RUN_TEST(test_the_scale_is_the_smallest);
     RUN_TEST(test_a_line_is_determined_by_two_samples_and_a_level_by_one);
     RUN_TEST(test_the_gain_that_confirms);
     RUN_TEST(test_what_curvature_and_the_encoder_add_to_a_knot);

@@ -198,6 +198,11 @@ static void test_sections_that_are_none_are_refused(void) {
     TEST_ASSERT_EQUAL_INT(TL_TABLE_OK, decode_tail(tail, 76));
     TEST_ASSERT_EQUAL_INT(TL_TABLE_OK, decode_tail(tail, 0));
     TEST_ASSERT_EQUAL_INT(TL_TABLE_BAD_SECTION, decode_tail(tail, 152)); // twice
+    for (uint8_t number = 9; number < 64; number++) {                    // with what is right for plays
+        tail[0] = number;
+        TEST_ASSERT_EQUAL_INT(TL_TABLE_BAD_SECTION, decode_tail(tail, 76));
+    }
+    tail[0] = 1;
     for (size_t size = 1; size < 76; size++) {
         TEST_ASSERT_EQUAL_INT(TL_TABLE_BAD_SECTION, decode_tail(tail, size)); // cut off
     }

@@ -10,9 +10,10 @@ import pytest
 
 from tools.mutation import __main__ as program
 from tools.mutation import hosted
+from tools.mutation.choices import same_either_way, starts_what_is_never_read
 from tools.mutation.coverage import Reached, asked
 from tools.mutation.equivalent import equivalents
-from tools.mutation.sites import ROOMS, Mutant, all_mutants, drawn, mutants_of, same_either_way
+from tools.mutation.sites import ROOMS, Mutant, all_mutants, drawn, mutants_of
 from tools.mutation.trial import Outcome, digest
 
 ROOT = Path(__file__).parents[2]
@@ -67,8 +68,48 @@ def test_a_comparison_that_only_chooses_between_equals_is_equivalent(chosen: str
     source = f"int f(int a, int b) {{ return {chosen}; }}\n".encode()
     compared = [each for each in mutants_of("f.c", source) if each.operator == "comparison"]
     assert [same_either_way(each, source) for each in compared] == [same]
-    others = [each for each in mutants_of("f.c", source) if each.operator != "comparison"]
-    assert not any(same_either_way(each, source) for each in others)
+
+
+@pytest.mark.parametrize(
+    ("chosen", "becomes"),
+    [
+        ("a > 0 ? a : 0", {"a >= 0 ? a : 0", "a > (0 - 1) ? a : 0"}),  # otherwise at 0 alone
+        ("a > 0 ? a - 1 : 0", {"a > (0 + 1) ? a - 1 : 0"}),  # at 1
+        (
+            "a < 1 ? 1 : (a > 64 ? 64 : a)",
+            {
+                "a <= 1 ? 1 : (a > 64 ? 64 : a)",
+                "a < (1 + 1) ? 1 : (a > 64 ? 64 : a)",
+                "a < 1 ? 1 : (a >= 64 ? 64 : a)",
+                "a < 1 ? 1 : (a > (64 - 1) ? 64 : a)",
+            },
+        ),
+        ("a > 0 ? b : 0", set()),
+        ("a >= 0 ? a : 1", set()),
+        ("u > 0 ? u : 0", {"u >= 0 ? u : 0"}),  # below no number of those that have no sign
+    ],
+)
+def test_a_choice_that_differs_at_one_number_and_is_the_same_there_is_equivalent(
+    chosen: str, becomes: set[str]
+) -> None:
+    source = f"int f(int32_t a, int32_t b, uint32_t u) {{ return {chosen}; }}\n".encode()
+    found = {each.change(source)[1] for each in mutants_of("f.c", source) if same_either_way(each, source)}
+    assert {text.split("return ")[1].split(";")[0] for text in found} == becomes
+
+
+@pytest.mark.parametrize(
+    ("body", "unread"),
+    [
+        ("int n = 0; g(&n); return h(1, &n);", 2),
+        ("int n = 0; g(&n); return n;", 0),
+        ("int n = 0; g(&n); if (n) {} return 0;", 0),
+        ("int n = 0; g(n); return 0;", 0),
+        ("int n = a ? 0 : 1; g(&n); return 0;", 0),
+    ],
+)
+def test_what_begins_a_variable_that_nobody_reads_is_equivalent(body: str, unread: int) -> None:
+    source = f"int f(int a) {{ {body} }}\n".encode()
+    assert sum(starts_what_is_never_read(each, source) for each in mutants_of("f.c", source)) == unread
 
 
 def test_each_host_test_of_fixed_point_is_there_and_of_files_that_are() -> None:

@@ -1,5 +1,5 @@
-"""Mutants that behave as the program does for every input, each with its reason: by hand (equivalent.toml), and those
-that only choose otherwise between two that are the same.
+"""Mutants that behave as the program does for every input, each with its reason: by hand (equivalent.toml), and by
+rule those that only choose otherwise between what is the same, or begin what is never read.
 """
 
 from __future__ import annotations
@@ -7,7 +7,8 @@ from __future__ import annotations
 import tomllib
 from pathlib import Path
 
-from tools.mutation.sites import Mutant, same_either_way
+from tools.mutation.choices import same_either_way, starts_what_is_never_read
+from tools.mutation.sites import Mutant
 
 LIST = Path(__file__).with_name("equivalent.toml")
 
@@ -27,10 +28,15 @@ def listed(mutants: list[Mutant], root: Path) -> dict[Mutant, str]:
 
 
 def equivalents(mutants: list[Mutant], root: Path) -> dict[Mutant, str]:
-    """The reason of each that is listed or only chooses between equals."""
+    """The reason of each that is listed, only chooses between equals, or begins what is never read."""
     chooses = {
         mutant: "It differs where two are the same, and either gives the same there."
         for mutant in mutants
-        if mutant.operator == "comparison" and same_either_way(mutant, (root / mutant.file).read_bytes())
+        if same_either_way(mutant, (root / mutant.file).read_bytes())
     }
-    return chooses | listed(mutants, root)
+    unread = {
+        mutant: "It begins what others write into and nobody reads."
+        for mutant in mutants
+        if starts_what_is_never_read(mutant, (root / mutant.file).read_bytes())
+    }
+    return chooses | unread | listed(mutants, root)

@@ -86,28 +86,6 @@ def _nodes(node: Node, inside: bool) -> Iterator[Node]:
         yield from _nodes(child, inside or child == body)
 
 
-def same_either_way(mutant: Mutant, source: bytes) -> bool:
-    """Whether it tells equal ones apart where equal ones give the same: the smaller, the larger, a size, an excess."""
-    node = PARSER.parse(source).root_node.descendant_for_byte_range(mutant.start, mutant.end)
-    compared = node.parent if node is not None else None
-    if mutant.operator != "comparison" or mutant.after not in ("<", "<=", ">", ">=") or compared is None:
-        return False
-    chosen = compared.parent
-    while chosen is not None and chosen.type == "parenthesized_expression":
-        chosen = chosen.parent
-    sides = [compared.child_by_field_name(name) for name in ("left", "right")]
-    ways = [chosen.child_by_field_name(name) for name in ("consequence", "alternative")] if chosen is not None else []
-    texts = [_text(each) for each in (*sides, *ways) if each is not None]
-    if chosen is None or chosen.type != "conditional_expression" or len(texts) != 4:
-        return False
-    left, right, then, otherwise = texts
-    return (
-        {then, otherwise} == {left, right}
-        or (then, otherwise) == (f"{left} - {right}", "0")
-        or (right == "0" and {then, otherwise} == {left, f"-{left}"})
-    )
-
-
 def functions_of(source: bytes) -> list[tuple[int, int]]:
     """First and last line of each function."""
     functions, left = [], [PARSER.parse(source).root_node]

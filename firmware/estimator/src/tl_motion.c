@@ -33,9 +33,9 @@ static TL_FAST int64_t larger(int64_t a, int64_t b) {
 }
 
 /// Distance until rest when braking begins on the next tick: a (1 + 2 + ... + (steps - 1)), never less than
-/// needed.
+/// needed; none of one step or of none.
 static TL_FAST int64_t braking_distance(int64_t acceleration, uint32_t steps) {
-    return steps < 2 ? 0 : acceleration * (int64_t)((uint64_t)steps * (steps - 1U) / 2U);
+    return acceleration * (int64_t)((uint64_t)steps * (steps - 1U) / 2U);
 }
 
 static TL_FAST bool is_forward(const tl_motion_t *m) {
@@ -164,9 +164,7 @@ static TL_FAST void choose_speed(tl_motion_t *m) {
 
 static TL_FAST void brake(tl_motion_t *m) {
     m->speed = larger(m->speed - m->acceleration, 0);
-    m->steps = m->steps > 0 ? m->steps - 1U : 0;
     if (m->speed == 0) {
-        m->steps = 0;
         m->state = m->ends_as;
     }
 }

@@ -99,14 +99,14 @@ static TL_FAST void clear_window(tl_onset_detector_t *d) {
 static TL_FAST void finish_started(tl_onset_detector_t *d, const tl_confirm_t *e, tl_onset_t *onset) {
     const tl_onset_config_t *config = &d->config;
     tl_onset_t *r = &d->reversal;
-    const int32_t first = d->held - e->hinge.beyond;
+    const int32_t first = d->held - e->hinge.beyond; // a knot has a sample before it
     const int32_t knot = tl_real_to_q(e->hinge.knot, 0);
     const int32_t sigma = tl_confirm_sigma(tl_confirm_variance(d, e));
     const tl_count_q8_t q2 = r->direction > 0 ? tl_add_sat(r->q1, knot) : tl_sub_sat(r->q1, knot);
 
     // Time of the knot, linear between the frames around it.
     const tl_onset_sample_t *after = tl_hinge_sample(d, first);
-    const tl_onset_sample_t *before = tl_hinge_sample(d, first > 0 ? first - 1 : 0);
+    const tl_onset_sample_t *before = tl_hinge_sample(d, first - 1);
     const int64_t gap = distance(after->q, before->q);
     const int64_t way = gap - distance(after->q, q2);
     const uint32_t gap_us = after->t_us - before->t_us;
@@ -116,7 +116,7 @@ static TL_FAST void finish_started(tl_onset_detector_t *d, const tl_confirm_t *e
 
     r->noise = tl_confirm_noise(e->unit);
     r->slope = tl_real_to_q(e->hinge.slope, 12);
-    r->speed_start = speed_between(d, first > 0 ? first - 1 : 0, d->held - 1);
+    r->speed_start = speed_between(d, first - 1, d->held - 1);
     measure_stop(d, &e->hinge.level, e->unit);
 
     tl_onset_reason_t reason = TL_ONSET_USED;
