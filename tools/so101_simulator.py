@@ -5,7 +5,8 @@ DATA holds so101/ and xl330/: commands drive the MJCF, its joint is compared wit
 diagnosed on one motion, other ones inside its range are predicted by the simulator as it is, by the corrected one, by
 what a user writes in an afternoon (a delay, a play of constant width and a polynomial of fifth order, fitted to the
 same motion) and, where its packages are installed, by `mujoco.sysid`'s fit of the same MJCF. All in deg rms; `covers`
-is the share of readings inside of a method's own 90 % interval. The floor is what two periods of one motion differ by.
+is the share of readings inside of a method's own 90 % interval. The floor is what two periods of one motion differ by;
+--every has beside each motion what the play leaves of it where it is fitted to that motion itself.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ MOTIONS = {  # diagnosed on
     "pendulum, kp 400": "xl330/sin-sin-490g-100mm-kp400",
 }
 METHODS = ("as it is", "corrected", "play", "sysid")
+OWN = "play fitted to it"
 _NINE_OF_TEN = 1.645
 _PERIODIC = "so101/rotation-repetitive-motion"
 # Damping, armature, friction and gain are those that public models of these servos have, to a digit.
@@ -125,7 +127,8 @@ def unseen_of(
             yield other, rows
 
 
-def on(joint: str, data: Path, folder: Path) -> Result:
+def on(joint: str, data: Path, folder: Path, own: bool = False) -> Result:
+    """own: with the play of each unseen motion itself."""
     motion = MOTIONS[joint]
     rig = Rig.load((data / motion).parent / "rig.toml")
     run, model = load(data / motion, rig), simulator(folder, motion)
@@ -144,7 +147,10 @@ def on(joint: str, data: Path, folder: Path) -> Result:
         methods["sysid"] = lambda other: (identified.told(rig, other), identified.sigma(rig, other))
     unseen = {}
     for other, rows in unseen_of(run, data, motion, delay_s, width):
-        unseen[other.name] = {m: _scored(measured(other), *told(other), rows) for m, told in methods.items()}
+        told = {m: told(other) for m, told in methods.items()}
+        if own:
+            told[OWN] = constant_play(other)[2](other), None
+        unseen[other.name] = {m: _scored(measured(other), *of, rows) for m, of in told.items()}
     return Result(joint, found, core_s, unseen)
 
 
@@ -198,7 +204,8 @@ def told(results: Sequence[Result], of: str) -> str:
     """Of all motions of these together."""
     every = [rms for result in results for rms in result.unseen.values()]
     methods = [m for m in METHODS if all(m in rms for rms in every)]
-    medians = ", ".join(f"{m} {np.median([rms[m][0] for rms in every]):.3f}" for m in methods)
+    own = [OWN] if all(OWN in rms for rms in every) else []
+    medians = ", ".join(f"{m} {np.median([rms[m][0] for rms in every]):.3f}" for m in [*methods, *own])
     ratios = []
     for other in methods[2:]:
         times = [rms["corrected"][0] / rms[other][0] for rms in every]
@@ -218,7 +225,7 @@ def main(data: Path | None, every: bool) -> None:
         console.print("no SO-101 data beside the repository: name the folder of so101/ and xl330/")
         return
     with tempfile.TemporaryDirectory() as folder:
-        results = [on(joint, data, Path(folder)) for joint in MOTIONS]
+        results = [on(joint, data, Path(folder), every) for joint in MOTIONS]
     console.print(shown(results))
     for name, rms in [item for result in results for item in result.unseen.items()] if every else []:
         console.print(f"{name}: " + "  ".join(f"{m} {value:.3f}" for m, (value, _) in rms.items()))

@@ -72,8 +72,9 @@ def predict_with_sigma(
     told = Chain(model).at(path, scene, start_deg)
     known = _input_uncertainty(model, path, start_deg)
     unseen_deg = _unseen_deg(model, model.c_deg)
-    by_delay = _width_by_delay(model, float(known.sigma[2]))
-    alone = np.sqrt(np.maximum(model.width_sigma**2 - (by_delay * known.sigma[2]) ** 2, 0.0))
+    together = width_by_delay(model, float(known.sigma[2]))
+    by_delay = together / known.sigma[2] if known.sigma[2] > 0.0 else together
+    alone = np.sqrt(np.maximum(model.width_sigma**2 - together**2, 0.0))
     fitted_deg = None if model.c_sigma is None else np.sqrt(np.maximum(model.c_sigma**2 - unseen_deg**2, 0.0))
 
     def rows(off: Array) -> Array:
@@ -103,14 +104,13 @@ def predict_with_sigma(
     return Prediction(told.c_deg, told.image_px, angle, np.hypot(spread[:, 1:], noise_px))
 
 
-def _width_by_delay(model: Model, delay_sigma_s: float) -> Array:
-    """(grid,) dB / d delay, unit of q per s, as frames of few speeds cannot tell the two apart; limited to B's own
-    sigma."""
+def width_by_delay(model: Model, delay_sigma_s: float) -> Array:
+    """(grid,) unit of q, a part of B's sigma: by how much B is another where the delay is later by its sigma, as frames
+    of few speeds tell the two together; by no more than it is uncertain of."""
     told = model.extra.get("width_by_delay")
-    if told is None or delay_sigma_s <= 0.0:
+    if told is None or not 0.0 < delay_sigma_s < np.inf:
         return np.zeros_like(model.width)
-    most = model.width_sigma / delay_sigma_s
-    return np.clip(np.array(told, dtype=float), -most, most)
+    return np.clip(np.array(told, dtype=float) * delay_sigma_s, -model.width_sigma, model.width_sigma)
 
 
 def _unseen_deg(model: Model, c_deg: Array, *others: Array) -> Array:

@@ -20,6 +20,7 @@ from tautline.errors import TautError
 from tautline.fleet import prior, sessions
 from tautline.fleet.changes import compared
 from tautline.fleet.findings import findings
+from tautline.fleet.population import _UNTOLD as UNTOLD
 from tautline.fleet.population import Curves, population
 from tautline.fleet.rows import DATA_SET, DataSet, Row
 from tautline.fleet.run import run
@@ -287,8 +288,39 @@ def test_a_new_robot_is_as_far_off_as_the_spread_says():
     rng = np.random.default_rng(3)
     found = population(drawn(rng, 150, 0.003))
     others = drawn(rng, 300, 0.003)
-    chance = found.chance(others.value, others.sigma)
+    chance = found.chance(others)
     assert np.mean(chance < 0.1) == pytest.approx(0.1, abs=0.08)
+
+
+def test_places_that_no_session_told_are_no_dimensions_and_go_on_from_those_that_did():
+    """B is held beyond the reversals, where it goes on falling: neither is the spread there nor B what it seems."""
+    rng = np.random.default_rng(5)
+    fall = -0.03 * PLACES
+    seen, others = drawn(rng, 120, 0.003), drawn(rng, 300, 0.003)
+    told = (PLACES > -3.2) & (PLACES < 4.7)
+    ends = np.clip(np.arange(33), *np.flatnonzero(told)[[0, -1]])
+    held = replace(seen, value=(seen.value + fall)[:, ends], sigma=np.where(told, seen.sigma, UNTOLD))
+    found = population(held)
+    known = np.ix_(told, told)
+    # As above; a tail of four degrees of freedom that takes 33 dimensions for the 25 would make it three times as much.
+    assert np.trace(found.scale[known]) == pytest.approx(np.trace(SCALE[known]), rel=0.25)
+    assert np.mean(found.chance(replace(others, value=others.value + fall)) < 0.1) < 0.2
+
+
+def test_what_a_delay_is_off_by_is_no_spread_between_robots():
+    """Errors that go along the whole curve, most of sigma, in a shape that no robot has."""
+    rng, sigma, share = np.random.default_rng(6), 0.01, 0.9
+    seen, along = drawn(rng, 150, 1e-9), np.resize([1.0, 1.0, -1.0, -1.0], 33)
+    along[-1] = 0.0  # no level in it
+    together = share * sigma * along
+    own = sigma * np.sqrt(1.0 - share**2) * rng.normal(size=(150, 33))
+    off = replace(seen, value=seen.value + own + rng.normal(size=(150, 1)) * together, sigma=np.full((150, 33), sigma))
+    left = [
+        along @ population(curves).scale @ along / (33 * np.sum(together**2))
+        for curves in (off, replace(off, together=np.tile(together, (150, 1))))
+    ]
+    of_robots = along @ SCALE @ along / (33 * np.sum(together**2))
+    assert left[1] - of_robots < 0.3 < 0.7 < left[0] - of_robots  # 1 is all of it taken for robots'
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.3, 3.0))
@@ -312,7 +344,7 @@ def known_fleet():
     made = [robots.Robot(9, k).instrument(k % 3, rig).backlash(PLACES) for k in range(100)]
     value = np.log(np.array(made))
     sigma = np.full(value.shape, 0.002)
-    found = population(Curves(PLACES, value, sigma, tuple(f"r{k}" for k in range(100))))
+    found = population(Curves(PLACES, value, sigma, tuple(f"r{k}" for k in range(100))), of_next=True)
     return Beforehand(found.q, found.mean, found.scale, found.freedom)
 
 

@@ -142,6 +142,7 @@ FORMATS = {
     "MCAP ROS 1": Format(mcap_ros1, JOINTS, EXACT),
     "MCAP JSON": Format(mcap_json, FIELDS, EXACT),
     "MCAP protobuf": Format(mcap_protobuf, FIELDS, EXACT),
+    # times are in single precision where they are no frame's number over the rate
     "LeRobot v2.1": Format(lerobot("v2.1"), FEATURES, (200 * FLOAT32, FLOAT32, FLOAT32)),
     "LeRobot v3.0": Format(lerobot("v3.0"), FEATURES, (200 * FLOAT32, FLOAT32, FLOAT32)),
 }
@@ -187,13 +188,7 @@ def test_a_simulated_recording_comes_back(taut: Taut, tmp_path: Path, name: str)
     same(imported(taut, tmp_path, run, kind), run, kind)
 
 
-# Times in single precision are 2 us off: that moves the path's knots, and B by 0.12 of its sigma.
-ROUGHEST = pytest.mark.xfail(reason="B moves by 0.12 of its sigma where 0.1 is asked for", strict=True)
-
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(each, marks=ROUGHEST) if each == "LeRobot v3.0" else each for each in COARSEST]
-)
+@pytest.mark.parametrize("name", COARSEST)
 def test_it_calibrates_to_the_same_model(taut: Taut, tmp_path: Path, name: str) -> None:
     run = simulated()
     same_model(imported(taut, tmp_path, run, FORMATS[name]), run)

@@ -1,8 +1,9 @@
 """./run bench bare: what a calibration makes of an instrument without a marker, beside what a marker gives.
 
 Each world is drawn twice: bare, followed by a square that is shown in its first picture, and with a marker, moved by
-the same motor over the same tissue. A tip whose tendon is torn is drawn once, bare. OUT keeps a line of JSON and a
-picture of each; what is there is not done again.
+the same motor over the same tissue. The square is one that lies on the instrument: as wide as the tip, in the middle of
+its rigid part, which was bent until the camera sees it from its side. A tip whose tendon is torn is drawn once, bare,
+and shows itself as it hangs. OUT keeps a line of JSON and a picture of each; what is there is not done again.
 """
 
 from __future__ import annotations
@@ -23,10 +24,11 @@ from rich.table import Table
 
 from tautline.cli._common import json_option, log, progress_bar
 from tautline.plain import plain
+from tautline.pool import pool
 from tools.bench import endoscopy, tube
 from tools.bench.videos import Outcome, backgrounds, bends, said
 
-SIDE_PX = 36.0  # of the square
+WIDEST_PX = 48  # of a square that is shown
 NEAR = 2.0  # issue 25, Show 3: times the marker's error
 SHEET_PX = 180  # height of one picture on the sheet of all
 
@@ -96,22 +98,26 @@ def _numbers(row: dict[str, Any]) -> dict[str, Any]:
 
 
 def run(
-    wanted: Sequence[tuple[int, str]], out: Path, say: Callable[[float, str], None], done: Callable[[Pair], None]
+    wanted: Sequence[tuple[int, str]],
+    out: Path,
+    say: Callable[[float, str], None],
+    done: Callable[[Pair], None],
+    jobs: int | None = 1,
 ) -> list[Pair]:
     """What is not yet in `out`, and all that was wanted."""
     out.mkdir(parents=True, exist_ok=True)
     lines = out / "pairs.jsonl"
     there = [Pair.read(line) for line in lines.read_text(encoding="utf-8").splitlines()] if lines.is_file() else []
     found = {(pair.kind, pair.seed): pair for pair in there}
-    for k, (seed, kind) in enumerate(wanted):
-        if (kind, seed) not in found:
-            say(k / len(wanted), f"{kind}, seed {seed}")
-            with tempfile.TemporaryDirectory() as room:
-                pair = _pair(Path(room), kind, seed, out / f"{kind}-{seed}.jpg")
-            found[kind, seed] = pair
+    left = [(seed, kind) for seed, kind in wanted if (kind, seed) not in found]
+    work = ((f"{kind}, seed {seed}", (kind, seed, out / f"{kind}-{seed}.jpg")) for seed, kind in left)
+    with pool(jobs, None) as workers:
+        for k, (name, pair) in enumerate(workers(_pair, work)):
+            found[pair.kind, pair.seed] = pair
             with lines.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(plain(asdict(pair)), allow_nan=False) + "\n")
             done(pair)
+            say((k + 1) / len(left), name)
     order = {kind: k for k, kind in enumerate(tube.KINDS)}
     return sorted((found[kind, seed] for seed, kind in wanted), key=lambda pair: (order[pair.kind], pair.seed))
 
@@ -122,15 +128,20 @@ def _behind(seed: int) -> np.ndarray | None:
     return real[seed % len(real)] if real else None
 
 
-def _pair(room: Path, kind: str, seed: int, picture: Path) -> Pair:
-    scene, marked, truth = tube.Scene.drawn(kind, seed), None, {}
+def _pair(kind: str, seed: int, picture: Path) -> Pair:
+    with tempfile.TemporaryDirectory() as room:
+        return _calibrated_twice(Path(room), kind, seed, picture)
+
+
+def _calibrated_twice(room: Path, kind: str, seed: int, picture: Path) -> Pair:
+    scene, marked = tube.Scene.drawn(kind, seed), None
     world, folder = tube.BareWorld(scene, seed, _behind(seed)), room / "bare"
     endoscopy.write(folder, world)
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     video = next(folder.glob("video.*"))
     u, v = world.patch(world.t[:1])[0]
-    _shown(video, (float(u), float(v)), picture)
-    said("marker", str(video), "--region", f"{u:.1f},{v:.1f},{SIDE_PX:g}")
+    _shown(video, (float(u), float(v)), world.side_px, picture)
+    said("marker", str(video), "--region", f"{u:.1f},{v:.1f},{world.side_px:.1f}")
     if not scene.still:
         endoscopy.write(room / "marked", tube.MarkedWorld(scene, seed, _behind(seed)))
         marked = _calibrated(room / "marked", kind, seed, truth)
@@ -150,7 +161,7 @@ def _calibrated(folder: Path, kind: str, seed: int, truth: dict[str, Any]) -> tu
     return Outcome.of(kind, seed, status, document, truth), document
 
 
-def _shown(video: Path, at: tuple[float, float], picture: Path) -> None:
+def _shown(video: Path, at: tuple[float, float], side_px: float, picture: Path) -> None:
     """A frame from the middle of the video, half its size; beside it the square in the first one, twice its size."""
     capture = cv2.VideoCapture(str(video))
     first = capture.read()[1]
@@ -158,11 +169,15 @@ def _shown(video: Path, at: tuple[float, float], picture: Path) -> None:
         capture.grab()
     frame = capture.retrieve()[1]
     half = cv2.resize(frame, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    cut = cv2.getRectSubPix(first, (int(2 * SIDE_PX), half.shape[0] // 2), at)
-    inner = int(0.5 * SIDE_PX)
-    cv2.rectangle(cut, (inner, cut.shape[0] // 2 - inner), (3 * inner, cut.shape[0] // 2 + inner), (255, 255, 255), 1)
+    side, high = round(side_px), half.shape[0] // 2
+    cut = cv2.getRectSubPix(first, (2 * side, high), at)
+    corner = side // 2, (high - side) // 2
+    cv2.rectangle(cut, corner, (corner[0] + side, corner[1] + side), (255, 255, 255), 1)
     large = cv2.resize(cut, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_CUBIC)
-    cv2.imwrite(str(picture), np.hstack([half, large[: half.shape[0]]]))
+    # Beside each other on the sheet: all are as wide as the widest square.
+    room = np.full((half.shape[0], 4 * WIDEST_PX, 3), 255, np.uint8)
+    room[: large.shape[0], : large.shape[1]] = large[: room.shape[0], : room.shape[1]]
+    cv2.imwrite(str(picture), np.hstack([half, room]))
 
 
 def _sheet(pairs: Sequence[Pair], out: Path) -> None:
@@ -213,15 +228,16 @@ def _summary(pairs: Sequence[Pair]) -> list[str]:
     "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build/bare"), show_default=True,
     help="What is there already is not done again.",
 )  # fmt: skip
+@click.option("--jobs", type=click.IntRange(1), help="Processes. Default: one on each core.")
 @json_option
-def command(torn: int, clean: int, hard: int, seed: int, out: Path, as_json: bool) -> None:
+def command(torn: int, clean: int, hard: int, seed: int, out: Path, jobs: int | None, as_json: bool) -> None:
     """Calibrates from videos of an instrument without a marker; of torn tendons too, which move nothing."""
     numbers = zip(tube.KINDS, (torn, clean, hard), strict=True)
     wanted = sorted((seed + k, kind) for kind, number in numbers for k in range(number))
     if not backgrounds():
         log("no folder shared/data/backgrounds above the repository: all seeds are drawn over tissue made here")
     with progress_bar("bare") as progress:
-        pairs = run(wanted, out, progress, lambda pair: log("  ".join(pair.cells())))
+        pairs = run(wanted, out, progress, lambda pair: log("  ".join(pair.cells())), jobs)
     if not pairs:
         return
     _sheet(pairs, out)
@@ -236,4 +252,4 @@ def command(torn: int, clean: int, hard: int, seed: int, out: Path, as_json: boo
     Console(width=None if sys.stdout.isatty() else 180).print(table)
     for line in _summary(pairs):
         click.echo(line)
-    click.echo(f"each of them: {out / 'sheet.jpg'}")
+    click.echo(f"each of them: {out / 'sheet.png'}")

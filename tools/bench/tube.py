@@ -6,9 +6,10 @@ the camera, with a glint that stays where the light is while the surface goes on
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import cv2
 import numpy as np
@@ -19,7 +20,7 @@ Array = np.ndarray
 Place = tuple[slice, slice]
 
 SHAFT_MM = 2.0  # of the straight shaft that the camera sees
-PATCH_MM = 1.6  # before the end of the tip: the middle of what is followed
+PATCH_MM = 0.5 * TIP_MM  # before the end of the tip: the middle of what is followed
 RULER_MM = 0.4  # standard deviation, by which the rig has that place elsewhere along the tip
 _FINE = 32.0  # samples of the surface per mm
 _BLUR_PX = 4  # what a blur reaches
@@ -68,6 +69,10 @@ class BareWorld(World):
         super().__init__(scene.condition, seed, background)
         if scene.still:
             self.c = np.full_like(self.t, float(self.c[0]))
+        else:  # who shows the tip bends it before, until the camera sees it from its side
+            shows = np.arange(len(self.t)) >= int(np.argmax(self.q <= self.q.min()))
+            self.t, self.q, self.c = self.t[shows], self.q[shows], self.c[shows]
+        self._before: tuple[Array, Any] = np.empty(0), None
         self._wind = self.rng.uniform(0.0, 6.3, 4)
         by_ruler = np.random.default_rng([seed, 0x7E1]).normal(0.0, RULER_MM)
         self.tip_mm = round(TIP_MM - PATCH_MM + float(by_ruler), 2)
@@ -82,6 +87,12 @@ class BareWorld(World):
             normal = np.cos(facing) * aside + np.sin(facing) * np.array([0.0, 1.0, 0.0])
             places.append(self._image(self._in_camera(middle + TUBE_MM * normal))[0])
         return np.array(places)
+
+    @cached_property
+    def side_px(self) -> float:
+        """Of a square as wide as the tip, where it is shown."""
+        along = np.array([SHAFT_MM + BENDING_MM + TIP_MM - PATCH_MM])
+        return 2.0 * TUBE_MM * self.focal / float(self._in_camera(self._spine(float(self.c[0]), along)[0])[0, 2])
 
     @cached_property
     def _facing(self) -> float:
@@ -128,9 +139,15 @@ class BareWorld(World):
         along = np.minimum(row / _FINE, length) + TUBE_MM * np.sin(bend)
         return along, bend, 2.0 * np.pi * np.arange(columns) / columns, brightness
 
+    @cached_property
+    def _round(self) -> Array:
+        """Cosine and sine of the samples' angles (2, columns)."""
+        angle = self._surface[2]
+        return np.stack([np.cos(angle), np.sin(angle)]).astype(np.float32)
+
     def _draw(self, scene: float) -> Array:
         behind = self._behind(scene)
-        place, drawn = self._resting if self.scene.still else self._exposed(scene)
+        place, drawn = self._exposed(scene)
         within = behind[place].astype(np.float32)
         picture = _soft(behind)
         shown = np.clip(np.rint(_soft(within * (1.0 - drawn[..., 3:]) + drawn[..., :3])), 0, 255)
@@ -142,15 +159,17 @@ class BareWorld(World):
         picture[place][rim[0], rim[1]] = shown[rim[0], rim[1]]
         return self._smoked(picture, scene) if self.scene.smoke else picture
 
-    @cached_property
-    def _resting(self) -> tuple[Place, Array]:
-        return self._exposed(float(self.t[0]))
-
     def _exposed(self, scene: float) -> tuple[Place, Array]:
         """Where the tube is in the picture, its light there (.., .., 3), and how much of each pixel it hides, over an
         exposure."""
+        bent = np.interp([scene + share * EXPOSURE_S for share in _GAUSS], self.t, self.c)
+        if not np.array_equal(bent, self._before[0]):  # else it rests
+            self._before = bent, self._drawn(bent.tolist())
+        return self._before[1]
+
+    def _drawn(self, bent: Sequence[float]) -> tuple[Place, Array]:
         shape = self.condition.height, self.condition.width
-        parts = [self._tube(scene + share * EXPOSURE_S, shape) for share in _GAUSS]
+        parts = [self._tube(c_deg, shape) for c_deg in bent]
         corners = np.array([corner for corner, _ in parts])
         ends = corners + [part.shape[:2] for _, part in parts]
         first = np.maximum(corners.min(axis=0) - 2 * _BLUR_PX, 0)
@@ -160,18 +179,19 @@ class BareWorld(World):
             drawn[corner[0] : end[0], corner[1] : end[1]] += part / len(parts)
         return (slice(first[0], last[0]), slice(first[1], last[1])), drawn
 
-    def _tube(self, scene: float, shape: tuple[int, int]) -> tuple[tuple[int, int], Array]:
-        """The same at one time, (.., .., 4), and its upper left corner (row, column)."""
+    def _tube(self, c_deg: float, shape: tuple[int, int]) -> tuple[tuple[int, int], Array]:
+        """The same at one angle, (.., .., 4), and its upper left corner (row, column)."""
         along, bend, angle, brightness = self._surface
-        middle, ahead, aside = self._spine(float(np.interp(scene, self.t, self.c)), along)
+        middle, ahead, aside = self._spine(c_deg, along)
         up = self._turned(np.array([[0.0, 1.0, 0.0]]))[0]
         middle, ahead, aside = self._in_camera(middle), self._turned(ahead), self._turned(aside)
-        middle_of = int(np.rint(self._facing / (2.0 * np.pi) * len(angle)))
-        # The half that may face the camera.
-        near = (middle_of + np.arange(len(angle) // 2 + 6) - len(angle) // 4 - 3) % len(angle)
-        brightness = brightness[:, near]
-        round_about = np.cos(bend)[:, None] * np.stack([np.cos(angle[near]), np.sin(angle[near])])[:, None, :]
-        cos, sin = round_about.astype(np.float32)
+        # Of each section the half that may face the camera.
+        faces = np.arctan2(-middle @ up, -np.sum(middle * aside, axis=1)) / (2.0 * np.pi) * len(angle)
+        half = np.arange(len(angle) // 2 + 6) - len(angle) // 4 - 3
+        near = (np.rint(faces).astype(int)[:, None] + half) % len(angle)
+        brightness = np.take_along_axis(brightness, near, axis=1)
+        thick = np.cos(bend)[:, None].astype(np.float32)
+        cos, sin = thick * self._round[0][near], thick * self._round[1][near]
         point, against = [], np.zeros(1, np.float32)
         for k in range(3):
             out = cos * aside[:, k, None].astype(np.float32) + sin * np.float32(up[k])

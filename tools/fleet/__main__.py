@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import time
 from dataclasses import dataclass
 from itertools import product
@@ -44,33 +45,41 @@ def main() -> None:
 def campaign(
     out: Path, robots: tuple[int, ...], sessions: int, worn: float, seconds: float, jobs: tuple[int, ...]
 ) -> None:
-    """Fleets of these sizes by so many workers: what each costs (OUT/cost.svg), and who is found worn."""
-    spent: dict[tuple[int, int], tuple[float, float]] = {}
+    """Fleets of these sizes by so many workers: what each costs the cores, which others may share (OUT/cost.svg), and
+    who is found worn. A fleet's sessions are the first of a larger one's, whichever are worn."""
+    spent: dict[tuple[int, int], float] = {}
     for count, workers_at in product(robots, jobs):
         truth = set(write(out / f"{count}", count, sessions, round(worn * count), SEED, seconds))
         result = out / f"{count}-by-{workers_at}"
-        began = time.monotonic()
+        began, cores_s = time.monotonic(), _cores_s()
         with pool(workers_at, None, died) as workers:
             done = run(out / f"{count}", result, workers, lambda share, what: None)
-        spent[count, workers_at] = time.monotonic() - began, sum(row.seconds or 0.0 for row in done.rows)
+        wall_s, spent[count, workers_at] = time.monotonic() - began, _cores_s() - cores_s
+        each = spent[count, workers_at] / max(done.new, 1)
         named = {one.name for one in findings(done.rows).worn}
         click.echo(
-            f"{count} robots, {workers_at} workers, {done.new} sessions: {spent[count, workers_at][0]:.0f} s, "
-            f"{spent[count, workers_at][1]:.0f} s of the cores; worn {len(truth)}, found {len(truth & named)}, "
-            f"false {len(named - truth)}"
+            f"{count} robots, {workers_at} workers, {done.new} sessions: {wall_s:.0f} s, "
+            f"{spent[count, workers_at]:.0f} s of the cores, {each:.3f} a session; "
+            f"worn {len(truth)}, found {len(truth & named)}, false {len(named - truth)}"
         )
     _plot(spent, sessions, out / "cost.svg")
 
 
-def _plot(spent: dict[tuple[int, int], tuple[float, float]], sessions: int, path: Path) -> None:
+def _cores_s() -> float:
+    """Of this process and of those that it waited for."""
+    own, theirs = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return own.ru_utime + own.ru_stime + theirs.ru_utime + theirs.ru_stime
+
+
+def _plot(spent: dict[tuple[int, int], float], sessions: int, path: Path) -> None:
     with mpl.rc_context(figures.STYLE):
         made, axes = figures.figure(6.0, 4.0)
         for colour, jobs in zip(figures.SERIES, sorted({at for _, at in spent}), strict=False):
             count = sorted(robots for robots, at in spent if at == jobs)
-            wall = [spent[robots, jobs][0] for robots in count]
-            axes[0, 0].loglog(count, wall, "o-", color=colour, label=f"{jobs} workers")
+            cores_s = [spent[robots, jobs] for robots in count]
+            axes[0, 0].loglog(count, cores_s, "o-", color=colour, label=f"{jobs} workers")
         axes[0, 0].set_xlabel(f"robots, {sessions} sessions each")
-        axes[0, 0].set_ylabel("s")
+        axes[0, 0].set_ylabel("s of the cores")
         axes[0, 0].legend()
         figures.save(made, path)
 

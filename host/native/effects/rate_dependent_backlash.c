@@ -35,7 +35,7 @@ static void drive(const double *v, double *state, const struct effect_moment *no
     }
     const double relative = fabs(state[SPEED]) / usual;
     if (relative > 0.0) {
-        to->extra += fmax(0.0, v[WIDTH_PER_SPEED] * usual * share(v, relative));
+        to->extra += v[WIDTH_PER_SPEED] * usual * share(v, relative);
     }
     if (v[HELD] != 0.0) {
         to->way = now->moved > 0.0 ? 1.0 : -1.0;

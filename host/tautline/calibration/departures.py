@@ -294,8 +294,9 @@ def _pieces(scene: Scene, length_px: float) -> sparse.csr_matrix:
     first = np.concatenate([[0], np.cumsum(spans + 1)])
     at = first[scene.stroke] + place.astype(np.intp)
     share, n = place % 1.0, np.arange(len(place))
-    values = np.concatenate([1.0 - share, share]), (np.concatenate([n, n]), np.concatenate([at, at + 1]))
-    return sparse.csr_matrix(values, shape=(len(place), int(first[-1])))
+    seen, node = np.unique(np.concatenate([at, at + 1]), return_inverse=True)  # no frame is near any other
+    values = np.concatenate([1.0 - share, share]), (np.concatenate([n, n]), node)
+    return sparse.csr_matrix(values, shape=(len(place), len(seen)))
 
 
 def _halves(left: Array, stroke: npt.NDArray[np.intp]) -> float:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.ndimage import median_filter
 
 from tautline import _native, geometry
-from tautline.calibration.sway import driven, rest
+from tautline.calibration.sway import driven, rests
 from tautline.core.motor import MotorPath
 from tautline.core.session import SessionClock
 from tautline.driven import white_noise
@@ -140,8 +140,8 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
 
 
 def without_sway(track: Track, rig: Rig, side: float) -> Track:
-    """Where what is followed does not follow the motor, without what it goes to and fro by. side: of what is followed,
-    y's unit."""
+    """Where what is followed does not follow the motor, without what it goes to and fro by: the motion that is expected
+    of the tip. side: of what is followed, y's unit."""
     low, high = float(track.motor.q.min()), float(track.motor.q.max())
     if len(track.t_s) < _FEW or not high - low > turning_hysteresis(
         track.path, rig.actuator.encoder_resolution, rig.actuator.span
@@ -154,8 +154,8 @@ def without_sway(track: Track, rig: Rig, side: float) -> Track:
     if not np.isfinite(swing):
         return track
     paths = driven(track.motor, track.scene_s(rig.delay_s))
-    found = rest(track.t_s, track.y, float(track.sigma[0]), paths, swing, side)
-    return replace(track, y=track.y - found.probability * found.sway)
+    still = rests(track.t_s, track.y, float(track.sigma[0]), paths, swing, side)
+    return replace(track, y=track.y - still * (track.y - np.median(track.y, axis=0)))
 
 
 def _track(recording: Recording, path: MotorPath, unit: str, t: Array, y: Array, given: Array | None) -> Track:

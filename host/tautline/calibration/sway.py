@@ -6,7 +6,8 @@ recording are weighed. The place rests and sways by a process in time, an Ornste
 memory, smaller than the square that is followed. Or it follows the motor through a play of unknown width, on an unknown
 path about as long as the rig makes it, and sways beside that. Or it goes farther than a place that rests could,
 whatever with. All are linear with Gaussian unknowns, so their likelihoods are exact; size, memory and width are summed
-over. The sway that is expected of a place that rests is taken off, as far as it is probable that it rests.
+over. Of a place that rests nothing that is seen, sway or noise, is the tip's: what is expected of the tip is what is
+seen of it, as far as it is probable that it moves.
 """
 
 from __future__ import annotations
@@ -30,7 +31,6 @@ _LEAST = 0.3  # prior: of the noise: a sway that is none
 _RESTS = 0.25  # prior: of the square's side: a place that goes farther (standard deviation) does not rest
 _WIDTHS = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8])  # prior: of a play, in shares of the motor's way
 _NODES = 12  # prior: places of the path at which it is unknown, straight between them
-_COUNTS = 1e-6  # tolerance: what weighs less changes nothing that is seen
 
 
 @dataclass(frozen=True)
@@ -57,29 +57,23 @@ class _Sway:
         """Of the sway (n, k), where rows (n, k) are sway and noise alone."""
         return np.asarray(cho_solve_banded((self.factor, False), rows / self.variance))
 
-    def explains(self, columns: Array, spread: float, y: Array) -> tuple[float, Array]:
+    def explains(self, columns: Array, spread: float, y: Array) -> float:
         """Log likelihood of y (n, channels) as columns (n, k) of unknown amplitudes (standard deviation `spread`), sway
-        and noise, but for what all explanations share; and the amplitudes (k, channels)."""
+        and noise, but for what all explanations share."""
         k = columns.shape[1]
         rows = np.hstack([columns, y])
         solved = (rows - self.expected(rows)) / self.variance
         normal = columns.T @ solved[:, :k] + np.eye(k) / spread**2
         right = columns.T @ solved[:, k:]
-        amplitudes = np.linalg.solve(normal, right)
-        squares = float(np.sum(y * solved[:, k:]) - np.sum(right * amplitudes))
+        squares = float(np.sum(y * solved[:, k:]) - np.sum(right * np.linalg.solve(normal, right)))
         volume = self.volume + float(np.linalg.slogdet(normal)[1]) + 2.0 * k * float(np.log(spread))
-        return -0.5 * (squares + y.shape[1] * volume), np.asarray(amplitudes)
+        return float(-0.5 * (squares + y.shape[1] * volume))
 
 
-@dataclass(frozen=True)
-class Rest:
-    probability: float  # that the place rests
-    sway: Array  # (n, channels) what is expected of its motion then
-
-
-def rest(t_s: Array, y: Array, sigma: float, paths: Sequence[Array], swing: float, side: float) -> Rest:
-    """Of y (n, channels), seen at t_s (n,) with noise sigma. paths: where the play of each width is (n,); swing: how
-    far the rig moves the image over the motor's way; side: of the square that is followed, both of y's unit."""
+def rests(t_s: Array, y: Array, sigma: float, paths: Sequence[Array], swing: float, side: float) -> float:
+    """The probability that what is followed rests: y (n, channels), seen at t_s (n,) with noise sigma. paths: where the
+    play of each width is (n,); swing: how far the rig moves the image over the motor's way; side: of the square that is
+    followed, both of y's unit."""
     y = y - np.median(y, axis=0)
     sizes = np.geomspace(_LEAST * sigma, max(swing, side), _SIZES)
     # Frames tell best how far it goes in one of their periods: a small and a large one are tried at the same steps.
@@ -95,19 +89,13 @@ def rest(t_s: Array, y: Array, sigma: float, paths: Sequence[Array], swing: floa
     # The standard deviation about the mean in such a time: size / sqrt(1 + 3 memory / lasts), to a twentieth.
     small = np.array([size <= _RESTS * side * np.sqrt(1.0 + 3.0 * memory / lasts) for size, memory in pairs])
     level = np.ones((len(y), 1))
-    alone = [sway.explains(level, swing, y) for sway in sways]
-    told = np.array([likelihood for likelihood, _ in alone])
-    follows = [sway.explains(_hats(path), swing, y)[0] for path in paths for sway in sways]
+    told = np.array([sway.explains(level, swing, y) for sway in sways])
+    follows = [sway.explains(_hats(path), swing, y) for path in paths for sway in sways]
     resting = logsumexp(told[small]) - np.log(small.sum())
     moving = np.logaddexp(
         logsumexp(follows) - np.log(len(follows)), logsumexp(told[~small]) - np.log((~small).sum())
     ) - np.log(2.0)
-    weights = np.exp(np.where(small, told, -np.inf) - logsumexp(told[small]))
-    sway = sum(
-        (w * one.expected(y - at) for w, one, (_, at) in zip(weights, sways, alone, strict=True) if w > _COUNTS),
-        np.zeros_like(y),
-    )
-    return Rest(float(np.exp(-np.logaddexp(0.0, moving - resting))), sway)
+    return float(np.exp(-np.logaddexp(0.0, moving - resting)))
 
 
 def _hats(path: Array) -> Array:

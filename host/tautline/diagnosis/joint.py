@@ -1,5 +1,8 @@
 """All parameters of a user's simulator at once, with what of the library is behind its tip: a play, its law, a delay.
 
+The play is friction in a servo's gears as well: its width bends over the place, as a load does, and is another one at
+speed than at rest (Stribeck).
+
 Every unknown is a standard normal before anything is seen: a positive parameter by its logarithm, any other in shares
 of a change that a user would notice. What is left remembers: as many readings as it takes to forget count as one, so
 that what the model lacks is no evidence for its parameters. They are not whitened: that would fit the fastest of it,
@@ -20,16 +23,22 @@ from tautline.diagnosis import gap
 from tautline.diagnosis.segment import Segment
 from tautline.effects import simulator_id
 from tautline.least_squares import descend
-from tautline.model import Effect, Model, monotone
+from tautline.model import Effect, Model, allowed_width, monotone
 from tautline.simulators.simulator import Declared
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 WIDTH, LAW, DELAY = "transmission.backlash", "configuration.remaining", "acquisition.delay"
+SPEED = "transmission.rate_dependent_backlash"
+BENDS = "bends"  # of the width over the place: no name of its own, the play has it
 _FACTOR = 1.0  # of a positive parameter's logarithm, one standard deviation: published values differ by more than twice
 _SPREADS = 3.0  # prior: of another one's declared spread
-_WIDTH = 0.02  # prior: of the motor's range
+_WIDTH = 0.02  # prior: of the motor's range, and of what speed adds or takes
+_BENDS, _BEND = 2, 0.3  # prior: order of the polynomial of its logarithm over the place, and each coefficient's
+_USUAL = 0.1  # equation: of the range per second, the library's unit of speed
+_SATURATION = 3.0  # prior: half of what speed does is there at a quarter of that unit: Stribeck's speed of small gears
+_SPEED_S = 0.02  # prior: the library's, in which a width follows the speed
 _ORDER, _LAW_DEG = 5, 3.0  # prior: of the law's polynomial, and each coefficient's
 _DELAY_S = 0.05  # prior: what a bus, a filter or a servo takes, beyond the calibration's
 _DIFFERENCE = 0.01  # tolerance: of a standard deviation
@@ -97,7 +106,13 @@ class Joint:
 
     @cached_property
     def unknowns(self) -> tuple[Unknown, ...]:
-        sizes = {simulator_id(p.name): 1 for p in self.parameters} | {WIDTH: 1, LAW: _ORDER + 1, DELAY: 1}
+        sizes = {simulator_id(p.name): 1 for p in self.parameters} | {
+            WIDTH: 1,
+            LAW: _ORDER + 1,
+            DELAY: 1,
+            SPEED: 1,
+            BENDS: _BENDS,
+        }
         ends = np.cumsum([0, *sizes.values()])
         return tuple(Unknown(name, np.arange(a, b)) for name, a, b in zip(sizes, ends[:-1], ends[1:], strict=True))
 
@@ -105,22 +120,40 @@ class Joint:
     def size(self) -> int:
         return sum(len(unknown.places) for unknown in self.unknowns)
 
+    @cached_property
+    def places(self) -> dict[str, Indices]:
+        return {unknown.id: unknown.places for unknown in self.unknowns}
+
+    def effects(self, u: Array) -> tuple[Effect, ...]:
+        """What is not in the model's tables: the simulator's parameters, and what speed does to the play."""
+        changes = {simulator_id(p.name): _change(p, float(x)) for p, x in zip(self.parameters, u, strict=False)}
+        found = [Effect(name, {name: value}) for name, value in changes.items() if value]
+        speed = float(u[self.places[SPEED]][0])
+        if speed:
+            per = _WIDTH * speed / _USUAL * -float(np.expm1(-_SATURATION))  # of `speed` at great speeds
+            own = {"width_per_speed": per, "speed_saturation": _SATURATION, "speed_time": _SPEED_S, "width_held": 1.0}
+            found.append(Effect(SPEED, own))
+        return tuple(found)
+
     def changes(self, u: Array) -> dict[str, float]:
-        """The changes of the simulator's parameters from their declared values, by effect id, in their own units."""
-        return {simulator_id(p.name): _change(p, float(x)) for p, x in zip(self.parameters, u, strict=False)}
+        """The parameters of all effects at u (m,), by name, in their own units: the simulator's as changes."""
+        return {name: value for effect in self.effects(u) for name, value in effect.parameters.items()}
 
     def model_at(self, u: Array) -> Model:
-        """The model with these unknowns u (m,), the simulator's changes as its effects."""
-        width, law, delay = (u[unknown.places] for unknown in self.unknowns[len(self.parameters) :])
+        """The model with these unknowns u (m,), the simulator's changes and what speed does as its effects."""
         model = self.model
-        added = tuple(Effect(name, {name: value}) for name, value in self.changes(u).items() if value)
         return replace(
             model,
-            width=model.width + max(0.0, _WIDTH * model.rig.actuator.span * float(width[0])),
-            c_deg=monotone(model.c_deg + _LAW_DEG * self._law @ law),
-            delay_s=model.delay_s + _DELAY_S * float(delay[0]),
-            effects=added,
+            width=allowed_width(model.q, model.width + _WIDTH * model.rig.actuator.span * self._widths(u)),
+            c_deg=monotone(model.c_deg + _LAW_DEG * self._law @ u[self.places[LAW]]),
+            delay_s=model.delay_s + _DELAY_S * float(u[self.places[DELAY]][0]),
+            effects=self.effects(u),
         )
+
+    def _widths(self, u: Array) -> Array:
+        """(grid,) of a motor at rest, in standard deviations."""
+        bent = _BEND * self._law[:, 1 : 1 + _BENDS] @ u[self.places[BENDS]]
+        return np.asarray(max(float(u[self.places[WIDTH]][0]), 0.0) * np.exp(bent))
 
     def law_slopes(self) -> Array:
         """(grid, coefficients) d c_deg / d coefficient of the law, deg, on the model's grid."""
@@ -175,8 +208,9 @@ class Joint:
         kept[: len(self.parameters)] = [
             _unknown_of_change(p, _change(p, float(x)), float(x)) for p, x in zip(self.parameters, u, strict=False)
         ]
-        width = self.unknowns[len(self.parameters)].places
+        width, speed = self.places[WIDTH], self.places[SPEED]
         kept[width] = np.maximum(kept[width], 0.0)
+        kept[speed] = np.maximum(kept[speed], -np.min(self._widths(kept)))
         return kept
 
 

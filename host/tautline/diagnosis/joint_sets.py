@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnosis.joint import Fitted, Unknown
+from tautline.diagnosis.joint import BENDS, Fitted, Unknown
 from tautline.diagnosis.stacked import log_sum
 
 Array = npt.NDArray[np.float64]
@@ -62,14 +62,14 @@ class Sets:
     @property
     def count(self) -> list[float]:
         """Probabilities that none, one, two, and three or more are there."""
-        many = np.minimum(self.present.sum(axis=1), 3)
+        many = np.minimum(self.present[:, [name != BENDS for name in self.ids]].sum(axis=1), 3)
         return [float(p) for p in np.bincount(many, self.probability, minlength=4)]
 
     @cached_property
     def groups(self) -> list[tuple[str, ...]]:
         """Disjoint groups of ids, the likeliest first in each, of which at least one is there with probability _SURE; a
         group of several means that the data do not tell which."""
-        rest = sorted(self.ids, key=lambda name: -self.each[name])
+        rest = sorted((name for name in self.ids if name != BENDS), key=lambda name: -self.each[name])
         found: list[tuple[str, ...]] = []
         while rest:
             group: tuple[str, ...] = (rest[0],)

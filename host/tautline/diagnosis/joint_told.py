@@ -35,24 +35,25 @@ class Answer:
         return cls(joint, fitted, Sets.of(joint.unknowns, fitted), held_out_residuals(joint, fitted))
 
     def corrected_model(self) -> Model:
-        """The model with all unknowns as fitted; its c_sigma is the law's posterior spread, its evidence the held-out
-        rms."""
-        model, fitted = self.joint.model_at(self.fitted.u), self.fitted
-        law = next(unknown for unknown in self.joint.unknowns if unknown.id == LAW)
-        names = [fitted.posterior.names[i] for i in law.places]
-        c_sigma = fitted.posterior.marginal(names).spread(self.joint.law_slopes())
-        return replace(model, c_sigma=c_sigma, extra={**model.extra, "evidence": {"residual": gap.rms(self.left)}})
+        """The model with all unknowns as fitted; its c_sigma is the law's posterior spread, its evidence what a reading
+        of an unseen motion is off by."""
+        joint, fitted = self.joint, self.fitted
+        names = [fitted.posterior.names[i] for i in joint.places[LAW]]
+        c_sigma = fitted.posterior.marginal(names).spread(joint.law_slopes())
+        before = gap.rms(joint.residuals(np.zeros(joint.size)))
+        noise = gap.unseen(before, gap.rms(self.left), joint.floor, learnt().elsewhere)
+        model = joint.model_at(fitted.u)
+        return replace(model, c_sigma=c_sigma, extra={**model.extra, "evidence": {"residual": noise}})
 
     def shares(self, names: Sequence[str], before: float) -> list[float]:
         """Exact Shapley share of each named unknown of the shrinkage, by the linearised fit with the unnamed at zero.
         before: rms."""
-        places = {unknown.id: unknown.places for unknown in self.joint.unknowns}
 
         def worth(there: frozenset[str]) -> float:
             """Shrinkage of the rms with these unknowns alone."""
             on = np.zeros(self.joint.size, dtype=bool)
             for name in there:
-                on[places[name]] = True
+                on[self.joint.places[name]] = True
             off = np.where(on, 0.0, self.fitted.u)
             pairs = zip(self.fitted.residuals, self.fitted.slopes, strict=True)
             return 1.0 - gap.rms([residual + slope @ off for residual, slope in pairs]) / before
@@ -61,13 +62,13 @@ class Answer:
 
     def parameter_values(self, name: str) -> dict[str, float]:
         """The fitted parameters of one effect as diagnosis.json reports them."""
-        changes, model = self.joint.changes(self.fitted.u), self.joint.model_at(self.fitted.u)
+        added = {effect.id: dict(effect.parameters) for effect in self.joint.effects(self.fitted.u)}
+        model = self.joint.model_at(self.fitted.u)
         own = {
             WIDTH: {"width_everywhere": float(np.max(model.width - self.joint.model.width))},
             DELAY: {"delay": model.delay_s - self.joint.model.delay_s},
-            LAW: {},
         }
-        return {**(own[name] if name in own else {name: changes[name]}), "since_calibration": 1.0}
+        return {**(own | added).get(name, {}), "since_calibration": 1.0}
 
 
 def held_out_residuals(joint: Joint, fitted: Fitted) -> list[Array]:

@@ -9,6 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from tautline.diagnosis import decide, gap
 from tautline.diagnosis.diagnose import Diagnosis, diagnose
+from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.joint import Joint
 from tautline.diagnosis.joint_told import Answer, improved
 from tautline.diagnosis.segment import prepare
@@ -60,6 +61,7 @@ def diagnose_simulator(
 
 
 def _with_noise(told: Diagnosis) -> Model:
-    """The diagnosis with the held-out residual as the corrected model's noise, as that model was not calibrated."""
-    model = told.corrected
-    return replace(model, extra={**model.extra, "evidence": {"residual": gap.rms(told.after)}})
+    """The corrected model, which was not calibrated: its noise is by what it leaves of blocks that no fit has seen."""
+    model, floor = told.corrected, told.document["noise_floor"]
+    noise = gap.unseen(gap.rms(told.before), gap.rms(told.after), floor, learnt().elsewhere)
+    return replace(model, extra={**model.extra, "evidence": {"residual": noise}})

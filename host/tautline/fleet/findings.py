@@ -218,8 +218,8 @@ def _unlike(rows: Sequence[Row]) -> list[Named]:
     except TautError:  # too few robots: nothing is usual
         return []
     known = population(curves)
-    chance = known.chance(curves.value, curves.sigma)
-    far = known.distance(curves.value, curves.sigma) / len(curves.q)
+    chance = known.chance(curves)
+    far = known.distance(curves) / np.maximum(curves.told, 1.0)
     found = [
         Named(name, float(1.0 - p), float(d), float("nan"))
         for name, p, d in zip(curves.names, chance, far, strict=True)

@@ -1,9 +1,10 @@
 """How a curve is spread between robots: a multivariate Student t of its values at places.
 
-y_s = b_s + e_s: a session's curve is its robot's, and an error with the sigma that the session states. b_s is normal
-about the fleet's mean with covariance S / u_s, u_s gamma with the mean 1: a worn robot is one of a heavy tail. Mean and
-S by expectation and maximisation, each robot counted once however many sessions it has; S is shrunk towards a smooth
-kernel, as much as foretells robots that were left out best, which tells the tail's degrees of freedom too.
+y_s = b_s + e_s: a session's curve is its robot's, and an error with the sigma that the session states: what its delay
+is off by goes along the whole curve, the rest is each place's own. b_s is normal about the fleet's mean with covariance
+S / u_s, u_s gamma with the mean 1: a worn robot is one of a heavy tail. Mean and S by expectation and maximisation,
+each robot counted once however many sessions it has; S is shrunk towards a smooth kernel, as much as foretells robots
+that were left out best, which tells the tail's degrees of freedom too.
 """
 
 from __future__ import annotations
@@ -28,24 +29,43 @@ _STEPS = 40  # of expectation and maximisation
 _PARTS = 3  # in which robots are left out
 _LENGTHS = (0.08, 0.16, 0.32)  # of the range, over which a kernel's values go together
 _WORTH = (0.1, 0.5, 2.0, 8.0, 32.0)  # robots that the kernel counts as
-_TAILS = (4.0, 12.0, 1e6)  # degrees of freedom; the last is a normal distribution
+_WORTH_OF_NEXT = 0.5  # prior: at least, of the next robot: wear is of shapes that no sound robot has
+_TAILS = (4.0, 12.0, 1e6)  # degrees of freedom; the last is a normal distribution. prior: the first, of the next robot
 _MOST = 600  # sessions, evenly taken, that S is found from
 _UNKNOWN = 1.0  # of log B: a sigma that says nothing
 _UNTOLD = 1e3  # of log B, where no reversal was
+_OWN = 0.1  # tolerance: of a sigma, at least, that each place has alone: else a curve of no dimension is left
 _LEAST = 1e-3  # of a session's largest B
 
 
 @dataclass(frozen=True)
 class Curves:
-    """Sessions' curves (n, k) at places q (k,), with one sigma each, and whose they are."""
+    """Sessions' curves (n, k) at places q (k,), with one sigma each, the part of it by which all places are off
+    together, and whose they are."""
 
     q: Array
     value: Array
     sigma: Array
     names: tuple[str, ...]
+    together: Array | None = None
 
     def of(self, keep: npt.NDArray[np.intp]) -> Curves:
-        return Curves(self.q, self.value[keep], self.sigma[keep], tuple(self.names[k] for k in keep))
+        names = tuple(self.names[k] for k in keep)
+        together = None if self.together is None else self.together[keep]
+        return Curves(self.q, self.value[keep], self.sigma[keep], names, together)
+
+    @property
+    def told(self) -> Array:
+        """(n,) at how many places each session says anything: a curve has no more dimensions than that."""
+        return np.asarray(np.sum(self.sigma < _UNTOLD, axis=1), dtype=float)
+
+    @cached_property
+    def noise(self) -> Array:
+        """(n, k, k) covariance of each session's errors."""
+        if self.together is None:
+            return _diagonal(self.sigma**2)
+        own = np.maximum(self.sigma**2 - self.together**2, (_OWN * self.sigma) ** 2)
+        return _diagonal(own) + self.together[:, :, None] * self.together[:, None, :]
 
     @cached_property
     def robot(self) -> npt.NDArray[np.intp]:
@@ -67,22 +87,22 @@ class Population:
     scale: Array
     freedom: float
 
-    def distance(self, value: Array, sigma: Array) -> Array:
-        """(n,) squared, of curves (n, k) with these sigmas; k on average, more in the tail."""
-        off = value - self.mean
-        return np.asarray(np.einsum("nk,nk->n", off, _solved(self.scale + _diagonal(sigma**2), off)))
+    def distance(self, curves: Curves) -> Array:
+        """(n,) squared; on average as many as places told it, more in the tail."""
+        off = curves.value - self.mean
+        return np.asarray(np.einsum("nk,nk->n", off, _solved(self.scale + curves.noise, off)))
 
-    def chance(self, value: Array, sigma: Array) -> Array:
+    def chance(self, curves: Curves) -> Array:
         """(n,) that a robot of this fleet is as far off."""
-        size = len(self.q)
-        return np.asarray(f_distribution.sf(self.distance(value, sigma) / size, size, self.freedom))
+        size = np.maximum(curves.told, 1.0)
+        return np.asarray(f_distribution.sf(self.distance(curves) / size, size, self.freedom))
 
-    def log_density(self, value: Array, sigma: Array) -> Array:
-        """(n,)"""
-        size, free = len(self.q), self.freedom
-        half_log = 0.5 * np.linalg.slogdet(self.scale + _diagonal(sigma**2))[1]
+    def log_density(self, curves: Curves) -> Array:
+        """(n,) but for what places without a word add, alike for all populations."""
+        size, free = curves.told, self.freedom
+        half_log = 0.5 * np.linalg.slogdet(self.scale + curves.noise)[1]
         top = gammaln(0.5 * (free + size)) - gammaln(0.5 * free) - 0.5 * size * np.log(free * np.pi)
-        return np.asarray(top - half_log - 0.5 * (free + size) * np.log1p(self.distance(value, sigma) / free))
+        return np.asarray(top - half_log - 0.5 * (free + size) * np.log1p(self.distance(curves) / free))
 
 
 def log_widths(rows: Sequence[Row]) -> Curves:
@@ -101,33 +121,37 @@ def log_widths(rows: Sequence[Row]) -> Curves:
     told = (ends[:, :1] <= q) & (q <= ends[:, 1:])  # beyond the reversals sigma is the distance to them, not B's size
     width = np.maximum(width, np.where(told, stated, _LEAST * width.max(axis=1, keepdims=True)))  # a B of 0 is small
     sigma = np.where(told, np.minimum(stated / width, _UNKNOWN), _UNTOLD)
-    return Curves(q, np.log(width), sigma, tuple(row.robot for row in usable))
+    by_delay = np.array([row.width_by_delay or (0.0,) * len(q) for row in usable])
+    together = np.where(told, np.clip(by_delay / width, -sigma, sigma), 0.0)
+    return Curves(q, np.log(width), sigma, tuple(row.robot for row in usable), together)
 
 
-def population(curves: Curves) -> Population:
-    """See the module."""
+def population(curves: Curves, of_next: bool = False) -> Population:
+    """See the module. of_next: what the next robot may be, which may be worn as none of these is."""
     if len(curves.value) > _MOST:
         curves = curves.of(np.linspace(0, len(curves.value) - 1, _MOST).astype(np.intp))
-    choices = list(product(_LENGTHS, _WORTH, _TAILS))
+    tails = _TAILS[:1] if of_next else _TAILS
+    choices = [each for each in product(_LENGTHS, _WORTH, tails) if not of_next or each[1] >= _WORTH_OF_NEXT]
     told = np.zeros(len(choices))
     for part in range(_PARTS):
         out = curves.robot % _PARTS == part
         rest, left = curves.of(np.flatnonzero(~out)), curves.of(np.flatnonzero(out))
-        fitted = {free: _fitted(rest, free) for free in _TAILS}
+        fitted = {free: _fitted(rest, free) for free in tails}
         for i, (length, worth, free) in enumerate(choices):
             there = _shrunk(*fitted[free], rest, length, worth, free)
-            told[i] += float(left.weight @ there.log_density(left.value, left.sigma))
+            told[i] += float(left.weight @ there.log_density(left))
     length, worth, free = choices[int(np.argmax(told))]
     return _shrunk(*_fitted(curves, free), curves, length, worth, free)
 
 
 def _fitted(curves: Curves, free: float) -> tuple[Array, Array]:
     """Mean and S by expectation and maximisation."""
-    weight, noise = curves.weight, _diagonal(curves.sigma**2)
+    weight, noise = curves.weight, curves.noise
     known = 1.0 / curves.sigma**2
     mean = np.sum(known * curves.value, axis=0) / np.sum(known, axis=0)
     scale = _kernel(curves, mean, _LENGTHS[1])
-    size = len(curves.q)
+    mean = _smooth(mean, scale, 1.0 / np.sum(known, axis=0))  # where nobody tells it goes on from where somebody does
+    size = curves.told
     for _ in range(_STEPS):
         off = curves.value - mean
         inverse = np.linalg.inv(scale + noise)
@@ -157,6 +181,12 @@ def _kernel(curves: Curves, mean: Array, length: float) -> Array:
     apart = np.abs(curves.q[:, None] - curves.q[None, :]) * np.sqrt(5.0) / (length * (curves.q[-1] - curves.q[0]))
     kernel = (1.0 + apart + apart**2 / 3.0) * np.exp(-apart)
     return np.asarray(max(variance, 1e-18) * kernel)
+
+
+def _smooth(value: Array, kernel: Array, noise: Array) -> Array:
+    """(k,) what a Gaussian process of this covariance expects of values with these variances."""
+    level = np.sum(value / noise) / np.sum(1.0 / noise)
+    return np.asarray(level + kernel @ np.linalg.solve(kernel + np.diag(noise), value - level))
 
 
 def _diagonal(values: Array) -> Array:

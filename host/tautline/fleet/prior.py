@@ -26,7 +26,7 @@ def write(rows: Sequence[Row], out: Path) -> None:
     curves = log_widths(rows)
     unit = next(row.unit for row in rows if row.usable and row.q == tuple(curves.q.tolist()))
     with threadpool_limits(1, "blas"):
-        known = population(curves)
+        known = population(curves, of_next=True)
     arrays = {name: getattr(known, name).tolist() for name in ("q", "mean", "scale")}
     document = {"format": FORMAT, "unit": unit, "robots": len(set(curves.names)), **arrays, "freedom": known.freedom}
     write_file(out / FILE, json.dumps(document))

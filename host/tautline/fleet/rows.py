@@ -32,6 +32,7 @@ class Row:
     q: tuple[float, ...] = ()
     width: tuple[float, ...] = ()  # B, unit of q
     width_sigma: tuple[float, ...] = ()
+    width_by_delay: tuple[float, ...] = ()  # unit of q: a part of width_sigma by which B is off alike everywhere
     c_deg: tuple[float, ...] = ()  # f_remain
     c_sigma_deg: tuple[float, ...] = ()  # NaN where unknown
     measured_low: float | None = None  # unit of q: between these reversals told B
@@ -57,7 +58,7 @@ class Row:
         return self.verdict in ("good", "doubtful")
 
 
-_LISTS = frozenset({"q", "width", "width_sigma", "c_deg", "c_sigma_deg"})
+_LISTS = frozenset({"q", "width", "width_sigma", "width_by_delay", "c_deg", "c_sigma_deg"})
 _NUMBERS = frozenset(
     {"measured_low", "measured_high", "delay_s", "delay_sigma_s", "residual", "motion_s", "seconds", "width_change",
      "width_change_sigma", "offset_change", "wear", "wear_sigma"}
@@ -129,5 +130,5 @@ class DataSet:
 
 
 def _row(line: Mapping[str, Any]) -> Row:
-    values: dict[str, Any] = {k: tuple(value) if isinstance(value, list) else value for k, value in line.items()}
-    return Row(**values)
+    values: dict[str, Any] = {k: tuple(value or ()) if k in _LISTS else value for k, value in line.items()}
+    return Row(**values | {"reasons": tuple(line["reasons"])})

@@ -14,6 +14,7 @@ from tautline.errors import TautError
 from tautline.fleet.rows import Row
 from tautline.folders import unpacked
 from tautline.model import RIG_FILE
+from tautline.prediction import width_by_delay
 from tautline.recording import load_all
 from tautline.rig import Rig
 from tautline.vision.marker import with_marker
@@ -62,6 +63,7 @@ def _told(row: Row, calibration: Calibration) -> Row:
         q=tuple(at.tolist()),
         width=curve(model.width),
         width_sigma=curve(model.width_sigma),
+        width_by_delay=curve(width_by_delay(model, calibration.delay.sigma_s)),
         c_deg=curve(model.c_deg),
         c_sigma_deg=curve(model.c_sigma),
         measured_low=model.measured[0],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -13,6 +14,7 @@ Picture = npt.NDArray[np.uint8]
 
 _WINDOW, _LEVELS = 15, 2  # of Lucas-Kanade: px, and pyramid levels above the picture
 _AROUND_PX = 31  # two windows: over which light is alike
+_MARGIN_PX = 2 * (_AROUND_PX // 2)  # equation: reach of a mean over the distances from a mean, one way
 _CAMERA_NOISE = 3.0  # levels, which is not to be enlarged to structure
 _MIDDLE, _CONTRAST = 128.0, 42.0  # levels: three times that is in 8 bits
 _THERE_AND_BACK_PX = 0.5  # a corner that is not found again from where it was found was not found
@@ -48,3 +50,36 @@ def even_light(picture: Picture) -> Picture:
     away = grey - cv2.blur(grey, around)
     contrast = np.sqrt(np.maximum(cv2.blur(away * away, around), 0.0)) + _CAMERA_NOISE
     return np.asarray(np.clip(_MIDDLE + _CONTRAST * away / contrast, 0.0, 255.0), dtype=np.uint8)
+
+
+class EvenLight:
+    """A BGR picture as even_light makes it, but only in the parts that are asked for."""
+
+    def __init__(self, picture: Picture) -> None:
+        self._picture = picture
+        self._parts: dict[tuple[int, int, int, int], Picture] = {}
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width) of the picture, px."""
+        height, width = self._picture.shape[:2]
+        return height, width
+
+    @cached_property
+    def whole(self) -> Picture:
+        """The whole picture, where a place that was lost is looked for."""
+        return even_light(self._picture)
+
+    def cut(self, u: float, v: float, size: tuple[int, int]) -> tuple[Picture, Array]:
+        """The part (height, width = size) around a place, as far as the picture goes, and its corner (2,) in it."""
+        y0, x0 = (
+            int(np.clip(at - 0.5 * long, 0, whole - long))
+            for at, long, whole in zip((v, u), size, self.shape, strict=True)
+        )
+        key = (y0, x0, *size)
+        if key not in self._parts:
+            top, left = max(y0 - _MARGIN_PX, 0), max(x0 - _MARGIN_PX, 0)
+            around = self._picture[top : y0 + size[0] + _MARGIN_PX, left : x0 + size[1] + _MARGIN_PX]
+            part = even_light(around)[y0 - top :, x0 - left :]
+            self._parts[key] = np.ascontiguousarray(part[: size[0], : size[1]])
+        return self._parts[key], np.array([x0, y0], dtype=float)

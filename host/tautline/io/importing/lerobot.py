@@ -16,6 +16,7 @@ from tautline.io.importing.source import BATCH_ROWS, Array, Batch, Clip, Fact
 INFO = "meta/info.json"
 _EPISODES = {"v2": "meta/episodes.jsonl", "v3": "meta/episodes"}
 _COUNTERS = ("timestamp", "frame_index", "episode_index", "index", "task_index", "next.done", "next.success")
+_FRAME = "frame_index"  # format: of an episode, from 0 on
 _FULL_SCALE = 100.0  # of LeRobot's normalised joints: -100 to 100 over the calibrated range
 _UNITS = ("deg", "rad", "mm", "m")
 
@@ -72,7 +73,8 @@ class LeRobot:
             missing = set(columns) - set(opened.schema_arrow.names)
             if missing:
                 raise TautError(f"{file}: column {min(missing)} is missing, {INFO} names it")
-            for batch in opened.iter_batches(BATCH_ROWS, columns=[*columns, "episode_index"]):
+            own = ["episode_index", *({_FRAME} & set(opened.schema_arrow.names) - set(columns))]
+            for batch in opened.iter_batches(BATCH_ROWS, columns=[*columns, *own]):
                 if filters is not None:
                     batch = batch.filter(np.asarray(batch.column("episode_index")) == episode)
                 if batch.num_rows:
@@ -111,8 +113,16 @@ class LeRobot:
                 raise TautError(f"{file}: {name} has not the {len(keys)} numbers a row that {INFO} says")
             for k, (key, _) in enumerate(keys):
                 values[key] = numbers[k :: len(keys)]
-        t_s = batch.column("timestamp").cast("float64").to_numpy(zero_copy_only=False)
-        return Batch("", t_s, None, values)
+        return Batch("", self._times(batch), None, values)
+
+    def _times(self, batch: Any) -> Array:
+        """A frame's number over the rate where that is what its time says: in single precision that is some us off."""
+        written = batch.column("timestamp").cast("float64").to_numpy(zero_copy_only=False)
+        rate = self._info.get("fps")
+        if _FRAME not in batch.schema.names or not isinstance(rate, int | float) or not rate > 0:
+            return np.asarray(written)
+        nominal = batch.column(_FRAME).cast("float64").to_numpy(zero_copy_only=False) / rate
+        return np.where(nominal.astype(np.float32) == written, nominal, written)
 
     def _file(self, episode: int) -> Path:
         if self._layout == "v2":
