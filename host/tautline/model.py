@@ -84,7 +84,7 @@ class Model(Value):
         return interpolate(p, self.q, self.c_deg)
 
     def remaining_inverse(self, c_deg: npt.ArrayLike) -> Array:
-        """Centre coordinates, unit of q, at which f_remain is c_deg; of any shape."""
+        """Centre coordinates (n,), unit of q, at which f_remain is c_deg (n,); of any other shape as well."""
         order = slice(None) if self.c_deg[-1] > self.c_deg[0] else slice(None, None, -1)
         return interpolate(c_deg, self.c_deg[order], self.q[order])
 
