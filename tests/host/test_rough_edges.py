@@ -195,7 +195,7 @@ def test_a_large_picture_is_searched_small(monkeypatch: pytest.MonkeyPatch) -> N
         return find_colour(given)
 
     monkeypatch.setattr(marker_command, "find_colour", listened)
-    quick = marker_command._found(pictures)
+    quick = marker_command._find_colour(pictures)
     assert 4 * sum(searched) <= 6 * 1920 * 1080
     assert quick is not None and slow is not None
     assert np.allclose(quick.colour, slow.colour, atol=12.0) and abs(quick.diameter_px / slow.diameter_px - 1.0) < 0.1
