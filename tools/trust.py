@@ -20,6 +20,7 @@ import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 from rich.progress import Progress, TaskID
@@ -155,6 +156,12 @@ def main() -> int:
     if unknown := set(options.targets) - EVERY.keys():
         parser.error(f"no target {', '.join(sorted(unknown))}: choose of {', '.join(EVERY)}")
     names = options.targets or list(EVERY)
+    if find_spec("atheris") is None:
+        says = f"without {', '.join(READERS)}: Atheris, which drives them, has no wheel for this machine"
+        names = [name for name in names if name not in READERS]
+        if not names:
+            parser.error(says)
+        print(says)
     FOUND.mkdir(parents=True, exist_ok=True)
     with Progress(transient=True) as progress, ThreadPoolExecutor(AT_ONCE) as pool:
         amounts = {name: amount(name, options.long, options.seconds) for name in names}

@@ -1,6 +1,7 @@
 // What may be asked of an axis, by mode, fault, reference and table: the reason that is expected of each request, and
 // what an axis is afterwards (tl_axis_ask.h, docs/protocol.md). The lock is held where it has to be, and let go.
-#include "random_u32.h"
+#include "draws.h"
+#include "silent_port.h"
 #include "table_fixture.h"
 #include "tautline/tl_axis_ask.h"
 #include "tautline/tl_axis_rest.h"
@@ -21,26 +22,13 @@ void setUp(void) {
 }
 void tearDown(void) {}
 
-static int32_t between(int32_t low, int32_t high) {
-    return low + (int32_t)(random_u32() % ((uint32_t)high - (uint32_t)low + 1U));
-}
-
-static bool once_in(int32_t n) {
-    return between(1, n) == 1;
-}
-
 static tl_us_t the_time(void *context) {
     (void)context;
     return 7000000;
 }
-static int32_t no_encoder(void *context, uint8_t index) {
+static int32_t encoder_by_axis(void *context, uint8_t index) {
     (void)context;
     return 1000 * (index + 1);
-}
-static void no_drive(void *context, uint8_t index, tl_duty_q15_t duty) {
-    (void)context;
-    (void)index;
-    (void)duty;
 }
 static uint32_t lock(void *context) {
     (void)context;
@@ -58,7 +46,7 @@ static tl_port_t port = {.control_hz = 5000,
                          .driver_ma = 1200,
                          .supply_low_mv = 4000,
                          .time_us = the_time,
-                         .encoder = no_encoder,
+                         .encoder = encoder_by_axis,
                          .drive = no_drive,
                          .lock = lock,
                          .unlock = unlock};

@@ -1,6 +1,6 @@
 // The inverse of one play, tick by tick and to the last bit: what tl_compensator.h and tl_takeup.h say, in 64-bit
 // numbers, through changes of mode, strength and table.
-#include "random_u32.h"
+#include "draws.h"
 #include "table_fixture.h"
 #include "tautline/tl_compensator.h"
 
@@ -30,14 +30,6 @@ void setUp(void) {
     seed = 112358U;
 }
 void tearDown(void) {}
-
-static int32_t between(int32_t low, int32_t high) {
-    return low + (int32_t)(random_u32() % ((uint32_t)high - (uint32_t)low + 1U));
-}
-
-static int64_t within(int64_t x, int64_t low, int64_t high) {
-    return x < low ? low : (x > high ? high : x);
-}
 
 static void any_lookup(tl_lookup_t *lookup) {
     tl_table_t table;

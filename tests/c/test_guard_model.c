@@ -1,7 +1,8 @@
 // What an axis notices by itself against its model (guard_model.h): after every millisecond the same mode, fault, value
 // and memory, whatever motor, encoder, current, supply and host do.
+#include "draws.h"
 #include "guard_model.h"
-#include "random_u32.h"
+#include "silent_port.h"
 #include "tautline/tl_axis_ask.h"
 #include "tautline/tl_axis_rest.h"
 
@@ -22,28 +23,6 @@ static uint32_t faults[32], seen[8];
 void setUp(void) {}
 void tearDown(void) {}
 
-static int32_t between(int32_t low, int32_t high) {
-    return low + (int32_t)(random_u32() % (uint32_t)(high - low + 1));
-}
-
-static bool once_in(int32_t n) {
-    return between(1, n) == 1;
-}
-
-static tl_us_t at_no_time(void *context) {
-    (void)context;
-    return 0;
-}
-static int32_t no_encoder(void *context, uint8_t index) {
-    (void)context;
-    (void)index;
-    return 0;
-}
-static void no_drive(void *context, uint8_t index, tl_duty_q15_t duty) {
-    (void)context;
-    (void)index;
-    (void)duty;
-}
 static int32_t the_current(void *context, uint8_t index) {
     (void)context;
     (void)index;
@@ -63,7 +42,7 @@ static tl_port_t port = {.control_hz = 5000,
                          .axes = 1,
                          .driver_ma = 1200,
                          .supply_low_mv = 4000,
-                         .time_us = at_no_time,
+                         .time_us = no_time,
                          .encoder = no_encoder,
                          .drive = no_drive,
                          .current_ma = the_current,

@@ -1,6 +1,6 @@
 // Look-ups against what tl_lookup.h promises, in long double, in tables of any size and any shape: on each span, at
 // each node, beyond both ends.
-#include "random_u32.h"
+#include "draws.h"
 #include "table_fixture.h"
 
 #include <math.h>
@@ -18,15 +18,6 @@ void setUp(void) {
     seed = 577215U;
 }
 void tearDown(void) {}
-
-static int32_t between(int32_t low, int32_t high) {
-    return low + (int32_t)(random_u32() % ((uint32_t)high - (uint32_t)low + 1U));
-}
-
-static int32_t any(uint32_t bits) {
-    const int32_t size = (int32_t)(random_u32() >> (32U - (uint32_t)between(1, (int32_t)bits)));
-    return between(0, 1) == 0 ? size : -size;
-}
 
 static int64_t position(int64_t node) {
     return table.q0 + node * step;

@@ -1,6 +1,6 @@
 // The calibration motion against its model (what tl_motion.h says, in whole numbers): the same reference on every tick,
 // whatever is asked for, and whenever onsets come.
-#include "random_u32.h"
+#include "draws.h"
 #include "tautline/tl_motion.h"
 
 #include <math.h>
@@ -28,14 +28,6 @@ static uint32_t ended[6];
 
 void setUp(void) {}
 void tearDown(void) {}
-
-static int32_t between(int32_t low, int32_t high) {
-    return low + (int32_t)(random_u32() % (uint32_t)(high - low + 1));
-}
-
-static bool once_in(int32_t n) {
-    return between(1, n) == 1;
-}
 
 static int64_t a_tick(int32_t speed) { // speeds are cut off to whole ones
     return speed * ONE / config.rate_hz;

@@ -1,7 +1,7 @@
 // The onset detector against its model in float64 (onset_model.h, onset_follower.h): after every call the same is told
 // and counted, whatever motor, image, camera and configuration do.
+#include "draws.h"
 #include "onset_follower.h"
-#include "random_u32.h"
 
 #include <unity.h>
 
@@ -24,14 +24,6 @@ static struct {
 
 void setUp(void) {}
 void tearDown(void) {}
-
-static int32_t between(int32_t low, int32_t high) {
-    return low + (int32_t)(random_u32() % (uint32_t)(high - low + 1));
-}
-
-static bool once_in(int32_t n) {
-    return between(1, n) == 1;
-}
 
 static int32_t magnitude(int32_t low_bits, int32_t high_bits) { // as often of each size
     const int32_t bits = between(low_bits, high_bits);

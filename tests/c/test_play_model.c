@@ -1,6 +1,6 @@
 // The forward play of one element and of several, to the last bit: what tl_play.h and tl_elements.h say, in 64-bit
 // numbers on the look-ups that test_lookup_model.c holds against theirs.
-#include "random_u32.h"
+#include "draws.h"
 #include "table_fixture.h"
 #include "tautline/tl_play.h"
 #include "tl_elements.h"
@@ -18,19 +18,6 @@ void setUp(void) {
     seed = 224466U;
 }
 void tearDown(void) {}
-
-static int32_t between(int32_t low, int32_t high) {
-    return low + (int32_t)(random_u32() % ((uint32_t)high - (uint32_t)low + 1U));
-}
-
-static int32_t any(uint32_t bits) {
-    const int32_t size = (int32_t)(random_u32() >> (32U - (uint32_t)between(1, (int32_t)bits)));
-    return between(0, 1) == 0 ? size : -size;
-}
-
-static int64_t within(int64_t x, int64_t low, int64_t high) {
-    return x < low ? low : (x > high ? high : x);
-}
 
 static int32_t moved_by(void) { // creeps, goes, jumps
     return any(between(0, 9) == 0 ? 22 : (between(0, 1) == 0 ? 3 : 13));

@@ -1,7 +1,7 @@
 // Hours of a board's life in seconds: random requests, encoder values and faults on a fake clock, with what must hold
 // after every control step. tools/guards.py has what each guard of it is worth.
+#include "draws.h"
 #include "fake_board.h"
-#include "random_u32.h"
 
 #include <math.h>
 
@@ -15,10 +15,6 @@
 
 void setUp(void) {}
 void tearDown(void) {}
-
-static int32_t between(int32_t low, int32_t high) {
-    return low + (int32_t)(random_u32() % (uint32_t)(high - low + 1));
-}
 
 static bool one_in(uint32_t n) {
     return random_u32() % n == 0U;

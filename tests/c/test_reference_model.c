@@ -1,6 +1,6 @@
 // A step of the reference, to the last bit: what tl_reference.h says in 64-bit numbers, from any state, at any limits;
 // and the limits themselves against v^2 / 2a.
-#include "random_u32.h"
+#include "draws.h"
 #include "tautline/tl_reference.h"
 
 #include <math.h>
@@ -19,15 +19,6 @@ void setUp(void) {
     seed = 161803U;
 }
 void tearDown(void) {}
-
-static int32_t between(int32_t low, int32_t high) {
-    return low + (int32_t)(random_u32() % ((uint32_t)high - (uint32_t)low + 1U));
-}
-
-static int32_t any(uint32_t bits) { // of each size
-    const int32_t size = (int32_t)(random_u32() >> (32U - (uint32_t)between(1, (int32_t)bits)));
-    return between(0, 1) == 0 ? size : -size;
-}
 
 static void any_limits(void) {
     const int32_t speed = between(0, 3) == 0 ? TL_REFERENCE_SPEED_MAX - between(0, 9) : abs(any(23)) + 1;
@@ -61,10 +52,6 @@ static void test_what_stopping_takes_is_v_squared_by_2_a(void) {
 }
 
 // -- a step -----------------------------------------------------------------------------------------------------------
-
-static int64_t within(int64_t x, int64_t low, int64_t high) {
-    return x < low ? low : (x > high ? high : x);
-}
 
 static int64_t stopping(int64_t speed) {                                // Q16 less way_down bits
     const int64_t v = within(speed >> limits.speed_down, 0, 65535) + 1; // of more it brakes, whatever this is

@@ -1,6 +1,6 @@
 // Path and servo to the last bit: what tl_path.h and tl_servo.h say, in 64-bit numbers. test_servo.c says that these
 // are the equations.
-#include "random_u32.h"
+#include "draws.h"
 #include "tautline/tl_servo.h"
 
 #include <stdlib.h>
@@ -16,19 +16,6 @@ void setUp(void) {
     seed = 693147U;
 }
 void tearDown(void) {}
-
-static int32_t between(int32_t low, int32_t high) {
-    return low + (int32_t)(random_u32() % ((uint32_t)high - (uint32_t)low + 1U));
-}
-
-static int32_t any(uint32_t bits) {
-    const int32_t size = (int32_t)(random_u32() >> (32U - (uint32_t)between(1, (int32_t)bits)));
-    return between(0, 1) == 0 ? size : -size;
-}
-
-static int64_t within(int64_t x, int64_t low, int64_t high) {
-    return x < low ? low : (x > high ? high : x);
-}
 
 // -- gains in ticks ---------------------------------------------------------------------------------------------------
 

@@ -1,6 +1,6 @@
 // What a table undoes beside play and curve (tl_undo.h), to the last bit: the same in 64-bit numbers, at random and at
 // the ends. test_undoing.c says that these are the equations.
-#include "random_u32.h"
+#include "draws.h"
 #include "table_fixture.h"
 #include "tautline/tl_undo.h"
 
@@ -23,19 +23,6 @@ void setUp(void) {
     seed = 271828U;
 }
 void tearDown(void) {}
-
-static int32_t between(int32_t low, int32_t high) {
-    return low + (int32_t)(random_u32() % ((uint32_t)high - (uint32_t)low + 1U));
-}
-
-static int32_t any(uint32_t bits) { // of each size up to these bits, and either sign
-    const int32_t size = (int32_t)(random_u32() >> (32U - (uint32_t)between(1, (int32_t)bits)));
-    return between(0, 1) == 0 ? size : -size;
-}
-
-static int64_t within(int64_t x, int64_t low, int64_t high) {
-    return x < low ? low : (x > high ? high : x);
-}
 
 // a b / 2^right towards 0.
 static int64_t product(int64_t a, int64_t b, uint32_t right) {

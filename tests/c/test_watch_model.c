@@ -1,6 +1,7 @@
 // What is told of an axis, field by field: the flags of each state, a telemetry sample, a calibration's messages; and
 // set-points joined by straight lines, the header of a frame.
-#include "random_u32.h"
+#include "draws.h"
+#include "silent_port.h"
 #include "table_fixture.h"
 #include "tautline/tl_axis_ask.h"
 #include "tautline/tl_axis_rest.h"
@@ -20,31 +21,6 @@ void setUp(void) {
 }
 void tearDown(void) {}
 
-static int32_t between(int32_t low, int32_t high) {
-    return low + (int32_t)(random_u32() % ((uint32_t)high - (uint32_t)low + 1U));
-}
-static bool once_in(int32_t n) {
-    return between(1, n) == 1;
-}
-static int32_t any(uint32_t bits) {
-    const int32_t size = (int32_t)(random_u32() >> (32U - (uint32_t)between(1, (int32_t)bits)));
-    return once_in(2) ? size : -size;
-}
-
-static tl_us_t no_time(void *context) {
-    (void)context;
-    return 0;
-}
-static int32_t no_encoder(void *context, uint8_t index) {
-    (void)context;
-    (void)index;
-    return 0;
-}
-static void no_drive(void *context, uint8_t index, tl_duty_q15_t duty) {
-    (void)context;
-    (void)index;
-    (void)duty;
-}
 static bool pressed;
 static bool is_pressed(void *context) {
     (void)context;

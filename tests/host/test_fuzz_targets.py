@@ -47,6 +47,7 @@ def test_both_ends_are_met(name: str) -> None:
 
 
 def test_what_breaks_is_told_and_left_to_be_read_again(tmp_path: Path) -> None:
+    pytest.importorskip("atheris", reason="Atheris has no wheel for this machine")
     spoilt = tmp_path / "guided.py"
     text = READER.read_text("utf-8").replace("parents[2]", f"parents[{len(tmp_path.parents)}]")
     spoilt.write_text(text.replace("readers.once(name, ", "readers.TARGETS[name]("), "utf-8")

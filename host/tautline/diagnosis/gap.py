@@ -27,7 +27,6 @@ BLOCK_S = 8.0  # tolerance: of a manoeuvre: longer than a residual remembers
 _LITTLE = 0.05  # prior: of a gap: what another motion may leave of it however little these leave
 _CUT_INTO = (12, 9)  # tolerance: blocks, tried in turn where the motor's turns make none
 _REMEMBERED, _ALIKE = 199, 0.02  # tolerance: lags at most, and a correlation from which there is none
-_OF_NORMAL = 1.645  # equation: standard deviations either way that hold nine of ten of a normal distribution
 _EACH_WAY = 0.2  # tolerance: share of the motion that either way must have
 _OF_A_SIZE, _SHRINKS = 0.95, 0.9  # format: shares of a size's and of a shrinkage's draws that an interval holds
 SURELY = 0.95  # loss: a worse model that is handed out costs as much as 19 better ones that are kept back
@@ -209,10 +208,11 @@ def _scale(left: float) -> float:
 
 def unseen(before: float, left: float, floor: float, apart: tuple[float, float]) -> float:
     """One standard deviation of a reading of a motion that was not recorded, about what is corrected: the sensor's
-    noise is the same, and what is left beside it as much more as other motions' was. apart: as `elsewhere` takes it."""
+    noise is the same, and what is left beside it as much more as other motions' was. apart: as in
+    `shrink_interval_elsewhere`."""
     beside = float(np.sqrt(max(left**2 - floor**2, 0.0)))
     open_share = max(1.0 - beside / before, 0.0) if before > 0.0 else 0.0
-    mean, deviation = 0.5 * (apart[0] + apart[1]), 0.5 * (apart[1] - apart[0]) / _OF_NORMAL
+    mean, deviation = 0.5 * (apart[0] + apart[1]), 0.5 * (apart[1] - apart[0]) / spread.NINE_OF_TEN
     more2 = (1.0 + mean * open_share) ** 2 + (deviation * open_share) ** 2  # equation: mean square of a normal
     return float(np.hypot(min(left, floor), beside * np.sqrt(more2)))
 
