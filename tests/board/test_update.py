@@ -37,7 +37,7 @@ def keys() -> Keys:
 def desktop(request: pytest.FixtureRequest, keys: Keys) -> Iterator[DesktopBoard]:
     if request.config.getoption("--board") != "desktop":
         pytest.skip("images for the desktop board")
-    with DesktopBoard(serial="TEST-1", update_key=keys.public) as board:
+    with DesktopBoard(serial="TEST-1", axes=getattr(request, "param", 1), update_key=keys.public) as board:
         yield board
 
 
@@ -139,15 +139,17 @@ def test_the_board_itself_refuses_what_a_host_lets_through(
         assert link.ask("state")["flash_operations"] == 0
 
 
-def test_a_board_of_all_axes_keeps_what_runs_from_an_image_of_three(keys: Keys, tmp_path: Path) -> None:
+@pytest.mark.parametrize("desktop", [4], indirect=True, ids=["four axes"])
+def test_a_board_of_all_axes_keeps_what_runs_from_an_image_of_three(
+    desktop: DesktopBoard, keys: Keys, tmp_path: Path
+) -> None:
     three = file_of(tmp_path, keys, "three", port="desktop-3")
-    with DesktopBoard(serial="TEST-1", axes=4, update_key=keys.public) as board:
-        assert give(board, file_of(tmp_path, keys, "four", port="desktop")) == NEWER
-        with pytest.raises(TautError, match="is for a desktop with 3 axes, this board has 4: get the file for"):
-            give(board, three, force=True)
-        with open_board(board.where) as opened, opened.firmware_route() as route, pytest.raises(TautError):
-            route.download(three.read_bytes())
-        assert running(board) == (NEWER, "CONFIRMED")
+    assert give(desktop, file_of(tmp_path, keys, "four", port="desktop")) == NEWER
+    with pytest.raises(TautError, match="is for a desktop with 3 axes, this board has 4: get the file for"):
+        give(desktop, three, force=True)
+    with open_board(desktop.where) as opened, opened.firmware_route() as route, pytest.raises(TautError):
+        route.download(three.read_bytes())
+    assert running(desktop) == (NEWER, "CONFIRMED")
 
 
 def test_a_motor_that_is_on(desktop: DesktopBoard, keys: Keys, tmp_path: Path) -> None:
