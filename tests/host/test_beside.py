@@ -19,7 +19,7 @@ from tautline.effects import BY_ID, LIBRARY
 from tautline.geometry import project
 from tautline.model import Effect, Model
 from tautline.prediction import foretold
-from tautline.quality import Reason
+from tautline.quality import Quality, Reason
 from tautline.recording import Recording
 from tautline.simulated.instrument import Corrected, reference_rig
 from tautline.simulated.simulate import run
@@ -70,7 +70,7 @@ def calibrated(
     """Without the effects that are named, and with them."""
     made = recorded(there, seed)
     alone = calibrate([made], RIG, naming=False)
-    monkeypatch.setattr(naming, "asked", lambda reasons, model, *rest: told(names, model))
+    monkeypatch.setattr(naming, "asked", lambda model, *rest: told(names, model))
     monkeypatch.setattr(room.start, "concerns", lambda model: True)
     return alone, calibrate([made], RIG)
 
@@ -173,6 +173,20 @@ def test_a_name_that_does_not_help_is_a_name_alone() -> None:
     assert carries.model.effects == (LAG,)
     nothing = room._with_effects(found, told([LAG], SOUND), None)
     assert not nothing.model.effects
+
+
+def test_beside_what_is_not_weighed_a_name_counts_only_where_nothing_is_left() -> None:
+    """Breathing, or an effect that looks like it."""
+    breathes = Quality.of([Reason("registration.breathing", "sways", "hold it")])
+
+    def of(over_noise: float, *effects: Effect) -> Calibration:
+        model = replace(SOUND, effects=effects, quality=breathes if not effects else Quality())
+        return cast(Calibration, _Found(model, {"error": 0.1 * over_noise, "foretold_over_noise": over_noise}))
+
+    found = of(6.0)
+    assert room._with_effects(found, told([LAG], SOUND), of(2.0, LAG)) is found
+    carries = room._with_effects(found, told([LAG], SOUND), of(1.1, LAG))
+    assert carries.model.effects == (LAG,) and [each.code for each in carries.model.quality.reasons] == [LAG.id]
 
 
 def test_what_the_carrying_model_still_misses_is_a_doubt() -> None:

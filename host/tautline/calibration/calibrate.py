@@ -210,9 +210,9 @@ def calibrate(
         reasons = acquisition_doubts(recordings, [track for track, _ in pairs], [offset for _, offset in pairs], rig)
         session = _Session(aligned, rig, options, say, reasons)
         found = session.run()
-        if naming and found.model.quality.usable and (session.departs or start.concerns(found.model)):
+        if naming and _may_have_names(session, found):
             told = naming_room.asked(
-                *(found.model.quality.reasons, found.model, shifted(recordings, found.offsets)),
+                *(found.model, shifted(recordings, found.offsets)),
                 lambda share, what: say(0.8 + 0.15 * share, what),
             )
             if told is not None:
@@ -222,14 +222,28 @@ def calibrate(
         return found
 
 
+def _may_have_names(session: _Session, found: Calibration) -> bool:
+    """Whether what departs may be effects of the library."""
+    if not found.model.quality.usable or not (session.departs or start.concerns(found.model)):
+        return False
+    return not (naming_room.others(found.model.quality.reasons) and _predicts(found))
+
+
+def _predicts(found: Calibration) -> bool:
+    return found.evidence.get("foretold_over_noise", np.inf) <= PREDICTS
+
+
 def _with_effects(found: Calibration, told: start.Start, beside: Calibration | None) -> Calibration:
     """The calibration that carries what was named, if it foretells blocks left out the better; else that without it,
-    under the names."""
+    under the names. Beside what is not weighed a name counts only where nothing is left."""
     reasons = found.model.quality.reasons
-    if beside is not None and beside.evidence.get("error", np.inf) < found.evidence.get("error", np.inf):
-        predicts = beside.evidence["foretold_over_noise"] <= PREDICTS
-        own = naming_room.carried(reasons, beside.model.quality.reasons, beside.model, predicts)
+    others = naming_room.others(reasons)
+    better = beside is not None and beside.evidence.get("error", np.inf) < found.evidence.get("error", np.inf)
+    if beside is not None and better and (_predicts(beside) or not others):
+        own = naming_room.carried(reasons, beside.model.quality.reasons, beside.model, _predicts(beside))
         return replace(beside, model=replace(beside.model, quality=Quality.of(own)))
+    if others:
+        return found
     own = naming_room.named(reasons, found.model, told.named)
     return replace(found, model=replace(found.model, quality=Quality.of(own)))
 

@@ -14,7 +14,7 @@ from tautline.recording import Recording
 
 HOLDS = "the model holds it, and predicts with it: what a board's tables undo of it taut export says"
 LOOKS = start.NAMES | {"residual", "repeatability"}  # what departs, by how it looks
-# What no effect that was there from the start looks like: weighed without it, others would stand in for it.
+# What is not weighed, and what effects that are may look like: they may as well stand in for it.
 _OTHERS = frozenset(
     {
         *("transmission.offset", "transmission.backlash", "clock.drift"),
@@ -23,13 +23,15 @@ _OTHERS = frozenset(
 )
 
 
-def asked(
-    reasons: Sequence[Reason], model: Model, recordings: Sequence[Recording], progress: start.Progress
-) -> start.Start | None:
+def others(reasons: Sequence[Reason]) -> bool:
+    """Whether the recordings show what is not weighed: then an effect has its name only if nothing is left beside
+    it."""
+    return any(reason.code in _OTHERS for reason in reasons)
+
+
+def asked(model: Model, recordings: Sequence[Recording], progress: start.Progress) -> start.Start | None:
     """All of the library's effects, weighed against each other; None where none is likelier than something unknown.
     recordings: on the motor's clock, the earliest first."""
-    if any(reason.code in _OTHERS for reason in reasons):
-        return None
     try:
         told = start.of_recordings(model, recordings, progress)
     except TautError:  # nothing that a diagnosis could score
