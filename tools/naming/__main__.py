@@ -58,7 +58,7 @@ def run(
 def foretold(
     effects: tuple[str, ...], generators: tuple[str, ...], seeds: int, first_seed: int, jobs: int, out: Path
 ) -> None:
-    """Calibrates on the first recording, without naming and with it, and foretells the third; then the table."""
+    """Calibrates on two recordings, without naming and with it, and foretells the third; then the table."""
     cases = _cases(effects, generators, seeds, first_seed)
     click.echo(foretell.table(_written(foretell.run, cases, jobs, out, FORETOLD)))
 
