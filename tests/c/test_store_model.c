@@ -2,6 +2,7 @@
 // through anything, wears out and loses its power.
 #include "draws.h"
 #include "tautline/tl_store.h"
+#include "words.h"
 
 #include <string.h>
 #include <unity.h>
@@ -81,25 +82,6 @@ void setUp(void) {
 void tearDown(void) {}
 
 // -- what the header says ---------------------------------------------------------------------------------------------
-
-static uint32_t crc_of(const uint8_t *bytes, size_t size) { // bit by bit
-    uint32_t crc = 0xFFFFFFFFU;
-    for (size_t bit = 0; bit < 8U * size; bit++) {
-        crc = crc >> 1 ^ (((uint32_t)(bytes[bit / 8U] >> bit % 8U) ^ crc) & 1U ? 0xEDB88320U : 0U);
-    }
-    return ~crc;
-}
-
-static uint32_t word(const uint8_t *bytes, unsigned number) {
-    return bytes[4U * number] | (uint32_t)bytes[4U * number + 1U] << 8 | (uint32_t)bytes[4U * number + 2U] << 16 |
-           (uint32_t)bytes[4U * number + 3U] << 24;
-}
-
-static void set_word(uint8_t *bytes, unsigned number, uint32_t value) {
-    for (unsigned i = 0; i < 4U; i++) {
-        bytes[4U * number + i] = (uint8_t)(value >> 8U * i);
-    }
-}
 
 static bool is_blank(const uint8_t *bytes, size_t size) {
     size_t i = 0;
