@@ -171,6 +171,9 @@ def test_a_name_that_does_not_help_is_a_name_alone() -> None:
     assert not named.model.effects and [each.code for each in named.model.quality.reasons] == [LAG.id]
     carries = room._with_effects(found, told([LAG], SOUND), of(0.04, (LAG,)))
     assert carries.model.effects == (LAG,)
+    useless = Quality.of([Reason("clock.offset", "unknown", "one clock", fatal=True)])
+    unusable = cast(Calibration, replace(cast(Any, of(0.04, (LAG,))), model=replace(SOUND, quality=useless)))
+    assert room._with_effects(found, told([LAG], SOUND), unusable).model.quality.usable
     nothing = room._with_effects(found, told([LAG], SOUND), None)
     assert not nothing.model.effects
 

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from tautline import effects
 from tautline.effects import LIBRARY, SCATTERS, Kind, Parameter
 from tautline.elements import Elements, Hysteresis
+from tautline.encoder import straight_lines
 from tautline.model import Effect, Model
 from tautline.recording import Motor
 from tautline.rig import Rig
@@ -82,13 +83,15 @@ class Beside:
     def follow(
         self, motor: Motor, at_s: Array, grid: Array, width: Array, hysteresis: Hysteresis, values: Array
     ) -> effects.Path:
-        """The tip's path at times (n,) of a motor, B being `width` on the grid; c is the place along the law."""
+        """The tip's path at times (n,) of a motor as it was read, its motion as predictions have it: between counts its
+        speed would be rough. B being `width` on the grid; c is the place along the law."""
         plays = (
             {"elements": hysteresis} if isinstance(hysteresis, Elements) else {"friction": hysteresis}
         )  # of the model
         model = Model(self.rig, grid, width, np.zeros_like(grid), grid, 0.0, (grid[0], grid[-1]), **plays)
         named = dict(zip((p.name for p in self.parameters), values.tolist(), strict=True)) | dict(self.held)
-        return effects.follow(model, motor, at_s, named)
+        lines = straight_lines(motor, self.rig.actuator.encoder_resolution)
+        return effects.follow(model, lines, at_s, named)
 
     def slopes(
         self, motor: Motor, at_s: Array, grid: Array, width: Array, hysteresis: Hysteresis, values: Array

@@ -233,13 +233,18 @@ def _predicts(found: Calibration) -> bool:
     return found.evidence.get("foretold_over_noise", np.inf) <= PREDICTS
 
 
+def _better(beside: Calibration, found: Calibration) -> bool:
+    """Whether one that can be used at all foretells blocks left out better."""
+    errors = (each.evidence.get("error", np.inf) for each in (beside, found))
+    return beside.model.quality.usable and next(errors) < next(errors)
+
+
 def _with_effects(found: Calibration, told: start.Start, beside: Calibration | None) -> Calibration:
     """The calibration that carries what was named, if it foretells blocks left out the better; else that without it,
     under the names. Beside what is not weighed a name counts only where nothing is left."""
     reasons = found.model.quality.reasons
     others = naming_room.others(reasons)
-    better = beside is not None and beside.evidence.get("error", np.inf) < found.evidence.get("error", np.inf)
-    if beside is not None and better and (_predicts(beside) or not others):
+    if beside is not None and _better(beside, found) and (_predicts(beside) or not others):
         own = naming_room.carried(reasons, beside.model.quality.reasons, beside.model, _predicts(beside))
         return replace(beside, model=replace(beside.model, quality=Quality.of(own)))
     if others:

@@ -131,7 +131,7 @@ class Frozen:
         alone = Simulated(p[at], p[at], known, known & both[at], side[at], lean[at], share[at], driven.speed)
         if beside is None or values is None:
             return alone
-        path = beside.follow(self.track.motor, self.track.scene_s(delay_s), grid, width, elements, values)
+        path = beside.follow(self.track.reading, self.track.scene_s(delay_s), grid, width, elements, values)
         return replace(alone, p=path.p, tip=path.tip, side=np.sign(path.side).astype(np.int8), lean=path.lean)
 
 
@@ -230,7 +230,7 @@ class PlayFit:
             by_b, by_values, by_delay = (
                 each[keep]
                 for each in self.beside.slopes(
-                    frozen.track.motor, at, self.grid, self.width(curves), self.elements, curves.beside
+                    frozen.track.reading, at, self.grid, self.width(curves), self.elements, curves.beside
                 )
             )
         elif self.beside is not None:
