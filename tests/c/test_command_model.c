@@ -497,7 +497,7 @@ static void test_a_request_does_what_it_says_and_nothing_else(void) {
         }
         for (uint32_t i = 0; i < REQUESTS; i++) {
             const bool one = !once_in(3);
-            const uint8_t index = (uint8_t)(once_in(12) ? 255 - between(0, 1) : between(0, once_in(6) ? 3 : 2));
+            const uint8_t index = (uint8_t)(once_in(5) ? 255 - (once_in(6) ? 1 : 0) : between(0, once_in(6) ? 3 : 2));
             ask(one ? of_axes[between(0, sizeof(of_axes) - 1)] : others[between(0, sizeof(others) - 1)], index);
             *(answer.reason == 0 ? &done : &refused) += 1U;
             for (int32_t steps = between(0, 12); steps > 0; steps--) {
@@ -508,6 +508,9 @@ static void test_a_request_does_what_it_says_and_nothing_else(void) {
                 (void)fake_ask(TL_WIRE_CLEAR_FAULT, &clear);
                 fake_ready();
                 (void)fake_enable((uint8_t)between(0, 2), 1);
+            }
+            if (once_in(10)) { // a fault that stays, of one axis
+                fake.driver_fault[between(0, 2)] = once_in(2);
             }
             if (once_in(20)) {
                 app.axes[between(0, 2)].telemetry.dropped += (uint32_t)between(0, 9);
