@@ -495,6 +495,10 @@ static void test_a_request_does_what_it_says_and_nothing_else(void) {
         if (!once_in(5)) {
             fake_ready();
         }
+        app.axes[2].settings.commissioned = life % 3U == 0U ? 0U : 1U;
+        for (uint8_t i = 0; i < AXES && life % 2U == 0U; i++) { // some that an open contact stops: nothing is wired
+            app.axes[i].settings.estop = once_in(2) ? TL_WIRE_ESTOP_CLOSED : TL_WIRE_ESTOP_OPEN;
+        }
         for (uint32_t i = 0; i < REQUESTS; i++) {
             const bool one = !once_in(3);
             const uint8_t index = (uint8_t)(once_in(5) ? 255 - (once_in(6) ? 1 : 0) : between(0, once_in(6) ? 3 : 2));
@@ -509,9 +513,7 @@ static void test_a_request_does_what_it_says_and_nothing_else(void) {
                 fake_ready();
                 (void)fake_enable((uint8_t)between(0, 2), 1);
             }
-            if (once_in(10)) { // a fault that stays, of one axis
-                fake.driver_fault[between(0, 2)] = once_in(2);
-            }
+            fake.estop_closed = once_in(20) || (fake.estop_closed && !once_in(4));
             if (once_in(20)) {
                 app.axes[between(0, 2)].telemetry.dropped += (uint32_t)between(0, 9);
                 app.parser.bytes_bad = app.counters.bytes_bad = (uint32_t)between(0, 9);
