@@ -495,7 +495,7 @@ static void test_a_request_does_what_it_says_and_nothing_else(void) {
         if (!once_in(5)) {
             fake_ready();
         }
-        app.axes[2].settings.commissioned = life % 3U == 0U ? 0U : 1U;
+        app.axes[2].settings.commissioned = (uint8_t)(life % 3U != 0U);
         for (uint8_t i = 0; i < AXES && life % 2U == 0U; i++) { // some that an open contact stops: nothing is wired
             app.axes[i].settings.estop = once_in(2) ? TL_WIRE_ESTOP_CLOSED : TL_WIRE_ESTOP_OPEN;
         }
