@@ -152,10 +152,30 @@ static void test_a_lost_host_is_not_the_next_one_s(void) {
     TEST_ASSERT_EQUAL(TL_WIRE_MODE_HOLD, app.axes[0].mode);
 }
 
+static void test_a_motion_may_go_to_the_ends_of_what_settings_allow(void) {
+    const tl_wire_get_limits_t get = {.axis = 0};
+    fake_ask(TL_WIRE_GET_LIMITS, &get);
+    tl_wire_limits_t limits = heard[TL_WIRE_LIMITS].limits;
+    tl_wire_motion_start_t start = fake_calibration();
+    limits.q_low_q8 = start.low_q8;
+    limits.q_high_q8 = start.high_q8;
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_LIMITS, &limits));
+    TEST_ASSERT_EQUAL(0, fake_enable(0, 1));
+    fake_run_ms(5);
+    start.low_q8--;
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_RANGE, fake_ask(TL_WIRE_MOTION_START, &start));
+    start.low_q8++;
+    start.high_q8++;
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_RANGE, fake_ask(TL_WIRE_MOTION_START, &start));
+    start.high_q8--;
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_MOTION_START, &start));
+}
+
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_each_reversal_is_told_and_then_the_end);
     RUN_TEST(test_what_found_no_room_is_counted);
     RUN_TEST(test_a_lost_host_is_not_the_next_one_s);
+    RUN_TEST(test_a_motion_may_go_to_the_ends_of_what_settings_allow);
     return UNITY_END();
 }
