@@ -133,42 +133,34 @@ class Bridge:
             return self._reap(program, arg)
         if self.connection.lost:
             raise OSError(errno.ENODEV, "gone")
+        if request == SPEED:
+            return int(self.connection.device.speed)
         if request == SUBMIT:
             self._submit(program, arg)
         elif request == DISCARD:
-            address = _pointer(arg)
-            for transfer in program.pending:
-                if transfer.address == address:
-                    self.connection.unlink(transfer.transfer)
-                    return 0
-            raise OSError(errno.EINVAL, "not under way")
+            self._discard(program, _pointer(arg))
         elif request == CAPABILITIES:
             arg.resolve(0, 4).update(0, struct.pack("<I", CAPABILITY_BITS))
-        elif request == SPEED:
-            return int(self.connection.device.speed)
         elif request == GET_DRIVER:
             raise OSError(errno.ENODATA, "no kernel driver")
         elif request in (CLAIM, DISCONNECT_CLAIM):
-            number = struct.unpack("<I", arg.resolve(0, 4).retrieve())[0]
-            if any(number in other.claimed for other in self.programs.values() if other is not program):
-                raise OSError(errno.EBUSY, "claimed")
-            program.claimed.add(number)
+            self._claim(program, _number(arg))
         elif request == RELEASE:
-            program.claimed.discard(struct.unpack("<I", arg.resolve(0, 4).retrieve())[0])
-        elif request == SET_INTERFACE:
-            interface, setting = struct.unpack("<II", arg.resolve(0, 8).retrieve())
-            self._control(struct.pack("<BBHHH", 0x01, 11, setting, interface, 0))
-        elif request == SET_CONFIGURATION:
-            value = struct.unpack("<I", arg.resolve(0, 4).retrieve())[0]
-            self._control(struct.pack("<BBHHH", 0x00, 9, value, 0, 0))
-        elif request == CLEAR_HALT:
-            endpoint = struct.unpack("<I", arg.resolve(0, 4).retrieve())[0]
-            self._control(struct.pack("<BBHHH", 0x02, 1, 0, endpoint, 0))
-        elif request == RESET:
-            pass
-        else:
-            raise OSError(errno.ENOTTY, f"ioctl {request:#x}")
+            program.claimed.discard(_number(arg))
+        elif request != RESET:
+            self._control(_standard_request(request, arg))
         return 0
+
+    def _discard(self, program: Program, address: int) -> None:
+        for transfer in program.pending:
+            if transfer.address == address:
+                return self.connection.unlink(transfer.transfer)
+        raise OSError(errno.EINVAL, "not under way")
+
+    def _claim(self, program: Program, number: int) -> None:
+        if any(number in other.claimed for other in self.programs.values() if other is not program):
+            raise OSError(errno.EBUSY, "claimed")
+        program.claimed.add(number)
 
     def _submit(self, program: Program, arg: Any) -> None:
         address = _pointer(arg)
@@ -214,6 +206,24 @@ def _pointer(arg: Any) -> int:
     """The address that the program passed; resolve() would replace it."""
     address: int = struct.unpack("<Q", bytes(arg.retrieve()))[0]
     return address
+
+
+def _number(arg: Any) -> int:
+    """The 32-bit number that the program passed by its address."""
+    number: int = struct.unpack("<I", arg.resolve(0, 4).retrieve())[0]
+    return number
+
+
+def _standard_request(request: int, arg: Any) -> bytes:
+    """The set-up packet (USB 2.0, table 9-3) that a kernel sends for this call."""
+    if request == SET_INTERFACE:
+        interface, setting = struct.unpack("<II", arg.resolve(0, 8).retrieve())
+        return struct.pack("<BBHHH", 0x01, 11, setting, interface, 0)
+    if request == SET_CONFIGURATION:
+        return struct.pack("<BBHHH", 0x00, 9, _number(arg), 0, 0)
+    if request == CLEAR_HALT:
+        return struct.pack("<BBHHH", 0x02, 1, 0, _number(arg), 0)
+    raise OSError(errno.ENOTTY, f"ioctl {request:#x}")
 
 
 def main() -> int:

@@ -43,7 +43,8 @@ typedef struct {
     bool dead;
     bool keeps, sticks; // flash that says it was erased, and was not; of which a byte of each page cannot be programmed
     uint32_t fed;
-    int rebooted; // 1 restart, 2 boot loader
+    uint32_t kept_out; // the control step: by a lock that is not yet undone
+    int rebooted;      // 1 restart, 2 boot loader
 } fake_t;
 
 static fake_t fake;
@@ -96,6 +97,7 @@ static bool fake_estop_closed(void *context) {
 }
 
 static bool fake_operate(fake_t *f) {
+    TEST_ASSERT_EQUAL_MESSAGE(0, f->kept_out, "flash takes longer than a control step may be kept out");
     f->operations++;
     f->dead = f->dead || f->operations == f->cut_at;
     return !f->dead;
@@ -154,13 +156,20 @@ static bool fake_program(void *context, uint32_t offset, const uint8_t *page) {
 static void fake_feed(void *context) {
     ((fake_t *)context)->fed++;
 }
+// Locks never nest, and each is undone with the state that it gave.
+#define FAKE_LOCKED 0x10C8EDU
 static uint32_t fake_lock(void *context) {
-    (void)context;
-    return 0;
+    TEST_ASSERT_EQUAL_MESSAGE(0, ((fake_t *)context)->kept_out, "a lock within a lock");
+    ((fake_t *)context)->kept_out = 1U;
+    return FAKE_LOCKED;
 }
 static void fake_unlock(void *context, uint32_t state) {
-    (void)context;
-    (void)state;
+    TEST_ASSERT_EQUAL_MESSAGE(1, ((fake_t *)context)->kept_out, "an unlock without a lock");
+    TEST_ASSERT_EQUAL_HEX32(FAKE_LOCKED, state);
+    ((fake_t *)context)->kept_out = 0U;
+}
+static inline void fake_let_in(void) { // whoever may be interrupted is
+    TEST_ASSERT_EQUAL_MESSAGE(0, fake.kept_out, "the control step is kept out for good");
 }
 static void fake_reboot(void *context, bool bootloader) {
     ((fake_t *)context)->rebooted = bootloader ? 2 : 1;
@@ -199,6 +208,7 @@ static inline void fake_start(uint8_t axes, tl_wire_boot_t boot) {
                             .keeps_log = fake_keeps_log};
     tl_app_init(&app, &fake_port);
     tl_app_bus(&app, true);
+    fake_let_in();
 }
 
 // Every axis as 'taut commission' leaves it, but for flash, which holds nothing yet.
@@ -250,8 +260,10 @@ static inline void fake_step(void) {
             fake_turn(i, dt / parts);
         }
     }
+    fake_let_in();
     tl_app_control(&app);
     tl_app_task(&app);
+    fake_let_in();
 }
 
 static inline void fake_run_ms(uint32_t ms) {
@@ -288,6 +300,7 @@ static inline int fake_ask(uint8_t type, const void *message) {
     fake_listen();
     memset(heard_count, 0, sizeof(heard_count));
     tl_app_receive(&app, frame, tl_wire_frame(frame, type, ++sequence, message));
+    fake_let_in();
     fake_listen();
     if (heard_count[TL_WIRE_ERROR] > 0) {
         TEST_ASSERT_EQUAL(type, heard[TL_WIRE_ERROR].error.request);
@@ -364,7 +377,9 @@ static inline tl_upload_t fake_upload(uint8_t axis, const uint8_t *blob, uint32_
             return result;
         }
     }
-    return tl_app_table_end(&app, axis);
+    const tl_upload_t result = tl_app_table_end(&app, axis);
+    fake_let_in();
+    return result;
 }
 
 #endif

@@ -7,7 +7,7 @@ from operator import add, eq, ge, gt, le, lt, mul, ne, sub
 
 from tree_sitter import Node
 
-from tools.mutation.sites import COMPARISONS, PARSER, Mutant
+from tools.mutation.sites import COMPARISONS, Mutant, tree_of
 
 MEANINGS = {"+": add, "-": sub, "*": mul, "<": lt, "<=": le, ">": gt, ">=": ge, "==": eq, "!=": ne}
 ORDERED = ("<", "<=", ">", ">=")
@@ -96,7 +96,7 @@ def same_either_way(mutant: Mutant, source: bytes) -> bool:
     """Whether it tells apart what gives the same: the smaller or the larger of equal ones, a size, an excess; or the
     one whole number for which it chooses otherwise, where either way gives the same.
     """
-    found = _choice(PARSER.parse(source).root_node.descendant_for_byte_range(mutant.start, mutant.end))
+    found = _choice(tree_of(source).root_node.descendant_for_byte_range(mutant.start, mutant.end))
     if found is None or _symbol(found[0]) not in ORDERED:
         return False
     compared, chosen = found
@@ -117,7 +117,7 @@ def same_either_way(mutant: Mutant, source: bytes) -> bool:
 
 def starts_what_is_never_read(mutant: Mutant, source: bytes) -> bool:
     """Whether it changes the first value of a variable that others are given to write into, and nobody reads."""
-    node = PARSER.parse(source).root_node.descendant_for_byte_range(mutant.start, mutant.end)
+    node = tree_of(source).root_node.descendant_for_byte_range(mutant.start, mutant.end)
     begun = node.parent if node is not None else None
     if mutant.operator != "constant" or begun is None or begun.type != "init_declarator":
         return False

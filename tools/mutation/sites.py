@@ -8,10 +8,11 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import tree_sitter_c
-from tree_sitter import Language, Node, Parser
+from tree_sitter import Language, Node, Parser, Tree
 
 ROOMS = ("common", "firmware/estimator", "firmware/app")
 ELSEWHERE = {"tl_usb.c"}  # compiled by ports alone, against TinyUSB: no test of C has it
@@ -21,6 +22,11 @@ SIGNED = {"binary_expression", "assignment_expression", "update_expression"}
 CONDITIONAL = {"if_statement", "while_statement", "do_statement", "for_statement", "conditional_expression"}
 DROPPED = {"expression_statement", "break_statement", "continue_statement"}
 PARSER = Parser(Language(tree_sitter_c.language()))
+
+
+@cache
+def tree_of(source: bytes) -> Tree:
+    return PARSER.parse(source)
 
 
 @dataclass(frozen=True, order=True)
@@ -88,7 +94,7 @@ def _nodes(node: Node, inside: bool) -> Iterator[Node]:
 
 def functions_of(source: bytes) -> list[tuple[int, int]]:
     """First and last line of each function."""
-    functions, left = [], [PARSER.parse(source).root_node]
+    functions, left = [], [tree_of(source).root_node]
     while left:
         node = left.pop()
         if node.type == "function_definition":
@@ -100,7 +106,7 @@ def functions_of(source: bytes) -> list[tuple[int, int]]:
 def mutants_of(file: str, source: bytes) -> list[Mutant]:
     """All mutants of one source, in its order."""
     found = []
-    for node in _nodes(PARSER.parse(source).root_node, False):
+    for node in _nodes(tree_of(source).root_node, False):
         for operator, place, after in _replacements(node):
             row, column = place.start_point
             found.append(Mutant(file, place.start_byte, place.end_byte, after, operator, row + 1, column + 1))

@@ -9,7 +9,6 @@ those that the board sent meanwhile, so that everything depends on the requests 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import ctypes
 import json
 import os
@@ -289,22 +288,10 @@ class World:
     def request(self, line: str) -> dict[str, Any]:
         self.listen()  # what the host sent before comes before
         verb, *words = line.split(" ")
-
-        def numbers(*ranges: tuple[int, int]) -> list[int]:
-            values = []
-            for word, (low, high) in zip(words, ranges, strict=False):
-                with contextlib.suppress(ValueError):
-                    values.append(int(word))
-                if not values or not low <= values[-1] <= high:
-                    raise Refused
-            if len(values) != len(words) or len(values) != len(ranges):
-                raise Refused
-            return values
-
         match verb:
             case "advance":
                 try:
-                    (us,) = numbers((0, ADVANCE_MAX_US))
+                    (us,) = _numbers(words, (0, ADVANCE_MAX_US))
                 except Refused:
                     return {"error": f"advance takes 0 to {ADVANCE_MAX_US} microseconds"}
                 return self._advance(us)
@@ -314,10 +301,10 @@ class World:
                 self.realtime = words == ["on"]
                 self._pace()
             case "cut":
-                self.machine.ask(f"cut {numbers((0, 1_000_000))[0]}")
+                self.machine.ask(f"cut {_numbers(words, (0, 1_000_000))[0]}")
             case "place":
                 try:
-                    axis, q = numbers((0, self.axes - 1), (-1_000_000_000, 1_000_000_000))
+                    axis, q = _numbers(words, (0, self.axes - 1), (-1_000_000_000, 1_000_000_000))
                 except Refused:
                     return {"error": "place takes an axis and a position in counts Q8"}
                 self.machine.ask(f"place {axis} {q}")
@@ -340,6 +327,19 @@ class World:
             case _:
                 raise Refused
         return {"t_us": self.ticks * self.tick_us}
+
+
+def _numbers(words: list[str], *ranges: tuple[int, int]) -> list[int]:
+    """The words as whole numbers, one within each range; Refused where they are not that."""
+    if len(words) != len(ranges):
+        raise Refused
+    try:
+        values = [int(word) for word in words]
+    except ValueError:
+        raise Refused from None
+    if not all(low <= value <= high for value, (low, high) in zip(values, ranges, strict=True)):
+        raise Refused
+    return values
 
 
 def serve(world: World, line: socket.socket, sim: socket.socket, parent: int) -> None:

@@ -6,6 +6,7 @@
 
 #define TEST_ASSERT_TRUE(holds)                              PROMISE(holds)
 #define TEST_ASSERT_EQUAL(expected, actual)                  PROMISE((expected) == (actual))
+#define TEST_ASSERT_EQUAL_HEX32(expected, actual)            PROMISE((expected) == (actual))
 #define TEST_ASSERT_EQUAL_MESSAGE(expected, actual, message) PROMISE((expected) == (actual))
 
 #endif
