@@ -23,7 +23,7 @@ _OPTIONS = (
     "--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync", "--hide-scrollbars",
 )  # fmt: skip
-_WAIT_S = 120.0
+_WAIT_S = 600.0  # a whole calibration, on a machine with other work
 
 
 def there() -> bool:

@@ -256,7 +256,7 @@ def test_a_host_that_stalls_finds_its_motor_stopped(tmp_path: Path) -> None:
 
 
 def test_a_drive_that_was_not_homed_is_not_driven_by_position() -> None:
-    with driven("canopen", homed=False) as setup, pytest.raises(TautError, match=r"taut home.*--at"):
+    with driven("canopen", homed=False) as setup, pytest.raises(TautError, match=r"maker's tools.*--at"):
         follow_run(setup.live, "trapezoids", compensation="off")
 
 

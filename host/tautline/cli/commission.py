@@ -54,6 +54,8 @@ def command(
 ) -> None:
     """Put a motor into service: polarity, scale, current, ends and servo gains, stored on the board as its settings.
 
+    Of a drive that has a position loop of its own: whether it goes where it is told, how late, and the range.
+
     Each part is asked for before the motor moves; Ctrl-C ends it with the motor at rest. The range is the rig's.
     """
     from tautline.device import wire
@@ -74,7 +76,7 @@ def command(
             Homing(-1 if way == "low" else 1, end),
             {"current_ma": current, "instrument": instrument or None, "group": group, "estop": stops},
         )
-        serial = live.board.identity.serial
+        serial, bus = live.board.identity.serial, live.board.bus()
     try:
         figures.save(figures.servo_steps(commissioned.steps, commissioned.factor), out)
     except OSError as error:
@@ -95,6 +97,7 @@ def command(
         "settings": commissioned.settings,
         "changed": sorted(changed),
         "picture": out,
+        "bus": bus,
     }
     shown = [
         f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}" for name, value in changed.items()

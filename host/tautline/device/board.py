@@ -364,9 +364,8 @@ class Board:
     def check_reference(self, axis: int) -> None:
         """TautError where the axis does not know its position."""
         if not self.status(axis).flags & wire.code("FLAGS", "REFERENCED"):
-            raise TautError(
-                f"axis {axis} does not know its position: run 'taut home', or say where it stands with --at"
-            )
+            how = "home its drive with its maker's tools" if self.bus() else "run 'taut home'"
+            raise TautError(f"axis {axis} does not know its position: {how}, or say where it stands with --at")
 
     def trust_motor(self, axis: int) -> None:
         """Stores the axis' settings as commissioned, as they are: for a simulated motor, which the defaults fit."""

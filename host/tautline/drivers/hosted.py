@@ -325,13 +325,23 @@ class HostedLink:
         return None
 
     def bus(self) -> dict[str, Any]:
-        """Drives, watchdog and the bus' measured timing, for JSON."""
+        """Drives, their own limits in counts, watchdog and the bus' measured timing, for JSON."""
         drives = [
             f"{drive.number}: {drive.model}, firmware {drive.firmware}, "
             f"{drive.counts_per_turn * scale:g} counts a {drive.per}"
             for drive, scale in zip(self.drives.drives, self._scales, strict=True)
         ]
-        of_drives = {"drives": drives, "rest_s": self.drives.rest_s, "watchdog": self.drives.watchdog}
+        limits = [
+            {
+                "q_low": drive.limits.q_low * scale, "q_high": drive.limits.q_high * scale,
+                "speed": drive.limits.speed * scale, "acceleration": drive.limits.acceleration * scale,
+                "current_ma": drive.limits.current_ma,
+            }
+            for drive, scale in zip(self.drives.drives, self._scales, strict=True)
+        ]  # fmt: skip
+        of_drives = {
+            "drives": drives, "limits": limits, "rest_s": self.drives.rest_s, "watchdog": self.drives.watchdog
+        }  # fmt: skip
         return {"rate_hz": 1.0 / self.period_s, **asdict(self.timing), **of_drives}
 
     def close(self) -> None:

@@ -91,11 +91,20 @@ def commission(
 ) -> Commissioned:
     """Puts an axis into service: wiring, stop input, end, friction, scale and servo gains, stored on the board. `agree`
     is asked before anything moves or is stored; `say` is told what was found. wanted: settings that nothing measures,
-    None leaves one as it is. TautError, with a remedy, where something is wrong or not agreed to: settings then stay,
+    None leaves one as it is. A drive with a
+    position loop of its own keeps its gains and its zero. TautError, with a remedy, where something is wrong or not
+    agreed to: settings then stay,
     but for the range and how the stop input is wired. The board drives at low duty until the ends are known."""
     board, axis, unit = live.board, live.axis, live.rig.actuator.unit
     board.check_axis(axis)
     asked = {name: value for name, value in (wanted or {}).items() if value is not None}
+    if board.bus():
+        if "estop" in asked or (homing is not None and homing.end is not None):
+            raise TautError(
+                "a drive on a bus of its own has neither the board's stop input nor an end that it presses "
+                "against: leave out --estop and --end"
+            )
+        return _commission_drive(live, agree, say, asked)
     if "estop" in asked:
         _wire_stop(live, agree, asked["estop"])
     board.check_fault(axis)
@@ -133,6 +142,59 @@ def commission(
 
         _agreed(agree, f"Store gains x {commissioned.factor:g}, range, current limit and instrument on the board?")
         _store(live, commissioned.settings)
+    _check_motor_and_encoder(live)
+    say("stored, and checked again")
+    return commissioned
+
+
+def _commission_drive(live: Live, agree: Agree, say: Say, asked: dict[str, Any]) -> Commissioned:
+    """As `commission` for a drive with a position loop of its own: its gains and its zero are its maker's to set."""
+    board, axis, actuator = live.board, live.axis, live.rig.actuator
+    board.check_fault(axis)
+    board.check_reference(axis)
+    before = dict(board.ask("get_settings", axis=axis).values)
+    drive = board.bus()["limits"][axis]
+    low, high = (q / live.resolution for q in actuator.range)
+    if low < drive["q_low"] or high > drive["q_high"]:
+        ends = (q * live.resolution for q in (drive["q_low"], drive["q_high"]))
+        raise TautError(
+            "the drive's own limits are [{:g}, {:g}] {}, the rig's range goes beyond: move its zero, or widen its "
+            "limits with its maker's tools, or set actuator.range".format(*ends, actuator.unit)
+        )
+    ranged = before | {"q_low": low, "q_high": high}
+    commissioned = Commissioned(before, ranged | asked | {"commissioned": 1})
+
+    _agreed(agree, "The motor turns a little either way. Is the instrument free to move?")
+    _check_motor_and_encoder(live)
+    say("polarity and scale: the drive goes where it is told")
+
+    _store(live, ranged)
+    start = float(np.clip(board.status(axis).q * live.resolution, *actuator.range))
+    direction = 1 if start > sum(actuator.range) / 2 else -1
+    commissioned.q, commissioned.speed_s = start, live.top_speed / live.resolution
+    _agreed(
+        agree,
+        f"The motor moves over a third of its range, from {start:.4g} {actuator.unit}, then in quick steps. May it?",
+    )
+    tape = _Tape(live)
+    try:
+        with driving(live):
+            for target in (start, start - direction * _WAY * actuator.span, start):
+                move_to(live, target, min(_SPEEDS[-1] * actuator.span / 0.5, live.top_speed))
+                seen_ma = abs(board.status(axis).current_ma)
+                commissioned.current_ma = max(commissioned.current_ma, seen_ma)
+        step = _step_responses(live, tape, start, direction, before["arrive"])
+    finally:
+        tape.close()
+        with contextlib.suppress(TautError):
+            board.ask("telemetry", axis=axis, divider=0)
+    commissioned.steps[1.0] = step
+    say(
+        f"the drive follows {1e3 * board.bus()['lag_s']:.1f} ms behind its set-points, which is planned for: off by "
+        f"{step.rms:.1f} counts rms, {step.overshoot:.1f} beyond the target, settled in {1e3 * step.settling_s:.0f} ms"
+    )
+    _agreed(agree, "Store range and instrument for this drive?")
+    _store(live, commissioned.settings)
     _check_motor_and_encoder(live)
     say("stored, and checked again")
     return commissioned
@@ -252,7 +314,7 @@ def _tune_gains(live: Live, tape: _Tape, commissioned: Commissioned, direction: 
     factor of _MARGIN in hand."""
     for factor in FACTORS:
         tried = commissioned.settings | _scaled(commissioned.settings, factor)
-        step = _step_responses(live, tape, tried, commissioned.q, direction)
+        step = _steps_by_gains(live, tape, tried, commissioned.q, direction)
         if step is None:
             say(f"gains x {factor:g}: not sound")
             break
@@ -277,25 +339,28 @@ def _scaled(settings: dict[str, Any], factor: float) -> dict[str, Any]:
     return {name: min(round(settings[name] * factor), _GAIN_MAX) for name in _GAINS}
 
 
-def _step_responses(
+def _steps_by_gains(
     live: Live, tape: _Tape, settings: dict[str, Any], start: float, direction: int
 ) -> StepResponse | None:
     """Worst figures of a step in either direction with these settings; None where the servo is not stable."""
     live.board.ask("servo", **_servo_fields(settings))
-    span = live.rig.actuator.span
-    centre = start - direction * _CENTRE * span
     try:
-        with driving(live):
-            move_to(live, centre, 0.25 * live.top_speed)
-            steps = [
-                _step_response(live, tape, centre + way * _STEP * span, settings["arrive"]) for way in (-direction, 0)
-            ]
+        return _step_responses(live, tape, start, direction, settings["arrive"])
     except TautError:
         fault = live.board.status(live.axis).fault
         if fault not in [wire.code("FAULTS", name) for name in _UNSOUND]:
             raise
         live.board.ask("clear_fault", axis=live.axis)
         return None
+
+
+def _step_responses(live: Live, tape: _Tape, start: float, direction: int, arrive: float) -> StepResponse:
+    """Worst figures of a step in either direction, a part of the range away from `start`."""
+    span = live.rig.actuator.span
+    centre = start - direction * _CENTRE * span
+    with driving(live):
+        move_to(live, centre, 0.25 * live.top_speed)
+        steps = [_step_response(live, tape, centre + way * _STEP * span, arrive) for way in (-direction, 0)]
     return replace(
         steps[0],
         rms=max(step.rms for step in steps),

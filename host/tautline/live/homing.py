@@ -39,7 +39,12 @@ def weakly(live: Live) -> Iterator[None]:
 
 def home(live: Live, homing: Homing | None = None) -> float:
     """Drives to the end stop and backs off a little; returns the position then, the rig's unit. Leaves the motor
-    off."""
+    off. TautError for a drive with a position loop of its own, which cannot press weakly."""
+    if live.board.bus():
+        raise TautError(
+            f"axis {live.axis} is a drive with a position loop of its own: it would press against the end with all its "
+            "force, and its zero is its own. Set that with its maker's tools, or say where it stands with --at"
+        )
     homing = homing or Homing()
     low, high = live.rig.actuator.range
     span, unit = live.rig.actuator.span, live.rig.actuator.unit
