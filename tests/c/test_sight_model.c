@@ -135,7 +135,8 @@ static void test_sight_is_its_equations(void) {
         }
         if (once_in(3)) { // what it knew is forgotten
             tl_sight_reset(&sight, 5);
-            TEST_ASSERT_EQUAL(0, sight.speed | sight.load | sight.ahead | sight.least | sight.doubt | sight.must | sight.duty);
+            TEST_ASSERT_EQUAL(0, sight.speed | sight.load | sight.ahead | sight.least | sight.doubt | sight.must |
+                                     sight.duty);
         }
     }
     TEST_ASSERT_TRUE(seen.lost > 100U && seen.rests > 100U && seen.runs_away > 20U && seen.unknown > LIVES / 20);
