@@ -36,9 +36,10 @@ from tautline.diagnosis.repeated import HELD
 from tautline.diagnosis.stacked import Stacked
 from tautline.effects import BY_ID, EVENTS
 from tools.blindtest import sealed, work
+from tools.blindtest.campaign import WITHOUT
 from tools.blindtest.cases import SCORED_FROM, Label
 from tools.blindtest.page import RESULT
-from tools.blindtest.scores import CLOSABLE, NONE, UNEXPLAINED, counts, truth
+from tools.blindtest.scores import CLOSABLE, IMITATED, NONE, SURE, UNEXPLAINED, counts, truth
 
 Array = npt.NDArray[np.float64]
 
@@ -69,6 +70,8 @@ class Case:
     truth: str
     evidence: CaseEvidence
     moved: tuple[tuple[str, float], ...] = ()  # where recalibrating closes the gap: the parts that did, with shares
+    left_out: bool = False  # its effect, out of the library
+    stands_in: str = ""  # ... and which other effect foretells an unseen motion as well as matters: right too
 
     @property
     def family(self) -> str:
@@ -83,7 +86,8 @@ def verdict_of(case: Case, by: Learnt) -> Decision:
 
 def probability(case: Case, verdict: Decision) -> float:
     fixed = {NONE: verdict.none, UNEXPLAINED: verdict.unknown}
-    return fixed.get(case.truth, verdict.leading.get(case.truth, 0.0))
+    told = fixed.get(case.truth, verdict.leading.get(case.truth, 0.0))
+    return told + (verdict.leading.get(case.stands_in, 0.0) if case.stands_in else 0.0)
 
 
 def _slopes(case: Case, stacked: Stacked, logarithms: Array) -> Array:
@@ -91,10 +95,11 @@ def _slopes(case: Case, stacked: Stacked, logarithms: Array) -> Array:
 
     def loss(at: Array) -> float:
         by = Hyperparameters.of_logarithms(at)
-        none, unknown, effect = probabilities(stacked, case.truth, by)
+        name = case.stands_in or case.truth
+        none, unknown, effect = probabilities(stacked, name, by)
         told = (1.0 - by.mimics) * unknown if case.moved else 0.0  # of what a recalibration moved
-        effect += told * dict(case.moved).get(case.truth, 0.0)
-        p = {NONE: none, UNEXPLAINED: unknown - told}.get(case.truth, effect)
+        effect += told * dict(case.moved).get(name, 0.0)
+        p = {NONE: none, UNEXPLAINED: unknown - told}.get(case.truth, effect) + (effect if case.stands_in else 0.0)
         return -float(np.log((1.0 - _LEAST) * p + _LEAST))
 
     here = loss(logarithms)
@@ -103,26 +108,60 @@ def _slopes(case: Case, stacked: Stacked, logarithms: Array) -> Array:
 
 
 def load(folders: Sequence[Path], scored: bool = False) -> list[Case]:
-    """scored: seeds that only a report may be made of. Without repeats that were counted: no evidence was weighed."""
+    """scored: seeds that only a report may be made of. Without repeats that were counted: no evidence was weighed. With
+    what a library said that lacks a case's effect, of campaigns that were scored."""
     cases = []
     for folder in folders:
         for diagnosis in sorted((folder / sealed.DIAGNOSES).iterdir()):
-            label = Label.from_json(
-                json.loads((folder / sealed.SEALED / diagnosis.name / sealed.LABEL).read_text())["label"]
-            )
-            if label.seed >= SCORED_FROM and not scored:
-                raise click.ClickException(
-                    f"{folder}: seed {label.seed} is scored, not learnt from: name one of --seed 1 to {SCORED_FROM - 1}"
-                )
+            label = _label(folder, diagnosis.name, scored)
             document = json.loads((diagnosis / work.DOCUMENT).read_text())
             certain = any(effect["id"] == HELD for effect in document.get("effects", ())) and label.effects == (HELD,)
-            if not (diagnosis / work.EVIDENCE).exists() or label.kind == "pair" or certain:
+            if label.kind == "pair" or certain:
                 continue
-            seen = float(np.sqrt(max(document["gap"]["before"] ** 2 - label.noise_px**2, 0.0)))
-            if counts(replace(label, left=tuple(min(left, seen) for left in label.left))):
-                evidence = CaseEvidence.from_json(json.loads((diagnosis / work.EVIDENCE).read_text()))
-                cases.append(Case(label.generator, truth(label), evidence, _moved(document, evidence)))
+            case = _case_of(diagnosis, label, document)
+            cases += [case] if case else []
+        for diagnosis, line in _without(folder):
+            label = replace(_label(folder, diagnosis.name, scored), kind="left out")
+            document = json.loads((diagnosis / work.DOCUMENT).read_text())
+            case = _case_of(diagnosis, label, document)
+            cases += [replace(case, left_out=True, stands_in=_standing_in(line))] if case else []
     return cases
+
+
+def _label(folder: Path, name: str, scored: bool) -> Label:
+    label = Label.from_json(json.loads((folder / sealed.SEALED / name / sealed.LABEL).read_text())["label"])
+    if label.seed >= SCORED_FROM and not scored:
+        raise click.ClickException(
+            f"{folder}: seed {label.seed} is scored, not learnt from: name one of --seed 1 to {SCORED_FROM - 1}"
+        )
+    return label
+
+
+def _case_of(diagnosis: Path, label: Label, document: Mapping[str, Any]) -> Case | None:
+    """What a diagnosis' folder teaches; None where it failed, or where nothing of the cause can be seen."""
+    if not (diagnosis / work.EVIDENCE).exists():
+        return None
+    seen = float(np.sqrt(max(document["gap"]["before"] ** 2 - label.noise_px**2, 0.0)))
+    if not counts(replace(label, left=tuple(min(left, seen) for left in label.left))):
+        return None
+    evidence = CaseEvidence.from_json(json.loads((diagnosis / work.EVIDENCE).read_text()))
+    return Case(label.generator, truth(label), evidence, _moved(document, evidence))
+
+
+def _without(folder: Path) -> Iterator[tuple[Path, Mapping[str, Any]]]:
+    """Folders of what was said without a case's effect in the library, and the campaign's line of each."""
+    if (folder / RESULT).exists():
+        for line in json.loads((folder / RESULT).read_text())["each"]:
+            if line["kind"] == "left out":
+                yield folder / WITHOUT / line["name"], line
+
+
+def _standing_in(line: Mapping[str, Any]) -> str:
+    """The effect that was named for one that the library lacks, where it leaves about the noise of an unseen motion."""
+    realised = line["realised"]
+    if not line["named"] or realised is None or realised["after"] > IMITATED * realised["floor"]:
+        return ""
+    return str(line["named"][0])
 
 
 def _moved(document: Mapping[str, Any], evidence: CaseEvidence) -> tuple[tuple[str, float], ...]:
@@ -293,15 +332,23 @@ def row(name: str, verdicts: Sequence[tuple[Case, Decision]], covers: float) -> 
     singles = [(c, v) for c, v in verdicts if c.truth not in (NONE, UNEXPLAINED)]
     log = -np.mean([np.log((1.0 - _LEAST) * probability(c, v) + _LEAST) for c, v in verdicts])
     top = np.array([max(v.none, v.unknown, *v.leading.values(), 0.0) for _, v in verdicts])
-    right = np.array([lead(v) == c.truth for c, v in verdicts])
+    right = np.array([lead(v) in (c.truth, c.stands_in) for c, v in verdicts])
     edges = np.clip((10 * top).astype(int), 0, 9)
     error = sum(abs(float(np.sum(top[edges == e] - right[edges == e]))) for e in range(10)) / len(verdicts)
     return [
         name, f"{log:.3f}", share([lead(v) == c.truth for c, v in singles]),
         share([c.truth in v.ambiguous(covers) for c, v in singles if v.name == "effect"]),
-        share([v.name == "unknown" for c, v in verdicts if c.truth == UNEXPLAINED]),
+        share([v.name == "unknown" for c, v in verdicts if c.truth == UNEXPLAINED and not c.left_out]),
+        share([lead(v) in (UNEXPLAINED, c.stands_in) for c, v in verdicts if c.left_out]),
+        share([_wrongly_sure(c, v) for c, v in verdicts if c.left_out]),
         share([v.name == "none" for c, v in verdicts if c.truth == NONE]), f"{error:.3f}",
     ]  # fmt: skip
+
+
+def _wrongly_sure(case: Case, verdict: Decision) -> bool:
+    """Whether another effect than one that stands for the missing one is named as good as surely."""
+    name, sure = max(verdict.leading.items(), key=lambda of: of[1], default=("", 0.0))
+    return verdict.name == "effect" and sure >= SURE and name != case.stands_in
 
 
 @click.command()
@@ -362,8 +409,9 @@ def main(
         ways = {"as it started": started, "learnt": everything}
         tell(f"{family}, report", mine, ways | ({"learnt without it": by[family]} if family in by else {}))
     table = Table(
-        "generators", "-log p of the truth", "right name leads", "in its set", "unknown", "none", "calibration error"
-    )
+        "generators", "-log p of the truth", "right name leads", "in its set", "unknown",
+        "left out: unknown or stood for", "... wrong at 90 %", "none", "calibration error",
+    )  # fmt: skip
     for cells in told:
         table.add_row(*cells)
     console = Console()

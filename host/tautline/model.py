@@ -32,7 +32,8 @@ _ARRAYS = ("q", "width", "width_sigma", "c_deg")
 
 @dataclass(frozen=True)
 class Effect:
-    """One unmodelled effect that a diagnosis added; id as in `stage.name`, zero parameters meaning absent."""
+    """One effect beside the play, that a diagnosis added or a calibration found; id as in `stage.name`, zero parameters
+    meaning absent."""
 
     id: str
     parameters: Mapping[str, Any]  # numbers; `column`: the name of one of motor.csv
@@ -54,7 +55,7 @@ class Model(Value):
     c_deg: Array  # (n,) f_remain, strictly monotone
     delay_s: float
     measured: tuple[float, float]  # the q_mean that reversals reached
-    effects: tuple[Effect, ...] = ()
+    effects: tuple[Effect, ...] = ()  # beside the play: simulated, and undone on the board where it can be
     elements: Elements = SINGLE  # of the play, in shares of B
     c_sigma: Array | None = None  # (n,) of c_deg, NaN where unknown; None: a model that was not calibrated
     quality: Quality = field(default_factory=Quality)
@@ -62,6 +63,11 @@ class Model(Value):
     sensor: Sensor = MARKER  # that was calibrated with: delay_s is its own
     offset_s: float | None = None  # of the calibration: the sensor's clock less the motor's beyond delay_s
     friction: Friction | None = None  # instead of plays; `elements` are then those that come nearest to it
+
+    @property
+    def alone(self) -> Self:
+        """The same model without its effects."""
+        return replace(self, effects=()) if self.effects else self
 
     def delay_of(self, sensor: Sensor) -> float:
         """How much older than its arrival a sensor's reading is: nominal for one that was not calibrated with."""

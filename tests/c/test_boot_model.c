@@ -130,15 +130,16 @@ static void test_the_newest_whole_image_that_has_not_failed_runs(void) {
 }
 
 static void test_pages_are_the_documented_ones(void) {
-    uint8_t page[TL_BOOT_PAGE], expected[TL_BOOT_PAGE];
-    memset(expected, 0xFF, sizeof(expected));
-    memset(expected, 0x5A, 16);
+    uint8_t page[TL_BOOT_PAGE + 1U], expected[TL_BOOT_PAGE + 1U]; // and nothing behind them
     memset(page, 0, sizeof(page));
+    memset(expected, 0xFF, TL_BOOT_PAGE);
+    memset(expected, 0x5A, 16);
+    expected[TL_BOOT_PAGE] = 0;
     tl_boot_make_mark(page);
     TEST_ASSERT_EQUAL_MEMORY(expected, page, sizeof(page));
     for (uint32_t i = 0; i < 200U; i++) {
         const uint32_t sequence = random_u32(), size = random_u32(), crc = random_u32();
-        memset(expected, 0xFF, sizeof(expected));
+        memset(expected, 0xFF, TL_BOOT_PAGE);
         memcpy(expected, "BOOT", 4);
         set_word(expected, 1, sequence);
         set_word(expected, 2, size);

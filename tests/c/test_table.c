@@ -198,10 +198,12 @@ static void test_sections_that_are_none_are_refused(void) {
     TEST_ASSERT_EQUAL_INT(TL_TABLE_OK, decode_tail(tail, 76));
     TEST_ASSERT_EQUAL_INT(TL_TABLE_OK, decode_tail(tail, 0));
     TEST_ASSERT_EQUAL_INT(TL_TABLE_BAD_SECTION, decode_tail(tail, 152)); // twice
-    for (uint8_t number = 9; number < 64; number++) {                    // with what is right for plays
-        tail[0] = number;
+    for (uint32_t number = 9; number < 65536U; number++) {               // with what is right for plays
+        tail[0] = (uint8_t)number;
+        tail[1] = (uint8_t)(number >> 8);
         TEST_ASSERT_EQUAL_INT(TL_TABLE_BAD_SECTION, decode_tail(tail, 76));
     }
+    tail[1] = 0;
     tail[0] = 1;
     for (size_t size = 1; size < 76; size++) {
         TEST_ASSERT_EQUAL_INT(TL_TABLE_BAD_SECTION, decode_tail(tail, size)); // cut off

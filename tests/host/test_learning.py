@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import click
 import numpy as np
@@ -115,9 +116,10 @@ def test_draws_are_of_the_spread_and_the_same_each_time():
     assert Hyperparameters.of_logarithms(wide.center.logarithms() + 50.0).mimics < 1.0
 
 
-def test_slopes_are_those_of_what_is_decided_afresh():
+@pytest.mark.parametrize(("truth", "stands_in"), [(LAG, ""), ("unknown", ""), ("unknown", CREEP)])
+def test_slopes_are_those_of_what_is_decided_afresh(truth, stands_in):
     """What is remembered from one setting of hyperparameters must not answer for another."""
-    one = case("a", LAG, 3, left=0.2)
+    one = replace(case("a", truth, 3, left=0.2), stands_in=stands_in)
     beyond = Beyond(1.4 * one.evidence.hypotheses[0].power / 101.0, np.full(BLOCKS, 50.0))
     weighed = tuple(replace(h, beyond=beyond if h.ids else None) for h in one.evidence.hypotheses)
     one = replace(one, evidence=replace(one.evidence, hypotheses=weighed))
@@ -176,3 +178,37 @@ def test_a_campaign_teaches_what_its_evidence_decided(tmp_path):
     scored.write_text(scored.read_text().replace('"seed": 7', '"seed": 1000000'))
     with pytest.raises(click.ClickException, match="scored"):
         learning.load([tmp_path])
+
+
+def _left_out_campaign(folder: Path, named: list[str], after: float) -> None:
+    """One case, diagnosed by a library that lacks its effect; `after`: what is left of an unseen motion, noise 1."""
+    label = Label("single", (CREEP,), 7, False, {}, 1.0, (9.0,))
+    document = {"gap": {"before": 10.0}, "gap_recalibrated": {"before": 9.0}, "noise_floor": 1.0}
+    line = {"name": "a", "kind": "left out", "named": named, "realised": {"before": 9.0, "after": after, "floor": 1.0}}
+    files = {
+        "sealed/a/label.json": {"label": label.to_json()},
+        "without/a/diagnosis.json": {**document, "effects": [], "moved": []},
+        "without/a/evidence.json": case("second", LAG, 1).evidence.to_json(),
+        "result.json": {"each": [line]},
+    }
+    (folder / "diagnoses").mkdir()
+    for path, content in files.items():
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        (folder / path).write_text(json.dumps(plain(content)))
+
+
+@pytest.mark.parametrize(
+    ("named", "after", "right"), [([LAG], 1.2, {LAG, "unknown"}), ([LAG], 4.0, {"unknown"}), ([], 1.0, {"unknown"})]
+)
+def test_what_a_library_says_that_lacks_the_effect_is_learnt_from(tmp_path, named, after, right):
+    """Unknown is right, and an effect that foretells an unseen motion to 1.3 times the noise is too."""
+    _left_out_campaign(tmp_path, named, after)
+    (one,) = learning.load([tmp_path])
+    assert one.left_out and one.truth == "unknown"
+    verdict = decide(one.evidence)
+    assert verdict.name == "effect" and verdict.named == (LAG,)
+    told = {LAG: verdict.leading[LAG], "unknown": verdict.unknown}
+    assert learning.probability(one, verdict) == pytest.approx(sum(told[name] for name in right))
+    *_, good, sure, _, _ = learning.row("all", [(one, verdict)], 0.95)
+    assert good == ("100 % of 1" if LAG in right else "0 % of 1")
+    assert sure == ("0 % of 1" if LAG in right or told[LAG] < 0.9 else "100 % of 1")

@@ -62,6 +62,10 @@ def test_only_what_functions_do_is_changed() -> None:
         ("a < b ? 1 : 2", False),
         ("a == b ? a : b", False),
         ("a < b + 1 ? a : b", False),
+        ("a < b ? (int32_t)a : b", True),
+        ("a > (uint32_t)b ? b : (a)", True),
+        ("a < b ? (uint8_t)a : b", False),
+        ("a < b ? (int32_t)b + a : b", False),
     ],
 )
 def test_a_comparison_that_only_chooses_between_equals_is_equivalent(chosen: str, same: bool) -> None:

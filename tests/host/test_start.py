@@ -38,7 +38,8 @@ def told(monkeypatch: pytest.MonkeyPatch, names: Sequence[str], reasons: Sequenc
         named = tuple(names)
 
     monkeypatch.setattr(start, "of_recordings", lambda *args: Weighed)
-    return naming.named(reasons, a_model(), [], lambda share, what: None)
+    asked = naming.asked(a_model(), [], lambda share, what: None)
+    return list(reasons) if asked is None else naming.named(reasons, a_model(), asked.named)
 
 
 def test_a_name_stands_for_all_looks_and_for_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -63,13 +64,7 @@ def test_what_no_diagnosis_can_score_keeps_its_looks(monkeypatch: pytest.MonkeyP
         raise TautError("the tip is never driven through a full backlash")
 
     monkeypatch.setattr(start, "of_recordings", refuses)
-    assert naming.named([DOUBT], a_model(), [], lambda share, what: None) == [DOUBT]
-
-
-def test_nothing_is_asked_beside_what_no_effect_from_the_start_looks_like(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Other effects would stand in for another offset of each recording, which is not weighed."""
-    offset = Reason("transmission.offset", "the recordings differ", "home it")
-    assert told(monkeypatch, [SPEED], [offset, DOUBT]) == [offset, DOUBT]
+    assert naming.asked(a_model(), [], lambda share, what: None) is None
 
 
 @pytest.mark.parametrize("seed", [0, 3])  # with a motor whose counts show, and without

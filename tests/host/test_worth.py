@@ -98,7 +98,7 @@ def over_noise(off: np.ndarray, moving: np.ndarray, placed: float = 0.0) -> floa
     track = SimpleNamespace(sigma=np.ones(n), placed_px=placed)
     fit = SimpleNamespace(
         tracks=[SimpleNamespace(track=track)],
-        simulated=[SimpleNamespace(moving=moving, p=np.zeros(n))],
+        simulated=[SimpleNamespace(moving=moving, tip=np.zeros(n))],
         slope_in_view=lambda track, curves, p: np.tile([50.0, 0.0], (n, 1)),
         width=lambda curves: np.ones(3),
     )

@@ -22,6 +22,7 @@ from tools.blindtest.generators import GENERATORS, SECOND
 Progress = Callable[[float, str], None]
 
 FORMAT = "blindtest/1"
+WITHOUT = "without"  # folder of what was said without a case's effect in the library
 Wanted = tuple[int, str, tuple[str, ...], str]  # seed, kind, effects, generator
 
 GROUPS = ("none", "unknown", "pairs")  # what `only` may name beside effects
@@ -160,7 +161,7 @@ def left_out(
     for effect in KNOWN:
         mine = [r for r in diagnosed if r["label"]["effects"] == [effect] and r["label"]["identifiable"]]
         ranked += enumerate(mine[: order.leave_one_out])
-    folder = folder / "without"
+    folder = folder / WITHOUT
     chosen = [record for _, record in sorted(ranked, key=lambda pair: pair[0])]  # one of each effect, then the next
     if stopped:
         chosen = [record for record in chosen if (folder / record["name"]).is_dir()]

@@ -22,7 +22,7 @@ STRENGTHS = ((2.0, 5.0), (5.0, 20.0), (20.0, np.inf))  # times the noise, left a
 _LEAST = 1e-4  # probability below which the log score punishes no more
 IMITATED = 1.3  # times the noise on the further motion: what is named stands for the cause as well as matters
 _LARGEST_SET = 3  # of effects that are a useful answer
-_SURE = 0.9
+SURE = 0.9
 
 
 @dataclass(frozen=True)
@@ -302,7 +302,7 @@ def _stands_for_it(answer: Answer) -> bool:
 
 
 def _wrongly_sure(_label: Label, answer: Answer) -> bool:
-    sure = (answer.probabilities or {}).get(answer.verdict, 0.0) >= _SURE
+    sure = (answer.probabilities or {}).get(answer.verdict, 0.0) >= SURE
     return bool(answer.named) and sure and not _stands_for_it(answer)
 
 

@@ -10,11 +10,22 @@ from tree_sitter import Node
 from tools.mutation.sites import COMPARISONS, Mutant, tree_of
 
 MEANINGS = {"+": add, "-": sub, "*": mul, "<": lt, "<=": le, ">": gt, ">=": ge, "==": eq, "!=": ne}
+WIDE_CASTS = ("int32_t", "uint32_t")
 ORDERED = ("<", "<=", ">", ">=")
 
 
 def _text(node: Node | None) -> str:
     return (node.text or b"").decode() if node is not None else ""
+
+
+def _bare(node: Node | None) -> str:
+    """Without parentheses, and without a cast to 32 bits, which hold every limit that is chosen here."""
+    while node is not None and (
+        node.type == "parenthesized_expression"
+        or (node.type == "cast_expression" and _text(node.child_by_field_name("type")) in WIDE_CASTS)
+    ):
+        node = node.named_children[-1]
+    return _text(node)
 
 
 def _symbol(node: Node) -> str:
@@ -106,8 +117,8 @@ def same_either_way(mutant: Mutant, source: bytes) -> bool:
         values = [_number(way, {_text(compared.child_by_field_name("left")): at}) for way in ways]
         if values[0] is not None and values[0] == values[1]:
             return True
-    left, right = (_text(compared.child_by_field_name(name)) for name in ("left", "right"))
-    then, otherwise = map(_text, ways)
+    left, right = (_bare(compared.child_by_field_name(name)) for name in ("left", "right"))
+    then, otherwise = map(_bare, ways)
     return mutant.operator == "comparison" and (
         {then, otherwise} == {left, right}
         or (then, otherwise) == (f"{left} - {right}", "0")

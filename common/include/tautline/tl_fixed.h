@@ -79,7 +79,8 @@ static inline TL_FAST int32_t tl_lerp(int32_t a, int32_t b, uint32_t t) {
     return a + (difference >> 16) * (int32_t)t + (int32_t)(low >> 16);
 }
 
-/// a + (b - a) t / 2^log2, t < 2^log2, 16 < log2 < 24, rounded to nearest. Three products. b - a must not overflow.
+/// a + (b - a) t / 2^log2, t < 2^log2, 16 < log2 < 24, within 1/2 + 1/256 of it. Three products. b - a must not
+/// overflow.
 int32_t tl_lerp_fine(int32_t a, int32_t b, uint32_t t, unsigned log2);
 
 /// A positive ratio numerator/denominator kept for multiplying: mantissa * 2^(shift - 32), 2^31 <= mantissa.

@@ -11,10 +11,12 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from tautline.calibration import clock, coverage
+from tautline.calibration import naming as naming_room
 from tautline.calibration.acquisition import doubts as acquisition_doubts
 from tautline.calibration.acquisition import in_another_unit, mistaken_unit
 from tautline.calibration.backlash import WidthCurve, fit_widths
 from tautline.calibration.beforehand import Beforehand
+from tautline.calibration.beside import Beside
 from tautline.calibration.choice import JOINT, ONSETS, PASSES, Choice, jumping, measuring
 from tautline.calibration.components import WORSE, Components, separate
 from tautline.calibration.departures import SPEED
@@ -22,7 +24,6 @@ from tautline.calibration.doubts import KNOWN, NO_WIDTH, doubts, floor_of, goes_
 from tautline.calibration.findings import Findings
 from tautline.calibration.holding import released
 from tautline.calibration.hysteresis import PRIORS, Tried, fit_friction, likeliest
-from tautline.calibration.naming import named
 from tautline.calibration.observations import Track, observe
 from tautline.calibration.on_tip import place_on_tip
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, delayed, find_onsets
@@ -32,13 +33,14 @@ from tautline.calibration.place import (
     as_smooth_as_independent,
     place_noise,
 )
-from tautline.calibration.playfit import NODES, Fitted
+from tautline.calibration.playfit import NODES, Curves, Fitted, PlayFit
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
 from tautline.calibration.several import fit_elements, left
 from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze, overlap
 from tautline.calibration.worth import PREDICTS, Worth, worth
 from tautline.core.session import Session
 from tautline.diagnosis import start
+from tautline.diagnosis.hyperparameters import learnt
 from tautline.elements import SINGLE, Elements, Hysteresis
 from tautline.errors import TautError
 from tautline.friction import Friction
@@ -62,6 +64,7 @@ _GRADUAL = 0.4  # prior: noise: what a gradual start must leave for several elem
 _HELD = 0.5  # prior: of the square of what one element leaves beyond noise: several may leave so much
 _OF_SENSORS = frozenset({"turn", "tracker"})  # departures that no effect of the library looks like
 _OF_ELEMENTS = frozenset({"phase.even", "image.side"})  # what several elements, or their number, stand for
+_GRADUAL_START = "transmission.smooth_onset"  # of the effects, what several elements are
 _BETWEEN_ELEMENTS = 0.003  # prior: of B: what elements of a few shares leave, alike on every stroke
 _UNIT_SLACK = 1.6  # prior: by which f_coarse's gain and f_remain's may part beside a unit that is mistaken
 _LIKELY_GAIN = (0.4, 2.5)  # prior: of f_coarse's, between which f_remain's is no wrong scale
@@ -207,14 +210,47 @@ def calibrate(
         reasons = acquisition_doubts(recordings, [track for track, _ in pairs], [offset for _, offset in pairs], rig)
         session = _Session(aligned, rig, options, say, reasons)
         found = session.run()
-        if naming and found.model.quality.usable and (session.departs or start.concerns(found.model)):
-            told = named(
-                *(found.model.quality.reasons, found.model, shifted(recordings, found.offsets)),
-                lambda share, what: say(0.8 + 0.2 * share, what),
+        if naming and _may_have_names(session, found):
+            told = naming_room.asked(
+                *(found.model, shifted(recordings, found.offsets)),
+                lambda share, what: say(0.8 + 0.15 * share, what),
             )
-            found = replace(found, model=replace(found.model, quality=Quality.of(told)))
+            if told is not None:
+                again = _Session(aligned, rig, options, lambda share, what: say(0.95 + 0.05 * share, what), reasons)
+                found = _with_effects(found, told, again.beside(session, found.model, told))
         say(1.0, "done")
         return found
+
+
+def _may_have_names(session: _Session, found: Calibration) -> bool:
+    """Whether what departs may be effects of the library."""
+    if not found.model.quality.usable or not (session.departs or start.concerns(found.model)):
+        return False
+    return not (naming_room.others(found.model.quality.reasons) and _predicts(found))
+
+
+def _predicts(found: Calibration) -> bool:
+    return found.evidence.get("foretold_over_noise", np.inf) <= PREDICTS
+
+
+def _better(beside: Calibration, found: Calibration) -> bool:
+    """Whether one that can be used at all foretells blocks left out better."""
+    errors = (each.evidence.get("error", np.inf) for each in (beside, found))
+    return beside.model.quality.usable and next(errors) < next(errors)
+
+
+def _with_effects(found: Calibration, told: start.Start, beside: Calibration | None) -> Calibration:
+    """The calibration that carries what was named, if it foretells blocks left out the better; else that without it,
+    under the names. Beside what is not weighed a name counts only where nothing is left."""
+    reasons = found.model.quality.reasons
+    others = naming_room.others(reasons)
+    if beside is not None and _better(beside, found) and (_predicts(beside) or not others):
+        own = naming_room.carried(reasons, beside.model.quality.reasons, beside.model, _predicts(beside))
+        return replace(beside, model=replace(beside.model, quality=Quality.of(own)))
+    if others:
+        return found
+    own = naming_room.named(reasons, found.model, told.named)
+    return replace(found, model=replace(found.model, quality=Quality.of(own)))
 
 
 class _Session:
@@ -228,6 +264,9 @@ class _Session:
         self.held = 0.0  # share of the frames that repeat a place that the tip had left
         self.ended: Sequence[Track] | None = None  # what was seen, as it is when the session ends
         self.elements: Hysteresis = SINGLE
+        self.effects: tuple[Beside, Array] | None = None  # beside the play
+        self.joint: Fitted | None = None
+        self.delay: Delay | None = None
         reached = [(float(t.motor.q.min()), float(t.motor.q.max())) for t in tracks]
         self.reached = min(r[0] for r in reached), max(r[1] for r in reached)
         low, high = self.reached if in_another_unit(self.reached, rig) else rig.actuator.range
@@ -281,6 +320,7 @@ class _Session:
             # The joint fit is so much sharper that the onsets' scatter about it is their own.
             spread = float(np.sqrt(np.clip(self.findings.evidence["onsets_against_joint_z2"], 1.0, 9.0)))
             onsets = [replace(o, sigma=o.sigma * spread) if o.used and o.kind == HINGE else o for o in onsets]
+        self.joint, self.delay = joint, delay
         self.say(0.75, "fitting f_remain")
         settled = joint.fit.settled_only if joint is not None else False
         if joint is not None:
@@ -290,6 +330,63 @@ class _Session:
         self._doubt_place(remaining)
         self.say(0.8, "naming what departs")
         return self._result(onsets, delay, curve, joint, passes, width, sigma, source, remaining)
+
+    def beside(self, before: _Session, without: Model, told: start.Start) -> Calibration | None:
+        """What `run` finds, with effects that were named fitted beside B, path and delay. By the share that a right
+        effect's amplitude is another elsewhere, so may be what it takes B and delay by. before: the session without
+        them, and its model. None where they cannot be fitted."""
+        effects = told.effects
+        if not before.elements.single and any(effect.id == _GRADUAL_START for effect in effects):
+            self.elements = before.elements  # which hold that
+            effects = tuple(effect for effect in effects if effect.id != _GRADUAL_START)
+        beside, values = Beside.of(effects, self.rig)
+        if before.joint is None or before.delay is None or not beside.kinds:
+            return None
+        self._release()
+        self.say(0.0, f"fitting {', '.join(kind.id for kind in beside.kinds)} beside the play")
+        nominal = told.fit.state.model
+        start_s = before.delay.delay_s + (nominal.delay_s - told.fitter.model.delay_s)
+        joint = self._beside(before.joint, nominal, start_s, beside, values)
+        self.effects = beside, joint.curves.beside
+        delay, wanders = self._joint_delay(before.delay, joint), learnt().center.wanders
+        delay = replace(delay, sigma_s=float(np.hypot(delay.sigma_s, wanders * (delay.delay_s - before.delay.delay_s))))
+        onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
+        curve = fit_widths(onsets, self.grid)
+        width = self.choice.held(joint, curve)
+        moved = float(np.sqrt(np.mean((width - without.width) ** 2)))
+        sigma = np.hypot(joint.width_sigma(self.grid), wanders * moved)
+        self.say(0.75, "fitting f_remain")
+        self._find_place(joint)
+        remaining = self._remaining(width, delay.delay_s, joint.fit.settled_only)
+        self._comment(onsets, remaining)
+        self._doubt_place(remaining)
+        return self._result(onsets, delay, curve, joint, None, width, sigma, JOINT, remaining)
+
+    def _beside(self, before: Fitted, nominal: Model, delay_s: float, beside: Beside, values: Array) -> Fitted:
+        """The joint fit with effects, from a nominal model, delay and values of theirs. What they did before the
+        tip was driven both ways is not known."""
+        fit_delay = self.options.delay_s is None
+        frozen = freeze(self._one_curve(delay_s), delay_s)
+        basis = before.fit.backlash
+        fit = PlayFit(
+            frozen, basis, basis, fit_delay=fit_delay, beforehand=self.options.beforehand, beside=beside,
+            elements=self.elements,
+        )  # fmt: skip
+        channels = frozen[0].track.y.shape[1]
+        backlash = np.linalg.lstsq(
+            basis.design(self.grid).toarray(), np.interp(self.grid, nominal.q, nominal.width), rcond=None
+        )[0]
+        curves = Curves(
+            backlash, np.zeros((basis.size, channels)), delay_s if fit_delay else before.curves.delay_s, values
+        )
+        path = replace(fit, fit_backlash=False, fit_delay=False, fit_beside=False, smoothing=dict(fit.smoothing))
+        joint = fit.solve(path.step(curves, *path.residuals(curves)))
+        noise = place_noise(joint)
+        joint = as_many_as_independent(allowing_for_place(joint, noise))
+        cut = joint.curves.follow.size
+        block, late = slice(cut, cut + basis.size), joint.covariance[-1, -1]
+        by_delay = basis.design(self.grid).toarray() @ joint.covariance[block, -1] / late
+        return replace(joint, by_delay=by_delay) if fit_delay and late > 0.0 else joint
 
     def _release(self) -> None:
         """Leaves out frames at which the tracker held a place that the tip had left."""
@@ -471,7 +568,9 @@ class _Session:
                 return curves
             self.findings.notes.append("the characteristic shows no closed shape: f_remain was fitted directly instead")
         tracks = self.ended or self.tracks
-        return fit_remaining(tracks, self.rig, self.domain, self.grid, width, delay_s, settled, self.elements)
+        return fit_remaining(
+            tracks, self.rig, self.domain, self.grid, width, delay_s, settled, self.elements, self.effects
+        )
 
     # ---- what to think of it
 
@@ -674,6 +773,7 @@ class _Session:
         model = Model(
             self.rig, self.grid, width, sigma, c, delay.delay_s, measured, c_sigma=c_sigma,
             sensor=self.tracks[0].sensor, offset_s=aligned.offset_s,
+            effects=() if self.effects is None else self.effects[0].to_effects(self.effects[1]),
             elements=self.elements if isinstance(self.elements, Elements) else SINGLE,
             friction=self.elements if isinstance(self.elements, Friction) else None,
         )  # fmt: skip

@@ -88,7 +88,7 @@ class Choice:
             assert curve is not None
             self.findings.notes += curve.notes
             return curve.width, curve.sigma, ONSETS
-        width = self._held(joint, curve)
+        width = self.held(joint, curve)
         sigma = joint.width_sigma(self.grid)
         if curve is None:
             self.findings.notes.append("no reversal gave a width: B(q) is the distance between the passes")
@@ -248,7 +248,7 @@ class Choice:
         solved = alone.solve(curves, iterations=5, adapt=False)
         return solved.scale if alone.elements.single else left(replace(solved, scale=fitted.scale))
 
-    def _held(self, joint: Fitted, curve: WidthCurve | None) -> Array:
+    def held(self, joint: Fitted, curve: WidthCurve | None) -> Array:
         """The joint fit's B, held beyond the positions that passes both ways or onsets reached: what lies there could
         be f_remain as well. Not where something is known of it beforehand, nor of several elements: some turn in no
         stroke but there, and are where B there puts them."""

@@ -89,7 +89,7 @@ def as_smooth_as_independent(fitted: Fitted, noise: PlaceNoise | None) -> Fitted
 def _noisier(fitted: Fitted, k: int, common: float) -> Frozen:
     """A track whose frames together know each place to no better than `common`."""
     frozen = fitted.fit.tracks[k]
-    seen = fitted.fit.seen(frozen.track, fitted.curves, fitted.fit.simulated[k].p)
+    seen = fitted.fit.seen(frozen.track, fitted.curves, fitted.fit.simulated[k].tip)
     step = np.linalg.norm(np.diff(seen, axis=0), axis=1)
     place = np.concatenate([[0], np.cumsum(step > _TOGETHER * frozen.track.sigma[1:])])
     frames = np.bincount(place, weights=frozen.use)[place]
@@ -112,7 +112,7 @@ def _along(fitted: Fitted, k: int) -> _Along:
     fit, curves = fitted.fit, fitted.curves
     sim, mask = fit.simulated[k], fitted.masks[k]
     frozen = fit.tracks[k]
-    slope = fit.slope_in_view(frozen.track, curves, sim.p)
+    slope = fit.slope_in_view(frozen.track, curves, sim.tip)
     steep = np.maximum(np.linalg.norm(slope, axis=1), 1e-12)
     weight = np.minimum(fitted.weights[k], 1.0)
     error = np.sum(fitted.rows[k] * frozen.track.sigma[:, None] * slope, axis=1) / steep * np.sqrt(weight)

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from scipy.linalg import cho_solve
 
 from tautline.calibration.beforehand import Beforehand
+from tautline.calibration.beside import Beside
 from tautline.calibration.observations import Mask, Track, corners
 from tautline.elements import SINGLE, Hysteresis, Play
 from tautline.least_squares import descend, factor
@@ -41,6 +42,7 @@ class Curves:
     backlash: Array  # (m_b,)
     follow: Array  # (m_f, channels)
     delay_s: float
+    beside: Array = field(default_factory=lambda: np.zeros(0))  # values of the effects that the fit holds
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,7 @@ class Simulated:
     """What the model says at each frame of one track."""
 
     p: Array
+    tip: Array  # where along the law: p, but for effects beside the play
     known: Mask  # the play has forgotten where it started, and motor samples cover the frame
     settled: Mask  # known, and driven through a full backlash in both directions
     side: npt.NDArray[np.int8]  # envelope that last moved p (of several elements: that last held them all)
@@ -112,7 +115,10 @@ class Frozen:
             self.last[delay_s] = Driven(positions, at, track.within_motor(scene), speed)
         return self.last[delay_s]
 
-    def simulate(self, grid: Array, width: Array, delay_s: float, elements: Hysteresis = SINGLE) -> Simulated:
+    def simulate(
+        self, grid: Array, width: Array, delay_s: float, elements: Hysteresis = SINGLE,
+        beside: Beside | None = None, values: Array | None = None,
+    ) -> Simulated:  # fmt: skip
         driven = self.driven(delay_s)
         positions, at = driven.positions, driven.at
         far = 10.0 * (abs(grid[-1] - grid[0]) + abs(positions).max(initial=1.0))
@@ -122,7 +128,11 @@ class Frozen:
         known = (np.abs(p - other) < elements.forgotten * (grid[-1] - grid[0]))[at] & driven.within
         both = np.logical_or.accumulate(side == -1) & np.logical_or.accumulate(other_side == 1)
         both &= _there_and_back(positions, _usual_least(grid, width, positions))
-        return Simulated(p[at], known, known & both[at], side[at], lean[at], share[at], driven.speed)
+        alone = Simulated(p[at], p[at], known, known & both[at], side[at], lean[at], share[at], driven.speed)
+        if beside is None or values is None:
+            return alone
+        path = beside.follow(self.track.reading, self.track.scene_s(delay_s), grid, width, elements, values)
+        return replace(alone, p=path.p, tip=path.tip, side=np.sign(path.side).astype(np.int8), lean=path.lean)
 
 
 @dataclass
@@ -142,6 +152,8 @@ class PlayFit:
     elements: Hysteresis = SINGLE
     delay_sigma_s: float = 1.0  # how well the delay is known where it is not fitted
     beforehand: Beforehand | None = None  # what is known of B without these tracks
+    beside: Beside | None = None  # effects between the motor and the curve that is followed
+    fit_beside: bool = True
     alike: float = 1.0  # frames for each independent one: that many say as much of a curve's shape as one
     smoothing: dict[str, float] = field(default_factory=lambda: {"backlash": 1e-2, "follow": 1e-6})
     grid: Array = field(init=False)
@@ -156,10 +168,12 @@ class PlayFit:
     def residuals(self, curves: Curves) -> tuple[list[Array], list[Mask]]:
         """Per track: (y - model)/sigma (n, k), and which frames count."""
         width = self.width(curves)
-        self.simulated = [t.simulate(self.grid, width, curves.delay_s, self.elements) for t in self.tracks]
+        self.simulated = [
+            t.simulate(self.grid, width, curves.delay_s, self.elements, self.beside, curves.beside) for t in self.tracks
+        ]
         rows, masks = [], []
         for frozen, sim in zip(self.tracks, self.simulated, strict=True):
-            y = self.seen(frozen.track, curves, sim.p)
+            y = self.seen(frozen.track, curves, sim.tip)
             rows.append((frozen.track.y - y) / frozen.track.sigma[:, None])
             masks.append(frozen.use & (sim.settled if self.settled_only else sim.known) & np.isfinite(y).all(axis=1))
         return rows, masks
@@ -173,13 +187,14 @@ class PlayFit:
         return self.view(s[:, 0], translation, rotation)[0]
 
     def normal(self, curves: Curves, rows: list[Array], weights: list[Array]) -> tuple[Array, Array]:
-        """J'WJ and J'Wr of the whitened problem, unknowns ordered follow (channel by channel), backlash, delay.
+        """J'WJ and J'Wr of the whitened problem, unknowns ordered follow (channel by channel), backlash, what is beside
+        them, delay.
         After `residuals` with the same curves."""
         channels = curves.follow.shape[1]
         mf, mb = self.follow.size, self.backlash.size
-        total = channels * mf + mb + 1
+        total = channels * mf + mb + len(curves.beside) + 1
         matrix, gradient = np.zeros((total, total)), np.zeros(total)
-        # For each channel: where its unknowns and those that all share (backlash, delay) are, and their own sums.
+        # For each channel: where its unknowns and those that all share (backlash to delay) are, and their own sums.
         shared = np.arange(channels * mf, total)
         places = [np.concatenate([shared[:mb], np.arange(k * mf, (k + 1) * mf), shared[mb:]]) for k in range(channels)]
         nominal, sums = Nominal(self.backlash, self.follow), [Normal.zeros(len(at)) for at in places]
@@ -187,24 +202,41 @@ class PlayFit:
             keep = w > 0
             if not keep.any():
                 continue
-            p, track = sim.p[keep], frozen.track
+            p, tip, track = sim.p[keep], sim.tip[keep], frozen.track
             inverse = 1.0 / track.sigma[keep]
-            slope = self.follow.slope(curves.follow, p)
-            by_s = self._seen_at(track, self.follow.value(curves.follow, p), keep, curves.delay_s)
+            slope = self.follow.slope(curves.follow, tip)
+            by_s = self._seen_at(track, self.follow.value(curves.follow, tip), keep, curves.delay_s)
             by_s = by_s * inverse[:, None]
-            by_b, by_delay = sim.slopes(keep, self.backlash.slope(curves.backlash, p))
-            by_b, by_delay = by_b * self.fit_backlash, by_delay * self.fit_delay
+            by_b, shared_by = self._slopes(frozen, sim, keep, curves)
             for channel, own in enumerate(sums):
                 of = slice(None) if self.view is not None else slice(channel, channel + 1)
                 h, steep = np.ascontiguousarray(by_s[:, of]), slope[:, channel]
-                columns = (h * (steep * by_delay)[:, None])[:, :, None]
+                columns = h[:, :, None] * (steep[:, None] * shared_by)[:, None, :]
                 residual = np.ascontiguousarray(r[keep, of])
                 weight = np.ascontiguousarray(np.broadcast_to(w[keep, None], h.shape))
-                nominal.add(Rows(p, p, steep * by_b, np.ones(len(p)), h, columns, residual), own, weight=weight)
+                nominal.add(Rows(p, tip, steep * by_b, np.ones(len(p)), h, columns, residual), own, weight=weight)
         for at, part in zip(places, sums, strict=True):
             matrix[np.ix_(at, at)] += part.matrix
             gradient[at] += part.gradient
         return matrix, gradient
+
+    def _slopes(self, frozen: Frozen, sim: Simulated, keep: Mask, curves: Curves) -> tuple[Array, Array]:
+        """Derivatives of the tip's place at the frames that are kept: by B there (kept,), and (kept, m) by what is
+        beside it and the delay."""
+        by_b, by_delay = sim.slopes(keep, self.backlash.slope(curves.backlash, sim.p[keep]))
+        by_values = np.empty((len(by_b), 0))
+        if self.beside is not None and (self.fit_beside or self.fit_delay or self.fit_backlash):
+            at = frozen.track.scene_s(curves.delay_s)
+            by_b, by_values, by_delay = (
+                each[keep]
+                for each in self.beside.slopes(
+                    frozen.track.reading, at, self.grid, self.width(curves), self.elements, curves.beside
+                )
+            )
+        elif self.beside is not None:
+            by_values = np.zeros((len(by_b), len(curves.beside)))
+        shared = np.column_stack([by_values * self.fit_beside, by_delay * self.fit_delay])
+        return by_b * self.fit_backlash, shared
 
     def slope_in_view(self, track: Track, curves: Curves, p: Array) -> Array:
         """dy/dp (n, coordinates) in the sensor's unit at each frame of a track."""
@@ -251,14 +283,17 @@ class PlayFit:
             backlash = np.maximum(backlash + np.clip(change, -limit, limit), 0.0)
         delay = curves.delay_s + float(np.clip(step[-1], -0.03, 0.03)) if self.fit_delay else curves.delay_s
         follow = curves.follow + step[:cut].reshape(channels, self.follow.size).T
-        return replace(curves, backlash=backlash, follow=follow, delay_s=delay)
+        beside = curves.beside
+        if self.beside is not None and self.fit_beside:
+            beside = self.beside.inside(beside + step[cut + self.backlash.size : -1])
+        return replace(curves, backlash=backlash, follow=follow, delay_s=delay, beside=beside)
 
     def penalty(self, curves: Curves, scale: float) -> tuple[Array, Array]:
         """Matrix P and gradient P theta of smoothness and of the constraints that are violated."""
         channels = curves.follow.shape[1]
         mf, mb = self.follow.size, self.backlash.size
         cut = channels * mf
-        total = cut + mb + 1
+        total = cut + mb + len(curves.beside) + 1
         matrix, pull = np.zeros((total, total)), np.zeros(total)
         for k in range(channels):
             block = slice(k * mf, (k + 1) * mf)
@@ -288,7 +323,17 @@ class PlayFit:
             pull[block] += weight * bend
         if not self.fit_delay:
             matrix[-1, -1] += (scale / self.delay_sigma_s) ** 2
+        if self.beside is not None:
+            at = np.arange(cut + mb, total - 1)
+            matrix[at, at] += scale * scale * self.beside.precision if self.fit_beside else 1.0
         return matrix, pull
+
+    def hold(self, curves: Curves, matrix: Array, gradient: Array) -> None:
+        """Takes out of the normal equations what is beside B and at an end of its range that they lead beyond."""
+        assert self.beside is not None
+        first = len(gradient) - 1 - len(curves.beside)
+        ends = first + self.beside.at_ends(curves.beside, gradient[first:-1])
+        matrix[ends, :] = matrix[:, ends] = gradient[ends] = 0.0
 
     def begin(self, curves: Curves, scale: float) -> None:
         """Smoothing as the start's own roughness suggests."""
@@ -304,7 +349,7 @@ class PlayFit:
         channels = curves.follow.shape[1]
         mf, mb = self.follow.size, self.backlash.size
         cut = channels * mf
-        inverse = cho_solve(factor(system), np.eye(cut + mb + 1), check_finite=False)
+        inverse = cho_solve(factor(system), np.eye(len(system)), check_finite=False)
         parts: list[tuple[str, list[slice], Array, list[Array]]] = [
             (
                 "follow",
@@ -379,6 +424,8 @@ class _Descent:
             fit.adapt(curves, matrix + penalty, self.scale)
             penalty, pull = fit.penalty(curves, self.scale)
         self.steps += 1
+        if fit.beside is not None:
+            fit.hold(curves, matrix, gradient)
         return matrix + penalty, gradient - pull, fit.cost(curves, point.rows, self.weights, self.scale)
 
     def moved(self, point: _Point, step: Array) -> _Point:
@@ -403,7 +450,7 @@ class Fitted:
     rows: list[Array]
     masks: list[Mask]
     weights: list[Array]
-    covariance: Array  # of follow (channel by channel), backlash, delay
+    covariance: Array  # of follow (channel by channel), backlash, what is beside them, delay
     spread: Array | None = None  # of B on fit.grid, and of the delay, where model error is known too
     delay_spread: float = 0.0
     by_delay: Array | None = None  # on fit.grid, by how much B is another for each second that the delay is

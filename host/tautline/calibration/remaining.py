@@ -12,6 +12,7 @@ from scipy.interpolate import make_smoothing_spline
 from scipy.ndimage import binary_closing, binary_fill_holes
 from scipy.optimize import isotonic_regression
 
+from tautline.calibration.beside import Beside
 from tautline.calibration.observations import Track
 from tautline.calibration.place import as_many_as_independent
 from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit, View
@@ -79,15 +80,18 @@ def fit_remaining(
     delay_s: float,
     settled_only: bool,
     elements: Hysteresis = SINGLE,
+    beside: tuple[Beside, Array] | None = None,
 ) -> Remaining | None:
-    """A monotone penalised spline through image residuals (or angles), B and delay fixed. None where nothing tells."""
+    """A monotone penalised spline through image residuals (or angles), B, delay and the effects beside them fixed. None
+    where nothing tells."""
     view = view_of(rig) if tracks[0].unit == "px" else None
     basis = Basis(domain.low, domain.high, SPANS)
     frozen = [Frozen.of(track) for track in tracks]
-    simulated = [f.simulate(grid, width, delay_s, elements) for f in frozen]
+    effects, values = beside or (None, np.zeros(0))
+    simulated = [f.simulate(grid, width, delay_s, elements, effects, values) for f in frozen]
     angles = [pose_of(track, rig, delay_s) for track in tracks]
     count = [s.settled if settled_only else s.known for s in simulated]
-    p = np.concatenate([s.p[k] for s, k in zip(simulated, count, strict=True)])
+    p = np.concatenate([s.tip[k] for s, k in zip(simulated, count, strict=True)])
     c = np.concatenate([a[k] for a, k in zip(angles, count, strict=True)])
     good = np.isfinite(c)
     p, c = p[good], c[good]
@@ -96,7 +100,7 @@ def fit_remaining(
     falling = float(np.polyfit(p - p.mean(), c, 1)[0]) < 0
     fit = _FixedWidth(
         frozen, basis, basis, view=view, fit_backlash=False, fit_delay=False, settled_only=settled_only,
-        elements=elements,
+        elements=elements, beside=effects, fit_beside=False,
         rising=-1.0 if falling else 1.0, least_slope=_LEAST_SLOPE * abs(rig.coarse.gain),
         slope_unit=abs(rig.coarse.gain),
     )  # fmt: skip
@@ -104,8 +108,8 @@ def fit_remaining(
     design = basis.design(p)
     system = (design.T @ design).toarray() + 1e-3 * basis.bending + 1e-9 * np.eye(basis.size)
     start = np.linalg.solve(system, design.T @ c)
-    fitted = as_many_as_independent(fit.solve(Curves(np.zeros(basis.size), start[:, None], delay_s)))
-    counted = np.concatenate([s.p[m] for s, m in zip(fitted.fit.simulated, fitted.masks, strict=True)])
+    fitted = as_many_as_independent(fit.solve(Curves(np.zeros(basis.size), start[:, None], delay_s, values)))
+    counted = np.concatenate([s.tip[m] for s, m in zip(fitted.fit.simulated, fitted.masks, strict=True)])
     curve = basis.value(fitted.curves.follow[:, 0], grid)
     curve = carried_on(curve, grid, float(counted.min()), float(counted.max()))
     lawful = monotone(curve, grid, falling, _LEAST_SLOPE * abs(rig.coarse.gain))

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_solve
 
+from tautline.calibration.beside import Beside
 from tautline.calibration.observations import Track
 from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit
 from tautline.calibration.remaining import view_of
@@ -112,7 +113,7 @@ def _of_tip(
     usual, widest = _STRAY * bounded_rms(_counted(missed, masks)), float(fit.width(curves).max())
     kept = []
     for frozen, sim, off, mask in zip(fit.tracks, fit.simulated, missed, masks, strict=True):
-        steep = np.linalg.norm(fit.slope_in_view(frozen.track, curves, sim.p), axis=1) / frozen.track.sigma
+        steep = np.linalg.norm(fit.slope_in_view(frozen.track, curves, sim.tip), axis=1) / frozen.track.sigma
         kept.append(mask & (np.linalg.norm(off, axis=1) <= np.maximum(usual, widest * steep)))
     return kept
 
@@ -129,7 +130,7 @@ def _over_noise(fit: PlayFit, curves: Curves, missed: Sequence[Array], masks: Se
         near = off * np.minimum(1.0, limit / np.maximum(norm, limit))[:, None]
         pair, moves = mask[1:] & mask[:-1], sim.moving[1:] & sim.moving[:-1]
         step = np.diff(near, axis=0) / np.sqrt(2.0)
-        slope = fit.slope_in_view(frozen.track, curves, sim.p)[1:]
+        slope = fit.slope_in_view(frozen.track, curves, sim.tip)[1:]
         path = slope / np.maximum(np.linalg.norm(slope, axis=1), 1e-300)[:, None]
         forward = np.sum(step * path, axis=1) ** 2
         alike.append(np.mean(near[1:] * near[:-1], axis=1)[pair])
@@ -167,7 +168,8 @@ def _coarse(track: Track, model: Model) -> Array:
 def _fit_of(
     model: Model, tracks: Sequence[Track], joint: Fitted | None, remaining: Fitted | None
 ) -> tuple[PlayFit, Curves]:
-    """B, f_remain and the delay as the model has them, as unknowns that frames in the sensor's own coordinates tell."""
+    """B, f_remain, the delay and what is beside them as the model has them, as unknowns that frames in the sensor's own
+    coordinates tell."""
     basis = Basis(float(model.q[0]), float(model.q[-1]), SPANS)
     fit = PlayFit(
         [Frozen.of(track) for track in tracks], basis, basis,
@@ -177,9 +179,12 @@ def _fit_of(
         fit.smoothing = {name: of.fit.smoothing[name] for name, of in (("backlash", joint), ("follow", remaining))}
         fit.fit_delay, fit.delay_sigma_s = joint.fit.fit_delay, joint.fit.delay_sigma_s
         fit.beforehand = joint.fit.beforehand
+    values = np.zeros(0)
+    if model.effects:
+        fit.beside, values = Beside.of(model.effects, model.rig)
     design = basis.design(model.q).toarray()
     width, c = np.linalg.lstsq(design, np.column_stack([model.width, model.c_deg]), rcond=None)[0].T
-    return fit, Curves(width, c[:, None], model.delay_s)
+    return fit, Curves(width, c[:, None], model.delay_s, values)
 
 
 def _blocks(fit: PlayFit, masks: Sequence[npt.NDArray[np.bool_]]) -> list[Labels] | None:

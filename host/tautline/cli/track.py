@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tautline.cli._common import emit, json_option, log, progress_bar, read_recordings, warn, warn_unusable
+from tautline.cli._common import emit, json_option, log, progress_bar, read_recordings, warn_unusable
 from tautline.model import RIG_FILE, Model
 from tautline.vision.marker import with_marker
 
@@ -47,9 +47,6 @@ def command(
 
     model = Model.load(model_path)
     warn_unusable(model, model_path)
-    if model.effects:
-        named = ", ".join(effect.id for effect in model.effects)
-        warn(f"{model_path}: what it holds beside its tables ({named}) is not simulated while tracking")
     recordings, _ = read_recordings(recording_paths, model_path / RIG_FILE)
     with progress_bar("tracking") as progress:
         recordings = [with_marker(recording, model.rig, progress) for recording in recordings]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, cast
+from typing import Any, Literal, Self, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -50,6 +50,10 @@ class Diagnosis(Value):
     def verdict(self) -> Literal["effect", "none", "unknown"]:
         return cast(Literal["effect", "none", "unknown"], self.document["verdict"])
 
+    def with_corrected(self, model: Model) -> Self:
+        """The same with another corrected model, at the load of this one's tables."""
+        return replace(self, corrected=replace(model, extra=self.corrected.extra))
+
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What is named, in the order it was added."""
@@ -75,10 +79,12 @@ def diagnose(
     left_out: Collection[str] = (),
     simulated: SimulatedNominal | None = None,
 ) -> Diagnosis:
-    """`model` is what `calibration` gave. `left_out`: effects that the library shall not know. `simulated`: where
-    model, calibration and tests are a simulator's. Raises TautError where nothing can be scored."""
+    """`model` is what `calibration` gave; effects that it carries are looked for anew, and stay in `corrected` where
+    nothing is named. `left_out`: effects that the library shall not know. `simulated`: where model, calibration and
+    tests are a simulator's. Raises TautError where nothing can be scored."""
     with threadpool_limits(1, "blas"):  # its systems are small: threads that wait for each other cost 10 times more
-        return _diagnosis(model, calibration, tests, progress, left_out, simulated)
+        found = _diagnosis(model.alone, calibration, tests, progress, left_out, simulated)
+    return found if found.findings or not model.effects else found.with_corrected(model)
 
 
 def _diagnosis(

@@ -16,12 +16,12 @@ from tautline.diagnosis import confounded, decide, gap, tracker
 from tautline.diagnosis.candidates import applicable
 from tautline.diagnosis.decide import Decision
 from tautline.diagnosis.fit import WIDTH_PIECES, Fitter, spline_residual
-from tautline.diagnosis.fitted import Scope
+from tautline.diagnosis.fitted import Fit, Scope
 from tautline.diagnosis.gather import Gathered, gather
 from tautline.diagnosis.segment import Segment, load_reference, prepare
 from tautline.diagnosis.tracker import TrackerError
 from tautline.effects import LIBRARY
-from tautline.model import Model
+from tautline.model import Effect, Model
 from tautline.recording import Recording
 from tautline.splines import Basis
 
@@ -45,6 +45,18 @@ class Start:
         """Ids of the library, the leading one first; none where nothing is left, or nothing known explains it."""
         return self.verdict.named if self.verdict.name == "effect" else ()
 
+    @property
+    def fit(self) -> Fit:
+        """Of what is named, the nominal model free beside it."""
+        return self.gathered.candidates[self.verdict.chosen].fit
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """What is named, as strong as it was fitted."""
+        values = self.fit.state.values
+        kinds = [kind for kind in self.fit.hypothesis.kinds if kind.id in self.named]
+        return tuple(Effect(k.id, {p.name: values[p.name] for p in k.parameters if p.name in values}) for k in kinds)
+
 
 def concerns(model: Model) -> bool:
     """Whether the model's calibration says that something was there beside it, or has taken it for a part of B."""
@@ -63,7 +75,9 @@ def in_the_width(model: Model) -> bool:
 
 
 def of_recordings(model: Model, recordings: Sequence[Recording], progress: Progress) -> Start:
-    """recordings: on the motor's clock, the earliest first. Raises TautError where none can be scored."""
+    """recordings: on the motor's clock, the earliest first. Effects that the model carries are looked for anew. Raises
+    TautError where none can be scored."""
+    model = model.alone
     segments, reference = prepare(model, recordings[0], recordings[1:]), load_reference(recordings[0])
     tracked = tracker.of_videos(model, segments, reference, recordings)
     return of_segments(model, tracked.segments if tracked else segments, reference, tracked, progress)

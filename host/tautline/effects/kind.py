@@ -122,6 +122,14 @@ class Kind:
         return self.stage in (SIMULATOR, *THROUGH_ANGLE)
 
     @property
+    def before_law(self) -> bool:
+        """Whether it stands between the motor and f_remain, the same at all times and loads: beside B and f_remain it
+        can be fitted in any sensor's own coordinates, and a calibrated model may carry it."""
+        repeats = not (self.event or self.course or self.moments)
+        moves = self.stage in THROUGH_ANGLE[:2] and not self.nominal and self.holds is None
+        return moves and repeats and not self.needs
+
+    @property
     def on_board(self) -> bool:
         """Whether the tables of a corrected model put the tip where that model says: what ends up in B and f_remain,
         what a section undoes, and what only changes how the tip is seen; what scatters nothing takes away."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from tautline import effects
 from tautline.errors import TautError
 from tautline.folders import write_file
 from tautline.model import Model
@@ -44,9 +45,10 @@ class Tracked(Value):
 
 def replay(model: Model, recordings: Sequence[Recording], progress: Progress = lambda fraction, text: None) -> Tracked:
     """The tracker's rows for recordings in the order given; what it learnt carries over. Each row is predicted from the
-    motor up to that row's scene time and the rows before it."""
+    motor up to that row's scene time and the rows before it. What the model carries beside its play moves the tip as
+    the calibration found it: the tracker keeps the rest."""
     sensor = _sensor(recordings)
-    tracker = Tracker(model, sensor)
+    tracker = Tracker(model.alone, sensor)
     number, times, rows = [], [], []
     whole = sum(len(_frames(recording, sensor).t_s) for recording in recordings)
     for i, recording in enumerate(recordings):
@@ -54,14 +56,39 @@ def replay(model: Model, recordings: Sequence[Recording], progress: Progress = l
         if i:
             tracker.begin()
         tracker.motor(motor.t_s, motor.q, motor.translation_mm, motor.rotation_deg, motor.load_mNm)
-        readings = _readings(frames)
+        readings, moved = _readings(frames), moved_by_effects(model, recording, sensor)
         for k, arrival in enumerate(frames.t_s.tolist()):
-            rows.append(tracker.see(arrival, *readings(k)))
+            rows.append(_beside(tracker, arrival, readings(k), None if moved is None else moved[k]))
             if len(rows) % _REPORTED == 0:
                 progress(len(rows) / whole, f"{recording.name}: {rows[-1].state}")
         number.append(np.full(len(frames.t_s), i, dtype=np.intp))
         times.append(frames.t_s)
     return Tracked(np.concatenate(number), np.concatenate(times), rows, tracker.changes, sensor)
+
+
+def moved_by_effects(model: Model, recording: Recording, sensor: Sensor) -> Array | None:
+    """(n, 3) by how much the model's effects move c, deg, and the image, px, of each frame at the motor's last sample
+    before it; None where it has none."""
+    if not model.effects:
+        return None
+    motor = recording.motor
+    scene = _frames(recording, sensor).t_s - model.delay_of(sensor)
+    at = motor.t_s[np.maximum(np.searchsorted(motor.t_s, scene, side="right") - 1, 0)]
+    load = float(model.extra.get("load_reference_mNm", 0.0))
+    there, alone = (
+        effects.simulate(model, motor, at, own, load_reference=load) for own in (effects.of_model(model), {})
+    )
+    return np.column_stack([there.c_deg - alone.c_deg, there.image_px - alone.image_px])
+
+
+def _beside(tracker: Tracker, arrival_s: float, seen: tuple[float, ...], moved: Array | None) -> Row:
+    """A row of the tracker; moved: its frame's by what the tracker does not know."""
+    if moved is None:
+        return tracker.see(arrival_s, *seen)
+    c, u, v = moved.tolist()
+    own = (seen[0] - c,) if len(seen) == 1 else (seen[0] - u, seen[1] - v, *seen[2:]) if seen else ()
+    row = tracker.see(arrival_s, *own)
+    return replace(row, c_deg=row.c_deg + c, u_px=row.u_px + u, v_px=row.v_px + v)
 
 
 def off_by(tracked: Tracked, recordings: Sequence[Recording]) -> Array:

@@ -1,0 +1,112 @@
+"""Effects that are fitted beside B, the path and the delay: what was there from the first recording on.
+
+They stand between the motor and the curve that the tip follows, so one set of numbers moves the tip of a pose-free fit
+and that of a rig alike. With all of them at zero a fit is the one without them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline import effects
+from tautline.effects import LIBRARY, SCATTERS, Kind, Parameter
+from tautline.elements import Elements, Hysteresis
+from tautline.encoder import straight_lines
+from tautline.model import Effect, Model
+from tautline.recording import Motor
+from tautline.rig import Rig
+
+Array = npt.NDArray[np.float64]
+
+FITTED = frozenset(kind.id for kind in LIBRARY if kind.before_law)
+
+_DIFFERENCE = 0.05  # tolerance: of a parameter's scale: the step of its difference quotient
+_WIDER = 5e-4  # tolerance: of the motor's range: the step of B's
+_AHEAD_S = 5e-3  # tolerance: over which the tip's velocity is taken
+_FAR = 30.0  # prior: of a parameter's scale, a step's
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Effects, their order that of `values` wherever these are handed on: amplitudes and shapes that can be
+    differentiated. `held` has the others' values."""
+
+    kinds: tuple[Kind, ...]
+    rig: Rig
+    held: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, found: Sequence[Effect], rig: Rig) -> tuple[Self, Array]:
+        """Those of a model's effects that can be fitted, and their values."""
+        known = {effect.id: effect.parameters for effect in found if effect.id in FITTED}
+        kinds = tuple(effects.BY_ID[name] for name in known)
+        searched = {p.name for kind in kinds for p in kind.parameters if p.searched}
+        held = {name: float(v) for own in known.values() for name, v in own.items() if name in searched - SCATTERS}
+        beside = cls(kinds, rig, held)
+        given = {name: float(v) for own in known.values() for name, v in own.items() if name not in held}
+        return beside, np.array([given.get(p.name, p.shape[0] if p.shape else 0.0) for p in beside.parameters])
+
+    @property
+    def parameters(self) -> list[Parameter]:
+        return [p for kind in self.kinds for p in kind.parameters if not p.searched]
+
+    @property
+    def scales(self) -> Array:
+        """Natural steps, each in its parameter's unit."""
+        span = self.rig.actuator.span
+        return np.array([p.scale * (span if p.unit.startswith("unit") else 1.0) for p in self.parameters])
+
+    @property
+    def precision(self) -> Array:
+        """(m,) of a step's prior."""
+        return np.asarray((_FAR * self.scales) ** -2.0)
+
+    def inside(self, values: Array) -> Array:
+        """(m,) clipped to where they mean something."""
+        own = self.parameters
+        return np.clip(values, [p.low for p in own], [p.high for p in own])
+
+    def at_ends(self, values: Array, towards: Array) -> npt.NDArray[np.intp]:
+        """Which of the values are at an end of their range beyond which this direction leads."""
+        onward = self.inside(values + np.sign(towards) * 1e-6 * self.scales)
+        return np.flatnonzero(onward == values)
+
+    def to_effects(self, values: Array) -> tuple[Effect, ...]:
+        named = dict(zip((p.name for p in self.parameters), values.tolist(), strict=True)) | dict(self.held)
+        return tuple(Effect(k.id, {p.name: named[p.name] for p in k.parameters if p.name in named}) for k in self.kinds)
+
+    def follow(
+        self, motor: Motor, at_s: Array, grid: Array, width: Array, hysteresis: Hysteresis, values: Array
+    ) -> effects.Path:
+        """The tip's path at times (n,) of a motor as it was read, its motion as predictions have it: between counts its
+        speed would be rough. B being `width` on the grid; c is the place along the law."""
+        plays = (
+            {"elements": hysteresis} if isinstance(hysteresis, Elements) else {"friction": hysteresis}
+        )  # of the model
+        model = Model(self.rig, grid, width, np.zeros_like(grid), grid, 0.0, (grid[0], grid[-1]), **plays)
+        named = dict(zip((p.name for p in self.parameters), values.tolist(), strict=True)) | dict(self.held)
+        lines = straight_lines(motor, self.rig.actuator.encoder_resolution)
+        return effects.follow(model, lines, at_s, named)
+
+    def slopes(
+        self, motor: Motor, at_s: Array, grid: Array, width: Array, hysteresis: Hysteresis, values: Array
+    ) -> tuple[Array, Array, Array]:
+        """Derivatives of the tip's place by difference quotients: (n,) by a B that is wider everywhere, as what follows
+        the play makes of it; (n, m) by each value; (n,) by the delay."""
+
+        def tip(times: Array, there: Array, wider: float = 0.0) -> Array:
+            return self.follow(motor, times, grid, np.maximum(width + wider, 0.0), hysteresis, there).tip
+
+        steps = _DIFFERENCE * self.scales
+        columns = np.zeros((len(at_s), len(values)))
+        for i, step in enumerate(steps):
+            ahead, behind = (self.inside(values + sign * step * np.eye(len(values))[i]) for sign in (1.0, -1.0))
+            columns[:, i] = (tip(at_s, ahead) - tip(at_s, behind)) / (ahead - behind)[i]
+        wider = _WIDER * self.rig.actuator.span
+        by_width = (tip(at_s, values, wider) - tip(at_s, values, -wider)) / (2.0 * wider)
+        return by_width, columns, (tip(at_s, values) - tip(at_s + _AHEAD_S, values)) / _AHEAD_S
