@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,7 +32,7 @@ def yes(question: str) -> bool:
     return True
 
 
-def stored(live: Live) -> dict[str, object]:
+def stored(live: Live) -> dict[str, Any]:
     return dict(live.board.ask("get_settings", axis=0).values)
 
 
@@ -54,7 +55,8 @@ def test_watch_tells_whether_the_model_still_holds(kind: str, scale: float) -> N
 @every_kind
 def test_commission_sees_that_a_drive_goes_where_it_is_told_and_keeps_the_rigs_range(kind: str) -> None:
     with driven(kind) as setup:
-        live, said = setup.live, []
+        live = setup.live
+        said: list[str] = []
         own = stored(live)
         done = commission(live, yes, said.append, wanted={"instrument": "arm-7"})
         low, high = live.rig.actuator.range
@@ -75,7 +77,8 @@ def test_commission_sees_that_a_drive_goes_where_it_is_told_and_keeps_the_rigs_r
 
 def test_a_fault_while_a_drive_is_commissioned_stores_no_instrument() -> None:
     with driven("dynamixel") as setup:
-        live, batches = setup.live, []
+        live = setup.live
+        batches: list[wire.Message] = []
 
         def took(batch: wire.Message) -> None:
             batches.append(batch)

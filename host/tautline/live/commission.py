@@ -156,10 +156,10 @@ def _commission_drive(live: Live, agree: Agree, say: Say, asked: dict[str, Any])
     drive = board.bus()["limits"][axis]
     low, high = (q / live.resolution for q in actuator.range)
     if low < drive["q_low"] or high > drive["q_high"]:
-        ends = (q * live.resolution for q in (drive["q_low"], drive["q_high"]))
+        ends = "{:g}, {:g}".format(*(drive[key] * live.resolution for key in ("q_low", "q_high")))
         raise TautError(
-            "the drive's own limits are [{:g}, {:g}] {}, the rig's range goes beyond: move its zero, or widen its "
-            "limits with its maker's tools, or set actuator.range".format(*ends, actuator.unit)
+            f"the drive's own limits are [{ends}] {actuator.unit}, the rig's range goes beyond: move its zero, or "
+            "widen its limits with its maker's tools, or set actuator.range"
         )
     ranged = before | {"q_low": low, "q_high": high}
     commissioned = Commissioned(before, ranged | asked | {"commissioned": 1})
