@@ -25,6 +25,7 @@ from tools.fleet.robots import Robot, write
 Array = npt.NDArray[np.float64]
 
 SEED = 7
+_seed = click.option("--seed", type=int, default=SEED, show_default=True, help="Of the robots.")
 _BEYOND = 100000  # robots from this number on are in no fleet
 _NINE_IN_TEN = 1.645  # sigmas
 _PLACES = np.linspace(-5.0, 5.0, 33)
@@ -42,14 +43,15 @@ def main() -> None:
 @click.option("--worn", type=float, default=0.03, show_default=True, help="Share of the robots.")
 @click.option("--seconds", type=float, default=20.0, show_default=True, help="Of motion, a session.")
 @click.option("--jobs", type=int, multiple=True, default=(1, 2, 4), show_default=True)
+@_seed
 def campaign(
-    out: Path, robots: tuple[int, ...], sessions: int, worn: float, seconds: float, jobs: tuple[int, ...]
+    out: Path, robots: tuple[int, ...], sessions: int, worn: float, seconds: float, jobs: tuple[int, ...], seed: int
 ) -> None:
     """Fleets of these sizes by so many workers: what each costs the cores, which others may share (OUT/cost.svg), and
     who is found worn. A fleet's sessions are the first of a larger one's, whichever are worn."""
     spent: dict[tuple[int, int], float] = {}
     for count, workers_at in product(robots, jobs):
-        truth = set(write(out / f"{count}", count, sessions, round(worn * count), SEED, seconds))
+        truth = set(write(out / f"{count}", count, sessions, round(worn * count), seed, seconds))
         result = out / f"{count}-by-{workers_at}"
         began, cores_s = time.monotonic(), _cores_s()
         with pool(workers_at, None, died) as workers:
@@ -102,7 +104,8 @@ class _Score:
 @click.argument("fleet", type=click.Path(path_type=Path))
 @click.option("--robots", type=int, default=20, show_default=True)
 @click.option("--session", type=int, default=2, show_default=True, help="How long they are in use.")
-def of_prior(fleet: Path, robots: int, session: int) -> None:
+@_seed
+def of_prior(fleet: Path, robots: int, session: int, seed: int) -> None:
     """Robots that are not in FLEET, calibrated by 5 and 20 s with and without what it taught."""
     rig = reference_rig()
     known = Options(beforehand=prior.read(fleet, rig))
@@ -110,7 +113,7 @@ def of_prior(fleet: Path, robots: int, session: int) -> None:
     for worn, seconds, options in product((False, True), (5.0, 20.0), (Options(), known)):
         score = _Score([], [])
         for number in range(_BEYOND, _BEYOND + robots):
-            robot, at = Robot(SEED, number, worn), session * (4 if worn else 1)
+            robot, at = Robot(seed, number, worn), session * (4 if worn else 1)
             model = calibrate([robot.recording(at, seconds, rig)], rig, options).model
             truth = robot.instrument(at, rig).backlash(_PLACES)
             score.error.append(np.interp(_PLACES, model.q, model.width) - truth)
