@@ -150,6 +150,15 @@ def test_friction_that_falls_with_speed_and_goes_with_the_place_is_foretold(fold
     assert gap.rms([(segment.observed - told)[segment.scored]]) < 1.5 * NOISE_DEG
 
 
+def test_friction_may_be_another_one_in_another_recording_and_slack_is_not(answer, folder):
+    """Of the play of `answer`, nothing goes with speed or place."""
+    seen = nominal(SERVO, [robot(folder, 3, play_deg=2.0, moving_deg=1.0, bent=0.01)], arms.rig(folder))
+    joint = Joint(seen.model, PARAMETERS, prepare(seen.model, seen.calibration, seen.tests, seen.drives)[1:], NOISE_DEG)
+    rubs, slack = Answer.of(joint, joint.fit()).corrected_model(), answer.corrected_model()
+    np.testing.assert_allclose(rubs.width_sigma, 0.3 * rubs.width, rtol=1e-2)
+    assert (slack.width_sigma < 0.2 * slack.width).all()
+
+
 def test_what_another_motion_leaves_is_noise_and_as_much_more_as_others_left():
     """What is beside the noise is a normal share more, with the stated quantiles, the less the less was closed."""
     apart, before, floor = (-0.2, 1.2), 2.0, 0.3

@@ -13,11 +13,13 @@ from tautline import effects
 from tautline.diagnosis import decide, flexible, gap, repeated, shapley
 from tautline.diagnosis.diagnose import Diagnosis
 from tautline.diagnosis.hyperparameters import learnt
-from tautline.diagnosis.joint import DELAY, LAW, WIDTH, Fitted, Joint
+from tautline.diagnosis.joint import BENDS, DELAY, LAW, SPEED, WIDTH, Fitted, Joint
 from tautline.diagnosis.joint_sets import Sets
 from tautline.model import Model
 
 Array = npt.NDArray[np.float64]
+
+_ANOTHER_TIME = 0.3  # prior: share by which a joint's friction is another in another recording: heat, load, grease
 
 
 @dataclass(frozen=True)
@@ -35,15 +37,26 @@ class Answer:
         return cls(joint, fitted, Sets.of(joint.unknowns, fitted), held_out_residuals(joint, fitted))
 
     def corrected_model(self) -> Model:
-        """The model with all unknowns as fitted; its c_sigma is the law's posterior spread, its evidence what a reading
-        of an unseen motion is off by."""
+        """The model with all unknowns as fitted; its c_sigma is the law's posterior spread, its width_sigma what
+        friction may be another time, its evidence what a reading of an unseen motion is off by."""
         joint, fitted = self.joint, self.fitted
         names = [fitted.posterior.names[i] for i in joint.places[LAW]]
         c_sigma = fitted.posterior.marginal(names).spread(joint.law_slopes())
         before = gap.rms(joint.residuals(np.zeros(joint.size)))
         noise = gap.unseen(before, gap.rms(self.left), joint.floor, learnt().elsewhere)
         model = joint.model_at(fitted.u)
-        return replace(model, c_sigma=c_sigma, extra={**model.extra, "evidence": {"residual": noise}})
+        return replace(
+            model,
+            width_sigma=_ANOTHER_TIME * np.sqrt(self._is_friction) * model.width,
+            c_sigma=c_sigma,
+            extra={**model.extra, "evidence": {"residual": noise}},
+        )
+
+    @property
+    def _is_friction(self) -> float:
+        """Probability that the width is friction's: it goes with speed or place, as slack in gears does not."""
+        names = tuple(name for name in (SPEED, BENDS) if name in self.sets.ids)
+        return self.sets.any_of(names) if names else 0.0
 
     def shares(self, names: Sequence[str], before: float) -> list[float]:
         """Exact Shapley share of each named unknown of the shrinkage, by the linearised fit with the unnamed at zero.
