@@ -235,8 +235,8 @@ def _predicts(found: Calibration) -> bool:
 
 def _better(beside: Calibration, found: Calibration) -> bool:
     """Whether one that can be used at all foretells blocks left out better."""
-    errors = (each.evidence.get("error", np.inf) for each in (beside, found))
-    return beside.model.quality.usable and next(errors) < next(errors)
+    own, other = (each.evidence.get("error", np.inf) for each in (beside, found))
+    return beside.model.quality.usable and own < other
 
 
 def _with_effects(found: Calibration, told: start.Start, beside: Calibration | None) -> Calibration:

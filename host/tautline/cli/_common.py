@@ -65,6 +65,13 @@ def warn_unusable(model: Model, folder: Path) -> None:
     refuse_unusable(model, folder, force=True)
 
 
+def warn_tracked_alone(model: Model) -> None:
+    """Where a tracker runs on what comes live: it knows the play and f_remain."""
+    if model.effects:
+        named = ", ".join(effect.id for effect in model.effects)
+        warn(f"what the model holds beside its play ({named}) is not simulated while tracking live")
+
+
 _COLOURS = {Verdict.GOOD: "green", Verdict.DOUBTFUL: "yellow", Verdict.UNUSABLE: "red"}
 
 

@@ -18,6 +18,7 @@ from tautline.cli._common import (
     refuse_unusable,
     rig_option,
     warn,
+    warn_tracked_alone,
 )
 from tautline.cli._live import (
     RECALLS,
@@ -98,6 +99,8 @@ def command(
             model, model_path = recalled(setup, library)
         if model is not None and model_path is not None:
             refuse_unusable(model, model_path, force)
+            if track:
+                warn_tracked_alone(model)
         with progress_bar("follow") as progress:
             result = follow_run(
                 setup,

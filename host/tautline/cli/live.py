@@ -15,6 +15,7 @@ from tautline.cli._common import (
     progress_bar,
     read_recordings,
     rig_option,
+    warn_tracked_alone,
     warn_unusable,
 )
 from tautline.cli._live import (
@@ -131,6 +132,7 @@ def _watch(
 
     model = Model.load(path)
     warn_unusable(model, path)
+    warn_tracked_alone(model)
     with opened(live, rig_path, seed, model=model) as setup, setup.interruptible():
         return {"says": _serve_page(Watching(setup, model, motion, speed, seed=seed)), "model": path}
 

@@ -11,7 +11,16 @@ from typing import Any
 
 import click
 
-from tautline.cli._common import emit, force_option, json_option, log, refuse_unusable, rig_option, warn
+from tautline.cli._common import (
+    emit,
+    force_option,
+    json_option,
+    log,
+    refuse_unusable,
+    rig_option,
+    warn,
+    warn_tracked_alone,
+)
 from tautline.cli._live import (
     LiveOptions,
     at_option,
@@ -81,6 +90,7 @@ def command(
         load_tables(live.board, axis, model)
         node = Node(graph, parameters, live, model)
         if camera is not None:
+            warn_tracked_alone(model)
             follows = Following(live, model, mover=TableMover(live), shown=lambda frame, _: node.saw(frame))
             following = stack.enter_context(beside(follows))
         log(f"taut: the node {graph.name} waits for set-points on {graph.topic('servo_jp')}")

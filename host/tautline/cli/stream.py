@@ -14,7 +14,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tautline.cli._common import emit, force_option, json_option, read_rig, refuse_unusable, rig_option, warn
+from tautline.cli._common import (
+    emit,
+    force_option,
+    json_option,
+    read_rig,
+    refuse_unusable,
+    rig_option,
+    warn,
+    warn_tracked_alone,
+)
 from tautline.cli._live import (
     RECALLS,
     axis_option,
@@ -164,6 +173,7 @@ def _open_board(
         refuse_unusable(model, folder, force)
     assert model is not None  # named, or a library's
     load_tables(live.board, axis, model)
+    warn_tracked_alone(model)
     following = Following(live, model, mover=TableMover(live), library=library)
     return live.board, stack.enter_context(beside(following))
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tautline.cli._common import emit, json_option, log, rig_option, warn_unusable
+from tautline.cli._common import emit, json_option, log, rig_option, warn_tracked_alone, warn_unusable
 from tautline.cli._live import (
     LiveOptions,
     live_options,
@@ -62,6 +62,7 @@ def command(
 
     model = Model.load(model_path)
     warn_unusable(model, model_path)
+    warn_tracked_alone(model)
     library = None if library_path is None else Library.load(library_path)
     if live.simulate is not None and motion == "none" and duration is None:
         raise click.UsageError("a simulated instrument that nothing moves: name --motion or --duration")
