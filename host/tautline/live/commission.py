@@ -91,10 +91,9 @@ def commission(
 ) -> Commissioned:
     """Puts an axis into service: wiring, stop input, end, friction, scale and servo gains, stored on the board. `agree`
     is asked before anything moves or is stored; `say` is told what was found. wanted: settings that nothing measures,
-    None leaves one as it is. A drive with a
-    position loop of its own keeps its gains and its zero. TautError, with a remedy, where something is wrong or not
-    agreed to: settings then stay,
-    but for the range and how the stop input is wired. The board drives at low duty until the ends are known."""
+    None leaves one as it is. A drive with a position loop of its own keeps its gains and its zero. TautError, with a
+    remedy, where something is wrong or not agreed to: settings then stay, but for the range and how the stop input is
+    wired. The board drives at low duty until the ends are known."""
     board, axis, unit = live.board, live.axis, live.rig.actuator.unit
     board.check_axis(axis)
     asked = {name: value for name, value in (wanted or {}).items() if value is not None}
