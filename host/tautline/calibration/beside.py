@@ -71,6 +71,10 @@ class Beside:
         own = self.parameters
         return np.clip(values, [p.low for p in own], [p.high for p in own])
 
+    def ended(self, values: Array) -> bool:
+        """Whether any of the values is at an end of its range."""
+        return any(value <= p.low or value >= p.high for value, p in zip(values.tolist(), self.parameters, strict=True))
+
     def at_ends(self, values: Array, towards: Array) -> npt.NDArray[np.intp]:
         """Which of the values are at an end of their range beyond which this direction leads."""
         onward = self.inside(values + np.sign(towards) * 1e-6 * self.scales)

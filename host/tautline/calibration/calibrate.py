@@ -348,7 +348,9 @@ class _Session:
         start_s = before.delay.delay_s + (nominal.delay_s - told.fitter.model.delay_s)
         joint = self._beside(before.joint, nominal, start_s, beside, values)
         self.effects = beside, joint.curves.beside
-        delay, wanders = self._joint_delay(before.delay, joint), learnt().center.wanders
+        delay = self._joint_delay(before.delay, joint)
+        # At an end of its range the fit's own spread says nothing of a value: B may be as without it.
+        wanders = 1.0 if beside.ended(joint.curves.beside) else learnt().center.wanders
         delay = replace(delay, sigma_s=float(np.hypot(delay.sigma_s, wanders * (delay.delay_s - before.delay.delay_s))))
         onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
         curve = fit_widths(onsets, self.grid)
