@@ -88,8 +88,10 @@ def test_it_is_made_where_it_is_named_alone():
 def test_a_lag_that_calibration_took_for_several_plays_is_found():
     """At one speed a lag rounds each onset and is late: a delay and several plays hold all of it."""
     case = setup.make(2000, "single", ("transmission.lag",))
-    model = calibrate([case.calibration], case.rig).model
+    model = calibrate([case.calibration], case.rig, naming=False).model
     assert model.elements != SINGLE
+    carries = calibrate([case.calibration], case.rig).model
+    assert carries.elements == SINGLE and [effect.id for effect in carries.effects] == ["transmission.lag"]
     found = diagnose(model, case.calibration, case.tests)
     first = found.document["effects"][0]
     assert first["id"] == "transmission.lag", found.document["candidates"][:3]
