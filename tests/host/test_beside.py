@@ -98,7 +98,7 @@ def test_an_effect_is_read_and_written_as_a_model_has_it() -> None:
     assert len(values) == 3 and beside.held == {"width_held": 1.0}
     assert beside.to_effects(values)[0].parameters == by_speed
     assert not beside.ended(values)
-    assert beside.ended(values + [0.0, 2.0, 0.0]) and beside.ended(values - [0.01, 0.0, 0.0])
+    assert beside.ended(values + np.array([0.0, 2.0, 0.0])) and beside.ended(values - np.array([0.01, 0.0, 0.0]))
 
 
 def test_a_model_alone_has_no_effects_and_is_otherwise_the_same() -> None:
