@@ -80,8 +80,12 @@ class Beside:
         onward = self.inside(values + np.sign(towards) * 1e-6 * self.scales)
         return np.flatnonzero(onward == values)
 
+    def _named(self, values: Array) -> dict[str, float]:
+        """All parameters by their names, those that are held too."""
+        return dict(zip((p.name for p in self.parameters), values.tolist(), strict=True)) | dict(self.held)
+
     def to_effects(self, values: Array) -> tuple[Effect, ...]:
-        named = dict(zip((p.name for p in self.parameters), values.tolist(), strict=True)) | dict(self.held)
+        named = self._named(values)
         return tuple(Effect(k.id, {p.name: named[p.name] for p in k.parameters if p.name in named}) for k in self.kinds)
 
     def follow(
@@ -89,13 +93,10 @@ class Beside:
     ) -> effects.Path:
         """The tip's path at times (n,) of a motor as it was read, its motion as predictions have it: between counts its
         speed would be rough. B being `width` on the grid; c is the place along the law."""
-        plays = (
-            {"elements": hysteresis} if isinstance(hysteresis, Elements) else {"friction": hysteresis}
-        )  # of the model
+        plays = {"elements": hysteresis} if isinstance(hysteresis, Elements) else {"friction": hysteresis}
         model = Model(self.rig, grid, width, np.zeros_like(grid), grid, 0.0, (grid[0], grid[-1]), **plays)
-        named = dict(zip((p.name for p in self.parameters), values.tolist(), strict=True)) | dict(self.held)
         lines = straight_lines(motor, self.rig.actuator.encoder_resolution)
-        return effects.follow(model, lines, at_s, named)
+        return effects.follow(model, lines, at_s, self._named(values))
 
     def slopes(
         self, motor: Motor, at_s: Array, grid: Array, width: Array, hysteresis: Hysteresis, values: Array

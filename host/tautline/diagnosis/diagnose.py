@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Self, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -50,10 +50,6 @@ class Diagnosis(Value):
     def verdict(self) -> Literal["effect", "none", "unknown"]:
         return cast(Literal["effect", "none", "unknown"], self.document["verdict"])
 
-    def with_corrected(self, model: Model) -> Self:
-        """The same with another corrected model, at the load of this one's tables."""
-        return replace(self, corrected=replace(model, extra=self.corrected.extra))
-
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What is named, in the order it was added."""
@@ -84,7 +80,9 @@ def diagnose(
     tests are a simulator's. Raises TautError where nothing can be scored."""
     with threadpool_limits(1, "blas"):  # its systems are small: threads that wait for each other cost 10 times more
         found = _diagnosis(model.alone, calibration, tests, progress, left_out, simulated)
-    return found if found.findings or not model.effects else found.with_corrected(model)
+    if found.findings or not model.effects:
+        return found
+    return replace(found, corrected=replace(model, extra=found.corrected.extra))
 
 
 def _diagnosis(
