@@ -5,9 +5,10 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
@@ -24,37 +25,38 @@ class Columns:
     """A CSV file's columns as text, turned into numbers where asked. `warnings` collects what was repaired."""
 
     path: Path
-    frame: pd.DataFrame
+    names: list[str]
+    cells: dict[str, Array]  # (n,) each: numbers or bool where all of a column's are, else object: str, NaN where empty
+    index: Array  # (n,) int: of each row in the file, the first below the header line is 0; blank lines do not count
     terminated: bool  # the last line ends in a newline
     text: str
     warnings: list[str] = field(default_factory=list)
 
-    @property
-    def names(self) -> list[str]:
-        return [str(name) for name in self.frame.columns]
-
     def __len__(self) -> int:
-        return len(self.frame)
+        return len(self.index)
+
+    def keep(self, rows: slice | Array) -> None:
+        """Leaves out all rows but these."""
+        self.cells = {name: cells[rows] for name, cells in self.cells.items()}
+        self.index = self.index[rows]
 
     def line(self, row: int) -> int:
         """The line number in the file of a row, counted from 1."""
         numbers = [number for number, line in enumerate(_lines(self.text), 1) if line.strip()]
-        return numbers[min(int(self.frame.index[row]) + 1, len(numbers) - 1)]  # the first of them is the header
+        return numbers[min(int(self.index[row]) + 1, len(numbers) - 1)]  # the first of them is the header
 
     def missing(self, name: str, expected: str) -> TautError:
         return TautError(f"{self.path}: column {name} is missing (found {', '.join(self.names)}): expected {expected}")
 
     def raw(self, name: str) -> Array:
         """(n,) float64, NaN where the cell is empty or NaN; an error where it is not a number."""
-        column = self.frame[name]
-        if pd.api.types.is_numeric_dtype(column) and not pd.api.types.is_bool_dtype(column):
-            return column.to_numpy(dtype=np.float64, na_value=np.nan)
-        numbers = pd.to_numeric(column.astype("string").str.strip(), errors="coerce")
-        bad = np.flatnonzero((numbers.isna() & column.notna()).to_numpy())
+        column = self.cells[name]
+        numbers = _numbers(column)
+        bad = np.flatnonzero(np.isnan(numbers) & pd.notna(column))
         if bad.size:
-            cell = str(column.iloc[bad[0]])[:24]
+            cell = str(column[bad[0]])[:24]
             raise TautError(f"{self.path}, line {self.line(bad[0])}: {name} is {cell!r}, expected a number")
-        return numbers.to_numpy(dtype=np.float64, na_value=np.nan)
+        return numbers
 
     def finite(self, name: str) -> Array:
         """(n,) float64; an error where a cell is empty, NaN or infinite."""
@@ -70,16 +72,15 @@ class Columns:
 
     def flags(self, name: str) -> Array:
         """(n,) bool from 0/1 or true/false."""
-        column = self.frame[name]
-        if pd.api.types.is_bool_dtype(column):
-            return column.to_numpy(dtype=bool)
-        text = column.astype("string").str.strip().str.lower()
-        values = pd.to_numeric(text.replace({"true": "1", "false": "0"}), errors="coerce")
-        bad = np.flatnonzero((~values.isin([0, 1])).to_numpy())
+        column = self.cells[name]
+        if column.dtype == bool:
+            return column
+        values = _numbers(column, {"true": "1", "false": "0"})
+        bad = np.flatnonzero(~np.isin(values, [0, 1]))
         if bad.size:
-            cell = str(column.iloc[bad[0]])[:24]
+            cell = str(column[bad[0]])[:24]
             raise TautError(f"{self.path}, line {self.line(bad[0])}: {name} is {cell!r}, expected 0 or 1")
-        return values.to_numpy(dtype=bool)
+        return values.astype(bool)
 
     def drop_truncated(self, required: Sequence[str]) -> None:
         """Leaves out a last line that was cut while it was written, with a warning."""
@@ -90,13 +91,13 @@ class Columns:
         cut = len(last) < len(self.names) or (len(decimals) == 1 and _decimals(last[-1]) < min(decimals))
         if not cut:
             try:
-                cells = [float(self.frame[name].iloc[-1]) for name in required if name in self.frame]
-                times = self.frame["t_s"].iloc[-2:].astype(float).to_numpy()
+                cells = [float(self.cells[name][-1]) for name in required if name in self.cells]
+                times = self.cells["t_s"][-2:].astype(float)
                 cut = not np.isfinite(cells).all() or not times[1] > times[0]
             except (ValueError, TypeError, KeyError):
                 cut = True
         if cut:
-            self.frame = self.frame.iloc[:-1]
+            self.keep(slice(-1))
             self.warnings.append(f"{self.path}: the last line is cut short and was left out")
 
     def rising_times(self) -> Array:
@@ -120,7 +121,7 @@ class Columns:
             )
         keep = np.ones(len(t_s), dtype=bool)
         keep[repeated] = False
-        self.frame = self.frame[keep]
+        self.keep(keep)
         self.warnings.append(f"{self.path}: {repeated.size} rows that repeat the time before them were left out")
         kept: np.ndarray = t_s[keep]
         return kept
@@ -139,17 +140,14 @@ def read_columns(path: Path, required: Iterable[str], expected: str, mend: bool 
     if not body.strip():
         raise TautError(f"{path}: has a header line but no rows")
     try:
-        frame = pd.read_csv(io.BytesIO(body.encode()), header=None, low_memory=False, skipinitialspace=True)
+        table = _table(body)
     except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError, OverflowError, csv.Error) as error:
         raise _uneven_error(path, text, header_line, len(names)) from error
-    extra = frame.iloc[:, len(names) :]
-    if extra.notna().to_numpy().any():
+    if any(pd.notna(column).any() for column in table[len(names) :]):
         raise _uneven_error(path, text, header_line, len(names))
-    frame = frame.iloc[:, : len(names)]
-    for missing in range(frame.shape[1], len(names)):
-        frame[missing] = np.nan
-    frame.columns = pd.Index(names)
-    columns = Columns(path, frame, terminated, text)
+    rows = len(table[0])
+    cells = dict(zip(names, table, strict=False)) | {name: np.full(rows, np.nan) for name in names[len(table) :]}
+    columns = Columns(path, names, cells, np.arange(rows), terminated, text)
     for name in required:
         if name not in names:
             raise columns.missing(name, expected)
@@ -165,11 +163,18 @@ def read_times(path: Path, warnings: list[str] | None = None) -> tuple[list[str]
     index = columns.names.index("t_s")
     rows = list(csv.reader(line for line in _lines(columns.text) if line.strip()))[1 : len(columns) + 1]
     if not columns.terminated and len(rows) > 1 and len(rows[-1]) <= min(index + 1, len(columns.names) - 1):
-        columns.frame, rows = columns.frame.iloc[:-1], rows[:-1]
+        columns.keep(slice(-1))
+        rows = rows[:-1]
         if warnings is not None:
             warnings.append(f"{path}: the last line is cut short and was left out")
     times = columns.finite("t_s")
     return [row[index].strip() for row in rows], times
+
+
+def _table(body: str) -> list[Array]:
+    """The columns, (n,) each, of rows without a header line. One of pandas' errors where rows are not alike."""
+    frame = pd.read_csv(io.BytesIO(body.encode()), header=None, low_memory=False, skipinitialspace=True)
+    return [column.to_numpy() for _, column in frame.items()]
 
 
 def _read_text(path: Path) -> tuple[str, bool]:
@@ -195,6 +200,17 @@ def _read_text(path: Path) -> tuple[str, bool]:
 
 def _lines(text: str) -> list[str]:
     return re.split(r"\r\n|\n|\r", text)
+
+
+def _numbers(column: Array, words: Mapping[str, str] = MappingProxyType({})) -> Array:
+    """(n,) float64 of (n,) cells, NaN where a cell is empty or no number. `words`: what some stand for."""
+    if column.dtype.kind in "iuf":
+        return column.astype(np.float64, copy=False)
+    filled = pd.notna(column)
+    text = [str(cell).strip() for cell in column[filled]]
+    numbers = np.full(len(column), np.nan)
+    numbers[filled] = pd.to_numeric(np.array([words.get(t.lower(), t) for t in text], dtype=object), errors="coerce")
+    return numbers
 
 
 def _decimals(cell: str) -> int:

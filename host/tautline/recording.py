@@ -415,7 +415,7 @@ def _check_overlap(motor_file: Path, motor_s: Array, file: Path, t_s: Array) -> 
 
 
 def _extra(columns: Columns, known: set[str]) -> dict[str, Array]:
-    return {name: columns.frame[name].to_numpy() for name in columns.names if name and name not in known}
+    return {name: columns.cells[name] for name in columns.names if name and name not in known}
 
 
 def _write(path: Path, columns: Mapping[str, Array | None]) -> None:

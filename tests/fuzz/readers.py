@@ -16,14 +16,17 @@ import socket
 import tempfile
 import zlib
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 import usb.core
 
-from tautline import recording, tables
+from tautline import columns, recording, tables
+from tautline import rig as rigs
 from tautline.device import board as boards
 from tautline.device import dfu, usbip, wire
 from tautline.device.link import BoardAddress, BoardGone
@@ -291,6 +294,11 @@ def _json(draw: random.Random, text: str) -> str:
             break
     deep = draw.randrange(2000) if draw.random() < 0.01 else 0
     return "[" * deep + json.dumps(document) + "]" * deep
+
+
+# All but one file of a folder are as they were: what is made of a text needs making once.
+columns._table = lru_cache(64)(columns._table)
+rigs.tomllib = SimpleNamespace(loads=lru_cache(64)(rigs.tomllib.loads), TOMLDecodeError=rigs.tomllib.TOMLDecodeError)
 
 
 def _in_folder(
