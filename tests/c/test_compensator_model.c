@@ -1,5 +1,6 @@
 // The inverse of one play, tick by tick and to the last bit: what tl_compensator.h and tl_takeup.h say, in 64-bit
-// numbers, through changes of mode, strength and table.
+// numbers, through changes of mode, strength and table, and of what further sections undo. What these give is
+// tl_undo.h's own (test_undo_exact.c): here is where each belongs.
 #include "draws.h"
 #include "table_fixture.h"
 #include "tautline/tl_compensator.h"
@@ -14,7 +15,7 @@
 
 static tl_lookup_t lookups[TABLES];
 static tl_compensator_t k;
-static uint32_t seen_flags;
+static uint32_t seen_flags, undone;
 
 static struct {
     const tl_lookup_t *lookup;
@@ -24,12 +25,38 @@ static struct {
     int64_t rest, speed, way, accel, most, next_accel, next_most; // Q36: to be taken up, `speed` along `way`
     bool pending;
     uint32_t flags;
+    bool undoes;
+    int64_t goal, wider, reading;
+    tl_undo_t undo;
 } m;
 
 void setUp(void) {
     seed = 112358U;
 }
 void tearDown(void) {}
+
+static void any_sections(tl_table_t *table) {
+    table->has = (uint32_t)random_u32() & (TL_TABLE_HAS_encoder | TL_TABLE_HAS_sides | TL_TABLE_HAS_speed |
+                                           TL_TABLE_HAS_late | TL_TABLE_HAS_load | TL_TABLE_HAS_joints);
+    table->has |= TL_TABLE_HAS_adapt;
+    table->encoder = (tl_table_encoder_t){between(600, 3000) << 12, any(12), any(12), any(10), any(10)};
+    table->sides = (tl_table_sides_t){.side = once_in(2) ? 1 : -1, .step_log2 = between(6, 10)};
+    table->speed = (tl_table_speed_t){between(10, 14), once_in(2) ? 0 : between(2000, 200000), between(0, 1), {0}};
+    for (int32_t i = 0; i <= (int32_t)TL_TABLE_LAST; i++) {
+        table->sides.late[i] = (20 - i) << table->sides.step_log2;
+        table->speed.extra[i] = i * i * 100;
+    }
+    table->late = (tl_table_late_t){{between(100, 65536)}, {between(5000, 300000)}};
+    table->load = (tl_table_load_t){any(12), any(14), any(14), any(14), any(20)};
+    table->joints = (tl_table_joints_t){{3, 0, 2}, {between(0, 5000), 0, between(0, 5000)}, {any(20), 0, any(20)}};
+    table->adapt = (tl_table_adapt_t){between(0, 1 << 18), between(0, 32768), between(32768, 65535)};
+#define LEFT_OUT(number, name, FIELDS)                                                                                 \
+    if ((table->has & TL_TABLE_HAS_##name) == 0) {                                                                     \
+        memset(&table->name, 0, sizeof table->name);                                                                   \
+    }
+    TL_TABLE_SECTIONS(LEFT_OUT)
+#undef LEFT_OUT
+}
 
 static void any_lookup(tl_lookup_t *lookup) {
     tl_table_t table;
@@ -55,6 +82,9 @@ static void any_lookup(tl_lookup_t *lookup) {
         }
         table.slope_min_q28 = between(0, 1) == 0 ? 0 : 12000;
         table.flat_speed_q8 = table.slope_min_q28 == 0 ? 0 : between(20, 900) * TL_COUNT_ONE;
+        if (once_in(2)) {
+            any_sections(&table);
+        }
         reason = tl_lookup_derive(lookup, &table, TL_TABLE_ANY_AXIS);
     } while (reason != TL_TABLE_OK);
 }
@@ -71,9 +101,34 @@ static int64_t goal_of(int32_t c, uint32_t *flags) {
     return within(p, low, high);
 }
 
+// p for the command, what is undone before f included.
+static int64_t wanted(uint32_t *flags) {
+    return goal_of(m.undoes ? tl_undo_angle(&m.undo, m.lookup, (int32_t)m.c) : (int32_t)m.c, flags);
+}
+
 static int64_t half_width(void) {
     uint32_t flags = 0;
-    return m.mode == TL_MODE_OFF ? 0 : tl_lookup_width(m.lookup, (int32_t)m.p, &flags) * m.strength / 65536;
+    const int64_t half =
+        m.mode == TL_MODE_OFF ? 0 : tl_lookup_width(m.lookup, (int32_t)m.p, &flags) * m.strength / 65536;
+    return m.undoes ? tl_undo_scaled(&m.undo, (int32_t)half) + m.wider : half;
+}
+
+static void widens(void) {
+    m.wider = m.undoes ? tl_undo_wider(&m.undo, m.lookup, (int32_t)m.p) * m.strength / 65536 : 0;
+}
+
+// What it pushes from for the encoder to read this.
+static int64_t pushing(int64_t reading) {
+    return m.undoes ? tl_undo_pushing(&m.undo, m.lookup, (int32_t)reading, TL_UNDO_ROUNDS) : reading;
+}
+
+static void sees_what_to_undo(void) {
+    const bool undoes = m.undo.active && m.mode == TL_MODE_FULL;
+    if (undoes && !m.undoes) { // nothing is late, and the motor reads what it did
+        m.reading = m.q;
+        tl_undo_rest(&m.undo, (int32_t)m.goal);
+    }
+    m.undoes = undoes;
 }
 
 static int64_t pushed(void) {
@@ -111,7 +166,10 @@ static void feeds(int32_t c) {
     const tl_table_t *table = &m.lookup->table;
     m.c = c;
     m.flags = 0;
-    const int64_t goal = goal_of(c, &m.flags);
+    const int64_t on_curve = wanted(&m.flags);
+    const int64_t goal =
+        m.undoes ? within(tl_undo_late(&m.undo, (int32_t)on_curve), table->q_min, table->q_max) : on_curve;
+    m.goal = goal;
     bool slow;
     const int64_t aim = aim_of(goal, &slow), way = aim - m.p;
     if (goal != m.p) {
@@ -132,12 +190,22 @@ static void feeds(int32_t c) {
 static void turns(void) {
     const int64_t ahead = m.p - m.anchor;
     m.half = half_width();
-    if (m.side * ahead > 0 || (m.side != 0 && ahead == 0)) {
-        m.anchor = m.p;
-    } else if (llabs(ahead) > m.lookup->table.band) {
-        const int64_t before = fed();
+    const int64_t before = fed();
+    const bool turned = m.side * ahead <= 0 && (m.side == 0 || ahead != 0) && llabs(ahead) > m.lookup->table.band;
+    if (turned) {
         m.side = ahead > 0 ? 1 : -1;
+        if (m.undoes) {
+            tl_undo_turned(&m.undo, (int32_t)m.anchor, m.side);
+        }
+    }
+    if (turned || m.side * ahead > 0) {
         m.anchor = m.p;
+    }
+    if (m.undoes) { // by the side's own travel
+        widens();
+        m.half = half_width();
+    }
+    if (turned) {
         absorb(fed(), before);
     }
 }
@@ -191,7 +259,13 @@ static int64_t goes(void) {
     }
     m.flags |= m.side == 0 ? TL_COMPENSATOR_NO_SIDE : 0U;
     m.flags |= m.rest != 0 || m.speed != 0 ? TL_COMPENSATOR_TAKE_UP : 0U;
-    return m.q = q;
+    m.q = q;
+    if (m.undoes) { // and reads what stays within the range, or is nearer to it than it was
+        tl_undo_tick(&m.undo, m.lookup, (int32_t)m.p);
+        const int64_t reading = tl_undo_reading(&m.undo, m.lookup, (int32_t)q), was = m.reading;
+        m.reading = within(reading, was < low ? was : low, was > high ? was : high);
+    }
+    return m.undoes ? m.reading : q;
 }
 
 // -- a life -----------------------------------------------------------------------------------------------------------
@@ -201,54 +275,90 @@ static void begin(void) {
     const uint32_t rate = rates[between(0, 5)];
     memset(&m, 0, sizeof m);
     m.lookup = &lookups[between(0, TABLES - 1)];
-    m.mode = between(0, 2);
+    m.mode = once_in(2) ? TL_MODE_FULL : between(0, 2);
     m.rate = within(rate, 16, 100000);
     m.strength = m.lookup->table.strength_q15;
     m.c = between(-70, 70) * TL_DEG_ONE;
     m.q = between(0, 9) == 0 ? (between(0, 1) == 0 ? INT32_MIN : INT32_MAX) : between(-6000, 6000) * TL_COUNT_ONE;
     tl_compensator_start(&k, m.lookup, rate, (tl_mode_t)m.mode, (int32_t)m.q, (int32_t)m.c);
-    m.q = within(m.q, -TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX);
+    tl_undo_start(&m.undo, m.lookup, (uint32_t)m.rate);
+    sees_what_to_undo();
+    m.reading = within(m.q, -TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX);
+    m.q = pushing(m.reading);
     m.way = 1;
     uint32_t flags = 0;
-    m.p = m.anchor = goal_of((int32_t)m.c, &flags);
+    m.p = m.goal = m.anchor = wanted(&flags);
     m.start_offset = m.q - m.p;
+    tl_undo_rest(&m.undo, (int32_t)m.p);
     limits_of_table();
+    widens();
     m.half = half_width();
     absorb(fed(), m.q);
 }
 
 // Whatever is changed, the motor stays where it was sent: what it then lacks is taken up.
-static void settles(void) {
+static void settles(int64_t reading) {
     uint32_t flags = 0;
-    const int64_t p = goal_of((int32_t)m.c, &flags);
+    const int64_t p = wanted(&flags);
     m.anchor += p - m.p;
-    m.p = p;
+    m.p = m.goal = p;
+    tl_undo_rest(&m.undo, (int32_t)p);
+    m.reading = reading;
+    m.q = pushing(reading);
+    widens();
     m.half = half_width();
     absorb(fed(), m.q + rest_q8());
 }
 
+static void adapts_or_loads(void) {
+    if (once_in(2)) {
+        const int32_t offset = any(19), scale = once_in(3) ? TL_RATIO_ONE : between(0, 66000), load = any(16);
+        const uint32_t ticks = (uint32_t)between(0, 300);
+        if (once_in(2)) {
+            const bool allowed = tl_undo_adapt(&m.undo, m.lookup, offset, scale, ticks);
+            TEST_ASSERT_EQUAL(allowed, tl_compensator_adapt(&k, offset, scale, ticks));
+        } else {
+            tl_undo_load(&m.undo, m.lookup, load, ticks);
+            tl_compensator_load(&k, load, ticks);
+        }
+        sees_what_to_undo();
+    } else {
+        const uint32_t i = (uint32_t)between(0, TL_TABLE_JOINTS - 1);
+        m.undo.moved.joint[i] = k.undo.moved.joint[i] = any(20);
+    }
+}
+
 static void changes(void) {
-    switch (between(0, 2)) {
+    const int64_t before_all = m.undoes ? m.reading : m.q;
+    switch (between(0, 3)) {
     case 0:
-        m.mode = between(0, 2);
+        m.mode = once_in(2) ? TL_MODE_FULL : between(0, 2);
         tl_compensator_set_mode(&k, (tl_mode_t)m.mode);
-        settles();
+        sees_what_to_undo();
+        settles(before_all);
         break;
     case 1: {
         const int32_t strength = between(-100, 33000);
         tl_compensator_set_strength(&k, strength);
+        widens();
         m.half = half_width();
         const int64_t before = fed();
         m.strength = within(strength, 0, TL_RATIO_ONE);
+        widens();
         m.half = half_width();
         absorb(fed(), before);
         break;
     }
+    case 2:
+        adapts_or_loads();
+        break;
     default:
         m.lookup = &lookups[between(0, TABLES - 1)];
         tl_compensator_set_table(&k, m.lookup);
+        tl_undo_start(&m.undo, m.lookup, (uint32_t)m.rate);
+        sees_what_to_undo();
         limits_of_table();
-        settles();
+        settles(before_all);
         break;
     }
     TEST_ASSERT_EQUAL_INT64(rest_q8(), tl_compensator_rest(&k));
@@ -271,6 +381,11 @@ static void live(void) {
         turns();
         const int64_t q = goes();
         TEST_ASSERT_EQUAL_INT64(q, tl_compensator_step(&k, c));
+        TEST_ASSERT_EQUAL_INT64(m.q, k.q);
+        TEST_ASSERT_EQUAL(m.undoes, k.undoes);
+        TEST_ASSERT_EQUAL_INT32(m.undo.turned_at, k.undo.turned_at);
+        TEST_ASSERT_EQUAL_INT32(m.undo.speed_q8, k.undo.speed_q8);
+        undone += m.undoes ? 1U : 0U;
         TEST_ASSERT_EQUAL_INT64(m.p, k.p);
         TEST_ASSERT_EQUAL_INT64(m.side, k.side);
         TEST_ASSERT_EQUAL_INT64(m.anchor, k.anchor);
@@ -290,6 +405,7 @@ static void test_the_compensator_of_one_play_is_its_model(void) {
     const uint32_t each = TL_COMPENSATOR_BELOW | TL_COMPENSATOR_ABOVE | TL_COMPENSATOR_FLAT | TL_COMPENSATOR_LIMITED |
                           TL_COMPENSATOR_CLIPPED | TL_COMPENSATOR_NO_SIDE | TL_COMPENSATOR_TAKE_UP;
     TEST_ASSERT_EQUAL_UINT32(each, seen_flags);
+    TEST_ASSERT_TRUE(undone > LIVES * TICKS / 10U);
 }
 
 int main(void) {

@@ -142,6 +142,57 @@ static void test_the_hinge_is_the_one_with_the_largest_gain(void) {
         check_fit(&fit);
         const double glance = value(tl_hinge_glance(&d));
         TEST_ASSERT_TRUE(glance > 0.0 && glance <= value(fit.gain) * (1.0 + NEAR));
+        double expected = 0.0; // of the knots with 2, 4, 8 .. samples beyond
+        for (int32_t beyond = 2; d.held - 1 - beyond >= walk_begins(); beyond *= 2) {
+            expected = fmax(expected, at_knot(d.held - beyond, travel(d.held - 1 - beyond)).gain);
+        }
+        near(expected, tl_hinge_glance(&d), NEAR, "glance");
+    }
+}
+
+// What is left is a number (tl_real.h), and none where rounding would make it less.
+static void test_a_hinge_without_noise_leaves_next_to_nothing(void) {
+    seed = 97531U;
+    int32_t none = 0;
+    for (int32_t i = 0; i < WINDOWS; i++) {
+        const int32_t frames = between(6, 30), slope = 32 * between(1, 6);
+        window(frames, 0, 1, 0, 0, 0);
+        d.all = (tl_onset_sums_t){0};
+        for (int32_t k = 0; k < frames; k++) { // in whole steps of what the image is read to
+            tl_onset_sample_t *sample = &d.window[(d.oldest + (uint32_t)k) % TL_ONSET_WINDOW];
+            const int32_t beyond = k > frames / 2 ? (k - frames / 2) * slope : 0;
+            sample->q = d.reversal.q1 + d.direction * 64 * k;
+            sample->u = d.reference_u + beyond;
+            sample->v = d.reference_v - beyond / 2;
+            const tl_hinge_point_t point = tl_hinge_image(&d, k);
+            tl_hinge_add(&d.all, &point);
+        }
+        tl_hinge_t fit;
+        TEST_ASSERT_TRUE(tl_hinge_fit(&d, &fit));
+        TEST_ASSERT_TRUE(value(fit.residual) >= 0.0 && value(fit.residual) <= NEAR * value(fit.gain));
+        TEST_ASSERT_EQUAL(value(fit.residual) == 0.0, fit.residual == 0);
+        none += fit.residual == 0 ? 1 : 0;
+    }
+    TEST_ASSERT_TRUE(none > 0 && none < WINDOWS);
+}
+
+// The window may hold two alone of all that were seen: a level, and a line from the one to the other.
+static void test_two_samples_of_three_are_enough(void) {
+    seed = 13579U;
+    for (int32_t frames = 2; frames < 8; frames++) {
+        window(frames, 500, 500 * frames - 800, 100, 10, 0);
+        const uint32_t dropped = (uint32_t)frames - 2U;
+        d.oldest = (uint8_t)((d.oldest + dropped) % TL_ONSET_WINDOW);
+        d.held = 2;
+        tl_hinge_t fit;
+        TEST_ASSERT_EQUAL(frames > 2, tl_hinge_fit(&d, &fit));
+        if (frames > 2) {
+            TEST_ASSERT_EQUAL_INT32(1, fit.beyond);
+            TEST_ASSERT_EQUAL_INT32(frames - 1, fit.level.n);
+            TEST_ASSERT_TRUE(value(fit.variance) > 1e30); // one sample beyond says nothing of where its line begins
+        }
+        d.held = 1;
+        TEST_ASSERT_FALSE(tl_hinge_fit(&d, &fit));
     }
 }
 
@@ -232,6 +283,48 @@ static void test_the_scale_is_the_smallest(void) {
     }
 }
 
+static void test_a_motor_that_rests_has_no_hinge(void) {
+    seed = 24680U;
+    for (int32_t frames = 3; frames < 20; frames++) {
+        window(frames, 0, 1 << 20, 0, 100, 0);
+        for (int32_t i = 0; i < TL_ONSET_WINDOW; i++) {
+            d.window[i].q = d.reversal.q1 + 77;
+        }
+        tl_hinge_t fit;
+        tl_hinge_break_t broken;
+        TEST_ASSERT_FALSE(tl_hinge_fit(&d, &fit));
+        TEST_ASSERT_FALSE(tl_hinge_break(&d, &broken));
+        TEST_ASSERT_TRUE(tl_hinge_glance(&d) == 0);
+    }
+}
+
+// Where a line by least squares comes to the level's mean, how sure that is, and what the line explains.
+static void test_a_line_meets_a_level(void) {
+    seed = 86420U;
+    for (int32_t i = 0; i < WINDOWS; i++) {
+        window(between(6, 20), between(300, 900), 0, between(40, 200), 300, 0);
+        const int32_t first = between(2, d.held - 3), scale = between(0, 4);
+        tl_onset_sums_t line = {0};
+        for (int32_t k = first; k < d.held; k++) {
+            const tl_hinge_point_t point = tl_hinge_point(&d, k, tl_hinge_sample(&d, first)->q, 0);
+            tl_hinge_add(&line, &point);
+        }
+        const tl_onset_sums_t level = tl_hinge_without(&d.all, &line);
+        tl_hinge_meeting_t meeting;
+        TEST_ASSERT_TRUE(tl_hinge_meet(&line, &level, scale, &meeting));
+        const sums_t b = sums(first, d.held, travel(first)), a = sums(0, first, 0.0);
+        const double det = b.w * b.xx - b.x * b.x;
+        const double bu = (b.w * b.xu - b.x * b.u) / det, bv = (b.w * b.xv - b.x * b.v) / det, b2 = bu * bu + bv * bv;
+        const double off = (bu * (a.u / a.w - b.u / b.w) + bv * (a.v / a.w - b.v / b.w)) / b2;
+        near(b2 * det / b.w, meeting.gain, NEAR, "gain");
+        near(ldexp(sqrt(b2), -scale), meeting.slope, NEAR, "slope");
+        near(ldexp((1.0 / a.w + 1.0 / b.w + off * off * b.w / det) / b2, 2 * scale), meeting.variance, 1e-4,
+             "variance");
+        const double x = ldexp(b.x / b.w + off, scale), way = ldexp(fabs(b.x / b.w) + fabs(off), scale);
+        TEST_ASSERT_TRUE(fabs(value(meeting.x) - x) <= NEAR * way + ldexp(1e-4, scale));
+    }
+}
+
 static void test_a_line_is_determined_by_two_samples_and_a_level_by_one(void) {
     const tl_onset_sums_t level = {.w = 16, .n = 1};
     const tl_onset_sums_t line = {.w = 32, .x = 64, .xx = 160, .u = 320, .v = 64, .xu = 720, .xv = 130, .n = 2};
@@ -248,6 +341,8 @@ static void test_a_line_is_determined_by_two_samples_and_a_level_by_one(void) {
     TEST_ASSERT_FALSE(tl_hinge_meet(&other, &level, 0, &meeting));
     other.xx = 129; // the least that tells them apart
     other.w = 32;
+    TEST_ASSERT_TRUE(tl_hinge_meet(&other, &level, 0, &meeting));
+    other = (tl_onset_sums_t){.w = 1, .xx = 1, .u = 1, .xu = 3, .n = 2}; // a determinant of 1
     TEST_ASSERT_TRUE(tl_hinge_meet(&other, &level, 0, &meeting));
     other = line;
     other.xu = 640; // the image does not move along it
@@ -305,10 +400,14 @@ static void test_noise_is_remembered_once_it_is_measured(void) {
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_the_hinge_is_the_one_with_the_largest_gain);
+    RUN_TEST(test_a_hinge_without_noise_leaves_next_to_nothing);
+    RUN_TEST(test_two_samples_of_three_are_enough);
     RUN_TEST(test_how_far_a_knot_as_good_may_be);
     RUN_TEST(test_what_would_have_stayed_unseen);
     RUN_TEST(test_a_break_is_where_level_and_line_leave_least);
     RUN_TEST(test_the_scale_is_the_smallest);
+    RUN_TEST(test_a_motor_that_rests_has_no_hinge);
+    RUN_TEST(test_a_line_meets_a_level);
     RUN_TEST(test_a_line_is_determined_by_two_samples_and_a_level_by_one);
     RUN_TEST(test_the_gain_that_confirms);
     RUN_TEST(test_what_curvature_and_the_encoder_add_to_a_knot);

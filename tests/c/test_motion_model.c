@@ -220,6 +220,10 @@ static void check_tick(void) {
     TEST_ASSERT_EQUAL_INT32(expected.q, got.q);
     TEST_ASSERT_EQUAL_INT32(expected.velocity, got.velocity);
     TEST_ASSERT_EQUAL(m.state, tl_motion_state(&motion));
+    if (m.state == TL_MOTION_RUNNING) { // ticks that braking takes
+        const int64_t steps = motion.steps;
+        TEST_ASSERT_TRUE((steps - 1) * m.acceleration < m.speed && m.speed <= steps * m.acceleration);
+    }
     const uint32_t legs = 2U * config.cycles + 1U, done = legs * m.pass + m.leg;
     TEST_ASSERT_EQUAL_UINT16(1000U * done / (legs * 2U * config.speed_count), tl_motion_progress(&motion));
 }

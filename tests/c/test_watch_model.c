@@ -311,6 +311,9 @@ static void test_set_points_are_joined_by_straight_lines(void) {
             const point_t *a = &points[gone], *b = &points[gone + 1U < count ? gone + 1U : gone];
             const double share = b->at > a->at ? ((double)stream.now_us - a->at) / (b->at - a->at) : 0.0;
             TEST_ASSERT_TRUE(fabs(a->value + (b->value - a->value) * share - got) <= 2.0);
+            if (a == b || a->at == (double)stream.now_us) { // at its end, and where it rests
+                TEST_ASSERT_EQUAL_INT32((int32_t)a->value, got);
+            }
         }
     }
 }

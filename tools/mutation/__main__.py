@@ -4,10 +4,11 @@
 
 A mutant is one change in one function of common/, firmware/estimator or firmware/app: a comparison, a constant by one,
 a statement dropped, a sign, a condition negated. It is killed where a program of tests/c fails or does not end, those
-first that run its line; with --host also where one of the host's tests of the fixed-point code does. What the boards'
-tests would see is not asked. Not counted: what does not compile, what compiles to the same,
-what is in equivalent.toml. Outcomes are kept in build/mutants/outcomes.jsonl: a run that was ended goes on, one
-with another --count tries only what is new, and one after a new test shows this one to what survived.
+first that run its line, as it is or with the sanitizers with which CI runs it too; with --host also where one of the
+host's tests of the fixed-point code does. What the boards' tests would see is not asked. Not counted: what does not
+compile, what compiles to the same, what is in equivalent.toml. Outcomes are kept in build/mutants/outcomes.jsonl: a
+run that was ended goes on, one with another --count tries only what is new, and one after a new test shows this one to
+what survived.
 """
 
 from __future__ import annotations

@@ -54,12 +54,12 @@ def _choice(node: Node | None) -> tuple[Node, Node] | None:
 
 
 def _number(node: Node | None, values: dict[str, int]) -> int | None:
-    """What an expression of `values`, decimal numbers, sums and choices comes to; None for any other."""
+    """What an expression of `values`, numbers, sums and choices comes to; None for any other."""
     if node is None or _text(node) in values:
         return values.get(_text(node))
     if node.type == "number_literal":
         digits = _text(node).rstrip("uUlL")
-        return int(digits) if digits.isdigit() and (digits == "0" or digits[0] != "0") else None
+        return int(digits, 0) if re.fullmatch(r"0|[1-9]\d*|0[xX][0-9a-fA-F]+", digits) else None
     parts = [_number(child, values) for child in node.named_children]
     if node.type == "cast_expression":
         return parts[-1]

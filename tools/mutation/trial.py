@@ -18,6 +18,7 @@ BUILT = ("CMakeLists.txt", "common", "firmware", "tests/c", "tools/bench", "tool
 # Warnings stay warnings: a mutant that only warns would be killed by no test. No debugging symbols: the same
 # instructions are the same bytes.
 FLAGS = "-O2 -w"
+SANITIZED = ("-DTAUTLINE_SANITIZE=ON", "-DCMAKE_C_FLAGS=-O1 -w", "-DCMAKE_BUILD_TYPE=", "-DCMAKE_C_COMPILER=clang")
 # The rooms are shared libraries: a mutant compiles one file and links one of them, and no test.
 SHARED = ("BUILD_SHARED_LIBS", "CMAKE_LINK_DEPENDS_NO_SHARED", "CMAKE_ENABLE_EXPORTS")
 LONGEST = 20.0  # times what a test needs, and
@@ -37,7 +38,7 @@ class Outcome:
 
 def digest(root: Path, test: str) -> str:
     """Of what a test's outcome depends on: the sources, the test and the headers of tests; of the sources for ""."""
-    total = hashlib.sha256(FLAGS.encode())
+    total = hashlib.sha256(" ".join((FLAGS, *SANITIZED)).encode())
     files = (root / "tests/c").iterdir() if test else ()
     read = sorted(path for path in files if path.suffix == ".h" or path.name.startswith(f"{test}."))
     if test in hosted.OF:  # and with the helpers of its folder
@@ -60,15 +61,17 @@ class Trial:
 
     def __init__(self, root: Path, folder: Path, covers: dict[str, Reached]) -> None:
         self.root, self.source, self.build, self.covers = root, folder / "source", folder / "build", covers
+        self.sanitized = folder / "sanitized"
         self._copy()
         self.names = programs(root)
         flags = [f"-DCMAKE_C_FLAGS={FLAGS}", "-DCMAKE_BUILD_TYPE=", "-DCMAKE_C_COMPILER=gcc"]
         flags += [f"-D{name}=ON" for name in SHARED]
         self._run(["cmake", "-S", str(self.source), "-B", str(self.build), "-G", "Ninja", *flags])
+        self._run(["cmake", "-S", str(self.source), "-B", str(self.sanitized), "-G", "Ninja", *SANITIZED])
         self._run(self._ninja())
         self.objects = self._compiled()
         self.took = {name: self._timed(name) for name in self.names} | dict.fromkeys(hosted.OF, hosted.TOOK_S)
-        self.sound: set[str] = set()  # the host's tests that pass here as the sources are
+        self.sound: set[str] = set()  # the host's tests that pass here as the sources are, and the sanitized ones
         self.changed: str | None = None
 
     def _copy(self) -> None:
@@ -85,11 +88,11 @@ class Trial:
                 copy.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(origin, copy)
 
-    def _ninja(self, targets: Sequence[str] = ()) -> list[str]:
-        return ["ninja", "-C", str(self.build), "-j1", *(targets or self.names)]
+    def _ninja(self, targets: Sequence[str] = (), build: Path | None = None) -> list[str]:
+        return ["ninja", "-C", str(build or self.build), "-j1", *(targets or self.names)]
 
-    def _builds(self, targets: Sequence[str]) -> bool:
-        done = subprocess.run(self._ninja(targets), capture_output=True, timeout=BUILD_S, check=False)
+    def _builds(self, targets: Sequence[str], build: Path | None = None) -> bool:
+        done = subprocess.run(self._ninja(targets, build), capture_output=True, timeout=BUILD_S, check=False)
         return done.returncode == 0
 
     def _run(self, command: list[str]) -> None:
@@ -107,8 +110,8 @@ class Trial:
         """Of every object file, so that what no test links is not taken for the same."""
         return {path: hashlib.sha256(path.read_bytes()).digest() for path in self.build.rglob("*.o")}
 
-    def _passes(self, name: str, limit_s: float | None) -> bool:
-        command, environment = [str(self.build / "tests" / "c" / name)], None
+    def _passes(self, name: str, limit_s: float | None, build: Path | None = None) -> bool:
+        command, environment = [str((build or self.build) / "tests" / "c" / name)], None
         if name in hosted.OF:
             command, environment = hosted.command(self.root, name), hosted.environment(self.build)
         quiet = subprocess.DEVNULL
@@ -126,6 +129,26 @@ class Trial:
             if not self._passes(name, None):
                 raise SystemExit(f"mutation: {name} fails as the sources are: see './run test host'")
             self.sound.add(name)
+
+    def _breaks_rules(self, mutant: Mutant) -> str:
+        """The first C test that does not pass with the sanitizers, as CI runs it: the mutant reads or writes beside an
+        array, say. Empty: none."""
+        for name in [each for each in asked(mutant, self.covers, self.took) if each not in hosted.OF]:
+            if not self._builds([name], self.sanitized):
+                continue
+            try:
+                passes = self._passes(name, self._limit_s(name), self.sanitized)
+            except subprocess.TimeoutExpired:
+                continue
+            if not passes:
+                if name not in self.sound:
+                    self._restore()
+                    self._run(self._ninja([name], self.sanitized))
+                    if not self._passes(name, None, self.sanitized):
+                        raise SystemExit(f"mutation: {name} fails with the sanitizers: see './run test c'")
+                    self.sound.add(name)
+                return name
+        return ""
 
     def _timed(self, name: str) -> float:
         began = time.monotonic()
@@ -158,4 +181,6 @@ class Trial:
                     return Outcome("killed", name)
             except subprocess.TimeoutExpired:
                 return Outcome("time", name)
+        if breaks := self._breaks_rules(mutant):
+            return Outcome("killed", breaks)
         return Outcome("survived", "", tuple(self.covers))
