@@ -24,10 +24,13 @@ static struct {
     int mode;
     int32_t lag[TL_TABLE_PLAYS_MAX];
     tl_takeup_t takeup;
+    bool undoes;
+    int64_t wider, reading;
+    tl_undo_t undo; // what sections add to the width, and how the table was moved
 } m;
 
 static struct {
-    uint32_t narrow, wide, turns, leaps, clipped, beyond;
+    uint32_t narrow, wide, turns, leaps, clipped, beyond, undone;
 } seen;
 
 void setUp(void) {
@@ -59,6 +62,16 @@ static void any_lookup(tl_lookup_t *lookup, bool several) {
         table.play_width_q28[0] = first;
         table.play_width_q28[1] =
             (uint32_t)((((uint64_t)1 << 44) - (uint64_t)table.play_weight_q16[0] * first) / table.play_weight_q16[1]);
+        if (once_in(2)) {
+            table.has = TL_TABLE_HAS_adapt | TL_TABLE_HAS_speed | TL_TABLE_HAS_sides;
+            table.sides = (tl_table_sides_t){.side = sign, .step_log2 = between(6, 10)};
+            table.speed = (tl_table_speed_t){between(10, 14), between(2000, 200000), between(0, 1), {0}};
+            table.adapt = (tl_table_adapt_t){1 << 16, 0, 65535};
+            for (int32_t i = 0; i <= (int32_t)TL_TABLE_LAST; i++) {
+                table.sides.late[i] = (20 - i) << table.sides.step_log2;
+                table.speed.extra[i] = i * i * 100;
+            }
+        }
         reason = tl_lookup_derive(lookup, &table, TL_TABLE_ANY_AXIS);
     } while (reason != TL_TABLE_OK);
 }
@@ -92,7 +105,25 @@ static int64_t offset_of(int64_t side) { // on the envelope of this side
 
 static int64_t compensated(void) { // of the offset
     const int64_t size = m.mode == TL_MODE_OFF ? 0 : llabs(m.offset) * 2 * m.strength / 65536;
-    return m.offset < 0 ? -size : size;
+    const int64_t offset = m.offset < 0 ? -size : size;
+    return (m.undoes ? tl_undo_scaled(&m.undo, (int32_t)offset) : offset) + m.side * m.wider;
+}
+
+static void widens(void) {
+    m.wider = m.undoes ? tl_undo_wider(&m.undo, m.lookup, (int32_t)m.p) * m.strength / 65536 : 0;
+}
+
+static int64_t pushing(int64_t reading) {
+    return m.undoes ? tl_undo_pushing(&m.undo, m.lookup, (int32_t)reading, TL_UNDO_ROUNDS) : reading;
+}
+
+static void sees_what_to_undo(void) {
+    const bool undoes = m.undo.active && m.mode == TL_MODE_FULL;
+    if (undoes && !m.undoes) {
+        m.reading = m.q;
+        tl_undo_rest(&m.undo, k.goal);
+    }
+    m.undoes = undoes;
 }
 
 static int64_t fed(int64_t offset) {
@@ -121,11 +152,22 @@ static bool turns_to(int64_t p, bool *moves) {
 static int64_t held; // the offset before this tick, as far as it was compensated
 
 static void step(int32_t c) {
+    if (m.undoes) {
+        tl_compensator_hear(&k, c);
+    }
     tl_compensator_feed(&k, c);
     tl_compensator_turn(&k);
     bool moves;
+    const int64_t anchor = m.anchor;
     const bool turns = turns_to(k.p, &moves);
-    if (moves) {
+    if (m.undoes) { // the width may change where p does not
+        if (turns) {
+            tl_undo_turned(&m.undo, (int32_t)anchor, (int32_t)m.side);
+        }
+        widens();
+        seen.undone++;
+    }
+    if (moves || (m.undoes && m.side != 0)) {
         const int64_t before = fed(held), most = k.step_max;
         m.offset = offset_of(m.side);
         held = compensated();
@@ -147,12 +189,19 @@ static void step(int32_t c) {
     }
     m.q = q;
     TEST_ASSERT_EQUAL_INT64(q, tl_compensator_take_up(&k));
+    if (m.undoes) {
+        tl_undo_tick(&m.undo, m.lookup, (int32_t)m.p);
+        const int64_t reading = tl_undo_reading(&m.undo, m.lookup, (int32_t)q), was = m.reading;
+        m.reading = within(reading, was < low ? was : low, was > high ? was : high);
+        TEST_ASSERT_EQUAL_INT64(m.reading, tl_compensator_reach(&k));
+    }
 }
 
 // -- changes ----------------------------------------------------------------------------------------------------------
 
 static void stands(int64_t p) {
     m.p = p;
+    tl_undo_rest(&m.undo, (int32_t)p);
     m.centre = tl_lookup_centre(m.lookup, (int32_t)p);
     if (m.side != 0) {
         m.offset = offset_of(m.side);
@@ -178,6 +227,10 @@ static void begin(void) {
     const int32_t c = between(-50, 50) * TL_DEG_ONE;
     uint32_t ends = 0;
     tl_compensator_start(&k, m.lookup, 1000, (tl_mode_t)m.mode, (int32_t)m.q, c);
+    tl_undo_start(&m.undo, m.lookup, 1000);
+    sees_what_to_undo();
+    m.reading = m.q;
+    m.q = pushing(m.reading);
     m.p = m.anchor = k.p;
     m.offset = m.q - m.p;
     const int64_t side = m.q >= m.p ? 1 : -1;
@@ -185,6 +238,7 @@ static void begin(void) {
                                   : tl_lookup_p_high(m.lookup, (int32_t)m.q, (int32_t)m.p, &ends);
     begins_apart(tl_lookup_centre(m.lookup, edge) + side * m.lookup->half - tl_lookup_centre(m.lookup, (int32_t)m.p));
     stands(m.p);
+    widens();
     held = compensated();
     tl_takeup_start(&m.takeup);
     tl_takeup_set_limits(&m.takeup, &m.lookup->table, 1000);
@@ -192,26 +246,32 @@ static void begin(void) {
 }
 
 // The motor stays where it was sent: what it then lacks is taken up.
-static void settles(int64_t rest) {
+static void settles(int64_t rest, int64_t reading) {
     m.anchor += k.p - m.p;
     stands(k.p);
+    m.reading = reading;
+    m.q = pushing(reading);
+    widens();
     held = compensated();
     tl_takeup_add(&m.takeup, (int32_t)(fed(held) - (m.q + rest)));
 }
 
 static void changes(void) {
-    const int64_t rest = tl_compensator_rest(&k);
-    switch (between(0, 3)) {
+    const int64_t rest = tl_compensator_rest(&k), reading = m.undoes ? m.reading : m.q;
+    switch (between(0, 4)) {
     case 0:
-        m.mode = between(0, 2);
+        m.mode = once_in(2) ? TL_MODE_FULL : between(0, 2);
         tl_compensator_set_mode(&k, (tl_mode_t)m.mode);
-        settles(rest);
+        sees_what_to_undo();
+        settles(rest, reading);
         break;
     case 1: {
         const int32_t strength = between(-100, 33000);
         tl_compensator_set_strength(&k, strength);
+        widens();
         const int64_t before = fed(compensated());
         m.strength = within(strength, 0, TL_RATIO_ONE);
+        widens();
         held = compensated();
         tl_takeup_add(&m.takeup, (int32_t)(fed(held) - before));
         break;
@@ -221,9 +281,18 @@ static void changes(void) {
         TEST_ASSERT_EQUAL_INT64(place, tl_several_place(&k));
         m.lookup = &lookups[between(0, TABLES - 2)];
         tl_compensator_set_table(&k, m.lookup);
+        tl_undo_start(&m.undo, m.lookup, 1000);
+        sees_what_to_undo();
         tl_takeup_set_limits(&m.takeup, &m.lookup->table, 1000);
         begins_apart(place * m.lookup->half / TL_RATIO_ONE);
-        settles(rest);
+        settles(rest, reading);
+        break;
+    }
+    case 3: {
+        const int32_t offset = any(14), scale = between(20000, 45000);
+        TEST_ASSERT_EQUAL(tl_undo_adapt(&m.undo, m.lookup, offset, scale, 100),
+                          tl_compensator_adapt(&k, offset, scale, 100));
+        sees_what_to_undo();
         break;
     }
     default: { // by way of a table of one play, which keeps it at its ends where it has a side
@@ -266,7 +335,7 @@ static void test_the_compensator_of_several_plays_is_its_model(void) {
         }
     }
     TEST_ASSERT_TRUE(seen.narrow > LIVES && seen.wide > LIVES && seen.turns > LIVES && seen.leaps > LIVES);
-    TEST_ASSERT_TRUE(seen.clipped > LIVES && seen.beyond > 0U);
+    TEST_ASSERT_TRUE(seen.clipped > LIVES && seen.beyond > 0U && seen.undone > LIVES * TICKS / 10U);
 }
 
 int main(void) {
