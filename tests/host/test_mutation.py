@@ -13,7 +13,7 @@ from tools.mutation import hosted
 from tools.mutation.choices import same_either_way, starts_what_is_never_read
 from tools.mutation.coverage import Reached, asked
 from tools.mutation.equivalent import equivalents
-from tools.mutation.sites import ROOMS, Mutant, all_mutants, drawn, mutants_of
+from tools.mutation.sites import ROOMS, Mutant, all_mutants, drawn, mutants_of, name_of_function
 from tools.mutation.trial import Outcome, digest
 
 ROOT = Path(__file__).parents[2]
@@ -88,6 +88,7 @@ def test_a_comparison_that_only_chooses_between_equals_is_equivalent(chosen: str
                 "a < 1 ? 1 : (a > (64 - 1) ? 64 : a)",
             },
         ),
+        ("a > 0xFF ? 255 : a", {"a >= 0xFF ? 255 : a", "a > (0xFF - 1) ? 255 : a"}),
         ("a > 0 ? b : 0", set()),
         ("a >= 0 ? a : 1", set()),
         ("u > 0 ? u : 0", {"u >= 0 ? u : 0"}),  # below no number of those that have no sign
@@ -224,6 +225,17 @@ def test_the_share_is_of_what_counts(capsys: pytest.CaptureFixture[str]) -> None
 def test_the_interval_is_that_of_clopper_and_pearson() -> None:
     # No failure in 20: the lower bound is 0.05^(1/20).
     assert f"(90 %: {0.05 ** (1 / 20):.1%} to 100.0%)" in program.share(20, 20)
+
+
+@pytest.mark.parametrize(
+    ("source", "name"),
+    [
+        ("static const int *f(int a) { return a + 1; }", "f"),
+        ("TL_FAST void tl_g(int a) { h(a + 1); }", "tl_g"),
+    ],
+)
+def test_a_mutant_is_told_by_its_function(source: str, name: str) -> None:
+    assert {name_of_function(each, source.encode()) for each in mutants_of("f.c", source.encode())} == {name}
 
 
 def test_each_mutant_listed_as_equivalent_is_one_of_todays_with_a_reason() -> None:

@@ -8,7 +8,7 @@ import tomllib
 from pathlib import Path
 
 from tools.mutation.choices import same_either_way, starts_what_is_never_read
-from tools.mutation.sites import Mutant
+from tools.mutation.sites import Mutant, name_of_function
 
 LIST = Path(__file__).with_name("equivalent.toml")
 
@@ -21,6 +21,12 @@ def listed(mutants: list[Mutant], root: Path) -> dict[Mutant, str]:
     found = {}
     for entry in tomllib.loads(LIST.read_text("utf-8"))["mutant"]:
         same = by_change.get((entry["file"], entry["was"], entry["becomes"]), [])
+        if "function" in entry:
+            same = [
+                mutant
+                for mutant in same
+                if name_of_function(mutant, (root / mutant.file).read_bytes()) == entry["function"]
+            ]
         if len(same) != 1:
             raise SystemExit(f"mutation: {len(same)} mutants of {entry['file']} are '{entry['becomes']}': mend {LIST}")
         found[same[0]] = entry["reason"]

@@ -103,6 +103,16 @@ def functions_of(source: bytes) -> list[tuple[int, int]]:
     return sorted(functions)
 
 
+def name_of_function(mutant: Mutant, source: bytes) -> str:
+    """Of the function that is changed; empty where it is told by none."""
+    node = tree_of(source).root_node.descendant_for_byte_range(mutant.start, mutant.end)
+    while node is not None and node.type != "function_definition":
+        node = node.parent
+    while node is not None and node.type != "identifier":
+        node = node.child_by_field_name("declarator")
+    return (node.text or b"").decode() if node is not None else ""
+
+
 def mutants_of(file: str, source: bytes) -> list[Mutant]:
     """All mutants of one source, in its order."""
     found = []
