@@ -71,11 +71,14 @@ static void any_elements(void) {
     tl_table_reason_t reason;
     do {
         tl_table_t table = table_fixture_several(1);
-        table.plays = (uint8_t)between(2, (int32_t)TL_TABLE_PLAYS_MAX);
+        static const uint32_t rounds_up[] = {3283, 13257, 48996}; // the second's v is 16 but for less than a last bit
+        const bool chosen = once_in(20);
+        table.plays = (uint8_t)(chosen ? 3 : between(2, (int32_t)TL_TABLE_PLAYS_MAX));
         uint32_t left = 65536U;
         double mean = 0.0, widths[TL_TABLE_PLAYS_MAX];
         for (uint32_t i = 0; i < table.plays; i++) {
-            const uint32_t share = i + 1U == table.plays ? left : left / (uint32_t)between(2, 4);
+            const uint32_t drawn = i + 1U == table.plays ? left : left / (uint32_t)between(2, 4);
+            const uint32_t share = chosen ? rounds_up[i] : drawn;
             table.play_weight_q16[i] = share;
             left -= share;
             widths[i] = (i == 0U ? 0.0 : widths[i - 1U]) + between(1, 100);
