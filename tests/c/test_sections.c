@@ -85,8 +85,9 @@ static void test_what_a_side_adds_falls_by_no_more_than_the_travel(void) {
         tl_table_t t = silent();
         t.sides.step_log2 = 22;
         for (unsigned i = 0; i <= TL_TABLE_LAST; i++) {
-            t.sides.late[i] = PLACE + more;
+            t.sides.late[i] = PLACE;
         }
+        t.sides.late[0] += more;
         TEST_ASSERT_EQUAL_INT(more > 0 ? TL_TABLE_BAD_SIDES : TL_TABLE_OK, tl_table_check(&t, 0));
     }
 }
@@ -149,10 +150,34 @@ static void test_ranges_of_elements(void) {
     PLAYS_ARE(BAD_PLAYS, t.play_width_q28[1] += 8193U);
     PLAYS_ARE(OK, t.play_width_q28[1] -= 8192U);
     PLAYS_ARE(BAD_PLAYS, t.play_width_q28[1] -= 8193U);
+    PLAYS_ARE(BAD_PLAYS, (t.play_width_q28[0] = t.play_width_q28[1] = 1U << 28)); // they rise
+    // Half of the widest is below 2^26 of Y's unit.
+    PLAYS_ARE(OK, (t.period_log2 = 26, t.play_width_q28[0] = 1, t.play_width_q28[1] = (1U << 29) - 1U));
+    PLAYS_ARE(BAD_WARP, (t.period_log2 = 26, t.play_width_q28[0] = 0, t.play_width_q28[1] = 1U << 29));
     PLAYS_ARE(BAD_WARP, t.centre[0] = -TL_TABLE_CENTRE_MAX - 1);
     PLAYS_ARE(OK, t.centre[0] = -TL_TABLE_CENTRE_MAX);
     PLAYS_ARE(BAD_WARP, t.centre[80] = t.centre[79]);
     PLAYS_ARE(OK, t.centre[80] = t.centre[79] + 1);
+}
+
+static void test_three_elements_share_all_and_each_has_a_part(void) {
+    static const struct {
+        uint32_t weight[3], width[3]; // quarters of B
+        tl_table_reason_t reason;
+    } of[] = {{{32768, 16384, 16384}, {2, 5, 7}, TL_TABLE_OK},
+              {{32768, 16384, 16383}, {2, 5, 7}, TL_TABLE_BAD_PLAYS},
+              {{32768, 16384, 16385}, {2, 5, 7}, TL_TABLE_BAD_PLAYS},
+              {{32768, 0, 32768}, {2, 4, 6}, TL_TABLE_BAD_PLAYS},
+              {{32768, 32768, 0}, {2, 6, 7}, TL_TABLE_BAD_PLAYS}};
+    for (unsigned i = 0; i < sizeof of / sizeof of[0]; i++) {
+        tl_table_t t = table_fixture_several(1);
+        t.plays = 3;
+        for (unsigned k = 0; k < 3U; k++) {
+            t.play_weight_q16[k] = of[i].weight[k];
+            t.play_width_q28[k] = of[i].width[k] << 26;
+        }
+        TEST_ASSERT_EQUAL_INT(of[i].reason, tl_table_check(&t, TL_TABLE_ANY_AXIS));
+    }
 }
 
 static void test_an_instrument_s_serial_is_printable_and_then_zeros(void) {
@@ -211,6 +236,7 @@ int main(void) {
     RUN_TEST(test_ranges_of_speed_and_of_lag);
     RUN_TEST(test_ranges_of_load_joints_and_what_may_change);
     RUN_TEST(test_ranges_of_elements);
+    RUN_TEST(test_three_elements_share_all_and_each_has_a_part);
     RUN_TEST(test_an_instrument_s_serial_is_printable_and_then_zeros);
     RUN_TEST(test_the_first_element_has_a_twentieth_of_the_motion);
     RUN_TEST(test_every_word_of_every_section_survives_the_trip);
