@@ -10,7 +10,7 @@ import pytest
 
 from tools.mutation import __main__ as program
 from tools.mutation import hosted
-from tools.mutation.choices import same_either_way, starts_what_is_never_read
+from tools.mutation.choices import same_either_way, starts_what_is_never_read, told_apart
 from tools.mutation.coverage import Reached, asked
 from tools.mutation.equivalent import equivalents
 from tools.mutation.sites import ROOMS, Mutant, all_mutants, drawn, mutants_of, name_of_function
@@ -225,6 +225,19 @@ def test_the_share_is_of_what_counts(capsys: pytest.CaptureFixture[str]) -> None
 def test_the_interval_is_that_of_clopper_and_pearson() -> None:
     # No failure in 20: the lower bound is 0.05^(1/20).
     assert f"(90 %: {0.05 ** (1 / 20):.1%} to 100.0%)" in program.share(20, 20)
+
+
+@pytest.mark.parametrize(
+    ("body", "told"),
+    [
+        ("if (a->b > 0) {}", {("a->b", 0), ("a->b", 1)}),
+        ("return a < 3 ? 1 : 2;", {("a", 3), ("a", 2)}),
+        ("return a == 0;", set()),
+    ],
+)
+def test_a_comparison_is_otherwise_at_one_number(body: str, told: set[tuple[str, int]]) -> None:
+    source = f"int32_t f(int32_t a) {{ {body} }}\n".encode()
+    assert {found for each in mutants_of("f.c", source) if (found := told_apart(each, source))} == told
 
 
 @pytest.mark.parametrize(

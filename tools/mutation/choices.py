@@ -83,8 +83,9 @@ def _is_signed(name: Node) -> bool:
     )
 
 
-def _where_it_differs(mutant: Mutant, compared: Node) -> int | None:
-    """The one whole number x at which `x < 3` is otherwise once its sign or its number is mutated."""
+def _where_it_differs(mutant: Mutant, compared: Node, signed: bool = False) -> int | None:
+    """The one whole number x at which `x < 3` is otherwise once its sign or its number is mutated. `signed`: x may be
+    below 0, whether that is seen or not."""
     name, limit = (compared.child_by_field_name(side) for side in ("left", "right"))
     least = _number(limit, {})
     if name is None or limit is None or least is None or limit.type != "number_literal":
@@ -94,7 +95,7 @@ def _where_it_differs(mutant: Mutant, compared: Node) -> int | None:
     if mutant.operator != "constant" or mutant.start != limit.start_byte:
         return None
     up = mutant.after.endswith("+ 1)")
-    if not up and least == 0 and not _is_signed(name):
+    if not up and least == 0 and not signed and not _is_signed(name):
         return None  # no number is below 0
     return (
         least
@@ -124,6 +125,15 @@ def same_either_way(mutant: Mutant, source: bytes) -> bool:
         or (then, otherwise) == (f"{left} - {right}", "0")
         or (right == "0" and {then, otherwise} == {left, f"-{left}"})
     )
+
+
+def told_apart(mutant: Mutant, source: bytes) -> tuple[str, int] | None:
+    """Of a comparison with a number what it compares, and the one whole number for which the mutant says otherwise."""
+    compared = tree_of(source).root_node.descendant_for_byte_range(mutant.start, mutant.end)
+    while compared is not None and (compared.type != "binary_expression" or _symbol(compared) not in ORDERED):
+        compared = compared.parent
+    at = _where_it_differs(mutant, compared, signed=True) if compared is not None else None
+    return (_text(compared.child_by_field_name("left")), at) if compared is not None and at is not None else None
 
 
 def starts_what_is_never_read(mutant: Mutant, source: bytes) -> bool:

@@ -1,5 +1,6 @@
 """Mutants that behave as the program does for every input, each with its reason: by hand (equivalent.toml), and by
-rule those that only choose otherwise between what is the same, or begin what is never read.
+rule those that only choose otherwise between what is the same, at a 0 that is listed as none, or begin what is never
+read.
 """
 
 from __future__ import annotations
@@ -7,7 +8,7 @@ from __future__ import annotations
 import tomllib
 from pathlib import Path
 
-from tools.mutation.choices import same_either_way, starts_what_is_never_read
+from tools.mutation.choices import same_either_way, starts_what_is_never_read, told_apart
 from tools.mutation.sites import Mutant, name_of_function
 
 LIST = Path(__file__).with_name("equivalent.toml")
@@ -33,8 +34,28 @@ def listed(mutants: list[Mutant], root: Path) -> dict[Mutant, str]:
     return found
 
 
+def at_what_never_is_0(mutants: list[Mutant], root: Path) -> dict[Mutant, str]:
+    """The reason of each that says otherwise for 0 alone of what is listed as never 0 in a function."""
+    listed_as = {
+        (entry["file"], function, entry["name"]): str(entry["reason"])
+        for entry in tomllib.loads(LIST.read_text("utf-8"))["never_0"]
+        for function in entry["functions"]
+    }
+    files = {file for file, _, _ in listed_as}
+    found = {}
+    for mutant in mutants:
+        if mutant.file in files:
+            source = (root / mutant.file).read_bytes()
+            name, at = told_apart(mutant, source) or ("", 1)
+            reason = listed_as.get((mutant.file, name_of_function(mutant, source), name))
+            if reason is not None and at == 0:
+                found[mutant] = reason
+    return found
+
+
 def equivalents(mutants: list[Mutant], root: Path) -> dict[Mutant, str]:
-    """The reason of each that is listed, only chooses between equals, or begins what is never read."""
+    """The reason of each that is listed, only chooses between equals, differs at a 0 that never is, or begins what is
+    never read."""
     chooses = {
         mutant: "It differs where two are the same, and either gives the same there."
         for mutant in mutants
@@ -45,4 +66,4 @@ def equivalents(mutants: list[Mutant], root: Path) -> dict[Mutant, str]:
         for mutant in mutants
         if starts_what_is_never_read(mutant, (root / mutant.file).read_bytes())
     }
-    return chooses | unread | listed(mutants, root)
+    return chooses | unread | at_what_never_is_0(mutants, root) | listed(mutants, root)
