@@ -37,9 +37,8 @@ body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 70re
 table { border-collapse: collapse; width: 100%; margin: 1rem 0 }
 th, td { text-align: left; vertical-align: top; padding: .3rem .6rem; border-bottom: 1px solid #8886 }
 small, pre { opacity: .75 }
-td:first-child { min-width: 9rem }
-td:has(> small) { min-width: 24rem }
-pre { overflow-x: auto }
+pre, .table { overflow-x: auto }
+@media (min-width: 60rem) { td:first-child { min-width: 9rem } td:has(> small) { min-width: 24rem } }
 .passed { color: #2a8f45 }
 .failed, .missing { color: #d2363e; font-weight: 600 }
 """
@@ -148,7 +147,11 @@ def _tried(folder: Path, what: str, parameter: str) -> str:
 
 def _in_lives(soak: list[dict[str, str]], *kinds: str) -> str:
     counts = [(kind, int(n)) for row in soak for kind, n in re.findall(r"(\w+) (\d+)", row.get("of which", ""))]
-    return f"{sum(n for kind, n in counts if kind in kinds)} in lives"
+    return f"{sum(n for kind, n in counts if kind in kinds)} in lives" if soak else "no life was lived"
+
+
+def _count(n: int, of: str) -> str:
+    return f"{n} {of}{'' if n == 1 else 's'}"
 
 
 def _fuzzed(fuzz: list[dict[str, str]]) -> tuple[str, str]:
@@ -159,8 +162,8 @@ def _fuzzed(fuzz: list[dict[str, str]]) -> tuple[str, str]:
     edges = [(int(row["edges reached"]), int(row["of"])) for row in fuzz if row["of"].isdigit()]
     broken = [row["target"] for row in fuzz if row["broken"]]
     return (
-        f"{sum(runs)} of {len(runs)} targets, {min(runs)} at least; broken: {', '.join(broken) or 'none'}",
-        f"{sum(reached for reached, _ in edges)} of {sum(of for _, of in edges)}",
+        f"{sum(runs)} of {_count(len(runs), 'target')}, {min(runs)} at least; broken: {', '.join(broken) or 'none'}",
+        f"{sum(reached for reached, _ in edges)} of {sum(of for _, of in edges)}" if edges else "of C none was run",
     )
 
 
@@ -177,7 +180,7 @@ def summed(folder: Path) -> list[tuple[str, str]]:
         ("cuts of power", f"{_tried(folder, 'power_cut|cut_short', 'power')}; {_in_lives(soak, 'power', 'cut')}"),
         ("pulled plugs", f"{_tried(folder, 'unplugged', 'cable')}; {_in_lives(soak, 'cable')}"),
         ("proofs", f"{proven} of {len(proofs)} without an alarm, the others' explained" if proofs else "not run"),
-        ("hours", f"{', '.join(hours) or 'not run'}; lost: {'; '.join(lost) or 'nothing'}"),
+        ("hours", f"{', '.join(hours)}; lost: {'; '.join(lost) or 'nothing'}" if soak else "not run"),
     ]
 
 
@@ -187,9 +190,9 @@ def summed(folder: Path) -> list[tuple[str, str]]:
 def _table(heads: tuple[str, ...], body: list[list[str]]) -> str:
     head = "".join(f"<th>{html.escape(each)}</th>" for each in heads)
     return (
-        f"<table><tr>{head}</tr>"
+        f'<div class="table"><table><tr>{head}</tr>'
         + "".join(f"<tr>{''.join(f'<td>{c}</td>' for c in row)}</tr>" for row in body)
-        + "</table>"
+        + "</table></div>"
     )
 
 
@@ -286,11 +289,12 @@ def _lists(folder: Path) -> Iterator[tuple[str, str, str]]:
 
 def page(folder: Path, found: Results, table: list[Row]) -> tuple[str, list[str]]:
     safety, wrong = hazards(table, found)
+    failed = sum(each.endswith(": failed") for each in wrong)
     parts = [
         "<h1>tautline: dossier</h1>",
         f"<p>{len(table)} hazards, made {datetime.now(UTC):%Y-%m-%d %H:%M} UTC of the suites that were run: "
         f"{html.escape(_suites(folder, found))}.</p>",
-        f'<p class="failed">{len(wrong)} tests of hazards failed or were not run.</p>'
+        f'<p class="failed">Of the tests of hazards {failed} failed, {len(wrong) - failed} were not run.</p>'
         if wrong
         else '<p class="passed">Each test of each hazard passed.</p>',
         f"<h2>In sum</h2>{_table(('what', 'came to'), [[*map(html.escape, row)] for row in summed(folder)])}",
@@ -304,7 +308,8 @@ def page(folder: Path, found: Results, table: list[Row]) -> tuple[str, list[str]
     parts.append(f"<h2>The image's budgets</h2><p><code>./run firmware</code></p>{said}")
     parts.append(f"<h2>What it is made of</h2>{_table(('component', 'version', 'licence'), components())}")
     head = (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>tautline: dossier</title><style>{STYLE}</style>'
+        '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+        f"<title>tautline: dossier</title><style>{STYLE}</style>"
     )
     return head + "\n".join(parts) + "</html>\n", wrong
 
