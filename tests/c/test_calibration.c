@@ -92,6 +92,13 @@ static void test_each_reversal_is_told_and_then_the_end(void) {
         TEST_ASSERT_TRUE(onset[i].turn_us < onset[i].start_us && onset[i].start_us < fake.t_us);
         TEST_ASSERT_EQUAL(onset[i].q2_q8 > onset[i].q1_q8 ? 1 : -1, onset[i].direction);
     }
+    const tl_wire_motion_start_t asked = fake_calibration();
+    for (uint32_t i = 0; i + 1U < onsets; i++) {
+        const int32_t stroke = abs(onset[i + 1U].q1_q8 - onset[i].q1_q8);
+        if (i % 7U % 2U == 1U) { // back: it ends soon after its onset, well before its most
+            TEST_ASSERT_TRUE(stroke < asked.stroke_max_q8 - 100 * TL_COUNT_ONE);
+        }
+    }
     TEST_ASSERT_EQUAL(frames, app.counters.markers + app.counters.markers_dropped);
     TEST_ASSERT_EQUAL(0, app.counters.onsets_dropped);
     fake_run_ms(5);
