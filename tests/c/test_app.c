@@ -387,6 +387,23 @@ static void test_nothing_that_a_host_sends_breaks_the_board(void) {
     TEST_ASSERT_EQUAL_HEX32(FAULTS_EXPECTED, faults_seen & FAULTS_EXPECTED);
 }
 
+// What ends with the session ends for each axis that the board has, and for no other.
+static void test_the_end_of_a_session_is_for_the_board_s_axes_alone(void) {
+    fake_new(TL_APP_AXES - 1);
+    app.axes[TL_APP_AXES - 1].telemetry.divider = 7;
+    tl_app_bus(&app, true);
+    for (uint8_t i = 0; i < TL_APP_AXES - 1; i++) {
+        const tl_wire_telemetry_t telemetry = {.axis = i, .divider = 5};
+        TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_TELEMETRY, &telemetry));
+        TEST_ASSERT_EQUAL(5, app.axes[i].telemetry.divider);
+    }
+    tl_app_bus(&app, false);
+    for (uint8_t i = 0; i < TL_APP_AXES - 1; i++) {
+        TEST_ASSERT_EQUAL(0, app.axes[i].telemetry.divider);
+    }
+    TEST_ASSERT_EQUAL(7, app.axes[TL_APP_AXES - 1].telemetry.divider);
+}
+
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_hello_names_board_and_versions);
@@ -399,5 +416,6 @@ int main(void) {
     RUN_TEST(test_replies_that_find_no_room_are_counted_and_input_goes_on);
     RUN_TEST(test_a_new_host_never_sees_what_the_last_one_left);
     RUN_TEST(test_nothing_that_a_host_sends_breaks_the_board);
+    RUN_TEST(test_the_end_of_a_session_is_for_the_board_s_axes_alone);
     return UNITY_END();
 }
