@@ -32,6 +32,7 @@ def single_valued(recording: Recording) -> float:
     return float(np.sqrt(np.mean((c - design @ np.linalg.lstsq(design, c, rcond=None)[0]) ** 2)))
 
 
+@pytest.mark.long
 def test_every_rate_from_every_other_at_the_same_load():
     folder = data()
     rig = Rig.load(folder / "rig.toml")
@@ -101,7 +102,8 @@ def test_the_gap_shrinks_at_every_load_pair(tool):
     assert min(found) >= 4.0 and np.median(found) >= 7.0
 
 
-@pytest.mark.parametrize("test", [(2, 0), pytest.param((3, 0), marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("test", [(2, 0), (3, 0)])
 def test_at_one_load_nothing_large_is_left(tool, test):
     document = tool.diagnose((2, 0), [test]).document
     assert document["verdict"] != "effect" or document["gap"]["after"] < 0.1
@@ -128,7 +130,7 @@ def test_the_middle_comes_from_the_passes():
     assert (np.diff(found.model.c_deg) < 0).all()
 
 
-@pytest.mark.parametrize("axis", ["roll", "pitch"])
+@pytest.mark.parametrize("axis", ["roll", pytest.param("pitch", marks=pytest.mark.long)])
 def test_several_plays_are_there_where_they_follow_the_run_better(axis):
     folder = data().parent / "davinci-posture"
     if not folder.is_dir():
