@@ -85,8 +85,8 @@ class Motor:
 
 @dataclass
 class Ills:
-    """What is wrong with a bus: answers that are lost, late (they come with the next one) or damaged, and set-points that
-    are lost on their way out."""
+    """What is wrong with a bus: answers that are lost, late (they come with the next one) or damaged, and set-points
+    that are lost on their way out."""
 
     drop: float = 0.0
     delay: float = 0.0
