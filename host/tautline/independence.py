@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
+from functools import cache
+
 import numpy as np
 import numpy.typing as npt
+from scipy.signal import lfilter
 
 Array = npt.NDArray[np.float64]
+
+MEMORIES = np.linspace(0.0, 0.9, 37)  # tolerance: from one frame to the next
 
 
 def frames_each(
@@ -40,3 +47,46 @@ def first_order(residuals: Array) -> float:
     power = max(float(np.sum(residuals**2)), 1e-30)
     alike = float(np.clip(np.sum(residuals[1:] * residuals[:-1]) / power, 0.0, 0.999))
     return (1.0 + alike) / (1.0 - alike)
+
+
+def less_its_trend(t: Array, values: Array, order: int = 1) -> Array:
+    """values (n, k) at times (n,) less the polynomial of this order through them."""
+    trend = _orthonormal(t, order)
+    return np.asarray(values - trend @ (trend.T @ values))
+
+
+def remembered(rests: Sequence[Array], order: int = 1) -> tuple[float, float]:
+    """Of first-order autoregressive noise in rests (n, k), each less its own trend: its autocorrelation from one frame
+    to the next, and its standard deviation. Subtracting a trend removes slow noise too, so correlated noise leaves
+    much less than white noise: both are corrected for that."""
+    count: Counter[int] = Counter()
+    for rest in rests:
+        count[len(rest)] += rest.shape[1]
+    squares = sum(float(np.sum(rest**2)) for rest in rests)
+    follows = sum(float(np.sum(rest[1:] * rest[:-1])) for rest in rests) / max(squares, 1e-300)
+    expected = np.sum([many * expected_sums(n, order) for n, many in count.items()], axis=0)  # (2, memories)
+    unsure = 1.0 / np.sqrt(expected[0, 0])  # of `follows`: no more memory is believed in than it shows
+    memory = float(np.interp(follows - unsure, np.maximum.accumulate(expected[1] / expected[0]), MEMORIES))
+    return memory, float(np.sqrt(squares / np.interp(memory, MEMORIES, expected[0])))
+
+
+@cache
+def expected_sums(n: int, order: int = 1) -> Array:
+    """(2, memories) For n samples of first-order autoregressive noise of unit variance less their trend: the expected
+    sum of squares, and the expected sum of products of neighbours, at each rho of MEMORIES."""
+    trend = _orthonormal(np.arange(n, dtype=float), order)
+    sums = []
+    for rho in MEMORIES:
+        ahead = lfilter([1.0], [1.0, -rho], trend, axis=0)
+        behind = lfilter([1.0], [1.0, -rho], trend[::-1], axis=0)[::-1]
+        covered = ahead + behind - trend  # covariance times trend
+        of_trend = trend.T @ covered
+        neighbours = np.sum(trend[:-1] * covered[1:] + covered[:-1] * trend[1:] - (trend[:-1] @ of_trend) * trend[1:])
+        sums.append([n - np.trace(of_trend), (n - 1) * rho - neighbours])
+    return np.array(sums).T
+
+
+def _orthonormal(t: Array, order: int) -> Array:
+    """(n, order + 1) columns that span the polynomials over times (n,)."""
+    span = max(float(t[-1] - t[0]), 1e-300)
+    return np.asarray(np.linalg.qr(np.vander(2.0 * (t - t[0]) / span - 1.0, order + 1, increasing=True))[0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -54,6 +54,10 @@ class Basis:
     def value(self, coefficients: Array, x: Array) -> Array:
         return np.asarray(BSpline(self.knots, coefficients, 3)(self.clip(x)))
 
+    def table(self, coefficients: Array, x: Array) -> Array:
+        """As `value`, at places that are asked for again and again: what each coefficient does there is kept."""
+        return np.asarray(_dense(self.low, self.high, self.spans, x.tobytes()) @ coefficients)
+
     def slope(self, coefficients: Array, x: Array) -> Array:
         return np.asarray(BSpline(self.knots, coefficients, 3).derivative()(self.clip(x)))
 
@@ -70,3 +74,8 @@ class Basis:
         on."""
         second = np.diff(np.eye(self.size), 2, axis=0)
         return second.T @ second
+
+
+@lru_cache(maxsize=32)
+def _dense(low: float, high: float, spans: int, x: bytes) -> Array:
+    return np.asarray(Basis(low, high, spans).design(np.frombuffer(x)).toarray())

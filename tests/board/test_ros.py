@@ -113,7 +113,7 @@ def test_a_client_in_another_process_leads_the_tip(tmp_path: Path, namespace: st
     with referenced() as desktop:
         clock = wall_clock(desktop.link())
         model = saved_model(tmp_path / "model")
-        process = node(desktop, model, namespace, "-p", "update_rate:=100", camera=True)
+        process = node(desktop, model, namespace, "-p", "update_rate:=200", camera=True)
         assert client(namespace, tmp_path, 3.5).wait(40.0) == 0
         process.send_signal(signal.SIGTERM)
         out, _ = process.communicate(timeout=20.0)
@@ -121,7 +121,7 @@ def test_a_client_in_another_process_leads_the_tip(tmp_path: Path, namespace: st
     assert process.returncode == 0
     result, heard = json.loads(out), heard_in(tmp_path)
     assert result["refused"] == result["unusable"] == 0
-    assert result["sent"] >= 0.95 * len(heard.sent)
+    assert result["sent"] + result["replaced"] == result["received"] >= 0.95 * len(heard.sent)
     assert result["tracking"]["frames"] > 80
     the_tip_is_led(heard)
     the_tip_is_tracked(heard)
@@ -137,8 +137,8 @@ def the_tip_is_led(heard: Heard) -> None:
     sent = np.array([row["c"] for row in heard.sent])
     began_s = 1e-9 * heard.sent[0]["t_ns"]
     assert (c.min(), c.max()) == pytest.approx((sent.min(), sent.max()), abs=2e-3)
-    # Its stamps are the board's own times, 10 ms apart to what aligning clocks costs.
-    assert np.median(np.diff(t_s)) == pytest.approx(0.01, abs=2e-4) and np.diff(t_s).min() > 0.0
+    # Its stamps are the board's own times, 5 ms apart to what aligning clocks costs.
+    assert np.median(np.diff(t_s)) == pytest.approx(0.005, abs=1e-4) and np.diff(t_s).min() > 0.0
     # p = f^-1(c), and the motor is half a width before it on the side it pushes to.
     grid = np.linspace(-5.0, 5.0, 4001)
     p_mm = np.interp(np.degrees(np.interp(t_motor_s, t_s, c)), instrument().bend(grid), grid)

@@ -24,7 +24,7 @@ from tautline.recording import Recording
 from tautline.simulated.instrument import Corrected, reference_rig
 from tautline.simulated.simulate import run
 from tautline.splines import Basis
-from tautline.trajectory import random_smooth
+from tautline.trajectory import Trajectory, back_and_forth, random_smooth
 
 RIG, NOISE_PX = reference_rig(), 0.05
 Q = np.linspace(*RIG.actuator.range, 257)
@@ -43,8 +43,8 @@ class _Found:
     evidence: dict[str, float]
 
 
-def recorded(there: Sequence[Effect], seed: int, seconds: float = 60.0) -> Recording:
-    moves = random_smooth(RIG.actuator, 3.0, seconds, seed)
+def recorded(there: Sequence[Effect], seed: int, moves: Trajectory | None = None, seconds: float = 60.0) -> Recording:
+    moves = moves or random_smooth(RIG.actuator, 3.0, seconds, seed)
     instrument = Corrected(replace(SOUND, effects=tuple(there)), "own")
     return run(RIG, instrument, moves, noise_px=NOISE_PX, seed=seed).recording
 
@@ -98,7 +98,8 @@ def test_an_effect_is_read_and_written_as_a_model_has_it() -> None:
     assert len(values) == 3 and beside.held == {"width_held": 1.0}
     assert beside.to_effects(values)[0].parameters == by_speed
     assert not beside.ended(values)
-    assert beside.ended(values + np.array([0.0, 2.0, 0.0])) and beside.ended(values - np.array([0.01, 0.0, 0.0]))
+    assert beside.ended(values + np.array([0.0, 2.0, 0.0]))
+    assert not beside.ended(values * np.array([1.0, 0.0, 1.0]))  # saturates at no speed
 
 
 def test_a_model_alone_has_no_effects_and_is_otherwise_the_same() -> None:
@@ -108,7 +109,7 @@ def test_a_model_alone_has_no_effects_and_is_otherwise_the_same() -> None:
 
 @pytest.mark.parametrize("effect", [LAG, ONE_SIDED])
 def test_the_gradient_is_the_costs_slope(effect: Effect) -> None:
-    made = recorded([effect], 1, 20.0)
+    made = recorded([effect], 1, seconds=20.0)
     frozen = [Frozen.of(track) for track in observe([made], RIG)]
     beside, values = Beside.of([effect], RIG)
     fit = PlayFit(frozen, Basis(-5, 5, 10), Basis(-5, 5, 12), settled_only=False, beside=beside)
@@ -161,6 +162,24 @@ def test_the_sigmas_of_b_and_delay_beside_an_effect_cover(monkeypatch: pytest.Mo
     z = 0.5 * off(found) / model.width_sigma[inside]
     assert np.sqrt(np.mean(z**2)) < 2.0
     assert abs(model.delay_s - RIG.delay_s) < 3.0 * found.delay.sigma_s
+
+
+def test_what_moves_one_recordings_stops_sets_no_clock_where_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A width that grows with the speed, and relaxes: images of fast strokes stop later."""
+    by_speed = {"width_per_speed": 0.05, "speed_saturation": 0.0, "speed_time": 0.2, "width_held": 0.0}
+    there = Effect("transmission.rate_dependent_backlash", by_speed)
+    made = [
+        replace(recorded([there], seed, back_and_forth(RIG.actuator, [speed], 2.0, 16, 5.0, 0.1)), name=f"at {speed}")
+        for seed, speed in ((5, 0.6), (6, 2.4))
+    ]
+    alone = calibrate(made, RIG, naming=False)
+    assert alone.offsets
+    monkeypatch.setattr(naming, "asked", lambda model, *rest: told([there], model))
+    monkeypatch.setattr(room.start, "concerns", lambda model: True)
+    found = calibrate(made, RIG)
+    assert [each.id for each in found.model.effects] == [there.id] and not found.offsets
+    assert abs(found.model.delay_s - RIG.delay_s) < 2e-3
+    assert np.sqrt(np.mean(off(found) ** 2)) < 0.5 * np.sqrt(np.mean(off(alone) ** 2))
 
 
 def test_a_name_that_does_not_help_is_a_name_alone() -> None:

@@ -77,7 +77,7 @@ def test_unseen_motions_within_1_3_of_the_noise_and_widths_within_3_um(seed):
     assert abs(delay) < 2.0
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.05])
+@pytest.mark.parametrize("noise", [0.0, pytest.param(0.05, marks=pytest.mark.long)])
 def test_a_registration_that_tilts_with_the_motion_leaves_the_widths_alone(noise):
     errors, direct = [], []
     rig = scenes.fig7_rig()

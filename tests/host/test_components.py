@@ -161,8 +161,15 @@ def test_widths_that_grow_are_those_of_the_end():
     assert um < 2e-3 and z < 2.0
 
 
-@pytest.mark.parametrize("usual_mm_s", [0.1, 1.0])
-@pytest.mark.parametrize("share", [False, True])
+@pytest.mark.parametrize(
+    ("share", "usual_mm_s"),
+    [
+        (False, 1.0),
+        (True, 0.1),
+        pytest.param(False, 0.1, marks=pytest.mark.long),
+        pytest.param(True, 1.0, marks=pytest.mark.long),
+    ],
+)
 def test_a_width_that_speed_adds_to_is_that_of_slow_strokes(usual_mm_s, share):
     """It is less the slower the motor is, most of it below `usual_mm_s`: a motor that stops lets the tip go on."""
     plant = Plant()

@@ -32,6 +32,7 @@ def single_valued(recording: Recording) -> float:
     return float(np.sqrt(np.mean((c - design @ np.linalg.lstsq(design, c, rcond=None)[0]) ** 2)))
 
 
+@pytest.mark.long
 def test_every_rate_from_every_other_at_the_same_load():
     folder = data()
     rig = Rig.load(folder / "rig.toml")
@@ -128,7 +129,7 @@ def test_the_middle_comes_from_the_passes():
     assert (np.diff(found.model.c_deg) < 0).all()
 
 
-@pytest.mark.parametrize("axis", ["roll", "pitch"])
+@pytest.mark.parametrize("axis", ["roll", pytest.param("pitch", marks=pytest.mark.long)])
 def test_several_plays_are_there_where_they_follow_the_run_better(axis):
     folder = data().parent / "davinci-posture"
     if not folder.is_dir():

@@ -50,7 +50,7 @@ def case(fault: str, seed: int, folder: Path) -> tuple[Model, list[Recording]]:
     [
         ("nothing", 12, ""),
         ("lag of 30 ms", 12, ""),  # a delay, but for the frame after each turn
-        ("width by speed", 2, "transmission.creep"),  # which goes on for seconds
+        pytest.param("width by speed", 2, "transmission.creep", marks=pytest.mark.long),  # which goes on for seconds
     ],
 )
 def test_a_fault_has_its_name(fault: str, seed: int, not_alike: str, tmp_path: Path) -> None:

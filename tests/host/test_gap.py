@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from tautline import independence
 from tautline.diagnosis import gap
 from tautline.diagnosis.segment import Segment
 from tautline.recording import Motor
@@ -47,11 +48,11 @@ def test_frames_that_are_elsewhere_count_and_a_rest_that_is_moved_does_not():
 def test_what_is_left_of_a_straight_line_is_what_theory_says():
     """Sums of squares and of neighbours' products, drawn 20 000 times, against their expectation."""
     n, at = 12, 20
-    rho = gap._MEMORIES[at]
+    rho = independence.MEMORIES[at]
     line = np.column_stack([np.ones(n), np.arange(n)])
     drawn = remembering(rho, 5, 40_000 * n)[:, 0].reshape(-1, n)
     left = drawn - drawn @ line @ np.linalg.pinv(line.T @ line) @ line.T
-    squares, neighbours = gap._expected_sums(n)[:, at]
+    squares, neighbours = independence.expected_sums(n)[:, at]
     assert np.mean(np.sum(left**2, axis=1)) == pytest.approx(squares, rel=0.02)
     assert np.mean(np.sum(left[:, 1:] * left[:, :-1], axis=1)) == pytest.approx(neighbours, rel=0.02)
 

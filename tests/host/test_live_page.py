@@ -343,6 +343,20 @@ def test_pictures_are_those_of_their_frames(tmp_path: Path) -> None:
     assert seen == [10 * (k if k != 7 else 6) for k in range(20)]
 
 
+def test_it_may_rest_before_its_first_frame(recording: Recording) -> None:
+    asked: list[bool] = []
+    shown_at_rest: list[View] = []
+
+    def show(view: View) -> None:
+        assert view.frame is not None and not view.frame.sighting.valid
+        shown_at_rest.append(view)
+        raise Stopped
+
+    with pytest.raises(Stopped):
+        replay(recording, RIG, show, lambda: not asked.append(True), PACE)
+    assert len(asked) == 2 and shown_at_rest[0].doing == "at rest"
+
+
 def test_what_is_missing_is_said() -> None:
     view = View(-5.0, 5.0, "mm", 3e-3)
     assert shown.missing(view) == ["seen in both directions over 0 % of the range"]

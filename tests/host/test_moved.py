@@ -75,8 +75,8 @@ def homed(plant, by=0.2):
     ("made", "name"),
     [
         (wider, "transmission.backlash"),
-        (stiff, "transmission.backlash"),
-        (bent, "configuration.remaining"),
+        pytest.param(stiff, "transmission.backlash", marks=pytest.mark.long),
+        pytest.param(bent, "configuration.remaining", marks=pytest.mark.long),
         (worn, "configuration.remaining"),
         (homed, "transmission.offset"),
     ],

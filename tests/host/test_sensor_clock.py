@@ -125,7 +125,7 @@ def test_an_offset_of_the_image_is_found_to_2_ms(offset_s):
     assert found.model.quality.usable and found.to_json()["offset_s"] == found.model.offset_s
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(offset_s=st.floats(0.5, 9.5), sign=st.sampled_from([-1.0, 1.0]))
 def test_an_offset_of_an_angle_sensor_is_found_wherever_it_is(offset_s, sign):
     aligned = clock.align(observe([late(PLAIN, sign * offset_s)], RIG), RIG)

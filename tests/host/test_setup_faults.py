@@ -85,6 +85,7 @@ def test_it_is_made_where_it_is_named_alone():
         GENERATORS[setup.NAME].make(SEED, "pair", ())
 
 
+@pytest.mark.long
 def test_a_lag_that_calibration_took_for_several_plays_is_found():
     """At one speed a lag rounds each onset and is late: a delay and several plays hold all of it."""
     case = setup.make(2000, "single", ("transmission.lag",))

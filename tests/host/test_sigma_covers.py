@@ -42,7 +42,7 @@ def lit_from_the_left(made: simulate.Simulation, off_px: float) -> Recording:
     return replace(made.recording, marker=seen, video=Video(Path("video.mkv"), None))
 
 
-@pytest.mark.parametrize(("seed", "off_px"), [(811, 0.1), (812, -0.17)])
+@pytest.mark.parametrize(("seed", "off_px"), [(811, 0.1), pytest.param(812, -0.17, marks=pytest.mark.long)])
 def test_f_remain_is_as_uncertain_as_its_tracker(seed: int, off_px: float) -> None:
     plant = preset("random", RIG, seed)
     made = strokes(plant, seed)
@@ -104,7 +104,7 @@ def test_a_reversal_out_of_view_does_not_bend_b() -> None:
     assert np.max(off / sigma) < 3.0 and off.max() < 0.1 and sigma.max() < 0.3
 
 
-@pytest.mark.parametrize(("seed", "share"), [(21, 0.5), (22, 0.4)])
+@pytest.mark.parametrize(("seed", "share"), [(21, 0.5), pytest.param(22, 0.4, marks=pytest.mark.long)])
 def test_an_offset_between_two_parts_of_one_recording_is_a_slip(seed: int, share: float) -> None:
     """A servo with an encoder at either end: from one moment on the tip lies 0.6 deg further."""
     motion = angle_plant.Motion.through().then(angle_plant.Motion.through())

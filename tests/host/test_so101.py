@@ -54,6 +54,7 @@ def test_what_a_rigid_simulator_lacks_is_a_servos_delay():
     assert found.document["noise_floor"] > 0.02  # the sensor counts in 0.088 deg; a simulator's 0 is no floor
 
 
+@pytest.mark.long
 def test_motions_of_several_sizes_lead_to_a_lag_or_delay():
     """At one size a width that differs from place to place is as good as a delay; together they tell."""
     folder = data()

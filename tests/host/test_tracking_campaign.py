@@ -59,6 +59,7 @@ def test_the_command_prints_its_table():
     assert json.loads(done.output)[0]["learnt"] == 0
 
 
+@pytest.mark.long
 def test_postures_of_a_real_tool_are_followed():
     data = real.find()
     if data is None or not (data / "davinci-posture").is_dir():

@@ -47,6 +47,7 @@ def test_every_strength_of_every_effect_moves_the_tip_more_than_the_one_before(i
         assert 0.01 < moved[0] < moved[1] < moved[2], name
 
 
+@pytest.mark.long
 def test_several_plays_are_told_from_one() -> None:
     rig = INSTRUMENTS["second"]().rig
     plant = hysteresis.gradual(0.35)

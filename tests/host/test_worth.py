@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from tautline.calibration import worth as worths
 from tautline.calibration.calibrate import calibrate
@@ -95,7 +96,7 @@ def over_noise(off: np.ndarray, moving: np.ndarray, placed: float = 0.0) -> floa
     """Of misses (n, 2) of an image in which the tip moves along u, over the frames' noise; placed: what a tracker adds
     to that at each place, in noise."""
     n = len(off)
-    track = SimpleNamespace(sigma=np.ones(n), placed_px=placed)
+    track = SimpleNamespace(sigma=np.ones(n), placed_px=placed, t_s=0.04 * np.arange(n))
     fit = SimpleNamespace(
         tracks=[SimpleNamespace(track=track)],
         simulated=[SimpleNamespace(moving=moving, tip=np.zeros(n))],
@@ -125,3 +126,20 @@ def test_what_neighbours_miss_alike_is_the_models_and_the_rest_is_noise() -> Non
     assert over_noise(jitter, moving) > 1.8
     elsewhere = noise * (1.0 + 2.0 * moving)[:, None]  # noise of where the tip moves, both ways alike
     assert over_noise(elsewhere, moving) < 1.1
+
+
+@pytest.mark.parametrize("rho", [0.4, 0.7])
+def test_what_the_noise_remembers_is_no_model_s_miss(rho: float) -> None:
+    """Its neighbours are alike wherever the tip rests and across its path; what is missed beside it is told as before,
+    and what goes along the path alone, however alike, is not noise."""
+    rng, t = np.random.default_rng(18), np.arange(12000)
+    moving = (t // 30) % 2 == 0
+    noise = lfilter([np.sqrt(1.0 - rho**2)], [1.0, -rho], rng.normal(0.0, 1.0, (12000, 2)), axis=0)
+    wave = np.sqrt(2.0) * np.sin(t / 30.0)[:, None] * np.ones(2)
+    assert over_noise(noise, moving) < 1.1
+    assert over_noise(1.7 * noise, moving) < 1.1
+    for size in (0.8, 2.0):
+        told = over_noise(noise + size * wave, moving)
+        assert np.hypot(1.0, size) - 0.05 < told < np.hypot(1.1, size) + 0.05  # no more memory than it shows
+    late = rng.normal(0.0, 1.0, (12000, 2)) + np.column_stack([2.0 * noise[:, 0], np.zeros(12000)])
+    assert over_noise(late, moving) > np.sqrt(1.0 + 0.5 * rho * 4.0) - 0.05

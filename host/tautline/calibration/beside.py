@@ -72,8 +72,9 @@ class Beside:
         return np.clip(values, [p.low for p in own], [p.high for p in own])
 
     def ended(self, values: Array) -> bool:
-        """Whether any of the values is at an end of its range."""
-        return any(value <= p.low or value >= p.high for value, p in zip(values.tolist(), self.parameters, strict=True))
+        """Whether any of the values is at an end of its range that is not zero, where it is absent: a simpler law."""
+        own = zip(values.tolist(), self.parameters, strict=True)
+        return any(value != 0.0 and (value <= p.low or value >= p.high) for value, p in own)
 
     def at_ends(self, values: Array, towards: Array) -> npt.NDArray[np.intp]:
         """Which of the values are at an end of their range beyond which this direction leads."""

@@ -211,8 +211,10 @@ def calibrate(
         session = _Session(aligned, rig, options, say, reasons)
         found = session.run()
         if naming and _may_have_names(session, found):
+            if found.offsets:  # an effect makes one motion's stops later than another's
+                aligned = clock.align(tracks, rig, late_are_off=False)
             told = naming_room.asked(
-                *(found.model, shifted(recordings, found.offsets)),
+                *(found.model, shifted(recordings, aligned.offsets)),
                 lambda share, what: say(0.8 + 0.15 * share, what),
             )
             if told is not None:

@@ -21,6 +21,7 @@ from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit
 from tautline.calibration.remaining import view_of
 from tautline.calibration.smooth import SPANS
 from tautline.geometry import project
+from tautline.independence import less_its_trend, remembered
 from tautline.least_squares import factor
 from tautline.model import Model
 from tautline.quality import Reason
@@ -34,6 +35,7 @@ HALVES = 2  # equation: half-cycles of a block at least, one of each direction
 BLOCKS = 8  # tolerance: of which one is a small share of all; with fewer half-cycles nothing is left out
 STAYS = 0.1  # tolerance: of a block: what it alone shows (the ends of a range) no other one can foretell
 _FEW = 30  # tolerance: frames that tell a scatter
+_SLOW = 3  # tolerance: order of what sways or breathes within a rest, which is no noise
 _RIDGE = 1e-10  # tolerance: of the diagonal, for rounding
 _STRAY = 4.0  # tolerance: usual misses from which a frame counts as a stray, as in every fit (playfit)
 
@@ -121,18 +123,20 @@ def _of_tip(
 def _over_noise(fit: PlayFit, curves: Curves, missed: Sequence[Array], masks: Sequence[npt.NDArray[np.bool_]]) -> float:
     """What neighbouring frames miss alike is the model's. What they do not is the sensor's: as much as is stated, or
     as where the tip rests, or as across its path in the image, where nothing moves it; a tracker's own at each place is
-    added. What is more than that along the path is an error of times, and so of what is foretold."""
+    added, and what its noise remembers. What is more than that along the path is an error of times, and so of what is
+    foretold."""
     limit = _STRAY * bounded_rms(_counted(missed, masks))
     alike, along, beside, still, placed = [], [], [], [], []
+    rests: list[Array] = []
     for frozen, sim, off, mask in zip(fit.tracks, fit.simulated, missed, masks, strict=True):
         off = np.where(mask[:, None], off, 0.0)
         norm = np.sqrt(np.mean(off**2, axis=1))
         near = off * np.minimum(1.0, limit / np.maximum(norm, limit))[:, None]
         pair, moves = mask[1:] & mask[:-1], sim.moving[1:] & sim.moving[:-1]
         step = np.diff(near, axis=0) / np.sqrt(2.0)
-        slope = fit.slope_in_view(frozen.track, curves, sim.tip)[1:]
+        slope = fit.slope_in_view(frozen.track, curves, sim.tip)
         path = slope / np.maximum(np.linalg.norm(slope, axis=1), 1e-300)[:, None]
-        forward = np.sum(step * path, axis=1) ** 2
+        forward = np.sum(step * path[1:], axis=1) ** 2
         alike.append(np.mean(near[1:] * near[:-1], axis=1)[pair])
         along.append(forward[pair & moves])
         still.append(forward[pair & ~moves])
@@ -141,12 +145,26 @@ def _over_noise(fit: PlayFit, curves: Curves, missed: Sequence[Array], masks: Se
             across = np.sum(step**2, axis=1) - forward
             beside.append(across[pair & moves])
             still.append(across[pair & ~moves])
+            rests += _at_rest(frozen.track.t_s, _across(near, path), mask & ~sim.moving)
+    memory = remembered(rests, _SLOW)[0] if sum(map(len, rests)) >= _FEW else 0.0
     at_rest, moving = _mean(still), _mean(along)
     usual = _mean(beside) if beside else at_rest
-    noise2 = max(at_rest, usual, 1.0) + _mean(placed)
+    whole = 1.0 - memory  # of what remembers, neighbours differ by so much
+    noise2 = max(at_rest / whole, usual / whole, 1.0) + _mean(placed)
     jitter2 = max(moving - max(usual, 1.0), 0.0) / step.shape[1]
-    model2 = max(float(np.concatenate(alike).mean()), 0.0)
+    model2 = max(float(np.concatenate(alike).mean()) - memory * max(at_rest, usual) / whole, 0.0)
     return float(np.sqrt(1.0 + (model2 + jitter2) / noise2))
+
+
+def _across(off: Array, path: Array) -> Array:
+    """(n, 1) of misses (n, 2) what is across the image's path (n, 2): no model of a tip on one curve moves it there."""
+    return np.asarray(off[:, :1] * path[:, 1:] - off[:, 1:] * path[:, :1])
+
+
+def _at_rest(t: Array, off: Array, resting: npt.NDArray[np.bool_]) -> list[Array]:
+    """Of misses (n, 1) at times (n,) those of each rest, less their trend: what its place makes is none of it."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], resting.astype(int), [0]]))).reshape(-1, 2)
+    return [less_its_trend(t[a:b], off[a:b], _SLOW) for a, b in edges if b - a >= 2 * _SLOW]
 
 
 def _mean(squares: Sequence[Array]) -> float:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
-from functools import cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import lfilter
 
 from tautline import spread
 from tautline.diagnosis.segment import Segment
-from tautline.independence import frames_each
+from tautline.independence import frames_each, less_its_trend, remembered
 from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
@@ -22,7 +19,6 @@ _STILL_S = 0.6  # limit: a motor at rest for so long has left its own transients
 _UNLIKE = 4.0  # tolerance: times the median rest's power: no noise any more
 _OUTLIER = 8.0  # tolerance: deviations that a frame counts at most
 _SURE = 2.0  # loss: standard errors
-_MEMORIES = np.linspace(0.0, 0.9, 37)  # tolerance: from one frame to the next
 BLOCK_S = 8.0  # tolerance: of a manoeuvre: longer than a residual remembers
 _LITTLE = 0.05  # prior: of a gap: what another motion may leave of it however little these leave
 _CUT_INTO = (12, 9)  # tolerance: blocks, tried in turn where the motor's turns make none
@@ -47,9 +43,7 @@ def noise_floor(segments: Sequence[Segment], residuals: Sequence[Array]) -> floa
     steady = _rests(segments)
     if steady is None:
         return max(second_difference_noise(residuals), least)
-    squares = sum(float(np.sum(rest**2)) for rest in steady)
-    remembers, expected = _first_order_noise(steady)
-    return max(float(np.sqrt(squares / np.interp(remembers, _MEMORIES, expected))), least)
+    return max(remembered(steady)[1], least)
 
 
 def noise_samples_per_independent(segments: Sequence[Segment], most: float) -> float:
@@ -60,7 +54,7 @@ def noise_samples_per_independent(segments: Sequence[Segment], most: float) -> f
     if steady is None:
         return 1.0
     values = np.clip(np.concatenate([rest.ravel() for rest in steady]), -most, most)
-    memory, _ = _first_order_noise(steady)
+    memory, _ = remembered(steady)
     tailed = float(np.mean(values**4)) / max(float(np.mean(values**2)) ** 2, 1e-300)
     tailed = max(tailed - _SURE * np.sqrt(24.0 / len(values)), 3.0)  # of a Gaussian: 3
     return float(0.5 * (tailed - 1.0) * (1.0 + memory**2) / (1.0 - memory**2))
@@ -75,9 +69,7 @@ def _rests(segments: Sequence[Segment]) -> list[Array] | None:
             seen = segment.observed[stretch]
             if len(seen) < 6:
                 continue
-            t = segment.arrival_s[stretch]
-            line = np.column_stack([np.ones_like(t), t - t[0]])
-            rests.append(seen - line @ np.linalg.lstsq(line, seen, rcond=None)[0])
+            rests.append(less_its_trend(segment.arrival_s[stretch], seen))
     if sum(rest.size - 2 * rest.shape[1] for rest in rests) < 60:
         return None
     # A rest in which something happened, such as a shift, tells nothing of noise; a frame that is elsewhere is noise.
@@ -85,37 +77,6 @@ def _rests(segments: Sequence[Segment]) -> list[Array] | None:
     usual = float(np.median(power))
     most = _OUTLIER * spread.deviation_of_squares(np.array(power))
     return [np.clip(rest, -most, most) for rest, p in zip(rests, power, strict=True) if p <= _UNLIKE * usual]
-
-
-def _first_order_noise(rests: Sequence[Array]) -> tuple[float, Array]:
-    """First-order autocorrelation rho of the noise in these rests, and the sum of squares that noise of unit variance
-    would leave in them at each rho of _MEMORIES. Subtracting each rest's own line removes slow noise too, so correlated
-    noise leaves much less than white noise: both are corrected for that."""
-    count: Counter[int] = Counter()
-    for rest in rests:
-        count[len(rest)] += rest.shape[1]
-    squares = sum(float(np.sum(rest**2)) for rest in rests)
-    follows = sum(float(np.sum(rest[1:] * rest[:-1])) for rest in rests) / max(squares, 1e-300)
-    expected = np.sum([many * _expected_sums(n) for n, many in count.items()], axis=0)  # (2, memories)
-    unsure = 1.0 / np.sqrt(expected[0, 0])  # of `follows`: no more memory is believed in than it shows
-    memory = float(np.interp(follows - unsure, np.maximum.accumulate(expected[1] / expected[0]), _MEMORIES))
-    return memory, expected[0]
-
-
-@cache
-def _expected_sums(n: int) -> Array:
-    """(2, memories) For n samples of first-order autoregressive noise of unit variance less their straight line: the
-    expected sum of squares, and the expected sum of products of neighbours, at each rho of _MEMORIES."""
-    line, _ = np.linalg.qr(np.column_stack([np.ones(n), np.arange(n) - 0.5 * (n - 1)]))
-    sums = []
-    for rho in _MEMORIES:
-        ahead = lfilter([1.0], [1.0, -rho], line, axis=0)
-        behind = lfilter([1.0], [1.0, -rho], line[::-1], axis=0)[::-1]
-        covered = ahead + behind - line  # covariance times line
-        of_line = line.T @ covered
-        neighbours = np.sum(line[:-1] * covered[1:] + covered[:-1] * line[1:] - (line[:-1] @ of_line) * line[1:])
-        sums.append([n - np.trace(of_line), (n - 1) * rho - neighbours])
-    return np.array(sums).T
 
 
 def rounding_noise(segments: Sequence[Segment]) -> float:

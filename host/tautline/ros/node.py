@@ -7,6 +7,7 @@ brings it to rest where none comes. States are the board's telemetry, one sample
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections import deque
 from collections.abc import Callable
@@ -40,7 +41,9 @@ class Node:
         """Creates publishers of joint states, marker and diagnostics, and subscribes to set-points."""
         self._graph, self.parameters, self._live, self._model = graph, parameters, live, model
         self.received = self.unusable = 0  # set-points: with a position of the joint, and without one
+        self.replaced = 0  # by a newer one before they were sent: two in one cycle
         self._newest: float | None = None  # rad, not sent on yet
+        self._taking = threading.Lock()  # of it and of what it replaced
         self._batches: deque[wire.Message] = deque()
         self._published_us = -1
         self._diagnosed_s = -math.inf
@@ -65,13 +68,27 @@ class Node:
         with SetPointStream(self._live.board, self._live.axis, parameters.timeout_s) as points:
             self._graph.begin()
             while not ended():
-                newest, self._newest = self._newest, None
-                if newest is not None and not points.send(math.degrees(newest)) and self._newest is None:
-                    self._newest = newest  # the axis is still coming to rest after a silence
+                self._send(points)
                 self._publish()
                 self._diagnose(points, following)
                 points.pace(parameters.period_s)
-        return points.summary() | {"received": self.received, "unusable": self.unusable}
+        return points.summary() | self._counts()
+
+    def _send(self, points: SetPointStream) -> None:
+        """Sends the newest set-point; it waits where the axis is still coming to rest after a silence."""
+        with self._taking:
+            newest, self._newest = self._newest, None
+        if newest is None or points.send(math.degrees(newest)):
+            return
+        with self._taking:
+            if self._newest is None:
+                self._newest = newest
+            else:
+                self.replaced += 1
+
+    def _counts(self) -> dict[str, int]:
+        """What came: received is sent, replaced and the one that waits."""
+        return {"received": self.received, "unusable": self.unusable, "replaced": self.replaced}
 
     def _on_set_point(self, message: Any) -> None:
         """Takes a set-point for the joint; messages without it are counted."""
@@ -80,7 +97,9 @@ class Node:
             self.unusable += 1
             return
         self.received += 1
-        self._newest = position
+        with self._taking:
+            self.replaced += self._newest is not None
+            self._newest = position
 
     def _ros_ns(self, t_us: float) -> int:
         """ROS time, ns, of a board time: by this host's monotonic clock, with which the board's is aligned."""
@@ -148,8 +167,7 @@ class Node:
             "offset": None if row is None else row.offset,
             "scale": None if row is None else row.scale,
             **messages.axis_values(status),
-            "received": self.received,
-            "unusable": self.unusable,
+            **self._counts(),
             "sent": points.sent,
             "refused": points.refused,
             "silences": points.silences,

@@ -20,7 +20,7 @@ _basis = lru_cache(maxsize=8)(Basis)
 
 def _in_the_table(model: Model, values: Mapping[str, float], session_s: float) -> Model:
     basis = _basis(*model.rig.actuator.range, _PIECES)
-    added = basis.value(np.array([values.get(name, 0.0) for name in _NAMES]), np.clip(model.q, basis.low, basis.high))
+    added = basis.table(np.array([values.get(name, 0.0) for name in _NAMES]), model.q)
     width = model.width * max(0.0, 1.0 + values.get("width_scale", 0.0)) + values.get(_EVERYWHERE, 0.0)
     if not values.get(_AT_MOTOR, 0.0):
         return replace(model, width=allowed_width(model.q, width + added))

@@ -17,7 +17,7 @@ _basis = lru_cache(maxsize=8)(Basis)
 
 def _in_the_table(model: Model, values: Mapping[str, float], session_s: float) -> Model:
     basis = _basis(*model.rig.actuator.range, _PIECES)
-    added = basis.value(np.array([values.get(name, 0.0) for name in _NAMES]), np.clip(model.q, basis.low, basis.high))
+    added = basis.table(np.array([values.get(name, 0.0) for name in _NAMES]), model.q)
     return replace(model, c_deg=monotone(model.c_deg + added))
 
 

@@ -42,7 +42,8 @@ class Played:
         assert aligned is not None
         self._t_s = aligned.t_s  # of the frames, on the motor's clock
         self._at = -1  # the frame that was played last
-        self._frame: Frame | None = None
+        nothing = Sighting(np.nan, np.nan, np.nan, np.nan, "nothing was played yet")
+        self._frame = Frame(self.now_us(), nothing, None)
 
     @property
     def frames(self) -> int:
@@ -70,7 +71,6 @@ class Played:
     def look(self) -> Frame:
         """The same frame again, a moment later."""
         time.sleep(_IDLE_S)
-        assert self._frame is not None  # nothing waits before the first
         return self._frame
 
     def add(self, frame: Frame) -> None:
