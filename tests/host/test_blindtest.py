@@ -364,6 +364,7 @@ def calibrated(files, left_out=()):
         return {**stub(files), **sealed.read(folder / "out")}
 
 
+@pytest.mark.long
 def test_baselines_answer_on_the_same_cases(tmp_path, stubbed, monkeypatch):
     monkeypatch.setattr(work, "diagnose_case", calibrated)
     records = conduct(tmp_path / "out", replace(ORDER, leave_one_out=0))

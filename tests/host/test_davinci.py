@@ -102,7 +102,8 @@ def test_the_gap_shrinks_at_every_load_pair(tool):
     assert min(found) >= 4.0 and np.median(found) >= 7.0
 
 
-@pytest.mark.parametrize("test", [(2, 0), pytest.param((3, 0), marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("test", [(2, 0), (3, 0)])
 def test_at_one_load_nothing_large_is_left(tool, test):
     document = tool.diagnose((2, 0), [test]).document
     assert document["verdict"] != "effect" or document["gap"]["after"] < 0.1

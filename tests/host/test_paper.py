@@ -18,6 +18,7 @@ def ours(experiment: experiments.Experiment) -> dict[str, list[float]]:
     return {row.what: [float(number) for number in re.findall(r"\d+\.?\d*", row.ours)] for row in experiment.rows}
 
 
+@pytest.mark.long
 def test_fig7_onsets_are_right_where_the_pose_is_not() -> None:
     found = ours(experiments.fig7(seed=5))
     assert found["two steps: mean |error| (deg)"][0] < 0.07

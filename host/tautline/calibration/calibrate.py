@@ -211,11 +211,11 @@ def calibrate(
         session = _Session(aligned, rig, options, say, reasons)
         found = session.run()
         if naming and _may_have_names(session, found):
-            if found.offsets:  # an effect makes one motion's stops later than another's
-                aligned = clock.align(tracks, rig, late_are_off=False)
+            own = clock.align(tracks, rig, late_are_off=False) if found.offsets else aligned
+            by_stops = own.offsets != aligned.offsets  # an effect makes one motion's later than another's
+            aligned, offsets = (own, own.offsets) if by_stops else (aligned, found.offsets)
             told = naming_room.asked(
-                *(found.model, shifted(recordings, aligned.offsets)),
-                lambda share, what: say(0.8 + 0.15 * share, what),
+                *(found.model, shifted(recordings, offsets)), lambda share, what: say(0.8 + 0.15 * share, what)
             )
             if told is not None:
                 again = _Session(aligned, rig, options, lambda share, what: say(0.95 + 0.05 * share, what), reasons)
