@@ -16,6 +16,13 @@
 #define SMALLEST    12  /* px, area */
 #define PI          3.14159265358979323846
 
+#define PLANE           3    /* terms: level in the middle, slopes along x and y */
+#define SHADE           0.3  /* prior, sigma: of the contrast, from the middle to the rim */
+#define OFTEN           1e-3 /* prior: that from a frame to the next the light is another one; less is no reason */
+#define RISES           0.1  /* of the contrast within 2 px: what is around is mixed in, by lens or motion */
+#define FINEST          1e-3 /* membership: no pixel is known better */
+#define PIXELS_TOGETHER 3.0  /* by which neighbouring pixels say less than independent ones, in MJPEG; measured */
+
 /* What a pixel of the region is. */
 enum { BELOW, ABOVE, OTHER, BLOB };
 
@@ -26,7 +33,7 @@ typedef struct {
 } blob_t;
 
 size_t marker_scratch_size(size_t pixels) {
-    return pixels * (2 * sizeof(float) + sizeof(int32_t) + sizeof(uint8_t));
+    return pixels * (5 * sizeof(float) + sizeof(int32_t) + sizeof(uint8_t));
 }
 
 /* The k-th smallest, in place. */
@@ -214,10 +221,13 @@ static double look_beyond(rays_t *rays, const float *y, const uint8_t *mark, int
     return sum / rays->count;
 }
 
-static void find_edges(rays_t *rays, const float *y, int columns, int rows, double cx, double cy, double within) {
+/* level: the marker's own in its middle, and how it rises a px along x and y. */
+static void find_edges(rays_t *rays, const float *y, int columns, int rows, double cx, double cy,
+                       const double level[PLANE]) {
     for (int i = 0; i < rays->count; i++) {
         const double from = rays->crossing[i] > WINDOW ? rays->crossing[i] - WINDOW : 0.0;
-        const double contrast = within - rays->around[i];
+        const double slope = level[1] * rays->basis[i][1] + level[2] * rays->basis[i][2];
+        const double contrast = level[0] + slope * rays->crossing[i] - rays->around[i];
         rays->keep[i] = contrast > 0.0;
         rays->edge[i] = from;
         if (!rays->keep[i]) {
@@ -317,6 +327,29 @@ static int fit_outline(rays_t *rays, double *scatter) {
     return kept;
 }
 
+/* The outline where the marker's own level is `level`: its centroid from (cx, cy), its diameter and scatter. Returns
+ * how many edges it keeps, 0: none. */
+static int outline(rays_t *rays, const float *y, int columns, int rows, double cx, double cy, const double level[PLANE],
+                   double place[2], marker_outline_t *out) {
+    find_edges(rays, y, columns, rows, cx, cy, level);
+    const int kept = fit_outline(rays, &out->scatter);
+    if (kept == 0) {
+        return 0;
+    }
+    /* The outline r(t): area 1/2 r^2 dt, moments 1/3 r^3 (cos t, sin t) dt. */
+    double twice_area = 0.0, mx = 0.0, my = 0.0;
+    for (int i = 0; i < rays->count; i++) {
+        const double r = rays->fit[i];
+        twice_area += r * r;
+        mx += r * r * r * rays->basis[i][1];
+        my += r * r * r * rays->basis[i][2];
+    }
+    place[0] = 2.0 / 3.0 * mx / twice_area;
+    place[1] = 2.0 / 3.0 * my / twice_area;
+    out->diameter = 2.0 * sqrt(twice_area / rays->count);
+    return kept;
+}
+
 /* Marks the best blob near (u, v) as such and what else is above the cut as OTHER. 0: there is none. */
 static int search(const marker_view_t *view, uint8_t *mark, int32_t *stack, double u, double v, double diameter,
                   blob_t *best) {
@@ -343,6 +376,98 @@ static int search(const marker_view_t *view, uint8_t *mark, int32_t *stack, doub
     return best->area >= SMALLEST;
 }
 
+/* Pixels that show the marker alone: places from its middle, px, levels, and room for as many again. */
+typedef struct {
+    int count;
+    float *x, *y, *level, *room;
+} inside_t;
+
+/* How far what is around is mixed into the marker, px from its rim: on all but a quarter of the rays no farther. */
+static double rim_width(const rays_t *rays, const float *y, int columns, int rows, double cx, double cy,
+                        double contrast) {
+    float width[MARKER_RAYS_MAX];
+    int count = 0;
+    for (int i = 0; i < rays->count; i += 2) { /* neighbours share pixels */
+        double r = rays->crossing[i];
+        float level[5]; /* the first 2 px further in than the last */
+        for (; r > 2.0; r -= STEP) {
+            sample_ray(y, columns, rows, cx, cy, rays->basis[i], r - 2.0, 5, level);
+            if ((double)(level[0] - level[4]) < RISES * contrast) {
+                break;
+            }
+        }
+        width[count++] = (float)(rays->crossing[i] - r);
+    }
+    return (double)kth(width, count, 3 * count / 4);
+}
+
+/* The blob's pixels that show it alone. */
+static void gather(inside_t *inside, const float *y, const uint8_t *mark, int columns, int rows, double cx, double cy,
+                   double alone) {
+    const int top = (int)fmax(cy - alone, 0.0), bottom = (int)fmin(cy + alone + 1.0, rows);
+    const int left = (int)fmax(cx - alone, 0.0), right = (int)fmin(cx + alone + 1.0, columns);
+    for (int row = top; row < bottom; row++) {
+        for (int column = left; column < right; column++) {
+            const double dx = column - cx, dy = row - cy;
+            if (dx * dx + dy * dy < alone * alone && mark[row * columns + column] == BLOB) {
+                inside->x[inside->count] = (float)dx;
+                inside->y[inside->count] = (float)dy;
+                inside->level[inside->count++] = y[row * columns + column];
+            }
+        }
+    }
+}
+
+/* The plane through their levels, with Cauchy's weights: a glint, white, changes little and is left out where it burns.
+ * Returns the variance of its slopes. */
+static double fit_plane(const inside_t *inside, double within, double plane[PLANE]) {
+    double variance = INFINITY, before = INFINITY;
+    plane[0] = within;
+    plane[1] = plane[2] = 0.0;
+    for (int pass = 0; pass < 5 && inside->count >= SMALLEST; pass++) {
+        const float level = (float)plane[0], along = (float)plane[1], across = (float)plane[2];
+        for (int i = 0; i < inside->count; i++) {
+            inside->room[i] = fabsf(inside->level[i] - level - along * inside->x[i] - across * inside->y[i]);
+        }
+        const double sigma = fmax(1.4826 * (double)kth(inside->room, inside->count, inside->count / 2), FINEST);
+        if (sigma > 0.98 * before) { /* settled */
+            break;
+        }
+        before = sigma;
+        const float scale = (float)(0.5 / sigma);
+        double a[TERMS][TERMS] = {{0.0}}, b[TERMS] = {0.0};
+        for (int i = 0; i < inside->count; i++) {
+            const float x = inside->x[i], y = inside->y[i], value = inside->level[i];
+            const float left = (value - level - along * x - across * y) * scale, weight = 1.0F / (1.0F + left * left);
+            a[0][0] += (double)weight;
+            a[1][0] += (double)(weight * x);
+            a[1][1] += (double)(weight * x * x);
+            a[2][0] += (double)(weight * y);
+            a[2][1] += (double)(weight * y * x);
+            a[2][2] += (double)(weight * y * y);
+            b[0] += (double)(weight * value);
+            b[1] += (double)(weight * value * x);
+            b[2] += (double)(weight * value * y);
+        }
+        const double spread = a[1][1] + a[2][2] - (a[1][0] * a[1][0] + a[2][0] * a[2][0]) / a[0][0];
+        if (!solve(a, b, PLANE)) {
+            return INFINITY;
+        }
+        memcpy(plane, b, PLANE * sizeof *plane);
+        variance = PIXELS_TOGETHER * sigma * sigma / (0.5 * spread);
+    }
+    return variance;
+}
+
+/* The probability that the marker is lit from one side, by that before and what a plane's slopes say: their square and
+ * variance, shares of the contrast from the middle to the rim. */
+static double lit_from_one_side(double before, double square, double variance) {
+    const double shaded = before * (1.0 - OFTEN) + (1.0 - before) * OFTEN, both = SHADE * SHADE + variance;
+    const double odds =
+        log(shaded / (1.0 - shaded)) + log(variance / both) + 0.5 * square * (1.0 / variance - 1.0 / both);
+    return 1.0 / (1.0 + exp(-odds));
+}
+
 /* A fresh frame is not in the cache: its rows are asked for all at once, not one after the other. */
 static void prefetch(const marker_view_t *view) {
 #if defined(__GNUC__)
@@ -358,14 +483,16 @@ static void prefetch(const marker_view_t *view) {
 }
 
 int marker_measure(const marker_view_t *view, const float weights[4], double cut, double u, double v, double diameter,
-                   void *scratch, marker_outline_t *out) {
+                   double shaded, void *scratch, marker_outline_t *out) {
     const int columns = view->x1 - view->x0, rows = view->y1 - view->y0;
     const size_t pixels = (size_t)columns * (size_t)rows;
     float *y = scratch;
     float *core = y + pixels;
-    int32_t *stack = (int32_t *)(core + pixels);
+    inside_t inside = {0, core + pixels, core + 2 * pixels, core + 3 * pixels, core};
+    int32_t *stack = (int32_t *)(core + 4 * pixels);
     uint8_t *mark = (uint8_t *)(stack + pixels);
     memset(out, 0, sizeof *out);
+    out->shaded = shaded;
 
     prefetch(view);
     for (int row = 0; row < rows; row++) {
@@ -423,23 +550,32 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
     if (!(out->within > out->around)) {
         return MARKER_NONE;
     }
-    find_edges(&rays, y, columns, rows, cx, cy, out->within);
-    const int kept = fit_outline(&rays, &out->scatter);
+    const double even[PLANE] = {out->within, 0.0, 0.0};
+    double place[2];
+    int kept = outline(&rays, y, columns, rows, cx, cy, even, place, out);
+    const double rim = rim_width(&rays, y, columns, rows, cx, cy, out->within - out->around);
+    gather(&inside, y, mark, columns, rows, cx, cy, fmax(radius - rim, 0.0));
+    double level[PLANE];
+    const double variance = fit_plane(&inside, out->within, level);
+    if (kept > 0 && variance < INFINITY) {
+        const double share = radius / (out->within - out->around), slopes = level[1] * level[1] + level[2] * level[2];
+        out->shaded = lit_from_one_side(shaded, share * share * slopes, share * share * variance);
+    }
+    if (kept > 0 && variance < INFINITY && out->shaded > OFTEN) {
+        const double first[2] = {place[0], place[1]};
+        level[0] = out->within + out->shaded * (level[0] - out->within);
+        level[1] *= out->shaded;
+        level[2] *= out->shaded;
+        kept = outline(&rays, y, columns, rows, cx, cy, level, place, out);
+        out->lit_u = place[0] - first[0];
+        out->lit_v = place[1] - first[1];
+    }
     out->kept = (double)kept / rays.count;
     if (kept == 0) {
         return MARKER_NONE;
     }
-    /* The outline r(t): area 1/2 r^2 dt, moments 1/3 r^3 (cos t, sin t) dt. */
-    double twice_area = 0.0, mx = 0.0, my = 0.0;
-    for (int i = 0; i < rays.count; i++) {
-        const double r = rays.fit[i];
-        twice_area += r * r;
-        mx += r * r * r * rays.basis[i][1];
-        my += r * r * r * rays.basis[i][2];
-    }
-    out->u += 2.0 / 3.0 * mx / twice_area;
-    out->v += 2.0 / 3.0 * my / twice_area;
-    out->diameter = 2.0 * sqrt(twice_area / rays.count);
+    out->u += place[0];
+    out->v += place[1];
     /* The centroid is the outline's first harmonic, whose variance is 2/n that of an edge. */
     out->sigma = out->scatter * sqrt(2.0 / kept * CORRELATION);
     return MARKER_FOUND;

@@ -2,9 +2,10 @@
  *
  * Membership of a pixel is weights . (B, G, R) + offset, 1 on the marker as its colour was picked and about 0 around
  * it. The blob is the largest connected region above `cut` near the expected place. From its middle, rays go out; on
- * each the edge is where membership passes from the blob's own level to the level of what is around it *on that ray*,
- * so an uneven background does not pull it. A Fourier outline of order 3 is fitted to the edges without those that do
- * not fit (glare on the rim, something in front), and the answer is that outline's centroid.
+ * each the edge is where membership passes from the blob's own level *there* to the level of what is around it *on that
+ * ray*, so neither an uneven background nor light from one side pulls it. A Fourier outline of order 3 is fitted to the
+ * edges without those that do not fit (glare on the rim, something in front), and the answer is that outline's
+ * centroid.
  */
 #ifndef TAUTLINE_MARKER_H
 #define TAUTLINE_MARKER_H
@@ -33,23 +34,26 @@ typedef struct {
 } marker_view_t;
 
 typedef struct {
-    double u, v;      /* px, centroid of the outline; integers are the middles of pixels */
-    double sigma;     /* px per coordinate, from the scatter of the edges about the outline */
-    double diameter;  /* px, of the disc with the outline's area */
-    double within;    /* membership of the blob, median of its core */
-    double around;    /* membership around it, mean over the rays */
-    double scatter;   /* px, rms of the kept edges about the outline */
-    double kept;      /* share of the rays whose edge fitted */
-    double colour[3]; /* mean B, G, R of its core, levels */
+    double u, v;         /* px, centroid of the outline; integers are the middles of pixels */
+    double sigma;        /* px per coordinate, from the scatter of the edges about the outline */
+    double diameter;     /* px, of the disc with the outline's area */
+    double within;       /* membership of the blob, median of its core */
+    double around;       /* membership around it, mean over the rays */
+    double scatter;      /* px, rms of the kept edges about the outline */
+    double kept;         /* share of the rays whose edge fitted */
+    double colour[3];    /* mean B, G, R of its core, levels */
+    double shaded;       /* probability that it is lit from one side, by this frame and those before */
+    double lit_u, lit_v; /* px, of (u, v): what that light moved it by, by this frame alone */
 } marker_outline_t;
 
 /* Bytes of scratch memory for a region of so many pixels. */
 size_t marker_scratch_size(size_t pixels);
 
 /* weights[3] per level of B, G, R and weights[3 + 1] = offset. (u, v) expected place, diameter expected, px.
- * Returns one of MARKER_*. O(pixels of the region); about 20 us for a marker of 20 px. */
+ * shaded: the probability by the frames before that the marker is lit from one side, where its level is a plane; 0.5
+ * where there is none. Returns one of MARKER_*. O(pixels of the region); about 30 us for a marker of 20 px. */
 int marker_measure(const marker_view_t *view, const float weights[4], double cut, double u, double v, double diameter,
-                   void *scratch, marker_outline_t *out);
+                   double shaded, void *scratch, marker_outline_t *out);
 
 #ifdef __cplusplus
 }

@@ -17,7 +17,7 @@ _SMALL = 1e-3  # tolerance: rad: below it the constant-curvature quotients are t
 # place: the rms of what docs/marker.md has, 0.02 (a flat disc) to 0.17 (a ball lit from one side, in MJPEG).
 TRACKED_PX = 0.1  # prior: by docs/marker.md
 # px, likewise, but another at each place: by how the marker lies on the pixels, its shade and what is beside it.
-PLACED_PX = 0.05  # prior: by docs/marker.md, 0.05 to 0.09
+PLACED_PX = 0.05  # prior: by docs/marker.md, 0.015 to 0.05
 
 
 def tip_bend(kinematics: Kinematics, c_deg: npt.ArrayLike) -> Array:

@@ -85,12 +85,15 @@ class Motor:
 
 @dataclass
 class Ills:
-    """What is wrong with a bus: answers that are lost, late (they come with the next one) or damaged."""
+    """What is wrong with a bus: answers that are lost, late (they come with the next one) or damaged, and set-points
+    that are lost on their way out."""
 
     drop: float = 0.0
     delay: float = 0.0
     damage: float = 0.0
+    lose: float = 0.0
     pulled: bool = False
+    lost: list[int] = field(default_factory=lambda: [0])  # set-points one after another, each time
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(4))
     waiting: deque[Any] = field(default_factory=deque)
 
@@ -105,6 +108,14 @@ class Ills:
         late = list(self.waiting)  # behind what was asked later
         self.waiting.clear()
         return [answer, *late]
+
+    def loses(self) -> bool:
+        """Whether a set-point does not arrive."""
+        if not self.lose or self.rng.random() >= self.lose:
+            self.lost.append(0)
+            return False
+        self.lost[-1] += 1
+        return True
 
     def spoilt(self, answer: bytes) -> bytes:
         if self.rng.random() >= self.damage:
@@ -227,6 +238,8 @@ class DynamixelEmulator:
 
     def _write(self, index: int, address: int, data: bytes) -> int:
         motor, table = self.motors[index], self.tables[index]
+        if address == 116 and self.bus.ills.loses():
+            return 0
         if address == 116 and motor.tripped:
             return 0x04  # data range: the bus watchdog has tripped
         if address < 64 and table[64]:
@@ -306,6 +319,8 @@ class FeetechEmulator:
     def _write(self, index: int, address: int, data: bytes) -> None:
         motor, table = self.motors[index], self.tables[index]
         was = motor.on
+        if address == 42 and was and self.bus.ills.loses():
+            return
         table[address : address + len(data)] = data
         motor.on = bool(table[40])
         if address == 42:
@@ -408,7 +423,7 @@ class Cia402Emulator:
                         motor.aim(float(target), objects[0x60C2, 1][1] * 10.0 ** objects[0x60C2, 2][1])
                     node["target"] = None
                 yield from self._process_data(motor, node, number)
-            elif cob == objects[0x1400, 1][1] and node["operational"]:
+            elif cob == objects[0x1400, 1][1] and node["operational"] and not self.bus.ills.loses():
                 assert [objects[0x1600, k][1] for k in range(3)] == [2, 0x60400010, 0x607A0020]
                 node["target"] = struct.unpack("<Hi", data)
 
@@ -488,7 +503,7 @@ class Cia402Emulator:
 class MoteusEmulator:
     """Controllers with registers behind the multiplex protocol, and the position watchdog."""
 
-    _SIZES = (1, 2, 4, 4)
+    _SIZES, _POSITION = (1, 2, 4, 4), b"\x01\x00\x0a"  # begins with mode 10
     _SCALES: ClassVar = {0x001: (0.01, 1e-4, 1e-5), 0x002: (0.1, 2.5e-4, 1e-5), 0x004: (1.0, 0.1, 1e-3)}
 
     def __init__(self, motors: list[Motor], turn: int = 4096) -> None:
@@ -502,6 +517,8 @@ class MoteusEmulator:
     def _take(self, message: can.Message) -> Iterator[can.Message]:
         index = (message.arbitration_id & 0x7F) - 1
         if not 0 <= index < len(self.motors):
+            return
+        if bytes(message.data[:3]) == self._POSITION and self.bus.ills.loses():
             return
         reply = self._obey(index, bytes(message.data))
         if message.arbitration_id & 0x8000:
@@ -567,7 +584,8 @@ class Bench:
     def __init__(self, motors: list[Motor], settle: Callable[[], None]) -> None:
         self.motors, self.us, self._settle = motors, 0, settle
         self.link: HostedLink | None = None
-        self._due_us = 0.0
+        self.late_us: Callable[[], float] = lambda: 0.0  # by which a cycle comes too late
+        self._due_us = self._late_us = 0.0
 
     def clock(self) -> float:
         return self.us * 1e-6
@@ -586,8 +604,9 @@ class Bench:
             for motor, places in zip(self.motors, log, strict=True):
                 motor.step()
                 places.append(motor.position * 256.0)
-            if self.us >= self._due_us:
+            if self.us >= self._due_us + self._late_us:
                 self._due_us += 1e6 * self.link.period_s
+                self._late_us = self.late_us()
                 self.link.cycle()
                 self._settle()
         return {"t_us": self.us, "dt_us": _STEP_US, "q": log}

@@ -140,7 +140,7 @@ class RosRobot:
 
     def _take(self, message: Any) -> None:
         assert len(message.data) == len(self.motors)
-        if not self.bus.ills.pulled:
+        if not self.bus.ills.pulled and not self.bus.ills.loses():
             for motor, place in zip(self.motors, message.data, strict=True):
                 motor.aim(place / self._unit)
         self.bus.taken += 1

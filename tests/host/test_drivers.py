@@ -9,10 +9,9 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
-from importlib.util import find_spec
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -21,120 +20,26 @@ import can
 import numpy as np
 import pytest
 from cli_runner import Taut
-from motor_emulators import Bench, Cia402Emulator, DynamixelEmulator, FeetechEmulator, MoteusEmulator, Motor
+from emulated_drives import EMULATORS, NO_ROS, RATE_HZ, driven, every_kind, model_of, settled, where
+from motor_emulators import Cia402Emulator, DynamixelEmulator, FeetechEmulator, Motor
 from ros_robot import Joint, RosRobot
 
-from tautline.device import wire
-from tautline.device.board import Board, find
-from tautline.device.link import BoardAddress, BoardGone
-from tautline.drivers import addresses, cia402, moteus_drives, ros_joints, serial_servos
-from tautline.drivers.drives import Goal, Missed, all_off
+from tautline.device.board import find
+from tautline.device.link import BoardGone
+from tautline.drivers import addresses, ros_joints
+from tautline.drivers.drives import Goal, Measured, Missed, all_off
 from tautline.drivers.feetech import Feetech
 from tautline.drivers.hosted import HostedLink, flash_file
 from tautline.errors import TautError
 from tautline.live.following import follow_run
 from tautline.live.session import MotionOptions, calibrate_live, driving, move_to
-from tautline.live.setup import Live, PointSource, open_live
+from tautline.live.setup import open_live
 from tautline.model import Model
 from tautline.simulated.instrument import Instrument, preset
-from tautline.simulated.simlink import SimulatedAxis
 
-RATE_HZ = 100.0
+pytestmark = pytest.mark.usefixtures("patient_buses", "own_state")
+
 SHORT = MotionOptions(cycles=3, speeds=(1.4,))
-EMULATORS: dict[str, tuple[Callable[[list[Motor]], Any], Motor]] = {
-    "dynamixel": (DynamixelEmulator, Motor()),
-    "feetech": (FeetechEmulator, Motor(speed_most=3400.0, acceleration_most=1e5, lag_s=0.02)),
-    "canopen": (Cia402Emulator, Motor(lag_s=0.004)),
-    "moteus": (MoteusEmulator, Motor(speed_most=2e4, acceleration_most=1e6, lag_s=0.005)),
-    "ros": (lambda motors: RosRobot(motors, f"/n{uuid4().hex[:12]}"), Joint()),
-}
-HAS_ROS = find_spec("rclpy") is not None
-NO_ROS = pytest.mark.skipif(not HAS_ROS, reason="the index has no ROS 2 for this Python or machine")
-KINDS = [pytest.param(kind, marks=NO_ROS) if kind == "ros" else kind for kind in EMULATORS]
-every_kind = pytest.mark.parametrize("kind", KINDS)
-
-
-@pytest.fixture(autouse=True)
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Answers are waited for by the wall clock, what they are for passes in virtual time: a busy machine loses none."""
-    for waits, name, long in (
-        (cia402, "_ANSWER_S", 0.2),
-        (moteus_drives, "_ANSWER_S", 0.2),
-        (serial_servos, "_ANSWER_MS", 200.0),
-        (ros_joints, "_ANSWER_S", 0.1),
-    ):
-        monkeypatch.setattr(waits, name, long)
-
-
-@dataclass
-class Setup:
-    live: Live
-    link: HostedLink
-    bench: Bench
-    motor: Motor
-    emulator: Any
-
-    @property
-    def speed_most(self) -> float:
-        return self.link.drives.drives[0].limits.speed
-
-
-@pytest.fixture(autouse=True)
-def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    return tmp_path / "state"
-
-
-def bus_of(kind: str, emulator: Any) -> str:
-    return f"virtual/{emulator.bus.channel}" if kind in ("canopen", "moteus") else emulator.bus.path
-
-
-def where(kind: str, emulator: Any, number: int, options: str) -> str:
-    """The address of an emulated motor."""
-    if kind == "ros":
-        return f"ros:{bus_of(kind, emulator)}:joint_{number}?{options}"
-    return f"{kind}:{bus_of(kind, emulator)}:{number}?{options}&baud=1000000"
-
-
-def settled(kind: str, emulator: Any, drives: Any) -> None:
-    """A topic has no answer to wait for: what was published is counted."""
-    if kind != "ros":
-        return
-    publish, sent = drives._commands.publish, [emulator.bus.taken]
-
-    def counted(message: Any) -> None:
-        sent[0] += 1
-        publish(message)
-
-    drives._commands.publish = counted
-    emulator.bus.sent = lambda: sent[0]
-
-
-@contextmanager
-def driven(kind: str, homed: bool = True, at: float = 0.0) -> Iterator[Setup]:
-    make, like = EMULATORS[kind]
-    motor = replace(like, goals=[], course=[], position=at)
-    instrument = preset("reference")
-    with ExitStack() as stack:
-        emulator = make([motor])
-        stack.callback(emulator.close)
-        bench = Bench([motor], emulator.bus.settle)
-        address = addresses.parse(where(kind, emulator, 1, f"rate={RATE_HZ:g}"))
-        drives = addresses.open_drives(address, clock=bench.clock)
-        settled(kind, emulator, drives)
-        link = HostedLink(drives, f"{kind}:emulated:1", RATE_HZ, clock=bench.clock, paced=False)
-        bench.serve(link)
-        board = stack.enter_context(Board(BoardAddress(link.where, None, False, (wire.wire.MAJOR, 0), lambda: link)))
-        if homed and not drives.drives[0].referenced:
-            board.ask("set_position", axis=0, q=0.0)
-        plant = SimulatedAxis(bench, instrument)  # type: ignore[arg-type]
-        yield Setup(Live(board, instrument.rig, 0, PointSource(plant), plant), link, bench, motor, emulator)
-
-
-def model_of(instrument: Instrument) -> Model:
-    q = np.linspace(*instrument.rig.actuator.range, 401)
-    width, c = instrument.backlash(q), instrument.bend(q)
-    return Model(instrument.rig, q, width, 0.001 + 0 * q, c, 0.08, instrument.rig.actuator.range)
 
 
 def error_um(model: Model, instrument: Instrument) -> float:
@@ -173,6 +78,15 @@ def the_boards_tip(speed_most: float, acceleration_most: float, trajectory: str)
         return follow_run(live, trajectory, model=model_of(live.plant.instrument)).rms_deg
 
 
+def behind_s(kind: str, motor: Motor) -> float:
+    """By how much a drive in first order is behind its set-points where it is asked, while they go on evenly."""
+    if kind == "moteus":  # told the speed too
+        return motor.lag_s
+    if kind == "canopen":  # takes a set-point at the next SYNC, and goes to it in a straight line until the one after
+        return 2.0 / RATE_HZ + motor.lag_s
+    return float(1.0 / RATE_HZ / -np.expm1(-1.0 / RATE_HZ / motor.lag_s))
+
+
 @every_kind
 def test_the_main_job_is_done_as_well_as_on_a_board(kind: str, the_boards_error: float, tmp_path: Path) -> None:
     trajectory = a_trajectory(tmp_path)
@@ -193,6 +107,7 @@ def test_the_main_job_is_done_as_well_as_on_a_board(kind: str, the_boards_error:
     assert motion.reversals >= 12 and found.model.quality.usable
     assert error <= 1.5 * the_boards_error
     assert full.rms_deg <= 1.5 * board_deg and full.rms_deg < 0.2 * off.rms_deg
+    assert lag_s == pytest.approx(behind_s(kind, setup.motor), abs=1.5e-3)
     assert full.counters["set_points_dropped"] == 0 and full.counters["telemetry_dropped"] == 0
     # Two cycles' worth: one after a missed one.
     assert steps.max() <= 2.0 * limits.speed / RATE_HZ + 1.0
@@ -211,6 +126,59 @@ def test_a_bus_that_drops_delays_reorders_and_spoils_is_survived(kind: str) -> N
         steps = np.abs(np.diff(setup.motor.goals))
         assert setup.link.timing.missed >= 5
         assert steps.max() <= 2000.0 / RATE_HZ * 6 + 1.0  # of a path at 2 mm/s, five answers lost in a row
+
+
+@every_kind
+def test_set_points_that_are_lost_on_their_way_out_are_made_up_for(kind: str) -> None:
+    with driven(kind) as setup, driving(setup.live):
+        ills = setup.emulator.bus.ills
+        ills.lose = 0.05
+        setup.motor.goals.clear()
+        for q in (1.0, -1.0, 0.5):
+            move_to(setup.live, q, 2.0)
+            assert setup.motor.position == pytest.approx(1e3 * q, abs=5.0)
+        ills.lose = 0.0
+        assert sum(ills.lost) >= 5
+        # Of a path at 2 mm/s; an answer may have been missed as well.
+        assert np.abs(np.diff(setup.motor.goals)).max() <= 2000.0 / RATE_HZ * (2 + max(ills.lost)) + 1.0
+
+
+@every_kind
+def test_where_no_set_point_arrives_any_more_the_axis_faults(kind: str) -> None:
+    with driven(kind) as setup, pytest.raises(TautError, match="did not follow"), driving(setup.live):
+        setup.live.board.ask("move", axis=0, q=4000.0, speed_s=2000.0)
+        setup.live.wait(0.3)
+        setup.emulator.bus.ills.lose = 1.0
+        told = setup.motor.goals[-1]
+        setup.live.wait(1.5)
+        setup.live.rest()
+    assert setup.motor.position == pytest.approx(told, abs=2000.0 * setup.link.drives.rest_s + 1.0)
+
+
+@every_kind
+def test_jitter_and_round_trip_are_stated_as_they_are(kind: str) -> None:
+    """Cycles 0 to 5 ms late, whole ms; answers after 2 ms, one after 6."""
+    rng = np.random.default_rng(6)
+    with driven(kind) as setup:
+        measure, bench, slow = setup.link.drives.measure, setup.bench, [6]
+
+        def measured() -> list[Measured]:
+            for _ in range(slow.pop() if slow else 2):
+                bench.us += 1000
+                setup.motor.step()
+            return measure()
+
+        setup.link.drives.measure = measured
+        bench.late_us = lambda: 1e3 * float(rng.integers(6))
+        with driving(setup.live):
+            for q in (1.0, -1.0):
+                move_to(setup.live, q, 2.0)
+                assert setup.motor.position == pytest.approx(1e3 * q, abs=5.0)
+        timing = setup.link.timing
+    # Each end of a period is off by what has a variance of 35 / 12 ms2.
+    assert timing.jitter_s == pytest.approx(1e-3 * np.sqrt(2.0 * 35.0 / 12.0), rel=0.15)
+    assert timing.round_trip_s == pytest.approx(2e-3, abs=1e-4)
+    assert timing.round_trip_most_s == pytest.approx(6e-3, abs=1e-4)
 
 
 @every_kind
@@ -260,11 +228,11 @@ def test_a_drive_that_was_not_homed_is_not_driven_by_position() -> None:
         follow_run(setup.live, "trapezoids", compensation="off")
 
 
-def test_tables_stay_with_the_motors(tmp_path: Path, state: Path) -> None:
+def test_tables_stay_with_the_motors(tmp_path: Path, own_state: Path) -> None:
     with driven("dynamixel") as setup:
         follow_run(setup.live, a_trajectory(tmp_path), model=model_of(preset("reference")))
         blob = setup.live.board.read_table(0)
-    assert blob and len(list(state.rglob("*.bin"))) == 1
+    assert blob and len(list(own_state.rglob("*.bin"))) == 1
     with driven("dynamixel") as setup:
         assert setup.live.board.read_table(0) == blob
 

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_runner import Finished, Taut
+from emulated_drives import EMULATORS, driven, every_kind, model_of, where
 from motor_emulators import Cia402Emulator, Motor
-from test_drivers import EMULATORS, driven, every_kind, model_of, patient, state, where  # noqa: F401  their fixtures
 
 from tautline.device import wire
 from tautline.errors import TautError
@@ -26,6 +26,8 @@ from tautline.live.session import driving, move_to
 from tautline.live.setup import Live
 from tautline.live.tracking import watch
 from tautline.simulated.instrument import preset
+
+pytestmark = pytest.mark.usefixtures("patient_buses", "own_state")
 
 
 def yes(question: str) -> bool:

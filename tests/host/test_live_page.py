@@ -19,6 +19,7 @@ from reference_instrument import RIG, moved, saved_recording
 
 from tautline.calibration.calibrate import calibrate
 from tautline.errors import TautError
+from tautline.geometry import coarse_range_deg, pose, project
 from tautline.live.page import shown
 from tautline.live.page.desk import READY, RESTING, RUNNING, Desk, Stopped
 from tautline.live.page.replay import Played, replay
@@ -388,10 +389,17 @@ def test_what_is_not_measured_is_said(recording: Recording, nodes: tuple[float, 
 
 def test_a_marker_that_is_lost_has_no_place_and_no_angle() -> None:
     lost = Frame(1_000_000, Sighting(np.nan, np.nan, np.nan, np.nan, "no marker of this colour"), None)
-    assert shown.bent(RIG, lost) is None
+    assert shown.Bending(RIG).of(lost) is None
     document = shown.moment(lost, float("nan"), None)
     assert json.loads(json.dumps(document, allow_nan=False))["lost"] == "no marker of this colour"
     assert document["u_px"] is None and document["q"] is None
+
+
+def test_the_angle_that_is_shown_is_that_of_the_pose() -> None:
+    bending, rng = shown.Bending(RIG), np.random.default_rng(2)
+    places = project(RIG, rng.uniform(*coarse_range_deg(RIG), 40)) + rng.normal(0.0, 1.0, (40, 2))
+    frames = [Frame(0, Sighting(float(u), float(v), 0.05, 20.0), None) for u, v in places]
+    assert [bending.of(frame) for frame in frames] == pytest.approx(pose(RIG, places)[0].tolist(), abs=2e-3)
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from tautline.recording import Video
 from tautline.simulated.endoscope import Endoscope, Look, load_background
 from tautline.simulated.instrument import reference_rig
 from tautline.vision.colour import MarkerColour, pick
-from tautline.vision.marker import MarkerTracker, find_colour, track_video
+from tautline.vision.marker import MarkerTracker, find_colour, lit_by_place, track_video
 from tautline.vision.sighting import Sighting
 from tools.bench.endoscopy import CONDITIONS, World
 
@@ -326,4 +326,26 @@ def test_what_a_shaded_ball_does_to_the_place_is_what_the_page_says(monkeypatch:
     tracker = MarkerTracker(pick(frames[0][1], (float(places[0, 0]), float(places[0, 1]))))
     seen = [tracker.track(picture) for _, picture in frames]
     error = np.array([(each.u_px, each.v_px) for each in seen if each.valid]) - places[[each.valid for each in seen]]
+    assert np.hypot(*error.mean(axis=0)) < 0.05  # 0.1 px towards the light with one level for all of the ball
     assert len(error) > 140 and float(stated[1]) <= np.sqrt(np.mean(error.var(axis=0))) <= float(stated[2])
+
+
+def test_a_flat_disc_in_even_light_keeps_its_one_level() -> None:
+    of = scope(Look(vignetting=0.0))
+    tracker = MarkerTracker(picked(of, 20.0))
+    seen = [tracker.track(of.frame(20.0)) for _ in range(40)]
+    assert {sighting.lit_px for sighting in seen[10:]} == {(0.0, 0.0)}
+
+
+def test_what_light_moves_is_told_by_all_frames_nearby_whichever_way_they_go() -> None:
+    rng = np.random.default_rng(8)
+    u = np.concatenate([np.linspace(0.0, 300.0, 400), np.linspace(300.0, 0.0, 400)])
+    true = np.column_stack([0.2 - 1e-3 * u, 1e-6 * (u - 100.0) ** 2])
+    lit = true + rng.normal(0.0, 0.03, true.shape)
+    seen = [Sighting(u[k] + lit[k, 0], lit[k, 1], 0.02, 22.0, lit_px=(lit[k, 0], lit[k, 1])) for k in range(len(u))]
+    sure = np.arange(len(u)) != 7
+    found = lit_by_place(seen, sure)
+    error = np.array([place(sighting) for sighting in found])[sure] - (np.column_stack([u, 0 * u]) + true)[sure]
+    assert np.sqrt(np.mean(error**2)) < 0.006
+    assert np.abs(error[:399] - error[::-1][:399]).max() < 0.006
+    assert found[7] == seen[7] and [s.lit_px for s in found[:3]] != [s.lit_px for s in seen[:3]]

@@ -59,21 +59,15 @@ class Commissioned:
 class _Tape:
     """Telemetry of the axis since the last rewind."""
 
-    def __init__(self, live: Live) -> None:
-        self._axis = live.axis
+    def __init__(self, axis: int) -> None:
+        self._axis = axis
         self._rows: list[Array] = []
-        self._board = live.board
-        live.board.listen("batch", self._take)
-        live.board.ask("telemetry", axis=live.axis, divider=1)
 
-    def _take(self, batch: wire.Message) -> None:
+    def take(self, batch: wire.Message) -> None:
         if batch.axis == self._axis:
             t = (batch.t_us + batch.period_us * np.arange(batch.count)) * 1e-6
             n = batch.count
             self._rows.append(np.column_stack([t, batch.q[:n], batch.q_ref[:n], batch.duty[:n]]))
-
-    def close(self) -> None:
-        self._board.forget("batch", self._take)
 
     def rewind(self) -> None:
         self._rows.clear()
@@ -86,6 +80,20 @@ class _Tape:
         return t, q, q_ref, duty
 
 
+@contextlib.contextmanager
+def _taped(live: Live) -> Iterator[_Tape]:
+    """Inside, the axis sends its telemetry."""
+    tape = _Tape(live.axis)
+    live.board.listen("batch", tape.take)
+    try:
+        live.board.ask("telemetry", axis=live.axis, divider=1)
+        yield tape
+    finally:
+        live.board.forget("batch", tape.take)
+        with contextlib.suppress(TautError):  # gone
+            live.board.ask("telemetry", axis=live.axis, divider=0)
+
+
 def commission(
     live: Live, agree: Agree, say: Say, homing: Homing | None = None, wanted: dict[str, Any] | None = None
 ) -> Commissioned:
@@ -94,8 +102,8 @@ def commission(
     None leaves one as it is. A drive with a position loop of its own keeps its gains and its zero. TautError, with a
     remedy, where something is wrong or not agreed to: settings then stay, but for the range and how the stop input is
     wired. The board drives at low duty until the ends are known."""
-    board, axis, unit = live.board, live.axis, live.rig.actuator.unit
-    board.check_axis(axis)
+    board = live.board
+    board.check_axis(live.axis)
     asked = {name: value for name, value in (wanted or {}).items() if value is not None}
     if board.bus():
         if "estop" in asked or (homing is not None and homing.end is not None):
@@ -103,21 +111,22 @@ def commission(
                 "a drive on a bus of its own has neither the board's stop input nor an end that it presses "
                 "against: leave out --estop and --end"
             )
-        return _commission_drive(live, agree, say, asked)
+        commissioned = _commission_drive(live, agree, say, asked)
+    else:
+        commissioned = _commission_motor(live, agree, say, homing or Homing(), asked)
+    _check_motor_and_encoder(live)
+    say("stored, and checked again")
+    return commissioned
+
+
+def _commission_motor(live: Live, agree: Agree, say: Say, homing: Homing, asked: dict[str, Any]) -> Commissioned:
+    """A motor whose position loop is the board's."""
+    board, axis, unit = live.board, live.axis, live.rig.actuator.unit
     if "estop" in asked:
         _wire_stop(live, agree, asked["estop"])
     board.check_fault(axis)
-    before = dict(board.ask("get_settings", axis=axis).values)
-    low, high = (q / live.resolution for q in live.rig.actuator.range)
-    ranged = before | {"q_low": low, "q_high": high}
-    commissioned = Commissioned(before, ranged | asked | {"commissioned": 1})
+    ranged, commissioned = _checked_and_ranged(live, agree, say, asked, "motor and encoder agree")
 
-    _agreed(agree, "The motor turns a little either way. Is the instrument free to move?")
-    _check_motor_and_encoder(live)
-    say("polarity and scale: motor and encoder agree")
-
-    _store(live, ranged)
-    homing = homing or Homing()
     _agreed(agree, f"The motor goes to the {'low' if homing.direction < 0 else 'high'} end, weakly. May it?")
     commissioned.q = home(live, homing)
     ends = ", ".join(f"{q:g}" for q in live.rig.actuator.range)
@@ -125,49 +134,32 @@ def commission(
 
     _agreed(agree, "The motor moves over a third of its range, then in quick steps. May it?")
     with _at_full_drive(live, ranged):
-        tape = _Tape(live)
         try:
-            _measure_drive_law(live, tape, commissioned, homing.direction)
-            say(
-                f"drive: friction {100 * commissioned.friction:.1f} %, {commissioned.speed_s:.0f} counts/s at full "
-                f"drive; current up to {commissioned.current_ma} mA, limit {commissioned.settings['current_ma']} mA"
-            )
-            _tune_gains(live, tape, commissioned, homing.direction, say)
+            with _taped(live) as tape:
+                _measure_drive_law(live, tape, commissioned, homing.direction)
+                say(
+                    f"drive: friction {100 * commissioned.friction:.1f} %, {commissioned.speed_s:.0f} counts/s at full "
+                    f"drive; current up to {commissioned.current_ma} mA, "
+                    f"limit {commissioned.settings['current_ma']} mA"
+                )
+                _tune_gains(live, tape, commissioned, homing.direction, say)
         finally:
-            tape.close()
             with contextlib.suppress(TautError):  # gone: what is stored holds at its next start
-                board.ask("telemetry", axis=axis, divider=0)
-                board.ask("servo", **_servo_fields(before))
+                board.ask("servo", **_servo_fields(commissioned.before))
 
         _agreed(agree, f"Store gains x {commissioned.factor:g}, range, current limit and instrument on the board?")
         _store(live, commissioned.settings)
-    _check_motor_and_encoder(live)
-    say("stored, and checked again")
     return commissioned
 
 
 def _commission_drive(live: Live, agree: Agree, say: Say, asked: dict[str, Any]) -> Commissioned:
-    """As `commission` for a drive with a position loop of its own: its gains and its zero are its maker's to set."""
+    """A drive with a position loop of its own: its gains and its zero are its maker's to set."""
     board, axis, actuator = live.board, live.axis, live.rig.actuator
     board.check_fault(axis)
     board.check_reference(axis)
-    before = dict(board.ask("get_settings", axis=axis).values)
-    drive = board.bus()["limits"][axis]
-    low, high = (q / live.resolution for q in actuator.range)
-    if low < drive["q_low"] or high > drive["q_high"]:
-        ends = "{:g}, {:g}".format(*(drive[key] * live.resolution for key in ("q_low", "q_high")))
-        raise TautError(
-            f"the drive's own limits are [{ends}] {actuator.unit}, the rig's range goes beyond: move its zero, or "
-            "widen its limits with its maker's tools, or set actuator.range"
-        )
-    ranged = before | {"q_low": low, "q_high": high}
-    commissioned = Commissioned(before, ranged | asked | {"commissioned": 1})
+    _check_drives_range(live)
+    _, commissioned = _checked_and_ranged(live, agree, say, asked, "the drive goes where it is told")
 
-    _agreed(agree, "The motor turns a little either way. Is the instrument free to move?")
-    _check_motor_and_encoder(live)
-    say("polarity and scale: the drive goes where it is told")
-
-    _store(live, ranged)
     start = float(np.clip(board.status(axis).q * live.resolution, *actuator.range))
     direction = 1 if start > sum(actuator.range) / 2 else -1
     commissioned.q, commissioned.speed_s = start, live.top_speed / live.resolution
@@ -175,18 +167,13 @@ def _commission_drive(live: Live, agree: Agree, say: Say, asked: dict[str, Any])
         agree,
         f"The motor moves over a third of its range, from {start:.4g} {actuator.unit}, then in quick steps. May it?",
     )
-    tape = _Tape(live)
-    try:
+    with _taped(live) as tape:
         with driving(live):
             for target in (start, start - direction * _WAY * actuator.span, start):
                 move_to(live, target, min(_SPEEDS[-1] * actuator.span / 0.5, live.top_speed))
                 seen_ma = abs(board.status(axis).current_ma)
                 commissioned.current_ma = max(commissioned.current_ma, seen_ma)
-        step = _step_responses(live, tape, start, direction, before["arrive"])
-    finally:
-        tape.close()
-        with contextlib.suppress(TautError):
-            board.ask("telemetry", axis=axis, divider=0)
+        step = _step_responses(live, tape, start, direction, commissioned.before["arrive"])
     commissioned.steps[1.0] = step
     say(
         f"the drive follows {1e3 * board.bus()['lag_s']:.1f} ms behind its set-points, which is planned for: off by "
@@ -194,9 +181,34 @@ def _commission_drive(live: Live, agree: Agree, say: Say, asked: dict[str, Any])
     )
     _agreed(agree, "Store range and instrument for this drive?")
     _store(live, commissioned.settings)
-    _check_motor_and_encoder(live)
-    say("stored, and checked again")
     return commissioned
+
+
+def _check_drives_range(live: Live) -> None:
+    """TautError where the rig's range goes beyond the drive's own limits."""
+    drive, actuator = live.board.bus()["limits"][live.axis], live.rig.actuator
+    low, high = (q / live.resolution for q in actuator.range)
+    if low < drive["q_low"] or high > drive["q_high"]:
+        ends = "{:g}, {:g}".format(*(drive[key] * live.resolution for key in ("q_low", "q_high")))
+        raise TautError(
+            f"the drive's own limits are [{ends}] {actuator.unit}, the rig's range goes beyond: move its zero, or "
+            "widen its limits with its maker's tools, or set actuator.range"
+        )
+
+
+def _checked_and_ranged(
+    live: Live, agree: Agree, say: Say, asked: dict[str, Any], seen: str
+) -> tuple[dict[str, Any], Commissioned]:
+    """Lets motor and encoder be checked, and stores the rig's range: the settings with it, and what is known so far.
+    seen: what that shows."""
+    before = dict(live.board.ask("get_settings", axis=live.axis).values)
+    low, high = (q / live.resolution for q in live.rig.actuator.range)
+    ranged = before | {"q_low": low, "q_high": high}
+    _agreed(agree, "The motor turns a little either way. Is the instrument free to move?")
+    _check_motor_and_encoder(live)
+    say(f"polarity and scale: {seen}")
+    _store(live, ranged)
+    return ranged, Commissioned(before, ranged | asked | {"commissioned": 1})
 
 
 def _agreed(agree: Agree, question: str) -> None:

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from tautline.errors import TautError
@@ -58,6 +59,10 @@ class Desk:
         ranges = {"range": list(rig.actuator.range), "c_range": list(coarse_range_deg(rig))}
         self.events.publish("about", about | ranges | {"unit": rig.actuator.unit})
         self._tell()
+
+    @cached_property
+    def _bending(self) -> shown.Bending:
+        return shown.Bending(self._rig)
 
     # -- the page's side ---------------------------------------------------------------------------------------------
 
@@ -180,7 +185,7 @@ class Desk:
     def show_frame(self, frame: Frame, q: float) -> None:
         """Publishes a frame, beside what is tracked; its picture is coded only when a page asks for it."""
         self._frames += 1
-        seen = shown.moment(frame, q, shown.bent(self._rig, frame))
+        seen = shown.moment(frame, q, self._bending.of(frame))
         self.events.publish("frame", seen)
         if frame.picture is not None:
             self._picture = frame.picture
