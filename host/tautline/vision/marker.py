@@ -408,9 +408,8 @@ def lit_by_place(seen: Sequence[Sighting], sure: npt.NDArray[np.bool_]) -> list[
         away = (middle - here) / (_ALIKE_LIT * wide)
         weight = np.array([len(each) for each in cells]) * np.exp(-0.5 * np.sum(away**2, axis=1))
         rows = np.column_stack([np.ones(len(cells)), away])
-        normal = (rows.T * weight) @ rows + np.diag(
-            [0.0, 1.0, 1.0]
-        )  # slopes: no more than a frame's worth of them is 0
+        slopes = np.diag([0.0, 1.0, 1.0])  # prior: no more than a frame's worth of them is 0
+        normal = (rows.T * weight) @ rows + slopes
         plane = np.linalg.solve(normal, (rows.T * weight) @ usual)
         smooth[at[own]] = plane[0] + (place[own] - here) / (_ALIKE_LIT * wide) @ plane[1:]
     by = smooth - lit
