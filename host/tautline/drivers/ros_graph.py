@@ -58,6 +58,8 @@ class Graph:
             ) from error
         self._executor = executors.SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
+        # By which its thread ends: an executor that is shut down destroys what would wake one that waits.
+        self._ended = library("rclpy.task").Future()
         self._thread: threading.Thread | None = None
 
     @property
@@ -70,13 +72,15 @@ class Graph:
 
     def begin(self) -> None:
         """Starts the callbacks, after all subscriptions were made."""
-        self._thread = threading.Thread(target=self._executor.spin, name="ros", daemon=True)
+        spin = self._executor.spin_until_future_complete
+        self._thread = threading.Thread(target=spin, args=(self._ended,), name="ros", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        self._executor.shutdown()
+        self._ended.set_result(None)
         if self._thread is not None:
             self._thread.join()
+        self._executor.shutdown()
         self.node.destroy_node()
         self._context.try_shutdown()
 
