@@ -96,7 +96,7 @@ def test_a_registration_that_tilts_with_the_motion_leaves_the_widths_alone(noise
     assert min(direct) > 4.0
 
 
-@pytest.mark.parametrize("tilt", [-1.5, 0.15])
+@pytest.mark.parametrize("tilt", [pytest.param(-1.5, marks=pytest.mark.long), 0.15])
 def test_a_tilt_the_other_way_or_a_tenth_of_it_too(tilt, monkeypatch):
     monkeypatch.setattr(scenes, "TILT_DEG", tilt)
     found = calibrate([scenes.fig7_recording(613, noise_px=0.03)], scenes.fig7_rig())

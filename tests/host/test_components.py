@@ -165,7 +165,7 @@ def test_widths_that_grow_are_those_of_the_end():
     ("share", "usual_mm_s"),
     [
         (False, 1.0),
-        (True, 0.1),
+        pytest.param(True, 0.1, marks=pytest.mark.long),
         pytest.param(False, 0.1, marks=pytest.mark.long),
         pytest.param(True, 1.0, marks=pytest.mark.long),
     ],

@@ -79,6 +79,7 @@ def test_at_three_loads_the_load_is_named_alone(tool, calibration, tests):
     assert document["gap"]["shrink"] > 0.85
 
 
+@pytest.mark.long
 def test_at_two_loads_drift_would_do_as_well(tool):
     document = tool.diagnose((2, 0), [(2, 1)]).document
     assert named(document) == ["transmission.load_dependence"]
@@ -130,7 +131,8 @@ def test_the_middle_comes_from_the_passes():
     assert (np.diff(found.model.c_deg) < 0).all()
 
 
-@pytest.mark.parametrize("axis", ["roll", pytest.param("pitch", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("axis", ["roll", "pitch"])
 def test_several_plays_are_there_where_they_follow_the_run_better(axis):
     folder = data().parent / "davinci-posture"
     if not folder.is_dir():
