@@ -51,7 +51,7 @@ size_t marker_scratch_size(size_t pixels);
 
 /* weights[3] per level of B, G, R and weights[3 + 1] = offset. (u, v) expected place, diameter expected, px.
  * shaded: the probability by the frames before that the marker is lit from one side, where its level is a plane; 0.5
- * where there is none. Returns one of MARKER_*. O(pixels of the region); about 30 us for a marker of 20 px. */
+ * where there is none. Returns one of MARKER_*. O(pixels of the region); about 60 us for a marker of 20 px. */
 int marker_measure(const marker_view_t *view, const float weights[4], double cut, double u, double v, double diameter,
                    double shaded, void *scratch, marker_outline_t *out);
 
