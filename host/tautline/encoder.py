@@ -13,6 +13,7 @@ from scipy.linalg import solveh_banded
 from tautline import _native
 from tautline.driven import Driven, driven, white_noise
 from tautline.encoder_steps import CHANGES, REST_S, Rest, Steps, rests_and_turns, steps_of
+from tautline.independence import stretches
 from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
@@ -251,11 +252,10 @@ def _constant_acceleration_lines(motor: Motor, resolution: float) -> Motor:
 def _levelled_rests(path: Driven) -> Array:
     """The path's positions with each rest at its mean; it rests while it moves by less than its own sigma."""
     slow = np.abs(np.diff(path.q)) * REST_S < path.sigma[1:] * np.diff(path.t_s)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]]).astype(int)))
     q = path.q.copy()
-    for first, last in edges.reshape(-1, 2).tolist():
-        rest = slice(first, last + 1)
-        if path.t_s[last] - path.t_s[first] > REST_S and np.ptp(q[rest]) < 2.0 * float(np.median(path.sigma[rest])):
+    for step in stretches(slow):
+        rest = slice(step.start, step.stop + 1)
+        if np.ptp(path.t_s[rest]) > REST_S and np.ptp(q[rest]) < 2.0 * float(np.median(path.sigma[rest])):
             q[rest] = np.mean(q[rest])
     return q
 

@@ -41,6 +41,12 @@ def frames_each(
     return max(total, 1.0)
 
 
+def stretches(mask: npt.NDArray[np.bool_]) -> list[slice]:
+    """Where a mask (n,) holds, in order."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    return [slice(first, end) for first, end in edges.reshape(-1, 2).tolist()]
+
+
 def first_order(residuals: Array) -> float:
     """As `frames_each` for an autocorrelation that falls geometrically, from neighbours alone: for a fit that is not
     finished, whose longer correlations are what is still to be fitted."""

@@ -261,6 +261,7 @@ static void test_set_points_without_a_time_are_smoothed(void) {
 static void test_enabling_and_disabling_never_jump(void) {
     fake.speed[0] = 3000.0; // pushed by hand while off
     fake_run_ms(100);
+    TEST_ASSERT_EQUAL_INT32(app.axes[0].q, fake_status(0).q_ref_q8); // the path goes along
     const double before = fake.position[0];
     fake_enable(0, 1);
     for (int i = 0; i < 500; i++) {

@@ -142,6 +142,7 @@ static void test_a_lost_host_is_not_the_next_one_s(void) {
     fake_run_ms(300);
     tl_app_bus(&app, true);
     TEST_ASSERT_EQUAL(TL_WIRE_FAULT_HOST_LOST, app.axes[0].fault);
+    TEST_ASSERT_EQUAL(0, fake_status(0).fault_value);
     const tl_wire_clear_fault_t clear = {.axis = 0};
     TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_CLEAR_FAULT, &clear));
     begin();

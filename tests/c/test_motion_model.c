@@ -190,7 +190,8 @@ static void begin(void) {
             .approach = between(TL_COUNT_ONE, 60 * TL_COUNT_ONE),
             .stroke_max = between(30 * TL_COUNT_ONE, 400 * TL_COUNT_ONE),
             .low = between(-2000, 100) * TL_COUNT_ONE + between(0, 255),
-            .host_timeout_us = once_in(3) ? (uint32_t)between(20000, 1500000) : 0,
+            .host_timeout_us =
+                once_in(3) ? (uint32_t)(once_in(2) ? 1000 * between(20, 1500) : between(20000, 1500000)) : 0,
             .rate_hz = once_in(2) ? 1000U : (uint32_t)between(1000, 10000),
         };
         config.high = config.low + 2 * config.stroke_max + between(1, 800 * TL_COUNT_ONE);

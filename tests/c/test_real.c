@@ -89,7 +89,9 @@ static void test_fixed_point_is_rounded_and_saturates(void) {
     }
     TEST_ASSERT_EQUAL_INT32(1, tl_real_to_q(tl_real(1, -1), 0)); // halves away from 0
     TEST_ASSERT_EQUAL_INT32(-1, tl_real_to_q(tl_real(-1, -1), 0));
-    TEST_ASSERT_EQUAL_INT32(0, tl_real_to_q(tl_real(INT32_MAX, -32), 0)); // just below a half
+    TEST_ASSERT_EQUAL_INT32(0, tl_real_to_q(tl_real(INT32_MAX, -32), 0));          // just below a half
+    TEST_ASSERT_EQUAL_INT32(0x20000001, tl_real_to_q(tl_real(0x40000001, -1), 0)); // half of the last bit
+    TEST_ASSERT_EQUAL_INT32(-0x20000001, tl_real_to_q(tl_real(-0x40000001, -1), 0));
 }
 
 static void test_a_division_by_nothing_is_larger_than_any(void) {

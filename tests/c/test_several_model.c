@@ -3,10 +3,10 @@
 // (there, too), on look-ups and elements that have models of their own.
 #include "draws.h"
 #include "table_fixture.h"
-#include "tautline/tl_compensator.h"
 #include "tl_elements.h"
 #include "tl_several.h"
 #include "tl_takeup.h"
+#include "undone.h"
 
 #include <stdlib.h>
 #include <unity.h>
@@ -24,9 +24,7 @@ static struct {
     int mode;
     int32_t lag[TL_TABLE_PLAYS_MAX];
     tl_takeup_t takeup;
-    bool undoes;
-    int64_t wider, reading;
-    tl_undo_t undo; // what sections add to the width, and how the table was moved
+    undone_t undone;
 } m;
 
 static struct {
@@ -67,10 +65,7 @@ static void any_lookup(tl_lookup_t *lookup, bool several) {
             table.sides = (tl_table_sides_t){.side = sign, .step_log2 = between(6, 10)};
             table.speed = (tl_table_speed_t){between(10, 14), between(2000, 200000), between(0, 1), {0}};
             table.adapt = (tl_table_adapt_t){1 << 16, 0, 65535};
-            for (int32_t i = 0; i <= (int32_t)TL_TABLE_LAST; i++) {
-                table.sides.late[i] = (20 - i) << table.sides.step_log2;
-                table.speed.extra[i] = i * i * 100;
-            }
+            undone_curves(&table);
         }
         reason = tl_lookup_derive(lookup, &table, TL_TABLE_ANY_AXIS);
     } while (reason != TL_TABLE_OK);
@@ -106,24 +101,19 @@ static int64_t offset_of(int64_t side) { // on the envelope of this side
 static int64_t compensated(void) { // of the offset
     const int64_t size = m.mode == TL_MODE_OFF ? 0 : llabs(m.offset) * 2 * m.strength / 65536;
     const int64_t offset = m.offset < 0 ? -size : size;
-    return (m.undoes ? tl_undo_scaled(&m.undo, (int32_t)offset) : offset) + m.side * m.wider;
+    return (m.undone.on ? tl_undo_scaled(&m.undone.undo, (int32_t)offset) : offset) + m.side * m.undone.wider;
 }
 
 static void widens(void) {
-    m.wider = m.undoes ? tl_undo_wider(&m.undo, m.lookup, (int32_t)m.p) * m.strength / 65536 : 0;
+    undone_widens(&m.undone, m.lookup, m.p, m.strength);
 }
 
 static int64_t pushing(int64_t reading) {
-    return m.undoes ? tl_undo_pushing(&m.undo, m.lookup, (int32_t)reading, TL_UNDO_ROUNDS) : reading;
+    return undone_pushing(&m.undone, m.lookup, reading);
 }
 
 static void sees_what_to_undo(void) {
-    const bool undoes = m.undo.active && m.mode == TL_MODE_FULL;
-    if (undoes && !m.undoes) {
-        m.reading = m.q;
-        tl_undo_rest(&m.undo, k.goal);
-    }
-    m.undoes = undoes;
+    undone_sees(&m.undone, m.mode == TL_MODE_FULL, m.q, k.goal);
 }
 
 static int64_t fed(int64_t offset) {
@@ -152,7 +142,7 @@ static bool turns_to(int64_t p, bool *moves) {
 static int64_t held; // the offset before this tick, as far as it was compensated
 
 static void step(int32_t c) {
-    if (m.undoes) {
+    if (m.undone.on) {
         tl_compensator_hear(&k, c);
     }
     tl_compensator_feed(&k, c);
@@ -160,14 +150,14 @@ static void step(int32_t c) {
     bool moves;
     const int64_t anchor = m.anchor;
     const bool turns = turns_to(k.p, &moves);
-    if (m.undoes) { // the width may change where p does not
+    if (m.undone.on) { // the width may change where p does not
         if (turns) {
-            tl_undo_turned(&m.undo, (int32_t)anchor, (int32_t)m.side);
+            tl_undo_turned(&m.undone.undo, (int32_t)anchor, (int32_t)m.side);
         }
         widens();
         seen.undone++;
     }
-    if (moves || (m.undoes && m.side != 0)) {
+    if (moves || (m.undone.on && m.side != 0)) {
         const int64_t before = fed(held), most = k.step_max;
         m.offset = offset_of(m.side);
         held = compensated();
@@ -189,11 +179,9 @@ static void step(int32_t c) {
     }
     m.q = q;
     TEST_ASSERT_EQUAL_INT64(q, tl_compensator_take_up(&k));
-    if (m.undoes) {
-        tl_undo_tick(&m.undo, m.lookup, (int32_t)m.p);
-        const int64_t reading = tl_undo_reading(&m.undo, m.lookup, (int32_t)q), was = m.reading;
-        m.reading = within(reading, was < low ? was : low, was > high ? was : high);
-        TEST_ASSERT_EQUAL_INT64(m.reading, tl_compensator_reach(&k));
+    if (m.undone.on) {
+        undone_ticks(&m.undone, m.lookup, m.p, q);
+        TEST_ASSERT_EQUAL_INT64(m.undone.reading, tl_compensator_reach(&k));
     }
 }
 
@@ -201,7 +189,7 @@ static void step(int32_t c) {
 
 static void stands(int64_t p) {
     m.p = p;
-    tl_undo_rest(&m.undo, (int32_t)p);
+    tl_undo_rest(&m.undone.undo, (int32_t)p);
     m.centre = tl_lookup_centre(m.lookup, (int32_t)p);
     if (m.side != 0) {
         m.offset = offset_of(m.side);
@@ -227,10 +215,10 @@ static void begin(void) {
     const int32_t c = between(-50, 50) * TL_DEG_ONE;
     uint32_t ends = 0;
     tl_compensator_start(&k, m.lookup, 1000, (tl_mode_t)m.mode, (int32_t)m.q, c);
-    tl_undo_start(&m.undo, m.lookup, 1000);
+    tl_undo_start(&m.undone.undo, m.lookup, 1000);
     sees_what_to_undo();
-    m.reading = m.q;
-    m.q = pushing(m.reading);
+    m.undone.reading = m.q;
+    m.q = pushing(m.undone.reading);
     m.p = m.anchor = k.p;
     m.offset = m.q - m.p;
     const int64_t side = m.q >= m.p ? 1 : -1;
@@ -249,7 +237,7 @@ static void begin(void) {
 static void settles(int64_t rest, int64_t reading) {
     m.anchor += k.p - m.p;
     stands(k.p);
-    m.reading = reading;
+    m.undone.reading = reading;
     m.q = pushing(reading);
     widens();
     held = compensated();
@@ -257,7 +245,7 @@ static void settles(int64_t rest, int64_t reading) {
 }
 
 static void changes(void) {
-    const int64_t rest = tl_compensator_rest(&k), reading = m.undoes ? m.reading : m.q;
+    const int64_t rest = tl_compensator_rest(&k), reading = m.undone.on ? m.undone.reading : m.q;
     switch (between(0, 4)) {
     case 0:
         m.mode = once_in(2) ? TL_MODE_FULL : between(0, 2);
@@ -281,7 +269,7 @@ static void changes(void) {
         TEST_ASSERT_EQUAL_INT64(place, tl_several_place(&k));
         m.lookup = &lookups[between(0, TABLES - 2)];
         tl_compensator_set_table(&k, m.lookup);
-        tl_undo_start(&m.undo, m.lookup, 1000);
+        tl_undo_start(&m.undone.undo, m.lookup, 1000);
         sees_what_to_undo();
         tl_takeup_set_limits(&m.takeup, &m.lookup->table, 1000);
         begins_apart(place * m.lookup->half / TL_RATIO_ONE);
@@ -290,7 +278,7 @@ static void changes(void) {
     }
     case 3: {
         const int32_t offset = any(14), scale = between(20000, 45000);
-        TEST_ASSERT_EQUAL(tl_undo_adapt(&m.undo, m.lookup, offset, scale, 100),
+        TEST_ASSERT_EQUAL(tl_undo_adapt(&m.undone.undo, m.lookup, offset, scale, 100),
                           tl_compensator_adapt(&k, offset, scale, 100));
         sees_what_to_undo();
         break;

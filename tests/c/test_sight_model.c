@@ -12,11 +12,11 @@
 
 static tl_sight_t sight;
 
-static struct {
+static struct model {
     int64_t gain, feed, duty, q, ahead, speed, load, seen_q, least, least_load, must, doubt, unseen_ms;
 } m;
 
-static struct {
+static struct seen {
     uint32_t lost, rests, runs_away, unknown;
 } seen;
 
@@ -106,6 +106,20 @@ static void begins(void) {
     m.duty = m.ahead = m.speed = m.load = m.least = m.least_load = m.must = m.doubt = m.unseen_ms = 0;
 }
 
+// A reading near q that makes the way since something was seen by number as large as the speed, or one less than its
+// opposite: where a sign could be taken for another. q adds 32 to the speed for one to the way.
+static int32_t as_far_as_fast(int32_t q, int32_t duty, int32_t sign) {
+    const struct model was = m;
+    const struct seen had = seen;
+    for (uint32_t i = 0; i < 4U; i++) {
+        (void)steps(q, duty);
+        q -= (int32_t)((m.speed - sign * (q - was.seen_q) + (sign < 0)) / (32 - sign));
+        m = was;
+    }
+    seen = had;
+    return q;
+}
+
 static void test_sight_is_its_equations(void) {
     for (uint32_t life = 0; life < LIVES; life++) {
         begins();
@@ -123,7 +137,8 @@ static void test_sight_is_its_equations(void) {
             speed += (m.gain == 0 ? 0.01 : (double)m.gain / 65536.0) * (duty - speed / 256.0 * (double)m.feed) / 256.0;
             const double jump = wild > 0 ? (step / 40U % 2U == 0U ? wild : -wild) : (once_in(100) ? any(16) : 0);
             place += speed + jump;
-            const int32_t q = (int32_t)(frozen ? m.q + (once_in(3) ? between(-COUNT, COUNT) : 0) : (int64_t)place);
+            int32_t q = (int32_t)(frozen ? m.q + (once_in(3) ? between(-COUNT, COUNT) : 0) : (int64_t)place);
+            q = once_in(20) ? as_far_as_fast(q, duty, once_in(2) ? 1 : -1) : q;
             const bool well = steps(q, duty);
             TEST_ASSERT_EQUAL(well, tl_sight_step(&sight, q, duty));
             TEST_ASSERT_EQUAL_INT64(m.speed, sight.speed);

@@ -172,6 +172,9 @@ static void uploads(uint8_t axis) {
                    fits = count <= TL_TABLE_SIZE_MAX - (at == 0U ? 0U : come);
         sound = follows && fits;
         TEST_ASSERT_EQUAL(sound ? 0 : TL_WIRE_REASON_TABLE_SIZE, send_part(axis, at, count));
+        if (!sound) { // nothing goes on, where it was or elsewhere
+            TEST_ASSERT_EQUAL(TL_WIRE_REASON_TABLE_SIZE, send_part(axis, come > 0U && once_in(2) ? come : 1U, 1U));
+        }
         come = sound ? at + count : 0U;
         if (!sound) {
             break;

@@ -345,8 +345,10 @@ static void test_an_encoder_s_error_is_periodic_to_the_ends_of_the_range(void) {
             undo.moved.offset.now = any(24);
             const int32_t shaft = q - (undo.moved.offset.now >> 8);
             const int32_t reading = tl_undo_reading(&undo, &lookup, q);
+            const int32_t pushed = tl_undo_pushing(&undo, &lookup, q, TL_UNDO_ROUNDS);
             undo.moved.offset.now = 0;
             TEST_ASSERT_EQUAL_INT32(tl_undo_reading(&undo, &lookup, shaft), reading); // from where the shaft is
+            TEST_ASSERT_EQUAL_INT32(tl_undo_pushing(&undo, &lookup, q, TL_UNDO_ROUNDS) + q - shaft, pushed);
         }
     }
 }

@@ -29,7 +29,7 @@ from tools.bench import endoscopy, tube
 from tools.bench.videos import Outcome, backgrounds, bends, said
 
 WIDEST_PX = 48  # of a square that is shown
-NEAR = 2.0  # issue 25, Show 3: times the marker's error
+NEAR = 2.0  # times the marker's error, beyond which a good verdict is wrong
 SHEET_PX = 180  # height of one picture on the sheet of all
 
 

@@ -211,9 +211,7 @@ def calibrate(
         session = _Session(aligned, rig, options, say, reasons)
         found = session.run()
         if naming and _may_have_names(session, found):
-            own = clock.align(tracks, rig, late_are_off=False) if found.offsets else aligned
-            by_stops = own.offsets != aligned.offsets  # an effect makes one motion's later than another's
-            aligned, offsets = (own, own.offsets) if by_stops else (aligned, found.offsets)
+            aligned, offsets = _for_a_name(tracks, rig, aligned, found)
             told = naming_room.asked(
                 *(found.model, shifted(recordings, offsets)), lambda share, what: say(0.8 + 0.15 * share, what)
             )
@@ -222,6 +220,15 @@ def calibrate(
                 found = _with_effects(found, told, again.beside(session, found.model, told))
         say(1.0, "done")
         return found
+
+
+def _for_a_name(
+    tracks: Sequence[Track], rig: Rig, aligned: clock.AlignedTracks, found: Calibration
+) -> tuple[clock.AlignedTracks, Mapping[str, float]]:
+    """The tracks on the clocks, and these by recording, with which an effect is named: as they were read where the
+    stops had set them otherwise, since an effect makes those of one motion later than another's."""
+    own = clock.align(tracks, rig, late_are_off=False) if found.offsets else aligned
+    return (own, own.offsets) if own.offsets != aligned.offsets else (aligned, found.offsets)
 
 
 def _may_have_names(session: _Session, found: Calibration) -> bool:

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from tautline.calibration.observations import Mask, Track
 from tautline.calibration.smooth import Domain, fit_jointly, freeze
+from tautline.independence import stretches
 
 _RUN = 4  # tolerance: frames at one place from which it may be held
 _MOVES = 0.02  # of the motor's span, by which it moves meanwhile
@@ -37,10 +37,9 @@ def released(
     return kept
 
 
-def _runs(track: Track) -> list[npt.NDArray[np.intp]]:
+def _runs(track: Track) -> list[slice]:
     """Frames after the first of each run of one place, while the motor moves."""
     same = np.concatenate([[False], (track.y[1:] == track.y[:-1]).all(axis=1)])
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
     q, least = track.motor_at(track.t_s), _MOVES * float(np.ptp(track.motor.q))
-    pairs = zip(edges[::2], edges[1::2], strict=True)
-    return [np.arange(a, b) for a, b in pairs if b - a + 1 >= _RUN and np.ptp(q[a - 1 : b]) > least]
+    runs = [(run, slice(run.start - 1, run.stop)) for run in stretches(same)]  # and with the first of each
+    return [run for run, whole in runs if whole.stop - whole.start >= _RUN and np.ptp(q[whole]) > least]

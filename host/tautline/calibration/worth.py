@@ -21,7 +21,7 @@ from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit
 from tautline.calibration.remaining import view_of
 from tautline.calibration.smooth import SPANS
 from tautline.geometry import project
-from tautline.independence import less_its_trend, remembered
+from tautline.independence import less_its_trend, remembered, stretches
 from tautline.least_squares import factor
 from tautline.model import Model
 from tautline.quality import Reason
@@ -149,10 +149,10 @@ def _over_noise(fit: PlayFit, curves: Curves, missed: Sequence[Array], masks: Se
     memory = remembered(rests, _SLOW)[0] if sum(map(len, rests)) >= _FEW else 0.0
     at_rest, moving = _mean(still), _mean(along)
     usual = _mean(beside) if beside else at_rest
-    whole = 1.0 - memory  # of what remembers, neighbours differ by so much
-    noise2 = max(at_rest / whole, usual / whole, 1.0) + _mean(placed)
+    own2 = max(at_rest, usual) / (1.0 - memory)  # of what remembers, neighbours differ by so much less
+    noise2 = max(own2, 1.0) + _mean(placed)
     jitter2 = max(moving - max(usual, 1.0), 0.0) / step.shape[1]
-    model2 = max(float(np.concatenate(alike).mean()) - memory * max(at_rest, usual) / whole, 0.0)
+    model2 = max(float(np.concatenate(alike).mean()) - memory * own2, 0.0)
     return float(np.sqrt(1.0 + (model2 + jitter2) / noise2))
 
 
@@ -163,8 +163,8 @@ def _across(off: Array, path: Array) -> Array:
 
 def _at_rest(t: Array, off: Array, resting: npt.NDArray[np.bool_]) -> list[Array]:
     """Of misses (n, 1) at times (n,) those of each rest, less their trend: what its place makes is none of it."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], resting.astype(int), [0]]))).reshape(-1, 2)
-    return [less_its_trend(t[a:b], off[a:b], _SLOW) for a, b in edges if b - a >= 2 * _SLOW]
+    rests = [rest for rest in stretches(resting) if rest.stop - rest.start >= 2 * _SLOW]
+    return [less_its_trend(t[rest], off[rest], _SLOW) for rest in rests]
 
 
 def _mean(squares: Sequence[Array]) -> float:

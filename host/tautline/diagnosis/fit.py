@@ -57,6 +57,15 @@ class ScoredRows(Rows):
     static registration and delay."""
 
     path: Path  # at all observations
+    model: Model  # with the tables that the path was simulated with
+
+    def moved_by_tables(self, model: Model) -> Array:
+        """(scored, k) The change of the prediction, to first order, with another model's B and f_remain on the same
+        grid."""
+        width = np.interp(self.p, model.q, model.width - self.model.width)
+        follow = np.interp(self.tip, model.q, model.c_deg - self.model.c_deg)
+        moved: Array = self.by_c * (self.by_width * width + self.by_follow * follow)[:, None]
+        return moved
 
 
 class Fitter:
@@ -176,7 +185,7 @@ class Fitter:
         columns = np.concatenate(
             [by_c[keep][:, :, None] * details[:, None, :], by_static[keep], by_delay[keep][:, :, None]], axis=2
         )
-        return ScoredRows(p, tip, by_b, gain, by_c[keep], columns, (segment.observed - seen)[keep], path)
+        return ScoredRows(p, tip, by_b, gain, by_c[keep], columns, (segment.observed - seen)[keep], path, model)
 
     def normal(
         self, rows: Rows, extra: Array | None = None, weight: Array | None = None, known: Normal | None = None
@@ -245,7 +254,7 @@ class Fitter:
 
     def effect_columns(self, state: ParameterState, hypothesis: Hypothesis, rows: Sequence[ScoredRows]) -> list[Array]:
         """Derivatives of the prediction by the hypothesis' slots, (scored, k, slots) for each recording, by difference
-        quotients of the simulation."""
+        quotients of the simulation, or of the tables where it is they that hold an effect."""
         slots, per_segment = hypothesis.slots, []
         steps = [_DIFFERENCE * self.scale(slot.parameter) for slot in slots]
         there = [
@@ -285,6 +294,8 @@ class Fitter:
         """(scored, k) The change of the prediction when `state` replaces the one that left `residual` and `row`'s path,
         the two differing by `parameter` alone; 0 where the marker would be behind the camera."""
         values = state.at(segment, hypothesis)
+        if parameter.name in effects.IN_TABLES:
+            return row.moved_by_tables(effects.tabled(state.model, values))
         path = segment.follow(state.model, values, self.load_reference) if moves_tip(parameter) else row.path
         moved = residual - (segment.observed - segment.seen(state.model, values, path))[segment.scored]
         return np.where(np.isfinite(moved), moved, 0.0)

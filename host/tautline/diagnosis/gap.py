@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from tautline import spread
 from tautline.diagnosis.segment import Segment
-from tautline.independence import frames_each, less_its_trend, remembered
+from tautline.independence import frames_each, less_its_trend, remembered, stretches
 from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
@@ -106,8 +106,7 @@ def still_stretches(segment: Segment) -> list[slice]:
     after = np.where(at < len(starts), starts[np.minimum(at, len(starts) - 1)], np.inf)
     # The frame's delay is well below _STILL_S: a frame counts when the motor rested before and after it.
     still = (segment.arrival_s - before > _STILL_S) & (after > segment.arrival_s)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
-    return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+    return stretches(still)
 
 
 def _moves(motor: Motor) -> tuple[Array, Array]:

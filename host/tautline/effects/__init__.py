@@ -9,6 +9,7 @@ tip by laws of its own.
 from tautline.effects.kind import SIMULATOR, STAGES, Event, Kind, Parameter, Transform, of_simulator, simulator_id
 from tautline.effects.library import BY_ID, EVENTS, LIBRARY, OWNER, SCATTERS
 from tautline.effects.simulation import (
+    IN_TABLES,
     NATIVE,
     PROJECTION,
     ImagePath,
@@ -26,6 +27,7 @@ from tautline.effects.simulation import (
 __all__ = [
     "BY_ID",
     "EVENTS",
+    "IN_TABLES",
     "LIBRARY",
     "NATIVE",
     "OWNER",

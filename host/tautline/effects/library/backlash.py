@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 
@@ -15,11 +14,10 @@ _NAMES = tuple(f"width_{i}" for i in range(_PIECES + 3))
 _EVERYWHERE = "width_everywhere"
 _AT_MOTOR = "width_at_motor"  # what is worn is a part that goes with the motor, and not with the play's centre
 _STEPS = 6  # until a wall is where it is; |added'| / 2 < 1 contracts
-_basis = lru_cache(maxsize=8)(Basis)
 
 
 def _in_the_table(model: Model, values: Mapping[str, float], session_s: float) -> Model:
-    basis = _basis(*model.rig.actuator.range, _PIECES)
+    basis = Basis(*model.rig.actuator.range, _PIECES)
     added = basis.table(np.array([values.get(name, 0.0) for name in _NAMES]), model.q)
     width = model.width * max(0.0, 1.0 + values.get("width_scale", 0.0)) + values.get(_EVERYWHERE, 0.0)
     if not values.get(_AT_MOTOR, 0.0):

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 
@@ -12,11 +11,10 @@ from tautline.splines import Basis
 
 _PIECES = 22  # of a cubic spline over the motor's range: as fine as the law itself is measured again
 _NAMES = tuple(f"remaining_{i}" for i in range(_PIECES + 3))
-_basis = lru_cache(maxsize=8)(Basis)
 
 
 def _in_the_table(model: Model, values: Mapping[str, float], session_s: float) -> Model:
-    basis = _basis(*model.rig.actuator.range, _PIECES)
+    basis = Basis(*model.rig.actuator.range, _PIECES)
     added = basis.table(np.array([values.get(name, 0.0) for name in _NAMES]), model.q)
     return replace(model, c_deg=monotone(model.c_deg + added))
 

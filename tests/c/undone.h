@@ -1,0 +1,47 @@
+// What sections add to a model of an inverse play, and where. How much it is, is tl_undo.h's own (test_undo_exact.c).
+#ifndef UNDONE_H
+#define UNDONE_H
+
+#include "draws.h"
+#include "tautline/tl_compensator.h"
+
+typedef struct {
+    bool on;                // in full mode, while there is anything
+    int64_t wider, reading; // counts Q8; strength Q16
+    tl_undo_t undo;
+} undone_t;
+
+static inline void undone_widens(undone_t *u, const tl_lookup_t *lookup, int64_t p, int64_t strength) {
+    u->wider = u->on ? tl_undo_wider(&u->undo, lookup, (int32_t)p) * strength / 65536 : 0;
+}
+
+// What the motor pushes from for the encoder to read this.
+static inline int64_t undone_pushing(const undone_t *u, const tl_lookup_t *lookup, int64_t reading) {
+    return u->on ? tl_undo_pushing(&u->undo, lookup, (int32_t)reading, TL_UNDO_ROUNDS) : reading;
+}
+
+// Whether there is anything; when it begins nothing is late, and the motor at q reads what it did.
+static inline void undone_sees(undone_t *u, bool full, int64_t q, int64_t goal) {
+    const bool on = u->undo.active && full;
+    if (on && !u->on) {
+        u->reading = q;
+        tl_undo_rest(&u->undo, (int32_t)goal);
+    }
+    u->on = on;
+}
+
+// After a tick with p and the motor here: it reads what stays within the range, or is nearer to it than it was.
+static inline void undone_ticks(undone_t *u, const tl_lookup_t *lookup, int64_t p, int64_t q) {
+    const int64_t low = lookup->table.q_min, high = lookup->table.q_max, was = u->reading;
+    tl_undo_tick(&u->undo, lookup, (int32_t)p);
+    u->reading = within(tl_undo_reading(&u->undo, lookup, (int32_t)q), was < low ? was : low, was > high ? was : high);
+}
+
+static inline void undone_curves(tl_table_t *table) { // of sections `sides` and `speed`
+    for (int32_t i = 0; i <= (int32_t)TL_TABLE_LAST; i++) {
+        table->sides.late[i] = (20 - i) << table->sides.step_log2;
+        table->speed.extra[i] = i * i * 100;
+    }
+}
+
+#endif
