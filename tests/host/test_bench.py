@@ -79,6 +79,16 @@ def test_z_of_a_video_is_taken_where_b_was_measured() -> None:
     assert found.reasons == ("residual",)
 
 
+@pytest.mark.long
+def test_a_law_of_friction_that_a_fit_makes_felt_throughout_is_none(tmp_path: Path) -> None:
+    """In this video no frame tells of it any more, once B is fitted beside it."""
+    condition = next(each for each in endoscopy.CONDITIONS if each.name == "H.264, crf 32")
+    endoscopy.make(tmp_path / "recording", condition, 0, None, lambda share: None)
+    status, document = videos.said("calibrate", str(tmp_path / "recording"), "--out", str(tmp_path / "model"))
+    assert status == 0
+    assert document["quality"]["verdict"] != "unusable"
+
+
 def _used(fault: endoscopy.Fault, rests: bool = False) -> endoscopy.World:
     condition = endoscopy.Condition("plain")
     before = endoscopy.World(condition, 3, np.zeros((8, 8, 3), np.uint8))

@@ -74,12 +74,14 @@ def fit_friction(starts: Sequence[Fitted], rig: Rig, kind: str, fit_delay: bool)
         fit = replace(start.fit, fit_delay=fit_delay, smoothing=dict(start.fit.smoothing))
         begun.append(_descended(_with(replace(start, fit=fit, scale=scale), kind, mean), rig, kind, mean))
     state, unknowns = min(begun, key=lambda one: left(one[0]))
-    if not np.isfinite(state.scale):
-        return None
     for _ in range(_AGAIN):
+        if not np.isfinite(state.scale):
+            return None
         solved = state.fit.solve(state.curves, iterations=_SMOOTHED)
         state = _with(replace(state, fit=solved.fit, curves=solved.curves), kind, unknowns)
         state, unknowns = _descended(state, rig, kind, unknowns)
+    if not np.isfinite(state.scale):
+        return None
     spread = _step(state, rig, kind, unknowns)[2]
     rows, masks = state.fit.residuals(state.curves)
     return Tried(replace(state, rows=rows, masks=masks), len(unknowns), spread)
