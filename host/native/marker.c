@@ -552,7 +552,7 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
     }
     const double even[PLANE] = {out->within, 0.0, 0.0};
     double place[2];
-    int kept = outline(&rays, y, columns, rows, cx, cy, even, place, out);
+    const int kept = outline(&rays, y, columns, rows, cx, cy, even, place, out);
     const double rim = rim_width(&rays, y, columns, rows, cx, cy, out->within - out->around);
     gather(&inside, y, mark, columns, rows, cx, cy, fmax(radius - rim, 0.0));
     double level[PLANE];
@@ -562,13 +562,16 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
         out->shaded = lit_from_one_side(shaded, share * share * slopes, share * share * variance);
     }
     if (kept > 0 && variance < INFINITY && out->shaded > OFTEN) {
-        const double first[2] = {place[0], place[1]};
+        marker_outline_t lit = {0}; /* tells the shift alone: what else is said is of the outline that is shifted */
+        double there[2];
         level[0] = out->within + out->shaded * (level[0] - out->within);
         level[1] *= out->shaded;
         level[2] *= out->shaded;
-        kept = outline(&rays, y, columns, rows, cx, cy, level, place, out);
-        out->lit_u = place[0] - first[0];
-        out->lit_v = place[1] - first[1];
+        if (outline(&rays, y, columns, rows, cx, cy, level, there, &lit) > 0) {
+            out->lit_u = there[0] - place[0];
+            out->lit_v = there[1] - place[1];
+            memcpy(place, there, sizeof place);
+        }
     }
     out->kept = (double)kept / rays.count;
     if (kept == 0) {

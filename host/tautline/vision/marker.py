@@ -395,8 +395,8 @@ def lit_by_place(seen: Sequence[Sighting], sure: npt.NDArray[np.bool_]) -> list[
     it is the same there whichever way the marker goes, and all frames nearby tell it. sure (n,): which are the
     marker's."""
     lit = np.array([s.lit_px for s in seen])
-    at = np.flatnonzero(sure & lit.any(axis=1))
-    if not len(at):
+    at = np.flatnonzero(sure)  # a frame that allows for none tells of its place, too
+    if not lit[at].any():
         return list(seen)
     place, wide = np.array([(s.u_px, s.v_px) for s in seen])[at], float(np.median([seen[k].diameter_px for k in at]))
     _, cell = np.unique(np.floor(place / wide), axis=0, return_inverse=True)
