@@ -5,9 +5,13 @@
 
 #include "tautline/tl_lookup.h"
 
+#ifndef WIDTH_MAX // a proof may be about narrower tables only
+#define WIDTH_MAX (2 * TL_TABLE_VALUE_MAX)
+#endif
+
 /*@ requires \valid_read(lookup) && \valid(flags);
     assigns \result \from p, *lookup; assigns *flags \from *flags, p, *lookup;
-    ensures 0 <= \result <= 2 * TL_TABLE_VALUE_MAX; ensures *flags <= 3; */
+    ensures 0 <= \result <= WIDTH_MAX; ensures *flags <= 3; */
 tl_count_q8_t tl_lookup_width(const tl_lookup_t *lookup, tl_count_q8_t p, uint32_t *flags); // between two nodes
 
 /*@ requires \valid_read(lookup) && \valid(flags);
@@ -22,8 +26,8 @@ tl_count_q8_t tl_lookup_angle_inverse(const tl_lookup_t *lookup, tl_deg_q16_t c,
 
 /*@ requires \valid_read(lookup) && \valid(flags);
     assigns \result \from c, *lookup; assigns *flags \from *flags, c, *lookup;
-    ensures -0x40000000 <= \result <= 0x40000000; ensures *flags <= 3; */
-tl_count_q8_t tl_lookup_coarse_inverse(const tl_lookup_t *lookup, tl_deg_q16_t c, uint32_t *flags); // q_min to q_max
+    ensures lookup->table.q_min <= \result <= lookup->table.q_max; ensures *flags <= 3; */
+tl_count_q8_t tl_lookup_coarse_inverse(const tl_lookup_t *lookup, tl_deg_q16_t c, uint32_t *flags);
 
 /*@ requires \valid_read(lookup) && \valid(flags);
     assigns \result \from q, near, *lookup; assigns *flags \from *flags, q, near, *lookup; ensures *flags <= 3; */

@@ -109,7 +109,7 @@ static void any_undo(void) {
 
 static void shaft(void) {
     tl_undo_reading(&undo, &lookup, WITHIN(5 << 28));
-    tl_undo_pushing(&undo, &lookup, PLACE(), TL_UNDO_ROUNDS);
+    tl_undo_pushing(&undo, &lookup, WITHIN(5 << 28), TL_UNDO_ROUNDS);
 }
 
 int main(void) {
