@@ -68,6 +68,7 @@ tl_count_q8_t tl_undo_reading(const tl_undo_t *undo, const tl_lookup_t *lookup, 
 tl_count_q8_t tl_undo_pushing(const tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t reading, uint32_t rounds);
 
 #include "../../../firmware/estimator/src/tl_compensator.c"
+#include "../../../firmware/estimator/src/tl_feed.h"
 #include "../../../firmware/estimator/src/tl_several.c"
 #include "../../../firmware/estimator/src/tl_takeup.c"
 #include "../../../firmware/estimator/src/tl_undoing.c"

@@ -3,6 +3,7 @@
 #include "__fc_builtin.h"
 
 #include "../../../firmware/estimator/src/tl_elements.c"
+#include "../../../firmware/estimator/src/tl_elements.h"
 #include "../../../firmware/estimator/src/tl_play.c"
 
 #define ANY()     Frama_C_int_interval(INT32_MIN, INT32_MAX)

@@ -1,4 +1,4 @@
-#include "tl_takeup.h"
+#include "../../../firmware/estimator/src/tl_takeup.h"
 
 #include "__fc_builtin.h"
 
