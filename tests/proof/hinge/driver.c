@@ -1,0 +1,75 @@
+#include "__fc_builtin.h"
+
+#include "../reals.h"
+
+#include "../../../firmware/estimator/src/tl_hinge.c"
+
+#define ANY()    Frama_C_int_interval(INT32_MIN, INT32_MAX)
+#define LONG(x)  Frama_C_long_long_interval(-((int64_t)1 << (x)), (int64_t)1 << (x))
+#define TO(x)    Frama_C_long_long_interval(0, (int64_t)1 << (x))
+#define NUMBER() Frama_C_long_long_interval(INT64_MIN, INT64_MAX)
+
+static tl_onset_detector_t d;
+
+// Of 128 samples at most, as tl_hinge.h has them.
+static tl_onset_sums_t any_sums(void) {
+    return (tl_onset_sums_t){.w = TO(13),
+                             .x = LONG(30),
+                             .xx = TO(47),
+                             .u = LONG(31),
+                             .v = LONG(31),
+                             .xu = LONG(48),
+                             .xv = LONG(48),
+                             .yy = TO(50),
+                             .n = Frama_C_int_interval(0, 1 << 20)};
+}
+
+static void any_detector(void) {
+    d.direction = (int8_t)Frama_C_nondet(-1, 1);
+    d.oldest = (uint8_t)Frama_C_unsigned_int_interval(0, TL_ONSET_WINDOW - 1U);
+    d.held = (uint8_t)Frama_C_unsigned_int_interval(1, TL_ONSET_WINDOW);
+    d.config.frames_max = (uint8_t)Frama_C_unsigned_int_interval(3, TL_ONSET_WINDOW - 2U);
+    d.reference_u = ANY();
+    d.reference_v = ANY();
+    d.reversal.q1 = ANY();
+    d.all = any_sums();
+    for (unsigned i = 0; i < TL_ONSET_WINDOW; i++) {
+        d.window[i].q = ANY();
+        d.window[i].u = ANY();
+        d.window[i].v = ANY();
+        d.window[i].weight = Frama_C_int_interval(1, 64);
+    }
+}
+
+static void sums(void) {
+    tl_onset_sums_t line = any_sums();
+    const tl_onset_sums_t level = any_sums(), all = any_sums();
+    tl_hinge_meeting_t meeting;
+    tl_hinge_t fit;
+    gain_t best = {NUMBER(), NUMBER()};
+    tl_hinge_meet(&line, &level, Frama_C_int_interval(0, 15), &meeting);
+    tl_hinge_scatter(&line);
+    tl_hinge_without(&line, &level);
+    value_of(&best, &all);
+    describe(&d, &line, &best, Frama_C_int_interval(0, 15), &fit);
+    improves(&best, &line, &all);
+    refine(&line, &all, Frama_C_int_interval(-(1 << 18), 0), Frama_C_int_interval(0, 1 << 18));
+    line = any_sums();
+    shift(&line, LONG(18));
+}
+
+static void points(void) {
+    tl_onset_sums_t line = any_sums();
+    const int32_t i = Frama_C_int_interval(0, TL_ONSET_WINDOW);
+    const tl_count_q8_t origin = ANY();
+    const tl_hinge_point_t point = tl_hinge_point(&d, i, origin, tl_hinge_scale(&d, i, origin));
+    tl_hinge_add(&line, &point);
+    tl_hinge_image(&d, i);
+}
+
+int main(void) {
+    any_detector();
+    sums();
+    points();
+    return 0;
+}
