@@ -18,7 +18,7 @@ static TL_FAST inline uint32_t size_of(int32_t value) {
     return value < 0 ? 0U - (uint32_t)value : (uint32_t)value;
 }
 
-// a b / 2^right for right 16 to 31, towards 0, within +-MOST.
+// a b / 2^right for right 8 to 31, towards 0, within +-MOST.
 static TL_FAST int32_t times(int32_t a, int32_t b, uint32_t right) {
     const uint32_t x = size_of(a), y = size_of(b), high = tl_mul_high(x, y);
     uint32_t size = (uint32_t)MOST;
