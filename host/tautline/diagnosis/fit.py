@@ -295,9 +295,10 @@ class Fitter:
         the two differing by `parameter` alone; 0 where the marker would be behind the camera."""
         values = state.at(segment, hypothesis)
         if parameter.name in effects.IN_TABLES:
-            return row.moved_by_tables(effects.tabled(state.model, values))
-        path = segment.follow(state.model, values, self.load_reference) if moves_tip(parameter) else row.path
-        moved = residual - (segment.observed - segment.seen(state.model, values, path))[segment.scored]
+            moved = row.moved_by_tables(effects.tabled(state.model, values))
+        else:
+            path = segment.follow(state.model, values, self.load_reference) if moves_tip(parameter) else row.path
+            moved = residual - (segment.observed - segment.seen(state.model, values, path))[segment.scored]
         return np.where(np.isfinite(moved), moved, 0.0)
 
     def fit(
