@@ -30,6 +30,10 @@ class Rows:
     columns: Array  # (n, k, m) of the other unknowns x
     residual: Array  # (n, k)
 
+    def moved(self, width: Array, follow: Array) -> Array:
+        """(n, k) The change of the prediction by what is added to B at p and to f at tip, (n,) both."""
+        return np.asarray(self.by_c * (self.by_width * width + self.by_follow * follow)[:, None])
+
 
 @dataclass(frozen=True)
 class Normal:
@@ -69,9 +73,8 @@ class Nominal:
     def moved(self, rows: Rows, step: Array) -> Array:
         """(n, k) The change of the prediction by a step of the unknowns."""
         b, both = self.width.size, self.size
-        c = rows.by_width * self.width.value(step[:b], rows.p)
-        c = c + rows.by_follow * self.follow.value(step[b:both], rows.tip)
-        return np.asarray(rows.by_c * c[:, None] + rows.columns @ step[both:])
+        curves = rows.moved(self.width.value(step[:b], rows.p), self.follow.value(step[b:both], rows.tip))
+        return np.asarray(curves + rows.columns @ step[both:])
 
 
 def by_width(lean: Array, slope: Array) -> Array:

@@ -64,8 +64,7 @@ class ScoredRows(Rows):
         grid."""
         width = np.interp(self.p, model.q, model.width - self.model.width)
         follow = np.interp(self.tip, model.q, model.c_deg - self.model.c_deg)
-        moved: Array = self.by_c * (self.by_width * width + self.by_follow * follow)[:, None]
-        return moved
+        return self.moved(width, follow)
 
 
 class Fitter:

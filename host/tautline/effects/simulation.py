@@ -23,9 +23,7 @@ Array = npt.NDArray[np.float64]
 NATIVE = frozenset(name for name, *_ in _native.effect_parameters)  # what moves the tip
 PROJECTION = frozenset(name for name, *_ in _native.projection_parameters)  # what changes where it is seen
 _TABLED = tuple(form for kind in LIBRARY if kind.in_tables for form in kind.forms)
-IN_TABLES = frozenset(
-    parameter.name for form in _TABLED for parameter in form.parameters
-)  # what is simulated as tables
+IN_TABLES = frozenset(p.name for form in _TABLED for p in form.parameters)  # what is simulated as tables
 _TRANSFORMED = tuple(kind for kind in LIBRARY if kind.transform)
 _MEANS = frozenset(kind.event.mean for kind in LIBRARY if kind.event)
 
