@@ -1,28 +1,11 @@
 #include "__fc_builtin.h"
 
 #include "../reals.h"
+#include "../sums.h"
 
 #include "../../../firmware/estimator/src/tl_hinge.c"
 
-#define ANY()    Frama_C_int_interval(INT32_MIN, INT32_MAX)
-#define LONG(x)  Frama_C_long_long_interval(-((int64_t)1 << (x)), (int64_t)1 << (x))
-#define TO(x)    Frama_C_long_long_interval(0, (int64_t)1 << (x))
-#define NUMBER() Frama_C_long_long_interval(INT64_MIN, INT64_MAX)
-
 static tl_onset_detector_t d;
-
-// Of 128 samples at most, as tl_hinge.h has them.
-static tl_onset_sums_t any_sums(void) {
-    return (tl_onset_sums_t){.w = TO(13),
-                             .x = LONG(30),
-                             .xx = TO(47),
-                             .u = LONG(31),
-                             .v = LONG(31),
-                             .xu = LONG(48),
-                             .xv = LONG(48),
-                             .yy = TO(50),
-                             .n = Frama_C_int_interval(0, 1 << 20)};
-}
 
 static void any_detector(void) {
     d.direction = (int8_t)Frama_C_nondet(-1, 1);

@@ -1,6 +1,7 @@
 #include "__fc_builtin.h"
 
 #include "../reals.h"
+#include "../sums.h"
 #include "tl_hinge.h"
 
 /*@ predicate of_samples(tl_onset_sums_t *s) = 0 <= s->w <= 0x3000 && 0 <= s->n <= 192; */
@@ -36,29 +37,13 @@ tl_history_status_t tl_history_at(const tl_history_t *history, tl_us_t t_us, tl_
 #include "../../../firmware/estimator/src/tl_confirm.c"
 #include "../../../firmware/estimator/src/tl_onset.c"
 
-#define ANY()      Frama_C_int_interval(INT32_MIN, INT32_MAX)
 #define UNSIGNED() Frama_C_unsigned_int_interval(0, UINT32_MAX)
 #define FLAG()     ((bool)Frama_C_unsigned_int_interval(0, 1))
 #define TIME()     Frama_C_unsigned_long_long_interval(0, UINT64_MAX)
-#define LONG(x)    Frama_C_long_long_interval(-((int64_t)1 << (x)), (int64_t)1 << (x))
-#define NUMBER()   Frama_C_long_long_interval(INT64_MIN, INT64_MAX)
-#define TO(x)      Frama_C_long_long_interval(0, (int64_t)1 << (x))
 
 static tl_onset_detector_t d;
 static tl_history_t history;
 static tl_onset_t onset;
-
-static tl_onset_sums_t any_sums(void) {
-    return (tl_onset_sums_t){.w = Frama_C_long_long_interval(0, 0x3000),
-                             .x = LONG(30),
-                             .xx = TO(47),
-                             .u = LONG(32),
-                             .v = LONG(32),
-                             .xu = LONG(48),
-                             .xv = LONG(48),
-                             .yy = TO(50),
-                             .n = Frama_C_int_interval(0, 192)};
-}
 
 static tl_onset_sample_t any_sample(void) {
     return (tl_onset_sample_t){
