@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -65,6 +66,19 @@ class ScoredRows(Rows):
         width = np.interp(self.p, model.q, model.width - self.model.width)
         follow = np.interp(self.tip, model.q, model.c_deg - self.model.c_deg)
         return self.moved(width, follow)
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """What one recording's sensor shows at a state, at all observations. by_c, by_static: `image_with_slopes`."""
+
+    parameters: Mapping[str, Any]
+    path: Path
+    model: Model  # with the tables that the path was simulated with
+    seen: Array
+    by_c: Array
+    by_static: Array
+    residual: Array  # at the scored ones
 
 
 class Fitter:
@@ -148,43 +162,59 @@ class Fitter:
 
     def rows(self, state: ParameterState, hypothesis: Hypothesis) -> list[ScoredRows]:
         """For each recording its residual and its derivatives by the nominal's unknowns, at the scored observations."""
+        return self.rows_of(state, self.shown(state, hypothesis))
+
+    def shown(self, state: ParameterState, hypothesis: Hypothesis) -> list[_Shown]:
+        """What `rows` differentiates, of each recording."""
+        every = [state.at(segment, hypothesis) for segment in self.segments]
+        for segment, parameters in zip(self.segments, every, strict=True):
+            segment.ask(parameters)
+        return [
+            self._shown(segment, state.model, parameters)
+            for segment, parameters in zip(self.segments, every, strict=True)
+        ]
+
+    def _shown(self, segment: Segment, model: Model, parameters: Mapping[str, Any]) -> _Shown:
+        path = segment.follow(model, parameters, self.load_reference)
+        model = effects.tabled(model, parameters)
+        if self.px:
+            seen, by_c, by_static = effects.image_with_slopes(model, path, parameters, segment.offset_s)
+        else:
+            seen = path.c_deg[:, None]
+            by_c, by_static = np.ones_like(seen), np.empty((*seen.shape, 0))
+        residual = (segment.observed - seen)[segment.scored]
+        return _Shown(parameters, path, model, seen, by_c, by_static, residual)
+
+    def rows_of(self, state: ParameterState, shown: Sequence[_Shown]) -> list[ScoredRows]:
         slope_b = np.gradient(state.model.width, state.model.q)
         slope_f = np.gradient(state.model.c_deg, state.model.q)
-        for segment in self.segments:
-            segment.ask(state.at(segment, hypothesis))
-        return [self._rows(segment, state, hypothesis, slope_b, slope_f) for segment in self.segments]
+        return [
+            self._rows(segment, state.model, each, slope_b, slope_f)
+            for segment, each in zip(self.segments, shown, strict=True)
+        ]
 
-    def _rows(
-        self, segment: Segment, state: ParameterState, hypothesis: Hypothesis, slope_b: Array, slope_f: Array
-    ) -> ScoredRows:
-        """`rows` of one recording. slope_b, slope_f: dB/dq and df_remain/dq on the model's grid."""
-        parameters, keep = state.at(segment, hypothesis), segment.scored
-        path = segment.follow(state.model, parameters, self.load_reference)
-        model = effects.tabled(state.model, parameters)
-        if model is not state.model:
+    def _rows(self, segment: Segment, nominal: Model, shown: _Shown, slope_b: Array, slope_f: Array) -> ScoredRows:
+        """`rows` of one recording. slope_b, slope_f: the nominal's dB/dq and df_remain/dq on its grid."""
+        path, model, keep, by_c = shown.path, shown.model, segment.scored, shown.by_c
+        if model is not nominal:
             slope_b, slope_f = np.gradient(model.width, model.q), np.gradient(model.c_deg, model.q)
         p, tip, gain = path.p[keep], path.tip[keep], path.gain[keep]
         by_b = gain * np.interp(tip, model.q, slope_f) * by_width(path.lean[keep], np.interp(p, model.q, slope_b))
         details = np.column_stack(
             [by_b * np.interp(p, model.q, self._details[0]), gain * np.interp(tip, model.q, self._details[1])]
         )
-        if self.px:
-            seen, by_c, by_static = effects.image_with_slopes(model, path, parameters, segment.offset_s)
-        else:
-            seen = path.c_deg[:, None]
-            by_c, by_static = np.ones_like(seen), np.empty((*seen.shape, 0))
         by_delay = np.zeros_like(by_c)
         if self.delayed:
-            sooner = {**parameters, "delay": parameters.get("delay", 0.0) - _AHEAD_S}
-            later = segment.follow(state.model, sooner, self.load_reference)
+            sooner = {**shown.parameters, "delay": shown.parameters.get("delay", 0.0) - _AHEAD_S}
+            later = segment.follow(nominal, sooner, self.load_reference)
             by_delay = ((path.c_deg - later.c_deg) / _AHEAD_S)[:, None] * by_c
             others = path.translation_mm is not None or path.rotation_deg is not None
             if self.px and others:  # these come late as well
-                by_delay = (seen - effects.image(model, later, parameters, segment.offset_s)) / _AHEAD_S
+                by_delay = (shown.seen - effects.image(model, later, shown.parameters, segment.offset_s)) / _AHEAD_S
         columns = np.concatenate(
-            [by_c[keep][:, :, None] * details[:, None, :], by_static[keep], by_delay[keep][:, :, None]], axis=2
+            [by_c[keep][:, :, None] * details[:, None, :], shown.by_static[keep], by_delay[keep][:, :, None]], axis=2
         )
-        return ScoredRows(p, tip, by_b, gain, by_c[keep], columns, (segment.observed - seen)[keep], path, model)
+        return ScoredRows(p, tip, by_b, gain, by_c[keep], columns, shown.residual, path, model)
 
     def normal(
         self, rows: Rows, extra: Array | None = None, weight: Array | None = None, known: Normal | None = None
@@ -254,7 +284,7 @@ class Fitter:
     def effect_columns(self, state: ParameterState, hypothesis: Hypothesis, rows: Sequence[ScoredRows]) -> list[Array]:
         """Derivatives of the prediction by the hypothesis' slots, (scored, k, slots) for each recording, by difference
         quotients of the simulation, or of the tables where it is they that hold an effect."""
-        slots, per_segment = hypothesis.slots, []
+        slots = hypothesis.slots
         steps = [_DIFFERENCE * self.scale(slot.parameter) for slot in slots]
         there = [
             replace(state, values={**state.values, slot.key: state.values[slot.key] + step})
@@ -263,14 +293,13 @@ class Fitter:
         for segment in self.segments:
             for stepped in there:
                 segment.ask(stepped.at(segment, hypothesis))
-        for segment, row in zip(self.segments, rows, strict=True):
-            columns = np.zeros((*row.residual.shape, len(slots)))
-            for i, slot in enumerate(slots):
+        columns = [np.zeros((*row.residual.shape, len(slots))) for row in rows]
+        for i, slot in enumerate(slots):  # of all recordings one after the other: they share its tables
+            for segment, row, own in zip(self.segments, rows, columns, strict=True):
                 if slot.holds_in(segment):
                     moved = self.change_of_prediction(segment, there[i], hypothesis, slot.parameter, row, row.residual)
-                    columns[:, :, i] = moved / steps[i]
-            per_segment.append(columns)
-        return per_segment
+                    own[:, :, i] = moved / steps[i]
+        return columns
 
     def linearised(self, fit: Fit) -> list[ScoredRows]:
         """The rows of each recording at a fit, with the columns of its slots after the nominal's."""
@@ -346,8 +375,8 @@ class Fitter:
         """Damped Gauss-Newton from `state`, at most `most` steps, ended when one lowers the cost by less than a share
         `enough`. held: indices of the nominal's unknowns that stay fixed."""
         held = np.zeros(0, dtype=np.int64) if held is None else held
-        minimum = descend(_Descent(self, hypothesis, enough, held), _Point(state, self.rows(state, hypothesis)), most)
-        return Fit(hypothesis, minimum.state, [row.residual for row in minimum.rows])
+        minimum = descend(_Descent(self, hypothesis, enough, held), _Point(state, self.shown(state, hypothesis)), most)
+        return Fit(hypothesis, minimum.state, minimum.residuals)
 
     def stepped(self, state: ParameterState, hypothesis: Hypothesis, step: Array) -> ParameterState:
         """The state after adding `step` to all unknowns, widths and parameters kept within their ranges."""
@@ -368,8 +397,14 @@ class Fitter:
 
 @dataclass(frozen=True)
 class _Point:
+    """Differentiated where a step is taken from it, and not where it was only tried or is the last."""
+
     state: ParameterState
-    rows: list[ScoredRows]
+    shown: list[_Shown]
+
+    @property
+    def residuals(self) -> list[Array]:
+        return [each.residual for each in self.shown]
 
 
 class _Descent:
@@ -387,10 +422,11 @@ class _Descent:
     def linearised(self, point: _Point) -> tuple[Array, Array, float]:
         """Normal matrix, gradient (the direction that lowers the cost) and cost at a point."""
         fitter, hypothesis = self.fitter, self.hypothesis
-        self.limits = [outlier_limit(row.residual) for row in point.rows]
+        rows = fitter.rows_of(point.state, point.shown)
+        self.limits = [outlier_limit(row.residual) for row in rows]
         matrix, gradient = self.prior.copy(), np.zeros(len(self.prior))
-        columns = fitter.effect_columns(point.state, hypothesis, point.rows)
-        for row, extra, limit in zip(point.rows, columns, self.limits, strict=True):
+        columns = fitter.effect_columns(point.state, hypothesis, rows)
+        for row, extra, limit in zip(rows, columns, self.limits, strict=True):
             weight = np.minimum(1.0, limit / np.maximum(np.abs(row.residual), 1e-12))
             part = fitter.normal(row, extra, weight)
             matrix += part.matrix
@@ -414,13 +450,11 @@ class _Descent:
 
     def moved(self, point: _Point, step: Array) -> _Point:
         state = self.fitter.stepped(point.state, self.hypothesis, step)
-        return _Point(state, self.fitter.rows(state, self.hypothesis))
+        return _Point(state, self.fitter.shown(state, self.hypothesis))
 
     def cost(self, point: _Point) -> float:
         values = self._values(point.state)
-        return _huber_cost([row.residual for row in point.rows], self.limits) + float(
-            values @ self.curve_precision @ values
-        )
+        return _huber_cost(point.residuals, self.limits) + float(values @ self.curve_precision @ values)
 
     def _values(self, state: ParameterState) -> Array:
         return np.array([state.values[slot.key] for slot in self.hypothesis.slots])

@@ -152,6 +152,9 @@ class _Joined:
         self.residual = self.as_it_is - behind
         self._before = joined(lambda f: f.before) - behind[:, :, None]
         self._velocity, self._per_unit = joined(lambda f: f.velocity), joined(lambda f: f.per_unit)
+        self._by_velocity = _along_and_across2(self.residual, self._velocity)
+        self._by_way = _along_and_across2(self.residual, self._per_unit)
+        self._steep2 = np.sum(self._per_unit**2, axis=1)
         self.driven, self._period = joined(lambda f: f.driven), joined(lambda f: f.period)
         self.block = np.concatenate([part.block for part in parts])
         self._recording = np.repeat(np.arange(len(parts)), [len(part.block) for part in parts])
@@ -196,7 +199,7 @@ class _Joined:
 
     def jitter(self, seconds: float) -> Array:
         """Frame times that scatter by so many seconds: along the motion in proportion to the speed."""
-        along, across2 = _along_and_across2(self.residual, self._velocity)
+        along, across2 = self._by_velocity
         variance = self._floor2 + (seconds * self.speed) ** 2
         return _gaussian_along(along, across2, variance, self._floor2, self.coordinates)
 
@@ -204,8 +207,8 @@ class _Joined:
         """A tip that stays while the motor drives, with a probability that falls to 0 over `jump` (of the centre
         coordinate), and else is anywhere within a jump of the prediction."""
         held = np.where(self.driven > 0.0, np.clip(1.0 - self.driven / jump, 0.01, 0.99), 0.99)
-        variance = self._floor2 + np.sum(self._per_unit**2, axis=1) * jump**2 / 12.0  # equation: of a uniform density
-        along, across2 = _along_and_across2(self.residual, self._per_unit)
+        variance = self._floor2 + self._steep2 * jump**2 / 12.0  # equation: of a uniform density
+        along, across2 = self._by_way
         within = _gaussian_along(along, across2, variance, self._floor2, self.coordinates)
         return np.asarray(np.logaddexp(np.log(held) + self._repeated, np.log1p(-held) + within))
 

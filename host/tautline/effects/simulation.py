@@ -188,13 +188,26 @@ def _moved(
     return Path(rising, translation, rotation, *moved)
 
 
+_RECENT = 7  # tolerance: as many tables are kept: a session's recordings ask for the same ones in turn
+_recent: tuple[tuple[Model, dict[str, Any], Model], ...] = ()
+
+
 def tabled(model: Model, parameters: Mapping[str, Any]) -> Model:
     """The model with what of these is simulated as the tables that hold it."""
-    for kind in _TABLED:
-        if any(parameter.name in parameters for parameter in kind.amplitudes):
-            assert kind.holds
-            model = kind.holds(model, parameters, 0.0)
-    return model
+    present = [kind for kind in _TABLED if any(parameter.name in parameters for parameter in kind.amplitudes)]
+    if not present:
+        return model
+    values = {name: parameters[name] for name in IN_TABLES if name in parameters}
+    global _recent
+    for nominal, before, held in _recent:
+        if nominal is model and before == values:
+            return held
+    held = model
+    for kind in present:
+        assert kind.holds
+        held = kind.holds(held, parameters, 0.0)
+    _recent = ((model, values, held), *_recent[:_RECENT])  # whole: another thread may be reading it
+    return held
 
 
 def image(model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_s: float = 0.0) -> Array:
