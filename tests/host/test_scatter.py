@@ -69,3 +69,15 @@ def test_noise_alone_is_neither():
     said = told(np.random.default_rng(7), lambda t, p, rng: p)
     for name in (JITTER, STICK):
         assert np.mean(said.loss[name]) > np.mean(said.loss["level"]) - 0.01
+
+
+def test_of_frames_that_come_in_bunches_nothing_is_told():
+    t = np.repeat(np.arange(0.0, 8.0, 0.07), 2)
+    t[1::2] += 0.001
+    p = np.sin(t)
+    seen = p[:, None] * PX_PER_UNIT
+    block = (t // 2.0).astype(np.int64)
+    said = weighed([frames(t, seen, seen, p, block)], FLOOR, int(block[-1]) + 1)
+    assert said.white == 1.0
+    assert not any(said.beats_noise(event) for event in (JITTER, STICK, HELD))
+    assert all(loss.tolist() == [0.0] * 4 for loss in said.loss.values()) and set(RIVALS) < set(said.loss)

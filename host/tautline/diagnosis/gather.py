@@ -149,7 +149,6 @@ class _Weighing:
     def _add_scatter(self, candidate: Candidate, kind: Kind, left: Scatter) -> None:
         """Adds `candidate` with the log-likelihoods by block, from the scatter that it leaves, of the event `kind` and
         of the best rival explanation, both against plain noise."""
-        plain, level = left.loss["as it is"], left.loss["level"]
         rival = min(
             (left.loss[name] for name in scatter.RIVALS if name != kind.id), key=lambda loss: float(np.mean(loss))
         )
@@ -160,10 +159,10 @@ class _Weighing:
             Weighed(
                 candidate.ids,
                 candidate.power,
-                scatter=left.loss[kind.id] - plain,
-                rival=rival - plain,
+                scatter=left.loss[kind.id] - left.plain,
+                rival=rival - left.plain,
                 parameters=candidate.parameters,
-                white=float(np.exp(min(0.0, float(np.mean((left.loss["memory"] - level)[level != 0.0]))))),
+                white=left.white,
                 beyond=candidate.beyond,
                 wanders=candidate.wanders,
             )

@@ -22,6 +22,7 @@ from tautline.diagnosis.fitted import Fit
 Array = npt.NDArray[np.float64]
 
 STICK_SLIP, JITTER, HELD = "transmission.stick_slip", "acquisition.jitter", "acquisition.held_samples"
+_AS_IT_IS = "as it is"
 RIVALS = ("level", "memory", HELD, "pixels")
 _MOVES = 0.02  # tolerance: of the fastest: slower is at rest
 _REMEMBERED = 3  # tolerance: frames that the rival with a memory reaches back
@@ -37,6 +38,18 @@ class Scatter:
 
     loss: dict[str, Array]  # of the two events' ids, of RIVALS and of what is left "as it is"
     amount: dict[str, float]  # of each event: how much it scatters, in its parameter's unit
+
+    @property
+    def plain(self) -> Array:
+        """(blocks,) of what is left as it is."""
+        return self.loss[_AS_IT_IS]
+
+    @property
+    def white(self) -> float:
+        """The share of the noise's variance that the frames before do not foretell."""
+        told = self.loss["level"] != 0.0
+        gained = (self.loss["memory"] - self.loss["level"])[told]
+        return float(np.exp(min(0.0, float(np.mean(gained))))) if told.any() else 1.0
 
     def beats_noise(self, event: str) -> bool:
         """Whether an event says more than a level of noise."""
@@ -107,7 +120,10 @@ def frames(t: Array, observed: Array, predicted: Array, p: Array, block: npt.NDA
 
 def weighed(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
     """Losses and amounts of each explanation, its one number by maximum likelihood. parts: of each recording; floor:
-    the noise of one coordinate; blocks: how many there are in all."""
+    the noise of one coordinate; blocks: how many there are in all. Where no frame counts nothing is told of any."""
+    if not any(len(part.block) for part in parts):
+        told = (JITTER, STICK_SLIP, _AS_IT_IS, *RIVALS)
+        return Scatter({name: np.zeros(blocks) for name in told}, dict.fromkeys((JITTER, STICK_SLIP, HELD), 0.0))
     frames = _Joined(parts, floor)
     speed, driven = frames.speed, frames.driven
     finest = floor / max(float(np.quantile(speed, 0.9)), 1e-9)
@@ -122,7 +138,7 @@ def weighed(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
     log_densities = {
         JITTER: jittered,
         STICK_SLIP: stuck,
-        "as it is": frames.two_levels(frames.as_it_is),
+        _AS_IT_IS: frames.two_levels(frames.as_it_is),
         "level": frames.two_levels(frames.residual),
         "memory": frames.two_levels(frames.residual - frames.by_memory()),
         HELD: frozen,
