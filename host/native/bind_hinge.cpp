@@ -21,7 +21,7 @@ nb::object shaped(const ArrayOut<double> &values, std::initializer_list<size_t> 
     return nb::cast(values).attr("reshape")(nb::tuple(sizes));
 }
 
-nb::tuple fit(ArrayIn<double> x, Rows y, ArrayIn<double> knots, Rows precision, bool jump) {
+nb::tuple fit(ArrayIn<double> x, Rows y, ArrayIn<double> knots, Rows precision, bool jump, bool used_too) {
     const size_t columns = precision.shape(1), least = jump ? 4 : 3, seen = y.shape(1);
     if (columns < least || columns > HINGE_COLUMNS || seen < 1 || seen > HINGE_SEEN || y.shape(0) != x.shape(0)) {
         throw std::invalid_argument("a hinge has a level, a slope and pieces, one or two channels, an x of each y");
@@ -30,10 +30,10 @@ nb::tuple fit(ArrayIn<double> x, Rows y, ArrayIn<double> knots, Rows precision, 
                            jump ? 1 : 0, x.data(), y.data(),       knots.data(),       precision.data()};
     const size_t each = hinge.knots * hinge.bends;
     auto squares = new_array<double>(each), residual = new_array<double>(each), volume = new_array<double>(each),
-         used = new_array<double>(each), way = new_array<double>(each * seen),
+         used = new_array<double>(used_too ? each : 0), way = new_array<double>(each * seen),
          coefficients = new_array<double>(each * columns * seen);
-    const hinge_fit_t fit = {squares.data(), residual.data(), volume.data(),
-                             used.data(),    way.data(),      coefficients.data()};
+    const hinge_fit_t fit = {squares.data(), residual.data(),    volume.data(), used_too ? used.data() : nullptr,
+                             way.data(),     coefficients.data()};
     int holds = 0;
     {
         nb::gil_scoped_release unlocked;
@@ -43,7 +43,8 @@ nb::tuple fit(ArrayIn<double> x, Rows y, ArrayIn<double> knots, Rows precision, 
         throw std::invalid_argument("a hinge's values are finite and its precisions above 0");
     }
     const auto of = {hinge.knots, hinge.bends};
-    return nb::make_tuple(shaped(squares, of), shaped(residual, of), shaped(volume, of), shaped(used, of),
+    const nb::object columns_used = used_too ? shaped(used, of) : nb::none();
+    return nb::make_tuple(shaped(squares, of), shaped(residual, of), shaped(volume, of), columns_used,
                           shaped(way, {hinge.knots, hinge.bends, seen}),
                           shaped(coefficients, {hinge.knots, hinge.bends, columns, seen}));
 }
@@ -51,7 +52,7 @@ nb::tuple fit(ArrayIn<double> x, Rows y, ArrayIn<double> knots, Rows precision, 
 } // namespace
 
 void bind_hinge(nb::module_ &m) {
-    m.def(
-        "hinge", fit, "x"_a, "y"_a, "knots"_a, "precision"_a, "jump"_a,
-        "(squares, residual, volume, used, way, coefficients) for each knot and each row of precisions. See hinge.h.");
+    m.def("hinge", fit, "x"_a, "y"_a, "knots"_a, "precision"_a, "jump"_a, "used_too"_a = true,
+          "(squares, residual, volume, used, way, coefficients) for each knot and each row of precisions, `used` None"
+          " unless asked for. See hinge.h.");
 }

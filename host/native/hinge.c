@@ -144,7 +144,9 @@ static int fit_one(const hinge_t *hinge, const double *precision, square_t gram,
     fit->squares[at] = fmax(all - explained, 0.0);
     fit->residual[at] = fmax(all - explained - held, 0.0);
     fit->volume[at] = volume;
-    fit->used[at] = (double)columns - trace_of(system, columns, precision);
+    if (fit->used) {
+        fit->used[at] = (double)columns - trace_of(system, columns, precision);
+    }
     return 1;
 }
 

@@ -27,7 +27,7 @@ typedef struct {
     double *squares;      // (knots, bends) of the residual and of the coefficients under their prior
     double *residual;     // (knots, bends) squares of the residual alone
     double *volume;       // (knots, bends) log of the determinant of level and path, posterior over prior precision
-    double *used;         // (knots, bends) effective number of columns
+    double *used;         // (knots, bends) effective number of columns; NULL: not asked for
     double *way;          // (knots, bends, seen) of the path from the knot to the furthest frame
     double *coefficients; // (knots, bends, columns, seen)
 } hinge_fit_t;

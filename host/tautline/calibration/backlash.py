@@ -155,16 +155,17 @@ class _Fit:
         if len(places) < 5:
             return float(_SMOOTHINGS[-1])
         gram = self.design.T @ (weight[:, None] * self.design)
+        alike = [np.array([p for p in places if len(p) == size]) for size in {len(p) for p in places}]
         best, chosen = np.inf, float(_SMOOTHINGS[-1])
         for smoothing in _SMOOTHINGS[::-1]:
             inverse = self._inverse(gram + smoothing * unit * self.basis.roughness)
-            hat = self.design @ inverse @ self.design.T * weight[None, :]
-            left = self.w - hat @ self.w
-            out = left / (1.0 - np.diag(hat) * (1 - 1e-6))
-            for place in places:
-                if len(place) > 1:
-                    system = np.eye(len(place)) - hat[np.ix_(place, place)] * (1 - 1e-6)
-                    out[place] = np.linalg.solve(system, left[place])
+            spread = self.design @ inverse
+            left = self.w - spread @ (self.design.T @ (weight * self.w))
+            out = np.empty_like(left)
+            for place in alike:  # (places, size)
+                within = spread[place] @ self.design[place].transpose(0, 2, 1) * weight[place][:, None, :]
+                system = np.eye(place.shape[1]) - within * (1 - 1e-6)
+                out[place] = np.linalg.solve(system, left[place][:, :, None])[:, :, 0]
             score = float(np.sum(weight * out**2))
             if score < best * 0.999:
                 best, chosen = score, float(smoothing)

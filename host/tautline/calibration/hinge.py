@@ -9,6 +9,7 @@ the few frames of a quick stroke widens the knot's posterior and does not move i
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -54,26 +55,47 @@ class _Paths:
 
     surprise: Array  # (K, V) -2 log likelihood, noise as much as is left but not below what is stated
     chi2: Array  # (K, V) of the residual
-    used: Array  # (K, V) columns that the fit takes up
     coefficients: Array  # (K, V, columns, channels) of level, slope over the window, pieces (, jump)
 
 
-def _paths(x: Array, y: Array, knots: Array, *, jump: bool = False) -> _Paths:
-    """x (n,) travel, y (n, channels) of unit variance, knots (K,)."""
-    reach = max(float(x.max()), 1e-12)
-    centred = y - y[:1]
-    swing = max(float(np.sqrt(np.max(np.sum(centred**2, axis=1)))), 1.0)
-    bends = np.geomspace(_LEAST_BEND, _MOST_BEND * swing, _BENDS)
-    precision = np.full((_BENDS, 2 + _PIECES + jump), _FLAT)
-    precision[:, 1] = (_MOST_BEND * swing) ** -2
-    precision[:, 2 : 2 + _PIECES] = bends[:, None] ** -2
-    squares, chi2, volume, used, way, coefficients = _native.hinge(x, centred, knots, precision, jump)
-    channels = y.shape[1]
-    count = (len(x) - 2) * channels
-    noise = np.maximum(squares / count, 1.0)
-    start = _start(coefficients[:, :, 1], way / np.maximum(1.0 - knots / reach, 1e-9)[:, None, None])
-    surprise = count * np.log(noise) + squares / noise + channels * volume + start
-    return _Paths(surprise, chi2, used, coefficients)
+@dataclass(frozen=True)
+class _Window:
+    """What is seen over a travel, and the priors of a path in it."""
+
+    x: Array  # (n,) travel
+    y: Array  # (n, channels) of unit variance, from its first value on
+    precision: Array  # (V, columns) of each bend's coefficients
+    jump: bool
+
+    @classmethod
+    def of(cls, x: Array, y: Array, *, jump: bool = False) -> Self:
+        centred = y - y[:1]
+        swing = max(float(np.sqrt(np.max(np.sum(centred**2, axis=1)))), 1.0)
+        bends = np.geomspace(_LEAST_BEND, _MOST_BEND * swing, _BENDS)
+        precision = np.full((_BENDS, 2 + _PIECES + jump), _FLAT)
+        precision[:, 1] = (_MOST_BEND * swing) ** -2
+        precision[:, 2 : 2 + _PIECES] = bends[:, None] ** -2
+        return cls(x, centred, precision, jump)
+
+    @property
+    def reach(self) -> float:
+        return max(float(self.x.max()), 1e-12)
+
+    def paths(self, knots: Array) -> _Paths:
+        """knots (K,)."""
+        squares, chi2, volume, _, way, coefficients = _native.hinge(
+            self.x, self.y, knots, self.precision, self.jump, used_too=False
+        )
+        channels = self.y.shape[1]
+        count = (len(self.x) - 2) * channels
+        noise = np.maximum(squares / count, 1.0)
+        start = _start(coefficients[:, :, 1], way / np.maximum(1.0 - knots / self.reach, 1e-9)[:, None, None])
+        surprise = count * np.log(noise) + squares / noise + channels * volume + start
+        return _Paths(surprise, chi2, coefficients)
+
+    def used(self, knot: float, bend: int) -> float:
+        """Columns that the fit takes up."""
+        return float(_native.hinge(self.x, self.y, np.array([knot]), self.precision[[bend]], self.jump)[3][0, 0])
 
 
 def _start(slope: Array, mean: Array) -> Array:
@@ -93,7 +115,8 @@ def fit_hinge(x: Array, y: Array, low: float, high: float) -> Hinge:
     """The knot, within [low, high], of y (n, channels; unit variance, or more where more is left) = level before it, a
     path from there after it. x (n,) is motor travel since the turn."""
     knots = np.linspace(low, high, _KNOTS)
-    paths = _paths(x, y, knots)
+    window = _Window.of(x, y)
+    paths = window.paths(knots)
     mean, spread = _moments(knots, paths.surprise)
     for _ in range(6):  # towards the likelihood's bulk, whatever its width
         pitch = knots[1] - knots[0]
@@ -101,11 +124,11 @@ def fit_hinge(x: Array, y: Array, low: float, high: float) -> Hinge:
         closer = np.linspace(max(low, mean - reach), min(high, mean + reach), _KNOTS)
         if spread > 2.0 * pitch or closer[-1] - closer[0] < 1e-9 * (high - low + 1e-12):
             break
-        knots, paths = closer, _paths(x, y, closer)
+        knots, paths = closer, window.paths(closer)
         mean, spread = _moments(knots, paths.surprise)
     k, v = (int(i) for i in np.unravel_index(np.argmin(paths.surprise), paths.surprise.shape))
-    slope = paths.coefficients[k, v, 1] / max(float(x.max()), 1e-12)
-    freedom = max(1.0, (len(x) - float(paths.used[k, v])) * y.shape[1] - 1.0)
+    slope = paths.coefficients[k, v, 1] / window.reach
+    freedom = max(1.0, (len(x) - window.used(float(knots[k]), v)) * y.shape[1] - 1.0)
     return Hinge(mean, spread, float(paths.surprise[k, v]), float(paths.chi2[k, v]), freedom, slope)
 
 
@@ -117,7 +140,7 @@ def fit_jump(x: Array, y: Array, low: float, high: float) -> Jump:
     edges = edges[(edges >= low) & (edges <= high)]
     if len(edges) < 2:
         return Jump(low, high, 0.0, np.inf)
-    paths = _paths(x, y, 0.5 * (edges[1:] + edges[:-1]), jump=True)
+    paths = _Window.of(x, y, jump=True).paths(0.5 * (edges[1:] + edges[:-1]))
     each = paths.surprise.min(axis=1)
     best = int(np.argmin(each))
     near = np.flatnonzero(each < each[best] + 9.0)
