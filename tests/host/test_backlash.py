@@ -141,6 +141,21 @@ def test_brackets_of_several_speeds_follow_a_bump(alone):
     assert 0.4 < rms[1] < 1.5
 
 
+def test_a_bracket_of_no_width_is_one_measurement_among_others():
+    """A motor that steps and does not move otherwise brackets an onset at its own start."""
+    seen = (
+        *((-24.02, 1, 1.98), (-35.42, -1, 9.86), (46.08, -1, 102.85), (64.2, -1, 31.73), (-41.68, 1, 13.86)),
+        *((73.78, -1, 77.25), (75.84, -1, 105.11), (78.34, -1, 132.94), (31.82, -1, 38.95), (3.1, -1, 21.38)),
+        *((68.68, -1, 36.57), (-51.24, 1, 38.02), (-28.3, 1, 1.98), (68.28, -1, 5.22e-11)),
+    )  # q1, direction, travel to the first frame that moves: an angle sensor's, with counts of 7 deg between frames
+    onsets = [
+        Onset(0, k, k, way, q1, q1 + way * high / 2, max(high / 12**0.5, 7.1 * (high < 1)), 0.0, high, BRACKET, True)
+        for k, (q1, way, high) in enumerate(seen)
+    ]
+    curve = fit_widths(onsets, np.linspace(-80.0, 80.0, 1025))
+    assert np.isfinite(curve.width).all() and (curve.width >= 0.0).all() and (curve.sigma > 0.0).all()
+
+
 def test_without_widths_there_is_no_curve():
     stuck = Onset(0, 0.0, np.nan, 1, -0.4, 0.4, np.inf, 0.8, np.inf, BOUND, True)
     assert fit_widths([stuck], GRID) is None and fit_paper([stuck], GRID) is None

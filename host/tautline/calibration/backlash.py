@@ -20,6 +20,7 @@ from tautline.splines import Basis
 Array = npt.NDArray[np.float64]
 
 SPANS = 64  # tolerance: of the range
+_CLOSE = 1e-3  # tolerance: of the widths' standard deviation: B from brackets is solved to it
 _SMOOTHINGS = np.logspace(-4, 9, 27)  # tolerance: relative to the weight of one width
 _TAIL = 30.0  # tolerance: sigma
 _PAPER_UNIFORM, _PAPER_REPEATS = 8, 3  # format: 14 knots in all, 10 coefficients
@@ -274,8 +275,8 @@ class _Fit:
         value = self.design[use] @ coefficients
         gauss = ~self.boxed[use]
         low, high = (np.where(gauss, self.w[use], edge[use]) for edge in (self.low, self.high))
-        # Brackets that contradict each other are no walls.
-        soft = np.maximum(0.5 * sharpness * (high - low), max(self.excess, 1e-9))
+        # Brackets that contradict each other are no walls, and no edge is sharper than B is solved to.
+        soft = np.maximum(0.5 * sharpness * (high - low), max(self.excess, self._close))
         cost, first, second = _box((value - low) / soft, (value - high) / soft)
         z = (value - self.w[use]) / self.spread[use]
         return (
@@ -284,13 +285,16 @@ class _Fit:
             np.where(gauss, self.spread[use] ** -2, second / soft**2),
         )
 
+    @property
+    def _close(self) -> float:
+        return _CLOSE * float(np.median(self.spread))
+
     def _boxed(self, start: Array, use: npt.NDArray[np.bool_], roughness: float, sharpness: Sequence[float]) -> Array:
         """Newton's method on the penalised likelihood, with brackets whose edges sharpen step by step: it ends near the
         middle of what they allow."""
         coefficients = start
         design, rough = self.design[use], roughness * self.basis.roughness
         ridge = 1e-10 * roughness * np.eye(self.basis.size)
-        close = 1e-3 * float(np.median(self.spread))
 
         def total(at: Array, sharp: float) -> float:
             return float(self._terms(at, use, sharp)[0].sum()) + 0.5 * float(at @ rough @ at)
@@ -304,7 +308,7 @@ class _Fit:
                 while length > 1e-3 and total(coefficients - length * step, sharp) > now:
                     length *= 0.5
                 coefficients = coefficients - length * step
-                if np.abs(length * step).max() < close:
+                if np.abs(length * step).max() < self._close:
                     break
         return coefficients
 
