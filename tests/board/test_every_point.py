@@ -24,7 +24,7 @@ import pytest
 from events import PATIENCE_S, BoardTime, Events, HostDied, Look
 from test_board_tables import model
 
-from conftest import SIMULATED, Bench, bench_of
+from conftest import IN_QEMU, SIMULATED, Bench, bench_of
 from tautline import tables
 from tautline.cli import main
 from tautline.device import wire
@@ -73,6 +73,7 @@ WIRES = {"STALL": 0.45, "FOLLOWING": 0.45, "CURRENT": 0.45, "UNMOVED": 1.2, "REV
 LOST = {"HOST_LOST": BRAKING_S}
 GONE, SILENT = "the board is gone: check plug and power", "the host was lost|no set-points came for"
 SILENT_S = 1.0  # that the host may be
+SILENCE = {"HOST_LOST": SILENT_S + BRAKING_S}
 ILLS = {
     "stall": Ill(injected("blocked"), WIRES),
     "encoder": Ill(injected("unplugged"), WIRES),
@@ -80,11 +81,21 @@ ILLS = {
     "jump": Ill(injected("jump"), {"ENCODER": 0.005}, "at once"),
     "driver": Ill(injected("driver"), {"DRIVER": 0.01}, "driven"),
     "supply": Ill(injected("supply"), {"SUPPLY": 0.03}, "driven"),
-    "silence": Ill(Events.silence, {"HOST_LOST": SILENT_S + BRAKING_S}, "at once", SILENT_S + BRAKING_S, True, SILENT),
+    "silence": Ill(Events.silence, SILENCE, "at once", SILENT_S + BRAKING_S, True, SILENT),
     "cable": Ill(lambda events: events.link.ask("unplug"), LOST, "at once", BRAKING_S, True, GONE),
     "killed": Ill(Events.die, LOST, "at once", BRAKING_S, True),
     "power": Ill(lambda events: events.link.ask("cut 1"), {}, "at once", 0.0, True, GONE),
 }
+ON_A_LINE = ("serial", *IN_QEMU)  # which tells nobody of a host that is gone
+
+
+def ill_of(name: str, board: str) -> Ill:
+    """As the board notices it."""
+    if board in ON_A_LINE and name in ("cable", "killed"):
+        return replace(ILLS[name], faults=SILENCE, rest_s=SILENT_S + BRAKING_S)
+    return ILLS[name]
+
+
 OFF, CHECK = (wire.code("MODES", name) for name in ("OFF", "CHECK"))
 
 
@@ -310,7 +321,7 @@ def had_nothing_to_notice(ill: Ill, looks: list[Look]) -> None:
 
 
 def try_point(request: pytest.FixtureRequest, task: Task, name: str, at: int, folder: Path) -> None:
-    ill = ILLS[name]
+    ill = ill_of(name, request.config.getoption("--board"))
     with bench_of(request, axes=1) as bench:
         begin(bench)
         share = np.random.default_rng(at).uniform(0.05, 0.95)
