@@ -105,9 +105,10 @@ def predict_with_sigma(
 
 
 def width_by_delay(model: Model, delay_sigma_s: float) -> Array:
-    """(grid,) unit of q, a part of B's sigma: by how much B is another where the delay is later by its sigma, as frames
-    of few speeds tell the two together; by no more than it is uncertain of."""
-    told = model.extra.get("width_by_delay")
+    """(grid,) unit of q: by how much the fitted B changes where the delay is later by delay_sigma_s, one sigma of its
+    own: where the motor's speeds are few, their errors correlate. It is a part of `width_sigma` and cut to it; 0 where
+    the model does not tell it."""
+    told = model.extra.get("width_by_delay")  # for each second of delay
     if told is None or not 0.0 < delay_sigma_s < np.inf:
         return np.zeros_like(model.width)
     return np.clip(np.array(told, dtype=float) * delay_sigma_s, -model.width_sigma, model.width_sigma)

@@ -113,12 +113,13 @@ def _step_log2(reach: float) -> int:
 
 
 def _sides_section(v: Mapping[str, float], count: float) -> Section:
-    """Section `sides` of an asymmetric backlash: the play is late by L(x) once the motor has carried it by x, that is d
-    = x + L(0) - L(x) of the tip's way; a table of L over d."""
+    """Section `sides` of an asymmetric backlash, in Q8 counts of `count`, unit of q. Once the play has turned towards
+    the side where it is wider, it lags by L(x) = |asymmetry| exp(-(x / travel)^form) more, x being the motor's travel
+    since it took it up. The table is of L over the play's own travel, d = x + L(0) - L(x). {} where L is below 1."""
     size, travel, form = abs(v["asymmetry"]) / count, v["asymmetry_travel"] / count, v.get("asymmetry_form", 1.0)
     if size < 1.0:
         return {}
-    most = travel * np.log(size) ** (1.0 / form) + travel
+    most = travel * np.log(size) ** (1.0 / form) + travel  # beyond where L is 1
     x = np.concatenate([[0.0], np.geomspace(1e-4 * travel, most, 4000)])
     late = size * np.exp(-((x / travel) ** form))
     moved = x + late[0] - late

@@ -233,25 +233,25 @@ def _lost(recording: Recording, marker: Marker, rig: Rig) -> list[Reason]:
 
 
 def _duration(recording: Recording, track: Track, delay_s: float, offset_s: float) -> list[Reason]:
-    """Frames and motor that do not last equally long: a camera that started late or stopped early, or two clocks."""
-    whole = recording.marker.t_s if track.unit == "px" and recording.marker is not None else track.t_s
+    """A doubt where motion of the motor has no frames, or frames go on without the motor: a camera that started late or
+    stopped early, or two clocks. offset_s: the sensor's clock less the motor's, which `track` is on already."""
     if len(track.t_s) < _FEWEST:
         return []
-    motor = recording.motor
-    if whole is not track.t_s:
-        whole = whole - offset_s
-    first, last = float(whole[0]) - delay_s, float(whole[-1]) - delay_s
-    lasts, frames = float(motor.t_s[-1] - motor.t_s[0]), last - first
-    slack = max(_LOST_ENDS_S, _LOST_ENDS * lasts)
-    moved = np.flatnonzero(np.abs(motor.q - motor.q[0]) > 0.01 * np.ptp(motor.q))
-    still = np.flatnonzero(np.abs(motor.q - motor.q[-1]) > 0.01 * np.ptp(motor.q))
-    if not len(moved) or not len(still):
+    motor, frames_s = recording.motor, track.t_s
+    if track.unit == "px" and recording.marker is not None:  # with the frames in which the marker was not found
+        frames_s = recording.marker.t_s - offset_s
+    first, last = float(frames_s[0]) - delay_s, float(frames_s[-1]) - delay_s
+    frames_last, motor_lasts = last - first, float(motor.t_s[-1] - motor.t_s[0])  # s
+    slack = max(_LOST_ENDS_S, _LOST_ENDS * motor_lasts)
+    off_start = np.flatnonzero(np.abs(motor.q - motor.q[0]) > 0.01 * np.ptp(motor.q))
+    off_end = np.flatnonzero(np.abs(motor.q - motor.q[-1]) > 0.01 * np.ptp(motor.q))
+    if not len(off_start) or not len(off_end):
         return []
-    begin, end = float(motor.t_s[moved[0]]), float(motor.t_s[still[-1]])  # of the motion
-    missing = max(first - begin, 0.0) + max(end - last, 0.0)
-    if missing <= slack and frames - lasts <= slack:
+    begin, end = float(motor.t_s[off_start[0]]), float(motor.t_s[off_end[-1]])  # of the motion
+    missing = max(first - begin, 0.0) + max(end - last, 0.0)  # s of the motion without frames
+    if missing <= slack and frames_last - motor_lasts <= slack:
         return []
-    says = f"{recording.name}: its frames last {frames:.4g} s, its motor {lasts:.4g}"
+    says = f"{recording.name}: its frames last {frames_last:.4g} s, its motor {motor_lasts:.4g}"
     left = _unexplained(track, delay_s)
     if left > _SCATTERED:
         return [

@@ -127,7 +127,7 @@ class Frozen:
         other, other_side = plays.forward(positions, far)
         known = (np.abs(p - other) < elements.forgotten * (grid[-1] - grid[0]))[at] & driven.within
         both = np.logical_or.accumulate(side == -1) & np.logical_or.accumulate(other_side == 1)
-        both &= _there_and_back(positions, _usual_least(grid, width, positions))
+        both &= _there_and_back(positions, _low_width(grid, width, positions))
         alone = Simulated(p[at], p[at], known, known & both[at], side[at], lean[at], share[at], driven.speed)
         if beside is None or values is None:
             return alone
@@ -479,9 +479,10 @@ class Fitted:
         return float(np.sqrt(self.covariance[-1, -1])) if self.fit.fit_delay else 0.0
 
 
-def _usual_least(grid: Array, width: Array, positions: Array) -> float:
-    """What B is more than at most positions that the motor reached. At the first and last of them nothing but the start
-    tells it, and a B of 0 there would be driven through at once."""
+def _low_width(grid: Array, width: Array, positions: Array) -> float:
+    """A low quantile of B over the positions that the motor reached, unit of q: a way that counts as driven through a
+    full backlash. Not the least B: at the ends of the motion only the start tells it, and a B of 0 there would be
+    driven through at once. grid, width (nodes,); positions (n,)."""
     first, last = np.searchsorted(grid, [positions.min(), positions.max()])
     return float(np.quantile(width[first : max(last, first + 1)], _SELDOM))
 

@@ -45,12 +45,13 @@ class Candidate:
 
     @property
     def parameters(self) -> int:
-        """How many parameters were fitted, those of events without a path included. A curve is smooth, so it counts as
-        its level, slope and curvature; of a parameter that each recording has for itself one counts: the recordings'
-        own blocks pay for theirs."""
+        """How many of the fitted parameters a hypothesis is charged for, those of effects without a path included. A
+        curve is smooth, so it counts as its level, slope and curvature. Of a parameter that each recording has for
+        itself one counts, as the recordings' own blocks pay for theirs; but all do that are amplitudes of an effect
+        which alone may differ from one recording to the next (`Kind.each`)."""
         hypothesis, values = self.fit.hypothesis, self.fit.state.values
-        single = {p for kind in hypothesis.kinds if kind.each for p in kind.amplitudes}
-        keys = {slot.key for slot in hypothesis.slots if slot.number <= 1 or slot.parameter in single}
+        all_count = {p for kind in hypothesis.kinds if kind.each for p in kind.amplitudes}
+        keys = {slot.key for slot in hypothesis.slots if slot.number <= 1 or slot.parameter in all_count}
         keys |= {p.name for kind in hypothesis.kinds for p in kind.parameters if p.searched} - SCATTERS
         curves = [{k for k in keys & values.keys() if k.split("@")[0] in kind.curve} for kind in hypothesis.kinds]
         spared = sum(max(0, len(curve) - _OF_A_CURVE) for curve in curves)

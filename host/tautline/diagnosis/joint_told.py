@@ -37,8 +37,9 @@ class Answer:
         return cls(joint, fitted, Sets.of(joint.unknowns, fitted), held_out_residuals(joint, fitted))
 
     def corrected_model(self) -> Model:
-        """The model with all unknowns as fitted; its c_sigma is the law's posterior spread, its width_sigma what
-        friction may be another time, its evidence what a reading of an unseen motion is off by."""
+        """The model with all unknowns as fitted; its c_sigma, deg, is the law's posterior spread, its width_sigma, unit
+        of q, the rms by which friction may be another time, 0 as far as the width is slack; its evidence what a reading
+        of an unseen motion is off by."""
         joint, fitted = self.joint, self.fitted
         names = [fitted.posterior.names[i] for i in joint.places[LAW]]
         c_sigma = fitted.posterior.marginal(names).spread(joint.law_slopes())

@@ -25,9 +25,29 @@ _SURE = 0.98
 def add_repeats(document: dict[str, Any], model: Model, segments: Sequence[Segment], load_reference: float) -> None:
     """Writes into a diagnosis.json what repeated samples add to the gap of `model`, and names them where they are much
     of it. segments: the calibration first."""
+    power, without, added = _powers(model, segments[1:], load_reference)
+    floor2 = document["noise_floor"] ** 2
+    if added < _SEEN * floor2:
+        return
+    share = (power - without) / max(power - floor2, 1e-300)  # of the gap
+    closed = 1.0 - float(np.sqrt(without / power))
+    alone = document["verdict"] == "none"
+    named = alone or share > 0.5 or document["verdict"] == "effect"
+    _count_repeats_in_gap(document["gap"], float(np.sqrt(power)), floor2, named)
+    probability = _weigh_repeats(document, _SURE if alone else min(share, _SURE), closed)
+    leads = probability > 0.5
+    told = leads or document["verdict"] == "effect"
+    document["count"] = _with_one_more(document["count"], _SURE if told else probability)
+    if told:  # else most of it has another, unknown cause
+        _name_repeats(document, segments, closed, leads)
+
+
+def _powers(model: Model, tests: Sequence[Segment], load_reference: float) -> tuple[float, float, float]:
+    """Mean squares of what the model leaves of a coordinate, px^2 or deg^2: of all frames, of those that repeat none,
+    and by how much the former is surely more for the repeated ones."""
     squares, fresh, frames = 0.0, 0.0, 0
     stalls: list[Array] = []  # a row each: its frames' squares, how many they are
-    for segment in segments[1:]:
+    for segment in tests:
         left = np.mean(np.square(segment.observed - segment.predict(model, {}, load_reference)[1]), axis=1)
         squares += float(np.sum(left[segment.scored | segment.held]))
         fresh += float(np.sum(left[segment.scored]))
@@ -35,33 +55,31 @@ def add_repeats(document: dict[str, Any], model: Model, segments: Sequence[Segme
         at = np.flatnonzero(segment.held)
         each = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if len(at) else []
         stalls += [np.array([np.sum(left[stall]), len(stall)]) for stall in each]
-    repeats = [int(s.held.sum()) / max(int((s.scored | s.held).sum()), 1) for s in segments]
-    power, without = squares / frames, fresh / max(sum(int(s.scored.sum()) for s in segments[1:]), 1)
-    floor2 = document["noise_floor"] ** 2
+    without = fresh / max(sum(int(s.scored.sum()) for s in tests), 1)
     added = np.array([total - count * without for total, count in stalls])
     # What happened once or twice by itself is a coincidence and no law: by a compound Poisson's standard error.
     surely = float(np.sum(added)) - spread.NINE_OF_TEN * float(np.linalg.norm(added))
-    if surely < _SEEN * floor2 * frames:
-        return
-    share = (power - without) / max(power - floor2, 1e-300)  # of the gap
-    alone = document["verdict"] == "none"
-    probability = _SURE if alone else min(share, _SURE)
-    named = alone or share > 0.5 or document["verdict"] == "effect"
-    _count_repeats_in_gap(document["gap"], float(np.sqrt(power)), floor2, named)
+    return squares / frames, without, surely / frames
+
+
+def _weigh_repeats(document: dict[str, Any], probability: float, closed: float) -> float:
+    """Puts held samples among the candidates with `probability`, which the others give up, beside what they had as a
+    candidate already. closed: share of the gap's rms that they are. Returns their probability."""
     for candidate in document["candidates"]:
         candidate["probability"] *= 1.0 - probability
     document["probability_none"] *= 1.0 - probability
     document["probability_unknown"] *= 1.0 - probability
     probability += sum(candidate["probability"] for candidate in document["candidates"] if candidate["id"] == HELD)
-    closed = 1.0 - float(np.sqrt(without / power))
     entry = {"id": HELD, "probability": probability, "shrink": closed, "identifiable": True}
     others = [candidate for candidate in document["candidates"] if candidate["id"] != HELD]
     document["candidates"] = sorted([entry, *others], key=lambda c: -c["probability"])
-    leads = probability > 0.5
-    told = leads or document["verdict"] == "effect"
-    document["count"] = _with_one_more(document["count"], _SURE if told else probability)
-    if not told:
-        return  # most of it has another, unknown cause
+    return probability
+
+
+def _name_repeats(document: dict[str, Any], segments: Sequence[Segment], closed: float, leads: bool) -> None:
+    """Makes held samples a named effect, the first one if it leads; the shrinkages of the others are then shares of
+    what they leave. closed: share of the gap's rms that they are."""
+    repeats = [int(s.held.sum()) / max(int((s.scored | s.held).sum()), 1) for s in segments]
     if document["verdict"] == "unknown":
         document["effects"] = []
     for effect in document["effects"]:

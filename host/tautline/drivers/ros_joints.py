@@ -58,7 +58,7 @@ class RosJoints:
 
     def _open(self, states: str, commands: str) -> None:
         """Subscribes to the states, publishes to the commands, and waits for both."""
-        description = self._description_topic(states)
+        description = self._subscribe(states)
         where = "are they of this machine, of the same $ROS_DOMAIN_ID, and active?"
         self._find_joints(states, where)
         self._kind = self._command_type(commands, where)
@@ -72,8 +72,9 @@ class RosJoints:
         self.drives = [_drive(name, described.get(name, {})) for name in self._names]
         self._counts = [float(drive.counts_per_turn) / (1.0 if drive.per == "m" else math.tau) for drive in self.drives]
 
-    def _description_topic(self, states: str) -> str:
-        """Subscribes to the states and returns the topic of the robot's description."""
+    def _subscribe(self, states: str) -> str:
+        """Subscribes to the states and to the robot's description, and begins to listen. Returns the topic of the
+        description, which is beside the states'."""
         node, qos = self._graph.node, library("rclpy.qos")
         node.create_subscription(library("sensor_msgs.msg").JointState, states, self._on_state, sensor_qos())
         kept = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
@@ -90,8 +91,8 @@ class RosJoints:
             raise TautError(f"ros: no joint states came on {states}: {where}")
 
     def _read_description(self, topic: str) -> dict[str, dict[str, str]]:
-        """The description's text; "" where nobody publishes one. A publisher may be found a moment later than the
-        states."""
+        """The joints' attributes by name, from the robot's description; {} where nobody publishes one. A publisher may
+        be found a moment later than the states."""
         if not self._wait_for(lambda: bool(self._description), _DESCRIBED_S):
             if self._graph.node.count_publishers(topic):
                 raise TautError(f"ros: {topic} is published but did not come: run the command again")

@@ -27,7 +27,7 @@ from tautline.tracking.passes import Passes
 from tautline.tracking.path import MotorPath, knots
 from tautline.tracking.projection import AngleEstimate, Projection
 from tautline.tracking.visit import Visit
-from tautline.tracking.window import Window
+from tautline.tracking.window import Window, WindowKnots
 
 Array = npt.NDArray[np.float64]
 
@@ -432,26 +432,9 @@ class LawTracker:
         """Continues the judgement of hypotheses by as much work as a frame has time for, or begins one. Work is
         counted, not timed, so that a replay repeats bit for bit."""
         if self._work is None:
-            if self.state is State.TRUSTED or self._news < _NEWS:
-                return
-            self._news = 0
-            adapting = self.state is State.ADAPTING
-            away = abs(self._offset - self._offset_before)
-            moved = adapting and self._anchor is not None and away > _MOVED * self._width
-            starts = {} if self._anchor is None else {self._anchor: self._origin}
-            starts.setdefault(self._since, self._theta)
-            if self.state is State.STALE:
-                starts.setdefault(max(self._since, self._begin_of(self._stroke - _STALE_STROKES)), self._theta)
-            elif moved and self._begin_of(self._stroke - _FEW_STROKES) <= self._since:
-                starts.setdefault(self._begin_of(self._stroke - 1), self._theta)
-            evidence = [(e, o) for since, o in starts.items() if (e := self._window.since(since)) is not None]
-            if not evidence:
-                return
-            fresh = self._stroke <= self._fresh_until
-            least = _POSTURE * self._width if fresh else None
-            state = adapting, least, moved, self._level
-            self._work = judge(self._unseen, evidence, self._theta, *state, self._proposal)
-            self._due = 0
+            self._work, self._due = self._new_judgement(), 0
+        if self._work is None:
+            return
         try:
             spent = 0
             while spent == 0 or spent + self._due <= _FRAME_WORK:
@@ -460,6 +443,32 @@ class LawTracker:
         except StopIteration as end:
             self._work = None
             self._act_on(end.value)
+
+    def _new_judgement(self) -> Work[Inference] | None:
+        """A judgement of the evidence so far, not begun yet. None while the law is trusted, or where too few frames
+        came since the last one."""
+        if self.state is State.TRUSTED or self._news < _NEWS:
+            return None
+        self._news = 0
+        adapting, away = self.state is State.ADAPTING, abs(self._offset - self._offset_before)
+        moved = adapting and self._anchor is not None and away > _MOVED * self._width
+        evidence = self._stretches(moved)
+        if not evidence:
+            return None
+        posture = _POSTURE * self._width if self._stroke <= self._fresh_until else None
+        return judge(self._unseen, evidence, self._theta, adapting, posture, moved, self._level, self._proposal)
+
+    def _stretches(self, moved: bool) -> list[tuple[WindowKnots, Array]]:
+        """Evidence in the order in which it is judged, each with the law before anything was learnt of it: since the
+        law in use began to be learnt; since what counts began; and of a stale model the last strokes alone, or the last
+        two where another posture began to be learnt only lately. moved: another posture is being learnt."""
+        starts = {} if self._anchor is None else {self._anchor: self._origin}  # by the first entry: the law before it
+        starts.setdefault(self._since, self._theta)
+        if self.state is State.STALE:
+            starts.setdefault(max(self._since, self._begin_of(self._stroke - _STALE_STROKES)), self._theta)
+        elif moved and self._begin_of(self._stroke - _FEW_STROKES) <= self._since:
+            starts.setdefault(self._begin_of(self._stroke - 1), self._theta)
+        return [(e, o) for since, o in starts.items() if (e := self._window.since(since)) is not None]
 
     def _act_on(self, verdict: Inference) -> None:
         """Draws the consequences of a verdict: adopts its law and perhaps trusts it, stays, or discards what was learnt

@@ -110,6 +110,8 @@ class Gathered:
         self._held = 0
 
     def add(self, group: str, log_s: float, stamp_s: float, values: dict[str, float]) -> Batch | None:
+        """Keeps a row. group: the topic; log_s, stamp_s: as in Batch, NaN where the sender set no stamp; values: by
+        channel. Returns the batch that is full with it, or the longest one where all hold too many, else None."""
         key = (group, frozenset(values))
         rows = self._rows.setdefault(key, [])
         rows.append((log_s, stamp_s, values))

@@ -182,7 +182,8 @@ def _chained(listing: Listing, compared: _Compared) -> tuple[Array, Array]:
 
 
 def _command(listing: Listing, compared: _Compared, motor: int, taken: set[str]) -> Named | None:
-    """The channel that moves with the motor, earlier and by as much."""
+    """The likeliest command of a motor (its index in `compared`): a channel that moves with it by as much, in whichever
+    unit of angle, and that is earlier or is named a command. None where there is none; taken: names with a role."""
     best: tuple[float, str] | None = None
     for k, name in enumerate(compared.names):
         together, early = compared.correlation[motor, k], -compared.lag_s[motor, k]
@@ -195,9 +196,7 @@ def _command(listing: Listing, compared: _Compared, motor: int, taken: set[str])
             continue
         ratio = compared.span[k] / max(compared.span[motor], 1e-12)
         alike = any(1.0 / _ALIKE < ratio * times < _ALIKE for times in (1.0, DEG_PER_RAD, 1.0 / DEG_PER_RAD))
-        if not alike or (early < -_SIMULTANEOUS_S and not _says("command", name)):
-            continue
-        if not (_says("command", name) or early > _SIMULTANEOUS_S):
+        if not alike or not (early > _SIMULTANEOUS_S or _says("command", name)):
             continue
         score = together + _HINT * _says("command", name)
         if best is None or score > best[0]:
