@@ -1,4 +1,4 @@
-#ifndef SEVERAL // proof several: any number of plays
+#ifndef SEVERAL // proof several
 #define SEVERAL 0
 #endif
 #include "../lookups.h"
@@ -117,7 +117,7 @@ static void any(void) {
     k.low = lookup.table.q_min;
     k.high = lookup.table.q_max;
     k.band = lookup.table.band;
-    k.several = SEVERAL && Frama_C_nondet(0, 1);
+    k.several = SEVERAL;
     k.by_curve = Frama_C_nondet(0, 1);
     k.undoes = Frama_C_nondet(0, 1);
     k.moved = k.several && Frama_C_nondet(0, 1);
@@ -125,8 +125,8 @@ static void any(void) {
     k.mode = Frama_C_unsigned_int_interval(TL_MODE_OFF, TL_MODE_FULL);
     k.strength_q15 = Frama_C_unsigned_int_interval(0, TL_RATIO_ONE);
     k.side = FROM(-1, 1);
-    k.half = FROM(k.several ? -HALF_MAX : 0, HALF_MAX);
-    k.start_offset = k.several ? WITHIN(2 * OFFSET_MAX) : ANY();
+    k.half = FROM(SEVERAL ? -HALF_MAX : 0, HALF_MAX);
+    k.start_offset = SEVERAL ? WITHIN(2 * OFFSET_MAX) : ANY();
     k.c = ANY();
     k.p = PLACE();
     k.goal = PLACE();
@@ -191,6 +191,7 @@ static void set(void) {
     any();
     tl_compensator_set_strength(&k, ANY());
     any();
+    k.several = SEVERAL && Frama_C_nondet(0, 1); // before it
     tl_compensator_set_table(&k, &lookup);
     any();
     tl_compensator_adapt(&k, ANY(), ANY(), ANY_UNSIGNED());
