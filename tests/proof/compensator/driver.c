@@ -102,7 +102,7 @@ static int32_t offset_on(const tl_compensator_t *k, bool up);
 #define PLACE()        WITHIN(TL_TABLE_POSITION_MAX)
 #define AWAY_MAX       0x40800000 // where a motor may be that is not in its range
 // An anchor is as far behind p as the range and a band allow, also where p has jumped since.
-#define ANCHOR_MAX     (TL_TABLE_POSITION_MAX + TL_TABLE_VALUE_MAX)
+#define ANCHOR_MAX (TL_TABLE_POSITION_MAX + TL_TABLE_VALUE_MAX)
 static tl_lookup_t lookup;
 static tl_compensator_t k;
 

@@ -14,8 +14,8 @@ static inline uint32_t tl_scale(uint32_t x, tl_scale_t ratio); // proof fixed; t
 #include "../../../common/src/tl_fixed.c"
 #include "../../../firmware/estimator/src/tl_lookup.c"
 
-#define ANY()  Frama_C_int_interval(INT32_MIN, INT32_MAX)
-#define NODE() Frama_C_int_interval(-TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX)
+#define ANY()   Frama_C_int_interval(INT32_MIN, INT32_MAX)
+#define NODE()  Frama_C_int_interval(-TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX)
 #define PLACE() Frama_C_int_interval(-TL_TABLE_POSITION_MAX, TL_TABLE_POSITION_MAX)
 
 static tl_lookup_t lookup;
