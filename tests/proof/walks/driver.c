@@ -22,8 +22,8 @@ static void shift(tl_onset_sums_t *sums, int64_t delta);
     ensures -0x1FFFF <= \result.x <= 0x1FFFF && 1 <= \result.w <= 64; */
 tl_hinge_point_t tl_hinge_point(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin, int32_t scale);
 
-/*@ requires \valid_read(d) && 0 <= i <= TL_ONSET_WINDOW; assigns \result \from *d, i, origin; ensures 0 <= \result <=
- * 15; */
+/*@ requires \valid_read(d) && 0 <= i <= TL_ONSET_WINDOW; assigns \result \from *d, i, origin;
+    ensures 0 <= \result <= 15; */
 int32_t tl_hinge_scale(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin);
 
 #include "../../../firmware/estimator/src/tl_hinge.c"
