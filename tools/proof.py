@@ -80,7 +80,7 @@ def left(report: str) -> list[tuple[str, str, str]]:
     return [
         (row["function"], row["property kind"], row["property"])
         for row in rows
-        if row["status"] in ("Unknown", "Invalid")
+        if row["status"].startswith(("Unknown", "Invalid"))  # 'Invalid or unreachable': nothing behind it was followed
         and row["property kind"] not in GRANTED
         and not row["directory"].startswith("FRAMAC_SHARE")
     ]

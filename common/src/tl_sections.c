@@ -131,7 +131,7 @@ tl_table_reason_t tl_sections_get(const uint8_t *begin, const uint8_t *end, tl_t
 
 // The shares of the elements: what they sum up to is told to 2^-16.
 static tl_table_reason_t check_plays(const tl_table_t *t) {
-    if (t->plays < PLAYS_MIN || t->plays > TL_TABLE_PLAYS_MAX || tl_outside(t->narrow, 0, TL_TABLE_VALUE_MAX) ||
+    if (t->plays < PLAYS_MIN || t->plays > TL_TABLE_PLAYS_MAX || tl_outside(t->narrow, 0, TL_TABLE_WIDTH_MAX) ||
         t->play_weight_q16[0] < WEIGHT_FIRST_MIN) {
         return TL_TABLE_BAD_PLAYS;
     }

@@ -134,7 +134,7 @@ static tl_table_reason_t check_header(const tl_table_t *t, uint8_t axis) {
     if (t->step_log2 > TL_TABLE_STEP_LOG2_MAX) {
         return TL_TABLE_BAD_STEP;
     }
-    if (tl_beyond(t->q0) || tl_beyond(t->q_min) || tl_beyond(t->q_max) || tl_beyond(t->coarse_c_min) ||
+    if (tl_off(t->q0) || tl_off(t->q_min) || tl_off(t->q_max) || tl_beyond(t->coarse_c_min) ||
         tl_beyond(t->coarse_c_max)) {
         return TL_TABLE_BAD_SATURATES;
     }
@@ -166,18 +166,19 @@ uint32_t tl_table_flat_below(const tl_table_t *table) {
 
 static tl_table_reason_t check_nodes(const tl_table_t *t) {
     const int64_t grid_end = t->q0 + ((int64_t)(t->nodes - 1) << t->step_log2);
+    if (grid_end > TL_TABLE_POSITION_MAX) {
+        return TL_TABLE_BAD_SATURATES;
+    }
     if (t->q_min < t->q0 || t->q_max > grid_end) {
         return TL_TABLE_BAD_RANGE;
     }
     const bool rises = t->angle[1] > t->angle[0];
     const int32_t steep = (int32_t)2 << t->step_log2;
     for (unsigned i = 0; i < t->nodes; i++) {
-        const int64_t p = t->q0 + ((int64_t)i << t->step_log2);
         if (t->width[i] < 0) {
             return TL_TABLE_BAD_WIDTH_NEGATIVE;
         }
-        const int64_t half = t->width[i] - (t->width[i] >> 1);
-        if (tl_beyond(t->angle[i]) || p + half > TL_TABLE_VALUE_MAX || p - half < -TL_TABLE_VALUE_MAX) {
+        if (t->width[i] > TL_TABLE_WIDTH_MAX || tl_beyond(t->angle[i])) {
             return TL_TABLE_BAD_SATURATES;
         }
         if (i > 0) {
@@ -214,6 +215,10 @@ tl_table_reason_t tl_table_check(const tl_table_t *table, uint8_t axis) {
     const tl_table_reason_t nodes = check_nodes(table);
     return nodes == TL_TABLE_OK ? tl_sections_check(table) : nodes;
 }
+
+_Static_assert(TL_TABLE_POSITION_MAX / TL_COUNT_ONE == 2097151 && TL_TABLE_WIDTH_MAX / TL_COUNT_ONE == 1048575 &&
+                   TL_TABLE_VALUE_MAX < 16384 * TL_DEG_ONE,
+               "as TL_TABLE_REASONS says");
 
 const char *tl_table_reason_text(tl_table_reason_t reason) {
     static const char *const text[] = {"valid",

@@ -259,6 +259,8 @@ void bind_tables(nb::module_ &m) {
     m.attr("TABLE_STEP_LOG2_MAX") = TL_TABLE_STEP_LOG2_MAX;
     m.attr("TABLE_SIZE_MAX") = TL_TABLE_SIZE_MAX;
     m.attr("TABLE_VALUE_MAX") = TL_TABLE_VALUE_MAX;
+    m.attr("TABLE_POSITION_MAX") = TL_TABLE_POSITION_MAX;
+    m.attr("TABLE_WIDTH_MAX") = TL_TABLE_WIDTH_MAX;
     m.attr("TABLE_DELAY_MAX_US") = TL_TABLE_DELAY_MAX_US;
     m.attr("COUNT_ONE") = TL_COUNT_ONE;
     m.attr("DEG_ONE") = TL_DEG_ONE;

@@ -125,13 +125,13 @@ def encode(
     limits = limits or Limits.of(rig)
     if limits.adapt is not None:
         sections = {**sections, "adapt": _adapt_section(limits.adapt, rig)}
-    q_min, q_max = (_counts(q, rig, "actuator.range") for q in rig.actuator.range)
+    q_min, q_max = _range(rig)
     span = q_max - q_min
     if span < 1:
         raise TautError("actuator.range holds less than one encoder step: check actuator.encoder_resolution")
     # several plays look a width beyond the ends of the range
     ends = (0.0, 0.0) if model.elements.single else (float(model.width[0]), float(model.width[-1]))
-    below, above = (_counts(width, rig, "a backlash width") for width in ends)
+    below, above = (_counts(width, rig, "a backlash width", _native.TABLE_WIDTH_MAX) for width in ends)
     span += below + above
     step_log2 = next(k for k in range(32) if -(-span >> k) <= _native.TABLE_NODES_MAX - 1)
     q_raw = q_min - below + (np.arange(-(-span >> step_log2) + 1, dtype=np.int64) << step_log2)
@@ -296,8 +296,8 @@ def _header_fields(
         "unit": _native.AXIS_UNITS[rig.actuator.unit],
         "strength_q15": _whole(limits.strength * _native.RATIO_ONE, "limits.strength", 0, 65535),
         "nano_units_per_count": _whole(resolution / _NANO, "actuator.encoder_resolution", 1, 2**32 - 1),
-        "q_min": _counts(rig.actuator.range[0], rig, "actuator.range"),
-        "q_max": _counts(rig.actuator.range[1], rig, "actuator.range"),
+        "q_min": _range(rig)[0],
+        "q_max": _range(rig)[1],
         "coarse_c_min": coarse[0],
         "coarse_c_max": coarse[1],
         "speed_max_q8": _counts(limits.speed_max, rig, "limits.speed_max"),
@@ -323,10 +323,21 @@ def _extrapolated(x: Array, grid: Array, values: Array) -> Array:
     return result
 
 
-def _counts(value: float, rig: Rig, name: str) -> int:
+def _range(rig: Rig) -> tuple[int, int]:
+    """The motor's, Q8 counts; TautError where a board cannot compute with it."""
+    low, high = (_counts(q, rig, "actuator.range", _native.TABLE_POSITION_MAX) for q in rig.actuator.range)
+    return low, high
+
+
+def _counts(value: float, rig: Rig, name: str, most: int = _native.TABLE_VALUE_MAX) -> int:
     """The value, unit of q, in Q8 counts; TautError, naming it, where it does not fit."""
-    limit: int = _native.TABLE_VALUE_MAX
-    return _whole(value / rig.actuator.encoder_resolution * _COUNT, name, -limit, limit)
+    counts = value / rig.actuator.encoder_resolution
+    if not abs(counts) * _COUNT <= most:
+        raise TautError(
+            f"{name} is {counts:.0f} counts, and a board computes with {most // _native.COUNT_ONE} at most: "
+            "check it and actuator.encoder_resolution"
+        )
+    return round(counts * _COUNT)
 
 
 def _angle(value: float, name: str) -> int:

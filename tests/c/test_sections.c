@@ -137,8 +137,8 @@ static void test_ranges_of_load_joints_and_what_may_change(void) {
 
 static void test_ranges_of_elements(void) {
     PLAYS_ARE(OK, (void)t);
-    PLAYS_ARE(OK, t.narrow = TL_TABLE_VALUE_MAX);
-    PLAYS_ARE(BAD_PLAYS, t.narrow = TL_TABLE_VALUE_MAX + 1);
+    PLAYS_ARE(OK, t.narrow = TL_TABLE_WIDTH_MAX);
+    PLAYS_ARE(BAD_PLAYS, t.narrow = TL_TABLE_WIDTH_MAX + 1);
     PLAYS_ARE(BAD_PLAYS, t.plays = 1);
     PLAYS_ARE(BAD_PLAYS, t.plays = TL_TABLE_PLAYS_MAX + 1U);
     PLAYS_ARE(BAD_WARP, t.period_log2 = 7);

@@ -308,20 +308,39 @@ static void test_unfit_functions_are_refused_with_their_reason(void) {
     REFUSED(BAD_NOT_MONOTONE, t.angle[0] = t.angle[1] + 1);
 }
 
-static void test_spans_that_saturate_are_refused(void) {
+static void all_widths(tl_table_t *t, int32_t width) {
+    for (unsigned i = 0; i < t->nodes; i++) {
+        t->width[i] = width;
+    }
+}
+
+static void test_what_is_too_large_is_refused(void) {
     REFUSED(BAD_SATURATES, t.angle[157] = TL_TABLE_VALUE_MAX + 1);
     REFUSED(OK, t.angle[157] = TL_TABLE_VALUE_MAX);
     REFUSED(BAD_SATURATES, t.angle[0] = INT32_MIN);
-    REFUSED(BAD_SATURATES, t.q_max = TL_TABLE_VALUE_MAX + 1);
-    REFUSED(BAD_SATURATES, t.q0 = INT32_MIN);
     REFUSED(BAD_SATURATES, t.coarse_c_min = INT32_MIN);
-    REFUSED(BAD_SATURATES, t.width[0] = INT32_MAX);
-    // p + B/2 at the last node, exactly at the bound and one half beyond it
-    REFUSED(OK, (t.q0 = TL_TABLE_VALUE_MAX - (157 << 14) - 150 * TL_COUNT_ONE, t.q_min = t.q0, t.q_max = t.q0 + 1));
-    REFUSED(BAD_SATURATES,
-            (t.q0 = TL_TABLE_VALUE_MAX - (157 << 14) - 150 * TL_COUNT_ONE + 1, t.q_min = t.q0, t.q_max = t.q0 + 1));
+    REFUSED(BAD_SATURATES, t.q0 = INT32_MIN);
+    REFUSED(BAD_SATURATES, t.q_min = -TL_TABLE_POSITION_MAX - 1);
+    REFUSED(BAD_SATURATES, t.q_max = TL_TABLE_POSITION_MAX + 1);
+    REFUSED(BAD_SATURATES, (t.nodes = 0, t.q0 = 0, t.step_log2 = 0, t.q_max = TL_TABLE_POSITION_MAX + 1));
+    REFUSED(OK, (t.nodes = 0, t.q0 = 0, t.step_log2 = 0, t.q_max = TL_TABLE_POSITION_MAX));
+    // the grid's ends, exactly at the bound and one beyond
+    REFUSED(OK, (t.q0 = t.q_min = -TL_TABLE_POSITION_MAX, t.q_max = t.q0 + 1));
+    REFUSED(OK, (t.q0 = TL_TABLE_POSITION_MAX - (157 << 14), t.q_min = t.q0, t.q_max = t.q0 + 1));
+    REFUSED(BAD_SATURATES, (t.q0 = TL_TABLE_POSITION_MAX - (157 << 14) + 1, t.q_min = t.q0, t.q_max = t.q0 + 1));
     // a grid that would leave 32 bits
     REFUSED(BAD_SATURATES, (t.step_log2 = 23));
+    for (unsigned i = 0; i < 158U; i++) {
+        REFUSED(BAD_SATURATES, t.width[i] = INT32_MAX);
+    }
+    REFUSED(OK, all_widths(&t, TL_TABLE_WIDTH_MAX));
+    REFUSED(BAD_SATURATES, all_widths(&t, TL_TABLE_WIDTH_MAX + 1));
+}
+
+// A motor with an encoder of a million counts a turn, that turns once to either side: B is 9 deg.
+static void test_a_range_of_a_million_counts_is_taken(void) {
+    REFUSED(OK, (t.step_log2 = 22, t.q0 = t.q_min = -1000000 * TL_COUNT_ONE, t.q_max = 1000000 * TL_COUNT_ONE,
+                 all_widths(&t, 25000 * TL_COUNT_ONE)));
 }
 
 static void test_flat_spans_are_refused_or_crossed(void) {
@@ -408,7 +427,8 @@ int main(void) {
     RUN_TEST(test_unfit_elements_are_refused);
     RUN_TEST(test_unfit_content_is_refused_with_its_reason);
     RUN_TEST(test_unfit_functions_are_refused_with_their_reason);
-    RUN_TEST(test_spans_that_saturate_are_refused);
+    RUN_TEST(test_what_is_too_large_is_refused);
+    RUN_TEST(test_a_range_of_a_million_counts_is_taken);
     RUN_TEST(test_flat_spans_are_refused_or_crossed);
     RUN_TEST(test_a_falling_f_is_as_good_as_a_rising_one);
     RUN_TEST(test_a_table_for_another_axis_is_refused);

@@ -14,6 +14,7 @@ from tautline import _native
 
 COUNT = float(_native.COUNT_ONE)
 VALUE_MAX = _native.TABLE_VALUE_MAX
+POSITION_MAX = _native.TABLE_POSITION_MAX
 
 
 @dataclass(frozen=True)
@@ -91,11 +92,11 @@ def tables(draw: st.DrawFn, steepest: float = 2.0) -> Reference:
     """Any shape the board accepts: smooth or ragged B, |B'| up to its bound, f rising or falling, steep or flat."""
     log2 = draw(st.integers(0, 22))
     step = 1 << log2
-    most = min(257, VALUE_MAX // step)  # half of the number range
+    most = min(257, POSITION_MAX // step)  # half of the range that may be
     nodes = draw(st.integers(2, most))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     extent = (nodes - 1) * step
-    room = VALUE_MAX - extent
+    room = POSITION_MAX - extent
     q0 = draw(st.integers(-room // 2 - extent // 2, room // 2 - extent // 2))
 
     steepness = min(steepest, draw(st.sampled_from([0.0, 0.1, 1.0, 1.8, 1.99, 2.0])))
@@ -105,7 +106,7 @@ def tables(draw: st.DrawFn, steepest: float = 2.0) -> Reference:
     rises = np.clip(np.trunc(slopes * step), -(2 * step - 1), 2 * step - 1).astype(np.int64)
     width = np.concatenate([[rng.integers(0, 4 * step + 1)], rises])
     for i in range(1, nodes):  # bounced off zero and off a ceiling, so that widths stay useful
-        ceiling = min(VALUE_MAX // 4, 20 * step)
+        ceiling = min(_native.TABLE_WIDTH_MAX, 20 * step)
         up = width[i - 1] + width[i]
         width[i] = up if 0 <= up <= ceiling else max(0, width[i - 1] - width[i])
 
@@ -131,5 +132,5 @@ def positions(draw: st.DrawFn, reference: Reference, count: int) -> np.ndarray:
     margin = last - first
     spread = rng.uniform(first - 0.5 * margin, last + 0.5 * margin, count)
     nodes = rng.choice(reference.p, count // 4) + rng.integers(-1, 2, count // 4)
-    corners = [-(2.0**31), 2.0**31 - 1, -VALUE_MAX, VALUE_MAX, 0, first, last]
+    corners = [-(2.0**31), 2.0**31 - 1, -VALUE_MAX, VALUE_MAX, -POSITION_MAX, POSITION_MAX, 0, first, last]
     return np.clip(np.concatenate([np.rint(spread), nodes, corners]), -(2**31), 2**31 - 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -16,6 +17,7 @@ REPORT = "\n".join(
         '/x\ta.c\t1\tdivides\tdivision_by_zero\tUnknown\tb != 0 "',
         "/x\ta.c\t2\treads\tmem_access\tInvalid\t\\valid_read(a)",
         "/x\ta.c\t3\treads\tmem_access\tValid\t\\valid_read(b)",
+        "/x\ta.c\t5\tadds\tsigned_overflow\tInvalid or unreachable\ta + b",
         "/x\tdriver.c\t4\tgranted\tpostcondition\tUnknown\t\\result == 0",
         "FRAMAC_SHARE/libc\tstring.h\t95\tmemcpy\tprecondition\tUnknown\tvalid_dest",
     )
@@ -28,6 +30,8 @@ def test_every_proof_says_what_it_is_of() -> None:
     page = proof.EXPLAINED.read_text()
     for each in found:
         driver = (proof.PROOFS / each.name / "driver.c").read_text()
+        for other in re.findall(r'#include "(\.\./\w+/driver\.c)"', driver):
+            driver += (proof.PROOFS / each.name / other).read_text()
         included = [part.split('"')[0] for part in driver.split('#include "../../../')[1:]]
         sources = "\n".join((ROOT / path).read_text() for path in (*each.sources, *included))
         sources += (ROOT / "common/include/tautline/tl_fixed.h").read_text()
@@ -41,6 +45,7 @@ def test_alarms_are_what_is_not_proven() -> None:
     assert proof.left(REPORT) == [
         ("divides", "division_by_zero", 'b != 0 "'),
         ("reads", "mem_access", "\\valid_read(a)"),
+        ("adds", "signed_overflow", "a + b"),
     ]
 
 

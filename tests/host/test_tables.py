@@ -88,13 +88,25 @@ def test_a_model_is_known_again_by_its_id() -> None:
         (lambda m: replace(m, c_deg=np.where(m.q > 1, np.nan, m.c_deg)), "f_remain"),
         (lambda m: replace(m, delay_s=3.0), "more than 2 s"),
         (lambda m: replace(m, delay_s=float("nan")), "delay_s"),
-        (lambda m: replace(m, rig=replace(m.rig, actuator=Actuator("mm", (-5.0, 5.0), 1e-6))), "actuator.range"),
+        (lambda m: replace(m, rig=replace(m.rig, actuator=Actuator("mm", (-5.0, 5.0), 1e-6))), "is -5000000 counts"),
+        (lambda m: replace(m, rig=replace(m.rig, actuator=Actuator("mm", (0.0, 2.2), 1e-6))), "is 2200000 counts"),
+        (
+            lambda m: replace(m, rig=replace(m.rig, actuator=Actuator("mm", (-2.0, 2.0), 2e-6)), width=0 * m.q + 2.2),
+            "a width of more than 1048575",
+        ),
         (lambda m: replace(m, rig=replace(m.rig, actuator=Actuator("mm", (-5.0, 5.0), 1e4))), "one encoder step"),
     ],
 )
 def test_a_model_that_no_board_would_take_is_refused_with_the_reason(change, words: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(TautError, match=words):
         tables.encode(change(model()))
+
+
+def test_a_range_of_a_million_counts_to_both_sides_is_taken() -> None:
+    one = model(low=-5.0, high=5.0, resolution=5e-6)
+    table = tables.decode(tables.encode(one))
+    assert table.q_range == pytest.approx((-5.0, 5.0))
+    assert np.interp(one.q, table.q, table.width) == pytest.approx(one.width, abs=5e-3)
 
 
 def test_flat_spans_are_refused_unless_a_speed_to_cross_them_is_given() -> None:

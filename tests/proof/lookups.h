@@ -5,13 +5,9 @@
 
 #include "tautline/tl_lookup.h"
 
-#ifndef WIDTH_MAX // a proof may be about narrower tables only
-#define WIDTH_MAX (2 * TL_TABLE_VALUE_MAX)
-#endif
-
 /*@ requires \valid_read(lookup) && \valid(flags);
     assigns \result \from p, *lookup; assigns *flags \from *flags, p, *lookup;
-    ensures 0 <= \result <= WIDTH_MAX; ensures *flags <= 3; */
+    ensures 0 <= \result <= TL_TABLE_WIDTH_MAX; ensures *flags <= 3; */
 tl_count_q8_t tl_lookup_width(const tl_lookup_t *lookup, tl_count_q8_t p, uint32_t *flags); // between two nodes
 
 /*@ requires \valid_read(lookup) && \valid(flags);
@@ -21,7 +17,7 @@ tl_deg_q16_t tl_lookup_angle(const tl_lookup_t *lookup, tl_count_q8_t p, uint32_
 
 /*@ requires \valid_read(lookup) && \valid(flags);
     assigns \result \from c, *lookup; assigns *flags \from *flags, c, *lookup;
-    ensures -0x40000000 <= \result <= 0x40000000; ensures *flags <= 3; */
+    ensures -TL_TABLE_POSITION_MAX <= \result <= TL_TABLE_POSITION_MAX; ensures *flags <= 3; */
 tl_count_q8_t tl_lookup_angle_inverse(const tl_lookup_t *lookup, tl_deg_q16_t c, uint32_t *flags); // on the grid
 
 /*@ requires \valid_read(lookup) && \valid(flags);
@@ -42,7 +38,7 @@ tl_count_q8_t tl_lookup_p_high(const tl_lookup_t *lookup, tl_count_q8_t q, tl_co
 int32_t tl_lookup_centre(const tl_lookup_t *lookup, tl_count_q8_t p); // 2^29, and as much beyond the grid
 
 /*@ requires \valid_read(lookup); assigns \result \from y, *lookup;
-    ensures -0x60000000 <= \result <= 0x60000000; */
-tl_count_q8_t tl_lookup_centre_inverse(const tl_lookup_t *lookup, int32_t y); // 2^30, and 2^29 beyond the grid
+    ensures -0x40000000 <= \result <= 0x40000000; */
+tl_count_q8_t tl_lookup_centre_inverse(const tl_lookup_t *lookup, int32_t y); // 2^29, and as much beyond the grid
 
 #endif

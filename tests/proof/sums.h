@@ -14,7 +14,7 @@
 static tl_onset_sums_t any_sums(void) {
     return (tl_onset_sums_t){.w = Frama_C_long_long_interval(0, 0x3000),
                              .x = LONG(30),
-                             .xx = TO(47),
+                             .xx = TO(48),
                              .u = LONG(32),
                              .v = LONG(32),
                              .xu = LONG(48),

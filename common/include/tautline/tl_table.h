@@ -21,7 +21,7 @@
 ///       16    4  nano-units per encoder count, unsigned, > 0 (1 um per count: 1000000 nano-mm)
 ///       20    4  q0, Q8 counts: position of the first node (0 without nodes)
 ///       24    4  q_min, Q8 counts: the motor is never sent below it
-///       28    4  q_max, Q8 counts: nor above it
+///       28    4  q_max, Q8 counts: nor above it; all within +-TL_TABLE_POSITION_MAX, as the last node is
 ///       32    4  coarse c at q_min, deg Q16
 ///       36    4  coarse c at q_max, deg Q16: the coarse kinematics is the line through the two
 ///       40    4  speed_max, Q8 counts/s, > 0: of the motor, in all
@@ -35,7 +35,7 @@
 ///       68    4  created, seconds since 1970, unsigned
 ///       72    8  model id: any bytes by which the host knows the model again
 ///       80    8  instrument that it was made for: its serial, ASCII, padded with 0; all 0: it does not say
-///       88  4*n  B, Q8 counts, n = nodes
+///       88  4*n  B, Q8 counts, 0..TL_TABLE_WIDTH_MAX, n = nodes
 ///   88+4*n  4*n  f, deg Q16
 ///   88+8*n  ...  format 2: sections, each 2 bytes of id, 2 bytes of the size of what follows, and that
 ///      end    4  CRC-32 (tl_crc.h) of everything before it
@@ -106,8 +106,12 @@ extern "C" {
 #define TL_TABLE_SIZE_MAX                                                                                              \
     (TL_TABLE_SIZE(TL_TABLE_NODES_MAX) + 4U + TL_TABLE_PLAYS_SIZE(TL_TABLE_NODES_MAX) + TL_TABLE_WORDS_SIZE)
 #define TL_TABLE_ANY_AXIS 0xFFU
-/// Positions, position -+ B/2 and angles stay within +-TL_TABLE_VALUE_MAX, so that differences never overflow.
-#define TL_TABLE_VALUE_MAX        ((int32_t)0x3FFFFFFF)
+/// Angles, and where a motor may be, stay within +-TL_TABLE_VALUE_MAX, so that differences never overflow.
+#define TL_TABLE_VALUE_MAX ((int32_t)0x3FFFFFFF)
+/// Q8 counts: q_min, q_max, the grid's ends (+-2097151 counts), and B (1048575 counts). A position, twice what several
+/// plays reach by such a B, and what sections 3 and 4 add to it, sum up to less than 2^31.
+#define TL_TABLE_POSITION_MAX     ((int32_t)0x1FFFFFFF)
+#define TL_TABLE_WIDTH_MAX        ((int32_t)0x0FFFFFFF)
 #define TL_TABLE_CENTRE_MAX       ((int32_t)1 << 29) ///< of Y
 #define TL_TABLE_ENCODER_MAX      ((int32_t)1 << 17) ///< of all amplitudes of an encoder's error: 512 counts, Q8
 #define TL_TABLE_ADAPT_OFFSET_MAX ((int32_t)1 << 22) ///< Q8 counts: 16384
@@ -166,7 +170,9 @@ enum { TL_TABLE_SECTIONS(TL_TABLE_NUMBER) };
     X(NODES, "a table has no node (identity) or 2 to 257 nodes")                                                       \
     X(STEP, "the grid step is not 2^0 to 2^23 Q8 counts")                                                              \
     X(RANGE, "the motor range is empty or reaches beyond the grid")                                                    \
-    X(SATURATES, "a span saturates: a position with half its width, or an angle, is too large to compute with")        \
+    X(SATURATES,                                                                                                       \
+      "too large to compute with: a position of more than 2097151 counts, a width of more than 1048575, or an angle "  \
+      "of 16384 deg or more")                                                                                          \
     X(STRENGTH, "the strength is not between 0 and 1")                                                                 \
     X(LIMITS, "a speed, acceleration, band or slope limit is out of its range")                                        \
     X(DELAY, "the camera delay is more than 2 s")                                                                      \

@@ -12,7 +12,7 @@ static TL_FAST inline int32_t half_of(const tl_compensator_t *k, uint32_t width)
     return (int32_t)((width >> 16) * strength + ((width & 0xFFFFU) * strength >> 16));
 }
 
-// q* without what is still to be taken up, before the range is minded. p -+ B/2 cannot overflow (TL_TABLE_VALUE_MAX).
+// q* without what is still to be taken up, before the range is minded. Within 32 bits (TL_TABLE_POSITION_MAX).
 static TL_FAST inline tl_count_q8_t pushed(const tl_compensator_t *k, int32_t half) {
     return k->p + (k->side > 0 ? half : (k->side < 0 ? -half : tl_clamp(k->start_offset, -half, half)));
 }

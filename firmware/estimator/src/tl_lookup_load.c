@@ -5,6 +5,9 @@
 #define END_CENTRE    ((uint64_t)1 << 29) // how far Y goes on beyond the grid, and p
 #define END_COUNTS    ((uint64_t)1 << 29)
 #define WARP_OFF_LOG2 4 // of a period: by so much the warp of a table may be wrong
+// Q8 counts: twice the widest B. So far from p its elements may meet an envelope, wherever they are within a period
+// to either side of it (they are within half of one, but for what is rounded).
+#define REACH_MAX (2 * (TL_TABLE_WIDTH_MAX + 1))
 
 static tl_count_q8_t node_position(const tl_table_t *table, unsigned node) {
     return table->q0 + (int32_t)((uint32_t)node << table->step_log2);
@@ -101,6 +104,19 @@ static bool warps(const tl_lookup_t *lookup) {
     return true;
 }
 
+// Whether the elements reach no further than REACH_MAX from any node, and so from no place by more than a step.
+static bool reaches(const tl_lookup_t *lookup) {
+    for (unsigned i = 0; i < lookup->table.nodes; i++) {
+        const int32_t y = lookup->table.centre[i], away = 3 * lookup->half;
+        const tl_count_q8_t p = node_position(&lookup->table, i);
+        if (p - tl_lookup_centre_inverse(lookup, y - away) > REACH_MAX ||
+            tl_lookup_centre_inverse(lookup, y + away) - p > REACH_MAX) {
+            return false;
+        }
+    }
+    return true;
+}
+
 static bool derive_plays(tl_lookup_t *lookup) {
     tl_table_t *table = &lookup->table;
     const unsigned last = table->nodes - 1U;
@@ -116,7 +132,7 @@ static bool derive_plays(tl_lookup_t *lookup) {
     }
     derive_end(&lookup->end[0], (uint32_t)width_at_least(table, 0), table->period_log2);
     derive_end(&lookup->end[1], (uint32_t)width_at_least(table, last), table->period_log2);
-    return warps(lookup);
+    return reaches(lookup) && warps(lookup);
 }
 
 static tl_table_reason_t derive(tl_lookup_t *lookup) {

@@ -1,5 +1,8 @@
-#define WIDTH_MAX (1 << 28)
+#ifndef SEVERAL // proof several
+#define SEVERAL 0
+#endif
 #include "../lookups.h"
+#include "../takeups.h"
 #include "tautline/tl_undo.h"
 
 #include "__fc_builtin.h"
@@ -46,7 +49,7 @@ tl_deg_q16_t tl_undo_angle(tl_undo_t *undo, const tl_lookup_t *lookup, tl_deg_q1
    p; ensures -TL_TABLE_VALUE_MAX <= \result <= TL_TABLE_VALUE_MAX; */
 tl_count_q8_t tl_undo_late(tl_undo_t *undo, tl_count_q8_t p);
 
-/*@ requires \valid(undo); requires -TL_TABLE_VALUE_MAX <= p <= TL_TABLE_VALUE_MAX; requires -1 <= side <= 1;
+/*@ requires \valid(undo); requires -0x5FFFFFFE <= p <= 0x5FFFFFFE; requires -1 <= side <= 1;
     assigns *undo \from *undo, p, side; */
 void tl_undo_turned(tl_undo_t *undo, tl_count_q8_t p, int32_t side);
 
@@ -67,6 +70,24 @@ tl_count_q8_t tl_undo_reading(const tl_undo_t *undo, const tl_lookup_t *lookup, 
     ensures reading - 0x480000 <= \result <= reading + 0x480000; */
 tl_count_q8_t tl_undo_pushing(const tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t reading, uint32_t rounds);
 
+#if SEVERAL
+#include "tl_elements.h"
+
+/*@ requires \valid_read(lookup); assigns \result \from p, *lookup; ensures \result == 0 || \result == 1; */
+static inline bool tl_elements_narrow(const tl_lookup_t *lookup, tl_count_q8_t p); // proof elements
+
+#define REACH_MAX  (2 * (TL_TABLE_WIDTH_MAX + 1) + (1 << TL_TABLE_STEP_LOG2_MAX)) // reaches() in tl_lookup_load.c
+#define OFFSET_MAX (REACH_MAX + TL_TABLE_WIDTH_MAX / 2)
+#define APART_MAX  (3 << 26)
+
+/*@ ensures -OFFSET_MAX <= \result <= OFFSET_MAX; */
+static int32_t offset_on(const tl_compensator_t *k, bool up);
+#else
+#define OFFSET_MAX (TL_TABLE_WIDTH_MAX / 2)
+#endif
+#define WIDER_MAX (3 << 23)
+#define HALF_MAX  (2 * OFFSET_MAX + WIDER_MAX)
+
 #include "../../../firmware/estimator/src/tl_compensator.c"
 #include "../../../firmware/estimator/src/tl_feed.h"
 #include "../../../firmware/estimator/src/tl_several.c"
@@ -78,29 +99,15 @@ tl_count_q8_t tl_undo_pushing(const tl_undo_t *undo, const tl_lookup_t *lookup, 
 #define FROM(x, y)     Frama_C_int_interval(x, y)
 #define WITHIN(x)      Frama_C_int_interval(-(x), x)
 #define LONG(x, y)     Frama_C_long_long_interval(x, y)
-#define PLACE()        WITHIN(RANGE_MAX)
-#define RANGE_MAX      (1 << 29)
+#define PLACE()        WITHIN(TL_TABLE_POSITION_MAX)
 #define AWAY_MAX       0x40800000 // where a motor may be that is not in its range
-#define FAR            ((int64_t)1 << 60)
-#define QUICK          ((int64_t)1 << 54)
-
+// An anchor is as far behind p as the range and a band allow, also where p has jumped since.
+#define ANCHOR_MAX (TL_TABLE_POSITION_MAX + TL_TABLE_VALUE_MAX)
 static tl_lookup_t lookup;
 static tl_compensator_t k;
 
 static tl_per_tick_t any_per_tick(void) {
     return (tl_per_tick_t){.whole = FROM(0, TL_TABLE_VALUE_MAX / 16), .fraction = ANY_UNSIGNED()};
-}
-
-static void any_takeup(void) {
-    k.takeup.heading = Frama_C_nondet(1, -1);
-    k.takeup.ahead_q36 = LONG(-FAR, FAR);
-    k.takeup.spare_q36 = LONG(-4 * FAR, FAR);
-    k.takeup.speed_q36 = LONG(0, QUICK);
-    k.takeup.accel_q36 = LONG(0, QUICK);
-    k.takeup.speed_max_q36 = LONG(0, QUICK);
-    k.takeup.next_accel_q36 = LONG(0, QUICK);
-    k.takeup.next_speed_max_q36 = LONG(0, QUICK);
-    k.takeup.limits_pending = Frama_C_unsigned_int_interval(0, 1);
 }
 
 static void any(void) {
@@ -110,31 +117,41 @@ static void any(void) {
     k.low = lookup.table.q_min;
     k.high = lookup.table.q_max;
     k.band = lookup.table.band;
-    k.several = false;
+    k.several = SEVERAL;
     k.by_curve = Frama_C_nondet(0, 1);
     k.undoes = Frama_C_nondet(0, 1);
-    k.moved = false;
+    k.moved = k.several && Frama_C_nondet(0, 1);
     k.feed_flags = ANY_UNSIGNED();
     k.mode = Frama_C_unsigned_int_interval(TL_MODE_OFF, TL_MODE_FULL);
     k.strength_q15 = Frama_C_unsigned_int_interval(0, TL_RATIO_ONE);
     k.side = FROM(-1, 1);
-    k.half = FROM(0, RANGE_MAX);
-    k.start_offset = ANY();
+    k.half = FROM(SEVERAL ? -HALF_MAX : 0, HALF_MAX);
+    k.start_offset = SEVERAL ? WITHIN(2 * OFFSET_MAX) : ANY();
     k.c = ANY();
     k.p = PLACE();
     k.goal = PLACE();
     k.aim = PLACE();
     k.slow = Frama_C_nondet(0, 1);
-    k.anchor = PLACE();
+    k.anchor = WITHIN(ANCHOR_MAX);
     k.q = WITHIN(AWAY_MAX);
     k.feed_fraction = ANY_UNSIGNED();
     k.feed_max = any_per_tick();
     k.feed_flat = any_per_tick();
-    any_takeup();
+    k.takeup = any_takeup();
     k.rate_hz = Frama_C_unsigned_int_interval(16, 100000);
     k.angle = ANY();
-    k.wider = FROM(0, 3 << 23);
+    k.wider = FROM(0, WIDER_MAX);
     k.reading = WITHIN(AWAY_MAX);
+#if SEVERAL
+    k.turns = Frama_C_nondet(0, 1);
+    k.offset = WITHIN(OFFSET_MAX);
+    k.centre = WITHIN(TL_TABLE_CENTRE_MAX);
+    k.apart = WITHIN(APART_MAX);
+    for (unsigned i = 0; i < TL_TABLE_PLAYS_MAX; i++) {
+        k.lags[i] = WITHIN(1 << 28);
+    }
+    k.step_max = FROM(0, TL_TABLE_VALUE_MAX / 16);
+#endif
 }
 
 static void start(void) {
@@ -158,12 +175,23 @@ static void step(void) {
     tl_compensator_rest(&k);
 }
 
+static void know(void) {
+    tl_play_t play;
+    play.lookup = Frama_C_nondet_ptr(&lookup, 0);
+    for (unsigned i = 0; i < TL_TABLE_PLAYS_MAX; i++) {
+        play.lag[i] = WITHIN(1 << 26);
+    }
+    any();
+    tl_compensator_know(&k, &play);
+}
+
 static void set(void) {
     any();
     tl_compensator_set_mode(&k, (tl_mode_t)Frama_C_unsigned_int_interval(TL_MODE_OFF, TL_MODE_FULL));
     any();
     tl_compensator_set_strength(&k, ANY());
     any();
+    k.several = SEVERAL && Frama_C_nondet(0, 1); // before it
     tl_compensator_set_table(&k, &lookup);
     any();
     tl_compensator_adapt(&k, ANY(), ANY(), ANY_UNSIGNED());
@@ -178,6 +206,12 @@ int main(void) {
     lookup.flat_below = ANY_UNSIGNED();
     lookup.has_flat = Frama_C_nondet(0, 1);
     lookup.turn = Frama_C_nondet(0, -1);
+#if SEVERAL
+    lookup.plays = Frama_C_nondet(0, Frama_C_int_interval(2, TL_TABLE_PLAYS_MAX));
+    lookup.narrow = FROM(0, TL_TABLE_WIDTH_MAX);
+    lookup.half = FROM(1 << 7, 1 << 25);
+    lookup.element[0].half = FROM(0, 1 << 26);
+#endif
     lookup.q0 = WITHIN(TL_TABLE_VALUE_MAX);
     lookup.table.q_min = PLACE();
     lookup.table.q_max = PLACE();
@@ -200,5 +234,6 @@ int main(void) {
     start();
     step();
     set();
+    know();
     return 0;
 }

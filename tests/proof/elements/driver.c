@@ -51,15 +51,16 @@ int main(void) {
         lookup.element[i].undo_log2 = Frama_C_unsigned_int_interval(0, 5);
     }
     for (unsigned i = 0; i < TL_TABLE_NODES_MAX; i++) {
-        lookup.table.width[i] = UP_TO(2 * TL_TABLE_VALUE_MAX);
+        lookup.table.width[i] = UP_TO(TL_TABLE_WIDTH_MAX);
     }
-    lookup.narrow = UP_TO(TL_TABLE_VALUE_MAX);
+    lookup.narrow = UP_TO(TL_TABLE_WIDTH_MAX);
     lookup.half = Frama_C_int_interval(1 << 7, 1 << 25);
-    lookup.q0 = WITHIN(TL_TABLE_VALUE_MAX);
+    lookup.q0 = WITHIN(TL_TABLE_POSITION_MAX);
     //@ loop unroll 30;
     for (unsigned log2 = 0; log2 <= TL_TABLE_STEP_LOG2_MAX; log2++) {
         lookup.step_log2 = log2;
-        lookup.extent = Frama_C_unsigned_int_interval(1U << log2, (TL_TABLE_NODES_MAX - 1U) << log2);
+        const uint32_t most = (uint32_t)(2ULL * TL_TABLE_POSITION_MAX >> log2), last = TL_TABLE_NODES_MAX - 1U;
+        lookup.extent = Frama_C_unsigned_int_interval(1U << log2, (most < last ? most : last) << log2);
         lookup.plays = Frama_C_unsigned_int_interval(2, TL_TABLE_PLAYS_MAX);
         elements();
         lookup.plays = Frama_C_nondet(0, lookup.plays);

@@ -14,8 +14,9 @@ static inline uint32_t tl_scale(uint32_t x, tl_scale_t ratio); // proof fixed; t
 #include "../../../common/src/tl_fixed.c"
 #include "../../../firmware/estimator/src/tl_lookup.c"
 
-#define ANY()  Frama_C_int_interval(INT32_MIN, INT32_MAX)
-#define NODE() Frama_C_int_interval(-TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX)
+#define ANY()   Frama_C_int_interval(INT32_MIN, INT32_MAX)
+#define NODE()  Frama_C_int_interval(-TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX)
+#define PLACE() Frama_C_int_interval(-TL_TABLE_POSITION_MAX, TL_TABLE_POSITION_MAX)
 
 static tl_lookup_t lookup;
 static uint32_t flags;
@@ -40,12 +41,12 @@ static void ask(void) {
 
 // A grid with this step, of each number of nodes that fits, as derive() leaves it.
 static void of(unsigned log2, int32_t turn) {
-    const uint32_t most = (uint32_t)(2ULL * TL_TABLE_VALUE_MAX >> log2), last = TL_TABLE_NODES_MAX - 1U;
+    const uint32_t most = (uint32_t)(2ULL * TL_TABLE_POSITION_MAX >> log2), last = TL_TABLE_NODES_MAX - 1U;
     lookup.table.nodes = (uint16_t)Frama_C_unsigned_int_interval(2U, (most < last ? most : last) + 1U);
     lookup.extent = (lookup.table.nodes - 1U) << log2;
     lookup.step_log2 = log2;
     lookup.turn = turn;
-    lookup.q0 = NODE();
+    lookup.q0 = PLACE();
     ask();
 }
 
@@ -53,8 +54,8 @@ int main(void) {
     //@ loop unroll 300;
     for (unsigned i = 0; i < TL_TABLE_NODES_MAX; i++) {
         lookup.table.angle[i] = NODE();
-        lookup.table.centre[i] = NODE();
-        lookup.table.width[i] = Frama_C_int_interval(0, 2 * TL_TABLE_VALUE_MAX);
+        lookup.table.centre[i] = Frama_C_int_interval(-TL_TABLE_CENTRE_MAX, TL_TABLE_CENTRE_MAX);
+        lookup.table.width[i] = Frama_C_int_interval(0, TL_TABLE_WIDTH_MAX);
     }
     Frama_C_make_unknown((char *)lookup.ratio, sizeof lookup.ratio);
     Frama_C_make_unknown((char *)lookup.centre_ratio, sizeof lookup.centre_ratio);
@@ -65,8 +66,8 @@ int main(void) {
     lookup.low_last = NODE();
     lookup.high_first = NODE();
     lookup.high_last = NODE();
-    lookup.table.q_min = NODE();
-    lookup.table.q_max = NODE();
+    lookup.table.q_min = PLACE();
+    lookup.table.q_max = PLACE();
     lookup.table.coarse_c_min = NODE();
     lookup.table.coarse_c_max = NODE();
     lookup.coarse = lookup.coarse_inverse = any_scale();

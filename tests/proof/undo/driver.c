@@ -11,7 +11,8 @@ static int32_t sine(uint32_t turn); // proof sine
 #define ANY_UNSIGNED() Frama_C_unsigned_int_interval(0, UINT32_MAX)
 #define FROM(x, y)     Frama_C_int_interval(x, y)
 #define WITHIN(x)      Frama_C_int_interval(-(x), x)
-#define PLACE()        WITHIN(TL_TABLE_VALUE_MAX)
+#define PLACE()        WITHIN(TL_TABLE_POSITION_MAX)
+#define ANCHOR()       WITHIN(TL_TABLE_POSITION_MAX + TL_TABLE_VALUE_MAX)
 
 static tl_lookup_t lookup;
 static tl_undo_t undo;
@@ -30,7 +31,7 @@ static void any_moved(void) {
     undo.moved.load_scale = FROM(SCALE_LEAST, SCALE_MOST);
     //@ loop unroll 3;
     for (unsigned i = 0; i < TL_TABLE_JOINTS; i++) {
-        undo.moved.joint[i] = PLACE();
+        undo.moved.joint[i] = WITHIN(TL_TABLE_VALUE_MAX);
     }
 }
 
@@ -60,7 +61,7 @@ static void any_table(void) {
     t->load.width = WITHIN(1 << 24);
     t->load.gain = WITHIN(1 << 24);
     t->load.offset = WITHIN(1 << 24);
-    t->load.middle = PLACE();
+    t->load.middle = WITHIN(TL_TABLE_VALUE_MAX);
     //@ loop unroll 3;
     for (unsigned i = 0; i < TL_TABLE_JOINTS; i++) {
         t->joints.axis[i] = FROM(0, (int32_t)TL_TABLE_AXES);
@@ -98,7 +99,7 @@ static void any_undo(void) {
     undo.step_max = FROM(0, MOST / 16);
     undo.p = PLACE();
     undo.side = FROM(-1, 1);
-    undo.turned_at = PLACE();
+    undo.turned_at = ANCHOR();
     //@ loop unroll 3;
     for (unsigned i = 0; i < TL_TABLE_JOINTS; i++) {
         undo.carried[i] = ANY();
@@ -132,7 +133,7 @@ int main(void) {
     tl_undo_angle(&undo, &lookup, ANY());
     tl_undo_late(&undo, PLACE());
     any_undo();
-    tl_undo_turned(&undo, PLACE(), FROM(-1, 1));
+    tl_undo_turned(&undo, ANCHOR(), FROM(-1, 1));
     tl_undo_scaled(&undo, WITHIN(MOST));
     tl_undo_rest(&undo, PLACE());
     shaft();

@@ -1,0 +1,2 @@
+#define SEVERAL 1
+#include "../compensator/driver.c"
