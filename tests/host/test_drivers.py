@@ -10,8 +10,8 @@ import json
 import struct
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -200,7 +200,7 @@ def test_a_pulled_cable_leaves_the_motor_at_rest_within_the_stated_time(kind: st
         print(f"{kind:>9}: at rest {rests_s:.3f} s after the cable was pulled")
         assert 0.0 < rests_s <= setup.link.drives.rest_s + 1.0 / RATE_HZ + braking_s
         # By the watchdog of those that have one: most come to rest without, where they were told last.
-        assert motor.tripped == (setup.link.drives.rest_s > 0.0)
+        assert motor.tripped == (setup.link.drives.rest_s > 0.0) and setup.link.drives.rest_s <= 0.1
         assert 1e-3 * (motor.tripped_ms - pulled) <= setup.link.drives.rest_s + 1e-3
 
 
@@ -238,11 +238,19 @@ def motors_of(kind: str, *places: float) -> list[Motor]:
 def cycles(emulator: Any, drives: Any, goals: list[Goal | None], count: int) -> None:
     """So many, 10 ms each: measured, told, moved."""
     for _ in range(count):
-        drives.measure()
+        patiently(drives.measure)
         if any(goal is not None for goal in goals):
             drives.set_positions(goals)
         emulator.bus.settle()
         move(emulator, 10)
+
+
+def patiently(ask: Callable[..., Any], *what: Any) -> Any:
+    """What a link's next cycle is for: this machine may have been held up."""
+    for _ in range(4):
+        with suppress(Missed):
+            return ask(*what)
+    return ask(*what)
 
 
 def move(emulator: Any, steps: int) -> None:
@@ -253,24 +261,29 @@ def move(emulator: Any, steps: int) -> None:
 
 @every_kind
 def test_what_its_watchdog_stopped_is_driven_again(kind: str) -> None:
+    """By whom did not switch it off: that program has ended."""
     [motor] = motors_of(kind, 0.0)
     with opened(kind, [motor]) as (emulator, drives):
         for goal in (20.0, -30.0):
-            drives.enable(0, True)
+            patiently(drives.enable, 0, True)
             cycles(emulator, drives, [Goal(goal, 0.0)], 30)
             assert motor.position == pytest.approx(goal, abs=1.5) and not motor.tripped
             if kind != "ros":  # it says where it is, and is asked nothing
                 move(emulator, 300)
             assert motor.tripped == (drives.rest_s > 0.0)
-            drives.enable(0, False)
 
 
 @pytest.mark.parametrize("kind", [kind for kind in EMULATORS if kind != "ros"])
 def test_a_bus_that_drops_answers_is_opened_and_switched_on(kind: str) -> None:
-    """A topic has no answers, and a moteus is told again in the next cycle."""
-    [motor] = motors_of(kind, 0.0)
-    emulator = EMULATORS[kind][0]([motor])
-    emulator.bus.ills.drop = 0.1
+    """Each fifth, from the first on. A topic has no answers, and a moteus is told again in the next cycle."""
+    emulator = EMULATORS[kind][0](motors_of(kind, 0.0))
+    count = [-1]
+
+    def through(answer: Any) -> list[Any]:
+        count[0] += 1
+        return [answer] if count[0] % 5 else []
+
+    emulator.bus.ills.through = through
     try:
         drives = addresses.open_drives(addresses.parse(where(kind, emulator, 1, "rate=100")))
         for _ in range(3 if kind != "moteus" else 0):
@@ -286,10 +299,9 @@ def test_a_bus_that_drops_answers_is_opened_and_switched_on(kind: str) -> None:
 def test_a_drive_that_is_switched_on_stays_where_it_is(kind: str) -> None:
     """Also where its first set-points are lost."""
     [motor] = motors_of(kind, 700.0)
-    motor.rest()
     with opened(kind, [motor]) as (emulator, drives):
         cycles(emulator, drives, [None], 1)
-        drives.enable(0, True)
+        patiently(drives.enable, 0, True)
         cycles(emulator, drives, [None], 5)
         assert np.abs(np.array(motor.course) - 700.0).max() <= 1.5
 
@@ -320,14 +332,54 @@ def test_each_of_two_motors_has_its_own(kind: str) -> None:
         emulator.bus.ills.through = lambda answer: [answer]
         move(emulator, 10)
         for axis in range(2):
-            drives.enable(axis, True)
+            patiently(drives.enable, axis, True)
         cycles(emulator, drives, [Goal(140.0, 0.0), Goal(-350.0, 0.0)], 30)
         assert [m.position for m in motors] == pytest.approx([140.0, -350.0], abs=1.5)
-        drives.enable(0, False)
+        patiently(drives.enable, 0, False)
         cycles(emulator, drives, [None, Goal(-320.0, 0.0)], 30)
         assert [m.position for m in motors] == pytest.approx([140.0, -320.0], abs=1.5)
-        drives.enable(1, False)
+        patiently(drives.enable, 1, False)
         assert kind == "ros" or not any(m.on for m in motors)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in EMULATORS if kind != "ros"])
+@pytest.mark.parametrize("silent", [1, 2])
+def test_where_one_of_two_does_not_answer_its_last_place_is_not_taken_again(kind: str, silent: int) -> None:
+    motors = motors_of(kind, 100.0, -300.0)
+    with opened(kind, motors) as (emulator, drives):
+        patiently(drives.measure)
+        move(emulator, 10)
+        for motor in motors:
+            motor.position += 50.0
+        through, count = emulator.bus.ills.through, [0]
+
+        def dumb(answer: Any) -> list[Any]:
+            """Without what one of them says: answers come in turn, a CANopen drive's two at a time."""
+            count[0] += 1
+            number = (count[0] + 1) // 2 if kind == "canopen" else count[0]
+            return [] if number == silent else list(through(answer))
+
+        emulator.bus.ills.through = dumb
+        with pytest.raises(Missed):
+            drives.measure()
+        emulator.bus.settle()
+        emulator.bus.ills.through = through
+        assert [m.q for m in patiently(drives.measure)] == [150.0, -250.0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        ("dynamixel", (-1048575.0, 1048575.0, 15993.0, 319850.0, 3209.0)),  # 1023 of 0.229 rev/min; 20 times a second
+        ("feetech", (-30719.0, 30719.0, 3000.0, 60000.0, 0.0)),
+        ("canopen", (-20000.0, 20000.0, 12288.0, 300000.0, 1500.0)),  # 180 rev/min; 1.5 of the rated current
+        ("moteus", (-3.9e6, 3.9e6, 16384.0, 327680.0, 0.0)),
+    ],
+)
+def test_a_drives_limits_are_as_it_is_configured(kind: str, expected: tuple[float, ...]) -> None:
+    with opened(kind, motors_of(kind, 0.0)) as (_, drives):
+        of = drives.drives[0].limits
+        assert (of.q_low, of.q_high, of.speed, of.acceleration, of.current_ma) == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.parametrize("kind", [kind for kind in EMULATORS if kind != "ros"])
@@ -667,6 +719,12 @@ def test_a_joint_that_is_off_is_left_where_it_is(by_name: bool) -> None:
         drives.enable(0, False)  # no force that grew: where it is
         robot.bus.settle()
         assert motors[0].goals[-1] == pytest.approx(100.0, abs=1e-6)
+        told = len(motors[0].goals)
+        drives.enable(1, True)
+        drives.set_positions([None, Goal(-310.0, 0.0)])
+        robot.bus.settle()
+        assert motors[1].goals[-1] == pytest.approx(-310.0, abs=1e-6)
+        assert motors[0].goals[told:] == ([] if by_name else pytest.approx([100.0, 100.0], abs=1e-6))
 
 
 @NO_ROS
