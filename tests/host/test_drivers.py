@@ -145,6 +145,68 @@ def test_set_points_that_are_lost_on_their_way_out_are_made_up_for(kind: str) ->
 
 
 @every_kind
+def test_the_last_set_point_of_a_motion_may_be_lost(kind: str) -> None:
+    """It is told again while the axis holds."""
+    with driven(kind) as setup, driving(setup.live):
+        begun = setup.live.board.status(0).q
+        setup.live.board.ask("move", axis=0, q=begun + 1000.0, speed_s=2000.0)
+        setup.live.wait(0.44)
+        told = len(setup.motor.goals)
+        setup.emulator.bus.ills.lose = 1.0
+        setup.live.wait(0.09)
+        assert len(setup.motor.goals) <= told + 1
+        setup.emulator.bus.ills.lose = 0.0
+        setup.live.wait(0.4)
+        assert setup.motor.position == pytest.approx(begun + 1000.0, abs=5.0)
+
+
+def test_a_position_is_told_of_the_time_at_which_it_was_measured() -> None:
+    """Not of when its answer came, 4 ms later: at 2 counts a millisecond."""
+    off: list[float] = []
+    with driven("feetech") as setup, driving(setup.live):
+        measure, bench = setup.link.drives.measure, setup.bench
+
+        def measured() -> list[Measured]:
+            now = measure()
+            bench.us += 4000
+            move(setup.emulator, 4)
+            return now
+
+        def told(batch: Any) -> None:
+            for i in range(batch.count):
+                at = round(1e-3 * (batch.t_us + i * batch.period_us)) - 1
+                if 0 <= at < len(setup.motor.course):
+                    off.append(batch.q[i] - setup.motor.course[at])
+
+        setup.link.drives.measure = measured
+        setup.live.board.ask("telemetry", axis=0, divider=10)
+        with setup.live.board.listening(batch=told):
+            setup.live.board.ask("move", axis=0, q=3000.0, speed_s=2000.0)
+            setup.live.wait(0.3)
+            off.clear()
+            setup.live.wait(0.8)
+    assert len(off) > 50 and abs(float(np.median(off))) < 4.0, np.median(off)
+
+
+@every_kind
+def test_a_set_point_that_the_bus_does_not_take_counts_as_missed(kind: str) -> None:
+    with driven(kind) as setup, driving(setup.live):
+        setup.live.wait(0.1)
+        set_positions, refused = setup.link.drives.set_positions, [3]
+
+        def full(goals: Any) -> None:
+            if refused[0]:
+                refused[0] -= 1
+                raise Missed("the bus takes nothing")
+            set_positions(goals)
+
+        setup.link.drives.set_positions = full
+        missed = setup.link.timing.missed
+        setup.live.wait(0.1)
+        assert setup.link.timing.missed >= missed + 3
+
+
+@every_kind
 def test_where_no_set_point_arrives_any_more_the_axis_faults(kind: str) -> None:
     with driven(kind) as setup, pytest.raises(TautError, match="did not follow"), driving(setup.live):
         setup.live.board.ask("move", axis=0, q=4000.0, speed_s=2000.0)
