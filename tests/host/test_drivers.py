@@ -685,6 +685,41 @@ def test_a_thread_that_ends_switches_off_and_is_told_of() -> None:
         emulator.close()
 
 
+@pytest.mark.parametrize("kind", [kind for kind in EMULATORS if kind != "ros"])
+def test_what_is_closed_while_it_is_on_is_switched_off(kind: str) -> None:
+    """A topic switches no torque."""
+    with driven(kind) as setup:
+        setup.live.board.switch_on(0, setup.live.wait)
+        setup.live.wait(0.05)
+        assert setup.motor.on
+    assert not setup.motor.on
+
+
+def test_cycles_that_come_late_are_counted() -> None:
+    emulator = DynamixelEmulator([Motor()])
+    try:
+        address = addresses.parse(f"dynamixel:{emulator.bus.path}:1?rate=50&baud=1000000")
+        drives = addresses.open_drives(address)
+        link = HostedLink(drives, address.where, address.rate_hz)
+        measure, slow = drives.measure, [5]
+
+        def measured() -> list[Measured]:
+            if slow[0]:
+                slow[0] -= 1
+                time.sleep(0.06)  # three periods
+            return measure()
+
+        before = link.timing.late
+        drives.measure = measured  # type: ignore[method-assign]
+        end = time.monotonic() + 20.0
+        while slow[0] and time.monotonic() < end:
+            time.sleep(0.01)
+        link.close()
+        assert not slow[0] and link.timing.late >= before + 4
+    finally:
+        emulator.close()
+
+
 def test_what_cannot_be_used_gives_its_bus_back(monkeypatch: pytest.MonkeyPatch) -> None:
     emulator = DynamixelEmulator([Motor()])
     closed: list[bool] = []
