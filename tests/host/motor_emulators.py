@@ -46,6 +46,7 @@ class Motor:
     silent_s: float = 0.0  # since its bus said anything
     watchdog_s: float = 0.0  # after which it stops; 0: none
     tripped: bool = False
+    tripped_ms: int = 0  # of its course, when it tripped last
     goals: list[float] = field(default_factory=list)
     course: list[float] = field(default_factory=list)  # each millisecond
 
@@ -65,8 +66,8 @@ class Motor:
     def step(self) -> None:
         """A millisecond on."""
         self.silent_s += 1e-3
-        if self.on and self.watchdog_s and self.silent_s > self.watchdog_s:
-            self.tripped = True
+        if self.on and self.watchdog_s and self.silent_s > self.watchdog_s and not self.tripped:
+            self.tripped, self.tripped_ms = True, len(self.course)
         self.goal += self.ramp if self.ramp_ms > 0 else 1e-3 * self.onwards
         self.ramp_ms -= 1
         dt = 1e-3 / _SUB
@@ -175,10 +176,11 @@ def crc16(data: bytes) -> int:
 
 
 class DynamixelEmulator:
-    """X series servos: a control table each, PING, READ, WRITE, SYNC READ and SYNC WRITE."""
+    """X series servos: a control table each, PING, READ, WRITE, SYNC READ and SYNC WRITE. Another program has left them
+    a slow profile."""
 
     def __init__(self, motors: list[Motor]) -> None:
-        self.motors = motors
+        self.motors, self._most = motors, [(motor.speed_most, motor.acceleration_most) for motor in motors]
         self.tables = [self._fresh(i) for i in range(len(motors))]
         self.bus = SerialBus(self._take)
 
@@ -188,6 +190,7 @@ class DynamixelEmulator:
         table[6], table[7], table[11] = 45, index + 1, 4
         struct.pack_into("<HII", table, 38, 1193, 0x7FFF, 1023)  # limits of current, acceleration, velocity
         struct.pack_into("<II", table, 48, 4095, 0)
+        struct.pack_into("<II", table, 108, 5, 20)  # profiles of acceleration and velocity
         return table
 
     def fail(self) -> None:
@@ -246,6 +249,9 @@ class DynamixelEmulator:
             return 0x07  # access: the EEPROM while torque is on
         table[address : address + len(data)] = data
         motor.on = bool(table[64])
+        acceleration, speed = struct.unpack_from("<II", table, 108)  # 0: no profile
+        motor.speed_most = min(self._most[index][0], speed * 0.229 / 60.0 * 4096 or np.inf)
+        motor.acceleration_most = min(self._most[index][1], acceleration * 214.577 / 3600.0 * 4096 or np.inf)
         if address == 98:
             motor.watchdog_s, motor.tripped = 0.02 * data[0], False
         if address == 116 and motor.on:
@@ -262,16 +268,18 @@ class DynamixelEmulator:
 
 
 class FeetechEmulator:
-    """STS servos: a memory table each, READ, WRITE, SYNC READ and SYNC WRITE. Signs are in bit 15."""
+    """STS servos: a memory table each, READ, WRITE, SYNC READ and SYNC WRITE. Signs are in bit 15. Another program has
+    left them a slow way to go."""
 
     def __init__(self, motors: list[Motor]) -> None:
-        self.motors = motors
+        self.motors, self._most = motors, [(motor.speed_most, motor.acceleration_most) for motor in motors]
         self.tables = [self._fresh(i) for i in range(len(motors))]
         self.bus = SerialBus(self._take)
 
     def _fresh(self, index: int) -> bytearray:
         table = bytearray(96)
         table[0:2], table[3:5], table[5] = b"\x03\x09", struct.pack("<H", 777), index + 1
+        struct.pack_into("<BHHH", table, 41, 10, 0, 800, 300)  # its own acceleration, goal, time and speed
         return table
 
     def fail(self) -> None:
@@ -302,9 +310,9 @@ class FeetechEmulator:
                 self._write(number - 1, given[0], given[1:])
                 yield self._status(number, b"")
 
-    @staticmethod
-    def _status(number: int, data: bytes) -> bytes:
-        inside = bytes([number, len(data) + 2, 0]) + data
+    def _status(self, number: int, data: bytes) -> bytes:
+        """Each answer begins with the servo's state."""
+        inside = bytes([number, len(data) + 2, self.tables[number - 1][65]]) + data
         return b"\xff\xff" + inside + bytes([~sum(inside) & 0xFF])
 
     @staticmethod
@@ -323,10 +331,12 @@ class FeetechEmulator:
             return
         table[address : address + len(data)] = data
         motor.on = bool(table[40])
+        acceleration, raw, time_ms, speed = struct.unpack_from("<BHHH", table, 41)  # 0: as it can
+        motor.speed_most = min(self._most[index][0], speed or np.inf)
+        motor.acceleration_most = min(self._most[index][1], 100.0 * acceleration or np.inf)
         if address == 42:
-            raw = struct.unpack_from("<H", table, 42)[0]
             goal = float(-(raw & 0x7FFF) if raw & 0x8000 else raw)
-            motor.aim(goal) if motor.on else setattr(motor, "goal", goal)
+            motor.aim(goal, 1e-3 * time_ms) if motor.on else setattr(motor, "goal", goal)
         assert was or not motor.on or abs(motor.goal - motor.position) < 4.0, "torque on far from the goal"
 
     def close(self) -> None:
@@ -409,7 +419,7 @@ class Cia402Emulator:
             number, objects = i + 1, node["objects"]
             watched = objects[0x1016, 1][1]
             if cob == 0x700 + (watched >> 16 & 0x7F) and watched:
-                motor.watchdog_s = (watched & 0xFFFF) * 1e-3
+                motor.watchdog_s = (watched & 0xFFFF) * 1e-3 if objects[0x6007, 0][1] == 3 else 0.0  # a quick stop
                 motor.heard()
             if cob == 0 and data[1] in (0, number):
                 node["operational"] = data[0] == 0x01
@@ -425,6 +435,7 @@ class Cia402Emulator:
                 yield from self._process_data(motor, node, number)
             elif cob == objects[0x1400, 1][1] and node["operational"] and not self.bus.ills.loses():
                 assert [objects[0x1600, k][1] for k in range(3)] == [2, 0x60400010, 0x607A0020]
+                assert objects[0x1400, 2][1] == 1  # taken at the next SYNC
                 node["target"] = struct.unpack("<Hi", data)
 
     @staticmethod
@@ -440,7 +451,7 @@ class Cia402Emulator:
                 entry = objects[mapping, k + 1][1]
                 size, value = objects[entry >> 16, entry >> 8 & 0xFF]
                 data += value.to_bytes(size, "little", signed=value < 0)
-            if data:
+            if data and objects[parameters, 2][1] == 1:
                 yield self._message(objects[parameters, 1][1] & 0x7FF, data)
 
     def _measure(self, motor: Motor, objects: dict[tuple[int, int], tuple[int, Any]]) -> None:
@@ -460,6 +471,7 @@ class Cia402Emulator:
         elif control & 0x0F == 0x0F and state == 0x23:
             state = 0x27
             motor.rest()
+            node["target"] = control, objects[0x607A, 0][1]  # until a set-point comes
         elif control & 0x02 == 0:
             state = 0x40
         objects[0x6041, 0] = 2, state
@@ -509,6 +521,7 @@ class MoteusEmulator:
     def __init__(self, motors: list[Motor], turn: int = 4096) -> None:
         self.motors, self._turn = motors, turn
         self.modes = [0 for _ in motors]
+        self.home_state = 2  # 0: relative, 1: the rotor is known, 2: the output
         self.bus = CanBus(self._take, fd=True)
 
     def fail(self) -> None:
@@ -553,7 +566,7 @@ class MoteusEmulator:
         self.modes[index] = 11 if motor.tripped else self.modes[index]
         value = {
             0x000: self.modes[index], 0x001: motor.counts / self._turn, 0x002: motor.speed / self._turn, 0x004: 0.1,
-            0x00C: 2, 0x00D: 24,
+            0x00C: self.home_state, 0x00D: 24,
         }.get(register, 0)  # fmt: skip
         if kind == 3:
             return struct.pack("<f", value)

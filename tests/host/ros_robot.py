@@ -89,6 +89,7 @@ class RosRobot:
         if described:
             self.describe(self.names)
         self._failed = False
+        self.stamped_s: float | None = None  # how old its states say they are, where they say it
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._thread = threading.Thread(target=self._executor.spin, daemon=True)
@@ -129,6 +130,9 @@ class RosRobot:
             [0.0, *places],
             [0.0, *(self._unit * m.speed for m in reversed(self.motors))],
         )
+        if self.stamped_s is not None:
+            at_ns = self._node.get_clock().now().nanoseconds - round(1e9 * self.stamped_s)
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(at_ns, 10**9)
         self._states.publish(self._state(name=["gripper"], position=[0.5]))  # another broadcaster's
         for piece in self.bus.ills.through(message):  # none is damaged: DDS has a check of its own
             self._states.publish(piece)

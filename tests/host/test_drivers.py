@@ -7,10 +7,11 @@ instrument, with the same counts, log rate and limits of the motor.
 from __future__ import annotations
 
 import json
+import struct
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -144,6 +145,68 @@ def test_set_points_that_are_lost_on_their_way_out_are_made_up_for(kind: str) ->
 
 
 @every_kind
+def test_the_last_set_point_of_a_motion_may_be_lost(kind: str) -> None:
+    """It is told again while the axis holds."""
+    with driven(kind) as setup, driving(setup.live):
+        begun = setup.live.board.status(0).q
+        setup.live.board.ask("move", axis=0, q=begun + 1000.0, speed_s=2000.0)
+        setup.live.wait(0.44)
+        told = len(setup.motor.goals)
+        setup.emulator.bus.ills.lose = 1.0
+        setup.live.wait(0.09)
+        assert len(setup.motor.goals) <= told + 1
+        setup.emulator.bus.ills.lose = 0.0
+        setup.live.wait(0.4)
+        assert setup.motor.position == pytest.approx(begun + 1000.0, abs=5.0)
+
+
+def test_a_position_is_told_of_the_time_at_which_it_was_measured() -> None:
+    """Not of when its answer came, 4 ms later: at 2 counts a millisecond."""
+    off: list[float] = []
+    with driven("feetech") as setup, driving(setup.live):
+        measure, bench = setup.link.drives.measure, setup.bench
+
+        def measured() -> list[Measured]:
+            now = measure()
+            bench.us += 4000
+            move(setup.emulator, 4)
+            return now
+
+        def told(batch: Any) -> None:
+            for i in range(batch.count):
+                at = round(1e-3 * (batch.t_us + i * batch.period_us)) - 1
+                if 0 <= at < len(setup.motor.course):
+                    off.append(batch.q[i] - setup.motor.course[at])
+
+        setup.link.drives.measure = measured
+        setup.live.board.ask("telemetry", axis=0, divider=10)
+        with setup.live.board.listening(batch=told):
+            setup.live.board.ask("move", axis=0, q=3000.0, speed_s=2000.0)
+            setup.live.wait(0.3)
+            off.clear()
+            setup.live.wait(0.8)
+    assert len(off) > 50 and abs(float(np.median(off))) < 4.0, np.median(off)
+
+
+@every_kind
+def test_a_set_point_that_the_bus_does_not_take_counts_as_missed(kind: str) -> None:
+    with driven(kind) as setup, driving(setup.live):
+        setup.live.wait(0.1)
+        set_positions, refused = setup.link.drives.set_positions, [3]
+
+        def full(goals: Any) -> None:
+            if refused[0]:
+                refused[0] -= 1
+                raise Missed("the bus takes nothing")
+            set_positions(goals)
+
+        setup.link.drives.set_positions = full
+        missed = setup.link.timing.missed
+        setup.live.wait(0.1)
+        assert setup.link.timing.missed >= missed + 3
+
+
+@every_kind
 def test_where_no_set_point_arrives_any_more_the_axis_faults(kind: str) -> None:
     with driven(kind) as setup, pytest.raises(TautError, match="did not follow"), driving(setup.live):
         setup.live.board.ask("move", axis=0, q=4000.0, speed_s=2000.0)
@@ -198,6 +261,295 @@ def test_a_pulled_cable_leaves_the_motor_at_rest_within_the_stated_time(kind: st
         rests_s, braking_s = 1e-3 * (away[-1] + 1), 8.0 * motor.lag_s
         print(f"{kind:>9}: at rest {rests_s:.3f} s after the cable was pulled")
         assert 0.0 < rests_s <= setup.link.drives.rest_s + 1.0 / RATE_HZ + braking_s
+        # By the watchdog of those that have one: most come to rest without, where they were told last.
+        assert motor.tripped == (setup.link.drives.rest_s > 0.0) and setup.link.drives.rest_s <= 0.1
+        assert 1e-3 * (motor.tripped_ms - pulled) <= setup.link.drives.rest_s + 1e-3
+
+
+@contextmanager
+def opened(kind: str, motors: list[Motor], late_s: float = 0.0) -> Iterator[tuple[Any, Any]]:
+    """An emulator and the drives of all its motors, by a clock of the motors' milliseconds and of `late_s` that each
+    answer takes."""
+    make, _ = EMULATORS[kind]
+    emulator, late = make(motors), [0.0]
+    through = emulator.bus.ills.through
+
+    def taking(answer: Any) -> list[Any]:
+        late[0] += late_s
+        return list(through(answer))
+
+    emulator.bus.ills.through = taking
+    numbers = ",joint_" if kind == "ros" else ","
+    address = where(kind, emulator, 1, "rate=100")
+    address = address.replace("1?", numbers.join(str(k + 1) for k in range(len(motors))) + "?")
+    drives = None
+    try:
+        drives = addresses.open_drives(addresses.parse(address), clock=lambda: 1e-3 * len(motors[0].course) + late[0])
+        settled(kind, emulator, drives)
+        yield emulator, drives
+    finally:
+        if drives is not None:
+            drives.close()
+        emulator.close()
+
+
+def motors_of(kind: str, *places: float) -> list[Motor]:
+    return [replace(EMULATORS[kind][1], goals=[], course=[], position=place) for place in places]
+
+
+def cycles(emulator: Any, drives: Any, goals: list[Goal | None], count: int) -> None:
+    """So many, 10 ms each: measured, told, moved."""
+    for _ in range(count):
+        patiently(drives.measure)
+        if any(goal is not None for goal in goals):
+            drives.set_positions(goals)
+        emulator.bus.settle()
+        move(emulator, 10)
+
+
+def patiently(ask: Callable[..., Any], *what: Any) -> Any:
+    """What a link's next cycle is for: this machine may have been held up."""
+    for _ in range(4):
+        with suppress(Missed):
+            return ask(*what)
+    return ask(*what)
+
+
+def move(emulator: Any, steps: int) -> None:
+    for motor in emulator.motors:
+        for _ in range(steps):
+            motor.step()
+
+
+@every_kind
+def test_what_its_watchdog_stopped_is_driven_again(kind: str) -> None:
+    """By whom did not switch it off: that program has ended."""
+    [motor] = motors_of(kind, 0.0)
+    with opened(kind, [motor]) as (emulator, drives):
+        for goal in (20.0, -30.0):
+            patiently(drives.enable, 0, True)
+            cycles(emulator, drives, [Goal(goal, 0.0)], 30)
+            assert motor.position == pytest.approx(goal, abs=1.5) and not motor.tripped
+            if kind != "ros":  # it says where it is, and is asked nothing
+                move(emulator, 300)
+            assert motor.tripped == (drives.rest_s > 0.0)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in EMULATORS if kind != "ros"])
+def test_a_bus_that_drops_answers_is_opened_and_switched_on(kind: str) -> None:
+    """Each fifth, from the first on. A topic has no answers, and a moteus is told again in the next cycle."""
+    emulator = EMULATORS[kind][0](motors_of(kind, 0.0))
+    count = [-1]
+
+    def through(answer: Any) -> list[Any]:
+        count[0] += 1
+        return [answer] if count[0] % 5 else []
+
+    emulator.bus.ills.through = through
+    try:
+        drives = addresses.open_drives(addresses.parse(where(kind, emulator, 1, "rate=100")))
+        for _ in range(3 if kind != "moteus" else 0):
+            drives.enable(0, True)
+            drives.enable(0, False)
+        drives.close()
+        assert len(drives.drives) == 1
+    finally:
+        emulator.close()
+
+
+@every_kind
+def test_a_drive_that_is_switched_on_stays_where_it_is(kind: str) -> None:
+    """Also where its first set-points are lost."""
+    [motor] = motors_of(kind, 700.0)
+    with opened(kind, [motor]) as (emulator, drives):
+        cycles(emulator, drives, [None], 1)
+        patiently(drives.enable, 0, True)
+        cycles(emulator, drives, [None], 5)
+        assert np.abs(np.array(motor.course) - 700.0).max() <= 1.5
+
+
+@every_kind
+def test_each_of_two_motors_has_its_own(kind: str) -> None:
+    """The answers of a CAN bus may come in any order."""
+    motors = motors_of(kind, 100.0, -300.0)
+    for motor in motors:
+        motor.rest()
+    with opened(kind, motors) as (emulator, drives):
+        cycles(emulator, drives, [None, None], 1)
+        if kind in ("canopen", "moteus"):
+            held: list[Any] = []
+            through = emulator.bus.ills.through
+
+            def turned(answer: Any) -> list[Any]:
+                """The first motor's answer after the second's."""
+                number = answer.arbitration_id - 0x180 if kind == "canopen" else answer.arbitration_id >> 8
+                if number == 1:
+                    held.append(answer)
+                    return []
+                late, held[:] = list(held) if number == 2 else [], [] if number == 2 else held
+                return [*through(answer), *late]
+
+            emulator.bus.ills.through = turned
+        assert [m.q for m in drives.measure()] == pytest.approx([100.0, -300.0], abs=1e-6)
+        emulator.bus.ills.through = lambda answer: [answer]
+        move(emulator, 10)
+        for axis in range(2):
+            patiently(drives.enable, axis, True)
+        cycles(emulator, drives, [Goal(140.0, 0.0), Goal(-350.0, 0.0)], 30)
+        assert [m.position for m in motors] == pytest.approx([140.0, -350.0], abs=1.5)
+        patiently(drives.enable, 0, False)
+        cycles(emulator, drives, [None, Goal(-320.0, 0.0)], 30)
+        assert [m.position for m in motors] == pytest.approx([140.0, -320.0], abs=1.5)
+        patiently(drives.enable, 1, False)
+        assert kind == "ros" or not any(m.on for m in motors)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in EMULATORS if kind != "ros"])
+@pytest.mark.parametrize("silent", [1, 2])
+def test_where_one_of_two_does_not_answer_its_last_place_is_not_taken_again(kind: str, silent: int) -> None:
+    motors = motors_of(kind, 100.0, -300.0)
+    with opened(kind, motors) as (emulator, drives):
+        patiently(drives.measure)
+        move(emulator, 10)
+        for motor in motors:
+            motor.position += 50.0
+        through, count = emulator.bus.ills.through, [0]
+
+        def dumb(answer: Any) -> list[Any]:
+            """Without what one of them says: answers come in turn, a CANopen drive's two at a time."""
+            count[0] += 1
+            number = (count[0] + 1) // 2 if kind == "canopen" else count[0]
+            return [] if number == silent else list(through(answer))
+
+        emulator.bus.ills.through = dumb
+        with pytest.raises(Missed):
+            drives.measure()
+        emulator.bus.settle()
+        emulator.bus.ills.through = through
+        assert [m.q for m in patiently(drives.measure)] == [150.0, -250.0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        ("dynamixel", (-1048575.0, 1048575.0, 15993.0, 319850.0, 3209.0)),  # 1023 of 0.229 rev/min; 20 times a second
+        ("feetech", (-30719.0, 30719.0, 3000.0, 60000.0, 0.0)),
+        ("canopen", (-20000.0, 20000.0, 12288.0, 300000.0, 1500.0)),  # 180 rev/min; 1.5 of the rated current
+        ("moteus", (-3.9e6, 3.9e6, 16384.0, 327680.0, 0.0)),
+    ],
+)
+def test_a_drives_limits_are_as_it_is_configured(kind: str, expected: tuple[float, ...]) -> None:
+    with opened(kind, motors_of(kind, 0.0)) as (_, drives):
+        of = drives.drives[0].limits
+        assert (of.q_low, of.q_high, of.speed, of.acceleration, of.current_ma) == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in EMULATORS if kind != "ros"])
+def test_a_position_has_the_time_at_which_the_drive_was_there(kind: str) -> None:
+    """An answer takes 8 ms. Servos and controllers sample somewhere on the way, CANopen drives at the SYNC."""
+    with opened(kind, motors_of(kind, 100.0), late_s=8e-3) as (emulator, drives):
+        emulator.bus.settle()
+        asked = drives._clock()
+        measured = drives.measure()[0]
+        assert measured.t_s - asked == pytest.approx(0.0 if kind == "canopen" else 4e-3, abs=1e-6)
+        assert drives._clock() - asked > 7e-3
+
+
+@NO_ROS
+@pytest.mark.parametrize(("stamped_s", "taken_s"), [(0.06, 0.06), (-0.06, 0.0), (9.0, 0.0), (None, 0.0)])
+def test_a_joint_state_is_as_old_as_its_stamp_says(
+    stamped_s: float | None, taken_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Unless it is of another machine's clock, ahead of this one or far behind it."""
+    monkeypatch.setattr(ros_joints, "_OLDEST_S", 5.0)
+    robot = RosRobot([Motor(position=100.0)], f"/n{uuid4().hex[:12]}")  # that speaks when it is asked to
+    speaking = threading.Event()
+
+    def says() -> None:
+        while not speaking.wait(0.01):
+            robot.say()
+
+    voice = threading.Thread(target=says)
+    voice.start()
+    drives = None
+    try:
+        drives = addresses.open_drives(addresses.parse(f"ros:{robot.bus.path}:joint_1"))
+        robot.stamped_s = stamped_s
+        ages = []
+        for _ in range(22):
+            t_s = drives.measure()[0].t_s
+            ages.append(time.monotonic() - t_s)
+        # What it took on its way comes on top, and this machine may have been held up. The first are older.
+        assert taken_s - 2e-3 <= min(ages[2:]) <= taken_s + 0.03
+    finally:
+        speaking.set()
+        voice.join()
+        if drives is not None:
+            drives.close()
+        robot.close()
+
+
+def registers(kind: str, told: dict[int, bytes]) -> Any:
+    """An emulated servo with these in its table, from these addresses on."""
+    emulator = EMULATORS[kind][0]([Motor()])
+    for address, data in told.items():
+        emulator.tables[0][address : address + len(data)] = data
+    return emulator
+
+
+@pytest.mark.parametrize(
+    ("kind", "told", "low", "high"),
+    [
+        ("dynamixel", {11: b"\x03", 48: struct.pack("<II", 3500, 600)}, 600, 3500),
+        ("dynamixel", {11: b"\x04", 48: struct.pack("<II", 3500, 600)}, -(2**20) + 1, 2**20 - 1),
+        ("feetech", {9: struct.pack("<HH", 600, 3500)}, 600, 3500),
+        ("feetech", {9: struct.pack("<HH", 0, 0)}, -30719, 30719),
+        ("dynamixel", {11: b"\x01"}, None, None),
+        ("feetech", {33: b"\x01"}, None, None),
+    ],
+)
+def test_a_servo_has_its_own_range_and_a_mode_that_keeps_it(
+    kind: str, told: dict[int, bytes], low: int | None, high: int | None
+) -> None:
+    emulator = registers(kind, told)
+    address = addresses.parse(f"{kind}:{emulator.bus.path}:1?baud=1000000")
+    try:
+        if low is None:
+            with pytest.raises(TautError, match=r"mode 1: set (0|3) \(position\)"):
+                addresses.open_drives(address)
+        else:
+            drives = addresses.open_drives(address)
+            assert (drives.drives[0].limits.q_low, drives.drives[0].limits.q_high) == (low, high)
+            drives.close()
+    finally:
+        emulator.close()
+
+
+def test_a_register_that_a_servo_refuses_is_one_line() -> None:
+    """Its bus watchdog trips between two of them: what it was told is not taken."""
+    [motor] = motors_of("dynamixel", 0.0)
+    with opened("dynamixel", [motor]) as (emulator, drives):
+        obey = emulator._write
+
+        def tripping(index: int, address: int, data: bytes) -> int:
+            motor.tripped = motor.tripped or address == 64
+            return int(obey(index, address, data))
+
+        emulator._write = tripping
+        with pytest.raises(TautError, match="register 116 refused 0"):
+            drives.enable(0, True)
+
+
+@pytest.mark.parametrize(("state", "referenced"), [(0, False), (1, False), (2, True)])
+def test_a_moteus_is_referenced_where_it_knows_its_output(state: int, referenced: bool) -> None:
+    emulator = EMULATORS["moteus"][0]([Motor()])
+    emulator.home_state = state
+    try:
+        drives = addresses.open_drives(addresses.parse(where("moteus", emulator, 1, "rate=100")))
+        assert drives.drives[0].referenced is referenced
+        drives.close()
+    finally:
+        emulator.close()
 
 
 @every_kind
@@ -333,6 +685,41 @@ def test_a_thread_that_ends_switches_off_and_is_told_of() -> None:
         emulator.close()
 
 
+@pytest.mark.parametrize("kind", [kind for kind in EMULATORS if kind != "ros"])
+def test_what_is_closed_while_it_is_on_is_switched_off(kind: str) -> None:
+    """A topic switches no torque."""
+    with driven(kind) as setup:
+        setup.live.board.switch_on(0, setup.live.wait)
+        setup.live.wait(0.05)
+        assert setup.motor.on
+    assert not setup.motor.on
+
+
+def test_cycles_that_come_late_are_counted() -> None:
+    emulator = DynamixelEmulator([Motor()])
+    try:
+        address = addresses.parse(f"dynamixel:{emulator.bus.path}:1?rate=50&baud=1000000")
+        drives = addresses.open_drives(address)
+        link = HostedLink(drives, address.where, address.rate_hz)
+        measure, slow = drives.measure, [5]
+
+        def measured() -> list[Measured]:
+            if slow[0]:
+                slow[0] -= 1
+                time.sleep(0.06)  # three periods
+            return measure()
+
+        before = link.timing.late
+        drives.measure = measured  # type: ignore[method-assign]
+        end = time.monotonic() + 20.0
+        while slow[0] and time.monotonic() < end:
+            time.sleep(0.01)
+        link.close()
+        assert not slow[0] and link.timing.late >= before + 4
+    finally:
+        emulator.close()
+
+
 def test_what_cannot_be_used_gives_its_bus_back(monkeypatch: pytest.MonkeyPatch) -> None:
     emulator = DynamixelEmulator([Motor()])
     closed: list[bool] = []
@@ -429,6 +816,12 @@ def test_a_joint_that_is_off_is_left_where_it_is(by_name: bool) -> None:
         drives.enable(0, False)  # no force that grew: where it is
         robot.bus.settle()
         assert motors[0].goals[-1] == pytest.approx(100.0, abs=1e-6)
+        told = len(motors[0].goals)
+        drives.enable(1, True)
+        drives.set_positions([None, Goal(-310.0, 0.0)])
+        robot.bus.settle()
+        assert motors[1].goals[-1] == pytest.approx(-310.0, abs=1e-6)
+        assert motors[0].goals[told:] == ([] if by_name else pytest.approx([100.0, 100.0], abs=1e-6))
 
 
 @NO_ROS

@@ -31,6 +31,7 @@ from tautline.live.rounds import (
     in_words,
     next_round,
     no_longer,
+    slower_tells,
     why_another,
     why_not,
 )
@@ -281,6 +282,51 @@ def test_a_goal_that_was_reached_once_and_is_not_any_more_is_told() -> None:
     assert "looked like 1.7 µm" in no_longer(1.7e-3, noisy, UNTIL, "mm")
     assert no_longer(4e-3, noisy, UNTIL, "mm") == "" and no_longer(float("inf"), noisy, UNTIL, "mm") == ""
     assert no_longer(1e-3, Standing.of(found(sigma_with()), -5.0, 5.0, UNTIL), UNTIL, "mm") == ""
+
+
+BY_SPEED = Reason(
+    "transmission.rate_dependent_backlash", "the width depends on the motor's speed", "mend it", mild=True
+)
+
+
+def at_one_speed(sigma: float) -> Standing:
+    """As passes and strokes at nearly one speed leave it, where a width by speed looks like a delay."""
+    return of(found(sigma_with((-4.8, 4.8, sigma)), reasons=(BY_SPEED,)))
+
+
+def test_a_width_that_may_go_with_speed_asks_for_a_slower_pass_once() -> None:
+    fast, strokes, doubtful = first_round(MEANS), Strokes((), 5.6), at_one_speed(0.049)
+    wanted = next_round(MEANS, doubtful, UNTIL, [fast, strokes], 20.0)
+    assert isinstance(wanted, Round) and (wanted.low, wanted.high) == (-5.0, 5.0)
+    assert wanted.speeds == (pytest.approx(min(MEANS.speeds)),) and min(MEANS.speeds) <= 0.5 * max(fast.speeds)
+    assert "motor's speed" in why_another(doubtful, UNTIL, "mm", [fast, strokes])
+    assert slower_tells(MEANS, doubtful, UNTIL, [fast, strokes])
+    assert not slower_tells(MEANS, doubtful, UNTIL, [fast, strokes, wanted])
+    assert not slower_tells(MEANS, at_one_speed(1e-3), UNTIL, [fast, strokes])
+    assert not slower_tells(MEANS, of(found(sigma_with((-4.8, 4.8, 0.049)))), UNTIL, [fast, strokes])
+    short = of(found(sigma_with((-4.8, 4.8, 0.049)), (-4.8, 2.0), reasons=(BY_SPEED,)))
+    assert not slower_tells(MEANS, short, UNTIL, [fast, strokes])
+
+
+@pytest.mark.parametrize(("helps", "at_most_s", "count"), [(True, 120.0, 3), (False, 120.0, 3), (True, 20.0, 2)])
+def test_one_does_not_give_up_before_a_slower_pass(helps: bool, at_most_s: float, count: int) -> None:
+    """Passes and strokes of nearly one speed left B to 49 um, as one live calibration of many did by chance."""
+    view, made = View(-5.0, 5.0, "mm", UNTIL), SimpleNamespace(reversals=0, folder=Path("rec"))
+    left = [at_one_speed(1.6e-3), at_one_speed(0.049), of(found(sigma_with())) if helps else at_one_speed(0.045)]
+
+    def settle() -> None:
+        view.standing, view.seconds = left.pop(0), view.seconds + 12.0
+
+    def run(wanted: Round | Strokes, enough: Callable[[Frame], bool]) -> None:
+        """To its end."""
+
+    motions = SimpleNamespace(made=made, run=run, stroke=run, still=lambda: None)
+    watch = SimpleNamespace(view=view, settle=settle, camera_view=lambda: CLEAR)
+    rounds, why = _rounds(cast(Any, motions), cast(Any, watch), MEANS, UNTIL, at_most_s, lambda: False)
+    assert len(rounds) == count and isinstance(rounds[1], Strokes)
+    assert (why == "") == (helps and count == 3)
+    if count == 3:
+        assert isinstance(rounds[2], Round) and rounds[2].speeds == (pytest.approx(min(MEANS.speeds)),)
 
 
 def test_a_round_that_a_rest_broke_off_is_made_again_though_the_rest_is_over_before_its_stroke() -> None:

@@ -39,6 +39,7 @@ FEWEST = 2  # rounds before one gives up
 # What the board takes for an onset, in shares of the range: it ends strokes, it measures nothing.
 _SIGMA_WANTED, _SIGMA_USABLE = 1e-3, 1e-2
 
+_BY_SPEED = "transmission.rate_dependent_backlash"
 _HOPELESS = 2.0  # times the longest time that a calibration may take: not begun
 _UNTIL_MM, _UNTIL_SHARE = 3e-3, 5e-4
 
@@ -140,6 +141,7 @@ class Standing:
     strokes: float  # the longest that moved nothing, 0 where none did
     work: float  # what reaching the goal everywhere costs, in times of what was done so far
     doubt: str  # the calibration's first, empty where it has none
+    by_speed: bool = False  # B may go with the motor's speed
 
     @classmethod
     def of(cls, calibration: Calibration, low: float, high: float, until: float) -> Standing:
@@ -163,6 +165,7 @@ class Standing:
             strokes=bounds,
             work=float(np.mean(np.maximum(sigma / until, 1.0) ** 2)),
             doubt=doubt,
+            by_speed=any(reason.code == _BY_SPEED for reason in model.quality.reasons),
         )
 
     @property
@@ -227,6 +230,8 @@ def next_round(
     """Strokes where sigma of B is too large, the first time also at both ends (passes are there for a frame or two
     only); passes over the whole range where that is much of it, as many as will take, or where something is not
     measured at all. seconds: that the rounds so far took."""
+    if slower_tells(means, standing, until, done):
+        return _round_over(means, means.low, means.high, (min(means.speeds),), _CYCLES, _STROKE * means.span)
     speed = means.speeds[len(done) % len(means.speeds)]
     if not standing.covered:
         stroke = _LONGEST_STROKE if standing.strokes > 0 else _STROKE
@@ -244,11 +249,21 @@ def next_round(
     return _round_over(means, means.low, means.high, (speed,) * passes, _CYCLES, _STROKE * means.span)
 
 
+def slower_tells(means: Means, standing: Standing, until: float, done: Sequence[Round | Strokes]) -> bool:
+    """Whether a slower pass, which was not made yet, would tell what goes with speed: at one speed nearly all of it
+    looks like a delay, and what remains is small enough for chance."""
+    slowest = min(means.speeds)
+    made = any(isinstance(each, Round) and min(each.speeds) <= slowest for each in done)
+    return standing.by_speed and standing.covered and standing.worst > until and not made
+
+
 def why_another(standing: Standing, until: float, unit: str, done: Sequence[Round | Strokes]) -> str:
     """Why another round follows those that are done, in words."""
     if not standing.covered:
         return f"{not_measured(standing.missing, unit)} yet"
     here, wanted = in_words(standing.worst, unit), in_words(until, unit)
+    if standing.by_speed and not standing.reached(until):
+        return f"sigma is {here} where {wanted} is wanted, as B may go with the motor's speed"
     if standing.reached(until) and not both_made(done):
         return f"sigma is {here} where {wanted} is wanted, but passes alone are not believed: turns at both ends first"
     return f"sigma is {here} at {standing.where:.3g} {unit} where {wanted} is wanted"

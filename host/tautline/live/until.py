@@ -20,6 +20,7 @@ from tautline.live.rounds import (
     in_words,
     next_round,
     no_longer,
+    slower_tells,
     why_another,
     why_not,
 )
@@ -166,5 +167,5 @@ def _rounds(
         if view.standing.reached(until) and both_made(rounds):
             return rounds, ""
         why = why_not(view.standing, until, view.unit, watch.camera_view(), view.seconds, at_most_s, len(rounds))
-        if why:
+        if why and not (view.seconds < at_most_s and slower_tells(means, view.standing, until, rounds)):
             return rounds, why + no_longer(best, view.standing, until, view.unit)
