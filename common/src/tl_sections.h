@@ -36,10 +36,6 @@ static inline bool tl_beyond(int32_t value) {
     return value > TL_TABLE_VALUE_MAX || value < -TL_TABLE_VALUE_MAX;
 }
 
-static inline bool tl_off(tl_count_q8_t position) {
-    return position > TL_TABLE_POSITION_MAX || position < -TL_TABLE_POSITION_MAX;
-}
-
 static inline bool tl_outside(int32_t value, int32_t low, int32_t high) {
     return value < low || value > high;
 }

@@ -115,6 +115,10 @@ tl_table_reason_t tl_table_decode(const uint8_t *blob, size_t size, uint8_t axis
     return reason == TL_TABLE_OK ? tl_table_check(table, axis) : reason;
 }
 
+static bool too_far(tl_count_q8_t position) {
+    return tl_outside(position, -TL_TABLE_POSITION_MAX, TL_TABLE_POSITION_MAX);
+}
+
 static tl_table_reason_t check_header(const tl_table_t *t, uint8_t axis) {
     if (t->axis >= TL_TABLE_AXES || (axis != TL_TABLE_ANY_AXIS && axis != t->axis)) {
         return TL_TABLE_BAD_AXIS;
@@ -134,7 +138,7 @@ static tl_table_reason_t check_header(const tl_table_t *t, uint8_t axis) {
     if (t->step_log2 > TL_TABLE_STEP_LOG2_MAX) {
         return TL_TABLE_BAD_STEP;
     }
-    if (tl_off(t->q0) || tl_off(t->q_min) || tl_off(t->q_max) || tl_beyond(t->coarse_c_min) ||
+    if (too_far(t->q0) || too_far(t->q_min) || too_far(t->q_max) || tl_beyond(t->coarse_c_min) ||
         tl_beyond(t->coarse_c_max)) {
         return TL_TABLE_BAD_SATURATES;
     }

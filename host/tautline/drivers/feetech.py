@@ -18,7 +18,7 @@ from tautline.errors import TautError
 BAUD, RATE_HZ = 1_000_000, 100.0
 _COUNTS_PER_TURN = 4096
 _SPEED = 3000.0  # counts/s: no register says a servo's own; what an STS3215 reaches at 7.4 V
-_OWN = 1.2  # times that may the servo go, to catch up with its set-points
+_OWN = 1.2  # tolerance: times the planned speed that a servo may go, to catch up with its set-points
 _ACCELERATION = 20.0  # from rest to that speed in so much of a second, inverse
 _MA = 6.5  # of a unit of current
 _MANY_TURNS = 30719  # of a servo without angle limits

@@ -188,7 +188,7 @@ def _moved(
     return Path(rising, translation, rotation, *moved)
 
 
-_RECENT = 7  # tolerance: as many tables are kept: a session's recordings ask for the same ones in turn
+_RECENT = 8  # tolerance: as many tables are kept: a session's recordings ask for the same ones in turn
 _recent: tuple[tuple[Model, dict[str, Any], Model], ...] = ()
 
 
@@ -206,7 +206,7 @@ def tabled(model: Model, parameters: Mapping[str, Any]) -> Model:
     for kind in present:
         assert kind.holds
         held = kind.holds(held, parameters, 0.0)
-    _recent = ((model, values, held), *_recent[:_RECENT])  # whole: another thread may be reading it
+    _recent = ((model, values, held), *_recent[: _RECENT - 1])  # whole: another thread may be reading it
     return held
 
 

@@ -227,9 +227,9 @@ def first_round(means: Means) -> Round:
 def next_round(
     means: Means, standing: Standing, until: float, done: Sequence[Round | Strokes], seconds: float
 ) -> Round | Strokes:
-    """Strokes where sigma of B is too large, the first time also at both ends (passes are there for a frame or two
-    only); passes over the whole range where that is much of it, as many as will take, or where something is not
-    measured at all. seconds: that the rounds so far took."""
+    """A slower pass where that tells; strokes where sigma of B is too large, the first time also at both ends (passes
+    are there for a frame or two only); passes over the whole range where that is much of it, as many as will take, or
+    where something is not measured at all. seconds: that the rounds so far took."""
     if slower_tells(means, standing, until, done):
         return _round_over(means, means.low, means.high, (min(means.speeds),), _CYCLES, _STROKE * means.span)
     speed = means.speeds[len(done) % len(means.speeds)]

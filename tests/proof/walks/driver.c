@@ -1,7 +1,7 @@
 #include "__fc_builtin.h"
 
+#include "../detectors.h"
 #include "../reals.h"
-#include "../sums.h"
 #include "tl_hinge.h"
 
 // Sums of at most 64 samples beyond a knot, each within 2^18 of it: what a walk's steps and refinements keep.
@@ -27,24 +27,6 @@ tl_hinge_point_t tl_hinge_point(const tl_onset_detector_t *d, int32_t i, tl_coun
 int32_t tl_hinge_scale(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin);
 
 #include "../../../firmware/estimator/src/tl_hinge.c"
-
-static tl_onset_detector_t d;
-
-static void any_detector(void) {
-    d.direction = (int8_t)Frama_C_nondet(-1, 1);
-    d.oldest = (uint8_t)Frama_C_unsigned_int_interval(0, TL_ONSET_WINDOW - 1U);
-    d.config.frames_max = (uint8_t)Frama_C_unsigned_int_interval(3, TL_ONSET_WINDOW - 2U);
-    d.reference_u = ANY();
-    d.reference_v = ANY();
-    d.reversal.q1 = ANY();
-    d.all = any_sums();
-    for (unsigned i = 0; i < TL_ONSET_WINDOW; i++) {
-        d.window[i].q = ANY();
-        d.window[i].u = ANY();
-        d.window[i].v = ANY();
-        d.window[i].weight = Frama_C_int_interval(1, 64);
-    }
-}
 
 // One step, from each place that a walk may have come to.
 static void step(void) {
