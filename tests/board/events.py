@@ -100,8 +100,9 @@ class Events:
     def look(self) -> Look:
         state = _ASK(self.link, "state")
         axis = state["axes"][0]
-        q, q_ref = state["q"][0] / _Q8, axis["q_ref_q8"] / _Q8
-        self.looks.append(Look(state["board_us"] * 1e-6, q, q_ref, axis["mode"], axis["fault"], axis["flags"]))
+        t_s = 1e-6 * state.get("axes_us", state["board_us"])
+        q, q_ref = axis.get("true_q8", state["q"][0]) / _Q8, axis["q_ref_q8"] / _Q8
+        self.looks.append(Look(t_s, q, q_ref, axis["mode"], axis["fault"], axis["flags"]))
         return self.looks[-1]
 
     def silence(self) -> None:

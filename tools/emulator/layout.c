@@ -11,4 +11,7 @@ __attribute__((section(".layout"))) const unsigned layout[] = {
     offsetof(tl_axis_t, fault),
     offsetof(tl_axis_t, guard.current_ma),
     offsetof(tl_app_t, counters.bytes_bad),
+    offsetof(tl_axis_t, port),
+    offsetof(tl_axis_t, q),
+    offsetof(tl_axis_t, path.q),
 };

@@ -104,9 +104,9 @@ export class Board {
         while (this.chip === null && this.plant.timeUs + STEP_US <= untilUs) this.plant.step();
     }
 
-    /** What the firmware makes of an axis: {mode, fault}; null without power. */
+    /** What the firmware makes of an axis, as the desktop board's `state` has it; zeroes without power. */
     axis(index) {
-        return this.chip === null ? null : this.probe.axis(this.chip, index);
+        return this.probe.axis(this.chip, index);
     }
 
     /** Runs until something is so, at most some time; whether it came to be. */

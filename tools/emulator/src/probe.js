@@ -1,6 +1,10 @@
 import fs from 'node:fs';
 
 const SYMTAB = 2;
+const [SP, LR, PC] = [13, 14, 15];
+const SRAM = 0x20000000;
+const CALL_STACK = 128; // bytes, more than what is called takes
+const RETURNED = 0x20040000; // no program is there
 
 /** Address and size of a symbol of a 32-bit little-endian ELF file. */
 export function extent(file, name) {
@@ -35,14 +39,41 @@ export class Probe {
     constructor(elf, layout) {
         this.board = symbol(elf, 'board');
         this.panic = symbol(elf, 'panic') & ~1;
+        this.flags = symbol(elf, 'tl_axis_flags');
         this.usbQueue = ['tud_task_ext', 'dcd_event_handler'].map((name) => extent(elf, name)); // who takes, who puts
         const words = fs.readFileSync(layout);
-        [this.axes, this.axisSize, this.mode, this.fault, this.current, this.bad] = [0, 4, 8, 12, 16, 20].map((at) => words.readUInt32LE(at));
+        [this.axes, this.axisSize, this.mode, this.fault, this.current, this.bad, this.port, this.q, this.reference] =
+            Array.from({ length: words.length / 4 }, (_, i) => words.readUInt32LE(4 * i));
     }
 
     axis(chip, index) {
         const base = this.board + this.axes + index * this.axisSize;
-        return { mode: chip.readUint8(base + this.mode), fault: chip.readUint8(base + this.fault) };
+        const begun = chip !== null && chip.readUint32(base + this.port) !== 0;
+        if (!begun) return { q_q8: 0, q_ref_q8: 0, mode: 0, fault: 0, flags: 0 };
+        return { q_q8: chip.readUint32(base + this.q) | 0, q_ref_q8: chip.readUint32(base + this.reference) | 0,
+            mode: chip.readUint8(base + this.mode), fault: chip.readUint8(base + this.fault),
+            flags: this.#call(chip.core, this.flags, base) & 0xffff };
+    }
+
+    /** What a function of the image that changes nothing makes of its argument. The program does not notice: no time passes. */
+    #call(core, at, argument) {
+        const names = ['N', 'C', 'Z', 'V', 'PM', 'waiting', 'eventRegistered', 'interruptsUpdated', 'cycles', 'halfword', 'extraCycles'];
+        const kept = names.map((name) => core[name]);
+        const registers = core.registers.slice();
+        const top = registers[SP] & ~7;
+        const from = top - SRAM - CALL_STACK;
+        const stack = core.rp2040.sram.slice(from, from + CALL_STACK);
+        Object.assign(core, { PM: true, interruptsUpdated: false });
+        core.registers[SP] = top;
+        core.registers[0] = argument;
+        core.registers[LR] = RETURNED | 1;
+        core.registers[PC] = at & ~1;
+        while (core.registers[PC] !== RETURNED) core.executeInstruction();
+        const [answer] = core.registers;
+        core.registers.set(registers);
+        core.rp2040.sram.set(stack, from);
+        names.forEach((name, i) => { core[name] = kept[i]; });
+        return answer;
     }
 
     /** Bytes that came and were no frame. */

@@ -1,6 +1,6 @@
 import net from 'node:net';
 
-const ADVANCE_MAX_US = 1000000;
+const ADVANCE_MAX_US = 10000000;
 const SLICE_US = 1000;
 const TURN_US = 4000; // of the wall clock, after which USB and sockets have theirs
 const LAG_US = 20000;
@@ -84,6 +84,7 @@ export class SimLink {
             q: Array.from({ length: AXES }, (_, axis) => rows.map((row) => row[axis])) };
     }
 
+    /** `q` is the world's, at t_us; `axes` are as the board, which may be ahead of that, has them at `axes_us` of its own time. */
     #state() {
         const { board } = this;
         return {
@@ -91,8 +92,9 @@ export class SimLink {
             bootloader: board.bootloader, hung: board.hung, attached: this.usbip.attached, realtime: this.realtime,
             starts: board.starts, flash_operations: board.flash.operations,
             q: board.plant.log[Math.floor(this.grantedUs / 1000) - 1],
+            axes_us: Math.floor(Math.max(board.nowUs, this.grantedUs) - board.bootUs),
             axes: Array.from({ length: AXES }, (_, axis) => ({
-                duty_q15: Math.round(board.plant.duty(axis) * 32768), ...board.axis(axis),
+                duty_q15: Math.round(board.plant.duty(axis) * 32768), true_q8: board.plant.trueQ8(axis), ...board.axis(axis),
             })),
         };
     }
@@ -105,7 +107,7 @@ export class SimLink {
         const ok = () => ({ t_us: this.grantedUs });
         switch (verb) {
             case 'advance':
-                if (!whole(1, 0, ADVANCE_MAX_US)) return { error: 'advance takes 0 to 1000000 microseconds' };
+                if (!whole(1, 0, ADVANCE_MAX_US)) return { error: `advance takes 0 to ${ADVANCE_MAX_US} microseconds` };
                 return this.#advance(numbers[0]);
             case 'state':
                 return this.#state();
