@@ -13,21 +13,22 @@ namespace {
 
 using Values = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
-nb::tuple once(ArrayIn<double> step, ArrayIn<double> reading, ArrayIn<unsigned char> read, double half, double noise,
-               double jump, Values state, Values precision, Values force, Values jumped, Values variance) {
+nb::tuple once(size_t order, ArrayIn<double> step, ArrayIn<double> reading, ArrayIn<unsigned char> read, double half,
+               double noise, double jump, Values state, Values precision, Values force, Values jumped,
+               Values variance) {
     const size_t nodes = reading.shape(0);
-    if (nodes < 3 || step.shape(0) != nodes - 1 || read.shape(0) != nodes || state.shape(0) != nodes ||
-        precision.shape(0) != nodes || force.shape(0) != nodes || jumped.shape(0) != nodes ||
+    if (order < 2 || order > 3 || nodes < order + 1 || step.shape(0) != nodes - 1 || read.shape(0) != nodes ||
+        state.shape(0) != nodes || precision.shape(0) != nodes || force.shape(0) != nodes || jumped.shape(0) != nodes ||
         variance.shape(0) != nodes) {
-        throw std::invalid_argument("a path has at least three nodes, and a value of each");
+        throw std::invalid_argument("a path of order 2 or 3 has at least a node more, and a value of each");
     }
-    sweep_t path = {nodes, step.data(),  reading.data(),   read.data(),  half,          noise,
-                    jump,  state.data(), precision.data(), force.data(), jumped.data(), variance.data(),
-                    0.0};
+    sweep_t path = {nodes,           order, step.data(),  reading.data(),   read.data(),  half,
+                    noise,           jump,  state.data(), precision.data(), force.data(), jumped.data(),
+                    variance.data(), 0.0};
     int holds = 0;
     {
         nb::gil_scoped_release unlocked;
-        std::vector<double> work((nodes + 2) * SWEEP_WORK);
+        std::vector<double> work((nodes + SWEEP_ROW - 1) * SWEEP_WORK);
         holds = sweep(&path, work.data());
     }
     return nb::make_tuple(holds != 0, path.noise, path.told);
@@ -36,7 +37,7 @@ nb::tuple once(ArrayIn<double> step, ArrayIn<double> reading, ArrayIn<unsigned c
 } // namespace
 
 void bind_sweep(nb::module_ &m) {
-    m.def("sweep", once, "step"_a, "reading"_a, "read"_a, "half"_a, "noise"_a, "jump"_a, "state"_a, "precision"_a,
-          "force"_a, "jumped"_a, "variance"_a,
+    m.def("sweep", once, "order"_a, "step"_a, "reading"_a, "read"_a, "half"_a, "noise"_a, "jump"_a, "state"_a,
+          "precision"_a, "force"_a, "jumped"_a, "variance"_a,
           "(holds, noise, told) of one sweep; the arrays behind `jump` are changed in place. See sweep.h.");
 }

@@ -76,25 +76,41 @@ static void invert(band_t *a, band_t *s, size_t size) {
     }
 }
 
-// The change of speed at a node, in a unit of time, is the sum of c[j] * state[node - 1 + j].
+// The change at a node, in a unit of time, is the sum of c[j] * state[node - 1 + j]: `order`! times the divided
+// difference of order + 1 nodes.
 typedef struct {
     double c[SWEEP_ROW];
 } change_t;
 
 static change_t change_at(const sweep_t *path, size_t node) {
-    const double before = path->step[node - 1], after = path->step[node], mean = 0.5 * (before + after);
-    return (change_t){{1.0 / (before * mean), -(1.0 / before + 1.0 / after) / mean, 1.0 / (after * mean)}};
+    double at[SWEEP_ROW] = {0.0};
+    for (size_t j = 1; j <= path->order; j++) {
+        at[j] = at[j - 1] + path->step[node - 2 + j];
+    }
+    change_t change;
+    for (size_t j = 0; j <= path->order; j++) {
+        double product = path->order == 2 ? 0.5 : 1.0 / 6.0;
+        for (size_t k = 0; k <= path->order; k++) {
+            product *= k == j ? 1.0 : at[j] - at[k];
+        }
+        change.c[j] = 1.0 / product;
+    }
+    return change;
 }
 
-static double value_of(const change_t *change, const double *first) {
-    return change->c[0] * first[0] + change->c[1] * first[1] + change->c[2] * first[2];
+static double value_of(const sweep_t *path, const change_t *change, const double *first) {
+    double sum = 0.0;
+    for (size_t j = 0; j <= path->order; j++) {
+        sum += change->c[j] * first[j];
+    }
+    return sum;
 }
 
 static void add(const sweep_t *path, size_t node, band_t *a, double *b) {
     const change_t change = change_at(path, node);
-    const double square = path->jumped[node], now = value_of(&change, path->state + node - 1);
+    const double square = path->jumped[node], now = value_of(path, &change, path->state + node - 1);
     const double weight = square < 0.0 ? 1.0 / path->jump : 2.0 / (path->jump + square);
-    for (size_t i = 0; i < SWEEP_ROW; i++) {
+    for (size_t i = 0; i <= path->order; i++) {
         b[node - 1 + i] -= weight * now * change.c[i];
         for (size_t j = 0; j <= i; j++) {
             a[node - 1 + i][i - j] += weight * change.c[i] * change.c[j];
@@ -105,13 +121,13 @@ static void add(const sweep_t *path, size_t node, band_t *a, double *b) {
 static double mean_square(const sweep_t *path, size_t node, band_t *s) {
     const change_t change = change_at(path, node);
     double variance = 0.0;
-    for (size_t i = 0; i < SWEEP_ROW; i++) {
+    for (size_t i = 0; i <= path->order; i++) {
         variance += change.c[i] * change.c[i] * s[node - 1 + i][0];
         for (size_t j = 0; j < i; j++) {
             variance += 2.0 * change.c[i] * change.c[j] * s[node - 1 + i][i - j];
         }
     }
-    const double now = value_of(&change, path->state + node - 1);
+    const double now = value_of(path, &change, path->state + node - 1);
     return now * now + fmax(variance, 0.0);
 }
 
@@ -182,7 +198,7 @@ int sweep(sweep_t *path, double *work) {
         a[k][0] = path->precision[k] + LEAST;
         b[k] = path->force[k] - path->precision[k] * path->state[k];
     }
-    for (size_t k = 1; k + 1 < size; k++) {
+    for (size_t k = 1; k + path->order <= size; k++) {
         add(path, k, a, b);
     }
     if (!factorise(a, size)) {
@@ -193,7 +209,7 @@ int sweep(sweep_t *path, double *work) {
     for (size_t k = 0; k < size; k++) {
         path->state[k] += b[k];
     }
-    for (size_t k = 1; k + 1 < size; k++) {
+    for (size_t k = 1; k + path->order <= size; k++) {
         path->jumped[k] = mean_square(path, k, s);
     }
     const double kept = 0.3; // of what a reading said before: all are matched at once

@@ -1,8 +1,9 @@
 """Where a motor was between and behind its readings: a Gaussian path, with its standard deviation at every time.
 
-Its speed is constant but for rare, large changes: the increments of a Cauchy process. Each reading is the path with
-white noise, rounded to the encoder's step. Neither the noise nor how rare a change is has to be known: the noise is the
-likeliest, and of ever rarer changes those are taken under which readings that are left out are likeliest."""
+Its speed, or its acceleration, is constant but for rare, large changes: the increments of a Cauchy process. Each
+reading is the path with white noise, rounded to the encoder's step. Neither the noise nor how rare a change is has to
+be known: the noise is the likeliest, and of ever rarer changes those are taken under which readings that are left out
+are likeliest."""
 
 from __future__ import annotations
 
@@ -32,11 +33,12 @@ class Driven:
     q: Array  # (n,) mean, unit of the readings
     sigma: Array  # (n,) one standard deviation
     noise: float  # standard deviation of the readings' white noise, their unit; rounding is not in it
+    order: int = 2  # of what is constant but for jumps: 2 its speed, 3 its acceleration
 
 
-def driven(t_s: Array, q: Array, step: float, *, rounded: bool) -> Driven:
+def driven(t_s: Array, q: Array, step: float, *, rounded: bool, order: int = 2) -> Driven:
     """The posterior of a motor's path by readings q (n,) at rising times t_s (n,), at least four. step: the encoder's
-    step, or, if readings are not rounded, about their noise."""
+    step, or, if readings are not rounded, about their noise. order: as `Driven`."""
     begin_s, end_s = float(t_s[0]), float(t_s[-1])
     t_s, readings = _block_means(t_s, q)
     usual_s = float(np.median(np.diff(t_s)))
@@ -49,14 +51,16 @@ def driven(t_s: Array, q: Array, step: float, *, rounded: bool) -> Driven:
     reading = np.zeros(len(nodes))
     reading[::parts] = (readings - zero) / step
     steps = np.diff(nodes) / usual_s
-    found = _fitted_path(steps, reading, read, rounded)
+    found = _fitted_path(order, steps, reading, read, rounded)
     mean, sigma = found.mean.copy(), found.sigma
     # Where neighbours were taken together it ends half of them early: it goes on as it went.
     ends = np.clip(np.array([begin_s - nodes[0], end_s - nodes[-1]]), [-_GRID_S, 0.0], [0.0, _GRID_S])
     mean[[0, -1]] += ends * np.diff(mean)[[0, -1]] / np.diff(nodes)[[0, -1]]
     nodes[[0, -1]] += ends
-    nodes, mean, sigma = _corners_placed(nodes, mean, sigma)
-    return Driven(nodes, zero + step * mean, step * sigma, step * found.noise * float(np.sqrt(len(q) / size)))
+    if order == 2:
+        nodes, mean, sigma = _corners_placed(nodes, mean, sigma)
+    noise = step * found.noise * float(np.sqrt(len(q) / size))
+    return Driven(nodes, zero + step * mean, step * sigma, noise, order)
 
 
 @dataclass(frozen=True)
@@ -69,8 +73,8 @@ class _Swept:
     noise: float
 
 
-def _fitted_path(steps: Array, reading: Array, read: npt.NDArray[np.uint8], rounded: bool) -> _Swept:
-    """The path on a grid of nodes by repeated sweeps with ever rarer jumps of speed; the sweep with the best held-out
+def _fitted_path(order: int, steps: Array, reading: Array, read: npt.NDArray[np.uint8], rounded: bool) -> _Swept:
+    """The path on a grid of nodes by repeated sweeps with ever rarer changes; the sweep with the best held-out
     probability counts. steps (n - 1): intervals between nodes over the usual one; reading (n,) in the encoder's steps,
     where `read` is 1."""
     size, seen = len(reading), np.flatnonzero(read)
@@ -83,7 +87,7 @@ def _fitted_path(steps: Array, reading: Array, read: npt.NDArray[np.uint8], roun
     best = _Swept(-np.inf, state.copy(), np.full(size, noise), noise)
     for _ in range(_SWEEPS):
         holds, scatter, told = _native.sweep(
-            steps, reading, read, 0.5 if rounded else 0.0, noise, jump, state, precision, force, jumped, variance
+            order, steps, reading, read, 0.5 if rounded else 0.0, noise, jump, state, precision, force, jumped, variance
         )
         if not holds or not np.isfinite(told):
             break

@@ -12,7 +12,7 @@ from scipy.linalg import solveh_banded
 
 from tautline import _native
 from tautline.driven import Driven, driven, white_noise
-from tautline.encoder_steps import CHANGES, REST_S, Rest, Steps, rests_and_turns, steps_of
+from tautline.encoder_steps import CHANGES, REST_S, Rest, Steps, rests_and_turns, steps_of, stopped
 from tautline.independence import stretches
 from tautline.recording import Motor
 
@@ -183,23 +183,27 @@ _paths: WeakKeyDictionary[Motor, dict[float, Driven | None]] = WeakKeyDictionary
 def _straight_lines(motor: Motor, resolution: float) -> Motor:
     """As `straight_lines`, which keeps its result."""
     path = posterior_of(motor, resolution)
-    if path is not None:
-        rested = _levelled_rests(path)
-        keep = _needed_knots(path.t_s, [(rested, float(np.median(path.sigma)))])
-        return _with_others(motor, path.t_s[keep], rested[keep], np.zeros(int(keep.sum()), dtype=bool))
-    return _even_lines(motor, resolution)
+    if path is None:
+        return _even_lines(motor, resolution)
+    steps = steps_of(motor, resolution)
+    if path.order == 2 or steps is None:
+        path, stops = _levelled_rests(path), np.zeros(len(path.t_s), dtype=bool)
+    else:
+        path, stops = stopped(path, rests_and_turns(motor, steps).rests, steps.count)
+    keep = _needed_knots(path.t_s, [(path.q, float(np.median(path.sigma)))]) | stops
+    return _with_others(motor, path.t_s[keep], path.q[keep], np.zeros(int(keep.sum()), dtype=bool))
 
 
 def posterior_of(motor: Motor, resolution: float) -> Driven | None:
-    """The posterior of the path of a motor whose speed jumps: where readings contradict lines of constant acceleration
-    at stops, or have noise without steps. None for any other motor."""
+    """The posterior of the motor's path, which readings of fine counts, or with noise and no steps, tell; coarse counts
+    where they contradict lines of constant acceleration at stops: its speed jumps. None for any other motor."""
     known = _paths.setdefault(motor, {})
     if resolution not in known:
-        known[resolution] = _posterior_if_jumping(motor, resolution)
+        known[resolution] = _posterior(motor, resolution)
     return known[resolution]
 
 
-def _posterior_if_jumping(motor: Motor, resolution: float) -> Driven | None:
+def _posterior(motor: Motor, resolution: float) -> Driven | None:
     """As `posterior_of`, which keeps its result."""
     steps, noise = steps_of(motor, resolution), white_noise(motor.q)
     unsure = noise if steps is None else steps.count
@@ -211,6 +215,9 @@ def _posterior_if_jumping(motor: Motor, resolution: float) -> Driven | None:
         told = len(motor.q) >= _FEWEST + 3  # as many third differences tell noise from a bend
         noisy = told and noise <= _SCATTERS * resolution and _third_difference_score(motor) < _CLEARLY
         return driven(motor.t_s, motor.q, noise, rounded=False) if noisy else None
+    if steps.count <= _COARSE * float(np.ptp(motor.q)) and noise <= _SCATTERS * steps.count:
+        order = 3 if rests_and_turns(motor, steps).slows_down else 2
+        return driven(motor.t_s, motor.q, steps.count, rounded=True, order=order)
     lines = _even_lines(Motor(motor.t_s, motor.q), resolution)  # another channel's knots make no motor even
     away = float(np.abs(np.interp(motor.t_s, lines.t_s, lines.q) - motor.q).max())
     if away <= _AGREES * steps.count + _STRAYS * noise:
@@ -245,19 +252,19 @@ def _constant_acceleration_lines(motor: Motor, resolution: float) -> Motor:
     count, travel = resolution if steps is None else steps.count, float(np.ptp(motor.q))
     tolerance = (_TOLERANCE_COUNTS + (0.0 if steps is None else _STEPS)) * count
     tolerance = _COARSE_LINES * travel if count > _COARSE * travel else tolerance
-    t_s, q, fixed = _knots(smooth, tolerance, [] if steps is None else rests_and_turns(motor, steps))
+    t_s, q, fixed = _knots(smooth, tolerance, [] if steps is None else rests_and_turns(motor, steps).rests)
     return _with_others(motor, t_s, q, fixed, smooth.q)
 
 
-def _levelled_rests(path: Driven) -> Array:
-    """The path's positions with each rest at its mean; it rests while it moves by less than its own sigma."""
+def _levelled_rests(path: Driven) -> Driven:
+    """The path with each rest at its mean; it rests while it moves by less than its own sigma."""
     slow = np.abs(np.diff(path.q)) * REST_S < path.sigma[1:] * np.diff(path.t_s)
     q = path.q.copy()
     for step in stretches(slow):
         rest = slice(step.start, step.stop + 1)
         if np.ptp(path.t_s[rest]) > REST_S and np.ptp(q[rest]) < 2.0 * float(np.median(path.sigma[rest])):
             q[rest] = np.mean(q[rest])
-    return q
+    return replace(path, q=q)
 
 
 def _with_others(

@@ -1,12 +1,14 @@
-"""An encoder's steps as its readings show them, and where the motor rests or turns by when its counts change."""
+"""An encoder's steps as its readings show them, and where the motor rests or turns: by when its counts change, and on a
+path through them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from tautline.driven import Driven
 from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
@@ -14,6 +16,9 @@ Array = npt.NDArray[np.float64]
 _COARSER = 30.0  # times the rig's step, at most: what is more is a motor that steps
 REST_S = 0.05  # a motor that stands still for longer rests
 CHANGES = 24, 4  # tolerance: of the count, most and least, that tell how a motor slows down
+_SLOWING = 4  # tolerance: intervals of a path that tell how the motor slows down
+_UNSEEN = 2  # tolerance: of a path's nodes, by which changes of count may put a stop too early
+_INSTANT_S = 1e-4  # tolerance: between two nodes, at least
 _FITS = 0.3  # tolerance: counts rms: an encoder's step scatters by 0.29
 
 
@@ -54,7 +59,24 @@ class Rest:
     until_s: float
 
 
-def rests_and_turns(motor: Motor, encoder: Steps) -> list[Rest]:
+@dataclass(frozen=True)
+class Stops:
+    """`slows_down`: the motor does to most of its stops, and speeds up from them, or has none; else its speed jumps."""
+
+    rests: list[Rest]
+    slows_down: bool
+
+
+@dataclass(frozen=True)
+class _Vertex:
+    """How long the motor moves on beyond the change of count nearest to a stop, s, and where it stops, counts."""
+
+    lasts_s: float
+    level: float
+    slows: bool  # else it hardly slows down
+
+
+def rests_and_turns(motor: Motor, encoder: Steps) -> Stops:
     """Where the motor rests or turns, extrapolated from the changes of count before and after at constant acceleration:
     an encoder shows nothing of the last count before a stop, which takes 13 ms at 12 mm/s^2 and 1 um."""
     t, counts = motor.t_s, encoder.counts
@@ -62,7 +84,7 @@ def rests_and_turns(motor: Motor, encoder: Steps) -> list[Rest]:
     at, step = 0.5 * (t[changes] + t[changes + 1]), np.diff(counts)[changes]
     boundary = counts[changes] + 0.5 * step
     period = float(np.median(np.diff(t)))
-    stops = []
+    stops, asked, slowing = [], 0, 0
     # The count that holds from change i - 1 to change i.
     edges = np.concatenate([t[:1], at, t[-1:]])
     turned = np.concatenate([[False], step[1:] * step[:-1] < 0, [False]])
@@ -75,17 +97,22 @@ def rests_and_turns(motor: Motor, encoder: Steps) -> list[Rest]:
         since, until, turns = edges[i], edges[i + 1], turned[i]
         slows = None if first else _stop_by_parabola(at[:i][::-1], boundary[:i][::-1], step[:i][::-1], centre, period)
         starts = None if last else _stop_by_parabola(at[i:], boundary[i:], -step[i:], centre, period)
-        level = [vertex[1] for vertex in (slows, starts) if vertex is not None]
-        if not level:
+        sides = [side for side in (slows, starts) if side is not None]
+        asked += (not first) + (not last)
+        slowing += sum(side.slows for side in sides)
+        if not sides:
             continue
         middle = 0.5 * (since + until)
         # Where no vertex is told it comes as fast as through the count before, within a sample where it jumps.
-        start_s = since + min(slows[0] if slows else _half_count_time(t, changes, step, lasts, i - 1), middle - since)
-        end_s = until - min(starts[0] if starts else _half_count_time(t, changes, step, lasts, i), until - middle)
+        start_s = since + min(
+            slows.lasts_s if slows else _half_count_time(t, changes, step, lasts, i - 1), middle - since
+        )
+        end_s = until - min(starts.lasts_s if starts else _half_count_time(t, changes, step, lasts, i), until - middle)
         if turns and slows is not None and starts is not None and end_s - start_s < 2 * period:
             start_s = end_s = 0.5 * (start_s + end_s)
-        stops.append(Rest(encoder.zero + encoder.count * float(np.mean(level)), start_s, end_s, since, until))
-    return stops
+        level = encoder.zero + encoder.count * float(np.mean([side.level for side in sides]))
+        stops.append(Rest(level, start_s, end_s, since, until))
+    return Stops(stops, 2 * slowing >= asked)
 
 
 def _half_count_time(t: Array, changes: npt.NDArray[np.intp], step: Array, lasts: Array, i: int) -> float:
@@ -98,12 +125,9 @@ def _half_count_time(t: Array, changes: npt.NDArray[np.intp], step: Array, lasts
     return 0.5 * float(min(lasts[i], lasts[i + 1]))
 
 
-def _stop_by_parabola(
-    at: Array, boundary: Array, step: Array, centre: float, period: float
-) -> tuple[float, float] | None:
-    """How long the motor moves on beyond the change of count nearest to a stop, s, and where it stops, counts: the
-    vertex of a parabola through as many changes as it fits. None for too few. at, boundary, step: of the changes, the
-    nearest first."""
+def _stop_by_parabola(at: Array, boundary: Array, step: Array, centre: float, period: float) -> _Vertex | None:
+    """The vertex of a parabola through as many changes as it fits. None for too few. at, boundary, step: of the
+    changes, the nearest first."""
     most, least = CHANGES
     way = np.sign(step[0])
     one_way = np.flatnonzero((np.sign(step[:most]) != way) | (np.abs(np.diff(at[:most], prepend=at[0])) > REST_S))
@@ -118,7 +142,71 @@ def _stop_by_parabola(
             offset, speed, bend = (float(value) for value in fitted)
             left = offset - speed**2 / (4.0 * bend) if bend > 0.0 and speed > 0.0 else -np.inf
             if abs(left) <= 1.0:
-                return speed / (2.0 * bend), centre - way * float(np.clip(left, -0.5, 0.5))
-            return 0.5 * float(since[1]), centre  # it hardly slows down
+                return _Vertex(speed / (2.0 * bend), centre - way * float(np.clip(left, -0.5, 0.5)), True)
+            return _Vertex(0.5 * float(since[1]), centre, False)
         n = int(0.7 * n)
     return None
+
+
+def stopped(path: Driven, stops: list[Rest], count: float) -> tuple[Driven, npt.NDArray[np.bool_]]:
+    """The path with each rest at one level, to which it comes and which it leaves at constant acceleration, and a node
+    at each turn. Which nodes these are."""
+    nodes = np.stack([path.t_s, path.q, path.sigma])
+    kept, ends = np.ones(len(path.t_s), dtype=bool), np.empty((3, 0))
+    for stop in stops:
+        first, last = (int(k) for k in np.searchsorted(path.t_s, [stop.start_s, stop.end_s]))
+        found = _rest_nodes(nodes, first, last, count) if last - first >= 2 else _turn_node(nodes, first)
+        if found is not None:
+            before, after, at = found
+            kept[before + 1 : after] = False
+            ends = np.concatenate([ends, at], axis=1)
+    both = np.concatenate([nodes[:, kept], ends], axis=1)
+    order = np.argsort(both[0], kind="stable")
+    t_s, q, sigma = both[:, order]
+    return replace(path, t_s=t_s, q=q, sigma=sigma), order >= int(kept.sum())
+
+
+def _rest_nodes(nodes: Array, first: int, last: int, count: float) -> tuple[int, int, Array] | None:
+    """The last node of the motion before a rest and the first one after it, and the rest's ends (3, 2). nodes (3, n):
+    times, positions and sigmas; those from `first` to `last` rest. Within half a count of a rest no reading changes."""
+    (t_s, q), length = nodes[:2], nodes.shape[1]
+    level, sigma = float(np.mean(q[first:last])), float(np.median(nodes[2, first:last]))
+    before, after = first - 1, last
+    while before >= 0 and abs(q[before] - level) <= 0.5 * count:
+        before -= 1
+    while after < length and abs(q[after] - level) <= 0.5 * count:
+        after += 1
+    since_s, until_s = float(t_s[0]), float(t_s[-1])
+    if before >= 0:
+        latest_s = float(t_s[min(first + _UNSEEN, last)])
+        since_s = _stands(t_s[: before + 1], q[: before + 1], latest_s, float(t_s[first]))
+    if after < length:
+        latest_s = -float(t_s[max(last - 1 - _UNSEEN, first)])
+        until_s = -_stands(-t_s[after:][::-1], q[after:][::-1], latest_s, -float(t_s[last - 1]))
+    if since_s >= until_s:
+        return None
+    return before, after, np.array([[since_s, until_s], [level, level], [sigma, sigma]])
+
+
+def _stands(t_s: Array, q: Array, latest_s: float, else_s: float) -> float:
+    """When a motor that slows down evenly stands still, by its last nodes; else_s where they do not tell."""
+    if len(t_s) <= _SLOWING:
+        return else_s
+    t_s, q = t_s[-_SLOWING - 1 :], q[-_SLOWING - 1 :]
+    bend, speed = np.polyfit(0.5 * (t_s[1:] + t_s[:-1]) - t_s[-1], np.diff(q) / np.diff(t_s), 1)
+    at_s = float(t_s[-1] - speed / bend) if speed * bend < 0.0 else np.inf
+    return max(at_s, float(t_s[-1]) + _INSTANT_S) if at_s <= latest_s else else_s
+
+
+def _turn_node(nodes: Array, near: int) -> tuple[int, int, Array] | None:
+    """The nodes on either side of a turn, and one where the motor turns in place of the one between them."""
+    t_s, q, sigma = nodes[:, max(near - _SLOWING, 0) : near + _SLOWING]
+    speed, middle = np.diff(q) / np.diff(t_s), 0.5 * (t_s[1:] + t_s[:-1])
+    turns = np.flatnonzero(speed[1:] * speed[:-1] < 0.0)
+    if not len(turns):
+        return None
+    k = int(turns[np.argmin(np.abs(turns + 1 - min(near, _SLOWING)))])
+    at_s = middle[k] - speed[k] * (middle[k + 1] - middle[k]) / (speed[k + 1] - speed[k])
+    there = float(np.interp(t_s[k + 1], middle[k : k + 2], speed[k : k + 2]))
+    first = max(near - _SLOWING, 0) + k
+    return first, first + 2, np.array([[at_s], [q[k + 1] + 0.5 * there * (at_s - t_s[k + 1])], [sigma[k + 1]]])

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tautline import trajectory
-from tautline.encoder import between_counts, count_of, straight_lines, swings
+from tautline.encoder import between_counts, count_of, posterior_of, straight_lines, swings
 from tautline.recording import Motor
 
 COUNT = 0.001
@@ -57,6 +57,31 @@ def test_stops_are_known_to_a_millisecond_in_the_mean():
         errors.append(min(abs(rest[0] - stop) for rest in rests(lines)))
         begin = stop + 0.4
     assert np.mean(errors) < 0.0015
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("acceleration", "step_s"), [(12.0, 1e-3), (12.0, 4e-3), (30.0, 1e-3)])
+def test_a_path_through_fine_counts_has_the_motors_place_and_speed(seed, acceleration, step_s):
+    """A tenth of a count, a thousandth of the speed of 20 ms, which is what a law of speed leaves at a stop; the path's
+    sigma covers."""
+    rng = np.random.default_rng([seed, 7])
+    ends = rng.uniform(1.0, 4.0, 16) * np.resize([1.0, -1.0], 16)
+    motion = trajectory.through(ends, 1.37, acceleration, 0.3)
+    t_s = np.arange(0.0, motion.t_s[-1], step_s)
+    true = np.interp(t_s, motion.t_s, motion.q)
+    motor = Motor(t_s, np.round(true / COUNT) * COUNT)
+    lines, path = straight_lines(motor, COUNT), posterior_of(motor, COUNT)
+    assert path is not None and len(lines.t_s) < 0.12 * motion.t_s[-1] / 1e-3
+    at = np.arange(0.05, motion.t_s[-1] - 0.05, 1e-3)
+    off = np.interp(at, lines.t_s, lines.q) - np.interp(at, motion.t_s, motion.q)
+    speeds = (np.gradient(np.interp(at, *both), at) for both in ((lines.t_s, lines.q), (motion.t_s, motion.q)))
+    found, speed = (np.convolve(np.abs(v), np.ones(20) / 20, mode="valid") for v in speeds)
+    z = (path.q - np.interp(path.t_s, motion.t_s, motion.q)) / path.sigma
+    print(f"{np.sqrt(np.mean(off**2)) / COUNT:.3f} counts, speed {np.sqrt(np.mean((found - speed) ** 2)):.4f}, "
+          f"rms z {np.sqrt(np.mean(z**2)):.2f}, {len(lines.t_s)} knots")  # fmt: skip
+    assert np.sqrt(np.mean(off**2)) < 0.12 * COUNT
+    assert np.sqrt(np.mean((found - speed) ** 2)) < 0.0022 * 1.37
+    assert np.mean(np.abs(z) < 2.0) >= 0.9
 
 
 def test_a_turn_without_a_rest_is_where_the_motor_turned():

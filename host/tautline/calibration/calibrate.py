@@ -279,7 +279,9 @@ class _Session:
         reached = [(float(t.motor.q.min()), float(t.motor.q.max())) for t in tracks]
         self.reached = min(r[0] for r in reached), max(r[1] for r in reached)
         low, high = self.reached if in_another_unit(self.reached, rig) else rig.actuator.range
-        self.domain = Domain(min(low, self.reached[0]), max(high, self.reached[1]))
+        half = 0.5 * rig.actuator.encoder_resolution  # by less a position is not beyond the range
+        below, above = self.reached[0] < low - half, self.reached[1] > high + half
+        self.domain = Domain(self.reached[0] if below else low, self.reached[1] if above else high)
         self.grid = np.linspace(self.domain.low, self.domain.high, NODES)
         self.camera = tracks[0].unit == "px"
         self.framed = self.camera or rig.sees_from_tip  # a camera's delay: of frames that are still after a turn

@@ -40,8 +40,8 @@ def resolved(tracks: Sequence[Track], rig: Rig) -> tuple[list[Track], list[Reaso
     left, reasons, notes = [], [], []
     resolution = rig.actuator.encoder_resolution
     for track in tracks:
-        q = track.path.sampled.q
-        at = jumps(track.path.sampled, resolution) if len(q) > 2 else np.zeros(0, dtype=np.intp)
+        q = track.path.readings.q  # what a path makes of them is no jump
+        at = jumps(track.path.readings, resolution) if len(q) > 2 else np.zeros(0, dtype=np.intp)
         if len(at):
             turns = _native.turns(np.ascontiguousarray(q), turning_hysteresis(track.path, resolution, np.ptp(q)))
             total = float(np.abs(np.diff(q[np.concatenate([[0], turns, [len(q) - 1]]).astype(int)])).sum())
