@@ -907,6 +907,14 @@ def test_a_joint_whose_hardware_is_not_active_is_not_used() -> None:
 
 
 @NO_ROS
+def test_joints_whose_states_come_apart_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ros_joints, "_FIRST_S", 1.0)
+    says = "no message .* has positions of joint_1, gripper: name joints of one"
+    with closing(EMULATORS["ros"][0]([Joint()])) as robot, pytest.raises(TautError, match=says):
+        addresses.open_drives(addresses.parse(f"ros:{robot.bus.path}:joint_1,gripper"))
+
+
+@NO_ROS
 @pytest.mark.parametrize(
     ("bus", "says"), [("/joint_states", "name two topics"), ("/nobody_is_here,/commands", "no joint states came")]
 )

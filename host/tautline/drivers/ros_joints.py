@@ -85,9 +85,12 @@ class RosJoints:
 
     def _find_joints(self, states: str, where: str) -> None:
         if not self._wait_for(lambda: self._newest is not None, _FIRST_S):
-            if self._others:
-                missing = ", ".join(name for name in self._names if name not in self._others)
+            missing = ", ".join(name for name in self._names if name not in self._others)
+            if self._others and missing:
                 raise TautError(f"ros: no joint {missing} in {states}, which names {', '.join(sorted(self._others))}")
+            if self._others:
+                ours = ", ".join(self._names)
+                raise TautError(f"ros: no message on {states} has positions of {ours}: name joints of one broadcaster")
             raise TautError(f"ros: no joint states came on {states}: {where}")
 
     def _read_description(self, topic: str) -> dict[str, dict[str, str]]:
