@@ -403,10 +403,14 @@ class Cia402Emulator:
         homed: bool = False,
         modes: tuple[int, ...] = (6, 8),
         currents: tuple[int, ...] = (1500, 1500),
+        lacks: tuple[int, ...] = (),
     ) -> None:
-        """currents: the most of each, in 1/1000 of what it is rated for."""
+        """currents: the most of each, in 1/1000 of what it is rated for; lacks: objects that it has not."""
         self.motors, self._homed, self._modes = motors, homed, modes
         self.nodes = [self._fresh(turn, current) for _, current in zip(motors, currents, strict=False)]
+        for node in self.nodes:
+            for index in lacks:
+                del node["objects"][index, 0]
         self.brakes: Callable[[], bool] = lambda: False  # whether a brake is not released yet, at each look at a status
         self.bus = CanBus(self._take)
 
@@ -470,7 +474,8 @@ class Cia402Emulator:
 
     def _measure(self, motor: Motor, objects: dict[tuple[int, int], tuple[int, Any]]) -> None:
         objects[0x6064, 0] = 4, motor.counts
-        objects[0x606C, 0] = 4, round(motor.speed)
+        if (0x606C, 0) in objects:
+            objects[0x606C, 0] = 4, round(motor.speed)
 
     def _control(self, motor: Motor, node: dict[str, Any], control: int) -> None:
         """The states of CiA 402 as far as a host sees them."""
@@ -510,6 +515,8 @@ class Cia402Emulator:
             return struct.pack("<BHB", 0x43 | (4 - len(raw)) << 2, index, sub) + raw.ljust(4, b"\0")
         signed = index in (0x607A, 0x607D, 0x60C2)
         given = int.from_bytes(data[4 : 4 + size], "little", signed=signed)
+        if index in (0x1600, 0x1A00, 0x1A01) and sub and (given >> 16, given >> 8 & 0xFF) not in objects:
+            return struct.pack("<BHBI", 0x80, index, sub, 0x06020000)
         if (index, sub) == (0x6040, 0):
             self._control(motor, node, given)
         if (index, sub) == (0x6060, 0):

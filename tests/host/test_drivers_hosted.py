@@ -34,6 +34,13 @@ def test_an_axis_has_its_drives_current(kind: str, current_ma: int) -> None:
         assert setup.live.board.status(0).current_ma == current_ma
 
 
+def test_a_canopen_drive_that_tells_no_current_or_speed_is_driven_by_its_position() -> None:
+    with driven("canopen", lacks=(0x6078, 0x606C)) as setup, driving(setup.live):
+        move_to(setup.live, 1.0, 2.0)
+        assert setup.motor.position == pytest.approx(1000.0, abs=5.0)
+        assert setup.live.board.status(0).current_ma == 0
+
+
 def test_of_several_drives_the_one_with_the_least_current_limits_the_bus() -> None:
     with driven("canopen", beside=(Motor(),), currents=(1500, 800)) as setup:
         assert setup.live.board.identity.driver_ma == 800
