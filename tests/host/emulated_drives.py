@@ -25,7 +25,7 @@ from tautline.simulated.instrument import Instrument, preset
 from tautline.simulated.simlink import SimulatedAxis
 
 RATE_HZ = 100.0
-EMULATORS: dict[str, tuple[Callable[[list[Motor]], Any], Motor]] = {
+EMULATORS: dict[str, tuple[Callable[..., Any], Motor]] = {
     "dynamixel": (DynamixelEmulator, Motor()),
     "feetech": (FeetechEmulator, Motor(speed_most=3400.0, acceleration_most=1e5, lag_s=0.02)),
     "canopen": (Cia402Emulator, Motor(lag_s=0.004)),
@@ -55,11 +55,11 @@ def bus_of(kind: str, emulator: Any) -> str:
     return f"virtual/{emulator.bus.channel}" if kind in ("canopen", "moteus") else emulator.bus.path
 
 
-def where(kind: str, emulator: Any, number: int, options: str) -> str:
-    """The address of an emulated motor."""
-    if kind == "ros":
-        return f"ros:{bus_of(kind, emulator)}:joint_{number}?{options}"
-    return f"{kind}:{bus_of(kind, emulator)}:{number}?{options}&baud=1000000"
+def where(kind: str, emulator: Any, options: str, *numbers: int) -> str:
+    """The address of emulated motors, of all unless these are named."""
+    named = numbers or range(1, len(emulator.motors) + 1)
+    ids = ",".join(f"joint_{k}" if kind == "ros" else str(k) for k in named)
+    return f"{kind}:{bus_of(kind, emulator)}:{ids}?{options}" + ("" if kind == "ros" else "&baud=1000000")
 
 
 def settled(kind: str, emulator: Any, drives: Any) -> None:
@@ -77,15 +77,18 @@ def settled(kind: str, emulator: Any, drives: Any) -> None:
 
 
 @contextmanager
-def driven(kind: str, homed: bool = True, at: float = 0.0) -> Iterator[Setup]:
+def driven(
+    kind: str, homed: bool = True, at: float = 0.0, beside: tuple[Motor, ...] = (), **emulated: Any
+) -> Iterator[Setup]:
+    """beside: further motors on the bus; emulated: how the emulator differs."""
     make, like = EMULATORS[kind]
     motor = replace(like, goals=[], course=[], position=at)
     instrument = preset("reference")
     with ExitStack() as stack:
-        emulator = make([motor])
+        emulator = make([motor, *beside], **emulated)
         stack.callback(emulator.close)
-        bench = Bench([motor], emulator.bus.settle)
-        address = addresses.parse(where(kind, emulator, 1, f"rate={RATE_HZ:g}"))
+        bench = Bench(emulator.motors, emulator.bus.settle)
+        address = addresses.parse(where(kind, emulator, f"rate={RATE_HZ:g}"))
         drives = addresses.open_drives(address, clock=bench.clock)
         settled(kind, emulator, drives)
         link = HostedLink(drives, f"{kind}:emulated:1", RATE_HZ, clock=bench.clock, paced=False)

@@ -162,6 +162,11 @@ class SerialBus:
             os.close(end)
 
 
+def _tell(table: bytearray, told: dict[int, bytes] | None) -> None:
+    for address, data in (told or {}).items():
+        table[address : address + len(data)] = data
+
+
 # -- Dynamixel, protocol 2 --------------------------------------------------------------------------------------------
 
 
@@ -177,11 +182,12 @@ def crc16(data: bytes) -> int:
 
 class DynamixelEmulator:
     """X series servos: a control table each, PING, READ, WRITE, SYNC READ and SYNC WRITE. Another program has left them
-    a slow profile."""
+    a slow profile. `told`: what stands in the first one's table, from these addresses on."""
 
-    def __init__(self, motors: list[Motor]) -> None:
+    def __init__(self, motors: list[Motor], told: dict[int, bytes] | None = None) -> None:
         self.motors, self._most = motors, [(motor.speed_most, motor.acceleration_most) for motor in motors]
         self.tables = [self._fresh(i) for i in range(len(motors))]
+        _tell(self.tables[0], told)
         self.bus = SerialBus(self._take)
 
     def _fresh(self, index: int) -> bytearray:
@@ -269,17 +275,19 @@ class DynamixelEmulator:
 
 class FeetechEmulator:
     """STS servos: a memory table each, READ, WRITE, SYNC READ and SYNC WRITE. Signs are in bit 15. Another program has
-    left them a slow way to go."""
+    left them a slow way to go. `told`: as of a Dynamixel."""
 
-    def __init__(self, motors: list[Motor]) -> None:
+    def __init__(self, motors: list[Motor], told: dict[int, bytes] | None = None) -> None:
         self.motors, self._most = motors, [(motor.speed_most, motor.acceleration_most) for motor in motors]
         self.tables = [self._fresh(i) for i in range(len(motors))]
+        _tell(self.tables[0], told)
         self.bus = SerialBus(self._take)
 
     def _fresh(self, index: int) -> bytearray:
         table = bytearray(96)
         table[0:2], table[3:5], table[5] = b"\x03\x09", struct.pack("<H", 777), index + 1
         struct.pack_into("<BHHH", table, 41, 10, 0, 800, 300)  # its own acceleration, goal, time and speed
+        struct.pack_into("<H", table, 69, self._with_sign(-20))  # current
         return table
 
     def fail(self) -> None:
@@ -389,20 +397,30 @@ class Cia402Emulator:
     _SWITCHES = 3  # objects that are read before another mode is the drive's
 
     def __init__(
-        self, motors: list[Motor], turn: int = 4096, homed: bool = False, modes: tuple[int, ...] = (6, 8)
+        self,
+        motors: list[Motor],
+        turn: int = 4096,
+        homed: bool = False,
+        modes: tuple[int, ...] = (6, 8),
+        currents: tuple[int, ...] = (1500, 1500),
+        lacks: tuple[int, ...] = (),
     ) -> None:
+        """currents: the most of each, in 1/1000 of what it is rated for; lacks: objects that it has not."""
         self.motors, self._homed, self._modes = motors, homed, modes
-        self.nodes = [self._fresh(turn) for _ in motors]
+        self.nodes = [self._fresh(turn, current) for _, current in zip(motors, currents, strict=False)]
+        for node in self.nodes:
+            for index in lacks:
+                del node["objects"][index, 0]
         self.brakes: Callable[[], bool] = lambda: False  # whether a brake is not released yet, at each look at a status
         self.bus = CanBus(self._take)
 
-    def _fresh(self, turn: int) -> dict[str, Any]:
+    def _fresh(self, turn: int, current: int) -> dict[str, Any]:
         objects = {
             (0x1008, 0): (4, b"EMUL"), (0x608F, 1): (4, turn), (0x608F, 2): (4, 1), (0x6080, 0): (4, 180),
             (0x60C5, 0): (4, 300000), (0x607D, 1): (4, -20000), (0x607D, 2): (4, 20000), (0x6075, 0): (4, 1000),
-            (0x6073, 0): (2, 1500), (0x6040, 0): (2, 0), (0x6041, 0): (2, 0x40), (0x6060, 0): (1, 8),
+            (0x6073, 0): (2, current), (0x6040, 0): (2, 0), (0x6041, 0): (2, 0x40), (0x6060, 0): (1, 8),
             (0x6061, 0): (1, 8),
-            (0x6064, 0): (4, 0), (0x607A, 0): (4, 0), (0x606C, 0): (4, 0), (0x6078, 0): (2, 0), (0x60C2, 1): (1, 1),
+            (0x6064, 0): (4, 0), (0x607A, 0): (4, 0), (0x606C, 0): (4, 0), (0x6078, 0): (2, -250), (0x60C2, 1): (1, 1),
             (0x60C2, 2): (1, -3), (0x1016, 1): (4, 0), (0x6007, 0): (2, 0),
         }  # fmt: skip
         for mapping, parameters in ((0x1A00, 0x1800), (0x1A01, 0x1801), (0x1600, 0x1400)):
@@ -456,7 +474,8 @@ class Cia402Emulator:
 
     def _measure(self, motor: Motor, objects: dict[tuple[int, int], tuple[int, Any]]) -> None:
         objects[0x6064, 0] = 4, motor.counts
-        objects[0x606C, 0] = 4, round(motor.speed)
+        if (0x606C, 0) in objects:
+            objects[0x606C, 0] = 4, round(motor.speed)
 
     def _control(self, motor: Motor, node: dict[str, Any], control: int) -> None:
         """The states of CiA 402 as far as a host sees them."""
@@ -496,6 +515,8 @@ class Cia402Emulator:
             return struct.pack("<BHB", 0x43 | (4 - len(raw)) << 2, index, sub) + raw.ljust(4, b"\0")
         signed = index in (0x607A, 0x607D, 0x60C2)
         given = int.from_bytes(data[4 : 4 + size], "little", signed=signed)
+        if index in (0x1600, 0x1A00, 0x1A01) and sub and (given >> 16, given >> 8 & 0xFF) not in objects:
+            return struct.pack("<BHBI", 0x80, index, sub, 0x06020000)
         if (index, sub) == (0x6040, 0):
             self._control(motor, node, given)
         if (index, sub) == (0x6060, 0):
@@ -518,10 +539,11 @@ class MoteusEmulator:
     _SIZES, _POSITION = (1, 2, 4, 4), b"\x01\x00\x0a"  # begins with mode 10
     _SCALES: ClassVar = {0x001: (0.01, 1e-4, 1e-5), 0x002: (0.1, 2.5e-4, 1e-5), 0x004: (1.0, 0.1, 1e-3)}
 
-    def __init__(self, motors: list[Motor], turn: int = 4096) -> None:
-        self.motors, self._turn = motors, turn
+    def __init__(self, motors: list[Motor], turn: int = 4096, home_state: int = 2) -> None:
+        """home_state: 0 relative, 1 the rotor is known, 2 the output."""
+        self.motors, self._turn, self._home_state = motors, turn, home_state
         self.modes = [0 for _ in motors]
-        self.home_state = 2  # 0: relative, 1: the rotor is known, 2: the output
+        self.sees = True  # its encoder
         self.bus = CanBus(self._take, fd=True)
 
     def fail(self) -> None:
@@ -565,8 +587,8 @@ class MoteusEmulator:
         motor = self.motors[index]
         self.modes[index] = 11 if motor.tripped else self.modes[index]
         value = {
-            0x000: self.modes[index], 0x001: motor.counts / self._turn, 0x002: motor.speed / self._turn, 0x004: 0.1,
-            0x00C: self.home_state, 0x00D: 24,
+            0x000: self.modes[index], 0x001: motor.counts / self._turn if self.sees else np.nan,
+            0x002: motor.speed / self._turn, 0x004: 0.1, 0x00C: self._home_state, 0x00D: 24,
         }.get(register, 0)  # fmt: skip
         if kind == 3:
             return struct.pack("<f", value)
@@ -575,6 +597,7 @@ class MoteusEmulator:
     def _written(self, index: int, written: dict[int, float]) -> None:
         motor = self.motors[index]
         mode = written.get(0x000)
+        assert written.keys() <= {0x000, 0x020, 0x021, 0x027}, "its own limits and gains give way to what it is told"
         if mode == 0:
             self.modes[index], motor.on, motor.tripped = 0, False, False
         elif mode == 10 and self.modes[index] in (0, 10) and not motor.tripped:

@@ -52,14 +52,14 @@ class RosBus:
 
 
 class RosRobot:
-    """Joints joint_1, joint_2, ... in rad, 4096 counts a turn, or in m, 1000 counts a mm (`sliding`). It takes arrays,
-    as a forward controller does, or joint states by their names (`by_name`)."""
+    """Joints joint_1, joint_2, ... in rad, 4096 counts a turn, or in m, 1000 counts a mm (kind "prismatic"). It takes
+    arrays, as a forward controller does, or joint states by their names (`by_name`), unless they are old."""
 
     def __init__(
         self,
         motors: list[Motor],
         namespace: str,
-        sliding: bool = False,
+        kind: str = "revolute",
         described: bool = True,
         by_name: bool = False,
     ) -> None:
@@ -67,25 +67,26 @@ class RosRobot:
             warnings.simplefilter("ignore", DeprecationWarning)
             import rclpy
             from rclpy.executors import SingleThreadedExecutor
-            from rclpy.qos import DurabilityPolicy, QoSProfile
+            from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
             from sensor_msgs.msg import JointState
             from std_msgs.msg import Float64MultiArray, String
 
             self.motors, self._state = motors, JointState
-            self._unit = 1e-6 if sliding else 2.0 * np.pi / _TURN
+            self._unit = 1e-6 if kind == "prismatic" else 2.0 * np.pi / _TURN
             self.names = [f"joint_{k + 1}" for k in range(len(motors))]
             self.bus = RosBus(f"{namespace}/joint_states,{namespace}/commands")
             self._context = rclpy.Context()
             self._context.init()
             self._node = rclpy.create_node("robot", context=self._context)
             kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-            self._states = self._node.create_publisher(JointState, f"{namespace}/joint_states", 10)
+            unsure = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+            self._states = self._node.create_publisher(JointState, f"{namespace}/joint_states", unsure)
             self._string, self._kept, self._description = String, kept, f"{namespace}/robot_description"
             if by_name:
                 self._node.create_subscription(JointState, f"{namespace}/commands", self._take_named, 10)
             else:
                 self._node.create_subscription(Float64MultiArray, f"{namespace}/commands", self._take, 10)
-        self._kind = "prismatic" if sliding else "revolute"
+        self._kind = kind
         if described:
             self.describe(self.names)
         self._failed = False
@@ -133,13 +134,17 @@ class RosRobot:
         if self.stamped_s is not None:
             at_ns = self._node.get_clock().now().nanoseconds - round(1e9 * self.stamped_s)
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(at_ns, 10**9)
-        self._states.publish(self._state(name=["gripper"], position=[0.5]))  # another broadcaster's
+        self._states.publish(self._state(name=["gripper"], position=[0.5]))  # another broadcaster's, and a third one's
         for piece in self.bus.ills.through(message):  # none is damaged: DDS has a check of its own
             self._states.publish(piece)
+        self._states.publish(self._state(name=self.names, effort=[0.1] * len(self.names)))
 
     def _take_named(self, message: Any) -> None:
+        at = message.header.stamp
+        age_s = 1e-9 * self._node.get_clock().now().nanoseconds - (at.sec + 1e-9 * at.nanosec)
         for name, place in zip(message.name, message.position, strict=True):
-            self.motors[self.names.index(name)].aim(place / self._unit)
+            if 0.0 <= age_s < _WAIT_S:
+                self.motors[self.names.index(name)].aim(place / self._unit)
         self.bus.taken += 1
 
     def _take(self, message: Any) -> None:

@@ -11,7 +11,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -267,11 +267,11 @@ def test_a_pulled_cable_leaves_the_motor_at_rest_within_the_stated_time(kind: st
 
 
 @contextmanager
-def opened(kind: str, motors: list[Motor], late_s: float = 0.0) -> Iterator[tuple[Any, Any]]:
+def opened(kind: str, motors: list[Motor], late_s: float = 0.0, **emulated: Any) -> Iterator[tuple[Any, Any]]:
     """An emulator and the drives of all its motors, by a clock of the motors' milliseconds and of `late_s` that each
     answer takes."""
     make, _ = EMULATORS[kind]
-    emulator, late = make(motors), [0.0]
+    emulator, late = make(motors, **emulated), [0.0]
     through = emulator.bus.ills.through
 
     def taking(answer: Any) -> list[Any]:
@@ -279,12 +279,10 @@ def opened(kind: str, motors: list[Motor], late_s: float = 0.0) -> Iterator[tupl
         return list(through(answer))
 
     emulator.bus.ills.through = taking
-    numbers = ",joint_" if kind == "ros" else ","
-    address = where(kind, emulator, 1, "rate=100")
-    address = address.replace("1?", numbers.join(str(k + 1) for k in range(len(motors))) + "?")
+    address = addresses.parse(where(kind, emulator, "rate=100"))
     drives = None
     try:
-        drives = addresses.open_drives(addresses.parse(address), clock=lambda: 1e-3 * len(motors[0].course) + late[0])
+        drives = addresses.open_drives(address, clock=lambda: 1e-3 * len(motors[0].course) + late[0])
         settled(kind, emulator, drives)
         yield emulator, drives
     finally:
@@ -347,7 +345,7 @@ def test_a_bus_that_drops_answers_is_opened_and_switched_on(kind: str) -> None:
 
     emulator.bus.ills.through = through
     try:
-        drives = addresses.open_drives(addresses.parse(where(kind, emulator, 1, "rate=100")))
+        drives = addresses.open_drives(addresses.parse(where(kind, emulator, "rate=100")))
         for _ in range(3 if kind != "moteus" else 0):
             drives.enable(0, True)
             drives.enable(0, False)
@@ -429,21 +427,6 @@ def test_where_one_of_two_does_not_answer_its_last_place_is_not_taken_again(kind
         assert [m.q for m in patiently(drives.measure)] == [150.0, -250.0]
 
 
-@pytest.mark.parametrize(
-    ("kind", "expected"),
-    [
-        ("dynamixel", (-1048575.0, 1048575.0, 15993.0, 319850.0, 3209.0)),  # 1023 of 0.229 rev/min; 20 times a second
-        ("feetech", (-30719.0, 30719.0, 3000.0, 60000.0, 0.0)),
-        ("canopen", (-20000.0, 20000.0, 12288.0, 300000.0, 1500.0)),  # 180 rev/min; 1.5 of the rated current
-        ("moteus", (-3.9e6, 3.9e6, 16384.0, 327680.0, 0.0)),
-    ],
-)
-def test_a_drives_limits_are_as_it_is_configured(kind: str, expected: tuple[float, ...]) -> None:
-    with opened(kind, motors_of(kind, 0.0)) as (_, drives):
-        of = drives.drives[0].limits
-        assert (of.q_low, of.q_high, of.speed, of.acceleration, of.current_ma) == pytest.approx(expected, rel=1e-4)
-
-
 @pytest.mark.parametrize("kind", [kind for kind in EMULATORS if kind != "ros"])
 def test_a_position_has_the_time_at_which_the_drive_was_there(kind: str) -> None:
     """An answer takes 8 ms. Servos and controllers sample somewhere on the way, CANopen drives at the SYNC."""
@@ -489,40 +472,62 @@ def test_a_joint_state_is_as_old_as_its_stamp_says(
         robot.close()
 
 
-def registers(kind: str, told: dict[int, bytes]) -> Any:
-    """An emulated servo with these in its table, from these addresses on."""
-    emulator = EMULATORS[kind][0]([Motor()])
-    for address, data in told.items():
-        emulator.tables[0][address : address + len(data)] = data
-    return emulator
+@pytest.mark.parametrize(
+    ("kind", "emulated", "expected"),
+    [
+        # 1023 of 0.229 rev/min; 20 times a second
+        ("dynamixel", {}, (-1048575.0, 1048575.0, 15993.0, 319850.0, 3209.0)),
+        (
+            "dynamixel",
+            {"told": {11: b"\x03", 48: struct.pack("<II", 3500, 600)}},
+            (600, 3500, 15993.0, 319850.0, 3209.0),
+        ),
+        ("feetech", {}, (-30719.0, 30719.0, 3000.0, 60000.0, 0.0)),
+        ("feetech", {"told": {9: struct.pack("<HH", 600, 3500)}}, (600.0, 3500.0, 3000.0, 60000.0, 0.0)),
+        ("canopen", {}, (-20000.0, 20000.0, 12288.0, 300000.0, 1500.0)),  # 180 rev/min; 1.5 of the rated current
+        ("moteus", {}, (-3.9e6, 3.9e6, 16384.0, 327680.0, 0.0)),
+    ],
+)
+def test_an_axis_has_the_limits_that_its_drive_is_configured_for(
+    kind: str, emulated: dict[str, Any], expected: tuple[float, ...]
+) -> None:
+    with driven(kind, **emulated) as setup:
+        of = setup.link.drives.drives[0].limits
+        axis = setup.live.board.ask("get_limits", axis=0)
+    assert (of.q_low, of.q_high, of.speed, of.acceleration, of.current_ma) == pytest.approx(expected, rel=1e-4)
+    planned = *expected[:3], min(expected[3], 250000.0)
+    assert (axis.q_low, axis.q_high, axis.speed_s, axis.acceleration_s2) == pytest.approx(planned, rel=1e-4)
 
 
 @pytest.mark.parametrize(
-    ("kind", "told", "low", "high"),
+    ("kind", "emulated", "rate", "says"),
     [
-        ("dynamixel", {11: b"\x03", 48: struct.pack("<II", 3500, 600)}, 600, 3500),
-        ("dynamixel", {11: b"\x04", 48: struct.pack("<II", 3500, 600)}, -(2**20) + 1, 2**20 - 1),
-        ("feetech", {9: struct.pack("<HH", 600, 3500)}, 600, 3500),
-        ("feetech", {9: struct.pack("<HH", 0, 0)}, -30719, 30719),
-        ("dynamixel", {11: b"\x01"}, None, None),
-        ("feetech", {33: b"\x01"}, None, None),
+        ("dynamixel", {"told": {11: b"\x01"}}, 100, r"mode 1: set 3 \(position\)"),
+        ("dynamixel", {"told": {44: bytes(4)}}, 100, "motor 1 has a speed limit of 0"),
+        ("dynamixel", {"told": {11: b"\x03", 48: struct.pack("<II", 600, 3500)}}, 100, "limits of its drive cannot be"),
+        ("feetech", {"told": {33: b"\x01"}}, 100, r"mode 1: set 0 \(position\)"),
+        ("canopen", {}, 300, r"whole 0\.1 ms"),
     ],
 )
-def test_a_servo_has_its_own_range_and_a_mode_that_keeps_it(
-    kind: str, told: dict[int, bytes], low: int | None, high: int | None
-) -> None:
-    emulator = registers(kind, told)
-    address = addresses.parse(f"{kind}:{emulator.bus.path}:1?baud=1000000")
-    try:
-        if low is None:
-            with pytest.raises(TautError, match=r"mode 1: set (0|3) \(position\)"):
-                addresses.open_drives(address)
-        else:
-            drives = addresses.open_drives(address)
-            assert (drives.drives[0].limits.q_low, drives.drives[0].limits.q_high) == (low, high)
-            drives.close()
-    finally:
-        emulator.close()
+def test_a_drive_that_cannot_be_driven_says_why(kind: str, emulated: dict[str, Any], rate: int, says: str) -> None:
+    with closing(EMULATORS[kind][0]([Motor()], **emulated)) as emulator, pytest.raises(TautError, match=says):
+        find(where(kind, emulator, f"rate={rate}"))[0].open()
+
+
+@pytest.mark.parametrize(
+    ("kind", "emulated", "referenced"),
+    [
+        ("moteus", {"home_state": 0}, False),
+        ("moteus", {"home_state": 1}, False),  # its rotor alone
+        ("moteus", {"home_state": 2}, True),
+        ("canopen", {"homed": True}, True),
+        ("canopen", {"homed": False}, False),  # though the bit of the mode before says that the command is followed
+        ("canopen", {"homed": True, "modes": (8,)}, False),
+    ],
+)
+def test_a_drive_is_referenced_where_it_says_so(kind: str, emulated: dict[str, Any], referenced: bool) -> None:
+    with opened(kind, motors_of(kind, 0.0), **emulated) as (_, drives):
+        assert drives.drives[0].referenced is referenced
 
 
 def test_a_register_that_a_servo_refuses_is_one_line() -> None:
@@ -540,24 +545,32 @@ def test_a_register_that_a_servo_refuses_is_one_line() -> None:
             drives.enable(0, True)
 
 
-@pytest.mark.parametrize(("state", "referenced"), [(0, False), (1, False), (2, True)])
-def test_a_moteus_is_referenced_where_it_knows_its_output(state: int, referenced: bool) -> None:
-    emulator = EMULATORS["moteus"][0]([Motor()])
-    emulator.home_state = state
-    try:
-        drives = addresses.open_drives(addresses.parse(where("moteus", emulator, 1, "rate=100")))
-        assert drives.drives[0].referenced is referenced
-        drives.close()
-    finally:
-        emulator.close()
-
-
 @every_kind
 def test_a_drive_with_a_fault_stops_its_axis(kind: str) -> None:
     with driven(kind) as setup, pytest.raises(TautError, match="the motor driver reports"), driving(setup.live):
         setup.emulator.fail()
         setup.live.wait(0.4)
+        assert setup.live.board.bus()["fault"]
         setup.live.rest()
+
+
+def test_a_moteus_goes_on_at_the_speed_that_it_was_told() -> None:
+    [motor] = motors_of("moteus", 0.0)
+    with opened("moteus", [motor]) as (emulator, drives):
+        drives.enable(0, True)
+        drives.set_positions([Goal(0.0, -400.0)])
+        emulator.bus.settle()
+        move(emulator, 50)
+        assert motor.position == pytest.approx(-400.0 * (0.05 - motor.lag_s), abs=1.0)
+
+
+def test_a_moteus_that_does_not_see_its_encoder_gives_no_position() -> None:
+    with opened("moteus", motors_of("moteus", 700.0)) as (emulator, drives):
+        emulator.sees = False
+        with pytest.raises(Missed, match="does not know its position"):
+            drives.measure()
+        emulator.sees = True
+        assert patiently(drives.measure)[0].q == 700.0
 
 
 def test_a_host_that_stalls_finds_its_motor_stopped(tmp_path: Path) -> None:
@@ -649,7 +662,7 @@ def test_nobody_there_is_one_line(kind: str, monkeypatch: pytest.MonkeyPatch) ->
     emulator = make([replace(like, goals=[], course=[])])
     try:
         with pytest.raises(TautError, match=r"check power|no joint joint_9 in .*, which names gripper, joint_1, wheel"):
-            addresses.open_drives(addresses.parse(where(kind, emulator, 9, "rate=100")))
+            addresses.open_drives(addresses.parse(where(kind, emulator, "rate=100", 9)))
     finally:
         emulator.close()
 
@@ -695,27 +708,28 @@ def test_what_is_closed_while_it_is_on_is_switched_off(kind: str) -> None:
     assert not setup.motor.on
 
 
-def test_cycles_that_come_late_are_counted() -> None:
+def test_cycles_that_come_late_are_counted_and_not_made_up_for() -> None:
     emulator = DynamixelEmulator([Motor()])
     try:
         address = addresses.parse(f"dynamixel:{emulator.bus.path}:1?rate=50&baud=1000000")
         drives = addresses.open_drives(address)
         link = HostedLink(drives, address.where, address.rate_hz)
-        measure, slow = drives.measure, [5]
+        measure, began_s = drives.measure, list[float]()
 
         def measured() -> list[Measured]:
-            if slow[0]:
-                slow[0] -= 1
+            began_s.append(time.monotonic())
+            if len(began_s) <= 5:
                 time.sleep(0.06)  # three periods
             return measure()
 
         before = link.timing.late
         drives.measure = measured  # type: ignore[method-assign]
         end = time.monotonic() + 20.0
-        while slow[0] and time.monotonic() < end:
+        while len(began_s) < 12 and time.monotonic() < end:
             time.sleep(0.01)
         link.close()
-        assert not slow[0] and link.timing.late >= before + 4
+        assert link.timing.late >= before + 4
+        assert began_s[11] - began_s[6] > 5 * 0.5 / 50.0
     finally:
         emulator.close()
 
@@ -768,7 +782,7 @@ def test_a_servo_in_overload_is_switched_off() -> None:
 
 
 @contextmanager
-def joints(motors: list[Motor], **options: bool) -> Iterator[tuple[RosRobot, Any]]:
+def joints(motors: list[Motor], **options: Any) -> Iterator[tuple[RosRobot, Any]]:
     robot = RosRobot(motors, f"/n{uuid4().hex[:12]}", **options)
     drives = None
     try:
@@ -784,23 +798,29 @@ def joints(motors: list[Motor], **options: bool) -> Iterator[tuple[RosRobot, Any
 
 @NO_ROS
 @pytest.mark.parametrize(
-    ("sliding", "described", "counts", "per", "speed", "low"),
+    ("like", "described", "counts", "per", "speed", "low"),
     [
-        (False, True, 4096, "turn", 12000.0, -20000.0),  # as the robot has them, in counts
-        (True, True, 1_000_000, "m", 12000.0, -20000.0),
-        (False, False, 4096, "turn", 4096.0, None),
+        ("revolute", True, 4096, "turn", 12000.0, -20000.0),  # as the robot has them, in counts
+        ("prismatic", True, 1_000_000, "m", 12000.0, -20000.0),
+        ("continuous", True, 4096, "turn", 12000.0, -3.9e6),  # whatever it says of ends
+        ("revolute", False, 4096, "turn", 4096.0, -3.9e6),
     ],
 )
 def test_a_joints_kind_and_limits_are_its_descriptions(
-    sliding: bool, described: bool, counts: int, per: str, speed: float, low: float | None
+    like: str, described: bool, counts: int, per: str, speed: float, low: float
 ) -> None:
-    with joints([Joint(position=500.0)], sliding=sliding, described=described) as (_, drives):
+    with joints([Joint(position=500.0)], kind=like, described=described) as (_, drives):
         drive = drives.drives[0]
         assert (drive.counts_per_turn, drive.per, drive.referenced) == (counts, per, True)
         assert drive.limits.speed == pytest.approx(speed)
-        if low is not None:
-            assert (drive.limits.q_low, drive.limits.q_high) == (pytest.approx(low), pytest.approx(-low))
+        assert (drive.limits.q_low, drive.limits.q_high) == (pytest.approx(low), pytest.approx(-low))
         assert drives.measure()[0].q == pytest.approx(500.0, abs=1e-6)
+
+
+@NO_ROS
+def test_a_sliding_joint_whose_description_has_no_speed_is_a_slow_one() -> None:
+    with joints([Joint(speed_most=0.0)], kind="prismatic") as (_, drives):
+        assert drives.drives[0].limits.speed == pytest.approx(100_000.0)  # a tenth of a metre
 
 
 @NO_ROS
@@ -822,6 +842,10 @@ def test_a_joint_that_is_off_is_left_where_it_is(by_name: bool) -> None:
         robot.bus.settle()
         assert motors[1].goals[-1] == pytest.approx(-310.0, abs=1e-6)
         assert motors[0].goals[told:] == ([] if by_name else pytest.approx([100.0, 100.0], abs=1e-6))
+        drives.enable(0, True)
+        drives.set_positions([Goal(120.0, 0.0), Goal(-320.0, 0.0)])
+        robot.bus.settle()
+        assert [motor.goals[-1] for motor in motors] == pytest.approx([120.0, -320.0], abs=1e-6)
 
 
 @NO_ROS
@@ -847,7 +871,7 @@ def until_measured(drives: Any, axis: int, q: float) -> None:
 @NO_ROS
 def test_a_description_that_is_found_late_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ros_joints, "_DESCRIBED_S", 10.0)
-    robot = RosRobot([Joint()], f"/n{uuid4().hex[:12]}", sliding=True, described=False)
+    robot = RosRobot([Joint()], f"/n{uuid4().hex[:12]}", kind="prismatic", described=False)
     later = threading.Timer(1.0, robot.describe, [robot.names])
     later.start()
     try:
@@ -875,6 +899,22 @@ def test_a_description_that_does_not_say_it_is_no_joint_without_an_end(
 
 
 @NO_ROS
+def test_a_joint_whose_hardware_is_not_active_is_not_used() -> None:
+    with closing(EMULATORS["ros"][0]([Joint()])) as robot:
+        robot.fail()
+        with pytest.raises(TautError, match="has no position of joint_1"):
+            addresses.open_drives(addresses.parse(where("ros", robot, "rate=100")))
+
+
+@NO_ROS
+def test_joints_whose_states_come_apart_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ros_joints, "_FIRST_S", 1.0)
+    says = "no message .* has positions of joint_1, gripper: name joints of one"
+    with closing(EMULATORS["ros"][0]([Joint()])) as robot, pytest.raises(TautError, match=says):
+        addresses.open_drives(addresses.parse(f"ros:{robot.bus.path}:joint_1,gripper"))
+
+
+@NO_ROS
 @pytest.mark.parametrize(
     ("bus", "says"), [("/joint_states", "name two topics"), ("/nobody_is_here,/commands", "no joint states came")]
 )
@@ -884,37 +924,12 @@ def test_topics_that_cannot_be_used_are_one_line(bus: str, says: str, monkeypatc
         addresses.open_drives(addresses.parse(f"ros:{bus}:joint_1"))
 
 
-@pytest.mark.parametrize(
-    ("homed", "modes", "referenced"), [(True, (6, 8), True), (False, (6, 8), False), (True, (8,), False)]
-)
-def test_a_canopen_drive_is_homed_where_its_homing_mode_says_so(
-    homed: bool, modes: tuple[int, ...], referenced: bool
-) -> None:
-    """Not where the bit of the mode before is read, which says that the command is followed."""
-    emulator = Cia402Emulator([Motor()], homed=homed, modes=modes)
-    try:
-        drives = addresses.open_drives(addresses.parse(f"canopen:virtual/{emulator.bus.channel}:1?baud=1000000"))
-        assert drives.drives[0].referenced is referenced
-        assert emulator.nodes[0]["objects"][0x6060, 0][1] == 8
-        drives.close()
-    finally:
-        emulator.close()
-
-
-@pytest.mark.parametrize(("rate", "told"), [(250.0, (4, -3)), (400.0, (25, -4)), (300.0, None)])
-def test_a_canopen_cycle_is_told_as_it_is(rate: float, told: tuple[int, int] | None) -> None:
-    emulator = Cia402Emulator([Motor()])
-    address = addresses.parse(f"canopen:virtual/{emulator.bus.channel}:1?rate={rate:g}&baud=1000000")
-    try:
-        if told is None:
-            with pytest.raises(TautError, match=r"whole 0\.1 ms"):
-                addresses.open_drives(address)
-        else:
-            addresses.open_drives(address).close()
-            objects = emulator.nodes[0]["objects"]
-            assert (objects[0x60C2, 1][1], objects[0x60C2, 2][1]) == told
-    finally:
-        emulator.close()
+@pytest.mark.parametrize(("rate", "told"), [(250.0, (4, -3)), (400.0, (25, -4))])
+def test_a_canopen_cycle_is_told_as_it_is(rate: float, told: tuple[int, int]) -> None:
+    with closing(Cia402Emulator([Motor()])) as emulator:
+        addresses.open_drives(addresses.parse(where("canopen", emulator, f"rate={rate:g}"))).close()
+        objects = emulator.nodes[0]["objects"]
+        assert (objects[0x60C2, 1][1], objects[0x60C2, 2][1]) == told
 
 
 @pytest.mark.parametrize("comes", [True, False])
@@ -944,22 +959,3 @@ def test_a_canopen_answer_belongs_to_its_sync(comes: bool, monkeypatch: pytest.M
         drives.close()
     finally:
         emulator.close()
-
-
-def test_a_brake_is_given_its_time() -> None:
-    """0.3 s, three times what a motor may be without a look at it, and what the drive waits for the host."""
-    with driven("canopen") as setup:
-        left = [30]
-
-        def brakes() -> bool:
-            left[0] -= 1
-            for _ in range(10 if left[0] >= 0 else 0):
-                setup.bench.us += 1000
-                setup.motor.step()
-            return left[0] > 0
-
-        setup.emulator.brakes = brakes
-        with driving(setup.live):
-            move_to(setup.live, 1.0, 2.0)
-            assert setup.motor.position == pytest.approx(1000.0, abs=5.0)
-        assert left[0] == 0

@@ -135,7 +135,7 @@ def turning(kind: str) -> Iterator[tuple[str, Motor]]:
     thread = threading.Thread(target=turn)
     thread.start()
     try:
-        yield where(kind, emulator, 1, "rate=100"), motor
+        yield where(kind, emulator, "rate=100"), motor
     finally:
         over.set()
         thread.join()

@@ -85,9 +85,12 @@ class RosJoints:
 
     def _find_joints(self, states: str, where: str) -> None:
         if not self._wait_for(lambda: self._newest is not None, _FIRST_S):
-            if self._others:
-                missing = ", ".join(name for name in self._names if name not in self._others)
+            missing = ", ".join(name for name in self._names if name not in self._others)
+            if self._others and missing:
                 raise TautError(f"ros: no joint {missing} in {states}, which names {', '.join(sorted(self._others))}")
+            if self._others:
+                ours = ", ".join(self._names)
+                raise TautError(f"ros: no message on {states} has positions of {ours}: name joints of one broadcaster")
             raise TautError(f"ros: no joint states came on {states}: {where}")
 
     def _read_description(self, topic: str) -> dict[str, dict[str, str]]:
@@ -163,9 +166,8 @@ class RosJoints:
         fault = "" if math.isfinite(place) else "its position is not known: is the hardware active?"
         if not fault:
             self._places[axis] = place
-        speed = float(message.velocity[at]) if at < len(message.velocity) else 0.0
         counts = self._counts[axis] if self._counts else 1.0
-        return Measured(t_s, self._places[axis] * counts, speed * counts if math.isfinite(speed) else 0.0, 0.0, fault)
+        return Measured(t_s, self._places[axis] * counts, fault=fault)
 
     def set_positions(self, goals: Sequence[Goal | None]) -> None:
         for axis, goal in enumerate(goals):
