@@ -7,7 +7,7 @@ and that of a rig alike. With all of them at zero a fit is the one without them.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -50,6 +50,13 @@ class Beside:
         beside = cls(kinds, rig, held)
         given = {name: float(v) for own in known.values() for name, v in own.items() if name not in held}
         return beside, np.array([given.get(p.name, p.shape[0] if p.shape else 0.0) for p in beside.parameters])
+
+    @property
+    def forms(self) -> tuple[Self, ...]:
+        """These, and with each shape that is one of two the other way."""
+        twofold = [p for kind in self.kinds for p in kind.parameters if p.name in self.held and len(p.shape) == 2]
+        others = ((p.name, sum(p.shape) - self.held[p.name]) for p in twofold)
+        return self, *(replace(self, held={**self.held, name: other}) for name, other in others)
 
     @property
     def parameters(self) -> list[Parameter]:

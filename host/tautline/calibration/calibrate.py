@@ -262,6 +262,15 @@ def _with_effects(found: Calibration, told: start.Start, beside: Calibration | N
     return replace(found, model=replace(found.model, quality=Quality.of(own)))
 
 
+def _likelihoods(fits: Sequence[Fitted]) -> Array:
+    """(n,) How likely each of these fits of the same frames is, their noise integrated out; the sum is 1."""
+    noise = place_noise(fits[0])
+    number = fits[0].frames * fits[0].rows[0].shape[1] / (1.0 if noise is None else noise.effect)
+    log = -number * np.log([fit.scale for fit in fits])
+    likely = np.exp(log - log.max())
+    return np.asarray(likely / likely.sum())
+
+
 class _Session:
     def __init__(
         self, aligned: clock.AlignedTracks, rig: Rig, options: Options, say: Progress, reasons: Sequence[Reason] = ()
@@ -357,17 +366,23 @@ class _Session:
         self.say(0.0, f"fitting {', '.join(kind.id for kind in beside.kinds)} beside the play")
         nominal = told.fit.state.model
         start_s = before.delay.delay_s + (nominal.delay_s - told.fitter.model.delay_s)
-        joint = self._beside(before.joint, nominal, start_s, beside, values)
+        fits = [self._beside(before.joint, nominal, start_s, form, values) for form in beside.forms]
+        likely = _likelihoods(fits)
+        joint = fits[int(np.argmax(likely))]
+        beside = beside.forms[int(np.argmax(likely))]
         self.effects = beside, joint.curves.beside
         delay = self._joint_delay(before.delay, joint)
+        late_s = np.array([fit.curves.delay_s - joint.curves.delay_s for fit in fits])
+        apart = np.array([fit.fit.width(fit.curves) - joint.fit.width(joint.curves) for fit in fits])
         # At an end of its range the fit's own spread says nothing of a value: B may be as without it.
         wanders = 1.0 if beside.ended(joint.curves.beside) else learnt().center.wanders
-        delay = replace(delay, sigma_s=float(np.hypot(delay.sigma_s, wanders * (delay.delay_s - before.delay.delay_s))))
+        moved_s = wanders * (delay.delay_s - before.delay.delay_s)
+        delay = replace(delay, sigma_s=float(np.sqrt(delay.sigma_s**2 + moved_s**2 + likely @ late_s**2)))
         onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
         curve = fit_widths(onsets, self.grid)
         width = self.choice.held(joint, curve)
         moved = float(np.sqrt(np.mean((width - without.width) ** 2)))
-        sigma = np.hypot(joint.width_sigma(self.grid), wanders * moved)
+        sigma = np.sqrt(joint.width_sigma(self.grid) ** 2 + (wanders * moved) ** 2 + likely @ apart**2)
         self.say(0.75, "fitting f_remain")
         self._find_place(joint)
         remaining = self._remaining(width, delay.delay_s, joint.fit.settled_only)
