@@ -36,7 +36,7 @@ _DEVICE, _HARDWARE, _SOFTWARE = (0x1008, 0), (0x1009, 0), (0x100A, 0)
 _CONSUMER, _ON_LOSS = (0x1016, 1), (0x6007, 0)
 _CONTROL, _STATUS, _POSITION = (0x6040, 0), (0x6041, 0), (0x6064, 0)
 _MODE, _MODE_NOW = (0x6060, 0), (0x6061, 0)
-_TARGET, _CURRENT = (0x607A, 0), (0x6078, 0)
+_TARGET, _VELOCITY, _CURRENT = (0x607A, 0), (0x606C, 0), (0x6078, 0)
 _LOW, _HIGH, _MOTOR_RPM = (0x607D, 1), (0x607D, 2), (0x6080, 0)
 _ACCELERATION_MOST, _RATED_MA, _CURRENT_MOST = (0x60C5, 0), (0x6075, 0), (0x6073, 0)
 _INCREMENTS, _REVOLUTIONS, _PERIOD, _PERIOD_POWER = (0x608F, 1), (0x608F, 2), (0x60C2, 1), (0x60C2, 2)
@@ -56,7 +56,7 @@ class Cia402:
         self._answered = threading.Condition()
         self._positions: dict[int, tuple[int, int]] = {}  # status word, counts
         self._owed = dict.fromkeys(self._numbers, 0)  # answers to the SYNCs so far that have not come
-        self._currents: dict[int, int] = {}  # in 1/1000 of the rated one
+        self._speeds: dict[int, tuple[int, int]] = {}  # counts/s, share of the rated current in 1/1000
         self._rated_ma: dict[int, float] = {}
         self._beat_s = float("-inf")
         try:
@@ -121,8 +121,8 @@ class Cia402:
         current = self._rated_ma[number] * self._number(number, _CURRENT_MOST, 0.0) / 1000.0
         limits = DriveLimits(max(low, -_RANGE), min(high, _RANGE), speed, min(acceleration, 40.0 * speed), current)
         self._map(number, 0x1A00, 0x1800, 0x180, [(*_STATUS, 16), (*_POSITION, 32)])
-        with contextlib.suppress(_Refused):  # it measures none
-            self._map(number, 0x1A01, 0x1801, 0x280, [(*_CURRENT, 16)])
+        with contextlib.suppress(_Refused):  # a drive that lacks one of them tells neither
+            self._map(number, 0x1A01, 0x1801, 0x280, [(*_VELOCITY, 32), (*_CURRENT, 16)])
         self._map(number, 0x1600, 0x1400, 0x200, [(*_CONTROL, 16), (*_TARGET, 32)])
         power = -3 if abs(period_s * 1e3 - round(period_s * 1e3)) < 1e-6 else -4
         if abs(period_s * 10**-power - (units := round(period_s * 10**-power))) > 1e-6:
@@ -134,7 +134,7 @@ class Cia402:
         homed = self._homed(number)
         self._write(number, _MODE, _CSP, 1)
         self._network.subscribe(0x180 + number, self._on_position)
-        self._network.subscribe(0x280 + number, self._hear_current)
+        self._network.subscribe(0x280 + number, self._hear_speed)
         self._nodes[number].nmt.send_command(0x01)
         versions = " ".join(filter(None, (self._text(number, _HARDWARE), self._text(number, _SOFTWARE))))
         return Drive(number, self._text(number, _DEVICE) or "CiA 402", versions or "-", round(turn), limits, homed)
@@ -171,9 +171,9 @@ class Cia402:
                 self._owed[cob - 0x180] = max(self._owed[cob - 0x180] - 1, 0)
                 self._answered.notify_all()
 
-    def _hear_current(self, cob: int, data: bytearray, stamp: float) -> None:
-        if len(data) == 2:
-            [self._currents[cob - 0x280]] = struct.unpack("<h", data)
+    def _hear_speed(self, cob: int, data: bytearray, stamp: float) -> None:
+        if len(data) == 6:
+            self._speeds[cob - 0x280] = struct.unpack("<ih", data)
 
     def _send(self, cob: int, data: bytes) -> None:
         try:
@@ -206,9 +206,9 @@ class Cia402:
 
     def _measured(self, number: int, t_s: float, status: int, counts: int) -> Measured:
         """A drive's position as of its SYNC, when drives sample."""
+        speed, share = self._speeds.get(number, (0, 0))
         fault = f"drive {number} has a fault" if status & 0x08 else ""
-        current_ma = self._currents.get(number, 0) * self._rated_ma[number] / 1000.0
-        return Measured(t_s, float(counts), current_ma, fault)
+        return Measured(t_s, float(counts), float(speed), share * self._rated_ma[number] / 1000.0, fault)
 
     def set_positions(self, goals: Sequence[Goal | None]) -> None:
         for number, goal in zip(self._numbers, goals, strict=True):

@@ -22,6 +22,7 @@ class Missed(TautError):
 class Measured:
     t_s: float  # the middle of the round trip
     q: float  # counts
+    velocity: float = 0.0  # counts/s
     current_ma: float = 0.0  # 0 where the drive measures none
     fault: str = ""  # what the drive says is wrong with it
 

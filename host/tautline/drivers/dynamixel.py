@@ -82,10 +82,10 @@ class Dynamixel(SerialServos):
         return measured
 
     def measured(self, axis: int, t_s: float, state: bytes) -> Measured:
-        current, position = struct.unpack("<h4xi", state)
+        current, velocity, position = struct.unpack("<hii", state)
         number = self.numbers[axis]
         current_ma = current * self._unit_ma[number]
-        return Measured(t_s, float(position), current_ma, self._said[number])
+        return Measured(t_s, float(position), velocity * _COUNTS_PER_SPEED, current_ma, self._said[number])
 
     def encoded(self, goal: int) -> bytes:
         return struct.pack("<i", goal)

@@ -58,7 +58,7 @@ class Feetech(SerialServos):
 
     def measured(self, axis: int, t_s: float, state: bytes) -> Measured:
         said = ", ".join(name for bit, name in _ERRORS.items() if state[9] >> bit & 1)
-        return Measured(t_s, _signed(state[0:2]), _signed(state[13:15]) * _MA, said)
+        return Measured(t_s, _signed(state[0:2]), _signed(state[2:4]), _signed(state[13:15]) * _MA, said)
 
     def encoded(self, goal: int) -> bytes:
         """A position as the register holds it: bit 15 is the sign; clipped, so that the axis will notice what lies

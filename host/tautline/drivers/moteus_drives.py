@@ -39,8 +39,7 @@ class Moteus:
         self._clock, self._numbers, self._bus = clock, list(numbers), bus
         self._loop = asyncio.new_event_loop()
         resolution = moteus.QueryResolution()
-        resolution.q_current = moteus.F32
-        resolution.velocity = resolution.torque = resolution.temperature = moteus.IGNORE
+        resolution.q_current, resolution.torque, resolution.temperature = moteus.F32, moteus.IGNORE, moteus.IGNORE
         resolution.home_state = moteus.INT8
         try:
             self._transport = _transport(bus, baud)
@@ -103,11 +102,11 @@ class Moteus:
     def _measured(self, t_s: float, values: dict[int, float]) -> Measured:
         """A controller's answer as position and status."""
         fault = f"fault {int(values[_Register.FAULT])}" if int(values[_Register.MODE]) == _FAULT_MODE else ""
-        position = values[_Register.POSITION]
+        position, speed = values[_Register.POSITION], values[_Register.VELOCITY]
         if not math.isfinite(position):
             raise Missed("the controller does not know its position")
         current_ma = 1e3 * values[_Register.Q_CURRENT]
-        return Measured(t_s, position * _COUNTS_PER_TURN, current_ma, fault)
+        return Measured(t_s, position * _COUNTS_PER_TURN, speed * _COUNTS_PER_TURN, current_ma, fault)
 
     def set_positions(self, goals: Sequence[Goal | None]) -> None:
         """Sends the controllers that have a goal its position and speed, at which they go on until the next one."""

@@ -166,8 +166,9 @@ class RosJoints:
         fault = "" if math.isfinite(place) else "its position is not known: is the hardware active?"
         if not fault:
             self._places[axis] = place
+        speed = float(message.velocity[at]) if at < len(message.velocity) else 0.0
         counts = self._counts[axis] if self._counts else 1.0
-        return Measured(t_s, self._places[axis] * counts, fault=fault)
+        return Measured(t_s, self._places[axis] * counts, speed * counts if math.isfinite(speed) else 0.0, 0.0, fault)
 
     def set_positions(self, goals: Sequence[Goal | None]) -> None:
         for axis, goal in enumerate(goals):
