@@ -152,33 +152,38 @@ def stopped(path: Driven, stops: list[Rest], count: float) -> tuple[Driven, npt.
     """The path with each rest at one level, to which it comes and which it leaves at constant acceleration, and a node
     at each turn. Which nodes these are."""
     nodes = np.stack([path.t_s, path.q, path.sigma])
-    kept, ends = np.ones(len(path.t_s), dtype=bool), np.empty((3, 0))
-    for stop in stops:
-        first, last = (int(k) for k in np.searchsorted(path.t_s, [stop.start_s, stop.end_s]))
-        found = _rest_nodes(nodes, first, last, count) if last - first >= 2 else _turn_node(nodes, first)
+    length = nodes.shape[1]
+    kept, ends = np.ones(length, dtype=bool), np.empty((3, 0))
+    at = np.searchsorted(path.t_s, [(stop.start_s, stop.end_s) for stop in stops]).reshape(-1, 2).tolist()
+    for i, (first, last) in enumerate(at):
+        within = at[i - 1][1] if i else 0, at[i + 1][0] if i + 1 < len(at) else length
+        found = _rest_nodes(nodes, first, last, within, count) if last - first >= 2 else _turn_node(nodes, first)
         if found is not None:
-            before, after, at = found
+            before, after, new = found
             kept[before + 1 : after] = False
-            ends = np.concatenate([ends, at], axis=1)
+            ends = np.concatenate([ends, new], axis=1)
     both = np.concatenate([nodes[:, kept], ends], axis=1)
     order = np.argsort(both[0], kind="stable")
     t_s, q, sigma = both[:, order]
     return replace(path, t_s=t_s, q=q, sigma=sigma), order >= int(kept.sum())
 
 
-def _rest_nodes(nodes: Array, first: int, last: int, count: float) -> tuple[int, int, Array] | None:
+def _rest_nodes(
+    nodes: Array, first: int, last: int, within: tuple[int, int], count: float
+) -> tuple[int, int, Array] | None:
     """The last node of the motion before a rest and the first one after it, and the rest's ends (3, 2). nodes (3, n):
-    times, positions and sigmas; those from `first` to `last` rest. Within half a count of a rest no reading changes."""
+    times, positions and sigmas; those from `first` to `last` rest, the stops beside it are not `within`. Within half a
+    count of a rest no reading changes."""
     (t_s, q), length = nodes[:2], nodes.shape[1]
     level, sigma = float(np.mean(q[first:last])), float(np.median(nodes[2, first:last]))
     before, after = first - 1, last
-    while before >= 0 and abs(q[before] - level) <= 0.5 * count:
+    while before >= within[0] and abs(q[before] - level) <= 0.5 * count:
         before -= 1
-    while after < length and abs(q[after] - level) <= 0.5 * count:
+    while after < within[1] and abs(q[after] - level) <= 0.5 * count:
         after += 1
     since_s, until_s = float(t_s[0]), float(t_s[-1])
     if before >= 0:
-        latest_s = float(t_s[min(first + _UNSEEN, last)])
+        latest_s = float(t_s[min(first + _UNSEEN, last - 1)])
         since_s = _stands(t_s[: before + 1], q[: before + 1], latest_s, float(t_s[first]))
     if after < length:
         latest_s = -float(t_s[max(last - 1 - _UNSEEN, first)])

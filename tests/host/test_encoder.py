@@ -84,6 +84,22 @@ def test_a_path_through_fine_counts_has_the_motors_place_and_speed(seed, acceler
     assert np.mean(np.abs(z) < 2.0) >= 0.9
 
 
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from([1, 4, 20]), st.floats(0.5, 20.0))
+def test_a_motor_that_creeps_and_trembles_is_where_its_readings_say(seed, every, counts):
+    """Strokes among moves of a few counts with rests of any length: times rise, no reading is far from the lines."""
+    rng = np.random.default_rng(seed)
+    ends = np.concatenate([[0.0, 3.0], 3.0 + np.cumsum(rng.normal(0.0, counts * COUNT, 30)), [-1.0, -1.0 + COUNT, 2.0]])
+    lasts = np.maximum(np.abs(np.diff(ends)) / 1.3, rng.uniform(0.02, 0.4, len(ends) - 1))
+    rested = np.cumsum(np.column_stack([lasts, rng.uniform(0.0, 0.3, len(lasts))]).ravel())
+    t_s = np.arange(0.0, rested[-1], 1e-3)[::every]
+    q = np.interp(t_s, np.concatenate([[0.0], rested]), np.repeat(ends, 2)[1:])
+    motor = Motor(t_s, np.round(q / COUNT) * COUNT)
+    lines = straight_lines(motor, COUNT)
+    assert (np.diff(lines.t_s) > 0).all()
+    assert np.abs(np.interp(t_s, lines.t_s, lines.q) - motor.q).max() < 3.0 * COUNT
+
+
 def test_a_turn_without_a_rest_is_where_the_motor_turned():
     motion = trajectory.through([0.0, 1.0, -0.7, 1.3, 0.0], 1.0, 12.0, 0.0)
     lines = straight_lines(counted(motion.t_s, motion.q), COUNT)
