@@ -81,7 +81,7 @@ class HostedLink:
                 raise TautError(f"{where}: motor {drive.number} has a speed limit of 0: set one with its maker's tools")
         self._file = flash_file(where)
         flash = self._file.read_bytes() if self._file.is_file() else b""
-        self._scales = [_counts_divisor(drive.limits.speed) for drive in drives.drives]
+        self._scales = [_scale(drive.limits.speed) for drive in drives.drives]
         first = self._rows(self._first_measurement(), whole=True)
         self._last_s = clock()
         most_ma = max(round(min(drive.limits.current_ma for drive in drives.drives)), 0)
@@ -356,9 +356,9 @@ class HostedLink:
             self.drives.close()
 
 
-def _counts_divisor(speed: float) -> float:
-    """Drive counts per count of the application: doubled until the application can count at this speed; it resolves
-    1/256 count."""
+def _scale(speed: float) -> float:
+    """Counts of the application per count of the drive: halved until the application can count at this speed; it
+    resolves 1/256 count."""
     scale = 1.0
     while speed * scale > _SPEED_MOST:
         scale *= 0.5
