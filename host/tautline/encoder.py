@@ -195,8 +195,9 @@ def _straight_lines(motor: Motor, resolution: float) -> Motor:
 
 
 def posterior_of(motor: Motor, resolution: float) -> Driven | None:
-    """The posterior of the motor's path, which readings of fine counts, or with noise and no steps, tell; coarse counts
-    where they contradict lines of constant acceleration at stops: its speed jumps. None for any other motor."""
+    """The posterior of the motor's path: of one that slows down to its stops, through fine counts; of one whose speed
+    jumps, where readings contradict lines of constant acceleration at stops or have noise and no steps. None for any
+    other motor."""
     known = _paths.setdefault(motor, {})
     if resolution not in known:
         known[resolution] = _posterior(motor, resolution)
@@ -215,9 +216,9 @@ def _posterior(motor: Motor, resolution: float) -> Driven | None:
         told = len(motor.q) >= _FEWEST + 3  # as many third differences tell noise from a bend
         noisy = told and noise <= _SCATTERS * resolution and _third_difference_score(motor) < _CLEARLY
         return driven(motor.t_s, motor.q, noise, rounded=False) if noisy else None
-    if steps.count <= _COARSE * float(np.ptp(motor.q)) and noise <= _SCATTERS * steps.count:
-        order = 3 if rests_and_turns(motor, steps).slows_down else 2
-        return driven(motor.t_s, motor.q, steps.count, rounded=True, order=order)
+    fine = steps.count <= _COARSE * float(np.ptp(motor.q)) and noise <= _SCATTERS * steps.count
+    if fine and rests_and_turns(motor, steps).slows_down:
+        return driven(motor.t_s, motor.q, steps.count, rounded=True, order=3)
     lines = _even_lines(Motor(motor.t_s, motor.q), resolution)  # another channel's knots make no motor even
     away = float(np.abs(np.interp(motor.t_s, lines.t_s, lines.q) - motor.q).max())
     if away <= _AGREES * steps.count + _STRAYS * noise:

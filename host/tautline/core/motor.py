@@ -22,7 +22,7 @@ class MotorPath:
 
     readings: Motor  # up to the horizon
     lines: Motor  # the knots
-    posterior: Driven | None = None  # that the knots are of; None where counts are coarse or readings exact
+    posterior: Driven | None = None  # that the knots are of; see `posterior_of`
 
     @classmethod
     def of(cls, readings: Motor, resolution: float, until_s: float = np.inf) -> Self:
@@ -33,8 +33,8 @@ class MotorPath:
 
     @classmethod
     def closely(cls, readings: Motor, resolution: float) -> Self:
-        """The path with a knot at every reading, for estimates that average over thousands of them: through coarse
-        counts few lines are off by up to a count where the motor slows down, also in the mean."""
+        """The path with a knot at every reading, for estimates that average over thousands of them: where there is no
+        posterior few lines are off by up to a count where the motor slows down, also in the mean."""
         return cls(readings, between_counts(readings, resolution), posterior_of(readings, resolution))
 
     def at(self, t_s: Array) -> Array:
