@@ -218,12 +218,19 @@ def _posterior(motor: Motor, resolution: float) -> Driven | None:
         return driven(motor.t_s, motor.q, noise, rounded=False) if noisy else None
     fine = steps.count <= _COARSE * float(np.ptp(motor.q)) and noise <= _SCATTERS * steps.count
     if fine and rests_and_turns(motor, steps).slows_down:
-        return driven(motor.t_s, motor.q, steps.count, rounded=True, order=3)
+        return _through(motor, steps, 3)
     lines = _even_lines(Motor(motor.t_s, motor.q), resolution)  # another channel's knots make no motor even
     away = float(np.abs(np.interp(motor.t_s, lines.t_s, lines.q) - motor.q).max())
     if away <= _AGREES * steps.count + _STRAYS * noise:
         return None
-    return driven(motor.t_s, motor.q, steps.count, rounded=True)
+    return _through(motor, steps, 2)
+
+
+def _through(motor: Motor, steps: Steps, order: int) -> Driven:
+    """The posterior by whole counts: what is written and read again is the same to the last bit."""
+    path = driven(motor.t_s, steps.counts, 1.0, rounded=True, order=order)
+    count = steps.count
+    return replace(path, q=steps.zero + count * path.q, sigma=count * path.sigma, noise=count * path.noise)
 
 
 def _with_sample_knots(motor: Motor, lines: Motor) -> Motor:

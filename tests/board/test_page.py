@@ -96,8 +96,10 @@ def test_a_rest_in_the_middle_changes_nothing_but_the_time(bench: Bench, tmp_pat
     recording = load(tmp_path / "rec")
     assert recording.marker is not None
     gap = np.flatnonzero(np.diff(recording.marker.t_s) > 3.5)
-    again = calibrate([recording], live.rig).model  # as the command would, from the recording alone
-    assert np.array_equal(again.width, model.width)
+    again = calibrate(
+        [recording], live.rig
+    ).model  # as the command would, from the recording, which ends a little later
+    assert (np.abs(again.width - model.width) / model.width_sigma).max() < 1e-3
     assert len(gap) == 1 and np.diff(recording.motor.t_s).max() > 3.5  # the rest is not recorded
 
 

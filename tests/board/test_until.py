@@ -71,8 +71,9 @@ def test_three_micrometres_in_half_a_minute_and_sigma_covers(
     print(f"{instrument.name}: {made.motion.seconds:.1f} s, sigma at most {1e3 * sigma[inside].max():.2f} um, "
           f"rms z {np.sqrt(np.mean(z**2)):.2f}, worst {np.abs(z).max():.1f}")  # fmt: skip
     assert np.sqrt(np.mean(z**2)) < 2.0 and np.abs(z).max() < 5.0
-    again = calibrate([load(tmp_path / "rec")], live.rig)  # the recording is all that there is to it
-    assert np.array_equal(again.model.width, found.model.width)
+    again = calibrate([load(tmp_path / "rec")], live.rig)  # the recording is all that there is to it, but for its end
+    off_sigma = np.abs(again.model.width - found.model.width) / found.model.width_sigma
+    assert off_sigma.max() < 1e-3, "the motor was read on: another horizon, another path, within next to nothing"
 
 
 def test_the_command_says_what_was_reached(tmp_path: Path) -> None:
