@@ -38,7 +38,7 @@ def between_counts(motor: Motor, resolution: float) -> Motor:
     """The motor with positions between an encoder's counts: it passes the boundary of two counts where the reading
     changes and is at a count's centre in between; a rest stays at the centre. Positions that are no multiples of the
     resolution are left as they are. Readings that scatter by more than a count, or that pass coarse counts about as
-    fast as they come, are smoothed: a play follows their extremes. A motor whose speed jumps is on its path."""
+    fast as they come, are smoothed: a play follows their extremes. A motor with a posterior is on its path."""
     path = posterior_of(motor, resolution)
     return (
         _between_and_steps(motor, resolution)[0]

@@ -368,8 +368,8 @@ class _Session:
         start_s = before.delay.delay_s + (nominal.delay_s - told.fitter.model.delay_s)
         fits = [self._beside(before.joint, nominal, start_s, form, values) for form in beside.forms]
         likely = _likelihoods(fits)
-        joint = fits[int(np.argmax(likely))]
-        beside = beside.forms[int(np.argmax(likely))]
+        best = int(np.argmax(likely))
+        joint, beside = fits[best], beside.forms[best]
         self.effects = beside, joint.curves.beside
         delay = self._joint_delay(before.delay, joint)
         late_s = np.array([fit.curves.delay_s - joint.curves.delay_s for fit in fits])

@@ -4,7 +4,7 @@ import { Pio } from './pio.js';
 import { UsbController } from './usb.js';
 import { IoQspi, Pads, Pwm, Registers, Ssi, Timer, Watchdog } from './peripherals.js';
 
-const SRAM_BASE = 0x20000000;
+export const SRAM_BASE = 0x20000000;
 const BOOT2_SIZE = 256;
 const POLL_CYCLES = 125; // of the ROM waiting for the flash chip: a microsecond
 

@@ -1,8 +1,9 @@
 import fs from 'node:fs';
 
+import { SRAM_BASE } from './chip.js';
+
 const SYMTAB = 2;
 const [SP, LR, PC] = [13, 14, 15];
-const SRAM = 0x20000000;
 const CALL_STACK = 128; // bytes, more than what is called takes
 const RETURNED = 0x20040000; // no program is there
 
@@ -61,7 +62,7 @@ export class Probe {
         const kept = names.map((name) => core[name]);
         const registers = core.registers.slice();
         const top = registers[SP] & ~7;
-        const from = top - SRAM - CALL_STACK;
+        const from = top - SRAM_BASE - CALL_STACK;
         const stack = core.rp2040.sram.slice(from, from + CALL_STACK);
         Object.assign(core, { PM: true, interruptsUpdated: false });
         core.registers[SP] = top;
