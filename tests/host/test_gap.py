@@ -34,6 +34,19 @@ def test_the_floor_is_the_noise_that_is_there_between_rests_too(rho, seed):
     assert gap.noise_floor([still(noise)], [noise]) == pytest.approx(0.05, rel=0.05)
 
 
+@pytest.mark.parametrize("rho", [0.0, 0.4, 0.7])
+def test_the_floor_is_the_noise_that_is_there_where_the_motor_never_rests(rho):
+    """Second differences alone would show half of noise with a memory of 0.7."""
+    noise = 0.05 * remembering(rho, 4)
+    t = np.arange(4000) / 60.0
+    motor = Motor(t, 3.0 * np.sin(0.7 * t), None)
+    left = noise + np.column_stack([0.4 * np.sign(np.sin(0.7 * t)), 0.4 * np.sin(0.7 * t + 1.0)])
+    segment = Segment("s", motor, t, left, t >= 0.0, 0.0, False)
+    assert gap.noise_floor([segment], [left], [left[:, 1:]]) == pytest.approx(0.05, rel=0.07)
+    white = gap.noise_floor([segment], [left])
+    assert white == pytest.approx(0.05 * np.sqrt((6.0 - 8.0 * rho + 2.0 * rho**2) / 6.0), rel=0.07)
+
+
 def test_frames_that_are_elsewhere_count_and_a_rest_that_is_moved_does_not():
     rng = np.random.default_rng(3)
     noise = 0.05 * rng.normal(size=(4000, 2))

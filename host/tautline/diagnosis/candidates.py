@@ -98,7 +98,9 @@ class Search:
         self._with_path = [kind for kind in kinds if not kind.event]
         self.labels = [np.unique(gap.blocks(s), return_inverse=True)[1] for s in fitter.segments]
         self.limits = outlier_limits(fitter, base)
-        self._noise_samples_each = gap.noise_samples_per_independent(fitter.segments, _NOISE * fitter.floor)
+        self._noise_samples_each = gap.noise_samples_per_independent(
+            fitter.segments, _NOISE * fitter.floor, fitter.across(base)
+        )
         self.base = self.judged(base)
 
     @property

@@ -160,6 +160,18 @@ class Fitter:
             per_segment.append((segment.observed - predicted)[segment.scored])
         return per_segment
 
+    def across(self, fit: Fit) -> list[Array] | None:
+        """Of what a fit leaves, (scored, 1) across the way that the image goes as the tip bends; None without an
+        image."""
+        if not self.px:
+            return None
+        left = []
+        for segment, shown in zip(self.segments, self.shown(fit.state, fit.hypothesis), strict=True):
+            way = shown.by_c[segment.scored]
+            unit = way / np.maximum(np.linalg.norm(way, axis=1), 1e-12)[:, None]
+            left.append(shown.residual[:, :1] * unit[:, 1:] - shown.residual[:, 1:] * unit[:, :1])
+        return left
+
     def rows(self, state: ParameterState, hypothesis: Hypothesis) -> list[ScoredRows]:
         """For each recording its residual and its derivatives by the nominal's unknowns, at the scored observations."""
         return self.rows_of(state, self.shown(state, hypothesis))

@@ -18,6 +18,8 @@ Array = npt.NDArray[np.float64]
 _STILL_S = 0.6  # limit: a motor at rest for so long has left its own transients behind
 _UNLIKE = 4.0  # tolerance: times the median rest's power: no noise any more
 _OUTLIER = 8.0  # tolerance: deviations that a frame counts at most
+_FEW, _ENOUGH = 6, 60  # tolerance: frames of a rest, and degrees of freedom of all rests, that tell noise
+_TOGETHER, _SMOOTH = 24, 3  # tolerance: residuals across the image's path over which a misfit is of this order
 _SURE = 2.0  # loss: standard errors
 BLOCK_S = 8.0  # tolerance: of a manoeuvre: longer than a residual remembers
 _LITTLE = 0.05  # prior: of a gap: what another motion may leave of it however little these leave
@@ -34,49 +36,60 @@ def rms(residuals: Sequence[Array]) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def noise_floor(segments: Sequence[Segment], residuals: Sequence[Array]) -> float:
+def noise_floor(
+    segments: Sequence[Segment], residuals: Sequence[Array], across: Sequence[Array] | None = None
+) -> float:
     """One standard deviation of the sensor's noise per coordinate, px or deg. From the observations while the motor
-    rests, each rest less its own straight line, as first-order autoregressive noise; where the motor hardly ever rests,
-    from the second differences of the residuals, which a smooth misfit does not reach. Never below the rounding noise
-    of the sensor's step: a sensor that rests within one step shows no noise at all."""
+    rests, each rest less its own straight line, as first-order autoregressive noise. Where the motor hardly ever rests,
+    as such noise from `across` (scored, 1), the residuals across the image's path, a few at a time less a cubic:
+    nothing of the tip is there, and what else moves the image is smooth. Without an image from the second differences
+    of the residuals, which a smooth misfit does not reach. Never below the rounding noise of the sensor's step: a
+    sensor that rests within one step shows no noise at all."""
     least = rounding_noise(segments)
-    steady = _rests(segments)
-    if steady is None:
-        return max(second_difference_noise(residuals), least)
-    return max(remembered(steady)[1], least)
+    scatter, order = _scatter(segments, across)
+    return max(remembered(scatter, order)[1] if scatter else second_difference_noise(residuals), least)
 
 
-def noise_samples_per_independent(segments: Sequence[Segment], most: float) -> float:
+def noise_samples_per_independent(
+    segments: Sequence[Segment], most: float, across: Sequence[Array] | None = None
+) -> float:
     """How many noise samples, cut to `most`, tell the noise's power as well as one independent Gaussian sample: above 1
     where the noise is correlated from frame to frame (factor (1 + rho^2) / (1 - rho^2)) or has outliers (kurtosis above
-    3)."""
-    steady = _rests(segments)
-    if steady is None:
+    3). across: as `noise_floor`."""
+    scatter, order = _scatter(segments, across)
+    if not scatter:
         return 1.0
-    values = np.clip(np.concatenate([rest.ravel() for rest in steady]), -most, most)
-    memory, _ = remembered(steady)
+    values = np.clip(np.concatenate([part.ravel() for part in scatter]), -most, most)
+    memory, _ = remembered(scatter, order)
     tailed = float(np.mean(values**4)) / max(float(np.mean(values**2)) ** 2, 1e-300)
     tailed = max(tailed - _SURE * np.sqrt(24.0 / len(values)), 3.0)  # of a Gaussian: 3
     return float(0.5 * (tailed - 1.0) * (1.0 + memory**2) / (1.0 - memory**2))
 
 
-def _rests(segments: Sequence[Segment]) -> list[Array] | None:
-    """The observations of each rest of the motor, (n, k), less a straight line over time; outliers are cut. None where
-    there are fewer than 60 degrees of freedom in all."""
-    rests: list[Array] = []
-    for segment in segments:
-        for stretch in still_stretches(segment):
-            seen = segment.observed[stretch]
-            if len(seen) < 6:
-                continue
-            rests.append(less_its_trend(segment.arrival_s[stretch], seen))
-    if sum(rest.size - 2 * rest.shape[1] for rest in rests) < 60:
-        return None
-    # A rest in which something happened, such as a shift, tells nothing of noise; a frame that is elsewhere is noise.
-    power = [float(np.median(np.square(rest))) for rest in rests]
+def _scatter(segments: Sequence[Segment], across: Sequence[Array] | None) -> tuple[list[Array], int]:
+    """What the sensor scatters: short series (n, k), each less its own trend, and that trend's order. The observations
+    of each rest of the motor; where these have fewer than 60 degrees of freedom in all, `across` a few at a time."""
+    rests = [
+        less_its_trend(segment.arrival_s[stretch], segment.observed[stretch])
+        for segment in segments
+        for stretch in still_stretches(segment)
+        if stretch.stop - stretch.start >= _FEW
+    ]
+    if sum(rest.size - 2 * rest.shape[1] for rest in rests) >= _ENOUGH:
+        return _usual(rests), 1
+    few = [a[first : first + _TOGETHER] for a in across or () for first in range(0, len(a) - _TOGETHER + 1, _TOGETHER)]
+    return _usual([less_its_trend(np.arange(_TOGETHER, dtype=float), part, _SMOOTH) for part in few]), _SMOOTH
+
+
+def _usual(series: Sequence[Array]) -> list[Array]:
+    """Those that scatter as most do, outliers cut: a rest in which something happened, such as a shift, tells nothing
+    of noise; a frame that is elsewhere is noise."""
+    if not series:
+        return []
+    power = [float(np.median(np.square(each))) for each in series]
     usual = float(np.median(power))
     most = _OUTLIER * spread.deviation_of_squares(np.array(power))
-    return [np.clip(rest, -most, most) for rest, p in zip(rests, power, strict=True) if p <= _UNLIKE * usual]
+    return [np.clip(each, -most, most) for each, p in zip(series, power, strict=True) if p <= _UNLIKE * usual]
 
 
 def rounding_noise(segments: Sequence[Segment]) -> float:
