@@ -25,6 +25,7 @@ Array = np.ndarray
 FORMAT = "model/1"
 MODEL_FILE, RIG_FILE = "model.json", "rig.toml"
 STEEPEST = 1.8  # limit: |B'| that tables may have: p_lo and p_hi are unique while it is below 2
+LOAD = "load_reference_mNm"  # format: of a model's extra
 SIMULATOR = "simulator"  # of a model's extra: what stands in the motor's place (tautline.simulators)
 _USUAL_NOISE = {MARKER: 0.05, ANGLE: 0.02}  # prior: px, deg
 _ARRAYS = ("q", "width", "width_sigma", "c_deg")
@@ -68,6 +69,11 @@ class Model(Value):
     def alone(self) -> Self:
         """The same model without its effects."""
         return replace(self, effects=()) if self.effects else self
+
+    @property
+    def load_reference_mNm(self) -> float:
+        """At which the tables hold, where an effect follows the load."""
+        return float(self.extra.get(LOAD, 0.0))
 
     def delay_of(self, sensor: Sensor) -> float:
         """How much older than its arrival a sensor's reading is: nominal for one that was not calibrated with."""

@@ -172,7 +172,7 @@ def _late_section(v: Mapping[str, float]) -> Section:
 
 def _load_section(v: Mapping[str, float], model: Model, count: float) -> Section:
     """Section `load`: width, gain and offset per load about the reference load."""
-    reference = float(model.extra.get("load_reference_mNm", 0.0))
+    reference = model.load_reference_mNm
     return {
         "reference": round(reference * 256.0),
         "width": round(v.get("width_per_load", 0.0) * 2.0**24),

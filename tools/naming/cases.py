@@ -22,6 +22,9 @@ from tools.blindtest.reality import Plant, Truth
 Array = npt.NDArray[np.float64]
 
 SECOND, LIBRARY = "second", "library"
+COUPLING = "configuration.axis_coupling"
+SWING = "configuration.swing"  # the second instrument's is all there or not at all
+LOAD = "transmission.load_dependence"  # the library's own instrument has none
 SCORED_FROM = 1000  # seeds below are for tuning
 # Effect -> what its strength multiplies, of the second instrument. The library's own are multiplied as they are.
 _STRENGTH: Mapping[str, tuple[str, ...]] = {
@@ -31,8 +34,13 @@ _STRENGTH: Mapping[str, tuple[str, ...]] = {
     "transmission.rate_dependent_backlash": ("viscosity",),
     "transmission.lag": ("dashpot",),
     "transmission.creep": ("creep_share",),
+    LOAD: ("stretch_per_load", "capstan_per_load", "soften_per_load"),
+    COUPLING: ("pull_by_translation", "twist"),
+    SWING: (),
 }
 EFFECTS = tuple(_STRENGTH)
+_MOTIONS = 0, 1, 2  # of the blind test's, that are recorded
+_OTHERS_MOVE = 0, 2, 3  # those in which other axes do, but for the calibration
 OVER_NOISE = 2.0, 20.0  # what a recalibration leaves of the effect
 _NOISE_PX = 0.02, 0.1
 _PERIODS = 0.03, 0.15  # of the range, of an encoder
@@ -49,7 +57,7 @@ class Case:
     left_px: float  # what the true nominal, recalibrated on all recordings, leaves of the effect without any noise
     rig: Rig
     recordings: list[Recording]  # the calibration, two tests
-    truth: Model  # the nominal that was recorded
+    truth: Model  # the nominal that was recorded, at the load of the first recording
 
 
 @dataclass(frozen=True)
@@ -57,6 +65,7 @@ class _Source:
     truth: Model
     noise_px: float
     record: Callable[[float, float], list[Recording]]  # strength, noise in px
+    wider: Callable[[float], float] = lambda strength: 1.0  # times the truth's, B at the load at which a model holds
 
 
 def make(generator: str, effect: str, seed: int) -> Case:
@@ -81,6 +90,7 @@ def make(generator: str, effect: str, seed: int) -> Case:
         if abs(np.log(step)) < 0.1 or not _STRENGTHS[0] < strength * step < _STRENGTHS[1]:
             break
         strength *= step
+    truth = replace(source.truth, width=source.truth.width * source.wider(strength))
     return Case(
         effect,
         generator,
@@ -89,7 +99,7 @@ def make(generator: str, effect: str, seed: int) -> Case:
         left,
         source.truth.rig,
         source.record(strength, source.noise_px),
-        source.truth,
+        truth,
     )
 
 
@@ -99,6 +109,10 @@ def _left(truth: Model, recordings: list[Recording], noise_px: float) -> float:
     return rms(fitter.left(fitter.rows(fitter.start(), fitter.nothing))[1:])
 
 
+def _which(effect: str) -> tuple[int, int, int]:
+    return _OTHERS_MOVE if effect == COUPLING else _MOTIONS
+
+
 def _noise(rng: np.random.Generator) -> float:
     return float(np.exp(rng.uniform(*np.log(_NOISE_PX))))
 
@@ -106,15 +120,22 @@ def _noise(rng: np.random.Generator) -> float:
 def _second(rng: np.random.Generator, effect: str) -> _Source:
     """The blind test's second instrument: its effects have other equations than the library's, its noise is white."""
     plant = cases.plant_of(rng)
-    course = cases.course_of(rng, plant)
+    course = cases.course_of(rng, plant, effect == LOAD)
     values = draws.KNOWN[effect](rng, plant.rig) if effect else {}
 
     def record(strength: float, noise_px: float) -> list[Recording]:
         there = {name: value * (strength if name in _STRENGTH[effect] else 1.0) for name, value in values.items()}
         silent = Plant(plant.rig, plant.grid, plant.width, plant.c_deg, noise_px)
-        return [course.record(silent, Truth(there), True, which) for which in range(3)]
+        return [course.record(silent, Truth(there), True, which) for which in _which(effect)]
 
-    return _Source(_model(plant.rig, plant.grid, plant.width, plant.c_deg), plant.noise_px, record)
+    def wider(strength: float) -> float:
+        load = course.loads[0]
+        return float(
+            np.exp(strength * values.get("capstan_per_load", 0.0) * (0.0 if load is None else np.median(load)))
+        )
+
+    truth = _model(plant.rig, plant.grid, plant.width, plant.c_deg)
+    return _Source(truth, plant.noise_px, record, wider)
 
 
 def _library(rng: np.random.Generator, effect: str) -> _Source:
@@ -122,6 +143,7 @@ def _library(rng: np.random.Generator, effect: str) -> _Source:
     rig = cases.rig_of(rng)
     instrument = own.preset("random", rig, int(rng.integers(1 << 30)))
     motions, seeds = cases.motions_of(rng, rig), [int(s) for s in rng.integers(1 << 30, size=3)]
+    motions = [motions[which] for which in _which(effect)]
     truth = _model(rig, instrument.grid, instrument.width, instrument.c_deg)
     values = own.draw(rng, effect, rig).parameters if effect else {}
     if "encoder_period" in values:
@@ -133,7 +155,7 @@ def _library(rng: np.random.Generator, effect: str) -> _Source:
         there = replace(truth, effects=(Effect(effect, own_values),) if effect else ())
         return [
             replace(own.record(there, motion, seed, noise_px), name=name)
-            for motion, seed, name in zip(motions[:3], seeds, ("calibration", "test-1", "test-2"), strict=True)
+            for motion, seed, name in zip(motions, seeds, ("calibration", "test-1", "test-2"), strict=True)
         ]
 
     return _Source(truth, _noise(rng), record)

@@ -1,29 +1,29 @@
 """Effects that are fitted beside B, the path and the delay: what was there from the first recording on.
 
-They stand between the motor and the curve that the tip follows, so one set of numbers moves the tip of a pose-free fit
-and that of a rig alike. With all of them at zero a fit is the one without them.
+They move the tip's place along the curve that it follows, so one set of numbers moves the tip of a pose-free fit and
+that of a rig alike: what adds to the bending angle (a load's gain, another joint) moves that place by the law f_remain,
+as it was known before. With all of them at zero a fit is the one without them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from tautline import effects
-from tautline.effects import LIBRARY, SCATTERS, Kind, Parameter
+from tautline.effects import COLUMN, LIBRARY, SCATTERS, Kind, Parameter
 from tautline.elements import Elements, Hysteresis
 from tautline.encoder import straight_lines
 from tautline.model import Effect, Model
 from tautline.recording import Motor
-from tautline.rig import Rig
 
 Array = npt.NDArray[np.float64]
 
-FITTED = frozenset(kind.id for kind in LIBRARY if kind.before_law)
+FITTED = frozenset(kind.id for kind in LIBRARY if kind.carried)
 
 _DIFFERENCE = 0.05  # tolerance: of a parameter's scale: the step of its difference quotient
 _WIDER = 5e-4  # tolerance: of the motor's range: the step of B's
@@ -37,19 +37,19 @@ class Beside:
     differentiated. `held` has the others' values."""
 
     kinds: tuple[Kind, ...]
-    rig: Rig
+    law: Model  # f_remain, as far as it is known, and the load at which it holds
     held: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, found: Sequence[Effect], rig: Rig) -> tuple[Self, Array]:
-        """Those of a model's effects that can be fitted, and their values."""
-        known = {effect.id: effect.parameters for effect in found if effect.id in FITTED}
-        kinds = tuple(effects.BY_ID[name] for name in known)
+    def of(cls, found: Sequence[Effect], law: Model) -> tuple[Self, Array]:
+        """Those of these effects that can be fitted, and their values."""
+        known = [effect for effect in found if effect.id in FITTED]
+        kinds = tuple(effects.kind_of(effect) for effect in known)
         searched = {p.name for kind in kinds for p in kind.parameters if p.searched}
-        held = {name: float(v) for own in known.values() for name, v in own.items() if name in searched - SCATTERS}
-        beside = cls(kinds, rig, held)
-        given = {name: float(v) for own in known.values() for name, v in own.items() if name not in held}
-        return beside, np.array([given.get(p.name, p.shape[0] if p.shape else 0.0) for p in beside.parameters])
+        numbers = {name: float(v) for effect in known for name, v in effect.parameters.items() if name != COLUMN}
+        held = {name: v for name, v in numbers.items() if name in searched - SCATTERS}
+        beside = cls(kinds, law.alone, held)
+        return beside, np.array([numbers.get(p.name, p.shape[0] if p.shape else 0.0) for p in beside.parameters])
 
     @property
     def forms(self) -> tuple[Self, ...]:
@@ -65,7 +65,7 @@ class Beside:
     @property
     def scales(self) -> Array:
         """Natural steps, each in its parameter's unit."""
-        span = self.rig.actuator.span
+        span = self.law.rig.actuator.span
         return np.array([p.scale * (span if p.unit.startswith("unit") else 1.0) for p in self.parameters])
 
     @property
@@ -88,23 +88,29 @@ class Beside:
         onward = self.inside(values + np.sign(towards) * 1e-6 * self.scales)
         return np.flatnonzero(onward == values)
 
-    def _named(self, values: Array) -> dict[str, float]:
+    def _named(self, values: Array) -> dict[str, Any]:
         """All parameters by their names, those that are held too."""
-        return dict(zip((p.name for p in self.parameters), values.tolist(), strict=True)) | dict(self.held)
+        fitted = zip((p.name for p in self.parameters), values.tolist(), strict=True)
+        followed = [(COLUMN, kind.column) for kind in self.kinds if kind.column]
+        return {**dict(fitted), **self.held, **dict(followed)}
 
     def to_effects(self, values: Array) -> tuple[Effect, ...]:
         named = self._named(values)
-        return tuple(Effect(k.id, {p.name: named[p.name] for p in k.parameters if p.name in named}) for k in self.kinds)
+        return tuple(kind.of_values(named) for kind in self.kinds)
 
     def follow(
         self, motor: Motor, at_s: Array, grid: Array, width: Array, hysteresis: Hysteresis, values: Array
     ) -> effects.Path:
         """The tip's path at times (n,) of a motor as it was read, its motion as predictions have it: between counts its
-        speed would be rough. B being `width` on the grid; c is the place along the law."""
+        speed would be rough. B being `width` on the grid; `tip` is the place along the law at which it shows that
+        bending angle."""
         plays = {"elements": hysteresis} if isinstance(hysteresis, Elements) else {"friction": hysteresis}
-        model = Model(self.rig, grid, width, np.zeros_like(grid), grid, 0.0, (grid[0], grid[-1]), **plays)
-        lines = straight_lines(motor, self.rig.actuator.encoder_resolution)
-        return effects.follow(model, lines, at_s, self._named(values))
+        law, rig = self.law.remaining(grid), self.law.rig
+        model = Model(rig, grid, width, np.zeros_like(grid), law, 0.0, (grid[0], grid[-1]), **plays)
+        lines = straight_lines(motor, rig.actuator.encoder_resolution)
+        path = effects.follow(model, lines, at_s, self._named(values), load_reference=self.law.load_reference_mNm)
+        bent = model.remaining_inverse(path.c_deg) - model.remaining_inverse(model.remaining(path.tip))
+        return replace(path, tip=path.tip + bent)
 
     def slopes(
         self, motor: Motor, at_s: Array, grid: Array, width: Array, hysteresis: Hysteresis, values: Array
@@ -120,6 +126,6 @@ class Beside:
         for i, step in enumerate(steps):
             ahead, behind = (self.inside(values + sign * step * np.eye(len(values))[i]) for sign in (1.0, -1.0))
             columns[:, i] = (tip(at_s, ahead) - tip(at_s, behind)) / (ahead - behind)[i]
-        wider = _WIDER * self.rig.actuator.span
+        wider = _WIDER * self.law.rig.actuator.span
         by_width = (tip(at_s, values, wider) - tip(at_s, values, -wider)) / (2.0 * wider)
         return by_width, columns, (tip(at_s, values) - tip(at_s + _AHEAD_S, values)) / _AHEAD_S

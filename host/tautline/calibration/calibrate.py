@@ -45,7 +45,7 @@ from tautline.elements import SINGLE, Elements, Hysteresis
 from tautline.errors import TautError
 from tautline.friction import Friction
 from tautline.geometry import coarse_range_deg
-from tautline.model import Model
+from tautline.model import LOAD, Model
 from tautline.nearest import Nearest
 from tautline.prediction import predict
 from tautline.quality import Quality, Reason
@@ -233,9 +233,10 @@ def _for_a_name(
 
 def _may_have_names(session: _Session, found: Calibration) -> bool:
     """Whether what departs may be effects of the library."""
-    if not found.model.quality.usable or not (session.departs or start.concerns(found.model)):
+    predicts = _predicts(found)
+    if not found.model.quality.usable or (predicts and not (session.departs or start.concerns(found.model))):
         return False
-    return not (naming_room.others(found.model.quality.reasons) and _predicts(found))
+    return not (naming_room.others(found.model.quality.reasons) and predicts)
 
 
 def _predicts(found: Calibration) -> bool:
@@ -283,6 +284,7 @@ class _Session:
         self.ended: Sequence[Track] | None = None  # what was seen, as it is when the session ends
         self.elements: Hysteresis = SINGLE
         self.effects: tuple[Beside, Array] | None = None  # beside the play
+        self.load_mNm = 0.0  # at which B and f_remain hold beside them
         self.joint: Fitted | None = None
         self.delay: Delay | None = None
         reached = [(float(t.motor.q.min()), float(t.motor.q.max())) for t in tracks]
@@ -359,12 +361,13 @@ class _Session:
         if not before.elements.single and any(effect.id == _GRADUAL_START for effect in effects):
             self.elements = before.elements  # which hold that
             effects = tuple(effect for effect in effects if effect.id != _GRADUAL_START)
-        beside, values = Beside.of(effects, self.rig)
+        nominal = told.fit.state.model
+        self.load_mNm = told.fitter.load_reference
+        beside, values = Beside.of(effects, replace(nominal, extra={LOAD: self.load_mNm}))
         if before.joint is None or before.delay is None or not beside.kinds:
             return None
         self._release()
         self.say(0.0, f"fitting {', '.join(kind.id for kind in beside.kinds)} beside the play")
-        nominal = told.fit.state.model
         start_s = before.delay.delay_s + (nominal.delay_s - told.fitter.model.delay_s)
         fits = [self._beside(before.joint, nominal, start_s, form, values) for form in beside.forms]
         likely = _likelihoods(fits)
@@ -804,6 +807,7 @@ class _Session:
             effects=() if self.effects is None else self.effects[0].to_effects(self.effects[1]),
             elements=self.elements if isinstance(self.elements, Elements) else SINGLE,
             friction=self.elements if isinstance(self.elements, Friction) else None,
+            extra={LOAD: self.load_mNm} if self.load_mNm else {},
         )  # fmt: skip
         if (near := stands_in(model)) is not None:
             self.findings.notes.append(self._instead(near))
@@ -836,7 +840,7 @@ class _Session:
             extra["width_by_delay"] = [_finite(v) for v in joint.by_delay]
         if pass_width is not None:
             extra["pass_width"] = [_finite(v) for v in pass_width]
-        model = replace(model, quality=Quality.of(self.findings.reasons), extra=extra)
+        model = replace(model, quality=Quality.of(self.findings.reasons), extra={**model.extra, **extra})
         return Calibration(
             model, tuple(onsets), delay, source, curve, pass_width, pass_sigma, self.findings.evidence, notes, names,
             aligned.offsets, tuple(_foretold(model, track, delay_s) for track in self.tracks), gaps,

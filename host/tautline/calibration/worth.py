@@ -199,7 +199,7 @@ def _fit_of(
         fit.beforehand = joint.fit.beforehand
     values = np.zeros(0)
     if model.effects:
-        fit.beside, values = Beside.of(model.effects, model.rig)
+        fit.beside, values = Beside.of(model.effects, model)
     design = basis.design(model.q).toarray()
     width, c = np.linalg.lstsq(design, np.column_stack([model.width, model.c_deg]), rcond=None)[0].T
     return fit, Curves(width, c[:, None], model.delay_s, values)

@@ -114,8 +114,8 @@ class Chain:
         return x
 
     def _simulated(self, path: MotorPath, scene: Array, start_deg: float | None) -> effects.Path:
-        reference = float(self.model.extra.get("load_reference_mNm", 0.0))
-        return effects.follow(self.model, path.lines, scene, effects.of_model(self.model), start_deg, reference)
+        own, reference = effects.of_model(self.model), self.model.load_reference_mNm
+        return effects.follow(self.model, path.lines, scene, own, start_deg, reference)
 
 
 def by_differences(rows: Callable[[Array], Array], at: Array, steps: Array) -> Array:

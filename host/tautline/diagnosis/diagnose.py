@@ -23,7 +23,7 @@ from tautline.diagnosis.moved import Moved
 from tautline.diagnosis.segment import Segment, load_reference, prepare, sensed
 from tautline.diagnosis.tracker import TrackerError
 from tautline.effects.library.registration import with_registration
-from tautline.model import Effect, Model, monotone
+from tautline.model import LOAD, Model, monotone
 from tautline.recording import Recording
 from tautline.simulators.nominal import SimulatedNominal
 from tautline.value import Value
@@ -133,7 +133,7 @@ def _diagnosis(
     )
     progress(1.0, "done")
     corrected = _corrected(found.chosen.fit, max(found.tests, key=lambda test: test.end_s)) if found.named else model
-    corrected = replace(corrected, extra={**model.extra, "load_reference_mNm": fitter.load_reference})
+    corrected = replace(corrected, extra={**model.extra, LOAD: fitter.load_reference})
     # With the old tables, and with the new: a simulator's are for no board.
     document["tip"] = tip.simulated_error(model, corrected) if found.named and simulated is None else None
     if simulated is not None:
@@ -169,7 +169,7 @@ def _recalibrate_and_set_noise(fitter: Fitter, frozen: Sequence[Array], tracked:
     base = fitter.nominal()
     # A rest in which the tip goes on moving is no noise: the calibration has no more of it than its own fit leaves. A
     # simulator's has none at all, and the robot's sensor still has its own.
-    floor = gap.noise_floor(segments, base.residuals)
+    floor = gap.noise_floor(segments, base.residuals, fitter.across(base))
     left = max(gap.rms(frozen[:1]), gap.rounding_noise(segments), gap.second_difference_noise(base.residuals[1:]))
     fitter.floor = max(left if left < _NO_NOISE * floor else floor, moving)
     return base
@@ -207,8 +207,8 @@ def _corrected(fit: Fit, last: Segment) -> Model:
     end = last.end_s
     added = []
     for kind in fit.hypothesis.kinds:
-        own = {p.name: values[p.name] for p in kind.parameters if p.name in values}
+        own = kind.of_values(values)
         if kind.holds is not None:
-            model = kind.holds(model, own, end)
-        added.append(Effect(kind.id, own | ({"column": kind.column} if kind.column else {})))
+            model = kind.holds(model, own.parameters, end)
+        added.append(own)
     return replace(model, effects=tuple(added))

@@ -274,7 +274,7 @@ def _parameter_values(fit: Fit, name: str) -> dict[str, Any]:
     last = fit.hypothesis.tests
     keys = {p.name: key(p.name, last) if scope == Scope.EACH and not p.searched else p.name for p in kind.parameters}
     reported = {parameter: float(values[at]) for parameter, at in keys.items() if at in values}
-    column = {"column": kind.column} if kind.column else {}
+    column = {effects.COLUMN: kind.column} if kind.column else {}
     return {**reported, **column, "since_calibration": float(bool(scope))}
 
 

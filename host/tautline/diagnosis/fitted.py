@@ -97,7 +97,7 @@ class ParameterState:
             if scope and segment.calibration:
                 continue
             if kind.column:
-                chosen["column"] = kind.column
+                chosen[effects.COLUMN] = kind.column
             for p in kind.parameters:
                 own = scope == Scope.EACH and not p.searched
                 value = self.values.get(key(p.name, segment.number) if own else p.name)

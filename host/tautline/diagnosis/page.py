@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from tautline.diagnosis import narration, simulator_words, where
 from tautline.diagnosis.diagnose import Diagnosis
 from tautline.diagnosis.where import Condition
-from tautline.effects import BY_ID, SIMULATOR, STAGES, Parameter
+from tautline.effects import BY_ID, COLUMN, SIMULATOR, STAGES, Parameter
 from tautline.explain import of_effect
 from tautline.model import Model
 from tautline.reports import figures, pages
@@ -137,16 +137,16 @@ def _parameter_rows(
     if own := simulator_words.values(document, effect["id"]):
         return [_table_row(effect, *own, True)]
     kind = BY_ID[effect["id"]]
-    if kind.of_joint and "column" in effect["parameters"]:
-        kind = kind.of_joint(effect["parameters"]["column"])
+    if kind.of_joint and COLUMN in effect["parameters"]:
+        kind = kind.of_joint(effect["parameters"][COLUMN])
     known = {p.name: p for p in kind.parameters if p.name in effect["parameters"]}
     known = dict([item for item in known.items() if item[0] not in kind.curve][:_PARAMETERS])
     brought = [_table_row(effect, "brings", part["id"], False) for part in effect.get("brings", ())]
     if effect["id"] == "transmission.backlash":
         return [_table_row(effect, "B is now", width, True), *brought]
-    if not known and "column" not in effect["parameters"]:
+    if not known and COLUMN not in effect["parameters"]:
         return [_table_row(effect, "a curve", "", True)]
-    shown = {name: value for name, value in effect["parameters"].items() if name in known or name == "column"}
+    shown = {name: value for name, value in effect["parameters"].items() if name in known or name == COLUMN}
     return [
         _table_row(
             effect,
@@ -178,7 +178,7 @@ def _unit(parameter: Parameter, unit: str) -> str:
 def _conditions(diagnosis: Diagnosis, unit: str) -> list[dict[str, Any]]:
     """A picture for every axis, the most telling first."""
     if diagnosis.document["verdict"] == "effect":
-        reference = float(diagnosis.corrected.extra.get("load_reference_mNm", 0.0))
+        reference = diagnosis.corrected.load_reference_mNm
         tests = diagnosis.segments[1:]
         paths = [segment.predict(diagnosis.nominal, {}, reference)[0] for segment in tests]
         after = {c.axis: c for c in where.conditions(tests, paths, diagnosis.after)}

@@ -55,7 +55,7 @@ class Start:
         """What is named, as strong as it was fitted."""
         values = self.fit.state.values
         kinds = [kind for kind in self.fit.hypothesis.kinds if kind.id in self.named]
-        return tuple(Effect(k.id, {p.name: values[p.name] for p in k.parameters if p.name in values}) for k in kinds)
+        return tuple(kind.of_values(values) for kind in kinds)
 
 
 def concerns(model: Model) -> bool:
@@ -100,7 +100,7 @@ def of_segments(
         fitter.doubt, fitter.unsteady = tracked.doubt, tracked.unsteady
     fitter.floor = max(gap.noise_floor(alike, fitter.residuals(fitter.start(), fitter.nothing)), moving)
     base = fitter.nominal()
-    fitter.floor = max(gap.noise_floor(alike, base.residuals), moving)
+    fitter.floor = max(gap.noise_floor(alike, base.residuals, fitter.across(base)), moving)
     kinds = [kind for kind in applicable(fitter, left_out) if kind.id in NAMES]
     hidden = confounded.hidden(kinds, alike)
     kinds = [kind for kind in kinds if kind.id not in hidden]

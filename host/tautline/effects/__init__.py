@@ -6,8 +6,18 @@ owns all that is known of it; adding one is a module of library/, and a file of 
 tip by laws of its own.
 """
 
-from tautline.effects.kind import SIMULATOR, STAGES, Event, Kind, Parameter, Transform, of_simulator, simulator_id
-from tautline.effects.library import BY_ID, EVENTS, LIBRARY, OWNER, SCATTERS
+from tautline.effects.kind import (
+    COLUMN,
+    SIMULATOR,
+    STAGES,
+    Event,
+    Kind,
+    Parameter,
+    Transform,
+    of_simulator,
+    simulator_id,
+)
+from tautline.effects.library import BY_ID, EVENTS, LIBRARY, OWNER, SCATTERS, kind_of
 from tautline.effects.simulation import (
     IN_TABLES,
     NATIVE,
@@ -26,6 +36,7 @@ from tautline.effects.simulation import (
 
 __all__ = [
     "BY_ID",
+    "COLUMN",
     "EVENTS",
     "IN_TABLES",
     "LIBRARY",
@@ -44,6 +55,7 @@ __all__ = [
     "follow",
     "image",
     "image_with_slopes",
+    "kind_of",
     "of_model",
     "of_simulator",
     "of_this_version",

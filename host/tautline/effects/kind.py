@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from tautline.model import Model
+from tautline.model import Effect, Model
 
 STAGES = ("actuator", "transmission", "configuration", "kinematics", "registration", "camera", "acquisition")
 THROUGH_ANGLE = STAGES[:3]
 _TABLED = STAGES[3:]  # these only change how the tip is seen
+COLUMN = "column"  # format: of an effect's parameters, the name of the joint's column that it follows
 SIMULATOR = "simulator"  # before them, where a user's simulator stands in the motor's place: its own parameters
 
 Array = npt.NDArray[np.float64]
@@ -117,17 +118,21 @@ class Kind:
         of_joint = self.of_joint and self.of_joint("")
         return tuple(form for form in (self, self.simple, of_joint) if form)
 
+    def of_values(self, values: Mapping[str, Any]) -> Effect:
+        """The effect as a model has it, out of values that are known by their names."""
+        own = {p.name: values[p.name] for p in self.parameters if p.name in values}
+        return Effect(self.id, own | ({COLUMN: self.column} if self.column else {}))
+
     @property
     def through_angle(self) -> bool:
         return self.stage in (SIMULATOR, *THROUGH_ANGLE)
 
     @property
-    def before_law(self) -> bool:
-        """Whether it stands between the motor and f_remain, the same at all times and loads: beside B and f_remain it
-        can be fitted in any sensor's own coordinates, and a calibrated model may carry it."""
+    def carried(self) -> bool:
+        """Whether it moves the tip by a law that is the same at all times: beside B and f_remain it can be fitted in
+        any sensor's own coordinates, and a calibrated model may carry it."""
         repeats = not (self.event or self.course or self.moments)
-        moves = self.stage in THROUGH_ANGLE[:2] and not self.nominal and self.holds is None
-        return moves and repeats and not self.needs
+        return self.through_angle and repeats and not self.nominal and self.holds is None
 
     @property
     def on_board(self) -> bool:

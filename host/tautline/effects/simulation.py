@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import _native
-from tautline.effects.kind import Kind
+from tautline.effects.kind import COLUMN, Kind
 from tautline.effects.library import BY_ID, LIBRARY, SCATTERS
 from tautline.errors import TautError
 from tautline.geometry import projection_rig
@@ -55,7 +55,7 @@ def of_this_version(model: Model) -> tuple[Effect, ...]:
         kind = BY_ID.get(effect.id)
         if kind is None:
             raise TautError(f"{effect.id} is no effect of this version: diagnose again")
-        known = {"column", *(parameter.name for form in kind.forms for parameter in form.parameters)}
+        known = {COLUMN, *(parameter.name for form in kind.forms for parameter in form.parameters)}
         if strange := [name for name in effect.parameters if name not in known]:
             raise TautError(f"{effect.id} has no {', '.join(strange)} in this version: diagnose again")
     return model.effects
@@ -181,7 +181,7 @@ def _moved(
         translation,
         rotation,
         None if motor.load_mNm is None else motor.load_mNm - load_reference,
-        motor.extra.get(parameters.get("column", "")),  # a joint that is missing is at rest
+        motor.extra.get(parameters.get(COLUMN, "")),  # a joint that is missing is at rest
         clock_offset_s,
         np.nan if start_deg is None else float(model.remaining_inverse(start_deg)),
     )

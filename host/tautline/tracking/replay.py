@@ -74,7 +74,7 @@ def moved_by_effects(model: Model, recording: Recording, sensor: Sensor) -> Arra
     motor = recording.motor
     scene = _frames(recording, sensor).t_s - model.delay_of(sensor)
     at = motor.t_s[np.maximum(np.searchsorted(motor.t_s, scene, side="right") - 1, 0)]
-    load = float(model.extra.get("load_reference_mNm", 0.0))
+    load = model.load_reference_mNm
     there, alone = (
         effects.simulate(model, motor, at, own, load_reference=load) for own in (effects.of_model(model), {})
     )

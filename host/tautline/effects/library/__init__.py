@@ -8,8 +8,9 @@ import importlib
 import pkgutil
 from collections.abc import Iterator, Mapping
 
-from tautline.effects.kind import SIMULATOR, STAGES, Kind, of_simulator
+from tautline.effects.kind import COLUMN, SIMULATOR, STAGES, Kind, of_simulator
 from tautline.effects.outside import added
+from tautline.model import Effect
 
 
 class _ById(Mapping[str, Kind]):
@@ -43,3 +44,9 @@ OWNER: Mapping[str, Kind] = {
 # Told by their scatter: at most what it is in the mean can be predicted.
 EVENTS = frozenset(kind.id for kind in LIBRARY if kind.event)
 SCATTERS = frozenset(kind.event.amount for kind in LIBRARY if kind.event)
+
+
+def kind_of(effect: Effect) -> Kind:
+    """The descriptor of a model's effect: that of its joint, where it follows one."""
+    kind, column = BY_ID[effect.id], effect.parameters.get(COLUMN)
+    return kind.of_joint(column) if column and kind.of_joint else kind
