@@ -8,7 +8,7 @@ the instrument rocks in its channel. What `Truth` switches on is what a case's l
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,7 @@ from scipy.special import expit
 
 from tautline import _native
 from tautline.geometry import rotation as rotation_of
+from tautline.model import Model
 from tautline.recording import Marker, Motor, Recording
 from tautline.rig import Rig
 from tautline.trajectory import Trajectory
@@ -114,6 +115,19 @@ class Tip:
     lies: Array
 
 
+def _by_load(truth: Truth, load: Array) -> tuple[Array, Array, Array]:
+    """What a load (n,) mNm adds to q, and times what B and c are."""
+    stretched = truth("stretch_per_load") * load / (1.0 + 0.003 * np.abs(load))
+    return stretched, np.exp(truth("capstan_per_load") * load), 1.0 + truth("soften_per_load") * load
+
+
+def at_load(sound: Model, truth: Truth, load_mNm: float) -> Model:
+    """The sound model's tables as they are at a load."""
+    shift, wider, stiffer = (float(of[0]) for of in _by_load(truth, np.array([load_mNm])))
+    width, c_deg = (np.interp(sound.q + shift, sound.q, values) for values in (sound.width, sound.c_deg))
+    return replace(sound, width=wider * width, c_deg=stiffer * c_deg)
+
+
 def driven(
     plant: Plant,
     truth: Truth,
@@ -133,9 +147,8 @@ def driven(
     warm = 1.0 - np.exp(-np.maximum(when - truth("warms_from"), 0.0) / truth("warm_up", 300.0))
     q = q + truth("creeping_offset") * warm
     factor = 1.0 + truth("widening") * warm
-    if load is not None:
-        q = q + truth("stretch_per_load") * load / (1.0 + 0.003 * np.abs(load))
-        factor = factor * np.exp(truth("capstan_per_load") * load)
+    shift, wider, stiffer = _by_load(truth, np.zeros_like(t) if load is None else load)
+    q, factor = q + shift, factor * wider
     factor = factor + truth("worn") * np.exp(-0.5 * ((q - truth("worn_at")) / truth("worn_reach", 1.0)) ** 2)
     values = {name: truth(name) for name in _TRANSMISSION if name in truth.values}
     p, way = _native.reality_transmission(
@@ -146,8 +159,7 @@ def driven(
     c = np.interp(p, plant.grid, plant.c_deg)
     c = c + slope[0] * np.minimum(p - low, 0) + slope[-1] * np.maximum(p - high, 0)
     c = c + truth("kink") * np.exp(-0.5 * ((p - truth("kink_at")) / truth("kink_reach", 1.0)) ** 2)
-    if load is not None:
-        c = c * (1.0 + truth("soften_per_load") * load)
+    c = c * stiffer
     if motion.translation_mm is not None:
         c = c + truth("pull_by_translation") * motion.translation_mm
     if motion.rotation_deg is not None:

@@ -17,7 +17,7 @@ from tautline.model import Effect, Model
 from tautline.recording import Recording
 from tautline.rig import Rig
 from tools.blindtest import cases, draws, own
-from tools.blindtest.reality import Plant, Truth
+from tools.blindtest.reality import Plant, Truth, at_load
 
 Array = npt.NDArray[np.float64]
 
@@ -65,7 +65,7 @@ class _Source:
     truth: Model
     noise_px: float
     record: Callable[[float, float], list[Recording]]  # strength, noise in px
-    wider: Callable[[float], float] = lambda strength: 1.0  # times the truth's, B at the load at which a model holds
+    loaded: Callable[[float], Model] | None = None  # the truth at the load of the first recording, by the strength
 
 
 def make(generator: str, effect: str, seed: int) -> Case:
@@ -90,7 +90,7 @@ def make(generator: str, effect: str, seed: int) -> Case:
         if abs(np.log(step)) < 0.1 or not _STRENGTHS[0] < strength * step < _STRENGTHS[1]:
             break
         strength *= step
-    truth = replace(source.truth, width=source.truth.width * source.wider(strength))
+    truth = source.loaded(strength) if source.loaded else source.truth
     return Case(
         effect,
         generator,
@@ -128,14 +128,13 @@ def _second(rng: np.random.Generator, effect: str) -> _Source:
         silent = Plant(plant.rig, plant.grid, plant.width, plant.c_deg, noise_px)
         return [course.record(silent, Truth(there), True, which) for which in _which(effect)]
 
-    def wider(strength: float) -> float:
-        load = course.loads[0]
-        return float(
-            np.exp(strength * values.get("capstan_per_load", 0.0) * (0.0 if load is None else np.median(load)))
-        )
-
     truth = _model(plant.rig, plant.grid, plant.width, plant.c_deg)
-    return _Source(truth, plant.noise_px, record, wider)
+
+    def loaded(strength: float) -> Model:
+        load = 0.0 if course.loads[0] is None else float(np.median(course.loads[0]))
+        return at_load(truth, Truth({name: strength * value for name, value in values.items()}), load)
+
+    return _Source(truth, plant.noise_px, record, loaded if effect == LOAD else None)
 
 
 def _library(rng: np.random.Generator, effect: str) -> _Source:

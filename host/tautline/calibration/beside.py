@@ -83,6 +83,11 @@ class Beside:
         own = zip(values.tolist(), self.parameters, strict=True)
         return any(value != 0.0 and (value <= p.low or value >= p.high) for value, p in own)
 
+    def amplitudes(self, values: Array) -> Array:
+        """(m,) the values of amplitudes, 0 in the place of shapes."""
+        own = {p.name for kind in self.kinds for p in kind.amplitudes}
+        return np.where([p.name in own for p in self.parameters], values, 0.0)
+
     def at_ends(self, values: Array, towards: Array) -> npt.NDArray[np.intp]:
         """Which of the values are at an end of their range beyond which this direction leads."""
         onward = self.inside(values + np.sign(towards) * 1e-6 * self.scales)

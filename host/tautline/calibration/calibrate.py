@@ -37,6 +37,7 @@ from tautline.calibration.playfit import NODES, Curves, Fitted, PlayFit
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
 from tautline.calibration.several import fit_elements, left
 from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze, overlap
+from tautline.calibration.wandering import allowing_for_wander
 from tautline.calibration.worth import PREDICTS, Worth, worth
 from tautline.core.session import Session
 from tautline.diagnosis import start
@@ -217,7 +218,7 @@ def calibrate(
             )
             if told is not None:
                 again = _Session(aligned, rig, options, lambda share, what: say(0.95 + 0.05 * share, what), reasons)
-                found = _with_effects(found, told, again.beside(session, found.model, told))
+                found = _with_effects(found, told, again.beside(session, told))
         say(1.0, "done")
         return found
 
@@ -353,10 +354,9 @@ class _Session:
         self.say(0.8, "naming what departs")
         return self._result(onsets, delay, curve, joint, passes, width, sigma, source, remaining)
 
-    def beside(self, before: _Session, without: Model, told: start.Start) -> Calibration | None:
-        """What `run` finds, with effects that were named fitted beside B, path and delay. By the share that a right
-        effect's amplitude is another elsewhere, so may be what it takes B and delay by. before: the session without
-        them, and its model. None where they cannot be fitted."""
+    def beside(self, before: _Session, told: start.Start) -> Calibration | None:
+        """What `run` finds, with effects that were named fitted beside B, path and delay. before: the session
+        without them. None where they cannot be fitted."""
         effects = told.effects
         if not before.elements.single and any(effect.id == _GRADUAL_START for effect in effects):
             self.elements = before.elements  # which hold that
@@ -377,15 +377,11 @@ class _Session:
         delay = self._joint_delay(before.delay, joint)
         late_s = np.array([fit.curves.delay_s - joint.curves.delay_s for fit in fits])
         apart = np.array([fit.fit.width(fit.curves) - joint.fit.width(joint.curves) for fit in fits])
-        # At an end of its range the fit's own spread says nothing of a value: B may be as without it.
-        wanders = 1.0 if beside.ended(joint.curves.beside) else learnt().center.wanders
-        moved_s = wanders * (delay.delay_s - before.delay.delay_s)
-        delay = replace(delay, sigma_s=float(np.sqrt(delay.sigma_s**2 + moved_s**2 + likely @ late_s**2)))
+        delay = replace(delay, sigma_s=float(np.sqrt(delay.sigma_s**2 + likely @ late_s**2)))
         onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
         curve = fit_widths(onsets, self.grid)
         width = self.choice.held(joint, curve)
-        moved = float(np.sqrt(np.mean((width - without.width) ** 2)))
-        sigma = np.sqrt(joint.width_sigma(self.grid) ** 2 + (wanders * moved) ** 2 + likely @ apart**2)
+        sigma = np.sqrt(joint.width_sigma(self.grid) ** 2 + likely @ apart**2)
         self.say(0.75, "fitting f_remain")
         self._find_place(joint)
         remaining = self._remaining(width, delay.delay_s, joint.fit.settled_only)
@@ -412,8 +408,10 @@ class _Session:
         )
         path = replace(fit, fit_backlash=False, fit_delay=False, fit_beside=False, smoothing=dict(fit.smoothing))
         joint = fit.solve(path.step(curves, *path.residuals(curves)))
-        noise = place_noise(joint)
-        joint = as_many_as_independent(allowing_for_place(joint, noise))
+        joint = allowing_for_place(joint, place_noise(joint))
+        # At an end of its range the fit's own spread says nothing of a value: B may be as without it.
+        share = 1.0 if beside.ended(joint.curves.beside) else learnt().center.wanders
+        joint = allowing_for_wander(joint, share)
         cut = joint.curves.follow.size
         block, late = slice(cut, cut + basis.size), joint.covariance[-1, -1]
         by_delay = basis.design(self.grid).toarray() @ joint.covariance[block, -1] / late

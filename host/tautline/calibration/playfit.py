@@ -186,19 +186,21 @@ class PlayFit:
         translation, rotation = track.others_at(track.scene_s(curves.delay_s))
         return self.view(s[:, 0], translation, rotation)[0]
 
-    def normal(self, curves: Curves, rows: list[Array], weights: list[Array]) -> tuple[Array, Array]:
+    def normal(
+        self, curves: Curves, rows: list[Array], weights: list[Array], extra: Sequence[Array] | None = None
+    ) -> tuple[Array, Array]:
         """J'WJ and J'Wr of the whitened problem, unknowns ordered follow (channel by channel), backlash, what is beside
-        them, delay.
+        them, delay, and the factors of `extra`: columns (frames, m) of each track, unit of the tip's place.
         After `residuals` with the same curves."""
         channels = curves.follow.shape[1]
         mf, mb = self.follow.size, self.backlash.size
-        total = channels * mf + mb + len(curves.beside) + 1
+        total = channels * mf + mb + len(curves.beside) + 1 + (extra[0].shape[1] if extra else 0)
         matrix, gradient = np.zeros((total, total)), np.zeros(total)
         # For each channel: where its unknowns and those that all share (backlash to delay) are, and their own sums.
         shared = np.arange(channels * mf, total)
         places = [np.concatenate([shared[:mb], np.arange(k * mf, (k + 1) * mf), shared[mb:]]) for k in range(channels)]
         nominal, sums = Nominal(self.backlash, self.follow), [Normal.zeros(len(at)) for at in places]
-        for frozen, sim, r, w in zip(self.tracks, self.simulated, rows, weights, strict=True):
+        for number, (frozen, sim, r, w) in enumerate(zip(self.tracks, self.simulated, rows, weights, strict=True)):
             keep = w > 0
             if not keep.any():
                 continue
@@ -207,7 +209,8 @@ class PlayFit:
             slope = self.follow.slope(curves.follow, tip)
             by_s = self._seen_at(track, self.follow.value(curves.follow, tip), keep, curves.delay_s)
             by_s = by_s * inverse[:, None]
-            by_b, shared_by = self._slopes(frozen, sim, keep, curves)
+            by_b, shared_by = self.slopes(frozen, sim, keep, curves)
+            shared_by = np.column_stack([shared_by, extra[number][keep]]) if extra else shared_by
             for channel, own in enumerate(sums):
                 of = slice(None) if self.view is not None else slice(channel, channel + 1)
                 h, steep = np.ascontiguousarray(by_s[:, of]), slope[:, channel]
@@ -220,7 +223,7 @@ class PlayFit:
             gradient[at] += part.gradient
         return matrix, gradient
 
-    def _slopes(self, frozen: Frozen, sim: Simulated, keep: Mask, curves: Curves) -> tuple[Array, Array]:
+    def slopes(self, frozen: Frozen, sim: Simulated, keep: Mask, curves: Curves) -> tuple[Array, Array]:
         """Derivatives of the tip's place at the frames that are kept: by B there (kept,), and (kept, m) by what is
         beside it and the delay."""
         by_b, by_delay = sim.slopes(keep, self.backlash.slope(curves.backlash, sim.p[keep]))

@@ -9,7 +9,7 @@ what a large one leaves because it is not exact is a large share of a small one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ from scipy.signal import correlate
 from tautline.diagnosis.fit import Fitter, ScoredRows
 from tautline.diagnosis.fitted import Fit
 from tautline.diagnosis.hypotheses import Wander
+from tautline.diagnosis.segment import Segment
 
 Array = npt.NDArray[np.float64]
 
@@ -34,7 +35,7 @@ def of_fit(fitter: Fitter, fit: Fit, rows: Sequence[ScoredRows], limits: Sequenc
     slots = fit.hypothesis.slots
     if not slots:
         return ()
-    places = _axes_values(fitter, rows)
+    places = axes_values([_course(segment, row) for segment, row in zip(fitter.segments, rows, strict=True)])
     stiff = fitter.floor**2 * fitter.prior_precision(fit.hypothesis)
     signals = []
     for kind in fit.hypothesis.kinds:
@@ -46,7 +47,7 @@ def of_fit(fitter: Fitter, fit: Fit, rows: Sequence[ScoredRows], limits: Sequenc
     for kind, signal in zip(fit.hypothesis.kinds, signals, strict=True):
         # A curve over the place may be any.
         axes = {axis: at for axis, at in places.items() if not (kind.curve and axis == "place")}
-        functions, told = _varying_columns(axes, signal, together)
+        functions, told = varying_columns(axes, signal, together)
         if not told:
             continue
         wider = [
@@ -69,23 +70,37 @@ def of_fit(fitter: Fitter, fit: Fit, rows: Sequence[ScoredRows], limits: Sequenc
     return tuple(found)
 
 
-def _axes_values(fitter: Fitter, rows: Sequence[ScoredRows]) -> dict[str, list[Array]]:
-    """What an amplitude may vary with, by axis and recording (scored,), scaled to -1 .. 1; of the speed the logarithm.
+@dataclass(frozen=True)
+class Course:
+    """Where the tip of one recording was. All (n,)."""
+
+    p: Array  # the play's centre coordinate
+    t_s: Array  # rising
+    session_s: Array
+    load_mNm: Array
+    told: npt.NDArray[np.bool_]  # what counts
+
+
+def _course(segment: Segment, row: ScoredRows) -> Course:
+    motor, at = segment.motor, segment.arrival_s
+    load = np.zeros_like(at) if motor.load_mNm is None else np.interp(at, motor.t_s, motor.load_mNm)
+    return Course(row.path.p, at, at + segment.offset_s, load, segment.scored)
+
+
+def axes_values(courses: Sequence[Course]) -> dict[str, list[Array]]:
+    """What an amplitude may vary with, by axis and recording (told,), scaled to -1 .. 1; of the speed the logarithm.
     At rest the speed and side of the motion before count."""
-    segments = fitter.segments
-    speeds = [np.gradient(row.path.p, s.arrival_s) for s, row in zip(segments, rows, strict=True)]
+    speeds = [np.gradient(course.p, course.t_s) for course in courses]
     fast = max(float(np.quantile(np.abs(np.concatenate(speeds)), _FAST)), 1e-300)
     found: dict[str, list[Array]] = {name: [] for name in _ORDERS}
-    for segment, row, speed in zip(segments, rows, speeds, strict=True):
+    for course, speed in zip(courses, speeds, strict=True):
         moving = np.abs(speed) > _MOVES * fast
-        last = np.maximum.accumulate(np.where(moving, np.arange(len(speed)), 0))[segment.scored]
-        motor = segment.motor
-        load = np.zeros_like(motor.t_s) if motor.load_mNm is None else motor.load_mNm
-        found["place"].append(row.path.p[segment.scored])
+        last = np.maximum.accumulate(np.where(moving, np.arange(len(speed)), 0))[course.told]
+        found["place"].append(course.p[course.told])
         found["speed"].append(np.log(np.maximum(np.abs(speed[last]), _MOVES * fast)))
-        found["time"].append((segment.arrival_s + segment.offset_s)[segment.scored])
+        found["time"].append(course.session_s[course.told])
         found["side"].append(np.sign(speed[last]))
-        found["load"].append(np.interp(segment.arrival_s, motor.t_s, load)[segment.scored])
+        found["load"].append(course.load_mNm[course.told])
     return {name: _scaled_to_unit(values) for name, values in found.items()}
 
 
@@ -100,7 +115,7 @@ def _power(signals: Sequence[Array]) -> float:
     return sum(float(np.sum(signal**2)) for signal in signals)
 
 
-def _varying_columns(
+def varying_columns(
     places: dict[str, list[Array]], signals: Sequence[Array], together: float
 ) -> tuple[list[Array], dict[str, Array]]:
     """The columns by which an amplitude varies, (n, k, m) for each recording: the effect's signal (n, k) times Legendre

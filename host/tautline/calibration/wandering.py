@@ -1,0 +1,66 @@
+"""What B, the delay and the path are uncertain by, as an effect beside them is another elsewhere.
+
+A right effect's amplitude is the same at all places, speeds, times, sides and loads but for a share of itself, which is
+learnt. Whatever a fit of one amplitude makes of that goes to B and the delay: so factors on what the effect adds, one
+for each function that a diagnosis asks of an amplitude (diagnosis/wander.py), are unknowns of the same normal
+equations, each normal about 0, and are integrated out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.calibration.place import place_noise
+from tautline.calibration.playfit import Fitted
+from tautline.diagnosis.wander import Course, axes_values, varying_columns
+
+Array = npt.NDArray[np.float64]
+
+
+def allowing_for_wander(fitted: Fitted, share: float) -> Fitted:
+    """The same fit, its covariance that of as many frames as are independent and of effects whose amplitudes are
+    another elsewhere by this share of themselves (one standard deviation)."""
+    noise = place_noise(fitted)
+    unit2 = fitted.scale**2 * (1.0 if noise is None else noise.effect)
+    functions = _functions(fitted)
+    fit, curves = fitted.fit, fitted.curves
+    matrix, _ = fit.normal(curves, fitted.rows, fitted.weights, functions)
+    penalty, _ = fit.penalty(curves, fitted.scale)
+    known = len(penalty)
+    matrix[:known, :known] += penalty
+    information = matrix / unit2
+    number = len(matrix) - known
+    information[range(known, len(matrix)), range(known, len(matrix))] += number / share**2
+    covariance = np.linalg.inv(information + 1e-12 * np.eye(len(matrix)))[:known, :known]
+    return replace(fitted, covariance=np.asarray(covariance))
+
+
+def _functions(fitted: Fitted) -> list[Array]:
+    """Of each track (frames, m): what the effects add to the tip's place, times the functions by which that may vary,
+    each of the power of it all; 0 at frames that do not count."""
+    fit, beside = fitted.fit, fitted.fit.beside
+    assert beside is not None
+    fit.residuals(fitted.curves)
+    amplitudes = beside.amplitudes(fitted.curves.beside)
+    courses, signals = [], []
+    for frozen, sim, mask in zip(fit.tracks, fit.simulated, fitted.masks, strict=True):
+        track = frozen.track
+        at = track.scene_s(fitted.curves.delay_s)
+        _, by = fit.slopes(frozen, sim, mask, fitted.curves)
+        signals.append((by[:, :-1] @ amplitudes)[:, None])
+        load = track.reading.load_mNm
+        loads = np.zeros_like(at) if load is None else np.interp(at, track.reading.t_s, load)
+        courses.append(Course(sim.p, at, at + track.session_s, loads, mask))
+    power = sum(float(np.sum(signal**2)) for signal in signals)
+    columns, _ = varying_columns(axes_values(courses), signals, power)
+    if not columns:
+        return []
+    spread = []
+    for mask, column in zip(fitted.masks, columns, strict=True):
+        every = np.zeros((len(mask), column.shape[2]))
+        every[mask] = column[:, 0, :]
+        spread.append(every)
+    return spread
