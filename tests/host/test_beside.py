@@ -15,6 +15,7 @@ from tautline.calibration.beside import FITTED, Beside
 from tautline.calibration.calibrate import Calibration, calibrate
 from tautline.calibration.observations import observe
 from tautline.calibration.playfit import Curves, Frozen, PlayFit
+from tautline.calibration.worth import PREDICTS
 from tautline.effects import BY_ID, LIBRARY
 from tautline.geometry import project
 from tautline.model import Effect, Model
@@ -35,6 +36,13 @@ LAG = Effect("transmission.lag", {"lag": 0.15, "lag_second": 0.2})
 ONE_SIDED = Effect(
     "transmission.asymmetric_backlash", {"asymmetry": 0.2, "asymmetry_travel": 0.4, "asymmetry_form": 1.0}
 )  # fmt: skip
+COUPLING = Effect("configuration.axis_coupling", {"c_per_translation": 0.4, "c_per_rotation": 0.0})
+SWING = Effect(
+    "configuration.swing", {"swing_share": 0.4, "swing_period": 0.6, "swing_damping": 0.2, "swing_carried": 0.5}
+)  # fmt: skip
+LOAD = Effect(
+    "transmission.load_dependence", {"width_per_load": 0.01, "gain_per_load": 0.004, "offset_per_load": 0.002}
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -43,24 +51,30 @@ class _Found:
     evidence: dict[str, float]
 
 
-def recorded(there: Sequence[Effect], seed: int, moves: Trajectory | None = None, seconds: float = 60.0) -> Recording:
+def recorded(
+    there: Sequence[Effect], seed: int, moves: Trajectory | None = None, seconds: float = 60.0, sways: bool = False
+) -> Recording:
     moves = moves or random_smooth(RIG.actuator, 3.0, seconds, seed)
+    if sways:
+        moves = moves.with_sway(3.0, 0.0, 13.0)
     instrument = Corrected(replace(SOUND, effects=tuple(there)), "own")
     return run(RIG, instrument, moves, noise_px=NOISE_PX, seed=seed).recording
 
 
 def told(names: Sequence[Effect], of: Model) -> Any:
     """As a diagnosis would tell it: a fifth too weak, on the nominal model that was found without it."""
-    weaker = tuple(
-        replace(
-            each, parameters={k: 0.8 * v if k == next(iter(each.parameters)) else v for k, v in each.parameters.items()}
-        )
-        for each in names
-    )
+
+    def weaker(effect: Effect) -> Effect:
+        first, value = next(iter(effect.parameters.items()))
+        return replace(effect, parameters={**effect.parameters, first: 0.8 * value})
+
     state = SimpleNamespace(model=of)
     own = SimpleNamespace(state=state)
     return SimpleNamespace(
-        effects=weaker, named=tuple(each.id for each in names), fit=own, fitter=SimpleNamespace(model=of)
+        effects=tuple(map(weaker, names)),
+        named=tuple(each.id for each in names),
+        fit=own,
+        fitter=SimpleNamespace(model=of, load_reference=0.0),
     )
 
 
@@ -68,11 +82,11 @@ def calibrated(
     monkeypatch: pytest.MonkeyPatch, there: Sequence[Effect], names: Sequence[Effect], seed: int = 3
 ) -> tuple[Calibration, Calibration]:
     """Without the effects that are named, and with them."""
-    made = recorded(there, seed)
-    alone = calibrate([made], RIG, naming=False)
+    made = [recorded(there, seed)]
+    alone = calibrate(made, RIG, naming=False)
     monkeypatch.setattr(naming, "asked", lambda model, *rest: told(names, model))
     monkeypatch.setattr(room.start, "concerns", lambda model: True)
-    return alone, calibrate([made], RIG)
+    return alone, calibrate(made, RIG)
 
 
 def off(found: Calibration) -> np.ndarray:
@@ -82,19 +96,26 @@ def off(found: Calibration) -> np.ndarray:
     return (model.width - np.interp(model.q, SOUND.q, SOUND.width))[inside] / 0.5
 
 
-def test_what_may_be_carried_stands_between_the_motor_and_the_law() -> None:
+def test_what_may_be_carried_moves_the_tip_at_all_times_alike() -> None:
     assert {"transmission.lag", "transmission.creep", "actuator.encoder_periodic"} <= FITTED
     assert {"transmission.smooth_onset", ONE_SIDED.id, "transmission.rate_dependent_backlash"} <= FITTED
-    tables = {kind.id for kind in LIBRARY if kind.holds is not None or kind.nominal or kind.event or kind.needs}
-    later = {kind.id for kind in LIBRARY if kind.stage not in ("actuator", "transmission")}
-    assert not FITTED & (tables | later)
+    assert {COUPLING.id, SWING.id, LOAD.id} <= FITTED
+    tables = {kind.id for kind in LIBRARY if kind.holds is not None or kind.nominal or kind.event}
+    later = {kind.id for kind in LIBRARY if kind.course or kind.moments}
+    seen = {kind.id for kind in LIBRARY if not kind.through_angle}
+    assert not FITTED & (tables | later | seen)
 
 
 def test_an_effect_is_read_and_written_as_a_model_has_it() -> None:
-    beside, values = Beside.of([LAG, Effect("configuration.contact", {"contact_hold": 0.3})], RIG)
+    beside, values = Beside.of([LAG, Effect("transmission.drift", {"offset_drift": 0.3})], SOUND)
     assert beside.to_effects(values) == (LAG,)
+    wrist = Effect(COUPLING.id, {"c_per_joint": 0.2, "joint_play": 2.0, "column": "wrist_deg"})
+    beside, values = Beside.of([COUPLING, LAG], SOUND, others_rest=True)
+    assert values.tolist() == [0.15, 0.2] and beside.to_effects(values) == (COUPLING, LAG)
+    beside, values = Beside.of([wrist], SOUND)
+    assert values.tolist() == [0.2, 2.0] and beside.to_effects(values) == (wrist,)
     by_speed = {"width_per_speed": 0.01, "speed_saturation": 1.0, "speed_time": 0.03, "width_held": 1.0}
-    beside, values = Beside.of([Effect("transmission.rate_dependent_backlash", by_speed)], RIG)
+    beside, values = Beside.of([Effect("transmission.rate_dependent_backlash", by_speed)], SOUND)
     assert len(values) == 3 and beside.held == {"width_held": 1.0}
     assert beside.to_effects(values)[0].parameters == by_speed
     assert not beside.ended(values)
@@ -107,11 +128,13 @@ def test_a_model_alone_has_no_effects_and_is_otherwise_the_same() -> None:
     assert carries.alone == SOUND and SOUND.alone is SOUND
 
 
-@pytest.mark.parametrize("effect", [LAG, ONE_SIDED])
+@pytest.mark.parametrize("effect", [LAG, ONE_SIDED, COUPLING, SWING, LOAD])
 def test_the_gradient_is_the_costs_slope(effect: Effect) -> None:
-    made = recorded([effect], 1, seconds=20.0)
+    made = recorded([effect], 1, seconds=20.0, sways=effect is COUPLING)
+    if effect is LOAD:
+        made = replace(made, motor=replace(made.motor, load_mNm=20.0 * np.sin(0.3 * made.motor.t_s)))
     frozen = [Frozen.of(track) for track in observe([made], RIG)]
-    beside, values = Beside.of([effect], RIG)
+    beside, values = Beside.of([effect], SOUND)
     fit = PlayFit(frozen, Basis(-5, 5, 10), Basis(-5, 5, 12), settled_only=False, beside=beside)
     width = np.linalg.lstsq(fit.backlash.design(Q).toarray(), SOUND.width, rcond=None)[0]
     curves = Curves(width, project(RIG, 11.0 * fit.follow.centres), RIG.delay_s + 0.01, 1.1 * values)
@@ -138,7 +161,7 @@ def test_the_gradient_is_the_costs_slope(effect: Effect) -> None:
     assert gradient[-1] == pytest.approx((later[0] - later[1]) / 0.004, rel=0.1)
 
 
-@pytest.mark.parametrize("effect", [LAG, ONE_SIDED])
+@pytest.mark.parametrize("effect", [LAG, ONE_SIDED, SWING])
 def test_a_calibration_carries_what_it_names_and_predicts_with_it(
     effect: Effect, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -153,6 +176,18 @@ def test_a_calibration_carries_what_it_names_and_predicts_with_it(
     for name, value in effect.parameters.items():
         if name in {p.name for p in BY_ID[effect.id].amplitudes}:
             assert found.model.effects[0].parameters[name] == pytest.approx(value, rel=0.05)
+
+
+def test_what_other_axes_add_is_named_where_the_model_foretells_nothing_of_it() -> None:
+    """They move in a recording of their own, and the fit of B sees the image at their rest alone."""
+    made = [recorded([COUPLING], 3), replace(recorded([COUPLING], 4, sways=True), name="other axes")]
+    alone, found = calibrate(made, RIG, naming=False), calibrate(made, RIG)
+    assert alone.model.quality.verdict == "doubtful" and found.model.quality.verdict == "good"
+    assert [each.id for each in found.model.effects] == [COUPLING.id]
+    assert found.model.effects[0].parameters["c_per_translation"] == pytest.approx(0.4, rel=0.05)
+    unseen = recorded([COUPLING], 8, sways=True)
+    before, after = (foretold(each.model, unseen, settled_by=SOUND) / NOISE_PX for each in (alone, found))
+    assert before > 20.0 and after < PREDICTS
 
 
 def test_the_sigmas_of_b_and_delay_beside_an_effect_cover(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -41,11 +41,13 @@ class Beside:
     held: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, found: Sequence[Effect], law: Model) -> tuple[Self, Array]:
-        """Those of these effects that can be fitted, and their values."""
+    def of(cls, found: Sequence[Effect], law: Model, others_rest: bool = False) -> tuple[Self, Array]:
+        """Those of these effects that can be fitted, and their values. others_rest: at all frames that count, so that
+        what follows other axes is held."""
         known = [effect for effect in found if effect.id in FITTED]
         kinds = tuple(effects.kind_of(effect) for effect in known)
-        searched = {p.name for kind in kinds for p in kind.parameters if p.searched}
+        untold = [kind for kind in kinds if others_rest and kind.needs == "freedom"]
+        searched = {p.name for kind in kinds for p in kind.parameters if p.searched or kind in untold}
         numbers = {name: float(v) for effect in known for name, v in effect.parameters.items() if name != COLUMN}
         held = {name: v for name, v in numbers.items() if name in searched - SCATTERS}
         beside = cls(kinds, law.alone, held)
@@ -59,8 +61,14 @@ class Beside:
         return self, *(replace(self, held={**self.held, name: other}) for name, other in others)
 
     @property
+    def bends(self) -> bool:
+        """Whether any adds to the bending angle."""
+        return any(kind.bends for kind in self.kinds)
+
+    @property
     def parameters(self) -> list[Parameter]:
-        return [p for kind in self.kinds for p in kind.parameters if not p.searched]
+        every = (p for kind in self.kinds for p in kind.parameters)
+        return [p for p in every if not p.searched and p.name not in self.held]
 
     @property
     def scales(self) -> Array:

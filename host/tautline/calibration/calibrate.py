@@ -37,11 +37,10 @@ from tautline.calibration.playfit import NODES, Curves, Fitted, PlayFit
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
 from tautline.calibration.several import fit_elements, left
 from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze, overlap
-from tautline.calibration.wandering import allowing_for_wander
+from tautline.calibration.wandering import allowing_for_wander, wanders
 from tautline.calibration.worth import PREDICTS, Worth, worth
 from tautline.core.session import Session
 from tautline.diagnosis import start
-from tautline.diagnosis.hyperparameters import learnt
 from tautline.elements import SINGLE, Elements, Hysteresis
 from tautline.errors import TautError
 from tautline.friction import Friction
@@ -363,21 +362,26 @@ class _Session:
             effects = tuple(effect for effect in effects if effect.id != _GRADUAL_START)
         nominal = told.fit.state.model
         self.load_mNm = told.fitter.load_reference
-        beside, values = Beside.of(effects, replace(nominal, extra={LOAD: self.load_mNm}))
+        law = replace(nominal, extra={LOAD: self.load_mNm})
+        start_s = nominal.delay_s if before.delay is None else before.delay.delay_s
+        beside, values = Beside.of(effects, law, not all(track.posed for track in self._one_curve(start_s)))
         if before.joint is None or before.delay is None or not beside.kinds:
             return None
         self._release()
         self.say(0.0, f"fitting {', '.join(kind.id for kind in beside.kinds)} beside the play")
-        start_s = before.delay.delay_s + (nominal.delay_s - told.fitter.model.delay_s)
+        start_s += nominal.delay_s - told.fitter.model.delay_s
         fits = [self._beside(before.joint, nominal, start_s, form, values) for form in beside.forms]
+        if beside.bends:
+            fits = [self._by_its_law(before.joint, fit) for fit in fits]
         likely = _likelihoods(fits)
         best = int(np.argmax(likely))
-        joint, beside = fits[best], beside.forms[best]
-        self.effects = beside, joint.curves.beside
+        joint = fits[best]
+        self.effects = joint.beside
         delay = self._joint_delay(before.delay, joint)
         late_s = np.array([fit.curves.delay_s - joint.curves.delay_s for fit in fits])
         apart = np.array([fit.fit.width(fit.curves) - joint.fit.width(joint.curves) for fit in fits])
-        delay = replace(delay, sigma_s=float(np.sqrt(delay.sigma_s**2 + likely @ late_s**2)))
+        moved_s = wanders(joint) * (delay.delay_s - before.delay.delay_s)
+        delay = replace(delay, sigma_s=float(np.sqrt(delay.sigma_s**2 + moved_s**2 + likely @ late_s**2)))
         onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
         curve = fit_widths(onsets, self.grid)
         width = self.choice.held(joint, curve)
@@ -409,13 +413,21 @@ class _Session:
         path = replace(fit, fit_backlash=False, fit_delay=False, fit_beside=False, smoothing=dict(fit.smoothing))
         joint = fit.solve(path.step(curves, *path.residuals(curves)))
         joint = allowing_for_place(joint, place_noise(joint))
-        # At an end of its range the fit's own spread says nothing of a value: B may be as without it.
-        share = 1.0 if beside.ended(joint.curves.beside) else learnt().center.wanders
-        joint = allowing_for_wander(joint, share)
+        joint = allowing_for_wander(joint)
         cut = joint.curves.follow.size
         block, late = slice(cut, cut + basis.size), joint.covariance[-1, -1]
         by_delay = basis.design(self.grid).toarray() @ joint.covariance[block, -1] / late
         return replace(joint, by_delay=by_delay) if fit_delay and late > 0.0 else joint
+
+    def _by_its_law(self, before: Fitted, joint: Fitted) -> Fitted:
+        """The joint fit again, with what adds to the bending angle by the f_remain that it leaves."""
+        self.effects = beside, values = joint.beside
+        width, delay_s = joint.fit.width(joint.curves), joint.curves.delay_s
+        remaining = self._remaining(width, delay_s, joint.fit.settled_only)
+        if remaining is None:
+            return joint
+        law = replace(beside.law, q=self.grid, width=width, width_sigma=0.0 * width, c_deg=remaining.c_deg)
+        return self._beside(before, law, delay_s, replace(beside, law=law), values)
 
     def _release(self) -> None:
         """Leaves out frames at which the tracker held a place that the tip had left."""

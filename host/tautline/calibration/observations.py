@@ -47,6 +47,7 @@ class Track:
     session_s: float = 0.0  # added to its times to get the session's
     shown: Shown | None = None  # what was followed where it is no marker
     tracked_px: float = 0.0  # prior of what frames near one place are off by alike; 0 of places that others tell
+    posed: bool = False  # y is the bending angle, by a pose: what other degrees of freedom move is taken out
 
     def only(self, frames: Mask | npt.NDArray[np.intp] | slice) -> Track:
         """With these of its frames."""
@@ -99,7 +100,10 @@ class Track:
         )  # type: ignore[return-value]
 
     def at_reference(self, scene_s: Array, reference: tuple[float, float]) -> Mask:
-        """Frames at which the other degrees of freedom are where `reference` says: one curve in the image."""
+        """Frames at which the other degrees of freedom are where `reference` says: one curve in the image. All of a
+        posed track."""
+        if self.posed:
+            return np.ones(len(scene_s), dtype=bool)
         translation, rotation = self.others_at(scene_s)
         still: Mask = (np.abs(translation - reference[0]) <= _STILL_MM) & (
             np.abs(rotation - reference[1]) <= _STILL_DEG

@@ -463,6 +463,12 @@ class Fitted:
         return int(sum(m.sum() for m in self.masks))
 
     @property
+    def beside(self) -> tuple[Beside, Array]:
+        """The effects that were fitted, and their values."""
+        assert self.fit.beside is not None
+        return self.fit.beside, self.curves.beside
+
+    @property
     def explained(self) -> bool:
         return self.scale < EXPLAINED
 

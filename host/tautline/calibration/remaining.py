@@ -65,10 +65,8 @@ def posed(track: Track, rig: Rig, delay_s: float) -> Track:
     _, slope = project_with_slope(rig, c, *others)
     gain = np.linalg.norm(slope, axis=1)
     good = np.isfinite(c) & (gain > 0.05 * np.nanmedian(gain))
-    path = track.path.bending_alone
-    return replace(
-        track, unit="deg", path=path, t_s=track.t_s[good], y=c[good, None], sigma=track.sigma[good] / gain[good]
-    )
+    sigma = track.sigma[good] / gain[good]
+    return replace(track, unit="deg", posed=True, t_s=track.t_s[good], y=c[good, None], sigma=sigma)
 
 
 def fit_remaining(

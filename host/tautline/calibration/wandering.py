@@ -15,14 +15,22 @@ import numpy.typing as npt
 
 from tautline.calibration.place import place_noise
 from tautline.calibration.playfit import Fitted
+from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.wander import Course, axes_values, varying_columns
 
 Array = npt.NDArray[np.float64]
 
 
-def allowing_for_wander(fitted: Fitted, share: float) -> Fitted:
-    """The same fit, its covariance that of as many frames as are independent and of effects whose amplitudes are
-    another elsewhere by this share of themselves (one standard deviation)."""
+def wanders(fitted: Fitted) -> float:
+    """The share of itself by which the effects' amplitude is another elsewhere (one standard deviation). At an end of
+    its range the fit says nothing of a value: it may be as without the effect."""
+    beside, values = fitted.beside
+    return 1.0 if beside.ended(values) else learnt().center.wanders
+
+
+def allowing_for_wander(fitted: Fitted) -> Fitted:
+    """The same fit, its covariance that of as many frames as are independent and of effects whose amplitude
+    wanders."""
     noise = place_noise(fitted)
     unit2 = fitted.scale**2 * (1.0 if noise is None else noise.effect)
     functions = _functions(fitted)
@@ -33,7 +41,7 @@ def allowing_for_wander(fitted: Fitted, share: float) -> Fitted:
     matrix[:known, :known] += penalty
     information = matrix / unit2
     number = len(matrix) - known
-    information[range(known, len(matrix)), range(known, len(matrix))] += number / share**2
+    information[range(known, len(matrix)), range(known, len(matrix))] += number / wanders(fitted) ** 2
     covariance = np.linalg.inv(information + 1e-12 * np.eye(len(matrix)))[:known, :known]
     return replace(fitted, covariance=np.asarray(covariance))
 
@@ -41,10 +49,9 @@ def allowing_for_wander(fitted: Fitted, share: float) -> Fitted:
 def _functions(fitted: Fitted) -> list[Array]:
     """Of each track (frames, m): what the effects add to the tip's place, times the functions by which that may vary,
     each of the power of it all; 0 at frames that do not count."""
-    fit, beside = fitted.fit, fitted.fit.beside
-    assert beside is not None
+    fit, (beside, values) = fitted.fit, fitted.beside
     fit.residuals(fitted.curves)
-    amplitudes = beside.amplitudes(fitted.curves.beside)
+    amplitudes = beside.amplitudes(values)
     courses, signals = [], []
     for frozen, sim, mask in zip(fit.tracks, fit.simulated, fitted.masks, strict=True):
         track = frozen.track

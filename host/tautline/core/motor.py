@@ -46,14 +46,6 @@ class MotorPath:
         """The readings, each where the path says that the motor was."""
         return replace(self.readings, q=self.at(self.readings.t_s))
 
-    @cached_property
-    def bending_alone(self) -> Self:
-        """The path without translation and rotation."""
-        readings, lines = (
-            replace(motor, translation_mm=None, rotation_deg=None) for motor in (self.readings, self.lines)
-        )
-        return type(self)(readings, lines, self.posterior)
-
     def course(self, from_s: float, to_s: float) -> tuple[Array, Array]:
         """Knots of the path from one time to another, both included: times and q (n,), straight lines between them."""
         knots = self.lines.t_s

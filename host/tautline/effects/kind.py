@@ -128,6 +128,11 @@ class Kind:
         return self.stage in (SIMULATOR, *THROUGH_ANGLE)
 
     @property
+    def bends(self) -> bool:
+        """Whether it adds to the bending angle, and not to the place that f_remain bends by alone."""
+        return self.stage == THROUGH_ANGLE[2] or self.needs == "load"
+
+    @property
     def carried(self) -> bool:
         """Whether it moves the tip by a law that is the same at all times: beside B and f_remain it can be fitted in
         any sensor's own coordinates, and a calibrated model may carry it."""
