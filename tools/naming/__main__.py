@@ -16,7 +16,7 @@ import click
 from tautline.cli._common import progress_bar
 from tautline.plain import plain
 from tools.naming import foretell, score
-from tools.naming.cases import EFFECTS, LIBRARY, SCORED_FROM, SECOND
+from tools.naming.cases import EFFECTS, LIBRARY, SCORED_FROM, SECOND, makes
 from tools.naming.work import run as run_case
 
 RESULTS, FORETOLD = "names.jsonl", "foretold.jsonl"
@@ -77,7 +77,7 @@ def _rows(folder: Path) -> list[dict[str, Any]]:
 def _cases(effects: Sequence[str], generators: Sequence[str], seeds: int, first_seed: int) -> list[Asked]:
     chosen = effects or (*EFFECTS, "")
     by_seed = range(first_seed, first_seed + seeds)
-    return [(g, e, s) for s in by_seed for e in chosen for g in generators or (SECOND, LIBRARY)]
+    return [(g, e, s) for s in by_seed for e in chosen for g in generators or (SECOND, LIBRARY) if makes(g, e)]
 
 
 def _written(work: Work, cases: Sequence[Asked], jobs: int, out: Path, name: str) -> list[dict[str, Any]]:

@@ -24,7 +24,7 @@ Array = npt.NDArray[np.float64]
 SECOND, LIBRARY = "second", "library"
 COUPLING = "configuration.axis_coupling"
 SWING = "configuration.swing"  # the second instrument's is all there or not at all
-LOAD = "transmission.load_dependence"  # the library's own instrument has none
+LOAD = "transmission.load_dependence"
 SCORED_FROM = 1000  # seeds below are for tuning
 # Effect -> what its strength multiplies, of the second instrument. The library's own are multiplied as they are.
 _STRENGTH: Mapping[str, tuple[str, ...]] = {
@@ -66,6 +66,11 @@ class _Source:
     noise_px: float
     record: Callable[[float, float], list[Recording]]  # strength, noise in px
     loaded: Callable[[float], Model] | None = None  # the truth at the load of the first recording, by the strength
+
+
+def makes(generator: str, effect: str) -> bool:
+    """The library's own instrument has no load."""
+    return not (generator == LIBRARY and effect == LOAD)
 
 
 def make(generator: str, effect: str, seed: int) -> Case:
