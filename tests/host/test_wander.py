@@ -108,10 +108,10 @@ def test_a_small_effect_beside_a_large_one_is_measured_by_both(lagging: Fitter, 
     rows = lagging.linearised(both)
     sizes = [both.state.values[s.key] * (s.parameter.name != "lag_second") for s in both.hypothesis.slots]
     whole = sum(float(np.sum((row.columns[:, :, -len(sizes) :] @ np.array(sizes)) ** 2)) for row in rows)
-    places = wander._axes_values(lagging, rows)
+    places = wander.axes_values([wander._course(*each) for each in zip(lagging.segments, rows, strict=True)])
     coupling = [row.columns[:, :, -2:] @ np.array(sizes[-2:]) for row in rows]
     assert wander._power(coupling) < 0.5 * whole
-    functions, _ = wander._varying_columns(places, coupling, whole)
+    functions, _ = wander.varying_columns(places, coupling, whole)
     assert np.sum([np.sum(each**2, axis=(0, 1)) for each in functions], axis=0) == pytest.approx(whole)
     alone, beside = (wander.of_fit(lagging, fit, lagging.linearised(fit), LIMITS) for fit in (lag, both))
     assert [of.id for of in beside] == [LAG, small.id]

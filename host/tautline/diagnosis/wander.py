@@ -35,7 +35,7 @@ def of_fit(fitter: Fitter, fit: Fit, rows: Sequence[ScoredRows], limits: Sequenc
     slots = fit.hypothesis.slots
     if not slots:
         return ()
-    places = axes_values([_course(segment, row) for segment, row in zip(fitter.segments, rows, strict=True)])
+    places = axes_values([_course(*each) for each in zip(fitter.segments, rows, strict=True)])
     stiff = fitter.floor**2 * fitter.prior_precision(fit.hypothesis)
     signals = []
     for kind in fit.hypothesis.kinds:
