@@ -15,7 +15,9 @@ from tautline.calibration.beside import FITTED, Beside
 from tautline.calibration.calibrate import Calibration, calibrate
 from tautline.calibration.observations import observe
 from tautline.calibration.playfit import Curves, Frozen, PlayFit
+from tautline.calibration.wandering import allowing_for_wander
 from tautline.calibration.worth import PREDICTS
+from tautline.diagnosis.hyperparameters import learnt
 from tautline.effects import BY_ID, LIBRARY
 from tautline.geometry import project
 from tautline.model import Effect, Model
@@ -197,6 +199,24 @@ def test_the_sigmas_of_b_and_delay_beside_an_effect_cover(monkeypatch: pytest.Mo
     z = 0.5 * off(found) / model.width_sigma[inside]
     assert np.sqrt(np.mean(z**2)) < 2.0
     assert abs(model.delay_s - RIG.delay_s) < 3.0 * found.delay.sigma_s
+
+
+def test_b_is_as_uncertain_as_its_fit_beside_another_amplitude_is_off() -> None:
+    """By the share that a right effect may be another than its law makes of the frames."""
+    frozen = [Frozen.of(track) for track in observe([recorded([ONE_SIDED], 6, seconds=30.0)], RIG)]
+    beside, values = Beside.of([ONE_SIDED], SOUND)
+    fit = PlayFit(frozen, Basis(-5, 5, 20), Basis(-5, 5, 40), settled_only=True, beside=beside)
+    width = np.linalg.lstsq(fit.backlash.design(Q).toarray(), SOUND.width, rcond=None)[0]
+    found = fit.solve(Curves(width, project(RIG, 11.0 * fit.follow.centres), RIG.delay_s, values))
+    held = replace(fit, fit_beside=False, smoothing=dict(fit.smoothing))
+    amplitudes = beside.amplitudes(found.curves.beside)
+    other = found.curves.beside + learnt().center.wanders * amplitudes
+    beside_it = held.solve(replace(found.curves, beside=other), adapt=False)
+    at = Q[np.abs(Q) < 3.0]
+    shift = np.abs(np.interp(at, fit.grid, fit.width(beside_it.curves) - fit.width(found.curves)))
+    sigma = allowing_for_wander(found).width_sigma(at)
+    assert np.median(shift) > 2.0 * np.median(found.width_sigma(at))
+    assert np.all(sigma > 0.8 * shift) and np.median(sigma) < 2.0 * np.median(shift)
 
 
 def test_what_moves_one_recordings_stops_sets_no_clock_where_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

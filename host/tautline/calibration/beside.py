@@ -91,9 +91,9 @@ class Beside:
         own = zip(values.tolist(), self.parameters, strict=True)
         return any(value != 0.0 and (value <= p.low or value >= p.high) for value, p in own)
 
-    def amplitudes(self, values: Array) -> Array:
-        """(m,) the values of amplitudes, 0 in the place of shapes."""
-        own = {p.name for kind in self.kinds for p in kind.amplitudes}
+    def amplitudes(self, values: Array, of: Kind | None = None) -> Array:
+        """(m,) the values of amplitudes, of one effect or of all; 0 in the place of others and of shapes."""
+        own = {p.name for kind in self.kinds for p in kind.amplitudes if of in (None, kind)}
         return np.where([p.name in own for p in self.parameters], values, 0.0)
 
     def at_ends(self, values: Array, towards: Array) -> npt.NDArray[np.intp]:

@@ -37,7 +37,7 @@ from tautline.calibration.playfit import NODES, Curves, Fitted, PlayFit
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
 from tautline.calibration.several import fit_elements, left
 from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze, overlap
-from tautline.calibration.wandering import allowing_for_wander, wanders
+from tautline.calibration.wandering import allowing_for_wander
 from tautline.calibration.worth import PREDICTS, Worth, worth
 from tautline.core.session import Session
 from tautline.diagnosis import start
@@ -380,8 +380,7 @@ class _Session:
         delay = self._joint_delay(before.delay, joint)
         late_s = np.array([fit.curves.delay_s - joint.curves.delay_s for fit in fits])
         apart = np.array([fit.fit.width(fit.curves) - joint.fit.width(joint.curves) for fit in fits])
-        moved_s = wanders(joint) * (delay.delay_s - before.delay.delay_s)
-        delay = replace(delay, sigma_s=float(np.sqrt(delay.sigma_s**2 + moved_s**2 + likely @ late_s**2)))
+        delay = replace(delay, sigma_s=float(np.sqrt(delay.sigma_s**2 + likely @ late_s**2)))
         onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
         curve = fit_widths(onsets, self.grid)
         width = self.choice.held(joint, curve)

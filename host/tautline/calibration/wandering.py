@@ -3,7 +3,8 @@
 A right effect's amplitude is the same at all places, speeds, times, sides and loads but for a share of itself, which is
 learnt. Whatever a fit of one amplitude makes of that goes to B and the delay: so factors on what the effect adds, one
 for each function that a diagnosis asks of an amplitude (diagnosis/wander.py), are unknowns of the same normal
-equations, each normal about 0, and are integrated out.
+equations, each normal about 0, and are integrated out. No law is exact either: frames that tell the amplitude tell that
+of the law, and it may be another by the same share as a whole.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ from tautline.diagnosis.wander import Course, axes_values, varying_columns
 Array = npt.NDArray[np.float64]
 
 
-def wanders(fitted: Fitted) -> float:
-    """The share of itself by which the effects' amplitude is another elsewhere (one standard deviation). At an end of
-    its range the fit says nothing of a value: it may be as without the effect."""
+def _share(fitted: Fitted) -> float:
+    """Of itself, by which the effects' amplitude is another elsewhere (one standard deviation). At an end of its range
+    the fit says nothing of a value: it may be as without the effect."""
     beside, values = fitted.beside
     return 1.0 if beside.ended(values) else learnt().center.wanders
 
@@ -33,17 +34,30 @@ def allowing_for_wander(fitted: Fitted) -> Fitted:
     wanders."""
     noise = place_noise(fitted)
     unit2 = fitted.scale**2 * (1.0 if noise is None else noise.effect)
-    functions = _functions(fitted)
-    fit, curves = fitted.fit, fitted.curves
-    matrix, _ = fit.normal(curves, fitted.rows, fitted.weights, functions)
+    fit, curves, share = fitted.fit, fitted.curves, _share(fitted)
+    matrix, _ = fit.normal(curves, fitted.rows, fitted.weights, _functions(fitted))
     penalty, _ = fit.penalty(curves, fitted.scale)
     known = len(penalty)
     matrix[:known, :known] += penalty
-    information = matrix / unit2
-    number = len(matrix) - known
-    information[range(known, len(matrix)), range(known, len(matrix))] += number / wanders(fitted) ** 2
-    covariance = np.linalg.inv(information + 1e-12 * np.eye(len(matrix)))[:known, :known]
-    return replace(fitted, covariance=np.asarray(covariance))
+    information = matrix / unit2 + 1e-12 * np.eye(len(matrix))
+    factors = np.arange(known, len(matrix))
+    information[factors, factors] += len(factors) / share**2
+    covariance = np.linalg.inv(information)[:known, :known]
+    return replace(fitted, covariance=covariance + _of_form(fitted, information[:known, :known], share))
+
+
+def _of_form(fitted: Fitted, information: Array, share: float) -> Array:
+    """What the unknowns are uncertain by where each effect as a whole is another by this share than its law makes of
+    the frames, everything but the effects following it."""
+    beside, values = fitted.beside
+    own = np.arange(len(information) - 1 - len(values), len(information) - 1)
+    rest = np.setdiff1d(np.arange(len(information)), own)
+    follows = -np.linalg.solve(information[np.ix_(rest, rest)], information[np.ix_(rest, own)])
+    moved = np.zeros((len(information), len(beside.kinds)))
+    for k, kind in enumerate(beside.kinds):
+        moved[own, k] = share * beside.amplitudes(values, kind)
+        moved[rest, k] = follows @ moved[own, k]
+    return np.asarray(moved @ moved.T)
 
 
 def _functions(fitted: Fitted) -> list[Array]:
