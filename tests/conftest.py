@@ -21,6 +21,7 @@ def patient_buses(monkeypatch: pytest.MonkeyPatch) -> None:
 
     for waits, name, long in (
         (cia402, "_ANSWER_S", 0.2),
+        (cia402, "_STATE_S", 10.0),
         (moteus_drives, "_ANSWER_S", 0.2),
         (serial_servos, "_ANSWER_MS", 200.0),
         (ros_joints, "_ANSWER_S", 0.1),

@@ -83,6 +83,8 @@ struct HostedBoard {
 
 void bind_hosted(nb::module_ &m) {
     m.attr("HOSTED_LATE_US") = HOSTED_LATE_US;
+    m.attr("HOSTED_SPEED_MAX") = hosted_speed_max;
+    m.attr("HOSTED_ACCELERATION_MAX") = hosted_acceleration_max;
     nb::class_<HostedBoard>(m, "HostedBoard", "The board's application over drives on a bus; positions are counts Q8.")
         .def(nb::init<const std::string &, const std::string &, uint16_t, nb::bytes,
                       const std::vector<std::tuple<int32_t, int32_t, bool>> &>(),

@@ -495,8 +495,7 @@ def test_an_axis_has_the_limits_that_its_drive_is_configured_for(
         of = setup.link.drives.drives[0].limits
         axis = setup.live.board.ask("get_limits", axis=0)
     assert (of.q_low, of.q_high, of.speed, of.acceleration, of.current_ma) == pytest.approx(expected, rel=1e-4)
-    planned = *expected[:3], min(expected[3], 250000.0)
-    assert (axis.q_low, axis.q_high, axis.speed_s, axis.acceleration_s2) == pytest.approx(planned, rel=1e-4)
+    assert (axis.q_low, axis.q_high, axis.speed_s, axis.acceleration_s2) == pytest.approx(expected[:4], rel=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
+from dataclasses import replace
 from typing import Any
 
 import can
@@ -10,6 +11,7 @@ import pytest
 from emulated_drives import Setup, driven, where
 from motor_emulators import DynamixelEmulator, Motor
 
+from tautline import _native
 from tautline.device import wire
 from tautline.drivers import addresses
 from tautline.drivers.hosted import HostedLink
@@ -79,6 +81,35 @@ def test_the_lag_of_several_drives_is_the_longest() -> None:
             board.ask("move", axis=axis, q=board.status(axis).q + 1000.0, speed_s=2000.0)
             live.wait(1.0)
         assert board.bus()["lag_s"] > setup.motor.lag_s
+
+
+def test_the_lag_of_several_drives_is_that_of_now() -> None:
+    with driven("dynamixel", beside=(Motor(lag_s=0.004),)) as setup:
+        board, live = setup.live.board, setup.live
+        for axis in range(2):
+            board.switch_on(axis, live.wait)
+
+        def there_and_back() -> float:
+            for way in (1.0, -1.0):
+                for axis in range(2):
+                    board.ask("move", axis=axis, q=board.status(axis).q + way * 1000.0, speed_s=500.0)
+                live.wait(3.0)
+            return float(board.bus()["lag_s"])
+
+        before = there_and_back()
+        setup.motor.lag_s = 0.004  # as one whose gains were raised
+        there_and_back()
+        assert there_and_back() < before - 0.004
+
+
+def test_a_drive_that_may_speed_up_faster_than_is_planned_is_driven_all_the_same() -> None:
+    with closing(DynamixelEmulator([Motor(position=700.0)])) as emulator:
+        address = addresses.parse(where("dynamixel", emulator, "rate=100"))
+        drives = addresses.open_drives(address)
+        (drive,) = drives.drives
+        drives.drives = [replace(drive, limits=replace(drive.limits, acceleration=1e9))]
+        with closing(HostedLink(drives, address.where, address.rate_hz, paced=False)) as link:
+            assert link._request("get_limits", axis=0).acceleration_s2 == _native.HOSTED_ACCELERATION_MAX
 
 
 def test_a_first_answer_may_be_lost() -> None:

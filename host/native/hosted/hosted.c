@@ -7,6 +7,9 @@
 
 #define TICK_US (1000000U / HOSTED_RATE_HZ)
 
+const int32_t hosted_speed_max = TL_REFERENCE_SPEED_MAX / TL_COUNT_ONE;
+const int32_t hosted_acceleration_max = TL_REFERENCE_ACCELERATION_MAX / TL_COUNT_ONE;
+
 struct hosted {
     tl_app_t app;
     tl_port_t port;

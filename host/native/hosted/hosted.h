@@ -17,6 +17,8 @@ extern "C" {
 #define HOSTED_SERIAL  32U
 #define HOSTED_LATE_US 100000U // a longer pause is no time that a motor was looked after: the board's rule for it holds
 
+extern const int32_t hosted_speed_max, hosted_acceleration_max; // that it plans, counts/s and counts/s2
+
 typedef struct hosted hosted_t;
 
 typedef struct {

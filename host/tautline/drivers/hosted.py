@@ -31,7 +31,6 @@ _SLOW = 0.02  # of the speed limit: below it a lag is not seen
 _LAG_MOST_S = 0.2
 _FOLLOWING_S = 0.15  # of motion at the speed limit: how far a drive may be behind
 _CHECK_SHARE = 0.05  # of the speed limit, at which the first enable looks whether a drive moves
-_SPEED_MOST, _ACCELERATION_MOST = 30_000.0, 250_000.0  # that the application plans, counts/s and counts/s2
 _LOW_DUTY, _FRICTION, _CHECK_PUSH = 8192, 0, 2621  # of the application's check; see hosted/actuator.h
 
 
@@ -45,7 +44,7 @@ class Timing:
     jitter_s: float = 0.0  # of the time between two measurements, rms about the period
     round_trip_s: float = 0.0  # mean, of asking and being told
     round_trip_most_s: float = 0.0
-    lag_s: float = 0.0  # of the drive behind its set-point; planned for
+    lag_s: float = 0.0  # of the slowest drive behind its set-point, in its last motion; planned for
     fault: str = ""  # what a drive said last that is wrong with it
 
 
@@ -75,6 +74,7 @@ class HostedLink:
         self._heard_s = self._epoch_s
         self._squares = 0.0
         self._lags = [np.zeros(2) for _ in drives.drives]
+        self._lags_s = [0.0 for _ in drives.drives]
         self._on = [False for _ in drives.drives]
         for drive in drives.drives:
             if not drive.limits.speed > 0.0:
@@ -128,8 +128,9 @@ class HostedLink:
                 speed = limits.speed * scale
                 settings.update(
                     key=wire.wire.KEY, q_low=limits.q_low * scale, q_high=limits.q_high * scale, speed_s=speed,
-                    acceleration_s2=min(limits.acceleration * scale, _ACCELERATION_MOST), friction=_FRICTION / 32768,
-                    following_error=max(_FOLLOWING_S * speed, 8.0), low_duty=_LOW_DUTY / 32768, current_ma=0,
+                    acceleration_s2=min(limits.acceleration * scale, _native.HOSTED_ACCELERATION_MAX),
+                    friction=_FRICTION / 32768, following_error=max(_FOLLOWING_S * speed, 8.0),
+                    low_duty=_LOW_DUTY / 32768, current_ma=0,
                     feed_forward=min(max(round(1000.0 * _CHECK_PUSH / (_CHECK_SHARE * speed)), 1), 32767), arrive=4.0,
                     hold_ms=0, commissioned=1,
                 )  # fmt: skip
@@ -249,7 +250,8 @@ class HostedLink:
                 sums += ((goal - places[axis]) / _Q8 * v, v * v)
             elif moves and v == 0.0 and sums[1] > 0.0:
                 lag_s = float(np.clip(sums[0] / sums[1], 0.0, _LAG_MOST_S))
-                self.timing.lag_s = lag_s if len(goals) == 1 else max(self.timing.lag_s, lag_s)
+                self._lags_s[axis] = lag_s
+                self.timing.lag_s = max(self._lags_s)
                 self._board.lead(axis, round(lag_s * 1e6))
 
     def _note(self, began: float, t_s: float) -> None:
@@ -360,7 +362,7 @@ def _scale(speed: float) -> float:
     """Counts of the application per count of the drive: halved until the application can count at this speed; it
     resolves 1/256 count."""
     scale = 1.0
-    while speed * scale > _SPEED_MOST:
+    while speed * scale > _native.HOSTED_SPEED_MAX:
         scale *= 0.5
     return scale
 

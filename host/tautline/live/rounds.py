@@ -14,6 +14,7 @@ import numpy.typing as npt
 from tautline.calibration.calibrate import Calibration
 from tautline.calibration.coverage import not_measured, seeable
 from tautline.calibration.onset import BOUND
+from tautline.effects import OWNER
 from tautline.rig import Actuator
 
 Array = npt.NDArray[np.float64]
@@ -39,7 +40,7 @@ FEWEST = 2  # rounds before one gives up
 # What the board takes for an onset, in shares of the range: it ends strokes, it measures nothing.
 _SIGMA_WANTED, _SIGMA_USABLE = 1e-3, 1e-2
 
-_BY_SPEED = "transmission.rate_dependent_backlash"
+_BY_SPEED = OWNER["width_per_speed"].id
 _HOPELESS = 2.0  # times the longest time that a calibration may take: not begun
 _UNTIL_MM, _UNTIL_SHARE = 3e-3, 5e-4
 

@@ -1,6 +1,6 @@
 import fs from 'node:fs';
 
-import { Chip } from './chip.js';
+import { Chip, NO_PROGRAM } from './chip.js';
 import { Flash } from './flash.js';
 import { Locks } from './locks.js';
 import { Plant, STEP_US } from './plant.js';
@@ -136,9 +136,8 @@ export class Board {
         this.hung = true;
         this.runWhile(() => this.chip.core.IPSR !== 0 || this.chip.core.PM, 10e3);
         const { core } = this.chip;
-        const trap = 0x20040000; // where no stack is as deep
-        this.chip.writeUint16(trap, BRANCH_TO_SELF);
-        core.PC = trap;
+        this.chip.writeUint16(NO_PROGRAM, BRANCH_TO_SELF);
+        core.PC = NO_PROGRAM;
         core.waiting = false;
     }
 

@@ -5,6 +5,7 @@ import { UsbController } from './usb.js';
 import { IoQspi, Pads, Pwm, Registers, Ssi, Timer, Watchdog } from './peripherals.js';
 
 export const SRAM_BASE = 0x20000000;
+export const NO_PROGRAM = 0x20040000; // no program is there, and no stack is as deep
 const BOOT2_SIZE = 256;
 const POLL_CYCLES = 125; // of the ROM waiting for the flash chip: a microsecond
 

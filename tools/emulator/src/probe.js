@@ -1,11 +1,10 @@
 import fs from 'node:fs';
 
-import { SRAM_BASE } from './chip.js';
+import { NO_PROGRAM, SRAM_BASE } from './chip.js';
 
 const SYMTAB = 2;
 const [SP, LR, PC] = [13, 14, 15];
 const CALL_STACK = 128; // bytes, more than what is called takes
-const RETURNED = 0x20040000; // no program is there
 
 /** Address and size of a symbol of a 32-bit little-endian ELF file. */
 export function extent(file, name) {
@@ -67,9 +66,9 @@ export class Probe {
         Object.assign(core, { PM: true, interruptsUpdated: false });
         core.registers[SP] = top;
         core.registers[0] = argument;
-        core.registers[LR] = RETURNED | 1;
+        core.registers[LR] = NO_PROGRAM | 1;
         core.registers[PC] = at & ~1;
-        while (core.registers[PC] !== RETURNED) core.executeInstruction();
+        while (core.registers[PC] !== NO_PROGRAM) core.executeInstruction();
         const [answer] = core.registers;
         core.registers.set(registers);
         core.rp2040.sram.set(stack, from);

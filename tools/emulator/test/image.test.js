@@ -5,7 +5,7 @@ import { test } from 'node:test';
 import { fileURLToPath } from 'node:url';
 
 import { loadBoard } from '../src/board.js';
-import { Fault } from '../src/chip.js';
+import { Fault, NO_PROGRAM } from '../src/chip.js';
 import { motorConstants } from '../src/plant.js';
 import { symbol } from '../src/probe.js';
 import { ACK } from '../src/usb.js';
@@ -309,9 +309,9 @@ test('the watchdog bites when interrupts stay off, too', () => {
     const board = booted();
     const { core } = board.chip;
     board.runWhile(() => core.IPSR !== 0, 1000);
-    board.chip.writeUint16(0x20040000, 0xe7fe); // b .
+    board.chip.writeUint16(NO_PROGRAM, 0xe7fe); // b .
     core.PM = true;
-    core.PC = 0x20040000;
+    core.PC = NO_PROGRAM;
     core.waiting = false;
     board.runWhile(() => board.starts === 1, 1e6);
     assert.equal(board.starts, 2);

@@ -12,7 +12,7 @@
 
 #define TL_REFERENCE_SPEED_MAX        (30000 * 256)   ///< Q8 counts/s
 #define TL_REFERENCE_ACCELERATION_MIN (1000 * 256)    ///< Q8 counts/s2
-#define TL_REFERENCE_ACCELERATION_MAX (4000000 * 256) ///< Q8 counts/s2; 250 000 counts/s2 at 1 kHz, 25 times at 5 kHz
+#define TL_REFERENCE_ACCELERATION_MAX (4000000 * 256) ///< Q8 counts/s2; at 1 kHz four counts/tick2
 
 typedef struct {
     int32_t speed;        ///< counts/tick Q24
