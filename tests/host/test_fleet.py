@@ -14,7 +14,7 @@ from fleet_workers import doubled
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tautline.calibration.beforehand import Beforehand
+from tautline.calibration.beforehand import Beforehand, Spread
 from tautline.calibration.calibrate import Options, calibrate
 from tautline.errors import TautError
 from tautline.fleet import prior, sessions
@@ -327,14 +327,14 @@ def test_what_a_delay_is_off_by_is_no_spread_between_robots():
 @settings(max_examples=20, deadline=None)
 def test_the_prior_s_gradient_is_that_of_its_logarithm(seed, size):
     rng = np.random.default_rng(seed)
-    known = Beforehand(PLACES, np.full(33, -1.0), SCALE + 0.01 * np.eye(33), 12.0)
+    known = Beforehand(Spread(PLACES, np.full(33, -1.0), SCALE + 0.01 * np.eye(33), 12.0))
     basis = Basis(-5.0, 5.0, 20)
     at = size * np.exp(rng.normal(-1.0, 0.3, basis.size))
     way = rng.normal(size=basis.size)
     step = 1e-6 * float(at.min()) / float(np.abs(way).max())
-    rise = known.term(basis, at + step * way)[2] - known.term(basis, at - step * way)[2]
+    rise = known.of_width(basis, at + step * way)[2] - known.of_width(basis, at - step * way)[2]
     # The third value is -2 log p, the gradient half of its: rise / (2 step) = 2 gradient . way.
-    assert rise / (4 * step) == pytest.approx(float(known.term(basis, at)[1] @ way), rel=1e-4, abs=1e-4)
+    assert rise / (4 * step) == pytest.approx(float(known.of_width(basis, at)[1] @ way), rel=1e-4, abs=1e-4)
 
 
 @pytest.fixture(scope="module")
@@ -345,7 +345,7 @@ def known_fleet():
     value = np.log(np.array(made))
     sigma = np.full(value.shape, 0.002)
     found = population(Curves(PLACES, value, sigma, tuple(f"r{k}" for k in range(100))), of_next=True)
-    return Beforehand(found.q, found.mean, found.scale, found.freedom)
+    return Beforehand(Spread(found.q, found.mean, found.scale, found.freedom))
 
 
 @pytest.mark.parametrize("worn", [False, True])
@@ -381,7 +381,7 @@ def test_a_prior_of_other_robots_is_refused(fleet, taut):
     rig = robots.reference_rig()
     rows = fleet_of(np.random.default_rng(1), 5, np.zeros(5), sessions=1)
     prior.write(rows, fleet / "out")
-    assert prior.read(fleet / "out", rig).q[0] == -5.0
+    assert prior.read(fleet / "out", rig).width.q[0] == -5.0
     with pytest.raises(TautError, match="from -5 to 5 mm, this one from -4 to 5 mm: use a fleet of its own make"):
         prior.read(fleet / "out", replace(rig, actuator=replace(rig.actuator, range=(-4.0, 5.0))))
     with pytest.raises(TautError, match="taut fleet FOLDER --out"):

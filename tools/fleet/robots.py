@@ -16,6 +16,7 @@ from tautline.trajectory import Trajectory, back_and_forth
 
 Array = npt.NDArray[np.float64]
 
+WORN = "worn"  # a batch's name
 _LEVEL, _SHAPE, _PLACES = 0.27, 0.08, (-0.7, -0.2, 0.3, 0.8)  # of log B: one of all q, and at each of four places
 _LAW = 0.04  # of f_remain's slope, at the same places
 _WEAR, _SOONER = 0.006, 0.05  # growth of B a session, usual and of a worn batch
@@ -95,11 +96,13 @@ def write(folder: Path, robots: int, sessions: int, worn: int, seed: int, second
     lines = ["robot,batch"]
     for number in range(robots):
         name = f"r{number:04d}"
-        lines.append(f"{name},{'worn' if number in chosen else f'b{number % 12:02d}'}")
+        lines.append(f"{name},{WORN if number in chosen else f'b{number % 12:02d}'}")
         robot = Robot(seed, number, number in chosen)
         for session in range(sessions):
             at = folder / name / f"{session:02d}"
             if not at.exists():
-                save(robot.recording(session, seconds, rig), at)
+                begun = at.with_name(f".{at.name}")  # whole or not at all, if this is interrupted
+                save(robot.recording(session, seconds, rig), begun)
+                begun.rename(at)
     (folder / "robots.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return [f"r{number:04d}" for number in sorted(chosen)]
