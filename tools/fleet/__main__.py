@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import numpy.typing as npt
 
 from tautline.calibration.calibrate import Options, calibrate
 from tautline.fleet import prior
+from tautline.rig import Rig
 from tautline.simulated.instrument import reference_rig
 from tools.fleet.cost import Cost, measure, told
 from tools.fleet.robots import Robot, write
@@ -76,26 +78,44 @@ class _Score:
         )
 
 
+_MOVED_MM, _LATE_S, _BENT = 2.0, 0.005, 0.05  # a camera elsewhere, a later one, a law as no robot of the fleet has it
+_MODES = (("5 s without", 5.0, False), ("5 s with the fleet", 5.0, True), ("20 s without", 20.0, False))
+
+
+def _moved(rig: Rig) -> Rig:
+    assert rig.hand_eye is not None
+    x, y, z = rig.hand_eye.translation_mm
+    return replace(rig, hand_eye=replace(rig.hand_eye, translation_mm=(x + _MOVED_MM, y, z)))
+
+
 @main.command("prior")
 @click.argument("fleet", type=click.Path(path_type=Path))
 @click.option("--robots", type=int, default=20, show_default=True)
-@click.option("--session", type=int, default=2, show_default=True, help="How long they are in use.")
+@click.option("--session", type=int, default=2, show_default=True, help="How long they are in use; worn ones 4 times.")
 @_seed
 def of_prior(fleet: Path, robots: int, session: int, seed: int) -> None:
-    """Robots that are not in FLEET, calibrated by 5 and 20 s with and without what it taught."""
+    """Robots that are not in FLEET, also such as it has none of, calibrated by 5 and 20 s with and without what it
+    taught."""
     rig = reference_rig()
-    known = Options(beforehand=prior.read(fleet, rig))
+    options = {True: Options(beforehand=prior.read(fleet, rig)), False: Options()}
     reversals = (_PLACES >= -3.0) & (_PLACES <= 4.5)
-    for worn, seconds, options in product((False, True), (5.0, 20.0), (Options(), known)):
+    kinds: list[tuple[str, Callable[[int], Robot], int, Rig]] = [
+        ("usual", lambda number: Robot(seed, number), session, rig),
+        ("worn", lambda number: Robot(seed, number, worn=True), 4 * session, rig),
+        ("later by 5 ms", lambda number: Robot(seed, number, late_s=_LATE_S), session, rig),
+        ("another f_remain", lambda number: Robot(seed, number, bent=_BENT), session, rig),
+        ("camera 2 mm elsewhere", lambda number: Robot(seed, number), session, _moved(rig)),
+    ]
+    for (kind, robot_of, at, own), (mode, seconds, known) in product(kinds, _MODES):
         score = _Score([], [])
-        for number in range(_BEYOND, _BEYOND + robots):
-            robot, at = Robot(seed, number, worn), session * (4 if worn else 1)
-            model = calibrate([robot.recording(at, seconds, rig)], rig, options).model
-            truth = robot.instrument(at, rig).backlash(_PLACES)
+        for robot in map(robot_of, range(_BEYOND, _BEYOND + robots)):
+            model = calibrate([robot.recording(at, seconds, own)], own, options[known]).model
+            truth = robot.instrument(at, own).backlash(_PLACES)
             score.error.append(np.interp(_PLACES, model.q, model.width) - truth)
             score.sigma.append(np.interp(_PLACES, model.q, model.width_sigma))
-        what = f"{'worn' if worn else 'usual'}, {seconds:g} s, {'with' if options is known else 'without'} a fleet"
-        click.echo(f"{what}: between the reversals {score.line(reversals)}; whole range {score.line(_PLACES > -9.0)}")
+        click.echo(
+            f"{kind}, {mode}: between the reversals {score.line(reversals)}; whole range {score.line(_PLACES > -9.0)}"
+        )
 
 
 if __name__ == "__main__":

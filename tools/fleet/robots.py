@@ -13,6 +13,7 @@ from tautline.rig import Rig
 from tautline.simulated.instrument import Instrument, reference_rig
 from tautline.simulated.simulate import simulate
 from tautline.trajectory import Trajectory, back_and_forth
+from tautline.vision.timing import FrameTiming
 
 Array = npt.NDArray[np.float64]
 
@@ -36,6 +37,8 @@ class Robot:
     seed: int
     number: int
     worn: bool = False
+    late_s: float = 0.0  # by which its camera's delay is more than the rig says
+    bent: float = 0.0  # of f_remain's slope, at a place and as narrow as in no fleet
 
     def instrument(self, session: int, rig: Rig) -> Instrument:
         """As it is at a session, counted from 0."""
@@ -56,17 +59,20 @@ class Robot:
         def remaining(p: Array) -> Array:
             x = (p - middle) / half
             bent = sum(size * _bump(x, at, 0.35) for size, at in zip(law, _PLACES, strict=True))
+            bent += self.bent * _bump(x, 0.05, 0.12)
             return np.asarray(rig.coarse.gain * (0.9 * (p - middle) + 0.35 * half * bent))
 
         return Instrument.of(rig, backlash, remaining, f"robot-{self.number}")
 
     def recording(self, session: int, seconds: float, rig: Rig) -> Recording:
         """A calibration's motion of about so many seconds."""
+        seed = self.number * 101 + session
         made = simulate(
             rig,
             self.instrument(session, rig),
             motion(rig, seconds),
-            seed=self.number * 101 + session,
+            timing=FrameTiming.of(rig, delay_s=rig.delay_s + self.late_s, seed=seed),
+            seed=seed,
             name=str(session),
         )
         motor = made.motor

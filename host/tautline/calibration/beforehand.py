@@ -13,6 +13,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import null_space
+from scipy.stats import f as f_distribution
 
 from tautline.splines import Basis
 from tautline.value import Value
@@ -20,6 +21,7 @@ from tautline.value import Value
 Array = npt.NDArray[np.float64]
 Term = tuple[Array, Array, float]  # matrix (m, m) and gradient (m,) of half of -2 log p, the weight held; -2 log p
 
+_SELDOM = 0.05  # prior: a curve as far off as so few of the others tells that it is none of them
 _LEAST = 1e-3  # tolerance: of the usual B: less has no logarithm that says more
 
 
@@ -45,6 +47,12 @@ class Spread(Value):
         weight = (self.freedom + size) / (self.freedom + far)
         told = (self.freedom + size) * float(np.log1p(far / self.freedom))
         return weight * (slope.T @ self.precision @ slope), weight * (slope.T @ pulled), told
+
+    def has(self, value: Array, noise: Array) -> bool:
+        """Whether values (k,) with errors of this covariance (k, k) may be one more of these."""
+        off = value - self.mean
+        far, size = float(off @ np.linalg.solve(self.scale + noise, off)), len(self.q)
+        return bool(f_distribution.sf(far / size, size, self.freedom) > _SELDOM)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

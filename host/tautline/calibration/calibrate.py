@@ -398,7 +398,7 @@ class _Session:
         frozen = freeze(self._one_curve(delay_s), delay_s)
         basis = before.fit.backlash
         fit = PlayFit(
-            frozen, basis, basis, fit_delay=fit_delay, beforehand=self.options.beforehand, beside=beside,
+            frozen, basis, basis, fit_delay=fit_delay, beforehand=before.fit.beforehand, beside=beside,
             elements=self.elements,
         )  # fmt: skip
         channels = frozen[0].track.y.shape[1]

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from tautline.calibration.beforehand import Beforehand, Spread
 from tautline.errors import TautError, of_system
-from tautline.fleet.population import Curves, log_widths, paths, population
+from tautline.fleet.population import Population, log_widths, paths, population
 from tautline.fleet.rows import Row
 from tautline.folders import write_file
 from tautline.rig import Rig
@@ -28,13 +28,13 @@ def write(rows: Sequence[Row], out: Path) -> None:
     curves = log_widths(rows)
     unit = next(row.unit for row in rows if row.usable and row.q == tuple(curves.q.tolist()))
     with threadpool_limits(1, "blas"):
-        width, path = _learnt(curves), [_learnt(each) for each in paths(rows)]
+        width = _told(population(curves, of_next=True))  # who may be worn; a law is what it is
+        path = [_told(population(each)) for each in paths(rows)]
     document = {"format": FORMAT, "unit": unit, "robots": len(set(curves.names)), "width": width, "path": path}
     write_file(out / FILE, json.dumps(document))
 
 
-def _learnt(curves: Curves) -> dict[str, Any]:
-    known = population(curves, of_next=True)
+def _told(known: Population) -> dict[str, Any]:
     arrays = {name: getattr(known, name).tolist() for name in ("q", "mean", "scale")}
     return {**arrays, "freedom": known.freedom}
 
