@@ -16,7 +16,7 @@ from tautline.fleet import prior
 from tautline.rig import Rig
 from tautline.simulated.instrument import reference_rig
 from tools.fleet.cost import Cost, measure, told
-from tools.fleet.robots import Robot, Turns, write
+from tools.fleet.robots import Robot, write
 
 Array = npt.NDArray[np.float64]
 
@@ -79,14 +79,7 @@ class _Score:
 
 
 _MOVED_MM, _LATE_S, _BENT = 2.0, 0.005, 0.05  # a camera elsewhere, a later one, a law as no robot of the fleet has it
-_OFTEN = Turns(0.15, 14)  # stops tell the delay, which a width looks like at one speed
-_MODES = (
-    ("5 s without", 5.0, Turns(), False),
-    ("5 s with the fleet", 5.0, Turns(), True),
-    ("5 s that turn more often, with the fleet", 5.0, _OFTEN, True),
-    ("20 s without", 20.0, Turns(), False),
-)
-_STRANGE = _MODES[1:3]  # what the fleet may mislead
+_MODES = (("5 s without", 5.0, False), ("5 s with the fleet", 5.0, True), ("20 s without", 20.0, False))
 
 
 def _moved(rig: Rig) -> Rig:
@@ -106,23 +99,22 @@ def of_prior(fleet: Path, robots: int, session: int, seed: int) -> None:
     rig = reference_rig()
     options = {True: Options(beforehand=prior.read(fleet, rig)), False: Options()}
     reversals = (_PLACES >= -3.0) & (_PLACES <= 4.5)
-    kinds: list[tuple[str, Callable[[int], Robot], int, Rig, tuple[tuple[str, float, Turns, bool], ...]]] = [
-        ("usual", lambda number: Robot(seed, number), session, rig, _MODES),
-        ("worn", lambda number: Robot(seed, number, worn=True), 4 * session, rig, _MODES),
-        ("later by 5 ms", lambda number: Robot(seed, number, late_s=_LATE_S), session, rig, _STRANGE),
-        ("another f_remain", lambda number: Robot(seed, number, bent=_BENT), session, rig, _STRANGE),
-        ("camera 2 mm elsewhere", lambda number: Robot(seed, number), session, _moved(rig), _STRANGE),
+    kinds: list[tuple[str, Callable[[int], Robot], int, Rig]] = [
+        ("usual", lambda number: Robot(seed, number), session, rig),
+        ("worn", lambda number: Robot(seed, number, worn=True), 4 * session, rig),
+        ("later by 5 ms", lambda number: Robot(seed, number, late_s=_LATE_S), session, rig),
+        ("another f_remain", lambda number: Robot(seed, number, bent=_BENT), session, rig),
+        ("camera 2 mm elsewhere", lambda number: Robot(seed, number), session, _moved(rig)),
     ]
-    for kind, robot_of, at, own, modes in kinds:
-        for mode, seconds, turns, known in modes:
-            score = _Score([], [])
-            for robot in map(robot_of, range(_BEYOND, _BEYOND + robots)):
-                model = calibrate([robot.recording(at, seconds, own, turns)], own, options[known]).model
-                truth = robot.instrument(at, own).backlash(_PLACES)
-                score.error.append(np.interp(_PLACES, model.q, model.width) - truth)
-                score.sigma.append(np.interp(_PLACES, model.q, model.width_sigma))
-            between, whole = score.line(reversals), score.line(_PLACES > -9.0)
-            click.echo(f"{kind}, {mode}: between the reversals {between}; whole range {whole}")
+    for (kind, robot_of, at, own), (mode, seconds, known) in product(kinds, _MODES):
+        score = _Score([], [])
+        for robot in map(robot_of, range(_BEYOND, _BEYOND + robots)):
+            model = calibrate([robot.recording(at, seconds, own)], own, options[known]).model
+            truth = robot.instrument(at, own).backlash(_PLACES)
+            score.error.append(np.interp(_PLACES, model.q, model.width) - truth)
+            score.sigma.append(np.interp(_PLACES, model.q, model.width_sigma))
+        between, whole = score.line(reversals), score.line(_PLACES > -9.0)
+        click.echo(f"{kind}, {mode}: between the reversals {between}; whole range {whole}")
 
 
 if __name__ == "__main__":

@@ -22,20 +22,12 @@ _LEVEL, _SHAPE, _PLACES = 0.27, 0.08, (-0.7, -0.2, 0.3, 0.8)  # of log B: one of
 _LAW = 0.04  # of f_remain's slope, at the same places
 _WEAR, _SOONER = 0.006, 0.05  # growth of B a session, usual and of a worn batch
 _USE = 0.4  # spread of the use between two sessions
-_TRIES = 20  # that find the speed of a motion
+_TURNS = 20  # that find the speed of a motion
 _EVERY = 4  # of the simulation's samples at 1 kHz
 
 
 def _bump(x: Array, at: float, spread: float) -> Array:
     return np.asarray(np.exp(-0.5 * ((x - at) / spread) ** 2))
-
-
-@dataclass(frozen=True)
-class Turns:
-    """How a motion goes up and down: strokes, a share of the range, and reversals each way."""
-
-    stroke: float = 0.3
-    reversals: int = 8
 
 
 @dataclass(frozen=True)
@@ -72,13 +64,13 @@ class Robot:
 
         return Instrument.of(rig, backlash, remaining, f"robot-{self.number}")
 
-    def recording(self, session: int, seconds: float, rig: Rig, turns: Turns | None = None) -> Recording:
+    def recording(self, session: int, seconds: float, rig: Rig) -> Recording:
         """A calibration's motion of about so many seconds."""
         seed = self.number * 101 + session
         made = simulate(
             rig,
             self.instrument(session, rig),
-            motion(rig, seconds, turns or Turns()),
+            motion(rig, seconds),
             timing=FrameTiming.of(rig, delay_s=rig.delay_s + self.late_s, seed=seed),
             seed=seed,
             name=str(session),
@@ -88,12 +80,12 @@ class Robot:
         return replace(made, motor=replace(motor, t_s=motor.t_s[every], q=motor.q[every], q_cmd=None))
 
 
-def motion(rig: Rig, seconds: float, turns: Turns) -> Trajectory:
-    """Once up the range and down again, back a little some times each way, in so many seconds to 1 %."""
+def motion(rig: Rig, seconds: float) -> Trajectory:
+    """Once up the range and down again, back a little four times each way, in so many seconds to 1 %."""
     span = rig.actuator.span
     speed = 4.0 * span / seconds
-    for _ in range(_TRIES):
-        made = back_and_forth(rig.actuator, (speed,), turns.stroke * span, turns.reversals, 16.0 * span, 0.02)
+    for _ in range(_TURNS):
+        made = back_and_forth(rig.actuator, (speed,), 0.3 * span, 8, 16.0 * span, 0.02)
         if abs(made.duration_s / seconds - 1.0) < 0.01:
             break
         speed *= made.duration_s / seconds
