@@ -14,7 +14,7 @@ from fleet_workers import doubled
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tautline.calibration.beforehand import Beforehand
+from tautline.calibration.beforehand import Beforehand, Spread, between
 from tautline.calibration.calibrate import Options, calibrate
 from tautline.errors import TautError
 from tautline.fleet import prior, sessions
@@ -24,9 +24,10 @@ from tautline.fleet.population import _UNTOLD as UNTOLD
 from tautline.fleet.population import Curves, population
 from tautline.fleet.rows import DATA_SET, DataSet, Row
 from tautline.fleet.run import run
+from tautline.geometry import project
 from tautline.pool import pool
 from tautline.splines import Basis
-from tools.fleet import robots
+from tools.fleet import cost, robots
 
 PLACES = np.linspace(-5.0, 5.0, 33)
 ROBOTS, SESSIONS = 4, 2
@@ -145,6 +146,17 @@ def test_rows_hold_the_truth_within_their_sigma(made):
         off.append(((np.array(row.width) - truth) / np.array(row.width_sigma))[inside])
     z = np.concatenate(off)
     assert np.sqrt(np.mean(z**2)) < 1.5  # 1 where the sigmas are right; a few tens of independent values
+
+
+def test_rows_hold_the_path_that_the_camera_saw(made):
+    _, done = made
+    rig = robots.reference_rig()
+    off = []
+    for row in done.rows:
+        truth = project(rig, robots.Robot(3, int(row.robot[1:]), row.batch == "worn").instrument(0, rig).bend(PLACES))
+        inside = np.tile((row.measured_low < PLACES) & (row.measured_high > PLACES), 2)
+        off.append(((np.array(row.path) - truth.T.ravel()) / np.array(row.path_sigma))[inside])
+    assert 0.7 < np.sqrt(np.mean(np.concatenate(off) ** 2)) < 1.5  # 1 where the sigmas are right
 
 
 def test_a_second_run_does_only_what_is_new(fleet):
@@ -327,43 +339,97 @@ def test_what_a_delay_is_off_by_is_no_spread_between_robots():
 @settings(max_examples=20, deadline=None)
 def test_the_prior_s_gradient_is_that_of_its_logarithm(seed, size):
     rng = np.random.default_rng(seed)
-    known = Beforehand(PLACES, np.full(33, -1.0), SCALE + 0.01 * np.eye(33), 12.0)
+    known = Beforehand(Spread(PLACES, np.full(33, -1.0), SCALE + 0.01 * np.eye(33), 12.0))
     basis = Basis(-5.0, 5.0, 20)
     at = size * np.exp(rng.normal(-1.0, 0.3, basis.size))
     way = rng.normal(size=basis.size)
     step = 1e-6 * float(at.min()) / float(np.abs(way).max())
-    rise = known.term(basis, at + step * way)[2] - known.term(basis, at - step * way)[2]
+    rise = known.of_width(basis, at + step * way)[2] - known.of_width(basis, at - step * way)[2]
     # The third value is -2 log p, the gradient half of its: rise / (2 step) = 2 gradient . way.
-    assert rise / (4 * step) == pytest.approx(float(known.term(basis, at)[1] @ way), rel=1e-4, abs=1e-4)
+    assert rise / (4 * step) == pytest.approx(float(known.of_width(basis, at)[1] @ way), rel=1e-4, abs=1e-4)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=20, deadline=None)
+def test_what_is_known_of_the_path_is_no_bending_and_the_rest_is(seed):
+    """A curve through the places that bends least costs nothing, one that is 0 at them all that it bends."""
+    rng, basis = np.random.default_rng(seed), Basis(-5.0, 5.0, 100)
+    design, (form, rank) = basis.design(PLACES).toarray(), between(basis, tuple(PLACES.tolist()))
+    assert np.linalg.matrix_rank(form, tol=1e-9) == rank == basis.size - 33
+    values = rng.normal(size=33)
+    bordered = np.block([[basis.bending, design.T], [design, np.zeros((33, 33))]])
+    least = np.linalg.solve(bordered, np.concatenate([np.zeros(basis.size), values]))[: basis.size]
+    assert least @ form @ least < 1e-9 * (least @ basis.bending @ least)
+    whole = rng.normal(size=basis.size)
+    rest = whole - np.linalg.solve(bordered, np.concatenate([np.zeros(basis.size), design @ whole]))[: basis.size]
+    assert whole @ form @ whole == pytest.approx(rest @ basis.bending @ rest, rel=1e-6)
 
 
 @pytest.fixture(scope="module")
 def known_fleet():
     """The distribution that tools' robots come from, by its own draws: no calibration in it."""
-    rig = robots.reference_rig()
-    made = [robots.Robot(9, k).instrument(k % 3, rig).backlash(PLACES) for k in range(100)]
-    value = np.log(np.array(made))
-    sigma = np.full(value.shape, 0.002)
-    found = population(Curves(PLACES, value, sigma, tuple(f"r{k}" for k in range(100))), of_next=True)
-    return Beforehand(found.q, found.mean, found.scale, found.freedom)
+    rig, rng, count = robots.reference_rig(), np.random.default_rng(4), 80
+    made = [robots.Robot(9, k).instrument(k % 3, rig) for k in range(count)]
+    names = tuple(f"r{k}" for k in range(count))
+
+    def learnt(value, sigma, of_next=False):
+        seen = value + sigma * rng.normal(size=value.shape)
+        found = population(Curves(PLACES, seen, np.full(value.shape, sigma), names), of_next=of_next)
+        return Spread(found.q, found.mean, found.scale, found.freedom)
+
+    width = learnt(np.log([each.backlash(PLACES) for each in made]), 0.002, of_next=True)
+    path = np.array([project(rig, each.bend(PLACES)) for each in made])
+    return Beforehand(width, tuple(learnt(path[:, :, k], 0.014) for k in range(2)))
+
+
+BETWEEN = (PLACES >= -3.0) & (PLACES <= 4.5)  # the reversals
+
+
+def beside_truth(numbers, seconds, known=None, rig=None, session=2, **kind):
+    """B's error and sigma (robots, places) of robots of tools that are not of the fleet."""
+    rig = rig or robots.reference_rig()
+    off, sigma = [], []
+    for number in numbers:
+        robot = robots.Robot(9, number, **kind)
+        model = calibrate([robot.recording(session, seconds, rig)], rig, Options(beforehand=known)).model
+        off.append(np.interp(PLACES, model.q, model.width) - robot.instrument(session, rig).backlash(PLACES))
+        sigma.append(np.interp(PLACES, model.q, model.width_sigma))
+    return np.array(off), np.array(sigma)
 
 
 @pytest.mark.parametrize("worn", [False, True])
 def test_five_seconds_with_a_fleet_cover_over_all_of_the_range(known_fleet, worn):
-    """Robots that are not of the fleet; the worn have nine sessions of the worse wear, where the fleet's have three."""
-    rig, known = robots.reference_rig(), known_fleet
-    z, sigma, alone = [], [], []
-    for number in range(500, 504):
-        robot, session = robots.Robot(9, number, worn), 9 if worn else 2
-        recording, truth = robot.recording(session, 5.0, rig), robot.instrument(session, rig).backlash(PLACES)
-        for options, kept in ((Options(beforehand=known), sigma), (Options(), alone)):
-            model = calibrate([recording], rig, options).model
-            kept.append(np.interp(PLACES, model.q, model.width_sigma))
-            if options.beforehand is not None:
-                z.append((np.interp(PLACES, model.q, model.width) - truth) / kept[-1])
+    """The worn have nine sessions of the worse wear, where the fleet's have three."""
+    numbers, session = range(500, 504), 9 if worn else 2
+    off, sigma = beside_truth(numbers, 5.0, known_fleet, session=session, worn=worn)
+    _, alone = beside_truth(numbers, 5.0, session=session, worn=worn)
     # Four robots have some 40 independent places: 90 % of them to 5 %.
-    assert np.mean(np.abs(z) < 1.645) > 0.8
+    assert np.mean(np.abs(off / sigma) < 1.645) > 0.8
     assert np.sqrt(np.mean(np.square(sigma))) < 0.2 * np.sqrt(np.mean(np.square(alone)))  # beyond the reversals, too
+
+
+def test_five_seconds_with_a_fleet_are_about_as_wide_as_twenty_without(known_fleet):
+    """Of these six robots 1.05 times; what is known of B alone leaves them a fifth wider."""
+    numbers = range(500, 506)
+    both, of_width, long = (
+        np.median(beside_truth(numbers, *how)[1][:, BETWEEN])
+        for how in ((5.0, known_fleet), (5.0, replace(known_fleet, path=())), (20.0, None))
+    )
+    assert both < 1.1 * long
+    assert both < 0.88 * of_width
+
+
+@pytest.mark.parametrize("strange", ["bent", "moved"])
+def test_a_path_that_no_robot_of_the_fleet_has_is_covered_as_without_one(known_fleet, strange):
+    """A bend of f_remain ten times as narrow as the fleet's, of 0.1 px; a camera that is 2 mm elsewhere. Taken for one
+    of the fleet's 75 to 85 % are covered."""
+    rig, kind = robots.reference_rig(), {"bent": 0.01} if strange == "bent" else {}
+    if strange == "moved":
+        rig = replace(rig, hand_eye=replace(rig.hand_eye, translation_mm=(2.0, 0.0, 0.0)))
+    found, without = (
+        beside_truth(range(300, 303), 5.0, known, rig, **kind) for known in (known_fleet, replace(known_fleet, path=()))
+    )
+    np.testing.assert_array_equal(found[1], without[1])
 
 
 def test_a_fleet_s_prior_is_read_by_the_next_calibration(fleet, taut):
@@ -381,7 +447,7 @@ def test_a_prior_of_other_robots_is_refused(fleet, taut):
     rig = robots.reference_rig()
     rows = fleet_of(np.random.default_rng(1), 5, np.zeros(5), sessions=1)
     prior.write(rows, fleet / "out")
-    assert prior.read(fleet / "out", rig).q[0] == -5.0
+    assert prior.read(fleet / "out", rig).width.q[0] == -5.0
     with pytest.raises(TautError, match="from -5 to 5 mm, this one from -4 to 5 mm: use a fleet of its own make"):
         prior.read(fleet / "out", replace(rig, actuator=replace(rig.actuator, range=(-4.0, 5.0))))
     with pytest.raises(TautError, match="taut fleet FOLDER --out"):
@@ -417,3 +483,35 @@ def test_a_fleet_on_a_cluster_says_the_same(made, tmp_path, taut):
     assert json.loads(done.out)["new"] == ROBOTS * SESSIONS
     there = DataSet(tmp_path).read().values()
     assert [replace(row, seconds=None) for row in there] == [replace(row, seconds=None) for row in here.rows]
+
+
+# ---- what a campaign costs
+
+
+def test_an_interrupted_campaign_is_told_as_a_part_and_goes_on(made, tmp_path, monkeypatch):
+    shutil.copytree(made[0] / "in", tmp_path / "4")
+    whole, out = cost.Cost(ROBOTS, 1, ROBOTS * SESSIONS, 8.0), tmp_path / "4-by-1"
+    run_all = cost.run
+
+    def stopped(folder, result, workers, progress):
+        def until(share, what):
+            progress(share, what)
+            if share > 0.3:
+                raise KeyboardInterrupt
+
+        return run_all(folder, result, workers, until)
+
+    monkeypatch.setattr(cost, "run", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        cost.measure(tmp_path / "4", out, whole)
+    assert not cost.Cost.read(out / cost.FILE).whole
+    assert "3 of 8 sessions in 1 calls" in cost.told(tmp_path)[0]
+    assert not (tmp_path / "cost.svg").exists()
+    monkeypatch.setattr(cost, "run", run_all)
+    cost.measure(tmp_path / "4", out, whole)
+    known = cost.Cost.read(out / cost.FILE)
+    assert known.whole and [part.sessions for part in known.parts] == [3, 5]
+    assert known.cores_s == pytest.approx(sum(part.cores_s for part in known.parts))
+    cost.measure(tmp_path / "4", out, whole)  # nothing is new
+    assert cost.Cost.read(out / cost.FILE) == known
+    assert "8 sessions in 2 calls" in cost.told(tmp_path)[0] and (tmp_path / "cost.svg").exists()

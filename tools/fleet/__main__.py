@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import resource
-import time
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
 import click
-import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
 
 from tautline.calibration.calibrate import Options, calibrate
 from tautline.fleet import prior
-from tautline.fleet.findings import findings
-from tautline.fleet.run import died, run
-from tautline.pool import pool
-from tautline.reports import figures
+from tautline.rig import Rig
 from tautline.simulated.instrument import reference_rig
+from tools.fleet.cost import Cost, measure, told
 from tools.fleet.robots import Robot, write
 
 Array = npt.NDArray[np.float64]
@@ -38,52 +34,34 @@ def main() -> None:
 
 @main.command()
 @click.argument("out", type=click.Path(path_type=Path))
-@click.option("--robots", type=int, multiple=True, default=(100, 1000), show_default=True)
+@click.option("--robots", type=int, multiple=True, default=(30, 100, 1000), show_default=True)
 @click.option("--sessions", type=int, default=10, show_default=True)
 @click.option("--worn", type=float, default=0.03, show_default=True, help="Share of the robots.")
 @click.option("--seconds", type=float, default=20.0, show_default=True, help="Of motion, a session.")
-@click.option("--jobs", type=int, multiple=True, default=(1, 2, 4), show_default=True)
+@click.option("--jobs", type=int, multiple=True, default=(1, 2), show_default=True)
 @_seed
 def campaign(
     out: Path, robots: tuple[int, ...], sessions: int, worn: float, seconds: float, jobs: tuple[int, ...], seed: int
 ) -> None:
-    """Fleets of these sizes by so many workers: what each costs the cores, which others may share (OUT/cost.svg), and
-    who is found worn. A fleet's sessions are the first of a larger one's, whichever are worn."""
-    spent: dict[tuple[int, int], float] = {}
-    for count, workers_at in product(robots, jobs):
-        truth = set(write(out / f"{count}", count, sessions, round(worn * count), seed, seconds))
-        result = out / f"{count}-by-{workers_at}"
-        began, cores_s = time.monotonic(), _cores_s()
-        with pool(workers_at, None, died) as workers:
-            done = run(out / f"{count}", result, workers, lambda share, what: None)
-        wall_s, spent[count, workers_at] = time.monotonic() - began, _cores_s() - cores_s
-        each = spent[count, workers_at] / max(done.new, 1)
-        named = {one.name for one in findings(done.rows).worn}
-        click.echo(
-            f"{count} robots, {workers_at} workers, {done.new} sessions: {wall_s:.0f} s, "
-            f"{spent[count, workers_at]:.0f} s of the cores, {each:.3f} a session; "
-            f"worn {len(truth)}, found {len(truth & named)}, false {len(named - truth)}"
-        )
-    _plot(spent, sessions, out / "cost.svg")
+    """Fleets of these sizes by so many workers: what each costs the cores, which others may share, and who is found
+    worn. What OUT holds already is not measured again, and an interrupted run goes on. A fleet's sessions are the first
+    of a larger one's, whichever are worn."""
+    for count, workers in product(robots, jobs):
+        write(out / f"{count}", count, sessions, round(worn * count), seed, seconds)
+        measure(out / f"{count}", out / f"{count}-by-{workers}", Cost(count, workers, count * sessions, seconds))
+    _say_costs(out)
 
 
-def _cores_s() -> float:
-    """Of this process and of those that it waited for."""
-    own, theirs = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return own.ru_utime + own.ru_stime + theirs.ru_utime + theirs.ru_stime
+@main.command()
+@click.argument("out", type=click.Path(path_type=Path, exists=True))
+def costs(out: Path) -> None:
+    """What campaign has measured so far in OUT, and the plot of it (OUT/cost.svg)."""
+    _say_costs(out)
 
 
-def _plot(spent: dict[tuple[int, int], float], sessions: int, path: Path) -> None:
-    with mpl.rc_context(figures.STYLE):
-        made, axes = figures.figure(6.0, 4.0)
-        for colour, jobs in zip(figures.SERIES, sorted({at for _, at in spent}), strict=False):
-            count = sorted(robots for robots, at in spent if at == jobs)
-            cores_s = [spent[robots, jobs] for robots in count]
-            axes[0, 0].loglog(count, cores_s, "o-", color=colour, label=f"{jobs} workers")
-        axes[0, 0].set_xlabel(f"robots, {sessions} sessions each")
-        axes[0, 0].set_ylabel("s of the cores")
-        axes[0, 0].legend()
-        figures.save(made, path)
+def _say_costs(out: Path) -> None:
+    for line in told(out):
+        click.echo(line)
 
 
 @dataclass
@@ -100,26 +78,43 @@ class _Score:
         )
 
 
+_MOVED_MM, _LATE_S, _BENT = 2.0, 0.005, 0.05  # a camera elsewhere, a later one, a law as no robot of the fleet has it
+_MODES = (("5 s without", 5.0, False), ("5 s with the fleet", 5.0, True), ("20 s without", 20.0, False))
+
+
+def _moved(rig: Rig) -> Rig:
+    assert rig.hand_eye is not None
+    x, y, z = rig.hand_eye.translation_mm
+    return replace(rig, hand_eye=replace(rig.hand_eye, translation_mm=(x + _MOVED_MM, y, z)))
+
+
 @main.command("prior")
 @click.argument("fleet", type=click.Path(path_type=Path))
 @click.option("--robots", type=int, default=20, show_default=True)
-@click.option("--session", type=int, default=2, show_default=True, help="How long they are in use.")
+@click.option("--session", type=int, default=2, show_default=True, help="How long they are in use; worn ones 4 times.")
 @_seed
 def of_prior(fleet: Path, robots: int, session: int, seed: int) -> None:
-    """Robots that are not in FLEET, calibrated by 5 and 20 s with and without what it taught."""
+    """Robots that are not in FLEET, also such as it has none of, calibrated by 5 and 20 s with and without what it
+    taught."""
     rig = reference_rig()
-    known = Options(beforehand=prior.read(fleet, rig))
+    options = {True: Options(beforehand=prior.read(fleet, rig)), False: Options()}
     reversals = (_PLACES >= -3.0) & (_PLACES <= 4.5)
-    for worn, seconds, options in product((False, True), (5.0, 20.0), (Options(), known)):
+    kinds: list[tuple[str, Callable[[int], Robot], int, Rig]] = [
+        ("usual", lambda number: Robot(seed, number), session, rig),
+        ("worn", lambda number: Robot(seed, number, worn=True), 4 * session, rig),
+        ("later by 5 ms", lambda number: Robot(seed, number, late_s=_LATE_S), session, rig),
+        ("another f_remain", lambda number: Robot(seed, number, bent=_BENT), session, rig),
+        ("camera 2 mm elsewhere", lambda number: Robot(seed, number), session, _moved(rig)),
+    ]
+    for (kind, robot_of, at, own), (mode, seconds, known) in product(kinds, _MODES):
         score = _Score([], [])
-        for number in range(_BEYOND, _BEYOND + robots):
-            robot, at = Robot(seed, number, worn), session * (4 if worn else 1)
-            model = calibrate([robot.recording(at, seconds, rig)], rig, options).model
-            truth = robot.instrument(at, rig).backlash(_PLACES)
+        for robot in map(robot_of, range(_BEYOND, _BEYOND + robots)):
+            model = calibrate([robot.recording(at, seconds, own)], own, options[known]).model
+            truth = robot.instrument(at, own).backlash(_PLACES)
             score.error.append(np.interp(_PLACES, model.q, model.width) - truth)
             score.sigma.append(np.interp(_PLACES, model.q, model.width_sigma))
-        what = f"{'worn' if worn else 'usual'}, {seconds:g} s, {'with' if options is known else 'without'} a fleet"
-        click.echo(f"{what}: between the reversals {score.line(reversals)}; whole range {score.line(_PLACES > -9.0)}")
+        between, whole = score.line(reversals), score.line(_PLACES > -9.0)
+        click.echo(f"{kind}, {mode}: between the reversals {between}; whole range {whole}")
 
 
 if __name__ == "__main__":

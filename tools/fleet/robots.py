@@ -13,9 +13,11 @@ from tautline.rig import Rig
 from tautline.simulated.instrument import Instrument, reference_rig
 from tautline.simulated.simulate import simulate
 from tautline.trajectory import Trajectory, back_and_forth
+from tautline.vision.timing import FrameTiming
 
 Array = npt.NDArray[np.float64]
 
+WORN = "worn"  # a batch's name
 _LEVEL, _SHAPE, _PLACES = 0.27, 0.08, (-0.7, -0.2, 0.3, 0.8)  # of log B: one of all q, and at each of four places
 _LAW = 0.04  # of f_remain's slope, at the same places
 _WEAR, _SOONER = 0.006, 0.05  # growth of B a session, usual and of a worn batch
@@ -35,6 +37,8 @@ class Robot:
     seed: int
     number: int
     worn: bool = False
+    late_s: float = 0.0  # by which its camera's delay is more than the rig says
+    bent: float = 0.0  # of f_remain's slope, at a place and as narrow as in no fleet
 
     def instrument(self, session: int, rig: Rig) -> Instrument:
         """As it is at a session, counted from 0."""
@@ -55,17 +59,20 @@ class Robot:
         def remaining(p: Array) -> Array:
             x = (p - middle) / half
             bent = sum(size * _bump(x, at, 0.35) for size, at in zip(law, _PLACES, strict=True))
+            bent += self.bent * _bump(x, 0.05, 0.12)
             return np.asarray(rig.coarse.gain * (0.9 * (p - middle) + 0.35 * half * bent))
 
         return Instrument.of(rig, backlash, remaining, f"robot-{self.number}")
 
     def recording(self, session: int, seconds: float, rig: Rig) -> Recording:
         """A calibration's motion of about so many seconds."""
+        seed = self.number * 101 + session
         made = simulate(
             rig,
             self.instrument(session, rig),
             motion(rig, seconds),
-            seed=self.number * 101 + session,
+            timing=FrameTiming.of(rig, delay_s=rig.delay_s + self.late_s, seed=seed),
+            seed=seed,
             name=str(session),
         )
         motor = made.motor
@@ -95,11 +102,13 @@ def write(folder: Path, robots: int, sessions: int, worn: int, seed: int, second
     lines = ["robot,batch"]
     for number in range(robots):
         name = f"r{number:04d}"
-        lines.append(f"{name},{'worn' if number in chosen else f'b{number % 12:02d}'}")
+        lines.append(f"{name},{WORN if number in chosen else f'b{number % 12:02d}'}")
         robot = Robot(seed, number, number in chosen)
         for session in range(sessions):
             at = folder / name / f"{session:02d}"
             if not at.exists():
-                save(robot.recording(session, seconds, rig), at)
+                begun = at.with_name(f".{at.name}")  # whole or not at all, if this is interrupted
+                save(robot.recording(session, seconds, rig), begun)
+                begun.rename(at)
     (folder / "robots.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return [f"r{number:04d}" for number in sorted(chosen)]

@@ -1,28 +1,33 @@
-"""What is known of B before anything is recorded: a multivariate Student t of its logarithm at places.
+"""What other robots tell before anything is recorded: how B's logarithm and the tip's path in the image are spread
+between them, each as a multivariate Student t of values at places.
 
--2 log p(b) = (nu + k) log(1 + d^2 / nu), d^2 = (log D b - m)' S^-1 (log D b - m): where a robot is far off what is
-usual its weight (nu + k) / (nu + d^2) falls, and S counts as that much wider.
+-2 log p(y) = (nu + k) log(1 + d^2 / nu), d^2 = (y - m)' S^-1 (y - m): where a robot is far off what is usual its weight
+(nu + k) / (nu + d^2) falls, and S counts as that much wider.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import null_space
+from scipy.stats import f as f_distribution
 
 from tautline.splines import Basis
 from tautline.value import Value
 
 Array = npt.NDArray[np.float64]
+Term = tuple[Array, Array, float]  # matrix (m, m) and gradient (m,) of half of -2 log p, the weight held; -2 log p
 
+_SELDOM = 0.05  # prior: a curve as far off as so few of the others tells that it is none of them
 _LEAST = 1e-3  # tolerance: of the usual B: less has no logarithm that says more
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Beforehand(Value):
-    """q (k,) rising; mean (k,) and scale matrix (k, k) of log B there, B in the unit of q; degrees of freedom."""
+class Spread(Value):
+    """q (k,) rising; mean (k,) and scale matrix (k, k) there; degrees of freedom."""
 
     q: Array
     mean: Array
@@ -30,27 +35,55 @@ class Beforehand(Value):
     freedom: float
 
     @cached_property
-    def _precision(self) -> Array:
+    def precision(self) -> Array:
         return np.asarray(np.linalg.inv(self.scale))
 
-    def usual(self, q: Array) -> Array:
-        """The usual B at any q."""
-        return np.asarray(np.exp(np.interp(q, self.q, self.mean)))
-
-    def term(self, basis: Basis, coefficients: Array) -> tuple[Array, Array, float]:
-        """Of coefficients (m,) on a basis: matrix (m, m) and gradient (m,) of half of -2 log p, the weight held; and
-        -2 log p itself."""
-        design = basis.design(self.q).toarray()
-        width = np.maximum(design @ coefficients, _LEAST * np.exp(self.mean))
-        off = np.log(width) - self.mean
-        pulled = self._precision @ off
+    def term(self, value: Array, slope: Array) -> Term:
+        """Of values (k,) at the places, and what coefficients change there (k, m)."""
+        off = value - self.mean
+        pulled = self.precision @ off
         far = float(off @ pulled)
         size = len(self.q)
         weight = (self.freedom + size) / (self.freedom + far)
         told = (self.freedom + size) * float(np.log1p(far / self.freedom))
-        by_coefficient = design / width[:, None]
-        return (
-            weight * (by_coefficient.T @ self._precision @ by_coefficient),
-            weight * (by_coefficient.T @ pulled),
-            told,
-        )
+        return weight * (slope.T @ self.precision @ slope), weight * (slope.T @ pulled), told
+
+    def has(self, value: Array, noise: Array) -> bool:
+        """Whether values (k,) with errors of this covariance (k, k) may be one more of these."""
+        off = value - self.mean
+        far, size = float(off @ np.linalg.solve(self.scale + noise, off)), len(self.q)
+        return bool(f_distribution.sf(far / size, size, self.freedom) > _SELDOM)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Beforehand(Value):
+    """Of log B, B in the unit of q; and of each coordinate of the path in the sensor's unit, where that is known."""
+
+    width: Spread
+    path: tuple[Spread, ...] = ()
+
+    def usual(self, q: Array) -> Array:
+        """The usual B at any q."""
+        return np.asarray(np.exp(np.interp(q, self.width.q, self.width.mean)))
+
+    def of_width(self, basis: Basis, coefficients: Array) -> Term:
+        design = basis.design(self.width.q).toarray()
+        width = np.maximum(design @ coefficients, _LEAST * np.exp(self.width.mean))
+        return self.width.term(np.log(width), design / width[:, None])
+
+    def of_path(self, basis: Basis, coefficients: Array) -> list[Term]:
+        """Of each channel of coefficients (m, channels); none of a path that another kind of sensor saw."""
+        if len(self.path) != coefficients.shape[1]:
+            return []
+        designs = [basis.design(each.q).toarray() for each in self.path]
+        seen = zip(self.path, designs, coefficients.T, strict=True)
+        return [each.term(design @ own, design) for each, design, own in seen]
+
+
+@lru_cache(maxsize=8)
+def between(basis: Basis, q: tuple[float, ...]) -> tuple[Array, int]:
+    """The penalty on bending less what values at q tell of it, which is on how a curve departs from the one through
+    them that bends least; and its rank."""
+    free = null_space(basis.design(np.array(q)).toarray())
+    pulled = basis.bending @ free
+    return np.asarray(pulled @ np.linalg.solve(free.T @ pulled, pulled.T)), free.shape[1]

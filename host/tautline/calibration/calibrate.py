@@ -79,7 +79,7 @@ class Options:
     knots: Literal["smooth", "paper"] = "smooth"  # paper: 14 knots through the onsets alone
     remaining: Literal["direct", "morphological"] = "direct"
     elements: Literal["auto", "one"] = "auto"  # of the play: several where the data ask for them
-    beforehand: Beforehand | None = None  # of B: what is known without these recordings
+    beforehand: Beforehand | None = None  # what is known without these recordings
 
     def __post_init__(self) -> None:
         for name, choices in get_type_hints(Options).items():
@@ -121,6 +121,7 @@ class Calibration(Value):
     offsets: Mapping[str, float] = field(default_factory=dict)  # by recording: the sensor's clock less the motor's
     predicted: tuple[Foretold, ...] = ()  # of every frame that was used, by recording
     gaps: tuple[coverage.Gap, ...] = ()  # where B can be seen and is not measured
+    path: tuple[Array, Array] | None = None  # on model.q (k, channels) in the sensor's unit, and its sigma
 
     def to_json(self) -> dict[str, Any]:
         """What `taut calibrate --json` prints (formats: backlash, remaining, delay_s, onsets, and what was noted)."""
@@ -399,7 +400,7 @@ class _Session:
         frozen = freeze(self._one_curve(delay_s), delay_s)
         basis = before.fit.backlash
         fit = PlayFit(
-            frozen, basis, basis, fit_delay=fit_delay, beforehand=self.options.beforehand, beside=beside,
+            frozen, basis, basis, fit_delay=fit_delay, beforehand=before.fit.beforehand, beside=beside,
             elements=self.elements,
         )  # fmt: skip
         channels = frozen[0].track.y.shape[1]
@@ -853,6 +854,7 @@ class _Session:
         return Calibration(
             model, tuple(onsets), delay, source, curve, pass_width, pass_sigma, self.findings.evidence, notes, names,
             aligned.offsets, tuple(_foretold(model, track, delay_s) for track in self.tracks), gaps,
+            None if joint is None else joint.path(),
         )  # fmt: skip
 
     def _instead(self, near: Nearest) -> str:

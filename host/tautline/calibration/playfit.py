@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_solve
 
-from tautline.calibration.beforehand import Beforehand
+from tautline.calibration.beforehand import Beforehand, Term, between
 from tautline.calibration.beside import Beside
 from tautline.calibration.observations import Mask, Track, corners
 from tautline.elements import SINGLE, Hysteresis, Play
@@ -151,7 +151,7 @@ class PlayFit:
     slope_unit: float = 1.0  # a usual slope of s
     elements: Hysteresis = SINGLE
     delay_sigma_s: float = 1.0  # how well the delay is known where it is not fitted
-    beforehand: Beforehand | None = None  # what is known of B without these tracks
+    beforehand: Beforehand | None = None  # what is known without these tracks
     beside: Beside | None = None  # effects between the motor and the curve that is followed
     fit_beside: bool = True
     alike: float = 1.0  # frames for each independent one: that many say as much of a curve's shape as one
@@ -298,11 +298,17 @@ class PlayFit:
         cut = channels * mf
         total = cut + mb + len(curves.beside) + 1
         matrix, pull = np.zeros((total, total)), np.zeros(total)
+        known_path = self._known_path(curves)
+        bending, _ = self._bending(channels)
         for k in range(channels):
             block = slice(k * mf, (k + 1) * mf)
-            rough = self.smoothing["follow"] * self.follow.bending
+            rough = self.smoothing["follow"] * bending
             matrix[block, block] += rough
             pull[block] += rough @ curves.follow[:, k]
+            if known_path:
+                known, pulled, _ = known_path[k]
+                matrix[block, block] += scale * scale * known
+                pull[block] += scale * scale * pulled
         if self.fit_backlash:
             block = slice(cut, cut + mb)
             rough = self.smoothing["backlash"] * self.backlash.roughness
@@ -313,7 +319,7 @@ class PlayFit:
             matrix[block, block] += weight * stiff
             pull[block] += weight * bend
             if self.beforehand is not None:
-                known, pulled, _ = self.beforehand.term(self.backlash, curves.backlash)
+                known, pulled, _ = self.beforehand.of_width(self.backlash, curves.backlash)
                 matrix[block, block] += scale * scale * known
                 pull[block] += scale * scale * pulled
         else:
@@ -331,6 +337,19 @@ class PlayFit:
             matrix[at, at] += scale * scale * self.beside.precision if self.fit_beside else 1.0
         return matrix, pull
 
+    def _known_path(self, curves: Curves) -> list[Term]:
+        """Of each channel, where the path is followed in the sensor's own coordinates and anything is known of it."""
+        if self.beforehand is None or self.view is not None:
+            return []
+        return self.beforehand.of_path(self.follow, curves.follow)
+
+    def _bending(self, channels: int) -> tuple[Array, int]:
+        """Penalty on the path, and its rank: what is known of it beforehand is not smoothed as well."""
+        known = self.beforehand
+        if known is None or self.view is not None or len(known.path) != channels:
+            return self.follow.bending, self.follow.size - 2
+        return between(self.follow, tuple(known.path[0].q.tolist()))
+
     def hold(self, curves: Curves, matrix: Array, gradient: Array) -> None:
         """Takes out of the normal equations what is beside B and at an end of its range that they lead beyond."""
         assert self.beside is not None
@@ -340,8 +359,9 @@ class PlayFit:
 
     def begin(self, curves: Curves, scale: float) -> None:
         """Smoothing as the start's own roughness suggests."""
-        rough = sum(float(c @ self.follow.bending @ c) for c in curves.follow.T)
-        rank = (self.follow.size - 2) * curves.follow.shape[1]
+        bending, rank = self._bending(curves.follow.shape[1])
+        rough = sum(float(c @ bending @ c) for c in curves.follow.T)
+        rank *= curves.follow.shape[1]
         self.smoothing["follow"] = float(np.clip(scale * scale * rank / max(rough, 1e-12), 1e-8, 1e8))
         rough = float(curves.backlash @ self.backlash.roughness @ curves.backlash)
         rank = self.backlash.size - 2
@@ -353,19 +373,22 @@ class PlayFit:
         mf, mb = self.follow.size, self.backlash.size
         cut = channels * mf
         inverse = cho_solve(factor(system), np.eye(len(system)), check_finite=False)
-        parts: list[tuple[str, list[slice], Array, list[Array]]] = [
+        bending, rank = self._bending(channels)
+        parts: list[tuple[str, list[slice], Array, int, list[Array]]] = [
             (
                 "follow",
                 [slice(k * mf, (k + 1) * mf) for k in range(channels)],
-                self.follow.bending,
+                bending,
+                rank,
                 list(curves.follow.T),
             )
         ]
         if self.fit_backlash:
-            parts.append(("backlash", [slice(cut, cut + mb)], self.backlash.roughness, [curves.backlash]))
-        for name, blocks, form, values in parts:
+            block = [slice(cut, cut + mb)]
+            parts.append(("backlash", block, self.backlash.roughness, mb - 2, [curves.backlash]))
+        for name, blocks, form, rank_each, values in parts:
             now = self.smoothing[name]
-            rank = (form.shape[0] - 2) * len(blocks)
+            rank = rank_each * len(blocks)
             spent = now * sum(float(np.sum(inverse[b, b] * form)) for b in blocks)
             rough = sum(float(v @ form @ v) for v in values)
             ratio = self.alike * scale * scale * max(rank - spent, 1e-3) / max(now * rough, 1e-12)
@@ -381,13 +404,15 @@ class PlayFit:
         )
         total = sum(len(w) for w in weights)
         data *= total / used  # frames that drop out of the simulation are no gain
-        smooth = sum(self.smoothing["follow"] * float(c @ self.follow.bending @ c) for c in curves.follow.T)
+        bending, _ = self._bending(curves.follow.shape[1])
+        smooth = sum(self.smoothing["follow"] * float(c @ bending @ c) for c in curves.follow.T)
+        smooth += scale * scale * sum(told for _, _, told in self._known_path(curves))
         if self.fit_backlash:
             smooth += self.smoothing["backlash"] * float(curves.backlash @ self.backlash.roughness @ curves.backlash)
             _, bend = _steep(curves.backlash, STEEPEST * 0.98 * self.backlash.step)
             smooth += _STIFF * scale * scale / self.backlash.step**2 * float(curves.backlash @ bend)
             if self.beforehand is not None:
-                smooth += scale * scale * self.beforehand.term(self.backlash, curves.backlash)[2]
+                smooth += scale * scale * self.beforehand.of_width(self.backlash, curves.backlash)[2]
         if self.rising:
             over = np.maximum(self.least_slope * self.follow.step - self.rising * np.diff(curves.follow[:, 0]), 0.0)
             smooth += _STIFF * scale * scale / (self.slope_unit * self.follow.step) ** 2 * float(over @ over)
@@ -480,6 +505,14 @@ class Fitted:
         design = self.fit.backlash.design(p).toarray()
         block = self.covariance[cut : cut + self.fit.backlash.size, cut : cut + self.fit.backlash.size]
         return np.asarray(np.sqrt(np.maximum(np.sum((design @ block) * design, axis=1), 0.0)))
+
+    def path(self) -> tuple[Array, Array]:
+        """(grid, channels) each: the path in the sensor's unit, and its standard deviation by the residuals' noise."""
+        design = self.fit.follow.design(self.fit.grid).toarray()
+        size = self.fit.follow.size
+        blocks = [slice(k * size, (k + 1) * size) for k in range(self.curves.follow.shape[1])]
+        variance = [np.sum((design @ self.covariance[block, block]) * design, axis=1) for block in blocks]
+        return design @ self.curves.follow, np.sqrt(np.maximum(np.column_stack(variance), 0.0))
 
     @property
     def delay_sigma(self) -> float:

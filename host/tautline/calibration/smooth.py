@@ -56,7 +56,32 @@ def fit_jointly(
     beforehand: Beforehand | None = None,
 ) -> Fitted | None:  # fmt: skip
     """B, the path in the sensor's own coordinates and the delay, from all frames at once. None where the tip was never
-    driven through a backlash (or next to nothing was seen)."""
+    driven through a backlash (or next to nothing was seen). A path that is no other robot's is not known beforehand."""
+    if beforehand is None or not beforehand.path:
+        return _fitted(frozen, domain, delay_s, fit_delay, guess, beforehand)
+    fitted = _fitted(frozen, domain, delay_s, fit_delay, guess, replace(beforehand, path=()))
+    if fitted is None or not _has_path(beforehand, fitted):
+        return fitted
+    fit = replace(fitted.fit, beforehand=beforehand, smoothing=dict(fitted.fit.smoothing))
+    return fit.solve(fitted.curves)
+
+
+def _has_path(known: Beforehand, fitted: Fitted) -> bool:
+    """Whether a path that was fitted without them may be one of those that are known."""
+    basis, follow = fitted.fit.follow, fitted.curves.follow
+    if follow.shape[1] != len(known.path):
+        return False
+    size, told = basis.size, []
+    for k, spread in enumerate(known.path):
+        design, block = basis.design(spread.q).toarray(), slice(k * size, (k + 1) * size)
+        told.append(spread.has(design @ follow[:, k], design @ fitted.covariance[block, block] @ design.T))
+    return all(told)
+
+
+def _fitted(
+    frozen: Sequence[Frozen], domain: Domain, delay_s: float, fit_delay: bool, guess: WidthCurve | None,
+    beforehand: Beforehand | None,
+) -> Fitted | None:  # fmt: skip
     coarse = _scan(_thinned(frozen), domain, delay_s, guess, beforehand)
     if coarse is None:
         return None

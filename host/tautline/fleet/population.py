@@ -9,7 +9,7 @@ that were left out best, which tells the tail's degrees of freedom too.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -108,15 +108,12 @@ class Population:
 def log_widths(rows: Sequence[Row]) -> Curves:
     """The logarithm of B, whose spread is a share, of the usable sessions at the places that most have. TautError where
     too few robots have any."""
-    usable = [row for row in rows if row.usable and row.q]
-    places = [(row.unit, row.q) for row in usable]
-    kind = max(set(places), key=places.count, default=None)
-    usable = [row for row in usable if (row.unit, row.q) == kind]
+    usable = _of_one_kind([row for row in rows if row.usable and row.q], lambda row: (row.unit, row.q))
     robots = len({row.robot for row in usable})
-    if kind is None or robots < LEAST_ROBOTS:
+    if robots < LEAST_ROBOTS:
         raise TautError(f"{robots} robots of one range are calibrated: a fleet's spread takes {LEAST_ROBOTS}")
     width, stated = (np.array([getattr(row, name) for row in usable]) for name in ("width", "width_sigma"))
-    q = np.array(kind[1])
+    q = np.array(usable[0].q)
     ends = np.array([(row.measured_low, row.measured_high) for row in usable], dtype=float)
     told = (ends[:, :1] <= q) & (q <= ends[:, 1:])  # beyond the reversals sigma is the distance to them, not B's size
     width = np.maximum(width, np.where(told, stated, _LEAST * width.max(axis=1, keepdims=True)))  # a B of 0 is small
@@ -124,6 +121,27 @@ def log_widths(rows: Sequence[Row]) -> Curves:
     by_delay = np.array([row.width_by_delay or (0.0,) * len(q) for row in usable])
     together = np.where(told, np.clip(by_delay / width, -sigma, sigma), 0.0)
     return Curves(q, np.log(width), sigma, tuple(row.robot for row in usable), together)
+
+
+def paths(rows: Sequence[Row]) -> list[Curves]:
+    """Of each coordinate the path that the tip's sensor sees, of the usable sessions with what most have; none where
+    too few robots have any."""
+    seen = [row for row in rows if row.usable and row.path]
+    seen = _of_one_kind(seen, lambda row: (row.unit, row.q, len(row.path)))
+    if len({row.robot for row in seen}) < LEAST_ROBOTS:
+        return []
+    q, names = np.array(seen[0].q), tuple(row.robot for row in seen)
+    value, sigma = (
+        np.array([getattr(row, name) for row in seen]).reshape(len(seen), -1, len(q)) for name in ("path", "path_sigma")
+    )
+    return [Curves(q, value[:, k], sigma[:, k], names) for k in range(value.shape[1])]
+
+
+def _of_one_kind(rows: Sequence[Row], kind: Callable[[Row], Hashable]) -> list[Row]:
+    """Those of the kind that most are of."""
+    kinds = [kind(row) for row in rows]
+    usual = max(set(kinds), key=kinds.count, default=None)
+    return [row for row, own in zip(rows, kinds, strict=True) if own == usual]
 
 
 def population(curves: Curves, of_next: bool = False) -> Population:

@@ -1,22 +1,24 @@
-"""What a fleet teaches of the next robot: B's distribution over it, kept beside its results."""
+"""What a fleet teaches of the next robot: how B and the tip's path in the image are spread over it, kept beside its
+results."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tautline.calibration.beforehand import Beforehand
+from tautline.calibration.beforehand import Beforehand, Spread
 from tautline.errors import TautError, of_system
-from tautline.fleet.population import log_widths, population
+from tautline.fleet.population import Population, log_widths, paths, population
 from tautline.fleet.rows import Row
 from tautline.folders import write_file
 from tautline.rig import Rig
 
-FILE, FORMAT = "prior.json", "prior/1"
+FILE, FORMAT = "prior.json", "prior/2"
 _SAME = 0.01  # of the range, by which a robot's may differ
 
 
@@ -26,10 +28,20 @@ def write(rows: Sequence[Row], out: Path) -> None:
     curves = log_widths(rows)
     unit = next(row.unit for row in rows if row.usable and row.q == tuple(curves.q.tolist()))
     with threadpool_limits(1, "blas"):
-        known = population(curves, of_next=True)
-    arrays = {name: getattr(known, name).tolist() for name in ("q", "mean", "scale")}
-    document = {"format": FORMAT, "unit": unit, "robots": len(set(curves.names)), **arrays, "freedom": known.freedom}
+        width = _told(population(curves, of_next=True))  # who may be worn; a law is what it is
+        path = [_told(population(each)) for each in paths(rows)]
+    document = {"format": FORMAT, "unit": unit, "robots": len(set(curves.names)), "width": width, "path": path}
     write_file(out / FILE, json.dumps(document))
+
+
+def _told(known: Population) -> dict[str, Any]:
+    arrays = {name: getattr(known, name).tolist() for name in ("q", "mean", "scale")}
+    return {**arrays, "freedom": known.freedom}
+
+
+def _spread(values: dict[str, Any]) -> Spread:
+    q, mean, scale = (np.array(values[name], dtype=float) for name in ("q", "mean", "scale"))
+    return Spread(q, mean, scale, float(values["freedom"]))
 
 
 def read(out: Path, rig: Rig) -> Beforehand:
@@ -40,8 +52,8 @@ def read(out: Path, rig: Rig) -> Beforehand:
         document = json.loads(path.read_text(encoding="utf-8"))
         if document["format"] != FORMAT:
             raise ValueError(f"format {document['format']}")
-        q, mean, scale = (np.array(document[name], dtype=float) for name in ("q", "mean", "scale"))
-        unit, freedom = str(document["unit"]), float(document["freedom"])
+        known = Beforehand(_spread(document["width"]), tuple(_spread(each) for each in document["path"]))
+        unit, q = str(document["unit"]), known.width.q
     except FileNotFoundError as error:
         raise TautError(f"{out}: holds no {FILE}: make it with 'taut fleet FOLDER --out {out}'") from error
     except OSError as error:
@@ -55,4 +67,4 @@ def read(out: Path, rig: Rig) -> Beforehand:
             f"{path}: its robots go from {q[0]:g} to {q[-1]:g} {unit}, this one from {low:g} to {high:g} "
             f"{rig.actuator.unit}: use a fleet of its own make"
         )
-    return Beforehand(q, mean, scale, freedom)
+    return known

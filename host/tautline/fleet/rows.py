@@ -35,6 +35,8 @@ class Row:
     width_by_delay: tuple[float, ...] = ()  # unit of q: a part of width_sigma by which B is off alike everywhere
     c_deg: tuple[float, ...] = ()  # f_remain
     c_sigma_deg: tuple[float, ...] = ()  # NaN where unknown
+    path: tuple[float, ...] = ()  # of the tip as its sensor sees it, px or deg: all u, then all v
+    path_sigma: tuple[float, ...] = ()
     measured_low: float | None = None  # unit of q: between these reversals told B
     measured_high: float | None = None
     delay_s: float | None = None
@@ -58,7 +60,7 @@ class Row:
         return self.verdict in ("good", "doubtful")
 
 
-_LISTS = frozenset({"q", "width", "width_sigma", "width_by_delay", "c_deg", "c_sigma_deg"})
+_LISTS = frozenset({"q", "width", "width_sigma", "width_by_delay", "c_deg", "c_sigma_deg", "path", "path_sigma"})
 _NUMBERS = frozenset(
     {"measured_low", "measured_high", "delay_s", "delay_sigma_s", "residual", "motion_s", "seconds", "width_change",
      "width_change_sigma", "offset_change", "wear", "wear_sigma"}

@@ -17,7 +17,7 @@ from tautline.pool import Pool
 
 Progress = Callable[[float, str], None]
 
-_ROWS = 2  # format: of what a row holds
+_ROWS = 3  # format: of what a row holds
 MADE_BY = f"{__version__} {PLACES} {_ROWS}"  # a row by another version is made anew
 _KEPT, _KEPT_S = 64, 10.0  # rows, and seconds, after which what is done is written
 

@@ -55,6 +55,8 @@ def _told(row: Row, calibration: Calibration) -> Row:
     def curve(values: np.ndarray | None) -> tuple[float, ...]:
         return () if values is None else tuple(np.interp(at, model.q, values).tolist())
 
+    path, path_sigma = calibration.path or (np.zeros((len(model.q), 0)),) * 2
+
     return replace(
         row,
         verdict=model.quality.verdict.value,
@@ -66,6 +68,8 @@ def _told(row: Row, calibration: Calibration) -> Row:
         width_by_delay=curve(width_by_delay(model, calibration.delay.sigma_s)),
         c_deg=curve(model.c_deg),
         c_sigma_deg=curve(model.c_sigma),
+        path=sum((curve(each) for each in path.T), ()),
+        path_sigma=sum((curve(each) for each in path_sigma.T), ()),
         measured_low=model.measured[0],
         measured_high=model.measured[1],
         delay_s=model.delay_s,
