@@ -164,3 +164,12 @@ def test_it_is_kept_without_loss(lagging: Fitter, lag: Fit) -> None:
     again = Wander.from_json(plain(asdict(found)))
     assert again.id == found.id and np.array_equal(again.matrix, found.matrix)
     assert again.ends.keys() == found.ends.keys() and again.between == found.between
+
+
+def test_a_recording_of_which_nothing_counts_has_no_part_in_it() -> None:
+    """Other axes move throughout: no frame shows the image's one curve."""
+    t = np.arange(0.0, 20.0, 0.05)
+    seen = wander.Course(np.sin(t), t, t, 0.0 * t, t >= 0.0)
+    values = wander.axes_values([seen, replace(seen, told=t < 0.0)])
+    assert [len(of) for of in values["place"]] == [len(t), 0]
+    assert np.ptp(values["time"][0]) == pytest.approx(2.0)

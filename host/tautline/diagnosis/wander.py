@@ -106,7 +106,8 @@ def axes_values(courses: Sequence[Course]) -> dict[str, list[Array]]:
 
 def _scaled_to_unit(values: Sequence[Array]) -> list[Array]:
     """The same values scaled linearly so that all recordings together span -1 to 1."""
-    low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
+    every = np.concatenate(values)
+    low, high = float(every.min()), float(every.max())
     return [2.0 * (v - low) / max(high - low, 1e-300) - 1.0 for v in values]
 
 
