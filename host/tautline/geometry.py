@@ -101,6 +101,12 @@ def project(
     return image
 
 
+def across(of: Array, way: Array) -> Array:
+    """(n, ...) The part of image vectors (n, 2, ...) that is normal to the direction `way` (n, 2), of any length."""
+    unit = way / np.maximum(np.linalg.norm(way, axis=1), 1e-12)[:, None]
+    return np.asarray(np.einsum("nk,nk...->n...", np.column_stack([-unit[:, 1], unit[:, 0]]), of))
+
+
 def px_per_deg(
     rig: Rig, c_deg: npt.ArrayLike, translation_mm: npt.ArrayLike = 0.0, rotation_deg: npt.ArrayLike = 0.0
 ) -> Array:

@@ -72,9 +72,7 @@ class Beforehand(Value):
         return self.width.term(np.log(width), design / width[:, None])
 
     def of_path(self, basis: Basis, coefficients: Array) -> list[Term]:
-        """Of each channel of coefficients (m, channels); none of a path that another kind of sensor saw."""
-        if len(self.path) != coefficients.shape[1]:
-            return []
+        """Of each channel of coefficients (m, channels), as many as are known."""
         designs = [basis.design(each.q).toarray() for each in self.path]
         seen = zip(self.path, designs, coefficients.T, strict=True)
         return [each.term(design @ own, design) for each, design, own in seen]

@@ -47,9 +47,9 @@ class Beside:
         known = [effect for effect in found if effect.id in FITTED]
         kinds = tuple(effects.kind_of(effect) for effect in known)
         untold = [kind for kind in kinds if others_rest and kind.needs == "freedom"]
-        searched = {p.name for kind in kinds for p in kind.parameters if p.searched or kind in untold}
+        fixed = {p.name for kind in kinds for p in kind.parameters if p.searched or kind in untold}
         numbers = {name: float(v) for effect in known for name, v in effect.parameters.items() if name != COLUMN}
-        held = {name: v for name, v in numbers.items() if name in searched - SCATTERS}
+        held = {name: v for name, v in numbers.items() if name in fixed - SCATTERS}
         beside = cls(kinds, law.alone, held)
         return beside, np.array([numbers.get(p.name, p.shape[0] if p.shape else 0.0) for p in beside.parameters])
 

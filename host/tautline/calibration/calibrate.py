@@ -357,6 +357,8 @@ class _Session:
     def beside(self, before: _Session, told: start.Start) -> Calibration | None:
         """What `run` finds, with effects that were named fitted beside B, path and delay. before: the session
         without them. None where they cannot be fitted."""
+        if before.joint is None or before.delay is None:
+            return None
         effects = told.effects
         if not before.elements.single and any(effect.id == _GRADUAL_START for effect in effects):
             self.elements = before.elements  # which hold that
@@ -364,13 +366,13 @@ class _Session:
         nominal = told.fit.state.model
         self.load_mNm = told.fitter.load_reference
         law = replace(nominal, extra={LOAD: self.load_mNm})
-        start_s = nominal.delay_s if before.delay is None else before.delay.delay_s
-        beside, values = Beside.of(effects, law, not all(track.posed for track in self._one_curve(start_s)))
-        if before.joint is None or before.delay is None or not beside.kinds:
+        posed = all(track.posed for track in self._one_curve(before.delay.delay_s))
+        beside, values = Beside.of(effects, law, others_rest=not posed)
+        if not beside.kinds:
             return None
         self._release()
         self.say(0.0, f"fitting {', '.join(kind.id for kind in beside.kinds)} beside the play")
-        start_s += nominal.delay_s - told.fitter.model.delay_s
+        start_s = before.delay.delay_s + (nominal.delay_s - told.fitter.model.delay_s)
         fits = [self._beside(before.joint, nominal, start_s, form, values) for form in beside.forms]
         if beside.bends:
             fits = [self._by_its_law(before.joint, fit) for fit in fits]

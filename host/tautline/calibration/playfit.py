@@ -337,16 +337,20 @@ class PlayFit:
             matrix[at, at] += scale * scale * self.beside.precision if self.fit_beside else 1.0
         return matrix, pull
 
+    def _path_known(self, channels: int) -> Beforehand | None:
+        """What is known of the path, where it is followed in the sensor's own coordinates and these are as many."""
+        known = self.beforehand
+        return known if known is not None and self.view is None and len(known.path) == channels else None
+
     def _known_path(self, curves: Curves) -> list[Term]:
-        """Of each channel, where the path is followed in the sensor's own coordinates and anything is known of it."""
-        if self.beforehand is None or self.view is not None:
-            return []
-        return self.beforehand.of_path(self.follow, curves.follow)
+        """Of each channel; none where nothing is known."""
+        known = self._path_known(curves.follow.shape[1])
+        return [] if known is None else known.of_path(self.follow, curves.follow)
 
     def _bending(self, channels: int) -> tuple[Array, int]:
         """Penalty on the path, and its rank: what is known of it beforehand is not smoothed as well."""
-        known = self.beforehand
-        if known is None or self.view is not None or len(known.path) != channels:
+        known = self._path_known(channels)
+        if known is None:
             return self.follow.bending, self.follow.size - 2
         return between(self.follow, tuple(known.path[0].q.tolist()))
 

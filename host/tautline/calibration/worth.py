@@ -20,7 +20,7 @@ from tautline.calibration.observations import Track
 from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit
 from tautline.calibration.remaining import view_of
 from tautline.calibration.smooth import SPANS
-from tautline.geometry import project
+from tautline.geometry import across, project
 from tautline.independence import less_its_trend, remembered, stretches
 from tautline.least_squares import factor
 from tautline.model import Model
@@ -142,10 +142,10 @@ def _over_noise(fit: PlayFit, curves: Curves, missed: Sequence[Array], masks: Se
         still.append(forward[pair & ~moves])
         placed.append((frozen.track.placed_px / frozen.track.sigma[mask]) ** 2)
         if step.shape[1] > 1:
-            across = np.sum(step**2, axis=1) - forward
-            beside.append(across[pair & moves])
-            still.append(across[pair & ~moves])
-            rests += _at_rest(frozen.track.t_s, _across(near, path), mask & ~sim.moving)
+            sideways = np.sum(step**2, axis=1) - forward
+            beside.append(sideways[pair & moves])
+            still.append(sideways[pair & ~moves])
+            rests += _at_rest(frozen.track.t_s, across(near, path)[:, None], mask & ~sim.moving)
     memory = remembered(rests, _SLOW)[0] if sum(map(len, rests)) >= _FEW else 0.0
     at_rest, moving = _mean(still), _mean(along)
     usual = _mean(beside) if beside else at_rest
@@ -154,11 +154,6 @@ def _over_noise(fit: PlayFit, curves: Curves, missed: Sequence[Array], masks: Se
     jitter2 = max(moving - max(usual, 1.0), 0.0) / step.shape[1]
     model2 = max(float(np.concatenate(alike).mean()) - memory * own2, 0.0)
     return float(np.sqrt(1.0 + (model2 + jitter2) / noise2))
-
-
-def _across(off: Array, path: Array) -> Array:
-    """(n, 1) of misses (n, 2) what is across the image's path (n, 2): no model of a tip on one curve moves it there."""
-    return np.asarray(off[:, :1] * path[:, 1:] - off[:, 1:] * path[:, :1])
 
 
 def _at_rest(t: Array, off: Array, resting: npt.NDArray[np.bool_]) -> list[Array]:

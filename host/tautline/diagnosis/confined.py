@@ -20,6 +20,7 @@ from tautline.diagnosis.fit import STATIC_COLUMNS, Fitter, ScoredRows
 from tautline.diagnosis.fitted import Fit
 from tautline.diagnosis.segment import Segment
 from tautline.effects import Kind
+from tautline.geometry import across
 
 Array = npt.NDArray[np.float64]
 
@@ -45,7 +46,7 @@ def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Ar
     if not (along or timed):
         return fitter.left(rows) if rows[0].columns.shape[2] <= _MOST_COLUMNS else None
     directions = [row.by_c for row in rows] if along else [_velocity(s) for s in fitter.segments]
-    parts = [_normal_component(row, way) for row, way in zip(rows, directions, strict=True)]
+    parts = [(across(row.residual, way), across(row.columns, way)) for row, way in zip(rows, directions, strict=True)]
     columns = np.concatenate([part[1] for part in parts])
     size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     seen = np.concatenate([part[0] for part in parts])
@@ -68,13 +69,6 @@ def _with_stage_freedom(fitter: Fitter, fit: Fit) -> list[ScoredRows]:
                 for s, row, more in zip(fitter.segments, rows, freedom(fitter, rows), strict=True)
             ]
     return rows
-
-
-def _normal_component(row: ScoredRows, way: Array) -> tuple[Array, Array]:
-    """The components normal to the image direction `way` (n, 2) of the residual (n,) and of each column (n, m)."""
-    unit = way / np.maximum(np.linalg.norm(way, axis=1), 1e-12)[:, None]
-    normal = np.column_stack([-unit[:, 1], unit[:, 0]])
-    return np.einsum("nk,nk->n", row.residual, normal), np.einsum("nkm,nk->nm", row.columns, normal)
 
 
 def _velocity(segment: Segment) -> Array:

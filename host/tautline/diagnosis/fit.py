@@ -21,6 +21,7 @@ from tautline.diagnosis.fitted import STATIC_NAMES, Fit, Hypothesis, ParameterSt
 from tautline.diagnosis.segment import Segment
 from tautline.effects import Parameter, Path
 from tautline.elements import SINGLE
+from tautline.geometry import across
 from tautline.least_squares import descend
 from tautline.model import Model, allowed_width
 from tautline.nominal import Nominal, Normal, Rows, by_width
@@ -167,9 +168,7 @@ class Fitter:
             return None
         left = []
         for segment, shown in zip(self.segments, self.shown(fit.state, fit.hypothesis), strict=True):
-            way = shown.by_c[segment.scored]
-            unit = way / np.maximum(np.linalg.norm(way, axis=1), 1e-12)[:, None]
-            left.append(shown.residual[:, :1] * unit[:, 1:] - shown.residual[:, 1:] * unit[:, :1])
+            left.append(across(shown.residual, shown.by_c[segment.scored])[:, None])
         return left
 
     def rows(self, state: ParameterState, hypothesis: Hypothesis) -> list[ScoredRows]:

@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 from tautline.diagnosis import narration, simulator_words, where
 from tautline.diagnosis.diagnose import Diagnosis
 from tautline.diagnosis.where import Condition
-from tautline.effects import BY_ID, COLUMN, SIMULATOR, STAGES, Parameter
+from tautline.effects import BY_ID, COLUMN, SIMULATOR, STAGES, Parameter, kind_of
 from tautline.explain import of_effect
-from tautline.model import Model
+from tautline.model import Effect, Model
 from tautline.reports import figures, pages
 
 # format of all: pictures and lists of a page
@@ -136,9 +136,7 @@ def _parameter_rows(
     """The table's rows of one named effect: its parameters, and what it brings. unit: of q; width: `width_now`."""
     if own := simulator_words.values(document, effect["id"]):
         return [_table_row(effect, *own, True)]
-    kind = BY_ID[effect["id"]]
-    if kind.of_joint and COLUMN in effect["parameters"]:
-        kind = kind.of_joint(effect["parameters"][COLUMN])
+    kind = kind_of(Effect(effect["id"], effect["parameters"]))
     known = {p.name: p for p in kind.parameters if p.name in effect["parameters"]}
     known = dict([item for item in known.items() if item[0] not in kind.curve][:_PARAMETERS])
     brought = [_table_row(effect, "brings", part["id"], False) for part in effect.get("brings", ())]
