@@ -131,18 +131,51 @@ static struct ends find_ends(const struct elements *elements, struct plays *play
     return ends;
 }
 
-// Returns how much of q's last step carried the play.
-static double play_move(const struct active *late, const struct elements *elements, struct plays *plays,
-                        struct chain_play *own, const struct ends *ends, double scale) {
+// Each of these returns how much of q's last step carried a play.
+static double play_move(struct chain_play *own, const struct ends *ends, double scale) {
+    const double falling = own->table ? ends->q[0] : ends->x[0], rising = own->table ? ends->q[1] : ends->x[1];
+    const double beyond = play_push(&own->play, own->table, falling, PLAY_FALLING, scale * own->spread);
+    return beyond > 0.0 ? beyond : play_push(&own->play, own->table, rising, PLAY_RISING, scale * own->spread);
+}
+
+static double play_move_late(const struct active *late, const struct elements *elements, struct plays *plays,
+                             struct chain_play *own, const struct ends *ends, double scale) {
     for (int s = PLAY_FALLING; s <= PLAY_RISING; s += 2) {
         const double q = ends->q[s > 0], x = own->table ? q : ends->x[s > 0];
-        const double beyond = late ? push_late(late, elements, plays, own, q, x, s, scale * own->spread)
-                                   : play_push(&own->play, own->table, x, s, scale * own->spread);
+        const double beyond = push_late(late, elements, plays, own, q, x, s, scale * own->spread);
         if (beyond > 0.0) {
             return beyond;
         }
     }
     return 0.0;
+}
+
+// Of all plays how much it carried the one that it carried furthest.
+static double push_all(struct plays *plays, const struct ends *ends, double scale) {
+    double furthest = 0.0;
+    for (struct chain_play *own = plays->of, *end = own + plays->count; own != end; own++) {
+        const double beyond = play_move(own, ends, scale);
+        furthest = beyond > furthest ? beyond : furthest;
+    }
+    return furthest;
+}
+
+static double push_all_late(const struct active *late, const struct elements *elements, struct plays *plays,
+                            const struct ends *ends, double scale) {
+    double furthest = 0.0;
+    for (struct chain_play *own = plays->of, *end = own + plays->count; own != end; own++) {
+        const double beyond = play_move_late(late, elements, plays, own, ends, scale);
+        furthest = beyond > furthest ? beyond : furthest;
+    }
+    return furthest;
+}
+
+static double mean_place(const struct plays *plays) {
+    double sum = 0.0;
+    for (const struct chain_play *own = plays->of, *end = own + plays->count; own != end; own++) {
+        sum += own->share * own->play.at;
+    }
+    return sum;
 }
 
 // The centre coordinate after all plays have moved; *carried as of a single one.
@@ -154,19 +187,18 @@ static double plays_move(const struct active *late, const struct elements *eleme
                              drive->extra, 1);
     }
     const struct ends ends = find_ends(elements, plays, drive);
-    double sum = 0.0;
-    *carried = 0.0;
-    for (size_t i = 0; i < plays->count; i++) {
-        const double beyond = play_move(late, elements, plays, &plays->of[i], &ends, drive->scale);
-        *carried = beyond > *carried ? beyond : *carried;
-        sum += plays->of[i].share * plays->of[i].play.at;
-    }
+    *carried = late ? push_all_late(late, elements, plays, &ends, drive->scale) : push_all(plays, &ends, drive->scale);
+    const double sum = mean_place(plays);
     if (!elements->warp.knots) {
         return sum;
     }
     struct chain_play *single = &plays->of[plays->count];
     if (elements->narrow > 0.0) {
-        play_move(late, elements, plays, single, &ends, drive->scale);
+        if (late) {
+            play_move_late(late, elements, plays, single, &ends, drive->scale);
+        } else {
+            play_move(single, &ends, drive->scale);
+        }
     }
     return elements_centre(elements, &plays->course, sum, &single->play);
 }

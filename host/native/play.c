@@ -71,11 +71,10 @@ struct play play_start(const struct play_table *table, double p) {
     return (struct play){.at = p, .half = 0.5 * play_width(table, p, &at)};
 }
 
-double play_end(const struct play_table *table, double q, double side, double scale, size_t *at, double *half) {
+double play_end_far(const struct play_table *table, double q, double by, size_t *at, double *half) {
     const double *grid = table->grid;
     const double *width = table->width;
     const size_t last = table->n - 1;
-    const double by = 0.5 * side * scale;
     if (q <= grid[0] + by * width[0]) {
         *half = 0.5 * width[0];
         return q - by * width[0];

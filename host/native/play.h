@@ -66,9 +66,34 @@ static inline double play_value(const struct play_place *here, const double *val
 /* An element with a table at p. */
 struct play play_start(const struct play_table *table, double p);
 
+/* play_end from span *at on, for any q; by: half the scale, times side. */
+double play_end_far(const struct play_table *table, double q, double by, size_t *at, double *half);
+
 /* The p that solves p + side scale B(p)/2 = q, side 1 or -1, 0 <= scale, scale |B'| < 2; *half = B(p)/2. *at as in
- * play_width. O(spans passed). */
-double play_end(const struct play_table *table, double q, double side, double scale, size_t *at, double *half);
+ * play_width. O(1) where the grid is even and B changes little over the spans passed, else O(spans passed). */
+static inline double play_end(const struct play_table *table, double q, double side, double scale, size_t *at,
+                              double *half) {
+    const double *grid = table->grid, *width = table->width;
+    const double by = 0.5 * side * scale;
+    size_t i = *at;
+    if (i + 1 >= table->n) {
+        return play_end_far(table, q, by, at, half);
+    }
+    double left = grid[i] + by * width[i], right = grid[i + 1] + by * width[i + 1];
+    double share = (q - left) / (right - left);
+    if (!(share > 0.0 && share < 1.0)) { /* as many spans on as of this one's length */
+        const double on = (double)i + share, most = (double)(table->n - 2);
+        *at = i = on < 0.0 ? 0 : (size_t)(on < most ? on : most);
+        left = grid[i] + by * width[i];
+        right = grid[i + 1] + by * width[i + 1];
+        share = (q - left) / (right - left);
+        if (!(share > 0.0 && share < 1.0)) {
+            return play_end_far(table, q, by, at, half);
+        }
+    }
+    *half = 0.5 * (width[i] + share * (width[i + 1] - width[i]));
+    return grid[i] + share * (grid[i + 1] - grid[i]);
+}
 
 /* Pushes an element by its end on `side` (1 or -1), widths scaled, if the motor at q (in the element's coordinate) is
  * beyond it. table NULL: its width is the same everywhere. Returns by how far q is beyond the place at which it begins

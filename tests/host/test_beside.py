@@ -254,18 +254,20 @@ def test_a_name_that_does_not_help_is_a_name_alone() -> None:
     assert not nothing.model.effects
 
 
-def test_beside_what_is_not_weighed_a_name_counts_only_where_nothing_is_left() -> None:
+def test_beside_what_is_not_weighed_a_name_counts_only_where_it_leaves_no_more_than_all_that_departs() -> None:
     """Breathing, or an effect that looks like it."""
     breathes = Quality.of([Reason("registration.breathing", "sways", "hold it")])
 
-    def of(over_noise: float, *effects: Effect) -> Calibration:
+    def of(left: float, *effects: Effect) -> Calibration:
         model = replace(SOUND, effects=effects, quality=breathes if not effects else Quality())
-        return cast(Calibration, _Found(model, {"error": 0.1 * over_noise, "foretold_over_noise": over_noise}))
+        own = {"residual_joint": left} if effects else {"residual_components": left}
+        return cast(Calibration, _Found(model, {"error": 0.1 * left if effects else 1.0, **own}))
 
-    found = of(6.0)
-    assert room._with_effects(found, told([LAG], SOUND), of(2.0, LAG)) is found
-    carries = room._with_effects(found, told([LAG], SOUND), of(1.1, LAG))
-    assert carries.model.effects == (LAG,) and [each.code for each in carries.model.quality.reasons] == [LAG.id]
+    breathing = of(1.0)
+    assert room._with_effects(breathing, told([LAG], SOUND), of(2.0, LAG)) is breathing
+    looks_like_it = of(6.0)
+    carries = room._with_effects(looks_like_it, told([LAG], SOUND), of(2.0, LAG))
+    assert carries.model.effects == (LAG,) and carries.model.quality.reasons[0].code == LAG.id
 
 
 def test_what_the_carrying_model_still_misses_is_a_doubt() -> None:

@@ -83,7 +83,7 @@ def test_a_registration_that_tilts_with_the_motion_leaves_the_widths_alone(noise
     rig = scenes.fig7_rig()
     for seed in (611, 612):
         recording = scenes.fig7_recording(seed, noise_px=noise)
-        found = calibrate([recording], rig)
+        found = calibrate([recording], rig, naming=False)
         assert found.source == ONSETS and len(found.onsets) <= 80
         inside = (found.model.q > found.model.measured[0]) & (found.model.q < found.model.measured[1])
         errors.append(found.model.width[inside] - 15.0)
@@ -99,7 +99,7 @@ def test_a_registration_that_tilts_with_the_motion_leaves_the_widths_alone(noise
 @pytest.mark.parametrize("tilt", [pytest.param(-1.5, marks=pytest.mark.long), 0.15])
 def test_a_tilt_the_other_way_or_a_tenth_of_it_too(tilt, monkeypatch):
     monkeypatch.setattr(scenes, "TILT_DEG", tilt)
-    found = calibrate([scenes.fig7_recording(613, noise_px=0.03)], scenes.fig7_rig())
+    found = calibrate([scenes.fig7_recording(613, noise_px=0.03)], scenes.fig7_rig(), naming=False)
     inside = (found.model.q > found.model.measured[0]) & (found.model.q < found.model.measured[1])
     print(f"tilt {tilt} deg: mean |error| {np.abs(found.model.width - 15.0)[inside].mean():.4f} deg")
     assert np.abs(found.model.width - 15.0)[inside].max() < 0.06
@@ -135,7 +135,7 @@ def test_recordings_that_only_together_cover_the_range():
         record(RIG, plant, through([a, b, a + 0.8, b, a, b - 1.0, b, a], 0.5, 5.0), seed).recording
         for seed, (a, b) in ((81, (-5.0, 0.4)), (82, (-0.4, 5.0)))
     ]
-    found = calibrate(halves, RIG)
+    found = calibrate(halves, RIG, naming=False)
     over = error_of(found.model, record(RIG, plant, sines(RIG.actuator, 1.5, 50.0), 83)) / NOISE
     print(f"two halves of the range: prediction {over:.3f} x the noise")
     assert over < 1.3
@@ -201,8 +201,8 @@ def _q(seed):
 
 def test_the_papers_modes():
     made = record(RIG, preset("reference", RIG), motion(RIG, stroke=2.6), 8).recording
-    paper = calibrate([made], RIG, Options(knots="paper", remaining="morphological"))
-    ours = calibrate([made], RIG)
+    paper = calibrate([made], RIG, Options(knots="paper", remaining="morphological"), naming=False)
+    ours = calibrate([made], RIG, naming=False)
     plant = preset("reference", RIG)
     assert width_error(ours.model, plant) < 0.003 < width_error(paper.model, plant)
     inside = np.abs(ours.model.q) < 3.5
@@ -317,7 +317,7 @@ def test_a_wrong_hand_eye_leaves_the_widths_and_is_named():
 def test_another_axis_that_moves_all_the_time_leaves_the_pose():
     plant = preset("random", RIG, 24)
     swaying = motion(RIG).with_sway(1.5, 10.0, 9.0)
-    found = calibrate([record(RIG, plant, swaying, 24).recording], RIG)
+    found = calibrate([record(RIG, plant, swaying, 24).recording], RIG, naming=False)
     over = error_of(found.model, record(RIG, plant, sines(RIG.actuator, 1.5, 40.0), 25)) / NOISE
     print(f"another axis moves all the time: prediction {over:.3f} x the noise")
     assert over < 1.3
@@ -333,7 +333,7 @@ def test_a_tip_that_creeps_on_after_the_motor_turned_hides_no_onset(share, tau_s
     law = Model(RIG, plant.grid, plant.width, np.zeros_like(plant.grid), plant.c_deg, 0.0873, (-4.0, 4.0))
     seen = simulate_effects(law, recording.motor, t - 0.0873, {"creep_share": share, "creep_time": tau_s}).image_px
     seen = seen + rng.normal(0.0, NOISE, seen.shape)
-    found = calibrate([replace(recording, marker=Marker(t, *seen.T, np.ones(len(t), bool)))], RIG)
+    found = calibrate([replace(recording, marker=Marker(t, *seen.T, np.ones(len(t), bool)))], RIG, naming=False)
     width, delay = width_error(found.model, plant), abs(found.model.delay_s - 0.0873)
     print(f"creep of {share:.2f} over {tau_s} s: B(q) {1e3 * width:.1f} um rms, delay {1e3 * delay:.1f} ms off")
     assert width < 0.02 * plant.width.mean() and delay < 0.012

@@ -180,7 +180,7 @@ def test_recordings_that_show_two_places_do_not_tell_f_remain() -> None:
     assert first.marker is not None and second.marker is not None and second.marker.shown is not None
     (u, v), side = second.marker.shown.at_px, second.marker.shown.side_px
     other = replace(second, marker=replace(second.marker, shown=Shown((u + 3.0, v), side)))
-    model = calibrate([first, other], RIG).model
+    model = calibrate([first, other], RIG, naming=False).model
     (doubt,) = [reason for reason in model.quality.reasons if reason.code == "place"]
     assert not doubt.mild and model.quality.verdict is Verdict.DOUBTFUL
     inside = (model.q > model.measured[0]) & (model.q < model.measured[1])

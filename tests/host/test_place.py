@@ -61,7 +61,7 @@ def test_neighbouring_frames_that_err_alike_are_fewer() -> None:
     squares, effects = [], []
     for seed in (801, 802, 803):
         plant, recording = made(seed)
-        model = calibrate([moved(recording, lingering(recording, 0.12, 7.0, seed))], RIG).model
+        model = calibrate([moved(recording, lingering(recording, 0.12, 7.0, seed))], RIG, naming=False).model
         squares.append(z_of(model, plant) ** 2)
         effects.append(model.extra["evidence"]["place_effect"])
     assert np.sqrt(np.mean(squares)) < 1.5  # 3.5 were they counted as independent
@@ -80,8 +80,8 @@ def test_independent_frames_count_in_full() -> None:
 
 def test_what_passes_repeat_at_a_place_is_told_from_scatter() -> None:
     _, recording = made(805)
-    noise = place_of(calibrate([moved(recording, of_the_place(recording, 0.1, 0.15))], RIG))
+    noise = place_of(calibrate([moved(recording, of_the_place(recording, 0.1, 0.15))], RIG, naming=False))
     assert noise["common"] == pytest.approx(0.1, rel=0.35)
     assert noise["at_rest"] == pytest.approx(0.02, rel=0.3)
-    lasting = place_of(calibrate([moved(recording, lingering(recording, 0.1, 5.0, 1))], RIG))
+    lasting = place_of(calibrate([moved(recording, lingering(recording, 0.1, 5.0, 1))], RIG, naming=False))
     assert lasting["common"] < 0.04

@@ -97,7 +97,7 @@ def test_a_reversal_out_of_view_does_not_bend_b() -> None:
     rig, recording = scenes.fig7_rig(), scenes.fig7_recording(631)
     marker = recording.marker
     seen = marker.u_px < np.quantile(marker.u_px, 0.94)
-    found = calibrate([replace(recording, marker=replace(marker, valid=seen))], rig)
+    found = calibrate([replace(recording, marker=replace(marker, valid=seen))], rig, naming=False)
     off = np.abs(found.model.width - 15.0)[inside(found)]
     sigma = found.model.width_sigma[inside(found)]
     print(f"B at most {off.max():.3f} deg off, {np.max(off / sigma):.2f} sigma; sigma at most {sigma.max():.3f}")
@@ -111,7 +111,9 @@ def test_an_offset_between_two_parts_of_one_recording_is_a_slip(seed: int, share
     recording = angle_plant.record(motion, seed=seed)
     angle = recording.angle
     after = angle.t_s > share * motion.t_s[-1]
-    found = calibrate([replace(recording, angle=replace(angle, c_deg=angle.c_deg + 0.6 * after))], angle_plant.RIG)
+    found = calibrate(
+        [replace(recording, angle=replace(angle, c_deg=angle.c_deg + 0.6 * after))], angle_plant.RIG, naming=False
+    )
     q, at = found.model.q, inside(found)
     off = np.abs(found.model.width - angle_plant.width(q))[at]
     print(found.model.quality, f"B {off.max():.4f} deg off, {np.max(off / found.model.width_sigma[at]):.2f} sigma")

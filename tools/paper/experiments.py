@@ -99,7 +99,7 @@ def fig7(seed: int = 0, reversals: int = 38) -> Experiment:
     recording = scenes.fig7_recording(seed, reversals)
     rig = scenes.fig7_rig()
     plant = scenes.fig7_instrument(rig)
-    calibration = calibrate([recording], rig)
+    calibration = calibrate([recording], rig, naming=False)
     ours = two_step(calibration.model, plant.backlash)
     direct = one_step(recording, rig, rig.delay_s, plant.backlash)
     used = sum(onset.used for onset in calibration.onsets)
@@ -147,8 +147,8 @@ def fig8_and_9(seed: int = 1, reversals: int = 24) -> list[Experiment]:
     scene = scenes.bench(tilt_deg=0.0)
     plant, rig = scene.plant, scene.plant.rig
     recording = scene.recording(scenes.calibration_motion(rig, reversals=reversals), seed)
-    papers = calibrate([recording], rig, Options(knots="paper", remaining="morphological"))
-    ours = calibrate([recording], rig)
+    papers = calibrate([recording], rig, Options(knots="paper", remaining="morphological"), naming=False)
+    ours = calibrate([recording], rig, naming=False)
     errors = [1e3 * two_step(calibration.model, plant.backlash).rms for calibration in (papers, ours)]
     with rc_context(figures.STYLE):
         fig8, axes = figures.figure(11, 3.9, 1, 2, sharey=True)
@@ -312,7 +312,7 @@ def fig12(seed: int = 3, reversals: int = 24, rate_hz: int = 1000) -> Experiment
     plant = scenes.bench(tilt_deg=0.0).plant
     rig = plant.rig
     recording = scenes.bench(tilt_deg=0.0).recording(scenes.calibration_motion(rig, reversals=reversals), seed)
-    model = calibrate([recording], rig).model
+    model = calibrate([recording], rig, naming=False).model
     goal = ellipse(rig, rate_hz)
     table = _native.FixedTable(tables.encode(model))
     paths, errors = {}, {}

@@ -250,12 +250,18 @@ def _better(beside: Calibration, found: Calibration) -> bool:
     return beside.model.quality.usable and own < other
 
 
+def _as_near(beside: Calibration, found: Calibration) -> bool:
+    """Whether with its effects it predicts the frames if noise is what all that departs leaves, which knows no law."""
+    return beside.evidence.get("residual_joint", np.inf) <= PREDICTS * found.evidence.get("residual_components", 0.0)
+
+
 def _with_effects(found: Calibration, told: start.Start, beside: Calibration | None) -> Calibration:
     """The calibration that carries what was named, if it foretells blocks left out the better; else that without it,
-    under the names. Beside what is not weighed a name counts only where nothing is left."""
+    under the names. Beside what is not weighed a name counts only where the effect leaves about as little as all that
+    departs does."""
     reasons = found.model.quality.reasons
     others = naming_room.others(reasons)
-    if beside is not None and _better(beside, found) and (_predicts(beside) or not others):
+    if beside is not None and _better(beside, found) and (not others or _as_near(beside, found)):
         own = naming_room.carried(reasons, beside.model.quality.reasons, beside.model, _predicts(beside))
         return replace(beside, model=replace(beside.model, quality=Quality.of(own)))
     if others:
@@ -388,6 +394,7 @@ class _Session:
         curve = fit_widths(onsets, self.grid)
         width = self.choice.held(joint, curve)
         sigma = np.sqrt(joint.width_sigma(self.grid) ** 2 + likely @ apart**2)
+        self.findings.evidence["residual_joint"] = joint.scale
         self.say(0.75, "fitting f_remain")
         self._find_place(joint)
         remaining = self._remaining(width, delay.delay_s, joint.fit.settled_only)
@@ -520,6 +527,7 @@ class _Session:
             components = separate(joint, self.rig, without=_OF_ELEMENTS)
             spread = _BETWEEN_ELEMENTS * components.width if several.spread is None else several.spread
             self.components = replace(components, sigma=np.hypot(components.sigma, spread))
+        self.findings.evidence["residual_components"] = self.components.noise
         for part in self.components.parts:
             self.findings.evidence[f"component_{part.name}"] = part.rms
         apart = self.components.applied(joint)

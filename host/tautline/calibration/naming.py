@@ -24,8 +24,8 @@ _OTHERS = frozenset(
 
 
 def others(reasons: Sequence[Reason]) -> bool:
-    """Whether the recordings show what is not weighed: then an effect has its name only if nothing is left beside
-    it."""
+    """Whether the recordings show what is not weighed: then an effect has its name only if it leaves as
+    little as that does."""
     return any(reason.code in _OTHERS for reason in reasons)
 
 
