@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from tautline.vision.colour import pick
 from tautline.vision.marker import MarkerTracker
 from tools.bench import __main__ as bench
-from tools.bench import calibration, control_step, diagnosis, endoscopy, faults, live_page, trackers, videos
+from tools.bench import calibration, control_step, diagnosis, endoscopy, faults, live_page, trackers, tracking, videos
 
 
 def test_the_command_prints_its_parts(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -27,6 +27,8 @@ def test_the_command_prints_its_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(diagnosis, "run", lambda: [("blind case, nothing wrong", 2.0, "core s")])
     monkeypatch.setattr(live_page, "_SECONDS", 0.5)
     said = json.loads(CliRunner().invoke(bench.main, ["--json"]).stdout)
+    in_use = [(row["name"], row["value"], row["unit"]) for row in said["tracking"]]
+    monkeypatch.setattr(tracking, "run", lambda: in_use)
     assert said["trackers"][0]["frames_per_s"] == 50_000 and said["notes"] == ["one is missing"]
     text = CliRunner().invoke(bench.main, []).stdout
     for part in (

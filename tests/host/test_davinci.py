@@ -88,7 +88,8 @@ def test_at_two_loads_drift_would_do_as_well(tool):
     assert any("third one" in step.says for step in narration.steps(document, "out"))
 
 
-@pytest.mark.parametrize(("rate", "one", "other"), [(0, 2, 3), pytest.param(3, 3, 2, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize(("rate", "one", "other"), [(0, 2, 3), (3, 3, 2)])
 def test_the_gap_at_another_load_shrinks(tool, rate, one, other):
     """The hardest pairs: neighbours among the high loads, and the slowest runs with less than two periods."""
     document = tool.diagnose((rate, one), [(rate, other)]).document

@@ -106,7 +106,9 @@ def _strokes(track: Track, rig: Rig, delay_s: float) -> list[_Stroke]:
             z = z - creep
             tail = 0 if creep.any() else _tail(z)
             frames, travel, z = frames[tail:], travel[tail:], z[tail:]
-        strokes.append(_Stroke(start, end, q1, direction, frames, travel, z, _departure(z), k == 0))
+        strokes.append(
+            _Stroke(start, end, q1, direction, frames, travel, z, _native.still_until(np.ascontiguousarray(z)), k == 0)
+        )
     return strokes
 
 
@@ -154,32 +156,6 @@ def _tail(z: Array) -> int:
     depth = along[0] - lowest
     at_once = along[0] - along[min(3, len(along) - 1)] > max(3.0, 0.2 * depth)  # a jump back comes later, at the onset
     return int(np.argmax(along < lowest + 3.0)) if depth > 8.0 and at_once else 0
-
-
-def _departure(z: Array) -> int | None:
-    """The first frame at which whitened positions z (n, channels) have left the level that they started from."""
-    n = len(z)
-    if n < 3:
-        return None
-    total = np.concatenate([np.zeros((1, z.shape[1])), np.cumsum(z - z[0], axis=0)])
-    swing = float(np.sqrt(np.max(np.sum((z - z[0]) ** 2, axis=1))))
-    first: int | None = None
-    for block in (1, 2, 4, 8, 16, 32):
-        if n < block + 1:
-            break
-        j = np.arange(1, n - block + 1)
-        level = total[j] / j[:, None]
-        ahead = (total[j + block] - total[j]) / block
-        distance = np.sqrt(np.sum((ahead - level) ** 2, axis=1))
-        # 5.5 sigma by chance once in 3 million; 2 % of the whole swing keeps small wobbles inside the backlash.
-        left = distance > np.maximum(5.5 * np.sqrt(1.0 / block + 1.0 / j), 0.02 * swing)
-        if block == 1:  # one frame alone may be an outlier
-            left[:-1] &= left[1:]
-            left[-1:] = False
-        if left.any():
-            at = int(j[np.argmax(left)]) + block - 1
-            first = at if first is None else min(first, at)
-    return first
 
 
 def find_onsets(tracks: Sequence[Track], rig: Rig, delay_s: float, delay_sigma: float = 0.0) -> list[Onset]:
@@ -365,24 +341,10 @@ class _Turn:
         return int(max(1, (len(self.arrival_s) - 1 - self.order) * self.z.shape[1]))
 
     def squares(self, delays: Array) -> Array:
-        scene = self.arrival_s[None, :] - delays[:, None]
-        behind = np.minimum(self.direction * (np.interp(scene, self.motor_t, self.motor_q) - self.q1), 0.0)
-        behind = np.where(scene < self.turn_s, behind, 0.0)
-        return _profile(behind, self.order, self.z)
-
-
-def _profile(ramp: Array, order: int, y: Array) -> Array:
-    """Sums of squares (K,) of the best fits of level + polynomial of the ramp to y (n, channels). ramp (K, n): 0 where
-    the image stands still."""
-    unit = ramp / np.maximum(np.abs(ramp).max(axis=1, keepdims=True), 1e-12)
-    basis = np.stack([unit**k for k in range(order + 1)], axis=2)
-    centred = y - y[:1]
-    transposed = basis.transpose(0, 2, 1)
-    gram = transposed @ basis
-    gram += 1e-11 * len(y) * np.eye(gram.shape[1])
-    right = transposed @ centred
-    squares = np.sum(centred**2) - np.sum(np.linalg.solve(gram, right) * right, axis=(1, 2))
-    return np.asarray(np.maximum(squares, 0.0))
+        """(delays,) sums of squares of the best fits of level + polynomial of what is left of the motor's way."""
+        return _native.still_squares(  # type: ignore[no-any-return]
+            self.arrival_s, self.z, self.motor_t, self.motor_q, self.turn_s, self.q1, self.direction, self.order, delays
+        )
 
 
 def _stops(track: Track, rig: Rig, delay_s: float) -> list[_Turn]:

@@ -1,0 +1,143 @@
+#include "still.h"
+
+#include <math.h>
+#include <string.h>
+
+enum { LONGEST = 32 };
+static const double LEAVES = 5.5;   // tolerance: sigma
+static const double WOBBLE = 0.02;  // tolerance: of the swing
+static const double RIDGE = 1e-11;  // tolerance: of a Gram matrix, a frame
+static const double NO_WAY = 1e-12; // tolerance: of a ramp
+
+// How far the mean of `block` frames from `at` on is from the mean of those before it, squared.
+static double distance2(const double *total, size_t seen, size_t at, size_t block) {
+    double sum = 0.0;
+    for (size_t k = 0; k < seen; k++) {
+        const double before = total[at * seen + k], ahead = total[(at + block) * seen + k] - before;
+        const double apart = ahead / (double)block - before / (double)at;
+        sum += apart * apart;
+    }
+    return sum;
+}
+
+static int left_at(const double *total, size_t seen, size_t at, size_t block, double wobble) {
+    const double level = LEAVES * sqrt(1.0 / (double)block + 1.0 / (double)at), least = fmax(level, wobble);
+    return distance2(total, seen, at, block) > least * least;
+}
+
+size_t still_until(const double *z, size_t n, size_t seen, double *total) {
+    double swing2 = 0.0;
+    memset(total, 0, seen * sizeof *total);
+    for (size_t i = 0; i < n; i++) {
+        double far2 = 0.0;
+        for (size_t k = 0; k < seen; k++) {
+            const double apart = z[i * seen + k] - z[k];
+            total[(i + 1) * seen + k] = total[i * seen + k] + apart;
+            far2 += apart * apart;
+        }
+        swing2 = fmax(swing2, far2);
+    }
+    const double wobble = WOBBLE * sqrt(swing2);
+    size_t first = n;
+    for (size_t block = 1; n > 2 && block <= LONGEST && block < n; block *= 2) {
+        // Later ones are of no use: frame at + block - 1 is where this block sees it.
+        const size_t twice = block == 1 ? 1 : 0;
+        for (size_t at = 1; at + block + twice <= n && at + block - 1 < first; at++) {
+            if (left_at(total, seen, at, block, wobble) && (!twice || left_at(total, seen, at + 1, 1, wobble))) {
+                first = at + block - 1;
+            }
+        }
+    }
+    return first;
+}
+
+// Motor's readings at t, held beyond the ends; *from: a span to look from, left at the one found.
+static double motor_at(const struct still_stop *stop, double t, size_t *from) {
+    const double *s = stop->motor_s, *q = stop->motor_q;
+    const size_t last = stop->readings - 1;
+    if (t <= s[0]) {
+        return q[0];
+    }
+    if (t >= s[last]) {
+        return q[last];
+    }
+    size_t i = *from;
+    while (i > 0 && t < s[i]) {
+        i--;
+    }
+    while (t >= s[i + 1]) {
+        i++;
+    }
+    *from = i;
+    return q[i] + (q[i + 1] - q[i]) / (s[i + 1] - s[i]) * (t - s[i]);
+}
+
+// Cholesky's factor of gram (size), in its place.
+static void factorise(double gram[STILL_ORDERS + 1][STILL_ORDERS + 1], size_t size) {
+    for (size_t i = 0; i < size; i++) {
+        for (size_t j = 0; j <= i; j++) {
+            for (size_t k = 0; k < j; k++) {
+                gram[i][j] -= gram[i][k] * gram[j][k];
+            }
+            gram[i][j] = i == j ? sqrt(fmax(gram[i][i], NO_WAY)) : gram[i][j] / gram[j][j];
+        }
+    }
+}
+
+// right' gram^-1 right, by the factor.
+static double taken_off(double gram[STILL_ORDERS + 1][STILL_ORDERS + 1], const double *right, size_t size) {
+    double forward[STILL_ORDERS + 1], sum = 0.0;
+    for (size_t i = 0; i < size; i++) {
+        forward[i] = right[i];
+        for (size_t j = 0; j < i; j++) {
+            forward[i] -= gram[i][j] * forward[j];
+        }
+        forward[i] /= gram[i][i];
+        sum += forward[i] * forward[i];
+    }
+    return sum;
+}
+
+static double squares_of(const struct still_stop *stop, const double *ramp, double most) {
+    const size_t size = (size_t)stop->order + 1;
+    double moments[2 * STILL_ORDERS + 1] = {0}, gram[STILL_ORDERS + 1][STILL_ORDERS + 1], sum = 0.0;
+    for (size_t i = 0; i < stop->frames; i++) {
+        const double unit = ramp[i] / most, square = unit * unit;
+        const double powers[] = {1.0, unit, square, unit * square, square * square};
+        for (size_t a = 0; a < 2 * size - 1; a++) {
+            moments[a] += powers[a];
+        }
+    }
+    for (size_t a = 0; a < size; a++) {
+        for (size_t b = 0; b < size; b++) {
+            gram[a][b] = moments[a + b] + (a == b ? RIDGE * (double)stop->frames : 0.0);
+        }
+    }
+    factorise(gram, size);
+    for (size_t k = 0; k < stop->seen; k++) {
+        double right[STILL_ORDERS + 1] = {0};
+        for (size_t i = 0; i < stop->frames; i++) {
+            const double unit = ramp[i] / most, y = stop->z[i * stop->seen + k] - stop->z[k];
+            right[0] += y;
+            right[1] += unit * y;
+            right[2] += unit * unit * y;
+            sum += y * y;
+        }
+        sum -= taken_off(gram, right, size);
+    }
+    return fmax(sum, 0.0);
+}
+
+void still_squares(const struct still_stop *stop, const double *delays, size_t count, double *ramp, double *squares) {
+    size_t from = 0;
+    for (size_t d = 0; d < count; d++) {
+        double most = NO_WAY;
+        for (size_t i = 0; i < stop->frames; i++) {
+            const double scene = stop->arrival_s[i] - delays[d];
+            const double gone = stop->direction * (motor_at(stop, scene, &from) - stop->q1);
+            ramp[i] = scene < stop->turn_s ? fmin(gone, 0.0) : 0.0;
+            most = fmax(most, fabs(ramp[i]));
+        }
+        squares[d] = squares_of(stop, ramp, most);
+    }
+}
