@@ -1,6 +1,7 @@
 """Onsets: as sharp as the Cramér-Rao bound allows, honest about their uncertainty, and only where they count."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tautline import _native
+from tautline.calibration import onset as room
 from tautline.calibration.hinge import fit_hinge, fit_jump
 from tautline.calibration.observations import observe
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, delayed, find_delay, find_onsets
@@ -251,3 +253,15 @@ def test_dither_of_the_encoder_is_no_reversal():
     rng = np.random.default_rng(0)
     dithering = Motor(motor.t_s, motor.q + 0.001 * rng.integers(-1, 2, len(motor.q)))
     assert find_onsets(observe([replace(made.recording, motor=dithering)], RIG), RIG, made.timing.delay_s) == []
+
+
+@given(sigma_s=st.floats(2e-5, 1.2e-2), off_s=st.floats(-0.03, 0.03))
+def test_a_delay_is_as_uncertain_as_its_stops_leave_it(sigma_s: float, off_s: float) -> None:
+    """Of one stop whose squares are known: with the nominal delay's own its posterior is normal."""
+    stop = SimpleNamespace(freedom=40, squares=lambda delays: 40.0 + ((delays - RIG.delay_s - off_s) / sigma_s) ** 2)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(room, "_stops", lambda track, rig, delay_s: [stop])
+        found = find_delay([None], RIG, RIG.delay_s)
+    both_s = (sigma_s**-2 + room.NOMINAL_S**-2) ** -0.5
+    assert found.sigma_s == pytest.approx(both_s, rel=0.05)
+    assert abs(found.delay_s - RIG.delay_s - off_s * (both_s / sigma_s) ** 2) < 0.1 * both_s

@@ -317,7 +317,8 @@ def find_delay(tracks: Sequence[Track], rig: Rig, nominal_s: float, passes: int 
             spread = float(np.sqrt(weight @ (grid - mean) ** 2 / weight.sum()))
             if spread > 2 * pitch:
                 break
-            grid = np.linspace(grid[best] - 2 * pitch, grid[best] + 2 * pitch, 61)
+            reach = max(2.0 * pitch, 6.0 * spread)
+            grid = np.linspace(grid[best] - reach, grid[best] + reach, 61)
         moved = abs(mean - delay)
         delay, result = mean, Delay(mean, spread, len(stops))
         if moved < 2e-4:
