@@ -167,7 +167,8 @@ def _with_least_width(grid: Array, width: Array, narrow: float) -> tuple[Array, 
 
 
 class _Periods:
-    """The map T from p - B/2 to p + B/2, and back."""
+    """The map T from p - B/2 to p + B/2, and back: what a warp is periodic in. grid (n,) p, rising, and width (n,) B
+    there, both in the unit of q; left and right are the motor's places at which an element at p is pushed."""
 
     def __init__(self, grid: Array, width: Array) -> None:
         self.left, self.right = grid - 0.5 * width, grid + 0.5 * width

@@ -67,6 +67,7 @@ class Beforehand(Value):
         return np.asarray(np.exp(np.interp(q, self.width.q, self.width.mean)))
 
     def of_width(self, basis: Basis, coefficients: Array) -> Term:
+        """Of the logarithm of the B that a spline's coefficients (m,) give, at least _LEAST of the usual one."""
         design = basis.design(self.width.q).toarray()
         width = np.maximum(design @ coefficients, _LEAST * np.exp(self.width.mean))
         return self.width.term(np.log(width), design / width[:, None])

@@ -50,11 +50,11 @@ class Tried:
 
     def evidence(self, frames_each: float) -> float:
         """Logarithm of it but for what all have, by Schwarz's approximation: the noise unknown, and of each unknown as
-        much known before as one independent frame says (the unit information prior)."""
-        frames = self.fitted.frames / max(frames_each, 1.0)
-        number = frames * self.fitted.rows[0].shape[1]
-        told = np.log(max(left(self.fitted), 1e-9)), np.log(number)
-        return float(-number * told[0] - 0.5 * self.unknowns * told[1])
+        much known before as one independent frame says (the unit information prior). frames_each: frames for each
+        independent one."""
+        number = self.fitted.frames / max(frames_each, 1.0) * self.fitted.rows[0].shape[1]
+        rms = max(left(self.fitted), 1e-9)
+        return float(-number * np.log(rms) - 0.5 * self.unknowns * np.log(number))
 
 
 def likeliest(tried: list[Tried], frames_each: float) -> Tried:

@@ -103,7 +103,7 @@ def _fitted(
     if fine.settled_only and _reaches_further(fitted, domain):
         # Without the first approach B and the path are not apart everywhere: does it do harm?
         whole = replace(fine, settled_only=False, smoothing=dict(fine.smoothing)).solve(start)
-        if _late_scale(whole) < _HARMLESS * fitted.scale and _foretells(whole, fitted):
+        if _settled_scale(whole) < _HARMLESS * fitted.scale and _foretells(whole, fitted):
             return whole
         fitted.fit.residuals(fitted.curves)
     return fitted
@@ -124,8 +124,9 @@ def _reaches_further(fitted: Fitted, domain: Domain) -> bool:
     return bool(low - known.min() > 0.02 * domain.span or known.max() - high > 0.02 * domain.span)
 
 
-def _late_scale(fitted: Fitted) -> float:
-    """The scale of residuals of frames after the tip was driven both ways."""
+def _settled_scale(fitted: Fitted) -> float:
+    """Residual over noise (rms) of frames after the tip was driven both ways, strays as four scales; infinite where
+    there are none."""
     seen = zip(fitted.rows, fitted.masks, fitted.fit.simulated, strict=True)
     squares = np.concatenate([np.mean(r[m & s.settled] ** 2, axis=1) for r, m, s in seen])
     return float(np.sqrt(np.mean(np.minimum(squares, (4.0 * fitted.scale) ** 2)))) if len(squares) else np.inf

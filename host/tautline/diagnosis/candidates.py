@@ -121,7 +121,8 @@ class Search:
         return self
 
     def judged(self, fit: Fit) -> Candidate:
-        """A fit with what it leaves on blocks held out of it, beyond its stages, and how its amplitudes wander."""
+        """A fit with what it leaves on blocks held out of it, what of that no law of its effects' stages could leave
+        (`beyond`), and by how much its amplitudes are others elsewhere (`wanders`)."""
         rows = self.fitter.linearised(fit)
         left = heldout.residuals(self.fitter, fit.hypothesis, rows, self.labels, self.limits)
         wanders = wander.of_fit(self.fitter, fit, rows, self.limits)

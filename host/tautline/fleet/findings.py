@@ -96,16 +96,18 @@ class _Growth:
         return cls(tuple(last), tuple(row.batch for row in last.values()), values[:, 0], values[:, 1])
 
     @property
-    def unit(self) -> float:
+    def told(self) -> float:
+        """The growth a session that is as much as its sigma: where `log` goes over into a straight line."""
         return float(np.median(self.sigma))
 
     @property
     def log(self) -> Array:
-        return np.asarray(np.arcsinh(self.rate / self.unit))
+        return np.asarray(np.arcsinh(self.rate / self.told))
 
     @property
     def log_sigma(self) -> Array:
-        return np.asarray(self.sigma / np.hypot(self.unit, self.rate))
+        """Standard deviations (n,) of `log`: the rates', times its derivative by them."""
+        return np.asarray(self.sigma / np.hypot(self.told, self.rate))
 
 
 @dataclass(frozen=True)
@@ -151,7 +153,7 @@ def _findings(rows: Sequence[Row]) -> Findings:
         robots=len({row.robot for row in rows}),
         sessions=len(rows),
         failed=sum(row.verdict == FAILED for row in rows),
-        wear=growth.unit * float(np.sinh(groups.usual)) if groups else float("nan"),
+        wear=growth.told * float(np.sinh(groups.usual)) if groups else float("nan"),
         wear_spread=groups.spread if groups else float("nan"),
         drifting=tuple(sorted(drifting, key=lambda one: -abs(one.value))),
         worn=tuple(worn),

@@ -39,6 +39,7 @@ _STEP_S = 0.02
 _FLUSH_FRAMES = 25  # so much of a recording is lost where the power goes
 _UNPICKED = Sighting(np.nan, np.nan, np.nan, np.nan, "the marker's colour is not picked yet")
 _SLICE_S = 0.1  # of virtual time, between which the board's telemetry is taken in
+_DIAMETER_PX = 15.0  # of a marker that is only projected
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,7 @@ class PointSource:
     """As LockstepSource without pictures: the marker's projection with white noise of `noise_px`. For long runs."""
 
     def __init__(self, plant: SimulatedAxis, noise_px: float = 0.05, seed: int = 0) -> None:
-        self._plant, self._noise = plant, noise_px
+        self._plant, self._noise_px = plant, noise_px
         self._frames = FrameTiming.of(plant.instrument.rig, jitter_s=plant.instrument.jitter_s).frames()
         self._rng = np.random.default_rng([seed, 0xE1E])
 
@@ -137,8 +138,9 @@ class PointSource:
         while arrival_s < self._plant.now_s:  # frames that passed while nobody looked
             scene_s, arrival_s = next(self._frames)
         self._plant.advance_to(arrival_s)
-        u, v = self._plant.marker(np.array([scene_s]))[0] + self._rng.normal(0.0, self._noise, 2)
-        return Frame(round(arrival_s * 1e6), Sighting(float(u), float(v), self._noise, 15.0), None)
+        u, v = self._plant.marker(np.array([scene_s]))[0] + self._rng.normal(0.0, self._noise_px, 2)
+        sighting = Sighting(float(u), float(v), sigma_px=self._noise_px, diameter_px=_DIAMETER_PX)
+        return Frame(round(arrival_s * 1e6), sighting, None)
 
     def use(self, colour: MarkerColour) -> None:
         """It has no colour: it is found all the same."""

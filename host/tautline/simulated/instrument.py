@@ -62,7 +62,8 @@ class Instrument:
 
     @classmethod
     def of(cls, rig: Rig, backlash: Law, remaining: Law, name: str = "own") -> Instrument:
-        """An instrument from two functions of p, sampled on a fine grid."""
+        """An instrument from B(p), in the unit of q, and f_remain(p), deg, sampled on a fine grid somewhat wider than
+        the motor's range."""
         low, high = rig.actuator.range
         margin = _BEYOND * rig.actuator.span
         grid = np.linspace(low - margin, high + margin, _NODES)

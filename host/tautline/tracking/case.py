@@ -110,8 +110,9 @@ class Case:
 
     @property
     def first_departure(self) -> int:
-        """Index of the first of three frames in a row that the law in use does not predict: what comes before is of the
-        time before the change, or of places where there is none. 0 where there is no such run."""
+        """Index of the first of three frames in a row that the law in use misses by _DEPARTS times the usual: frames
+        before it say nothing of a change. 0, all of them, where there is no such run or less than a stroke from it
+        on."""
         far = np.abs(self.z) > _DEPARTS * self.level
         run = far[:-2] & far[1:-1] & far[2:]
         first = int(run.argmax()) if run.any() else 0

@@ -13,8 +13,8 @@ def _gone(values: Mapping[str, float], session_s: float) -> float:
     return -math.expm1(-decay * since) / decay if decay > 0.0 else since
 
 
-def _so_far(model: Model, values: Mapping[str, float], session_s: float) -> Model:
-    """Its offset moves the tables' grid, its width scales B."""
+def _drifted(model: Model, values: Mapping[str, float], session_s: float) -> Model:
+    """The model as it is then: where the offset has grown the same p is at a lower q, and B is scaled."""
     gone = _gone(values, session_s)
     width = allowed_width(model.q, model.width * max(0.0, 1.0 + values["width_drift"] * gone))
     return replace(model, q=model.q - values["offset_drift"] * gone, width=width)
@@ -31,7 +31,7 @@ EFFECTS = (
         says="width or offset changes with time",
         tell="The gap grows with time, whatever the motion is, also with the motor at one place again.",
         mend="Warm the instrument up, check the tendon's clamps, calibrate again; taut track follows it while in use.",
-        holds=_so_far,
+        holds=_drifted,
         course=_gone,
     ),
 )

@@ -7,8 +7,8 @@ from tautline.model import Model
 _TIMES = range(1, 5)  # as slip.c has them
 
 
-def _so_far(model: Model, values: Mapping[str, float], session_s: float) -> Model:
-    """What has slipped by then moves the tables' grid."""
+def _with_slips(model: Model, values: Mapping[str, float], session_s: float) -> Model:
+    """The model as it is then: by what has slipped the same p is at a lower q."""
     slipped = sum(values.get(f"slip_{i}", 0.0) for i in _TIMES if values.get(f"slip_time_{i}", 0.0) <= session_s)
     low, high = model.measured
     return replace(model, q=model.q - slipped, measured=(low - slipped, high - slipped))
@@ -23,7 +23,7 @@ EFFECTS = (
         tell="From one moment on both branches lie shifted along q by the same amount, and the marker stays on its "
         "track.",
         mend="Tighten what slipped or find out why counts are lost, and home the axis again.",
-        holds=_so_far,
+        holds=_with_slips,
         scan="moment",
     ),
 )

@@ -228,7 +228,7 @@ def parts(model: Model, law: Law, motor: Motor, told: Array) -> tuple[list[dict[
                     "what": effect.id,
                     "in": "callback",
                     "as": "its equations",
-                    "error": _as_exported(model, effect, leaves),
+                    "error": _error_of_its_form(model, effect, leaves),
                 }
             )
         else:
@@ -246,7 +246,9 @@ def parts(model: Model, law: Law, motor: Motor, told: Array) -> tuple[list[dict[
     return exported, refused
 
 
-def _as_exported(model: Model, effect: Effect, leaves: Callable[[Model], float]) -> float:
+def _error_of_its_form(model: Model, effect: Effect, leaves: Callable[[Model], float]) -> float:
+    """What the callback's form of an effect leaves of the prediction: a gradual start becomes elements, all others are
+    simulated by their own equations. leaves: the error of a model's prediction."""
     if effect.id != _ONSET:
         return 0.0
     elements = onset_elements(model.elements, effect.parameters)
