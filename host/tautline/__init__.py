@@ -4,7 +4,7 @@
 
     recording = tl.load("monday", "rig.toml")
     calibration = tl.calibrate(recording)
-    print(calibration.model.quality.verdict, found.model.width)
+    print(calibration.model.quality.verdict, calibration.model.width)
     tl.report(calibration, "model", recording)
     blob = tl.encode(calibration.model)
 

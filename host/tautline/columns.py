@@ -83,7 +83,8 @@ class Columns:
         return values.astype(bool)
 
     def drop_truncated(self, required: Sequence[str]) -> None:
-        """Leaves out a last line that was cut while it was written, with a warning."""
+        """Leaves out a last line that was cut while it was written, with a warning: one with fewer cells, with fewer
+        decimals than the dozen lines before it agree on, or without a later time and finite `required` cells."""
         if self.terminated or len(self) < 2:
             return
         *earlier, last = [line.split(",") for line in _lines(self.text[-4096:]) if line.strip()][-12:]
@@ -199,6 +200,7 @@ def _read_text(path: Path) -> tuple[str, bool]:
 
 
 def _lines(text: str) -> list[str]:
+    """The text's lines, by any of the three line ends."""
     return re.split(r"\r\n|\n|\r", text)
 
 
@@ -214,10 +216,12 @@ def _numbers(column: Array, words: Mapping[str, str] = MappingProxyType({})) -> 
 
 
 def _decimals(cell: str) -> int:
+    """How many characters stand behind a cell's decimal point."""
     return len(cell.strip().partition(".")[2])
 
 
 def _is_number(cell: str) -> bool:
+    """Whether a cell is a number, with a decimal comma too."""
     try:
         float(cell.replace(",", "."))
     except ValueError:

@@ -151,7 +151,7 @@ class Compensator:
 
 
 def _raw(c_deg: Array) -> npt.NDArray[np.int32]:
-    """Angles as the board has them."""
+    """Angles c (n,), deg, in the board's fixed point, DEG_ONE to a degree, clipped to 32 bits."""
     return np.asarray(np.clip(np.rint(c_deg * _native.DEG_ONE), -(2**31), 2**31 - 1), dtype=np.int32)
 
 
@@ -166,7 +166,7 @@ def _limits(model: Model) -> tables.Limits:
 
 
 def _rate_limited(q: Array, step: float, here: float) -> Array:
-    """q with steps of at most `step`, beginning from `here`."""
+    """q (n,) with steps of at most `step`, beginning from `here`, all in the rig's unit."""
     limited = np.empty(len(q))
     for k, wanted in enumerate(q.tolist()):
         here = wanted if abs(wanted - here) <= step else here + np.copysign(step, wanted - here)

@@ -106,7 +106,8 @@ class Play:
 
     @property
     def narrow(self) -> float:
-        """The width below which a single play is used."""
+        """The width, unit of q, below which a single play is used: a few counts, a share of the largest width, or so
+        much that the warp has at most _PERIODS periods."""
         widest = float(self.width.max())
         span = float(self.grid[-1] - self.grid[0])
         return max(_NARROW_COUNTS * self.count, _NARROW_SHARE * widest, span / _PERIODS)
@@ -175,13 +176,16 @@ class _Periods:
         self.grid, self.width = grid, width
 
     def low(self, p: npt.ArrayLike) -> Array:
+        """p - B(p)/2 at centre coordinates p, unit of q."""
         p = np.asarray(p, dtype=float)
         return np.asarray(p - 0.5 * np.interp(p, self.grid, self.width))
 
     def up(self, u: npt.ArrayLike) -> Array:
+        """T: where u = p - B(p)/2, unit of q, is p + B(p)/2: a period further."""
         return _interpolated(u, self.left, self.right)
 
     def down(self, u: npt.ArrayLike) -> Array:
+        """T's inverse: where u = p + B(p)/2, unit of q, is p - B(p)/2: a period back."""
         return _interpolated(u, self.right, self.left)
 
     def into_period(self, u: Array, first: float, last: float) -> Array:
@@ -202,8 +206,8 @@ def _interpolated(x: npt.ArrayLike, from_: Array, to: Array) -> Array:
 
 
 def _warp_in_one_period(grid: Array, width: Array, first: float, last: float) -> PchipInterpolator:
-    """G - G(first) over the period [first, last): the one whose continuation over the whole table has the least
-    integral of G'''^2."""
+    """G - G(first) over the period [first, last), unit of q, rising from 0 to 1: the one whose continuation over the
+    whole table has the least integral of G'''^2."""
     smooth = _Periods(*_without_corners(grid, width))
     nodes = first + (float(smooth.up(first)) - first) * np.arange(_MESH) / _MESH
     columns = [nodes]
@@ -225,7 +229,8 @@ def _warp_in_one_period(grid: Array, width: Array, first: float, last: float) ->
 
 
 def _without_corners(grid: Array, width: Array) -> tuple[Array, Array]:
-    """The table on a finer grid as a cubic spline, if that is still a valid backlash table; else as it is."""
+    """The table on a finer grid as a cubic spline, if that is still a backlash table (half the least width at least,
+    |B'| below 1.95); else as it is."""
     if len(grid) < 4:
         return grid, width
     fine = np.linspace(grid[0], grid[-1], 8 * len(grid))

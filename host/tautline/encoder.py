@@ -98,14 +98,15 @@ def _third_difference_score(motor: Motor) -> float:
 
 
 def count_of(motor: Motor, resolution: float) -> float:
-    """The encoder's step as the readings show it, their unit; without steps sqrt(12) times their noise, at most the
-    rig's step."""
+    """The encoder's step as the readings show it, their unit; where they have no steps sqrt(12) times their noise (a
+    step of that size scatters as much), at most the rig's step."""
     steps = steps_of(motor, resolution)
     return min(resolution, float(np.sqrt(12.0)) * white_noise(motor.q)) if steps is None else steps.count
 
 
 def _skips_counts(motor: Motor, encoder: Steps | None) -> bool:
-    """Whether a moving motor changes its (coarse) count at most readings, so that no time of a change is seen."""
+    """Whether a moving motor changes its (coarse) count at most readings, so that no time of a change is seen. False
+    where it hardly moves, has fine counts, or jumps."""
     steps = np.abs(np.diff(motor.q))
     moves = steps[steps > 0]
     if len(moves) < 10 or encoder is None or encoder.count < _COARSE * float(np.ptp(motor.q)):
@@ -117,8 +118,8 @@ def _skips_counts(motor: Motor, encoder: Steps | None) -> bool:
 
 
 def between_samples(motor: Motor) -> float:
-    """How far straight lines between samples may be from the motor's path, its unit: the sagitta at its sharpest bends
-    above the noise."""
+    """How far straight lines between samples may be from the motor's path, its unit: the sagitta (an eighth of the
+    second difference) at its sharpest bends above the noise; infinite for fewer than five readings."""
     bend = np.abs(np.diff(motor.q, 2)) / 8.0
     if len(bend) < 3:
         return float("inf")
@@ -126,7 +127,8 @@ def between_samples(motor: Motor) -> float:
 
 
 def _smoothed(q: Array) -> Array:
-    """Whittaker's smoother with third differences, its strength by generalised cross-validation."""
+    """Readings (n,) by Whittaker's smoother with third differences, its strength by generalised cross-validation, in
+    which `wave`, the penalty's spectrum, stands for the smoother's trace. Fewer than 12 stay as they are."""
     n = len(q)
     wave = (2.0 - 2.0 * np.cos(np.pi * (np.arange(512) + 0.5) / 512)) ** 3
     best, least = q, np.inf
@@ -227,7 +229,8 @@ def _posterior(motor: Motor, resolution: float) -> Driven | None:
 
 
 def _through(motor: Motor, steps: Steps, order: int) -> Driven:
-    """The posterior by whole counts: what is written and read again is the same to the last bit."""
+    """The posterior by whole counts, of the order that `Driven` has: what is written and read again is the same to the
+    last bit."""
     path = driven(motor.t_s, steps.counts, 1.0, rounded=True, order=order)
     count = steps.count
     return replace(path, q=steps.zero + count * path.q, sigma=count * path.sigma, noise=count * path.noise)
@@ -246,6 +249,7 @@ def _with_sample_knots(motor: Motor, lines: Motor) -> Motor:
 
 
 def _even_lines(motor: Motor, resolution: float) -> Motor:
+    """`_constant_acceleration_lines`, whose result is kept for each motor."""
     known = _evens.setdefault(motor, {})
     if resolution not in known:
         known[resolution] = _constant_acceleration_lines(motor, resolution)
@@ -253,7 +257,8 @@ def _even_lines(motor: Motor, resolution: float) -> Motor:
 
 
 def _constant_acceleration_lines(motor: Motor, resolution: float) -> Motor:
-    """Straight lines through a motor that stops and starts at a constant acceleration."""
+    """Straight lines through a motor that stops and starts at a constant acceleration, within a tolerance by its
+    counts; one without steps or noise only loses the samples on straight lines."""
     smooth, steps = _between_and_steps(motor, resolution)
     if smooth is motor:
         return _without_collinear(motor)

@@ -32,8 +32,8 @@ class Steps:
 
 
 def steps_of(motor: Motor, resolution: float) -> Steps | None:
-    """The steps of the readings: the rig's, whatever their zero, or a coarser one; None where readings have no
-    steps."""
+    """The steps of the readings: the rig's (`resolution`), whatever their zero, or a coarser one, if 19 of 20 readings
+    are within 0.05 of a whole count; None where readings have no steps."""
     moves = np.abs(np.diff(motor.q))
     moves = moves[moves > 0.02 * resolution]
     if len(moves) < 2:
@@ -78,7 +78,8 @@ class _Vertex:
 
 def rests_and_turns(motor: Motor, encoder: Steps) -> Stops:
     """Where the motor rests or turns, extrapolated from the changes of count before and after at constant acceleration:
-    an encoder shows nothing of the last count before a stop, which takes 13 ms at 12 mm/s^2 and 1 um."""
+    an encoder shows nothing of the last count before a stop, which takes 13 ms at 12 mm/s^2 and 1 um. Stops without a
+    change of count that tells them are left out."""
     t, counts = motor.t_s, encoder.counts
     changes = np.flatnonzero(np.diff(counts))
     at, step = 0.5 * (t[changes] + t[changes + 1]), np.diff(counts)[changes]
@@ -126,8 +127,8 @@ def _half_count_time(t: Array, changes: npt.NDArray[np.intp], step: Array, lasts
 
 
 def _stop_by_parabola(at: Array, boundary: Array, step: Array, centre: float, period: float) -> _Vertex | None:
-    """The vertex of a parabola through as many changes as it fits. None for too few. at, boundary, step: of the
-    changes, the nearest first."""
+    """The vertex of a parabola through as many changes of count as it fits. None for too few. at (n,), s, boundary,
+    counts, and step: of the changes, the nearest first; centre: the count stopped in; period, s: of the samples."""
     most, least = CHANGES
     way = np.sign(step[0])
     one_way = np.flatnonzero((np.sign(step[:most]) != way) | (np.abs(np.diff(at[:most], prepend=at[0])) > REST_S))
@@ -150,7 +151,7 @@ def _stop_by_parabola(at: Array, boundary: Array, step: Array, centre: float, pe
 
 def stopped(path: Driven, stops: list[Rest], count: float) -> tuple[Driven, npt.NDArray[np.bool_]]:
     """The path with each rest at one level, to which it comes and which it leaves at constant acceleration, and a node
-    at each turn. Which nodes these are."""
+    at each turn; and (n,) which of its nodes were put in for that. count: the encoder's step."""
     nodes = np.stack([path.t_s, path.q, path.sigma])
     length = nodes.shape[1]
     kept, ends = np.ones(length, dtype=bool), np.empty((3, 0))
@@ -171,9 +172,9 @@ def stopped(path: Driven, stops: list[Rest], count: float) -> tuple[Driven, npt.
 def _rest_nodes(
     nodes: Array, first: int, last: int, within: tuple[int, int], count: float
 ) -> tuple[int, int, Array] | None:
-    """The last node of the motion before a rest and the first one after it, and the rest's ends (3, 2). nodes (3, n):
-    times, positions and sigmas; those from `first` to `last` rest, the stops beside it are not `within`. Within half a
-    count of a rest no reading changes."""
+    """The last node of the motion before a rest and the first one after it, and the rest's ends (3, 2); None where none
+    of it is left. nodes (3, n): times, positions and sigmas; those from `first` to `last` rest, the stops beside it are
+    not `within`. Within half a count of a rest no reading changes."""
     (t_s, q), length = nodes[:2], nodes.shape[1]
     level, sigma = float(np.mean(q[first:last])), float(np.median(nodes[2, first:last]))
     before, after = first - 1, last
@@ -194,7 +195,8 @@ def _rest_nodes(
 
 
 def _stands(t_s: Array, q: Array, latest_s: float, else_s: float) -> float:
-    """When a motor that slows down evenly stands still, by its last nodes; else_s where they do not tell."""
+    """When, s, a motor that slows down evenly stands still, by its last nodes t_s, q (n,), at latest_s at the latest;
+    else_s where they do not tell."""
     if len(t_s) <= _SLOWING:
         return else_s
     t_s, q = t_s[-_SLOWING - 1 :], q[-_SLOWING - 1 :]
@@ -204,7 +206,8 @@ def _stands(t_s: Array, q: Array, latest_s: float, else_s: float) -> float:
 
 
 def _turn_node(nodes: Array, near: int) -> tuple[int, int, Array] | None:
-    """The nodes on either side of a turn, and one where the motor turns in place of the one between them."""
+    """The nodes on either side of a turn next to node `near`, and (3, 1) time, position and sigma of one where the
+    motor turns, in place of the one between them. None where it does not turn there. nodes: as in `_rest_nodes`."""
     t_s, q, sigma = nodes[:, max(near - _SLOWING, 0) : near + _SLOWING]
     speed, middle = np.diff(q) / np.diff(t_s), 0.5 * (t_s[1:] + t_s[:-1])
     turns = np.flatnonzero(speed[1:] * speed[:-1] < 0.0)

@@ -42,6 +42,7 @@ class Friction:
             raise ValueError("friction: Bouc-Wen's or Dahl's, finite, exponent > 0, beta from 0 to 1")
 
     def says(self, unit: str) -> str:
+        """The law and its numbers in words; unit: of q."""
         name, beta = ("Bouc-Wen's", f", beta {self.beta:.2g}") if self.kind == BOUC_WEN else ("Dahl's", "")
         return f"{name} (exponent {self.exponent:.2g}{beta}, length {self.length:.3g} {unit} + {self.share:.2g} B)"
 

@@ -66,7 +66,8 @@ def to_image(camera: Camera, point: Array) -> Array:
 
 
 def projection_rig(rig: Rig) -> Array:
-    """The fields of struct projection_rig (host/native/projection.h) in order."""
+    """The fields of struct projection_rig (host/native/projection.h) in order, mm, px and deg, (m,). TautError where
+    the rig has no camera that a marker can be projected to."""
     if rig.kinematics is None or rig.camera is None or rig.hand_eye is None:
         raise TautError("the rig needs [kinematics], [camera] and [hand_eye] to project a marker: add them to rig.toml")
     camera, place = rig.camera, rig.place
@@ -130,6 +131,7 @@ def tracked_deg(
 
 
 def _poses(*columns: npt.ArrayLike) -> list[Array]:
+    """The columns, broadcast to one length (n,) and contiguous, as C takes them."""
     flat = np.broadcast_arrays(*(np.atleast_1d(np.asarray(column, dtype=float)) for column in columns))
     return [np.ascontiguousarray(column) for column in flat]
 

@@ -42,14 +42,14 @@ def frames_each(
 
 
 def stretches(mask: npt.NDArray[np.bool_]) -> list[slice]:
-    """Where a mask (n,) holds, in order."""
+    """The slices in which a mask (n,) holds, in order."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
     return [slice(first, end) for first, end in edges.reshape(-1, 2).tolist()]
 
 
 def first_order(residuals: Array) -> float:
-    """As `frames_each` for an autocorrelation that falls geometrically, from neighbours alone: for a fit that is not
-    finished, whose longer correlations are what is still to be fitted."""
+    """As `frames_each` of residuals (n,) or (n, channels), for an autocorrelation that falls geometrically, from
+    neighbours alone: for a fit that is not finished, whose longer correlations are what is still to be fitted."""
     power = max(float(np.sum(residuals**2)), 1e-30)
     alike = float(np.clip(np.sum(residuals[1:] * residuals[:-1]) / power, 0.0, 0.999))
     return (1.0 + alike) / (1.0 - alike)

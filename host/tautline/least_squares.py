@@ -34,7 +34,7 @@ class Problem(Protocol[Point]):
         ...
 
     def cost(self, point: Point) -> float:
-        """By the weights of the last linearisation."""
+        """The cost at a point, by the weights of the last linearisation."""
         ...
 
     def enough(self, gained: float, cost: float) -> bool:

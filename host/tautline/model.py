@@ -72,11 +72,11 @@ class Model(Value):
 
     @property
     def load_reference_mNm(self) -> float:
-        """At which the tables hold, where an effect follows the load."""
+        """The load, mNm, at which the tables hold, where an effect follows the load; 0 where none is stated."""
         return float(self.extra.get(LOAD, 0.0))
 
     def delay_of(self, sensor: Sensor) -> float:
-        """How much older than its arrival a sensor's reading is: nominal for one that was not calibrated with."""
+        """How much older, s, than its arrival a sensor's reading is: nominal for one that was not calibrated with."""
         return self.delay_s if sensor == self.sensor else self.rig.nominal_delay_s(sensor)
 
     def noise_of(self, sensor: Sensor) -> float:
@@ -89,6 +89,8 @@ class Model(Value):
 
     @cached_property
     def play(self) -> Play:
+        """The model's B with what follows the motor between its envelopes: friction's law, or else the play's
+        elements."""
         return Play(self.q, self.width, self.friction or self.elements, self.rig.actuator.encoder_resolution)
 
     def remaining(self, p: npt.ArrayLike) -> Array:
@@ -227,7 +229,8 @@ def allowed_width(grid: Array, width: Array, steepest: float = STEEPEST) -> Arra
 
 
 def monotone(c_deg: Array) -> Array:
-    """f_remain made strictly rising or falling where it is level, as a model's must be."""
+    """f_remain (n,), deg, made strictly rising or falling where it is level, as a model's must be, by a millionth of
+    its mean slope."""
     sign = np.sign(c_deg[-1] - c_deg[0])
     least = 1e-6 * abs(c_deg[-1] - c_deg[0]) / len(c_deg) * np.arange(len(c_deg))
     rising: Array = sign * (np.maximum.accumulate(sign * c_deg - least) + least)

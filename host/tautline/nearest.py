@@ -131,6 +131,7 @@ def _least_scatter_runs(sums: Array) -> tuple[int, ...]:
     n = sums.shape[1] - 1
 
     def scatter(i: int, j: int) -> float:
+        """Weighted sum of squares of the widths from i to before j about their mean."""
         w, first, second = sums[:, j] - sums[:, i]
         return float(second - first * first / w)
 

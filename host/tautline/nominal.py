@@ -78,10 +78,12 @@ class Nominal:
 
 
 def by_width(lean: Array, slope: Array) -> Array:
-    """dp/dB of a play that leans by `lean` where dB/dp = `slope`: on an envelope p + lean B(p)/2 = q."""
+    """dp/dB (n,) of a play that leans by `lean` (+1 on the rising envelope, -1 on the falling, less between them) where
+    dB/dp = `slope`: p + lean B(p)/2 = q."""
     return np.asarray(-0.5 * lean / steepness(lean, slope))
 
 
 def steepness(lean: Array, slope: Array) -> Array:
-    """dq/dp on the envelope."""
+    """dq/dp (n,) of p + lean B(p)/2 = q, lean +1 on the rising envelope and -1 on the falling, where dB/dp = `slope`;
+    _STEEP at least, which no allowed B goes below."""
     return np.maximum(1.0 + 0.5 * lean * slope, _STEEP)

@@ -139,9 +139,11 @@ def _dask(address: str, died: Died) -> Iterator[Pool]:
             raise TautError(f"the Dask scheduler at {address} has no workers: start one with 'dask worker {address}'")
 
         def run(function: Callable[..., Any], work: Work) -> Done:
+            """As `_Processes.run`, on the cluster."""
             waiting: dict[Any, str] = {}
 
             def collected() -> Done:
+                """Results that are there, one at least."""
                 for future in distributed.wait(list(waiting), return_when="FIRST_COMPLETED").done:
                     name = waiting.pop(future)
                     try:

@@ -131,7 +131,8 @@ def _input_uncertainty(model: Model, path: MotorPath, start_deg: float | None) -
 
 
 def settled_from(model: Model, motor: Motor) -> float:
-    """The scene time from which the start inside the backlash no longer matters: both envelopes were reached."""
+    """The scene time, s, from which the start inside the backlash no longer matters: both envelopes were reached, with
+    a tenth of B and two counts to spare. Infinite where they never were."""
     widest = 1.1 * float(model.width.max()) + 2 * model.rig.actuator.encoder_resolution
     motor = between_counts(motor, model.rig.actuator.encoder_resolution)  # at every sample
     return driven_both_ways_from(motor.t_s, motor.q, widest)

@@ -252,6 +252,8 @@ def save(recording: Recording, folder: str | Path) -> None:
         if (angle := recording.angle) is not None:
             valid = None if angle.valid is None else angle.valid.astype(int)
             _write(target / "angle.csv", {"t_s": angle.t_s, "c_deg": angle.c_deg, "valid": valid, **angle.extra})
+        if recording.picture is not None:
+            shutil.copyfile(recording.picture, target / PICTURE_NAME)
         if (video := recording.video) is not None:
             shutil.copyfile(video.path, target / f"video{video.path.suffix}")
             if video.arrival_s is not None:
@@ -281,8 +283,8 @@ def _check_links(folder: Path) -> None:
 
 
 def _check_reach(columns: Columns, name: str, rig: Rig) -> None:
-    """TautError where the motor is so far beyond the rig's range that nothing can come of it; a warning where the unit
-    may be another."""
+    """TautError where column `name` has the motor so far beyond the rig's range that nothing can come of it; a warning
+    where it is a whole range beyond, as its unit may be another."""
     q = columns.finite(name)
     low, high = rig.actuator.range
     beyond = np.maximum(low - q, q - high)
@@ -357,6 +359,7 @@ def _frame_size(columns: Columns) -> tuple[int, int] | None:
 
 
 def _sizes(marker: Marker) -> dict[str, Array]:
+    """The frames' size as columns of marker.csv, by name; none where it is not known."""
     if marker.frame_px is None:
         return {}
     return {name: np.full(len(marker.t_s), n) for name, n in zip(FRAME_COLUMNS, marker.frame_px, strict=True)}
@@ -415,6 +418,7 @@ def _check_overlap(motor_file: Path, motor_s: Array, file: Path, t_s: Array) -> 
 
 
 def _extra(columns: Columns, known: set[str]) -> dict[str, Array]:
+    """The columns that are not `known`, by name, as they were read."""
     return {name: columns.cells[name] for name in columns.names if name and name not in known}
 
 

@@ -269,10 +269,12 @@ class Rig:
 
     @property
     def delay_s(self) -> float:
-        """The camera's, nominal."""
+        """The camera's nominal delay, s; 0 without a camera."""
         return self.camera.delay_s if self.camera else 0.0
 
     def nominal_delay_s(self, sensor: Sensor) -> float:
+        """How old, s, a sensor's reading is when it arrives, as rig.toml says; 0 where it does not. A camera on the tip
+        is the angle sensor."""
         if sensor == MARKER or self.sees_from_tip:
             return self.delay_s
         return self.angle.delay_s if self.angle else 0.0
@@ -292,12 +294,12 @@ class Rig:
 
     @property
     def has_camera(self) -> bool:
-        """One that sees the tip."""
+        """Whether it has a camera that sees the tip, and not the world from it."""
         return self.camera is not None and not self.sees_from_tip
 
     @property
     def sees_from_tip(self) -> bool:
-        """The camera is an angle sensor: the world turns as the tip bends."""
+        """Whether the camera is an angle sensor: it sits on the tip, and the world turns as that bends."""
         return self.camera is not None and self.camera.mount == "tip"
 
     def with_camera(self, **changes: Any) -> Rig:
@@ -354,6 +356,7 @@ class Rig:
         return cls(actuator, coarse, kinematics, camera, hand_eye, _unknown(document), angle)
 
     def to_document(self) -> dict[str, Any]:
+        """What rig.toml holds: the sections that are there, and unknown keys as they were read."""
         document: dict[str, Any] = {"format": FORMAT}
         for name in SECTIONS:
             section = getattr(self, name)

@@ -67,6 +67,7 @@ class Key:
         return int(value) if self.kind == "whole" else float(value)
 
     def refuse(self, value: Any, name: str, where: str, file: str) -> TautError:
+        """The error for a value that the key does not take; arguments as in `read`."""
         shown = f"{value:g}" if _is_number(value) else repr(value)
         return _error(where, f"{name} is {shown}, expected {self.expected}", f"{file}.{name}")
 
@@ -123,6 +124,7 @@ class Layout:
     columns: tuple[Column, ...]
 
     def required(self, unit: str = "") -> list[str]:
+        """Names of the columns that have to be there. unit: of q."""
         return [column.name.format(unit=unit) for column in self.columns if column.needed]
 
     def header(self, unit: str = "") -> str:

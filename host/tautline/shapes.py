@@ -138,7 +138,8 @@ class Library:
 
 
 def offset_and_scale(first: Model, other: Model) -> tuple[float, float]:
-    """The offset (unit of q) and the scale of B that a tracker of `first` would find where `other` holds."""
+    """The offset (unit of q) and the scale of B that a tracker of `first` would find where `other` holds. TautError
+    where the two have no range, angle or unit in common, or no backlash."""
     if first.rig.actuator.unit != other.rig.actuator.unit:
         raise TautError(f"one model is in {first.rig.actuator.unit}, the other in {other.rig.actuator.unit}")
     low, high = (pick(a, b) for pick, a, b in zip((max, min), first.measured, other.measured, strict=True))

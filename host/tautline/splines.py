@@ -44,6 +44,7 @@ class Basis:
         return self.low, self.step, self.size
 
     def clip(self, x: Array) -> Array:
+        """x (n,) with what lies beyond moved to the nearer end, just below the upper one, where the last span ends."""
         inside: Array = np.clip(x, self.low, self.high - 1e-9 * (self.high - self.low))
         return inside
 
@@ -52,13 +53,15 @@ class Basis:
         return csr_matrix(BSpline.design_matrix(self.clip(x), self.knots, 3))
 
     def value(self, coefficients: Array, x: Array) -> Array:
+        """(n,) The curve with these coefficients (size,) at x (n,)."""
         return np.asarray(BSpline(self.knots, coefficients, 3)(self.clip(x)))
 
     def table(self, coefficients: Array, x: Array) -> Array:
-        """As `value`, at places that are asked for again and again: what each coefficient does there is kept."""
+        """(n,) As `value`, at places that are asked for again and again: what each coefficient does there is kept."""
         return np.asarray(_dense(self.low, self.high, self.spans, x.tobytes()) @ coefficients)
 
     def slope(self, coefficients: Array, x: Array) -> Array:
+        """(n,) The curve's derivative at x (n,); beyond the ends that at the nearer one."""
         return np.asarray(BSpline(self.knots, coefficients, 3).derivative()(self.clip(x)))
 
     @cached_property
@@ -78,4 +81,5 @@ class Basis:
 
 @lru_cache(maxsize=32)
 def _dense(low: float, high: float, spans: int, x: bytes) -> Array:
+    """(n, size) `Basis.design` at places x, a float64 array's bytes, as those can be looked up."""
     return np.asarray(Basis(low, high, spans).design(np.frombuffer(x)).toarray())

@@ -18,7 +18,7 @@ def deviation(values: Array) -> float:
 
 
 def deviation_of_squares(squares: Array) -> float:
-    """The same by squares of single values about 0."""
+    """One standard deviation of normal values about 0, by the median of their squares (n,) or any shape."""
     return float(np.sqrt(np.median(squares) / _MEDIAN2))
 
 

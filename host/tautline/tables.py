@@ -58,7 +58,8 @@ class Limits:
 
     @classmethod
     def in_use(cls, rig: Rig) -> Limits:
-        """Moderate ones for tables that may be moved in use: by a tenth of the range, and to twice B."""
+        """Moderate limits for tables that may be moved in use: by a tenth of the range, and to B between 0 and twice as
+        wide."""
         return replace(cls.of(rig), adapt=(0.1 * rig.actuator.span, 0.0, 2.0))
 
 
@@ -200,7 +201,7 @@ def _plays_section(model: Model, q: Array, width: Array) -> dict[str, Any] | Non
 
 def _warp_error(q: Array, width: Array, narrow: float, centre: Array) -> float:
     """Largest error of the piecewise linear warp between nodes (a period should be 1), over the allowed one, where B is
-    not narrow."""
+    wider than `narrow`. q, width (n,): Q8 counts; centre (n,): the warp, in periods. At most 1: fine enough."""
     floored = np.maximum(width, narrow)
     low, high = q + 0.5 * floored, q - 0.5 * floored
     motor = np.linspace(low[0], high[-1], 4 * len(q))
@@ -324,7 +325,7 @@ def _extrapolated(x: Array, grid: Array, values: Array) -> Array:
 
 
 def _range(rig: Rig) -> tuple[int, int]:
-    """The motor's, Q8 counts; TautError where a board cannot compute with it."""
+    """The motor's range, lowest and highest position, Q8 counts; TautError where a board cannot compute with it."""
     low, high = (_counts(q, rig, "actuator.range", _native.TABLE_POSITION_MAX) for q in rig.actuator.range)
     return low, high
 
@@ -341,6 +342,7 @@ def _counts(value: float, rig: Rig, name: str, most: int = _native.TABLE_VALUE_M
 
 
 def _angle(value: float, name: str) -> int:
+    """The value, deg, as the board's Q16; TautError, naming it, where it does not fit."""
     limit: int = _native.TABLE_VALUE_MAX
     return _whole(value * _DEG, name, -limit, limit)
 
@@ -355,7 +357,7 @@ def _whole(value: float, name: str, low: int, high: int) -> int:
 
 
 def _raw(values: Array, name: str) -> Array:
-    """Values rounded to 32 bits; TautError, naming them, where they do not fit."""
+    """Values (n,) in the board's unit rounded to 32 bits; TautError, naming them, where they do not fit."""
     limit = float(_native.TABLE_VALUE_MAX)
     if not np.all(np.isfinite(values)) or np.abs(values).max() > limit:
         raise TautError(f"{name} is too large for the board's numbers or not finite: check the model and its units")

@@ -31,8 +31,8 @@ class Trajectory:
         return float(self.t_s[-1])
 
     def with_sway(self, translation_mm: float, rotation_deg: float, period_s: float) -> Trajectory:
-        """The same bending while translation and rotation oscillate with these amplitudes, rotation 1.618 times
-        slower."""
+        """The same bending while translation and rotation oscillate with these amplitudes, rotation 1.618 times slower,
+        so that the two never repeat together; an amplitude of 0 leaves that axis out."""
         phase = 2 * np.pi * self.t_s / period_s
         return replace(
             self,
@@ -137,6 +137,7 @@ def random_smooth(actuator: Actuator, speed: float, duration_s: float, seed: int
     phases = rng.uniform(0.0, 2 * np.pi, 9)
 
     def wander(own: Array) -> Array:
+        """Positions (n,) at the wander's own times (n,): a sum of sines, kept within 97 % of the range by a tanh."""
         wave = np.sum([a * np.sin(w * own + f) for a, w, f in zip(sizes, rates, phases, strict=True)], axis=0)
         q: Array = 0.5 * (low + high) + 0.97 * 0.5 * (high - low) * np.tanh(0.75 * wave)
         return q

@@ -70,6 +70,7 @@ def stands_in(model: Model) -> Nearest | None:
 
 @lru_cache(maxsize=16)
 def _nearest(q: bytes, width: bytes, hysteresis: Hysteresis, low: float, high: float) -> Nearest:
+    """`nearest_plays` within low .. high, kept; q and width are float64 arrays' bytes, as those can be looked up."""
     return nearest_plays(np.frombuffer(q), np.frombuffer(width), hysteresis, (low, high))
 
 
@@ -99,7 +100,8 @@ def undone(model: Model, joints: Mapping[str, Joint] | None = None) -> tuple[Mod
 
 
 def _encoder_section(v: Mapping[str, float], count: float) -> Section:
-    """Section `encoder`: first and second harmonics in counts, and the period, of the once-per-turn error."""
+    """Section `encoder`: first and second harmonics in Q8 counts (`count`, unit of q, each), and the period, of the
+    once-per-turn error; {} where all harmonics round to 0. TautError where the period is too long."""
     names = {"sine": "sin", "cosine": "cos", "sine2": "sin2", "cosine2": "cos2"}
     section: Section = {to: round(v.get(f"encoder_{name}", 0.0) / count) for to, name in names.items()}
     period = round(v["encoder_period"] / count * 16.0)
@@ -109,6 +111,8 @@ def _encoder_section(v: Mapping[str, float], count: float) -> Section:
 
 
 def _step_log2(reach: float) -> int:
+    """Logarithm to the base 2 of the step with which a section's small table reaches to `reach`, in Q8 counts or Q8
+    counts/s; within what the board allows."""
     return int(np.clip(np.ceil(np.log2(max(reach, 1.0) / _native.TABLE_STEPS)), 0, _STEP_LOG2_MAX))
 
 
@@ -129,8 +133,8 @@ def _sides_section(v: Mapping[str, float], count: float) -> Section:
 
 
 def _speed_section(v: Mapping[str, float], model: Model, count: float) -> Section:
-    """Section `speed`: the additional width over speed up to twice the range a second. width_per_speed is per a tenth
-    of the table's grid a second, as in host/native/effects."""
+    """Section `speed`: the additional width over speed up to twice the range a second, in Q8 counts of `count`, unit of
+    q. width_per_speed is per a tenth of the table's grid a second, as in host/native/effects."""
     usual = 0.1 * float(model.q[-1] - model.q[0])
     step_log2 = _step_log2(2.0 * model.rig.actuator.span / count)
     speed = _NODES * 2.0**step_log2 * count
@@ -147,7 +151,8 @@ def _speed_section(v: Mapping[str, float], model: Model, count: float) -> Sectio
 
 def _late_section(v: Mapping[str, float]) -> Section:
     """Section `late`: the inverse of lag and creep as a sum of first-order followers, y + sum a (y - y_T), by partial
-    fractions."""
+    fractions; gains a in Q16, times T in us. Lags are undone but for a short filter, creep up to _CREEP_MOST. {} where
+    there are none."""
     lag, second = v.get("lag", 0.0), v.get("lag_second", 0.0)
     above, below = np.poly1d([1.0]), np.poly1d([1.0])
     filtered = 0.0
@@ -171,7 +176,8 @@ def _late_section(v: Mapping[str, float]) -> Section:
 
 
 def _load_section(v: Mapping[str, float], model: Model, count: float) -> Section:
-    """Section `load`: width, gain and offset per load about the reference load."""
+    """Section `load`: by mNm beyond the reference load (mNm, Q8) the share by which width and gain grow (Q24) and the
+    offset (counts, Q16); `middle`, deg Q16, is where gain leaves the angle. count: a Q8 count, unit of q."""
     reference = model.load_reference_mNm
     return {
         "reference": round(reference * 256.0),
@@ -183,7 +189,8 @@ def _load_section(v: Mapping[str, float], model: Model, count: float) -> Section
 
 
 def _joints_section(v: Mapping[str, Any], joints: Mapping[str, Joint]) -> dict[str, Section]:
-    """Section `joints`: the columns that couple in whose axis is known."""
+    """Section `joints`: the columns that couple in whose axis is known: axis + 1 (0: none), its backlash in Q8 counts,
+    and deg per count in Q28. {} where no axis is known."""
     by_column = {column: float(v[name]) for name, column in _COLUMNS.items() if v.get(name)}
     if v.get("c_per_joint"):
         by_column[str(v["column"])] = float(v["c_per_joint"])

@@ -52,6 +52,7 @@ def same(one: Any, other: Any) -> bool:
 
 
 def _same_arrays(one: Any, other: Any) -> bool:
+    """Whether both are arrays of one type with the same elements, NaN equal to itself."""
     if not (isinstance(one, np.ndarray) and isinstance(other, np.ndarray) and one.dtype == other.dtype):
         return False
     return bool(np.array_equal(one, other, equal_nan=one.dtype.kind in "fc"))

@@ -29,7 +29,7 @@ def test_no_motion_no_difference_no_news_and_no_time_end_it():
     assert "tells the leading candidates apart" in ended([0.6], noise=1.8)
     assert "changed nothing" in ended([0.6, 0.61], ["trapezoids", "fast strokes"])
     assert ended([0.6, 0.61], ["trapezoids", "slow strokes"]) == ""
-    assert "as many as" in ended([0.6, 0.7], ["trapezoids", "fast strokes"], most=2)
+    assert "as many recordings" in ended([0.6, 0.7], ["trapezoids", "fast strokes"], most=2)
 
 
 def test_the_answer_is_the_likeliest_of_all():

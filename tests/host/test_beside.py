@@ -277,3 +277,14 @@ def test_what_the_carrying_model_still_misses_is_a_doubt() -> None:
         (LAG.id, "late", False),
         ("coverage", "a hole", False),
     ]
+
+
+@pytest.mark.parametrize("width", [0.0, 1e-3, 0.5])
+def test_a_tip_is_half_of_what_b_widens_behind_or_ahead_however_narrow_b_is(width: float) -> None:
+    """By a tiny lag, so that an effect is there; of a constant B, dp/dB = -side / 2."""
+    motor = recorded((), 5).motor
+    beside, values = Beside.of([Effect(LAG.id, {"lag": 1e-3, "lag_second": 0.0})], SOUND)
+    at_s = np.linspace(motor.t_s[len(motor.t_s) // 2], motor.t_s[-1] - 0.1, 400)
+    by_width, _, _ = beside.slopes(motor, at_s, Q, np.full(len(Q), width), room.SINGLE, values)
+    far = np.abs(by_width)[np.abs(np.interp(at_s, motor.t_s, np.gradient(motor.q, motor.t_s))) > 0.5]
+    assert np.median(far) == pytest.approx(0.5, abs=0.01)

@@ -15,6 +15,7 @@ from cli_runner import Taut
 
 from tautline import tables, trajectory
 from tautline.calibration.calibrate import calibrate
+from tautline.cli import stream
 from tautline.geometry import project
 from tautline.model import Model
 from tautline.recording import Recording, save
@@ -265,3 +266,12 @@ def test_rig_option_wins(taut: Taut, folder: Path, tmp_path: Path) -> None:
     other.save(tmp_path / "rig.toml")
     line = taut.refuses("calibrate", folder, "--rig", tmp_path / "rig.toml", "--out", tmp_path / "m")
     assert "expected q_deg" in line and not (tmp_path / "m").exists()
+
+
+def test_set_points_may_stand_in_a_file(tmp_path, monkeypatch):
+    path = tmp_path / "points.txt"
+    path.write_text("0.5\n\n1.5\n")
+    with path.open() as file:
+        monkeypatch.setattr(sys, "stdin", file)
+        lines = stream._Lines()
+        assert lines.newest() == "1.5" and lines.ended

@@ -817,6 +817,14 @@ def test_a_joints_kind_and_limits_are_its_descriptions(
 
 
 @NO_ROS
+def test_a_limit_that_is_no_number_is_one_line() -> None:
+    from tautline.drivers.ros_joints import _drive
+
+    with pytest.raises(TautError, match=r"joint elbow: its description's limit upper is '\$\{pi\}', expected a number"):
+        _drive("elbow", {"type": "revolute", "lower": "0", "upper": "${pi}"})
+
+
+@NO_ROS
 def test_a_sliding_joint_whose_description_has_no_speed_is_a_slow_one() -> None:
     with joints([Joint(speed_most=0.0)], kind="prismatic") as (_, drives):
         assert drives.drives[0].limits.speed == pytest.approx(100_000.0)  # a tenth of a metre

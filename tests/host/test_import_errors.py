@@ -95,6 +95,10 @@ CASES: dict[str, tuple[Callable[[Path], Path], tuple[str, ...], tuple[str, ...]]
     "two recordings": (lambda f: mcap(f, tip_s=T_S + 500.0), FIELDS, ("/tip.angle 500 to", "one clock")),
     "a clock set back": (lambda f: csv(f, t=swapped(T_S)), COLUMNS, ("goes back by 3.98", "split it there")),
     "a coarse clock": (lambda f: csv(f, t=np.floor(T_S * 10) / 10), COLUMNS, ("repeat the time", "finer times")),
+    "whole seconds": (lambda f: csv(f, t=np.floor(T_S), header="time,q,c"), COLUMNS, ("same in most", "time:UNIT")),
+    "a whole topic for the motor": (
+        mcap, ("--motor", "/motor", "--tip", "/tip.angle"), ("/motor is several", "name one of /motor.q")
+    ),
     "a topic that is not there": (mcap, ("--motor", "/motr.q", "--tip", "/tip.angle"), ("/motr.q", "is it /motor.q")),
     "a column that is not there": (csv, ("--motor", "qq", "--tip", "c"), ("no column qq", "is it q")),
     "a time that is not there": (csv, (*COLUMNS, "--time", "T"), ("no column T", "t_s, q, c")),
@@ -141,6 +145,17 @@ def test_what_is_wrong_is_one_line_and_nothing_is_written(taut: Taut, tmp_path: 
     line = taut.refuses("import", path, "--out", tmp_path / "out", *words)
     assert all(each in line for each in told), line
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_first_row_without_a_time_is_left_out(taut: Taut, tmp_path: Path) -> None:
+    path = csv(tmp_path)
+    lines = path.read_text().splitlines()
+    lines[1] = "," + lines[1].partition(",")[2]
+    path.write_text("\n".join([*lines, ""]))
+    assert taut("import", path, "--out", tmp_path / "out", *COLUMNS).code == 0
+    recording = load(tmp_path / "out")
+    assert recording.motor.t_s[0] == pytest.approx(0.02) and len(recording.motor.q) == len(Q) - 1
+    np.testing.assert_allclose(np.diff(recording.motor.t_s), 0.02, atol=1e-6)
 
 
 def test_a_recording_that_was_there_stays_when_an_import_fails(taut: Taut, tmp_path: Path) -> None:

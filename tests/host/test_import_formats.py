@@ -335,6 +335,19 @@ def test_plain_pictures_are_kept_to_the_last_bit(tmp_path: Path) -> None:
             )
 
 
+def test_a_grey_picture_of_16_bits_is_the_same_from_either_end() -> None:
+    """Without a step its rows stand one behind the other."""
+    from tautline.io.importing.messages import picture
+
+    grey = np.random.default_rng(4).integers(0, 65536, (3, 5), dtype=np.uint16)
+    about = {"height": 3, "width": 5, "encoding": "mono16", "step": 0}
+    little, big = (
+        picture({**about, "is_bigendian": big, "data": grey.astype(kind).tobytes()}, 0.0, np.nan)
+        for big, kind in ((0, "<u2"), (1, ">u2"))
+    )
+    assert little is not None and big is not None and little.data == big.data == grey.astype("<u2").tobytes()
+
+
 RIG_MM = Rig.from_document(
     RIG.to_document() | {"actuator": {"unit": "mm", "range": [-40.0, 40.0], "encoder_resolution": 0.01}}, ""
 )

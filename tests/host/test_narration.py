@@ -107,3 +107,10 @@ def test_why_an_unknown_cause_is_not_what_it_resembles():
     made["resembles"] = [{"id": NAMES[0], "closes": 0.97, "says": "30 ms when slow, 80 ms when fast"}]
     said = narration.sentence(made)
     assert "would close 97 %, but would be another law elsewhere (30 ms when slow, 80 ms when fast)" in said
+
+
+@pytest.mark.parametrize(
+    ("value", "said"), [(1234.4, "1234"), (999.6, "1000"), (-45.678, "-45.7"), (0.0, "0"), (4.2e-4, "0.000420")]
+)
+def test_a_number_has_no_exponent(value: float, said: str) -> None:
+    assert narration.digits(value) == said

@@ -14,6 +14,7 @@ from hypothesis.extra import numpy as hnp
 from tautline.columns import read_times
 from tautline.errors import TautError
 from tautline.recording import (
+    PICTURE_NAME,
     Angle,
     Marker,
     Motor,
@@ -242,6 +243,15 @@ def test_save_replaces_a_recording_and_nothing_else(folder: Path, tmp_path: Path
         except TautError as error:
             raise TautError("named " + str(error)) from error
     assert load(folder).rig == RIG and not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
+
+
+def test_save_keeps_the_picture(folder: Path, tmp_path: Path) -> None:
+    (folder / PICTURE_NAME).write_bytes(b"a picture")
+    for _ in range(2):  # into a new folder, and over itself
+        save(replace(load(folder, RIG), rig=RIG), tmp_path / "other")
+        folder = tmp_path / "other"
+        kept = load(folder).picture
+        assert kept is not None and kept.read_bytes() == b"a picture"
 
 
 def test_save_copies_the_video(folder: Path, tmp_path: Path) -> None:

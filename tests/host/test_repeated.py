@@ -2,14 +2,18 @@
 
 import pickle
 from dataclasses import replace
+from types import SimpleNamespace
 
+import angle_plant
 import numpy as np
 import pytest
 
 from tautline import trajectory
+from tautline.calibration.calibrate import calibrate
+from tautline.diagnosis import repeated as room
 from tautline.diagnosis.diagnose import Diagnosis, diagnose
 from tautline.diagnosis.repeated import HELD
-from tautline.diagnosis.segment import repeated
+from tautline.diagnosis.segment import prepare, repeated
 from tautline.model import Model
 from tautline.recording import Marker, Recording
 from tautline.simulated import simulate
@@ -81,3 +85,33 @@ def test_a_sensor_that_counts_repeats_nothing_when_it_rests_on_a_step():
     assert not repeated(smooth).any() and not repeated(np.round(smooth, 2)).any()
     twice = np.repeat(smooth, 2, axis=0)
     assert np.array_equal(repeated(twice), np.arange(len(twice)) % 2 == 1)
+
+
+@pytest.mark.parametrize("before", [0.0, 0.4])
+def test_what_is_named_is_taken_off_the_gap(monkeypatch: pytest.MonkeyPatch, before: float) -> None:
+    """Beside something unknown; held samples may have been a candidate already."""
+    monkeypatch.setattr(room, "_powers", lambda *_: (4.0, 2.8, 1.2))
+    gap = {"before": 2.0, "before_ci": [1.8, 2.2], "after": 1.7, "after_ci": [1.6, 1.8], "shrink": 0.0}
+    document = {
+        "noise_floor": 0.1, "verdict": "unknown", "gap": gap, "count": [1.0, 0.0, 0.0, 0.0], "effects": [],
+        "where": {"stage": None}, "probability_none": 0.0, "probability_unknown": 1.0 - before,
+        "candidates": [{"id": HELD, "probability": before, "shrink": 0.1}],
+    }  # fmt: skip
+    segment = SimpleNamespace(held=np.array([True, False]), scored=np.array([False, True]))
+    room.add_repeats(document, None, [segment, segment], 0.0)
+    assert (document["verdict"] == "effect") == (before > 0.0) == (gap["shrink"] > 0.0)
+
+
+def test_a_link_that_repeats_a_fast_log_is_seen_before_it_is_thinned() -> None:
+    """1 kHz of a sensor that says something new every fourth time."""
+    motion = angle_plant.Motion.through()
+    made = angle_plant.record(motion, sensor_hz=1000.0, noise=0.02, seed=2)
+    c = made.angle.c_deg[np.arange(len(made.angle.t_s)) // 4 * 4]
+    held = replace(made, angle=replace(made.angle, c_deg=c))
+    model = calibrate([made], angle_plant.RIG, naming=False).model
+    _, segment = prepare(model, made, [held])
+    fresh = np.diff(c, prepend=np.nan) != 0.0
+    at = np.rint(1e3 * (segment.arrival_s - segment.arrival_s[0])).astype(int)
+    assert len(c) > 12000 > len(at) > 4000
+    assert fresh[at[segment.scored]].all() and not fresh[at[segment.held]].any()
+    assert segment.scored.sum() == pytest.approx(segment.held.sum() / 3.0, rel=0.05)

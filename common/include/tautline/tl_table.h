@@ -51,7 +51,7 @@
 ///        2    2  reserved, zero
 ///        4    4  narrow, Q8 counts: where B(p) is less, there is one play; 0: nowhere
 ///        8  8*7  for each element its share of B, Q28, rising from 0 or more, below 16, and its share of the motion,
-///                Q32, at least 0.05 for the first; zeros beyond `plays`. The shares of the motion sum up to 1, and so
+///                Q16, at least 0.05 for the first; zeros beyond `plays`. The shares of the motion sum up to 1, and so
 ///                do their products with the shares of B
 ///       64  4*n  Y at the nodes, n = nodes: Y = G(p - B/2) + 1/2 period for the warp G that makes every width a
 ///                period, G(p + B/2) - G(p - B/2) = 1; strictly rising, within +-2^29; B is taken as `narrow` where it

@@ -57,7 +57,8 @@ def doubts(
 
 
 def in_another_unit(reached: tuple[float, float], rig: Rig) -> bool:
-    """Whether the motor's positions and the rig's range cannot be in one unit."""
+    """Whether the motor's positions and the rig's range cannot be in one unit: they cover far less or far more than the
+    range, or lie far beyond it. reached: lowest and highest position, unit of q."""
     share = (reached[1] - reached[0]) / rig.actuator.span
     beyond = max(rig.actuator.range[0] - reached[0], reached[1] - rig.actuator.range[1])
     return share < _LEAST_REACH or share > _MOST_REACH or beyond > _MOST_REACH * rig.actuator.span
@@ -67,13 +68,15 @@ def in_another_unit(reached: tuple[float, float], rig: Rig) -> bool:
 
 
 def mistaken_unit(times: float, unit: str, slack: float) -> str:
-    """What values are in that have to be taken `times` to be in `unit`, known by a factor of `slack`; empty where that
-    is no unit that is mistaken for it."""
+    """The name of the unit that values are in which have to be taken `times` to be in `unit` ("mm" or "deg"), known by
+    a factor of `slack`; empty where that is no unit that is mistaken for it."""
     off, name = min((abs(np.log(max(times, 1e-12) / factor)), name) for factor, name in _MISTAKEN[unit])
     return name if off < np.log(slack) else ""
 
 
 def _range(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
+    """A fatal reason, in a list, where the motor's positions, the rig's range and coarse.gain cannot be in one unit;
+    empty where they can."""
     actuator = rig.actuator
     low, high = min(float(t.motor.q.min()) for t in tracks), max(float(t.motor.q.max()) for t in tracks)
     if in_another_unit((low, high), rig):
@@ -110,6 +113,8 @@ def _range(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
 
 
 def _frame_size(recordings: Sequence[Recording], tracks: Sequence[Track], rig: Rig, camera: Camera) -> list[Reason]:
+    """A fatal reason, in a list, where frames or marker positions are not of the rig's frame size; empty where none
+    contradicts it."""
     nominal = (camera.width_px, camera.height_px)
     for recording in recordings:
         size = recording.marker.frame_px if recording.marker is not None else None
@@ -132,6 +137,7 @@ def _frame_size(recordings: Sequence[Recording], tracks: Sequence[Track], rig: R
 
 
 def _rescaled(scale: float) -> str:
+    """What to do about frames that are `scale` times the rig's size, by both sides alike."""
     return (
         "record at the rig's size, or, where the whole view was scaled and not cut, multiply fx_px, fy_px, cx_px, "
         f"cy_px, width_px and height_px by {scale:.4g}"
@@ -139,7 +145,8 @@ def _rescaled(scale: float) -> str:
 
 
 def _told_by_places(track: Track, rig: Rig, camera: Camera) -> Reason | None:
-    """Marker positions alone: outside of the frame, or on the tip's path only if they are scaled."""
+    """A fatal reason by marker positions alone: outside of the frame, or on the tip's path only if they are scaled.
+    None where they are neither."""
     if not len(track.t_s):
         return None
     size = np.array([camera.width_px, camera.height_px])
@@ -152,7 +159,9 @@ def _told_by_places(track: Track, rig: Rig, camera: Camera) -> Reason | None:
     q = track.motor_at(track.scene_s(rig.delay_s))[some]
 
     def off(scale: float) -> float:
-        """px of the rig's; infinite where the angles are not f_coarse's either."""
+        """How far off the tip's path the marker is, rms in px of the rig's, if frames are `scale` times the rig's size;
+        infinite where the angles are not f_coarse's either."""
+        # Whole numbers are the middles of pixels: the picture begins at -0.5.
         c, away = pose(rig, (track.y[some] + 0.5) / scale - 0.5, *others)
         if not np.isfinite(away).all():
             return np.inf
@@ -183,7 +192,8 @@ def _told_by_places(track: Track, rig: Rig, camera: Camera) -> Reason | None:
 
 
 def _rate(recordings: Sequence[Recording], camera: Camera) -> list[Reason]:
-    """A steady rate that is not the rig's. Frames that were lost leave multiples of its period."""
+    """A doubt, in a list, where most frames come at a steady rate that is not the rig's; frames that were lost leave
+    multiples of its period."""
     for recording in recordings:
         if recording.marker is None or len(recording.marker.t_s) < _FEWEST:
             continue
@@ -205,7 +215,7 @@ def _rate(recordings: Sequence[Recording], camera: Camera) -> list[Reason]:
 
 
 def _lost(recording: Recording, marker: Marker, rig: Rig) -> list[Reason]:
-    """Parts of the motion in which the marker was mostly not seen."""
+    """A doubt, in a list, where the marker was mostly not seen in parts of the motor's range; empty where it was."""
     motor = recording.motor
     scene = marker.t_s - rig.delay_s
     inside = (scene >= motor.t_s[0]) & (scene <= motor.t_s[-1])
@@ -271,8 +281,8 @@ def _duration(recording: Recording, track: Track, delay_s: float, offset_s: floa
 
 
 def _unexplained(track: Track, delay_s: float) -> float:
-    """Share of the image's variance that a curve over the motor's position leaves, for the better of either way of
-    motion taken alone: backlash is in neither."""
+    """Share (0 to 1) of the image's variance that a curve over the motor's position (means of 24 bins) leaves, for the
+    better of either way of motion taken alone: backlash is in neither. 0 where too few frames move."""
     scene = track.scene_s(delay_s)
     inside = track.within_motor(scene)
     q, way = track.motor_at(scene), track.motor_at(scene + 0.05) - track.motor_at(scene - 0.05)

@@ -39,9 +39,11 @@ class WidthCurve:
     places: int = 1  # at which widths were measured, apart by a span of the spline
 
     def at(self, p: Array) -> Array:
+        """B (n,) at positions p (n,), both in the unit of q."""
         return np.asarray(np.interp(p, self.q, self.width))
 
     def sigma_at(self, p: Array) -> Array:
+        """Standard deviation of B (n,) at positions p (n,), both in the unit of q."""
         return np.asarray(np.interp(p, self.q, self.sigma))
 
 
@@ -52,7 +54,8 @@ def paper_knots(low: float, high: float) -> Array:
 
 
 def fit_paper(onsets: Sequence[Onset], grid: Array) -> WidthCurve | None:
-    """The paper's B-spline, least squares through the widths, on the grid's range."""
+    """The paper's B-spline, least squares through the widths, on the grid's range; its excess is the rms of what it
+    leaves. None where no width was measured."""
     widths = [o for o in onsets if o.used and o.kind in (HINGE, BRACKET)]
     if not widths:
         return None
@@ -77,9 +80,9 @@ def fit_paper(onsets: Sequence[Onset], grid: Array) -> WidthCurve | None:
 
 
 def fit_widths(onsets: Sequence[Onset], grid: Array, smoothing: float | None = None) -> WidthCurve | None:
-    """Penalised spline through all used onsets: hinges weighted by their uncertainty, brackets as brackets, bounds as
-    inequalities. The smoothing is chosen by cross-validation unless it is given (relative to the weight of one width).
-    None where no width was measured."""
+    """Penalised spline through all used onsets: hinges by their sigma, brackets as brackets, bounds as inequalities.
+    smoothing: relative to the weight of one width; None: by cross-validation. Beyond what was measured B is held and
+    its sigma grows by half the distance. None where no width was measured."""
     widths = [o for o in onsets if o.used and o.kind in (HINGE, BRACKET)]
     if not widths:
         return None
@@ -97,7 +100,12 @@ def fit_widths(onsets: Sequence[Onset], grid: Array, smoothing: float | None = N
 
 
 class _Fit:
+    """One spline through widths (hinges, brackets), which strokes that moved nothing (bounds) may join. Lengths in the
+    unit of q."""
+
     def __init__(self, widths: Sequence[Onset], bounds: Sequence[Onset], basis: Basis) -> None:
+        """Begins with a constant B, the mean of the widths by their sigma. Arrays (n,) over the widths, in their
+        order."""
         self.basis = basis
         self.notes: list[str] = []
         self.p, self.w, self.stated = (np.array([getattr(o, k) for o in widths]) for k in ("q_mean", "width", "sigma"))
@@ -114,6 +122,8 @@ class _Fit:
 
     # The measured q_mean and width share one error: B' rotates it.
     def _effective(self) -> Array:
+        """(n,) sigma of each width about the curve, unit of q: the stated one, turned by B' since q_mean and width
+        share one error, and the excess scatter."""
         slope = self.basis.slope(self.coefficients, self.p)
         turned = np.abs(1.0 - 0.5 * self.direction * np.clip(slope, -STEEPEST, STEEPEST))
         return np.asarray(np.maximum(np.hypot(self.stated * turned, self.excess), 1e-12))
@@ -134,6 +144,8 @@ class _Fit:
         self.design = self.basis.design(self.p).toarray()
 
     def settle(self, smoothing: float | None) -> None:
+        """Fits the curve in at most four rounds, as weights, smoothing, excess scatter and bounds depend on it; then
+        anew to brackets, if there are any. smoothing: relative to the weight of one width, None to choose it."""
         for turn in range(4):
             if turn:
                 self._take_bounds()
@@ -151,7 +163,9 @@ class _Fit:
             self._brackets(smoothing)
 
     def _cross_validated(self, weight: Array, unit: float) -> float:
-        """Leave one place out, in closed form. Reversals at one place are one: what lies between places is the test."""
+        """The smoothing, relative to `unit`, that foretells a place left out best, in closed form; the largest of fewer
+        than 5 places. Reversals at one place are one: what lies between is the test. weight (n,): 1 / sigma^2; unit:
+        its median."""
         places = self.places()
         if len(places) < 5:
             return float(_SMOOTHINGS[-1])
@@ -184,7 +198,8 @@ class _Fit:
         return np.asarray(cho_solve(cho_factor(system + ridge * np.eye(len(system))), np.eye(len(system))))
 
     def _solve(self, weight: Array) -> None:
-        """Weighted fit with the inequalities that are violated added until none is."""
+        """Sets the coefficients by a fit with weight (n,), 1 / sigma^2, to which the inequalities that are violated are
+        added, as stiff equations, until none is."""
         self.notes[:] = self.lifted
         gram = self.design.T @ (weight[:, None] * self.design) + self.roughness * self.basis.roughness
         right = self.design.T @ (weight * self.w)
@@ -202,6 +217,8 @@ class _Fit:
         self.gram = gram
 
     def _violated(self, coefficients: Array) -> tuple[Array, Array]:
+        """B >= 0 and |B'| <= 1.8 where the coefficients break them near what was measured, as equations rows (k, size)
+        @ coefficients = values (k,). Notes which limit the curve."""
         rows: list[Array] = []
         values: list[float] = []
         identity = np.eye(self.basis.size)
@@ -220,6 +237,8 @@ class _Fit:
         return np.array(rows).reshape(-1, self.basis.size), np.array(values)
 
     def _excess(self, weight: Array) -> float:
+        """Scatter of the widths beyond their stated sigma, unit of q: with it chi-square is what the degrees of freedom
+        are. 0 where the stated one is enough; as before where fewer than 2 are left."""
         inverse = self._inverse(self.gram)
         spent = float(np.sum(np.sum((self.design @ inverse) * self.design, axis=1) * weight))
         freedom = len(self.w) - spent
@@ -228,6 +247,7 @@ class _Fit:
             return self.excess
 
         def surplus(extra: float) -> float:
+            """Chi-square less degrees of freedom, with a scatter `extra` beside the stated sigma."""
             return float(np.sum(left**2 / (self.stated**2 + extra**2))) - freedom
 
         most = float(np.abs(left).max()) * 3 + 1e-12
@@ -236,12 +256,15 @@ class _Fit:
         return float(brentq(surplus, 0.0, most)) if surplus(most) < 0 else most
 
     def sigma(self, p: Array) -> Array:
+        """Standard deviation of B (n,) at positions p (n,), unit of q, as the widths' weights have it."""
         design = self.basis.design(p).toarray()
         return np.asarray(np.sqrt(np.maximum(np.sum((design @ self._inverse(self.gram)) * design, axis=1), 0.0)))
 
     # ---- brackets: each says only between which two positions the onset was; many together say more
 
     def _brackets(self, smoothing: float | None) -> None:
+        """Fits the curve anew where some widths are known to an interval only: the smoothing by likelihood, then the
+        curve with edges of the intervals that sharpen in five steps (see `_boxed`)."""
         self.notes[:] = self.lifted
         unit = float(np.median(self.spread**-2))
         everything = np.ones(len(self.w), bool)
@@ -271,7 +294,8 @@ class _Fit:
         return float(min(_SMOOTHINGS, key=surprise))
 
     def _terms(self, coefficients: Array, use: npt.NDArray[np.bool_], sharpness: float) -> tuple[Array, Array, Array]:
-        """-log likelihood of each width with its first two derivatives by B(p)."""
+        """-log likelihood of each width that is used and its first two derivatives by B(p), (k,) each. use (n,);
+        sharpness: how soft the edges of brackets are, in halves of their length."""
         value = self.design[use] @ coefficients
         gauss = ~self.boxed[use]
         low, high = (np.where(gauss, self.w[use], edge[use]) for edge in (self.low, self.high))
@@ -287,11 +311,12 @@ class _Fit:
 
     @property
     def _close(self) -> float:
+        """What the coefficients may still move by, unit of q, when B from brackets counts as solved."""
         return _CLOSE * float(np.median(self.spread))
 
     def _boxed(self, start: Array, use: npt.NDArray[np.bool_], roughness: float, sharpness: Sequence[float]) -> Array:
-        """Newton's method on the penalised likelihood, with brackets whose edges sharpen step by step: it ends near the
-        middle of what they allow."""
+        """Coefficients by Newton's method on the penalised likelihood, with brackets whose edges sharpen step by step:
+        it ends near the middle of what they allow. use (n,): widths that count; roughness: the penalty's weight."""
         coefficients = start
         design, rough = self.design[use], roughness * self.basis.roughness
         ridge = 1e-10 * roughness * np.eye(self.basis.size)
@@ -314,8 +339,9 @@ class _Fit:
 
 
 def _box(a: Array, b: Array) -> tuple[Array, Array, Array]:
-    """-log(Phi(a) - Phi(b)), a >= b, with derivatives when a and b move together; to 0.1 %, which is from where on its
-    tail is a parabola. What is narrower than a thousandth of its edges' softness is as good as a point."""
+    """-log(Phi(a) - Phi(b)), a >= b: how far B is above either edge of a bracket, over its softness; with derivatives
+    when both move together; to 0.1 %, which is from where on its tail is a parabola. What is narrower than a thousandth
+    of its edges' softness is as good as a point."""
     middle, half = 0.5 * (a + b), np.maximum(0.5 * (a - b), 5e-4)
     beyond = np.maximum(np.abs(middle) - half - _TAIL, 0.0)  # of the nearer edge
     a, b = half - (np.abs(middle) - beyond), -half - (np.abs(middle) - beyond)

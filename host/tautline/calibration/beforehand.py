@@ -36,10 +36,12 @@ class Spread(Value):
 
     @cached_property
     def precision(self) -> Array:
+        """(k, k) inverse of the scale matrix."""
         return np.asarray(np.linalg.inv(self.scale))
 
     def term(self, value: Array, slope: Array) -> Term:
-        """Of values (k,) at the places, and what coefficients change there (k, m)."""
+        """Matrix (m, m) and gradient (m,) of half of -2 log p by m coefficients, the t distribution's weight held, and
+        -2 log p. value (k,): at the places; slope (k, m): its derivatives by the coefficients."""
         off = value - self.mean
         pulled = self.precision @ off
         far = float(off @ pulled)
@@ -49,7 +51,8 @@ class Spread(Value):
         return weight * (slope.T @ self.precision @ slope), weight * (slope.T @ pulled), told
 
     def has(self, value: Array, noise: Array) -> bool:
-        """Whether values (k,) with errors of this covariance (k, k) may be one more of these."""
+        """Whether values (k,) at the places, with errors of covariance noise (k, k), may be one more of these: they are
+        not farther off than all but a few of them."""
         off = value - self.mean
         far, size = float(off @ np.linalg.solve(self.scale + noise, off)), len(self.q)
         return bool(f_distribution.sf(far / size, size, self.freedom) > _SELDOM)
@@ -63,17 +66,19 @@ class Beforehand(Value):
     path: tuple[Spread, ...] = ()
 
     def usual(self, q: Array) -> Array:
-        """The usual B at any q."""
+        """The usual B (n,) at positions q (n,), both in the unit of q."""
         return np.asarray(np.exp(np.interp(q, self.width.q, self.width.mean)))
 
     def of_width(self, basis: Basis, coefficients: Array) -> Term:
-        """Of the logarithm of the B that a spline's coefficients (m,) give, at least _LEAST of the usual one."""
+        """The prior's Term, as Spread.term, of the logarithm of the B that a spline's coefficients (m,) give, at least
+        _LEAST of the usual one."""
         design = basis.design(self.width.q).toarray()
         width = np.maximum(design @ coefficients, _LEAST * np.exp(self.width.mean))
         return self.width.term(np.log(width), design / width[:, None])
 
     def of_path(self, basis: Basis, coefficients: Array) -> list[Term]:
-        """Of each channel of coefficients (m, channels), as many as are known."""
+        """The prior's Term, as Spread.term, of each channel of the path's coefficients (m, channels), all of which must
+        be known."""
         designs = [basis.design(each.q).toarray() for each in self.path]
         seen = zip(self.path, designs, coefficients.T, strict=True)
         return [each.term(design @ own, design) for each, design, own in seen]
@@ -81,8 +86,8 @@ class Beforehand(Value):
 
 @lru_cache(maxsize=8)
 def between(basis: Basis, q: tuple[float, ...]) -> tuple[Array, int]:
-    """The penalty on bending less what values at q tell of it, which is on how a curve departs from the one through
-    them that bends least; and its rank."""
+    """The penalty (size, size) on bending less what values at q tell of it, which is on how a curve departs from the
+    one through them that bends least; and its rank."""
     free = null_space(basis.design(np.array(q)).toarray())
     pulled = basis.bending @ free
     return np.asarray(pulled @ np.linalg.solve(free.T @ pulled, pulled.T)), free.shape[1]

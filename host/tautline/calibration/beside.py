@@ -42,8 +42,8 @@ class Beside:
 
     @classmethod
     def of(cls, found: Sequence[Effect], law: Model, others_rest: bool = False) -> tuple[Self, Array]:
-        """Those of these effects that can be fitted, and their values. others_rest: at all frames that count, so that
-        what follows other axes is held."""
+        """Those of these effects that can be fitted, and their values (m,). law: f_remain, as far as it is known.
+        others_rest: other axes do at all frames that count, so that what follows them is held."""
         known = [effect for effect in found if effect.id in FITTED]
         kinds = tuple(effects.kind_of(effect) for effect in known)
         untold = [kind for kind in kinds if others_rest and kind.needs == "freedom"]
@@ -55,7 +55,7 @@ class Beside:
 
     @property
     def forms(self) -> tuple[Self, ...]:
-        """These, and with each shape that is one of two the other way."""
+        """This, and one more for each held shape that has two possible values, with that one at the other value."""
         twofold = [p for kind in self.kinds for p in kind.parameters if p.name in self.held and len(p.shape) == 2]
         others = ((p.name, sum(p.shape) - self.held[p.name]) for p in twofold)
         return self, *(replace(self, held={**self.held, name: other}) for name, other in others)
@@ -67,18 +67,20 @@ class Beside:
 
     @property
     def parameters(self) -> list[Parameter]:
+        """Those that are fitted, in the order of `values`: neither searched nor held."""
         every = (p for kind in self.kinds for p in kind.parameters)
         return [p for p in every if not p.searched and p.name not in self.held]
 
     @property
     def scales(self) -> Array:
-        """Natural steps, each in its parameter's unit."""
+        """(m,) a change of each fitted parameter that a user would notice, in its own unit: of those in the motor's
+        unit the scale is a share of its range."""
         span = self.law.rig.actuator.span
         return np.array([p.scale * (span if p.unit.startswith("unit") else 1.0) for p in self.parameters])
 
     @property
     def precision(self) -> Array:
-        """(m,) of a step's prior."""
+        """(m,) 1 / variance of the prior of a step of each value, whose standard deviation is many natural steps."""
         return np.asarray((_FAR * self.scales) ** -2.0)
 
     def inside(self, values: Array) -> Array:
@@ -97,7 +99,7 @@ class Beside:
         return np.where([p.name in own for p in self.parameters], values, 0.0)
 
     def at_ends(self, values: Array, towards: Array) -> npt.NDArray[np.intp]:
-        """Which of the values are at an end of their range beyond which this direction leads."""
+        """Indices of the values (m,) that are at an end of their range beyond which this direction (m,) leads."""
         onward = self.inside(values + np.sign(towards) * 1e-6 * self.scales)
         return np.flatnonzero(onward == values)
 
@@ -108,6 +110,7 @@ class Beside:
         return {**dict(fitted), **self.held, **dict(followed)}
 
     def to_effects(self, values: Array) -> tuple[Effect, ...]:
+        """The effects with values (m,), as a model carries them."""
         named = self._named(values)
         return tuple(kind.of_values(named) for kind in self.kinds)
 
@@ -132,7 +135,9 @@ class Beside:
         the play makes of it; (n, m) by each value; (n,) by the delay."""
 
         def tip(times: Array, there: Array, wider: float = 0.0) -> Array:
-            return self.follow(motor, times, grid, np.maximum(width + wider, 0.0), hysteresis, there).tip
+            """The tip's place (n,), unit of q, at these times and values; B is wider everywhere by `wider`, unit of
+            q."""
+            return self.follow(motor, times, grid, width + wider, hysteresis, there).tip
 
         steps = _DIFFERENCE * self.scales
         columns = np.zeros((len(at_s), len(values)))
@@ -140,5 +145,6 @@ class Beside:
             ahead, behind = (self.inside(values + sign * step * np.eye(len(values))[i]) for sign in (1.0, -1.0))
             columns[:, i] = (tip(at_s, ahead) - tip(at_s, behind)) / (ahead - behind)[i]
         wider = _WIDER * self.law.rig.actuator.span
-        by_width = (tip(at_s, values, wider) - tip(at_s, values, -wider)) / (2.0 * wider)
+        narrower = min(wider, float(width.min()))
+        by_width = (tip(at_s, values, wider) - tip(at_s, values, -narrower)) / (wider + narrower)
         return by_width, columns, (tip(at_s, values) - tip(at_s + _AHEAD_S, values)) / _AHEAD_S

@@ -82,6 +82,7 @@ class Options:
     beforehand: Beforehand | None = None  # what is known without these recordings
 
     def __post_init__(self) -> None:
+        """TautError where a choice or the delay is none."""
         for name, choices in get_type_hints(Options).items():
             value, allowed = getattr(self, name), get_args(choices)
             if get_origin(choices) is Literal and value not in allowed:
@@ -155,6 +156,8 @@ class Calibration(Value):
 
 
 def onset_json(onset: Onset, names: Sequence[str]) -> dict[str, Any]:
+    """An onset as `taut calibrate --json` prints it: at the time of its turn where the tip did not move again, null for
+    what is infinite. names: of the recordings."""
     timed = np.isfinite(onset.t_s)
     return {
         "t_s": onset.t_s if timed else onset.turn_s,
@@ -173,6 +176,7 @@ def onset_json(onset: Onset, names: Sequence[str]) -> dict[str, Any]:
 
 
 def _foretold(model: Model, track: Track, delay_s: float) -> Foretold:
+    """What the model says of a track's frames at this delay, in the track's unit, beside what was seen."""
     scene = track.scene_s(delay_s)
     told = predict(model, track.reading, scene)
     predicted = told.c_deg[:, None] if track.unit == "deg" else told.image_px
@@ -181,6 +185,7 @@ def _foretold(model: Model, track: Track, delay_s: float) -> Foretold:
 
 
 def _finite(value: float) -> float | None:
+    """None, JSON's null, for what is infinite or NaN."""
     return float(value) if np.isfinite(value) else None
 
 
@@ -226,14 +231,15 @@ def calibrate(
 def _for_a_name(
     tracks: Sequence[Track], rig: Rig, aligned: clock.AlignedTracks, found: Calibration
 ) -> tuple[clock.AlignedTracks, Mapping[str, float]]:
-    """The tracks on the clocks, and these by recording, with which an effect is named: as they were read where the
-    stops had set them otherwise, since an effect makes those of one motion later than another's."""
+    """The aligned tracks and the sensors' offsets, s by recording, with which an effect is named. That one recording's
+    image stops later than another's is no offset here: an effect makes it so, too."""
     own = clock.align(tracks, rig, late_are_off=False) if found.offsets else aligned
     return (own, own.offsets) if own.offsets != aligned.offsets else (aligned, found.offsets)
 
 
 def _may_have_names(session: _Session, found: Calibration) -> bool:
-    """Whether what departs may be effects of the library."""
+    """Whether a diagnosis is asked what departs: not of an unusable calibration, nor of one that predicts where nothing
+    departs, or what a diagnosis does not weigh does too."""
     predicts = _predicts(found)
     if not found.model.quality.usable or (predicts and not (session.departs or start.concerns(found.model))):
         return False
@@ -241,17 +247,20 @@ def _may_have_names(session: _Session, found: Calibration) -> bool:
 
 
 def _predicts(found: Calibration) -> bool:
+    """Whether blocks left out are foretold to within PREDICTS times the noise; no where none were."""
     return found.evidence.get("foretold_over_noise", np.inf) <= PREDICTS
 
 
 def _better(beside: Calibration, found: Calibration) -> bool:
-    """Whether one that can be used at all foretells blocks left out better."""
+    """Whether the calibration with effects can be used and foretells blocks left out with a smaller rms error than the
+    one without."""
     own, other = (each.evidence.get("error", np.inf) for each in (beside, found))
     return beside.model.quality.usable and own < other
 
 
 def _as_near(beside: Calibration, found: Calibration) -> bool:
-    """Whether with its effects it predicts the frames if noise is what all that departs leaves, which knows no law."""
+    """Whether the fit with its effects leaves at most PREDICTS times as much, rms, as is left once all that departs is
+    taken out by no law; no where that was not found."""
     return beside.evidence.get("residual_joint", np.inf) <= PREDICTS * found.evidence.get("residual_components", 0.0)
 
 
@@ -280,9 +289,13 @@ def _likelihoods(fits: Sequence[Fitted]) -> Array:
 
 
 class _Session:
+    """One calibration of tracks on one clock: what its steps have found so far. Positions and B in the unit of q."""
+
     def __init__(
         self, aligned: clock.AlignedTracks, rig: Rig, options: Options, say: Progress, reasons: Sequence[Reason] = ()
     ) -> None:
+        """say: told of progress; reasons: doubts that were found before. Tables cover the rig's range and what the
+        motor reached beyond it, or the latter alone where the range is in another unit."""
         self.clock, self.rig, self.options, self.say = aligned, rig, options, say
         self.tracks = tracks = aligned.tracks
         self.findings = Findings([*aligned.reasons, *reasons], list(aligned.notes))
@@ -314,9 +327,12 @@ class _Session:
 
     @property
     def choice(self) -> Choice:
+        """What weighs the opinions of B against each other."""
         return Choice(self.tracks, self.domain, self.grid, self.unit, self.findings)
 
     def run(self) -> Calibration:
+        """Measures the delay, onsets, B and f_remain in turn and judges them. TautError where the motor does not
+        move."""
         if self.reached[1] - self.reached[0] < max(5 * self.rig.actuator.encoder_resolution, 1e-3 * self.domain.span):
             raise TautError(
                 f"the motor does not move (q stays within {self.reached[1] - self.reached[0]:.3g} {self.unit}): "
@@ -337,7 +353,7 @@ class _Session:
             if surer or abs(later) > _LATER * clock.period_s(self.tracks):
                 onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
                 curve = fit_widths(onsets, self.grid)
-            elif abs(later) > 1e-4:
+            elif abs(later) > 1e-4:  # s
                 onsets = delayed(onsets, self.tracks, later)
                 curve = fit_widths(onsets, self.grid)
         gradual = self.components is not None and any(
@@ -449,6 +465,8 @@ class _Session:
     # ---- the delay
 
     def _delay(self) -> Delay:
+        """The delay to begin with: given, by image stops where a camera sees the tip, else by all values of the angle
+        sensor."""
         if self.options.delay_s is not None:
             return Delay(self.options.delay_s, 0.0, 0)
         if not self.framed:
@@ -456,6 +474,8 @@ class _Session:
         return clock.delay_of_stops(self.tracks, self.rig)
 
     def _joint_delay(self, stops: Delay, joint: Fitted) -> Delay:
+        """The joint fit's delay and its sigma, s, to which turns that are known to a rounded count add. Where it was
+        not fitted the sigma is that of the stops, of the nominal delay a sample's time at most."""
         # Each turn is known to a rounded count: an error of time at the motor's speed.
         speed = float(np.median(np.concatenate([np.abs(s.speed[s.moving]) for s in joint.fit.simulated])))
         counts = self.rig.actuator.encoder_resolution / np.sqrt(12.0) / max(speed, 1e-9) / np.sqrt(max(stops.stops, 1))
@@ -484,6 +504,8 @@ class _Session:
     def _smooth(
         self, onsets: Sequence[Onset], delay: Delay, curve: WidthCurve | None
     ) -> tuple[Fitted | None, Fitted | None]:
+        """The joint fit of B, path and delay, with what departs beside it, and the passes' alone; each None where too
+        little was seen for it."""
         frozen = freeze(self._one_curve(delay.delay_s), delay.delay_s)
         fit_delay = self.options.delay_s is None
         joint = fit_jointly(
@@ -503,12 +525,14 @@ class _Session:
         self.say(0.5, "looking for what is no play")
         joint = self._separated(joint, onsets, curve)
         self.say(0.6, "fitting the passes alone")
+        # How far beyond an onset a pass begins: a tenth of B and a little of the range.
         margin = 0.1 * float(np.median(joint.fit.width(joint.curves))) + 0.005 * self.domain.span
         passes = fit_passes(joint, margin)
         return joint, None if passes is None else as_many_as_independent(passes)
 
     def _separated(self, joint: Fitted, onsets: Sequence[Onset], curve: WidthCurve | None) -> Fitted:
-        """The joint fit with all that departs from its model beside it."""
+        """The joint fit with all that departs from its model beside it: with the B that this gives where that predicts
+        about as well or onsets agree with it, else as it was and less certain."""
         noise = place_noise(joint)
         if noise is not None:
             self.findings.evidence |= {f"place_{key}": value for key, value in asdict(noise).items()}
@@ -554,7 +578,7 @@ class _Session:
 
     def _several(self, joint: Fitted, components: Components) -> Tried | None:
         """The joint fit with several elements or with friction, whichever is likelier, where the tip starts gradually
-        and it holds most of that."""
+        and it holds most of that; None where either is not so."""
         gradual = next((part for part in components.parts if part.name == "phase.even"), None)
         if gradual is None or gradual.rms < max(_GRADUAL, 0.5 * max(part.rms for part in components.parts)):
             return None
@@ -575,12 +599,15 @@ class _Session:
     # ---- f_remain
 
     def _find_place(self, joint: Fitted) -> None:
-        """Of what is followed where it is no marker: from here on the rig has it."""
+        """Estimates where on a bare tip lies what was shown and followed instead of a marker: from here on the rig has
+        it."""
         shown = self.tracks[0].shown
         if shown is not None and all(track.shown == shown for track in self.tracks):
             self.rig = replace(self.rig, place=place_on_tip(joint, self.rig, shown))
 
     def _doubt_place(self, remaining: Remaining | None) -> None:
+        """Doubts f_remain, not B, where what is seen is no marker at a known place: by the tip's own camera, or a place
+        on it that was shown."""
         place = self.rig.place
         if remaining is None:
             return
@@ -613,6 +640,8 @@ class _Session:
         )
 
     def _remaining(self, width: Array, delay_s: float, settled: bool) -> Remaining | None:
+        """f_remain by the way that was chosen, with B width (grid,) and the delay, s, held; None where the tip was
+        hardly seen to move. settled: only frames after the tip was driven both ways count."""
         if self.options.remaining == "morphological":
             curves = morphological(self.tracks, self.rig, self.grid, delay_s)
             if curves is not None:
@@ -626,6 +655,8 @@ class _Session:
     # ---- what to think of it
 
     def _comment(self, onsets: Sequence[Onset], remaining: Remaining | None) -> None:
+        """Notes and doubts of onsets and f_remain: no turn, no onset, reversals that do not count, a tip that did not
+        move."""
         if self.options.beforehand is not None:
             self.findings.notes.append("B(q) was known beforehand, from other robots: these recordings add to it")
         if stray := sum(track.stray for track in self.tracks):
@@ -712,7 +743,8 @@ class _Session:
         self.findings.doubt("coverage", f"B(q) is known to {100.0 * np.sqrt(all_of_it):.2g} % only", more, mild=mild)
 
     def _measured(self, curve: WidthCurve | None, joint: Fitted | None, source: str) -> tuple[float, float]:
-        """With friction a tip starts at every turn: what was passed near both envelopes is measured."""
+        """The lowest and highest position, unit of q, at which B is measured. With friction a tip starts at every turn:
+        then it is what was passed near both envelopes."""
         if joint is None or not isinstance(self.elements, Friction):
             return self.choice.measured(curve, joint, source)
         low, high = overlap(joint)
@@ -728,7 +760,8 @@ class _Session:
         return Reason("residual", says, "taut diagnose says where it is")
 
     def _sanity(self, remaining: Remaining) -> None:
-        """Scale and sign before anything else is blamed."""
+        """Doubts the rig where f_remain's slope is not about f_coarse's, sign and scale, or the marker is not where the
+        rig puts it: before anything else is blamed."""
         p = np.clip(self.grid, *self.reached)
         c = np.interp(p, self.grid, remaining.c_deg)
         gain = float(np.polyfit(p, c, 1)[0]) if np.ptp(p) > 0 else self.rig.coarse.gain
@@ -762,12 +795,14 @@ class _Session:
         return "check actuator.unit, the encoder's scale, coarse.gain, and that angle.csv is in deg"
 
     def _misplaced(self, residual: float) -> bool:
-        """Whether the marker is not where camera, hand_eye and kinematics put it."""
+        """Whether the marker is not where camera, hand_eye and kinematics put it: a residual (px, rms) of more than 5
+        px and 20 times the noise."""
         return residual > max(5.0, 20 * float(np.median(self.tracks[0].sigma)))
 
     def _registration(self, residual: float, ratio: float, p: Array, c: Array) -> None:
-        """The marker is off the path that the rig gives it. Where f_remain was bent beyond belief to come near it, no
-        angle means anything."""
+        """Doubts the registration: the marker is residual (px, rms) off the rig's path. ratio: f_remain's slope over
+        f_coarse's; c (n,): f_remain in deg at p (n,). Where it was bent beyond belief to come near, no angle means
+        anything."""
         coarse = self.rig.coarse
         bent = float(np.max(np.abs(c - (coarse.gain * p + coarse.offset))))
         whole = abs(coarse.gain) * float(np.ptp(p))
@@ -790,6 +825,8 @@ class _Session:
         self, onsets: Sequence[Onset], delay: Delay, curve: WidthCurve | None, joint: Fitted | None,
         passes: Fitted | None, width: Array, sigma: Array, source: str, remaining: Remaining | None,
     ) -> Calibration:  # fmt: skip
+        """The calibration of all this: B's sigma with what no scatter shows, the model, what it foretells, doubts and
+        notes. width, sigma (grid,): of B, from `source`."""
         names = tuple(track.name for track in self.tracks)
         measured = self._measured(curve, joint, source)
         beyond = np.abs(self.grid - np.clip(self.grid, *measured))
@@ -868,6 +905,7 @@ class _Session:
         )  # fmt: skip
 
     def _instead(self, near: Nearest) -> str:
+        """The note that a board's tables hold a few plays instead of this hysteresis, and what these leave."""
         plays = f"{len(near.elements.width)} plays, which leave {100.0 * near.share:.2g} % of what there is to undo"
         if isinstance(self.elements, Friction):
             its = self.elements.says(self.unit)

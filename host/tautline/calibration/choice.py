@@ -121,15 +121,17 @@ class Choice:
         return allowed_width(self.grid, both), (own + other) ** -0.5
 
     def _bears(self, joint: Fitted, width: Array, both: Array) -> bool:
-        """Whether B may be another than what predicts best: where that predicts well, nothing says so."""
+        """Whether B may be `both` (grid,) where the joint fit has `width`: not where that predicts well, nor where the
+        other leaves far more."""
         own = self.left_at(joint, width)
         return own > EXPLAINED and self.left_at(joint, both) < _BEARABLE * own
 
     def nearer(
         self, onsets: Sequence[Onset], curve: WidthCurve | None, components: Components, apart: Fitted, joint: Fitted
     ) -> bool:
-        """Whether the onsets, which know no model, say the B beside the departures. Where these are a gradual start
-        first of all, they show its first motion only."""
+        """Whether the onsets, which know no model, clearly agree with the B beside the departures (apart) and not with
+        the one without (joint). No where few are there, or these are a gradual start first of all: onsets show its
+        first motion only."""
         widths = measuring(onsets)
         if curve is None or len(widths) < _FEW_ONSETS or not joint.fit.elements.single or components.of_start:
             return False
@@ -144,13 +146,13 @@ class Choice:
 
     @staticmethod
     def predicts(rest: float, joint: Fitted) -> bool:
-        """Whether a B that leaves so much predicts what was seen about as well as the one that fits it best: departures
-        that take B far from that stand for something else."""
+        """Whether a B that leaves so much (residual over noise) predicts what was seen about as well as the one that
+        fits it best: departures that take B far from that stand for something else."""
         return rest < _WORSE * max(joint.scale, 1.0)
 
     def bridged(self, joint: Fitted, width: Array, inside: npt.NDArray[np.bool_]) -> Array:
-        """(grid,) by how much B may be another where nothing was passed both ways: as it changes elsewhere. What is
-        known beforehand says it itself."""
+        """(grid,) by how much B may be another, unit of q, where nothing was passed both ways: it changes as elsewhere,
+        over the distance to what was. 0 elsewhere, and where B is known beforehand, which says it itself."""
         if joint.fit.beforehand is not None:
             return np.zeros(len(self.grid))
         apart = one_way(joint, self.grid)
@@ -176,6 +178,8 @@ class Choice:
         )
 
     def measured(self, curve: WidthCurve | None, joint: Fitted | None, source: str) -> tuple[float, float]:
+        """The lowest and highest position at which B was measured, unit of q: of onsets, or of the passes' frames; both
+        the range's middle where nowhere."""
         if curve is not None:
             return curve.measured
         if joint is not None and source == PASSES:
@@ -187,7 +191,8 @@ class Choice:
     def second_opinion(
         self, onsets: Sequence[Onset], curve: WidthCurve | None, passes: Fitted | None
     ) -> tuple[Array | None, Array | None]:
-        """B from the passes alone beside the onsets': its disagreement is evidence."""
+        """(B, its sigma) from the passes alone, (grid,) in the unit of q, NaN beyond where both ways overlap; None of
+        each where nowhere. The onsets' disagreement is evidence."""
         if passes is None:
             return None, None
         low, high = overlap(passes)
@@ -220,8 +225,9 @@ class Choice:
         return any((np.ptp(track.y, axis=0) > _STANDS_OUT * np.median(track.sigma)).any() for track in self.tracks)
 
     def _foretells(self, widths: Sequence[Onset], joint: Fitted, curve: WidthCurve) -> bool:
-        """Whether onsets come late one way only, against a joint fit that predicts what was seen where they do not: the
-        tip is on its envelope all the same. Where both ways jump alike, the image does."""
+        """Whether onsets come late (wider than the joint fit's B) one way only, and their B predicts what was seen
+        worse than the joint fit's: the tip is on its envelope all the same. Where both ways jump alike, the image
+        does."""
         at, up = np.array([o.q_mean for o in widths]), np.array([o.direction > 0 for o in widths])
         if min(up.sum(), (~up).sum()) < _FEW_ONSETS // 2:
             return False
@@ -235,7 +241,7 @@ class Choice:
         return not self.predicts(rest, joint)
 
     def left_at(self, joint: Fitted, width: Array) -> float:
-        """`_left_with` another B, (grid,)."""
+        """Residual over noise of the joint fit with another B, width (grid,), once the path fits that."""
         design = joint.fit.backlash.design(self.grid)
         backlash = np.linalg.lstsq(design.toarray(), width, rcond=None)[0]
         return self._left_with(joint, replace(joint.curves, backlash=backlash))
@@ -313,8 +319,9 @@ class Choice:
     def _filled(
         self, widths: Sequence[Onset], curve: WidthCurve, joint: Fitted, passes: Fitted | None
     ) -> tuple[Array, Array, str]:
-        """The onsets' curve near onsets; farther off, the passes' shape shifted to meet it. What the image jumps by is
-        in the passes' distance, and another at each place: as far as it differs where onsets tell it, it may there."""
+        """The onsets' curve near onsets; farther off, the passes' shape shifted to meet it: B, its sigma, its source.
+        The image's jump is in the passes' distance, another at each place: as far as it differs where onsets tell it,
+        it may there."""
         p = np.sort([o.q_mean for o in widths])
         reach = max(
             1.5 * float(np.median(np.diff(p))) if len(p) > 2 else 0.0, float(np.median([o.width for o in widths]))
@@ -328,7 +335,7 @@ class Choice:
         apart = (curve.width - own)[near]
         other = own + np.interp(self.grid, self.grid[near], apart)
         meets = np.interp(self.grid, self.grid[near], np.hypot(curve.sigma[near], float(np.std(apart))))
-        share = far * far * (3 - 2 * far)
+        share = far * far * (3 - 2 * far)  # without a corner at either end
         inside = (self.grid >= p[0]) & (self.grid <= p[-1])
         share = np.where(inside, share, 0.0)
         width = allowed_width(self.grid, (1 - share) * curve.width + share * other)

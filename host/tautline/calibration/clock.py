@@ -85,22 +85,23 @@ class AlignedTracks:
 
     @classmethod
     def as_it_is(cls, tracks: Sequence[Track]) -> AlignedTracks:
+        """The tracks as they are: no clock is off."""
         return cls(list(tracks), (0.0,) * len(tracks), ())
 
     @property
     def offset_s(self) -> float | None:
-        """The one that is farthest from 0; None where no clock was off."""
+        """The offset, s, that is farthest from 0; None where no clock was off."""
         return max(self.offsets_s, key=abs, default=0.0) or None
 
     @property
     def offsets(self) -> dict[str, float]:
-        """By recording, where there is one."""
+        """The offsets that are not 0, s, by recording."""
         pairs = zip(self.tracks, self.offsets_s, strict=True)
         return {track.name: offset for track, offset in pairs if offset}
 
     def with_delay(self, delay: Delay, nominal_s: float) -> tuple[AlignedTracks, Delay]:
-        """A delay that was found on these tracks. Where every clock was off it cannot be told from the offsets: it is
-        the nominal one then, and they have the rest."""
+        """These tracks and a delay that was found on them. Where every clock was off it cannot be told from the
+        offsets: it is the nominal one then, and they have the rest."""
         if not self.offsets_s or not all(self.offsets_s):
             return self, delay
         offsets = tuple(offset + delay.delay_s - nominal_s for offset in self.offsets_s)
@@ -141,6 +142,7 @@ def align(tracks: Sequence[Track], rig: Rig, *, late_are_off: bool = True) -> Al
 
 
 def _off(track: Track, offset_s: float) -> Reason:
+    """The mild reason that a clock was off by offset_s and was corrected."""
     where = "behind" if offset_s > 0 else "ahead of"
     says = f"{track.name}: the sensor's clock is {abs(offset_s):.3f} s {where} the motor's"
     return Reason("clock.offset", says, "it was taken off: put both on one clock", mild=True)
@@ -149,8 +151,8 @@ def _off(track: Track, offset_s: float) -> Reason:
 def _at_one_delay(
     tracks: list[Track], offsets: list[float], rig: Rig, late_are_off: bool
 ) -> tuple[list[Track], list[float]]:
-    """A camera has one delay: recordings whose images stop at others have clocks of their own. Those whose clock was
-    right already say which it is."""
+    """Tracks and offsets, s, with all of a camera's at one delay: recordings whose images stop at another have clocks
+    of their own. Those whose clock was right already say which it is."""
     if len(tracks) < 2 or any(track.sensor != MARKER for track in tracks):
         return tracks, offsets
     delays = [delay_of_stops([track], rig) for track in tracks]
@@ -173,8 +175,8 @@ def _at_one_delay(
 
 
 def _moves_so(track: Track, rig: Rig, own_s: float, best_s: float) -> bool:
-    """Whether the motion leaves no more at the delay of its stops than at the other: a codec that holds back
-    what moves little moves the stops of a slow motion alone."""
+    """Whether all frames fit about as well at own_s, the delay of this track's stops, as at best_s: a codec that holds
+    back what moves little makes the stops of a slow motion late, and nothing else. Yes where they do not tell."""
     view = _MotionView.of(track, rig, _FRAMES[0])
     if view is None:
         return True
@@ -183,6 +185,7 @@ def _moves_so(track: Track, rig: Rig, own_s: float, best_s: float) -> bool:
 
 
 def _taken_off(track: Track, offset: Offset, nominal_s: float, rig: Rig) -> tuple[Track, float]:
+    """The track less its offset, and that offset, s: refined by the delay that is found then, if it is known well."""
     offset_s = offset.offset_s
     near = replace(track, t_s=track.t_s - offset_s)
     delay = delay_of_all([near], rig) if track.sensor == ANGLE else find_delay([near], rig, nominal_s)
@@ -209,7 +212,8 @@ def jumps(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
 
 
 def find_offset(track: Track, rig: Rig) -> Offset | None:
-    """The offset beyond the nominal delay, within REACH_S. None where the track shows no motion to tell it by."""
+    """The offset beyond the nominal delay, s, within REACH_S: 0 where that delay fits, of infinite sigma where no lag
+    does. None where the track shows no motion to tell it by."""
     view = _MotionView.of(track, rig, _FRAMES[0])
     if view is None:
         return None
@@ -236,7 +240,8 @@ def find_offset(track: Track, rig: Rig) -> Offset | None:
 
 
 def _rivals(view: _MotionView, fine: _MotionView, lags: npt.NDArray[Any]) -> list[_Lag]:
-    """The lags that fit about as well as the best one, best first; those with no ridge between them are one."""
+    """The lags that fit about as well as the best one, best first; those with no ridge between them are one. lags (n,),
+    s; view: few frames to search with; fine: more, to measure with."""
     misfits = view.misfits(lags)
     finite = np.where(np.isfinite(misfits), misfits, 1.0)
     padded = np.concatenate([[np.inf], finite, [np.inf]])
@@ -255,7 +260,7 @@ def _rivals(view: _MotionView, fine: _MotionView, lags: npt.NDArray[Any]) -> lis
 
 
 def _refused(track: Track, best: Offset, rig: Rig) -> Reason | None:
-    """Why no offset can be believed."""
+    """Why no offset of this track can be believed; None where `best` can."""
     follows = best.misfit <= _FOLLOWS
     if follows and not best.rivals:
         return None
@@ -271,7 +276,8 @@ def _refused(track: Track, best: Offset, rig: Rig) -> Reason | None:
 
 
 def _stretched(track: Track, rig: Rig, misfit: float) -> Reason | None:
-    """A sensor whose times last longer or shorter than the motor's, and fit when they are made to last as long."""
+    """The reason of a sensor whose times last longer or shorter than the motor's, and fit when they are made to last as
+    long: they leave a small share of `misfit`, the best offset's. None where they do not."""
     motor_s = float(np.ptp(track.motor.t_s))
     seen_s = float(np.ptp(track.t_s))
     if seen_s <= 0.0 or abs(motor_s / seen_s - 1.0) < _LONGER:
@@ -337,7 +343,8 @@ class _MotionView:
 
     @classmethod
     def of(cls, track: Track, rig: Rig, most: int) -> _MotionView | None:
-        """None where nothing moves, or other axes do most of the time."""
+        """The track made ready, thinned to at most `most` frames. None where nothing moves, or other axes do most of
+        the time."""
         motor = track.motor
         span = float(np.ptp(motor.q))
         variance = float(np.mean(np.var(track.y, axis=0))) if len(track.t_s) else 0.0
@@ -362,7 +369,8 @@ class _MotionView:
         return cls(few, motor.t_s[keep], motor.q[keep], low, span, share, reference, way)
 
     def misfits(self, lags: npt.NDArray[Any]) -> Array:
-        """Each lag's least over the widths; from one lag to the next it moves by a width at most."""
+        """The least misfit over all widths at each of lags (n,), s. From one lag to the next the best width moves by a
+        place in the list at most, so all of them are tried only now and then."""
         least, at = np.empty(len(lags)), 0
         for i, lag in enumerate(lags):
             near = range(len(_WIDTHS)) if i % _ANEW == 0 else range(max(at - 1, 0), min(at + 2, len(_WIDTHS)))
@@ -372,16 +380,18 @@ class _MotionView:
         return least
 
     def along(self, lag_s: float) -> bool:
-        """Whether the tip moves the way that f_coarse says."""
+        """Whether the tip moves the way that f_coarse says, at a lag in s."""
         width = min(_WIDTHS, key=lambda share: self.misfit(lag_s, share * self.span)) * self.span
         return bool(self._fitted(lag_s, width)[1] @ self.way > 0.0)
 
     def misfit(self, lag_s: float, width: float) -> float:
-        """The share of the variance that is left; infinite where fewer than half of the frames have a motor."""
+        """The share of the variance that is left, at a lag in s and a play's width in the unit of q; infinite where
+        fewer than half of the frames have a motor."""
         return self._fitted(lag_s, width)[0]
 
     def _fitted(self, lag_s: float, width: float) -> tuple[float, Array]:
-        """The misfit, and how y rises with p, (channels,)."""
+        """The misfit, and how y rises with p, (channels,), of a polynomial through a play of this width (unit of q) at
+        a lag in s; inf and 0 where fewer than half of the frames have a motor."""
         track = self.track
         scene = track.scene_s(lag_s)
         n = len(self.turn_t)
@@ -437,8 +447,9 @@ class _MotionView:
 
 
 def delay_of_all(tracks: Sequence[Track], rig: Rig) -> Delay:
-    """The delay at which a smooth B and a smooth path fit all frames best, weighed against the nominal one. For sensors
-    of real joints, which do not stop so sharply that the stops alone tell it."""
+    """The delay at which a smooth B and a smooth path fit all frames best, weighed against the nominal one; that with
+    sigma inf where nothing tells it. For sensors of real joints, which do not stop so sharply that the stops alone
+    do."""
     nominal_s = rig.nominal_delay_s(tracks[0].sensor)
     views = [view for view in (_MotionView.of(track, rig, _FRAMES[1]) for track in tracks) if view is not None]
     if not views:
@@ -453,6 +464,8 @@ def delay_of_all(tracks: Sequence[Track], rig: Rig) -> Delay:
 
 
 def _posterior(views: Sequence[_MotionView], likely_s: float, start: float, within_s: float) -> Delay:
+    """The delay's posterior mean and standard deviation, by stiffer curves where the first do not tell it. In s:
+    likely_s, within_s: mean and standard deviation thought before; start: where plays of one width fit best."""
     for spans in _SPANS:
         profile = _Profile(views, spans, likely_s, within_s, start)
         best = min((likely_s, 0.5 * (start + likely_s), start), key=profile.surprise)
@@ -468,6 +481,7 @@ def _posterior(views: Sequence[_MotionView], likely_s: float, start: float, with
 
 
 def period_s(tracks: Sequence[Track]) -> float:
+    """Median time between frames, s."""
     return float(np.median(np.concatenate([np.diff(track.t_s) for track in tracks])))
 
 
@@ -510,6 +524,8 @@ class _Profile:
         self._independent = min(_independent(self._solved(start_s)), _PER_STROKE * min(strokes, _STROKES))
 
     def surprise(self, delay_s: float) -> float:
+        """Chi-square of a delay, s, by residuals and what was thought before, but for a constant; kept for the next
+        time."""
         key = round(delay_s, 7)
         if key not in self._found:
             left = 2.0 * self._independent * float(np.log(self._solved(delay_s).scale))
@@ -517,7 +533,8 @@ class _Profile:
         return self._found[key]
 
     def posterior(self, centre_s: float, pitch_s: float) -> tuple[float, float]:
-        """Mean and standard deviation over seven delays."""
+        """Mean and standard deviation, s, over seven delays pitch_s apart around centre_s; their spacing's own error is
+        in it."""
         delays = centre_s + pitch_s * np.arange(-3, 4)
         surprise = np.array([self.surprise(float(delay)) for delay in delays])
         weight = np.exp(-0.5 * np.clip(surprise - surprise.min(), 0.0, 200.0))
@@ -526,6 +543,7 @@ class _Profile:
         return mean, float(np.hypot(np.sqrt(weight @ (delays - mean) ** 2), pitch_s / np.sqrt(12.0)))
 
     def _solved(self, delay_s: float) -> Fitted:
+        """The fit at this delay, s, from the constant width that fits best and smoothing as at first."""
         fit, channels = self._fit, self._sights[0].track.y.shape[1]
         fit.smoothing = dict(self._smoothing)
         widths = [share * self._sights[0].span for share in _WIDTHS]

@@ -152,6 +152,7 @@ class _Separation:
     moving_noise: float = 1.0  # of frames at which the tip moves, over that of the others
 
     def run(self) -> Components:
+        """Lets components join and moves to where they lead, linearisation by linearisation, until nothing changes."""
         self._expect_turns()
         scene = scene_of(self.fitted, self.fitted.curves, self.rig, np.zeros(2))
         assert scene is not None  # it was fitted to frames
@@ -172,7 +173,8 @@ class _Separation:
         return solved.result()
 
     def _expect_turns(self) -> None:
-        """Where an encoder's count shows in the image the motor's turns are known no better, whatever else is there."""
+        """Begins with the component of turns where an encoder's count moves the image by more than a share of its
+        noise: the motor's turns are known no better, whatever else is there."""
         fit, resolution = self.fitted.fit, self.rig.actuator.encoder_resolution
         count = _COUNT * max(count_of(frozen.track.reading, resolution) for frozen in fit.tracks)
         steep = np.linalg.norm(fit.follow.slope(self.fitted.curves.follow, fit.grid).reshape(len(fit.grid), -1), axis=1)
@@ -183,10 +185,12 @@ class _Separation:
             self.penalties["turn"] = (self.fitted.scale / count) ** 2
 
     def _at(self, curves: Curves, clock: Array, columns: Design) -> _Solved | None:
+        """The model solved at these curves and this clock (see `scene_of`); None where no frame tells of them."""
         scene = scene_of(self.fitted, curves, self.rig, clock)
         return None if scene is None else self._solved(curves, scene, clock, columns)
 
     def _solved(self, curves: Curves, scene: Scene, clock: Array, columns: Design) -> _Solved:
+        """The model of a scene at these curves and this clock, solved with the active components."""
         parts = [part for part in departures(scene, columns) if part.name not in self.without]
         solved = _Solved(self, curves, scene, parts, clock, columns)
         solved.settle()
@@ -205,6 +209,7 @@ class _Separation:
 
 
 def between(start: Curves, end: Curves, share: float) -> Curves:
+    """The curves at this share, 0 to 1, of the way from `start` to `end`."""
     return Curves(
         start.backlash + share * (end.backlash - start.backlash),
         start.follow + share * (end.follow - start.follow),
@@ -213,7 +218,8 @@ def between(start: Curves, end: Curves, share: float) -> Curves:
 
 
 def nominal_columns(fit: PlayFit, scene: Scene) -> Sparse:
-    """Of path (channel by channel), B and delay."""
+    """(channels * n, unknowns), sparse: how the whitened image changes by the coefficients of the path (channel by
+    channel), those of B, and the delay."""
     path = sparse.diags(scene.inverse) @ fit.follow.design(scene.p)
     by_width = sparse.diags(scene.by_width) @ fit.backlash.design(scene.p)
     shared = sparse.csr_matrix(sparse.hstack([by_width, sparse.csr_matrix(scene.by_delay[:, None])]))
@@ -226,6 +232,8 @@ class _Solved:
     def __init__(
         self, owner: _Separation, curves: Curves, scene: Scene, parts: list[Part], clock: Array, columns: Design
     ) -> None:
+        """Sums the normal equations; unknowns: path (channel by channel), B, delay, then each part's values. clock
+        (2,): as in `scene_of`; columns: what was looked for; nothing is solved yet."""
         self.owner, self.curves, self.scene, self.clock, self.columns = owner, curves, scene, clock, columns
         self.fit = fit = owner.fitted.fit
         nominal = nominal_columns(fit, scene)
@@ -257,6 +265,8 @@ class _Solved:
             self._solve()
 
     def _solve(self) -> None:
+        """Solves for path, B, delay and the active components at their present penalties; sets their values, the
+        system's inverse and the noise that is left, over the stated one."""
         self.kept = np.concatenate([np.arange(self.head), *(self.places[name] for name in self.owner.active)])
         system = self.gram[np.ix_(self.kept, self.kept)].copy()
         system[: self.head, : self.head] += self.base
@@ -275,7 +285,7 @@ class _Solved:
         self.noise = float(np.sqrt(max(squares, 1e-12) / max(count, 1.0)))
 
     def _blocks(self) -> list[tuple[str, npt.NDArray[np.intp]]]:
-        """Where the active components are among what is solved for."""
+        """Each active component's name and the indices of its values among what is solved for."""
         blocks, at = [], self.head
         for name in self.owner.active:
             size = self.parts[name].size
@@ -284,6 +294,8 @@ class _Solved:
         return blocks
 
     def _adapt(self) -> bool:
+        """A Fellner-Schall step of the active components' penalties, longer by the exponent 1.5; whether any changed by
+        more than a tenth."""
         changed = False
         for name, at in self._blocks():
             now, penalty = self.owner.penalties[name], self.parts[name].penalty
@@ -298,7 +310,8 @@ class _Solved:
     # ---- further ones
 
     def join(self) -> bool:
-        """Adds what the restricted likelihood gains most by, if it is enough."""
+        """Adds the components, at most two, by which the restricted likelihood gains most, if it is enough; whether any
+        was tried. One whose value came out negative and must not is refused for good."""
         joined = False
         for _ in range(_AT_ONCE):
             active = set(self.owner.active) | self.owner.refused
@@ -320,7 +333,8 @@ class _Solved:
         return joined
 
     def _gain(self, part: Part) -> tuple[float, float]:
-        """By how much twice the restricted log likelihood grows with this part, at its best penalty."""
+        """By how much twice the restricted log likelihood grows with this part at its best penalty, and that penalty; 0
+        and 1 where no frame tells of it."""
         at = self.places[part.name]
         across = self.gram[np.ix_(self.kept, at)]
         information = self.gram[np.ix_(at, at)] - across.T @ self.inverse @ across
@@ -336,12 +350,13 @@ class _Solved:
         return gains[best], float(penalties[best])
 
     def _left(self) -> Array:
-        """(n, channels) what is not explained."""
+        """(n, channels) what is not explained of the whitened residuals."""
         left = self.target - self.design[:, self.kept] @ self.values
         return np.asarray(left.reshape(self.scene.rows.shape[1], -1).T)
 
     def moving_noise(self) -> float:
-        """Scatter from frame to frame where the tip moves, over that where it rests."""
+        """Scatter from frame to frame where the tip moves, over that where it rests, 1 to 30; 1 where too few frames do
+        either."""
         step = np.mean(np.diff(self._left(), axis=0) ** 2, axis=1)
         moves = self.scene.moving[1:] & self.scene.moving[:-1]
         rests = ~self.scene.moving[1:] & ~self.scene.moving[:-1]
@@ -350,6 +365,7 @@ class _Solved:
         return float(np.clip(np.sqrt(np.median(step[moves]) / max(float(np.median(step[rests])), 1e-30)), 1.0, 30.0))
 
     def _effective(self) -> float:
+        """Frames for each independent one of what is not explained."""
         return effective(self._left())
 
     def scanned(self) -> Design:
@@ -360,10 +376,13 @@ class _Solved:
 
     @property
     def moved(self) -> Curves:
+        """The curves to which the solution leads."""
         return self.fit.moved(self.curves, self.values[: self.head])
 
     @property
     def clock_step(self) -> Array:
+        """(2,) by how much the solution moves the clock's rate and drift, s, as in `scene_of`; 0 for what is not
+        active."""
         steps = np.zeros(2)
         for i, name in enumerate(("clock.rate", "clock.drift")):
             if name in self.owner.active:
@@ -377,19 +396,25 @@ class _Solved:
         return bool(shift.max() > _STILL * float(np.median(self._width_sigma())))
 
     def _width_columns(self) -> tuple[slice, Array]:
+        """Where B's coefficients are among the unknowns, and what each adds to B, (grid, coefficients)."""
         cut = self.curves.follow.size
         return slice(cut, cut + self.fit.backlash.size), np.asarray(self.fit.backlash.design(self.fit.grid).toarray())
 
     def _width_step(self, values: Array) -> Array:
+        """(grid,) by how much these values of the unknowns change B, unit of q."""
         block, design = self._width_columns()
         return np.asarray(design @ values[block])
 
     def _width_sigma(self, inverse: Array | None = None) -> Array:
+        """(grid,) standard deviation of B, unit of q. inverse: covariance in units of the noise's variance, by default
+        the system's."""
         block, design = self._width_columns()
         covariance = (self.inverse if inverse is None else inverse)[block, block]
         return np.asarray(self.noise * np.sqrt(np.maximum(np.sum((design @ covariance) * design, axis=1), 0.0)))
 
     def result(self) -> Components:
+        """What was found: B as it is when the session ends, and its sigma by noise, by components that are right to a
+        share of themselves, and by what differs between recordings and speeds."""
         left = self._left()
         number = effective(left)
         # Frames whose residuals go together tell as much as one; what is known beforehand is known all the same.
@@ -421,16 +446,21 @@ class _Solved:
         )  # fmt: skip
 
     def _alone(self, number: float) -> Array:
-        """Of path, B and delay alone, over the noise's variance, one of `number` frames being independent."""
+        """Covariance of path, B and delay without components, in units of the noise's variance, where one of `number`
+        frames is independent."""
         system = self.gram[: self.head, : self.head] / number + self.base
         system[np.diag_indices_from(system)] += 1e-10 * float(np.mean(np.diag(system)))
         return np.asarray(cho_solve(cho_factor(system, check_finite=False), np.eye(self.head), check_finite=False))
 
     def _by_delay(self, covariance: Array) -> Array:
+        """(grid,) by how much B is another, unit of q, for each second that the delay is. covariance: of path, B and
+        delay."""
         block, design = self._width_columns()
         return np.asarray(design @ covariance[block, -1] / covariance[-1, -1])
 
     def _since(self) -> tuple[Since, ...]:
+        """By track, how its frames differ from what they would show when the session ends; empty where no state
+        changes."""
         changed = [(name, at) for name, at in self._blocks() if name in STATES]
         if not changed:
             return ()
@@ -458,8 +488,8 @@ class _Solved:
         return offset
 
     def _at_the_end(self, backlash: Array) -> Array:
-        """B as it is when the session ends, of slow strokes: the others are wider by what a departure says. What
-        offsets the transmission takes B along."""
+        """B's coefficients as they are when the session ends, of slow strokes: others are wider by what a departure
+        says. What offsets the transmission takes B along."""
         values = {name: self.values[at] for name, at in self._blocks() if name.startswith("width.")}
         if offset := self._offset_at_the_end():
             basis, grid = self.fit.backlash, self.fit.grid
@@ -472,13 +502,13 @@ class _Solved:
         return np.maximum(backlash * grown - self._by_speed(backlash), 0.0)
 
     def _as_a_delay(self) -> float:
-        """s, of a lag that is so short that frames do not tell it from a delay."""
+        """A lag, s, that is so short that frames do not tell it from a delay; 0 where it is longer."""
         lags = sum(float(self.values[at][0]) for name, at in self._blocks() if name.startswith("lag"))
         return lags if lags < _SHORT * float(np.median(np.diff(self.scene.time_s))) else 0.0
 
     def _held_back_s(self, parts: Sequence[Component]) -> float:
-        """By how much a tracker shows a moving tip late that holds back what begins: what all strokes share of that is
-        as much as what they do not."""
+        """By how much, s, a tracker shows a moving tip late that holds back what begins: what all strokes share of that
+        is as much as what they do not. 0 where the tracker does not err so."""
         rms = {part.name: part.rms for part in parts if part.name in ("tracker", "phase.even")}
         speed = (np.linalg.norm(self.scene.slope, axis=1) * np.abs(self.scene.speed))[self.scene.moving]
         if "tracker" not in rms or not len(speed):
@@ -486,7 +516,7 @@ class _Solved:
         return sum(rms.values()) / max(float(np.median(speed)), 1e-12)
 
     def _by_speed(self, width: Array) -> Array:
-        """By how much a width at the usual speed is more than that of slow strokes."""
+        """(grid,) by how much a width, B (grid,), at the usual speed is more than that of slow strokes, unit of q."""
         added = [(name, float(self.values[at][0])) for name, at in self._blocks() if name.startswith(SPEED)]
         return np.asarray(sum((v * (width if name.endswith(SHARE) else 1.0) for name, v in added), 0.0 * width))
 
@@ -496,6 +526,8 @@ class _Solved:
         return float(np.sqrt(np.mean(values[0] ** 2))) if values else 0.0
 
     def _component(self, name: str, at: npt.NDArray[np.intp]) -> Component:
+        """What was found of an active component whose values are at these places: its strength, and how B and the delay
+        would change if it were held at zero."""
         values = self.values[at]
         own = self.inverse[np.ix_(at, at)]
         pulled = np.linalg.solve(own + 1e-12 * float(np.trace(own)) / len(at) * np.eye(len(at)), values)

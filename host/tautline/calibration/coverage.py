@@ -32,7 +32,8 @@ class Gap:
 
 
 def not_measured(span: Span, unit: str) -> str:
-    """Said by a live calibration, its page and of a recording alike."""
+    """That B is not known from span[0] to span[1], in q's unit: a live calibration, its page and a recording say it
+    alike."""
     return f"B is not measured from {span[0]:.3g} to {span[1]:.3g} {unit}"
 
 
@@ -44,7 +45,8 @@ def seeable(model: Model, low: float, high: float) -> Span:
 
 
 def one_way(joint: Fitted, grid: Array) -> Array:
-    """(grid,) how far the next frame is of the direction of which it is further; inf where one has none."""
+    """(grid,) how far, unit of q, the nearest frame of a tip that goes up is, or of one that goes down, whichever is
+    farther; inf where one way has no frame."""
     seen = [
         (s.p[mask], s.lean[mask]) for s, mask in zip(joint.fit.simulated, joint.masks, strict=True)
     ]  # the simulation is the last that the fit made: at its own curves
@@ -67,7 +69,8 @@ def gaps(model: Model, apart: Array) -> tuple[Gap, ...]:
 
 
 def _gap(q: Array, run: npt.NDArray[np.intp], passed: npt.NDArray[np.bool_], first: float, last: float) -> Gap:
-    """Of one run of the grid; where it reaches the last that can be seen it goes on to the end of the range."""
+    """The gap of one run of indices of the grid q; where it reaches the last that can be seen it goes on to the end of
+    the range. passed (grid,): both ways; first, last: ends of what can be seen, unit of q."""
     step = float(q[1] - q[0])
     low, high = float(q[run[0]]), float(q[run[-1]])
     why = "passed both ways, but no turn there gave a width" if passed[run].all() else "never passed both ways"

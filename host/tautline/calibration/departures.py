@@ -118,6 +118,8 @@ class Design:
     anew_px: float | None = None
 
     def scanned(self, scene: Scene, left: Array, used: Set[str]) -> Design:
+        """The same with the moments of a shift and a slip and the rhythm that explain most of what is left (n,
+        channels); those of departures that are in use stay."""
         best = self
         if "image.shift" not in used:
             best = replace(best, shift_s=_shift_time(scene.time_s, left))
@@ -129,8 +131,9 @@ class Design:
 
 
 def scene_of(fitted: Fitted, curves: Curves, rig: Rig, clock: Array) -> Scene | None:
-    """clock (2,): how far the sensor's clock departs, s, linear and quadratic over the session; taken out here. None
-    where the tip was never driven through so wide a play: no frame tells of it."""
+    """All that departures are columns of, at these curves. clock (2,): how far the sensor's clock departs, s, linear
+    and quadratic over the session; taken out here. None where the tip was never driven through so wide a play: no frame
+    tells of it."""
     fit = fitted.fit
     first, length = _session(fit.tracks)
     tracks = on_clock(fit.tracks, clock)
@@ -161,7 +164,8 @@ def scene_of(fitted: Fitted, curves: Curves, rig: Rig, clock: Array) -> Scene | 
 
 
 def departures(scene: Scene, looked_for: Design, *, apart: bool | None = None) -> list[Part]:
-    """apart: whether recordings may differ (None: where they show much the same positions)."""
+    """Every departure that these frames could show, as columns. looked_for: moments, rhythm and length found before;
+    apart: whether recordings may differ (None: where they show much the same positions)."""
     hats = _hats(scene.phase, _PHASES)[:, :-1]
     smooth, one = _smooth(hats.shape[1]), np.eye(1)
     n, channels = len(scene.p), scene.slope.shape[1]
@@ -261,6 +265,7 @@ def starts_anew(scene: Scene) -> float | None:
     across = left[:, 0] * direction[:, 1] - left[:, 1] * direction[:, 0]
 
     def shared(values: Array, lag: int = 1) -> float:
+        """Mean product of values `lag` frames apart on one stroke: what they have in common, noise squared."""
         same = scene.stroke[lag:] == scene.stroke[:-lag]
         return float(np.mean((values[lag:] * values[:-lag])[same])) if same.any() else 0.0
 
@@ -279,7 +284,7 @@ def starts_anew(scene: Scene) -> float | None:
 
 
 def _along_path(scene: Scene) -> Array:
-    """How far, px, the image has gone since the stroke began."""
+    """(n,) how far, px, the image has gone since the stroke began."""
     step = np.linalg.norm(scene.slope / scene.inverse[:, None], axis=1)[1:] * np.abs(np.diff(scene.p))
     gone = np.concatenate([[0.0], np.cumsum(step)])
     first = np.searchsorted(scene.stroke, scene.stroke, side="left")
@@ -287,7 +292,7 @@ def _along_path(scene: Scene) -> Array:
 
 
 def _pieces(scene: Scene, length_px: float) -> sparse.csr_matrix:
-    """(n, nodes) piecewise linear along each stroke's path."""
+    """(n, nodes) piecewise linear along each stroke's path, with a node every length_px."""
     place = _along_path(scene) / length_px
     spans = np.zeros(int(scene.stroke.max(initial=0)) + 1, dtype=np.intp)
     np.maximum.at(spans, scene.stroke, place.astype(np.intp) + 1)
@@ -300,7 +305,7 @@ def _pieces(scene: Scene, length_px: float) -> sparse.csr_matrix:
 
 
 def _halves(left: Array, stroke: npt.NDArray[np.intp]) -> float:
-    """What the means of a stroke's two halves share."""
+    """Mean product of the means of a stroke's two halves: what both share, noise squared; 0 where strokes are short."""
     begins = np.flatnonzero(np.diff(stroke, prepend=-1))
     ends = np.append(begins[1:], len(stroke))
     pairs = [(left[a : (a + b) // 2], left[(a + b) // 2 : b]) for a, b in zip(begins, ends, strict=True) if b - a >= 12]
@@ -308,7 +313,8 @@ def _halves(left: Array, stroke: npt.NDArray[np.intp]) -> float:
 
 
 def _swaying(t: Array, left: Array) -> float:
-    """Share of what is left that a sine of the likeliest frequency explains."""
+    """Share (0 to 1) of what is left that a sine of the likeliest frequency explains; 0 where no frequency can be
+    told."""
     rate = _rhythm(t, left)
     if rate is None:
         return 0.0
@@ -333,7 +339,7 @@ def _same_places(scene: Scene, recordings: int) -> bool:
 
 
 def _places(scene: Scene) -> Array:
-    """(n, 3): a rigid transform moves each place of the path in its own way."""
+    """(n, 3) constant, linear and quadratic in p: a rigid transform moves each place of the path in its own way."""
     x = (scene.p - scene.p.mean()) / max(float(np.std(scene.p)), 1e-12)
     return np.column_stack([np.ones_like(x), x, x**2 - 1])
 
@@ -350,7 +356,7 @@ def on_clock(tracks: Sequence[Frozen], clock: Array) -> list[Frozen]:
 
 
 def _session(tracks: Sequence[Frozen]) -> tuple[float, float]:
-    """When the first frame of the session came, and how long it was until the last one."""
+    """When the first frame of the session came, and how long it was until the last one, s."""
     ends = [frozen.track.t_s[[0, -1]] + frozen.track.session_s for frozen in tracks]
     first, last = float(np.min(ends)), float(np.max(ends))
     return first, max(last - first, 1e-9)
@@ -374,6 +380,7 @@ def _piece(
     course = Play(fit.grid, fit.width(curves), fit.elements).forward(track.motor_at(fine))
 
     def behind(times_s: tuple[float, ...]) -> Array:
+        """(frames, time constants) what a first-order lag of each time constant, s, adds to the play's p, unit of q."""
         return np.column_stack([np.interp(scene_s[keep], fine, _low_pass(course, tau) - course) for tau in times_s])
 
     return {
@@ -400,7 +407,8 @@ def _piece(
 
 
 def _since_turn(path: MotorPath, at: Array, rig: Rig) -> tuple[Array, Array]:
-    """How far the motor has gone since it last turned, and which way; inf before its first turn."""
+    """How far the motor has gone since it last turned (n,), unit of q, and which way (n,), +1 or -1, at scene times
+    (n,), s; how far is inf before its first turn."""
     motor, hysteresis = path.lines, turning_hysteresis(path, rig.actuator.encoder_resolution, rig.actuator.span)
     turns = _native.turns(np.ascontiguousarray(motor.q), hysteresis)
     edges = np.concatenate([[0], turns, [len(motor.q) - 1]]).astype(int)
@@ -411,7 +419,7 @@ def _since_turn(path: MotorPath, at: Array, rig: Rig) -> tuple[Array, Array]:
 
 
 def _low_pass(p: Array, time_s: float) -> Array:
-    """First order, of values every _FINE_S."""
+    """p (n,), a value every _FINE_S, after a first-order low pass with time constant time_s."""
     share = np.exp(-_FINE_S / time_s)
     return np.asarray(lfilter([1 - share], [1, -share], p, zi=[share * p[0]])[0])
 
@@ -426,7 +434,8 @@ def _hats(x: Array, nodes: Array) -> sparse.csr_matrix:
 
 
 def slow_basis(t: Array, spans: int) -> Sparse | None:
-    """Cubic splines (n, spans + 3) over the session. None where so few spans are as quick as the motion."""
+    """Cubic splines (n, spans + 3) at times t (n,) of the session, -1/2 to 1/2. None of fewer than 2 spans: that is no
+    slower than the motion."""
     if spans < 2:
         return None
     knots = -0.5 + np.arange(-3, spans + 4) / spans
@@ -434,14 +443,16 @@ def slow_basis(t: Array, spans: int) -> Sparse | None:
 
 
 def _smooth(size: int, channels: int = 1) -> Array:
-    """First differences, and a little of the values."""
+    """(channels * size, channels * size) penalty on first differences of neighbours, and a little on the values, for
+    each channel alike."""
     step = np.diff(np.eye(size), 1, axis=0)
     rough = step.T @ step + 0.05 * np.eye(size)
     return np.asarray(np.kron(np.eye(channels), rough), dtype=float)
 
 
 def _shift_time(t: Array, left: Array) -> float | None:
-    """The moment at which a step of the image explains most."""
+    """The moment, s, at which a step of the image explains most of what is left (n, channels), at least 20 frames from
+    either end; None of fewer than 60 frames."""
     n = len(left)
     if n < 60:
         return None
@@ -452,7 +463,8 @@ def _shift_time(t: Array, left: Array) -> float | None:
 
 
 def _slip_time(scene: Scene, left: Array) -> float | None:
-    """The moment from which on another place of the tip along its path explains most, beside one of all the session."""
+    """The moment, s, from which on another place of the tip along its path explains most, beside one of all the
+    session, at least 20 frames from either end; None of fewer than 60 frames."""
     if len(left) < 60:
         return None
     pull, power = np.sum(left * scene.slope, axis=1), np.sum(scene.slope**2, axis=1)
@@ -463,7 +475,8 @@ def _slip_time(scene: Scene, left: Array) -> float | None:
 
 
 def _rhythm(t: Array, left: Array) -> float | None:
-    """The frequency, Hz, at which a sine explains most of what is left."""
+    """The frequency, Hz, at which a sine explains most of what is left; None where frames are few or the session too
+    short."""
     if len(t) < 100:
         return None
     even = np.linspace(t[0], t[-1], len(t))

@@ -132,7 +132,8 @@ _MEANS: dict[str, tuple[str, str, str]] = {
 
 
 def goes_on(components: Components) -> float:
-    """By how much, in the noise, what changes in time still did in the session's last quarter; rms."""
+    """By how much, in the noise, what changes in time still did in the session's last quarter; rms, 0 where nothing
+    does."""
     moves = any(part.name in STATES and part.name.endswith("time") for part in components.parts)
     return components.late if moves else 0.0
 
@@ -161,11 +162,15 @@ def doubts(components: Components, counted: npt.NDArray[np.bool_], unit: str, ro
 
 
 def _reason(kind: str, part: Component, shift: float, unit: str, still: str, mild: bool) -> Reason:
+    """The doubt of one component. kind: its name as in _MEANS, but for the number at its end; shift: of B without it
+    (rms), unit of q; still: what its text ends with."""
     code, says, remedy = _MEANS[kind.rstrip("0123456789.%")]
     return Reason(code, f"{says} ({part.rms:.1f} times the noise, {shift:.2g} {unit} of B{still})", remedy, mild=mild)
 
 
 def _scatter(components: Components, good: bool) -> Reason:
+    """The doubt of noise that no departure explains, by its look: a few frames far off, from frame to frame (the noise,
+    or times while the tip moves), or alike in neighbours."""
     times = f"{components.noise:.1f} times the noise of a tip at rest is left"
     if good:  # of most frames
         says = f"some frames are far off ({components.noise:.1f} times the noise with them)"

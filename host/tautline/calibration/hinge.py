@@ -69,6 +69,8 @@ class _Window:
 
     @classmethod
     def of(cls, x: Array, y: Array, *, jump: bool = False) -> Self:
+        """The window of travel x (n,) and whitened y (n, channels), with the priors of _BENDS paths from straight to
+        bent. jump: one more column, a jump at the knot."""
         centred = y - y[:1]
         swing = max(float(np.sqrt(np.max(np.sum(centred**2, axis=1)))), 1.0)
         bends = np.geomspace(_LEAST_BEND, _MOST_BEND * swing, _BENDS)
@@ -79,10 +81,11 @@ class _Window:
 
     @property
     def reach(self) -> float:
+        """The longest travel, in the unit of x."""
         return max(float(self.x.max()), 1e-12)
 
     def paths(self, knots: Array) -> _Paths:
-        """knots (K,)."""
+        """The best paths from each of knots (K,), in the unit of x, at each bend."""
         squares, chi2, volume, _, way, coefficients = _native.hinge(
             self.x, self.y, knots, self.precision, self.jump, used_too=False
         )
@@ -94,7 +97,8 @@ class _Window:
         return _Paths(surprise, chi2, coefficients)
 
     def used(self, knot: float, bend: int) -> float:
-        """Columns that the fit takes up."""
+        """How many unknowns of each channel the data determine of a path from this knot; bend: the index of its
+        prior."""
         return float(_native.hinge(self.x, self.y, np.array([knot]), self.precision[[bend]], self.jump)[3][0, 0])
 
 
@@ -105,7 +109,8 @@ def _start(slope: Array, mean: Array) -> Array:
 
 
 def _moments(knots: Array, surprise: Array) -> tuple[float, float]:
-    """Mean and standard deviation of the knot, whatever the bend."""
+    """Mean and standard deviation of the knot, whatever the bend; knots (K,), surprise (K, bends): -2 log
+    likelihood."""
     weight = np.exp(-0.5 * np.clip(surprise - surprise.min(), 0.0, 200.0)).sum(axis=1)
     mean = float(weight @ knots / weight.sum())
     return mean, float(np.sqrt(weight @ (knots - mean) ** 2 / weight.sum()))
@@ -134,8 +139,8 @@ def fit_hinge(x: Array, y: Array, low: float, high: float) -> Hinge:
 
 def fit_jump(x: Array, y: Array, low: float, high: float) -> Jump:
     """As fit_hinge with a free jump at the knot: x of the last still and of the first moving frame; from `low` on where
-    no frame needs to be a still one. Where neighbouring brackets fit almost as well (twice the logarithm of the
-    likelihood within 9), their union."""
+    no frame needs to be a still one. The union of neighbouring brackets that fit almost as well (twice the log
+    likelihood within 9). Surprise inf where no frames bracket it."""
     edges = np.unique(np.append(x, low))
     edges = edges[(edges >= low) & (edges <= high)]
     if len(edges) < 2:

@@ -19,8 +19,8 @@ _OFF = 6.0  # tolerance: scales of what is left, by which the tip is elsewhere t
 def released(
     tracks: Sequence[Track], on_one_curve: Callable[[], Sequence[Track]], domain: Domain, delay_s: float
 ) -> list[Track]:
-    """`tracks` without the frames of such runs. on_one_curve: the same, what a play is fitted to. Costs a fit
-    where a place is repeated while the motor moves, nothing otherwise."""
+    """`tracks` without frames that repeat a covered marker's last place while the tip is elsewhere. on_one_curve: the
+    same tracks, as a play is fitted to them: that fit is made only where a place is repeated while the motor moves."""
     runs = [_runs(track) for track in tracks]
     if not any(runs):
         return list(tracks)
@@ -38,7 +38,8 @@ def released(
 
 
 def _runs(track: Track) -> list[slice]:
-    """Frames after the first of each run of one place, while the motor moves."""
+    """Slices of frames that repeat the place of the one before, in runs of at least _RUN frames with that one in which
+    the motor moves by more than _MOVES of its span."""
     same = np.concatenate([[False], (track.y[1:] == track.y[:-1]).all(axis=1)])
     q, least = track.motor_at(track.t_s), _MOVES * float(np.ptp(track.motor.q))
     runs = [(run, slice(run.start - 1, run.stop)) for run in stretches(same)]  # and with the first of each

@@ -58,7 +58,7 @@ class Tried:
 
 
 def likeliest(tried: list[Tried], frames_each: float) -> Tried:
-    """frames_each: frames for each independent one, alike for all."""
+    """The one of most evidence. frames_each: frames for each independent one, alike for all."""
     scale = min(one.fitted.scale for one in tried)  # strays count as much in all
     alike = [replace(one, fitted=replace(one.fitted, scale=scale)) for one in tried]
     return tried[int(np.argmax([one.evidence(frames_each) for one in alike]))]
@@ -88,6 +88,8 @@ def fit_friction(starts: Sequence[Fitted], rig: Rig, kind: str, fit_delay: bool)
 
 
 def _descended(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Fitted, Array]:
+    """The joint fit and the unknowns after damped Gauss-Newton steps; its scale is what it leaves, infinite where no
+    frame tells."""
     for _ in range(_STEPS):
         state = replace(state, scale=left(state))
         least = _cost(state, kind, unknowns)
@@ -109,18 +111,22 @@ def _descended(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Fit
 
 
 def _cost(state: Fitted, kind: str, unknowns: Array) -> float:
+    """Mean square of the residuals over noise, strays bounded, plus the unknowns' prior per frame; infinite where no
+    frame tells."""
     mean, sigma = PRIORS[kind]
     prior = float(np.sum(((unknowns - mean) / sigma) ** 2)) / max(state.frames, 1)
     return left(state) ** 2 + state.scale**2 * prior
 
 
 def _with(state: Fitted, kind: str, unknowns: Array) -> Fitted:
+    """The joint fit with friction of these unknowns in place of its hysteresis, not fitted to it yet."""
     friction = _friction(kind, unknowns, _reached(state))
     return replace(state, fit=replace(state.fit, elements=friction, smoothing=state.fit.smoothing))
 
 
 def _reached(state: Fitted) -> Array:
-    """B at the positions that the motor reached, and between them."""
+    """(k,) B, unit of q, at the table's positions between the lowest and the highest that the motor reached; all of B
+    where none is."""
     fit = state.fit
     q = np.concatenate([frozen.corner_q for frozen in fit.tracks])
     inside = (fit.grid >= q.min()) & (fit.grid <= q.max())
@@ -129,7 +135,8 @@ def _reached(state: Fitted) -> Array:
 
 
 def _friction(kind: str, unknowns: Array, width: Array) -> Friction:
-    """Whose tip goes nowhere back on B of these widths."""
+    """Friction of these unknowns (k,), in the order of PRIORS, on B width (n,), unit of q: as long as makes the tip
+    start with the share expit(unknowns[0]) of its later slope where it starts slowest, so that it goes nowhere back."""
     start, part = float(expit(unknowns[0])), float(unknowns[1])
     exponent = float(np.exp(unknowns[2]))
     beta = float(expit(unknowns[3])) if kind == BOUC_WEN else 1.0
@@ -141,7 +148,7 @@ def _friction(kind: str, unknowns: Array, width: Array) -> Friction:
 
 
 def _by_unknown(kind: str, unknowns: Array, width: Array) -> Array:
-    """(values of Friction, unknowns)"""
+    """(values of Friction, unknowns) derivatives of `_friction`, by differences."""
     columns = []
     for i in range(len(unknowns)):
         away = np.zeros(len(unknowns))
@@ -152,7 +159,8 @@ def _by_unknown(kind: str, unknowns: Array, width: Array) -> Array:
 
 
 def _step(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Curves, Array, Array]:
-    """Curves and the unknowns' step of a Gauss-Newton step; what they leave open of B (grid,)."""
+    """The curves after a Gauss-Newton step, the unknowns' step (k,), and what these leave open of B (grid,), one
+    standard deviation in the unit of q."""
     scene = scene_of(state, state.curves, rig, np.zeros(2))
     assert scene is not None  # it was fitted to frames
     fit, scale = state.fit, max(state.scale, 1e-6)
@@ -183,7 +191,7 @@ def _step(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Curves, 
 
 
 def _slopes(state: Fitted, scene: Scene) -> Array:
-    """(counted frames, values of Friction): dp by them."""
+    """(counted frames, values of Friction) derivatives of p by these."""
     fit, curves = state.fit, state.curves
     native = Play(fit.grid, fit.width(curves), fit.elements).native
     far = 10.0 * float(np.abs(fit.grid).max() + np.ptp(fit.grid))

@@ -55,20 +55,21 @@ class Track:
 
     @property
     def placed_px(self) -> float:
-        """Prior of what it is off by at each place anew, per coordinate; 0 of places that others tell."""
+        """Prior, px per coordinate, of what the tracker is off by at each place anew; 0 of places that others tell."""
         return geometry.PLACED_PX if self.tracked_px else 0.0
 
     def scene_s(self, delay_s: float) -> Array:
+        """(n,) when the scene of each frame was, s: its arrival less the delay."""
         return self.t_s - delay_s
 
     @property
     def motor(self) -> Motor:
-        """Its path as straight lines between knots."""
+        """The motor's path as straight lines between knots."""
         return self.path.lines
 
     @property
     def reading(self) -> Motor:
-        """As it was recorded."""
+        """The motor as it was recorded."""
         return self.path.readings
 
     @property
@@ -76,6 +77,7 @@ class Track:
         return MARKER if self.unit == "px" else ANGLE
 
     def motor_at(self, scene_s: Array) -> Array:
+        """The motor's positions (n,), unit of q, at scene times (n,), s."""
         return self.path.at(scene_s)
 
     def others_at(self, scene_s: Array) -> tuple[Array, Array]:
@@ -83,6 +85,7 @@ class Track:
         return self.path.others_at(scene_s)
 
     def within_motor(self, scene_s: Array) -> Mask:
+        """(n,) which scene times, s, the motor's record covers."""
         inside: Mask = (scene_s >= self.motor.t_s[0]) & (scene_s <= self.motor.t_s[-1])
         return inside
 
@@ -93,7 +96,7 @@ class Track:
 
     @property
     def others_reference(self) -> tuple[float, float]:
-        """Where translation and rotation are most of the time."""
+        """Where translation (mm) and rotation (deg) are most of the time; 0 where they were not recorded."""
         return tuple(
             0.0 if values is None else float(np.median(values))
             for values in (self.reading.translation_mm, self.reading.rotation_deg)
@@ -163,6 +166,8 @@ def without_sway(track: Track, rig: Rig, side: float) -> Track:
 
 
 def _track(recording: Recording, path: MotorPath, unit: str, t: Array, y: Array, given: Array | None) -> Track:
+    """The track of y (n, channels), seen at t (n,), s, without repeated values, frames of doubtful noise and strays.
+    given (n,): noise that the recording states, or None; it counts if it is about what y shows."""
     fresh = not_held(y)
     held = int(np.sum(~fresh))
     t, y, given = t[fresh], y[fresh], None if given is None else given[fresh]
@@ -219,7 +224,8 @@ def strays(y: Array, sigma: float) -> Mask:
 
 def noise_of(t: Array, y: Array, least: float) -> float:
     """Standard deviation of white noise per coordinate, from third differences (a smooth motion has next to none)
-    between frames at equal steps; never less than a quantised sensor's step / sqrt(12)."""
+    between frames at equal steps; never less than a quantised sensor's step / sqrt(12) or `least`. A usual one (0.05
+    px, 0.01 deg) of fewer than 8 frames."""
     if len(t) < 8:
         return max(least, 0.05 if y.shape[1] == 2 else 0.01)
     step = np.diff(t)
@@ -227,6 +233,7 @@ def noise_of(t: Array, y: Array, least: float) -> float:
     runs = even[:-2] & even[1:-1] & even[2:]
     third = np.diff(y, 3, axis=0)
     third = third[runs] if runs.sum() >= 8 else third
+    # 20: squares of 1, 3, 3, 1; 0.6745: the median of a normal distribution's magnitudes, in its sigma.
     noise = float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20.0)
     levels = np.unique(y[:, 0])
     if len(levels) < 0.5 * len(y) and len(levels) > 1:

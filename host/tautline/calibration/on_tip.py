@@ -34,7 +34,8 @@ _ENOUGH = 1e-3  # tolerance: of the cost, sigma^2
 
 
 def place_on_tip(fitted: Fitted, rig: Rig, shown: Shown) -> Place | None:
-    """fitted: of the image itself. None where it is not, or hardly anything moved."""
+    """Where on a bare tip the square lies that was shown and followed, by the path of its image. fitted: of the image
+    itself. None where it is not, the rig lacks a camera, or hardly anything moved."""
     if fitted.fit.view is not None or fitted.curves.follow.shape[1] != 2:
         return None
     if rig.kinematics is None or rig.camera is None or rig.hand_eye is None:
@@ -65,7 +66,8 @@ def place_on_tip(fitted: Fitted, rig: Rig, shown: Shown) -> Place | None:
 
 
 def _table(c_deg: Array, mm: Array, sigma_deg: Array) -> Place | None:
-    """At even angles. None where the path does not tell the angles' order."""
+    """The place at even angles, from angles c_deg (n,), places mm (3, n) and the angles' sigma (n,). None where the
+    path does not tell the angles' order."""
     order = slice(None) if c_deg[-1] > c_deg[0] else slice(None, None, -1)
     c_deg, mm, sigma_deg = c_deg[order], mm[:, order], sigma_deg[order]
     if not (np.diff(c_deg) > 0).all():
@@ -106,7 +108,7 @@ class _Seen:
         return to_image(self.camera, self.in_camera(c_deg, np.array(place))).ravel()
 
     def by_unknown(self, unknown: Array) -> Array:
-        """(2 n, 4 n): each image depends on its own angle and place alone."""
+        """(2 n, 4 n) derivatives of the image, by differences: each depends on its own angle and place alone."""
         n = len(unknown) // 4
         slopes = np.zeros((n, 2, 4, n))
         here = np.arange(n)
@@ -118,11 +120,12 @@ class _Seen:
         return slopes.reshape(2 * n, 4 * n)
 
     def mm_per_px(self, c_deg: float) -> float:
+        """How many mm across the view a pixel is at the tip, bent by c_deg."""
         depth = self.in_camera(np.array([c_deg]), np.zeros((3, 1)))[0, 2]
         return float(depth / np.sqrt(self.camera.fx_px * self.camera.fy_px))
 
     def towards_camera(self, c_deg: float) -> Array:
-        """Across the tip, in its frame (3,): the side of it that the camera sees."""
+        """Across the tip, in its frame (3,), a unit vector: the side of it that the camera sees."""
         view = -self.in_camera(np.array([c_deg]), np.zeros((3, 1)))[0] @ rotation(self.hand_eye.rotation_deg)
         aside, out, ahead = about_base_z(-self.rotation_deg, view[None])[0]
         c = np.radians(c_deg)
@@ -141,6 +144,7 @@ class _Posterior:
     precision: Array  # (3 n, 3 n)
 
     def linearised(self, point: Array) -> tuple[Array, Array, float]:
+        """Normal matrix (4 n, 4 n), gradient that lowers the cost, and cost at a point (4 n,)."""
         n = len(self.path)
         rows = self.seen.by_unknown(point) / self.noise_px
         left = (self.path.ravel() - self.seen.image(point)) / self.noise_px
@@ -153,9 +157,11 @@ class _Posterior:
         return point + step
 
     def cost(self, point: Array) -> float:
+        """Chi-square of path and prior at a point (4 n,)."""
         left = (self.path.ravel() - self.seen.image(point)) / self.noise_px
         off = point[len(self.path) :] - self.mean
         return float(left @ left + off @ self.precision @ off)
 
     def enough(self, gained: float, cost: float) -> bool:
+        """Whether the step that gained so little of the cost was the last."""
         return gained < _ENOUGH

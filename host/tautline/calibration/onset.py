@@ -52,10 +52,12 @@ class Onset:
 
     @property
     def width(self) -> float:
+        """How far the motor went from the turn to the onset, unit of q."""
         return abs(self.q2 - self.q1)
 
     @property
     def q_mean(self) -> float:
+        """The middle between turn and onset, unit of q: the centre p at which B(p) is the width."""
         return 0.5 * (self.q1 + self.q2)
 
 
@@ -78,10 +80,13 @@ class _Stroke:
 
     @property
     def reach(self) -> float:
+        """How far the motor went from the turn in all frames, unit of q; 0 without any."""
         return float(self.travel.max(initial=0.0))
 
 
 def _strokes(track: Track, rig: Rig, delay_s: float) -> list[_Stroke]:
+    """A track's strokes, from turn to turn of the motor, with the frames of each at this delay, s; from the second on
+    without what the tip still moves the old way."""
     motor = track.motor
     q = np.ascontiguousarray(motor.q)
     hysteresis = turning_hysteresis(track.path, rig.actuator.encoder_resolution, rig.actuator.span)
@@ -113,7 +118,8 @@ def _strokes(track: Track, rig: Rig, delay_s: float) -> list[_Stroke]:
 
 
 def _heading(z: Array) -> Array:
-    """(channels,) which way the image moved last; 0 where it hardly did."""
+    """(channels,) unit vector: which way the image of z (n, channels) moved last; 0 where that was by less than 10
+    sigma."""
     last = z[-8:]
     if len(last) < 4:
         return np.zeros(z.shape[1])
@@ -130,7 +136,7 @@ def _settling(since_s: Array, z: Array, heading: Array) -> Array:
         return none
     ahead = np.convolve((z - z[0]) @ heading, np.ones(3) / 3, mode="valid")
     stop = int(np.argmax(ahead))  # two frames before the middle of the furthest three
-    if ahead[stop] < 8.0 or stop < 6:
+    if ahead[stop] < 8.0 or stop < 6:  # sigma, frames
         return none
     best, least = none, np.inf
     for tau in _SETTLE_S:
@@ -141,11 +147,13 @@ def _settling(since_s: Array, z: Array, heading: Array) -> Array:
         if squares < least:
             least, best = squares, gone[:, None] * coefficients[1] if tau > _SETTLE_S[0] else none
     level = float(np.sum((z[:stop] - z[:stop].mean(axis=0)) ** 2))
+    # Less what noise alone leaves: one for each value.
     return best if least - z[:stop].size < (1.0 - _SETTLES) * level else none
 
 
 def _tail(z: Array) -> int:
-    """How many frames after a turn still move the old way: the tip lags, or the delay is longer than is known yet."""
+    """How many frames after a turn still move the old way: the tip lags, or the delay is longer than is known yet. z
+    (n, channels): whitened, so that the bounds here are in sigma."""
     if len(z) < 10:
         return 0
     way = z[-3:].mean(axis=0) - z[:3].mean(axis=0)
@@ -188,6 +196,9 @@ def delayed(onsets: Sequence[Onset], tracks: Sequence[Track], by_s: float) -> li
 
 
 def _onset(number: int, track: Track, before: _Stroke, after: _Stroke, rig: Rig, delay_s: float) -> Onset:
+    """The onset in the stroke `after` a turn: a bracket where a jump gains more than 40 of twice the log likelihood,
+    else a hinge; a bound where nothing moved; not used, with a reason, where frames do not tell it. number: of the
+    track."""
     reach = after.reach
     nothing = Onset(
         number, after.start_s, np.nan, after.direction, after.q1, after.q1 + after.direction * reach, np.inf,
@@ -227,6 +238,7 @@ def _onset(number: int, track: Track, before: _Stroke, after: _Stroke, rig: Rig,
 
 
 def _as_bracket(onset: Onset) -> Onset:
+    """The onset as a width that is known between `low` and `high` only: their middle, and a uniform density's sigma."""
     middle = 0.5 * (onset.low + onset.high)
     spread = (onset.high - onset.low) / np.sqrt(12.0)
     return replace(onset, kind=BRACKET, q2=onset.q1 + onset.direction * middle, sigma=max(float(spread), 1e-9))
@@ -255,7 +267,8 @@ def _with_clock_and_counts(onset: Onset, track: Track, delay_sigma: float, resol
 
 
 def _fit_window(stroke: _Stroke) -> tuple[Array, Array, Hinge] | None:
-    """The longest window after the onset that a path follows within the noise, and the hinge on it."""
+    """The longest window after the onset that a path follows within the noise (3 sigma of chi-square): travel x (n,),
+    whitened y (n, channels) and the hinge on them. None where there are too few frames."""
     departure = stroke.departure
     assert departure is not None
     frames, travel, z = stroke.frames, stroke.travel, stroke.z
@@ -273,7 +286,7 @@ def _fit_window(stroke: _Stroke) -> tuple[Array, Array, Hinge] | None:
 
 
 def _time_at(track: Track, stroke: _Stroke, travel: float) -> float:
-    """When the motor had gone `travel` beyond the turn."""
+    """When, s, the motor had gone `travel` (unit of q) beyond the turn; the stroke's end where it did not go so far."""
     t, q = track.path.course(stroke.start_s, stroke.end_s)
     gone = np.maximum.accumulate(stroke.direction * (q - stroke.q1))
     beyond = int(np.searchsorted(gone, travel))
@@ -296,8 +309,9 @@ class Delay:
 
 
 def find_delay(tracks: Sequence[Track], rig: Rig, nominal_s: float, passes: int = 3) -> Delay:
-    """The delay at which the image stops when the motor turns, jointly over all reversals on an envelope. Less than 0
-    where frames carry a clock that runs ahead, as a video's own time does that starts with its first frame."""
+    """The delay at which the image stops when the motor turns, jointly over all reversals on an envelope; sigma inf
+    where there are none. Less than 0 where frames carry a clock that runs ahead, as a video's own time does that starts
+    with its first frame."""
     delay = nominal_s
     result = Delay(nominal_s, np.inf, 0)
     for _ in range(passes):
@@ -339,16 +353,20 @@ class _Turn:
 
     @property
     def freedom(self) -> int:
+        """Degrees of freedom that level and polynomial leave, 1 at least."""
         return int(max(1, (len(self.arrival_s) - 1 - self.order) * self.z.shape[1]))
 
     def squares(self, delays: Array) -> Array:
-        """(delays,) sums of squares of the best fits of level + polynomial of what is left of the motor's way."""
+        """(delays,) sums of squares, over noise, of the best fits of level + polynomial of what is left of the motor's
+        way, at delays in s."""
         return _native.still_squares(  # type: ignore[no-any-return]
             self.arrival_s, self.z, self.motor_t, self.motor_q, self.turn_s, self.q1, self.direction, self.order, delays
         )
 
 
 def _stops(track: Track, rig: Rig, delay_s: float) -> list[_Turn]:
+    """Of each turn the frames that tell the delay: before it those that a short path fits within the noise (4 sigma of
+    chi-square), after it those at which the tip still rests. delay_s: as known so far."""
     strokes = _strokes(track, rig, delay_s)
     stops = []
     for before, after in pairwise(strokes):

@@ -87,7 +87,8 @@ def as_smooth_as_independent(fitted: Fitted, noise: PlaceNoise | None) -> Fitted
 
 
 def _noisier(fitted: Fitted, k: int, common: float) -> Frozen:
-    """A track whose frames together know each place to no better than `common`."""
+    """Track k, with more noise in each frame: together its frames know each place no better than `common`, sensor's
+    unit."""
     frozen = fitted.fit.tracks[k]
     seen = fitted.fit.seen(frozen.track, fitted.curves, fitted.fit.simulated[k].tip)
     step = np.linalg.norm(np.diff(seen, axis=0), axis=1)
@@ -109,6 +110,7 @@ class _Along:
 
 
 def _along(fitted: Fitted, k: int) -> _Along:
+    """The counted frames of track k, their residuals taken along the path of the tip's image, sensor's unit."""
     fit, curves = fitted.fit, fitted.curves
     sim, mask = fit.simulated[k], fitted.masks[k]
     frozen = fit.tracks[k]
@@ -122,6 +124,7 @@ def _along(fitted: Fitted, k: int) -> _Along:
 
 
 def _path_length(p: Array, steep: Array) -> tuple[Array, Array]:
+    """p in order, unit of q, and how long the image's path is up to each, steep (n,) being its length per unit of p."""
     order = np.argsort(p)
     p, steep = p[order], steep[order]
     length = np.concatenate([[0.0], np.cumsum(0.5 * (steep[1:] + steep[:-1]) * np.diff(p))])
@@ -129,7 +132,8 @@ def _path_length(p: Array, steep: Array) -> tuple[Array, Array]:
 
 
 def _at_rest(error: Array, stroke: npt.NDArray[np.int_], moving: npt.NDArray[np.bool_]) -> float:
-    """Variance from one frame to the next where the tip rests, else wherever it is."""
+    """Variance of the noise, from one frame to the next where the tip rests, else wherever it is; 0 where no two frames
+    are of one stroke."""
     pair = stroke[1:] == stroke[:-1]
     still = pair & ~moving[1:] & ~moving[:-1]
     used = still if still.sum() >= _FEWEST else pair
@@ -137,8 +141,8 @@ def _at_rest(error: Array, stroke: npt.NDArray[np.int_], moving: npt.NDArray[np.
 
 
 def _common(error: Array, at: Array, stroke: npt.NDArray[np.int_], at_rest: float) -> float:
-    """From products of frames that other strokes took in passing the same place. Where the tip rests for many frames
-    the path is what they show."""
+    """rms, sensor's unit, of the error that strokes share at one place, from products of frames that other strokes took
+    in passing it; 0 where few did. Where the tip rests for many frames the path is what they show."""
     order = np.argsort(at)
     error, at, stroke = error[order], at[order], stroke[order]
     total, count = 0.0, 0

@@ -60,11 +60,12 @@ class Simulated:
 
     @property
     def moving(self) -> Mask:
+        """(n,) frames at which the tip moves."""
         moves: Mask = self.share > 0
         return moves
 
     def slopes(self, keep: Mask, slope: Array) -> tuple[Array, Array]:
-        """dp/dB and dp/d(delay) at the frames that are kept, dB/dp there being `slope`."""
+        """dp/dB and dp/d(delay) (in the unit of q per s) at the frames that are kept, dB/dp there being `slope`."""
         lean = self.lean[keep]
         return by_width(lean, slope), -self.speed[keep] * self.share[keep] / steepness(lean, slope)
 
@@ -92,6 +93,7 @@ class Frozen:
 
     @classmethod
     def of(cls, track: Track, use: Mask | None = None) -> Frozen:
+        """The track with its motor's extremes; use (n,): frames that count, all by default."""
         times, positions = corners(track.motor)
         samples_s = track.reading.t_s
         half_s = max(_SLOPE_S, float(np.median(np.diff(samples_s)))) if len(samples_s) > 1 else _SLOPE_S
@@ -106,7 +108,7 @@ class Frozen:
         return np.concatenate([self.corner_q, self.track.motor_at(scene_s)])[order], back[len(self.corner_t) :]
 
     def driven(self, delay_s: float) -> Driven:
-        """Kept until another delay is asked for: a scan of widths has one."""
+        """What the motor did at this delay, s. Kept until another one is asked for: a scan of widths has one."""
         if delay_s not in self.last:
             track, scene = self.track, self.track.scene_s(delay_s)
             positions, at = self.course(scene)
@@ -119,6 +121,8 @@ class Frozen:
         self, grid: Array, width: Array, delay_s: float, elements: Hysteresis = SINGLE,
         beside: Beside | None = None, values: Array | None = None,
     ) -> Simulated:  # fmt: skip
+        """What a play of B width (nodes,) on grid, unit of q, says at each frame at this delay, s, with effects beside
+        it. Run from both far ends: where the two agree it has forgotten its start."""
         driven = self.driven(delay_s)
         positions, at = driven.positions, driven.at
         far = 10.0 * (abs(grid[-1] - grid[0]) + abs(positions).max(initial=1.0))
@@ -163,10 +167,11 @@ class PlayFit:
         self.grid = np.linspace(self.backlash.low, self.backlash.high, NODES)
 
     def width(self, curves: Curves) -> Array:
+        """B (nodes,) on the fit's grid, unit of q, limited to what a table may have."""
         return allowed_width(self.grid, self.backlash.value(curves.backlash, self.grid))
 
     def residuals(self, curves: Curves) -> tuple[list[Array], list[Mask]]:
-        """Per track: (y - model)/sigma (n, k), and which frames count."""
+        """Per track: (y - model)/sigma (n, k), and which frames count (n,). Sets `simulated`."""
         width = self.width(curves)
         self.simulated = [
             t.simulate(self.grid, width, curves.delay_s, self.elements, self.beside, curves.beside) for t in self.tracks
@@ -179,7 +184,7 @@ class PlayFit:
         return rows, masks
 
     def seen(self, track: Track, curves: Curves, p: Array) -> Array:
-        """y (n, coordinates) at each frame of a track."""
+        """The model's y (n, coordinates), sensor's unit, at each frame of a track, the tip being at p (n,)."""
         s = self.follow.value(curves.follow, p)
         if self.view is None:
             return s
@@ -250,7 +255,7 @@ class PlayFit:
         return self._seen_at(track, s, np.ones(len(p), dtype=bool), curves.delay_s) * slope
 
     def _seen_at(self, track: Track, s: Array, keep: Mask, delay_s: float) -> Array:
-        """dy/ds (kept, coordinates)."""
+        """dy/ds (kept, coordinates), sensor's unit; 1 where s is y itself."""
         if self.view is None:
             return np.ones_like(s)
         translation, rotation = track.others_at(track.scene_s(delay_s)[keep])
@@ -259,7 +264,8 @@ class PlayFit:
     # ---- the fit
 
     def solve(self, start: Curves, iterations: int = 30, robust: bool = True, adapt: bool = True) -> Fitted:
-        """Least squares; smoothing by restricted maximum likelihood (Fellner-Schall steps)."""
+        """Least squares from `start`. robust: outliers are weighed by Huber; adapt: smoothing by restricted maximum
+        likelihood (Fellner-Schall steps), else as it is."""
         minimum = descend(_Descent(self, robust, adapt), _Point.of(self, start), iterations)
         curves = minimum.curves
         rows, masks = self.residuals(curves)
@@ -277,6 +283,8 @@ class PlayFit:
         return self.moved(curves, np.asarray(np.linalg.solve(system + ridge, gradient)))
 
     def moved(self, curves: Curves, step: Array) -> Curves:
+        """The curves a step further, within what they may be: B moves by 15 % of the range at most and not below 0, the
+        delay by 30 ms; what is not fitted stays."""
         channels = curves.follow.shape[1]
         cut = channels * self.follow.size
         backlash = curves.backlash
@@ -292,7 +300,9 @@ class PlayFit:
         return replace(curves, backlash=backlash, follow=follow, delay_s=delay, beside=beside)
 
     def penalty(self, curves: Curves, scale: float) -> tuple[Array, Array]:
-        """Matrix P and gradient P theta of smoothness and of the constraints that are violated."""
+        """Matrix P and gradient P theta of smoothness, of constraints that are violated and of priors, which count in
+        units of scale^2 (scale: residual over noise). What is not fitted is held by a unit diagonal, the delay by its
+        sigma."""
         channels = curves.follow.shape[1]
         mf, mb = self.follow.size, self.backlash.size
         cut = channels * mf
@@ -343,12 +353,13 @@ class PlayFit:
         return known if known is not None and self.view is None and len(known.path) == channels else None
 
     def _known_path(self, curves: Curves) -> list[Term]:
-        """Of each channel; none where nothing is known."""
+        """The prior's Term of each channel of the path; none where nothing is known of it."""
         known = self._path_known(curves.follow.shape[1])
         return [] if known is None else known.of_path(self.follow, curves.follow)
 
     def _bending(self, channels: int) -> tuple[Array, int]:
-        """Penalty on the path, and its rank: what is known of it beforehand is not smoothed as well."""
+        """Penalty (size, size) on each channel of the path, and its rank: what is known of it beforehand is not
+        smoothed as well."""
         known = self._path_known(channels)
         if known is None:
             return self.follow.bending, self.follow.size - 2
@@ -362,7 +373,7 @@ class PlayFit:
         matrix[ends, :] = matrix[:, ends] = gradient[ends] = 0.0
 
     def begin(self, curves: Curves, scale: float) -> None:
-        """Smoothing as the start's own roughness suggests."""
+        """Sets the smoothing as the start's own roughness suggests. scale: residual over noise."""
         bending, rank = self._bending(curves.follow.shape[1])
         rough = sum(float(c @ bending @ c) for c in curves.follow.T)
         rank *= curves.follow.shape[1]
@@ -372,7 +383,8 @@ class PlayFit:
         self.smoothing["backlash"] = float(np.clip(scale * scale * rank / max(rough, 1e-12), 1e-8, 1e8))
 
     def adapt(self, curves: Curves, system: Array, scale: float) -> None:
-        """A step of the smoothing towards the restricted likelihood's maximum."""
+        """A step of the smoothing towards the restricted likelihood's maximum. system: normal matrix with all
+        penalties; scale: residual over noise."""
         channels = curves.follow.shape[1]
         mf, mb = self.follow.size, self.backlash.size
         cut = channels * mf
@@ -399,6 +411,8 @@ class PlayFit:
             self.smoothing[name] = float(np.clip(now * np.clip(ratio, 0.05, 20.0), 1e-10, 1e8))
 
     def cost(self, curves: Curves, rows: list[Array], weights: list[Array], scale: float) -> float:
+        """Weighted squares of the residuals over noise, with smoothness, priors and constraints, which count in units
+        of scale^2; infinite where no frame counts."""
         used = sum(float(np.sum(w > 0)) for w in weights)
         if used == 0:
             return np.inf
@@ -432,6 +446,7 @@ class _Point:
 
     @classmethod
     def of(cls, fit: PlayFit, curves: Curves) -> _Point:
+        """With the residuals and the simulation of these curves."""
         rows, masks = fit.residuals(curves)
         return cls(curves, rows, masks, fit.simulated)
 
@@ -445,6 +460,8 @@ class _Descent:
         self.steps = self.settled = 0
 
     def linearised(self, point: _Point) -> tuple[Array, Array, float]:
+        """Normal matrix, gradient that lowers the cost, and cost at a point, with new weights and, from the second on,
+        adapted smoothing."""
         fit, curves = self.fit, point.curves
         fit.simulated = point.simulated
         self.scale, self.weights = _weights(point.rows, point.masks, self.robust)
@@ -461,14 +478,18 @@ class _Descent:
         return matrix + penalty, gradient - pull, fit.cost(curves, point.rows, self.weights, self.scale)
 
     def moved(self, point: _Point, step: Array) -> _Point:
+        """The point a step further."""
         return _Point.of(self.fit, self.fit.moved(point.curves, step))
 
     def cost(self, point: _Point) -> float:
+        """By the weights and the smoothing of the last linearisation; frames that did not count then weigh 1."""
         kept = _again(self.weights, point.masks)
         weights = [np.where(m, w, 0.0) for m, w in zip(point.masks, kept, strict=True)]
         return self.fit.cost(point.curves, point.rows, weights, self.scale)
 
     def enough(self, gained: float, cost: float) -> bool:
+        """Whether two steps in a row gained too little: 0.2 sigma^2, or 3e-4 of the cost while the residuals are
+        clearly more than noise (1.2)."""
         least = max(_GAIN * self.scale * self.scale, 3e-4 * cost * (self.scale > 1.2))
         self.settled = self.settled + 1 if gained < least else 0
         return self.settled >= 2
@@ -489,6 +510,7 @@ class Fitted:
 
     @property
     def frames(self) -> int:
+        """How many frames count, of all tracks."""
         return int(sum(m.sum() for m in self.masks))
 
     @property
@@ -499,6 +521,7 @@ class Fitted:
 
     @property
     def explained(self) -> bool:
+        """Whether little more than noise is left: the model explains the data."""
         return self.scale < EXPLAINED
 
     def width_sigma(self, p: Array) -> Array:
@@ -520,6 +543,8 @@ class Fitted:
 
     @property
     def delay_sigma(self) -> float:
+        """Standard deviation of the delay, s, with model error where that is known; 0 where the delay was not
+        fitted."""
         if self.spread is not None:
             return self.delay_spread
         return float(np.sqrt(self.covariance[-1, -1])) if self.fit.fit_delay else 0.0
@@ -534,7 +559,7 @@ def _low_width(grid: Array, width: Array, positions: Array) -> float:
 
 
 def _there_and_back(positions: Array, way: float) -> Mask:
-    """(n,) whether the motor had gone so far up and so far down."""
+    """(n,) whether the motor, in positions (n,), had gone up by `way` and down by it so far, both in the unit of q."""
     up = positions - np.minimum.accumulate(positions) >= way
     down = np.maximum.accumulate(positions) - positions >= way
     both: Mask = np.logical_or.accumulate(up) & np.logical_or.accumulate(down)
@@ -547,7 +572,8 @@ def _again(weights: list[Array], masks: list[Mask]) -> list[Array]:
 
 
 def _weights(rows: list[Array], masks: list[Mask], robust: bool) -> tuple[float, list[Array]]:
-    """Scale of the residuals (rms, with outliers bounded) and each frame's Huber weight."""
+    """Scale of the residuals (rms over noise, outliers bounded; 1 without frames) and each frame's Huber weight, 0
+    where it does not count. 1.4826 and 1.2 make a median of one and of two coordinates' rms a standard deviation."""
     used = [np.sqrt(np.mean(r[m] ** 2, axis=1)) for r, m in zip(rows, masks, strict=True)]
     norm = np.concatenate(used) if used else np.zeros(0)
     if len(norm) == 0:
@@ -575,6 +601,8 @@ def _steep(coefficients: Array, limit: float) -> tuple[Array, Array]:
 
 
 def _monotone(coefficients: Array, rising: float, least: float) -> tuple[Array, Array]:
+    """Quadratic penalty where neighbours do not rise (rising +1) or fall (-1) by at least `least`: matrix and
+    gradient."""
     difference = rising * np.diff(coefficients)
     under = difference < least
     d = rising * np.diff(np.eye(len(coefficients)), axis=0)[under]

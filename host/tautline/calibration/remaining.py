@@ -58,8 +58,9 @@ def pose_of(track: Track, rig: Rig, delay_s: float) -> Array:
 
 
 def posed(track: Track, rig: Rig, delay_s: float) -> Track:
-    """The track as bending angles, each with the noise that its pose makes of the image's. Other degrees of freedom
-    that move are taken out, as far as camera, hand_eye and kinematics are right."""
+    """The track as bending angles, each with the noise that its pose makes of the image's; frames whose image hardly
+    moves with the angle are left out. Other degrees of freedom are taken out, as far as camera, hand_eye and kinematics
+    are right."""
     others = track.others_at(track.scene_s(delay_s))
     c, _ = pose(rig, track.y, *others)
     _, slope = project_with_slope(rig, c, *others)
@@ -138,10 +139,13 @@ class _FixedWidth(PlayFit):
     table: Array
 
     def width(self, curves: Curves) -> Array:
+        """The table's B (nodes,), unit of q, whatever the curves."""
         return self.table
 
 
 def _rms(fitted: Fitted, tracks: Sequence[Track]) -> float:
+    """What the fit leaves, rms per coordinate in the sensor's unit, px or deg; strays count as six medians. 0 without
+    frames."""
     rows = zip(tracks, fitted.rows, fitted.masks, strict=True)
     off = np.concatenate([np.sqrt(np.mean((r[m] * track.sigma[m, None]) ** 2, axis=1)) for track, r, m in rows])
     if not len(off):
@@ -150,7 +154,8 @@ def _rms(fitted: Fitted, tracks: Sequence[Track]) -> float:
 
 
 def monotone(curve: Array, grid: Array, falling: bool, least_slope: float) -> Array:
-    """The nearest strictly monotone curve: isotonic regression, then the least slope."""
+    """The nearest strictly monotone curve, deg on grid (n,): isotonic regression, then the least slope, deg per unit of
+    q."""
     tilt = least_slope * (grid - grid[0])
     sign = -1.0 if falling else 1.0
     rising = isotonic_regression(sign * curve - tilt).x + tilt
@@ -171,10 +176,12 @@ class Characteristic:
 
     @property
     def centre(self) -> Array:
+        """(n,) motor position, unit of q, of the median line at each angle."""
         return 0.5 * (self.left + self.right)
 
     @property
     def width(self) -> Array:
+        """(n,) how far apart both edges are at each angle, unit of q."""
         return self.right - self.left
 
 
@@ -201,7 +208,8 @@ def characteristic(q: Array, c_deg: Array) -> Characteristic | None:
 
 
 def morphological(tracks: Sequence[Track], rig: Rig, grid: Array, delay_s: float) -> Remaining | None:
-    """f_remain as the median line of the filled characteristic, smoothed by a spline."""
+    """f_remain as the median line of the filled characteristic, smoothed by a spline. None where that has fewer than 10
+    rows."""
     shape = one_step(tracks, rig, delay_s)
     if shape is None or len(shape.c_deg) < 10:
         return None

@@ -42,7 +42,8 @@ def fit_elements(fitted: Fitted, rig: Rig, fit_delay: bool) -> Fitted:
 
 
 def _descended(fitted: Fitted, weights: Array, rig: Rig, fit_delay: bool) -> Fitted:
-    """By Gauss-Newton steps from these weights."""
+    """The joint fit after damped Gauss-Newton steps from these weights (shares,); its scale is what it leaves, infinite
+    where no frame tells of the elements."""
     fit = replace(fitted.fit, elements=_elements(weights), fit_delay=fit_delay, smoothing=fitted.fit.smoothing)
     state = replace(fitted, fit=fit)
     least = left(state)
@@ -64,7 +65,7 @@ def _descended(fitted: Fitted, weights: Array, rig: Rig, fit_delay: bool) -> Fit
 
 
 def _elements(weights: Array) -> Elements:
-    """Without those that weigh next to nothing; the rest keep both sums."""
+    """The elements of weights (shares,), without those that weigh next to nothing; the rest keep both sums."""
     kept = weights > _LEAST
     width, weight = SHARES[kept], weights[kept] / weights[kept].sum()
     if len(width) == 1:
@@ -96,7 +97,7 @@ def left(fitted: Fitted) -> float:
 
 
 def _step(fitted: Fitted, weights: Array, rig: Rig) -> tuple[Curves, Array]:
-    """Curves and weights of a Gauss-Newton step."""
+    """The curves and the weights (shares,) of a Gauss-Newton step, these by non-negative least squares."""
     scene = scene_of(fitted, fitted.curves, rig, np.zeros(2))
     assert scene is not None  # it was fitted to frames
     nominal = nominal_columns(fitted.fit, scene)

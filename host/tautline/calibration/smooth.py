@@ -82,6 +82,8 @@ def _fitted(
     frozen: Sequence[Frozen], domain: Domain, delay_s: float, fit_delay: bool, guess: WidthCurve | None,
     beforehand: Beforehand | None,
 ) -> Fitted | None:  # fmt: skip
+    """As `fit_jointly`: from the best constant width (or guess), few spans and few frames, to all of them. Frames of
+    the first approach count where they follow the same curves, or are needed and do no harm."""
     coarse = _scan(_thinned(frozen), domain, delay_s, guess, beforehand)
     if coarse is None:
         return None
@@ -110,6 +112,7 @@ def _fitted(
 
 
 def _thinned(frozen: Sequence[Frozen]) -> list[Frozen]:
+    """About _SCANNED of the frames, evenly."""
     stride = max(1, sum(len(each.track.t_s) for each in frozen) // _SCANNED)
     if stride == 1:
         return list(frozen)
@@ -163,7 +166,7 @@ def _missed(fitted: Fitted, strokes: Sequence[npt.NDArray[np.intp]], scale: floa
 
 
 def overlap(fitted: Fitted) -> tuple[float, float]:
-    """The range of p that counted frames cover in both directions; empty (low > high) where none do."""
+    """The range of p, unit of q, that counted frames cover in both directions; empty (1, -1) where few or none do."""
     low, high = -np.inf, np.inf
     for side in (1, -1):
         seen = zip(fitted.fit.simulated, fitted.masks, strict=True)
@@ -188,7 +191,7 @@ def _repeats(fitted: Fitted) -> bool:
 
 def fit_passes(joint: Fitted, margin: float) -> Fitted | None:
     """B again from the horizontal distance between the passes alone: only frames well beyond an onset, with the delay
-    as it is. margin: how far beyond, unit of q."""
+    as it is. margin: how far beyond, unit of q. None where too few are."""
     fit = joint.fit
     frozen = []
     for track, sim in zip(fit.tracks, fit.simulated, strict=True):
@@ -204,7 +207,7 @@ def fit_passes(joint: Fitted, margin: float) -> Fitted | None:
 
 
 def _beyond_onset(p: Array, side: npt.NDArray[np.int8]) -> Array:
-    """How far the centre has gone since the tip last began to move, per frame."""
+    """(n,) how far the centre p (n,) has gone since the tip last began to move, unit of q."""
     gone = np.zeros(len(p))
     start = 0
     for k in range(1, len(p)):
@@ -222,7 +225,7 @@ def _scan(
     beforehand: Beforehand | None,
 ) -> tuple[PlayFit, Curves] | None:
     """The best constant width, or the guess where that is better, with a path of 16 spans; frames before the tip was
-    driven both ways are left out unless little else is there."""
+    driven both ways are left out unless little else is there. None where too few frames tell any."""
     channels = frozen[0].track.y.shape[1]
     flat, path = Basis(domain.low, domain.high, 8), Basis(domain.low, domain.high, 16)
     candidates = [np.full(flat.size, b) for b in domain.span * np.linspace(0.0, 0.4, 41)]
@@ -265,7 +268,8 @@ def _both_ways(fit: PlayFit, masks: Sequence[Mask], domain: Domain) -> bool:
 
 
 def _lift(basis: Basis, curve: object) -> Array:
-    """Coefficients of a curve given by its values."""
+    """Spline coefficients, (size,) or (size, channels), nearest to a curve: a function of positions x (n,) whose values
+    are (n,) or (n, channels)."""
     x = np.linspace(basis.low, basis.high, 4 * basis.size)
     values = np.asarray(curve(x))  # type: ignore[operator]
     design = basis.design(x).toarray()

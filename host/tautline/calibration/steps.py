@@ -23,7 +23,7 @@ _MOST_S = 3.0  # prior: that a tip may take to settle
 
 
 def jumps(motor: Motor, resolution: float) -> npt.NDArray[np.intp]:
-    """The samples after which the motor is somewhere else at once."""
+    """Indices of the samples after which the motor is somewhere else at once. resolution: of its encoder, unit of q."""
     moved = np.abs(np.diff(motor.q))
     speed = moved / np.diff(motor.t_s)
     # Of three samples before and after it: a jump may be followed by the jump back.

@@ -43,6 +43,8 @@ class _Sway:
 
     @classmethod
     def of(cls, t_s: Array, size: float, memory_s: float, sigma: float) -> _Sway:
+        """The process at times t_s (n,): size its standard deviation, memory_s its correlation time, sigma that of the
+        white noise in each frame."""
         kept, fresh = np.exp(-np.diff(t_s) / memory_s), -np.expm1(-2.0 * np.diff(t_s) / memory_s)
         precision = np.zeros((2, len(t_s)))  # upper form: what is beside the diagonal, the diagonal
         precision[1] = np.append(1.0, 1.0 / fresh) + np.append(kept**2 / fresh, 0.0)

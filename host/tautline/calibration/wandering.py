@@ -47,8 +47,8 @@ def allowing_for_wander(fitted: Fitted) -> Fitted:
 
 
 def _of_form(fitted: Fitted, information: Array, share: float) -> Array:
-    """What the unknowns are uncertain by where each effect as a whole is another by this share than its law makes of
-    the frames, everything but the effects following it."""
+    """Covariance (unknowns, unknowns) where each effect as a whole is another by this share than its law makes of the
+    frames, everything but the effects following it. information: inverse covariance of the same."""
     beside, values = fitted.beside
     own = np.arange(len(information) - 1 - len(values), len(information) - 1)
     rest = np.setdiff1d(np.arange(len(information)), own)

@@ -53,15 +53,18 @@ class Worth:
 
     @property
     def predicts(self) -> bool:
+        """Whether what it misses is within PREDICTS times the noise."""
         return self.over_noise <= PREDICTS
 
     @property
     def useless(self) -> bool:
-        """Whether the two simplest models foretell it as well. What is within the noise is right, whatever else is."""
+        """Whether f_coarse or a tip that never moves foretells it as well. What is within the noise is right, whatever
+        else is."""
         return not self.predicts and self.model >= min(self.coarse, self.constant)
 
     @property
     def doubts(self) -> list[Reason]:
+        """A fatal reason where the model is useless, else none."""
         if not self.useless:
             return []
         return [
@@ -146,6 +149,8 @@ def _over_noise(fit: PlayFit, curves: Curves, missed: Sequence[Array], masks: Se
             beside.append(sideways[pair & moves])
             still.append(sideways[pair & ~moves])
             rests += _at_rest(frozen.track.t_s, across(near, path)[:, None], mask & ~sim.moving)
+    if not any(map(len, alike)):
+        return np.inf  # no two neighbours count: nothing tells a model's misfit from noise
     memory = remembered(rests, _SLOW)[0] if sum(map(len, rests)) >= _FEW else 0.0
     at_rest, moving = _mean(still), _mean(along)
     usual = _mean(beside) if beside else at_rest
@@ -163,16 +168,18 @@ def _at_rest(t: Array, off: Array, resting: npt.NDArray[np.bool_]) -> list[Array
 
 
 def _mean(squares: Sequence[Array]) -> float:
-    """0 of too few to tell a scatter."""
+    """Mean of all these squares; 0 of too few to tell a scatter."""
     every = np.concatenate(squares)
     return float(every.mean()) if len(every) >= _FEW else 0.0
 
 
 def _counted(off: Sequence[Array], masks: Sequence[npt.NDArray[np.bool_]]) -> Array:
+    """(frames, k) the rows that count, of all tracks."""
     return np.concatenate([each[mask] for each, mask in zip(off, masks, strict=True)])
 
 
 def _coarse(track: Track, model: Model) -> Array:
+    """(n, k) what f_coarse alone, without backlash, says of each frame, in the track's unit."""
     scene, coarse = track.scene_s(model.delay_s), model.rig.coarse
     c = coarse.gain * track.motor_at(scene) + coarse.offset
     return project(model.rig, c, *track.others_at(scene)) if track.unit == "px" else np.asarray(c[:, None])
@@ -226,7 +233,7 @@ def _foretold(
     limit = _STRAY * bounded_rms(_counted(rows, masks))
 
     def weighed(number: int) -> list[Array]:
-        """Of the block's frames; a stray pulls no more."""
+        """(n,) of each track: weights of this block's frames, those of a stray less than 1; 0 of all other frames."""
         norms = [np.sqrt(np.mean(row**2, axis=1)) for row in rows]
         return [
             np.where(label == number, limit / np.maximum(norm, limit), 0.0)

@@ -19,6 +19,7 @@ class _Commands(click.Group):
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command, its module imported only now, with its example below its help; None where there is none."""
         if cmd_name not in COMMANDS:
             return None
         command: click.Command = imported(COMMANDS[cmd_name]).command
@@ -30,11 +31,13 @@ class _Commands(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
+        """As click's, but for a name that is none with the one that was probably meant."""
         if args[0] not in COMMANDS and (meant := nearest(args[0], COMMANDS)):
             ctx.fail(f"No such command '{args[0]}': did you mean 'taut {meant}'?")
         return super().resolve_command(ctx, args)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """The commands that begin so, without importing their modules, and what click offers by itself."""
         named = [CompletionItem(each.name, help=each.says) for each in COMMANDS.values()]
         return [each for each in named if each.value.startswith(incomplete)] + click.Command.shell_complete(
             self, ctx, incomplete
@@ -85,11 +88,14 @@ def main() -> None:
 
 
 def _fail(said: Said, what: str, status: int) -> None:
+    """Ends with a line on stderr, `what` went wrong, and the exit status."""
     click.echo(f"taut: {what}", err=True)
     _exit_with_error(said, what, status)
 
 
 def _exit_with_error(said: Said, what: str, status: int) -> None:
+    """Ends with the exit status; with --json `what` went wrong is also an object on stdout, unless a result is there:
+    stdout holds one object, no more."""
     if "--json" in sys.argv and not said.result:
         click.echo(json.dumps({"error": what, "status": status}))
     sys.exit(status)

@@ -22,10 +22,12 @@ class Command:
 
     @property
     def module(self) -> str:
+        """The dotted name of the module that holds the command."""
         return self.of_a_clone or f"tautline.cli.{self.name}"
 
     @property
     def there(self) -> bool:
+        """Whether its module exists: a wheel lacks those of a clone's tools."""
         return not self.of_a_clone or (_SOURCES / self.of_a_clone.replace(".", "/")).with_suffix(".py").is_file()
 
 
@@ -166,7 +168,7 @@ COMMANDS = {command.name: command for group in GROUPS.values() for command in gr
 
 
 def imported(command: Command) -> ModuleType:
-    """A clone's tools are on nobody's path but the clone's."""
+    """The command's module. The clone goes onto the path for those of its tools, which are on nobody else's."""
     if command.of_a_clone and str(_SOURCES) not in sys.path:
         sys.path.append(str(_SOURCES))
     return importlib.import_module(command.module)

@@ -61,12 +61,13 @@ def refuse_unusable(model: Model, folder: Path, force: bool = False) -> None:
 
 
 def warn_unusable(model: Model, folder: Path) -> None:
-    """Where the model is only looked at."""
+    """Warns of an unusable model where it is only looked at, and goes on."""
     refuse_unusable(model, folder, force=True)
 
 
 def warn_tracked_alone(model: Model) -> None:
-    """Where a tracker runs on what comes live: it knows the play and f_remain."""
+    """Warns, before a tracker runs on what comes live, of the model's effects beside its play: it knows the play and
+    f_remain alone."""
     if model.effects:
         named = ", ".join(effect.id for effect in model.effects)
         warn(f"what the model holds beside its play ({named}) is not simulated while tracking live")
@@ -152,7 +153,7 @@ def read_recordings(paths: Sequence[Path], rig_path: Path | None) -> tuple[list[
 
 
 def _own_rig(paths: Sequence[Path]) -> Rig:
-    """The rig beside the first recording that has one."""
+    """The rig.toml in the first recording that has one. TautError where none has, or a folder is not there."""
     for path in paths:
         if not path.is_dir():
             raise TautError(f"{path}: there is no such folder: a recording is a folder with motor.csv")

@@ -138,12 +138,14 @@ def free_recordings(out: Path) -> Path:
 
 
 def _free(out: Path, what: str) -> Path:
+    """The first of OUT-WHAT, OUT-WHAT-2, OUT-WHAT-3 and so on, beside `out`, that does not exist."""
     names = (f"{out.name}-{what}{number}" for number in chain([""], (f"-{i}" for i in count(2))))
     return next(path for name in names if not (path := out.with_name(name)).exists())
 
 
 def sigma_of(text: str, unit: str) -> float:
-    """A sigma in the rig's unit from text with or without a unit, such as "5um"."""
+    """A sigma in the rig's unit (mm or deg) from text such as "5um"; without a unit it is in um, or deg on such a rig.
+    UsageError where it is none above 0, or of the other kind."""
     matched = re.fullmatch(r"\s*([0-9.]+(?:e[-+]?\d+)?)\s*(um|µm|mm|deg|)\s*", text)
     try:
         value = float(matched[1]) if matched else 0.0
@@ -207,7 +209,7 @@ def recalled(setup: Live, library: Library) -> tuple[Model, Path]:
 
 
 def shape_text(tracking: dict[str, Any], library: Library | None) -> str:
-    """A sentence after the result, if another shape was recognised; else ""."""
+    """A part of a sentence after the result, if the tracker recognised another shape of the library; else ""."""
     if library is None or tracking["shape"] is None:
         return ""
     folder = library.folder / tracking["shape"]
@@ -215,7 +217,7 @@ def shape_text(tracking: dict[str, Any], library: Library | None) -> str:
 
 
 def bus_text(bus: dict[str, Any]) -> str:
-    """The measured timing of motors on a bus of their own; "" for a board."""
+    """The measured timing of motors on a bus of their own, a part of a sentence; "" where `bus` is empty: a board."""
     if not bus:
         return ""
     return (
@@ -225,7 +227,8 @@ def bus_text(bus: dict[str, Any]) -> str:
 
 
 def tracking_text(tracking: dict[str, Any]) -> str:
-    """What a tracker learnt in use, and how far the board's tables were moved."""
+    """What a tracker learnt in use, and how far the board's tables were moved (offset in the rig's unit), as a part of
+    a sentence."""
     if tracking["state"] is None:
         return "not tracked: no frame came"
     moves = tracking["moves"]

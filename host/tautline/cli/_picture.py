@@ -51,8 +51,8 @@ def _heading(view: View) -> Text:
 
 
 def _coverage_line(label: str, frames: Array) -> Text:
-    """One direction's coverage over the motor's range: a higher block for more frames, ! where the marker was mostly
-    lost. frames (BINS, 2): seen and lost."""
+    """One direction's coverage over the motor's range: a higher block for more frames (8 fill it), ! where the marker
+    was mostly lost. frames (BINS, 2): numbers of frames, seen and lost."""
     line = Text(label.ljust(_LABEL))
     seen, lost = frames.T
     for here, away in zip(seen, lost, strict=True):
@@ -64,8 +64,8 @@ def _coverage_line(label: str, frames: Array) -> Text:
 
 
 def _sigma_colour(sigma: float, until: float | None) -> str:
-    """The colour of a sigma beside the goal `until`: green at most that, yellow up to three times, red above; dim where
-    unknown."""
+    """The colour of a sigma beside the goal `until`, both in the unit of q: green at most that (or without a goal),
+    yellow up to three times, red above; dim where it is not finite, so unknown."""
     if not np.isfinite(sigma):
         return "dim"
     if until is None or sigma <= until:
@@ -74,7 +74,8 @@ def _sigma_colour(sigma: float, until: float | None) -> str:
 
 
 def _width_columns(width: Array, styles: list[str], unit: str) -> list[Text]:
-    """B over the motor's range as columns from 0 up, _HEIGHT lines."""
+    """B over the motor's range as columns from 0 up, _HEIGHT lines. width (BINS,), in the unit of q, NaN (left empty)
+    where unknown; styles: a colour for each column."""
     known = width[np.isfinite(width)]
     most = float(known.max()) if len(known) else 1.0
     eighths = np.round(np.nan_to_num(width) / max(most, 1e-9) * 8 * _HEIGHT).astype(int)
@@ -89,8 +90,8 @@ def _width_columns(width: Array, styles: list[str], unit: str) -> list[Text]:
 
 
 def _sigma_digits(sigma: Array, styles: list[str], view: View) -> Text:
-    """Sigma over the motor's range in thirds of the goal (without one, in multiples of the smallest): 1 to 9, + above,
-    a dot where unknown."""
+    """Sigma (BINS,) over the motor's range in thirds of the goal (without one, in multiples of the smallest), rounded
+    up: 1 to 9, + above, a dot where it is inf, so unknown. styles: a colour for each."""
     finite = sigma[np.isfinite(sigma)]
     one = view.until / 3 if view.until is not None else (float(finite.min()) if len(finite) else 1.0)
     line = Text(f"sigma/{in_words(one, view.unit)}".ljust(_LABEL))
@@ -116,6 +117,7 @@ def calibration_picture(as_json: bool) -> Iterator[Show]:
 
 @contextmanager
 def _pictures() -> Iterator[Show]:
+    """Draws each View on the terminal, over the one before, and takes the picture away in the end."""
     from rich.console import Console, Group
     from rich.live import Live
 
@@ -139,7 +141,7 @@ def _at_most_every(seconds: float, show: Show) -> Show:
 @contextmanager
 def _lines() -> Iterator[Callable[[View], None]]:
     """Logs what is being done and each new calibration, a line each."""
-    last = [0.0, ""]
+    last = [0.0, ""]  # of the recording that the last calibration is from, s, and what was being done
 
     def tell(view: View) -> None:
         if view.doing != last[1]:

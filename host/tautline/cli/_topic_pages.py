@@ -24,7 +24,7 @@ _FEW = 5  # amplitudes that are shown together
 
 
 def write_all(folder: Path) -> Path:
-    """Writes every topic's page and the index."""
+    """Writes every topic's page and the index; returns the index' path."""
     known = topics()
     for topic in known.values():
         page = {
@@ -41,7 +41,7 @@ def write_all(folder: Path) -> Path:
 
 
 def picture(topic: Topic) -> pages.Picture | None:
-    """The picture of an effect; None where it changes no path, as one that only scatters."""
+    """The picture of an effect; None for a topic that is none, or one that changes no path, as it only scatters."""
     kind = effects.BY_ID.get(topic.code)
     if kind is None or kind.event:
         return None
@@ -56,7 +56,8 @@ def picture(topic: Topic) -> pages.Picture | None:
 @mpl.rc_context(figures.STYLE)
 def drawn(kind: Kind) -> Figure:
     """An effect's figure: the characteristic (or the marker's track where only the image changes) and the difference
-    over time."""
+    over time, deg or px, on the reference instrument. So that each effect has what it needs, its translation and
+    rotation sway, and a load of 20 mNm comes half-way."""
     rig = instrument.reference_rig()
     plant = instrument.preset("reference", rig)
     q = np.linspace(*rig.actuator.range, 201)
@@ -96,9 +97,12 @@ def drawn(kind: Kind) -> Figure:
 
 
 def parameters(kind: Kind, span: float, seconds: float) -> dict[str, float]:
-    """Parameter values at which an effect is visible: amplitudes at _TIMES their scale, shapes at their first start."""
+    """Parameter values at which an effect is visible: amplitudes at _TIMES their scale, shapes at their first start.
+    span: of the motor's range, unit of q, for parameters that are shares of it; seconds: of the motion, in whose middle
+    happens what happens once."""
 
     def scaled(unit: str, value: float) -> float:
+        """A share of the motor's range, as values in the unit of q are kept, in that unit; others as they are."""
         return value * span if unit.startswith("unit") else value
 
     kind = kind.happening(1) if kind.moments else kind

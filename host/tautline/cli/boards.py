@@ -44,7 +44,8 @@ def command(board: str | None, as_json: bool) -> None:
 
 
 def _board_row(description: Any) -> dict[str, Any]:
-    """What is shown of one board: name, firmware, and its axes where it can be opened."""
+    """What is shown of one board: name, firmware, and its axes where it can be opened; "error" says why it cannot. One
+    that another program uses is left alone."""
     from tautline.device.board import Board
 
     row: dict[str, Any] = {
@@ -74,7 +75,7 @@ def _board_row(description: Any) -> dict[str, Any]:
 
 
 def _axis_row(board: Any, axis: int) -> dict[str, Any]:
-    """What is shown of one axis: state, table and instrument."""
+    """What is shown of one axis: state, table and instrument; None is what it has not, or its firmware does not say."""
     from tautline import tables
     from tautline.device import wire
 

@@ -126,7 +126,8 @@ def command(
 def _from_recordings(
     paths: tuple[Path, ...], rig_path: Path | None, out: Path, options: Options, fleet: Path | None
 ) -> tuple[Calibration, list[str], dict[str, Any] | None]:
-    """Calibrates recordings: the calibration, the text of its result, and the motion that would close its gaps."""
+    """Calibrates recordings: the calibration, the text of its result, and the motion that would close its gaps (file
+    and seconds; None where there are none, or it is unusable). fleet: what taut fleet wrote, as a prior."""
     recordings, rig = read_recordings(paths, rig_path)
     if fleet is not None:
         from tautline.fleet import prior
@@ -164,7 +165,9 @@ def _calibrate_live(
     seed: int,
     as_json: bool,
 ) -> tuple[Calibration, list[str], dict[str, Any]]:
-    """Calibrates on a board and a camera: the calibration, the text of its result, and how the motion went."""
+    """Calibrates on a board and a camera: the calibration, the text of its result, and how the motion went. kept:
+    folder of the recording; until: sigma of B(q) as text, "3um"; at_most_s: after which it ends; speeds: the rig's unit
+    per second."""
     from tautline.cli._picture import calibration_picture
     from tautline.live.session import MotionOptions, calibrate_live
     from tautline.live.until import Goal, calibrate_until

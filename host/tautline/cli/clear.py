@@ -54,7 +54,7 @@ def _clear_fault(board: Any, axis: int) -> dict[str, Any]:
 
 
 def _fault_log(board: Any, axis: int | None) -> list[dict[str, Any]] | None:
-    """The board's fault log, the newest first; None where its firmware keeps none."""
+    """The board's fault log, the newest first, of one axis or (None) all; None where its firmware keeps none."""
     from tautline.device import wire
 
     if board.identity.protocol_minor < wire.wire.SINCE["get_logged"]:
@@ -62,7 +62,7 @@ def _fault_log(board: Any, axis: int | None) -> list[dict[str, Any]] | None:
     rows: list[dict[str, Any]] = []
     for index in range(_LOGGED_MAX):
         entry = board.ask("get_logged", index=index)
-        if entry.number == 0:
+        if entry.number == 0:  # there is no such entry
             break
         rows.append(
             {
@@ -79,7 +79,7 @@ def _fault_log(board: Any, axis: int | None) -> list[dict[str, Any]] | None:
 
 
 def log_text(log: list[dict[str, Any]] | None) -> list[str]:
-    """The fault log as lines for a terminal."""
+    """The fault log as lines for a terminal; None: the board's firmware keeps none."""
     if log is None:
         return ["no log: the board's firmware keeps none; 'taut update' brings one that does"]
     shown = log[:_SHOWN]
@@ -92,6 +92,7 @@ def log_text(log: list[dict[str, Any]] | None) -> list[str]:
 
 
 def _result_in_words(row: dict[str, Any]) -> str:
+    """What `_clear_fault` says of an axis, as lines for a terminal."""
     text = f"axis {row['axis']}: {row['fault'] or 'no fault'}"
     text += f" ('taut explain {row['code']}' says more)" if row["code"] else ""
     if row["left"]:

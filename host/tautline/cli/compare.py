@@ -34,7 +34,7 @@ def command(model_paths: tuple[Path, ...], html_path: Path | None, as_json: bool
 
 
 def _names(paths: tuple[Path, ...]) -> list[str]:
-    """Names for the models: folder names, or whole paths where these are not unique."""
+    """Names for the models: folder names, or whole paths where these are not unique. TautError where those are not."""
     names = [path.absolute().name for path in paths]
     if len(set(names)) < len(names):
         names = [str(path) for path in paths]
@@ -48,7 +48,7 @@ def _table(rows: list[dict[str, object]], first: Model) -> str:
     unit = first.rig.actuator.unit
     table = Table(box=None, pad_edge=False)
     fine, times = figures.finer(unit)
-    columns = {  # key, times
+    columns = {  # key of a row, factor to the title's unit
         "model": ("model", 1.0),
         f"B mean ({unit})": ("width_mean", 1.0),
         f"change ({fine})": ("width_change_mean", times),
@@ -68,4 +68,5 @@ def _table(rows: list[dict[str, object]], first: Model) -> str:
 
 
 def _cell(value: object, factor: float) -> str:
+    """A number times the factor that takes it to its column's unit, else the text as it is."""
     return f"{factor * value:.4g}" if isinstance(value, int | float | np.number) else str(value)

@@ -29,8 +29,8 @@ def command(out: Path | None, instrument: str, seed: int, as_json: bool) -> None
 def run(
     out: Path, instrument: str, seed: int, progress: Callable[[float, str], None], say: Callable[[str], None]
 ) -> dict[str, Any]:
-    """The whole job on a simulated instrument; what was measured and gained. Recording, MODEL and report are in
-    `out`."""
+    """The whole job on a simulated instrument (a preset's name); what was measured and gained. Recording, MODEL and
+    report are in `out`. progress: called with the share done and a text; say: with each step's result."""
     from tautline import tables
     from tautline.folders import check_replaceable, replaced
     from tautline.live.following import follow_run
@@ -45,6 +45,7 @@ def run(
     check_replaceable(model_folder, MODEL_FILE)
 
     def part(low: float, high: float) -> Callable[[float, str], None]:
+        """Progress of a step that takes the shares low to high of the whole."""
         return lambda share, what: progress(low + (high - low) * share, what)
 
     with open_live(simulate=instrument, seed=seed) as live:

@@ -138,6 +138,7 @@ def command(
 
 
 def _tell(diagnosis: Diagnosis, out: Path, as_json: bool) -> None:
+    """Prints the diagnosis that lies in `out`, and where more is said of what it found."""
     emit(diagnosis.document, as_json, narration.text(diagnosis.document, str(out)))
     _topics_of(diagnosis.document)
 
@@ -153,7 +154,8 @@ def _diagnose_simulator(
     rig_path: Path | None,
     out: Path,
 ) -> Diagnosis:
-    """Diagnoses a simulator file against the robot's recordings."""
+    """Diagnoses a simulator against the robot's recordings and writes the diagnosis into `out`. camera: one of the
+    simulator's, through which the marker's places become angles; scale: of the control, per unit of q."""
     if not paths:
         raise click.UsageError("name at least one recording of the robot")
     robots, rig = read_recordings(paths, rig_path)
@@ -170,6 +172,7 @@ def _diagnose_simulator(
 
 
 def _simulator(name: str, actuator: str | None, tip: str | None, scale: float | None, rig: Rig) -> Simulator:
+    """The simulator of --simulator: MODULE:NAME, else an MJCF or URDF file. scale: of the control, per unit of q."""
     if source.is_python(name):
         return source.of_python(name)
     if actuator is None or tip is None:
@@ -184,12 +187,12 @@ def _angle_through_camera(
     if source.is_python(name) or tip is None or not tip.startswith("site:"):
         raise click.UsageError("--camera goes with --simulator FILE and --tip site:S, which it sees")
     seen = sight(Path(name), tip.removeprefix("site:"), camera)
-    late_s = rig.delay_s - rig.nominal_delay_s(ANGLE)
+    late_s = rig.delay_s - rig.nominal_delay_s(ANGLE)  # by which frames are older than the angles they stand for
     return f"joint:{seen.hinge}", [seen.seen(robot, late_s) for robot in robots]
 
 
 def _topics_of(document: Mapping[str, Any]) -> None:
-    """The names of the topics about what was found."""
+    """Logs, for each effect that was found, which topic says more of it."""
     for effect in document["effects"]:
         log(f"taut: 'taut explain {effect['id']}' says how to tell it and what mends it")
 
@@ -197,7 +200,8 @@ def _topics_of(document: Mapping[str, Any]) -> None:
 def _calibrate_first(
     recordings: list[Recording], rig: Rig, path: Path, progress: Progress
 ) -> tuple[Calibration, list[Recording]]:
-    """The calibration on the first recording, and all recordings on the motor's clock."""
+    """The calibration on the first recording, and all recordings on the motor's clock: the first 30 % of the progress.
+    path: of the first, where it is unusable and a warning says so."""
     calibration, recordings = calibrated(recordings, rig, lambda fraction, text: progress(0.3 * fraction, text))
     warn_unusable(calibration.model, path)
     return calibration, recordings
@@ -207,7 +211,8 @@ def _diagnose_live(
     calibration_path: Path | None, test_paths: tuple[Path, ...], rig_path: Path | None, kept: Path, live: LiveOptions,
     most: int, seed: int,
 ) -> Asked:  # fmt: skip
-    """Calibrates on the recording, then diagnoses with motions recorded on the board until one answer is sure."""
+    """Calibrates on the recording, made here first where none is named, then diagnoses with motions recorded on the
+    board until one answer is sure, or `most` were. kept: their folder."""
     from tautline.live.asking import diagnose_live
     from tautline.live.until import calibrate_until
 

@@ -18,9 +18,8 @@ _WIDTH = 100
 @click.option("--html", "folder", type=click.Path(path_type=Path), help="Write all pages there, with their pictures.")
 @json_option
 def command(code: str | None, folder: Path | None, as_json: bool) -> None:
-    """What a message means: an effect (transmission.creep), a reason of a verdict (clock.offset), a fault (STALL), "
-    "a key
-    of rig.toml (actuator.range), a file (motor.csv) or a term (f_remain). Without CODE: the list of all.
+    """What a message means: an effect (transmission.creep), a reason of a verdict (clock.offset), a fault (STALL), a
+    key of rig.toml (actuator.range), a file (motor.csv) or a term (f_remain). Without CODE: the list of all.
 
     It is in the package: no network is needed.
     """
@@ -44,6 +43,7 @@ def command(code: str | None, folder: Path | None, as_json: bool) -> None:
 
 
 def _first(text: str) -> str:
+    """The beginning of a text, cut between words so that it fits a line of the list."""
     return textwrap.shorten(text, 78, placeholder=" ...")
 
 

@@ -110,11 +110,13 @@ def command(
 
 
 def _leave(share: float) -> str:
+    """What plays in the hysteresis' place leave undone, as a part of a sentence. share: 0 to 1."""
     return f"and leave {100.0 * share:.2g} % of what there is to undo"
 
 
 def _joint(text: str) -> tuple[str, int, float]:
-    """COLUMN=AXIS:RESOLUTION as its three parts. UsageError where it is none."""
+    """COLUMN=AXIS:RESOLUTION as its three parts; the resolution is the column's unit per encoder count. UsageError
+    where it is none."""
     column, _, rest = text.partition("=")
     axis, _, resolution = rest.partition(":")
     try:

@@ -140,6 +140,7 @@ def _add_to_report(model: Any, folder: Path, result: Any, compensation: str) -> 
 
 
 def _report(result: Any, compensation: str, out: Path | None) -> dict[str, Any]:
+    """The run's result as JSON."""
     return {
         "compensation": compensation,
         "seconds": float(result.t_s[-1] - result.t_s[0]),
@@ -156,6 +157,7 @@ def _report(result: Any, compensation: str, out: Path | None) -> dict[str, Any]:
 
 
 def _text(result: Any, compensation: str, out: Path | None, library: Any) -> str:
+    """The run's result in words."""
     text = f"followed {result.t_s[-1] - result.t_s[0]:.1f} s, compensation {compensation}"
     if result.scored_by:
         text += f": tip off by {result.rms_deg:.3f} deg rms, {result.max_deg:.3f} at most (by {result.scored_by})"

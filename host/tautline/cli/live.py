@@ -111,7 +111,8 @@ def command(
 
 
 def _calibrate(live: LiveOptions, rig_path: Path | None, out: Path, until: str | None, seed: int) -> dict[str, Any]:
-    """The page's work: a calibration until sigma is reached, its MODEL in `out`."""
+    """The page's work: a calibration until sigma (text, "3um") is reached, its MODEL in `out`. says: what was said
+    last, "" if nothing was started; model and quality: None where nothing was found."""
     from tautline.live.page.work import Calibrating
     from tautline.live.until import Goal
 
@@ -127,7 +128,7 @@ def _calibrate(live: LiveOptions, rig_path: Path | None, out: Path, until: str |
 def _watch(
     live: LiveOptions, rig_path: Path | None, path: Path, motion: str, speed: float | None, seed: int
 ) -> dict[str, Any]:
-    """The page's work: a tracker of the model at `path` while `motion` runs."""
+    """The page's work: a tracker of the model at `path` while `motion` runs at `speed`, the rig's unit per second."""
     from tautline.live.page.work import Watching
 
     model = Model.load(path)
@@ -138,7 +139,8 @@ def _watch(
 
 
 def _diagnose(live: LiveOptions, rig_path: Path | None, path: Path, out: Path, seed: int) -> dict[str, Any]:
-    """The page's work: a live diagnosis of the calibration at `path`, its folder `out`."""
+    """The page's work: a live diagnosis of the calibration recording at `path`, its folder `out`; diagnosis is None
+    where nothing was found."""
     from tautline.diagnosis.recorded import calibrated
     from tautline.live.page.work import Diagnosing
 
@@ -156,7 +158,7 @@ def _diagnose(live: LiveOptions, rig_path: Path | None, path: Path, out: Path, s
 
 
 def _replay(path: Path, rig_path: Path | None, pace: float) -> dict[str, Any]:
-    """The page's work: a recording played again at `pace`."""
+    """The page's work: a recording played again, `pace` times as fast as it was."""
     from tautline.live.page.work import Replaying
     from tautline.vision.marker import with_marker
 
@@ -167,7 +169,7 @@ def _replay(path: Path, rig_path: Path | None, pace: float) -> dict[str, Any]:
 
 
 def _serve_page(work: Any) -> str:
-    """Serves the page until Ctrl-C; returns what was said last."""
+    """Serves the page of a work (live.page.work) until Ctrl-C; returns what was said last, "" if nothing was."""
     from tautline.live.page.desk import Desk
     from tautline.live.page.server import serving
     from tautline.live.page.work import attend

@@ -32,6 +32,7 @@ class _Square(click.ParamType):  # type: ignore[type-arg]
     def convert(
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
     ) -> tuple[float, float, float]:
+        """The middle (u, v) px and the side, px, of a square; without a side the usual one."""
         try:
             u, v, *side = (float(part) for part in str(value).split(","))
             (long,) = side or (USUAL_PX,)
@@ -46,6 +47,7 @@ class _Place(click.ParamType):  # type: ignore[type-arg]
     name = "U,V"
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
+        """A place (u, v) px."""
         try:
             u, v = (float(part) for part in str(value).split(","))
         except ValueError:
@@ -67,8 +69,8 @@ class _Place(click.ParamType):  # type: ignore[type-arg]
 @click.option(
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
-    help=f"File for the colour. Default: {COLOUR_FILE} where it is looked for: beside a video, it is then used in "
-    "by itself, else here, where --colour has it by default.",
+    help=f"File for the colour. Default: {COLOUR_FILE} where it is looked for: beside a video, where it is used by "
+    "itself, else here, where --colour has it by default.",
 )
 @json_option
 def command(
@@ -161,6 +163,7 @@ def _pick_region(source: str, square: tuple[float, float, float], out: Path, as_
 
 
 def _save(what: MarkerColour | Region, out: Path) -> None:
+    """Writes marker.toml or region.toml, its folder where it is missing. TautError where it cannot be."""
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         what.save(out)
@@ -169,7 +172,7 @@ def _save(what: MarkerColour | Region, out: Path) -> None:
 
 
 def _region_picture(picture: np.ndarray, region: Region) -> np.ndarray:
-    """The picture with the region drawn in, beside the region enlarged."""
+    """The BGR picture with the region drawn in, beside it the region enlarged to the picture's height."""
     drawn = picture.copy()
     corners = np.rint(np.array(region.at) + 0.5 * region.side_px * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]))
     cv2.polylines(drawn, [corners.astype(np.int32)], True, (255, 255, 255), 1, cv2.LINE_AA)
@@ -185,7 +188,8 @@ def _file_beside(source: str, name: str) -> Path:
 
 
 def _pictures(source: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """The source's first pictures, and some spread over it."""
+    """The source's first pictures, and some spread over it (of a camera, over those), BGR (height, width, 3) uint8. A
+    picture file is both. A camera by its number first finds its exposure. TautError where there are none."""
     if source.isdigit() and not Path(source).exists():
         with VideoCamera(int(source)) as camera:
             for _ in range(_WARM_UP):
@@ -203,8 +207,8 @@ def _pictures(source: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
 
 
 def _find_colour(pictures: list[np.ndarray]) -> MarkerColour | None:
-    """The marker's colour in pictures of one scene. Large pictures are searched at a smaller size, which is enough to
-    see what stands out; the colour is then picked at full size."""
+    """The marker's colour in pictures of one scene; None where nothing stands out. Large pictures are searched at a
+    smaller size, which is enough to see what stands out; the colour is then picked at full size."""
     shrink = min(pictures[0].shape[:2]) // _SEARCHED_LINES
     if shrink < 2:
         return find_colour(pictures)
@@ -229,6 +233,7 @@ def _where(colour: MarkerColour) -> str:
 def _marker_picture(picture: np.ndarray, colour: MarkerColour, sighting: Sighting) -> np.ndarray:
     """The picture with the marker ringed, beside its membership with an enlarged cut of the marker in the corner."""
     ringed = picture.copy()
+    # 16 times: OpenCV's fixed point with 4 bits behind the point, so that the ring lies to a part of a pixel.
     centre = np.rint([sighting.u_px * 16, sighting.v_px * 16]).astype(int).tolist()
     cv2.circle(ringed, centre, round((0.5 * sighting.diameter_px + 4) * 16), (255, 255, 255), 1, cv2.LINE_AA, 4)
     for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):

@@ -37,6 +37,7 @@ class _Squares(click.ParamType):  # type: ignore[type-arg]
     name = "ACROSSxDOWN"
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """How many squares a board has across and down."""
         try:
             across, down = (int(part) for part in str(value).lower().split("x"))
         except ValueError:
@@ -138,7 +139,7 @@ def command(
 
 
 def _ask_for_sensor() -> Sensor:
-    """Asks in a terminal which sensor the rig has."""
+    """Asks in a terminal which sensor the rig has; elsewhere it is a camera that sees a marker."""
     if not sys.stdin.isatty():
         return MARKER
     return (
@@ -149,7 +150,8 @@ def _ask_for_sensor() -> Sensor:
 
 
 def _ask_for_keys(document: rig_keys.Document, sensor: Sensor, without: tuple[str, ...] = ()) -> None:
-    """Asks for each missing key in a terminal; elsewhere a TautError that names all of them."""
+    """Asks in a terminal for each key that `document` still lacks and puts it there; elsewhere a TautError that names
+    all of them. without: sections that are not asked for."""
     left = [(section, key) for section, key in rig_keys.missing(document, sensor) if section.name not in without]
     if left and not sys.stdin.isatty():
         raise TautError(
@@ -183,7 +185,8 @@ def _intrinsics(
     marker_mm: float | None,
     dictionary: str,
 ) -> Intrinsics:
-    """The camera's intrinsics from pictures or videos of a ChArUco board."""
+    """The camera's intrinsics from pictures or videos of a ChArUco board. squares: how many across and down; the sides
+    of a square and of the marker in it, mm. Prints what is doubtful."""
     if squares is None or square_mm is None or marker_mm is None:
         raise TautError("--board needs --squares, --square-mm and --marker-mm, as they are on the print")
     pictures = []
@@ -200,7 +203,8 @@ def _intrinsics(
 def _from_known_angles(
     document: rig_keys.Document, motion: Path, angles: Path | None, angle_sigma: float
 ) -> tuple[Places, HandEyeFit, Coarse, float]:
-    """Hand-eye transform and coarse law from a recording with rests at known angles."""
+    """From a recording with rests at known angles (CSV; by default angles.csv in it), known to angle_sigma deg: the
+    marker's places there, the hand-eye transform, the coarse law, and the rms of the law's residual, deg."""
     known = read_known(angles or motion / "angles.csv")
     unknown = {"rotation_deg": [0.0, 0.0, 0.0], "translation_mm": [0.0, 0.0, 0.0]}
     so_far = Rig.from_document({**document, "coarse": {"gain": 1.0, "offset": 0.0}, "hand_eye": unknown}, "so far")

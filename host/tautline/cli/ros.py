@@ -104,8 +104,8 @@ def command(
 
 @contextmanager
 def _end_condition(duration_s: float | None) -> Iterator[Callable[[], bool]]:
-    """A function that says whether to end: Ctrl-C or SIGTERM came, or the time is over. Signals take effect between two
-    messages."""
+    """A function that says whether to end: Ctrl-C or SIGTERM came, or duration_s (None: no end) is over. Signals only
+    set what it says, so that they take effect between two messages, and are handled as before after the block."""
     came = False
     began = time.monotonic()
 

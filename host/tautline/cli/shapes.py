@@ -97,7 +97,7 @@ def recall(
 
 
 def _recall_from_recording(known: Library, path: Path) -> tuple[Shape, dict[str, float]]:
-    """The shape that a recording shows, and the rms of each."""
+    """The shape whose model predicts a recording best, and by name the rms by which each shape's model is off."""
     from tautline.recording import load
     from tautline.shapes import recalled
     from tautline.vision.marker import with_marker

@@ -18,12 +18,12 @@ from tautline.simulated.simulate import run
 from tautline.trajectory import Trajectory, back_and_forth, random_smooth, sines, trapezoids
 from tautline.vision.timing import FrameTiming
 
-_WAY_BACK = 0.105  # of the range
+_WAY_BACK = 0.105  # of the range, longer than any backlash
 
 
 @dataclass(frozen=True)
 class _Wish:
-    """What was asked of the motion, in the rig's unit; None is a share of the range that suits it."""
+    """What was asked of the motion, in the rig's unit; None, or no speed, is a share of the range that suits."""
 
     speeds: tuple[float, ...]
     amplitude: float | None
@@ -34,6 +34,7 @@ class _Wish:
 
 
 def _back_and_forth(actuator: Actuator, wish: _Wish) -> Trajectory:
+    """The calibration motion; by default at 5 and 10 % of the range a second. Acceleration: half the range per s^2."""
     span = actuator.span
     speeds = wish.speeds or (0.05 * span, 0.1 * span)
     stroke = wish.amplitude or usual_stroke(span, wish.reversals)
@@ -41,13 +42,14 @@ def _back_and_forth(actuator: Actuator, wish: _Wish) -> Trajectory:
 
 
 def usual_stroke(span: float, reversals: int) -> float:
-    """15 % of the range, more with few reversals: the way back (a stroke less the ramp's advance) has to be longer than
-    any backlash, _WAY_BACK of the range."""
+    """Stroke of the calibration motion, unit of q as the span of the range: 15 % of it, more with few reversals. The
+    way back (a stroke less the ramp's advance) has to be longer than any backlash, _WAY_BACK of the range."""
     advances = max(1, reversals // 2)
     return max(0.15, (_WAY_BACK * advances + 1.0) / (advances + 1.0)) * span
 
 
 def _trapezoids(actuator: Actuator, wish: _Wish) -> Trajectory:
+    """The test motion; by default 30 % of the range from peak to peak. Acceleration: half the range per s^2."""
     span = actuator.span
     amplitude = wish.amplitude or 0.3 * span
     cycles = max(1, wish.reversals // 2)
@@ -63,11 +65,13 @@ def _random(actuator: Actuator, wish: _Wish) -> Trajectory:
 
 
 def _one_speed(actuator: Actuator, wish: _Wish) -> float:
+    """The first speed that was asked for, else 10 % of the range a second; unit of q per second."""
     return wish.speeds[0] if wish.speeds else 0.1 * actuator.span
 
 
 def _count_short_strokes(trajectory: Trajectory, instrument: Instrument) -> int:
-    """How many strokes between two reversals are too short to get through the backlash."""
+    """How many strokes from one reversal to the next (or to the end) are too short to get through the backlash that
+    there is in their middle."""
     way = np.sign(np.diff(trajectory.q))
     moving = np.flatnonzero(way)
     turns = moving[np.flatnonzero(np.diff(way[moving]))] + 1  # the last sample before each

@@ -150,7 +150,9 @@ def _open_board(
     library: Library | None,
     force: bool,
 ) -> tuple[Board, Following | None]:
-    """The board with the model's tables in the axis and, with a camera, what keeps the model calibrated."""
+    """The board with the model's tables in the axis (without a model those that it has) and, with a camera, what keeps
+    the model calibrated, else None. With a camera, a library and no model, it is that of the shape that the shaft now
+    has. The stack closes what is opened."""
     from tautline.device.board import open_board
     from tautline.live.in_use import Following, TableMover, beside, load_tables
 
@@ -182,13 +184,13 @@ class _Lines:
     """Standard input, never waited for."""
 
     def __init__(self) -> None:
-        self._inputs = selectors.DefaultSelector()
+        self._inputs = selectors.SelectSelector()  # the others refuse a file
         self._inputs.register(sys.stdin, selectors.EVENT_READ)
-        self._rest = b""
-        self.ended = False
+        self._rest = b""  # of a line that has not come whole
+        self.ended = False  # whether nothing will come any more
 
     def newest(self) -> str | None:
-        """The last whole line that has come since the last call; None where there is none."""
+        """The last whole line that is not blank and has come since the last call; None where there is none."""
         last = None
         while not self.ended and self._inputs.select(0):
             data = os.read(sys.stdin.fileno(), 1 << 16)
@@ -199,6 +201,7 @@ class _Lines:
 
 
 def _number(line: str) -> float:
+    """A line of stdin as a finite bending angle, deg. TautError where it is none."""
     try:
         value = float(line)
     except ValueError:

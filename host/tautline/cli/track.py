@@ -69,7 +69,8 @@ def command(
 
 
 def _summary(result: Tracked, recordings: list[Any]) -> list[dict[str, Any]]:
-    """For each recording the residual's rms, the law at its end, and how many frames each state lasted."""
+    """For each recording the residual's rms (px per coordinate, or deg; None where nothing was seen), offset (unit of
+    q) and scale of B at its end, and how many frames each state lasted."""
     from tautline.tracking import residuals
 
     off = residuals(result, recordings)

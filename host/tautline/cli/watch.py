@@ -76,8 +76,9 @@ def command(
 
 @contextmanager
 def _progress_display(unit: str, as_json: bool) -> Iterator[Callable[[Row, float], None]]:
-    """Shows the latest row where stderr is a terminal, else logs a line for each change of state."""
-    last: list[Any] = [None, float("-inf")]
+    """Yields what is called with each row and its time, s: it shows the latest where stderr is a terminal, and logs a
+    line for each change of state. unit: of q."""
+    last: list[Any] = [None, float("-inf")]  # state that was told last; when a row was drawn last, s
 
     def changed(row: Row, t_s: float) -> None:
         if row.state is not last[0]:
@@ -105,7 +106,7 @@ def _progress_display(unit: str, as_json: bool) -> Iterator[Callable[[Row, float
 
 
 def _row_line(row: Row, t_s: float, unit: str) -> Any:
-    """A tracker's row in one line. unit: of q."""
+    """A tracker's row in one line of rich's text. t_s: its time; unit: of q, which the offset is in."""
     from rich.text import Text
 
     line = Text(f"{t_s:8.1f} s  ")

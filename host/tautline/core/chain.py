@@ -52,12 +52,12 @@ class Seen:
 
     @property
     def c_deg(self) -> Array:
-        """(n,)"""
+        """(n,) Bending angles, deg."""
         return self.rows[:, 0]
 
     @property
     def image_px(self) -> Array | None:
-        """(n, 2), NaN where the marker cannot be seen; None without a camera."""
+        """(n, 2) Image positions of the marker, px, NaN where it cannot be seen; None without a camera."""
         return self.rows[:, 1:] if self.rows.shape[1] > 1 else None
 
 
@@ -101,6 +101,7 @@ class Chain:
         return by_differences(lambda x: self._with(x).at(path, scene_s, start_deg).rows, values, steps)
 
     def _with(self, values: Array) -> Chain:
+        """The chain with these values (m,) of all blocks from outside, in their order."""
         rest = iter(values.tolist())
         return replace(self, outside=[replace(b, values=tuple(next(rest) for _ in b.values)) for b in self.outside])
 
@@ -114,6 +115,7 @@ class Chain:
         return x
 
     def _simulated(self, path: MotorPath, scene: Array, start_deg: float | None) -> effects.Path:
+        """The tip at scene times (n,), s, by the model and its own effects, without blocks from outside."""
         own, reference = effects.of_model(self.model), self.model.load_reference_mNm
         return effects.follow(self.model, path.lines, scene, own, start_deg, reference)
 
@@ -138,7 +140,7 @@ def _seen_rows(model: Model, tip: effects.Path) -> Array:
 
 
 def _resampled(path: MotorPath, at: Array, q: Array) -> MotorPath:
-    """The path with knots at times (n,): its motor at q there, the other axes interpolated."""
+    """The path with knots at times (n,), s: its motor at q (n,) there, the other axes interpolated."""
     lines = path.lines
 
     def taken(values: Array | None) -> Array | None:

@@ -31,6 +31,7 @@ class Posterior(Value):
     log_evidence: float = np.nan
 
     def __post_init__(self) -> None:
+        """ValueError where names, mean and covariance are not of one number, or a name is there twice."""
         n = len(self.names)
         if self.mean.shape != (n,) or self.covariance.shape != (n, n) or len(set(self.names)) != n:
             raise ValueError(f"a posterior of {n} parameters needs as many different names, means and variances")
@@ -98,6 +99,7 @@ class Posterior(Value):
             raise TautError(f"{path}: no posterior, or a damaged one: write it again") from error
 
     def _indices(self, names: Sequence[str]) -> npt.NDArray[np.intp]:
+        """The places of these parameters in the posterior, (len(names),). ValueError for a name that is not in it."""
         if unknown := [name for name in names if name not in self.names]:
             raise ValueError(f"{', '.join(unknown)}: no such parameter, there are {', '.join(self.names)}")
         return np.array([self.names.index(name) for name in names], dtype=np.intp)

@@ -38,6 +38,8 @@ class BoardRefused(TautError):
     the axis, where that is the reason."""
 
     def __init__(self, request: str, code: int, fault: str = "") -> None:
+        """code: number in tl_wire.h's TL_WIRE_REASONS; fault: what is wrong with the axis, in words, "" unless that is
+        the reason."""
         super().__init__(fault or f"the board refused '{request}': {wire.text('REASONS', code)}")
         self.reason = next((name for name, (value, _) in wire.wire.REASONS.items() if value == code), str(code))
 
@@ -58,10 +60,12 @@ def find(where: str | None = None) -> list[BoardAddress]:
 
 
 def _is_address(where: str) -> bool:
+    """Whether this is an address of a link or of motors, and not the serial number of a board on USB."""
     return where.startswith(("usbip:", "serial:")) or is_motor(where)
 
 
 def _find_named(where: str) -> list[BoardAddress]:
+    """The boards at an address: motors on a bus of their own, usbip: or serial:."""
     if is_motor(where):
         return find_motors(where)
     return find_usbip(where) if where.startswith("usbip:") else find_serial(where)
@@ -95,7 +99,7 @@ def check_protocol(description: BoardAddress) -> None:
 
 
 def newer_firmware(where: str, protocol: tuple[int, int]) -> str:
-    """How to give a board of this protocol newer firmware, in words."""
+    """A remedy in words: how the board at `where`, which speaks this protocol (major, minor), gets newer firmware."""
     if where.startswith(("usbip:", "serial:tcp:")):
         return "run 'cmake --build --preset gcc' and start the board again"
     if protocol >= (wire.wire.MAJOR, wire.wire.SINCE["get_firmware"]):
@@ -140,7 +144,8 @@ class Board:
             raise
 
     def _hello(self) -> wire.Message:
-        """The board's identity. TautError where it does not answer."""
+        """The board's identity, asked for hello_tries times within the time of one answer. TautError where it does not
+        answer."""
         tries = self._link.hello_tries
         for left in reversed(range(tries)):
             try:
@@ -163,6 +168,7 @@ class Board:
         self.close()
 
     def close(self) -> None:
+        """Ends the reading thread, if any, removes the note that this process holds the board, and closes the link."""
         self._stop.set()
         if self._reader is not None and self._reader is not threading.current_thread():
             self._reader.join()
@@ -183,6 +189,7 @@ class Board:
             self._reader = None
 
     def _read(self) -> None:
+        """The reading thread: takes in what comes until it is stopped or the link fails; `_lost` then says why."""
         while not self._stop.is_set():
             try:
                 self.poll(0.05)
@@ -215,20 +222,21 @@ class Board:
         self.tell_all(name, [values])
 
     def tell_all(self, name: str, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Sends several messages of one kind in one transfer."""
+        """Sends several messages of one kind, each row its fields by name, in one transfer. None is answered; refusals
+        show up in `refused`."""
         self._check_known(name)
         frames = []
         for values in rows:
             sequence = self._next_sequence()
             self._told[sequence] = name
-            self._told.pop((sequence - 1000) & 0xFFFF, None)
+            self._told.pop((sequence - 1000) & 0xFFFF, None)  # a refusal would have come
             frames.append(wire.encode(name, sequence, **values))
         if frames:
             self._write(b"".join(frames))
 
     def ask(self, name: str, timeout_s: float | None = None, **values: Any) -> wire.Message:
-        """Sends a request and returns its answer; BoardRefused where that is an error, TautError without one in
-        time."""
+        """Sends a request and returns its answer. timeout_s: None takes the link's own. BoardRefused where the answer
+        is an error, BoardGone where the board has restarted, TautError without an answer in time."""
         self._check_known(name)
         timeout_s = self._answer_s if timeout_s is None else timeout_s
         sequence = self._next_sequence()
@@ -286,7 +294,8 @@ class Board:
         return count
 
     def _dispatch(self, message: wire.Message) -> None:
-        """Hands a message to whoever waits for it or listens."""
+        """Hands a message to those who listen to its kind, to `refused`, or to whoever asked. Gaps in the numbers of
+        unasked messages count as missed."""
         if message.name in self._listeners:
             if self._unasked is not None:
                 self.missed += (message.sequence - self._unasked - 1) & 0xFFFF
@@ -301,11 +310,13 @@ class Board:
                 self._arrived.notify_all()
 
     def _next_sequence(self) -> int:
+        """The number of the next message: 1 to 65535, then 1 again."""
         with self._asking:
             self._sequence = self._sequence % 0xFFFF + 1
             return self._sequence
 
     def _write(self, frame: bytes) -> None:
+        """Sends whole frames. TautError where the link has failed, also before."""
         if self._lost is not None:
             raise self._lost
         with self._writing:
@@ -319,7 +330,8 @@ class Board:
 
     @property
     def log_divider(self) -> int:
-        """Of telemetry: 1 for a board, more where its motors are asked less often than each millisecond."""
+        """Milliseconds from one sample of telemetry to the next in a recording: 1 for a board, more where its motors
+        are asked less often than that."""
         return self._link.log_divider
 
     def bus(self) -> dict[str, Any]:
@@ -333,11 +345,11 @@ class Board:
         return self.ask("get_counters", clear=int(clear))
 
     def sync(self) -> int:
-        """Everything that the board sent before has been taken in; board time, us."""
+        """Returns when all that the board sent before has been taken in: the board's time, us."""
         return int(self.ask("ping", host_us=0).t_us)
 
     def align(self, trips: int = 8) -> float:
-        """Makes round trips for `clock` (against time.monotonic()); returns the bound of its error, s."""
+        """Makes this many round trips for `clock` (against time.monotonic()); returns the bound of its error, s."""
         for _ in range(trips):
             sent = time.monotonic()
             stamp = self.ask("ping", host_us=round(sent * 1e6)).t_us
@@ -421,13 +433,15 @@ class Board:
             return bytes(route.upload())
 
     def firmware_route(self) -> Any:
-        """A context with download() for new firmware; None where the link has no DFU interface. Behind the tables."""
+        """A context with download() for new firmware: the DFU setting after those of the axes' tables. None where the
+        link has no DFU interface."""
         return self._link.tables(self.axes)
 
     def load_table_by_messages(
         self, axis: int, blob: bytes, progress: Callable[[float, str], None] | None = None
     ) -> None:
-        """`load_table` over any link."""
+        """Sends a table in messages, over any link, and has it stored. progress: gets the share sent, 0 to 1, and a
+        word. TautError with the board's reason where it refuses."""
         part = wire.wire.PART
         try:
             for offset in range(0, len(blob), part):
@@ -446,7 +460,7 @@ class Board:
             raise TautError(says + _left_without(status)) from error
 
     def read_table_by_messages(self, axis: int) -> bytes:
-        """`read_table` over any link."""
+        """The table in use, read in messages over any link; b"" where the axis has none."""
         blob = bytearray()
         while len(blob) <= _native.TABLE_SIZE_MAX:
             part = self.ask("table_read", axis=axis, offset=len(blob))
@@ -456,15 +470,17 @@ class Board:
         raise TautError(f"{self.where}: the table of axis {axis} does not end: switch it off and on")
 
     def _refusal(self, axis: int, error: DfuError) -> TautError:
-        """The error of a refused table with its reason from the status message, as DFU has a single byte for it."""
+        """The error for a table refused over DFU, which has a single byte for the reason: the status message says
+        more."""
         status = self.status(axis)
-        if error.status == 0x02 and status.table_reason:
+        if error.status == 0x02 and status.table_reason:  # DFU's errFILE: the table does not fit
             says = f"the board refused the table of axis {axis}: {wire.table_reason(status.table_reason)}"
             return TautError(says + _left_without(status))
         return TautError(f"{error}{_left_without(status)}") if _left_without(status) else error
 
 
 def _left_without(status: wire.Message) -> str:
-    """A sentence where no table is in use any more, because the one that was is damaged in flash; else ""."""
+    """What to append to an error where no table is in use any more, as the one that was is damaged in flash; else
+    ""."""
     lost = status.table == wire.code("TABLES", "BAD")
     return "; the one that was in use is damaged in flash: flash a table that is whole" if lost else ""

@@ -26,16 +26,18 @@ class BoardClock:
             self._trips.append((middle, board_us * 1e-6 - middle, 0.5 * (received_s - sent_s)))
 
     def _all(self) -> np.ndarray:
+        """The round trips that are kept (n, 3): host time at the middle, board less host time there, half the round
+        trip; s."""
         with self._using:
             return np.array(self._trips)
 
     def _line(self) -> tuple[float, float, float, np.ndarray, np.ndarray] | None:
-        """A line through the shortest round trips: its mean time, the offset there and the drift; and the trips' times
-        and half lengths, s."""
+        """A line through the shortest round trips: its mean host time, s, the offset there, s, and the drift, s/s; and
+        the trips' host times and half lengths (n,), s. None where they are too few, or span less than _LINE_S."""
         trips = self._all()
         if len(trips) < 8:
             return None
-        trips = trips[trips[:, 2] <= 1.5 * trips[:, 2].min()]
+        trips = trips[trips[:, 2] <= 1.5 * trips[:, 2].min()]  # longer ones say less about the offset
         t, offset, half = trips.T
         if len(t) < 4 or np.ptp(t) < _LINE_S:
             return None
@@ -44,7 +46,8 @@ class BoardClock:
         return float(mean), float(offset.mean()), drift, t, half
 
     def offset(self, host_s: float) -> tuple[float, float]:
-        """Board time less host time at `host_s`, s, and the bound of its error while both clocks run evenly, s."""
+        """Board time less host time at `host_s`, s, and the bound of its error while both clocks run evenly, s; 0 and
+        inf before any round trip."""
         if not self._trips:
             return 0.0, float("inf")
         trips = self._all()
@@ -67,6 +70,7 @@ class BoardClock:
         return line[2] if line else 0.0
 
     def board_us(self, host_s: float) -> int:
+        """Board time, us, at a host time, s; never below 0."""
         return max(round((host_s + self.offset(host_s)[0]) * 1e6), 0)
 
     def host_s(self, board_us: int) -> float:

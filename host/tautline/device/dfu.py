@@ -41,6 +41,7 @@ class DfuError(TautError):
     """The board refused a download or upload. `status` is DFU's bStatus."""
 
     def __init__(self, text: str, status: int = 0) -> None:
+        """status: DFU's bStatus, 0 where the device gave none."""
         super().__init__(text)
         self.status = status
 
@@ -57,7 +58,7 @@ class Dfu:
         extra = next((bytes(i.extra_descriptors) for i in settings if i.extra_descriptors), b"")
         if len(extra) < 9 or extra[1] != _FUNCTIONAL:
             raise DfuError("the board has no DFU interface: its firmware is not tautline's")
-        self._block = struct.unpack_from("<H", extra, 5)[0]
+        self._block = struct.unpack_from("<H", extra, 5)[0]  # wTransferSize, bytes
         if self._block == 0:
             raise DfuError("the board takes no bytes by DFU: its firmware is not tautline's")
         usb.util.claim_interface(device, interface)
@@ -81,18 +82,19 @@ class Dfu:
         progress: Callable[[float, str], None] | None = None,
         answer_ms: int = _TIMEOUT_MS,
     ) -> None:
-        """Writes `blob` and waits until the board has checked and stored it; answer_ms: at most for each answer."""
+        """Writes `blob` and waits until the board has checked and stored it. progress: gets the share written, 0 to 1,
+        and a word; answer_ms: at most for each answer."""
         self._answer_ms = answer_ms
         for number, start in enumerate(range(0, len(blob), self._block)):
             self._send(_DNLOAD, number, blob[start : start + self._block])
             self._wait_for_state(_DNLOAD_IDLE)
             if progress:
                 progress(min((start + self._block) / len(blob), 1.0), "loading")
-        self._send(_DNLOAD, -(-len(blob) // self._block), b"")
+        self._send(_DNLOAD, -(-len(blob) // self._block), b"")  # an empty block ends the download
         self._wait_for_state(_IDLE)
 
     def upload(self) -> bytes:
-        """Reads what the board has stored."""
+        """Reads what the board has stored, block after block until one is not full. DfuError where that never comes."""
         blob = bytearray()
         number = 0
         while len(blob) <= _native.TABLE_SIZE_MAX:
@@ -104,9 +106,11 @@ class Dfu:
         raise DfuError("the board's table does not end: its firmware is not tautline's")
 
     def _send(self, request: int, value: int, data: bytes) -> None:
+        """A DFU request with data to the device; value: the number of the block, else 0."""
         self._control(_OUT, request, value, data)
 
     def _receive(self, request: int, value: int, length: int) -> Any:
+        """A DFU request that reads `length` bytes at most; value: the number of the block, else 0."""
         return self._control(_IN, request, value, length)
 
     def _control(self, kind: int, request: int, value: int, what: bytes | int) -> Any:
@@ -142,7 +146,7 @@ class Dfu:
             self._wait(min(pause, left))
 
     def _make_idle(self) -> None:
-        """Brings the device to dfuIDLE, whatever state it is in."""
+        """Brings the device to dfuIDLE, whatever state it is in. DfuError where four attempts do not."""
         for _ in range(4):
             _, pause, state = self._status()
             if state == _IDLE:
@@ -156,6 +160,7 @@ class Dfu:
         raise DfuError("the board's DFU interface does not come to rest: switch the board off and on")
 
     def _wait(self, pause: float) -> None:
+        """Sleeps as long as the device asked for, s; DfuError where that adds up to more than _ASKED_S."""
         self._asked_s += pause
         if self._asked_s > _ASKED_S:
             raise DfuError("the board has us wait without end: switch it off and on, then load again")
@@ -163,4 +168,5 @@ class Dfu:
 
     @staticmethod
     def _refusal(status: int) -> DfuError:
+        """The error for a bStatus, in words."""
         return DfuError(f"the board refused the table: {_STATUS.get(status, f'DFU status {status:#04x}')}", status)

@@ -47,14 +47,17 @@ class Image:
         return str(self.fields.port)
 
     def is_whole(self) -> bool:
+        """Whether the content has the hash that its page names."""
         return bytes(self.fields.hash.tolist()) == digest(self.content)
 
     def is_signed(self, key: bytes) -> bool:
+        """Whether the page is signed by the holder of this public key."""
         signed = self.page[_HEADER : _HEADER + wire.wire.IMAGE_SIGNED]
         return bool(monocypher.signature_check(bytes(self.fields.signature.tolist()), key, signed))
 
 
 def digest(content: bytes) -> bytes:
+    """BLAKE2b-256 of the content, 32 bytes."""
     return hashlib.blake2b(content, digest_size=_HASH).digest()
 
 
@@ -68,12 +71,14 @@ def text_of(version: Version) -> str:
 
 
 def place_of(port: str, axes: int) -> str:
-    """What an image for a board with so many axes calls it: one for three would leave the fourth motor alone."""
+    """The name that images for this port carry where the board has so many axes: with "-AXES" behind it below four, as
+    an image for three would leave the fourth motor alone."""
     return port if axes == _AXES_MOST else f"{port}-{axes}"
 
 
 def pack(content: bytes, port: str, version: Version, slot: int, sign: Callable[[bytes], bytes]) -> bytes:
-    """One image of an update file; `sign` gives the 64-byte signature of what is signed."""
+    """One image of an update file: its page, then the content padded to whole pages. slot: 0, 1 or ANY_SLOT; `sign`
+    gives the 64-byte signature of what is signed."""
     content += b"\xff" * (-len(content) % PAGE)
     known: dict[str, Any] = {
         "format": _FORMAT,
@@ -115,7 +120,7 @@ def read(path: Path) -> list[Image]:
 
 
 def _for_another(path: Path, images: Sequence[Image], port: str, axes: int) -> None:
-    """TautError where an image is not for this board, or for another number of its axes."""
+    """TautError where an image is not for this board's port, or for another number of its axes."""
     place = place_of(port, axes)
     others = {image.port for image in images} - {place}
     fewer = {place_of(port, count): count for count in range(1, _AXES_MOST + 1)}
@@ -127,8 +132,8 @@ def _for_another(path: Path, images: Sequence[Image], port: str, axes: int) -> N
 
 
 def check(path: Path, images: Sequence[Image], identity: wire.Message, runs: wire.Message, older_too: bool) -> Image:
-    """The image that a board would take; TautError where it would refuse all. identity, runs: what it says of
-    itself and of the firmware that it runs."""
+    """The image that a board would take; TautError where it would refuse all. identity, runs: what it says of itself
+    and of the firmware that it runs; older_too: an older version than that will do."""
     if runs.slot == ANY_SLOT and runs.refused == wire.code("UPDATES", "NO_SLOT"):
         raise TautError(wire.text("UPDATES", runs.refused))
     _for_another(path, images, str(identity.port), int(identity.axes))
@@ -143,7 +148,7 @@ def check(path: Path, images: Sequence[Image], identity: wire.Message, runs: wir
             f"{path}: is not signed with the key that this board trusts ({key.hex()[:8]}...): get a file from whoever "
             "built its firmware, or flash it as the first time"
         )
-    free = 1 if runs.slot == 0 else 0
+    free = 1 if runs.slot == 0 else 0  # an update goes to the slot that does not run
     fits = [image for image in images if image.fields.slot in (free, ANY_SLOT)]
     if not fits:
         raise TautError(f"{path}: {wire.text('UPDATES', wire.code('UPDATES', 'LINKED'))}")

@@ -43,6 +43,7 @@ def busy(where: str) -> str:
 
 
 def _program() -> str:
+    """This program as its user called it: 'taut COMMAND', else the script's name."""
     name = Path(sys.argv[0]).name or "python"
     return f"taut {sys.argv[1]}" if name == "taut" and len(sys.argv) > 1 else name
 

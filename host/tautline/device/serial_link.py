@@ -72,7 +72,7 @@ class SerialLink:
             raise self._gone() from error
 
     def read(self, timeout_s: float) -> bytes:
-        """The bytes that come within the time."""
+        """The bytes that come, waiting for the first at most this long; b"" where none does."""
         try:
             self._port.timeout = max(timeout_s, 0.0)
             first = self._port.read(1)
@@ -84,9 +84,11 @@ class SerialLink:
             raise self._gone() from error
 
     def tables(self, axis: int) -> None:
+        """None: tables travel in messages."""
         return None
 
     def bus(self) -> dict[str, Any]:
+        """Empty: a board, no motors on a bus of their own."""
         return {}
 
     def close(self) -> None:
@@ -139,7 +141,8 @@ def _is_here(host: str) -> bool:
 
 
 def find_serial(where: str) -> list[BoardAddress]:
-    """The board on a serial line, if it answers a hello; else none."""
+    """The board on a serial line, marked busy where another program has it. TautError where the line cannot be opened,
+    or nothing on it answers a hello."""
     busy = BoardAddress(where, None, True, (wire.wire.MAJOR, wire.wire.MINOR), lambda: _refuse(where))
     try:
         link = SerialLink(where)
@@ -162,11 +165,12 @@ def find_serial(where: str) -> list[BoardAddress]:
 
 
 def _refuse(where: str) -> SerialLink:
+    """In place of opening a board that is in use: raises the error that says so."""
     raise _busy(where)
 
 
 def _identity(link: SerialLink) -> wire.Message | None:
-    """The identity that a board on this line answers; None where nobody does."""
+    """The identity that a board on this line sends within _ASK_S; None where nobody does."""
     decoder = wire.Decoder()
     deadline = time.monotonic() + _ASK_S
     while (left := deadline - time.monotonic()) > 0.0:

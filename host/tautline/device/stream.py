@@ -12,7 +12,7 @@ from tautline.live.following import FULL
 
 _LEAD_US = 8_000  # a set-point holds so long after it was sent: the board moves there in a straight line
 _ALIGN_S = 0.25
-_DEG = 65536.0
+_DEG = 65536.0  # of set_point's value, 1/65536 deg
 
 
 class SetPointStream:
@@ -31,6 +31,7 @@ class SetPointStream:
         self._next = self._began = self._ended = self._last = self._aligned = 0.0
 
     def __enter__(self) -> SetPointStream:
+        """Aligns the clocks, switches the motor on and makes the axis follow; time for `pace` begins."""
         self._board.align(16)
         self._board.refused.clear()
         self._board.switch_on(self._axis)
@@ -40,12 +41,15 @@ class SetPointStream:
         return self
 
     def _follow(self) -> None:
+        """Makes the axis follow set-points of the tip, fully compensated."""
         silence_us = round(self._silence_s * 1e6)
         self._board.ask("follow", axis=self._axis, target=1, compensation=FULL, silence_us=silence_us)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        """Brings the axis to rest and switches it off, waiting 2 s at most. TautError for a fault, unless the block has
+        failed already."""
         self._ended = time.monotonic()
         self._board.ask("enable", axis=self._axis, on=0)
         while self._board.status(self._axis).mode != wire.code("MODES", "OFF") and time.monotonic() < self._ended + 2.0:
@@ -57,6 +61,7 @@ class SetPointStream:
         """Sends a set-point, deg. False where nothing was sent, as the axis is still coming to rest after a silence:
         send again."""
         now = time.monotonic()
+        # 0.9: by the time it arrives the board may have come to rest.
         if now - self._last > 0.9 * self._silence_s and not self._resume():
             return False
         at_us = self._board.clock.board_us(now) + _LEAD_US
@@ -66,7 +71,8 @@ class SetPointStream:
         return True
 
     def _resume(self) -> bool:
-        """After a silence, makes the axis follow again from where it is, within its limits."""
+        """After a silence, makes the axis follow again from where it is, within its limits. Whether it takes
+        set-points: False while it is still coming to rest."""
         mode = self._board.status(self._axis).mode
         if mode == wire.code("MODES", "HOLD"):
             self._follow()
@@ -95,14 +101,17 @@ class SetPointStream:
 
     @property
     def seconds(self) -> float:
+        """How long the block lasted, or has lasted so far, s."""
         return (self._ended or time.monotonic()) - self._began
 
     @property
     def rate_hz(self) -> float:
+        """Set-points sent per second, on the mean."""
         return self.sent / max(self.seconds, 1e-9)
 
     @property
     def refused(self) -> int:
+        """How many messages the board has refused."""
         return len(self._board.refused)
 
     def summary(self) -> dict[str, Any]:

@@ -72,7 +72,8 @@ def send(
 
 
 def finish(sent: Sent) -> Updated:
-    """Waits until the board is back and its firmware is confirmed."""
+    """Waits until the board is back and its firmware is confirmed. TautError where it runs the old one again, or has
+    not come back after _BACK_S."""
     deadline = time.monotonic() + _BACK_S
     trial = wire.code("FIRMWARES", "TRIAL")
     while True:

@@ -41,18 +41,22 @@ class UsbLink:
             self.device.write(_OUT, data, timeout=_WRITE_MS)
 
     def read(self, timeout_s: float) -> bytes:
+        """What came, b"" where nothing did within the time."""
         with self._errors():
             try:
+                # A time-out of 0 ms would wait for ever.
                 return bytes(self.device.read(_IN, _READ_BYTES, timeout=max(round(timeout_s * 1000), 1)))
             except usb.core.USBTimeoutError:
                 return b""
 
     @contextlib.contextmanager
     def tables(self, axis: int) -> Iterator[Dfu]:
+        """Inside, the DFU setting of an axis' table; the one after the last axis' is that of the firmware."""
         with self._errors(), Dfu(self.device, _TABLES, axis) as dfu:
             yield dfu
 
     def bus(self) -> dict[str, Any]:
+        """Empty: a board, no motors on a bus of their own."""
         return {}
 
     def close(self) -> None:
@@ -61,6 +65,7 @@ class UsbLink:
 
     @contextlib.contextmanager
     def _errors(self) -> Iterator[None]:
+        """Inside, a USB error becomes a TautError with its remedy."""
         try:
             yield
         except usb.core.USBError as error:
@@ -81,12 +86,13 @@ class UsbLink:
 
 
 def _found(device: usb.core.Device, where: str, serial: str | None, busy: bool) -> BoardAddress:
+    """The address of a device that was found; its bcdDevice is the protocol it speaks, major and minor."""
     protocol = (device.bcdDevice >> 8, device.bcdDevice & 0xFF)
     return BoardAddress(where, serial, busy, protocol, lambda: UsbLink(device, where))
 
 
 def find_usb() -> list[BoardAddress]:
-    """Boards on this machine's USB."""
+    """Boards on this machine's USB, those that cannot be opened marked busy; none where libusb is missing."""
     backend = libusb_package.get_libusb1_backend()
     if backend is None:
         return []
@@ -103,7 +109,7 @@ def find_usb() -> list[BoardAddress]:
 
 
 def find_usbip(where: str) -> list[BoardAddress]:
-    """Boards that a USB/IP server exports."""
+    """Boards that a USB/IP server exports, those that another host has marked busy."""
     address = where.split(":")
     if len(address) != 3 or not address[2].isdigit():
         raise TautError(f"--board {where}: expected usbip:HOST:PORT, such as usbip:127.0.0.1:3240")
@@ -113,14 +119,14 @@ def find_usbip(where: str) -> list[BoardAddress]:
         raise TautError(f"{where}: {error.strerror}: start the board, or name another with --board") from error
     boards = []
     for device in devices:
-        busy = device.iSerialNumber == 0
+        busy = device.iSerialNumber == 0  # one that is in use is not asked: the server's list has no names
         boards.append(_found(device, where, None if busy else device.serial_number, busy))
         usb.util.dispose_resources(device)
     return boards
 
 
 def named() -> str | None:
-    """The board that the environment names."""
+    """The board that the environment variable TAUTLINE_BOARD names, None where it is not set."""
     return os.environ.get(ENVIRONMENT)
 
 

@@ -47,6 +47,7 @@ class Exported:
 
     @property
     def devid(self) -> int:
+        """The device as requests name it: bus in the upper 16 bits, device number in the lower."""
         return self.bus << 16 | self.device
 
     @classmethod
@@ -69,6 +70,7 @@ def _receive(sock: socket.socket, size: int) -> bytes:
 
 
 def _connect(host: str, port: int) -> socket.socket:
+    """A socket to the server, _CONNECT_S for connecting and for each call. ENODEV where none answers."""
     try:
         sock = socket.create_connection((host, port), timeout=_CONNECT_S)
     except OSError as error:
@@ -170,7 +172,8 @@ class Connection:
         self._socket.close()
 
     def submit(self, endpoint: int, data: bytes | None, length: int = 0, setup: bytes = b"") -> Urb:
-        """Starts a transfer: sends `data`, or receives up to `length` bytes if it is None. setup: of endpoint 0."""
+        """Starts a transfer: sends `data`, or receives up to `length` bytes if it is None. setup: the 8-byte set-up
+        packet of a control transfer, on endpoint 0."""
         reading = data is None
         size = length if data is None else len(data)
         with self._changed:
@@ -223,8 +226,8 @@ class Connection:
         return True
 
     def transfer(self, endpoint: int, data: bytes | None, length: int, setup: bytes, timeout_ms: int) -> Urb:
-        """One whole transfer; OSError where it fails. timeout_ms 0 waits for ever. Bytes that came before a time-out
-        count."""
+        """One whole transfer of `data`, or of up to `length` bytes to the host if it is None; OSError where it fails.
+        timeout_ms 0 waits for ever. Bytes that came before a time-out count."""
         urb = self.submit(endpoint, data, length, setup)
         try:
             done = self.wait(urb, timeout_ms / 1000.0 if timeout_ms > 0 else None)
@@ -284,6 +287,7 @@ class Connection:
                 return
 
     def _finish(self, urb: Urb, status: int) -> Urb:
+        """Ends a transfer that was under way; status: 0, or a negative errno as Linux gives it."""
         urb.status = status
         self._pending.pop(urb.seqnum, None)
         return urb

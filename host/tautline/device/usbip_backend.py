@@ -25,6 +25,7 @@ class _Descriptor:
     """The fields of a standard descriptor under their names in the USB specification."""
 
     def __init__(self, names: str, layout: str, raw: bytes) -> None:
+        """names: the fields in order; layout: their types as `struct` names them, little-endian."""
         for name, value in zip(names.split(), struct.unpack_from("<" + layout, raw), strict=True):
             setattr(self, name, value)
         self.extra_descriptors = b""
@@ -35,6 +36,7 @@ class _Descriptor:
 
 
 def _device(raw: bytes) -> _Descriptor:
+    """A device descriptor, of 18 bytes."""
     names = (
         "bLength bDescriptorType bcdUSB bDeviceClass bDeviceSubClass bDeviceProtocol bMaxPacketSize0 "
         "idVendor idProduct bcdDevice iManufacturer iProduct iSerialNumber bNumConfigurations"
@@ -65,7 +67,7 @@ def _configuration(raw: bytes) -> _Descriptor:
             names = (
                 "bLength bDescriptorType bEndpointAddress bmAttributes wMaxPacketSize bInterval bRefresh bSynchAddress"
             )
-            endpoint = _Descriptor(names, "BBBBHBBB", part.ljust(9, b"\0"))
+            endpoint = _Descriptor(names, "BBBBHBBB", part.ljust(9, b"\0"))  # the last two are of audio devices alone
             owner.children.append(endpoint)
         else:
             owner.extra_descriptors += part
@@ -108,6 +110,7 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
         return dev.descriptor
 
     def get_configuration_descriptor(self, dev: _Device, config: int) -> _Descriptor:
+        """The configuration of this index; IndexError where there is none."""
         if config not in dev.configurations:
             self._read_descriptors(dev)
         try:
@@ -193,7 +196,7 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
         return dev_handle.configuration
 
     def set_interface_altsetting(self, dev_handle: _Handle, intf: int, altsetting: int) -> None:
-        self._control_out(dev_handle, 0x01, _SET_INTERFACE, altsetting, intf)
+        self._control_out(dev_handle, 0x01, _SET_INTERFACE, altsetting, intf)  # 0x01: to an interface
 
     def claim_interface(self, dev_handle: _Handle, intf: int) -> None:
         """Nothing to claim, as an imported device has one host; fails where it is gone."""
@@ -204,10 +207,12 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
         self.claim_interface(dev_handle, intf)
 
     def bulk_write(self, dev_handle: _Handle, ep: int, intf: int, data: array.array[int], timeout: int) -> int:
+        """Sends data to an endpoint; returns the number of bytes. timeout: ms, 0 waits for ever."""
         with _usb_errors():
             return dev_handle.connection.transfer(ep, data.tobytes(), 0, b"", timeout).actual
 
     def bulk_read(self, dev_handle: _Handle, ep: int, intf: int, buff: array.array[int], timeout: int) -> int:
+        """Receives into `buff` from an endpoint; returns the number of bytes. timeout: ms, 0 waits for ever."""
         with _usb_errors():
             urb = dev_handle.connection.transfer(ep, None, len(buff) * buff.itemsize, b"", timeout)
         memoryview(buff).cast("B")[: len(urb.data)] = urb.data
@@ -237,14 +242,16 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
         return urb.actual
 
     def _control_in(self, handle: _Handle, kind: int, request: int, value: int, index: int, length: int) -> bytes:
+        """What a control transfer reads, `length` bytes at most. kind: bmRequestType."""
         data = array.array("B", bytes(length))
         return data[: self.ctrl_transfer(handle, kind, request, value, index, data, _CONTROL_MS)].tobytes()
 
     def _control_out(self, handle: _Handle, kind: int, request: int, value: int, index: int) -> None:
+        """A control transfer without data. kind: bmRequestType."""
         self.ctrl_transfer(handle, kind, request, value, index, array.array("B"), _CONTROL_MS)
 
     def clear_halt(self, dev_handle: _Handle, ep: int) -> None:
-        self._control_out(dev_handle, 0x02, _CLEAR_FEATURE, 0, ep)
+        self._control_out(dev_handle, 0x02, _CLEAR_FEATURE, 0, ep)  # 0x02: to an endpoint; 0: its halt
 
     def reset_device(self, dev_handle: _Handle) -> None:
         """Releases the device and imports it again, which resets it: USB/IP has no port reset."""
@@ -255,6 +262,7 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
         self.set_configuration(dev_handle, dev_handle.configuration)
 
     def is_kernel_driver_active(self, dev_handle: _Handle, intf: int) -> bool:
+        """False: an imported device is this process' own, no driver of the system has it."""
         return False
 
 

@@ -28,6 +28,8 @@ class _Field:
 
     @classmethod
     def of(cls, raw: str, kind: str, count: int) -> _Field:
+        """raw: the field's name in tl_wire.h, a suffix _qN being a scale of 2**N; kind: its type; count: numbers of an
+        array, else 1."""
         match = _SCALE.search(raw)
         zero: Any = "" if kind == "text" else 0 if count == 1 else (0,) * count
         return cls(raw, _SCALE.sub("", raw), 1 << int(match[1]) if match else 0, zero)
@@ -47,6 +49,7 @@ class Message:
     values: Mapping[str, Any]
 
     def __getattr__(self, name: str) -> Any:
+        """A field of the message as an attribute."""
         try:
             return self.values[name]
         except KeyError:
@@ -77,9 +80,11 @@ class Decoder:
 
     @property
     def bytes_bad(self) -> int:
+        """Bytes so far that belong to no whole frame."""
         return int(self._parser.bytes_bad)
 
     def feed(self, data: bytes) -> Iterator[Message]:
+        """The messages that these bytes complete; an incomplete frame waits for the next ones."""
         for name, _, sequence, fields in self._parser.feed(data):
             if name is None or fields is None:
                 self.unknown += 1
@@ -88,6 +93,8 @@ class Decoder:
 
     @staticmethod
     def _value(raw: Any, scale: int) -> Any:
+        """A field's value over its scale of 2**Q, a float; an integer as it is where the scale is 0. Arrays become
+        (n,)."""
         if not scale:
             return np.array(raw) if isinstance(raw, tuple) else raw
         return np.array(raw) / scale if isinstance(raw, tuple) else raw / scale
@@ -117,12 +124,13 @@ def fault(status: Message) -> str:
 
 
 def fault_text(number: int, value: int) -> str:
-    """A fault's text with the measured value in its brackets."""
+    """A fault's text with the measured value in its brackets: "(mA)" becomes "(350 mA)"."""
     says = text("FAULTS", number)
     return _MEASURED.sub(lambda found: f"({found[1] or ''}{value}{found[2] or ' '}{found[3]})", says, 1)
 
 
 def flags(number: int) -> list[str]:
+    """The names, in lower case, of the flags (TL_WIRE_FLAGS) that are set in a number."""
     return [name.lower() for name, (bit, _) in wire.FLAGS.items() if number & bit]
 
 

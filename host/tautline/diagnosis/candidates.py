@@ -41,6 +41,7 @@ class Candidate:
 
     @property
     def ids(self) -> tuple[str, ...]:
+        """Of its effects, in the order in which they were added; () is the nominal model alone."""
         return tuple(kind.id for kind in self.fit.hypothesis.kinds)
 
     @property
@@ -59,19 +60,21 @@ class Candidate:
 
     @property
     def has_path(self) -> bool:
-        """Whether the prediction follows every effect of this hypothesis: events (jitter, stick-slip) only by their
-        mean."""
+        """Whether the prediction follows every effect of this hypothesis. An event (jitter, stick-slip) has no path of
+        its own; it is followed only where its mean effect is among the fitted values."""
         events = [kind.event for kind in self.fit.hypothesis.kinds if kind.event]
         return all(event.mean in self.fit.state.values for event in events)
 
     @property
     def follows(self) -> bool:
-        """Whether the prediction follows at least one effect of this hypothesis."""
+        """Whether the prediction follows at least one effect of this hypothesis: one that is no event, or an event
+        whose mean effect was fitted."""
         kinds, values = self.fit.hypothesis.kinds, self.fit.state.values
         return any(not kind.event or kind.event.mean in values for kind in kinds)
 
     def of(self, state: ParameterState, left: list[Array]) -> Candidate:
-        """The same effects on the nominal model and registration of `state`, where the residuals are `left`."""
+        """The same effects on the nominal model and registration of `state`. left: the residuals there, (scored, k) of
+        each recording; `power` stays as it was."""
         own = replace(self.fit.state, model=state.model, static=state.static)
         return replace(self, fit=replace(self.fit, state=own), left=left)
 
@@ -129,8 +132,9 @@ class Search:
         return Candidate(fit, left, self.power(left), self.beyond(fit), wanders=wanders)
 
     def beyond(self, fit: Fit, further: Sequence[Kind] = ()) -> Beyond | None:
-        """Mean square of each block that no law of the stages of the fit's effects and of `further` could leave, and
-        how many independent numbers it is of; None where they could leave anything."""
+        """Mean square of each block that no law of the stages of the fit's effects and of `further` could leave,
+        residuals cut to _NOISE noise floors, and how many independent numbers it is of; None where these stages could
+        leave anything."""
         left = confined.residuals(self.fitter, fit, further)
         if left is None:
             return None
@@ -141,7 +145,8 @@ class Search:
         return Beyond(self._power(left, [_NOISE * self.fitter.floor] * len(left)), np.concatenate(count).astype(float))
 
     def power(self, residuals: Sequence[Array]) -> Array:
-        """(blocks,) mean squares, block after block and recording after recording."""
+        """(blocks,) mean squares of a coordinate, px^2 or deg^2, block after block and recording after recording.
+        residuals: (scored, k) of each recording, cut to `limits`."""
         return self._power(residuals, self.limits)
 
     def _power(self, residuals: Sequence[Array], limits: Sequence[float]) -> Array:
@@ -291,5 +296,5 @@ def applicable(fitter: Fitter, left_out: Collection[str] = ()) -> list[Kind]:
 
 def outlier_limits(fitter: Fitter, base: Fit) -> list[float]:
     """For each recording the magnitude to which residuals are cut, the same for all hypotheses that are compared, px or
-    deg."""
+    deg. At least 8 noise floors: noise is never cut."""
     return [max(outlier_limit(r), 8.0 * fitter.floor) for r in base.residuals]

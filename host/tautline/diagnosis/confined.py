@@ -31,10 +31,9 @@ _TRAVELS = (0.003, 0.01, 0.03)  # prior: of the motor's range, in which an instr
 
 
 def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Array] | None:
-    """For each recording (scored, 1 or 2), px: the residual's part that no law of the effects' stages could leave, each
-    stage's freedom fitted and the rest projected across it. None where the stages could leave anything (no camera, no
-    effect, or both angle and time are free). further: effects whose freedom is allowed besides, without fitting them.
-    """
+    """For each recording, px: the residual's part that no law of the effects' stages could leave, each stage's freedom
+    fitted; (scored, 2), or (scored, 1) across the image motion that a free angle or time causes. None where they could
+    leave anything (no camera, no effect, angle and time both free). further: effects allowed besides, not fitted."""
     kinds = (*fit.hypothesis.kinds, *further)
     if not fitter.px or not kinds:
         return None
@@ -98,6 +97,7 @@ def _plane(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
     low, high = min(float(c.min()) for c in angles), max(float(c.max()) for c in angles)
     columns = []
     for segment, row, c in zip(fitter.segments, rows, angles, strict=True):
+        # px per mm that the registration is shifted along x, y and z, (n, 2) each
         x, y, z = np.moveaxis(row.columns[:, :, STATIC_COLUMNS], 2, 0)[3:6]
         roll = row.path.rotation_deg
         turned = np.zeros(len(c)) if roll is None else np.radians(roll[segment.scored])

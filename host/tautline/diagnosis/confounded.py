@@ -24,13 +24,15 @@ _PLACES = 12  # tolerance: over which what a motion does to its own load is aver
 
 
 def hidden(kinds: Sequence[Kind], segments: Sequence[Segment]) -> dict[str, str]:
-    """Effects that need not be tried, each with the one that stands for it: what is recorded before what is not."""
+    """{id of an effect that need not be tried: id of the one that stands for it}: drift by load dependence, where the
+    load, which is recorded, changes once as time does; else {}."""
     both = {LOAD, DRIFT} <= {kind.id for kind in kinds}
     return {DRIFT: LOAD} if both and load_goes_with_time(segments) else {}
 
 
 def load_tells_apart(segments: Sequence[Segment]) -> bool:
-    """Whether a measured load tells recordings apart: an offset, width or law of each could follow all that it does."""
+    """Whether the recordings' median loads differ by clearly more than the load scatters within one: then an offset,
+    width or law of each recording could follow all that the load does. False where one has no load."""
     loads = [segment.motor.load_mNm for segment in segments]
     if any(load is None for load in loads):
         return False
@@ -40,8 +42,8 @@ def load_tells_apart(segments: Sequence[Segment]) -> bool:
 
 
 def add_hidden(document: dict[str, Any], hidden: Mapping[str, str]) -> None:
-    """Writes the hidden effects into a diagnosis.json, as ambiguous with those that stand for them. hidden: as `hidden`
-    gives it."""
+    """Writes the hidden effects into a diagnosis.json, as ambiguous with those that stand for them, which give them a
+    share _HIDDEN of their probability. hidden: as `hidden` gives it."""
     for name, shown in hidden.items():
         for effect in document["effects"]:
             if effect["id"] == shown:
@@ -56,7 +58,8 @@ def add_hidden(document: dict[str, Any], hidden: Mapping[str, str]) -> None:
 
 def load_goes_with_time(segments: Sequence[Segment]) -> bool:
     """Whether every recording has one of two load levels and the load changes once between them: then load and time
-    cannot be told apart. What the load does in step with the motor's motion is not counted as a change."""
+    cannot be told apart. What the load does in step with the motor's motion is not counted as a change. False where
+    a recording has no load."""
     levels, within = [], []
     for segment in segments:
         load = segment.motor.load_mNm
@@ -81,8 +84,9 @@ def _load_spread_beside_motion(segment: Segment, load: np.ndarray) -> float:
     q = np.interp(t, segment.motor.t_s, segment.motor.q)
     way = np.sign(np.gradient(q)) if len(q) > 1 else np.zeros_like(q)
     edges = np.linspace(q.min(), q.max() + 1e-12, _PLACES + 1)
+    # A number for each of _PLACES places and three directions: -1, 0, 1.
     cell = (np.searchsorted(edges, q, side="right") - 1) * 3 + way.astype(int) + 1
     mean = np.bincount(cell, load) / np.maximum(np.bincount(cell), 1)
     left = load - mean[cell]
-    slow = max(1, int(0.5 / max(float(np.median(np.diff(t))), 1e-3))) if len(t) > 2 else 1
+    slow = max(1, int(0.5 / max(float(np.median(np.diff(t))), 1e-3))) if len(t) > 2 else 1  # frames in 0.5 s
     return float(np.std(np.convolve(left, np.ones(slow) / slow, mode="same")))

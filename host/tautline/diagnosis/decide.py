@@ -45,6 +45,7 @@ class Decision:
 
     @property
     def name(self) -> str:
+        """Whichever is likeliest: "none", "unknown" or "effect" (any known one)."""
         return max((self.none, "none"), (self.unknown, "unknown"), (sum(self.leading.values()), "effect"))[1]
 
     @property
@@ -159,8 +160,9 @@ def _posterior(weights: Likelihoods) -> Array:
 
 
 def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]], by: Learnt | None = None) -> Decision:
-    """The verdict with these parts of the nominal model (ids and shares) named as the cause, as recalibrating closed
-    the gap. The rest of the probability of unknown stays: they may imitate an unknown effect."""
+    """The verdict with parts of the nominal model as the cause, as recalibrating closed the gap: those are named whose
+    share is at least MOVED. parts: ids and shares of what was closed. Of the probability of unknown a learnt share
+    stays: they may imitate an unknown effect."""
     certain = 1.0 - (by or learnt()).center.mimics
     told = certain * verdict.unknown
     leading = dict(verdict.leading)
@@ -186,6 +188,7 @@ def that_help(evidence: CaseEvidence, verdict: Decision) -> Decision:
     ids = [h.ids for h in evidence.hypotheses]
 
     def least(names: Sequence[str]) -> int:
+        """Index of the hypothesis of just these effects that leaves the least power; 0, no effect, where none is."""
         same = [i for i, own in enumerate(ids) if set(own) == set(names)]
         return min(same, key=lambda i: float(np.mean(evidence.hypotheses[i].power)), default=0)
 
@@ -221,5 +224,6 @@ def wanders(evidence: CaseEvidence) -> list[bool]:
 
 
 def is_open(evidence: CaseEvidence, power: Array | float) -> bool:
-    """Whether a fit leaves more than the noise and what a nominal model may leave of it."""
+    """Whether a fit leaves more than the noise and the little that a nominal model leaves where nothing is wrong.
+    power: its mean squares, px^2 or deg^2, one or (blocks,)."""
     return float(np.mean(power)) > (1.0 + learnt().center.calibration_excess) * evidence.floor**2

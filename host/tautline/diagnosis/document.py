@@ -49,23 +49,27 @@ class Found:
 
     @property
     def tests(self) -> Sequence[Segment]:
+        """The recordings after the calibration."""
         return self.segments[1:]
 
     @property
     def before(self) -> Sequence[Array]:
+        """Residuals of the tests by the calibrated model as it is, (scored, k) each."""
         return self.frozen[1:]
 
     @property
     def named(self) -> tuple[str, ...]:
+        """Ids of the named effects, the leading one first; () unless the verdict is an effect."""
         return self.verdict.named if self.verdict.name == "effect" else ()
 
     @property
     def after(self) -> Sequence[Array]:
-        """Without an effect nothing is added."""
+        """Held-out residuals of the tests with what is named, (scored, k) each; `before` where nothing is named."""
         return self.chosen.left[1:] if self.named else self.before
 
     @property
     def floor(self) -> float:
+        """One standard deviation of the noise of a coordinate, px or deg."""
         return self.fitter.floor
 
     @cached_property
@@ -80,6 +84,7 @@ class Found:
 
     @cached_property
     def next_motion(self) -> motion.NextMotion | None:
+        """The motion that best tells the likeliest effects apart; None where fewer than two of them have a path."""
         return motion.best(self.fitter, _fits_to_tell_apart(self.gathered, self.verdict))
 
     @cached_property

@@ -29,8 +29,9 @@ def is_law(ids: Sequence[str]) -> bool:
 
 
 def likelier(left: Sequence[Array], others: Sequence[Array], limits: Sequence[float], noise: float) -> float:
-    """Log-likelihood ratio of Gaussian noise: what another hypothesis leaves of held-out blocks against what a law
-    leaves. left, others: (scored, k) of each recording; limits: beyond these a frame is an outlier."""
+    """Log-likelihood ratio of Gaussian noise, above 0 where another hypothesis leaves less of held-out blocks
+    (`others`) than a law does (`left`): (scored, k) of each recording, px or deg, cut to its one of `limits`. noise:
+    one standard deviation of a coordinate."""
     more = [
         np.sum(np.square(np.clip(own, -limit, limit)) - np.square(np.clip(other, -limit, limit)), axis=1)
         for own, other, limit in zip(left, others, limits, strict=True)
@@ -42,7 +43,7 @@ def likelier(left: Sequence[Array], others: Sequence[Array], limits: Sequence[fl
 
 
 def chance(likelier_than_law: Sequence[float]) -> float:
-    """Probability that the best of so many other hypotheses is so much likelier though the law is right.
-    likelier_than_law: of each, a logarithm."""
+    """Probability that the best of so many other hypotheses is so much likelier though the law is right; 1 where none
+    is likelier. likelier_than_law: of each, the logarithm that `likelier` gives."""
     surest = max(likelier_than_law, default=0.0)
     return min(1.0, len(likelier_than_law) * float(np.exp(-max(surest, 0.0)))) if surest > 0.0 else 1.0

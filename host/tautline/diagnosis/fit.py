@@ -86,7 +86,8 @@ class Fitter:
     def __init__(
         self, model: Model, segments: Sequence[Segment], load_reference: float = 0.0, *, smooth: bool = False
     ) -> None:
-        """smooth: one play, and without what of the model's curves the corrections' splines cannot follow."""
+        """load_reference: mNm at which the model's tables hold. smooth: the model with one play, and without what of
+        its curves the corrections' splines cannot follow."""
         self.segments, self.load_reference = list(segments), load_reference
         self.px = segments[0].unit == "px"
         self.delayed = segments[0].sensor == model.sensor  # the model has a delay of its own for what is observed
@@ -99,6 +100,7 @@ class Fitter:
         span = model.rig.actuator.span
         gain = abs(model.rig.coarse.gain)
         # Priors keep what the motion does not excite where calibration left it.
+        # Standard deviations: of B's coefficients, unit of q, of f_remain's, deg, and of factors on their details.
         prior = [np.full(curves.width.size, 0.03 * span), np.full(curves.follow.size, 0.1 * gain * span), np.ones(2)]
         # What the splines cannot follow: an effect that was there during calibration left its ripple in it.
         self._details = tuple(
@@ -106,8 +108,8 @@ class Fitter:
             for basis, values in ((curves.width, model.width), (curves.follow, model.c_deg))
         )
         if self.px:
-            prior += [np.full(3, 3.0), np.full(3, 2.0)]
-        self._prior = np.concatenate([*prior, np.full(1, 0.02)])
+            prior += [np.full(3, 3.0), np.full(3, 2.0)]  # of the registration, deg and mm
+        self._prior = np.concatenate([*prior, np.full(1, 0.02)])  # and of the delay, s
         self.from_start = all(s.drive is None for s in segments)  # else: a simulator has none of the library's effects
         if not self.from_start:
             self._prior *= _KNOWN
@@ -119,7 +121,7 @@ class Fitter:
         self.unsteady = 0.0  # its standard deviation between blocks
         # What begins outside of the angles that were reached would be another gain and offset.
         ends = np.sort(model.remaining(np.array([low, high])))
-        inset = 0.05 * float(ends[1] - ends[0])
+        inset = 0.05 * float(ends[1] - ends[0])  # prior: share of the angles that were reached
         self._reached = (float(ends[0]) + inset, float(ends[1]) - inset)
 
     @property
@@ -147,10 +149,12 @@ class Fitter:
         return np.array([i for part in parts for i in of[part]], dtype=np.int64)
 
     def scale(self, parameter: Parameter) -> float:
-        """A parameter's natural step in its own unit."""
+        """A change of a parameter that a user would notice, in its own unit; the motor's, where the parameter declares
+        it as a share of the motor's range."""
         return parameter.scale * (self.model.rig.actuator.span if parameter.unit.startswith("unit") else 1.0)
 
     def start(self) -> ParameterState:
+        """The calibrated model without effects, its registration (with a camera) as it is."""
         return ParameterState(self.model, dict.fromkeys(STATIC_NAMES, 0.0) if self.px else {})
 
     def residuals(self, state: ParameterState, hypothesis: Hypothesis) -> list[Array]:
@@ -162,8 +166,8 @@ class Fitter:
         return per_segment
 
     def across(self, fit: Fit) -> list[Array] | None:
-        """Of what a fit leaves, (scored, 1) across the way that the image goes as the tip bends; None without an
-        image."""
+        """For each recording the part of a fit's residuals, (scored, 1) px, across the way that the image goes as the
+        tip bends; None without a camera."""
         if not self.px:
             return None
         left = []
@@ -186,6 +190,8 @@ class Fitter:
         ]
 
     def _shown(self, segment: Segment, model: Model, parameters: Mapping[str, Any]) -> _Shown:
+        """One recording simulated with these parameters. Without a camera the sensor shows the angle itself: by_c is 1
+        and by_static is empty."""
         path = segment.follow(model, parameters, self.load_reference)
         model = effects.tabled(model, parameters)
         if self.px:
@@ -197,6 +203,7 @@ class Fitter:
         return _Shown(parameters, path, model, seen, by_c, by_static, residual)
 
     def rows_of(self, state: ParameterState, shown: Sequence[_Shown]) -> list[ScoredRows]:
+        """`rows`, where `shown` is simulated at that state already."""
         slope_b = np.gradient(state.model.width, state.model.q)
         slope_f = np.gradient(state.model.c_deg, state.model.q)
         return [
@@ -243,8 +250,8 @@ class Fitter:
         return total
 
     def left(self, rows: Sequence[Rows]) -> list[Array]:
-        """The residual of each recording after an unlimited linear least-squares step of the nominal's unknowns,
-        (scored, k)."""
+        """The residual of each recording, (scored, k), after a linear least-squares step of the nominal's unknowns that
+        no prior holds back."""
         parts = [self.normal(row) for row in rows]
         matrix = np.asarray(sum(part.matrix for part in parts))
         scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-12 * float(np.diag(matrix).max())))
@@ -288,6 +295,7 @@ class Fitter:
         """Precision of the bending of a curve with `size` cubic B-spline coefficients, as for a correction of B or
         f_remain."""
         actuator = self.model.rig.actuator
+        # Second differences of the same curve go with the square of the knots' distance.
         share = _ROUGH * actuator.span * ((_REMAINING_PIECES + 3) / size) ** 2
         by_unit = 1.0 if coefficient.unit == "unit" else abs(self.model.rig.coarse.gain)
         return np.asarray(Basis(*actuator.range, size - 3).bending / (share * by_unit) ** 2)
@@ -370,6 +378,7 @@ class Fitter:
 
     @cached_property
     def _coarse(self) -> Fitter:
+        """As `coarse`, built once; this fitter itself where it has hardly more observations."""
         stride = round(sum(int(s.scored.sum()) for s in self.segments) / _COARSE_FRAMES)
         if stride < 2:
             return self
@@ -464,13 +473,17 @@ class _Descent:
         return _Point(state, self.fitter.shown(state, self.hypothesis))
 
     def cost(self, point: _Point) -> float:
+        """Huber's cost by the limits of the last linearisation, and the prior of effects that are curves; the other
+        priors hold back a step alone."""
         values = self._values(point.state)
         return _huber_cost(point.residuals, self.limits) + float(values @ self.curve_precision @ values)
 
     def _values(self, state: ParameterState) -> Array:
+        """(slots,) The effects' fitted parameters in the order of the hypothesis' slots."""
         return np.array([state.values[slot.key] for slot in self.hypothesis.slots])
 
     def enough(self, gained: float, cost: float) -> bool:
+        """Whether a step that lowered `cost` by `gained` was the last."""
         return gained < self.least * cost
 
 
@@ -517,14 +530,10 @@ def _huber_cost(residuals: Sequence[Array], limits: Sequence[float]) -> float:
     return total
 
 
-def velocity(segment: Segment, c_deg: Array) -> Array:
-    """dc/dt (n,) deg/s at the observations."""
-    return np.gradient(c_deg, segment.arrival_s) if len(c_deg) > 1 else np.zeros_like(c_deg)
-
-
 def outlier_limit(residual: Array) -> float:
     """The residual magnitude beyond which one recording's observations count linearly: several robust deviations, but
-    at least what a share _RARE of the residuals exceeds, so that a misfit after every reversal still counts in full."""
+    at least 1.2 times what a share _RARE of the residuals exceeds, so that a misfit after every reversal still counts
+    in full. 1 where there are none."""
     if residual.size == 0:
         return 1.0
     return max(_OUTLIER * spread.deviation(residual), 1.2 * float(np.quantile(np.abs(residual), 1.0 - _RARE)))

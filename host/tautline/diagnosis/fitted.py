@@ -29,6 +29,7 @@ class Scope(IntEnum):
 
     @property
     def since(self) -> str:
+        """Its name in diagnosis.json."""
         return ("start", "calibration", "recording")[self]
 
 
@@ -49,7 +50,7 @@ class Slot:
 
 
 def key(name: str, number: int) -> str:
-    """Of a parameter's value in one recording only."""
+    """Under which `ParameterState.values` has the parameter `name` of the recording `number` alone."""
     return f"{name}@{number}"
 
 
@@ -65,7 +66,7 @@ class Hypothesis:
         return replace(self, kinds=(*self.kinds, kind), scopes=(*self.scopes, scope))
 
     def find(self, name: str) -> tuple[Kind, Scope] | None:
-        """The effect of an id."""
+        """The effect with this id and since when it is there; None where this hypothesis is without it."""
         return next(((k, s) for k, s in zip(self.kinds, self.scopes, strict=True) if k.id == name), None)
 
     @property
@@ -91,7 +92,8 @@ class ParameterState:
     values: Mapping[str, float] = field(default_factory=dict)  # of the effects
 
     def at(self, segment: Segment, hypothesis: Hypothesis) -> dict[str, Any]:
-        """The effects' and the registration's parameters by name that hold in one recording."""
+        """The effects' and the registration's parameters by name that hold in one recording; a change of the
+        registration by an effect is added to the nominal one."""
         chosen: dict[str, Any] = dict(self.static)
         for kind, scope in zip(hypothesis.kinds, hypothesis.scopes, strict=True):
             if scope and segment.calibration:
@@ -114,7 +116,7 @@ class Fit:
 
     @property
     def finite(self) -> bool:
-        """Not so where the marker would be behind the camera."""
+        """Whether all residuals are numbers: they are NaN where the marker would be behind the camera."""
         return all(bool(np.isfinite(r).all()) for r in self.residuals)
 
     @property

@@ -38,6 +38,7 @@ class Flexible:
 
     @property
     def shrink(self) -> float:
+        """Share of the residuals' rms that the process closes, 0 to 1."""
         return max(0.0, 1.0 - self.after / max(self.before, 1e-300))
 
     @property
@@ -122,6 +123,7 @@ def _negative_log_marginal(logs: Array, squares: Array, seen: Array) -> tuple[fl
 
 
 def _hyper(logs: Array) -> tuple[float, Array, float]:
+    """The kernel's size, its length scales (d,) and the white noise's variance, out of their logarithms (d + 2,)."""
     values = np.exp(logs)
     return float(values[0]), values[1:-1], float(values[-1])
 
@@ -147,7 +149,8 @@ def _inputs(segments: Sequence[Segment], swing_s: float | None) -> Array:
 
 
 def _features(segment: Segment) -> Array:
-    """(n, 6): motor position, travel since the reversal, direction, speed, the other two axes."""
+    """(n, 6): motor position and travel since the reversal (0.3 at most) in shares of this recording's range, direction
+    (-1, 0, 1), speed in ranges per second, translation in mm and rotation in deg (0 where not recorded)."""
     motor, t = segment.motor, segment.arrival_s
     span = float(np.ptp(motor.q)) or 1.0
     q = np.interp(t, motor.t_s, motor.q) / span
@@ -192,7 +195,8 @@ def _swing_period(segments: Sequence[Segment], residuals: Sequence[Array]) -> fl
 
 
 def _sinusoid_shares(turned: npt.NDArray[np.complex128], values: Array) -> Array:
-    """(rates, k) The share of each column's variance that a sinusoid of each rate explains."""
+    """(rates, k) The share of the variance of each column of `values` (n, k) that a sinusoid of each rate explains.
+    turned: exp(2 pi i rate t), (rates, n)."""
     apart = values - values.mean(axis=0)
     power = np.maximum(np.sum(apart**2, axis=0), 1e-300)
     return np.asarray(2.0 * np.abs(turned @ apart) ** 2 / (len(values) * power))

@@ -98,7 +98,8 @@ def rounding_noise(segments: Sequence[Segment]) -> float:
 
 
 def second_difference_noise(residuals: Sequence[Array]) -> float:
-    """One standard deviation of white noise by the residuals' second differences, whose variance is 6 sigma^2."""
+    """One standard deviation of white noise by the residuals' second differences, whose variance is 6 sigma^2.
+    0 where no recording has three."""
     bends = [np.diff(r, n=2, axis=0).ravel() for r in residuals if len(r) > 2]
     return spread.deviation(np.concatenate(bends)) / float(np.sqrt(6.0)) if bends else 0.0  # equation: 1, -2, 1
 
@@ -123,7 +124,8 @@ def still_stretches(segment: Segment) -> list[slice]:
 
 
 def _moves(motor: Motor) -> tuple[Array, Array]:
-    """Times from and to which a degree of freedom moved."""
+    """Times, s, from and to which the motor or another degree of freedom moved: of each such interval between two
+    samples, rising."""
     moved = np.zeros(len(motor.t_s) - 1, dtype=bool)
     for values in (motor.q, motor.translation_mm, motor.rotation_deg):
         if values is not None:
@@ -180,9 +182,9 @@ def _scale(left: float) -> float:
 
 
 def unseen(before: float, left: float, floor: float, apart: tuple[float, float]) -> float:
-    """One standard deviation of a reading of a motion that was not recorded, about what is corrected: the sensor's
-    noise is the same, and what is left beside it as much more as other motions' was. apart: as in
-    `shrink_interval_elsewhere`."""
+    """One standard deviation, px or deg, of a reading of a motion that was not recorded about its corrected prediction:
+    the sensor's noise is the same, what is left beside it is more by as much as on other unseen motions. before, left:
+    rms before and after the correction; floor: noise; apart: as in `shrink_interval_elsewhere`."""
     beside = float(np.sqrt(max(left**2 - floor**2, 0.0)))
     open_share = max(1.0 - beside / before, 0.0) if before > 0.0 else 0.0
     mean, deviation = 0.5 * (apart[0] + apart[1]), 0.5 * (apart[1] - apart[0]) / spread.NINE_OF_TEN

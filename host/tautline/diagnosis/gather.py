@@ -46,6 +46,7 @@ def gather(
     steps = [0]
 
     def told(text: str) -> None:
+        """Reports one more fit, as a share of about as many as there may be."""
         steps[0] += 1
         progress(min(1.0, steps[0] / (_REFITS + _BOTH_SCOPES + sum(_EXTENDED) * _FURTHER_REFITS)), text)
 
@@ -144,6 +145,8 @@ class _Weighing:
         self._add_scatter(candidate, kind, self._scatter_left(candidate, True))
 
     def _scatter_left(self, candidate: Candidate, only_tests: bool) -> Scatter:
+        """How well each event and each rival explains the scatter that a fit leaves. only_tests: of an effect that came
+        after the calibration."""
         return scatter.of_fit(self.search.fitter, candidate.fit, self.search.labels, only_tests)
 
     def _add_scatter(self, candidate: Candidate, kind: Kind, left: Scatter) -> None:
@@ -213,7 +216,7 @@ class _Weighing:
     def next_to_extend(self, size: int) -> Candidate | None:
         """The most probable hypothesis of `size` effects, with a path and not extended before, if it leaves more than
         noise. A missing effect may explain what is left beyond its stages and an amplitude that wanders, so neither
-        counts here."""
+        counts here. None where there is no such hypothesis."""
         evidence = self.evidence()
         anyhow = tuple(replace(h, beyond=None, wanders=()) for h in evidence.hypotheses)
         verdict = decide.decide(replace(evidence, hypotheses=anyhow), learnt().typical)

@@ -49,7 +49,7 @@ class Hyperparameters:
 
     @classmethod
     def of_logarithms(cls, values: Array) -> Hyperparameters:
-        """Probabilities stay below 1."""
+        """Out of natural logarithms in the fields' order; shares and probabilities are kept at 0.99 or below."""
         by_name = {f.name: math.exp(v) for f, v in zip(fields(cls), values, strict=True)}
         return cls(**{name: min(value, 0.99) if name in _SHARES else value for name, value in by_name.items()})
 
@@ -104,6 +104,7 @@ class Learnt:
 
 
 def _ends(of: object) -> tuple[float, float]:
+    """Both ends of an interval that is a list of two in TOML."""
     assert isinstance(of, list)
     low, high = of
     return float(low), float(high)
@@ -114,4 +115,5 @@ NAMES = tuple(field.name for field in fields(Hyperparameters))
 
 @cache
 def learnt() -> Learnt:
+    """What comes with the package, read once."""
     return Learnt.of_toml(tomllib.loads(resources.files(__package__).joinpath(FILE).read_text("utf-8")))

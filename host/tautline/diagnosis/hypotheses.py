@@ -85,5 +85,6 @@ class CaseEvidence:
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> CaseEvidence:
+        """The inverse of `to_json`."""
         hypotheses = tuple(Weighed.from_json(h) for h in document["hypotheses"])
         return cls(**{**document, "frozen": np.array(document["frozen"]), "hypotheses": hypotheses})

@@ -68,7 +68,7 @@ class Noise:
 
     @property
     def weight(self) -> float:
-        """Of a square."""
+        """What a squared residual adds to minus twice the log-likelihood: `each` of them count as one."""
         return 1.0 / (self.each * self.sigma**2)
 
 
@@ -90,6 +90,7 @@ class Fitted:
 
     @property
     def u(self) -> Array:
+        """(m,) The unknowns at the posterior's maximum, in standard deviations of their prior."""
         return self.posterior.mean
 
 
@@ -106,6 +107,7 @@ class Joint:
 
     @cached_property
     def unknowns(self) -> tuple[Unknown, ...]:
+        """In the order of the vector u: the simulator's parameters, then width, law, delay, speed and bends."""
         sizes = {simulator_id(p.name): 1 for p in self.parameters} | {
             WIDTH: 1,
             LAW: _ORDER + 1,
@@ -118,10 +120,12 @@ class Joint:
 
     @property
     def size(self) -> int:
+        """Length of the vector u."""
         return sum(len(unknown.places) for unknown in self.unknowns)
 
     @cached_property
     def places(self) -> dict[str, Indices]:
+        """Indices in the vector u, by the id of the unknown."""
         return {unknown.id: unknown.places for unknown in self.unknowns}
 
     def effects(self, u: Array) -> tuple[Effect, ...]:
@@ -151,7 +155,8 @@ class Joint:
         )
 
     def _widths(self, u: Array) -> Array:
-        """(grid,) of a motor at rest, in standard deviations."""
+        """(grid,) What u (m,) adds to the play's width with the motor at rest, in units of _WIDTH times the motor's
+        range: a number, never negative, times the exponential of a polynomial of the place."""
         bent = _BEND * self._law[:, 1 : 1 + _BENDS] @ u[self.places[BENDS]]
         return np.asarray(max(float(u[self.places[WIDTH]][0]), 0.0) * np.exp(bent))
 
@@ -237,6 +242,7 @@ class _Descent:
         return _cost(self.noise, point)
 
     def enough(self, gained: float, cost: float) -> bool:
+        """Whether a step that lowered `cost` by `gained` was the last."""
         return gained < _SMALL_GAIN
 
 
@@ -262,6 +268,7 @@ def _at_bound(joint: Joint, u: Array, gradient: Array) -> npt.NDArray[np.bool_]:
 
 
 def _positive(parameter: Declared) -> bool:
+    """Whether a parameter is positive by its meaning: its unknown is then the logarithm of a factor on it."""
     return parameter.nominal > 0.0 and parameter.low >= 0.0
 
 

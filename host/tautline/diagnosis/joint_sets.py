@@ -61,7 +61,7 @@ class Sets:
 
     @property
     def count(self) -> list[float]:
-        """Probabilities that none, one, two, and three or more are there."""
+        """Probabilities that none, one, two, and three or more are there; bends of the width count as part of it."""
         many = np.minimum(self.present[:, [name != BENDS for name in self.ids]].sum(axis=1), 3)
         return [float(p) for p in np.bincount(many, self.probability, minlength=4)]
 

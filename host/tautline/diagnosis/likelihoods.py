@@ -31,7 +31,9 @@ class Likelihoods:
     predicted."""
 
     def __init__(self, case: Stacked, by: Hyperparameters) -> None:
-        """case: the evidence as arrays; by: the hyperparameters."""
+        """Weighs every hypothesis of the evidence `case` by the hyperparameters `by`: `of` and `elsewhere`,
+        (hypotheses,), and `unknown`, one number, are log-likelihoods up to a common constant; -inf where a hypothesis
+        is excluded or, in `elsewhere`, is not of one event's scatter alone."""
         self.by = by
         self._case = case
         self._tells = case.tells(by.misfit_tells, by.noise_tells)
@@ -88,6 +90,7 @@ class Likelihoods:
         by_power = LAWS & key and not EVENTS & key
 
         def alone(name: str) -> float:
+            """How well the effect does alone, the more the better; -inf where it was not fitted alone."""
             i = best.get(frozenset({name}))
             if i is None:
                 return -np.inf
@@ -104,7 +107,8 @@ class Likelihoods:
         return np.where(case.causes > 0, some, np.log(by.odds_none))
 
     def _gain(self, scatter: Array) -> Array:
-        """(hypotheses,) Log-likelihood gained by the logarithm `scatter` that an event takes off the power."""
+        """(hypotheses,) Log-likelihood gained by an event. scatter (hypotheses,): logarithm of the factor that it puts
+        on the blocks' power, summed over them, below 0 where it explains scatter."""
         return np.asarray(-0.5 * (self.by.misfit_tells + self.by.noise_tells * self._case.forgets) * scatter)
 
     @property

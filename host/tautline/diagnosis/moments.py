@@ -27,6 +27,7 @@ _ROUNDS = 2  # moments beside each other move each other
 
 
 def moments_of(fit: Fit) -> list[str]:
+    """Names of the fitted parameters that are times, s of the session, at which an effect happens (shift, slip)."""
     return [name for kind in fit.hypothesis.kinds for name in kind.moments]
 
 
@@ -65,8 +66,8 @@ def _is_seen(fitter: Fitter, fit: Fit, moment: str, limits: Sequence[float]) -> 
 
 
 def _best_moment(fitter: Fitter, fit: Fit, values: Mapping[str, float], moment: str, limits: Sequence[float]) -> float:
-    """The moment of the smallest sum of squares among the frames beside the present one: evenly spaced ones first, then
-    those between the best one's neighbours."""
+    """The moment, s of the session, of the smallest sum of squares among the frames beside the present one, which is
+    values[moment]: evenly spaced ones first, then those between the best one's neighbours."""
     tried = {values[moment]: _squares_beside(fitter, fit, values, {moment: values[moment]}, limits)}
     near = _moments_beside(fitter, fit, values[moment])
     low, high = 0, len(near) - 1
@@ -82,7 +83,7 @@ def _best_moment(fitter: Fitter, fit: Fit, values: Mapping[str, float], moment: 
 
 
 def _moments_beside(fitter: Fitter, fit: Fit, at: float) -> list[float]:
-    """Moments (scene time, rising) just before each frame within _NEAR_S of `at`."""
+    """Moments (scene time, s of the session, rising) just before each frame within _NEAR_S of `at`."""
     delay = fit.state.model.delay_s + fit.state.values.get("delay", 0.0)
     frames = np.concatenate([_session_times(segment) for segment in fitter.segments]) - delay
     return [float(frame) for frame in np.unique(frames[np.abs(frames - at) < _NEAR_S] - _BEFORE_S)]
@@ -91,7 +92,8 @@ def _moments_beside(fitter: Fitter, fit: Fit, at: float) -> list[float]:
 def _squares_beside(
     fitter: Fitter, fit: Fit, values: Mapping[str, float], moment: Mapping[str, float], limits: Sequence[float]
 ) -> float:
-    """Sum of squares over the recordings in which the moment is or may be."""
+    """Sum of squared residuals, cut to `limits`, with the one moment {name: s of the session} put among `values`, over
+    the recordings in which it lies or that are within _NEAR_S of it."""
     (at,) = moment.values()
     return sum(
         float(_squares(fitter, fit, segment, {**values, **moment}, limit).sum())

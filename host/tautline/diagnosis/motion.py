@@ -46,7 +46,7 @@ def table(motion: Trajectory, unit: str) -> pd.DataFrame:
         columns["translation_mm"] = motion.translation_mm
     if motion.rotation_deg is not None:
         columns["rotation_deg"] = motion.rotation_deg
-    return pd.DataFrame(columns).iloc[::10]
+    return pd.DataFrame(columns).iloc[::10]  # a trajectory has 1000 points a second
 
 
 def _prediction(fitter: Fitter, fit: Fit, motion: Trajectory) -> np.ndarray:
@@ -73,10 +73,12 @@ def _motions(fitter: Fitter) -> list[tuple[str, Trajectory]]:
     span = actuator.span
     fastest = max(float(np.abs(np.gradient(s.motor.q, s.motor.t_s)).max()) for s in fitter.segments)
     speed = min(max(fastest, 0.02 * span), 0.3 * span)
+    # Strokes are longer than the backlash, where half the range allows it.
     stroke = min(0.5 * span, max(0.2 * span, 2.5 * float(fitter.model.width.max())))
-    quick = 10.0 * speed
+    quick = 10.0 * speed  # acceleration, unit/s^2
 
     def steps(rate: float, dwell: float) -> Trajectory:
+        """Six strokes there and back at `rate`, in the motor's unit/s, with rests of `dwell` s."""
         return trajectory.trapezoids(actuator, rate, stroke, 6, quick, dwell)
 
     motions = [
@@ -86,6 +88,7 @@ def _motions(fitter: Fitter) -> list[tuple[str, Trajectory]]:
         ("two sines over the whole range", trajectory.sines(actuator, speed, 60.0)),
     ]
     if fitter.px and any(_moves_other_axes(s.motor) for s in fitter.segments):
+        # By 2 mm and 20 deg, with a period of 17 s.
         swaying = [(f"{why} while the other axes sway", m.with_sway(2.0, 20.0, 17.0)) for why, m in motions[1:]]
         motions += swaying
     return motions

@@ -33,11 +33,14 @@ _SHRINKS = 0.02  # format: of a gap that jumps or unsteady times leave: part of 
 
 
 def digits(value: float) -> str:
-    """Three significant digits, no exponent."""
+    """Three significant digits, without an exponent: whole numbers from 1000 on, six decimals below 0.001."""
+    if abs(value) >= 999.5:
+        return f"{value:.0f}"
     return f"{value:.3g}" if abs(value) >= 1e-3 or value == 0 else f"{value:.6f}"
 
 
 def listed(names: Sequence[str], last: str = "and") -> str:
+    """One name or more as "a, b and c", with `last` before the last one."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {last} {names[-1]}"
 
 
@@ -351,11 +354,13 @@ def _pattern(document: Mapping[str, Any]) -> str:
 
 
 def _swing(document: Mapping[str, Any]) -> float | None:
+    """The period, s, in which the gap swings whatever the motor does; None where it does not, or nobody looked."""
     closed = document.get("flexible")
     return closed.get("swing_s") if closed else None
 
 
 def _is_small(document: Mapping[str, Any]) -> bool:
+    """Whether the gap has an unknown cause and its rms is below _SMALL times the noise."""
     return document["verdict"] == "unknown" and bool(document["gap"]["before"] < _SMALL * document["noise_floor"])
 
 

@@ -170,6 +170,7 @@ def _table_row(effect: Mapping[str, Any], name: str, value: str, first: bool) ->
 
 
 def _unit(parameter: Parameter, unit: str) -> str:
+    """A parameter's unit as a reader knows it. unit: the actuator's own, put in place of "unit"."""
     return parameter.unit.replace("unit", unit)
 
 
@@ -196,7 +197,7 @@ def _conditions(diagnosis: Diagnosis, unit: str) -> list[dict[str, Any]]:
 
 
 def _rms(condition: Condition) -> where.Array:
-    """(bins,) per coordinate, as the noise is."""
+    """(bins,) rms of a condition's residuals per coordinate, px or deg, to be compared with the noise."""
     return np.asarray(np.sqrt(condition.power / condition.mean.shape[1]))
 
 

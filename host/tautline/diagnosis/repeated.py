@@ -32,11 +32,10 @@ def add_repeats(document: dict[str, Any], model: Model, segments: Sequence[Segme
     share = (power - without) / max(power - floor2, 1e-300)  # of the gap
     closed = 1.0 - float(np.sqrt(without / power))
     alone = document["verdict"] == "none"
-    named = alone or share > 0.5 or document["verdict"] == "effect"
-    _count_repeats_in_gap(document["gap"], float(np.sqrt(power)), floor2, named)
     probability = _weigh_repeats(document, _SURE if alone else min(share, _SURE), closed)
     leads = probability > 0.5
     told = leads or document["verdict"] == "effect"
+    _count_repeats_in_gap(document["gap"], float(np.sqrt(power)), floor2, told)
     document["count"] = _with_one_more(document["count"], _SURE if told else probability)
     if told:  # else most of it has another, unknown cause
         _name_repeats(document, segments, closed, leads)

@@ -126,6 +126,7 @@ def weighed(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
         return Scatter({name: np.zeros(blocks) for name in told}, dict.fromkeys((JITTER, STICK_SLIP, HELD), 0.0))
     frames = _Joined(parts, floor)
     speed, driven = frames.speed, frames.driven
+    # finest: s in which a fast image moves as far as the noise; reach: what a fast motor drives between two frames
     finest = floor / max(float(np.quantile(speed, 0.9)), 1e-9)
     jittered, jitter_s = frames.likeliest(
         frames.jitter, np.geomspace(min(0.1 * finest, 0.1 * _LONGEST_S), _LONGEST_S, 41)
@@ -146,6 +147,7 @@ def weighed(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
     }
     count = np.maximum(np.bincount(frames.block, minlength=blocks), 1)
     seen = np.bincount(frames.block, minlength=blocks) > 0
+    # Less 1, the mean of square over variance: a Gaussian of variance v then gives log v.
     loss = {
         name: seen * (-2.0 / frames.coordinates * np.bincount(frames.block, x, minlength=blocks) / count - 1.0)
         for name, x in log_densities.items()
@@ -185,7 +187,8 @@ class _Joined:
         self._repeated = _isotropic(np.sum(moved**2, axis=1), 2.0 * self._floor2, self.coordinates)
 
     def likeliest(self, family: Callable[[float], Array], scales: Array) -> tuple[Array, float]:
-        """The log-density of the likeliest member of a family, and its scale."""
+        """The log-density (n,) of the likeliest member of a family, with a broad share, and its scale. family: of a
+        scale; scales: those to try."""
         tried = [self._with_broad(family(float(s))) for s in scales]
         chosen = int(np.argmax([float(np.sum(x)) for x in tried]))
         return tried[chosen], float(scales[chosen])
@@ -195,8 +198,8 @@ class _Joined:
         return np.asarray(np.logaddexp(np.log1p(-_BROAD) + log_density, np.log(_BROAD) + self._broad))
 
     def two_levels(self, left: Array) -> Array:
-        """Gaussian noise `left` (n, k) of one variance while the motor drives and another while it rests, for each
-        recording, both estimated robustly."""
+        """(n,) Log-density of residuals `left` (n, k) as Gaussian noise of one variance while the motor drives and
+        another while it rests, for each recording, both estimated with outliers cut; a broad share is mixed in."""
         squares = np.sum(left**2, axis=1)
         variance = np.empty(len(left))
         for number in np.unique(self._recording):
@@ -214,14 +217,15 @@ class _Joined:
         return np.asarray(self._before @ memory)
 
     def jitter(self, seconds: float) -> Array:
-        """Frame times that scatter by so many seconds: along the motion in proportion to the speed."""
+        """(n,) Log-density if frame times scatter by so many seconds, one standard deviation: the image then scatters
+        along its motion in proportion to its speed."""
         along, across2 = self._by_velocity
         variance = self._floor2 + (seconds * self.speed) ** 2
         return _gaussian_along(along, across2, variance, self._floor2, self.coordinates)
 
     def stick(self, jump: float) -> Array:
-        """A tip that stays while the motor drives, with a probability that falls to 0 over `jump` (of the centre
-        coordinate), and else is anywhere within a jump of the prediction."""
+        """(n,) Log-density of a tip that stays while the motor drives, with a probability that falls to 0 over a drive
+        by `jump` (of the centre coordinate, unit of q), and else is anywhere within a jump of the prediction."""
         held = np.where(self.driven > 0.0, np.clip(1.0 - self.driven / jump, 0.01, 0.99), 0.99)
         variance = self._floor2 + self._steep2 * jump**2 / 12.0  # equation: of a uniform density
         along, across2 = self._by_way
@@ -229,7 +233,7 @@ class _Joined:
         return np.asarray(np.logaddexp(np.log(held) + self._repeated, np.log1p(-held) + within))
 
     def repeats(self, share: float) -> Array:
-        """A link that shows this share of the frames a second time."""
+        """(n,) Log-density of a link that shows this share of the frames a second time, in place of the next ones."""
         # The fitted delay has taken up how late such images are in the mean.
         early = self.residual - share * self._velocity * self._period[:, None]
         steady = _isotropic(np.sum(early**2, axis=1), 2.0 * self._floor2, self.coordinates)
@@ -238,7 +242,7 @@ class _Joined:
 
 def _isotropic(squares: Array, variance: Array | float, k: int) -> Array:
     """Log-density (n,) of an isotropic Gaussian in k coordinates, less its constant. squares: of the distance;
-    variance: of a coordinate."""
+    variance: of a coordinate, one or (n,)."""
     return np.asarray(-0.5 * (k * np.log(variance) + squares / variance))
 
 
@@ -252,7 +256,8 @@ def _gaussian_along(along: Array, across2: Array, variance: Array, across_varian
 
 
 def _along_and_across2(r: Array, direction: Array) -> tuple[Array, Array]:
-    """(n,) The component of r (n, k) along a direction (n, k), and its squared distance across."""
+    """(n,) The component of r (n, k) along a direction (n, k) of any length, in the unit of r, and the square of what
+    is across it."""
     unit = direction / np.maximum(np.linalg.norm(direction, axis=1), 1e-9)[:, None]
     along = np.sum(r * unit, axis=1)
     return along, np.maximum(np.sum(r**2, axis=1) - along**2, 0.0)

@@ -133,7 +133,7 @@ class _Scan:
 
     def _score(self, kind: Kind, shapes: Mapping[str, float], columns: Sequence[Array], sign: float) -> list[Screened]:
         """Linear scores of an effect with given shapes, one for each scope: columns (scored, k, amplitudes) for each
-        recording. An amplitude of the wrong sign kind 0."""
+        recording. Where an amplitude ends at 0 or has a sign that it cannot have, the gain is 0."""
         parts = [
             self.fitter.normal(row, extra, known=known)
             for row, extra, known in zip(self.rows, columns, self.known, strict=True)

@@ -42,6 +42,7 @@ class Segment:
 
     @property
     def held(self) -> npt.NDArray[np.bool_]:
+        """(n,) Observations that would be scored did they not repeat the one before."""
         return np.zeros_like(self.scored) if self.repeats is None else self.repeats
 
     @property
@@ -63,7 +64,8 @@ class Segment:
             self.drive.ask(parameters)
 
     def follow(self, model: Model, parameters: Mapping[str, Any], load_reference: float) -> Path:
-        """The tip's path at the observations."""
+        """The tip's path at the observations. parameters: of effects, by name; with a simulator its own, as changes.
+        load_reference: mNm at which the model's tables hold."""
         scene = self.arrival_s - model.delay_of(self.sensor)
         motor = self.motor if self.drive is None else self.drive.motor(parameters)
         return effects.follow(
@@ -123,16 +125,20 @@ def prepare(
             assert marker is not None
             good = np.asarray(marker.valid, dtype=bool) & np.isfinite(marker.u_px) & np.isfinite(marker.v_px)
             times, observed = marker.t_s[good], np.column_stack([marker.u_px, marker.v_px])[good]
+            again = repeated(observed)
         else:
             angle = recording.angle
             assert angle is not None
             times, observed = angle.t_s[angle.seen], angle.c_deg[angle.seen, None]
-            stride = max(1, len(times) // 6000)
-            times, observed = times[::stride], observed[::stride]
+            again = repeated(observed)
+            stride = max(1, len(times) // 6000)  # tolerance: of more than 12000 samples 6000 or some more are enough
+            # Of those that repeat one and of the others as large a part: a link may repeat as regularly.
+            kept = np.sort(np.concatenate([np.flatnonzero(again)[::stride], np.flatnonzero(~again)[::stride]]))
+            times, observed, again = times[kept], observed[kept], again[kept]
         scene = times - model.delay_of(MARKER if by_marker else ANGLE)
         from_s = settled_from(model, recording.motor)
         within = (scene >= from_s) & (scene <= motor.t_s[-1])
-        repeats = within & repeated(observed)
+        repeats = within & again
         scored = within & ~repeats
         if not scored.any():
             raise TautError(

@@ -37,8 +37,10 @@ def steps(document: Mapping[str, Any]) -> list[str]:
 
 
 def _named(document: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
+    """The simulator's parameters that are named, each with name, unit, nominal and value; () without a simulator."""
     return document.get("simulator", {}).get("parameters", ())  # type: ignore[no-any-return]
 
 
 def _value(parameter: Mapping[str, Any]) -> str:
+    """Its value on the robot, with its unit."""
     return f"{parameter['value']:.3g} {parameter['unit']}".strip()

@@ -75,8 +75,8 @@ def in_the_width(model: Model) -> bool:
 
 
 def of_recordings(model: Model, recordings: Sequence[Recording], progress: Progress) -> Start:
-    """recordings: on the motor's clock, the earliest first. Effects that the model carries are looked for anew. Raises
-    TautError where none can be scored."""
+    """What was there from the first recording on. recordings: on the motor's clock, the earliest first. Effects that
+    the model carries are looked for anew. Raises TautError where none can be scored."""
     model = model.alone
     segments, reference = prepare(model, recordings[0], recordings[1:]), load_reference(recordings[0])
     tracked = tracker.of_videos(model, segments, reference, recordings)
@@ -91,8 +91,8 @@ def of_segments(
     progress: Progress,
     left_out: Collection[str] = (),
 ) -> Start:
-    """load_mNm: at which the model's tables hold. tracked: of videos, what their tracker errs by; taken off the
-    segments already."""
+    """`of_recordings` of segments, each as if it were the calibration. load_mNm: at which the model's tables hold.
+    tracked: of videos, what their tracker errs by, taken off the segments already. left_out: effects not to try."""
     alike = [replace(segment, calibration=True) for segment in segments]
     fitter = Fitter(model, alike, load_mNm, smooth=True)
     moving = tracked.noise if tracked else 0.0

@@ -39,7 +39,7 @@ def _trajectory(model: Model) -> tuple[Array, Array]:
     """Times, s, and angles, deg, of a smooth random trajectory within the reached angles."""
     ends = np.sort(model.remaining(np.array(model.rig.actuator.range)))
     free = _FREE * (ends[1] - ends[0])
-    tip = Actuator("deg", (float(ends[0] + free), float(ends[1] - free)), 1e-3)
+    tip = Actuator("deg", (float(ends[0] + free), float(ends[1] - free)), 1e-3)  # planned as a motor's
     planned = trajectory.random_smooth(tip, min(_SPEED, _SPAN_S * tip.span), _SECONDS, 1)
     return planned.t_s, planned.q
 

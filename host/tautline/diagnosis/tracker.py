@@ -71,6 +71,7 @@ def without_tracker_error(model: Model, segments: Sequence[Segment], load_refere
     own = gap.rms([(views[0].across - places.across(views[0].seen))[first]])
     left = _cross_validated_error(views[0], first, places)
     others = max(gap.rms([left]), own)
+    # The noise is between the two: their geometric mean, in doubt by their distance.
     noise, doubt = float(np.sqrt(own * others)), float(np.log(others / own))
     return TrackerError(
         corrected, noise, doubt, _spread_of_log_power(left, gap.blocks(corrected[0])), 1.0 - kept / scored
@@ -87,8 +88,8 @@ def of_videos(
 
 
 def _cross_validated_error(view: _View, scored: Mask, places: _Places) -> Array:
-    """(scored,) px across the path, each frame less the error that the other half of the calibration shows at its
-    place: an error of one pass, as a codec makes it, is not the place's."""
+    """(scored,) px across the path, each frame less the error that the other half of the calibration shows at its place
+    (all of it, where that half does not): an error of one pass, as a codec makes it, is not the place's."""
     part = np.arange(len(scored)) * _PARTS // len(scored) % 2
     left = view.across - places.across(view.seen)
     for own in (part == 0, part == 1):
@@ -100,7 +101,7 @@ def _cross_validated_error(view: _View, scored: Mask, places: _Places) -> Array:
 
 
 def _spread_of_log_power(left: Array, block: npt.NDArray[np.int64]) -> float:
-    """Standard deviation between blocks of the logarithm of their mean square."""
+    """Standard deviation between blocks of the natural logarithm of their mean square. left, block: (scored,)."""
     frames = np.bincount(block)
     power = np.bincount(block, left**2)[frames > 0] / frames[frames > 0]
     return float(np.std(np.log(power)))
@@ -193,7 +194,7 @@ class _Places:
         off = np.hypot(view.across - float(np.nanmedian(across)), view.along)
         far = np.bincount(place[scored & (off > _FAR * noise)], minlength=count)
         wrong = (far >= _SEVERAL * frames) | (scatter > _WILD * noise)  # or nothing was seen there
-        wrong |= np.roll(wrong, 1) | np.roll(wrong, -1)
+        wrong = wrong | np.append(False, wrong[:-1]) | np.append(wrong[1:], False)
         right = told & ~wrong
         if right.sum() < _PLACES:
             return None
@@ -211,7 +212,7 @@ class _Places:
         return reaches
 
     def holds(self, at: Array) -> Mask:
-        """Whether these positions are in no wrong stretch."""
+        """Whether these positions, px along the path, are in no wrong stretch; true beyond all stretches."""
         place = np.digitize(at, self.edges) - 1
         inside = (place >= 0) & (place < len(self.wrong))
         holds: Mask = ~(inside & self.wrong[np.clip(place, 0, len(self.wrong) - 1)])

@@ -82,6 +82,7 @@ class Course:
 
 
 def _course(segment: Segment, row: ScoredRows) -> Course:
+    """The course of one recording; its load is 0 where none was recorded."""
     motor, at = segment.motor, segment.arrival_s
     load = np.zeros_like(at) if motor.load_mNm is None else np.interp(at, motor.t_s, motor.load_mNm)
     return Course(row.path.p, at, at + segment.offset_s, load, segment.scored)

@@ -91,10 +91,12 @@ def steady(residuals: Sequence[Array]) -> float:
 
 
 def axis_values(segment: Segment, path: Path) -> dict[str, Array]:
-    """Values (n,) of each axis of AXES that was recorded, at the recording's observations."""
+    """Values (n,) of each axis of AXES that was recorded, in its unit there, at the recording's observations. The
+    direction is -1 or 1, 0 at rest."""
     motor, t = segment.motor, segment.arrival_s
     q = np.interp(t, motor.t_s, motor.q)
     rate = np.gradient(q, t) if len(t) > 1 else np.zeros_like(q)
+    # Slower than 2 % of the fastest is at rest.
     quick = np.abs(rate) > 0.02 * max(float(np.abs(rate).max()), 1e-12)
     sign = np.where(quick, np.sign(rate), 0.0)
     last, since, direction = t[0], np.zeros_like(t), 0.0

@@ -30,10 +30,12 @@ class Kind:
 
     @property
     def installed(self) -> bool:
+        """Whether its library can be imported."""
         return find_spec(self.package) is not None
 
     @property
     def remedy(self) -> str:
+        """The command that installs its library."""
         return f"pip install 'tautline-robotics[{self.extra}]'"
 
 
@@ -69,15 +71,18 @@ class Address:
 
     @property
     def where(self) -> str:
+        """The address without its options, KIND:BUS:ID,..."""
         return f"{self.kind}:{self.bus}:{','.join(map(str, self.numbers))}"
 
 
 def is_motor(where: str) -> bool:
+    """Whether an address begins with a kind of motors that is known."""
     return where.partition(":")[0] in KINDS
 
 
 def parse(where: str) -> Address:
-    """TautError where the address is none."""
+    """An address KIND:BUS[:ID,...][?rate=HZ&baud=BAUD], ID 1 and its driver's rate and baud unless it says others.
+    TautError where it is none."""
     name, _, options = where.partition("?")
     kind, _, rest = name.partition(":")
     module = _module(kind)
@@ -102,6 +107,7 @@ def parse(where: str) -> Address:
 
 
 def _wrong(where: str, kind: str, says: str) -> TautError:
+    """The error for an address, with an example of its kind."""
     return TautError(f"--board {where}: {says}, such as in {KINDS[kind].example}")
 
 

@@ -29,6 +29,7 @@ _QUICK_STOP = 3  # of the option for a lost connection
 _FAULT, _VOLTAGE_OFF, _SHUT_DOWN, _SWITCH_ON, _OPERATE = 0x80, 0x00, 0x06, 0x07, 0x0F
 _READY, _ON, _OPERATIONAL = 0x21, 0x23, 0x27
 _ACCELERATION = 20.0  # where the drive limits none: from rest to its top speed in so much of a second, inverse
+_PERIOD_MOST = 255  # of a cycle, ms or 0.1 ms: in one byte
 _RANGE = 3_900_000.0  # where the drive limits none: what the application counts
 
 # Objects of CiA 301 and 402.
@@ -50,6 +51,8 @@ class Cia402:
     def __init__(
         self, bus: str, numbers: Sequence[int], baud: int, rate_hz: float, clock: Clock = time.monotonic
     ) -> None:
+        """bus: python-can's INTERFACE/CHANNEL; numbers: node ids; baud: bit/s; rate_hz: of the SYNCs. TautError where
+        the bus cannot be opened, or a drive does not answer."""
         self._clock, self._numbers = clock, list(numbers)
         interface, _, channel = bus.partition("/")
         self._network = canopen.Network()
@@ -76,9 +79,11 @@ class Cia402:
     # -- objects, while nothing moves -----------------------------------------------------------------------------
 
     def _read(self, number: int, index: tuple[int, int]) -> bytes:
+        """The bytes of a drive's object (index, subindex), little-endian."""
         return self._retry(number, index, lambda: self._nodes[number].sdo.upload(*index))
 
     def _write(self, number: int, index: tuple[int, int], value: int, size: int) -> None:
+        """Writes a number as `size` bytes to a drive's object (index, subindex)."""
         data = value.to_bytes(size, "little", signed=value < 0)
         self._retry(number, index, lambda: self._nodes[number].sdo.download(*index, data))
 
@@ -103,6 +108,7 @@ class Cia402:
         return int.from_bytes(data, "little", signed=index in (_LOW, _HIGH))
 
     def _text(self, number: int, index: tuple[int, int]) -> str:
+        """A text from the drive's object dictionary; "" where it has no such object."""
         try:
             return self._read(number, index).decode("ascii", "replace").strip("\0 ")
         except _Refused:
@@ -119,14 +125,17 @@ class Cia402:
             low, high = -_RANGE, _RANGE
         self._rated_ma[number] = self._number(number, _RATED_MA, 0.0)
         current = self._rated_ma[number] * self._number(number, _CURRENT_MOST, 0.0) / 1000.0
+        # Of accelerations none is used that reaches top speed within less than 25 ms.
         limits = DriveLimits(max(low, -_RANGE), min(high, _RANGE), speed, min(acceleration, 40.0 * speed), current)
-        self._map(number, 0x1A00, 0x1800, 0x180, [(*_STATUS, 16), (*_POSITION, 32)])
+        self._map(number, 0x1A00, 0x1800, 0x180, [(*_STATUS, 16), (*_POSITION, 32)])  # TPDO 1
         with contextlib.suppress(_Refused):  # a drive that lacks one of them tells neither
-            self._map(number, 0x1A01, 0x1801, 0x280, [(*_VELOCITY, 32), (*_CURRENT, 16)])
-        self._map(number, 0x1600, 0x1400, 0x200, [(*_CONTROL, 16), (*_TARGET, 32)])
-        power = -3 if abs(period_s * 1e3 - round(period_s * 1e3)) < 1e-6 else -4
-        if abs(period_s * 10**-power - (units := round(period_s * 10**-power))) > 1e-6:
-            raise TautError(f"canopen: a cycle of {1e3 * period_s:.4g} ms cannot be told: name a rate of whole 0.1 ms")
+            self._map(number, 0x1A01, 0x1801, 0x280, [(*_VELOCITY, 32), (*_CURRENT, 16)])  # TPDO 2
+        self._map(number, 0x1600, 0x1400, 0x200, [(*_CONTROL, 16), (*_TARGET, 32)])  # RPDO 1
+        power = -3 if abs(period_s * 1e3 - round(period_s * 1e3)) < 1e-6 else -4  # whole ms, else 0.1 ms
+        units = round(period_s * 10**-power)
+        if abs(period_s * 10**-power - units) > 1e-6 or units > _PERIOD_MOST:
+            says = f"canopen: a cycle of {1e3 * period_s:.4g} ms cannot be told: name a rate of whole ms up to "
+            raise TautError(f"{says}{_PERIOD_MOST}, or of whole 0.1 ms up to {0.1 * _PERIOD_MOST:g}")
         self._write(number, _PERIOD, units, 1)
         self._write(number, _PERIOD_POWER, power, 1)
         self._write(number, _CONSUMER, _HOST << 16 | _LOST_MS, 4)
@@ -135,7 +144,7 @@ class Cia402:
         self._write(number, _MODE, _CSP, 1)
         self._network.subscribe(0x180 + number, self._on_position)
         self._network.subscribe(0x280 + number, self._hear_speed)
-        self._nodes[number].nmt.send_command(0x01)
+        self._nodes[number].nmt.send_command(0x01)  # operational
         versions = " ".join(filter(None, (self._text(number, _HARDWARE), self._text(number, _SOFTWARE))))
         return Drive(number, self._text(number, _DEVICE) or "CiA 402", versions or "-", round(turn), limits, homed)
 
@@ -153,8 +162,9 @@ class Cia402:
         return bool(int.from_bytes(self._read(number, _STATUS), "little") & 0x1000)
 
     def _map(self, number: int, mapping: int, parameters: int, cob: int, objects: list[tuple[int, int, int]]) -> None:
-        """Maps these objects into a process data object that is sent at every SYNC."""
-        self._write(number, (parameters, 1), 1 << 31 | cob + number, 4)
+        """Maps objects (index, subindex, bits) into a process data object that is sent at every SYNC. mapping,
+        parameters: the indices that configure it; cob: its CAN id less the node's."""
+        self._write(number, (parameters, 1), 1 << 31 | cob + number, 4)  # bit 31: not in use meanwhile
         self._write(number, (mapping, 0), 0, 1)
         for i, (index, sub, bits) in enumerate(objects):
             self._write(number, (mapping, i + 1), index << 16 | sub << 8 | bits, 4)
@@ -165,6 +175,7 @@ class Cia402:
     # -- cycles ---------------------------------------------------------------------------------------------------
 
     def _on_position(self, cob: int, data: bytearray, stamp: float) -> None:
+        """Takes in a drive's answer to a SYNC, its status word and counts. cob: 180h and its node id."""
         if len(data) == 6:
             with self._answered:
                 self._positions[cob - 0x180] = struct.unpack("<Hi", data)
@@ -172,16 +183,20 @@ class Cia402:
                 self._answered.notify_all()
 
     def _hear_speed(self, cob: int, data: bytearray, stamp: float) -> None:
+        """Takes in a drive's speed, counts/s, and current, 1/1000 of its rated one. cob: 280h and its node id."""
         if len(data) == 6:
             self._speeds[cob - 0x280] = struct.unpack("<ih", data)
 
     def _send(self, cob: int, data: bytes) -> None:
+        """Sends one CAN frame; cob: its id. Missed where the bus takes none."""
         try:
             self._network.send_message(cob, data)
         except (can.CanError, OSError) as error:
             raise Missed(f"the bus takes nothing ({error})") from error
 
     def _sync(self) -> None:
+        """Sends the host's heartbeat if one is due; drives that miss it stop. It is not the SYNC, which `measure`
+        sends."""
         if self._clock() - self._beat_s >= _HEARTBEAT_S:
             self._send(0x700 + _HOST, b"\x05")
             self._beat_s = self._clock()
@@ -205,12 +220,14 @@ class Cia402:
         return [self._measured(number, sent, *heard[number]) for number in self._numbers]
 
     def _measured(self, number: int, t_s: float, status: int, counts: int) -> Measured:
-        """A drive's position as of its SYNC, when drives sample."""
+        """A drive's answer to the SYNC at t_s, when drives sample. status: its status word, whose bit 3 says that it
+        has a fault."""
         speed, share = self._speeds.get(number, (0, 0))
         fault = f"drive {number} has a fault" if status & 0x08 else ""
         return Measured(t_s, float(counts), float(speed), share * self._rated_ma[number] / 1000.0, fault)
 
     def set_positions(self, goals: Sequence[Goal | None]) -> None:
+        """Sends each drive the counts that it goes to at the next SYNC; None sends one nothing."""
         for number, goal in zip(self._numbers, goals, strict=True):
             if goal is not None:
                 self._send(0x200 + number, struct.pack("<Hi", _OPERATE, round(goal.q)))
@@ -231,7 +248,8 @@ class Cia402:
             self._wait_for_state(number, state)
 
     def _wait_for_state(self, number: int, state: int) -> None:
-        """Waits until the drive's status word shows this state. TautError after _STATE_S."""
+        """Waits until the drive's status word shows this state, in the bits 6Fh that CiA 402 has for it. TautError
+        after _STATE_S."""
         deadline = time.monotonic() + _STATE_S
         while (status := int.from_bytes(self._read(number, _STATUS), "little")) & 0x6F != state:
             self._sync()  # a brake takes longer than the drive waits for it
@@ -241,6 +259,7 @@ class Cia402:
                 )
 
     def stop(self) -> None:
+        """Switches all drives off and takes their nodes back to pre-operational."""
         try:
             all_off(len(self._numbers), self.enable)
         finally:

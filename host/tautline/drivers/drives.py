@@ -78,7 +78,7 @@ class Drives(Protocol):
     enable_s: float  # at the longest, that switching one on takes: a brake, a slow adapter
 
     def measure(self) -> list[Measured]:
-        """All of them. Missed where an answer did not come."""
+        """Where every drive is, in their order. Missed where an answer did not come."""
 
     def set_positions(self, goals: Sequence[Goal | None]) -> None:
         """Where each drive is to be; None leaves one as it is."""

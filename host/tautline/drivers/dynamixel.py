@@ -48,6 +48,7 @@ class Dynamixel(SerialServos):
     def __init__(
         self, bus: str, numbers: Sequence[int], baud: int, rate_hz: float, clock: Clock = time.monotonic
     ) -> None:
+        """bus: the serial device; numbers: the servos' IDs; rate_hz: nothing here depends on it."""
         self._unit_ma: dict[int, float] = {}
         self._said = dict.fromkeys(numbers, "")
         self._cycles = 0
@@ -82,12 +83,14 @@ class Dynamixel(SerialServos):
         return measured
 
     def measured(self, axis: int, t_s: float, state: bytes) -> Measured:
+        """A servo's answer to the sync read, _STATE, as counts, counts/s and mA. t_s: the middle of the round trip."""
         current, velocity, position = struct.unpack("<hii", state)
         number = self.numbers[axis]
         current_ma = current * self._unit_ma[number]
         return Measured(t_s, float(position), velocity * _COUNTS_PER_SPEED, current_ma, self._said[number])
 
     def encoded(self, goal: int) -> bytes:
+        """A goal, counts, as the register's 4 bytes."""
         return struct.pack("<i", goal)
 
     def enable(self, axis: int, on: bool) -> None:

@@ -41,6 +41,7 @@ class Feetech(SerialServos):
     def __init__(
         self, bus: str, numbers: Sequence[int], baud: int, rate_hz: float, clock: Clock = time.monotonic
     ) -> None:
+        """bus: the serial device; numbers: the servos' IDs; rate_hz: nothing here depends on it."""
         super().__init__(scservo_sdk, 0, bus, numbers, baud, clock)
 
     def describe(self, number: int) -> Drive:
@@ -57,6 +58,7 @@ class Feetech(SerialServos):
         return Drive(number, f"model {self.read(number, _MODEL)}", version, _COUNTS_PER_TURN, limits, True)
 
     def measured(self, axis: int, t_s: float, state: bytes) -> Measured:
+        """A servo's answer to the sync read, _STATE, as counts, counts/s and mA. t_s: the middle of the round trip."""
         said = ", ".join(name for bit, name in _ERRORS.items() if state[9] >> bit & 1)
         return Measured(t_s, _signed(state[0:2]), _signed(state[2:4]), _signed(state[13:15]) * _MA, said)
 
@@ -78,5 +80,6 @@ class Feetech(SerialServos):
 
 
 def _signed(data: bytes) -> float:
+    """A register of which bit 15 is the sign and the rest the size."""
     raw = int.from_bytes(data, "little")
     return float(-(raw & 0x7FFF) if raw & 0x8000 else raw)

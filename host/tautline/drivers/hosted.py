@@ -72,7 +72,8 @@ class HostedLink:
         self._out = bytearray()
         self._gone: TautError | None = None
         self._heard_s = self._epoch_s
-        self._squares = 0.0
+        self._squares, self._steps = 0.0, 0  # of steps from one cycle to the next, where neither was missed
+        self._steady = False  # whether the cycle before was not
         self._lags = [np.zeros(2) for _ in drives.drives]
         self._lags_s = [0.0 for _ in drives.drives]
         self._on = [False for _ in drives.drives]
@@ -109,15 +110,16 @@ class HostedLink:
         raise AssertionError
 
     def _rows(self, measured: list[Measured], whole: bool = False) -> list[tuple[int, int, bool]]:
-        """Measurements as the application takes them. whole: rounded to counts, so that its positions are the drives'
-        own."""
+        """Measurements as the application takes them: counts Q8, current in mA, and whether there is a fault. whole:
+        rounded to counts, so that its positions are the drives' own."""
         counts = [m.q * scale for m, scale in zip(measured, self._scales, strict=True)]
         places = [round(q) * round(_Q8) if whole else round(q * _Q8) for q in counts]
         return [(q, round(m.current_ma), bool(m.fault)) for q, m in zip(places, measured, strict=True)]
 
     def _adopt_limits_and_positions(self, first: list[float]) -> None:
-        """Sets the axes' positions to the drives', and where no settings are stored, their limits too. A drive takes no
-        duty that could sink: it holds until its host is lost or says otherwise."""
+        """Sets the axes' positions to the drives', `first` in the application's counts, and where no settings are
+        stored, their limits too. A drive takes no duty that could sink: it holds until its host is lost or says
+        otherwise."""
         ask = self._request
         ask("hello", protocol_major=wire.wire.MAJOR, protocol_minor=wire.wire.MINOR)
         fresh = ask("get_status", axis=0).settings == wire.code("STORES", "DEFAULT")
@@ -129,7 +131,7 @@ class HostedLink:
                 settings.update(
                     key=wire.wire.KEY, q_low=limits.q_low * scale, q_high=limits.q_high * scale, speed_s=speed,
                     acceleration_s2=min(limits.acceleration * scale, _native.HOSTED_ACCELERATION_MAX),
-                    friction=_FRICTION / 32768, following_error=max(_FOLLOWING_S * speed, 8.0),
+                    friction=_FRICTION / 32768, following_error=max(_FOLLOWING_S * speed, 8.0),  # counts
                     low_duty=_LOW_DUTY / 32768, current_ma=0,
                     feed_forward=min(max(round(1000.0 * _CHECK_PUSH / (_CHECK_SHARE * speed)), 1), 32767), arrive=4.0,
                     hold_ms=0, commissioned=1,
@@ -151,6 +153,7 @@ class HostedLink:
         raise AssertionError(f"the application answers '{name}'")
 
     def _us(self, t_s: float) -> int:
+        """The application's time, us since the link was opened, at a time of the clock, s; never below 0."""
         return max(round((t_s - self._epoch_s) * 1e6), 0)
 
     # -- the bus ------------------------------------------------------------------------------------------------
@@ -184,7 +187,7 @@ class HostedLink:
         try:
             measured = self.drives.measure()
         except Missed as missed:
-            self.timing.missed += 1
+            self._missed()
             if began - self._heard_s > _LOST_S:
                 self._connection_lost(missed)
             return
@@ -206,14 +209,16 @@ class HostedLink:
         try:
             waited = self._send(goals)
         except Missed:
-            self.timing.missed += 1
+            self._missed()
+            self._last_s = t_s
+            return
         except TautError as error:
             self._connection_lost(error)
         self._note(began + waited, t_s + waited)
 
     def _send(self, goals: list[tuple[int, int, bool, bool]]) -> float:
-        """Sends the set-points; returns the seconds that switching a drive on took, during which the application stood
-        still."""
+        """Sends the set-points; goals: of each axis (counts Q8, counts/s Q8, whether it is on, whether in closed loop).
+        Returns the seconds that switching a drive on took, during which the application stood still."""
         waited = 0.0
         wanted = [
             Goal(goal / _Q8 / scale, speed / _Q8 / scale) if on else None
@@ -227,8 +232,9 @@ class HostedLink:
         return waited
 
     def _switch(self, axis: int, on: bool) -> float:
-        """Switches an axis; returns the seconds granted to the application for that: what the drives name, and only
-        while none of them is driven. Else its rule for late control steps holds."""
+        """Switches an axis. Returns the seconds for which the application was made to stand still: the time this took,
+        where no drive was on and it took no longer than drives name; else 0, and its rule for late control steps
+        holds."""
         began = self._clock()
         with self._lock:
             self.drives.enable(axis, on)
@@ -241,7 +247,8 @@ class HostedLink:
         return now - began if patient else 0.0
 
     def _estimate_delay(self, places: list[int], goals: list[tuple[int, int, bool, bool]]) -> None:
-        """Estimates how late each drive follows, from its lag while it moves; used once it rests."""
+        """Estimates how late each drive follows, s, by least squares of its lag over its speed while it moves; used
+        once it rests. places: measured, counts Q8; goals: as of `_send`."""
         for axis, (goal, speed, _, moves) in enumerate(goals):
             sums = self._lags[axis]
             v = speed / _Q8
@@ -255,14 +262,22 @@ class HostedLink:
                 self._board.lead(axis, round(lag_s * 1e6))
 
     def _note(self, began: float, t_s: float) -> None:
-        """Keeps a cycle's round trip and jitter."""
+        """Keeps a cycle's round trip and jitter. began: when it began; t_s: of its measurement, s; both moved on by
+        what switching a drive on took."""
         timing, n = self.timing, max(self.timing.cycles - self.timing.missed, 1)
         took = self._clock() - began
         timing.round_trip_s += (took - timing.round_trip_s) / n
         timing.round_trip_most_s = max(timing.round_trip_most_s, took)
-        self._squares += (t_s - self._last_s - self.period_s) ** 2 if n > 1 else 0.0
-        timing.jitter_s = (self._squares / n) ** 0.5
-        self._last_s = t_s
+        if self._steady:
+            self._steps += 1
+            self._squares += (t_s - self._last_s - self.period_s) ** 2
+            timing.jitter_s = (self._squares / self._steps) ** 0.5
+        self._last_s, self._steady = t_s, True
+
+    def _missed(self) -> None:
+        """Counts a cycle of which nothing came or was sent: the next one is no step from it."""
+        self.timing.missed += 1
+        self._steady = False
 
     def _connection_lost(self, error: TautError) -> None:
         """Raises BoardGone, here and for whoever reads, with how the motors come to rest."""
@@ -307,13 +322,15 @@ class HostedLink:
         self._give(sent)
 
     def _give(self, data: bytes) -> None:
+        """Queues the application's bytes for `read`."""
         if data:
             with self._arrived:
                 self._out += data
                 self._arrived.notify_all()
 
     def read(self, timeout_s: float) -> bytes:
-        """The application's bytes for the host, waiting at most this long."""
+        """The application's bytes for the host, b"" where there are none; waits for them at most this long, not at all
+        where cycles are not paced by a thread."""
         with self._arrived:
             if not self._out and self._thread is not None:
                 self._arrived.wait_for(lambda: self._out or self._gone is not None, timeout_s)
@@ -324,6 +341,7 @@ class HostedLink:
             return data
 
     def tables(self, axis: int) -> None:
+        """None: tables travel in messages."""
         return None
 
     def bus(self) -> dict[str, Any]:
@@ -359,8 +377,8 @@ class HostedLink:
 
 
 def _scale(speed: float) -> float:
-    """Counts of the application per count of the drive: halved until the application can count at this speed; it
-    resolves 1/256 count."""
+    """Counts of the application per count of the drive: halved until the application, which resolves 1/256 count, can
+    count at this speed, counts/s of the drive."""
     scale = 1.0
     while speed * scale > _native.HOSTED_SPEED_MAX:
         scale *= 0.5
@@ -368,4 +386,5 @@ def _scale(speed: float) -> float:
 
 
 def _serial(text: str) -> str:
+    """A serial number of at most 31 letters, digits and dashes from the end of an address."""
     return "".join(c if c.isalnum() else "-" for c in text)[-31:].strip("-")

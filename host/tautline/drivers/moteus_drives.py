@@ -36,6 +36,8 @@ class Moteus:
     def __init__(
         self, bus: str, numbers: Sequence[int], baud: int, rate_hz: float, clock: Clock = time.monotonic
     ) -> None:
+        """bus: python-can's INTERFACE/CHANNEL, or the serial device of a fdcanusb; numbers: the controllers' ids;
+        rate_hz: nothing here depends on it."""
         self._clock, self._numbers, self._bus = clock, list(numbers), bus
         self._loop = asyncio.new_event_loop()
         resolution = moteus.QueryResolution()
@@ -61,7 +63,7 @@ class Moteus:
         ]
 
     def _all_referenced(self) -> list[bool]:
-        """Whether every controller knows where its output is."""
+        """Of each controller whether it knows where its output is. TautError where one does not answer in _TRIES."""
         for left in reversed(range(_TRIES)):
             try:
                 answers = self._ask(_FIRST_S)
@@ -87,6 +89,8 @@ class Moteus:
             raise TautError("the adapter is gone") from error
 
     def _ask(self, within_s: float) -> list[dict[int, float]]:
+        """Each controller's registers and their values, in the order of the ids. Missed where an answer did not come
+        whole."""
         answers = self._cycle([controller.make_query() for controller in self._controllers], within_s)
         values = {answer.id: answer.values for answer in answers}
         if any(_Register.POSITION not in values.get(number, {}) for number in self._numbers):
@@ -94,13 +98,14 @@ class Moteus:
         return [values[number] for number in self._numbers]
 
     def measure(self) -> list[Measured]:
+        """Where every controller is, by one query of all. Missed where an answer did not come."""
         sent = self._clock()
         answers = self._ask(_ANSWER_S)
         t_s = 0.5 * (sent + self._clock())
         return [self._measured(t_s, values) for values in answers]
 
     def _measured(self, t_s: float, values: dict[int, float]) -> Measured:
-        """A controller's answer as position and status."""
+        """A controller's answer, in turns, as counts and counts/s. Missed where it does not know its position."""
         fault = f"fault {int(values[_Register.FAULT])}" if int(values[_Register.MODE]) == _FAULT_MODE else ""
         position, speed = values[_Register.POSITION], values[_Register.VELOCITY]
         if not math.isfinite(position):
@@ -124,7 +129,8 @@ class Moteus:
         )
 
     def enable(self, axis: int, on: bool) -> None:
-        """On: a fault and a tripped watchdog are cleared; the first set-point of the cycle then takes the position."""
+        """Stops the controller either way. On: that clears a fault and a tripped watchdog; the first set-point of the
+        cycle then takes the position."""
         self._cycle([self._controllers[axis].make_stop(query=True)], _FIRST_S)
 
     def stop(self) -> None:
@@ -137,6 +143,7 @@ class Moteus:
 
 
 def _transport(bus: str, baud: int) -> Any:
+    """moteus' transport on python-can's INTERFACE/CHANNEL, or on a fdcanusb where the bus is a path."""
     interface, _, channel = bus.partition("/")
     if not interface:  # /dev/...
         return moteus.Fdcanusb(bus)

@@ -31,8 +31,8 @@ def library(module: str) -> Any:
 
 
 def sensor_qos(depth: int = 10) -> Any:
-    """A profile for publishers of any reliability; with several on a topic a queue of `depth` keeps what is nobody's
-    from displacing the rest."""
+    """A subscription's profile that takes messages of publishers of any reliability. depth: of its queue, so that where
+    several publish on a topic messages that are not for us do not displace the others."""
     qos = library("rclpy.qos")
     return qos.QoSProfile(depth=depth, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
 

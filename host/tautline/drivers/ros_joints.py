@@ -36,6 +36,8 @@ class RosJoints:
     def __init__(
         self, bus: str, names: Sequence[int | str], baud: int, rate_hz: float, clock: Clock = time.monotonic
     ) -> None:
+        """bus: topics STATES,COMMANDS; names: the joints'; baud, rate_hz: nothing here depends on them. TautError where
+        a topic or joint is not there."""
         states, _, commands = bus.partition(",")
         if not states or not commands:
             raise TautError(f"ros:{bus}: name two topics, as in ros:/joint_states,/commands:elbow")
@@ -84,6 +86,8 @@ class RosJoints:
         return description
 
     def _find_joints(self, states: str, where: str) -> None:
+        """Waits for a state that has all joints. TautError that says what came instead; where: its advice if nothing
+        did."""
         if not self._wait_for(lambda: self._newest is not None, _FIRST_S):
             missing = ", ".join(name for name in self._names if name not in self._others)
             if self._others and missing:
@@ -107,7 +111,8 @@ class RosJoints:
         return described
 
     def _command_type(self, commands: str, where: str) -> str:
-        """The type of message that the subscribers of set-points take."""
+        """The type of message that the subscribers of set-points take, Float64MultiArray where they take both.
+        TautError without any; where: its advice."""
         node = self._graph.node
         topic = self._graph.topic(commands)
 
@@ -122,6 +127,7 @@ class RosJoints:
         return min(found, key=(_ARRAY, _STATE).index)
 
     def _message_type(self) -> Any:
+        """The class of the set-points' message."""
         package, _, name = self._kind.split("/")
         return getattr(library(f"{package}.msg"), name)
 
@@ -146,6 +152,7 @@ class RosJoints:
             self._came.notify()
 
     def _describe(self, message: Any) -> None:
+        """Takes in the robot's description, a URDF."""
         self._description = message.data
 
     def measure(self) -> list[Measured]:
@@ -160,7 +167,8 @@ class RosJoints:
         return [self._measured(axis, t_s, self._used) for axis in range(len(self._names))]
 
     def _measured(self, axis: int, t_s: float, message: Any) -> Measured:
-        """A joint's position, counts, at a time of this machine's clock."""
+        """A joint's position and speed, counts and counts/s (rad or m until its counts are known). Speed is 0 where
+        none is told; a joint whose position is not finite keeps the last one and has a fault."""
         at = list(message.name).index(self._names[axis])
         place = float(message.position[at])
         fault = "" if math.isfinite(place) else "its position is not known: is the hardware active?"
@@ -171,13 +179,14 @@ class RosJoints:
         return Measured(t_s, self._places[axis] * counts, speed * counts if math.isfinite(speed) else 0.0, 0.0, fault)
 
     def set_positions(self, goals: Sequence[Goal | None]) -> None:
+        """Publishes where each joint is to be; None leaves one's set-point as it is."""
         for axis, goal in enumerate(goals):
             if goal is not None:
                 self._told[axis] = goal.q / self._counts[axis]
         self._send()
 
     def _send(self) -> None:
-        """Publishes all goals in one message."""
+        """Publishes the set-points of all joints, rad or m, in one message."""
         message = self._message_type()()
         if self._kind == _ARRAY:  # those that are off stay where they were: the newest place gives way under a load
             message.data = [rest if told is None else told for told, rest in zip(self._told, self._rests, strict=True)]
@@ -205,7 +214,7 @@ class RosJoints:
 
 
 def _joints_of_description(text: str) -> dict[str, dict[str, str]]:
-    """Type and limits by joint from a URDF's text; {} where it is none."""
+    """Type and limits by joint from a URDF's text; {} where that is empty. TautError where it is no URDF."""
     try:
         joints = ElementTree.fromstring(text).iterfind("joint") if text else ()
         return {
@@ -218,14 +227,24 @@ def _joints_of_description(text: str) -> dict[str, dict[str, str]]:
 
 
 def _drive(name: str, said: dict[str, str]) -> Drive:
-    """The drive of a joint by its description; without one, a joint that turns without an end."""
+    """The drive of a joint by its URDF attributes, rad or m and s; without any, a joint that turns without an end. Its
+    speed is 1 turn/s or 0.1 m/s unless the description says another."""
     slides = said.get("type") == "prismatic"
     per, counts = ("m", _METRE) if slides else ("turn", _TURN)
     unit = counts if slides else counts / math.tau
-    speed = float(said.get("velocity", 0.0)) * unit or (0.1 if slides else 1.0) * _SPEED_S * counts
+
+    def limit(key: str) -> float:
+        try:
+            return float(said.get(key, 0.0)) * unit
+        except ValueError:
+            raise TautError(
+                f"joint {name}: its description's limit {key} is {said[key]!r}, expected a number"
+            ) from None
+
+    speed = limit("velocity") or (0.1 if slides else 1.0) * _SPEED_S * counts
     low, high = -_RANGE, _RANGE
     if said.get("type") in ("prismatic", "revolute"):
-        low, high = (float(said.get(key, 0.0)) * unit for key in ("lower", "upper"))
+        low, high = limit("lower"), limit("upper")
     limits = DriveLimits(low, high, speed, speed / _STARTS_S)
     kind = said.get("type") or "joint without a description"
     return Drive(name, kind, "-", counts, limits, referenced=True, per=per)

@@ -42,6 +42,8 @@ class SerialServos:
         baud: int,
         clock: Clock = time.monotonic,
     ) -> None:
+        """Opens the bus and describes its servos. sdk: the maker's module; protocol: what its PacketHandler is made
+        with; bus: the serial device; numbers: the servos' IDs; baud: bit/s."""
         self.numbers, self._clock, self._sdk = list(numbers), clock, sdk
         self._port, self._packets = _port(sdk, bus), sdk.PacketHandler(protocol)
         try:
@@ -64,31 +66,38 @@ class SerialServos:
     # -- what differs ---------------------------------------------------------------------------------------------
 
     def describe(self, number: int) -> Drive:
+        """A servo's limits and resolution from its registers."""
         raise NotImplementedError
 
     def measured(self, axis: int, t_s: float, state: bytes) -> Measured:
+        """A servo's answer, the bytes of the register `state`, as counts, counts/s and mA. t_s: the middle of the round
+        trip."""
         raise NotImplementedError
 
     def encoded(self, goal: int) -> bytes:
+        """A position, counts, as the bytes of the register `goal`."""
         raise NotImplementedError
 
     def enable(self, axis: int, on: bool) -> None:
+        """Switches a servo's torque; on, it holds where it is."""
         raise NotImplementedError
 
     # -- registers, while nothing moves ---------------------------------------------------------------------------
 
     def read(self, number: int, register: Register) -> int:
+        """A register's number, without sign; with retries. TautError where the servo does not answer."""
         data: list[int] = self._retry(number, lambda: self._packets.readTxRx(self._port, number, *register))[0]
         return int.from_bytes(bytes(data), "little")
 
     def glance(self, number: int, register: Register) -> int | None:
-        """One try to read a register between two cycles."""
+        """One try to read a register between two cycles; None where its number did not come whole."""
         data, result, _ = self._sdk_answer(lambda: self._packets.readTxRx(self._port, number, *register))
         whole = result == self._sdk.COMM_SUCCESS and len(data) == register[1]
         return int.from_bytes(bytes(data), "little") if whole else None
 
     def write(self, number: int, register: Register, value: int) -> None:
-        """Writes a register, with retries."""
+        """Writes a register, a negative number as its two's complement, with retries. TautError where the servo refuses
+        it, or does not answer."""
         address, size = register
         data = list((value & ((1 << 8 * size) - 1)).to_bytes(size, "little"))
         error = self._retry(number, lambda: self._packets.writeTxRx(self._port, number, address, size, data))[-1]
@@ -136,6 +145,7 @@ class SerialServos:
         return [self.measured(axis, t_s, state) for axis, state in enumerate(states)]
 
     def set_positions(self, goals: Sequence[Goal | None]) -> None:
+        """Sends the servos their goals in one sync write; None sends one nothing."""
         self._writing.clearParam()
         for number, goal in zip(self.numbers, goals, strict=True):
             if goal is not None:

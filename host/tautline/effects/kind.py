@@ -108,13 +108,14 @@ class Kind:
         return tuple(p.name for p in self.shapes) if self.scan == "moment" else ()
 
     def happening(self, times: int) -> Kind:
-        """The same where it happens no more often."""
+        """The same effect with its first `times` moments alone, and their amplitudes."""
         each = len(self.amplitudes) // len(self.moments)
         return replace(self, amplitudes=self.amplitudes[: times * each], shapes=self.shapes[:times])
 
     @property
     def forms(self) -> tuple[Kind, ...]:
-        """All that has its id."""
+        """All variants with its id: itself, the one with fewer parameters, the one that follows a further joint's
+        column."""
         of_joint = self.of_joint and self.of_joint("")
         return tuple(form for form in (self, self.simple, of_joint) if form)
 
@@ -125,6 +126,8 @@ class Kind:
 
     @property
     def through_angle(self) -> bool:
+        """Whether it acts on the way from motor to bending angle, a simulator in its place included; else it changes
+        only how, or when, the tip is seen."""
         return self.stage in (SIMULATOR, *THROUGH_ANGLE)
 
     @property
@@ -148,7 +151,7 @@ class Kind:
 
 
 def six(prefix: str) -> tuple[Parameter, ...]:
-    """A rigid motion: turn, then move."""
+    """The parameters of a rigid motion, PREFIX_rx .. PREFIX_z: a turn as a rotation vector, deg, then a move, mm."""
     turn = tuple(Parameter(f"{prefix}_r{axis}", "deg", 0.5) for axis in "xyz")
     move = tuple(Parameter(f"{prefix}_{axis}", "mm", 0.2) for axis in "xyz")
     return turn + move

@@ -18,8 +18,8 @@ GROUP = "tautline.effects"
 
 
 def added(known: Sequence[Kind]) -> list[Kind]:
-    """Of all installed distributions, by their names. TautError where one cannot be taken, or says what `known` does
-    already."""
+    """The effects of all installed distributions, their entry points in the order of names. TautError where one cannot
+    be taken, or repeats what `known` does already."""
     found: list[Kind] = []
     for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
         for kind in _loaded(entry):
@@ -29,6 +29,7 @@ def added(known: Sequence[Kind]) -> list[Kind]:
 
 
 def _loaded(entry: EntryPoint) -> Sequence[Kind]:
+    """The descriptors that an entry point offers. TautError where it cannot be imported, or is no tuple of them."""
     try:
         kinds = entry.load()
     except Exception as error:  # of somebody else's module: anything
@@ -48,6 +49,9 @@ def _begun(entry: EntryPoint) -> bool:
 
 
 def _check(entry: EntryPoint, kind: Kind, known: Sequence[Kind]) -> None:
+    """TautError where a distribution's effect is incomplete, claims what only the library can do, or has an id or a
+    parameter of one that is `known`."""
+
     def refuse(why: str) -> TautError:
         return TautError(f"{_named(entry)}: {kind.id} {why}: mend or uninstall it")
 
@@ -67,5 +71,6 @@ def _check(entry: EntryPoint, kind: Kind, known: Sequence[Kind]) -> None:
 
 
 def _named(entry: EntryPoint) -> str:
+    """An entry point and its distribution in words, for an error."""
     distribution = entry.dist.name if entry.dist else "an unknown distribution"
     return f"the effects {entry.name} ({entry.value}) of {distribution}"

@@ -101,7 +101,8 @@ def follow(
     load_reference: float = 0.0,
     clock_offset_s: float = 0.0,
 ) -> Path:
-    """Where the tip is, as in `simulate`."""
+    """Where the tip is, as in `simulate`, but not in the image. A delay and a rate of the sensor's clock move the scene
+    times; TautError where a law of another distribution gives no numbers."""
     model = tabled(model, parameters)
     outside = [kind for kind in _TRANSFORMED if any(parameters.get(p.name) for p in kind.amplitudes)]
     scene = np.asarray(scene_s, dtype=float) - parameters.get("delay", 0.0)
@@ -117,6 +118,7 @@ def follow(
 
 
 def _at(path: Path, which: npt.NDArray[np.int64]) -> Path:
+    """The path at these indices, (n,)."""
     return Path(*(None if values is None else values[which] for values in vars(path).values()))  # type: ignore[arg-type]
 
 
@@ -135,6 +137,7 @@ def _transformed(
     course = np.union1d(motor.t_s, rising)
 
     def through(place: str, values: Array) -> Array:
+        """Values (n,) at the times of `course` after all laws that stand at this place, in order."""
         for kind in outside:
             if kind.transform and kind.transform.place == place:
                 own = {p.name: float(parameters[p.name]) for p in kind.parameters if p.name in parameters}
@@ -166,7 +169,7 @@ def _moved(
     load_reference: float,
     clock_offset_s: float,
 ) -> Path:
-    """At rising times, as the library's own laws move it."""
+    """Where the tip is at rising scene times (n,), s, by the library's own laws alone."""
     translation, rotation = (
         None if values is None else np.interp(rising, motor.t_s, values)
         for values in (motor.translation_mm, motor.rotation_deg)
@@ -193,7 +196,8 @@ _recent: tuple[tuple[Model, dict[str, Any], Model], ...] = ()
 
 
 def tabled(model: Model, parameters: Mapping[str, Any]) -> Model:
-    """The model with what of these is simulated as the tables that hold it."""
+    """The model with those of these parameters that are simulated as tables put into its own tables; the last few are
+    kept."""
     present = [kind for kind in _TABLED if any(parameter.name in parameters for parameter in kind.amplitudes)]
     if not present:
         return model
@@ -234,11 +238,13 @@ def see(
 def image_with_slopes(
     model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_s: float = 0.0
 ) -> tuple[Array, Array, Array]:
-    """The image and its derivatives: by c (n, 2) px per deg, by a further static registration (n, 2, 6)."""
+    """The image (n, 2) px and its derivatives: by c (n, 2) px per deg, by a further static registration (n, 2, 6) px
+    per deg of its turn about x y z, then per mm of its move."""
     return _see(model, path, parameters, clock_offset_s, True)  # type: ignore[no-any-return]
 
 
 def _see(model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_s: float, slopes: bool) -> Any:
+    """What C gives for `image`: (n, 2) px; with `slopes` also its derivatives, as `image_with_slopes` has them."""
     shifted = None
     if "shift_time" in parameters:
         shifted = (path.scene_s + clock_offset_s >= parameters["shift_time"]).view(np.uint8)

@@ -44,7 +44,7 @@ def find(name: str) -> Topic:
 
 
 def of_effect(name: str) -> Topic:
-    """By its id: a simulator's parameters share one."""
+    """The topic of an effect by its id: all parameters of a simulator share one."""
     return topics()["simulator" if name.startswith("simulator.") else name]
 
 
@@ -54,6 +54,7 @@ def link(code: str) -> str:
 
 
 def _names(topic: Topic) -> set[str]:
+    """A topic's code and aliases, in lower case."""
     return {topic.code.casefold(), *(alias.casefold() for alias in topic.aliases)}
 
 

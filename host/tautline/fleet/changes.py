@@ -24,7 +24,8 @@ class _Levels:
     sigma: Array
 
     def line(self, scatter: float) -> tuple[Array, Array, Array]:
-        """Values and covariance of (level at the middle, growth a session), and the residuals over their sigma."""
+        """A straight line of level over sessions, with `scatter` (of log B) added to every sigma: values (2,) and
+        covariance (2, 2) of level at the middle and growth a session, and the residuals (n,) over their sigma."""
         use = np.array(self.at, dtype=float)
         weight = 1.0 / (self.sigma**2 + scatter**2)
         columns = np.column_stack([np.ones(len(use)), use - np.average(use, weights=weight)])
@@ -51,6 +52,7 @@ def scatter_of(levels: Iterable[_Levels]) -> float:
     freedom = sum(len(each.at) - 2 for each in long)
 
     def surplus(scatter: float) -> float:
+        """Chi square about all lines with this scatter of log B, less its degrees of freedom."""
         return sum(float(np.sum(each.line(scatter)[2] ** 2)) for each in long) - freedom
 
     if not long or surplus(0.0) <= 0.0:
@@ -77,6 +79,7 @@ def _levels(robot: Sequence[Row]) -> _Levels | None:
 
 
 def _first(robot: Sequence[Row]) -> Row:
+    """The robot's first usable session."""
     return next(row for row in robot if row.usable)
 
 
@@ -112,7 +115,8 @@ def _changed(robot: Sequence[Row], known: _Levels, scatter: float) -> list[Row]:
 
 
 def _offset(first: Row, later: Row) -> float | None:
-    """Unit of q: the tip is where it was at q + offset. None where the two have no angle in common."""
+    """How far f_remain has moved along q, unit of q: the tip is where it was at q + offset. None where the two have no
+    angle in common."""
     was, now = np.array(first.c_deg), np.array(later.c_deg)
     inside = (now >= was.min()) & (now <= was.max())
     if not inside.any():

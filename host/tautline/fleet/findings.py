@@ -91,6 +91,7 @@ class _Growth:
 
     @classmethod
     def of(cls, rows: Sequence[Row]) -> _Growth:
+        """The growth of all robots of which it is known, from their last rows that state it."""
         last = {row.robot: row for row in rows if row.wear is not None}
         values = np.array([[row.wear, row.wear_sigma] for row in last.values()], dtype=float).reshape(-1, 2)
         return cls(tuple(last), tuple(row.batch for row in last.values()), values[:, 0], values[:, 1])
@@ -102,6 +103,8 @@ class _Growth:
 
     @property
     def log(self) -> Array:
+        """(n,) arcsinh(growth / `told`): a logarithm where growth is large, straight about 0, where it may be
+        negative."""
         return np.asarray(np.arcsinh(self.rate / self.told))
 
     @property
@@ -120,7 +123,8 @@ class _Groups:
     odds: float
 
     def log_odds(self, growth: _Growth) -> Array:
-        """For each robot the log-likelihood ratio of being of the second group, by the data alone."""
+        """(n,) For each robot the log-likelihood ratio of being of the second group, by the data alone, without prior
+        odds."""
         sigma = np.hypot(self.spread, growth.log_sigma)
         second = norm.logpdf(growth.log, self.usual + self.sooner, sigma)
         return np.asarray(second - norm.logpdf(growth.log, self.usual, sigma))
@@ -163,7 +167,8 @@ def _findings(rows: Sequence[Row]) -> Findings:
 
 
 def _named(names: Sequence[str], probability: Array, value: Array, sigma: Array) -> list[Named]:
-    """The likeliest, as many as leave the expected number of false ones below what is allowed."""
+    """The likeliest of these, as many as leave the expected number of false ones below _FALSE. probability, value,
+    sigma (n,)."""
     order = np.argsort(-probability, kind="stable")
     false = np.cumsum(1.0 - probability[order])
     keep = order[: int(np.sum(false < _FALSE))]
@@ -171,7 +176,8 @@ def _named(names: Sequence[str], probability: Array, value: Array, sigma: Array)
 
 
 def _batches(growth: _Growth, odds: Array, prior: float) -> list[Named]:
-    """Batches all of whose robots are more likely of the second group than of the first."""
+    """Batches all of whose robots are more likely of the second group than of the first. odds (n,): of each robot by
+    the data; prior: log odds of the second group."""
     names = sorted({batch for batch in growth.batch if batch is not None})
     if len(names) < 2:
         return []
@@ -191,14 +197,18 @@ def _groups(growth: _Growth) -> _Groups | None:
     apart = max(spread.deviation(growth.log - middle), 1e-3)
 
     def read(x: Array) -> _Groups:
+        """The groups by x (4,), lengths over `apart`: usual log growth less the median, log of the spread, log of how
+        much later than _APART spreads the second group is; log odds."""
         spread = apart * np.exp(x[1])
         return _Groups(middle + apart * x[0], spread, _APART * spread + apart * np.exp(x[2]), float(x[3]))
 
     def one(x: Array) -> float:  # the spread is about what the median deviation says, within a factor of e
+        """Minus the log posterior of one group, x (2,) as in `read`."""
         sigma = np.hypot(apart * np.exp(x[1]), growth.log_sigma)
         return 0.5 * float(x[1]) ** 2 - float(norm.logpdf(growth.log, middle + apart * x[0], sigma).sum())
 
     def two(x: Array) -> float:
+        """Minus the log posterior of two groups, x (4,) as in `read`."""
         groups = read(x)
         usual = norm.logpdf(growth.log, groups.usual, np.hypot(groups.spread, growth.log_sigma))
         both = np.logaddexp(log_expit(-groups.odds), groups.log_odds(growth) + log_expit(groups.odds))

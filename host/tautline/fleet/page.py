@@ -56,12 +56,14 @@ def write(rows: Sequence[Row], found: Findings, out: Path) -> None:
 
 
 def _part(title: str, says: str, head: list[str], rows: list[list[str]]) -> dict[str, Any]:
+    """One table of the page; of a long one the first _MOST rows."""
     if len(rows) > _MOST:
         says += f" The first {_MOST} of {len(rows)}; --json and the data set have all."
     return {"title": f"{title}: {len(rows)}", "says": says, "head": head, "rows": rows[:_MOST]}
 
 
 def _lines(named: Sequence[Named], last: dict[str, Row]) -> list[list[str]]:
+    """Rows of a table: robot, batch, growth and its sigma in percent, last session, verdict."""
     return [
         [one.name, _batch(last, one.name), _percent(one.value), _percent(one.sigma), last[one.name].session,
          last[one.name].verdict]

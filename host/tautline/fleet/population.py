@@ -50,6 +50,7 @@ class Curves:
     together: Array | None = None
 
     def of(self, keep: npt.NDArray[np.intp]) -> Curves:
+        """The curves with these indices, (n,)."""
         names = tuple(self.names[k] for k in keep)
         together = None if self.together is None else self.together[keep]
         return Curves(self.q, self.value[keep], self.sigma[keep], names, together)
@@ -74,7 +75,7 @@ class Curves:
 
     @property
     def weight(self) -> Array:
-        """(n,) one robot is as much as another."""
+        """(n,) 1 over the number of its robot's sessions: one robot is as much as another."""
         return np.asarray(1.0 / np.bincount(self.robot)[self.robot])
 
 
@@ -88,17 +89,19 @@ class Population:
     freedom: float
 
     def distance(self, curves: Curves) -> Array:
-        """(n,) squared; on average as many as places told it, more in the tail."""
+        """(n,) Squared Mahalanobis distance from the mean, the session's own errors included: on average the number of
+        places that told the curve, more in the tail."""
         off = curves.value - self.mean
         return np.asarray(np.einsum("nk,nk->n", off, _solved(self.scale + curves.noise, off)))
 
     def chance(self, curves: Curves) -> Array:
-        """(n,) that a robot of this fleet is as far off."""
+        """(n,) Probability that a robot of this fleet is at least as far off."""
         size = np.maximum(curves.told, 1.0)
         return np.asarray(f_distribution.sf(self.distance(curves) / size, size, self.freedom))
 
     def log_density(self, curves: Curves) -> Array:
-        """(n,) but for what places without a word add, alike for all populations."""
+        """(n,) Logarithm of each curve's density, without the constant that places without a word add, which is the
+        same for all populations."""
         size, free = curves.told, self.freedom
         half_log = 0.5 * np.linalg.slogdet(self.scale + curves.noise)[1]
         top = gammaln(0.5 * (free + size)) - gammaln(0.5 * free) - 0.5 * size * np.log(free * np.pi)
@@ -124,8 +127,8 @@ def log_widths(rows: Sequence[Row]) -> Curves:
 
 
 def paths(rows: Sequence[Row]) -> list[Curves]:
-    """Of each coordinate the path that the tip's sensor sees, of the usable sessions with what most have; none where
-    too few robots have any."""
+    """The path that the tip's sensor sees, a set of curves for each coordinate (px or deg), of the usable sessions with
+    what most have; none where too few robots have any."""
     seen = [row for row in rows if row.usable and row.path]
     seen = _of_one_kind(seen, lambda row: (row.unit, row.q, len(row.path)))
     if len({row.robot for row in seen}) < LEAST_ROBOTS:
@@ -145,7 +148,8 @@ def _of_one_kind(rows: Sequence[Row], kind: Callable[[Row], Hashable]) -> list[R
 
 
 def population(curves: Curves, of_next: bool = False) -> Population:
-    """See the module. of_next: what the next robot may be, which may be worn as none of these is."""
+    """How the curves are spread, as the module says: kernel and tail are those that foretell left-out robots best.
+    of_next: what the next robot may be, which may be worn as none of these is."""
     if len(curves.value) > _MOST:
         curves = curves.of(np.linspace(0, len(curves.value) - 1, _MOST).astype(np.intp))
     tails = _TAILS[:1] if of_next else _TAILS
@@ -163,7 +167,7 @@ def population(curves: Curves, of_next: bool = False) -> Population:
 
 
 def _fitted(curves: Curves, free: float) -> tuple[Array, Array]:
-    """Mean and S by expectation and maximisation."""
+    """Mean (k,) and S (k, k) by expectation and maximisation, for a tail of `free` degrees of freedom."""
     weight, noise = curves.weight, curves.noise
     known = 1.0 / curves.sigma**2
     mean = np.sum(known * curves.value, axis=0) / np.sum(known, axis=0)
@@ -185,6 +189,8 @@ def _fitted(curves: Curves, free: float) -> tuple[Array, Array]:
 
 
 def _shrunk(mean: Array, scale: Array, curves: Curves, length: float, worth: float, free: float) -> Population:
+    """The population whose S is shrunk towards a smooth kernel of this length (share of the range) that counts as
+    `worth` robots. free: the tail's degrees of freedom."""
     robots = float(curves.weight.sum())
     size = float(np.trace(scale)) / len(scale)
     kernel = _kernel(curves, mean, length)
@@ -193,7 +199,8 @@ def _shrunk(mean: Array, scale: Array, curves: Curves, length: float, worth: flo
 
 
 def _kernel(curves: Curves, mean: Array, length: float) -> Array:
-    """Matern's of order 5/2, with the variance that the curves have."""
+    """(k, k) Matern's covariance of order 5/2, `length` a share of the range, with the variance that the curves
+    have."""
     known = 1.0 / curves.sigma**2
     variance = float(np.sum(known * (curves.value - mean) ** 2) / np.sum(known))
     apart = np.abs(curves.q[:, None] - curves.q[None, :]) * np.sqrt(5.0) / (length * (curves.q[-1] - curves.q[0]))
@@ -208,9 +215,10 @@ def _smooth(value: Array, kernel: Array, noise: Array) -> Array:
 
 
 def _diagonal(values: Array) -> Array:
-    """(n, k, k)"""
+    """(n, k, k) Diagonal matrices of values (n, k)."""
     return values[:, :, None] * np.eye(values.shape[1])
 
 
 def _solved(matrices: Array, values: Array) -> Array:
+    """(n, k) The solutions x of matrices (n, k, k) times x = values (n, k)."""
     return np.asarray(np.linalg.solve(matrices, values[:, :, None])[:, :, 0])

@@ -35,11 +35,13 @@ def write(rows: Sequence[Row], out: Path) -> None:
 
 
 def _told(known: Population) -> dict[str, Any]:
+    """A population as JSON holds it."""
     arrays = {name: getattr(known, name).tolist() for name in ("q", "mean", "scale")}
     return {**arrays, "freedom": known.freedom}
 
 
 def _spread(values: dict[str, Any]) -> Spread:
+    """The spread that a calibration takes, from what `_told` gave."""
     q, mean, scale = (np.array(values[name], dtype=float) for name in ("q", "mean", "scale"))
     return Spread(q, mean, scale, float(values["freedom"]))
 

@@ -71,6 +71,8 @@ class DataSet:
     """The data set of one output folder. Of two rows of one session the later part's counts."""
 
     def __init__(self, out: Path) -> None:
+        """The data set in the folder `out`; its next part's number follows those that are there. TautError without
+        pyarrow."""
         try:
             self._arrow, self._parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
         except ImportError as error:
@@ -106,6 +108,7 @@ class DataSet:
         return sorted(self.folder.glob("part-*.parquet"))
 
     def _write(self, rows: list[Row]) -> None:
+        """Writes the rows as the next part, whole or not at all. TautError where it cannot be written."""
         table = self._arrow.Table.from_pylist([asdict(row) for row in rows], schema=self._schema())
         path = self.folder / f"part-{self._next:06d}.parquet"
         temporary = self.folder / f".{path.name}.{os.getpid()}"
@@ -119,6 +122,7 @@ class DataSet:
         self._next += 1
 
     def _schema(self) -> Any:
+        """The Parquet schema of a row: numbers as float64, lists of them or of codes, all else as text."""
         arrow = self._arrow
 
         def kind(name: str) -> Any:
@@ -132,5 +136,6 @@ class DataSet:
 
 
 def _row(line: Mapping[str, Any]) -> Row:
+    """A row from a line of the data set: its lists become tuples, missing ones empty."""
     values: dict[str, Any] = {k: tuple(value or ()) if k in _LISTS else value for k, value in line.items()}
     return Row(**values | {"reasons": tuple(line["reasons"])})

@@ -46,6 +46,8 @@ def run(folder: Path, out: Path, workers: Pool, progress: Progress) -> Done:
     total, known, done = len(sessions), 0, 0
 
     def todo() -> Iterator[tuple[str, tuple[Row, dict[str, bytes]]]]:
+        """What is to be calibrated: session ids, and the arguments of `calibrated`. Sessions that are done count as
+        known; one that cannot be read waits with its error instead."""
         nonlocal known
         for session in sessions:
             try:
@@ -79,11 +81,12 @@ def run(folder: Path, out: Path, workers: Pool, progress: Progress) -> Done:
 
 
 def _begun(session: Session) -> Row:
+    """The row of a session that is not calibrated yet: names, batch and date alone."""
     return Row(session.robot, session.name, inputs="", batch=session.batch, date=session.date)
 
 
 def _taken(waiting: list[Row], kept: DataSet) -> dict[str, Row]:
-    """Writes what waits, and empties it."""
+    """Writes the waiting rows into the data set and empties the list. Returns them by robot/session."""
     kept.append(waiting)
     taken = {row.id: row for row in waiting}
     waiting.clear()

@@ -83,6 +83,7 @@ def sessions_in(folder: Path) -> list[Session]:
 
 
 def _of_robot(folder: Path, robot: Path, batch: str | None) -> Iterator[Session]:
+    """The robot's sessions that hold recordings, in the order of names, each with the nearest rig.toml."""
     for session in _folders(robot):
         if recordings := _recordings(session):
             places = (*recordings, session, robot, folder)
@@ -91,6 +92,7 @@ def _of_robot(folder: Path, robot: Path, batch: str | None) -> Iterator[Session]
 
 
 def _recordings(session: Path) -> list[Path]:
+    """The folders of a session's recordings: its own if it holds a motor.csv, else those in it that do."""
     if (session / MOTOR).exists():
         return [session]
     return [each for each in _folders(session) if (each / MOTOR).exists()]
@@ -101,6 +103,8 @@ def _folders(folder: Path) -> list[Path]:
 
 
 def _batches(manifest: Path) -> dict[str, str]:
+    """Batch by robot, from robots.csv, a robot's last line counting; empty without the file or the column. TautError
+    where it cannot be read, or has no column robot."""
     if not manifest.exists():
         return {}
     try:

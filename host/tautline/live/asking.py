@@ -65,6 +65,7 @@ class Asked:
 
     @property
     def sure(self) -> bool:
+        """Whether the last answer has a probability of SURE or more."""
         return self.answers[-1].probability >= SURE
 
 
@@ -72,7 +73,8 @@ def why_stop(
     answers: Sequence[Leading], asked: Sequence[str], following: NextMotion | None, noise: float, most: int
 ) -> str:
     """Why no further recording is made; "" where `following` is worth recording. answers: the leading one after each
-    recording; asked: the names of the motions so far; noise: px or deg, as of the motion's separation."""
+    recording, `most` of them at most; asked: the names of the motions so far; noise: px or deg, as of the motion's
+    separation."""
     last = answers[-1]
     if last.probability >= SURE:
         return f"one answer is sure: {last}"
@@ -86,7 +88,7 @@ def why_stop(
     if len(answers) > 1 and following.why in asked and _no_news(answers):
         return f"'{following.why}' would tell most, was recorded and changed nothing: {last} it stays"
     if len(answers) >= most:
-        return f"{most} recordings were made, as many as --most allows"
+        return "as many recordings were made as --most allows"
     return ""
 
 
@@ -143,8 +145,10 @@ def diagnose_live(
 
 
 def _as_of(name: str, progress: Progress) -> Progress:
+    """`progress` with a text that names the recording being made."""
     return lambda fraction, text: progress(fraction, f"recording {name}")
 
 
 def _what(made: Sequence[Path], asked: Sequence[str]) -> str:
+    """What was diagnosed last, in words: the newest recording with its motion, or the earlier ones."""
     return f"{made[-1].name}, {asked[-1]}" if made else "what was recorded before"

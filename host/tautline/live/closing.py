@@ -49,7 +49,7 @@ def closing(model: Model, gaps: Sequence[Gap], recordings: Sequence[Recording]) 
 
 def _through(actuator: Actuator, gap: Gap, widest: float, times: float, speeds: Sequence[float]) -> Trajectory:
     """Up through one gap by strokes of `times` the widest B, each going back by a little more than it; down again; and
-    a turn at the low end."""
+    a turn at the low end. widest: unit of q; speeds: unit/s, one up and down at each."""
     reach = widest + _BESIDE * actuator.span
     low, high = max(gap.low - reach, actuator.range[0]), min(gap.high + reach, actuator.range[1])
     way = high - low
@@ -63,7 +63,7 @@ def _through(actuator: Actuator, gap: Gap, widest: float, times: float, speeds: 
 
 
 def _joined(parts: Sequence[Trajectory], speed: float) -> Trajectory:
-    """The parts in turn, with a move at `speed` from where each ends to where the next begins."""
+    """The parts in turn, with a move at `speed`, unit/s, from where each ends to where the next begins."""
     ways = [(before.q[-1], after.q[0]) for before, after in pairwise(parts)]
     moves = [trajectory.through(way, speed, _QUICK * speed) for way in ways]
     return trajectory.in_turn(parts[0], *(each for pair in zip(moves, parts[1:], strict=True) for each in pair))

@@ -64,6 +64,7 @@ class _Tape:
         self._rows: list[Array] = []
 
     def take(self, batch: wire.Message) -> None:
+        """Keeps what a telemetry message says of this axis."""
         if batch.axis == self._axis:
             t = (batch.t_us + batch.period_us * np.arange(batch.count)) * 1e-6
             n = batch.count
@@ -120,7 +121,7 @@ def commission(
 
 
 def _commission_motor(live: Live, agree: Agree, say: Say, homing: Homing, asked: dict[str, Any]) -> Commissioned:
-    """A motor whose position loop is the board's."""
+    """`commission` of a motor whose position loop is the board's. asked: settings by name that nothing measures."""
     board, axis, unit = live.board, live.axis, live.rig.actuator.unit
     if "estop" in asked:
         _wire_stop(live, agree, asked["estop"])
@@ -153,7 +154,8 @@ def _commission_motor(live: Live, agree: Agree, say: Say, homing: Homing, asked:
 
 
 def _commission_drive(live: Live, agree: Agree, say: Say, asked: dict[str, Any]) -> Commissioned:
-    """A drive with a position loop of its own: its gains and its zero are its maker's to set."""
+    """`commission` of a drive with a position loop of its own: its gains and its zero are its maker's to set. asked:
+    settings by name that nothing measures."""
     board, axis, actuator = live.board, live.axis, live.rig.actuator
     board.check_fault(axis)
     board.check_reference(axis)
@@ -170,6 +172,7 @@ def _commission_drive(live: Live, agree: Agree, say: Say, asked: dict[str, Any])
     with _taped(live) as tape:
         with driving(live):
             for target in (start, start - direction * _WAY * actuator.span, start):
+                # A share of the speed that takes half a second for the range.
                 move_to(live, target, min(_SPEEDS[-1] * actuator.span / 0.5, live.top_speed))
                 seen_ma = abs(board.status(axis).current_ma)
                 commissioned.current_ma = max(commissioned.current_ma, seen_ma)
@@ -199,8 +202,8 @@ def _check_drives_range(live: Live) -> None:
 def _checked_and_ranged(
     live: Live, agree: Agree, say: Say, asked: dict[str, Any], seen: str
 ) -> tuple[dict[str, Any], Commissioned]:
-    """Lets motor and encoder be checked, and stores the rig's range: the settings with it, and what is known so far.
-    seen: what that shows."""
+    """Lets motor and encoder be checked, says that `seen` is shown by it, and stores the rig's range. Returns the
+    board's settings with that range, and the result so far, which has those in `asked` too."""
     before = dict(live.board.ask("get_settings", axis=live.axis).values)
     low, high = (q / live.resolution for q in live.rig.actuator.range)
     ranged = before | {"q_low": low, "q_high": high}
@@ -212,6 +215,7 @@ def _checked_and_ranged(
 
 
 def _agreed(agree: Agree, question: str) -> None:
+    """Asks the question; TautError where the answer is no."""
     if not agree(question):
         raise TautError("stopped as you said: the gains on the board are as before. Run it again when all is ready")
 
@@ -260,6 +264,7 @@ def _check_motor_and_encoder(live: Live) -> None:
 
 
 def _store(live: Live, settings: dict[str, Any]) -> None:
+    """Has the board store an axis' settings."""
     live.board.ask("settings", **(settings | {"key": wire.wire.KEY}), timeout_s=5.0)
 
 
@@ -272,13 +277,14 @@ def _servo_fields(settings: dict[str, Any]) -> dict[str, Any]:
 
 
 def _measure_drive_law(live: Live, tape: _Tape, commissioned: Commissioned, direction: int) -> None:
-    """Measures friction and free speed by moves at two speeds in both directions, and sets the feed-forward from them.
-    Speeds are the motor's own: by gains that are not tuned yet it oscillates about its path."""
+    """Measures friction, a share of full drive, and free speed, counts/s, by moves at two speeds in both directions,
+    and sets the feed-forward from them. Speeds are the motor's own: by gains that are not tuned yet it oscillates about
+    its path. direction: -1 or 1, of the end that is near."""
     span, start = live.rig.actuator.span, commissioned.q
     stretches = []
     with driving(live):
         for share in _SPEEDS:
-            speed = share * min(live.top_speed, span / 0.5)
+            speed = share * min(live.top_speed, span / 0.5)  # the range in half a second at most
             for target in (start - direction * _WAY * span, start):
                 tape.rewind()
                 move_to(live, target, speed)
@@ -322,7 +328,7 @@ def _fitted_drive_law(stretches: Sequence[tuple[Array, Array, Array]]) -> tuple[
 
 def _tune_gains(live: Live, tape: _Tape, commissioned: Commissioned, direction: int, say: Say) -> None:
     """Tries growing gains by a step response, and chooses those that follow best among the ones that are stable with a
-    factor of _MARGIN in hand."""
+    factor of _MARGIN in hand. direction: -1 or 1, of the end that is near."""
     for factor in FACTORS:
         tried = commissioned.settings | _scaled(commissioned.settings, factor)
         step = _steps_by_gains(live, tape, tried, commissioned.q, direction)
@@ -346,14 +352,15 @@ def _tune_gains(live: Live, tape: _Tape, commissioned: Commissioned, direction: 
 
 
 def _scaled(settings: dict[str, Any], factor: float) -> dict[str, Any]:
-    """The gains times a factor."""
+    """The gains among these settings times a factor, rounded, _GAIN_MAX at most."""
     return {name: min(round(settings[name] * factor), _GAIN_MAX) for name in _GAINS}
 
 
 def _steps_by_gains(
     live: Live, tape: _Tape, settings: dict[str, Any], start: float, direction: int
 ) -> StepResponse | None:
-    """Worst figures of a step in either direction with these settings; None where the servo is not stable."""
+    """Worst figures of a step in either direction with the gains in these settings, as `_step_responses`; None where
+    the servo is not stable by them."""
     live.board.ask("servo", **_servo_fields(settings))
     try:
         return _step_responses(live, tape, start, direction, settings["arrive"])
@@ -366,7 +373,8 @@ def _steps_by_gains(
 
 
 def _step_responses(live: Live, tape: _Tape, start: float, direction: int, arrive: float) -> StepResponse:
-    """Worst figures of a step in either direction, a part of the range away from `start`."""
+    """Worst figures of a step in either direction, a part of the range away from `start` (the rig's unit). direction:
+    -1 or 1, of the end that is near; arrive: counts from the target that count as there."""
     span = live.rig.actuator.span
     centre = start - direction * _CENTRE * span
     with driving(live):
@@ -393,6 +401,7 @@ def _step_response(live: Live, tape: _Tape, q_to: float, arrive: float) -> StepR
     outside = t[np.abs(q - target) > arrive]
     way = 1.0 if target > origin else -1.0
     first = np.flatnonzero(q_ref != origin)
+    # From 20 samples, which are 20 ms, before the reference moves.
     shown = slice(max(int(first[0]) - 20, 0) if len(first) else 0, int(np.searchsorted(t, arrived + _AFTER_S)))
     return StepResponse(
         t[shown] - t[shown][0],

@@ -89,6 +89,7 @@ def show(live: Live, name: str) -> Noticed:
 
 
 def _watch(live: Live) -> None:
+    """Waits _PATIENCE_S; TautError as soon as the axis has a fault."""
     for _ in range(round(_PATIENCE_S / 0.02)):
         live.wait(0.02)
         live.board.check_fault(live.axis)

@@ -56,20 +56,24 @@ class Followed:
 
     @property
     def error_deg(self) -> Array:
+        """c less c*, deg, of the samples that are counted and where c is known: (m,), empty where it never is."""
         error: Array = (self.c_deg - self.c_ref_deg)[self.counted & np.isfinite(self.c_deg)]
         return error
 
     @property
     def rms_deg(self) -> float:
+        """Rms of error_deg; NaN where that is empty."""
         return float(np.sqrt(np.mean(self.error_deg**2))) if len(self.error_deg) else float("nan")
 
     @property
     def max_deg(self) -> float:
+        """The largest size of error_deg; NaN where that is empty."""
         return float(np.abs(self.error_deg).max()) if len(self.error_deg) else float("nan")
 
 
 def tip_trajectory(live: Live, what: str, speed_deg_s: float, seed: int, seconds: float = 60.0) -> tuple[Array, Array]:
-    """t_s and c*(t) in deg: a CSV with t_s,c_deg, or a shape (trapezoids, smooth) over the instrument's range."""
+    """t_s and c*(t) in deg, both (n,): a CSV with t_s,c_deg, or a shape (trapezoids, smooth) over the instrument's
+    range. speed_deg_s: a shape's top speed, held below 0.3 of the motor's; seconds, seed: of the smooth one."""
     if what not in ("trapezoids", "smooth"):
         if not Path(what).is_file():
             raise TautError(f"--trajectory {what}: neither a file nor a shape (trapezoids, smooth)")
@@ -82,6 +86,7 @@ def tip_trajectory(live: Live, what: str, speed_deg_s: float, seed: int, seconds
     if what == "smooth":
         planned = trajectory.random_smooth(tip, speed_deg_s, seconds, seed)
     else:
+        # 6 trapezoids as high as 0.35 of the range; 1/8 s to full speed, 0.3 s of rest at each end.
         planned = trajectory.trapezoids(tip, speed_deg_s, 0.35 * tip.span, 6, 8.0 * speed_deg_s, 0.3)
     return planned.t_s, planned.q
 
@@ -157,7 +162,7 @@ def step(live: Live, seen: Callable[[Frame], None] | None) -> None:
 
 
 def _check_refusals(live: Live) -> None:
-    """TautError where the board refused a set-point, naming the fault that caused it."""
+    """TautError where the board has refused a set-point, with the axis' fault where that is why."""
     if live.board.refused:
         live.board.check_fault(live.axis)
         refused = live.board.refused[0]
@@ -246,7 +251,7 @@ def follow_run(
 
 def _compared_with_plan(live: Live, begin_s: float, t_s: Array, plan: Array, frames: list[Frame]) -> Followed:
     """The tip's angle beside the plan at the same times: the simulated instrument's true angle, else the camera's, else
-    NaN."""
+    NaN. begin_s: when the trajectory proper begins; t_s, plan: set-points, board time in s and deg, (n,)."""
     if live.plant is not None:
         when, q, p, c = live.plant.truth()
         half = 0.5 * live.plant.instrument.backlash(p)
@@ -331,8 +336,9 @@ def other_axes(motion: str) -> list[str]:
 
 
 def motor_trajectory(live: Live, what: str, speed: float | None, seconds: float, seed: int) -> tuple[Array, Array]:
-    """Times, s, and motor positions of a file or of a shape (trapezoids, smooth) within the range. seconds, seed: of
-    the smooth one."""
+    """Times, s, and motor positions, both (n,), of a file or of a shape (trapezoids, smooth) within the range. speed: a
+    shape's, unit/s; None: 15 deg/s of the tip, or half the motor's top speed if less. seconds, seed: of the smooth
+    one."""
     actuator = live.rig.actuator
     if what not in ("trapezoids", "smooth"):
         if not Path(what).is_file():
@@ -346,5 +352,6 @@ def motor_trajectory(live: Live, what: str, speed: float | None, seconds: float,
     if what == "smooth":
         planned = trajectory.random_smooth(actuator, speed, seconds, seed)
     else:
+        # 6 trapezoids as high as 0.35 of the range; 1/8 s to full speed, 0.3 s of rest at each end.
         planned = trajectory.trapezoids(actuator, speed, 0.35 * actuator.span, 6, 8.0 * speed, 0.3)
     return planned.t_s, planned.q

@@ -110,6 +110,8 @@ class Following:
     lost: str = field(init=False, default="")  # why frames no longer come
 
     def __post_init__(self) -> None:
+        """Begins to gather telemetry. TautError where there is no camera, the model is in another unit than the rig, or
+        is none of the library's shapes."""
         if self.live.marker_source is None:
             raise TautError("no camera: name one with --camera, or use --simulate")
         if self.live.rig.actuator.unit != self.model.rig.actuator.unit:
@@ -151,7 +153,7 @@ class Following:
                 self._newest_s = float(t_s[-1])
 
     def motor_at(self, t_s: float) -> float:
-        """q at a time not long ago, the rig's unit; NaN before the first sample."""
+        """q at a time not long ago, the rig's unit; NaN before the telemetry that is kept."""
         for times, q in reversed(self._path):
             if times[0] <= t_s:
                 return float(np.interp(t_s, times, q))

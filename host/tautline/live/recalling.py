@@ -26,8 +26,8 @@ _SPEED_DEG_S = 15.0
 
 
 def recall(live: Live, library: Library, progress: Progress = None) -> tuple[Shape, dict[str, float]]:
-    """Moves the motor out and back twice from where it is, and returns which shape's model predicts that best and how
-    far off each is. TautError where two are equally good."""
+    """Moves the motor out and back twice from where it is, and returns which shape's model predicts that best and the
+    rms error of each by name, px. TautError where two are equally good."""
     if live.marker_source is None:
         raise TautError("no camera: a shape is told by what it sees; name one with --camera, or use --simulate")
     t_s, q = _motion(live, [library.model(shape.name) for shape in library.shapes])
@@ -38,7 +38,8 @@ def recall(live: Live, library: Library, progress: Progress = None) -> tuple[Sha
 
 
 def _motion(live: Live, models: Sequence[Model]) -> tuple[Array, Array]:
-    """Times, s, and motor positions of the test motion, towards the farther end of the range."""
+    """Times, s, and motor positions, the rig's unit, both (n,), of the test motion, towards the farther end of the
+    range."""
     actuator = live.rig.actuator
     low, high = actuator.range
     here = float(np.clip(live.board.status(live.axis).q * live.resolution, low, high))
@@ -47,5 +48,5 @@ def _motion(live: Live, models: Sequence[Model]) -> tuple[Array, Array]:
     stroke *= 1.0 if high - here > here - low else -1.0
     points = [here, here + stroke, here + (1.0 - _SHORTER) * stroke, here + stroke, here]
     speed = min(_SPEED_DEG_S / abs(live.rig.coarse.gain), 0.5 * live.top_speed)
-    planned = trajectory.through(points, speed, 8.0 * speed)
+    planned = trajectory.through(points, speed, 8.0 * speed)  # 1/8 s to full speed
     return planned.t_s, planned.q

@@ -103,8 +103,9 @@ class Means:
         cls, low: float, high: float, frame_rate_hz: float, top_speed: float, top_acceleration: float,
         speeds: tuple[float, ...] | None = None,
     ) -> Means:  # fmt: skip
-        """The speeds and acceleration of calibration passes: as fast as the frame rate, the motor and a pass of at
-        least some time allow, unless `speeds` are given. top_speed, top_acceleration: unit of q."""
+        """The speeds and acceleration of calibration passes over a range: as fast as the frame rate, the motor and a
+        pass of at least some time allow, unless `speeds` are given. top_speed, top_acceleration: of the motor. All in
+        the unit of q."""
         if speeds is None:
             fast = min(
                 _FRAME * frame_rate_hz * (high - low), _SECOND * (high - low), _OF_TOP_SPEED * top_speed,
@@ -171,19 +172,22 @@ class Standing:
 
     @property
     def covered(self) -> bool:
+        """Whether B is measured, well or not, wherever it can be seen, but for a little."""
         return self.missing[0] >= self.missing[1]
 
     def reached(self, until: float) -> bool:
+        """Whether sigma of B is `until` or less, unit of q, wherever B can be seen."""
         return self.covered and self.worst <= until
 
     def share(self, until: float) -> float:
-        """Progress towards the goal, 0 to 1, as variance falls in proportion to time."""
+        """Progress towards the goal `until` (sigma of B, unit of q), 0 to 1, as variance falls in proportion to
+        time."""
         return min((until / self.worst) ** 2, 1.0) if self.worst > 0 else 1.0
 
 
 def _insufficient_places(q: Array, sigma: Array, until: float, apart: float) -> tuple[Place, ...]:
-    """The stretches of q where sigma is above _AIM times the goal; those less than `apart` from each other are
-    joined."""
+    """The stretches of q, (n,), where sigma, (n,), is above _AIM times the goal `until`; those less than `apart` from
+    each other are joined. All in the unit of q."""
     bad = np.flatnonzero(sigma > _AIM * until)
     runs = np.split(bad, np.flatnonzero(np.diff(q[bad]) > apart) + 1) if len(bad) else []
     return tuple(Place(float(q[run[0]]), float(q[run[-1]]), float(sigma[run].max())) for run in runs)
@@ -216,12 +220,13 @@ def in_words(sigma: float, unit: str) -> str:
 
 
 def both_made(done: Sequence[Round | Strokes]) -> bool:
-    """Whether passes and strokes were made: without both sigma is not believed."""
+    """Whether passes and strokes were made: without both sigma is not believed. The first round is always one of
+    passes."""
     return any(isinstance(made, Strokes) for made in done)
 
 
 def first_round(means: Means) -> Round:
-    """All of the range, out and back."""
+    """Passes over all of the range, out and back."""
     return _round_over(means, means.low, means.high, means.speeds[:1], _CYCLES, _STROKE * means.span)
 
 
@@ -271,8 +276,8 @@ def why_another(standing: Standing, until: float, unit: str, done: Sequence[Roun
 
 
 def no_longer(best: float, standing: Standing, until: float, unit: str) -> str:
-    """What is said if the goal looked reached after an earlier round (worst sigma `best`) and is not any more; else
-    ""."""
+    """What is said if the goal looked reached after an earlier round, of which `best` is the smallest worst sigma, unit
+    of q, and is not any more; else ""."""
     if best > until or standing.reached(until):
         return ""
     return (
@@ -282,7 +287,8 @@ def no_longer(best: float, standing: Standing, until: float, unit: str) -> str:
 
 
 def _with_ends(standing: Standing, until: float) -> tuple[Place, ...]:
-    """The places that need strokes, with both ends of the measured range, from low to high."""
+    """The places that need strokes, with both ends of the measured range, from low to high. An end that is added counts
+    as having the goal's sigma, `until`."""
     first, last = (Place(end, end, until) for end in standing.ends)
     need = standing.need
     below = () if need and need[0].low <= first.low else (first,)
@@ -331,7 +337,8 @@ class CameraView:
 def why_not(
     standing: Standing, until: float, unit: str, camera: CameraView, seconds: float, at_most_s: float, rounds: int
 ) -> str:
-    """Why the goal is out of reach, empty where it may be reached yet: one sentence with its remedy."""
+    """Why the goal is out of reach, empty where it may be reached yet: one sentence with its remedy. until: the goal;
+    seconds: the time so far, of at_most_s; rounds: how many were made."""
     out_of_time = seconds >= at_most_s
     if standing.reached(until) or (rounds < FEWEST and not out_of_time):
         return ""

@@ -88,7 +88,7 @@ def move_to(live: Live, q: float, speed: float, seen: Callable[[Frame], object] 
     `seen`."""
     start = live.board.status(live.axis).q * live.resolution
     live.board.ask("move", axis=live.axis, q=q / live.resolution, speed_s=speed / live.resolution)
-    longest = 2.0 + 1.5 * abs(q - start) / speed
+    longest = 2.0 + 1.5 * abs(q - start) / speed  # s, tolerance
     deadline = live.now_us() + longest * 1e6
     late = False
     while not late:
@@ -180,6 +180,7 @@ class Motions:
     """Runs the board's calibration motion, once or several times in a row, and hands on each frame."""
 
     def __init__(self, live: Live, recorder: Recorder, made: Motion) -> None:
+        """made: gets the counts and onsets of what is run."""
         self.live, self.recorder, self.made = live, recorder, made
         self.permille = 0
         self._before = 0  # reversals of the rounds before this one
@@ -190,6 +191,7 @@ class Motions:
         return self.live.board.listening(progress=self._took, onset=self._onset)
 
     def _took(self, message: wire.Message) -> None:
+        """Takes in a progress message of the board: the motion's state, its progress in 1/1000 and its reversals."""
         self._state, self.permille = message.state, message.permille
         self.made.reversals = self._before + message.reversals
 
@@ -213,7 +215,7 @@ class Motions:
             cycles=wanted.cycles,
             low=wanted.low / resolution,
             high=wanted.high / resolution,
-            speed_s=[speed / resolution for speed in (*wanted.speeds, 0.0, 0.0, 0.0)[:4]],
+            speed_s=[speed / resolution for speed in (*wanted.speeds, 0.0, 0.0, 0.0)[:4]],  # 0 ends the list
             transit_s=wanted.transit / resolution,
             acceleration_s2=wanted.acceleration / resolution,
             approach=wanted.approach / resolution,
@@ -222,8 +224,8 @@ class Motions:
             delay_us=round(camera.delay_s * 1e6),
             sigma_wanted=wanted.sigma_wanted / resolution,
             sigma_usable=wanted.sigma_usable / resolution,
-            turn=max(_TURN * counts, 4.0),
-            curvature=round(min(_SLOPE_CHANGES / counts, 0.5) * 2**20),
+            turn=max(_TURN * counts, 4.0),  # counts
+            curvature=round(min(_SLOPE_CHANGES / counts, 0.5) * 2**20),  # for a count, in 1/2**20
         )
         self._state, self.permille = _RUNNING[0], 0
         live.feeding = True
@@ -258,6 +260,7 @@ class Motions:
                 self.made.reversals += 1
 
     def _add(self, frame: Frame) -> None:
+        """Records a frame and counts it, also if it shows no marker."""
         self.recorder.add(frame)
         self.made.frames += 1
         self.made.lost_frames += not frame.sighting.valid

@@ -111,6 +111,7 @@ class LockstepSource:
         self._plant, self._camera, self._tracker = plant, camera, tracker
 
     def look(self) -> Frame:
+        """Advances board and instrument to the arrival of the camera's next frame, and returns that."""
         while self._camera.next_arrival_s < self._plant.now_s:  # frames that passed while nobody looked
             self._camera.read()
         self._plant.advance_to(self._camera.next_arrival_s)
@@ -201,6 +202,7 @@ class Live:
                 self.release()
 
     def _check_stop(self) -> None:
+        """Raises KeyboardInterrupt where Ctrl-C came since the last look."""
         if self.stopping:
             self.stopping = False
             raise KeyboardInterrupt
@@ -235,6 +237,7 @@ class Live:
             self._take_in()
 
     def _take_in(self) -> None:
+        """Takes in what a simulated board has sent; a real one has a thread that does."""
         if self.plant is not None:
             self.board.sync()
 
@@ -263,7 +266,8 @@ class Live:
             self.board.ask("enable", axis=self.axis, on=0)
 
     def release(self) -> None:
-        """Brings the axis to rest within its limits and switches the motor off, from whatever it does."""
+        """Brings the axis to rest within its limits and switches the motor off, from whatever it does; waits for it 5 s
+        at most."""
         self.board.ask("enable", axis=self.axis, on=0)
         waited = 0.0
         while self.board.status(self.axis).mode != wire.code("MODES", "OFF") and waited < 5.0:
@@ -324,6 +328,7 @@ class Recorder:
                 self._last_us = t_us
 
     def _write(self, file: IO[str], name: str, row: str) -> None:
+        """Writes a row to a file and keeps its numbers under `name`, NaN where a field is empty."""
         file.write(row + "\n")
         self._rows[name].append(tuple(float(value or "nan") for value in row.split(",")))
 
@@ -347,7 +352,8 @@ class Recorder:
         return Recording(self.folder.name, Motor(*motor.T), seen, rig=self._live.rig)
 
     def motor_at(self, t_s: float) -> float:
-        """The motor's position at a recent time, the rig's unit; NaN before the first sample."""
+        """The motor's position, the rig's unit, in the last sample at or before t_s, board time; NaN before the first
+        sample."""
         rows = self._rows["motor"]
         after = bisect.bisect_right(rows, (t_s, np.inf))
         return rows[after - 1][1] if after else float("nan")
@@ -390,6 +396,7 @@ class Recorder:
 
 
 def _pass(link: SimLink, seconds: float) -> None:
+    """Lets virtual time pass on a simulated board."""
     link.ask(f"advance {round(seconds * 1e6)}")
 
 
@@ -400,6 +407,8 @@ def _with_board_instrument(rig: Rig, board: Board, axis: int) -> Rig:
 
 
 def _camera(source: str | int, size: tuple[int, int] | None, rate_hz: float | None) -> FrameSource:
+    """The camera of a ROS topic, or a device, stream or file with its exposure locked. size (width, height) and rate
+    are asked of a device."""
     if is_topic(source):
         return RosCamera(str(source))
     camera = VideoCamera(source, size=size, rate_hz=rate_hz)

@@ -60,7 +60,8 @@ class View:
 
     @property
     def unseen(self) -> tuple[float, float]:
-        """The first and the last position between which the marker was mostly lost; (0, 0) where it never was."""
+        """From the first to the last of the BINS in which the marker was mostly lost, the rig's unit; (0, 0) where
+        there is none."""
         seen, lost = (self.rising + self.falling).T
         bad = np.flatnonzero(lost > seen)
         if not len(bad):
@@ -137,6 +138,7 @@ class Watch:
         self._fit: Future[tuple[Calibration, float]] | None = None
 
     def close(self) -> None:
+        """Ends the thread after the calibration that it is at, without waiting."""
         if self._pool is not None:
             self._pool.shutdown(wait=False, cancel_futures=True)
 
@@ -181,8 +183,9 @@ class Watch:
         self.view.doing = doing
 
     def camera_view(self) -> CameraView:
-        """The marker's noise at rest and where it was lost, so far."""
+        """The marker's noise at rest, px, NaN where it never rested, and where it was lost, so far."""
         steps = np.abs(self._steps)
+        # A step has the noise of two frames.
         noise = spread.deviation(steps) / float(np.sqrt(2.0)) if steps.size else float("nan")
         return CameraView(noise, self.view.unseen)
 

@@ -47,10 +47,11 @@ class Evidence:
 
     @property
     def unit(self) -> str:
+        """The unit of `seen` and `error`."""
         return "px" if self.seen.shape[1] == 2 else "deg"
 
     def index(self, name: str) -> int:
-        """Which recording has this name; the first where none has."""
+        """The number of the recording with this name; 0 where none has it."""
         return int(np.argmax(self.names == name))
 
     def rms(self) -> list[float]:
@@ -107,7 +108,8 @@ def collect(model: Model, recordings: Sequence[Recording]) -> Evidence:
 
 
 def _collect_one(model: Model, recording: Recording, index: int, offset_s: float) -> Evidence:
-    """The evidence of one recording. index: its number; offset_s: onto the session's clock."""
+    """The evidence of one recording, of its frames within the motor's times. index: its number; offset_s: from its
+    clock to the session's, s."""
     motor, rig = recording.motor, model.rig
     track = observe([recording], rig)[0]
     t_s, seen = track.scene_s(model.delay_of(track.sensor)), track.y
@@ -147,10 +149,11 @@ def _collect_one(model: Model, recording: Recording, index: int, offset_s: float
 
 
 def settled(model: Model, motor: Motor, t_s: Array) -> Array:
-    """(n,) Whether the tip's place no longer depends on where within its backlash it started."""
+    """(n,) bool at scene times t_s (n,): whether the tip's place no longer depends on where within its backlash it
+    started. Two tips that start at either end of it are simulated: true once they stay together."""
     reach = 0.5 * float(model.width.max())
     ends = [model.simulate(motor, t_s, float(model.remaining(motor.q[0] + side * reach))) for side in (-1.0, 1.0)]
-    apart = np.abs(ends[0] - ends[1]) > 1e-9
+    apart = np.abs(ends[0] - ends[1]) > 1e-9  # deg: more than rounding
     latest = t_s[apart].max() if apart.any() else -np.inf
     return np.asarray(t_s > latest)
 
@@ -166,6 +169,7 @@ class Run:
 
     @property
     def rms_deg(self) -> float:
+        """Rms of the tip less its goal where it is scored, deg; NaN where it never is."""
         error = (self.tip_deg - self.goal_deg)[self.counted]
         return float(np.sqrt(np.mean(error**2))) if len(error) else float("nan")
 
@@ -177,7 +181,7 @@ class Run:
 
     @classmethod
     def load_all(cls, folder: Path) -> dict[str, Self]:
-        """The runs beside a model, by compensation."""
+        """The runs in a model's folder, by compensation (of COMPENSATIONS); those that are not there are left out."""
         runs = {}
         for compensation in COMPENSATIONS:
             path = folder / f"follow-{compensation}.csv"

@@ -83,27 +83,30 @@ def onsets_of(model: Model) -> list[Onset]:
 
 
 def finer(unit: str) -> tuple[str, float]:
-    """What changes of B are told in, and how many of it a unit of q is."""
+    """The unit in which changes of B are shown, and how many of it are one unit of q."""
     return ("µm", 1e3) if unit == "mm" else (unit, 1.0)
 
 
 def split_onsets(onsets: Sequence[Onset]) -> tuple[list[Onset], list[Onset]]:
+    """The onsets that B(q) was fitted to, and those that were left out."""
     return [o for o in onsets if o["used"]], [o for o in onsets if not o["used"]]
 
 
 def knots_of(model: Model) -> Array | None:
-    """The knots of the paper's spline of B; empty where B is another curve."""
+    """The knots of the paper's spline of B, unit of q; None where B is another curve."""
     if model.extra.get("options", {}).get("knots") != "paper":
         return None
     return paper_knots(float(model.q[0]), float(model.q[-1]))
 
 
 def q_mean(onset: Onset) -> float:
+    """The middle between the motor's positions at the turn and at the onset, unit of q."""
     return 0.5 * float(onset["q1"] + onset["q2"])
 
 
 def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Array | None = None) -> None:
-    """B(q) with its band and every width that was measured (the paper's Fig. 8)."""
+    """B(q) with its band and every width that was measured (the paper's Fig. 8): hollow and without a bar where 2 sigma
+    exceeds the width. Grey: not measured. knots: drawn as lines."""
     unit, (low, high) = model.rig.actuator.unit, model.measured
     inside = (model.q >= low) & (model.q <= high)
     used, _ = split_onsets(onsets)
@@ -224,6 +227,7 @@ def track(evidence: Evidence, onsets: Sequence[Onset], motor_unit: str) -> Figur
     """Motor and marker over time with every reversal."""
     made, axes = figure(11, 4.0, 2, 1, sharex=True)
     position, name = main_axis(evidence)
+    order = np.argsort(evidence.t_s, kind="stable")  # recordings may have been given in any
     for ax, values, colour, label in (
         (axes[0, 0], evidence.q, UP, f"q ({motor_unit})"),
         (axes[1, 0], position, INK, name),
@@ -238,7 +242,7 @@ def track(evidence: Evidence, onsets: Sequence[Onset], motor_unit: str) -> Figur
         for ax, values in ((axes[0, 0], evidence.q), (axes[1, 0], position)):
             ax.plot(
                 times,
-                np.interp(times, evidence.t_s, values),
+                np.interp(times, evidence.t_s[order], values[order]),
                 "o",
                 ms=3.5,
                 color=colour,
@@ -252,7 +256,8 @@ def track(evidence: Evidence, onsets: Sequence[Onset], motor_unit: str) -> Figur
 
 @mpl.rc_context(STYLE)
 def onsets_closely(model: Model, evidence: Evidence, onsets: Sequence[Onset], count: int = 3) -> Figure | None:
-    """Some onsets from low to high q: what was seen over the motor's way since it turned, with the hinge."""
+    """Some onsets from low to high q: what was seen over the motor's way since it turned, with the hinge. None where no
+    used onset has frames enough."""
     used = sorted(split_onsets(onsets)[0], key=q_mean)
     views = [view for onset in used if (view := _around(evidence, onset)) is not None]
     if not views:
@@ -282,12 +287,13 @@ def onsets_closely(model: Model, evidence: Evidence, onsets: Sequence[Onset], co
 
 
 def _around(evidence: Evidence, onset: Onset) -> tuple[Onset, Array, Array, float] | None:
-    """The motor's way since it turned and how far the tip had moved by then, frame by frame, and the slope after the
-    onset; None where too few frames show it."""
+    """The onset; the motor's way since it turned (k,), unit of q, and how far the tip had moved by then (k,), px or
+    deg, frame by frame; and the slope after the onset. None where too few frames show it."""
     width = max(onset["width"], 1e-9)
     t2 = onset["t_s"] + _offset(evidence, onset)
     same = evidence.recording == evidence.index(onset["recording"])
     path = evidence.path[same] - np.interp(t2, evidence.t_s[same], evidence.path[same]) + width
+    # Shares of the width: what is shown, and what is surely before or after the onset.
     near = (path > -0.8 * width) & (path < 1.8 * width)
     path, seen = path[near], evidence.seen[same][near]
     still = (path > 0.1 * width) & (path < 0.95 * width)
@@ -405,7 +411,8 @@ def compared(models: Mapping[str, Model]) -> Figure:
 
 
 def _draw_change(width: Axes, angle: Axes, first: Model, model: Model, line: Mapping[str, Any]) -> None:
-    """Draws one model's B and f_remain less the first's, over the q that both have measured."""
+    """Draws one model's B (on `width`) and f_remain (on `angle`, its mean taken off) less the first's, with 2 sigma,
+    over the q that both have measured; nothing where there is none. line: the style."""
     low, high = max(first.measured[0], model.measured[0]), min(first.measured[1], model.measured[1])
     if not high > low:
         return
@@ -425,12 +432,14 @@ def _draw_change(width: Axes, angle: Axes, first: Model, model: Model, line: Map
 
 
 def _inside(model: Model) -> Array:
+    """(n,) bool: the nodes of the model's grid over which B was measured."""
     return np.asarray((model.q >= model.measured[0]) & (model.q <= model.measured[1]))
 
 
 @mpl.rc_context(STYLE)
 def servo_steps(steps: Mapping[float, Any], chosen: float) -> Figure:
-    """The motor's answer to a step at the axis' limits, by factor of the gains; the chosen one is thick."""
+    """The motor's answer to a step at the axis' limits, by factor of the gains; the chosen one is thick. steps: t_s in
+    s, q, q_ref and rms in counts."""
     made, axes = figure(11, 5.0, 2, 1, sharex=True)
     top, bottom = axes[:, 0]
     for (factor, step), colour in zip(steps.items(), _colours(len(steps)), strict=True):
@@ -450,10 +459,12 @@ def servo_steps(steps: Mapping[float, Any], chosen: float) -> Figure:
 
 
 def _colours(count: int) -> list[Any]:
+    """So many colours for lines: the first of SERIES, or a colour map's where those are too few."""
     if count <= len(SERIES):
         return list(SERIES[:count])
     return list(mpl.colormaps["viridis"](np.linspace(0, 0.9, count)))
 
 
 def _offset(evidence: Evidence, onset: Onset) -> float:
+    """What is added to an onset's time to have it on the common clock, s."""
     return float(evidence.offset_s[evidence.index(onset["recording"])])

@@ -60,6 +60,7 @@ def save_model(model: Model, recordings: Sequence[Recording], folder: Path) -> l
 
 
 def _keep_picture(recordings: Sequence[Recording], folder: Path) -> None:
+    """Writes camera.jpg, a frame with the marker's path over it, of the first recording that has one; else nothing."""
     seen = next((shown for each in recordings if (shown := snapshot(each)) is not None), None)
     if seen is not None:
         cv2.imwrite(str(folder / CAMERA_FILE), seen, [cv2.IMWRITE_JPEG_QUALITY, 88])
@@ -77,7 +78,8 @@ def _camera(folder: Path) -> Picture | None:
 
 
 def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "") -> Path:
-    """MODEL/report.html: what was measured, how good it is, what it gains. `evidence` None: the tables alone."""
+    """Writes MODEL/report.html: what was measured, how good it is, what it gains; returns its path. `evidence` None:
+    the tables alone. name: of the model, "": the folder's."""
     onsets = figures.onsets_of(model)
     used, unused = figures.split_onsets(onsets)
     passes = model.extra.get("pass_width")
@@ -199,8 +201,9 @@ def write_comparison(models: Mapping[str, Model], path: Path) -> None:
 
 
 def comparison(models: Mapping[str, Model]) -> list[dict[str, Any]]:
-    """For each model its changes against the first, over the q that both have measured. The mean change of f_remain is
-    taken off its rms (the zero of the motor is not the instrument's) and stands beside it."""
+    """For each model its changes against the first, over the q that both have measured: widths in the unit of q, NaN
+    where there is no such q. The mean change of f_remain is taken off its rms (the zero of the motor is not the
+    instrument's) and stands beside it."""
     names = list(models)
     first = models[names[0]]
     rows = []
@@ -241,6 +244,7 @@ def write_page(template: str, page: Mapping[str, Any], path: Path, beside: Path 
 
 
 def _render(template: str, page: Mapping[str, Any], beside: Path | None = None) -> str:
+    """The page's HTML; arguments as in write_page."""
     loaders: list[jinja2.BaseLoader] = [jinja2.PackageLoader("tautline.reports")]
     if beside is not None:
         loaders.append(jinja2.FileSystemLoader(beside))
@@ -256,7 +260,7 @@ def picture(made: Figure, title: str, caption: str) -> Picture:
 
 
 def _digits(value: float, digits: int = 3, sign: bool = False) -> str:
-    """A number with so many significant digits and no exponent."""
+    """A number with so many significant digits, at most 6 decimals, no exponent; "not measured" for None, NaN, inf."""
     if value is None or not np.isfinite(value):
         return "not measured"
     if value == 0:
@@ -271,10 +275,12 @@ def _with(value: float, unit: str, digits: int = 3) -> str:
 
 
 def _inside(model: Model) -> Array:
+    """(n,) bool: the nodes of the model's grid over which B was measured."""
     return (model.q >= model.measured[0]) & (model.q <= model.measured[1])
 
 
 def _source(model: Model, evidence: Evidence | None) -> str:
+    """The page's line on what it is made from: recordings, their length and the motor's range."""
     made = f"from {', '.join(evidence.names)}; " if evidence else ""
     low, high = model.rig.actuator.range
     length = f"{len(evidence.t_s)} {'frames' if evidence.unit == 'px' else 'samples'}; " if evidence else ""
@@ -325,11 +331,12 @@ def _backlash_share(model: Model, evidence: Evidence) -> tuple[float, float]:
 
 
 def _times(worse: float, better: float) -> str:
+    """How many times larger `worse` is than `better`, as text."""
     return _digits(worse / max(better, 1e-12), 2)
 
 
 def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence: Evidence | None) -> list[Number]:
-    """The rows of the page's table of numbers."""
+    """The rows of the page's table of numbers. used, unused: the model's onsets."""
     unit, inside = model.rig.actuator.unit, _inside(model)
     numbers = []
     if inside.any():
@@ -353,7 +360,8 @@ def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence:
 
 
 def _stages(evidence: Evidence | None) -> list[list[str]]:
-    """The rms at each stage of the model, for the page."""
+    """For the page, a row for each of STAGES: name, rms per coordinate, distance in the mean ± its deviation, largest
+    distance, and how many times smaller the rms is than f_coarse's. [] where nothing can be scored."""
     if evidence is None or not evidence.settled.any():
         return []
     rms = evidence.rms()
@@ -376,6 +384,7 @@ def _onset_row(onset: figures.Onset) -> list[str]:
     """An onset as a row of the page's table."""
 
     def told(value: float, places: int) -> str:
+        """The value with so many decimals; "" for NaN."""
         return "" if np.isnan(value) else f"{value:.{places}f}"
 
     return [

@@ -59,7 +59,7 @@ class Intrinsics:
     sigma: Array  # (9,)
     rms_px: float  # of the corners about what is fitted
     views: int  # that the board was found in
-    of: int
+    of: int  # pictures in all
 
     def camera(self) -> dict[str, Any]:
         """The keys of rig.toml's [camera] that these give."""

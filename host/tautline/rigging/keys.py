@@ -51,8 +51,10 @@ def missing(document: Mapping[str, Any], sensor: Sensor) -> Iterator[tuple[Secti
 
 
 def example(key: Key) -> str:
+    """A key's example as somebody would type it."""
     return ", ".join(f"{v:g}" for v in key.example) if isinstance(key.example, list) else str(key.example)
 
 
 def _kept(value: Any) -> Any:
+    """A value as a TOML document holds it: lists instead of tuples."""
     return list(value) if isinstance(value, tuple) else value

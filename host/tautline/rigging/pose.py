@@ -67,9 +67,12 @@ def hand_eye(places: Places, kinematics: Kinematics, camera: Camera, angle_sigma
     sigma_c = max(angle_sigma_deg, _LEAST_DEG)
 
     def seen(pose: Array, c_deg: Array) -> tuple[Array, Array]:
+        """Image positions (n, 2) px at angles c (n,) deg with this pose (6,), and their slopes (n, 2) px per deg."""
         return project_with_slope(_rig(kinematics, camera, pose), c_deg)
 
     def residuals(x: Array) -> Array:
+        """What is left over sigma, (3 n,): of the image positions, 1e6 where the tip is behind the camera, then of the
+        angles. x (6 + n,): pose, true angles."""
         off = (seen(x[:6], x[6:])[0] - places.image_px) / sigma_px[:, None]
         return np.concatenate([np.nan_to_num(off, nan=1e6).ravel(), (x[6:] - places.c_deg) / sigma_c])
 
@@ -100,17 +103,20 @@ def hand_eye(places: Places, kinematics: Kinematics, camera: Camera, angle_sigma
 
 
 def _hand_eye(pose: Array) -> HandEye:
+    """The hand-eye transform of a pose (6,): rx ry rz, deg, x y z, mm."""
     rx, ry, rz, x, y, z = pose.tolist()
     return HandEye((rx, ry, rz), (x, y, z))
 
 
 def _rig(kinematics: Kinematics, camera: Camera, pose: Array) -> Rig:
+    """A rig that projects with this pose (6,), deg and mm; its actuator and f_coarse are stand-ins that nothing
+    uses."""
     unused = Actuator("mm", (-1.0, 1.0), 1.0), Coarse(1.0, 0.0)
     return Rig(*unused, kinematics, camera, _hand_eye(pose))
 
 
 def _planar_poses(places: Places, kinematics: Kinematics, camera: Camera) -> list[Array]:
-    """(6,) rx ry rz, x y z of each pose that the planar curve allows."""
+    """(6,) rx ry rz, deg, x y z, mm, of each pose that the planar curve of places allows."""
     turned = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # the bending plane becomes z = 0
     flat = tip_bend(kinematics, places.c_deg) @ turned.T
     middle = flat.mean(axis=0)
@@ -128,8 +134,8 @@ def _planar_poses(places: Places, kinematics: Kinematics, camera: Camera) -> lis
 def _angle_sigma(
     seen: Callable[[Array, Array], tuple[Array, Array]], pose: Array, covariance: Array, c_deg: Array
 ) -> Array:
-    """Standard deviation of angles over the range by the pose's covariance: a pose that is off by dp moves the image by
-    h_p dp, which is read as an angle dc = -(h_c . h_p dp) / |h_c|^2."""
+    """(25,) Standard deviation, deg, of angles over the range by the pose's covariance (6, 6): a pose that is off by dp
+    moves the image by h_p dp, which is read as an angle dc = -(h_c . h_p dp) / |h_c|^2."""
     grid = np.linspace(c_deg.min(), c_deg.max(), 25)
     slope = seen(pose, grid)[1]
     step = 1e-4

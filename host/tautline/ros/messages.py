@@ -15,7 +15,7 @@ _FARTHEST = 500.0  # rad: the board's angles end at 32768 deg, which is 571 rad
 
 
 def si(rig: Rig) -> float:
-    """Of the motor's unit: rad a deg, or m a mm."""
+    """SI units in one of the motor's: rad per deg, or m per mm."""
     return math.radians(1.0) if rig.actuator.unit == "deg" else 1e-3
 
 
@@ -38,7 +38,7 @@ def point(time_ns: int, u_px: float, v_px: float, sigma_px: float) -> Any:
 
 def position_of(message: Any, joint: str) -> float | None:
     """The joint's position, rad, in a JointState (of its only one where it has no names); None where there is none that
-    is finite and within a board's numbers."""
+    is finite and below _FARTHEST in size."""
     names, positions = list(message.name), message.position
     at = names.index(joint) if joint in names else 0 if not names and len(positions) == 1 else len(positions)
     return float(positions[at]) if at < len(positions) and abs(positions[at]) < _FARTHEST else None

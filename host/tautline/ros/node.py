@@ -87,7 +87,8 @@ class Node:
                 self.replaced += 1
 
     def _counts(self) -> dict[str, int]:
-        """What came: received is sent, replaced and the one that waits."""
+        """Set-points that came: `received` of them were sent, replaced, or wait; `unusable` named no position of the
+        joint."""
         return {"received": self.received, "unusable": self.unusable, "replaced": self.replaced}
 
     def _on_set_point(self, message: Any) -> None:
@@ -125,7 +126,8 @@ class Node:
                     self._state(began_ns + 1000 * t_us, *(float(column[i]) for column in _columns(batch)))
 
     def _state(self, time_ns: int, q: float, q_ref: float, c_deg: float, c_ref_deg: float) -> None:
-        """Publishes motor and tip, measured and commanded. q, q_ref: counts."""
+        """Publishes motor and tip, measured and commanded. time_ns: ROS time; q, q_ref: of the motor, counts; c_deg,
+        c_ref_deg: of the tip."""
         tip, motor = self.parameters.joint, self.parameters.command_joint
         unit = messages.si(self._live.rig) * self._live.resolution
         c, goal = math.radians(c_deg), math.radians(c_ref_deg)
@@ -150,7 +152,8 @@ class Node:
         self._tracked.publish(messages.joint_state(time_ns, angle))
 
     def _diagnose(self, points: SetPointStream, following: Following | None) -> None:
-        """Publishes the state of board and calibration as diagnostics."""
+        """Publishes the state of board and calibration as diagnostics, each _DIAGNOSED_S. Then TautError where the axis
+        has a fault."""
         now = time.monotonic()
         if now < self._diagnosed_s + _DIAGNOSED_S:
             return
@@ -180,7 +183,8 @@ class Node:
             board.check_fault(self._live.axis)
 
     def _level(self, status: wire.Message, following: Following | None) -> tuple[str, str]:
-        """The diagnostic level and a sentence."""
+        """The diagnostic level, "OK", "WARN" or "ERROR", and a sentence that says why. following: None where no camera
+        tracks."""
         verdict = self._model.quality.verdict
         if status.fault:
             return "ERROR", wire.fault(status)
@@ -198,5 +202,5 @@ class Node:
 
 
 def _columns(batch: wire.Message) -> tuple[Any, ...]:
-    """q and its set-point in counts, c and its set-point in deg."""
+    """Telemetry's q and its set-point in counts, c and its set-point in deg, each (samples,)."""
     return batch.q, batch.q_ref, batch.c_est, batch.c_ref

@@ -75,7 +75,7 @@ class Endoscope:
             *(np.atleast_1d(np.asarray(x, dtype=np.float64)) for x in (c_deg, translation_mm, rotation_deg))
         )
         picture = self._backdrop.copy()
-        middle = len(c) // 2
+        middle = len(c) // 2  # the tube is not blurred: it is drawn in the exposure's middle state
         self._draw_tube(picture, float(c[middle]), float(translation[middle]), float(turn[middle]))
         height, width = picture.shape[:2]
         dy, dx = self._rng.integers(0, 256, 2)
@@ -91,7 +91,8 @@ class Endoscope:
     def _marker(
         self, picture: Array, c: Array, translation: Array, turn: Array
     ) -> tuple[tuple[int, int], Array] | None:
-        """The patch of `picture` with the marker in it, float levels, and its corner; None where it is not in view."""
+        """The place (column, row) and the levels, float (rows, columns, 3), of the patch of `picture` with the marker
+        in it; None where it is not in view. c, translation, turn (n,): states over the exposure, deg, mm, deg."""
         look = self.look
         base = about_base_z(turn, tip_bend(self._kinematics, c) + np.column_stack([0 * c, 0 * c, translation]))
         point = to_camera(self._hand_eye, base)
@@ -106,6 +107,7 @@ class Endoscope:
         if x0 >= x1 or y0 >= y1:
             return None
         travelled = float(np.abs(np.diff(image, axis=0)).sum()) if len(image) > 1 else 0.0
+        # Discs are averaged along the way, two for each blur width, so that no steps are seen; in 0.02 px it rests.
         steps = 1 if travelled < 0.02 else min(64, 2 + int(2.0 * travelled / look.blur_px))
         if steps > 1:
             own = (np.arange(steps) + 0.5) / steps
@@ -120,6 +122,7 @@ class Endoscope:
             distance = np.hypot(x - u, y - v)
             cover += 0.5 * erfc((distance - radius) / (look.blur_px * np.sqrt(2.0)))
             if look.glint > 0:
+                # A highlight up and to the left of its middle.
                 spot = ((x - u + 0.35 * radius) ** 2 + (y - v + 0.4 * radius) ** 2) / (0.18 * radius) ** 2
                 light += np.exp(-0.5 * spot)
         cover /= len(image)
@@ -130,7 +133,8 @@ class Endoscope:
         return (int(x0), int(y0)), np.minimum(patch, 255.0)
 
     def _draw_tube(self, picture: Array, c_deg: float, translation_mm: float, rotation_deg: float) -> None:
-        """The straight shaft from behind the camera, the constant-curvature section and the rigid tip."""
+        """Draws the straight shaft from behind the camera, the constant-curvature section and the rigid tip into
+        `picture`, in place. Nothing where it is not in view."""
         share = np.linspace(0.0, 1.0, 14)
         length = self._kinematics.bending_length_mm
         arc = length * share[:, None] * tip_bend(Kinematics(1.0, 0.0), c_deg * share)
@@ -139,7 +143,7 @@ class Endoscope:
         base = np.vstack([shaft, arc, 0.5 * (arc[-1:] + end), end])
         base[:, 2] += translation_mm
         point = to_camera(self._hand_eye, about_base_z(rotation_deg, base))
-        point = point[point[:, 2] > 3.0]
+        point = point[point[:, 2] > 3.0]  # mm before the camera; nearer or behind is not drawn
         if len(point) < 2:
             return
         line = to_image(self._camera, point)
@@ -159,7 +163,7 @@ class Endoscope:
             # A cylinder lit from the camera: bright off its middle, dark at its edges.
             left = line + across * (half * (-1.0 + inset))[:, None]
             right = line + across * (half * (1.0 - 0.6 * inset))[:, None]
-            outline = (np.vstack([left, right[::-1]]) - corner) * 16.0
+            outline = (np.vstack([left, right[::-1]]) - corner) * 16.0  # OpenCV's fixed point: 4 bits behind the point
             outline = np.clip(outline, -1e5, 1e5)
             colour = tuple(level * x for x in _STEEL)
             cv2.fillPoly(patch, [np.rint(outline).astype(np.int32)], colour, cv2.LINE_AA, 4)
@@ -171,7 +175,7 @@ _SHADES = tuple((0.12 * k, 0.35 + 0.11 * k) for k in range(7))
 
 
 def load_background(path: str | Path) -> Array:
-    """A picture file as BGR levels."""
+    """A picture file as BGR levels, (height, width, 3) uint8. TautError where it is none."""
     picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if picture is None:
         raise TautError(f"{path}: cannot be read as a picture: give a PNG or JPEG file")
@@ -179,12 +183,13 @@ def load_background(path: str | Path) -> Array:
 
 
 def _levels(picture: Array) -> Array:
+    """Levels as a camera gives them: rounded, 0 to 255, uint8."""
     levels: Array = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
     return levels
 
 
 def _cover(picture: Array, width: int, height: int) -> Array:
-    """The picture scaled to cover width x height, cut in the middle."""
+    """The picture scaled to cover width x height px, cut in the middle. TautError where it is not BGR of 8 bits."""
     if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
         raise TautError("a background is a BGR picture of 8 bits: (height, width, 3) uint8")
     scale = max(width / picture.shape[1], height / picture.shape[0])
@@ -195,9 +200,10 @@ def _cover(picture: Array, width: int, height: int) -> Array:
 
 
 def _tissue(width: int, height: int, rng: np.random.Generator) -> Array:
-    """A tissue-like picture, BGR levels: folds, mottling, vessels, a dark lumen and wet highlights."""
+    """A tissue-like picture, BGR (height, width, 3) uint8: folds, mottling, vessels, a dark lumen, wet highlights."""
 
     def cloud(scale: float) -> Array:
+        """Smooth random (height, width) of rms 1, with spots some `scale` px wide."""
         small = rng.standard_normal((int(height / scale) + 4, int(width / scale) + 4)).astype(np.float32)
         large = cv2.resize(small, (width, height), interpolation=cv2.INTER_CUBIC)
         return np.asarray(large / max(float(large.std()), 1e-6))

@@ -74,8 +74,8 @@ class Instrument:
         self.p = p
 
     def centre(self, t_s: Array, q: Array) -> Array:
-        """p at motor positions q in order of time; the state carries over to the next call. Exact where q is monotone
-        between neighbours."""
+        """p (n,) at motor positions q (n,), both in the unit of q, in order of time; the state carries over to the next
+        call. Exact where q is monotone between neighbours. t_s (n,) s has no part in it here."""
         q = np.atleast_1d(np.asarray(q, dtype=np.float64))
         if q.shape != np.atleast_1d(t_s).shape:
             raise ValueError("t_s and q differ in length")
@@ -95,12 +95,13 @@ class Instrument:
         return self.bend(self.centre(t_s, q))
 
     def course(self, t_s: Array, q: Array, translation_mm: Array | None, rotation_deg: Array | None) -> InstrumentPath:
-        """As `centre`, with the other degrees of freedom at the same times (None: at rest at 0)."""
+        """As `centre`, with the other degrees of freedom at the same times (None: at rest at 0), which have no part in
+        it here; nor has a channel to lie in: `way` is 0."""
         p = self.centre(t_s, q)
         return InstrumentPath(p, self.bend(p), np.zeros_like(p))
 
     def see(self, c_deg: Array, way: Array, translation_mm: Array | float, rotation_deg: Array | float) -> Array:
-        """Where the marker is seen (n, 2), px; `way` as in Course."""
+        """Where the marker is seen (n, 2), px; `way` as in InstrumentPath, without part in it here."""
         return project(self.rig, c_deg, translation_mm, rotation_deg)
 
     def backlash(self, p: Array) -> Array:
@@ -114,6 +115,8 @@ class Corrected(Instrument):
     tried against it. Without a load column the load stays where the model was calibrated."""
 
     def __init__(self, model: Model, name: str) -> None:
+        """model: with its effects; its delay becomes the rig's. Beyond its ends B goes on as it is there, so that the
+        motor may go a little beyond the range. name: the instrument's, as in truth.json."""
         rig = model.rig
         if rig.camera is not None:
             rig = replace(rig, camera=replace(rig.camera, delay_s=model.delay_s))
@@ -129,23 +132,27 @@ class Corrected(Instrument):
         self.reset()
 
     def reset(self, p: float = float("nan")) -> None:
+        """As `Instrument.reset`; what the motor did before is forgotten, too."""
         super().reset(p)
         self._start_deg = None if np.isnan(p) else float(self._model.remaining(p))
         self._past = np.empty((2, 0))
 
     def centre(self, t_s: Array, q: Array) -> Array:
+        """As `Instrument.centre`, with the model's effects."""
         return self.course(t_s, q, None, None).p
 
     def move(self, t_s: Array, q: Array) -> Array:
+        """As `Instrument.move`, with the model's effects."""
         return self.course(t_s, q, None, None).c_deg
 
     def course(self, t_s: Array, q: Array, translation_mm: Array | None, rotation_deg: Array | None) -> InstrumentPath:
-        """As `Instrument.course`, with the model's effects."""
+        """As `Instrument.course`, with the model's effects, which know the motor's motion since `reset`."""
         new = np.array([np.atleast_1d(t_s), np.atleast_1d(q)], dtype=np.float64)
         if not new.size:
             return InstrumentPath(*np.empty((3, 0)))
         t, moved = past = np.concatenate([self._past, new], axis=1)
-        # What is past is kept as the corners of straight lines: a call costs what is new.
+        # What is past is kept as the corners of straight lines (within 1e-9 of the range) and the ends of rests (longer
+        # than 0.05 s): a call costs what is new.
         self._past = past[:, _native.thin(t, moved, np.array([1e-9 * self.rig.actuator.span]), 0.05).view(bool)]
 
         def whole(values: Array | None) -> Array | None:
@@ -157,11 +164,13 @@ class Corrected(Instrument):
         return InstrumentPath(path.p, path.c_deg, path.way)
 
     def see(self, c_deg: Array, way: Array, translation_mm: Array | float, rotation_deg: Array | float) -> Array:
+        """As `Instrument.see`, with the model's effects on what is seen."""
         return effects.see(self._model, c_deg, way, translation_mm, rotation_deg, self._effects)
 
 
 def of_name(name: str, rig: Rig | None = None, seed: int = 0) -> Instrument:
-    """A preset, or, by the folder of a model, its instrument with all its effects and rig."""
+    """A preset that fits `rig`, or, by the folder of a model, its instrument with all its effects and its own rig; rig
+    and seed then have no part in it."""
     if name not in PRESETS and (Path(name) / MODEL_FILE).is_file():
         return Corrected(Model.load(name), name)
     return preset(name, rig, seed)
@@ -182,13 +191,16 @@ class _Scale:
     """Lengths of a rig: presets are shapes over x = (p - straight) / half the range, so that they fit every rig."""
 
     def __init__(self, rig: Rig) -> None:
+        """half: half the range; straight: p at which f_coarse is 0 deg, the range's middle where that is outside of the
+        range; both in the unit of q."""
         low, high = rig.actuator.range
         self.rig, self.half = rig, 0.5 * (high - low)
         straight = -rig.coarse.offset / rig.coarse.gain
         self.straight = straight if low < straight < high else 0.5 * (low + high)
 
     def instrument(self, name: str, backlash: Law, remaining: Law) -> Instrument:
-        """backlash, remaining: functions in half ranges; remaining has slope 1 where it equals f_coarse."""
+        """The instrument of B and f_remain given as shapes: functions of x (n,) with values in half ranges; remaining
+        has slope 1 where it equals f_coarse."""
         coarse = self.rig.coarse
 
         def width(p: Array) -> Array:
@@ -202,6 +214,7 @@ class _Scale:
 
 
 def _bump(x: Array, centre: float, spread: float) -> Array:
+    """A Gaussian bump of height 1, spread one standard deviation."""
     height: Array = np.exp(-0.5 * ((x - centre) / spread) ** 2)
     return height
 
@@ -214,12 +227,13 @@ def _bump_integral(x: Array, centre: float, spread: float) -> Array:
 
 
 def _sum(shape: Callable[[Array, float, float], Array], x: Array, parts: list[tuple[float, float, float]]) -> Array:
+    """The sum at x of shapes, `_bump` or its integral; parts: (centre, spread, height) of each."""
     total: Array = np.sum([height * shape(x, centre, spread) for centre, spread, height in parts], axis=0)
     return total
 
 
 def _reference(rig: Rig, seed: int) -> Instrument:
-    """B with a bump near the straight pose, f_remain with a dead zone there."""
+    """B with a bump near the straight pose, f_remain with a dead zone there; numbers in half ranges. seed: unused."""
     return _Scale(rig).instrument(
         "reference",
         lambda x: 0.07 + 0.01 * x + 0.09 * _bump(x, 0.06, 0.17),
@@ -228,11 +242,13 @@ def _reference(rig: Rig, seed: int) -> Instrument:
 
 
 def _constant(rig: Rig, seed: int) -> Instrument:
+    """B an eighth of half the range everywhere, f_remain = f_coarse. seed: unused."""
     return _Scale(rig).instrument("constant", lambda x: np.full_like(x, 0.125), lambda x: x)
 
 
 def _davinci(rig: Rig, seed: int) -> Instrument:
-    """A rigid cable-driven tool."""
+    """A rigid cable-driven tool: a wide, flat bump of B, f_remain slightly curved; numbers in half ranges. seed:
+    unused."""
     return _Scale(rig).instrument(
         "davinci", lambda x: 0.085 + 0.03 * _bump(x, 0.0, 0.5), lambda x: 0.93 * x + 0.05 * np.sin(2.0 * x)
     )
@@ -240,8 +256,8 @@ def _davinci(rig: Rig, seed: int) -> Instrument:
 
 def _random(rig: Rig, seed: int) -> Instrument:
     """B with two to four bumps, |B'| <= 1.2; f_remain with one to three dead or lively zones, slope 0.25 to 1.6 of
-    coarse."""
-    rng = np.random.default_rng([seed, 0x1457])
+    f_coarse's; all drawn by the seed, numbers in half ranges."""
+    rng = np.random.default_rng([seed, 0x1457])  # any number: other draws of this seed are independent
     count = rng.integers([2, 1], [5, 4])
     bumps = [(rng.uniform(-0.9, 0.9), rng.uniform(0.12, 0.5), rng.uniform(-0.6, 1.0)) for _ in range(count[0])]
     zones = [(rng.uniform(-0.8, 0.8), rng.uniform(0.1, 0.4), rng.uniform(-0.25, 0.15)) for _ in range(count[1])]

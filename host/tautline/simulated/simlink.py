@@ -46,6 +46,7 @@ class SimLink:
         self._lines = self._socket.makefile("rb")
 
     def ask(self, request: str) -> dict[str, Any]:
+        """The answer to a request. TautError where the board has stopped, or refuses it."""
         self._send(request)
         return self._answer(request)
 
@@ -55,6 +56,7 @@ class SimLink:
         return [self._answer(request) for request in requests]
 
     def _send(self, lines: str) -> None:
+        """Sends requests, a line each. TautError where the board has stopped."""
         try:
             self._socket.sendall(lines.encode() + b"\n")
         except OSError as error:
@@ -109,7 +111,9 @@ class DesktopBoard:
         rate_hz: int = 5000,
         update_key: bytes | None = None,
     ) -> None:
-        """Starts the desktop board and waits until its links answer."""
+        """Starts the desktop board and waits until it says where its links are. flash: the file that it keeps, by
+        default a temporary one. realtime: time runs with the wall clock, else by `advance`. rate_hz: of its control.
+        update_key: 32 bytes, by which new firmware's signature is checked; None: no firmware is taken."""
         self._folder = None if flash else tempfile.TemporaryDirectory(prefix="tautline-")
         self.flash = flash or Path(self._folder.name if self._folder else ".") / "flash.bin"
         line = os.environ.get(LINE, "usbip")
@@ -156,7 +160,8 @@ class SimulatedAxis:
     """A simulated instrument on one axis of a simulated board: q, p and c at each millisecond of board time."""
 
     def __init__(self, link: SimLink, instrument: Instrument, axis: int = 0) -> None:
-        """The motor's true position is q; the play starts on its centre."""
+        """The motor's true position is q, in the rig's unit; the play starts on its centre. Its time is the board's, s
+        since the board was switched on."""
         self.link, self.instrument, self.axis = link, instrument, axis
         self.resolution = instrument.rig.actuator.encoder_resolution
         self._t: list[Array] = []
@@ -171,6 +176,7 @@ class SimulatedAxis:
         self._append(np.array([state["board_us"] * 1e-6]), np.array([state["q"][axis]]) * self.resolution / _Q8)
 
     def _append(self, t_s: Array, q: Array) -> None:
+        """Moves the instrument by the motor's positions q (n,), the rig's unit, at t_s (n,); keeps where it went."""
         self._t.append(t_s)
         self._q.append(q)
         course = self.instrument.course(t_s, q, None, None)
@@ -180,6 +186,7 @@ class SimulatedAxis:
 
     @property
     def now_s(self) -> float:
+        """The board's time of the last position, s."""
         return float(self._t[-1][-1])
 
     def advance_to(self, t_s: float) -> None:
@@ -199,11 +206,14 @@ class SimulatedAxis:
         self._ends = low, high
 
     def _meet(self, low: float, high: float) -> None:
+        """Blocks the motor where it is at or beyond an end (low, high, the rig's unit) and driven on; frees it else."""
         q, drive = float(self._q[-1][-1]), self.link.ask("state")["axes"][self.axis]["duty_q15"]
         held = (q <= low and drive < 0) or (q >= high and drive > 0)
         self.link.ask(f"inject {self.axis} {'blocked' if held else 'well'}")
 
     def _advance(self, us: int) -> None:
+        """Lets the board run for so many microseconds and moves the instrument along. It answers with the motor's
+        positions, 1/256 counts, at each millisecond since the last answer, the last one now."""
         answer = self.link.ask(f"advance {us}")
         q = np.asarray(answer["q"][self.axis], dtype=np.float64) * self.resolution / _Q8
         step = answer["dt_us"]
@@ -215,14 +225,16 @@ class SimulatedAxis:
         return t, q, p, c
 
     def scene(self, t_s: Array) -> tuple[Array, float, float]:
-        """What a simulated camera asks for: c at past times, translation, rotation."""
+        """What a simulated camera asks for: c (n,) deg at past times (n,) s, translation 0 mm, rotation 0 deg."""
         return self._recent(t_s, self._c), 0.0, 0.0
 
     def marker(self, t_s: Array) -> Array:
-        """Where the marker was seen (n, 2) at past times, px."""
+        """Where the marker was seen (n, 2) px at past times (n,) s."""
         return self.instrument.see(self._recent(t_s, self._c), self._recent(t_s, self._way), 0.0, 0.0)
 
     def _recent(self, t_s: Array, values: list[Array]) -> Array:
+        """Values, kept in parts as _t is, at past times (n,) s, straight in between. Only the last parts are joined, as
+        far back as is asked for: a long run stays fast."""
         recent = 1
         while recent < len(self._t) and self._t[-recent][0] > t_s.min():
             recent += 1

@@ -75,7 +75,8 @@ class Simulation:
             self._save_video(folder, endoscope, lossless, progress)
 
     def scene(self, t_s: Array) -> tuple[Array | float, Array | float, Array | float]:
-        """The instrument's state at any times: c (deg), translation, rotation."""
+        """The instrument's state at any times (n,) s: c (n,) deg, translation, mm, and rotation, deg, (n,) or 0 where
+        it has none."""
         motor = self.recording.motor
         others = (
             0.0 if x is None else np.interp(t_s, motor.t_s, x) for x in (motor.translation_mm, motor.rotation_deg)
@@ -105,7 +106,8 @@ _WRITTEN = ("motor.csv", "marker.csv", "angle.csv", "rig.toml", "truth.csv", "tr
 
 
 def _make_room(folder: Path) -> None:
-    """Removes an earlier simulation's files, so that no marker.csv stays beside another's video."""
+    """Removes an earlier simulation's files, so that no marker.csv stays beside another's video. TautError where the
+    folder holds something else."""
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return
     if not (folder / "truth.json").is_file():
@@ -135,7 +137,7 @@ def run(
     """
     if not trajectory.duration_s > 0:
         raise TautError("a simulation needs a motion that lasts: give it a longer duration")
-    rng = np.random.default_rng([seed, 0x51A])
+    rng = np.random.default_rng([seed, 0x51A])  # any number: other draws of this seed are independent
     timing = timing or FrameTiming.of(rig, jitter_s=instrument.jitter_s, seed=seed)
     t = trajectory.t_s
     others = (trajectory.translation_mm, trajectory.rotation_deg)

@@ -36,7 +36,7 @@ class Drive:
         self._known: OrderedDict[tuple[float, ...], Motor] = OrderedDict()
 
     def along(self, motor: Motor) -> Drive:
-        """Of another log."""
+        """The same simulator behind another motor log."""
         return Drive(self._simulator, motor, self._rig, self._pool)
 
     def ask(self, parameters: Mapping[str, Any]) -> None:
@@ -46,7 +46,8 @@ class Drive:
             self._asked[key] = self._pool.submit(side_by_side.tip, self.log, changes)
 
     def motor(self, parameters: Mapping[str, Any]) -> Motor:
-        """Knots of straight lines. parameters: by effects' names, how far they are off the simulator's own."""
+        """The log with the simulated tip's coordinate (unit of q) as its q, straight lines between its knots; the last
+        ones are kept. parameters: by effects' names, how far they are off the simulator's own."""
         changes, key = self._changes(parameters)
         if key not in self._known:
             asked = self._asked.pop(key, None)
@@ -58,6 +59,7 @@ class Drive:
         return self._known[key]
 
     def _changes(self, parameters: Mapping[str, Any]) -> tuple[dict[str, float], tuple[float, ...]]:
+        """The simulator's parameters that are off, by their own names, and the same of all as a key to what is kept."""
         changes = {name: float(parameters[key]) for key, name in self._ids.items() if parameters.get(key)}
         return changes, tuple(changes.get(name, 0.0) for name in self._ids.values())
 
@@ -78,4 +80,5 @@ def _log(motor: Motor, rig: Rig) -> Motor:
 
 
 def _at_coordinate(log: Motor, q: Array) -> Motor:
+    """The log with q (n,), unit of q, in its motor's place."""
     return Motor(log.t_s, q, None, log.translation_mm, log.rotation_deg, log.load_mNm, log.extra)

@@ -71,11 +71,13 @@ class Mjcf:
 
     @cached_property
     def parameters(self) -> tuple[Declared, ...]:
-        """Of the actuator, of the joint that it drives and of the tip's hinges."""
+        """The declared parameters of the actuator, of the joint that it drives and of the tip's hinges."""
         return tuple(self._declared())
 
     @cached_property
     def _model(self) -> mujoco.MjModel:
+        """The compiled file; one without any actuator gets a servo on the joint of that name. TautError where the
+        actuator is not in it."""
         model = read(self.path)
         if not model.nu:
             return with_servo(self.path, self.actuator)
@@ -86,10 +88,12 @@ class Mjcf:
 
     @cached_property
     def _hinges(self) -> tuple[tuple[str, float], ...]:
+        """Names of the hinges whose angles make the tip's, each with its sign."""
         return tip_of(self._model, self.path, self.tip)
 
     @cached_property
     def _index(self) -> int:
+        """The actuator's number in the compiled model."""
         return int(self._model.actuator(self.actuator).id)
 
     @property
@@ -100,6 +104,7 @@ class Mjcf:
 
     @cached_property
     def _joints(self) -> tuple[str, ...]:
+        """Names of the joints whose parameters may change: the tip's hinges and the driven joint, each once."""
         names = [name for name, _ in self._hinges]
         if self._joint is not None:
             names.append(str(self._model.joint(self._joint).name))
@@ -107,7 +112,7 @@ class Mjcf:
 
     @cached_property
     def _joint(self) -> int | None:
-        """The joint that the actuator drives; None where it pulls something else."""
+        """The number of the joint that the actuator drives; None where it pulls something else."""
         import mujoco
 
         drives = self._model.actuator_trntype[self._index] == mujoco.mjtTrn.mjTRN_JOINT
@@ -179,7 +184,8 @@ class Mjcf:
         return model
 
     def _begun(self, model: mujoco.MjModel, control: float) -> mujoco.MjData:
-        """The initial state: the file's first key frame, if it has any, with the driven joint at its first command."""
+        """The initial state: the file's first key frame, if it has any, with a servo's joint at its first command.
+        control: that command, in the actuator's unit."""
         import mujoco
 
         data = mujoco.MjData(model)
@@ -214,8 +220,8 @@ def simulator(path: str | Path, actuator: str, tip: str, unit: str = "deg", scal
 
 @contextmanager
 def _silent() -> Iterator[None]:
-    """MuJoCo writes its warnings into the working directory. Where a trial of a parameter is unstable it begins again,
-    and what comes of that fits nothing."""
+    """Keeps MuJoCo's warnings, which it writes into the working directory, away. Where a trial of a parameter is
+    unstable it begins again, and what comes of that fits nothing."""
     import mujoco
 
     before = mujoco.get_mju_user_warning()
@@ -227,7 +233,7 @@ def _silent() -> Iterator[None]:
 
 
 def digest(path: Path) -> str:
-    """TautError where it cannot be read."""
+    """The file's SHA-256, hexadecimal. TautError where it cannot be read."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:

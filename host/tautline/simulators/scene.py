@@ -30,7 +30,7 @@ def needed() -> None:
 
 
 def read(path: Path) -> mujoco.MjModel:
-    """MJCF or URDF. TautError where it is none."""
+    """The compiled model of an MJCF or URDF file. TautError where it is none."""
     import mujoco
 
     try:
@@ -63,12 +63,12 @@ def with_servo(path: Path, joint: str) -> mujoco.MjModel:
 
 
 def joints_of(model: mujoco.MjModel) -> list[str]:
-    """The names of all."""
+    """The names of all joints, empty for one without a name."""
     return [str(model.joint(i).name) for i in range(model.njnt)]
 
 
 def carried_by(model: mujoco.MjModel, joint: str) -> npt.NDArray[np.int64]:
-    """The bodies that move with a joint, its own first."""
+    """Numbers of the bodies that move with a joint, its own first."""
     own = int(model.joint(joint).bodyid[0])
     carried = [own]
     for body in range(own + 1, model.nbody):  # after their parents

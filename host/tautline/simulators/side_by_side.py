@@ -35,9 +35,10 @@ def pool(simulator: Simulator, workers: int) -> Iterator[Executor | None]:
 
 
 def tip(motor: Motor, changes: Mapping[str, float]) -> npt.NDArray[np.float64]:
-    """In a worker: Simulator.tip."""
+    """In a worker: `Simulator.tip` of the simulator that it was begun with, (n,) deg."""
     return _simulator[0].tip(motor, changes)
 
 
 def _begin(sent: bytes) -> None:
+    """Begins a worker with the pickled simulator."""
     _simulator.append(pickle.loads(sent))

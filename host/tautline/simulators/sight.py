@@ -51,7 +51,8 @@ class Sight:
         return replace(recording, marker=None, video=None, angle=Angle(marker.t_s - late_s, angle, off < _OFF * extent))
 
     def angle(self, marker: Marker) -> tuple[Array, Array]:
-        """(n,) deg and (n,) px off the track, NaN where the marker is not valid."""
+        """(n,) The hinge's angle, deg, at the track's nearest place, and (n,) px off the track; NaN where the marker is
+        not valid."""
         places = np.column_stack([marker.u_px, marker.v_px])
         ahead = np.diff(self.px, axis=0)
         length2 = np.maximum(np.sum(ahead**2, axis=1), 1e-12)
@@ -65,8 +66,9 @@ class Sight:
 
 
 def sight(path: Path, site: str, camera: str) -> Sight:
-    """The other joints in the file's own pose. TautError names what is not in the file, and where not one hinge alone
-    moves the site or the camera does not see it."""
+    """The track of a site in a camera's image by the angle of the hinge that moves it, the other joints in the file's
+    own pose. TautError names what is not in the file, and where not one hinge alone moves the site or the camera does
+    not see it."""
     needed()
     import mujoco
 
@@ -107,6 +109,7 @@ def sight(path: Path, site: str, camera: str) -> Sight:
 
 
 def _hinge_above(model: mujoco.MjModel, path: Path, site: str) -> str:
+    """The name of the only joint that moves the site, a hinge. TautError where there is none, or another."""
     import mujoco
 
     above: list[int] = []
@@ -140,5 +143,6 @@ def _image(model: mujoco.MjModel, data: mujoco.MjData, camera: str, place: Array
 
 
 def _named(path: Path, kind: str, name: str, names: list[str]) -> None:
+    """TautError where `name` is none of the file's names of this kind."""
     if name not in names:
         raise TautError(f"{path}: has no {kind} {name}, but {', '.join(filter(None, names)) or 'none at all'}")

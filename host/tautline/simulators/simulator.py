@@ -28,6 +28,7 @@ class Declared:
     high: float = float("inf")
 
     def __post_init__(self) -> None:
+        """TautError where the nominal value is not finite or outside of its own range, or the spread not above 0."""
         if not (np.isfinite(self.nominal) and np.isfinite(self.spread) and self.spread > 0.0):
             raise TautError(f"parameter {self.name}: expected a finite nominal value, and a spread above 0")
         if not self.low <= self.nominal <= self.high:

@@ -41,7 +41,7 @@ def of_python(name: str) -> Simulator:
 
 
 def opened(model: Model) -> Simulator:
-    """TautError where the model remembers none, or that has gone or changed since."""
+    """The simulator that a model remembers. TautError where it remembers none, or that has gone or changed since."""
     source = model.extra.get(SIMULATOR) or {}
     if source.get("kind") == _PYTHON:
         return of_python(source["name"])

@@ -49,19 +49,20 @@ class Beyond:
         places = np.linspace(low, high, PLACES)
         step = places[1] - places[0]
         slopes = (np.diff(np.interp(places, model.q, values)) / step for values in (model.c_deg, model.width))
+        # Of slope and of curvature: the same below and above.
         sigma = [(np.std(slope), np.std(np.diff(slope)) / step) * 2 for slope in slopes]
         return cls(on, np.zeros(2 * CURVES), np.diag(np.square(np.concatenate(sigma))))
 
     def curves(self, p: npt.ArrayLike) -> Array:
-        """(CURVES, n) Linear and quadratic continuation below and above the measured range, at centre coordinates p; 0
-        within it."""
+        """(CURVES, n) Distance, unit of q, and half its square below the measured range, then above it, at centre
+        coordinates p (n,); 0 within it."""
         low, high = self.model.measured
         below, above = np.maximum(low - np.asarray(p), 0.0), np.maximum(np.asarray(p) - high, 0.0)
         return np.stack([below, 0.5 * below**2, above, 0.5 * above**2])
 
     @cached_property
     def on_grid(self) -> Array:
-        """(CURVES, nodes)"""
+        """(CURVES, nodes) `curves` at the nodes of the model's grid."""
         return self.curves(self.model.q)
 
     @cached_property

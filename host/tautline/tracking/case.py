@@ -34,19 +34,19 @@ class Case:
 
     nominal: LawFamily
     evidence: WindowKnots
-    theta: Array
+    theta: Array  # the law in use
     origin: Array  # the law before anything was learnt of this evidence
-    level: float
+    level: float  # rms of z that the law is known to leave
     envelopes: Envelopes
-    passed: tuple[float, float] | None
+    passed: tuple[float, float] | None  # centre coordinates between which the tip went both ways, unit of q
     turns: int  # reversals after which the tip was seen to move
-    z: Array  # residuals by the law in use
-    z_calibrated: Array
+    z: Array  # (seen,) residuals over sigma by the law in use
+    z_calibrated: Array  # the same by the calibrated one
 
     @classmethod
     def of(cls, nominal: LawFamily, evidence: WindowKnots, theta: Array, origin: Array, level: float) -> Work[Case]:
         """Looks at this evidence by the law in use (theta) and by the calibrated one. level: rms of z that the law is
-        known to leave."""
+        known to leave. Yields each piece's cost beforehand, us."""
         yield EASY + len(evidence.seen) // 10
         law = nominal.law(theta)
         envelope = envelopes(evidence, law)
@@ -61,16 +61,17 @@ class Case:
 
     @property
     def before(self) -> float:
-        """rms of z by the law in use."""
+        """rms of the residuals over sigma by the law in use, without outliers."""
         return trimmed(self.z)
 
     def lately(self, z: Array) -> float:
-        """rms over the last strokes."""
+        """rms of residuals over sigma z (seen,) in the last LATELY strokes alone, without outliers."""
         return trimmed(z[self.evidence.stroke > self.evidence.stroke[-1] - LATELY])
 
     def explained(self, fit: LawFit, of_before: float | None = None) -> bool:
-        """Whether a fit leaves no more than EXPLAINED times the known level, in all and lately; or, with `of_before`,
-        at most that share of what the law in use and the calibrated one leave, and lately clearly less than either."""
+        """Whether the residual of a fit, rms in sigmas, is no more than EXPLAINED times the known level, in all and
+        lately; or, with `of_before`, at most that share of what the law in use and the calibrated one leave, and lately
+        clearly less than either."""
         if max(fit.level, self.lately(fit.z)) <= EXPLAINED * self.level:
             return True
         if of_before is None or fit.level > _FAR * self.level:
@@ -80,7 +81,8 @@ class Case:
         return self.lately(fit.z) <= _LATELY_OF * min(self.lately(self.z), self.lately(self.z_calibrated))
 
     def clear(self, fit: LawFit) -> bool:
-        """Whether a fit leaves next to nothing of what the law in use leaves."""
+        """Whether a fit's residual is at most the share OF_BEFORE[0] of that of the law in use: it leaves next to
+        nothing."""
         return fit.level <= OF_BEFORE[0] * self.before
 
     def worth_adopting(self, z: Array, now: int, fit: LawFit) -> bool:
@@ -92,11 +94,12 @@ class Case:
         return gain >= enough and (self.clear(fit) or self.less_on_each(z, now, enough))
 
     def better(self, fit: LawFit) -> bool:
-        """Whether it leaves less than the law in use, in all and lately."""
+        """Whether a fit's residual is below _REFINES times that of the law in use, in all and lately."""
         return max(fit.level / self.before, self.lately(fit.z) / self.lately(self.z)) < _REFINES
 
     def less_on_each(self, z: Array, count: int, least: float = 0.0) -> bool:
-        """Whether a law with residuals z lowers the mean square by `least` on each of the last `count` strokes."""
+        """Whether a law with residuals over sigma z (seen,) lowers their mean square by `least` on each of the last
+        `count` strokes of STROKE_FRAMES frames or more."""
         strokes, frames = np.unique(self.evidence.stroke, return_counts=True)
         parts = [self.evidence.stroke == k for k in strokes[frames >= STROKE_FRAMES][-count:]]
         return all(trimmed(self.z[part]) ** 2 - trimmed(z[part]) ** 2 >= least for part in parts)
@@ -120,8 +123,8 @@ class Case:
 
     @property
     def places_known(self) -> npt.NDArray[np.bool_]:
-        """(PLACES,) Whether the shape of B is told there: the tip was on either envelope, and somewhere on both, which
-        tells the offset from the width."""
+        """(PLACES,) Whether the evidence tells the shape of B there: the tip was on either envelope, and somewhere on
+        both, which tells the offset from the width."""
         places = self.nominal.places
         if self.passed is None:
             return np.zeros(len(places), dtype=bool)
@@ -130,12 +133,13 @@ class Case:
         return passed
 
     def places(self, theta: Array, at: npt.NDArray[np.intp] | slice = slice(None)) -> Array:
-        """The centre coordinates of frames by a law."""
+        """(n,) Centre coordinates, unit of q, at which the law theta puts the tip. at: indices among the frames seen,
+        default all of them."""
         return self.nominal.law(theta).place(self.evidence.c_deg[at])
 
 
 def changes_in_words(case: Case, theta: Array) -> str:
-    """The ids of the effects by which theta differs from the calibration, with their size."""
+    """The ids of the effects by which theta differs from the calibration, with their size, for messages."""
     unit = case.nominal.model.rig.actuator.unit
     changes = []
     if np.any(theta[SHAPE]):
@@ -170,8 +174,8 @@ def disturbance_in_words(case: Case) -> str:
 
 
 def likely_obstacle(case: Case) -> str:
-    """What may stand in the way where no law explains the tip, in words: it does not follow the motor, or not in one
-    part of its range."""
+    """What may stand in the way where no law explains the tip, in words: in the last 30 frames it moved by less than a
+    tenth of the motor's way, or it is far off in one part of its range alone; else that it is unknown."""
     evidence = case.evidence
     q, y = evidence.q[evidence.seen], case.places(case.theta)
     late = slice(-min(len(y), 30), None)

@@ -27,13 +27,14 @@ class Doubt:
     _count: int = 0
 
     def clear(self, entry: int) -> None:
-        """Starts anew at this entry."""
+        """Forgets all doubt: frames count from this entry of the window on."""
         self.since, self._odds = entry, 0.0
         self._part, self._squares, self._count = (-1, 0), 0.0, 0
 
     @property
     def here(self) -> float:
-        """Log odds of a change, by the present part alone."""
+        """Log odds that the law changed, by the frames of the present part alone: half of what their squared residuals
+        exceed noise by, less the price of _FREEDOM free numbers, plus the prior's. 0 without frames."""
         if not self._count:
             return 0.0
         beyond = max(self._squares / _UNSURE - self._count, 0.0)
@@ -41,11 +42,13 @@ class Doubt:
 
     @property
     def odds(self) -> float:
-        """Log odds since the worst frame."""
+        """Log odds that the law has not held since entry `since`: the sum over parts, kept at 0 or more, and the
+        present one."""
         return self._odds + self.here
 
     def add(self, z: float, stroke: int, t_s: float, entry: int) -> None:
-        """Adds a frame whose residual is z standard deviations. entry: its number in the window."""
+        """Adds a frame whose residual is z standard deviations, in this stroke at t_s, s. entry: its number in the
+        window. A sum that falls to 0 begins anew with it."""
         part = stroke, int(t_s / MEMORY_S)
         if part != self._part:
             self._odds = max(self._odds + self.here, 0.0)

@@ -39,7 +39,8 @@ class Envelopes:
     way: Array  # +1 rising q, -1 falling
 
     def both(self, evidence: WindowKnots, law: Law) -> tuple[float, float] | None:
-        """The range (low, high) of centre coordinates that was passed in both directions; None where there is none."""
+        """The range (low, high) of centre coordinates, unit of q, that was passed in both directions; None where there
+        is none, or fewer than three frames one way."""
         y = law.place(evidence.c_deg[self.at])
         up, down = y[self.way > 0], y[self.way < 0]
         if len(up) < 3 or len(down) < 3:
@@ -66,6 +67,8 @@ def envelopes(evidence: WindowKnots, law: Law) -> Envelopes:
 
 @dataclass(frozen=True)
 class LawFit:
+    """A law fitted to evidence by least squares, `free` parameters of theta varying."""
+
     evidence: WindowKnots
     theta: Array
     free: tuple[int, ...]
@@ -75,7 +78,7 @@ class LawFit:
 
     @cached_property
     def level(self) -> float:
-        """rms of z without outliers."""
+        """rms of the residuals over sigma without the outliers' share: 1 where only the stated noise is left."""
         return trimmed(self.z)
 
     def spread_of(self, slopes: Array) -> float:
@@ -84,7 +87,7 @@ class LawFit:
         return float(np.sqrt(picked @ self.covariance @ picked))
 
     def sigma(self, parameter: int) -> float:
-        """Standard deviation of one parameter; 0 where it was not free."""
+        """Standard deviation of the parameter with this index in theta, its unit; 0 where it was not free."""
         return float(np.sqrt(self.covariance[i, i])) if (i := _index(self.free, parameter)) >= 0 else 0.0
 
 
@@ -94,7 +97,7 @@ def _index(free: Sequence[int], parameter: int) -> int:
 
 
 def trimmed(z: Array) -> float:
-    """rms of z without its largest share _WITHOUT; 0 where there are none."""
+    """rms of residuals over sigma z (n,) without the share _WITHOUT that is largest; 0 where there are none."""
     if len(z) == 0:
         return 0.0
     squares = np.sort(np.minimum(z * z, 1e12))  # tolerance: sums of them are finite
@@ -113,7 +116,7 @@ class Prior:
     def of(cls, mean: Array, span: float, span_deg: float, known: npt.NDArray[np.bool_]) -> Prior:
         """The prior about `mean`. span: the motor's range; span_deg: f_remain's over it; known (PLACES,): where both
         envelopes tell the shape."""
-        sigma = np.full(PARAMETERS, 0.5)
+        sigma = np.full(PARAMETERS, 0.5)  # shares
         sigma[OFFSET], sigma[SCALE] = span, 2.0
         sigma[TIP] = span_deg, _BENT * span_deg, _BENT * span_deg
         return cls(mean, sigma, known)
@@ -136,7 +139,7 @@ def simulated(
     nominal: LawFamily, evidence: WindowKnots, theta: Array, with_slopes: bool = True
 ) -> Work[tuple[Array, Array]]:
     """Residuals over sigma (seen,) of the centre coordinate, and their derivatives (seen, PARAMETERS) by theta, or (0,
-    PARAMETERS) without. Frames before every element was carried weigh less."""
+    PARAMETERS) without. Frames before every element was carried weigh less. Yields each piece's cost beforehand, us."""
     seen = evidence.seen
     yield 110 + len(seen) // 20
     law = nominal.law(theta)
@@ -160,7 +163,8 @@ def simulated(
 def _run_along_path(
     native: Any, elements: int, evidence: WindowKnots, theta: Array, start: float, with_slopes: bool
 ) -> Work[list[tuple[Array, ...]]]:
-    """The native play's output along the motor's path in pieces: p, whether it moves and, with slopes, dp/dtheta."""
+    """The native play's output along the motor's path in pieces, from the tip at `start`, unit of q: p, whether it
+    moves and, with slopes, dp/dtheta. Yields each piece's cost beforehand, us."""
     state = _native.TrackState(start)
     q = evidence.q + theta[OFFSET]
     parts = []
@@ -172,14 +176,16 @@ def _run_along_path(
 
 
 def _first_carried(nominal: LawFamily, evidence: WindowKnots, y: Array) -> int:
-    """Index of the first seen frame at which the motor has moved far enough to have carried every element."""
+    """Index of the first seen frame at which the motor has moved far enough to have carried every element; their number
+    where there is none. y (seen,): centre coordinates."""
     reach = REACH * float(np.interp(y[0], nominal.model.q, nominal.model.width))
     carried = np.abs(evidence.q - evidence.q[0]) > reach
     return int(np.searchsorted(evidence.seen, carried.argmax() if carried.any() else len(carried)))
 
 
 def learn_beyond(nominal: LawFamily, evidence: WindowKnots, theta: Array, level: float) -> Work[LawFamily]:
-    """The family with what these frames tell beyond the measured range, theta's law holding everywhere."""
+    """The family with what these frames tell beyond the measured range, theta's law holding everywhere; as it was where
+    none lies there. level: rms of residuals over sigma. Yields each piece's cost beforehand, us."""
     seen = evidence.seen
     yield 150 + len(seen) // 20
     law = nominal.law(theta)
@@ -197,7 +203,8 @@ def learn_beyond(nominal: LawFamily, evidence: WindowKnots, theta: Array, level:
 def fitted(
     nominal: LawFamily, evidence: WindowKnots, start: Array, free: tuple[int, ...], prior: Prior
 ) -> Work[LawFit]:
-    """The law of least cost, `free` parameters varying, by Levenberg-Marquardt on Huber's cost with the prior."""
+    """The law of least cost, parameters with the indices `free` varying, by Levenberg-Marquardt on Huber's cost with
+    the prior. Yields each piece's cost beforehand, us."""
     picked = list(free)
     information = prior.information(picked)
     theta = nominal.clipped(start)

@@ -68,13 +68,13 @@ class Inference:
     says: str
     evidence: WindowKnots
     theta: Array | None = None
-    offset_sigma: float = 0.0
-    scale_sigma: float = 0.0
-    passed: tuple[float, float] = (0.0, 0.0)
-    turns: int = 0
-    level: float = 0.0
-    settled: bool = False
-    proposed: Array | None = None
+    offset_sigma: float = 0.0  # unit of q
+    scale_sigma: float = 0.0  # share of B
+    passed: tuple[float, float] = (0.0, 0.0)  # centre coordinates between which the tip went both ways, unit of q
+    turns: int = 0  # reversals after which the tip was seen to move
+    level: float = 0.0  # rms of the residuals over sigma that it leaves
+    settled: bool = False  # it explains what is seen: it may be trusted, if enough reversals agree
+    proposed: Array | None = None  # the theta to be tried on the strokes to come
     disturbed: bool = False  # by something that is no play
     early: bool = False  # too little was seen to judge
     narrower: bool = False  # and nothing else: from one reversal
@@ -83,6 +83,7 @@ class Inference:
 
     @property
     def proposal(self) -> Inference | None:
+        """This verdict if it names a law to be tried on the strokes to come, else None."""
         return self if self.proposed is not None else None
 
 
@@ -122,7 +123,7 @@ def _judged(
     case: Case, adapting: bool, posture: float | None, moved: bool, proposal: Inference | None
 ) -> Work[Inference]:
     """`judge` for one stretch: disturbance, nothing seen, still holding, calibrated again, enough evidence for the best
-    fit, a narrower B alone, else a proposal to look at again."""
+    fit, a narrower B alone, else a proposal to look at again. Yields each piece's cost beforehand, us."""
     yield EASY + len(case.z) // 15
     disturbed = disturbance_in_words(case)
     if disturbed:
@@ -155,7 +156,8 @@ def _judged(
         return replace(_adopting(case, fit), refines=True)
     if case.explained(fit, OF_BEFORE[0]):
         learnt = _adopting(case, fit)
-        share = _least_share(case, fit.theta, learnt.passed) / _least_share(case, case.theta, learnt.passed)
+        now, before = (_least_share(case, theta, learnt.passed) for theta in (fit.theta, case.theta))
+        share = now / before if before > 0.0 else 1.0
         sure = SHAPE.start not in fit.free or case.explained(fit)
         if (
             (SCALE in fit.free or SHAPE.start in fit.free)
@@ -241,13 +243,14 @@ def _simplest_sufficient(case: Case) -> Work[LawFit]:
 
 
 def _free_with_shape(theta: Array) -> tuple[int, ...]:
-    """The free parameters when a law with a shape is refined: its shape and what else it has."""
+    """Indices of the free parameters when a law with a shape is refined: its shape and what else it has."""
     others = [i for i in (OFFSET, *GRADUAL, *REMAINING) if theta[i]]
     return tuple(sorted({*SHAPED, *others}))
 
 
 def _least_share(case: Case, theta: Array, passed: tuple[float, float]) -> float:
-    """The least ratio of a law's B to the calibrated one between two places."""
+    """The least ratio of a law's B to the calibrated one between two centre coordinates `passed`, unit of q; theta's
+    scale where no node of the table lies between."""
     inside = (case.nominal.model.q >= passed[0]) & (case.nominal.model.q <= passed[1])
     shares = case.nominal.width_ratio(case.nominal.law(theta))[inside]
     return float(np.min(shares)) if len(shares) else float(theta[SCALE])
@@ -275,8 +278,8 @@ def _gain_of_richer(fit: LawFit, richer: LawFit) -> float:
 
 
 def _judged_by_offset(case: Case, least: float) -> Work[Inference]:
-    """The verdict on a recording's first stroke: the offset of another posture, if it is larger than `least` and
-    explains a tip that follows the motor far enough; else too early."""
+    """The verdict on a recording's first stroke: the offset of another posture, if it is larger than `least`, unit of
+    q, and explains a tip that follows the motor far enough; else too early."""
     at = case.envelopes.at
     nominal = case.nominal
     y = case.places(case.theta, at)
@@ -293,7 +296,8 @@ def _judged_by_offset(case: Case, least: float) -> Work[Inference]:
 
 
 def _predicts_later_strokes(case: Case, proposal: Inference) -> Work[bool]:
-    """Whether the law that was proposed before predicts at least two strokes that came since."""
+    """Whether the law that was proposed before predicts what came since, two strokes at least: by EXPLAINED times the
+    known level, or clearly better than the law in use."""
     evidence = case.evidence
     new = evidence.t_s > proposal.evidence.t_s[-1]
     if len(np.unique(evidence.stroke[new])) < 2 or proposal.proposed is None:
@@ -312,7 +316,7 @@ def _width_alone(theta: Array) -> Array:
 
 def _tells_apart(case: Case, lately: bool = False) -> bool:
     """Whether the frames on an envelope cover most of the places where the law in use has another B than the calibrated
-    one: elsewhere either holds. lately: of the last strokes alone."""
+    one: elsewhere either holds. lately: of the last strokes alone. True for a law without a shape."""
     if not np.any(case.theta[SHAPE]):
         return True
     at = case.envelopes.at
@@ -328,7 +332,7 @@ def _tells_apart(case: Case, lately: bool = False) -> bool:
 
 
 def _calibrated_holds(case: Case, level: float) -> Inference:
-    """The verdict that the calibrated law holds again."""
+    """The verdict that the calibrated law holds again. level: rms of residuals over sigma that it leaves."""
     return Inference(
         "the calibrated law holds again",
         case.evidence,

@@ -50,19 +50,21 @@ class Law:
     most: float = 1.0  # share of B that the widest of them has
 
     def angle(self, p: npt.ArrayLike) -> Array:
+        """f_remain, deg, at centre coordinates p, unit of q, of any shape."""
         return np.asarray(interpolate(p, self.grid, self.c_deg))
 
     def place(self, c_deg: npt.ArrayLike) -> Array:
-        """Centre coordinates at which f_remain is c_deg."""
+        """Centre coordinates, unit of q, at which f_remain is c_deg, of any shape."""
         order = slice(None) if self.c_deg[-1] > self.c_deg[0] else slice(None, None, -1)
         return np.asarray(interpolate(c_deg, self.c_deg[order], self.grid[order]))
 
     @cached_property
     def _slopes(self) -> Array:
+        """(nodes,) df_remain/dp on the grid, deg per unit of q."""
         return np.asarray(np.gradient(self.c_deg, self.grid))
 
     def slope(self, p: npt.ArrayLike) -> Array:
-        """df_remain/dp, deg per unit."""
+        """df_remain/dp, deg per unit of q, at centre coordinates p, of any shape."""
         return np.asarray(np.interp(np.asarray(p, dtype=float), self.grid, self._slopes))
 
 
@@ -93,6 +95,7 @@ class LawFamily:
 
     @cached_property
     def places(self) -> Array:
+        """(PLACES,) Centre coordinates at which the shape of B is given, evenly over the measured range, unit of q."""
         return np.linspace(*self.model.measured, PLACES)
 
     def powers(self, p: npt.ArrayLike) -> Array:
@@ -104,7 +107,7 @@ class LawFamily:
 
     @cached_property
     def tip_slope(self) -> float:
-        """Mean slope of f_remain over the measured range, deg per unit."""
+        """Mean slope of f_remain over the measured range, deg per unit of q; negative where c falls as q rises."""
         low, high = self.places[0], self.places[-1]
         ends = self.model.remaining(np.array([low, high]))
         return float((ends[1] - ends[0]) / (high - low))
@@ -131,13 +134,14 @@ class LawFamily:
         return np.asarray(np.hypot(0.5 * model.width_sigma, count / np.sqrt(12.0)))
 
     def sigma(self, p: npt.ArrayLike, sensor: npt.ArrayLike) -> Array:
-        """Standard deviation of a frame's centre coordinate at p: the sensor's and the calibrated law's own, which
-        counts up to _MOST_OWN times the sensor's, so that what a calibration hardly knew is learnt in use."""
+        """Standard deviation, unit of q, of a frame's centre coordinate at p: the sensor's (`sensor`, the same unit)
+        and the calibrated law's own, which counts up to _MOST_OWN times the sensor's, so that what a calibration hardly
+        knew is learnt in use."""
         own = np.interp(np.asarray(p, dtype=float), self.model.q, self._own_sigma)
         return np.asarray(np.hypot(sensor, np.minimum(own, _MOST_OWN * np.abs(sensor))))
 
     def shares(self, theta: Array) -> Array:
-        """Relative widths of the elements by theta's spread and skew, not negative."""
+        """(elements,) Their widths, in shares of B and not negative, by theta's spread and skew."""
         share, away, weight = self._elements
         return np.asarray(np.maximum(share + theta[SPREAD] * away + theta[SKEW] * (away**2 - weight @ away**2), 0.0))
 
@@ -186,7 +190,7 @@ class LawFamily:
     ) -> LawFamily:
         """The family after n frames told something beyond the measured range. The tip is seen at c_deg (n,), deg, with
         sigma (n,); `law`, of the family `about`, predicts p (n,), with derivatives by_width (n, CURVES) by what is
-        added to B."""
+        added to B. Frames that depend on nothing there do not count."""
         by = np.hstack([self.beyond.curves(p).T, law.slope(p)[:, None] * by_width])
         off = c_deg - law.angle(p) + by @ (about.beyond.mean - self.beyond.mean)
         told = by.any(1)

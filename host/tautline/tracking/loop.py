@@ -78,7 +78,8 @@ class Tracker:
         return row
 
     def _hand_over(self, scene_s: float) -> None:
-        """Gives the tracker the motor samples up to a scene time."""
+        """Gives the tracker the motor samples up to a scene time, s on the motor's clock; for the first frame one at
+        least. TautError where there is none."""
         upto = int(np.searchsorted(self._t_s, scene_s, side="right"))
         if not np.isfinite(self._frame_s):
             if not len(self._t_s):

@@ -23,7 +23,8 @@ _LATE, _SIGMA, _OFF_SQUARE, _SPACING, _ENTRY = range(5)  # format: of a row
 
 @dataclass(frozen=True)
 class Narrowing:
-    """The least share of the calibrated B that two passes leave, its standard deviation, and where."""
+    """The least share of the calibrated B that two passes leave, its standard deviation, and the centre coordinate
+    where, unit of q."""
 
     share: float
     sigma: float
@@ -48,17 +49,18 @@ class Passes:
         self._moves = False
 
     def clear(self) -> None:
+        """Forgets all passes."""
         self._of.fill(np.nan)
         self.cut()
 
     def cut(self) -> None:
-        """What comes does not continue the stroke."""
+        """What comes does not continue the stroke: no cells are filled between it and the last frame."""
         self._last, self._moves = None, False
 
     def add(self, q: float, y: float, sigma: float, off: float, stroke: int, travel: float, entry: int) -> None:
-        """Adds a frame: motor q, tip y by the calibrated f_remain with its sigma, off: standard deviations off the
-        track; travel: motor's way since the turn over the way after which the law is on its envelope; entry: its
-        number. Cells between it and the last frame are filled, if the tip moved with the motor."""
+        """Adds a frame: motor q, tip y by the calibrated f_remain with its sigma, all in the unit of q, off: standard
+        deviations off the track; travel: motor's way since the turn over the way after which the law is on its
+        envelope; entry: its number. Cells between it and the last frame are filled, if the tip moved with the motor."""
         last, self._last = self._last, (q, y, sigma, off, stroke)
         moved, self._moves = self._moves, False
         if last is None or last[4] != stroke or travel < float(np.interp(y, self.place, self._b)):
@@ -83,8 +85,9 @@ class Passes:
         of[_ENTRY, cells] = entry
 
     def narrowing(self, law: Law, theta: Array, level: float, since: int) -> Narrowing | None:
-        """The least share of the calibrated B, where the tip is ahead of the law in use on passes both ways since an
-        entry (an offset would put it behind on one); None where it is not ahead clearly enough."""
+        """The least share of the calibrated B, where the tip is ahead of the law in use on passes both ways since the
+        entry `since` (an offset would put it behind on one); None where it is not ahead clearly enough. level: rms of
+        residuals over sigma that the law leaves."""
         if law is not self._law:
             self._law = law
             self._by_law = law.place(self._model.remaining(self.place))
@@ -116,7 +119,8 @@ class Passes:
 
 
 def _means(rows: Array) -> Array:
-    """(2, n - _WINDOW + 1) Means over _WINDOW neighbouring cells; NaN where one of them was not passed."""
+    """(2, n - _WINDOW + 1) Means of rows (2, n) over _WINDOW neighbouring cells; NaN where one of them was not
+    passed."""
     count = rows.shape[1] - _WINDOW + 1
     total = rows[:, :count].copy()
     for i in range(1, _WINDOW):

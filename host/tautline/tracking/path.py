@@ -13,6 +13,7 @@ _SPEED_S, _SPEED_SAMPLES = 0.02, 8  # from which a speed is taken
 
 
 def _none() -> Array:
+    """An array without elements, a field's default."""
     return np.empty(0)
 
 
@@ -32,14 +33,15 @@ class MotorPath:
         self.others = np.concatenate([self.others, others])
 
     def forget(self, done_s: float) -> None:
-        """Marks the motion up to done_s as used; old samples are dropped."""
+        """Marks the motion up to done_s as used; samples before it are dropped once they are more than 256, but for the
+        few that tell a speed."""
         self.done_s = done_s
         first = int(np.searchsorted(self.t_s, done_s, side="right")) - _SPEED_SAMPLES
         if first > 256:
             self.t_s, self.q, self.others = self.t_s[first:], self.q[first:], self.others[first:]
 
     def between(self, until_s: float) -> Array:
-        """Positions of the samples after done_s, up to until_s."""
+        """Positions (n,) of the samples after done_s, up to until_s."""
         first, last = np.searchsorted(self.t_s, [self.done_s, until_s], side="right")
         return self.q[first:last]
 

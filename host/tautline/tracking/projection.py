@@ -36,11 +36,12 @@ class Projection:
 
     @cached_property
     def noise(self) -> float:
-        """Of one row, px or deg."""
+        """One standard deviation of a row's noise: px per coordinate of a marker, deg of an angle sensor."""
         return self.model.noise_of(self.sensor)
 
     @cached_property
     def _rig(self) -> np.ndarray:
+        """The rig's numbers as C takes them (`projection_rig`)."""
         return projection_rig(self.model.rig)
 
     def image(self, c_deg: float, translation: float, rotation: float) -> tuple[float, float]:
@@ -50,6 +51,7 @@ class Projection:
         return float(px[0, 0]), float(px[0, 1])
 
     def from_angle(self, c_deg: float) -> AngleEstimate:
+        """An angle sensor's reading, deg, as an estimate, with the sensor's noise as its sigma."""
         return AngleEstimate(c_deg, self.noise, 0.0)
 
     def from_image(

@@ -82,7 +82,9 @@ def moved_by_effects(model: Model, recording: Recording, sensor: Sensor) -> Arra
 
 
 def _beside(tracker: Tracker, arrival_s: float, seen: tuple[float, ...], moved: Array | None) -> Row:
-    """A row of the tracker; moved: its frame's by what the tracker does not know."""
+    """The tracker's row for a frame. seen: as `_readings` gives it; moved (3,): by how much effects that the tracker
+    does not know move c, deg, and u, v, px: taken from what is seen, added to what is predicted. None: there are
+    none."""
     if moved is None:
         return tracker.see(arrival_s, *seen)
     c, u, v = moved.tolist()

@@ -102,6 +102,7 @@ class LawTracker:
         low, high = model.measured
         inside = (model.q >= low) & (model.q <= high)
         width = model.width[inside] if inside.any() else model.width
+        # The mean B, four counts at least: the unit in which ways and offsets are judged.
         self._width = max(float(np.mean(width)), 4.0 * model.rig.actuator.encoder_resolution)
         sigma = np.minimum(model.width_sigma[inside] if inside.any() else model.width_sigma, _UNKNOWN * self._width)
         self._own = (0.5 * float(np.sqrt(np.mean(sigma**2))), float(np.sqrt(np.mean(sigma**2))) / self._width)
@@ -153,6 +154,7 @@ class LawTracker:
         self.recording += 1
         self._path, self._started, self._placed, self._pending = MotorPath(), False, False, None
         self._way, self._far = 0, np.nan
+        self._rested, self._turned_at = (np.nan, np.nan, np.nan), np.inf
         self._next_stroke()
         self._next_stroke()  # nothing joins the motion before
         self._fresh_until = self._stroke + 1
@@ -167,7 +169,8 @@ class LawTracker:
         self._offset_before = self._offset
 
     def _noise(self) -> float:
-        """Standard deviation of one frame's centre coordinate in the middle of the measured range, unit of q."""
+        """Standard deviation of one frame's centre coordinate in the middle of the measured range, unit of q; 0 where
+        the image does not show the tip move there."""
         middle = 0.5 * (self.model.measured[0] + self.model.measured[1])
         c = float(self.model.remaining(middle))
         slope = max(abs(self.nominal.tip_slope), 1e-9)
@@ -182,7 +185,8 @@ class LawTracker:
         self._path.add(t_s, q, np.zeros((len(t_s), 3)) if others is None else others)
 
     def predict(self, scene_s: float, arrival_s: float | None = None) -> Row:
-        """The tip at a scene time on the motor's clock, later than all before."""
+        """The tip at a scene time, s, on the motor's clock, later than all before. arrival_s: when its frame arrived,
+        by default the scene time. The last frame is learnt from first."""
         self._arrival_s = scene_s if arrival_s is None else arrival_s
         self._use_last_frame()
         self._work_on_verdict()
@@ -217,16 +221,17 @@ class LawTracker:
 
     @property
     def dialled_down(self) -> bool:
-        """Whether less is taken up than by the law in use, as two passes of a place left less."""
+        """Whether less of B is taken up than the law in use has, as two passes of one place left less."""
         return bool(self._dialled)
 
     @property
     def compensation(self) -> float:
-        """The share of the calibrated B that may be taken up: the lower bound that the evidence allows."""
+        """The share of the calibrated B that may be taken up, the lower bound that the evidence allows: the scale, two
+        of its standard deviations less unless it is 1."""
         return min(self._scale, max(0.0, self._scale - (0.0 if self._scale == 1.0 else 2.0 * self._sigma[1])))
 
     def _start(self, q: float) -> None:
-        """Starts the play with the tip on the centre line of q."""
+        """Starts the play with the tip on the centre line of motor position q, unit of q."""
         self._play = _native.TrackState(q + float(self._theta[OFFSET]))
         self._window.last_q = self._start_q = q
         self._started = True
@@ -265,7 +270,8 @@ class LawTracker:
         return None if seen is None or not np.isfinite(seen.c_deg) else seen
 
     def _detect_reversal(self, q: float) -> None:
-        """Follows the motor's extreme; a return from it by more than _turn is a reversal and begins a stroke."""
+        """Follows the motor's extreme; a return from it by more than _turn, unit of q, is a reversal and begins a
+        stroke. A stale model that has not been in doubt for _WELL_STROKES strokes is trusted again."""
         if self._way == 0:
             if np.isnan(self._far):
                 self._far = q
@@ -281,16 +287,18 @@ class LawTracker:
                 self._become_trusted("the model holds again as it was")
 
     def _next_stroke(self) -> None:
+        """Counts a new stroke and keeps the number of its first entry."""
         self._stroke += 1
         self._begins.append((self._stroke, self._window.end))
 
     def _begin_of(self, stroke: int) -> int:
-        """Number of the first entry of a stroke."""
+        """Number of the first entry of a stroke, or of the first kept one after it; that of the next entry where there
+        is none."""
         return next((entry for number, entry in self._begins if number >= stroke), self._window.end)
 
     def _learn_from(self, scene_s: float, seen: AngleEstimate, p: float) -> None:
-        """Compares a frame with the prediction p: keeps it as evidence, and updates passes, disturbance, doubts and
-        running means."""
+        """Compares a frame with the predicted centre coordinate p, unit of q: keeps it as evidence, and updates passes,
+        disturbance, doubts and running means."""
         law = self._law
         y = float(law.place(seen.c_deg))
         sigma = float(self.nominal.sigma(y, seen.sigma / law.slope(y)))
@@ -334,6 +342,7 @@ class LawTracker:
             self._become_stale(worst.since)
 
     def _clear_doubts(self, entry: int) -> None:
+        """Forgets both doubts: frames count from this entry of the window on."""
         for doubt in self._doubts:
             doubt.clear(entry)
 
@@ -353,7 +362,8 @@ class LawTracker:
 
     def _follow_beyond(self, before: Any, way: Array, p: float, moving: bool) -> None:
         """Begins, continues or ends a stay beyond the measured range, from which the law there is learnt as long as it
-        holds elsewhere. before: the play's state before this path; p: after it."""
+        holds elsewhere. before: the play's state before this path `way` (n,), motor positions; p: the centre coordinate
+        after it; moving: whether the motor carries the tip."""
         if np.abs(way - self._start_q).max() > REACH * float(np.interp(p, self._law.grid, self._law.width)):
             self._start_q = np.inf
         placed = self.state is State.TRUSTED and self._start_q == np.inf
@@ -382,7 +392,7 @@ class LawTracker:
         return mean if mean**2 > _LEANS * square else 0.0
 
     def _clipped_to_play(self, y: float) -> float:
-        """The centre coordinate nearest to y that is within the play of the present motor position."""
+        """The centre coordinate nearest to y, unit of q, that is within the play of the present motor position."""
         half = 0.5 * float(np.interp(y, self._law.grid, self._law.width))
         q = self._window.last_q + float(self._theta[OFFSET])
         return min(max(y, q - half), q + half)
@@ -500,7 +510,7 @@ class LawTracker:
 
     def _allow_law(self, passed: tuple[float, float]) -> None:
         """Sets the share of B that may be taken up to that of the law in use, but no more than before at places that
-        were not passed both ways."""
+        were not passed both ways. passed: the lowest and highest centre coordinate that were, unit of q."""
         if np.any(self._theta[SHAPE]):
             q, share = self.nominal.model.q, self.nominal.width_ratio(self._law)
             seen = (q >= passed[0]) & (q <= passed[1])

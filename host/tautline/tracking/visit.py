@@ -27,6 +27,8 @@ class Visit:
 
     @property
     def full(self) -> bool:
+        """Whether no more is taken: looking at all frames and knots again with each new one would exceed a frame's
+        time."""
         return len(self._frames) >= _FRAMES or len(self._path) >= _KNOTS
 
     def move(self, path: Array) -> None:
@@ -35,8 +37,8 @@ class Visit:
             self._path += path.tolist()
 
     def see(self, family: LawFamily, theta: Array, c_deg: float, sigma: float) -> tuple[LawFamily, Any]:
-        """Adds a frame at the end of the path. Returns the family with what all frames of the stay tell, and the play's
-        state by it. family, theta: of the law in use."""
+        """Adds a frame at the end of the path: the angle seen and its sigma, deg. Returns the family with what all
+        frames of the stay tell, and the play's state by it. family, theta: of the law in use."""
         self._frames.append((len(self._path) - 1, c_deg, sigma))
         at, seen, sigmas = (np.array(column) for column in zip(*self._frames, strict=True))
         q, law = np.array(self._path) + theta[OFFSET], family.law(theta)

@@ -27,9 +27,9 @@ class WindowKnots:
     seen: npt.NDArray[np.intp]
     c_deg: Array
     sigma: Array  # of c_deg, the sensor's
-    t_s: Array
+    t_s: Array  # scene times
     stroke: npt.NDArray[np.intp]
-    off: Array
+    off: Array  # standard deviations off the marker's track
 
     @property
     def strokes(self) -> npt.NDArray[np.intp]:
@@ -68,7 +68,8 @@ class Window:
         return np.array(self._skipped)
 
     def number_of(self, t_s: float, since: int) -> int:
-        """Number of the first frame at t_s or later among the entries from `since` on."""
+        """Number of the first frame at t_s or later among the entries from `since` on; `since` itself, or the oldest
+        entry kept after it, where there is none."""
         first = min(max(since - self._first, 0), self._count)
         late = np.flatnonzero(self._rows[first : self._count, _T] >= t_s)
         return self._first + first + (int(late[0]) if len(late) else 0)
@@ -80,7 +81,8 @@ class Window:
         self._entered_q = self.last_q = np.nan
 
     def move(self, path: Array, stroke: int) -> None:
-        """Adds a piece of the motor's path."""
+        """Adds a piece of the motor's path, positions (n,), in this stroke; entered with the next frame, or once it is
+        long."""
         self._skipped += path.tolist()
         self.last_q = self._skipped[-1]
         if len(self._skipped) > _LONG:
@@ -109,7 +111,8 @@ class Window:
         self._skipped.clear()
 
     def _enter(self, row: tuple[float, ...]) -> None:
-        """Appends a row; when the ring is full the older half is dropped."""
+        """Appends a row (q, c_deg, sigma, t_s, stroke, off), NaN where no frame saw the tip; when the ring is full the
+        older half is dropped."""
         if self._count == CAPACITY:
             half = CAPACITY // 2
             self._rows[:half] = self._rows[half:]

@@ -96,7 +96,8 @@ class VideoCamera:
 
     @property
     def frames(self) -> int | None:
-        """How many frames a file holds, by its header; None for a device or a stream."""
+        """How many frames a file holds, by its header; None for a device or a stream, or where the header does not
+        say."""
         count = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)) if self._file else 0
         return count if count > 0 else None
 
@@ -106,6 +107,7 @@ class VideoCamera:
 
     @property
     def exposure(self) -> str:
+        """What came of `lock_exposure`, in a sentence; "" before it, and of a file or stream."""
         return "" if self._exposure is None else self._exposure.says
 
     def lock_exposure(self) -> None:
@@ -115,7 +117,8 @@ class VideoCamera:
             self._exposure = exposure.lock(self._capture)
 
     def read(self) -> tuple[Array, float] | None:
-        """The next picture with its time, s; None at a file's end."""
+        """The next picture, BGR (height, width, 3) uint8, and when it arrived, s; None at a file's end, TautError at
+        that of a device or stream. A driver's stamp less than 1 s old is on the host's clock and taken, others not."""
         if not self._capture.grab():
             self._check_end()
             return None
@@ -139,6 +142,7 @@ class VideoCamera:
         return picture, arrival_s
 
     def _check_end(self) -> None:
+        """TautError where no frame came of a device or a stream: only a file may end."""
         if not self._file:
             raise TautError(f"{self.name}: no more frames: check its cable or the stream's sender")
 
@@ -156,7 +160,8 @@ class VideoCamera:
 
 
 def read_picture(path: str | Path) -> Array | None:
-    """A picture file, BGR; None where it is none (a video)."""
+    """A picture file, BGR (height, width, 3) uint8; None where the file is no picture (a video). TautError where it is
+    broken."""
     if not (Path(path).is_file() and cv2.haveImageReader(str(path))):
         return None
     picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
@@ -166,7 +171,8 @@ def read_picture(path: str | Path) -> Array | None:
 
 
 def sample_video(path: Path, count: int) -> list[Array]:
-    """About `count` frames spread over a video file; its first ones if its length is unknown."""
+    """About `count` (2 or more) frames, BGR (height, width, 3) uint8, spread over a video file; its first ones if its
+    length is unknown. TautError where it holds none."""
     with VideoCamera(path) as camera:
         total = camera.frames or 0
         pictures = []
@@ -221,7 +227,7 @@ class SimulatedCamera:
     dropped = 0  # what it loses is no camera's fault
 
     def __init__(self, endoscope: Endoscope, scene: Scene, timing: FrameTiming | None = None) -> None:
-        """timing: the rig's nominal rate and delay by default."""
+        """scene: the instrument at any times; timing: the rig's nominal rate and delay by default."""
         self._endoscope, self._scene = endoscope, scene
         self._frames = (timing or FrameTiming.of(endoscope.rig)).frames()
         self._next = next(self._frames)
@@ -230,14 +236,16 @@ class SimulatedCamera:
 
     @property
     def next_scene_s(self) -> float:
-        """The middle of the next frame's exposure."""
+        """The middle of the next frame's exposure, s of the simulation."""
         return self._next[0]
 
     @property
     def next_arrival_s(self) -> float:
+        """When the next frame will arrive, s of the simulation."""
         return self._next[1]
 
     def read(self) -> tuple[Array, float]:
+        """The next frame, BGR (height, width, 3) uint8, and when it arrives, s of the simulation."""
         scene, arrival = self._next
         self._next = next(self._frames)
         return self._endoscope.frame(*self._scene(scene + self._exposure)), arrival
@@ -254,9 +262,9 @@ class _quiet_opencv:
     """OpenCV and its plug-ins print to stderr what we say in one line."""
 
     def __enter__(self) -> None:
-        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg's "quiet"
         self._level = cv2.utils.logging.getLogLevel()
-        cv2.utils.logging.setLogLevel(0)
+        cv2.utils.logging.setLogLevel(0)  # silent
 
     def __exit__(self, *_: object) -> None:
         cv2.utils.logging.setLogLevel(self._level)

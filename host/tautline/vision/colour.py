@@ -22,7 +22,7 @@ SMALLEST_PX, LARGEST_PX = 5.0, 200.0  # diameters that can be tracked
 
 _GLARE = 60.0  # rms of the grey light that may lie on anything, levels
 _NOISE = 5.0  # rms that each channel is trusted to, levels
-_DISTINCT = 6.0  # a picked marker stands out by this many standard deviations of its surroundings
+_DISTINCT = 6.0  # squared Mahalanobis distance from its surroundings by which a picked marker stands out at least
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class MarkerColour:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Reads marker.toml. TautError where it is none."""
+        """Reads marker.toml; where it was picked, `at`, is not read back and NaN. TautError where it is none."""
         path = Path(path)
         try:
             document = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -94,7 +94,8 @@ def _triple(values: Array) -> tuple[float, float, float]:
 
 
 def pick(picture: Array, at: tuple[float, float] | None = None) -> MarkerColour:
-    """The colour of the blob at (u, v) px of a BGR picture, or of the most salient saturated blob in it."""
+    """The colour of the blob at (u, v) px of a BGR picture, or without `at` of the blob that stands out most. TautError
+    where none does."""
     if at is None:
         best = candidates(picture)
         if not best:
@@ -115,7 +116,7 @@ def pick(picture: Array, at: tuple[float, float] | None = None) -> MarkerColour:
 
 def candidates(picture: Array, places: int = 12) -> list[MarkerColour]:
     """Up to `places` blobs that stand out by their colour, the most marker-like first. They are looked for where the
-    smoothed colour is farthest from the picture's own (Mahalanobis distance)."""
+    smoothed colour is farthest from the picture's own (Mahalanobis distance); what was looked at is blanked."""
     _check(picture)
     around = _surroundings(picture)
     mean, covariance = around
@@ -137,13 +138,14 @@ def candidates(picture: Array, places: int = 12) -> list[MarkerColour]:
 
 
 def _check(picture: Array) -> None:
+    """TautError where a picture is not BGR of 8 bits with 16 px a side or more."""
     if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8 or min(picture.shape[:2]) < 16:
         raise TautError("a marker is picked from a BGR picture of 8 bits: (height, width, 3) uint8, 16 px and more")
 
 
 def _surroundings(picture: Array) -> tuple[Array, Array]:
-    """Mean (3,) and covariance (3, 3) of the picture's colours, widened by a variance of glare (all channels alike) and
-    noise."""
+    """Mean (3,), B, G, R levels, and covariance (3, 3) of the picture's colours (some 40 000 of its pixels), widened by
+    a variance of glare (all channels alike) and noise, so that these do not tell a marker."""
     step = max(1, int(np.sqrt(picture.shape[0] * picture.shape[1] / 40_000)))
     sample = picture[::step, ::step].reshape(-1, 3).astype(np.float64)
     covariance = np.cov(sample.T) + _GLARE**2 * np.ones((3, 3)) + _NOISE**2 * np.eye(3)
@@ -151,9 +153,9 @@ def _surroundings(picture: Array) -> tuple[Array, Array]:
 
 
 def _pick_at(picture: Array, at: tuple[float, float], around: tuple[Array, Array]) -> tuple[MarkerColour, float] | None:
-    """The colour of the blob at `at` (u, v) px by Fisher's linear discriminant against the surroundings, and a score
-    that is high where it is distinct, compact, the only one and large; None where there is no blob of a marker's
-    size."""
+    """The colour of the blob at `at` (u, v) px by Fisher's linear discriminant against `around` (mean, covariance), in
+    three passes, and a score without unit: high where it is distinct, compact, the only one and up to 15 px large. None
+    where it does not stand out, or is no blob of a marker's size."""
     height, width = picture.shape[:2]
     column, row = int(at[0]), int(at[1])
     patch = picture[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3].reshape(-1, 3)
@@ -181,7 +183,7 @@ def _pick_at(picture: Array, at: tuple[float, float], around: tuple[Array, Array
         blob = labels == label
         colour = np.median(picture[blob], axis=0)
         box = max(int(stats[label, cv2.CC_STAT_WIDTH]), int(stats[label, cv2.CC_STAT_HEIGHT]))
-        compact = min(1.0, 1.3 * area / (0.785 * box * box))
+        compact = min(1.0, 1.3 * area / (0.785 * box * box))  # pi / 4; 1 where 1 / 1.3 of the disc around it is filled
         alone = area / np.count_nonzero(inside)
         score = np.sqrt(separation) * compact * alone * min(1.0, diameter / 15.0)
         largest = (

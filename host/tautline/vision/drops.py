@@ -42,11 +42,13 @@ class Drops:
         self._missing += missing
 
     def _paused(self, gap_s: float) -> bool:
-        """Whether a gap is too long for frames that the camera lost."""
+        """Whether a gap between two frames, s, is too long for frames that the camera lost: nobody read meanwhile.
+        False while the camera's period is not known."""
         if len(self._intervals) < _FIRST:
             return False
         return gap_s > max(_PAUSE_S, _PAUSE * float(np.median(self._intervals)))
 
     @property
     def count(self) -> int:
+        """Frames lost so far; 0 where jitter took the sum below."""
         return max(self._missing, 0)

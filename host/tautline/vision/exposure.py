@@ -27,7 +27,7 @@ class Exposure:
 
 def lock(capture: cv2.VideoCapture) -> Exposure:
     """Waits until the automatic exposure has settled (its frames are dropped), then sets the same exposure as a manual
-    one."""
+    one. Where the camera refuses, or takes another value, it stays automatic: not `locked`, and `says` why."""
     for _ in range(_SETTLES):
         capture.grab()
     backend = capture.getBackendName()

@@ -21,15 +21,17 @@ _THERE_AND_BACK_PX = 0.5  # a corner that is not found again from where it was f
 
 
 def found_again(one: Picture, other: Picture, start: Array, guess: Array) -> tuple[Array, npt.NDArray[np.intp]]:
-    """Optical flow of the corners `start` (n, 2) px from one picture to the other, searched around `guess` (n, 2):
-    their places there, and the indices of those that the flow back returns to where they were."""
+    """Optical flow of the corners `start` (n, 2) px from one picture to the other, searched around `guess` (n, 2) px:
+    their places there (n, 2) px, and the indices of those to be trusted, which the flow back returns to within half a
+    pixel of where they were."""
     there, found = _optical_flow(one, other, start, guess)
     back, again = _optical_flow(other, one, there, start)
     return there, np.flatnonzero(found & again & (np.hypot(*(back - start).T) < _THERE_AND_BACK_PX))
 
 
 def _optical_flow(one: Picture, other: Picture, start: Array, guess: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Lucas-Kanade's places (n, 2) px of the corners in the other picture, and which were found."""
+    """Lucas-Kanade's places (n, 2) px of the corners `start` (n, 2) px in the other picture, searched around `guess`
+    (n, 2) px, and which were found, (n,) bool."""
     there, found, _ = cv2.calcOpticalFlowPyrLK(
         one,
         other,
@@ -43,8 +45,8 @@ def _optical_flow(one: Picture, other: Picture, start: Array, guess: Array) -> t
 
 
 def even_light(picture: Picture) -> Picture:
-    """The grey picture with brightness and contrast made alike everywhere (local mean and standard deviation), so that
-    smoke, shade and glow do not shift corners."""
+    """A BGR picture in grey, (height, width) uint8, with brightness and contrast made alike everywhere (local mean and
+    standard deviation over 31 px), so that smoke, shade and glow do not shift corners."""
     grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).astype(np.float32)
     around = (_AROUND_PX, _AROUND_PX)
     away = grey - cv2.blur(grey, around)
@@ -71,7 +73,8 @@ class EvenLight:
         return even_light(self._picture)
 
     def cut(self, u: float, v: float, size: tuple[int, int]) -> tuple[Picture, Array]:
-        """The part (height, width = size) around a place, as far as the picture goes, and its corner (2,) in it."""
+        """The part of `size` (height, width) px around (u, v) px, moved inwards at the picture's border, and the place
+        (u, v) px of its first pixel, (2,). It is as in the whole picture: light is evened over a wider part."""
         y0, x0 = (
             int(np.clip(at - 0.5 * long, 0, whole - long))
             for at, long, whole in zip((v, u), size, self.shape, strict=True)

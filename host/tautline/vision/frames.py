@@ -19,8 +19,8 @@ Seen = TypeVar("Seen")
 def every_frame(
     video: Video, look: Callable[[Array], Seen], progress: Progress | None = None
 ) -> tuple[Array, list[Seen], tuple[int, int] | None]:
-    """Calls `look` with every picture of a video. Returns arrival times (n,), NaN where frames.csv does not name one;
-    what `look` returned; the pictures' size (width, height)."""
+    """Calls `look` with every picture of a video. Returns arrival times (n,) s, NaN where frames.csv does not name one;
+    what `look` returned; the pictures' size (width, height) px, None without a picture."""
     size: tuple[int, int] | None = None
     t_s: list[float] = []
     seen: list[Seen] = []
@@ -43,5 +43,5 @@ def every_frame(
 
 
 def half(progress: Progress | None, begins: float) -> Progress:
-    """Of one of two passes."""
+    """The progress of one of two passes over a video: from the share `begins` of the whole on, half of it."""
     return lambda share, text: progress(begins + 0.5 * share, text) if progress else None

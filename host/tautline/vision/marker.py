@@ -50,6 +50,8 @@ _MARGIN_PX = 8.0  # of the region around the marker: edges are compared with wha
 
 @dataclass(frozen=True)
 class _Blob:
+    """A thing in the picture that may be the marker, measured."""
+
     seen: Sighting
     score: float  # how marker-like
     cut: float  # membership half-way between it and what is around it
@@ -82,7 +84,7 @@ class MarkerTracker:
         self._shaded = _UNKNOWN  # probability that the marker is lit from one side
 
     def track(self, picture: Array) -> Sighting:
-        """The marker in the next frame, BGR (height, width, 3) uint8."""
+        """The marker in the next frame, BGR (height, width, 3) uint8; lost, with the reason, where it is not found."""
         last = self._last
         if last is not None:
             sighting = self._follow(picture, last)
@@ -97,7 +99,8 @@ class MarkerTracker:
         return sighting
 
     def _at_another(self, sighting: Sighting) -> bool:
-        """Whether a sighting is at one of the places of things that look like the marker."""
+        """Whether a sighting is at one of the places of things that look like the marker and are not: within a share of
+        its diameter."""
         away = np.hypot(*(self._same_colour_and_size - (sighting.u_px, sighting.v_px)).T)
         return bool((away < _SAME_PLACE * sighting.diameter_px).any())
 
@@ -111,8 +114,8 @@ class MarkerTracker:
         return sighting
 
     def _measure(self, picture: Array, u: float, v: float, diameter: float, slack: float) -> Sighting:
-        """The outline of the marker around (u, v) px, its expected diameter and `slack` px of room about it given;
-        lost, with the reason, where it is none."""
+        """The outline of the marker around (u, v) px, its expected diameter, px, and `slack` px of room about it given;
+        up to two times in a larger region, where it goes on beyond it. Lost, with the reason, where it is none."""
         half = int(0.6 * diameter + _MARGIN_PX + slack)
         for _ in range(3):
             status, outline = marker_measure(picture, self._weights, self._cut, u, v, diameter, half, self._shaded)
@@ -149,7 +152,7 @@ class MarkerTracker:
         return best.seen
 
     def _likeness(self, blob: _Blob) -> float:
-        """The blob's score, less the farther it is from where the marker was last seen."""
+        """The blob's score, without unit, less the farther it is from where the marker was last seen."""
         if self._left is None:
             return blob.score
         away = float(np.hypot(blob.seen.u_px - self._left.u_px, blob.seen.v_px - self._left.v_px))
@@ -157,7 +160,7 @@ class MarkerTracker:
 
     def blobs(self, picture: Array) -> list[_Blob]:
         """Blobs that may be the marker, measured at full size. They are searched in the frame shrunk as far as the
-        smallest marker allows; fainter ones only where there is no clear one."""
+        smallest marker allows, at most four times; fainter ones only where there is no clear one."""
         shrink = 1
         while shrink < 4 and self._smallest_px / shrink > 2.0 and min(picture.shape[:2]) > 16 * shrink:
             shrink *= 2
@@ -170,8 +173,8 @@ class MarkerTracker:
         return []
 
     def _blobs_above(self, picture: Array, y: Array, level: float, shrink: int) -> list[_Blob]:
-        """Measured blobs of about the marker's area where the membership y exceeds `level`; y is of the picture made
-        `shrink` times smaller."""
+        """Measured blobs of about the marker's area, at most six, where the membership y exceeds `level` (1 is the
+        marker as picked); y is of the picture made `shrink` times smaller. Without one, why is kept in _nothing."""
         _, _, stats, centroids = cv2.connectedComponentsWithStats((y > level).astype(np.uint8), connectivity=4)
         expected = 0.25 * np.pi * (self.colour.diameter_px / shrink) ** 2
         blobs: list[_Blob] = []
@@ -181,7 +184,7 @@ class MarkerTracker:
             x0, y0, width, height, area = stats[i]
             if not _SMALLER**2 < area / expected < _LARGER**2:
                 continue
-            u, v = (centroids[i] + 0.5) * shrink - 0.5
+            u, v = (centroids[i] + 0.5) * shrink - 0.5  # whole numbers are the middles of pixels
             self._cut = max(level, float(np.percentile(y[y0 : y0 + height, x0 : x0 + width], 90))) / 2
             diameter = self.colour.diameter_px * float(np.sqrt(area / expected))
             self._shaded = _UNKNOWN
@@ -217,13 +220,13 @@ def find_colour(pictures: Sequence[Array]) -> MarkerColour | None:
 
 
 def _purity(colour: MarkerColour) -> float:
-    """Saturation of a marker's colour, 0 to 1."""
+    """Saturation of a marker's colour, 0 (grey) to 1."""
     return 1.0 - min(colour.colour) / max(*colour.colour, 1.0)
 
 
 def _of_median_purity(colour: MarkerColour, pictures: Sequence[Array]) -> MarkerColour:
     """The marker's colour picked anew in all pictures, the one of median purity: in the first picture it may have been
-    pale with light."""
+    pale with light. `colour` itself where it is found in none."""
     tracker = MarkerTracker(colour)
     usual = []
     for picture in pictures:
@@ -262,7 +265,8 @@ def alike_but_still(colour: MarkerColour, pictures: Sequence[Array]) -> list[tup
 
 
 def _same_colour_and_size(one: MarkerColour, other: MarkerColour) -> bool:
-    """Whether two picked colours are of the same hue and of about the same diameter."""
+    """Whether two picked colours are of the same hue (less than 6 deg between them in B, G, R: cosine 0.995) and of
+    about the same diameter (ratio 0.7 to 1.4)."""
     a, b = np.array(one.colour), np.array(other.colour)
     size = one.diameter_px / other.diameter_px
     return bool(a @ b > 0.995 * np.linalg.norm(a) * np.linalg.norm(b)) and 0.7 < size < 1.4
@@ -270,7 +274,8 @@ def _same_colour_and_size(one: MarkerColour, other: MarkerColour) -> bool:
 
 def _moving_score(colour: MarkerColour, pictures: Sequence[Array]) -> float:
     """How well `colour` finds a moving marker, 0 to 1: 1 where it is found in every picture and never where it was in
-    another; a tenth of the share of pictures in which it is found, if what it finds does not move."""
+    another; a tenth of the share of pictures in which it is found, if what it finds does not move. One that sways by
+    less than its size is in between: up to 0.37 of that share, from 2 px on. 0 where it is never found."""
     tracker = MarkerTracker(colour)
     places = []
     for picture in pictures:
@@ -346,7 +351,7 @@ class _Frames:
 
     def rows(self, sure: npt.NDArray[np.bool_]) -> Marker:
         """The frames with a time as marker.csv's rows. sure (n,): which sightings are the marker's; others are NaN and
-        not valid."""
+        not valid. Frames without a time are counted in `untimed`."""
         timed = np.isfinite(self.t_s)
         rows = np.array([(s.u_px, s.v_px, s.sigma_px) for s in self.seen])
         u, v, sigma = np.where(sure[:, None], rows, np.nan)[timed].T
@@ -365,9 +370,9 @@ def with_marker(recording: Recording, rig: Rig, progress: Progress | None = None
 
 
 def of_one_marker(seen: Sequence[Sighting]) -> npt.NDArray[np.bool_]:
-    """(n,) Which sightings are the marker's. After a jump that is too far for its speed something else was taken for
-    it: of all chains of stretches that a marker could go, the one with most frames is kept. A sighting beside a lost
-    frame is dropped if its size differs, as it may be partly hidden."""
+    """(n,) Which sightings, of frames in order, are the marker's. After a jump that is too far for its speed something
+    else was taken for it: of all chains of stretches that a marker could go, the one with most frames is kept. A
+    sighting beside a lost frame is dropped if its size differs, as it may be partly hidden."""
     valid = np.array([s.valid for s in seen])
     place = np.array([(s.u_px, s.v_px) for s in seen])
     size = np.array([s.diameter_px for s in seen])
@@ -391,14 +396,15 @@ def of_one_marker(seen: Sequence[Sighting]) -> npt.NDArray[np.bool_]:
 
 
 def lit_by_place(seen: Sequence[Sighting], sure: npt.NDArray[np.bool_]) -> list[Sighting]:
-    """The sightings with what they allow for light from one side smoothed over the marker's place (locally linear):
-    it is the same there whichever way the marker goes, and all frames nearby tell it. sure (n,): which are the
-    marker's."""
+    """The sightings with what they allow for light from one side (lit_px) smoothed over the marker's place (locally
+    linear): it is the same there whichever way the marker goes, and all frames nearby tell it. sure (n,): which are the
+    marker's. As they are where none allows for any."""
     lit = np.array([s.lit_px for s in seen])
     at = np.flatnonzero(sure)  # a frame that allows for none tells of its place, too
     if not lit[at].any():
         return list(seen)
     place, wide = np.array([(s.u_px, s.v_px) for s in seen])[at], float(np.median([seen[k].diameter_px for k in at]))
+    # Medians in cells of one diameter; in each a plane through those around it, weighted by frames and nearness.
     _, cell = np.unique(np.floor(place / wide), axis=0, return_inverse=True)
     cells = [np.flatnonzero(cell.ravel() == k) for k in range(int(cell.max()) + 1)]
     middle = np.array([place[own].mean(axis=0) for own in cells])
@@ -422,8 +428,8 @@ def lit_by_place(seen: Sequence[Sighting], sure: npt.NDArray[np.bool_]) -> list[
 
 
 def _not_in_chain(stretches: Sequence[Array], place: Array, reach: Callable[[int], float]) -> list[int]:
-    """Indices of the stretches outside of the chain with most frames in which each stretch begins within reach(frames)
-    px of the end of the one before."""
+    """Indices of the stretches (each indices of frames) outside of the chain with most frames in which each stretch
+    begins within reach(frames) px of the end of the one before. place (frames, 2) px."""
     best = np.array([len(stretch) for stretch in stretches])
     before = np.full(len(stretches), -1)
     for k, stretch in enumerate(stretches):

@@ -73,7 +73,7 @@ class Pose:
 
     @property
     def size(self) -> float:
-        """Scale against the first picture."""
+        """Scale against the picture in which the region was shown, 1 there."""
         return float(np.hypot(self.a, self.b))
 
     @staticmethod
@@ -84,13 +84,13 @@ class Pose:
         return Pose(*map(float, weights @ rows / weights.sum()))
 
     def square(self, side_px: float) -> Array:
-        """The region's corners (4, 2) px."""
+        """The corners (4, 2) px of a square of side_px in the region's place, turned as it is, but not scaled."""
         corners = 0.5 * side_px * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
         placed: Array = corners @ np.array([[self.a, self.b], [-self.b, self.a]]) / self.size + (self.u, self.v)
         return placed
 
     def unlike(self, other: Pose, side_px: float) -> float:
-        """Distance between two poses by turn, scale and shift, in units of what asks for a new keyframe."""
+        """Distance between two poses by turn, scale and shift, without unit: from 1 on a new keyframe is taken."""
         motion = self.to(other)
         turn = np.degrees(np.arctan2(motion[1, 0], motion[0, 0]))
         scale = np.log(np.hypot(motion[1, 0], motion[0, 0]))
@@ -102,8 +102,8 @@ class _Keyframe:
     """What the region and its surroundings looked like once, and the corners in it."""
 
     def __init__(self, cut: Picture, corner: Array, pose: Pose, side_px: float) -> None:
-        """cut: the part of a grey picture around the region; corner (2,): the place of cut's first pixel in the
-        picture, px."""
+        """cut: the part of a grey picture around the region; corner (2,): the place (u, v) of cut's first pixel in the
+        picture, px. What is followed are the corners in the region's square, found here."""
         self.picture, self.corner, self.pose, self._side_px = cut, corner, pose, side_px
         mask = np.zeros(cut.shape, dtype=np.uint8)
         cv2.fillConvexPoly(mask, np.rint(pose.square(side_px) - corner).astype(np.int32), 255)
@@ -117,7 +117,8 @@ class _Keyframe:
 
     @classmethod
     def of(cls, light: EvenLight, pose: Pose, side_px: float) -> Self:
-        """A keyframe of the region as a picture shows it."""
+        """A keyframe of the region as a picture shows it. Its part of the picture holds the region however it is turned
+        (1.5 sides), and a margin."""
         long = int(1.5 * side_px + 2.0 * _MARGIN_PX)
         return cls(*light.cut(pose.u, pose.v, (min(long, light.shape[0]), min(long, light.shape[1]))), pose, side_px)
 
@@ -133,14 +134,15 @@ class _Keyframe:
 
     @property
     def square(self) -> Picture:
-        """The region cut out upright, (side, side)."""
+        """The square around the region's middle, cut out of the picture as it lies, (side, side) px, grey levels."""
         side = max(int(self._side_px), 2)
         middle = self.pose.u - float(self.corner[0]), self.pose.v - float(self.corner[1])
         return np.asarray(cv2.getRectSubPix(self.picture, (side, side), middle), dtype=np.uint8)
 
     def seen_at(self, light: EvenLight, expected: Pose) -> tuple[Pose, float] | None:
         """The region's pose in another picture, by the corners that follow one affine motion (RANSAC), and one standard
-        deviation of its middle per coordinate, px; None where too few do. expected: where it is looked for."""
+        deviation of its middle per coordinate, px; None where too few do. expected: where it is looked for. Where the
+        region has moved on, it is counted which corners went along, for `settle`."""
         motion = self.pose.to(expected)
         cut, corner = light.cut(expected.u, expected.v, (self.picture.shape[0], self.picture.shape[1]))
         if len(self.corners) < _FEWEST:
@@ -164,14 +166,15 @@ class _Keyframe:
             self._met[kept[together]] += 1
         here, places = here[together], places[together]
         left = places - here @ fit[:, :2].T - fit[:, 2]
-        scatter = float(np.sum(left**2)) / (2 * len(here) - 6)
+        scatter = float(np.sum(left**2)) / (2 * len(here) - 6)  # px squared; six numbers were fitted
         away, lever = here - here.mean(axis=0), (self.pose.u, self.pose.v) - here.mean(axis=0)
         spread = away.T @ away + 1e-9 * np.eye(2)
         sigma = float(np.sqrt(scatter * (1.0 / len(here) + lever @ np.linalg.solve(spread, lever))))
         return pose, max(float(np.hypot(sigma, self.off_px)), _SURE_PX)
 
     def settle(self) -> bool:
-        """Drops the corners that stayed behind when the region moved (background); returns whether enough are left."""
+        """Drops the corners that stayed behind when the region moved (background); returns whether enough are left to
+        follow."""
         own = self._met >= _OWN * self._tried
         self.corners, self._tried, self._met = self.corners[own], self._tried[own], self._met[own]
         return len(self.corners) >= _FEWEST
@@ -239,7 +242,8 @@ class PatchTracker:
             keyframe.off_px = float(np.sqrt(own.mean())) if len(own) else 0.0
 
     def track(self, picture: Picture) -> Sighting:
-        """The region in the next frame, BGR (height, width, 3) uint8, of the size that it was shown in."""
+        """The region's middle, px, and its side as diameter_px, in the next frame, BGR (height, width, 3) uint8; lost
+        where it is not found. TautError where the frame has not the size that the region was shown in."""
         if picture.shape[:2] != self._shape:
             (height, width), (shown_height, shown_width) = picture.shape[:2], self._shape
             raise TautError(
@@ -267,8 +271,8 @@ class PatchTracker:
         """The pose and its sigma, px, by the nearest keyframes, weighted so that it does not jump where one replaces
         another; None where none finds it. While learning a keyframe is added where the nearest is far or fading."""
         ranked = sorted((key.pose.unlike(expected, self.side_px), i) for i, key in enumerate(self._keyframes))
-        found: list[tuple[float, Pose, float]] = []
-        told: list[int] = []
+        found: list[tuple[float, Pose, float]] = []  # weight, pose, sigma
+        told: list[int] = []  # by which keyframes
         for unlike, i in ranked[: _NEAREST + 2]:
             weight = max(_REACH - unlike, 0.0) ** 2
             if found and (not weight or len(found) == _NEAREST):
@@ -312,5 +316,6 @@ class PatchTracker:
 
 
 def _smaller(grey: Picture) -> Picture:
+    """The picture at the size at which a lost region is looked for, a half."""
     small = cv2.resize(grey, None, fx=1 / _SHRINK, fy=1 / _SHRINK, interpolation=cv2.INTER_AREA)
     return np.asarray(small, dtype=np.uint8)

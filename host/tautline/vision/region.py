@@ -23,7 +23,8 @@ REGION_FILE = "region.toml"  # its name beside a video
 
 @dataclass(frozen=True)
 class Region:
-    """A place on the instrument as it was shown: a square in a picture that is kept beside the file."""
+    """A place on the instrument as it was shown: a square of side_px around `at`, (u, v) px, in a picture that is kept
+    beside the file."""
 
     at: tuple[float, float]
     side_px: float
@@ -31,7 +32,7 @@ class Region:
 
     @classmethod
     def beside(cls, video: Path) -> Self | None:
-        """The region.toml beside a video; None where there is none."""
+        """The region.toml beside a video; None where there is none. TautError where a marker's colour is there too."""
         path = video.parent / REGION_FILE
         if not path.is_file():
             return None

@@ -60,7 +60,8 @@ class RosCamera:
             raise
 
     def _message_type(self, topic: str) -> str:
-        """The type of image message that the topic's publisher sends."""
+        """The class of message that the topic's publisher sends, Image or CompressedImage. Waits for a publisher;
+        TautError where none comes, or it sends something else."""
         end = time.monotonic() + _FIRST_S
         while time.monotonic() < end:
             offered = {
@@ -79,7 +80,8 @@ class RosCamera:
         return self._drops.count
 
     def _receive(self, message: Any) -> None:
-        """Queues a message with the time, monotonic, that its stamp gives; without a sensible stamp when it came."""
+        """Queues a message with its arrival, s of the monotonic clock: by its stamp, where that says 0 to 1 s ago on
+        this machine's clock, else when it came."""
         now = time.monotonic()
         at = message.header.stamp
         age_s = 1e-9 * self._graph.node.get_clock().now().nanoseconds - (at.sec + 1e-9 * at.nanosec)
@@ -90,8 +92,8 @@ class RosCamera:
             self._came.notify()
 
     def read(self) -> tuple[Array, float] | None:
-        """The next frame with its arrival time. TautError where none comes any more, or its encoding cannot be
-        shown."""
+        """The next frame, BGR (height, width, 3) uint8, with its arrival time, s; never None. TautError where none
+        comes any more, or its encoding cannot be shown."""
         with self._came:
             if not self._came.wait_for(lambda: bool(self._waiting), _NEXT_S):
                 raise TautError(f"{self.name}: no more images: is its camera still there?")
@@ -100,7 +102,8 @@ class RosCamera:
         return self._picture(message), arrival_s
 
     def _picture(self, message: Any) -> Array:
-        """The message's picture, BGR."""
+        """The message's picture, BGR (height, width, 3) uint8; what has no encoding is a CompressedImage, so decoded.
+        TautError where it cannot be."""
         data = np.frombuffer(message.data, np.uint8)
         if not hasattr(message, "encoding"):
             decoded = cv2.imdecode(data, cv2.IMREAD_COLOR)

@@ -48,7 +48,8 @@ class _Keyframe:
     met: Array  # (n,) and went along with most
 
     def settle(self) -> None:
-        """Drops the corners that often move apart from the rest: they are on what breathes."""
+        """Drops the corners that often move apart from the rest, as they are on tissue that moves by itself; none where
+        too few would be left."""
         own = self.met >= _OWN * self.tried
         if own.sum() >= _FEWEST:
             self.corners, self.towards, self.tried, self.met = (
@@ -67,6 +68,7 @@ class SceneTracker:
     _learns: bool = True
 
     def __post_init__(self) -> None:
+        """Sets the turn from the nearest keyframe, rad, from which a new one is taken: a share of the field of view."""
         across = np.hypot(self.camera.width_px / self.camera.fx_px, self.camera.height_px / self.camera.fy_px)
         self._step = _STEP * 2.0 * float(np.arctan(0.5 * across))
 
@@ -104,7 +106,8 @@ class SceneTracker:
         self._turns.clear()
 
     def _keyframe(self, grey: Picture, turn: Array) -> _Keyframe:
-        """A keyframe of this picture, which the camera took at this turn; corners near the border are left out."""
+        """A keyframe of this grey picture, which the camera took at this turn (3,) rad; corners near the border are
+        left out."""
         edge = int(_BORDER_PX)
         mask = np.zeros_like(grey)
         mask[edge:-edge, edge:-edge] = 255
@@ -132,6 +135,7 @@ class SceneTracker:
         )
         guess = guess.reshape(-1, 2)
         size = np.array([grey.shape[1], grey.shape[0]])
+        # 0.1: what is nearly across the line of sight or behind has no place in the picture.
         shown = np.flatnonzero((ahead[:, 2] > 0.1) & (guess > 0.0).all(axis=1) & (guess < size).all(axis=1))
         if len(shown) < _FEWEST:
             return None
@@ -150,8 +154,9 @@ class SceneTracker:
         return _vector(_rotation_between(one[together], other[together]) @ _matrix(key.turn)), len(together)
 
     def _turn_by_nearest(self, grey: Picture, expected: Array) -> Array | None:
-        """The turn (3,) by the nearest keyframes, weighted so that it does not jump where one replaces another; None
-        where none finds the scene. While learning a keyframe is added where the nearest is far."""
+        """The turn (3,) rad by the nearest keyframes, weighted so that it does not jump where one replaces another;
+        None where none finds the scene. While learning a keyframe is added where the nearest is far, and it is kept by
+        how much two differ."""
         away = np.array([np.linalg.norm(_relative_turn(key.turn, expected)) for key in self._keyframes]) / self._step
         found: list[tuple[float, int, Array]] = []
         for k in np.argsort(away, kind="stable")[: _NEAREST + 2].tolist():
@@ -172,31 +177,32 @@ class SceneTracker:
         return turn
 
     def _turn_by_best(self, grey: Picture) -> Array | None:
-        """The turn by the keyframe that finds most corners again at its own turn; None where none does."""
+        """The turn (3,) rad by the keyframe that finds most corners again at its own turn; None where none does."""
         seen = [self._turn_by(key, grey, key.turn) for key in self._keyframes]
         found = max((one for one in seen if one is not None), key=lambda one: one[1], default=None)
         return None if found is None else found[0]
 
 
 def _rotation_between(one: Array, other: Array) -> Array:
-    """The least-squares rotation (3, 3) of directions (n, 3) to others (Kabsch)."""
+    """The least-squares rotation (3, 3) of directions (n, 3) to others (Kabsch): no reflection, thanks to the sign of
+    the determinant."""
     left, _, right = np.linalg.svd(other.T @ one)
     return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
 
 
 def _matrix(turn: Array) -> Array:
-    """(3, 3) of a rotation vector."""
+    """The rotation matrix (3, 3) of a rotation vector (3,) rad."""
     return np.asarray(cv2.Rodrigues(np.asarray(turn, dtype=float))[0])
 
 
 def _vector(rotation: Array) -> Array:
-    """The rotation vector of a matrix (3, 3), rad."""
+    """The rotation vector (3,) rad of a matrix (3, 3)."""
     turn: Array = np.asarray(cv2.Rodrigues(rotation)[0], dtype=float).ravel()
     return turn
 
 
 def _relative_turn(one: Array, other: Array) -> Array:
-    """(3,) rad Rotation vector that takes the turn `one` to `other`."""
+    """(3,) rad Rotation vector that takes the turn `one` to `other`, rotation vectors (3,) rad too."""
     return _vector(_matrix(other) @ _matrix(one).T)
 
 
@@ -224,8 +230,9 @@ def bending_by_scene(video: Video, motor: Motor, rig: Rig, progress: Progress | 
 
 
 def angle_of(t_s: Array, turns: Array, motor: Motor, coarse: Coarse, delay_s: float) -> Angle:
-    """The bending angle by the camera's turns (n, 3) rad (NaN: not found): the component along the axis about which it
-    turns most, its sign and mean set by f_coarse, as a turn tells neither."""
+    """The bending angle, deg, by the camera's turns (n, 3) rad (NaN: not found) at arrival times t_s (n,): the
+    component along the axis about which it turns most. Its sign and mean, which a turn does not tell, are those of
+    f_coarse at the motor's position delay_s before."""
     seen = np.asarray(np.isfinite(turns).all(axis=1))
     middle = np.median(turns[seen], axis=0)
     axis = np.linalg.svd(turns[seen] - middle, full_matrices=False)[2][0]

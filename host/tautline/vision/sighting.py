@@ -9,8 +9,9 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Sighting:
-    """u, v and sigma_px (per coordinate) are NaN where the marker is lost; `lost` then says why, else it is empty.
-    lit_px: of (u, v), by which they allow for light from one side, as this frame alone tells it."""
+    """All but lit_px are NaN where the marker is lost; `lost` then says why, else it is empty. sigma_px is one standard
+    deviation per coordinate. lit_px: how much of (u, v) is the correction for light from one side, px, as this frame
+    alone tells it; (0, 0) without."""
 
     u_px: float
     v_px: float
@@ -25,4 +26,5 @@ class Sighting:
 
 
 def lost(why: str) -> Sighting:
+    """A frame without the marker: every number NaN. why: in words."""
     return Sighting(np.nan, np.nan, np.nan, np.nan, why)

@@ -17,6 +17,9 @@ _STEPS = 6  # until a wall is where it is; |added'| / 2 < 1 contracts
 
 
 def _in_the_table(model: Model, values: Mapping[str, float], session_s: float) -> Model:
+    """The model with another B: times 1 + width_scale, plus the spline with coefficients width_0 .., unit of q, over
+    the play's centre or, with width_at_motor, over the motor's place, which shifts f_remain too. session_s does not
+    count."""
     basis = Basis(*model.rig.actuator.range, _PIECES)
     added = basis.table(np.array([values.get(name, 0.0) for name in _NAMES]), model.q)
     width = model.width * max(0.0, 1.0 + values.get("width_scale", 0.0)) + values.get(_EVERYWHERE, 0.0)

@@ -15,6 +15,7 @@ def distorted(camera: Camera, values: Mapping[str, float]) -> Camera:
 
 
 def _in_the_rig(model: Model, values: Mapping[str, float], session_s: float) -> Model:
+    """The model with the distortion added to its rig's camera."""
     rig = model.rig
     assert rig.camera
     return replace(model, rig=replace(rig, camera=distorted(rig.camera, values)))

@@ -7,7 +7,8 @@ from tautline.model import Model, allowed_width
 
 
 def _gone(values: Mapping[str, float], session_s: float) -> float:
-    """For how long it would have taken at its first rate, s."""
+    """How long, s, a drift has run from drift_from to session_s, counted at its first rate: less than that time where
+    the rate decays exponentially by drift_decay, 1/s; 0 before."""
     decay = values.get("drift_decay", 0.0)
     since = max(0.0, session_s - values.get("drift_from", 0.0))
     return -math.expm1(-decay * since) / decay if decay > 0.0 else since

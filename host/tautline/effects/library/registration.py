@@ -15,7 +15,8 @@ from tautline.rig import HandEye
 def with_registration(
     model: Model, values: Mapping[str, float], session_s: float = 0.0, prefix: str = "static"
 ) -> Model:
-    """X_cam = R (Exp(turn) X + move) + t folded into the rig's hand-eye."""
+    """The model with X_cam = R (Exp(turn) X + move) + t folded into its rig's hand-eye. values: PREFIX_rx .. PREFIX_rz,
+    the turn as a rotation vector, deg, PREFIX_x .. PREFIX_z, the move, mm."""
     rig = model.rig
     if rig.hand_eye is None or not values:
         return model
@@ -29,6 +30,7 @@ def with_registration(
 
 
 def _shifted(model: Model, values: Mapping[str, float], session_s: float) -> Model:
+    """The model with the registration's shift, from shift_time of the session, s, on."""
     return with_registration(model, values, prefix="shift") if session_s >= values["shift_time"] else model
 
 

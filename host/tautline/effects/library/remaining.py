@@ -14,6 +14,7 @@ _NAMES = tuple(f"remaining_{i}" for i in range(_PIECES + 3))
 
 
 def _in_the_table(model: Model, values: Mapping[str, float], session_s: float) -> Model:
+    """The model with the spline with coefficients remaining_0 .., deg, added to f_remain over p, kept monotone."""
     basis = Basis(*model.rig.actuator.range, _PIECES)
     added = basis.table(np.array([values.get(name, 0.0) for name in _NAMES]), model.q)
     return replace(model, c_deg=monotone(model.c_deg + added))

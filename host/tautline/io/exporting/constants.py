@@ -37,7 +37,7 @@ def constant(model: Model) -> Constant:
     if not inside.any():
         raise TautError("the model's B was measured nowhere: calibrate with reversals, then export")
     width, sigma = model.width[inside], np.maximum(model.width_sigma[inside], 1e-12)
-    below, above = 0.0, float(width.max() + 6.0 * sigma.max())
+    below, above = 0.0, float(width.max() + 6.0 * sigma.max())  # 6 sigma: as good as certain
     for _ in range(_BISECTIONS):
         middle = 0.5 * (below + above)
         share = float(np.mean(norm.cdf((middle - width) / sigma)))

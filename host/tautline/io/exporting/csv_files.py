@@ -30,4 +30,5 @@ def write(log: Log, out: Path) -> list[Path]:
 
 
 def _columns(part: Series | Curve) -> dict[str, object]:
+    """A file's columns: of a series its times first."""
     return {"t_s": part.t_s, **part.columns} if isinstance(part, Series) else dict(part.columns)

@@ -72,7 +72,7 @@ def loses(model: Model) -> list[str]:
     """What the table does not carry, one line each."""
     lost = [
         "LinuxCNC may exceed the joint's speed and acceleration by half of them while it takes the backlash up",
-        f"{min(MOST, len(model.q))} points stand for {len(model.q)}, straight between them",
+        f"{len(targets(model)[0])} points stand for {len(model.q)}, straight between them",
     ]
     if not model.elements.single:
         lost.append("the onset is gradual: one play stands for several")
@@ -81,6 +81,7 @@ def loses(model: Model) -> list[str]:
 
 
 def _in_tables(effect: str) -> bool:
+    """Whether a corrected model holds this effect in its own tables, rig or delay; False for one that is not known."""
     from tautline.effects import BY_ID
 
     kind = BY_ID.get(effect)

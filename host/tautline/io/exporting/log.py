@@ -96,7 +96,7 @@ def of_source(source: Source) -> Log:
 
 
 def _recorded(recording: Recording, unit: str) -> list[Series]:
-    """Series of what was recorded: motor, marker, angle."""
+    """Series of what was recorded: motor, marker, angle. unit: of q."""
     motor = recording.motor
     columns = {f"q_{unit}": motor.q}
     for name, values in (
@@ -117,7 +117,8 @@ def _recorded(recording: Recording, unit: str) -> list[Series]:
 
 
 def _foretold(recording: Recording, name: str, model: Model, unit: str) -> list[Series]:
-    """Series of a model's prediction at the sensor's times, and of its residual."""
+    """Series of a model's prediction at the sensor's arrival times, or at the motor's where there is no sensor, and of
+    its residual at each of STAGES. name: the model's; unit: of q."""
     marker, angle, motor = recording.marker, recording.angle, recording.motor
     sensor = ANGLE if marker is None and (angle is not None or not model.rig.has_camera) else MARKER
     rows = marker if marker is not None else angle
@@ -151,16 +152,20 @@ def _foretold(recording: Recording, name: str, model: Model, unit: str) -> list[
 
 
 def _stages(model: Model) -> list[tuple[str, Model]]:
+    """The model as each of STAGES has it: f_coarse without B, f_coarse with B, both without effects; and whole."""
     coarse = model.rig.coarse.gain * model.q + model.rig.coarse.offset
     bare = replace(model, c_deg=coarse, effects=())
     return list(zip(STAGES, (replace(bare, width=np.zeros_like(model.width)), bare, model), strict=True))
 
 
 def _word(stage: str) -> str:
+    """A stage's name as a part of a series' name: f_coarse_and_B."""
     return stage.replace(" + ", "_and_").replace(" ", "_")
 
 
 def _evidence(evidence: Evidence, unit: str) -> list[Series]:
+    """Series of the frames that a model was made from, in the order of scene times, and of the residual at each of
+    STAGES. unit: of q."""
     seen = ("u_px", "v_px") if evidence.unit == "px" else ("c_deg",)
     order = np.argsort(evidence.t_s, kind="stable")
     t_s = evidence.t_s[order]
@@ -176,6 +181,7 @@ def _evidence(evidence: Evidence, unit: str) -> list[Series]:
 
 
 def _in(order: npt.NDArray[np.int64], columns: dict[str, Array]) -> dict[str, Array]:
+    """The columns' rows in this order, as floats."""
     return {name: np.asarray(values, dtype=float)[order] for name, values in columns.items()}
 
 

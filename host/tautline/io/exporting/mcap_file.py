@@ -84,6 +84,7 @@ def _ns(t_s: float) -> int:
 
 
 def _write_series(writer: Any, series: Series, shift_s: float) -> None:
+    """Writes a series as a channel of its own, a message for each row; shift_s is added to its times."""
     names = list(series.columns)
     number = {"type": ["number", "null"]}
     schema = {"type": "object", "description": series.says, "properties": dict.fromkeys(names, number)}
@@ -97,6 +98,7 @@ def _write_series(writer: Any, series: Series, shift_s: float) -> None:
 
 
 def _write_curve(writer: Any, curve: Curve, t_s: float) -> None:
+    """Writes a curve as one message with whole columns, at the time t_s, s."""
     numbers = {"type": "array", "items": {"type": ["number", "null"]}}
     schema = {
         "type": "object",
@@ -149,11 +151,12 @@ def foxglove_layout(log: Log) -> dict[str, Any]:
 
 
 def _paths(log: Log, wanted: tuple[str, ...]) -> list[str]:
+    """Foxglove's paths of all series' columns that begin with one of `wanted`."""
     return [f"/{s.name}.{name}" for s in log.series for name in s.columns if name.startswith(wanted)]
 
 
 def _plot(key: str, title: str, paths: list[str], more: dict[str, Any] | None = None) -> dict[str, dict[str, Any]]:
-    """A plot panel's configuration."""
+    """The configuration of a plot panel of these paths, by its id; {} where there are none."""
     if not paths:
         return {}
     lines = [{"value": path, "enabled": True, "timestampMethod": "receiveTime", "label": path[1:]} for path in paths]

@@ -52,7 +52,7 @@ def write(log: Log, out: Path, progress: Callable[[float, str], None]) -> list[P
             if good:
                 recording.set_time(TIME, duration=t_s)
                 recording.log("camera", rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"))
-            progress(0.3 + 0.7 * min(max(t_s / last, 0.0), 1.0), "frames")
+            progress(0.3 + 0.7 * min(max(t_s / (last or 1.0), 0.0), 1.0), "frames")
         recording.reset_time()
         recording.log(
             "about", rr.TextDocument("\n".join(f"{key}: {value}" for key, value in log.facts.items())), static=True

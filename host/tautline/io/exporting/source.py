@@ -96,6 +96,7 @@ def of_diagnosis(nominal: Model, corrected: Model, document: dict[str, Any], nam
 
 
 def _diagnosis(path: Path) -> Source:
+    """A diagnosis' folder: both models and diagnosis.json. TautError where that is damaged or of another format."""
     file = path / DIAGNOSIS_FILE
     try:
         document = json.loads(file.read_text(encoding="utf-8"))

@@ -103,12 +103,16 @@ class _Chosen:
         self.groups = {found[each.name][0]: found[each.name][1] for each in texts}
 
         def of(role: str) -> list[Named]:
+            """The role's channels by their names in the source, with unit or factor as the user gave them."""
             return [Named(found[n.name][0], n.unit, n.factor) for n in (named(text, listed) for text in asked[role])]
 
         self.motor, self.tip = of("motor")[0], of("tip")
         self.command = next(iter(of("command")), None)
         self.load = next(iter(of("load")), None)
         self.joints = of("joint")
+        for each in (self.motor, *self.joints, *(x for x in (self.command, self.load) if x)):
+            if each.name not in source.facts:
+                raise self._several(each)
         self.parts: dict[str, tuple[str, ...]] = {}  # of a name that stands for several channels
         self._expand_tip()
         if len(self.tip) > 2:
@@ -127,10 +131,11 @@ class _Chosen:
                 self.tip = [Named(inner[axis]) for axis in ("x", "y")]
                 self.groups.update({inner[axis]: self.groups[each.name] for axis in ("x", "y")})
             else:
-                held = sorted(name for name in known if name.startswith(f"{each.name}."))
-                raise TautError(
-                    f"{self.source.path}: {each.name} is several channels: name one of {', '.join(held[:6])}"
-                )
+                raise self._several(each)
+
+    def _several(self, each: Named) -> TautError:
+        held = sorted(name for name in self.source.facts if name.startswith(f"{each.name}."))
+        return TautError(f"{self.source.path}: {each.name} is several channels: name one of {', '.join(held[:6])}")
 
     def by_group(self) -> dict[str, list[str]]:
         """The channels to read of each group."""
@@ -142,7 +147,8 @@ class _Chosen:
         return {group: list(dict.fromkeys(names)) for group, names in wanted.items()}
 
     def stated(self, channel: Named) -> str:
-        """The unit that the file says, in words of units.py."""
+        """A channel's unit, in words of units.py: what the user gave, else what the file says, else the one in its
+        label or name; "" where none is known."""
         fact = self.source.facts.get(channel.name)
         said = (fact.unit or unit_in(fact.label)) if fact else ""
         return channel.unit or said or unit_in(channel.name)
@@ -159,11 +165,13 @@ class _Maker:
         ] = {}  # by group: times, and the rows that have them if not all
 
     def dimension(self, channel: Named) -> str:
+        """The unit in which a recording has the channel: "mm" where its unit is known to be a length, else "deg"."""
         stated = self._chosen.stated(channel)
         return "mm" if stated and stated not in ANGLES and factor_fits(channel, stated, "mm") else "deg"
 
     def motor(self, target: str) -> Motor:
-        """The motor by its channels, q in `target`."""
+        """The motor by its channels, q in `target`; all others at its times: a command held until the next one, load
+        and joints straight between their rows."""
         t_s, q = self._series(self._chosen.motor, target, "motor")
         q_cmd = load = None
         if (command := self._chosen.command) is not None:
@@ -200,7 +208,7 @@ class _Maker:
         return Angle(t_s, c_deg, ~lost if lost.any() else None)
 
     def marker(self) -> Marker:
-        """The tip's position in the image, px."""
+        """The tip's position in the image, px; NaN and not valid where a row lacks u or v."""
         u, v = self._chosen.tip
         if self._chosen.groups[u.name] != self._chosen.groups[v.name]:
             raise TautError(f"{u.name} and {v.name} are of two topics: name u and v of one")
@@ -213,6 +221,8 @@ class _Maker:
         return Marker(t_s, np.where(valid, u_px, np.nan), np.where(valid, v_px, np.nan), valid)
 
     def recorded_video(self, frames: tuple[Array, Array | None, Path] | None, name: str) -> Video | None:
+        """The video with its frames' times, s by the clock in use, NaN for one that is not after all before it; None
+        without frames. frames: as from _frames; name: for import.toml."""
         if frames is None:
             return None
         log_s, stamp_s, path = frames
@@ -229,7 +239,8 @@ class _Maker:
         return Video(path, t_s)
 
     def _series(self, channel: Named, target: str, role: str, keep_lost: bool = False) -> tuple[Array, Array]:
-        """A channel's times and its values in `target`."""
+        """A channel's times, s, and its values in the unit `target`, (n,) each. Rows without a number are left out, or
+        NaN with keep_lost."""
         t_s, (values,) = self._times(channel, (channel.name,))
         times, unit = factor(channel, self._chosen.stated(channel), target)
         finite = np.isfinite(values)
@@ -248,7 +259,7 @@ class _Maker:
         return t_s, values if times == 1.0 else values * times
 
     def _times(self, channel: Named, names: tuple[str, ...]) -> tuple[Array, list[Array]]:
-        """A channel's times, tidied, and the values of `names` at them."""
+        """The rising times of a channel's group, s, and the values of `names` (channels of it) at them, (n,) each."""
         group = self._chosen.groups[channel.name]
         if group not in self._rows:
             raise TautError(f"{self._chosen.source.path}: {channel.name} has no rows: choose another --episode")
@@ -259,12 +270,15 @@ class _Maker:
         return t_s, [rows.values[name] if kept is None else rows.values[name][kept] for name in names]
 
     def _tidied(self, group: str, rows: Rows) -> tuple[Array, Array | None]:
+        """A group's times by the clock in use, s, rising; and the indices of the rows that are kept, None for all."""
         t_s = rows.stamp_s if self._clock == clocks.STAMP and rows.stamp_s is not None else rows.log_s
         kept = clocks.tidy(t_s, group or str(self._chosen.source.path), self._warnings)
         whole = len(kept) == len(t_s) and bool(np.all(kept[1:] > kept[:-1]))
         return np.round(t_s if whole else t_s[kept], _TIME_DIGITS), None if whole else kept
 
     def _tell(self, role: str, channel: Named, rows: int, unit: str, times: float | None) -> None:
+        """Keeps for import.toml what became of a channel. rows: how many were taken; times: the factor from its unit,
+        None where no factor was used."""
         fact = self._chosen.source.facts.get(channel.name)
         entry = {"role": role, "name": channel.name, "label": fact.label if fact else "", "rows": rows}
         entry |= {"unit": unit or "not said", "factor": times}
@@ -281,7 +295,8 @@ def factor_fits(channel: Named, stated: str, target: str) -> bool:
 
 
 def _frames(source: Source, episode: int, name: str, scratch: Path) -> tuple[Array, Array | None, Path]:
-    """The video written into scratch: its frames' log times and stamps."""
+    """Writes the video into scratch: its frames' log times (n,) s, their stamps (n,) s, None where no sender set one,
+    and its path."""
     if name not in source.videos:
         list(source.batches(episode, [name]))  # some name their videos while they are read
     if name not in source.videos and source.videos:
@@ -352,7 +367,7 @@ def _check_motor(motor: Motor, name: str, rig: Rig | None, warnings: list[str]) 
 
 
 def _rig(motor: Motor, angle: Angle | None, unit: str) -> Rig:
-    """A rig from what the recording shows: range, one count and the coarse law."""
+    """A rig from what the recording shows: range, one count and the coarse law, c = q without an angle. unit: of q."""
     low, high = float(motor.q.min()), float(motor.q.max())
     step = 10.0 ** (np.ceil(np.log10(high - low)) - _RANGE_DIGITS)
     low, high = (float(f"{side(end / step) * step:.10g}") for side, end in ((np.floor, low), (np.ceil, high)))
@@ -369,7 +384,8 @@ def _rig(motor: Motor, angle: Angle | None, unit: str) -> Rig:
 
 
 def _count(q: Array) -> float:
-    """The smallest step of the motor's positions."""
+    """The smallest step of the motor's positions, unit of q: the 5th percentile of the steps between those that occur,
+    as a few may be finer."""
     values = np.unique(q[:: max(1, len(q) // _SAMPLED)])
     steps = np.diff(values)
     least = _RESOLUTION_LEAST * (values[-1] - values[0])
@@ -378,11 +394,13 @@ def _count(q: Array) -> float:
 
 
 def _span(values: Array) -> float:
+    """How far values (n,) reach from their 5th to their 95th percentile: a few wild ones do not count."""
     low, high = np.percentile(values, [5.0, 95.0])
     return float(high - low)
 
 
 def _column(channel: Named, source: Source, unit: str) -> str:
+    """The name of a joint's column in motor.csv: its label, else its channel, and its unit."""
     label = source.facts[channel.name].label if channel.name in source.facts else ""
     plain = "".join(c if c.isalnum() else "_" for c in (label or channel.name)).strip("_")
     return plain if plain.endswith(f"_{unit}") else f"{plain}_{unit}"

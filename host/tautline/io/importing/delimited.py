@@ -45,18 +45,21 @@ class Delimited:
         self.facts = {name: Fact("number", unit=unit) for name, unit in others}
 
     def episodes(self) -> Sequence[int]:
+        """The table is one recording, number 0."""
         return (0,)
 
     def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
+        """The rows as batches of the one group "", a part of the file at a time."""
         for frame in self._frames():
             values = {name: self._numbers(frame[name]) for name in self.facts}
             yield Batch("", self._seconds(frame[self._time]), None, values)
 
     def pictures(self, episode: int, video: str) -> Clip:
+        """The video file of this name beside the table."""
         return Clip(self.path.parent / video)
 
     def _frames(self, rows: int | None = None) -> Iterator[pd.DataFrame]:
-        """Frames of a table's rows, in batches."""
+        """The table's rows as data frames of at most _CHUNK_ROWS each. rows: only so many from the start; None: all."""
         how = self._layout
         try:
             with pd.read_csv(
@@ -89,7 +92,7 @@ class Delimited:
         return column.to_numpy(dtype=np.float64, na_value=np.nan)
 
     def _seconds(self, column: pd.Series) -> Array:
-        """The column's times in s."""
+        """The column's times, s since the origin; NaN where a cell holds none."""
         if self._dated:
             moments = _moments(column)
             since = (moments - self._origin) * 1e-9
@@ -100,7 +103,8 @@ class Delimited:
         return (self._numbers(column) - self._origin) * TIMES[self._unit]
 
     def _told_by(self, column: pd.Series, unit: str) -> tuple[str, float | int]:
-        """The unit of the times and the origin that is subtracted."""
+        """The unit of the times and the origin, in that unit, that is taken off them: 0 where they count from no epoch.
+        Also sets origin_s. unit: what the user gave, "" without."""
         if self._dated:
             moments = _moments(column.head())
             if moments.min() == np.iinfo(np.int64).min:
@@ -111,12 +115,20 @@ class Delimited:
         stated = self._layout.units[self._layout.names.index(self._time)]
         unit = unit or unit_in(self._time, TIMES) or (stated if stated in TIMES else "")
         if not unit:
+            if not step > 0.0:
+                raise TautError(
+                    f"{self.path}: {self._time} is the same in most neighbouring rows: these are no times of rows, "
+                    f"name others with --time NAME, or their unit with --time '{self._time}:UNIT'"
+                )
             unit = _time_unit(step)
             self.notes.append(
                 f"{self.path}: {self._time} has no unit: its steps of {step:.6g} are taken as {unit}, "
                 f"{1.0 / (step * TIMES[unit]):.4g} rows/s; --time '{self._time}:UNIT' says another"
             )
-        start = column.iloc[0].item()
+        told = column.dropna()
+        if not len(told):
+            raise TautError(f"{self.path}: column {self._time} holds no times: name another with --time NAME")
+        start = told.iloc[0].item()
         if abs(start) * TIMES[unit] <= EPOCH_S:
             return unit, 0
         self.origin_s = start * TIMES[unit]
@@ -136,6 +148,7 @@ class Delimited:
 
 
 def _rises(column: pd.Series) -> bool:
+    """Whether a column may be times: dates, or numbers that rise but for a few steps back."""
     if not pd.api.types.is_numeric_dtype(column):
         return is_date(str(column.iloc[0]))
     step = np.diff(column.to_numpy(dtype=np.float64, na_value=np.nan))
@@ -143,7 +156,7 @@ def _rises(column: pd.Series) -> bool:
 
 
 def _moments(column: pd.Series) -> Array:
-    """(n,) int64 ns of dates: 2026-11-23 15:13:47.5, or day first with the year last."""
+    """(n,) int64 ns of dates: 2026-11-23 15:13:47.5, or day first with the year last; the least int64 for no date."""
     text = column.astype("string").str.replace(",", ".", regex=False)
     day_first = not re.match(r"\d{4}", str(text.iloc[0]))
     moments = pd.to_datetime(text, errors="coerce", dayfirst=day_first, format="mixed")
@@ -151,5 +164,6 @@ def _moments(column: pd.Series) -> Array:
 
 
 def _time_unit(step: float) -> str:
-    """The unit in which rows come at a motor's rates; the slower reading where two do."""
+    """The unit in which rows that are `step` apart come at a motor's rates; the slower reading where two do, "s" where
+    none does."""
     return next((u for u, times in TIMES.items() if FASTEST_S <= abs(step) * times <= SLOWEST_S), "s")

@@ -168,6 +168,7 @@ def _provenance(source: Source, origin: dict[str, Any], episode: int, made: Asse
 
 
 def _origin(source: Source) -> dict[str, Any]:
+    """What import.toml says of the source: its path, kind, hash and size in bytes."""
     hashed, size = _sha256(source.path)
     return {"path": str(source.path), "kind": source.kind, "sha256": hashed, "bytes": size, "taut": __version__}
 

@@ -34,7 +34,7 @@ class Layout:
 
     @classmethod
     def of(cls, path: Path) -> Layout:
-        """TautError where the file is no table of numbers below a line of names."""
+        """The layout of a file. TautError where it is no table of numbers below a line of names."""
         lines, encoding = _head(path)
         separator, rows = _separated(path, lines)
         numeric = [k for k, row in enumerate(rows) if _is_numeric(row)]
@@ -57,6 +57,8 @@ class Layout:
 
 
 def _unit(below: str, name: str) -> str:
+    """A column's unit: by the cell below its name in a line of units, else by the name's end; "" where neither has
+    one."""
     cell = below.strip("[]() ")
     return known_unit(cell) or known_unit(cell, TIMES) or unit_in(name) or unit_in(name, TIMES)
 
@@ -117,5 +119,6 @@ def _is_numeric(row: Sequence[str]) -> bool:
 
 
 def _is_units(row: Sequence[str]) -> bool:
+    """Whether more than half of a row's cells, empty ones apart, are units."""
     cells = [cell.strip("[]() ") for cell in row if cell]
     return sum(bool(known_unit(cell) or known_unit(cell, TIMES)) for cell in cells) > 0.5 * len(cells)

@@ -61,7 +61,7 @@ class LeRobot:
         return sorted(self._rows)
 
     def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
-        """The episode's rows of these groups, in batches."""
+        """The episode's rows in batches of the one group "", which `groups` does not restrict."""
         row, file = self._row(episode), self._file(episode)
         columns = [*self._numeric, "timestamp"]
         filters = [("episode_index", "=", episode)] if self._layout == "v3" else None
@@ -103,6 +103,7 @@ class LeRobot:
         return Clip(path, float(row[f"{start}/from_timestamp"]), float(row[f"{start}/to_timestamp"]))
 
     def _batch(self, batch: Any, file: Path) -> Batch:
+        """A Parquet batch with a channel for each number of the features. file: for errors."""
         values: dict[str, Array] = {}
         for name, feature in self._numeric.items():
             column = batch.column(name)
@@ -116,7 +117,8 @@ class LeRobot:
         return Batch("", self._times(batch), None, values)
 
     def _times(self, batch: Any) -> Array:
-        """A frame's number over the rate where that is what its time says: in single precision that is some us off."""
+        """(n,) s: a frame's number over the rate where that, in single precision, is the time that was written, which
+        is then some us off; else the time that was written."""
         written = batch.column("timestamp").cast("float64").to_numpy(zero_copy_only=False)
         rate = self._info.get("fps")
         if _FRAME not in batch.schema.names or not isinstance(rate, int | float) or not rate > 0:
@@ -125,6 +127,7 @@ class LeRobot:
         return np.where(nominal.astype(np.float32) == written, nominal, written)
 
     def _file(self, episode: int) -> Path:
+        """The Parquet file that the episode is in."""
         if self._layout == "v2":
             chunk = episode // int(self._info.get("chunks_size") or 1000)
             return self._format("data_path", episode_chunk=chunk, episode_index=episode)
@@ -134,6 +137,7 @@ class LeRobot:
         )
 
     def _row(self, episode: int) -> Mapping[str, Any]:
+        """The episode's row of the table of episodes. TautError where there is no such episode."""
         if episode not in self._rows:
             known = sorted(self._rows)
             told = f"{known[0]} to {known[-1]}" if known else "none"
@@ -141,7 +145,7 @@ class LeRobot:
         return self._rows[episode]
 
     def _episode_rows(self) -> dict[int, dict[str, Any]]:
-        """The table of episodes, read from its files."""
+        """The table of episodes, by their numbers. TautError where it is missing or unreadable."""
         listed = self.path / _EPISODES[self._layout]
         if self._layout == "v2":
             try:
@@ -169,6 +173,7 @@ class LeRobot:
         return short if short in _UNITS else ""
 
     def _format(self, key: str, **values: Any) -> Path:
+        """The path that the template `key` of info.json makes of these values."""
         template: str = self._need(key, str)
         try:
             return self.path / template.format(**values)
@@ -176,12 +181,14 @@ class LeRobot:
             raise TautError(f"{self.path / INFO}: {key} is {template!r}, which is not of {self.kind}") from error
 
     def _need(self, key: str, kind: type[Any]) -> Any:
+        """info.json's value of `key`. TautError where it is missing or not of this kind."""
         value = self._info.get(key)
         if not isinstance(value, kind):
             raise TautError(f"{self.path / INFO}: {key} is missing: is the data set whole?")
         return value
 
     def _json(self, file: Path) -> Mapping[str, Any]:
+        """The file's JSON object. TautError where it is unreadable or no object."""
         try:
             document = json.loads(file.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
@@ -192,7 +199,7 @@ class LeRobot:
 
 
 def _names(name: str, feature: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """(channel, label) of a feature's numbers."""
+    """(channel, label) of each of a feature's numbers: NAME or NAME[k]; what info.json calls it, "" where nothing."""
     shape = [int(n) for n in feature.get("shape") or (1,)]
     count = int(np.prod(shape))
     labels: Any = feature.get("names")

@@ -32,6 +32,7 @@ class Channel:
 
     @property
     def moves(self) -> bool:
+        """Whether its numbers differ."""
         return self.count > 1 and self.high > self.low
 
 
@@ -67,6 +68,8 @@ class _Group:
     high: dict[str, float] = field(default_factory=dict)
 
     def add(self, batch: Batch) -> None:
+        """Counts a batch's rows and their range, and keeps each stride-th; where too many are kept, the stride
+        doubles."""
         n = len(batch.log_s)
         self.first_s = min(self.first_s, float(np.nanmin(batch.log_s)))
         self.last_s = max(self.last_s, float(np.nanmax(batch.log_s)))
@@ -93,6 +96,7 @@ class _Group:
         self.held += len(log_s)
 
     def joined(self) -> tuple[Array, Array, dict[str, Array]]:
+        """All kept rows: log times and stamps (k,) s, and values (k,) by channel, NaN where a row has none."""
         names = dict.fromkeys(name for _, _, values in self.kept for name in values)
         return (
             np.concatenate([log_s for log_s, _, _ in self.kept]),
@@ -165,11 +169,13 @@ def resolve(wanted: str, source: Source, known: Collection[str]) -> str:
 
 
 def _label(source: Source, name: str) -> str:
+    """What the file calls a channel beside its name, a joint for one; "" where nothing."""
     return source.facts[name].label if name in source.facts else ""
 
 
 def find(source: Source, episode: int, wanted: Sequence[str]) -> dict[str, tuple[str, str]]:
-    """(channel, group) by what was asked for; reads no further than until all are known."""
+    """(channel, group) of each name that was asked for, as `resolve` takes it. Reads no further than until all are
+    known; TautError where one never is."""
     known: dict[str, str] = dict.fromkeys(source.facts, "")
     for batch in source.batches(episode):
         known.update(dict.fromkeys(batch.values, batch.group))
@@ -183,6 +189,7 @@ def find(source: Source, episode: int, wanted: Sequence[str]) -> dict[str, tuple
 
 
 def _group(name: str, known: Mapping[str, str]) -> str:
+    """The group of a channel, or of a name that stands for several: that of the first one below it."""
     return known[name] if name in known else next(g for each, g in known.items() if each.startswith(f"{name}."))
 
 
@@ -208,7 +215,8 @@ def _empty(source: Source, episode: int) -> TautError:
 
 
 def _joined(parts: list[tuple[Array, Array | None, dict[str, Array]]], names: Collection[str], by_log: bool) -> Rows:
-    """by_log: batches may be out of order; a table's rows are left as they are, so that a clock set back is seen."""
+    """The parts (log times, stamps, values) of one group as one. by_log: sorted by log time, as batches may be out of
+    order; a table's rows are left as they are, so that a clock set back is seen."""
     values = {name: np.concatenate([part[2].pop(name) for part in parts]) for name in names}
     stamp_s = None
     if any(part[1] is not None for part in parts):

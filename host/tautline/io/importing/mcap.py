@@ -45,6 +45,7 @@ class Mcap:
         self._empty = summary is not None and summary.statistics is not None and not summary.statistics.message_count
 
     def episodes(self) -> tuple[int, ...]:
+        """The file is one recording, number 0; none where it has no messages."""
         return () if self._empty else (0,)
 
     def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
@@ -83,7 +84,8 @@ class Mcap:
             yield found
 
     def _messages(self, topics: Collection[str] | None) -> Iterator[tuple[Any, Any, Any, Callable[[bytes], Any]]]:
-        """Decoded messages of these topics in order of their log time."""
+        """(schema, channel, message, its decoder) of these topics (None: all), by log time where the file has chunks,
+        else in the file's order. Channels that cannot be decoded are left out."""
         decoders: dict[int, Callable[[bytes], Any] | None] = {}
         wanted = None if topics is None else list(topics)
         try:
@@ -121,9 +123,11 @@ class Mcap:
         return found
 
     def _s(self, time_ns: int | None) -> float:
+        """A time in s since the origin; NaN for None."""
         return np.nan if time_ns is None else (time_ns - self._origin_ns) * 1e-9
 
     def _cut(self, error: Exception) -> TautError:
+        """The error to raise for one of the library's: the file is cut or none."""
         return TautError(
             f"{self.path}: is cut short or no MCAP file ({' '.join(str(error).split()) or 'it ends too early'}): "
             f"'mcap recover {self.path} -o whole.mcap' saves what is whole"
@@ -131,5 +135,6 @@ class Mcap:
 
 
 def _ros1_name(name: str) -> str:
+    """A ROS 1 type's name, PACKAGE/NAME, as rosbags has it: PACKAGE/msg/NAME."""
     package, _, short = name.partition("/")
     return name if short.startswith("msg/") else f"{package}/msg/{short}"

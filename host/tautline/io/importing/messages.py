@@ -19,7 +19,7 @@ _NO_NUMBERS = (str, bytes, bytearray, memoryview)
 
 
 def fields(message: Any) -> list[tuple[str, Any]]:
-    """(name, value) of a message's parts, [] for what is none."""
+    """(name, value) of a message's parts; [] for what is no message."""
     if isinstance(message, Mapping):
         return [(str(key), value) for key, value in message.items()]
     if (descriptor := getattr(message, "DESCRIPTOR", None)) is not None:
@@ -29,11 +29,13 @@ def fields(message: Any) -> list[tuple[str, Any]]:
 
 
 def part(message: Any, name: str) -> Any:
+    """A message's part of this name; None where it has none."""
     return message.get(name) if isinstance(message, Mapping) else getattr(message, name, None)
 
 
 def stamp_ns(message: Any) -> int | None:
-    """The sender's time, ns; None where it set none."""
+    """The sender's time, ns, from the header, the field `timestamp` or the first of several transforms; None where it
+    set none, or 0."""
     inner = part(message, "transforms")
     if inner is not None and len(inner):
         return stamp_ns(inner[0])
@@ -57,12 +59,13 @@ class Flattener:
         self._indices: dict[str, dict[str, int]] = {}  # by the path of the names, the index of each
 
     def values(self, message: Any) -> dict[str, float]:
+        """A message's numbers by channel, which is the path from the topic on: TOPIC.position[0]."""
         found: dict[str, float] = {}
         self._walk(self.topic, message, found)
         return found
 
     def _walk(self, path: str, message: Any, found: dict[str, float]) -> None:
-        """Collects the numbers below a message's part."""
+        """Adds to `found` the numbers of a message, or of a part of one, that is at `path`."""
         parts = fields(message)
         names = next((list(v) for name, v in parts if name in _NAMES and _texts(v)), None)
         for name, value in parts:
@@ -71,7 +74,8 @@ class Flattener:
             self._leaf(f"{path}.{name}", value, names, found)
 
     def _leaf(self, path: str, value: Any, names: list[str] | None, found: dict[str, float]) -> None:
-        """Collects a value that is a number or an array of few numbers."""
+        """Adds to `found` the numbers of a field: one, an array of at most LONGEST_ARRAY, or those of inner messages.
+        names: of the numbers in the arrays beside it; None where the message has none."""
         if isinstance(value, _NUMBER):
             self._number(path, float(value), "", found)
         elif value is None or isinstance(value, _NO_NUMBERS):
@@ -92,11 +96,13 @@ class Flattener:
             self._walk(path, value, found)
 
     def _number(self, path: str, number: float, label: str, found: dict[str, float]) -> None:
+        """Adds a number to `found`, and a new channel to the facts. label: the name of the joint, "" without."""
         found[path] = number
         if path not in self._facts:
             self._facts[path] = Fact(self.type_name, label, _unit(self.type_name, path))
 
     def _index(self, path: str, name: str) -> int:
+        """The index of this name in the array at `path`: always the same one; a new name has the next free one."""
         known = self._indices.setdefault(path, {})
         return known.setdefault(name, len(known))
 
@@ -123,11 +129,13 @@ class Gathered:
         return None
 
     def rest(self) -> Iterator[Batch]:
+        """Batches of all rows that are still held."""
         for key in list(self._rows):
             if self._rows[key]:
                 yield self._batch(key)
 
     def _batch(self, key: tuple[str, frozenset[str]]) -> Batch:
+        """The rows held under this key as a batch; they are held no longer."""
         rows = self._rows.pop(key)
         self._held -= len(rows)
         stamps = np.array([row[1] for row in rows])
@@ -143,11 +151,13 @@ _ENCODED = {b"\xff\xd8": "mjpeg", b"\x89P": "png"}  # by a picture's first bytes
 
 
 def is_picture(type_name: str) -> bool:
+    """Whether messages of this type are pictures, whichever package the type is of."""
     return type_name.replace("/", ".").split(".")[-1] in ("Image", "CompressedImage", "RawImage")
 
 
 def picture(message: Any, log_s: float, stamp_s: float) -> Picture | None:
-    """A frame of an image topic; None where its encoding is none that can be taken into a video."""
+    """A frame of an image topic, the padding behind its rows taken off; None where its encoding is none that can be
+    taken into a video, or its data is cut. log_s, stamp_s: as in Picture."""
     data = part(message, "data")
     raw = bytes(data) if isinstance(data, bytes | bytearray | memoryview | list) else np.asarray(data).tobytes()
     width, height = part(message, "width"), part(message, "height")
@@ -155,16 +165,21 @@ def picture(message: Any, log_s: float, stamp_s: float) -> Picture | None:
         codec = _ENCODED.get(raw[:2])
         return Picture(log_s, stamp_s, raw, codec) if codec else None
     layout = _RAW.get(str(part(message, "encoding")))
-    step = int(part(message, "step") or 0)
-    if layout is None or height == 0 or len(raw) < step * int(height):
+    if layout is None:
         return None
     used = int(width) * {"gray": 1, "gray16le": 2, "rgba": 4, "bgra": 4}.get(layout, 3)
+    step = int(part(message, "step") or used)
+    if used == 0 or height == 0 or step < used or len(raw) < step * int(height):
+        return None
     rows = np.frombuffer(raw, np.uint8, step * int(height)).reshape(int(height), step)[:, :used]
+    if layout == "gray16le" and part(message, "is_bigendian"):
+        rows = np.ascontiguousarray(rows).view(np.uint16).byteswap().view(np.uint8)
     return Picture(log_s, stamp_s, rows.tobytes(), layout, int(width), int(height))
 
 
 def _unit(type_name: str, path: str) -> str:
-    """The unit by the message's own definition: ROS has radians, metres and newton metres (REP 103)."""
+    """The unit by the message's own definition, as ROS has radians and newton metres (REP 103): of positions and
+    efforts of joints; "" of all else."""
     if type_name.replace("/", ".").split(".")[-1] in ("JointState", "JointTrajectoryControllerState"):
         field = path.rsplit(".", 1)[-1]
         return "rad" if field.startswith("position") else "Nm" if field.startswith("effort") else ""
@@ -172,8 +187,10 @@ def _unit(type_name: str, path: str) -> str:
 
 
 def _is_list(value: Any) -> bool:
+    """Whether a value is a sequence: a list, an array, also a text."""
     return not isinstance(value, Mapping) and hasattr(value, "__len__") and hasattr(value, "__getitem__")
 
 
 def _texts(value: Any) -> bool:
+    """Whether a value is a list of texts, told by its first one; not where it is empty."""
     return _is_list(value) and len(value) > 0 and isinstance(value[0], str) and not isinstance(value, str)

@@ -56,7 +56,7 @@ class _Compared:
     correlation: Array  # (n, n) of changes, at the lag where it is greatest
     lag_s: Array  # (n, n): by how much j is later than i
     span: Array  # (n,) 5 to 95 percent
-    turning: Array = field(repr=False)  # (n,) correlation with the direction of each, see _follows_direction
+    turning: Array = field(repr=False)  # (n, n) of i's values with the direction in which j moves; no sign
     grid: Array = field(repr=False)  # (n, k)
 
 
@@ -95,7 +95,8 @@ def propose(listing: Listing, hold: Proposal | None = None) -> Proposal:
 
 
 def _compare(listing: Listing) -> _Compared:
-    """How all channels move together: correlations, delays and ratios."""
+    """How the channels that change most often, at most _MOST, move together: correlations and lags of their changes
+    over _CHANGE_S, spans, and their values at _GRID common times."""
     channels = [c for c in listing.channels.values() if c.moves and not _is_part_of_orientation(c.name, listing)]
     channels = [c for c in channels if np.isfinite(c.values).sum() > 8]
     changes = [float(np.mean(np.diff(c.values[np.isfinite(c.values)]) != 0)) for c in channels]
@@ -128,6 +129,7 @@ def _compare(listing: Listing) -> _Compared:
         best = np.abs(around).argmax(axis=1)
         correlation[i] = np.abs(around[np.arange(n), best])
         lag_s[i] = (best - lags) * step
+    # The direction of motion; less than a tenth of the largest change is rest.
     moving = np.sign(np.where(np.abs(change) > 0.1 * np.abs(change).max(axis=1, keepdims=True), change, 0.0))
     middle = grid[:, over // 2 : over // 2 + change.shape[1]]
     turning = np.abs(np.corrcoef(np.vstack([middle, moving]))[:n, n:]) if n else np.zeros((0, 0))
@@ -136,6 +138,7 @@ def _compare(listing: Listing) -> _Compared:
 
 
 def _on(times: Array, channel: Channel) -> Array:
+    """A channel's values (n,) at times (n,) s, straight between its finite ones."""
     finite = np.isfinite(channel.values)
     order = np.argsort(channel.t_s[finite], kind="stable")
     values: Array = np.interp(times, channel.t_s[finite][order], channel.values[finite][order])
@@ -143,8 +146,9 @@ def _on(times: Array, channel: Channel) -> Array:
 
 
 def _pair(listing: Listing, compared: _Compared, motor: Named | None, tip: Sequence[Named]) -> tuple[int, int] | None:
-    """Motor and tip: two channels that move together, the later one the tip. Names count a little; what is no position
-    does not count."""
+    """Motor and tip as indices in `compared`: two channels that move together, the later one the tip. Names count a
+    little; what is no position does not count. motor, tip: where the user named one. None where no two move
+    together."""
     names = compared.names
     best: tuple[int, int, float] | None = None
     before, after = _chained(listing, compared)
@@ -173,7 +177,8 @@ def _pair(listing: Listing, compared: _Compared, motor: Named | None, tip: Seque
 
 
 def _chained(listing: Listing, compared: _Compared) -> tuple[Array, Array]:
-    """(n,) Whether a channel has a likely command before it; one that others follow is no tip."""
+    """Two (n,) bool: whether a channel comes after one that moves as much, its likely command; and whether others come
+    after it, so that it is no tip."""
     places = np.array([not _no_place(name, listing) for name in compared.names], dtype=bool)
     span = np.maximum(compared.span, 1e-12)
     follows = (compared.correlation > _CHAINED) & (compared.lag_s > _SIMULTANEOUS_S) & places[:, None] & places
@@ -206,7 +211,7 @@ def _command(listing: Listing, compared: _Compared, motor: int, taken: set[str])
 
 def _load(listing: Listing, compared: _Compared, motor: Named, taken: set[str]) -> Named | None:
     """The channel named as a load of the motor's joint; else one that follows the motor's direction, as friction does,
-    and not its position."""
+    and not its position. None where there is none; taken: names with a role."""
     joint = _joint(motor.name, listing)
     named = [
         name
@@ -232,7 +237,7 @@ def _load(listing: Listing, compared: _Compared, motor: Named, taken: set[str]) 
 
 
 def _whole_tip(name: str, listing: Listing) -> tuple[Named, ...]:
-    """Both coordinates of a place in the image where one of them was found."""
+    """The tip's channels: u, then v where `name` is one coordinate of a place in the image, else `name` alone."""
     for one, other in (("u", "v"), ("x", "y")):
         for this, that, first in ((one, other, True), (other, one, False)):
             match = re.search(rf"(?<![A-Za-z0-9]){this}(?=(_px|\s*[\[(]px|$))", name)
@@ -252,6 +257,7 @@ def _with_units(found: Proposal, listing: Listing) -> Proposal:
     notes = list(found.notes)
 
     def stated(each: Named) -> str:
+        """The unit that the user gave, else the file's, else the one in its name or label; "" where none is known."""
         channel = listing.channels.get(each.name)
         return each.unit or (
             channel.fact.unit or unit_in(channel.name) or unit_in(channel.fact.label) if channel else ""
@@ -288,7 +294,8 @@ def _with_units(found: Proposal, listing: Listing) -> Proposal:
 def _guessed(
     motor: Named, motor_unit: str, tip: Named, tip_unit: str, unit: str, listing: Listing, notes: list[str]
 ) -> tuple[str, str]:
-    """Units of motor and tip where the file says none."""
+    """Units of motor and tip: those given, and for "" one that ratios and ranges make likely, which `notes` then say.
+    unit: of the recording's q, deg or mm."""
     m, t = listing.channels[motor.name], listing.channels[tip.name]
     if not tip_unit and unit == "deg" and motor_unit in ANGLES:
         scaled = ANGLES[motor_unit] * (m.high - m.low) / max(t.high - t.low, 1e-12)
@@ -312,14 +319,17 @@ def _guessed(
 
 
 def _may_be_radians(channel: Channel) -> bool:
+    """Whether a channel's range is that of a joint in radians: within a turn, and more than a little."""
     return max(abs(channel.low), abs(channel.high)) <= _PI_TURN and channel.high - channel.low > _SMALL
 
 
 def _says(role: str, name: str) -> bool:
+    """Whether a name has a word of this role."""
     return bool(_WORDS[role].search(name.lower()))
 
 
 def _no_place(name: str, listing: Listing) -> bool:
+    """Whether a channel is no position, by its name or unit: a speed, a load, a time, a status."""
     return (
         bool(_NO_PLACE.search(name.lower()))
         or _says("load", name)
@@ -337,10 +347,12 @@ def _joint(name: str, listing: Listing) -> str:
 
 
 def _is_part_of_orientation(name: str, listing: Listing) -> bool:
+    """Whether a channel is one of x, y, z, w of an orientation, whose angle is a channel of its own."""
     prefix = name.rpartition(".")[0]
     return prefix in listing.channels and listing.channels[prefix].fact.type == QUATERNION_TYPE
 
 
 def _nothing(listing: Listing) -> str:
+    """The note for a proposal without a motor."""
     moving = sum(c.moves for c in listing.channels.values())
     return f"{moving} channels move, no two of them together: name them with --motor and --tip"

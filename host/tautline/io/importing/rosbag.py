@@ -35,6 +35,7 @@ class Rosbag:
         self._origin_ns = first_ns if self.origin_s else 0
 
     def episodes(self) -> tuple[int, ...]:
+        """The bag is one recording, number 0; none where it has no messages."""
         return (0,) if self._count else ()
 
     def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
@@ -70,6 +71,7 @@ class Rosbag:
                 yield found
 
     def _decoded(self, reader: Any, connection: Any, raw: bytes) -> Any:
+        """The message; None, with a note, where the bag does not define its type."""
         try:
             return reader.deserialize(raw, connection.msgtype)
         except KeyError:
@@ -80,6 +82,7 @@ class Rosbag:
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
+        """A reader of the bag. TautError where the bag is cut or unreadable, also later within the block."""
         store = self._typesys.get_typestore(self._typesys.Stores.LATEST)
         try:
             with self._highlevel.AnyReader([self.path], default_typestore=store) as reader:
@@ -96,4 +99,5 @@ class Rosbag:
             raise TautError(f"{self.path}: is cut short or no {self.kind} ({what}): {mend}") from error
 
     def _s(self, time_ns: int | None) -> float:
+        """A time in s since the origin; NaN for None."""
         return np.nan if time_ns is None else (time_ns - self._origin_ns) * 1e-9

@@ -34,7 +34,7 @@ def bending_deg(quaternions: Array) -> tuple[Array, float]:
 
 
 def _twist(quaternions: Array, axis: Array) -> Array:
-    """(n,) rad in (-pi, pi]: the part of each rotation that is about `axis`."""
+    """(n,) rad in [-pi, pi): the part of each rotation (n, 4), as x, y, z, w, that is about `axis` (3,)."""
     angle = 2.0 * np.arctan2(quaternions[:, :3] @ axis, quaternions[:, 3])
     wrapped: Array = (angle + np.pi) % (2.0 * np.pi) - np.pi
     return wrapped

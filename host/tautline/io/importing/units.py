@@ -43,6 +43,7 @@ class Named:
 
     @property
     def text(self) -> str:
+        """As a user writes it: NAME, NAME:UNIT or NAME:FACTOR."""
         if self.factor is not None:
             return f"{self.name}:{self.factor:g}"
         return f"{self.name}:{self.unit}" if self.unit else self.name

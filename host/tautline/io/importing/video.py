@@ -84,6 +84,7 @@ def cut(clip: Clip, path: Path) -> Array:
 
 
 def _size(av: Any, picture: Picture) -> tuple[int, int]:
+    """Width and height of an encoded picture, px, by decoding it."""
     context = av.CodecContext.create(picture.codec, "r")
     frames = context.decode(av.Packet(picture.data))
     frame = frames[0] if frames else next(iter(context.decode(None)))
@@ -91,8 +92,9 @@ def _size(av: Any, picture: Picture) -> tuple[int, int]:
 
 
 def _stream(av: Any, output: Any, picture: Picture, size: tuple[int, int]) -> Any:
+    """A video stream for pictures like this one: in their own codec, plain pixels in FFV1, which loses nothing."""
     plain = bool(picture.width)
-    stream = output.add_stream("ffv1" if plain else picture.codec, rate=25)
+    stream = output.add_stream("ffv1" if plain else picture.codec, rate=25)  # nominal: packets carry their times
     stream.width, stream.height = size
     stream.time_base = _TICK
     grey = picture.codec.startswith("gray")
@@ -103,6 +105,7 @@ def _stream(av: Any, output: Any, picture: Picture, size: tuple[int, int]) -> An
 
 
 def _packets(av: Any, stream: Any, picture: Picture, size: tuple[int, int]) -> list[Any]:
+    """A picture as packets of the stream: as it is where it is encoded, else coded."""
     if not picture.width:
         return [av.Packet(picture.data)]
     channels = {"gray": 1, "gray16le": 1, "rgba": 4, "bgra": 4}.get(picture.codec, 3)

@@ -62,6 +62,7 @@ class Desk:
 
     @cached_property
     def _bending(self) -> shown.Bending:
+        """What finds the bending angle in a frame; made for the first one."""
         return shown.Bending(self._rig)
 
     # -- the page's side ---------------------------------------------------------------------------------------------
@@ -116,6 +117,7 @@ class Desk:
 
     @property
     def begun(self) -> bool:
+        """Whether the page has asked for something that has not ended yet."""
         return self._state != READY
 
     @contextmanager
@@ -148,7 +150,7 @@ class Desk:
             return True
 
     def picked(self) -> tuple[float, float] | None:
-        """The place that was clicked since the last call."""
+        """The place (u, v), px, that was clicked since the last call; None where there was none."""
         with self._changed:
             place, self._picked = self._picked, None
             return place
@@ -193,7 +195,7 @@ class Desk:
 
     @property
     def picture(self) -> Any:
-        """The latest, BGR (height, width, 3) uint8, None before there is any."""
+        """The latest frame, BGR (height, width, 3) uint8, None before there is any."""
         return self._picture
 
     def close(self) -> None:
@@ -209,4 +211,5 @@ class Desk:
         self._tell()
 
     def _tell(self) -> None:
+        """Publishes the state and the text beside it."""
         self.events.publish("state", {"state": self._state, "says": self._says})

@@ -47,10 +47,12 @@ class Played:
 
     @property
     def frames(self) -> int:
+        """How many frames the whole recording has."""
         return len(self._t_s)
 
     @property
     def played_s(self) -> float:
+        """Time from the first frame to the one played last, s."""
         return float(self._t_s[max(self._at, 0)] - self._t_s[0])
 
     def play(self, picture: Callable[[float], Array | None]) -> Frame:
@@ -66,6 +68,7 @@ class Played:
         return self._frame
 
     def now_us(self) -> int:
+        """The time of the frame played last, or of the first, on the motor's clock, us."""
         return round(float(self._t_s[max(self._at, 0)]) * 1e6)
 
     def look(self) -> Frame:
@@ -77,9 +80,11 @@ class Played:
         """It is in the recording already."""
 
     def paused(self) -> AbstractContextManager[None]:
+        """Inside, nothing is different: nothing is recorded here."""
         return nullcontext()
 
     def motor_at(self, t_s: float) -> float:
+        """q at a time of the motor's clock, the rig's unit; NaN before the first sample."""
         motor = self._whole.motor
         return float(np.interp(t_s, motor.t_s, motor.q, left=np.nan))
 
@@ -97,7 +102,7 @@ class Played:
 
 
 def _rows_of(series: Series, rows: Array) -> Series:
-    """The series with these rows of every column."""
+    """The series with these rows, a mask (n,), of every column."""
     kept = {}
     for field in fields(series):
         value = getattr(series, field.name)
@@ -112,6 +117,7 @@ class _Film:
     """A video's pictures by the times at which they arrived, asked for in their order."""
 
     def __init__(self, video: VideoCamera, arrival_s: Array | None) -> None:
+        """arrival_s: of each frame, NaN where it is not known; None takes the times of the video itself."""
         self._video, self._arrival_s = video, arrival_s
         self._count = 0
         self._shown: Array | None = None
@@ -124,7 +130,7 @@ class _Film:
         return self._shown
 
     def _read(self) -> tuple[Array, float] | None:
-        """Reads on to the next frame that has a time."""
+        """The next frame that has a time, BGR, and that time, s; None at the video's end."""
         while (read := self._video.read()) is not None:
             if self._arrival_s is None:
                 return read

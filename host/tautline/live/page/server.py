@@ -52,6 +52,7 @@ class PageServer(ThreadingHTTPServer):
 
     @property
     def address(self) -> str:
+        """The page's address, with the token that it answers to."""
         return f"http://{LOOPBACK}:{self.server_address[1]}/{self.token}/"
 
     def handle_error(self, request: Any, client_address: Any) -> None:
@@ -84,6 +85,7 @@ class _Handler(BaseHTTPRequestHandler):
         """The terminal is the session's."""
 
     def do_GET(self) -> None:
+        """Sends one of the page's files, its events or a picture."""
         name = self._authorised_path()
         if name is None:
             return
@@ -98,6 +100,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.NOT_FOUND)
 
     def do_POST(self) -> None:
+        """Takes an order of the page to the desk; any of them says that the page is open."""
         name = self._authorised_path()
         if name is None:
             return
@@ -201,4 +204,5 @@ def _whole(text: str) -> int | None:
 
 
 def _event(topic: str, what: Any) -> str:
+    """A server-sent event with a JSON document as its data."""
     return f"event: {topic}\ndata: {json.dumps(what, allow_nan=False)}\n\n"

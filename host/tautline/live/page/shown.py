@@ -28,6 +28,7 @@ class Bending:
     by `pose` takes some 3 ms, of the 40 between two frames, from what tracks."""
 
     def __init__(self, rig: Rig) -> None:
+        """Tabulates the rig's curve in the image, for a quarter of its range beyond either end too."""
         low, high = coarse_range_deg(rig)
         margin = 0.25 * (high - low)
         self._c_deg = np.linspace(low - margin, high + margin, _ANGLES)
@@ -36,7 +37,8 @@ class Bending:
         self._square = np.sum(self._way**2, axis=1)
 
     def of(self, frame: Frame) -> float | None:
-        """None where the marker is lost."""
+        """The angle, deg, of the point on the table's polygon that is nearest to the marker; None where the marker is
+        lost."""
         if not frame.sighting.valid:
             return None
         away = (frame.sighting.u_px, frame.sighting.v_px) - self._place[:-1]
@@ -47,7 +49,8 @@ class Bending:
 
 
 def moment(frame: Frame, q: float, c_deg: float | None) -> dict[str, Any]:
-    """One frame as a document: arrival, motor at its scene time, angle, marker in px."""
+    """One frame as a document: arrival, motor at its scene time, angle, marker in px. q, c_deg: in the rig's unit,
+    deg."""
     seen = frame.sighting
     return {
         "t_s": frame.t_us * 1e-6,
@@ -155,8 +158,10 @@ def holds(row: Row, t_s: float) -> dict[str, Any]:
 
 
 def _each(values: np.ndarray) -> list[float | None]:
+    """Numbers for JSON; None for those that are not finite."""
     return [_finite(float(value)) for value in values]
 
 
 def _finite(value: float) -> float | None:
+    """The number, None in place of NaN and inf, which JSON has not."""
     return value if np.isfinite(value) else None

@@ -71,6 +71,7 @@ class Calibrating:
         return {"title": f"Calibrate {what} on axis {self.live.axis}{simulated}", "live": True}
 
     def idle(self, desk: Desk) -> None:
+        """Shows a frame; takes the marker's colour where the picture was clicked."""
         if (place := desk.picked()) is not None:
             self._pick(desk, place)
         _look(desk, self.live)
@@ -226,6 +227,7 @@ class Replaying:
         time.sleep(_POLL_S)
 
     def run(self, desk: Desk) -> str:
+        """Plays the recording from its beginning."""
         view = replay(self.recording, self.rig, desk.show, desk.resting, self.pace)
         assert view.calibration is not None  # settled
         return f"all of {self.recording.name} was played"
@@ -270,7 +272,7 @@ def attend(
 
 
 def _ran(desk: Desk, work: Work) -> str:
-    """Runs the work once; what came of it, in words."""
+    """Runs the work once; what came of it, in words: "stopped", or an error's text, where it did not end by itself."""
     try:
         desk.check_stop()  # that came before it began
         return work.run(desk)

@@ -40,12 +40,13 @@ class Chain:
         return found
 
     def __call__(self, x: npt.ArrayLike) -> Array:
+        """y at x, in x's shape."""
         return self.values(x)[-1]
 
 
 def fit(x: Array, y: Array, enough: float) -> Chain:
-    """The shortest chain of at most MOST_LINKS polynomials whose rms error on the curve (x rising, y) is `enough`, else
-    the best one. Deterministic. 0.1 to 5 s."""
+    """The shortest chain of at most MOST_LINKS polynomials whose rms error on the curve (x rising, y) is at most
+    `enough`, in the unit of y, else the best one. Deterministic. Takes 0.1 to 5 s."""
     u = (2.0 * x - x[0] - x[-1]) / (x[-1] - x[0])
     scale = np.array([-(x[0] + x[-1]), 2.0]) / (x[-1] - x[0])
     best, free = _outer([], u, y, scale), np.zeros(0)
@@ -64,11 +65,13 @@ class Sum:
     chains: tuple[Chain, ...]
 
     def __call__(self, x: npt.ArrayLike) -> Array:
+        """The sum of all chains' values at x, in x's shape."""
         return np.asarray(sum(chain(x) for chain in self.chains))
 
 
 def fit_sum(x: Array, y: Array, enough: float) -> Sum:
-    """As `fit`, with up to MOST_CHAINS of them."""
+    """Up to MOST_CHAINS chains added up, of which each is fitted to what those before leave of the curve (x rising, y),
+    until their rms error is at most `enough`, in the unit of y."""
     chains = [fit(x, y, enough)]
     while chains[-1].rms > enough and len(chains) < MOST_CHAINS:
         chains.append(fit(x, y - Sum(tuple(chains))(x), enough))
@@ -76,14 +79,16 @@ def fit_sum(x: Array, y: Array, enough: float) -> Sum:
 
 
 def _search(u: Array, y: Array, scale: Array, known: Array) -> tuple[Chain, Array]:
-    """The best chain with one link more than `known`, which are the start of the search; their free coefficients vary
-    too."""
+    """The best chain that is found with one link more than the free coefficients `known` make, and its own free
+    coefficients. The search starts from `known`, which vary too. u, y, scale: as in _outer."""
     nodes = np.linspace(-1.0, 1.0, _NODES)
     wanted = np.interp(nodes, u, y)
     spread = max(float(np.ptp(wanted)), 1e-300)
     rng = np.random.default_rng(0)
 
     def left(free: Array) -> Array:
+        """Residuals: at each node, 1 for a thousandth of the curve's spread, then each coefficient's; 1e3 at all nodes
+        where a link is level or not finite."""
         at = nodes
         for link in _links(free):
             at = np.asarray(polynomial.polyval(at, link))
@@ -105,19 +110,21 @@ def _search(u: Array, y: Array, scale: Array, known: Array) -> tuple[Chain, Arra
 
 
 def _links(free: Array) -> list[Array]:
-    """Constant, 1, and the rest: what a scale could do is left to the link behind."""
+    """Links from their free coefficients, ORDER each: the constant, then second order and up. That of first order is 1:
+    what a scale could do is left to the link behind."""
     return [np.concatenate([part[:1], [1.0], part[1:]]) for part in free.reshape(-1, ORDER)]
 
 
 def _unit(at: Array) -> tuple[Array, Array]:
-    """Brought to [-1, 1], and the straight line (constant, slope) that does so."""
+    """The values brought to [-1, 1], and the straight line (constant, slope) that does so."""
     low, high = float(at.min()), float(at.max())
     line = np.array([-(low + high), 2.0]) / (high - low)
     return line[0] + line[1] * at, line
 
 
 def _outer(inner: list[Array], u: Array, y: Array, scale: Array) -> Chain:
-    """The chain with its last link by linear least squares; scale brings x to u."""
+    """The chain of the links `inner`, the output of each brought to [-1, 1], and of a last one by linear least squares
+    to y. u (n,): the curve's x brought to [-1, 1] by the line `scale` (constant, slope)."""
     at, before, links = u, scale, []
     for link in inner:
         raw: Array = np.asarray(polynomial.polyval(at, link), dtype=float)

@@ -81,7 +81,7 @@ def law_of(model: Model) -> Law:
 
 
 def _at_least_zero(half: Chain, x: Array) -> Chain:
-    """Moved up where it would be a negative width: the play's walls would cross."""
+    """The chain of B/2 moved up by as much as it is below 0 somewhere on x (n,): the play's walls would cross there."""
     short = -min(0.0, float(half(x).min()))
     last = half.links[-1].copy()
     last[0] += short
@@ -99,7 +99,7 @@ def _parameters(model: Model) -> dict[str, float]:
 
 
 def scenes(nominal: Nominal, law: Law, out: Path) -> dict[str, str]:
-    """Both MJCFs, for the folder `out`."""
+    """Texts by file name: both MJCFs, for the folder `out`, as they name their meshes from there."""
     alone, led = Scene(nominal, law), Scene(nominal, law)
     for scene in (alone, led):
         scene.motor()
@@ -110,7 +110,7 @@ def scenes(nominal: Nominal, law: Law, out: Path) -> dict[str, str]:
 
 
 def standalone(model: Model, nominal: Nominal) -> dict[str, str]:
-    """The callback's code and what it reads."""
+    """Texts by file name: the callback's code and what it reads."""
     onset = next((effect.parameters for effect in model.effects if effect.id == _ONSET), None)
     elements = onset_elements(model.elements, onset) if onset else model.elements
     play = replace(model, elements=elements, friction=None).play
@@ -143,6 +143,7 @@ def standalone(model: Model, nominal: Nominal) -> dict[str, str]:
 
 
 def _csv(header: str, rows: Array) -> str:
+    """A CSV text: the header line, then rows (n, columns)."""
     return "\n".join([header, *(",".join(f"{value:.12g}" for value in row) for row in rows.tolist())]) + "\n"
 
 
@@ -187,13 +188,15 @@ def _measured(
 
 
 def parts(model: Model, law: Law, motor: Motor, told: Array) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """For each part of the model where in the export it went, and the prediction error that its form there leaves by
-    itself."""
+    """Two lists: which parts of the model went into the export, where and as what, and which did not, and why. `error`:
+    rms of the prediction that this leaves by itself, px or deg, None where it cannot be said. told: the whole model's
+    angles (n,) deg at the motor's times."""
     x = model.q - law.middle
     width = replace(model, width=allowed_width(model.q, 2.0 * law.half(x)))
     bent = replace(model, c_deg=monotone(np.degrees(law.angle(x))))
 
     def leaves(other: Model) -> float:
+        """Rms by which the other model's prediction differs from `told`, px or deg."""
         return measure.error(model, motor, predict(other, motor, motor.t_s).c_deg, told)[0]
 
     exported = [

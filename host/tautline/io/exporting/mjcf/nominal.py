@@ -71,7 +71,8 @@ def _check_actuator(model: Any, mount: Mount, scale: float, unit: str, motor: tu
 
 
 def _carried(model: Any, tip: tuple[tuple[str, float], ...], tip_rad: Array) -> tuple[float, float]:
-    """Inertia and load of the hinges that turn together, the largest over the angles: what the transmission carries."""
+    """Inertia, kg m^2, and load, N m, of the hinges, which share the tip's angle equally: the largest over the range of
+    tip_rad. The transmission carries both."""
     import mujoco
 
     data = mujoco.MjData(model)

@@ -70,7 +70,8 @@ class Transmission:
         return self._bent(self._late(before, p, dt))
 
     def _centre(self) -> float:
-        """The centre coordinate: by the warp of the elements' mean; that of the single play where B is narrow."""
+        """The centre coordinate, unit of q: of the elements' mean, back through the warp; that of the single play
+        without a warp and where B is narrow."""
         if self.warp is None:
             return self.single
         y = float(self.w @ self.z)
@@ -79,7 +80,8 @@ class Transmission:
         return self.single if _held(p, self.grid, self.width) < self.narrow else p
 
     def _shared(self, x: float, y: float) -> Any:
-        """Elements near one common value whose mean is y."""
+        """Positions (elements,) whose weighted mean is y, for a motor at x, all on the warped axis, where B is 1: one
+        common value, or as near to it as an element's half width r lets it be."""
         common = min(max(y, x - 0.5), x + 0.5) - x
         sign, left, rest, reached = math.copysign(1.0, common), abs(common), 1.0, 0.0
         for r, w in zip(self.r, self.w, strict=True):
@@ -92,7 +94,8 @@ class Transmission:
         return x + sign * np.minimum(at, self.r)
 
     def _late(self, u0: float, u1: float, dt: float) -> float:
-        """A lag of up to two stages, then creep."""
+        """The centre coordinate after a lag of up to two stages and then creep, at the end of a step of dt s in which
+        it went from u0 to u1; unit of q."""
         get = self.values.get
         lag, second = get("lag", 0.0), get("lag_second", 0.0)
         if lag > 0.0:
@@ -111,7 +114,8 @@ class Transmission:
         return u1
 
     def _bent(self, p: float) -> float:
-        """The bending angle, deg, at p; beyond the angle contact_c an obstacle holds a share of it back."""
+        """The bending angle, deg, at the centre coordinate p; beyond the angle contact_c an obstacle holds a share of
+        it back, setting in over contact_soft deg."""
         c = _line(p, self.grid, self.c_deg)
         get = self.values.get
         beyond = (c - get("contact_c", 0.0)) * get("contact_side", 1.0)
@@ -132,7 +136,7 @@ class Transmission:
             s, c, s2, c2 = (f(k * turn * x) for k in (1.0, 2.0) for f in (math.sin, math.cos))
             error = sin * s + cos * c + sin2 * s2 + cos2 * c2
             slope = turn * (sin * c - cos * s + 2.0 * (sin2 * c2 - cos2 * s2))
-            x -= (x - q - error) / max(1.0 - slope, 0.2)
+            x -= (x - q - error) / max(1.0 - slope, 0.2)  # 0.2: a step stays finite
         return x
 
 
@@ -165,7 +169,8 @@ class Control:
 
 
 def rest(model: Any, data: Any, q: float, about: dict[str, Any] | None = None) -> None:
-    """Either scene at rest with the motor at q: every coordinate where the equalities put it."""
+    """Either scene at rest with the motor at q: every coordinate where the equalities put it. about: transmission.json,
+    by default the one beside this file."""
     about = about or json.loads((HERE / "transmission.json").read_text(encoding="utf-8"))
     named = {str(model.joint(i).name): i for i in range(model.njnt)}
     for name in about["moves"]:
@@ -198,29 +203,31 @@ def rest(model: Any, data: Any, q: float, about: dict[str, Any] | None = None) -
 
 
 def _columns(path: Path, count: int) -> list[Any]:
+    """The first `count` columns of a CSV below its header line, (n,) each."""
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.reader(file))[1:]
     return [np.array([float(row[i]) for row in rows]) for i in range(count)]
 
 
 def _line(x: float, grid: Any, values: Any) -> float:
-    """Straight between the points of a rising grid, and on with the end spans' slopes."""
+    """The value at x: straight between the points of a rising grid, and on with the end spans' slopes."""
     i = min(max(int(np.searchsorted(grid, x)) - 1, 0), len(grid) - 2)
     slope = (values[i + 1] - values[i]) / (grid[i + 1] - grid[i])
     return float(values[i] + (x - grid[i]) * slope)
 
 
 def _beside(x: float, grid: Any, values: Any) -> float:
-    """Straight between the points, and beyond the ends as far away as there."""
+    """The value at x: straight between the points of a rising grid, beyond its ends with a slope of 1."""
     return float(np.interp(x, grid, values)) + min(x - float(grid[0]), 0.0) + max(x - float(grid[-1]), 0.0)
 
 
 def _held(x: float, grid: Any, values: Any) -> float:
-    """The same, held beyond the ends."""
+    """The value at x: straight between the points of a rising grid, beyond its ends that of the end."""
     return float(np.interp(x, grid, values))
 
 
 def _first_order(y: float, u0: float, u1: float, dt: float, time: float) -> float:
-    """A first-order element whose input goes from u0 to u1 in a straight line."""
+    """The output of a first-order element (time: its constant, s) that was y, after dt s in which its input went from
+    u0 to u1 in a straight line."""
     behind = time * (u1 - u0) / dt
     return u1 - behind + (y - u0 + behind) * math.exp(-dt / time)
