@@ -206,8 +206,8 @@ def _interpolated(x: npt.ArrayLike, from_: Array, to: Array) -> Array:
 
 
 def _warp_in_one_period(grid: Array, width: Array, first: float, last: float) -> PchipInterpolator:
-    """G - G(first) over the period [first, last), unit of q, rising from 0 to 1: the one whose continuation over the
-    whole table has the least integral of G'''^2."""
+    """The warp G, G(p + B/2) - G(p - B/2) = 1, less G(first), over the period [first, last), unit of q, in which it
+    rises from 0 to 1: the one whose continuation over the whole table has the least integral of G'''^2."""
     smooth = _Periods(*_without_corners(grid, width))
     nodes = first + (float(smooth.up(first)) - first) * np.arange(_MESH) / _MESH
     columns = [nodes]

@@ -46,6 +46,7 @@ def nearest_plays(grid: Array, width: Array, hysteresis: Hysteresis, reached: tu
     p = Play(grid, width, hysteresis).forward(q)
     warp = warp_of(grid, width, Play(grid, width).narrow)
     half = 0.5 * np.interp(p, grid, width)
+    # In the warp every play is as wide everywhere: its place there is the middle of where its two ends are.
     y = 0.5 * (np.interp(p + half, warp.q, warp.x) + np.interp(p - half, warp.q, warp.x))
     elements = _fitted_elements(np.interp(q, warp.q, warp.x), y)
     off = Play(grid, width, elements).forward(q) - p

@@ -138,8 +138,9 @@ class Library:
 
 
 def offset_and_scale(first: Model, other: Model) -> tuple[float, float]:
-    """The offset (unit of q) and the scale of B that a tracker of `first` would find where `other` holds. TautError
-    where the two have no range, angle or unit in common, or no backlash."""
+    """The offset (unit of q; by which `first` needs a larger q for the same angle) and the scale of B (`other`'s over
+    `first`'s) that a tracker of `first` would find where `other` holds. TautError where the two have no range, angle or
+    unit in common, or no backlash."""
     if first.rig.actuator.unit != other.rig.actuator.unit:
         raise TautError(f"one model is in {first.rig.actuator.unit}, the other in {other.rig.actuator.unit}")
     low, high = (pick(a, b) for pick, a, b in zip((max, min), first.measured, other.measured, strict=True))
@@ -147,7 +148,7 @@ def offset_and_scale(first: Model, other: Model) -> tuple[float, float]:
         raise TautError("the two models were measured in ranges that do not overlap: calibrate in the same range")
     q = np.linspace(low, high, 201)
     order = np.argsort(first.c_deg)
-    c = np.asarray(other.remaining(q))
+    c = np.asarray(other.remaining(q))  # the bending angle at q where nothing is lost; below, at which q `first` has it
     inside = (c >= first.c_deg.min()) & (c <= first.c_deg.max())
     if not inside.any():
         raise TautError("the two models have no bending angle in common: they are not of one instrument")

@@ -24,8 +24,8 @@ _OTHERS = frozenset(
 
 
 def others(reasons: Sequence[Reason]) -> bool:
-    """Whether the recordings show what is not weighed: then an effect has its name only if it leaves as
-    little as that does."""
+    """Whether one of the reasons is something that is not weighed against the library's effects: then an effect has its
+    name only if the fit with it leaves as little of the frames as all that departs does."""
     return any(reason.code in _OTHERS for reason in reasons)
 
 

@@ -482,7 +482,8 @@ class _Descent:
         return _Point.of(self.fit, self.fit.moved(point.curves, step))
 
     def cost(self, point: _Point) -> float:
-        """By the weights and the smoothing of the last linearisation; frames that did not count then weigh 1."""
+        """The cost at a point, by the weights and the smoothing of the last linearisation, so that costs compare;
+        frames that did not count then weigh 1."""
         kept = _again(self.weights, point.masks)
         weights = [np.where(m, w, 0.0) for m, w in zip(point.masks, kept, strict=True)]
         return self.fit.cost(point.curves, point.rows, weights, self.scale)

@@ -168,8 +168,8 @@ class Likelihoods:
 
     @property
     def _log_wrong_share(self) -> Array:
-        """Log-probabilities of SHARES for what a wrong effect leaves: log-normally rising to the learnt least share,
-        any magnitude from it to 1 alike."""
+        """Log-probabilities (sum 1) of SHARES, even in their logarithm, for the share of the gap that a wrong effect
+        leaves: log-normally rising to the learnt least share, any magnitude from it to 1 alike."""
         log: Array = -0.5 * np.square(
             np.minimum(np.log(SHARES / self.by.unexplained_by_wrong), 0.0) / self.by.share_spread
         )

@@ -286,7 +286,8 @@ class _Maker:
 
 
 def factor_fits(channel: Named, stated: str, target: str) -> bool:
-    """A channel's unit can become `target`."""
+    """Whether a channel's numbers can be brought to the unit `target`. stated: their unit by the file, "" where it
+    says none; what the user gave with the channel's name comes first."""
     try:
         factor(channel, stated, target)
     except TautError:
