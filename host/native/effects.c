@@ -131,18 +131,13 @@ static struct ends find_ends(const struct elements *elements, struct plays *play
     return ends;
 }
 
-// Each of these returns how much of q's last step carried a play.
-static double play_move(struct chain_play *own, const struct ends *ends, double scale) {
-    const double falling = own->table ? ends->q[0] : ends->x[0], rising = own->table ? ends->q[1] : ends->x[1];
-    const double beyond = play_push(&own->play, own->table, falling, PLAY_FALLING, scale * own->spread);
-    return beyond > 0.0 ? beyond : play_push(&own->play, own->table, rising, PLAY_RISING, scale * own->spread);
-}
-
-static double play_move_late(const struct active *late, const struct elements *elements, struct plays *plays,
-                             struct chain_play *own, const struct ends *ends, double scale) {
+// Returns how much of q's last step carried the play.
+static inline double play_move(const struct active *late, const struct elements *elements, struct plays *plays,
+                               struct chain_play *own, const struct ends *ends, double scale) {
     for (int s = PLAY_FALLING; s <= PLAY_RISING; s += 2) {
         const double q = ends->q[s > 0], x = own->table ? q : ends->x[s > 0];
-        const double beyond = push_late(late, elements, plays, own, q, x, s, scale * own->spread);
+        const double beyond = late ? push_late(late, elements, plays, own, q, x, s, scale * own->spread)
+                                   : play_push(&own->play, own->table, x, s, scale * own->spread);
         if (beyond > 0.0) {
             return beyond;
         }
@@ -150,21 +145,12 @@ static double play_move_late(const struct active *late, const struct elements *e
     return 0.0;
 }
 
-// Of all plays how much it carried the one that it carried furthest.
-static double push_all(struct plays *plays, const struct ends *ends, double scale) {
+// Returns how much of it carried the play that it carried furthest.
+static inline double push_all(const struct active *late, const struct elements *elements, struct plays *plays,
+                              const struct ends *ends, double scale) {
     double furthest = 0.0;
     for (struct chain_play *own = plays->of, *end = own + plays->count; own != end; own++) {
-        const double beyond = play_move(own, ends, scale);
-        furthest = beyond > furthest ? beyond : furthest;
-    }
-    return furthest;
-}
-
-static double push_all_late(const struct active *late, const struct elements *elements, struct plays *plays,
-                            const struct ends *ends, double scale) {
-    double furthest = 0.0;
-    for (struct chain_play *own = plays->of, *end = own + plays->count; own != end; own++) {
-        const double beyond = play_move_late(late, elements, plays, own, ends, scale);
+        const double beyond = play_move(late, elements, plays, own, ends, scale);
         furthest = beyond > furthest ? beyond : furthest;
     }
     return furthest;
@@ -187,18 +173,14 @@ static double plays_move(const struct active *late, const struct elements *eleme
                              drive->extra, 1);
     }
     const struct ends ends = find_ends(elements, plays, drive);
-    *carried = late ? push_all_late(late, elements, plays, &ends, drive->scale) : push_all(plays, &ends, drive->scale);
+    *carried = push_all(late, elements, plays, &ends, drive->scale);
     const double sum = mean_place(plays);
     if (!elements->warp.knots) {
         return sum;
     }
     struct chain_play *single = &plays->of[plays->count];
     if (elements->narrow > 0.0) {
-        if (late) {
-            play_move_late(late, elements, plays, single, &ends, drive->scale);
-        } else {
-            play_move(single, &ends, drive->scale);
-        }
+        play_move(late, elements, plays, single, &ends, drive->scale);
     }
     return elements_centre(elements, &plays->course, sum, &single->play);
 }

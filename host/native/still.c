@@ -1,5 +1,7 @@
 #include "still.h"
 
+#include "play.h"
+
 #include <math.h>
 #include <string.h>
 
@@ -61,25 +63,18 @@ static double motor_at(const struct still_stop *stop, double t, size_t *from) {
     if (t >= s[last]) {
         return q[last];
     }
-    size_t i = *from;
-    while (i > 0 && t < s[i]) {
-        i--;
-    }
-    while (t >= s[i + 1]) {
-        i++;
-    }
-    *from = i;
+    const size_t i = *from = play_span(s, stop->readings, *from, t);
     return q[i] + (q[i + 1] - q[i]) / (s[i + 1] - s[i]) * (t - s[i]);
 }
 
-// Cholesky's factor of gram (size), in its place.
+// Cholesky's factor of gram (size), in its place: its ridge is far above what rounding takes off a pivot.
 static void factorise(double gram[STILL_ORDERS + 1][STILL_ORDERS + 1], size_t size) {
     for (size_t i = 0; i < size; i++) {
         for (size_t j = 0; j <= i; j++) {
             for (size_t k = 0; k < j; k++) {
                 gram[i][j] -= gram[i][k] * gram[j][k];
             }
-            gram[i][j] = i == j ? sqrt(fmax(gram[i][i], NO_WAY)) : gram[i][j] / gram[j][j];
+            gram[i][j] = i == j ? sqrt(gram[i][i]) : gram[i][j] / gram[j][j];
         }
     }
 }

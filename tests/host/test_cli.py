@@ -268,7 +268,7 @@ def test_rig_option_wins(taut: Taut, folder: Path, tmp_path: Path) -> None:
     assert "expected q_deg" in line and not (tmp_path / "m").exists()
 
 
-def test_set_points_may_stand_in_a_file(tmp_path, monkeypatch):
+def test_set_points_may_stand_in_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "points.txt"
     path.write_text("0.5\n\n1.5\n")
     with path.open() as file:

@@ -263,5 +263,5 @@ def test_a_delay_is_as_uncertain_as_its_stops_leave_it(sigma_s: float, off_s: fl
         patched.setattr(room, "_stops", lambda track, rig, delay_s: [stop])
         found = find_delay([None], RIG, RIG.delay_s)
     both_s = (sigma_s**-2 + room.NOMINAL_S**-2) ** -0.5
-    assert found.sigma_s == pytest.approx(both_s, rel=0.05)
-    assert abs(found.delay_s - RIG.delay_s - off_s * (both_s / sigma_s) ** 2) < 0.1 * both_s
+    assert found.sigma_s == pytest.approx(both_s, rel=0.01)
+    assert abs(found.delay_s - RIG.delay_s - off_s * (both_s / sigma_s) ** 2) < 0.01 * both_s

@@ -61,6 +61,7 @@ def test_one_frame_alone_leaves_no_level() -> None:
 def test_what_a_stop_leaves_is_that_of_a_least_squares_fit(
     seed: int, seen: int, order: int, direction: int, frames: int
 ) -> None:
+    """With its ridge as rows of the system, of a ramp in units of its furthest and places from the first one on."""
     rng = np.random.default_rng(seed)
     motor_s = np.sort(rng.uniform(0.0, 2.0, 80))
     motor_q = direction * -np.abs(motor_s - 1.0) * rng.uniform(0.3, 3.0)
@@ -71,6 +72,9 @@ def test_what_a_stop_leaves_is_that_of_a_least_squares_fit(
     for delay, squares in zip(delays, told, strict=True):
         scene = arrival - delay
         ramp = np.where(scene < 1.0, np.minimum(direction * np.interp(scene, motor_s, motor_q), 0.0), 0.0)
-        basis = np.stack([ramp**k for k in range(order + 1)], axis=1)
-        left = z - basis @ np.linalg.lstsq(basis, z, rcond=None)[0]
-        assert squares == pytest.approx(np.sum(left**2), rel=1e-6)
+        unit = ramp / max(np.abs(ramp).max(), 1e-12)
+        basis = np.stack([unit**k for k in range(order + 1)], axis=1)
+        rows = np.vstack([basis, np.sqrt(1e-11 * frames) * np.eye(order + 1)])
+        places = np.vstack([z - z[0], np.zeros((order + 1, seen))])
+        left = places - rows @ np.linalg.lstsq(rows, places, rcond=None)[0]
+        assert squares == pytest.approx(np.sum(left**2), rel=1e-8)

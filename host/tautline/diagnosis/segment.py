@@ -125,12 +125,12 @@ def prepare(
             assert marker is not None
             good = np.asarray(marker.valid, dtype=bool) & np.isfinite(marker.u_px) & np.isfinite(marker.v_px)
             times, observed = marker.t_s[good], np.column_stack([marker.u_px, marker.v_px])[good]
-            again = repeated(observed)
         else:
             angle = recording.angle
             assert angle is not None
             times, observed = angle.t_s[angle.seen], angle.c_deg[angle.seen, None]
-            again = repeated(observed)
+        again = repeated(observed)
+        if not by_marker:
             stride = max(1, len(times) // 6000)  # tolerance: of more than 12000 samples 6000 or some more are enough
             # Of those that repeat one and of the others as large a part: a link may repeat as regularly.
             kept = np.sort(np.concatenate([np.flatnonzero(again)[::stride], np.flatnonzero(~again)[::stride]]))

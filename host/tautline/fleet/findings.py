@@ -97,20 +97,20 @@ class _Growth:
         return cls(tuple(last), tuple(row.batch for row in last.values()), values[:, 0], values[:, 1])
 
     @property
-    def told(self) -> float:
-        """The growth a session that is as much as its sigma: where `log` goes over into a straight line."""
+    def usual_sigma(self) -> float:
+        """The median standard deviation of a growth a session: where `log` goes over into a straight line."""
         return float(np.median(self.sigma))
 
     @property
     def log(self) -> Array:
         """(n,) arcsinh(growth / `told`): a logarithm where growth is large, straight about 0, where it may be
         negative."""
-        return np.asarray(np.arcsinh(self.rate / self.told))
+        return np.asarray(np.arcsinh(self.rate / self.usual_sigma))
 
     @property
     def log_sigma(self) -> Array:
         """Standard deviations (n,) of `log`: the rates', times its derivative by them."""
-        return np.asarray(self.sigma / np.hypot(self.told, self.rate))
+        return np.asarray(self.sigma / np.hypot(self.usual_sigma, self.rate))
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ def _findings(rows: Sequence[Row]) -> Findings:
         robots=len({row.robot for row in rows}),
         sessions=len(rows),
         failed=sum(row.verdict == FAILED for row in rows),
-        wear=growth.told * float(np.sinh(groups.usual)) if groups else float("nan"),
+        wear=growth.usual_sigma * float(np.sinh(groups.usual)) if groups else float("nan"),
         wear_spread=groups.spread if groups else float("nan"),
         drifting=tuple(sorted(drifting, key=lambda one: -abs(one.value))),
         worn=tuple(worn),
