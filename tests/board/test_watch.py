@@ -29,7 +29,8 @@ def model_of_the_reference() -> Model:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("scale", [1.0, pytest.param(0.7, marks=pytest.mark.minutes)])
+@pytest.mark.minutes
+@pytest.mark.parametrize("scale", [1.0, 0.7])
 def test_watch_tells_whether_the_model_still_holds(tmp_path, scale):
     model = model_of_the_reference()
     replace(model, width=scale * model.width).save(tmp_path / "instrument")

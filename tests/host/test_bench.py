@@ -26,6 +26,8 @@ def test_the_command_prints_its_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(calibration, "run", lambda: [("calibration of it", 6.0, "s")])
     monkeypatch.setattr(diagnosis, "run", lambda: [("blind case, nothing wrong", 2.0, "core s")])
     monkeypatch.setattr(live_page, "_SECONDS", 0.5)
+    monkeypatch.setattr(tracking, "REPLAYS", 1)
+    monkeypatch.setattr(tracking, "SECONDS", 5.0)
     said = json.loads(CliRunner().invoke(bench.main, ["--json"]).stdout)
     in_use = [(row["name"], row["value"], row["unit"]) for row in said["tracking"]]
     monkeypatch.setattr(tracking, "run", lambda: in_use)

@@ -338,6 +338,7 @@ def test_a_fit_that_ends_behind_the_camera_is_no_hypothesis(monkeypatch):
     assert [found.ids for found in search.on_top_of(search.base, 2, 0)] == [("transmission.lag",)]
 
 
+@pytest.mark.long
 def test_what_has_no_path_and_shrinks_nothing_leaves_the_model_as_it_was():
     """Of the second instrument, whose tip sticks from the start: recalibrated on more jumps it is no better."""
     case = GENERATORS["second.setup"].make(5500008, "single", ("transmission.stick_slip",))

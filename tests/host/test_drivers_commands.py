@@ -39,7 +39,7 @@ def stored(live: Live) -> dict[str, Any]:
 
 
 @every_kind
-@pytest.mark.parametrize("scale", [1.0, 0.7])
+@pytest.mark.parametrize("scale", [pytest.param(1.0, marks=pytest.mark.long), 0.7])
 def test_watch_tells_whether_the_model_still_holds(kind: str, scale: float) -> None:
     """The instrument has `scale` times the model's backlash."""
     model = model_of(preset("reference"))

@@ -77,7 +77,7 @@ def homed(plant, by=0.2):
         (wider, "transmission.backlash"),
         pytest.param(stiff, "transmission.backlash", marks=pytest.mark.long),
         pytest.param(bent, "configuration.remaining", marks=pytest.mark.long),
-        (worn, "configuration.remaining"),
+        pytest.param(worn, "configuration.remaining", marks=pytest.mark.long),
         (homed, "transmission.offset"),
     ],
 )

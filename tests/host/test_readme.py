@@ -1,7 +1,7 @@
 """README.md: its commands are run as they are written, from a clone and from a wheel alone; what cannot be is parsed.
 
-Run here: `./run demo` in this clone, and from a wheel all that needs no robot, over the packages that are installed
-already; with `./run test long` also the installation itself, in an environment that holds nothing else. Only checked to
+Run here: from a wheel all that needs no robot, over the packages that are installed already; with `./run test long` also
+`./run demo` in this clone and the installation itself, in an environment that holds nothing else. Only checked to
 exist: what needs a board or a camera (words and options are parsed as `taut` does), `./run test` (this is inside it),
 and commands inside sentences and tables.
 """
@@ -192,6 +192,14 @@ def test_readme_from_the_wheel(installed: Path, tmp_path: Path) -> None:
     assert (tmp_path / "q.csv").read_text().startswith("t_s,q_mm,clipped\n")
 
 
+def test_the_first_command_is_a_command_of_this_clone() -> None:
+    """What it comes to is seen of the wheel, and in long runs here."""
+    words = shlex.split(of("clone")[0].commands[0], comments=True)
+    done = subprocess.run([*words, "--help"], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and "Usage: taut demo" in done.stdout, done.stderr
+
+
+@pytest.mark.long
 def test_the_first_command_in_this_clone(tmp_path: Path) -> None:
     command = of("clone")[0].commands[0]
     assert command.startswith("./run demo ")

@@ -24,6 +24,7 @@ from tautline.calibration.departures import (
     Part,
     Scene,
     Sparse,
+    by_rows,
     contrasts,
     departures,
     on_clock,
@@ -220,8 +221,8 @@ def between(start: Curves, end: Curves, share: float) -> Curves:
 def nominal_columns(fit: PlayFit, scene: Scene) -> Sparse:
     """(channels * n, unknowns), sparse: how the whitened image changes by the coefficients of the path (channel by
     channel), those of B, and the delay."""
-    path = sparse.diags(scene.inverse) @ fit.follow.design(scene.p)
-    by_width = sparse.diags(scene.by_width) @ fit.backlash.design(scene.p)
+    path = by_rows(scene.inverse, fit.follow.design(scene.p))
+    by_width = by_rows(scene.by_width, fit.backlash.design(scene.p))
     shared = sparse.csr_matrix(sparse.hstack([by_width, sparse.csr_matrix(scene.by_delay[:, None])]))
     return sparse.csr_matrix(sparse.hstack([scene.each(path), scene.along(shared)]))
 
@@ -242,7 +243,7 @@ class _Solved:
         moving = np.where(scene.moving, owner.moving_noise**-2, 1.0)
         self.weight = np.tile(scene.weight * moving, scene.rows.shape[1])
         self.target = scene.rows.T.ravel()
-        heavy = sparse.csr_matrix(design.multiply(self.weight[:, None]))
+        heavy = by_rows(self.weight, design)
         self.gram = np.asarray((heavy.T @ design).toarray())
         self.force = np.asarray(heavy.T @ self.target).ravel()
         self.total = float(self.weight @ self.target**2)

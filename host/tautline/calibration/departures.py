@@ -6,7 +6,7 @@ multiplies. Those of the transmission move p and so the image along the path; th
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -82,8 +82,7 @@ class Scene:
     stroke: npt.NDArray[np.intp]  # half-cycle of the tip
     recording: npt.NDArray[np.intp]
     frame: npt.NDArray[np.intp]  # of its track
-    lagging: Array  # (n, 3) what lags would add to p, per s
-    creeping: Array  # (n, 2) what creep would, per share
+    behind: Callable[[tuple[float, ...]], Array]  # (n, k) what lags of these time constants, s, would add to p
     load: Array | None  # less its mean
     inverse: Array  # 1 / stated noise
     rows: Array  # (n, channels) whitened residuals
@@ -91,8 +90,7 @@ class Scene:
 
     def along(self, columns: Sparse) -> sparse.csr_matrix:
         """Columns of p as columns of what is seen, channel by channel."""
-        tall = sparse.vstack([sparse.csr_matrix(columns)] * self.slope.shape[1])
-        return sparse.csr_matrix(tall.multiply(self.slope.T.reshape(-1, 1)))
+        return sparse.csr_matrix(sparse.vstack([by_rows(slope, columns) for slope in self.slope.T]))
 
     def each(self, columns: Sparse) -> sparse.csr_matrix:
         """The same columns for every channel of the image, apart."""
@@ -105,6 +103,13 @@ class Scene:
         return replace(
             self, t=np.full(n, 0.5), time_s=np.full(n, self.time_s.max(initial=0.0)), recording=np.full(n, last)
         )
+
+
+def by_rows(factors: Array, columns: Sparse) -> sparse.csr_matrix:
+    """(n, k) the rows of these columns times a factor (n,) each."""
+    scaled = sparse.csr_matrix(columns, dtype=float, copy=True)
+    scaled.data *= np.repeat(factors, np.diff(scaled.indptr))
+    return scaled
 
 
 @dataclass(frozen=True)
@@ -153,13 +158,18 @@ def scene_of(fitted: Fitted, curves: Curves, rig: Rig, clock: Array) -> Scene | 
     for number, piece in enumerate(pieces):
         piece["recording"] = np.full(len(piece["p"]), number)
     load = None if any(piece["load"] is None for piece in pieces) else np.concatenate([p["load"] for p in pieces])
+    courses = [piece.pop("behind") for piece in pieces]
     joined = {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0] if name != "load"}
     norm = np.sqrt(np.mean(joined["rows"] ** 2, axis=1))
     limit = 4.0 * max(1.4826 * float(np.median(norm)), 1e-9)
     joined["weight"] = np.minimum(joined["weight"], (limit / np.maximum(norm, limit)) ** 2)  # as of a heavy tail
     time_s = joined.pop("time_s")
     return Scene(
-        time_s=time_s, t=(time_s - first) / length - 0.5, load=None if load is None else load - load.mean(), **joined
+        time_s=time_s,
+        t=(time_s - first) / length - 0.5,
+        load=None if load is None else load - load.mean(),
+        behind=lambda times_s: np.concatenate([behind(times_s) for behind in courses]),
+        **joined,
     )
 
 
@@ -172,7 +182,7 @@ def departures(scene: Scene, looked_for: Design, *, apart: bool | None = None) -
     strokes = int(scene.stroke.max(initial=0)) + 1
     slow = slow_basis(scene.t, min(_TIMES, strokes // _STROKES_A_SPAN))
     each = sparse.csr_matrix((np.ones(n), (np.arange(n), scene.stroke)), shape=(n, strokes))
-    held = sparse.csr_matrix(each.multiply((~scene.moving)[:, None]))
+    held = by_rows(~scene.moving, each)
     speeds = np.abs(scene.speed)
     usual = max(float(np.mean(speeds[scene.moving])) if scene.moving.any() else 0.0, 1e-12)
 
@@ -200,7 +210,7 @@ def departures(scene: Scene, looked_for: Design, *, apart: bool | None = None) -
     parts = [
         Part(
             "phase.even",
-            scene.along(hats.multiply(scene.way[:, None])),
+            scene.along(by_rows(scene.way, hats)),
             smooth,
             False,
             frozenset(p.name for p in by_speed),
@@ -213,8 +223,8 @@ def departures(scene: Scene, looked_for: Design, *, apart: bool | None = None) -
         *by_speed,
         column("clock.rate", scene.by_delay * scene.t),
         column("clock.drift", scene.by_delay * (scene.t**2 - 1 / 12)),
-        *slow_parts("lag", _LAGS_S, scene.lagging),
-        *slow_parts("creep", _CREEPS_S, scene.creeping),
+        *slow_parts("lag", _LAGS_S, scene.behind(_LAGS_S) / np.array(_LAGS_S)),
+        *slow_parts("creep", _CREEPS_S, scene.behind(_CREEPS_S)),
     ]
     if looked_for.slip_s is not None:
         slipped = (scene.time_s >= looked_for.slip_s).astype(float)[:, None]
@@ -365,7 +375,7 @@ def _session(tracks: Sequence[Frozen]) -> tuple[float, float]:
 def _piece(
     fit: PlayFit, curves: Curves, frozen: Frozen, sim: Simulated, rows: Array, keep: Mask, weights: Array,
     usual: float, rig: Rig,
-) -> dict[str, Array]:  # fmt: skip
+) -> dict[str, Any]:  # fmt: skip
     """What `Scene` holds, of one track."""
     track = frozen.track
     scene_s = track.scene_s(curves.delay_s)
@@ -376,11 +386,11 @@ def _piece(
     stroke = np.cumsum(np.diff(sim.side.astype(int), prepend=sim.side[:1]) != 0)
     width = np.interp(p, fit.grid, fit.width(curves))
     load = track.motor.load_mNm
-    fine = np.arange(track.motor.t_s[0], track.motor.t_s[-1], _FINE_S)
-    course = Play(fit.grid, fit.width(curves), fit.elements).forward(track.motor_at(fine))
 
     def behind(times_s: tuple[float, ...]) -> Array:
         """(frames, time constants) what a first-order lag of each time constant, s, adds to the play's p, unit of q."""
+        fine = np.arange(track.motor.t_s[0], track.motor.t_s[-1], _FINE_S)
+        course = Play(fit.grid, fit.width(curves), fit.elements).forward(track.motor_at(fine))
         return np.column_stack([np.interp(scene_s[keep], fine, _low_pass(course, tau) - course) for tau in times_s])
 
     return {
@@ -397,8 +407,7 @@ def _piece(
         "way": way,
         "stroke": stroke[keep],
         "frame": np.flatnonzero(keep),
-        "lagging": behind(_LAGS_S) / np.array(_LAGS_S),
-        "creeping": behind(_CREEPS_S),
+        "behind": behind,
         "load": None if load is None else np.interp(scene_s[keep], track.motor.t_s, load),
         "inverse": inverse,
         "rows": rows[keep],

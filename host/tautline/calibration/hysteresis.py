@@ -16,7 +16,7 @@ from scipy import sparse
 from scipy.special import expit
 
 from tautline.calibration.components import between, nominal_columns
-from tautline.calibration.departures import Scene, scene_of
+from tautline.calibration.departures import Scene, by_rows, scene_of
 from tautline.calibration.playfit import Curves, Fitted
 from tautline.calibration.several import left
 from tautline.elements import Play
@@ -167,7 +167,7 @@ def _step(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Curves, 
     nominal = nominal_columns(fit, scene)
     own = scene.along(_slopes(state, scene) @ _by_unknown(kind, unknowns, _reached(state)))
     design = sparse.csr_matrix(sparse.hstack([nominal, own]))
-    heavy = sparse.csr_matrix(design.multiply(np.tile(scene.weight, scene.rows.shape[1])[:, None]))
+    heavy = by_rows(np.tile(scene.weight, scene.rows.shape[1]), design)
     gram, force = np.asarray((heavy.T @ design).toarray()), np.asarray(heavy.T @ scene.rows.T.ravel()).ravel()
     head = nominal.shape[1]
     base, pull = fit.penalty(state.curves, scale)

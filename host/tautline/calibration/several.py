@@ -16,7 +16,7 @@ from scipy.optimize import nnls
 
 from tautline import _native
 from tautline.calibration.components import between, nominal_columns
-from tautline.calibration.departures import scene_of
+from tautline.calibration.departures import by_rows, scene_of
 from tautline.calibration.playfit import Curves, Fitted
 from tautline.elements import SINGLE, Elements, Play, warp_of
 from tautline.rig import Rig
@@ -102,7 +102,7 @@ def _step(fitted: Fitted, weights: Array, rig: Rig) -> tuple[Curves, Array]:
     assert scene is not None  # it was fitted to frames
     nominal = nominal_columns(fitted.fit, scene)
     design = sparse.csr_matrix(sparse.hstack([nominal, scene.along(_by_weight(fitted))]))
-    heavy = sparse.csr_matrix(design.multiply(np.tile(scene.weight, scene.rows.shape[1])[:, None]))
+    heavy = by_rows(np.tile(scene.weight, scene.rows.shape[1]), design)
     gram, force = np.asarray((heavy.T @ design).toarray()), np.asarray(heavy.T @ scene.rows.T.ravel()).ravel()
     head = nominal.shape[1]
     base, pull = fitted.fit.penalty(fitted.curves, max(fitted.scale, 1e-6))
