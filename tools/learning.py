@@ -46,8 +46,8 @@ Array = npt.NDArray[np.float64]
 START = Hyperparameters(
     misfit_tells=1.0, noise_tells=10.0, block_freedom=3.0, unexplained=0.05, unexplained_by_law=1e-4,
     unexplained_by_wrong=0.2, mimics=0.06, share_spread=1.5, calibration_excess=0.1, odds_none=30.0, odds_unknown=0.9,
-    odds_further=0.05, odds_brought=0.3, parameter_price=0.5, floor_known=0.2, floor_steady=0.07, wanders=0.05,
-    disturbed=0.03,
+    odds_further=0.05, odds_brought=0.3, odds_each=0.1, parameter_price=0.5, floor_known=0.2, floor_steady=0.07,
+    wanders=0.05, disturbed=0.03,
 )  # fmt: skip  # docs/diagnosis.md says why
 _PRIOR = 0.7  # spread of a logarithm about START
 _UNLIKE, _UNLIKE_WORTH = 0.3, 2.0  # spread between generators expected, and of how many generators that is worth

@@ -135,6 +135,15 @@ def test_effects_that_leave_the_same_come_as_a_set():
     assert verdict.leading[LAG] == pytest.approx(verdict.leading[DRIFT])
 
 
+def test_what_a_curve_does_that_a_simpler_effect_does_as_well_says_nothing_of_a_third():
+    """An obstacle in a gap of hundreds of times the noise: f_remain as a curve holds it, and so what another width
+    leaves of it."""
+    contact, curve = "configuration.contact", "configuration.remaining"
+    left = {(contact,): 8e-5, (curve,): 1e-5, (WIDTH,): 4e-3, (WIDTH, curve): 1e-6}
+    verdict = decide(evidence(left, before=2.4e5))
+    assert verdict.named[0] == contact and verdict.leading[contact] > 0.9
+
+
 @pytest.mark.parametrize(("left", "named"), [(0.001, LAG), (0.4, CREEP)])
 def test_a_creep_of_all_of_the_motion_is_a_lag(left, named):
     """It leaves less, having more parameters, alone and beside an event: neither says that it is no lag."""

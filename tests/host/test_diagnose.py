@@ -355,5 +355,6 @@ def test_what_a_cause_outside_of_the_library_resembles():
     document = diagnose(true_model(), made[0], made[1:2], left_out=("transmission.creep",)).document
     assert document["verdict"] == "unknown" and 1 <= len(document["resembles"]) <= 3
     nearest = document["resembles"][0]
-    assert nearest["closes"] == max(c["shrink"] for c in document["candidates"]) and nearest["says"]
-    assert nearest["says"] in narration.sentence(document)
+    assert nearest["closes"] == max(c["shrink"] for c in document["candidates"])
+    assert any(" ms at low positions" in each["says"] for each in document["resembles"])  # a width by speed, relaxing
+    assert (nearest["says"] or "leaves what it could not") in narration.sentence(document)

@@ -127,7 +127,8 @@ def test_what_pushes_from_outside_comes_after_the_calibration_and_is_seen():
     mechanism()
     from tools.blindtest.physical.draws import UNKNOWN
 
-    made = {name: GENERATORS["mujoco.arm"].make(5, "unknown", (name,)) for name in list(UNKNOWN)[:2]}  # twenty seconds all
+    some = list(UNKNOWN)[:2]  # all take twenty seconds
+    made = {name: GENERATORS["mujoco.arm"].make(5, "unknown", (name,)) for name in some}
     for name, case in made.items():
         assert case.label.identifiable and case.label.effects == (name,)
         assert np.abs(seen(case.tests[0])).max() < 2.0 * np.abs(seen(case.calibration)).max()  # pushed, not thrown

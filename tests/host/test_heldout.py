@@ -7,7 +7,7 @@ import pytest
 
 from tautline.diagnosis import gap, heldout
 from tautline.diagnosis.fit import Fitter
-from tautline.diagnosis.fitted import Hypothesis
+from tautline.diagnosis.fitted import Hypothesis, Scope
 from tautline.diagnosis.segment import prepare
 from tautline.effects import BY_ID
 from tests.host.test_diagnose import recordings, rms, true_model
@@ -55,3 +55,24 @@ def test_an_outlier_pulls_no_block(fitter):
     again = heldout.residuals(broken, fit.hypothesis, broken.linearised(fit), labels, [1.0, 1.0])
     other = labels[1] != labels[1][40]
     assert rms(again[1][other] - plain[1][other]) < 0.1 * rms(plain[1][other])
+
+
+@pytest.mark.parametrize(("second", "least", "most"), [(0.08, 0.0, 0.3), (0.2, 3.0, np.inf)])
+def test_a_recording_surprises_the_fit_of_the_others_where_its_effect_is_another(second, least, most):
+    """One lag for both tests: where it is one, and where it is two."""
+    made, other = recordings({"lag": 0.08}), recordings({"lag": second})
+    fitter = Fitter(true_model(), prepare(true_model(), made[0], [made[1], other[2]]))
+    fitter.floor = 0.05
+    kind = BY_ID["transmission.lag"]
+    start = {p.name: 0.08 if p in kind.amplitudes else p.shape[0] for p in kind.parameters}
+    fit = fitter.fit(Hypothesis(tests=2).plus(kind, Scope.TESTS), start, fitter.nominal().state)
+    labels = [gap.blocks(s) for s in fitter.segments]
+    limits = [1e3, 1e3, 1e3]
+    rows = fitter.linearised(fit)
+    left, surprise = heldout.residuals_and_surprise(fitter, fit.hypothesis, rows, labels, limits)
+    of_tests = [float(np.mean(values)) / fitter.floor**2 for values in surprise[1:]]
+    assert least <= max(of_tests) < most
+    np.testing.assert_array_equal(left[1], heldout.residuals(fitter, fit.hypothesis, rows, labels, limits)[1])
+    # What is left of all, less what a fit of the others alone leaves of these: no more than the former.
+    whole = sum(float(np.sum(row.residual**2)) for row in rows)
+    assert all(2.0 * float(np.sum(values)) < whole for values in surprise)

@@ -1,7 +1,7 @@
 """README.md: its commands are run as they are written, from a clone and from a wheel alone; what cannot be is parsed.
 
-Run here: from a wheel all that needs no robot, over the packages that are installed already; with `./run test long` also
-`./run demo` in this clone and the installation itself, in an environment that holds nothing else. Only checked to
+Run here: from a wheel all that needs no robot, over the packages that are installed already; with `./run test long`
+also `./run demo` in this clone, and the installation itself in an environment that holds nothing else. Only checked to
 exist: what needs a board or a camera (words and options are parsed as `taut` does), `./run test` (this is inside it),
 and commands inside sentences and tables.
 """

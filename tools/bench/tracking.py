@@ -21,7 +21,9 @@ def run() -> list[tuple[str, float, str]]:
     with threadpool_limits(1, "blas"):
         next(frame_times("nothing", 20.0))  # what is imported or built only once
         for kind, name in (("nothing", "nothing changes"), ("shape", "B changes its shape"), ("contact", "contact")):
-            times = np.min([times for times, _ in zip(frame_times(kind, SECONDS), range(REPLAYS), strict=False)], axis=0)
+            times = np.min(
+                [times for times, _ in zip(frame_times(kind, SECONDS), range(REPLAYS), strict=False)], axis=0
+            )
             rows.append((f"a frame, {name}, mean", 1e3 * float(times.mean()), "ms"))
             rows.append((f"a frame, {name}, most", 1e3 * float(times.max()), "ms"))
     return rows

@@ -182,7 +182,7 @@ def departures(scene: Scene, looked_for: Design, *, apart: bool | None = None) -
     strokes = int(scene.stroke.max(initial=0)) + 1
     slow = slow_basis(scene.t, min(_TIMES, strokes // _STROKES_A_SPAN))
     each = sparse.csr_matrix((np.ones(n), (np.arange(n), scene.stroke)), shape=(n, strokes))
-    held = by_rows(~scene.moving, each)
+    held = by_rows(np.where(scene.moving, 0.0, 1.0), each)
     speeds = np.abs(scene.speed)
     usual = max(float(np.mean(speeds[scene.moving])) if scene.moving.any() else 0.0, 1e-12)
 

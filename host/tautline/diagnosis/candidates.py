@@ -30,14 +30,21 @@ _NOISE = 4.0  # tolerance: floors: what is more is no noise, and a lost marker c
 
 @dataclass(frozen=True)
 class Candidate:
-    """A hypothesis fitted to everything, and what it leaves of each block when it has not seen it."""
+    """A hypothesis fitted to everything, and what it leaves of each block when it has not seen it: an imitation follows
+    a motion by its other blocks, and not one of which it saw none."""
 
     fit: Fit
     left: list[Array]  # of each recording, (scored, k)
     power: Array  # (blocks,) mean squares of `left`, outliers pulled in
+    unseen: Array  # (blocks,) and by how much the block's recording surprises the fit of all others, if there are some
     beyond: Beyond | None
     scatters: Mapping[str, float] = field(default_factory=dict)  # how much, of an effect without a path
     wanders: tuple[Wander, ...] = ()
+
+    @property
+    def each(self) -> bool:
+        """Whether an effect is another in each recording."""
+        return Scope.EACH in self.fit.hypothesis.scopes
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -127,9 +134,16 @@ class Search:
         """A fit with what it leaves on blocks held out of it, what of that no law of its effects' stages could leave
         (`beyond`), and by how much its amplitudes are others elsewhere (`wanders`)."""
         rows = self.fitter.linearised(fit)
-        left = heldout.residuals(self.fitter, fit.hypothesis, rows, self.labels, self.limits)
+        left, surprise = heldout.residuals_and_surprise(self.fitter, fit.hypothesis, rows, self.labels, self.limits)
+        power = unseen = self.power(left)
+        if fit.hypothesis.tests > 1:
+            more = [
+                np.bincount(label, values) / np.bincount(label)
+                for label, values in zip(self.labels, surprise, strict=True)
+            ]
+            unseen = power + np.concatenate(more)
         wanders = wander.of_fit(self.fitter, fit, rows, self.limits)
-        return Candidate(fit, left, self.power(left), self.beyond(fit), wanders=wanders)
+        return Candidate(fit, left, power, unseen, self.beyond(fit), wanders=wanders)
 
     def beyond(self, fit: Fit, further: Sequence[Kind] = ()) -> Beyond | None:
         """Mean square of each block that no law of the stages of the fit's effects and of `further` could leave,

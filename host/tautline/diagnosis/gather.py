@@ -89,9 +89,10 @@ class _Weighing:
         self.candidates.append(candidate)
         self._weighed.append(
             Weighed(
-                *(candidate.ids, candidate.power, nothing, nothing, candidate.parameters),
+                *(candidate.ids, candidate.unseen, nothing, nothing, candidate.parameters),
                 beyond=candidate.beyond,
                 wanders=candidate.wanders,
+                each=candidate.each,
             )
         )
         if not events:
@@ -161,13 +162,14 @@ class _Weighing:
         self._weighed.append(
             Weighed(
                 candidate.ids,
-                candidate.power,
+                candidate.unseen,
                 scatter=left.loss[kind.id] - left.plain,
                 rival=rival - left.plain,
                 parameters=candidate.parameters,
                 white=left.white,
                 beyond=candidate.beyond,
                 wanders=candidate.wanders,
+                each=candidate.each,
             )
         )
 

@@ -29,6 +29,16 @@ def residuals(
 ) -> list[Array]:
     """(scored, k) for each recording: the residual of every block of manoeuvres by the fit without that block. rows: of
     the fit (Fitter.linearised). limits: of each recording, beyond which an observation counts linearly."""
+    return residuals_and_surprise(fitter, hypothesis, rows, labels, limits)[0]
+
+
+def residuals_and_surprise(
+    fitter: Fitter, hypothesis: Hypothesis, rows: Sequence[ScoredRows], labels: Labels, limits: Sequence[float]
+) -> tuple[list[Array], list[Array]]:
+    """As `residuals`; and (scored,) for each recording, px^2 or deg^2 a coordinate: how much the recording as a whole
+    surprises the fit of all others. That is the rest of the quadratic form of its marginal prediction, g' (N - N_r)^-1
+    g, beside what the fit of all leaves of it: nothing where the others do not tell the parameters that it needs, and
+    much where they tell others. It is put where it moves the prediction."""
     matrix = fitter.floor**2 * fitter.prior_precision(hypothesis)
     parts: list[list[tuple[npt.NDArray[np.bool_], Rows, Normal]]] = []
     for row, label, limit in zip(rows, labels, limits, strict=True):
@@ -41,15 +51,32 @@ def residuals(
             matrix += normal.matrix
             parts[-1].append((here, block, normal))
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    result = []
-    for row, blocks in zip(rows, parts, strict=True):
+    whole = [_sum_of([normal for _, _, normal in blocks]) for blocks in parts]
+    together = _sum_of(whole)
+    # A parameter at the end of its range pulls beyond it in all recordings: no two of them differ for that.
+    onward = scale * np.linalg.lstsq(matrix * np.outer(scale, scale), scale * together.gradient, rcond=1e-10)[0]
+    result, surprise = [], []
+    for row, blocks, own in zip(rows, parts, whole, strict=True):
         left = row.residual.copy()
         for here, block, normal in blocks:
             rest = (matrix - (1.0 - _STAYS) * normal.matrix) * np.outer(scale, scale)
             step = -scale * np.linalg.lstsq(rest, (1.0 - _STAYS) * scale * normal.gradient, rcond=1e-10)[0]
             left[here] -= fitter.moved(block, step)
         result.append(left)
-    return result
+        gradient = own.gradient - own.matrix @ onward
+        rest = (matrix - own.matrix) * np.outer(scale, scale)
+        step = scale * np.linalg.lstsq(rest, scale * gradient, rcond=1e-10)[0]
+        moved = np.sum(fitter.moved(row, step) ** 2, axis=1)
+        each = float(step @ gradient) / max(float(moved.sum()), 1e-300) / left.shape[1]
+        surprise.append(max(each, 0.0) * moved)
+    return result, surprise
+
+
+def _sum_of(normals: Sequence[Normal]) -> Normal:
+    """Their normal equations together."""
+    return Normal(
+        np.sum([normal.matrix for normal in normals], axis=0), np.sum([normal.gradient for normal in normals], axis=0)
+    )
 
 
 def _rows_where(row: Rows, here: npt.NDArray[np.bool_]) -> Rows:

@@ -38,6 +38,7 @@ class Hyperparameters:
     odds_unknown: float
     odds_further: float  # of a further effect to none
     odds_brought: float  # that an effect which may bring a part of the nominal model with it does
+    odds_each: float  # that an effect is another in each recording, to one that stays
     parameter_price: float  # of the Bayesian information criterion's: held-out blocks have charged for most of it
     floor_known: float  # of the noise power's logarithm: how well a case's is known
     floor_steady: float  # and how unlike blocks are
@@ -55,7 +56,7 @@ class Hyperparameters:
 
 
 _SHARES = frozenset(
-    ("unexplained", "unexplained_by_law", "unexplained_by_wrong", "mimics", "odds_brought", "disturbed")
+    ("unexplained", "unexplained_by_law", "unexplained_by_wrong", "mimics", "odds_brought", "odds_each", "disturbed")
 )
 
 

@@ -52,7 +52,7 @@ class Weighed:
     alone."""
 
     ids: tuple[str, ...]
-    power: Array  # (blocks,) mean squares that a fit leaves of a block it did not see
+    power: Array  # (blocks,) mean squares that a fit leaves of a block it did not see, with Candidate.unseen's
     scatter: Array  # (blocks,) logarithm of what an effect without a path takes off as a factor on the power; 0: none
     rival: Array  # (blocks,) the same of the best scatter of another origin
     parameters: int
@@ -60,6 +60,7 @@ class Weighed:
     beyond: Beyond | None = None  # None: the effects' stages could leave anything
     chance: float = 1.0  # of a law: of another effect to leave so much less though the law is right (exact.py)
     wanders: tuple[Wander, ...] = ()  # of its effects that have a path
+    each: bool = False  # an effect is another in each recording
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Weighed:

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import log_expit, log_ndtr
+from scipy.special import gammaln, log_expit, log_ndtr
 
 from tautline.diagnosis.hyperparameters import Hyperparameters
 from tautline.diagnosis.stacked import FOLLOWED, LAWS, SHARES, WANDERS, Stacked, log_sum
@@ -62,19 +62,26 @@ class Likelihoods:
         own = own - np.where(further, beside, np.logaddexp(0.0, other))
         far = np.where(further & (other < -LOG_ODDS_MARGIN), beside, 0.0)
         confined = case.confined(by.floor_known, by.floor_steady, by.disturbed)
-        reached, by_chance = own.copy(), self._log_chance_of_misfit
+        says_nothing = self._contained_suffices
+        # What a simpler effect does as well says no more of those beside it than that one does.
+        reached, by_chance = np.where(says_nothing, -np.inf, own), self._log_chance_of_misfit
         for size in range(int(case.size.max()), 1, -1):  # what two further ones close may be what one leaves as well
             pairs = case.size[case.further] == size
             i, j = case.fewer[pairs], case.further[pairs]
             np.maximum.at(reached, i, reached[j] + np.where(case.scatters[i], far[j], 0.0) + by_chance[pairs])
         self.of: Array = np.maximum(own + far, reached) + confined + self.steady
-        says_nothing = self._contained_suffices
         self.of[says_nothing | (case.repeats & ~further)] = -np.inf
-        # Now and then the best effect follows an unknown one as closely as if it were right.
-        follows = np.where(case.size > 0, np.log(by.mimics) + right, -np.inf)
-        stands_in = np.logaddexp(follows, np.log1p(-by.mimics) + log_sum(table + self._log_wrong_share) - price)
+        # Now and then the best effect follows an unknown one as closely as if it were right; how seldom, as a
+        # logarithm, goes with 1 over the number of those that follow it together.
+        causes, of = np.maximum(case.causes, 1), case.applicable
+        mimics = np.where(case.size > 0, by.mimics ** (1.0 / causes), 0.0)
+        with np.errstate(divide="ignore"):
+            follows = np.log(mimics) + right
+        stands_in = np.logaddexp(follows, np.log1p(-mimics) + log_sum(table + self._log_wrong_share) - price)
         stands_in = stands_in + np.where(case.measured, np.log(COINCIDES), 0.0)
-        stands_in = stands_in + np.where(case.size > 0, self.prior, 0.0)
+        # Which ones is as open as for a known cause; that they are several costs nothing: it is one cause.
+        sets = gammaln(of + 1.0) - gammaln(causes + 1.0) - gammaln(np.maximum(of - causes, 0) + 1.0)
+        stands_in = stands_in - np.where(case.size > 0, sets, 0.0) + np.where(case.brings, np.log(by.odds_brought), 0.0)
         self.unknown = float(np.max(stands_in[~case.scatters & ~says_nothing]))
 
     @cached_property
@@ -104,6 +111,7 @@ class Likelihoods:
         case, by = self._case, self.by
         some = (case.causes - 1) * np.log(by.odds_further) - np.log(case.applicable)
         some = some + np.where(case.brings, np.log(by.odds_brought), 0.0)
+        some = some + np.where(case.each, np.log(by.odds_each), 0.0)
         return np.where(case.causes > 0, some, np.log(by.odds_none))
 
     def _gain(self, scatter: Array) -> Array:

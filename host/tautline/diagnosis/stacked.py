@@ -130,6 +130,7 @@ class Stacked:
         self.fewer, self.further = np.array(pairs, dtype=int).reshape(-1, 2).T
 
         told = [(i, _wander_log_ratio(of.matrix, of.gradient)) for i, h in enumerate(hypotheses) for of in h.wanders]
+        self.each: Flags = np.array([h.each for h in hypotheses])
         self.wandering = np.array([i for i, _ in told], dtype=int)  # of each row of `wander` its hypothesis
         self.wander = np.array([of for _, of in told]).reshape(-1, len(WANDERS))
         self._beyond: list[int] = []  # of each hypothesis the row of what is left beyond its stages; none: -1

@@ -120,29 +120,33 @@ def _power(signals: Sequence[Array]) -> float:
 def varying_columns(
     places: dict[str, list[Array]], signals: Sequence[Array], together: float
 ) -> tuple[list[Array], dict[str, Array]]:
-    """The columns by which an amplitude varies, (n, k, m) for each recording: the effect's signal (n, k) times Legendre
-    polynomials of each axis, less their mean over the signal's power, each scaled to the power `together` of all
-    effects; and for each axis (2, m) their values at its low and its high end."""
+    """The columns by which an amplitude varies, (n, k, m) for each recording: the effect's signal (n, k) times
+    polynomials of each axis, orthonormal over the signal's power and to a constant, times the root of the power
+    `together` of all effects over its own: a factor's square is then the variance of the amplitude along its axis, be
+    the signal in a small part of the range alone. And for each axis (2, m) their values at its low and its high end."""
     power = [np.sum(signal**2, axis=1) for signal in signals]
     total = sum(float(np.sum(of)) for of in power)
     if total <= 0.0:
         return [], {}
     columns: list[list[Array]] = []
     ends: list[tuple[str, Array]] = []
-    weight = np.concatenate(power)
+    weight = np.concatenate(power) / total
+    cuts = np.cumsum([len(of) for of in power])[:-1]
+    scale = np.sqrt(together / total)
     for name, values_of in places.items():
         at = np.concatenate(values_of)
         ranked = np.argsort(at)
-        last = at[ranked][np.searchsorted(np.cumsum(weight[ranked]), np.array(_ENDS) * total)]
+        last = ranked[np.searchsorted(np.cumsum(weight[ranked]), np.array(_ENDS))]
+        before = [np.ones_like(at)]
         for degree in range(1, _ORDERS[name] + 1):
-            function = np.polynomial.legendre.Legendre.basis(degree)
-            own = [function(values) for values in values_of]
-            mean = sum(float(of @ values) for of, values in zip(power, own, strict=True)) / total
-            variance = sum(float(of @ (values - mean) ** 2) for of, values in zip(power, own, strict=True)) / total
+            function = np.polynomial.legendre.Legendre.basis(degree)(at)
+            for own in (*before, *before):  # twice: as exact as what a small part of the range leaves of it
+                function = function - float(weight @ (own * function)) * own
+            variance = float(weight @ function**2)
             if variance > _SAME:
-                scale = np.sqrt(together / total / variance)
-                columns.append([scale * (values - mean) for values in own])
-                ends.append((name, scale * (function(last) - mean)))
+                before.append(function / np.sqrt(variance))
+                columns.append(np.split(scale * before[-1], cuts))
+                ends.append((name, scale * before[-1][last]))
     if not columns:
         return [], {}
     told = {axis: np.column_stack([by * (of == axis) for of, by in ends]) for axis in dict(ends)}
