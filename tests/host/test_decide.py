@@ -144,6 +144,26 @@ def test_what_a_curve_does_that_a_simpler_effect_does_as_well_says_nothing_of_a_
     assert verdict.named[0] == contact and verdict.leading[contact] > 0.9
 
 
+def test_of_two_fits_of_an_effect_the_one_that_stays_is_weighed_by_its_own_prior():
+    """Another offset in each recording leaves a little less, and is ten times as unlikely: the other one counts."""
+    offset = "transmission.offset"
+    found = evidence({(offset,): 0.005, (CREEP,): 0.6})
+    less = replace(found.hypotheses[1], power=found.hypotheses[1].power * 0.999, each=True)
+    both = decide(replace(found, hypotheses=(*found.hypotheses, less)))
+    assert both.chosen == 1 and both.unknown == pytest.approx(decide(found).unknown, rel=0.1)
+    alone = decide(replace(found, hypotheses=(found.hypotheses[0], less, found.hypotheses[2])))
+    assert alone.named == (offset,) and alone.unknown < 0.1
+
+
+def test_what_two_follow_together_may_well_be_one_unknown_cause():
+    """As one may that a single effect follows, but more often; three are as sure as they were."""
+    one, two, three = (
+        decide(evidence({(LAG,): 0.5, (RATE,): 0.8, ids: 0.004})).unknown
+        for ids in ((DRIFT,), (LAG, DRIFT), (LAG, DRIFT, RATE))
+    )
+    assert one < 0.1 and three < 0.1 and 0.2 < two < 0.5
+
+
 @pytest.mark.parametrize(("left", "named"), [(0.001, LAG), (0.4, CREEP)])
 def test_a_creep_of_all_of_the_motion_is_a_lag(left, named):
     """It leaves less, having more parameters, alone and beside an event: neither says that it is no lag."""

@@ -173,3 +173,13 @@ def test_a_recording_of_which_nothing_counts_has_no_part_in_it() -> None:
     values = wander.axes_values([seen, replace(seen, told=t < 0.0)])
     assert [len(of) for of in values["place"]] == [len(t), 0]
     assert np.ptp(values["time"][0]) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.1, 0.02])
+def test_what_varies_is_measured_over_the_signal_alone(share: float) -> None:
+    """An obstacle's: its polynomials are orthonormal over the part of the range in which it is met."""
+    p = np.linspace(-1.0, 1.0, 4000)
+    signal = np.where(p > 1.0 - 2.0 * share, 1.0 + p, 0.0)[:, None]
+    (columns,), _ = wander.varying_columns({"place": [p]}, [signal], float(np.sum(signal**2)))
+    gram = np.einsum("nkm,nkl->ml", columns, columns) / np.sum(signal**2)
+    np.testing.assert_allclose(gram, np.eye(3), atol=1e-9)

@@ -206,7 +206,7 @@ def departures(scene: Scene, looked_for: Design, *, apart: bool | None = None) -
             Part(f"{name}.{tau:g}", scene.along(columns[:, [i]]), one, True, names) for i, tau in enumerate(times_s)
         ]
 
-    by_speed = speed_parts()
+    by_speed, behind = speed_parts(), scene.behind(_LAGS_S + _CREEPS_S)
     parts = [
         Part(
             "phase.even",
@@ -223,8 +223,8 @@ def departures(scene: Scene, looked_for: Design, *, apart: bool | None = None) -
         *by_speed,
         column("clock.rate", scene.by_delay * scene.t),
         column("clock.drift", scene.by_delay * (scene.t**2 - 1 / 12)),
-        *slow_parts("lag", _LAGS_S, scene.behind(_LAGS_S) / np.array(_LAGS_S)),
-        *slow_parts("creep", _CREEPS_S, scene.behind(_CREEPS_S)),
+        *slow_parts("lag", _LAGS_S, behind[:, : len(_LAGS_S)] / np.array(_LAGS_S)),
+        *slow_parts("creep", _CREEPS_S, behind[:, len(_LAGS_S) :]),
     ]
     if looked_for.slip_s is not None:
         slipped = (scene.time_s >= looked_for.slip_s).astype(float)[:, None]

@@ -36,7 +36,9 @@ class Candidate:
     fit: Fit
     left: list[Array]  # of each recording, (scored, k)
     power: Array  # (blocks,) mean squares of `left`, outliers pulled in
-    unseen: Array  # (blocks,) and by how much the block's recording surprises the fit of all others, if there are some
+    unseen: (
+        Array  # (blocks,) with effects and several tests: and by how much the block's recording surprises the others
+    )
     beyond: Beyond | None
     scatters: Mapping[str, float] = field(default_factory=dict)  # how much, of an effect without a path
     wanders: tuple[Wander, ...] = ()
@@ -136,7 +138,7 @@ class Search:
         rows = self.fitter.linearised(fit)
         left, surprise = heldout.residuals_and_surprise(self.fitter, fit.hypothesis, rows, self.labels, self.limits)
         power = unseen = self.power(left)
-        if fit.hypothesis.tests > 1:
+        if fit.hypothesis.kinds and fit.hypothesis.tests > 1:
             more = [
                 np.bincount(label, values) / np.bincount(label)
                 for label, values in zip(self.labels, surprise, strict=True)

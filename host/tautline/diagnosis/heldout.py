@@ -36,9 +36,10 @@ def residuals_and_surprise(
     fitter: Fitter, hypothesis: Hypothesis, rows: Sequence[ScoredRows], labels: Labels, limits: Sequence[float]
 ) -> tuple[list[Array], list[Array]]:
     """As `residuals`; and (scored,) for each recording, px^2 or deg^2 a coordinate: how much the recording as a whole
-    surprises the fit of all others. That is the rest of the quadratic form of its marginal prediction, g' (N - N_r)^-1
-    g, beside what the fit of all leaves of it: nothing where the others do not tell the parameters that it needs, and
-    much where they tell others. It is put where it moves the prediction."""
+    surprises the fit of all others. Of the quadratic form of what that fit leaves, by its marginal prediction, it is
+    what the fit of all does not leave, g' (N - N_r)^-1 g with the recording's own normal equations N_r and g at the fit
+    of all: nothing where the others do not tell the parameters that it needs, and much where they tell others. It is
+    put where it moves the prediction; 0 of a recording of one block."""
     matrix = fitter.floor**2 * fitter.prior_precision(hypothesis)
     parts: list[list[tuple[npt.NDArray[np.bool_], Rows, Normal]]] = []
     for row, label, limit in zip(rows, labels, limits, strict=True):
@@ -53,7 +54,8 @@ def residuals_and_surprise(
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     whole = [_sum_of([normal for _, _, normal in blocks]) for blocks in parts]
     together = _sum_of(whole)
-    # A parameter at the end of its range pulls beyond it in all recordings: no two of them differ for that.
+    # A parameter at the end of its range, or a fit that is not yet at its best, pulls on in all recordings: no two of
+    # them differ for that.
     onward = scale * np.linalg.lstsq(matrix * np.outer(scale, scale), scale * together.gradient, rcond=1e-10)[0]
     result, surprise = [], []
     for row, blocks, own in zip(rows, parts, whole, strict=True):
@@ -63,6 +65,9 @@ def residuals_and_surprise(
             step = -scale * np.linalg.lstsq(rest, (1.0 - _STAYS) * scale * normal.gradient, rcond=1e-10)[0]
             left[here] -= fitter.moved(block, step)
         result.append(left)
+        if len(blocks) == 1:  # what is left of it is by a fit that saw nothing else of its recording
+            surprise.append(np.zeros(len(left)))
+            continue
         gradient = own.gradient - own.matrix @ onward
         rest = (matrix - own.matrix) * np.outer(scale, scale)
         step = scale * np.linalg.lstsq(rest, scale * gradient, rcond=1e-10)[0]

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import gammaln, log_expit, log_ndtr
+from scipy.special import log_expit, log_ndtr
 
 from tautline.diagnosis.hyperparameters import Hyperparameters
 from tautline.diagnosis.stacked import FOLLOWED, LAWS, SHARES, WANDERS, Stacked, log_sum
@@ -69,25 +69,25 @@ class Likelihoods:
             pairs = case.size[case.further] == size
             i, j = case.fewer[pairs], case.further[pairs]
             np.maximum.at(reached, i, reached[j] + np.where(case.scatters[i], far[j], 0.0) + by_chance[pairs])
+            reached[says_nothing] = -np.inf
         self.of: Array = np.maximum(own + far, reached) + confined + self.steady
         self.of[says_nothing | (case.repeats & ~further)] = -np.inf
-        # Now and then the best effect follows an unknown one as closely as if it were right; how seldom, as a
-        # logarithm, goes with 1 over the number of those that follow it together.
-        causes, of = np.maximum(case.causes, 1), case.applicable
-        mimics = np.where(case.size > 0, by.mimics ** (1.0 / causes), 0.0)
-        with np.errstate(divide="ignore"):
-            follows = np.log(mimics) + right
+        # Now and then the best effect follows an unknown one as closely as if it were right, more often two together.
+        pair = case.causes == 2
+        mimics = np.where(pair, np.sqrt(by.mimics), by.mimics)
+        follows = np.where(case.size > 0, np.log(mimics) + right, -np.inf)
         stands_in = np.logaddexp(follows, np.log1p(-mimics) + log_sum(table + self._log_wrong_share) - price)
         stands_in = stands_in + np.where(case.measured, np.log(COINCIDES), 0.0)
-        # Which ones is as open as for a known cause; that they are several costs nothing: it is one cause.
-        sets = gammaln(of + 1.0) - gammaln(causes + 1.0) - gammaln(np.maximum(of - causes, 0) + 1.0)
-        stands_in = stands_in - np.where(case.size > 0, sets, 0.0) + np.where(case.brings, np.log(by.odds_brought), 0.0)
+        stands_in = stands_in + np.where(case.size > 0, self.prior, 0.0)
+        # That it takes two costs nothing, as the cause is one; which two of all pairs they are is open.
+        open_pairs = np.log(by.odds_further * 0.5 * max(case.applicable - 1, 1))
+        stands_in = stands_in - np.where(pair, open_pairs, 0.0)
         self.unknown = float(np.max(stands_in[~case.scatters & ~says_nothing]))
 
     @cached_property
     def best(self) -> dict[frozenset[str], int]:
-        """For each set of effects the index of its likeliest hypothesis."""
-        of = self.of.tolist()
+        """For each set of effects the index of its most probable hypothesis."""
+        of = (self.of + self.prior).tolist()
         return {key: max(same, key=of.__getitem__) for key, same in self._case.same.items()}
 
     def leader(self, key: frozenset[str], best: Mapping[frozenset[str], int]) -> str:

@@ -25,7 +25,7 @@ Array = npt.NDArray[np.float64]
 _ORDERS = {"place": 3, "speed": 2, "time": 2, "side": 1, "load": 1}  # prior: of polynomials over each
 _MOVES = 0.05  # tolerance: of a fast motor's speed: a slower one rests, and counts as what it did before
 _FAST, _ENDS = 0.95, (0.1, 0.9)  # tolerance: quantiles: of its speeds; between which an amplitude is told
-_SAME = 1e-6  # tolerance: variance of a function over an effect's own signal: one so constant there tells nothing
+_SAME = 1e-6  # tolerance: variance of an axis over an effect's own signal, or of a power of it: so little tells nothing
 
 
 def of_fit(fitter: Fitter, fit: Fit, rows: Sequence[ScoredRows], limits: Sequence[float]) -> tuple[Wander, ...]:
@@ -121,9 +121,10 @@ def varying_columns(
     places: dict[str, list[Array]], signals: Sequence[Array], together: float
 ) -> tuple[list[Array], dict[str, Array]]:
     """The columns by which an amplitude varies, (n, k, m) for each recording: the effect's signal (n, k) times
-    polynomials of each axis, orthonormal over the signal's power and to a constant, times the root of the power
-    `together` of all effects over its own: a factor's square is then the variance of the amplitude along its axis, be
-    the signal in a small part of the range alone. And for each axis (2, m) their values at its low and its high end."""
+    polynomials of each axis, orthonormal over the signal's power among themselves and to a constant, times the root of
+    the power `together` of all effects over its own: a factor's square is a variance of the amplitude along its axis,
+    as a share of what all effects add, be the signal in a small part of the range alone. And for each axis (2, m) their
+    values at its low and its high end."""
     power = [np.sum(signal**2, axis=1) for signal in signals]
     total = sum(float(np.sum(of)) for of in power)
     if total <= 0.0:
@@ -137,9 +138,11 @@ def varying_columns(
         at = np.concatenate(values_of)
         ranked = np.argsort(at)
         last = ranked[np.searchsorted(np.cumsum(weight[ranked]), np.array(_ENDS))]
+        middle = float(weight @ at)
+        spread = float(np.sqrt(weight @ (at - middle) ** 2))
         before = [np.ones_like(at)]
-        for degree in range(1, _ORDERS[name] + 1):
-            function = np.polynomial.legendre.Legendre.basis(degree)(at)
+        for degree in range(1, _ORDERS[name] + 1) if spread**2 > _SAME else ():
+            function = ((at - middle) / spread) ** degree
             for own in (*before, *before):  # twice: as exact as what a small part of the range leaves of it
                 function = function - float(weight @ (own * function)) * own
             variance = float(weight @ function**2)
