@@ -72,10 +72,12 @@ class Likelihoods:
             reached[says_nothing] = -np.inf
         self.of: Array = np.maximum(own + far, reached) + confined + self.steady
         self.of[says_nothing | (case.repeats & ~further)] = -np.inf
-        # Now and then the best effect follows an unknown one as closely as if it were right, more often two together.
+        # Now and then the best effect follows an unknown one as closely as if it were right, with all that is granted
+        # to one that is; more often two do together.
         pair = case.causes == 2
         mimics = np.where(pair, np.sqrt(by.mimics), by.mimics)
-        follows = np.where(case.size > 0, np.log(mimics) + right, -np.inf)
+        granted = np.where(case.scatters, right, np.maximum(right, reached))
+        follows = np.where(case.size > 0, np.log(mimics) + granted, -np.inf)
         stands_in = np.logaddexp(follows, np.log1p(-mimics) + log_sum(table + self._log_wrong_share) - price)
         stands_in = stands_in + np.where(case.measured, np.log(COINCIDES), 0.0)
         stands_in = stands_in + np.where(case.size > 0, self.prior, 0.0)
