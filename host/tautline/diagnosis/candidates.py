@@ -36,9 +36,7 @@ class Candidate:
     fit: Fit
     left: list[Array]  # of each recording, (scored, k)
     power: Array  # (blocks,) mean squares of `left`, outliers pulled in
-    unseen: (
-        Array  # (blocks,) with effects and several tests: and by how much the block's recording surprises the others
-    )
+    unseen: Array  # (blocks,) of effects and several tests: with how much a recording surprises the others
     beyond: Beyond | None
     scatters: Mapping[str, float] = field(default_factory=dict)  # how much, of an effect without a path
     wanders: tuple[Wander, ...] = ()

@@ -52,7 +52,7 @@ class Weighed:
     alone."""
 
     ids: tuple[str, ...]
-    power: Array  # (blocks,) mean squares that a fit leaves of a block it did not see, with Candidate.unseen's
+    power: Array  # (blocks,) mean squares that a fit leaves of a block it did not see (Candidate.unseen)
     scatter: Array  # (blocks,) logarithm of what an effect without a path takes off as a factor on the power; 0: none
     rival: Array  # (blocks,) the same of the best scatter of another origin
     parameters: int
