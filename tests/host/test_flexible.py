@@ -44,6 +44,17 @@ def test_what_goes_with_position_and_direction_is_closed():
     assert found.before == pytest.approx(np.sqrt(np.mean(np.concatenate(residuals) ** 2)), rel=0.05)
 
 
+def test_a_place_is_the_same_in_a_recording_of_a_smaller_range():
+    wide, other = SEGMENTS
+    pair = [wide, replace(other, motor=replace(other.motor, q=0.3 * other.motor.q))]
+    residuals = [
+        r + np.column_stack([0.6 * np.sin(1.5 * motor(s)), 0.4 * np.cos(motor(s))])
+        for s, r in zip(pair, noise(6), strict=True)
+    ]
+    found = flexible.close(pair, residuals, NOISE)
+    assert found is not None and found.closable_shrink > 0.98
+
+
 def test_noise_is_left_as_it_is():
     found = flexible.close(SEGMENTS, noise(4), NOISE)
     assert found is not None and found.shrink < 0.03 and found.after < 1.05 * found.before

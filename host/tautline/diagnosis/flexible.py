@@ -131,11 +131,13 @@ def _hyper(logs: Array) -> tuple[float, Array, float]:
 def _inputs(segments: Sequence[Segment], swing_s: float | None) -> Array:
     """(n, d) The process' inputs at the scored observations of all recordings; constant columns are dropped."""
     parts = []
+    every = np.concatenate([segment.motor.q for segment in segments])
+    span = float(np.ptp(every)) or 1.0
     for segment in segments:
         t = segment.arrival_s
         load = segment.motor.load_mNm
         columns: tuple[Array, ...] = (
-            _features(segment),
+            _features(segment, span),
             t + segment.offset_s,
             np.zeros_like(t) if load is None else np.interp(t, segment.motor.t_s, load),
         )
@@ -148,11 +150,11 @@ def _inputs(segments: Sequence[Segment], swing_s: float | None) -> Array:
     return varies
 
 
-def _features(segment: Segment) -> Array:
-    """(n, 6): motor position and travel since the reversal (0.3 at most) in shares of this recording's range, direction
-    (-1, 0, 1), speed in ranges per second, translation in mm and rotation in deg (0 where not recorded)."""
+def _features(segment: Segment, span: float) -> Array:
+    """(n, 6): motor position and travel since the reversal (0.3 at most) in shares of `span`, the range of all
+    recordings, direction (-1, 0, 1), speed in ranges per second, translation in mm and rotation in deg (0 where not
+    recorded)."""
     motor, t = segment.motor, segment.arrival_s
-    span = float(np.ptp(motor.q)) or 1.0
     q = np.interp(t, motor.t_s, motor.q) / span
     step = np.diff(motor.q)
     way = np.sign(step)

@@ -33,10 +33,16 @@ def best(fitter: Fitter, fits: Sequence[Fit]) -> NextMotion | None:
     chosen: NextMotion | None = None
     for why, motion in _motions(fitter):
         images = [_prediction(fitter, fit, motion) for fit in fits]
-        least = min(float(np.sqrt(np.nanmean((a - b) ** 2))) for a, b in itertools.combinations(images, 2))
+        least = min(_apart(a, b) for a, b in itertools.combinations(images, 2))
         if chosen is None or least > chosen.separation:
             chosen = NextMotion(why, motion, least)
     return chosen
+
+
+def _apart(one: np.ndarray, other: np.ndarray) -> float:
+    """rms of the difference of two predictions (n, k); 0 where no instant has both: such a motion tells nothing."""
+    off = (one - other)[np.isfinite(one - other)]
+    return float(np.sqrt(np.mean(off**2))) if len(off) else 0.0
 
 
 def table(motion: Trajectory, unit: str) -> pd.DataFrame:
