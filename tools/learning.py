@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -47,12 +46,11 @@ START = Hyperparameters(
     misfit_tells=1.0, noise_tells=10.0, block_freedom=3.0, unexplained=0.05, unexplained_by_law=1e-4,
     unexplained_by_wrong=0.2, mimics=0.06, share_spread=1.5, calibration_excess=0.1, odds_none=30.0, odds_unknown=0.9,
     odds_further=0.05, odds_brought=0.3, odds_each=0.1, parameter_price=0.5, floor_known=0.2, floor_steady=0.07,
-    wanders=0.05, disturbed=0.03,
+    wanders=0.01, wanders_material=0.08, disturbed=0.03,
 )  # fmt: skip  # docs/diagnosis.md says why
 _PRIOR = 0.7  # spread of a logarithm about START
 _UNLIKE, _UNLIKE_WORTH = 0.3, 2.0  # spread between generators expected, and of how many generators that is worth
-_ROUNDS, _STEPS, _MOST, _STEP = 4, 6, 9, 0.02  # most: slopes in a round, where a kink stops a search
-_SETTLED = 0.02  # of a logarithm: the center moves less in the last round
+_ROUNDS, _STEPS, _MOST, _STEP = 2, 15, 22, 0.02  # most: slopes in a round, where a kink stops a search
 _FLAT = 1e-4  # of a loss: a further step gains less
 _LEAST = 0.01  # of a truth's probability: no case says more than that all is wrong
 _MIX = {NONE: 0.25, UNEXPLAINED: 0.25}  # of a generator's weight; the rest is of effects
@@ -181,44 +179,52 @@ def weights_of(cases: Sequence[Case]) -> Array:
 
 
 def learn(cases: Sequence[Case], jobs: int = 1) -> Learnt:
-    """`covers` as it would be were all known. By expectation maximisation: what each generator has is known as far as
-    its cases tell (Laplace's approximation, by their slopes)."""
+    """`covers` as it would be were all known. What generators have in common and how each differs from it are found
+    together, in units of their own priors; how far they differ by expectation maximisation: what each has is known as
+    far as its cases tell (Laplace's approximation, by their slopes)."""
     generators = sorted({case.generator for case in cases})
-    center: Array = START.logarithms()
-    start, own = center, dict.fromkeys(generators, center)
-    variance: Array = np.full(len(NAMES), _UNLIKE**2)
+    mine = [[i for i, case in enumerate(cases) if case.generator == name] for name in generators]
+    weights = [weights_of([cases[i] for i in which]) for which in mine]
+    start: Array = START.logarithms()
+    at: Array = np.zeros((1 + len(generators), len(start)))  # of the common one, then of each generator
+    variance: Array = np.full(len(start), _UNLIKE**2)
     with _sloping(cases, jobs) as slopes:
         for _ in range(_ROUNDS):
-            unsure = np.zeros(len(NAMES))
-            for name in generators:
-                mine = [i for i, case in enumerate(cases) if case.generator == name]
-                weight = weights_of([cases[i] for i in mine])
-                own[name], known_to = _likeliest(partial(slopes, mine), weight, own[name], center, variance)
-                unsure += known_to
-            last, together = center, np.sum(list(own.values()), axis=0)
-            center = (start / _PRIOR**2 + together / variance) / (1.0 / _PRIOR**2 + len(own) / variance)
-            squares = np.sum([np.square(at - center) for at in own.values()], axis=0) + unsure
-            variance = (_UNLIKE_WORTH * _UNLIKE**2 + squares) / (_UNLIKE_WORTH + len(own))
-            if np.max(np.abs(center - last)) < _SETTLED:
-                break
-    return Learnt(Hyperparameters.of_logarithms(center), np.sqrt(variance), _COVERS)
+            at = _likeliest(slopes, list(zip(mine, weights, strict=True)), at, np.sqrt(variance))
+            own = start + _PRIOR * at[0] + np.sqrt(variance) * at[1:]
+            squares = variance * np.sum(at[1:] ** 2, axis=0)
+            for which, weight, of in zip(mine, weights, own, strict=True):
+                each = slopes(which, of)[:, 1:]
+                squares += np.diag(np.linalg.inv((weight * each.T) @ each + np.diag(1.0 / variance)))
+            last, variance = variance, (_UNLIKE_WORTH * _UNLIKE**2 + squares) / (_UNLIKE_WORTH + len(generators))
+            at[1:] *= np.sqrt(last / variance)
+    return Learnt(Hyperparameters.of_logarithms(start + _PRIOR * at[0]), np.sqrt(variance), _COVERS)
 
 
 def _likeliest(
-    slopes: Callable[[Array], Array], weight: Array, at: Array, center: Array, variance: Array
-) -> tuple[Array, Array]:
-    """A generator's logarithms, and the variance that they are known to."""
+    slopes: Callable[[Sequence[int], Array], Array],
+    groups: Sequence[tuple[Sequence[int], Array]],
+    at: Array,
+    spread: Array,
+) -> Array:
+    """(1 + groups, hyperparameters) The likeliest steps from `at`: first of what all groups of cases (their numbers and
+    weights) have in common, in _PRIOR from START, then of what each differs by, in `spread`."""
 
-    def loss(at: Array) -> tuple[float, Array]:
-        summed = weight @ slopes(at)
-        off = at - center
-        return float(summed[0] + 0.5 * np.sum(off**2 / variance)), summed[1:] + off / variance
+    def loss(flat: Array) -> tuple[float, Array]:
+        steps = flat.reshape(at.shape)
+        common = START.logarithms() + _PRIOR * steps[0]
+        value, slope = 0.5 * float(flat @ flat), steps.copy()
+        for i, (which, weight) in enumerate(groups, start=1):
+            summed = weight @ slopes(which, common + spread * steps[i])
+            value += float(summed[0])
+            slope[0] += _PRIOR * summed[1:]
+            slope[i] += spread * summed[1:]
+        return value, slope.ravel()
 
     found = minimize(
-        loss, at, jac=True, method="L-BFGS-B", options={"maxiter": _STEPS, "maxfun": _MOST, "ftol": _FLAT}
-    ).x
-    each = slopes(found)[:, 1:]
-    return found, np.diag(np.linalg.inv((weight * each.T) @ each + np.diag(1.0 / variance)))
+        loss, at.ravel(), jac=True, method="L-BFGS-B", options={"maxiter": _STEPS, "maxfun": _MOST, "ftol": _FLAT}
+    )
+    return np.asarray(found.x.reshape(at.shape))
 
 
 @contextmanager

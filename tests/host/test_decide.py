@@ -276,6 +276,13 @@ def test_an_effect_whose_amplitude_is_another_elsewhere_is_an_imitation(off, kno
     assert verdict.name == says and (verdict.leading[LAG] > 0.9) == (says == "effect")
 
 
+@pytest.mark.parametrize(("name", "says"), [(LAG, "effect"), ("camera.distortion", "unknown"), ("transmission.offset", "unknown")])
+def test_friction_is_a_little_another_elsewhere_and_geometry_is_not(name, says):
+    found = evidence({(name,): 0.0001, (CREEP,): 0.6, (DRIFT,): 0.9})
+    verdict = decide(wandering(found, {(name,): (amplitude(name, 0.12, 0.005),)}))
+    assert verdict.name == says and (verdict.leading[name] > 0.9) == (says == "effect")
+
+
 def test_a_steady_amplitude_says_nothing():
     """Some imitations are steady too, and noise has none: what is hardly a gap is no likelier to be one."""
     found = evidence({(LAG,): 0.1, (CREEP,): 0.9}, before=0.08)

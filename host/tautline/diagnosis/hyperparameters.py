@@ -42,7 +42,8 @@ class Hyperparameters:
     parameter_price: float  # of the Bayesian information criterion's: held-out blocks have charged for most of it
     floor_known: float  # of the noise power's logarithm: how well a case's is known
     floor_steady: float  # and how unlike blocks are
-    wanders: float  # share by which a right effect's amplitude is another elsewhere, in the mean
+    wanders: float  # share by which the amplitude of one of geometry or time is another elsewhere, in the mean
+    wanders_material: float  # that of one of friction or a tendon's material, a simulator's own or a user's own
     disturbed: float  # share of blocks in which something happens that no model has, such as the moment of a shift
 
     def logarithms(self) -> Array:

@@ -164,7 +164,8 @@ class Likelihoods:
         load as a right effect's do (little) against as a wrong one's do (by any share). The worst effect of each
         hypothesis counts."""
         case, by = self._case, self.by
-        right, wrong = (log_sum(case.wander + wander) for wander in (_exponential(by.wanders), _exponential(1.0)))
+        means = np.where(case.geometry, by.wanders, by.wanders_material)
+        right, wrong = (log_sum(case.wander + _exponential(mean[:, None])) for mean in (means, np.ones_like(means)))
         each = right - np.logaddexp(np.log(by.mimics) + right, np.log1p(-by.mimics) + wrong)
         least = np.zeros(len(case.size))  # some imitations are steady too, and noise has no amplitude
         np.minimum.at(least, case.wandering, each)
@@ -186,7 +187,8 @@ class Likelihoods:
         return np.asarray(log - log_sum(log))
 
 
-def _exponential(mean: float) -> Array:
-    """Log-probabilities of WANDERS for an exponential density of this mean over a grid of logarithmic steps."""
+def _exponential(mean: Array) -> Array:
+    """(..., WANDERS) Log-probabilities of WANDERS for an exponential density of each mean (..., 1) over a grid of
+    logarithmic steps."""
     log: Array = np.log(WANDERS) - WANDERS / mean
-    return np.asarray(log - log_sum(log))
+    return np.asarray(log - log_sum(log)[..., None])

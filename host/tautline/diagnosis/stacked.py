@@ -18,6 +18,7 @@ Flags = npt.NDArray[np.bool_]
 
 CONSTANT = frozenset(kind.id for kind in LIBRARY if kind.nominal)  # parts of the nominal model
 LAWS = frozenset(kind.id for kind in LIBRARY if kind.law)
+GEOMETRY = frozenset(kind.id for kind in LIBRARY if not kind.material and kind.transform is None)
 MEASURED = frozenset(kind.id for kind in LIBRARY if kind.needs == "load")  # effects that follow a measured column
 BROUGHT = {kind.id: frozenset(kind.brings) for kind in LIBRARY if kind.brings}
 INEXACT = 4.0  # prior: times the floor's power that a nominal model may leave of its own calibration
@@ -133,6 +134,7 @@ class Stacked:
         self.each: Flags = np.array([h.each for h in hypotheses])
         self.wandering = np.array([i for i, _ in told], dtype=int)  # of each row of `wander` its hypothesis
         self.wander = np.array([of for _, of in told]).reshape(-1, len(WANDERS))
+        self.geometry: Flags = np.array([of.id in GEOMETRY for h in hypotheses for of in h.wanders], dtype=bool)
         self._beyond: list[int] = []  # of each hypothesis the row of what is left beyond its stages; none: -1
         rows: dict[bytes, int] = {}  # hypotheses of one stage leave the same
         power, count = [], []

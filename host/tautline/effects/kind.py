@@ -82,6 +82,7 @@ class Kind:
     course: Callable[[Mapping[str, float], float], float] | None = None  # over the session's time, s: how much of it
     event: Event | None = None
     law: bool = False  # the same equations everywhere: rigid motion, time
+    material: bool = False  # of friction or a tendon's material, which no equation has exactly
     nominal: bool = False  # a recalibration has it already where it holds in all recordings
     posture: bool = False  # another posture, tension or homing changes it, together with others of the kind
     contains: tuple[str, ...] = ()  # effects that it can do too

@@ -9,6 +9,7 @@ EFFECTS = (
             Parameter("asymmetry_form", "", 1.0, (1.0, 2.0), low=0.5, high=4.0),
         ),
         says="after turning one way the tip starts late and catches up",
+        material=True,
         undone=True,
         tell="Reversals one way show their onset later than those the other way, then the tip catches up; a B(q) that "
         "is only wide does the same to both.",

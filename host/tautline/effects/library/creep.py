@@ -9,6 +9,7 @@ EFFECTS = (
             Parameter("creep_slow", "", 0.3, (0.0, 0.5), low=0.0, high=1.0),
         ),
         says="the tip goes on moving after the motor stops",
+        material=True,
         contains=("transmission.lag",),
         undone=True,
         tell="After the motor stops the tip goes on for seconds, or back where a tendon stretches under its load, and "

@@ -30,6 +30,7 @@ EFFECTS = (
             Parameter("drift_from", "s", 20.0, (0.0,), low=0.0),
         ),
         says="width or offset changes with time",
+        material=True,
         tell="The gap grows with time, whatever the motion is, also with the motor at one place again.",
         mend="Warm the instrument up, check the tendon's clamps, calibrate again; taut track follows it while in use.",
         holds=_drifted,

@@ -6,6 +6,7 @@ EFFECTS = (
         (Parameter("lag", "s", 0.02, low=0.0),),
         (Parameter("lag_second", "", 0.2, (0.0, 0.5), low=0.0, high=0.5),),
         says="the tip lags, viscous, first order",
+        material=True,
         undone=True,
         tell="The gap goes with speed, has its sign, and is gone when the motor rests; a wrong delay does that too, "
         "but also moves the images of other axes.",

@@ -9,6 +9,7 @@ EFFECTS = (
             Parameter("offset_per_load", "unit/mNm", 2e-4),
         ),
         says="width, gain or offset follow the load",
+        material=True,
         undone=True,
         tell="Two loads have two curves. It needs load_mNm in motor.csv, and a third load or the first one again tells "
         "it from a drift.",

@@ -10,6 +10,7 @@ EFFECTS = (
             Parameter("width_held", "", 1.0, (0.0, 1.0), searched=True),
         ),
         says="the width grows with speed",
+        material=True,
         undone=True,
         tell="The same reversal is wider when it is driven faster.",
         mend="Calibrate at the speed of use, or drive more slowly through reversals.",

@@ -7,6 +7,7 @@ EFFECTS = (
         (Parameter("onset_spread", "", 0.2, probe=2.5, low=0.0, high=2.0),),
         (Parameter("onset_tail", "", 0.5, (0.0, 1.0), low=0.0, high=1.3),),
         says="motion starts gradually instead of at a corner",
+        material=True,
         undone=True,
         brings=("transmission.backlash",),
         tell="After a reversal the tip starts slowly and reaches its slope over a way comparable to B: 'Some onsets "
