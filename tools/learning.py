@@ -1,10 +1,10 @@
 """python -m tools.learning CAMPAIGN...: learns how right and wrong hypotheses behave from blind tuning campaigns.
 
-Of each generator the hyperparameters that make the truth likeliest, held together by what they have in common (maximum
-a posteriori, their spread by expectation maximisation); of a family of generators that was left out what that says; and
-how much of the probability a set must hold for the right effect to be in it, by split-conformal quantiles over what was
-left out. --write puts the result where `taut diagnose` reads it. --claims tells alone how far apart what an unseen
-motion leaves is from what was claimed, and how often what the other families learn of that covers a family's.
+The hyperparameters that make the truth likeliest (maximum a posteriori about what was set by hand; generators weigh as
+their cases do); of a family of generators that was left out what that says; and how much of the probability a set must
+hold for the right effect to be in it, by split-conformal quantiles over what was left out. --write puts the result
+where `taut diagnose` reads it. --claims tells alone how far apart what an unseen motion leaves is from what was
+claimed, and how often what the other families learn of that covers a family's.
 """
 
 from __future__ import annotations
@@ -49,8 +49,7 @@ START = Hyperparameters(
     wanders=0.01, wanders_material=0.08, disturbed=0.03,
 )  # fmt: skip  # docs/diagnosis.md says why
 _PRIOR = 0.7  # spread of a logarithm about START
-_UNLIKE, _UNLIKE_WORTH = 0.3, 2.0  # spread between generators expected, and of how many generators that is worth
-_ROUNDS, _STEPS, _MOST, _STEP = 2, 15, 22, 0.02  # most: slopes in a round, where a kink stops a search
+_STEPS, _MOST, _STEP = 25, 35, 0.02  # most: slopes asked for, where a kink stops a search
 _FLAT = 1e-4  # of a loss: a further step gains less
 _LEAST = 0.01  # of a truth's probability: no case says more than that all is wrong
 _MIX = {NONE: 0.25, UNEXPLAINED: 0.25}  # of a generator's weight; the rest is of effects
@@ -179,63 +178,35 @@ def weights_of(cases: Sequence[Case]) -> Array:
 
 
 def learn(cases: Sequence[Case], jobs: int = 1) -> Learnt:
-    """`covers` as it would be were all known. What generators have in common and how each differs from it are found
-    together, in units of their own priors; how far they differ by expectation maximisation: what each has is known as
-    far as its cases tell (Laplace's approximation, by their slopes)."""
-    generators = sorted({case.generator for case in cases})
-    mine = [[i for i, case in enumerate(cases) if case.generator == name] for name in generators]
-    weights = [weights_of([cases[i] for i in which]) for which in mine]
-    start: Array = START.logarithms()
-    at: Array = np.zeros((1 + len(generators), len(start)))  # of the common one, then of each generator
-    variance: Array = np.full(len(start), _UNLIKE**2)
+    """The likeliest hyperparameters, by their logarithms' steps from START in _PRIOR. `covers` as it would be were all
+    known."""
+    generators = [case.generator for case in cases]
+    weight = np.zeros(len(cases))
+    for name in set(generators):
+        mine = [i for i, generator in enumerate(generators) if generator == name]
+        weight[mine] = weights_of([cases[i] for i in mine])
     with _sloping(cases, jobs) as slopes:
-        for _ in range(_ROUNDS):
-            at = _likeliest(slopes, list(zip(mine, weights, strict=True)), at, np.sqrt(variance))
-            own = start + _PRIOR * at[0] + np.sqrt(variance) * at[1:]
-            squares = variance * np.sum(at[1:] ** 2, axis=0)
-            for which, weight, of in zip(mine, weights, own, strict=True):
-                each = slopes(which, of)[:, 1:]
-                squares += np.diag(np.linalg.inv((weight * each.T) @ each + np.diag(1.0 / variance)))
-            last, variance = variance, (_UNLIKE_WORTH * _UNLIKE**2 + squares) / (_UNLIKE_WORTH + len(generators))
-            at[1:] *= np.sqrt(last / variance)
-    return Learnt(Hyperparameters.of_logarithms(start + _PRIOR * at[0]), np.sqrt(variance), _COVERS)
 
+        def loss(steps: Array) -> tuple[float, Array]:
+            summed = weight @ slopes(START.logarithms() + _PRIOR * steps)
+            return float(summed[0] + 0.5 * steps @ steps), _PRIOR * summed[1:] + steps
 
-def _likeliest(
-    slopes: Callable[[Sequence[int], Array], Array],
-    groups: Sequence[tuple[Sequence[int], Array]],
-    at: Array,
-    spread: Array,
-) -> Array:
-    """(1 + groups, hyperparameters) The likeliest steps from `at`: first of what all groups of cases (their numbers and
-    weights) have in common, in _PRIOR from START, then of what each differs by, in `spread`."""
-
-    def loss(flat: Array) -> tuple[float, Array]:
-        steps = flat.reshape(at.shape)
-        common = START.logarithms() + _PRIOR * steps[0]
-        value, slope = 0.5 * float(flat @ flat), steps.copy()
-        for i, (which, weight) in enumerate(groups, start=1):
-            summed = weight @ slopes(which, common + spread * steps[i])
-            value += float(summed[0])
-            slope[0] += _PRIOR * summed[1:]
-            slope[i] += spread * summed[1:]
-        return value, slope.ravel()
-
-    found = minimize(
-        loss, at.ravel(), jac=True, method="L-BFGS-B", options={"maxiter": _STEPS, "maxfun": _MOST, "ftol": _FLAT}
-    )
-    return np.asarray(found.x.reshape(at.shape))
+        nothing = np.zeros(len(NAMES))
+        options = {"maxiter": _STEPS, "maxfun": _MOST, "ftol": _FLAT}
+        found = minimize(loss, nothing, jac=True, method="L-BFGS-B", options=options).x
+    return Learnt(Hyperparameters.of_logarithms(START.logarithms() + _PRIOR * found), _COVERS)
 
 
 @contextmanager
-def _sloping(cases: Sequence[Case], jobs: int) -> Iterator[Callable[[Sequence[int], Array], Array]]:
-    """Loss and derivatives of cases by their numbers, a row each; every process keeps what it has stacked."""
+def _sloping(cases: Sequence[Case], jobs: int) -> Iterator[Callable[[Array], Array]]:
+    """Loss and derivatives of all cases, a row each; every process keeps what it has stacked."""
+    count = len(cases)
     if jobs == 1:
         stacked = [Stacked(case.evidence) for case in cases]
-        yield lambda which, at: np.array([_slopes(cases[i], stacked[i], at) for i in which])
+        yield lambda at: np.array([_slopes(*each, at) for each in zip(cases, stacked, strict=True)])
         return
     with ProcessPoolExecutor(jobs, initializer=_take, initargs=(cases,)) as pool:
-        yield lambda which, at: np.array(list(pool.map(_slopes_of_taken, which, [at] * len(which), chunksize=4)))
+        yield lambda at: np.array(list(pool.map(_slopes_of_taken, range(count), [at] * count, chunksize=4)))
 
 
 _taken: list[tuple[Case, Stacked]] = []  # by a worker
@@ -394,7 +365,7 @@ def main(
     everything = learn(learnable, jobs)
     covers = conformal(unseen) if unseen else _COVERS
     everything = replace(everything, covers=covers, **both(claims(campaigns)))
-    started = Learnt(START, np.zeros(len(NAMES)), _COVERS)
+    started = Learnt(START, _COVERS)
 
     def tell(name: str, cases: Sequence[Case], ways: Mapping[str, Learnt]) -> None:
         for way, learnt in ways.items():

@@ -210,7 +210,7 @@ def test_b_is_as_uncertain_as_its_fit_beside_another_amplitude_is_off() -> None:
     found = fit.solve(Curves(width, project(RIG, 11.0 * fit.follow.centres), RIG.delay_s, values))
     held = replace(fit, fit_beside=False, smoothing=dict(fit.smoothing))
     amplitudes = beside.amplitudes(found.curves.beside)
-    other = found.curves.beside + learnt().center.wanders * amplitudes
+    other = found.curves.beside + learnt().center.wanders_material * amplitudes
     beside_it = held.solve(replace(found.curves, beside=other), adapt=False)
     at = Q[np.abs(Q) < 3.0]
     shift = np.abs(np.interp(at, fit.grid, fit.width(beside_it.curves) - fit.width(found.curves)))

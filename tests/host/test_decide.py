@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tautline.diagnosis.decide import Decision, _next_to_name, decide, that_help
-from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.hypotheses import Beyond, CaseEvidence, Wander, Weighed
 from tautline.plain import plain
 
@@ -39,7 +38,7 @@ def test_the_effect_that_leaves_little_is_named():
     found = evidence({(LAG,): 0.005, (CREEP,): 0.6, (DRIFT,): 0.9})
     verdict = decide(found)
     assert verdict.name == "effect" and verdict.named == (LAG,) and verdict.ambiguous() == [LAG]
-    assert decide(found, learnt().typical).leading[LAG] > 0.9
+    assert verdict.leading[LAG] > 0.9
 
 
 def test_effects_that_all_leave_much_are_unknown():
@@ -276,7 +275,9 @@ def test_an_effect_whose_amplitude_is_another_elsewhere_is_an_imitation(off, kno
     assert verdict.name == says and (verdict.leading[LAG] > 0.9) == (says == "effect")
 
 
-@pytest.mark.parametrize(("name", "says"), [(LAG, "effect"), ("camera.distortion", "unknown"), ("transmission.offset", "unknown")])
+@pytest.mark.parametrize(
+    ("name", "says"), [(LAG, "effect"), ("camera.distortion", "unknown"), ("transmission.offset", "unknown")]
+)
 def test_friction_is_a_little_another_elsewhere_and_geometry_is_not(name, says):
     found = evidence({(name,): 0.0001, (CREEP,): 0.6, (DRIFT,): 0.9})
     verdict = decide(wandering(found, {(name,): (amplitude(name, 0.12, 0.005),)}))

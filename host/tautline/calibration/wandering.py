@@ -23,10 +23,10 @@ Array = npt.NDArray[np.float64]
 
 
 def _share(fitted: Fitted) -> float:
-    """Of itself, by which the effects' amplitude is another elsewhere (one standard deviation). At an end of its range
-    the fit says nothing of a value: it may be as without the effect."""
+    """Of itself, by which the effects' amplitude is another elsewhere (one standard deviation), whatever they are as
+    much as friction's. At an end of its range the fit says nothing of a value: it may be as without the effect."""
     beside, values = fitted.beside
-    return 1.0 if beside.ended(values) else learnt().center.wanders
+    return 1.0 if beside.ended(values) else learnt().center.wanders_material
 
 
 def allowing_for_wander(fitted: Fitted) -> Fitted:

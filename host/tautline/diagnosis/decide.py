@@ -69,12 +69,11 @@ class Decision:
 
 def decide(evidence: CaseEvidence, by: Learnt | None = None) -> Decision:
     """The probabilities of none, of unknown and of each effect to lead, and which effects are named. by: the
-    hyperparameters, the learnt ones by default; probabilities are averaged over their spread between instruments."""
+    hyperparameters, the learnt ones by default."""
     by = by or learnt()
     case = Stacked(evidence)
     weights = Likelihoods(case, by.center)
-    of_draws = [Likelihoods(case, drawn) for drawn in by.draws()] if by.spread.any() else [weights]
-    p = np.mean([_posterior(drawn) for drawn in of_draws], axis=0)
+    p = _posterior(weights)
     best = {key: max(of, key=lambda i: (p[i], weights.of[i])) for key, of in case.same.items()}
     for key, of in case.same.items():
         p[best[key]], p[[i for i in of if i != best[key]]] = p[of].sum(), 0.0

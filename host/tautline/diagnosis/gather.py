@@ -221,7 +221,7 @@ class _Weighing:
         counts here. None where there is no such hypothesis."""
         evidence = self.evidence()
         anyhow = tuple(replace(h, beyond=None, wanders=()) for h in evidence.hypotheses)
-        verdict = decide.decide(replace(evidence, hypotheses=anyhow), learnt().typical)
+        verdict = decide.decide(replace(evidence, hypotheses=anyhow))
         for i in np.argsort(-verdict.posterior):
             ids = self.candidates[i].ids
             if len(ids) != size or ids in self._extended:

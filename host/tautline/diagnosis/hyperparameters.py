@@ -1,24 +1,22 @@
-"""How right and wrong hypotheses behave: learnt on blind cases of several generators (tools/learning), each of which
-has its own way. What a new instrument has is drawn from how they differ."""
+"""How right and wrong hypotheses behave: set by hand and learnt on blind cases of several generators
+(tools/learning)."""
 
 from __future__ import annotations
 
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from functools import cache
 from importlib import resources
 
 import numpy as np
 import numpy.typing as npt
 import tomli_w
-from scipy import stats
 
 Array = npt.NDArray[np.float64]
 
 FILE = "hyperparameters.toml"
-_DRAWS = 8  # tolerance: of what a new instrument may have
 
 
 @dataclass(frozen=True)
@@ -64,7 +62,6 @@ _SHARES = frozenset(
 @dataclass(frozen=True)
 class Learnt:
     center: Hyperparameters
-    spread: Array  # standard deviation of each one's logarithm between instruments
     covers: float  # share of the effects' probability that a set must hold so that it has the right one in 95 %
     elsewhere: tuple[float, float] = (
         0.0,
@@ -72,37 +69,22 @@ class Learnt:
     )  # 5 and 95 % of gap.normalised_excess on unseen motions
     later: tuple[float, float] = (0.0, 0.0)  # the same where something goes with time: another motion is later
 
-    def draws(self) -> list[Hyperparameters]:
-        """Hyperparameters of hypothetical instruments, a fixed sample of the learnt distribution."""
-        center = self.center.logarithms()
-        if not self.spread.any():
-            return [self.center]
-        points = stats.qmc.Sobol(len(center), rng=np.random.default_rng(0)).random(_DRAWS)
-        return [Hyperparameters.of_logarithms(center + self.spread * step) for step in stats.norm.ppf(points)]
-
-    @property
-    def typical(self) -> Learnt:
-        """Of a known instrument: one draw."""
-        return replace(self, spread=np.zeros_like(self.spread))
-
     def to_toml(self, cases: Mapping[str, int]) -> str:
         """As TOML text. cases: how many of each generator it was learnt on."""
         center = {name: float(f"{value:.4g}") for name, value in asdict(self.center).items()}
-        spread = {name: float(f"{value:.3g}") for name, value in zip(NAMES, self.spread, strict=True)}
         learnt_on = {"cases": dict(cases), "covers": float(f"{self.covers:.4g}")}
         ends = {
             name: [float(f"{end:.3g}") for end in of]
             for name, of in (("elsewhere", self.elsewhere), ("later", self.later))
         }
-        return tomli_w.dumps({**learnt_on, **ends, "center": center, "spread": spread})
+        return tomli_w.dumps({**learnt_on, **ends, "center": center})
 
     @classmethod
     def of_toml(cls, document: Mapping[str, object]) -> Learnt:
-        center, spread = document["center"], document["spread"]
-        assert isinstance(center, dict) and isinstance(spread, dict) and isinstance(document["covers"], float)
-        of_each = np.array([spread[name] for name in NAMES])
+        center = document["center"]
+        assert isinstance(center, dict) and isinstance(document["covers"], float)
         elsewhere, later = _ends(document["elsewhere"]), _ends(document["later"])
-        return cls(Hyperparameters(**center), of_each, document["covers"], elsewhere, later)
+        return cls(Hyperparameters(**center), document["covers"], elsewhere, later)
 
 
 def _ends(of: object) -> tuple[float, float]:
