@@ -149,7 +149,7 @@ def _without(folder: Path) -> Iterator[tuple[Path, Mapping[str, Any]]]:
     """Folders of what was said without a case's effect in the library, and the campaign's line of each."""
     if (folder / RESULT).exists():
         for line in json.loads((folder / RESULT).read_text())["each"]:
-            if line["kind"] == "left out":
+            if line["kind"] == "left out" and not BY_ID[line["effects"][0]].nominal:
                 yield folder / WITHOUT / line["name"], line
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from tautline.effects import BY_ID
 from tautline.errors import TautError
 from tautline.pool import Pool
 from tools.blindtest import sealed, work
@@ -154,11 +155,12 @@ def left_out(
     progress: Progress,
     stopped: bool = False,
 ) -> list[dict[str, Any]]:
-    """Records of `found`'s single cases diagnosed again by a library that lacks their effect: unknown is right.
-    `stopped`: only of those that are already."""
+    """Records of `diagnosed`'s single cases diagnosed again by a library that lacks their effect: unknown is right.
+    Parts of the nominal model are no effects that a library could lack: a recalibration has them. `stopped`: only of
+    those that are already."""
     campaign = sealed.Campaign(folder)
     ranked: list[tuple[int, Mapping[str, Any]]] = []
-    for effect in KNOWN:
+    for effect in (name for name in KNOWN if not BY_ID[name].nominal):
         mine = [r for r in diagnosed if r["label"]["effects"] == [effect] and r["label"]["identifiable"]]
         ranked += enumerate(mine[: order.leave_one_out])
     folder = folder / WITHOUT

@@ -49,7 +49,8 @@ def announcing(progress: Progress) -> Progress:
 @click.option(
     "--leave-one-out",
     type=click.IntRange(0),
-    help="Of each known effect's cases: how many are also diagnosed without it in the library. Default: 10, "
+    help="Of each known effect's cases: how many are also diagnosed without it in the library (parts of the nominal "
+    "model are none: a recalibration has them). Default: 10, "
     "0 with --quick or --only.",
 )
 @click.option(
