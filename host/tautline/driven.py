@@ -21,6 +21,7 @@ _NO_NOISE = 1e-3  # tolerance: of a step: less is none
 _LEAST_NOISE = 0.2  # of a step, to begin with
 _RARER = 0.1  # times the square of the usual change, a sweep
 _RAREST = 1e-9  # tolerance: square of the usual change in a node's time, of a step: what double precision carries
+_NONE = 1e-2  # tolerance: of the largest jump of speed between two readings: none
 _SWEEPS = 48  # at most
 _SETTLED = 1e-3  # tolerance: log probability of a reading that one more sweep must bring
 
@@ -58,7 +59,8 @@ def driven(t_s: Array, q: Array, step: float, *, rounded: bool, order: int = 2) 
     mean[[0, -1]] += ends * np.diff(mean)[[0, -1]] / np.diff(nodes)[[0, -1]]
     nodes[[0, -1]] += ends
     if order == 2:
-        nodes, mean, sigma = _corners_placed(nodes, mean, sigma)
+        shows = _shows_corners(nodes, mean, parts)
+        nodes, mean, sigma = _corners_placed(nodes[shows], mean[shows], sigma[shows])
     noise = step * found.noise * float(np.sqrt(len(q) / size))
     return Driven(nodes, zero + step * mean, step * sigma, noise, order)
 
@@ -78,7 +80,8 @@ def _fitted_path(order: int, steps: Array, reading: Array, read: npt.NDArray[np.
     probability counts. steps (n - 1): intervals between nodes over the usual one; reading (n,) in the encoder's steps,
     where `read` is 1."""
     size, seen = len(reading), np.flatnonzero(read)
-    noise = max(white_noise(reading[seen]), _LEAST_NOISE if rounded else _NO_NOISE)
+    times = np.concatenate([[0.0], np.cumsum(steps)])
+    noise = max(white_noise(times[seen], reading[seen]), _LEAST_NOISE if rounded else _NO_NOISE)
     state = np.interp(np.arange(size), seen, reading[seen])
     precision = read / (noise**2 + (1.0 / 12.0 if rounded else 0.0))
     force = precision * reading
@@ -100,6 +103,22 @@ def _fitted_path(order: int, steps: Array, reading: Array, read: npt.NDArray[np.
     return best
 
 
+def _shows_corners(t_s: Array, q: Array, parts: int) -> npt.NDArray[np.bool_]:
+    """Whether each node shows where a jump of speed is: all but those on a straight line between two others of the same
+    interval of readings that jump, as they do where times are uneven. parts: of nodes for each interval of readings."""
+    shows = np.ones(len(t_s), dtype=bool)
+    if parts < 2:
+        return shows
+    jump = np.zeros(len(t_s))
+    jump[1:-1] = np.abs(np.diff(np.diff(q) / np.diff(t_s)))
+    of = np.column_stack([jump[:-1].reshape(-1, parts), jump[parts::parts]])
+    jumps = of >= _NONE * of.max(axis=1, keepdims=True)
+    before = np.logical_or.accumulate(jumps, axis=1)
+    after = np.logical_or.accumulate(jumps[:, ::-1], axis=1)[:, ::-1]
+    shows[:-1].reshape(-1, parts)[:, 1:] = (jumps | ~(before & after))[:, 1:-1]
+    return shows
+
+
 def _corners_placed(t_s: Array, q: Array, sigma: Array) -> tuple[Array, Array, Array]:
     """Moves each jump of speed, which shows at the nodes on either side of it, to where the lines beside it meet.
     Times, positions and sigmas."""
@@ -115,12 +134,26 @@ def _corners_placed(t_s: Array, q: Array, sigma: Array) -> tuple[Array, Array, A
     return np.delete(t_s, left + 1), np.delete(q, left + 1), np.delete(sigma, left + 1)
 
 
-def white_noise(q: Array) -> float:
-    """Standard deviation of white noise on readings (n,) of a smooth motion, their unit, by third differences; 0 for
-    fewer than four."""
-    third = np.diff(q, 3)
-    # The median of a chi-squared variable is 0.455, and 20 the sum of a third difference's squares.
-    return float(np.sqrt(np.median(third**2) / 0.455 / 20.0)) if len(third) else 0.0
+def third_differences(t_s: Array, q: Array) -> tuple[Array, Array]:
+    """Of each four neighbouring readings q (n,) at rising times t_s (n,) the combination that any parabola of time is
+    without: its factors (n - 3, 4), whose squares sum to 1, and what it comes to (n - 3,), which is as white noise
+    is."""
+    if len(q) < 4:
+        return np.zeros((0, 4)), np.zeros(0)
+    four = np.lib.stride_tricks.sliding_window_view(t_s, 4)
+    apart = four[:, :, None] - four[:, None, :] + np.eye(4)
+    # Of a divided difference times the product of all gaps, so that readings next to each other divide by no zero.
+    away = np.prod(apart, axis=2)
+    factors = np.prod(np.where(np.eye(4, dtype=bool), 1.0, away[:, None, :]), axis=2)
+    factors /= np.maximum(np.sqrt(np.sum(factors**2, axis=1)), 1e-300)[:, None]
+    return factors, np.sum(factors * np.lib.stride_tricks.sliding_window_view(q, 4), axis=1)
+
+
+def white_noise(t_s: Array, q: Array) -> float:
+    """Standard deviation of white noise on readings q (n,) of a smooth motion at rising times t_s (n,), their unit, by
+    third differences; 0 for fewer than four."""
+    third = third_differences(t_s, q)[1]
+    return float(np.sqrt(np.median(third**2) / 0.455)) if len(third) else 0.0  # 0.455: a chi-squared's median
 
 
 def _block_means(t_s: Array, q: Array) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy.linalg import solveh_banded
 
 from tautline import _native
-from tautline.driven import Driven, driven, white_noise
+from tautline.driven import Driven, driven, third_differences, white_noise
 from tautline.encoder_steps import CHANGES, REST_S, Rest, Steps, rests_and_turns, steps_of, stopped
 from tautline.independence import stretches
 from tautline.recording import Motor
@@ -50,9 +50,9 @@ def between_counts(motor: Motor, resolution: float) -> Motor:
 def _between_and_steps(motor: Motor, resolution: float) -> tuple[Motor, Steps | None]:
     """`between_counts`, and the encoder's steps where the readings have some that tell stops and turns."""
     steps = steps_of(motor, resolution)
-    noise = white_noise(motor.q) / (resolution if steps is None else steps.count)
+    noise = white_noise(motor.t_s, motor.q) / (resolution if steps is None else steps.count)
     if (noise > _SCATTERS and not swings(motor)) or _skips_counts(motor, steps):
-        return replace(motor, q=_smoothed(motor.q)), steps if noise < _OWN_STEPS else None
+        return replace(motor, q=_smoothed(motor.t_s, motor.q)), steps if noise < _OWN_STEPS else None
     if steps is None:
         return motor, None
     t, counts = motor.t_s, steps.counts
@@ -81,27 +81,28 @@ def _between_and_steps(motor: Motor, resolution: float) -> tuple[Motor, Steps | 
 
 def swings(motor: Motor) -> bool:
     """Whether the motor itself oscillates from sample to sample: neighbouring third differences are correlated by -3/4
-    for white noise, more negatively for such a motor."""
+    for white noise at even times, more negatively for such a motor."""
     return _third_difference_score(motor) < -_CLEARLY
 
 
 def _third_difference_score(motor: Motor) -> float:
-    """The correlation of neighbouring third differences less that of white noise (-3/4), in standard errors: negative
+    """The correlation of neighbouring third differences less that of white noise, in standard errors: negative
     where the motor oscillates, far above 0 where it only bends; 0 for too few."""
-    third = np.diff(motor.q, 3)
+    factors, third = third_differences(motor.t_s, motor.q)
     if len(third) < _FEWEST:
         return 0.0
     usual = float(np.sqrt(np.median(third**2) / 0.455))
     third = np.clip(third, -4.0 * usual, 4.0 * usual)
     together = float(third[1:] @ third[:-1]) / max(float(third @ third), 1e-30)
-    return float((together + 0.75) * np.sqrt(len(third)))
+    of_noise = float(np.mean(np.sum(factors[:-1, 1:] * factors[1:, :-1], axis=1)))
+    return float((together - of_noise) * np.sqrt(len(third)))
 
 
 def count_of(motor: Motor, resolution: float) -> float:
     """The encoder's step as the readings show it, their unit; where they have no steps sqrt(12) times their noise (a
     step of that size scatters as much), at most the rig's step."""
     steps = steps_of(motor, resolution)
-    return min(resolution, float(np.sqrt(12.0)) * white_noise(motor.q)) if steps is None else steps.count
+    return min(resolution, float(np.sqrt(12.0)) * white_noise(motor.t_s, motor.q)) if steps is None else steps.count
 
 
 def _skips_counts(motor: Motor, encoder: Steps | None) -> bool:
@@ -118,33 +119,33 @@ def _skips_counts(motor: Motor, encoder: Steps | None) -> bool:
 
 
 def between_samples(motor: Motor) -> float:
-    """How far straight lines between samples may be from the motor's path, its unit: the sagitta (an eighth of the
-    second difference) at its sharpest bends above the noise; infinite for fewer than five readings."""
-    bend = np.abs(np.diff(motor.q, 2)) / 8.0
-    if len(bend) < 3:
+    """How far straight lines between samples may be from the motor's path, its unit: the sagitta (a quarter of what a
+    reading is off the line between its neighbours) at its sharpest bends above the noise; infinite for fewer than five
+    readings."""
+    t_s, q = motor.t_s, motor.q
+    if len(q) < 5:
         return float("inf")
-    return float(max(float(np.quantile(bend, 0.98)) - 2.0 * white_noise(motor.q), 0.0))
+    share = (t_s[1:-1] - t_s[:-2]) / (t_s[2:] - t_s[:-2])
+    bend = np.abs(q[1:-1] - q[:-2] - share * (q[2:] - q[:-2])) / 4.0
+    return float(max(float(np.quantile(bend, 0.98)) - 2.0 * white_noise(motor.t_s, motor.q), 0.0))
 
 
-def _smoothed(q: Array) -> Array:
-    """Readings (n,) by Whittaker's smoother with third differences, its strength by generalised cross-validation, in
-    which `wave`, the penalty's spectrum, stands for the smoother's trace. Fewer than 12 stay as they are."""
+def _smoothed(t_s: Array, q: Array) -> Array:
+    """Readings q (n,) at rising times t_s (n,) by Whittaker's smoother with third differences, its strength by
+    generalised cross-validation, in which `wave`, the penalty's spectrum at even times, stands for the smoother's
+    trace. Fewer than 12 stay as they are."""
     n = len(q)
     wave = (2.0 - 2.0 * np.cos(np.pi * (np.arange(512) + 0.5) / 512)) ** 3
     best, least = q, np.inf
     if n < 12:
-        return q  # both ends of the penalty need six readings
+        return q
+    factors = np.sqrt(20.0) * third_differences(t_s, q)[0]  # of -1, 3, -3, 1 at even times
+    bent = np.zeros((4, n))
+    for i in range(4):
+        for j in range(i, 4):
+            bent[3 - (j - i), j : n - 3 + j] += factors[:, i] * factors[:, j]
     for stiff in np.logspace(0, 12, 13):
-        system = np.zeros((4, n))
-        for offset, factor in enumerate((20.0, -15.0, 6.0, -1.0)):
-            system[3 - offset, offset:] = stiff * factor
-        # The ends have fewer differences.
-        ends = np.diff(np.eye(6), 3, axis=0)
-        corner = stiff * (ends.T @ ends)
-        for i in range(3):
-            for j in range(i, min(i + 4, 6)):
-                system[3 - (j - i), j] = corner[i, j]
-                system[3 - (j - i), n - 1 - i] = corner[i, j]
+        system = stiff * bent
         system[3] += 1.0
         smooth = np.asarray(solveh_banded(system, q))
         spent = float(np.mean(1.0 / (1.0 + stiff * wave)))
@@ -208,7 +209,7 @@ def posterior_of(motor: Motor, resolution: float) -> Driven | None:
 
 def _posterior(motor: Motor, resolution: float) -> Driven | None:
     """As `posterior_of`, which keeps its result."""
-    steps, noise = steps_of(motor, resolution), white_noise(motor.q)
+    steps, noise = steps_of(motor, resolution), white_noise(motor.t_s, motor.q)
     unsure = noise if steps is None else steps.count
     if len(motor.q) < CHANGES[0] or unsure <= _EXACTLY * float(np.ptp(motor.q)):
         return None

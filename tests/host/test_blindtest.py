@@ -87,6 +87,9 @@ def test_a_small_campaign_is_scored_as_counted_by_hand():
     rows, columns, counts = scores.confusion([*cases, (label("unknown", "heartbeat"), said("unknown"))])
     assert rows == [LAG, CREEP, "zoom", "heartbeat", "none"]  # a generator's own
     assert counts[3, columns.index("unknown")] == 1 and counts.sum() == 7
+    slip = "transmission.slip"  # no case is made of it, and a campaign ended in an internal error where it was named
+    _, columns, counts = scores.confusion([*cases, (label("single", LAG), said(slip, slip))])
+    assert counts[0, columns.index(slip)] == 1 and counts.sum() == 7
 
 
 def test_scores_by_how_much_a_recalibration_leaves():

@@ -11,7 +11,7 @@ from angle_plant import RIG, Motion, record, tip, width
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tautline import _native
+from tautline import _native, encoder
 from tautline.calibration.calibrate import Calibration, calibrate
 from tautline.calibration.observations import observe
 from tautline.core.motor import MotorPath
@@ -93,7 +93,7 @@ def test_noise_of_readings_is_no_motion_and_its_size_is_found(seed, noise, every
     motion = jerky(rng, 10, 4.0, 10.0, 0.3)
     t_s, true = motion.t_s[::every], motion.q[::every]
     q = true + rng.normal(0.0, noise, len(true))
-    path = driven(t_s, q, white_noise(q), rounded=False)
+    path = driven(t_s, q, white_noise(t_s, q), rounded=False)
     off = np.interp(t_s, path.t_s, path.q) - true
     assert path.noise == pytest.approx(noise, rel=0.1)
     assert np.sqrt(np.mean(off**2)) < 0.35 * noise
@@ -179,7 +179,7 @@ def test_a_bent_command_is_no_noise(readings):
     readings nobody can tell."""
     t_s = 0.02 * np.arange(readings)
     q = 30.0 * np.sin(3.0 * t_s) * np.cos(0.4 * t_s)
-    assert white_noise(q) > 1e-5 * np.ptp(q)
+    assert white_noise(t_s, q) > 1e-5 * np.ptp(q)
     path = MotorPath.of(Motor(t_s, q), 0.088)
     np.testing.assert_allclose(path.at(t_s), q, atol=1e-9)
     if readings < 100:
@@ -225,3 +225,59 @@ def test_calibration_and_prediction_have_one_motion_of_it():
     np.testing.assert_allclose(track.motor_at(at), path.at(at), atol=1e-9)
     whole = MotorPath.of(replace(recording.motor), COUNT)
     assert np.array_equal(whole.lines.q, path.lines.q)  # the same readings, the same path
+
+
+def times(rng: np.random.Generator, size: int, uneven: float) -> np.ndarray:
+    """About 10 ms apart, each gap another by up to this share of it."""
+    return np.cumsum(0.01 * (1.0 + uneven * rng.uniform(-1.0, 1.0, size)))
+
+
+@given(seed=st.integers(0, 1000), uneven=st.floats(0.0, 0.95), noise=st.floats(1e-3, 1.0))
+def test_noise_is_told_at_uneven_times(seed, uneven, noise):
+    """Of a parabola of time nothing is noise, however its readings come; at even times third differences tell."""
+    rng = np.random.default_rng(seed)
+    t_s = times(rng, 2000, uneven)
+    way = 3.0 + 40.0 * t_s - 2.0 * t_s**2
+    assert white_noise(t_s, way) < 1e-6
+    readings = way + rng.normal(0.0, noise, len(way))
+    assert white_noise(t_s, readings) == pytest.approx(noise, rel=0.25)
+    even = 0.01 * np.arange(len(way))
+    third = np.diff(readings, 3)
+    assert white_noise(even, readings) == pytest.approx(float(np.sqrt(np.median(third**2) / 0.455 / 20.0)), rel=1e-6)
+
+
+@given(seed=st.integers(0, 1000), uneven=st.floats(0.0, 0.9))
+def test_readings_at_uneven_times_are_smoothed_as_at_even_ones(seed, uneven):
+    """Noise of a count's tenth on a turn: less than half of it is left, and nothing of the uneven times is added."""
+    rng = np.random.default_rng(seed)
+    t_s = times(rng, 600, uneven)
+    way = 5.0 * np.sin(2.0 * t_s)
+    readings = way + rng.normal(0.0, 0.1, len(way))
+    left = encoder._smoothed(t_s, readings) - way
+    assert np.std(left) < 0.05
+
+
+@pytest.mark.parametrize("uneven", [0.0, 0.9])
+def test_lines_between_uneven_samples_are_as_far_off_as_their_gaps_let_them(uneven):
+    t_s = times(np.random.default_rng(2), 3000, uneven)
+    motor = Motor(t_s, 5.0 * np.sin(3.0 * t_s))
+    sharpest = 5.0 * 9.0 * (0.01 * (1.0 + uneven)) ** 2 / 8.0
+    assert 0.3 * sharpest < encoder.between_samples(motor) < 1.2 * sharpest
+
+
+def test_a_log_at_uneven_times_is_calibrated_as_one_at_even_times():
+    """Times that are true, as a program's loop takes them: B was right, and its sigma fifty times its error."""
+    said = []
+    for uneven in (0.0, 0.95):
+        recording = record(Motion.through(speed=7.37))
+        motor, rng = recording.motor, np.random.default_rng(3)
+        t_s = np.arange(0.01, motor.t_s[-1], 0.01)
+        t_s = t_s + 0.005 * uneven * rng.uniform(-1.0, 1.0, len(t_s))
+        log = Motor(t_s, np.round(np.interp(t_s, motor.t_s, motor.q) / 0.01) * 0.01)
+        said.append(calibrate([replace(recording, motor=log)], RIG).model)
+    even, other = said
+    assert even.quality.verdict == other.quality.verdict == "good"
+    sigmas = [model.width_sigma[(model.q >= model.measured[0]) & (model.q <= model.measured[1])] for model in said]
+    assert np.median(sigmas[1]) < 1.5 * np.median(sigmas[0])
+    inside = (other.q >= other.measured[0]) & (other.q <= other.measured[1])
+    assert np.max(np.abs(other.width - width(other.q))[inside]) < 0.01  # deg, a count

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
-from tautline.effects import EVENTS
+from tautline.effects import EVENTS, LIBRARY
 from tools.blindtest.cases import Label
 from tools.blindtest.draws import KNOWN, UNKNOWN
 
@@ -331,14 +331,16 @@ def confusion(cases: Sequence[tuple[Label, Answer]]) -> tuple[list[str], list[st
     """(rows, columns, counts): truths with one cause (those outside the library by their own name), verdicts."""
     outside = (label.effects[0] for label, _ in cases if label.kind == "unknown")  # each generator has its own
     rows = [*dict.fromkeys([*KNOWN, *UNKNOWN, *outside]), NONE]
-    columns = [*KNOWN, UNEXPLAINED, NONE, FAILED]
+    # The library has effects that no case is made of.
+    columns = [*dict.fromkeys([*KNOWN, *(kind.id for kind in LIBRARY)]), UNEXPLAINED, NONE, FAILED]
+    drawn = {*KNOWN, UNEXPLAINED, NONE}
     table = np.zeros((len(rows), len(columns)), dtype=int)
     for label, answer in cases:
         if label.kind in ("single", "unknown", "none") and counts(label):
             table[rows.index((*label.effects, NONE)[0]), columns.index(answer.verdict)] += 1
     filled = table.sum(axis=1) > 0
     rows = [name for name, there in zip(rows, filled, strict=True) if there]
-    filled_columns = (table.sum(axis=0) > 0) | [name != FAILED for name in columns]
+    filled_columns = (table.sum(axis=0) > 0) | [name in drawn for name in columns]
     columns = [name for name, there in zip(columns, filled_columns, strict=True) if there]
     return rows, columns, table[filled][:, filled_columns]
 

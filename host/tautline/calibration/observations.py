@@ -119,7 +119,7 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
     tracks = []
     for recording, session_s in zip(recordings, SessionClock.of(recordings).offset_s, strict=True):
         resolution = rig.actuator.encoder_resolution
-        noise = white_noise(recording.motor.q)
+        noise = white_noise(recording.motor.t_s, recording.motor.q)
         path = MotorPath.closely(recording.motor, resolution)
         marker, angle = recording.marker, recording.angle
         if marker is not None and rig.has_camera:
@@ -243,7 +243,7 @@ def noise_of(t: Array, y: Array, least: float) -> float:
 
 def turning_hysteresis(path: MotorPath, resolution: float, span: float) -> float:
     """Going back by no more than this is encoder dither, not a reversal (unit of q)."""
-    return float(max(3.0 * resolution, 8.0 * white_noise(path.sampled.q), 1e-3 * span))
+    return float(max(3.0 * resolution, 8.0 * white_noise(path.sampled.t_s, path.sampled.q), 1e-3 * span))
 
 
 def corners(motor: Motor) -> tuple[Array, Array]:
