@@ -75,6 +75,8 @@ class Compensator:
             raise TautError(f"mode {mode!r} is not there: choose one of {', '.join(MODES)}")
         if not RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
             raise TautError(f"--rate {rate_hz}: the compensator runs at {RATES_HZ[0]:.0f} to {RATES_HZ[1]:.0f} Hz")
+        if start_deg is not None and not np.isfinite(start_deg):
+            raise TautError("the tip starts at an angle that is no number: give it in deg")
         self.rate_hz, self.mode = rate_hz, mode
         self._table = _native.FixedTable(tables.encode(model, limits=_limits(model)))
         self._start_deg = start_deg

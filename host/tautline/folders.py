@@ -22,6 +22,13 @@ def check_replaceable(folder: Path, key_file: str) -> None:
         raise TautError(f"{folder}: is a file: name a folder")
 
 
+# format: of a recording's and a model's folder
+_READ = (
+    *("motor.csv", "marker.csv", "angle.csv", "frames.csv", "truth.csv"),
+    *("rig.toml", "model.json", "truth.json", "video.mp4"),
+)
+
+
 @contextmanager
 def replaced(folder: Path, key_file: str, stale: Sequence[str] = ()) -> Iterator[Path]:
     """A temporary folder to write into, which takes `folder`'s place when the block ends without error. Other files in
@@ -54,16 +61,34 @@ def replaced(folder: Path, key_file: str, stale: Sequence[str] = ()) -> Iterator
 
 
 def write_file(path: Path, text: str) -> None:
-    """Writes text into a file, whole or not at all."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    """Writes text into a file, whole or not at all; where it is a link, into what that leads to. A device or a pipe is
+    written into as it is."""
+    place = Path(os.path.realpath(path))
+    temporary = place.with_name(f".{place.name}.{os.getpid()}")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        if place.exists() and not (place.is_file() or place.is_dir()):
+            place.write_text(text, encoding="utf-8", newline="")
+            return
         temporary.write_text(text, encoding="utf-8", newline="")
-        temporary.replace(path)
+        temporary.replace(place)
     except OSError as error:
         with suppress(OSError):
             temporary.unlink()
         raise TautError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+def check_no_input(out: Path | None, *inputs: Path | None) -> None:
+    """TautError if the file `out` is one of the inputs, or takes the place of a file that an input folder already
+    holds and the commands read."""
+    place = None if out is None else Path(os.path.realpath(out))
+    for read in inputs:
+        if place is None or read is None:
+            continue
+        known = Path(os.path.realpath(read))
+        own = place.parent == known and place.name in _READ and place.exists()
+        if place == known or own:
+            raise TautError(f"{out}: would be overwritten, and is read here: name another file")
 
 
 @contextmanager

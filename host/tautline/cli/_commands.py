@@ -159,7 +159,7 @@ _ALL: dict[str, tuple[Command, ...]] = {
         Command(
             "inject",
             "let a fault happen on a simulated board, and see what is said of it",
-            "taut inject STALL",
+            "taut inject blocked",
         ),
     ),
 }

@@ -8,6 +8,7 @@ import click
 
 from tautline.cli._common import compensation_option, emit, json_option, progress_bar, warn, warn_unusable
 from tautline.compensation import RATES_HZ, compensate, read_trajectory, write_csv
+from tautline.folders import check_no_input
 from tautline.model import Model
 from tautline.undone import not_undone
 
@@ -49,6 +50,7 @@ def command(
     Each set-point knows the trajectory up to its own time only. clipped is 1 where the command was beyond the table's
     range or faster than the motor may be (actuator.speed_max in the rig; without it there is no limit).
     """
+    check_no_input(csv_path, model_path, trajectory_path)
     model = Model.load(model_path)
     warn_unusable(model, model_path)
     if remains := not_undone(model):  # a trajectory says nothing of other axes

@@ -10,6 +10,7 @@ import click
 
 from tautline.cli._common import emit, json_option, warn, warn_unusable
 from tautline.errors import TautError
+from tautline.folders import check_no_input
 from tautline.model import Model
 from tautline.prediction import (
     COLUMNS,
@@ -48,6 +49,7 @@ def command(
     The sigmas are one standard deviation of what the sensor would show, its noise included; with --score they are held
     against what it did show. Where truth.csv lies beside motor.csv, it is said how far off the bending angle is.
     """
+    check_no_input(csv_path, model_path, recording_path, times_path)
     model = Model.load(model_path)
     warn_unusable(model, model_path)
     warnings: list[str] = []

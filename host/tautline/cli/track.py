@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tautline.cli._common import emit, json_option, log, progress_bar, read_recordings, warn_unusable
+from tautline.errors import TautError
+from tautline.folders import check_no_input
 from tautline.model import RIG_FILE, Model
 from tautline.vision.marker import with_marker
 
@@ -16,6 +18,9 @@ if TYPE_CHECKING:
 
 _COLOURS = {"trusted": "green", "stale": "yellow", "adapting": "cyan"}
 _MOST_CHANGES = 12  # that are told one by one
+
+
+PICTURES = (".png", ".svg", ".pdf")
 
 
 @click.command("track")
@@ -45,6 +50,10 @@ def command(
     """
     from tautline.tracking import replay, write_csv
 
+    for out in (csv_path, picture_path):
+        check_no_input(out, model_path, *recording_paths)
+    if picture_path is not None and picture_path.suffix.lower() not in PICTURES:
+        raise TautError(f"{picture_path}: a picture ends in {', '.join(PICTURES)}: name it so")
     model = Model.load(model_path)
     warn_unusable(model, model_path)
     recordings, _ = read_recordings(recording_paths, model_path / RIG_FILE)

@@ -165,7 +165,8 @@ def prepare(
 def repeated(observed: Array) -> npt.NDArray[np.bool_]:
     """(n,) Whether each observation (n, k) of a continuous sensor is equal to the one before to the last digit: that is
     a repetition by its link. All false for a sensor that counts in steps, which may rest within one."""
-    again = np.concatenate([[False], (observed[1:] == observed[:-1]).all(axis=1)])
+    again = np.zeros(len(observed), dtype=bool)
+    again[1:] = (observed[1:] == observed[:-1]).all(axis=1)
     fresh = observed[~again]
     continuous = all(len(np.unique(column)) > _CONTINUOUS * len(fresh) for column in fresh.T)
     return again if continuous else np.zeros_like(again)

@@ -20,7 +20,7 @@ from tautline.errors import TautError
 from tautline.folders import write_file
 from tautline.geometry import pose
 from tautline.model import Model
-from tautline.prediction import predict
+from tautline.prediction import predict, settled_from
 from tautline.recording import Motor, Recording
 
 Array = np.ndarray
@@ -150,12 +150,14 @@ def _collect_one(model: Model, recording: Recording, index: int, offset_s: float
 
 def settled(model: Model, motor: Motor, t_s: Array) -> Array:
     """(n,) bool at scene times t_s (n,): whether the tip's place no longer depends on where within its backlash it
-    started. Two tips that start at either end of it are simulated: true once they stay together."""
+    started. Two tips that start at either end of it are simulated: true once they stay together, and where the motor
+    ever drove the tip through the backlash both ways not before: beyond what was measured B may be narrower."""
     reach = 0.5 * float(model.width.max())
     ends = [model.simulate(motor, t_s, float(model.remaining(motor.q[0] + side * reach))) for side in (-1.0, 1.0)]
     apart = np.abs(ends[0] - ends[1]) > 1e-9  # deg: more than rounding
     latest = t_s[apart].max() if apart.any() else -np.inf
-    return np.asarray(t_s > latest)
+    from_s = settled_from(model, motor)
+    return np.asarray((t_s > latest) & ((t_s >= from_s) | np.isinf(from_s)))
 
 
 @dataclass(frozen=True)

@@ -285,7 +285,7 @@ def from_envelopes(nominal: LawFamily, evidence: WindowKnots, theta: Array, enve
     weight = np.ones(len(y))
     for _ in range(4):
         weighted = slopes.T * weight**2
-        solution = np.linalg.solve(weighted @ slopes, weighted @ right)
+        solution = np.linalg.lstsq(weighted @ slopes, weighted @ right, rcond=None)[0]  # B may be 0
         off = np.abs(right - slopes @ solution)
         weight = 1.0 / np.sqrt(np.maximum(off, 1e-3 * np.ptp(y) + 1e-9))
     theta[SCALE], theta[OFFSET] = float(solution[0]), float(solution[1])

@@ -15,11 +15,14 @@ def whole(path: Path) -> Iterator[Path]:
     """A path beside `path` to write to; it takes its place when the block ends without an error."""
     if path.is_dir():
         raise TautError(f"{path}: is a folder: name a file with --out")
-    temporary = path.with_name(f".{os.getpid()}.{path.name}")
+    place = Path(os.path.realpath(path))  # where it is a link, what it leads to
+    if place.exists() and not place.is_file():
+        raise TautError(f"{path}: is a device or a pipe: name a file with --out")
+    temporary = place.with_name(f".{os.getpid()}.{place.name}")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        place.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
-        temporary.replace(path)
+        temporary.replace(place)
     except OSError as error:
         raise TautError(f"{path}: cannot be written ({error.strerror or error}): name another --out") from error
     finally:
