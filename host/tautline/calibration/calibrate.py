@@ -371,7 +371,7 @@ class _Session:
         if joint is not None:
             self._find_place(joint)
         remaining = self._remaining(width, delay.delay_s, settled) if self.choice.moves() else None
-        self._comment(onsets, remaining)
+        self._comment(onsets, remaining, otherwise=source in (JOINT, PASSES))
         self._doubt_place(remaining)
         self.say(0.8, "naming what departs")
         return self._result(onsets, delay, curve, joint, passes, width, sigma, source, remaining)
@@ -414,7 +414,7 @@ class _Session:
         self.say(0.75, "fitting f_remain")
         self._find_place(joint)
         remaining = self._remaining(width, delay.delay_s, joint.fit.settled_only)
-        self._comment(onsets, remaining)
+        self._comment(onsets, remaining, otherwise=True)
         self._doubt_place(remaining)
         return self._result(onsets, delay, curve, joint, None, width, sigma, JOINT, remaining)
 
@@ -654,9 +654,9 @@ class _Session:
 
     # ---- what to think of it
 
-    def _comment(self, onsets: Sequence[Onset], remaining: Remaining | None) -> None:
+    def _comment(self, onsets: Sequence[Onset], remaining: Remaining | None, otherwise: bool = False) -> None:
         """Notes and doubts of onsets and f_remain: no turn, no onset, reversals that do not count, a tip that did not
-        move."""
+        move. otherwise: whether B is known without an onset, so that its own sigma and its predictions judge it."""
         if self.options.beforehand is not None:
             self.findings.notes.append("B(q) was known beforehand, from other robots: these recordings add to it")
         if stray := sum(track.stray for track in self.tracks):
@@ -674,6 +674,7 @@ class _Session:
                 "coverage",
                 f"none of {len(onsets)} reversals showed an onset" + (moved if bounds else ""),
                 "make longer strokes" if bounds else "turn where the tip is seen to move",
+                mild=otherwise and not bounds,
             )
         for reason in dict.fromkeys(o.reason for o in onsets if o.reason and not o.used):
             count = sum(o.reason == reason and not o.used for o in onsets)
