@@ -51,7 +51,7 @@ def _between_and_steps(motor: Motor, resolution: float) -> tuple[Motor, Steps | 
     """`between_counts`, and the encoder's steps where the readings have some that tell stops and turns."""
     steps = steps_of(motor, resolution)
     noise = white_noise(motor.t_s, motor.q) / (resolution if steps is None else steps.count)
-    if (noise > _SCATTERS and not swings(motor)) or _skips_counts(motor, steps):
+    if _is_smoothed(motor, steps, noise):
         return replace(motor, q=_smoothed(motor.t_s, motor.q)), steps if noise < _OWN_STEPS else None
     if steps is None:
         return motor, None
@@ -77,6 +77,21 @@ def _between_and_steps(motor: Motor, resolution: float) -> tuple[Motor, Steps | 
     knots_q = np.concatenate([[counts[0]] * 2, knots_q, [counts[-1]] * 2])
     order = np.argsort(knots_t, kind="stable")
     return replace(motor, q=steps.zero + steps.count * np.interp(t, knots_t[order], knots_q[order])), steps
+
+
+def _is_smoothed(motor: Motor, steps: Steps | None, noise: float) -> bool:
+    """Whether readings that scatter by `noise` counts, or that pass coarse counts about as fast as they come, are
+    smoothed."""
+    return (noise > _SCATTERS and not swings(motor)) or _skips_counts(motor, steps)
+
+
+def smoothed_away(motor: Motor, resolution: float) -> float:
+    """Standard deviation of what smoothing takes for the readings' noise, their unit, at least that of rounding: 0
+    where they are not smoothed."""
+    steps, noise = steps_of(motor, resolution), white_noise(motor.t_s, motor.q)
+    count = resolution if steps is None else steps.count
+    known = posterior_of(motor, resolution) is not None
+    return 0.0 if known or not _is_smoothed(motor, steps, noise / count) else max(noise, count / float(np.sqrt(12.0)))
 
 
 def swings(motor: Motor) -> bool:

@@ -281,3 +281,13 @@ def test_a_log_at_uneven_times_is_calibrated_as_one_at_even_times():
     assert np.median(sigmas[1]) < 1.5 * np.median(sigmas[0])
     inside = (other.q >= other.measured[0]) & (other.q <= other.measured[1])
     assert np.max(np.abs(other.width - width(other.q))[inside]) < 0.01  # deg, a count
+
+
+def test_coarse_counts_that_are_smoothed_leave_their_rounding():
+    """Two whole counts a sample have no third difference, and a smoother is still a tenth of a count off at a turn."""
+    t_s = 0.005 * np.arange(4000)
+    way = 2.0 * np.abs(np.mod(t_s, 4.0) - 2.0)
+    coarse, fine = (Motor(t_s, np.round(way / count) * count) for count in (0.005, 0.001))
+    assert white_noise(coarse.t_s, coarse.q) < 1e-9
+    assert encoder.smoothed_away(coarse, 0.005) == pytest.approx(0.005 / np.sqrt(12.0))
+    assert encoder.smoothed_away(fine, 0.001) == 0.0

@@ -14,6 +14,7 @@ from tautline.calibration.sway import driven, rests
 from tautline.core.motor import MotorPath
 from tautline.core.session import SessionClock
 from tautline.driven import white_noise
+from tautline.encoder import smoothed_away
 from tautline.errors import TautError
 from tautline.recording import Motor, Recording, Shown
 from tautline.rig import ANGLE, MARKER, Rig, Sensor
@@ -120,6 +121,8 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
     for recording, session_s in zip(recordings, SessionClock.of(recordings).offset_s, strict=True):
         resolution = rig.actuator.encoder_resolution
         noise = white_noise(recording.motor.t_s, recording.motor.q)
+        if noise <= resolution:
+            noise = smoothed_away(recording.motor, resolution)
         path = MotorPath.closely(recording.motor, resolution)
         marker, angle = recording.marker, recording.angle
         if marker is not None and rig.has_camera:
@@ -139,7 +142,7 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
             raise TautError(f"{recording.name}: marker positions need a rig with [camera]: add it to rig.toml")
         else:
             raise TautError(f"{recording.name}: holds no marker positions and no angles: track its video first")
-        tracks[-1] = replace(tracks[-1], session_s=session_s, motor_noise=noise if noise > resolution else 0.0)
+        tracks[-1] = replace(tracks[-1], session_s=session_s, motor_noise=noise)
     units = {track.unit for track in tracks if len(track.t_s)}
     if len(units) > 1:
         raise TautError("some recordings hold a marker and some an angle only: calibrate with one kind")
