@@ -140,13 +140,14 @@ def third_differences(t_s: Array, q: Array) -> tuple[Array, Array]:
     is."""
     if len(q) < 4:
         return np.zeros((0, 4)), np.zeros(0)
-    four = np.lib.stride_tricks.sliding_window_view(t_s, 4)
-    apart = four[:, :, None] - four[:, None, :] + np.eye(4)
-    # Of a divided difference times the product of all gaps, so that readings next to each other divide by no zero.
-    away = np.prod(apart, axis=2)
-    factors = np.prod(np.where(np.eye(4, dtype=bool), 1.0, away[:, None, :]), axis=2)
+    gap = np.diff(t_s)
+    a, b, c = gap[:-2], gap[1:-1], gap[2:]
+    every = a + b + c
+    # The divided difference times the product of its six intervals, so that no gap is divided by.
+    factors = np.column_stack([-b * c * (b + c), c * (a + b) * every, -a * (b + c) * every, a * b * (a + b)])
     factors /= np.maximum(np.sqrt(np.sum(factors**2, axis=1)), 1e-300)[:, None]
-    return factors, np.sum(factors * np.lib.stride_tricks.sliding_window_view(q, 4), axis=1)
+    third = sum(factors[:, i] * q[i : len(q) - 3 + i] for i in range(4))
+    return factors, np.asarray(third)
 
 
 def white_noise(t_s: Array, q: Array) -> float:
