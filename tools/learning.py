@@ -119,6 +119,8 @@ def load(folders: Sequence[Path], scored: bool = False) -> list[Case]:
             cases += [case] if case else []
         for diagnosis, line in _without(folder):
             label = replace(_label(folder, diagnosis.name, scored), kind="left out")
+            if BY_ID[label.effects[0]].nominal:  # older campaigns have some
+                continue
             document = json.loads((diagnosis / work.DOCUMENT).read_text())
             case = _case_of(diagnosis, label, document)
             cases += [replace(case, left_out=True, stands_in=_standing_in(line))] if case else []
@@ -149,7 +151,7 @@ def _without(folder: Path) -> Iterator[tuple[Path, Mapping[str, Any]]]:
     """Folders of what was said without a case's effect in the library, and the campaign's line of each."""
     if (folder / RESULT).exists():
         for line in json.loads((folder / RESULT).read_text())["each"]:
-            if line["kind"] == "left out" and not BY_ID[line["effects"][0]].nominal:
+            if line["kind"] == "left out":
                 yield folder / WITHOUT / line["name"], line
 
 

@@ -29,6 +29,7 @@ _OWN_STEPS = 0.6  # tolerance: counts of noise: no more than an encoder's own st
 _SCATTERS = 1.0  # counts of noise from which readings are smoothed
 _EXACT = 1e-12  # of the largest value: next to nothing
 _FEWEST, _CLEARLY = 100, 5.0  # readings that tell whether a motor trembles; standard errors of what they share
+_UNEVEN = 10.0  # tolerance: times a gap's shorter neighbour: beyond it noise is all that is seen
 _LAST = 2.0  # samples: within so many of a stop no knot tells a speed
 _EXACTLY = 1e-6  # tolerance: of the motor's travel: readings with finer noise or steps are what they say
 _AGREES, _STRAYS = 2.5, 5.0  # counts, and standard deviations of their noise, that readings are from a motor's path
@@ -134,14 +135,15 @@ def _skips_counts(motor: Motor, encoder: Steps | None) -> bool:
 
 
 def between_samples(motor: Motor) -> float:
-    """How far straight lines between samples may be from the motor's path, its unit: the sagitta (a quarter of what a
-    reading is off the line between its neighbours) at its sharpest bends above the noise; infinite for fewer than five
-    readings."""
+    """How far straight lines between samples may be from the motor's path, its unit: the sagitta (of what a reading is
+    off the line between its neighbours a quarter, and as much more as the longer gap is than the shorter) at its
+    sharpest bends above the noise; infinite for fewer than five readings."""
     t_s, q = motor.t_s, motor.q
     if len(q) < 5:
         return float("inf")
     share = (t_s[1:-1] - t_s[:-2]) / (t_s[2:] - t_s[:-2])
-    bend = np.abs(q[1:-1] - q[:-2] - share * (q[2:] - q[:-2])) / 4.0
+    uneven = np.minimum(np.maximum(share, 1.0 - share) / np.maximum(np.minimum(share, 1.0 - share), 1e-12), _UNEVEN)
+    bend = np.abs(q[1:-1] - q[:-2] - share * (q[2:] - q[:-2])) / 4.0 * uneven
     return float(max(float(np.quantile(bend, 0.98)) - 2.0 * white_noise(motor.t_s, motor.q), 0.0))
 
 

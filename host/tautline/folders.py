@@ -25,7 +25,8 @@ def check_replaceable(folder: Path, key_file: str) -> None:
 # format: of a recording's and a model's folder
 _READ = (
     *("motor.csv", "marker.csv", "angle.csv", "frames.csv", "truth.csv"),
-    *("rig.toml", "model.json", "truth.json", "video.mp4"),
+    *("rig.toml", "model.json", "truth.json", "marker.toml", "region.toml"),
+    *("video.mkv", "video.mp4"),
 )
 
 
@@ -60,16 +61,21 @@ def replaced(folder: Path, key_file: str, stale: Sequence[str] = ()) -> Iterator
             shutil.rmtree(leftover, ignore_errors=True)
 
 
+def is_stream(path: Path) -> bool:
+    """Whether there is a device, a pipe or a socket at `path`, or where its links lead: nothing takes its place."""
+    return path.exists() and not (path.is_file() or path.is_dir())
+
+
 def write_file(path: Path, text: str) -> None:
     """Writes text into a file, whole or not at all; where it is a link, into what that leads to. A device or a pipe is
     written into as it is."""
     place = Path(os.path.realpath(path))
     temporary = place.with_name(f".{place.name}.{os.getpid()}")
     try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        if place.exists() and not (place.is_file() or place.is_dir()):
-            place.write_text(text, encoding="utf-8", newline="")
+        if is_stream(path):
+            path.write_text(text, encoding="utf-8", newline="")
             return
+        place.parent.mkdir(parents=True, exist_ok=True)
         temporary.write_text(text, encoding="utf-8", newline="")
         temporary.replace(place)
     except OSError as error:
@@ -81,9 +87,11 @@ def write_file(path: Path, text: str) -> None:
 def check_no_input(out: Path | None, *inputs: Path | None) -> None:
     """TautError if the file `out` is one of the inputs, or takes the place of a file that an input folder already
     holds and the commands read."""
-    place = None if out is None else Path(os.path.realpath(out))
+    if out is None or is_stream(out):
+        return
+    place = Path(os.path.realpath(out))
     for read in inputs:
-        if place is None or read is None:
+        if read is None:
             continue
         known = Path(os.path.realpath(read))
         own = place.parent == known and place.name in _READ and place.exists()

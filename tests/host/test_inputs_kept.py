@@ -2,6 +2,7 @@
 
 import os
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,7 +40,7 @@ def test_a_pipe_stays_one(tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     read: list[str] = []
-    reader = threading.Thread(target=lambda: read.append(pipe.read_text()))
+    reader = threading.Thread(target=lambda: read.append(pipe.read_text()), daemon=True)
     reader.start()
     write_file(pipe, "row\n")
     reader.join(10.0)
@@ -47,6 +48,14 @@ def test_a_pipe_stays_one(tmp_path):
     with pytest.raises(TautError, match="pipe"), whole(pipe):
         pass
     assert pipe.is_fifo()
+
+
+def test_standard_output_that_is_piped_is_written_into():
+    read, write = os.pipe()
+    write_file(Path(f"/dev/fd/{write}"), "row\n")
+    os.close(write)
+    with os.fdopen(read) as seen:
+        assert seen.read() == "row\n"
 
 
 def test_what_is_read_is_not_overwritten(tmp_path, monkeypatch, capsys):

@@ -266,7 +266,7 @@ def test_lines_between_uneven_samples_are_as_far_off_as_their_gaps_let_them(unev
 
 
 def test_a_log_at_uneven_times_is_calibrated_as_one_at_even_times():
-    """Times that are true, as a program's loop takes them: B was right, and its sigma fifty times its error."""
+    """Times that are true, as a program's loop takes them: B was right, its sigma fifty times its error, before."""
     said = []
     for uneven in (0.0, 0.95):
         recording = record(Motion.through(speed=7.37))

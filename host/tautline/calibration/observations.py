@@ -121,8 +121,7 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
     for recording, session_s in zip(recordings, SessionClock.of(recordings).offset_s, strict=True):
         resolution = rig.actuator.encoder_resolution
         noise = white_noise(recording.motor.t_s, recording.motor.q)
-        if noise <= resolution:
-            noise = smoothed_away(recording.motor, resolution)
+        noise = max(noise if noise > resolution else 0.0, smoothed_away(recording.motor, resolution))
         path = MotorPath.closely(recording.motor, resolution)
         marker, angle = recording.marker, recording.angle
         if marker is not None and rig.has_camera:

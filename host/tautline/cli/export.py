@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from tautline.cli._common import emit, json_option, log, progress_bar, read_rig, rig_option, warn, warn_unusable
+from tautline.folders import check_no_input
 from tautline.io.exporting import FORMATS, Mount, export
 from tautline.io.exporting.source import read
 
@@ -45,6 +46,7 @@ def command(
 
     What the format cannot hold is said on stderr and in the file. Of a diagnosis the corrected model is exported.
     """
+    check_no_input(out, source_path)
     source = read(source_path, read_rig(rig_path) if rig_path else None, beside)
     for warning in source.recording.warnings if source.recording else ():
         warn(warning)

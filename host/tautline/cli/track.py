@@ -20,7 +20,7 @@ _COLOURS = {"trusted": "green", "stale": "yellow", "adapting": "cyan"}
 _MOST_CHANGES = 12  # that are told one by one
 
 
-PICTURES = (".png", ".svg", ".pdf")
+_PICTURES = (".png", ".svg", ".pdf")
 
 
 @click.command("track")
@@ -52,8 +52,8 @@ def command(
 
     for out in (csv_path, picture_path):
         check_no_input(out, model_path, *recording_paths)
-    if picture_path is not None and picture_path.suffix.lower() not in PICTURES:
-        raise TautError(f"{picture_path}: a picture ends in {', '.join(PICTURES)}: name it so")
+    if picture_path is not None and picture_path.suffix.lower() not in _PICTURES:
+        raise TautError(f"{picture_path}: a picture ends in {', '.join(_PICTURES)}: name it so")
     model = Model.load(model_path)
     warn_unusable(model, model_path)
     recordings, _ = read_recordings(recording_paths, model_path / RIG_FILE)

@@ -46,8 +46,8 @@ def update(
     older_too: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> Updated:
-    """Sends new firmware and waits until it runs and is confirmed. On TautError the board runs the
-    old one, or its state is not known, as it has not come back (`finish`)."""
+    """Sends new firmware and waits until it runs and is confirmed. On TautError the board runs the old one,
+    or has not come back (`finish`)."""
     return finish(send(where, path, older_too, progress))
 
 

@@ -74,9 +74,7 @@ def decide(evidence: CaseEvidence, by: Learnt | None = None) -> Decision:
     case = Stacked(evidence)
     weights = Likelihoods(case, by.center)
     p = _posterior(weights)
-    best = {key: max(of, key=lambda i: (p[i], weights.of[i])) for key, of in case.same.items()}
-    for key, of in case.same.items():
-        p[best[key]], p[[i for i in of if i != best[key]]] = p[of].sum(), 0.0
+    best = weights.best
 
     leading = dict.fromkeys((name for ids in case.ids for name in ids), 0.0)
     for key, i in best.items():

@@ -37,7 +37,7 @@ class Hyperparameters:
     odds_further: float  # of a further effect to none
     odds_brought: float  # that an effect which may bring a part of the nominal model with it does
     odds_each: float  # that an effect is another in each recording, to one that stays
-    parameter_price: float  # of the Bayesian information criterion's: held-out blocks have charged for most of it
+    parameter_price: float  # of the Bayesian information criterion's
     floor_known: float  # of the noise power's logarithm: how well a case's is known
     floor_steady: float  # and how unlike blocks are
     wanders: float  # share by which the amplitude of one of geometry or time is another elsewhere, in the mean

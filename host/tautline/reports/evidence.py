@@ -150,8 +150,9 @@ def _collect_one(model: Model, recording: Recording, index: int, offset_s: float
 
 def settled(model: Model, motor: Motor, t_s: Array) -> Array:
     """(n,) bool at scene times t_s (n,): whether the tip's place no longer depends on where within its backlash it
-    started. Two tips that start at either end of it are simulated: true once they stay together, and where the motor
-    ever drove the tip through the backlash both ways not before: beyond what was measured B may be narrower."""
+    started. Two tips that start at either end of it are simulated: true once they stay together, and not before the
+    motor drove the tip through the backlash both ways, where it ever did: B may be narrower where nothing was
+    measured."""
     reach = 0.5 * float(model.width.max())
     ends = [model.simulate(motor, t_s, float(model.remaining(motor.q[0] + side * reach))) for side in (-1.0, 1.0)]
     apart = np.abs(ends[0] - ends[1]) > 1e-9  # deg: more than rounding

@@ -8,6 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from tautline.errors import TautError
+from tautline.folders import is_stream
 
 
 @contextmanager
@@ -16,7 +17,7 @@ def whole(path: Path) -> Iterator[Path]:
     if path.is_dir():
         raise TautError(f"{path}: is a folder: name a file with --out")
     place = Path(os.path.realpath(path))  # where it is a link, what it leads to
-    if place.exists() and not place.is_file():
+    if is_stream(path):
         raise TautError(f"{path}: is a device or a pipe: name a file with --out")
     temporary = place.with_name(f".{os.getpid()}.{place.name}")
     try:
