@@ -87,7 +87,7 @@ def write_file(path: Path, text: str) -> None:
 def check_no_input(out: Path | None, *inputs: Path | None) -> None:
     """TautError if the file `out` is one of the inputs, or takes the place of a file that an input folder already
     holds and the commands read."""
-    if out is None or is_stream(out):
+    if out is None or is_stream(out) or out.is_dir():  # what cannot be taken for a file is told by who writes it
         return
     place = Path(os.path.realpath(out))
     for read in inputs:
