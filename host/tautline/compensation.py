@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from tautline import _native, tables
 from tautline.columns import read_columns
-from tautline.errors import TautError
+from tautline.errors import TautError, check_start
 from tautline.folders import write_file
 from tautline.model import Model
 from tautline.value import Value
@@ -75,8 +75,7 @@ class Compensator:
             raise TautError(f"mode {mode!r} is not there: choose one of {', '.join(MODES)}")
         if not RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
             raise TautError(f"--rate {rate_hz}: the compensator runs at {RATES_HZ[0]:.0f} to {RATES_HZ[1]:.0f} Hz")
-        if start_deg is not None and not np.isfinite(start_deg):
-            raise TautError("the tip starts at an angle that is no number: give it in deg")
+        check_start(start_deg)
         self.rate_hz, self.mode = rate_hz, mode
         self._table = _native.FixedTable(tables.encode(model, limits=_limits(model)))
         self._start_deg = start_deg

@@ -107,7 +107,7 @@ def _third_difference_score(motor: Motor) -> float:
     factors, third = third_differences(motor.t_s, motor.q)
     if len(third) < _FEWEST:
         return 0.0
-    usual = float(np.sqrt(np.median(third**2) / 0.455))
+    usual = white_noise(motor.t_s, motor.q)
     third = np.clip(third, -4.0 * usual, 4.0 * usual)
     together = float(third[1:] @ third[:-1]) / max(float(third @ third), 1e-30)
     of_noise = float(np.mean(np.sum(factors[:-1, 1:] * factors[1:, :-1], axis=1)))

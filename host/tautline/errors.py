@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable
 
 # format of all: of a message
@@ -39,3 +40,9 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
     plain = {name.lower().replace("_", "").replace("-", ""): name for name in known}
     close = difflib.get_close_matches(word.lower().replace("_", "").replace("-", ""), plain, 1, _ALIKE)
     return plain[close[0]] if close else None
+
+
+def check_start(start_deg: float | None) -> None:
+    """TautError where an angle that the tip starts at was given, deg, and is no number."""
+    if start_deg is not None and not math.isfinite(start_deg):
+        raise TautError("the tip starts at an angle that is no number: give it in deg")

@@ -1,4 +1,4 @@
-"""Commands lose nothing of what they read, and write where they are told to: through links, and into pipes."""
+"""Commands lose nothing of what they read, write into links and pipes, and take no start that is no number."""
 
 import os
 import threading
@@ -9,7 +9,6 @@ import pytest
 from cli_runner import Taut
 
 import tautline as tl
-from tautline.diagnosis.segment import repeated
 from tautline.errors import TautError
 from tautline.folders import check_no_input, write_file
 from tautline.io.exporting.whole import whole
@@ -90,10 +89,6 @@ def test_the_tip_starts_at_a_number(start):
         tl.predict(model(), Motor(t_s, t_s), t_s, start_deg=start)
     with pytest.raises(TautError, match="starts at an angle that is no number"):
         tl.Compensator(model(), start_deg=start)
-
-
-def test_where_nothing_was_seen_nothing_repeats():
-    assert repeated(np.zeros((0, 2))).shape == (0,)
 
 
 def test_a_report_scores_from_where_the_motor_had_driven_the_tip_both_ways():

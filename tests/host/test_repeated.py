@@ -85,6 +85,7 @@ def test_a_sensor_that_counts_repeats_nothing_when_it_rests_on_a_step():
     assert not repeated(smooth).any() and not repeated(np.round(smooth, 2)).any()
     twice = np.repeat(smooth, 2, axis=0)
     assert np.array_equal(repeated(twice), np.arange(len(twice)) % 2 == 1)
+    assert repeated(twice[:0]).shape == (0,)  # a test in which nothing was seen
 
 
 @pytest.mark.parametrize("before", [0.0, 0.4])

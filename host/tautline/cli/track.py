@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tautline.cli._common import emit, json_option, log, progress_bar, read_recordings, warn_unusable
-from tautline.errors import TautError
 from tautline.folders import check_no_input
 from tautline.model import RIG_FILE, Model
 from tautline.vision.marker import with_marker
@@ -18,9 +17,6 @@ if TYPE_CHECKING:
 
 _COLOURS = {"trusted": "green", "stale": "yellow", "adapting": "cyan"}
 _MOST_CHANGES = 12  # that are told one by one
-
-
-_PICTURES = (".png", ".svg", ".pdf")
 
 
 @click.command("track")
@@ -52,8 +48,10 @@ def command(
 
     for out in (csv_path, picture_path):
         check_no_input(out, model_path, *recording_paths)
-    if picture_path is not None and picture_path.suffix.lower() not in _PICTURES:
-        raise TautError(f"{picture_path}: a picture ends in {', '.join(_PICTURES)}: name it so")
+    if picture_path is not None:
+        from tautline.reports import figures
+
+        figures.check_ending(picture_path)
     model = Model.load(model_path)
     warn_unusable(model, model_path)
     recordings, _ = read_recordings(recording_paths, model_path / RIG_FILE)
@@ -62,7 +60,6 @@ def command(
         result = replay(model, recordings, progress)
     write_csv(csv_path, result)
     if picture_path is not None:
-        from tautline.reports import figures
         from tautline.tracking.picture import draw
 
         figures.save(draw(result, recordings, model.rig.actuator.unit), picture_path)

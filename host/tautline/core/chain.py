@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.core.motor import MotorPath
-from tautline.errors import TautError
+from tautline.errors import TautError, check_start
 from tautline.model import Model
 from tautline.recording import Motor
 
@@ -80,8 +80,7 @@ class Chain:
     def at(self, path: MotorPath, scene_s: npt.ArrayLike, start_deg: float | None = None) -> Seen:
         """What is seen at scene times (n,) on the motor's clock, in any order. The tip starts on the centre line, or at
         start_deg. TautError where that is no number."""
-        if start_deg is not None and not np.isfinite(start_deg):
-            raise TautError("the tip starts at an angle that is no number: give it in deg")
+        check_start(start_deg)
         scene = np.asarray(scene_s, dtype=float)
         if not self.outside:
             return Seen(_seen_rows(self.model, self._simulated(path, scene, start_deg)))

@@ -26,6 +26,7 @@ UP, DOWN, MODEL, BAND = "#1f6fb2", "#d9772b", "#b3202c", "#f3c9cc"
 STAGE_COLOURS = (INK, "#2f9e5b", "#d9a400")  # black, green, yellow: the paper's Figs. 10 and 11
 SERIES = ("#1f6fb2", "#d9772b", "#2f9e5b", "#8e4ec6", "#b3202c", "#0f8b8d", "#7b8794")
 
+_ENDINGS = (".png", ".svg", ".pdf")  # format: of a picture
 STYLE: Any = {  # matplotlib's own names
     "font.family": "DejaVu Sans",
     "font.size": 9,
@@ -60,6 +61,12 @@ def data_uri(made: Figure) -> str:
     with mpl.rc_context(STYLE):
         made.savefig(out, format="svg", dpi=120, metadata={"Date": None, "Creator": None})
     return "data:image/svg+xml;base64," + base64.b64encode(out.getvalue()).decode()
+
+
+def check_ending(path: Path) -> None:
+    """TautError where `save` knows no kind of picture by the name's ending."""
+    if path.suffix.lower() not in _ENDINGS:
+        raise TautError(f"{path}: a picture ends in {', '.join(_ENDINGS)}: name it so")
 
 
 def save(made: Figure, path: Path) -> None:
