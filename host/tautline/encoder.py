@@ -51,7 +51,7 @@ def between_counts(motor: Motor, resolution: float) -> Motor:
 def _between_and_steps(motor: Motor, resolution: float) -> tuple[Motor, Steps | None]:
     """`between_counts`, and the encoder's steps where the readings have some that tell stops and turns."""
     steps = steps_of(motor, resolution)
-    noise = white_noise(motor.t_s, motor.q) / (resolution if steps is None else steps.count)
+    noise = reading_noise(motor) / (resolution if steps is None else steps.count)
     if _is_smoothed(motor, steps, noise):
         return replace(motor, q=_smoothed(motor.t_s, motor.q)), steps if noise < _OWN_STEPS else None
     if steps is None:
@@ -80,6 +80,13 @@ def _between_and_steps(motor: Motor, resolution: float) -> tuple[Motor, Steps | 
     return replace(motor, q=steps.zero + steps.count * np.interp(t, knots_t[order], knots_q[order])), steps
 
 
+def reading_noise(motor: Motor) -> float:
+    """`white_noise` of a motor's readings, which is kept for each motor."""
+    if motor not in _noises:
+        _noises[motor] = white_noise(motor.t_s, motor.q)
+    return _noises[motor]
+
+
 def _is_smoothed(motor: Motor, steps: Steps | None, noise: float) -> bool:
     """Whether readings that scatter by `noise` counts, or that pass coarse counts about as fast as they come, are
     smoothed."""
@@ -89,7 +96,7 @@ def _is_smoothed(motor: Motor, steps: Steps | None, noise: float) -> bool:
 def smoothed_away(motor: Motor, resolution: float) -> float:
     """Standard deviation of what smoothing takes for the readings' noise, their unit, at least that of rounding: 0
     where they are not smoothed."""
-    steps, noise = steps_of(motor, resolution), white_noise(motor.t_s, motor.q)
+    steps, noise = steps_of(motor, resolution), reading_noise(motor)
     count = resolution if steps is None else steps.count
     known = posterior_of(motor, resolution) is not None
     return 0.0 if known or not _is_smoothed(motor, steps, noise / count) else max(noise, count / float(np.sqrt(12.0)))
@@ -107,7 +114,7 @@ def _third_difference_score(motor: Motor) -> float:
     factors, third = third_differences(motor.t_s, motor.q)
     if len(third) < _FEWEST:
         return 0.0
-    usual = white_noise(motor.t_s, motor.q)
+    usual = reading_noise(motor)
     third = np.clip(third, -4.0 * usual, 4.0 * usual)
     together = float(third[1:] @ third[:-1]) / max(float(third @ third), 1e-30)
     of_noise = float(np.mean(np.sum(factors[:-1, 1:] * factors[1:, :-1], axis=1)))
@@ -118,7 +125,7 @@ def count_of(motor: Motor, resolution: float) -> float:
     """The encoder's step as the readings show it, their unit; where they have no steps sqrt(12) times their noise (a
     step of that size scatters as much), at most the rig's step."""
     steps = steps_of(motor, resolution)
-    return min(resolution, float(np.sqrt(12.0)) * white_noise(motor.t_s, motor.q)) if steps is None else steps.count
+    return min(resolution, float(np.sqrt(12.0)) * reading_noise(motor)) if steps is None else steps.count
 
 
 def _skips_counts(motor: Motor, encoder: Steps | None) -> bool:
@@ -144,7 +151,7 @@ def between_samples(motor: Motor) -> float:
     share = (t_s[1:-1] - t_s[:-2]) / (t_s[2:] - t_s[:-2])
     uneven = np.minimum(np.maximum(share, 1.0 - share) / np.maximum(np.minimum(share, 1.0 - share), 1e-12), _UNEVEN)
     bend = np.abs(q[1:-1] - q[:-2] - share * (q[2:] - q[:-2])) / 4.0 * uneven
-    return float(max(float(np.quantile(bend, 0.98)) - 2.0 * white_noise(motor.t_s, motor.q), 0.0))
+    return float(max(float(np.quantile(bend, 0.98)) - 2.0 * reading_noise(motor), 0.0))
 
 
 def _smoothed(t_s: Array, q: Array) -> Array:
@@ -195,6 +202,7 @@ def cut(motor: Motor, until_s: float) -> Motor:
     return Motor(motor.t_s[known], motor.q[known], command, translation, rotation, load, extra)
 
 
+_noises: WeakKeyDictionary[Motor, float] = WeakKeyDictionary()
 _lines: WeakKeyDictionary[Motor, dict[float, Motor]] = WeakKeyDictionary()
 _evens: WeakKeyDictionary[Motor, dict[float, Motor]] = WeakKeyDictionary()
 _paths: WeakKeyDictionary[Motor, dict[float, Driven | None]] = WeakKeyDictionary()
@@ -226,7 +234,7 @@ def posterior_of(motor: Motor, resolution: float) -> Driven | None:
 
 def _posterior(motor: Motor, resolution: float) -> Driven | None:
     """As `posterior_of`, which keeps its result."""
-    steps, noise = steps_of(motor, resolution), white_noise(motor.t_s, motor.q)
+    steps, noise = steps_of(motor, resolution), reading_noise(motor)
     unsure = noise if steps is None else steps.count
     if len(motor.q) < CHANGES[0] or unsure <= _EXACTLY * float(np.ptp(motor.q)):
         return None

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import lfilter
+from scipy.linalg import solve_banded
 
 Array = npt.NDArray[np.float64]
 
@@ -83,8 +83,9 @@ def expected_sums(n: int, order: int = 1) -> Array:
     trend = _orthonormal(np.arange(n, dtype=float), order)
     sums = []
     for rho in MEMORIES:
-        ahead = lfilter([1.0], [1.0, -rho], trend, axis=0)
-        behind = lfilter([1.0], [1.0, -rho], trend[::-1], axis=0)[::-1]
+        remembers = np.vstack([np.ones(n), np.full(n, -rho)])
+        ahead = solve_banded((1, 0), remembers, trend)
+        behind = solve_banded((0, 1), remembers[::-1, ::-1], trend)
         covered = ahead + behind - trend  # covariance times trend
         of_trend = trend.T @ covered
         neighbours = np.sum(trend[:-1] * covered[1:] + covered[:-1] * trend[1:] - (trend[:-1] @ of_trend) * trend[1:])

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import residue
 
 from tautline import _native
 from tautline.elements import Elements, Hysteresis
@@ -166,13 +165,14 @@ def _late_section(v: Mapping[str, float]) -> Section:
         slowly = np.poly1d([5.0 * v["creep_time"], 1.0]) if slow > 0.0 else np.poly1d([1.0])
         above = above * fast * slowly
         below = below * ((1.0 - share) * fast * slowly + share * (1.0 - slow) * slowly + share * slow * fast)
-    gains, poles, _ = residue(above.coeffs, below.coeffs)
-    gains, poles = np.real(gains), np.real(poles)
-    order = np.argsort(poles)
-    gains_q16 = [round(float(np.clip(gains[k] / poles[k], -_GAIN_MOST, _GAIN_MOST)) * 65536.0) for k in order]
-    times_us = [round(-1e6 / float(poles[k])) for k in order]
-    free = _native.TABLE_LATE_MAX - len(order)
-    return {"gain_q16": gains_q16 + [0] * free, "time_us": times_us + [0] * free} if len(order) else {}
+    poles = np.sort(np.real(below.roots))  # apart from one another
+    gains = above(poles) / below.deriv()(poles)
+    gains_q16 = [
+        round(float(np.clip(gains[k] / poles[k], -_GAIN_MOST, _GAIN_MOST)) * 65536.0) for k in range(len(poles))
+    ]
+    times_us = [round(-1e6 / float(pole)) for pole in poles]
+    free = _native.TABLE_LATE_MAX - len(poles)
+    return {"gain_q16": gains_q16 + [0] * free, "time_us": times_us + [0] * free} if len(poles) else {}
 
 
 def _load_section(v: Mapping[str, float], model: Model, count: float) -> Section:

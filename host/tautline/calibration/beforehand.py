@@ -13,7 +13,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import null_space
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from tautline.splines import Basis
 from tautline.value import Value
@@ -55,7 +55,7 @@ class Spread(Value):
         not farther off than all but a few of them."""
         off = value - self.mean
         far, size = float(off @ np.linalg.solve(self.scale + noise, off)), len(self.q)
-        return bool(f_distribution.sf(far / size, size, self.freedom) > _SELDOM)
+        return bool(fdtrc(size, self.freedom, far / size) > _SELDOM)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

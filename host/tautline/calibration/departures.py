@@ -14,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 from scipy.interpolate import BSpline
-from scipy.linalg import helmert
-from scipy.signal import lfilter
+from scipy.linalg import helmert, solve_banded
 
 from tautline import _native
 from tautline.calibration.observations import Mask, turning_hysteresis
@@ -430,7 +429,8 @@ def _since_turn(path: MotorPath, at: Array, rig: Rig) -> tuple[Array, Array]:
 def _low_pass(p: Array, time_s: float) -> Array:
     """p (n,), a value every _FINE_S, after a first-order low pass with time constant time_s."""
     share = np.exp(-_FINE_S / time_s)
-    return np.asarray(lfilter([1 - share], [1, -share], p, zi=[share * p[0]])[0])
+    follows = np.vstack([np.ones(len(p)), np.full(len(p), -share)])
+    return np.asarray(p[0] + solve_banded((1, 0), follows, (1 - share) * (p - p[0])))
 
 
 def _hats(x: Array, nodes: Array) -> sparse.csr_matrix:

@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import median_filter
+from numpy.lib.stride_tricks import sliding_window_view
 
 from tautline import _native, geometry
 from tautline.calibration.sway import driven, rests
 from tautline.core.motor import MotorPath
 from tautline.core.session import SessionClock
-from tautline.driven import white_noise
-from tautline.encoder import smoothed_away
+from tautline.encoder import reading_noise, smoothed_away
 from tautline.errors import TautError
 from tautline.recording import Motor, Recording, Shown
 from tautline.rig import ANGLE, MARKER, Rig, Sensor
@@ -120,7 +119,7 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
     tracks = []
     for recording, session_s in zip(recordings, SessionClock.of(recordings).offset_s, strict=True):
         resolution = rig.actuator.encoder_resolution
-        noise = white_noise(recording.motor.t_s, recording.motor.q)
+        noise = reading_noise(recording.motor)
         noise = max(noise if noise > resolution else 0.0, smoothed_away(recording.motor, resolution))
         path = MotorPath.closely(recording.motor, resolution)
         marker, angle = recording.marker, recording.angle
@@ -217,11 +216,17 @@ def strays(y: Array, sigma: float) -> Mask:
     by noise and by how the tip moves at that time. A jump that stays is none, nor is any motion that goes one way."""
     if len(y) < 5:
         return np.zeros(len(y), dtype=bool)
-    away = np.linalg.norm(y - median_filter(y, size=(5, 1), mode="nearest"), axis=1)
+    away = np.linalg.norm(y - _running_median(y, 5), axis=1)
     step = np.linalg.norm(np.diff(y, axis=0), axis=1)
-    usual = median_filter(np.append(step, step[-1]), size=9, mode="nearest")
+    usual = _running_median(np.append(step, step[-1]), 9)
     stray: Mask = away > _STRAY * sigma + 4.0 * usual
     return stray
+
+
+def _running_median(values: Array, size: int) -> Array:
+    """Of each `size` (odd) neighbours along the first axis; the first and last value go on beyond the ends."""
+    beyond = [(size // 2, size // 2)] + [(0, 0)] * (values.ndim - 1)
+    return np.asarray(np.median(sliding_window_view(np.pad(values, beyond, mode="edge"), size, axis=0), axis=-1))
 
 
 def noise_of(t: Array, y: Array, least: float) -> float:
@@ -245,7 +250,7 @@ def noise_of(t: Array, y: Array, least: float) -> float:
 
 def turning_hysteresis(path: MotorPath, resolution: float, span: float) -> float:
     """Going back by no more than this is encoder dither, not a reversal (unit of q)."""
-    return float(max(3.0 * resolution, 8.0 * white_noise(path.sampled.t_s, path.sampled.q), 1e-3 * span))
+    return float(max(3.0 * resolution, 8.0 * reading_noise(path.sampled), 1e-3 * span))
 
 
 def corners(motor: Motor) -> tuple[Array, Array]:

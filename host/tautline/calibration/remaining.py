@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import make_smoothing_spline
-from scipy.ndimage import binary_closing, binary_fill_holes
 from scipy.optimize import isotonic_regression
 
 from tautline.calibration.beside import Beside
@@ -197,7 +196,8 @@ def characteristic(q: Array, c_deg: Array) -> Characteristic | None:
     picture = np.zeros(_PICTURE, dtype=np.uint8)
     points = np.rint(np.column_stack([at_q, at_c]) * 16).astype(np.int32)
     cv2.polylines(picture, [points.reshape(-1, 1, 2)], False, 255, 1, cv2.LINE_8, 4)
-    filled = binary_fill_holes(binary_closing(np.pad(picture > 0, 4), np.ones((3, 3), dtype=bool)))[4:-4, 4:-4]
+    closed = cv2.morphologyEx(np.pad(picture, 4), cv2.MORPH_CLOSE, np.ones((3, 3), dtype=np.uint8))
+    filled = closed[4:-4, 4:-4] > 0  # at its rows' ends: what is inside does not matter
     some = filled.any(axis=1)
     # The first and last rows are where strokes ended: their extremes are not the envelope's.
     index = np.flatnonzero(some)[2:-2]

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import correlate
 
 from tautline.diagnosis.fit import Fitter, ScoredRows
 from tautline.diagnosis.fitted import Fit
@@ -179,8 +178,14 @@ def _power_per_independent(left: Sequence[Array]) -> float:
     summed: Array = np.zeros(max(len(values) for values in left))
     for values in left:
         for column in values.T:
-            summed[: len(column)] += correlate(column, column, "full", "fft")[len(column) - 1 :]
+            summed[: len(column)] += _autocorrelation(column)
     ends = np.flatnonzero(summed <= 0.0)
     until = int(ends[0]) if len(ends) else len(summed)
     count = sum(values.size for values in left)
     return float(2.0 * np.sum(summed[:until]) - summed[0]) / count
+
+
+def _autocorrelation(values: Array) -> Array:
+    """(n,) Sums of products of values (n,) with those so many samples later."""
+    spectrum = np.abs(np.fft.rfft(values, 2 * len(values))) ** 2
+    return np.fft.irfft(spectrum)[: len(values)]

@@ -16,8 +16,7 @@ from itertools import product
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import gammaln
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc, gammaln
 
 from tautline.errors import TautError
 from tautline.fleet.rows import Row
@@ -97,7 +96,7 @@ class Population:
     def chance(self, curves: Curves) -> Array:
         """(n,) Probability that a robot of this fleet is at least as far off."""
         size = np.maximum(curves.told, 1.0)
-        return np.asarray(f_distribution.sf(self.distance(curves) / size, size, self.freedom))
+        return np.asarray(fdtrc(size, self.freedom, self.distance(curves) / size))
 
     def log_density(self, curves: Curves) -> Array:
         """(n,) Logarithm of each curve's density, without the constant that places without a word add, which is the

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from tautline.errors import TautError
 from tautline.io.exporting.whole import whole
@@ -40,7 +40,7 @@ def constant(model: Model) -> Constant:
     below, above = 0.0, float(width.max() + 6.0 * sigma.max())  # 6 sigma: as good as certain
     for _ in range(_BISECTIONS):
         middle = 0.5 * (below + above)
-        share = float(np.mean(norm.cdf((middle - width) / sigma)))
+        share = float(np.mean(ndtr((middle - width) / sigma)))
         below, above = (middle, above) if share < _QUANTILE else (below, middle)
     number = round(below, 6)
     left = width - number
