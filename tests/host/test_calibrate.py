@@ -77,6 +77,16 @@ def test_unseen_motions_within_1_3_of_the_noise_and_widths_within_3_um(seed):
     assert abs(delay) < 2.0
 
 
+@pytest.mark.parametrize("seed", [521, 522])
+def test_an_instrument_without_backlash_is_calibrated_and_good(seed):
+    bends = preset("reference", RIG)
+    plant = Instrument(RIG, bends.grid, 0.0 * bends.width, bends.c_deg)
+    found = calibrate([record(RIG, plant, motion(RIG), seed).recording], RIG)
+    inside = (found.model.q > found.model.measured[0]) & (found.model.q < found.model.measured[1])
+    assert found.model.quality.verdict == "good"
+    assert np.all(found.model.width[inside] < 3.0 * found.model.width_sigma[inside] + 1e-4)
+
+
 @pytest.mark.parametrize("noise", [0.0, pytest.param(0.05, marks=pytest.mark.long)])
 def test_a_registration_that_tilts_with_the_motion_leaves_the_widths_alone(noise):
     errors, direct = [], []

@@ -95,9 +95,9 @@ def components(
     ],
 )
 def test_a_departure_is_told_where_a_good_verdict_hangs_on_its_being_taken_out(rms, shift_um, told) -> None:
-    good = doubts(components(rms, shift_um), np.ones(50, bool), "mm", rough=False, good=True)
+    good = doubts(components(rms, shift_um), np.ones(50, bool), 0.5, "mm", rough=False, good=True)
     assert [(reason.code, reason.mild) for reason in good] == ([("transmission.drift", True)] if told else [])
-    not_good = doubts(components(rms, shift_um), np.ones(50, bool), "mm", rough=False, good=False)
+    not_good = doubts(components(rms, shift_um), np.ones(50, bool), 0.5, "mm", rough=False, good=False)
     assert [(reason.code, reason.mild) for reason in not_good] == [("transmission.drift", False)]
 
 
@@ -113,12 +113,13 @@ def test_what_happened_once_does_not_go_on(name: str, late: float, still: float)
 
 
 def test_frames_that_are_elsewhere_are_outliers_and_scatter_of_all_is_noise() -> None:
-    few = doubts(components(0.1, 0.1, noise=5.0), np.ones(50, bool), "mm", rough=False, good=True)
-    every = doubts(replace(components(0.1, 0.1, noise=1.8), parts=()), np.ones(50, bool), "mm", rough=False, good=False)
-    alike = replace(components(0.1, 0.1, noise=1.8, effective=6.0), parts=())
+    few = doubts(components(0.1, 0.1, noise=5.0), np.ones(50, bool), 0.5, "mm", rough=False, good=True)
+    scattered = replace(components(0.1, 0.1, noise=1.8), parts=())
+    every = doubts(scattered, np.ones(50, bool), 0.5, "mm", rough=False, good=False)
+    alike = doubts(replace(scattered, effective=6.0), np.ones(50, bool), 0.5, "mm", rough=False, good=False)
     assert [(r.code, r.mild) for r in few] == [("outliers", True)]
     assert [(r.code, r.mild) for r in every] == [("noise", False)]
-    assert [(r.code, r.mild) for r in doubts(alike, np.ones(50, bool), "mm", False, False)] == [("residual", False)]
+    assert [(r.code, r.mild) for r in alike] == [("residual", False)]
 
 
 @pytest.mark.parametrize(
@@ -129,7 +130,7 @@ def test_what_speed_adds_to_b_is_told_by_how_much_it_is(name: str, added_um: flo
     found = components(0.5, 0.1)
     added = 1e-3 * added_um / (0.5 if name.endswith("%") else 1.0)
     found = replace(found, parts=(replace(found.parts[0], name=name, values=np.array([added])),))
-    reasons = doubts(found, np.ones(50, bool), "mm", rough=False, good=True)
+    reasons = doubts(found, np.ones(50, bool), 0.5, "mm", rough=False, good=True)
     assert [reason.code for reason in reasons] == (["transmission.rate_dependent_backlash"] if told else [])
 
 
@@ -229,6 +230,7 @@ def test_a_ripple_is_a_wave_that_goes_on_and_no_shape_of_b(shape: str, sigma: fl
     q, rng = np.linspace(-4.5, 4.5, 900), np.random.default_rng(71)
     error = np.convolve(rng.normal(size=999), np.hanning(100), "valid")
     b, stated = SHAPES[shape](q) + sigma * error / error.std(), np.full(900, sigma)
-    assert _ripple(q, b, stated)[0] == 0.0
-    rms, period = _ripple(q, b + 0.03 * np.sin(2 * np.pi * q / 0.9 + 1.0), stated)
+    usual = float(np.median(b))
+    assert _ripple(q, b, stated, usual)[0] == 0.0
+    rms, period = _ripple(q, b + 0.03 * np.sin(2 * np.pi * q / 0.9 + 1.0), stated, usual)
     assert rms == pytest.approx(0.03 / np.sqrt(2.0), rel=0.35) and period == pytest.approx(0.9, rel=0.02)

@@ -270,11 +270,12 @@ def test_a_log_that_is_too_slow_is_told_a_rate_that_is_faster() -> None:
     track = observe([replace(recording, motor=Motor(t_s, swing))], RIG)[0]
     grid = np.linspace(-4.0, 4.0, 201)
     found = Findings()
-    floor_of([track], grid, PLANT.backlash(grid), np.full(201, 0.01), "mm", found)
+    usual = float(np.median(PLANT.backlash(grid)))
+    floor_of([track], grid, PLANT.backlash(grid), np.full(201, 0.01), usual, "mm", found)
     (reason,) = [each for each in found.looks if each.code == "rate"]
     rate = re.search(r"log the motor at (\d+) Hz or more", reason.remedy)
     assert "5 ms apart" in reason.says and rate is not None and int(rate[1]) > 200
-    allowed = 0.015 * float(np.median(PLANT.backlash(grid)))
+    allowed = 0.015 * usual
     faster_s = np.arange(t_s[0], t_s[-1], 1.0 / int(rate[1]))
     assert between_samples(Motor(faster_s, np.abs(20.0 * faster_s % 4.0 - 2.0) - 1.0)) <= allowed
 

@@ -20,11 +20,11 @@ from tautline.calibration.beside import Beside
 from tautline.calibration.choice import JOINT, ONSETS, PASSES, Choice, jumping, measuring
 from tautline.calibration.components import WORSE, Components, separate
 from tautline.calibration.departures import SPEED
-from tautline.calibration.doubts import KNOWN, NO_WIDTH, doubts, floor_of, goes_on
+from tautline.calibration.doubts import KNOWN, doubts, floor_of, goes_on
 from tautline.calibration.findings import Findings
 from tautline.calibration.holding import released
 from tautline.calibration.hysteresis import PRIORS, Tried, fit_friction, likeliest
-from tautline.calibration.observations import Track, observe
+from tautline.calibration.observations import LITTLE, Track, observe, usual_width
 from tautline.calibration.on_tip import place_on_tip
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, delayed, find_onsets
 from tautline.calibration.place import (
@@ -333,7 +333,7 @@ class _Session:
     def run(self) -> Calibration:
         """Measures the delay, onsets, B and f_remain in turn and judges them. TautError where the motor does not
         move."""
-        if self.reached[1] - self.reached[0] < max(5 * self.rig.actuator.encoder_resolution, 1e-3 * self.domain.span):
+        if self.reached[1] - self.reached[0] < max(5 * self.rig.actuator.encoder_resolution, LITTLE * self.domain.span):
             raise TautError(
                 f"the motor does not move (q stays within {self.reached[1] - self.reached[0]:.3g} {self.unit}): "
                 "record the calibration motion, and check the encoder and its unit"
@@ -691,7 +691,13 @@ class _Session:
         self._sanity(remaining)
 
     def _judge(
-        self, told: Worth | None, joint: Fitted | None, width: Array, sigma: Array, inside: npt.NDArray[np.bool_]
+        self,
+        told: Worth | None,
+        joint: Fitted | None,
+        width: Array,
+        usual: float,
+        sigma: Array,
+        inside: npt.NDArray[np.bool_],
     ) -> None:
         """The verdict: it is good where blocks that the fit has not seen are foretold to the noise, B is known, and
         nothing still changes. What departs, scatters or is hidden says why it is not, and else is worth knowing."""
@@ -714,7 +720,7 @@ class _Session:
         departs: list[Reason] = []
         if found is not None:
             rough = found.rough or any(track.motor_noise > 0 for track in self.tracks)
-            departs = doubts(found, inside, self.unit, rough, holds)
+            departs = doubts(found, inside, usual, self.unit, rough, holds)
         doubted = departs or any(not reason.mild for reason in self.findings.reasons)
         if told is not None and not predicts and not doubted:
             self.findings.reasons.append(self._unexplained(told, joint, width))
@@ -723,14 +729,13 @@ class _Session:
         if not holds and self.camera:
             self.findings.reasons += clock.jumps(self.tracks, self.rig)
         if inside.any():
-            self._doubt_sigma(joint, width[inside], sigma[inside], inside, holds)
+            self._doubt_sigma(joint, usual, sigma[inside], inside, holds)
 
     def _doubt_sigma(
-        self, joint: Fitted | None, width: Array, sigma: Array, inside: npt.NDArray[np.bool_], holds: bool
+        self, joint: Fitted | None, usual: float, sigma: Array, inside: npt.NDArray[np.bool_], holds: bool
     ) -> None:
-        """Where B is known no better than a twentieth; all (k,) where it was measured. A doubt unless all but that is
-        the delay's: what the two say together foretells as well as either that is known."""
-        usual = max(float(np.median(width)), NO_WIDTH)
+        """Where B is known no better than a twentieth; sigma (k,) where it was measured, `usual` B there. A doubt
+        unless all but that is the delay's: what the two say together foretells as well as either that is known."""
         unsure, late = sigma / usual, np.zeros_like(sigma)
         if joint is not None and joint.by_delay is not None:
             late = joint.delay_sigma * joint.by_delay[inside] / usual
@@ -741,7 +746,9 @@ class _Session:
         if of_delay > 0.5 * all_of_it:
             more = "move at several speeds: at one a delay and a width look alike"
         mild = holds and all_of_it - of_delay <= KNOWN**2
-        self.findings.doubt("coverage", f"B(q) is known to {100.0 * np.sqrt(all_of_it):.2g} % only", more, mild=mild)
+        share = float(np.sqrt(all_of_it))
+        says = f"B(q) is known to {share * usual:.2g} {self.unit} only ({share:.1%} of {usual:.2g} {self.unit})"
+        self.findings.doubt("coverage", says, more, mild=mild)
 
     def _measured(self, curve: WidthCurve | None, joint: Fitted | None, source: str) -> tuple[float, float]:
         """The lowest and highest position, unit of q, at which B is measured. With friction a tip starts at every turn:
@@ -832,7 +839,9 @@ class _Session:
         measured = self._measured(curve, joint, source)
         beyond = np.abs(self.grid - np.clip(self.grid, *measured))
         inside = (self.grid > measured[0]) & (self.grid < measured[1])
-        floor = floor_of(self.tracks, self.grid[inside], width[inside], sigma[inside], self.unit, self.findings)
+        usual = usual_width(width[inside], self.domain.span)
+        known_at = self.grid[inside], width[inside], sigma[inside]
+        floor = floor_of(self.tracks, *known_at, usual, self.unit, self.findings)
         known = self.options.beforehand is not None and source in (JOINT, PASSES)  # beyond what reversals reached, too
         sigma = np.hypot(np.hypot(sigma, floor), 0.0 if known else 0.5 * beyond)
         if source != ONSETS and joint is not None:
@@ -882,7 +891,7 @@ class _Session:
                 "error_coarse": told.coarse,
                 "error_constant": told.constant,
             }
-        self._judge(told, joint, width, sigma, inside)
+        self._judge(told, joint, width, usual, sigma, inside)
         notes = tuple(dict.fromkeys(self.findings.notes))
         extra: dict[str, Any] = {
             "source": source,

@@ -17,7 +17,7 @@ from scipy.interpolate import BSpline
 from scipy.linalg import helmert, solve_banded
 
 from tautline import _native
-from tautline.calibration.observations import Mask, turning_hysteresis
+from tautline.calibration.observations import Mask, turning_hysteresis, usual_width
 from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit, Simulated
 from tautline.core.motor import MotorPath
 from tautline.elements import Play
@@ -145,7 +145,7 @@ def scene_of(fitted: Fitted, curves: Curves, rig: Rig, clock: Array) -> Scene | 
     rows, masks = there.residuals(curves)
     if not any(mask.any() for mask in masks):
         return None
-    usual = max(float(np.median(there.width(curves))), 1e-3 * float(fit.grid[-1] - fit.grid[0]))
+    usual = usual_width(there.width(curves), float(fit.grid[-1] - fit.grid[0]))
     pieces = [
         _piece(there, curves, frozen, sim, r, mask, w, usual, rig)
         for frozen, sim, r, mask, w in zip(tracks, there.simulated, rows, masks, fitted.weights, strict=True)

@@ -25,7 +25,6 @@ _WHITE = 1.5  # prior: frames for each independent one up to which scatter is of
 _SPEEDS = 1.5  # prior: scatter of moving frames over that of resting ones, from which times are unsteady
 
 _CYCLES = 4.0, 40.0  # prior: of a ripple over what was measured
-NO_WIDTH = 1e-12  # tolerance: unit of q: B where there is none
 _PLACES, _RATES = 160, 145  # tolerance: at which B is looked at; of a ripple that are tried
 _SMOOTHED = 0.4  # prior: of the readings' noise: what smoothing leaves at a turn
 _LEVELS = 0.5  # prior: different values for each frame, below which a sensor rounds
@@ -138,11 +137,12 @@ def goes_on(components: Components) -> float:
     return components.late if moves else 0.0
 
 
-def doubts(components: Components, counted: npt.NDArray[np.bool_], unit: str, rough: bool, good: bool) -> list[Reason]:
-    """Likeliest first. counted: the grid's places at which B was measured; unit: of q; rough: the motor's counts or
-    noise show in the image; good: the model predicts and B is known whatever departs: then only what would spoil either
-    if it were left out is told, and as no doubt."""
-    usual = max(float(np.median(components.width[counted])) if counted.any() else 0.0, NO_WIDTH)
+def doubts(
+    components: Components, counted: npt.NDArray[np.bool_], usual: float, unit: str, rough: bool, good: bool
+) -> list[Reason]:
+    """Likeliest first. counted: the grid's places at which B was measured; usual: B there; unit: of q; rough: the
+    motor's counts or noise show in the image; good: the model predicts and B is known whatever departs: then only what
+    would spoil either if it were left out is told, and as no doubt."""
     late = goes_on(components)
     reasons = []
     for part in sorted(components.parts, key=lambda each: -each.chi2):
@@ -186,12 +186,13 @@ def _scatter(components: Components, good: bool) -> Reason:
     return Reason("residual", f"{times}, which no known departure explains", "taut diagnose says where it is")
 
 
-def floor_of(tracks: Sequence[Track], grid: Array, width: Array, sigma: Array, unit: str, findings: Findings) -> float:
+def floor_of(
+    tracks: Sequence[Track], grid: Array, width: Array, sigma: Array, usual: float, unit: str, findings: Findings
+) -> float:
     """What every stroke is wrong by alike, unit of q: no scatter shows it, so it is added to B's sigma. grid, width and
-    sigma where B was measured."""
+    sigma where B was measured; usual: B there."""
     if len(grid) < 2:
         return 0.0
-    usual = float(np.median(width))
     between = max(between_samples(track.path.sampled) for track in tracks)
     if between > _COARSE * usual:
         period = max(float(np.median(np.diff(track.reading.t_s))) for track in tracks)
@@ -214,7 +215,7 @@ def floor_of(tracks: Sequence[Track], grid: Array, width: Array, sigma: Array, u
             f"the tip's place is told in steps: a turn is known to {rounded:.2g} {unit}",
             "read the sensor with more digits, or take a finer one",
         )
-    rippled, wave = _ripple(grid, width, sigma)
+    rippled, wave = _ripple(grid, width, sigma, usual)
     if rippled:
         findings.notice(
             "actuator.encoder_periodic",
@@ -245,14 +246,14 @@ def _rounded(track: Track) -> float:
     return float(np.median(np.diff(levels)) / np.sqrt(12.0) / max(steep, 1e-12))
 
 
-def _ripple(grid: Array, width: Array, sigma: Array) -> tuple[float, float]:
+def _ripple(grid: Array, width: Array, sigma: Array, usual: float) -> tuple[float, float]:
     """(rms, period) of one wave that goes on all over what was measured, where B is likelier with it than as a smooth
     curve alone: rms 0 where it is not. B's shape is a cubic smoothing spline whose variance is the likeliest, with and
-    without the wave; the wave's prior is as large as B, its rate anywhere alike."""
+    without the wave; the wave's prior is as large as B (`usual`), its rate anywhere alike."""
     at = np.linspace(grid[0], grid[-1], _PLACES)
     y, weight = np.interp(at, grid, width), np.interp(at, grid, sigma) ** -2
     basis = Basis(float(at[0]), float(at[-1]), _PLACES // 2)
-    design, usual = basis.design(at).toarray(), max(float(np.median(width)), NO_WIDTH)
+    design = basis.design(at).toarray()
     heavy = design * weight[:, None]
     rates = np.linspace(_CYCLES[0], _CYCLES[1], _RATES) / float(at[-1] - at[0])
     turn = 2.0 * np.pi * np.outer(rates, at)

@@ -26,6 +26,7 @@ _DOUBTFUL = 3.0  # prior: frames of so many times the usual stated noise do not 
 _STRAY = 12.0  # prior: sigma, beside four usual steps, from which a lone frame is a false sighting
 _RESOLVED = 4.0  # prior: times the least steps that a sensor shows: beyond, repeated values are no matter of resolution
 _HELD, _FEWEST_RUNS = 0.25, 8  # prior: share of values that are repeated then, and how many must be seen
+LITTLE = 1e-3  # tolerance: of the range: a motion or a width of less is next to none
 _FEW = 20  # tolerance: frames below which nothing is told of a motion
 _WORLD_DEG = 8.0  # prior: of a wall that a tip sees breathe, as a square that is followed is in an endoscope's picture
 _STILL_MM, _STILL_DEG = 0.02, 0.05  # tolerance: other degrees of freedom that stay within this do not move
@@ -250,7 +251,12 @@ def noise_of(t: Array, y: Array, least: float) -> float:
 
 def turning_hysteresis(path: MotorPath, resolution: float, span: float) -> float:
     """Going back by no more than this is encoder dither, not a reversal (unit of q)."""
-    return float(max(3.0 * resolution, 8.0 * reading_noise(path.sampled), 1e-3 * span))
+    return float(max(3.0 * resolution, 8.0 * reading_noise(path.sampled), LITTLE * span))
+
+
+def usual_width(width: Array, span: float) -> float:
+    """The median of widths (k,), next to none of a range of q at least: shares of B are of this."""
+    return max(float(np.median(width)) if len(width) else 0.0, LITTLE * span)
 
 
 def corners(motor: Motor) -> tuple[Array, Array]:
