@@ -18,7 +18,7 @@ from scipy.special import expit
 from tautline.calibration.components import between, nominal_columns
 from tautline.calibration.departures import Scene, by_rows, scene_of
 from tautline.calibration.playfit import Curves, Fitted
-from tautline.calibration.several import left
+from tautline.calibration.several import bounded_rms, left, powers
 from tautline.elements import Play
 from tautline.friction import BOUC_WEN, DAHL, VALUES, Friction
 from tautline.rig import Rig
@@ -90,32 +90,34 @@ def fit_friction(starts: Sequence[Fitted], rig: Rig, kind: str, fit_delay: bool)
 def _descended(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Fitted, Array]:
     """The joint fit and the unknowns after damped Gauss-Newton steps; its scale is what it leaves, infinite where no
     frame tells."""
+    power = powers(state)
     for _ in range(_STEPS):
-        state = replace(state, scale=left(state))
-        least = _cost(state, kind, unknowns)
+        state = replace(state, scale=bounded_rms(power, state.scale))
+        least = _cost(power, state, kind, unknowns)
         if not np.isfinite(least):
             break
         moved, step, _ = _step(state, rig, kind, unknowns)
         for share in _SHARES:
             then = unknowns + share * step
             trial = _with(replace(state, curves=between(state.curves, moved, share)), kind, then)
-            now = _cost(trial, kind, then)
+            there = powers(trial)
+            now = _cost(there, trial, kind, then)
             if now < least:
                 break
         else:
             break
-        gained, state, unknowns = 1.0 - now / least, trial, then
+        gained, state, unknowns, power = 1.0 - now / least, trial, then, there
         if gained < _ENOUGH:
             break
-    return replace(state, scale=left(state)), unknowns
+    return replace(state, scale=bounded_rms(power, state.scale)), unknowns
 
 
-def _cost(state: Fitted, kind: str, unknowns: Array) -> float:
+def _cost(power: Array, state: Fitted, kind: str, unknowns: Array) -> float:
     """Mean square of the residuals over noise, strays bounded, plus the unknowns' prior per frame; infinite where no
-    frame tells."""
+    frame tells. power: the state's `powers`."""
     mean, sigma = PRIORS[kind]
     prior = float(np.sum(((unknowns - mean) / sigma) ** 2)) / max(state.frames, 1)
-    return left(state) ** 2 + state.scale**2 * prior
+    return bounded_rms(power, state.scale) ** 2 + state.scale**2 * prior
 
 
 def _with(state: Fitted, kind: str, unknowns: Array) -> Fitted:

@@ -89,11 +89,18 @@ def _lawful(weights: Array) -> Array:
 def left(fitted: Fitted) -> float:
     """Residual over noise (rms) of all counted frames; strays count as four scales. Infinite where the tip was never
     driven through the widest element: no frame tells of that."""
+    return bounded_rms(powers(fitted), fitted.scale)
+
+
+def powers(fitted: Fitted) -> Array:
+    """(counted frames,) Mean square of each one's residual over noise."""
     rows, masks = fitted.fit.residuals(fitted.curves)
-    if not any(mask.any() for mask in masks):
-        return np.inf
-    power = np.concatenate([np.mean(r[m] ** 2, axis=1) for r, m in zip(rows, masks, strict=True)])
-    return float(np.sqrt(np.mean(np.minimum(power, (4.0 * fitted.scale) ** 2))))
+    return np.concatenate([np.mean(r[m] ** 2, axis=1) for r, m in zip(rows, masks, strict=True)])
+
+
+def bounded_rms(power: Array, scale: float) -> float:
+    """Root of the mean of `powers`, those of strays as of four scales; infinite of none."""
+    return float(np.sqrt(np.mean(np.minimum(power, (4.0 * scale) ** 2)))) if len(power) else np.inf
 
 
 def _step(fitted: Fitted, weights: Array, rig: Rig) -> tuple[Curves, Array]:
