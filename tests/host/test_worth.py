@@ -96,7 +96,7 @@ def over_noise(off: np.ndarray, moving: np.ndarray, placed: float = 0.0) -> floa
     """Of misses (n, 2) of an image in which the tip moves along u, over the frames' noise; placed: what a tracker adds
     to that at each place, in noise."""
     n = len(off)
-    track = SimpleNamespace(sigma=np.ones(n), placed_px=placed, t_s=0.04 * np.arange(n))
+    track = SimpleNamespace(sigma=np.ones(n), placed_px=placed, t_s=0.04 * np.arange(n), step=0.0)
     fit = SimpleNamespace(
         tracks=[SimpleNamespace(track=track)],
         simulated=[SimpleNamespace(moving=moving, tip=np.zeros(n))],
@@ -104,7 +104,7 @@ def over_noise(off: np.ndarray, moving: np.ndarray, placed: float = 0.0) -> floa
         width=lambda curves: np.ones(3),
     )
     masks = worths._of_tip(cast(Any, fit), cast(Any, None), [off], [np.ones(n, bool)])
-    return worths._over_noise(cast(Any, fit), cast(Any, None), [off], masks)
+    return worths._over_noise(cast(Any, fit), cast(Any, None), [off], masks, [cast(Any, track)])
 
 
 def test_what_neighbours_miss_alike_is_the_models_and_the_rest_is_noise() -> None:

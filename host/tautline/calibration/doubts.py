@@ -15,7 +15,6 @@ from tautline.calibration.observations import Track
 from tautline.calibration.worth import PREDICTS
 from tautline.encoder import between_samples
 from tautline.quality import Reason
-from tautline.rig import ANGLE
 from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
@@ -27,7 +26,6 @@ _SPEEDS = 1.5  # prior: scatter of moving frames over that of resting ones, from
 _CYCLES = 4.0, 40.0  # prior: of a ripple over what was measured
 _PLACES, _RATES = 160, 145  # tolerance: at which B is looked at; of a ripple that are tried
 _SMOOTHED = 0.4  # prior: of the readings' noise: what smoothing leaves at a turn
-_LEVELS = 0.5  # prior: different values for each frame, below which a sensor rounds
 _COARSE = 0.015  # tolerance: of B: a motor's path between its samples is known no better
 
 DRIVE = "calibrate again once it is mended, or let taut diagnose add it to the model"
@@ -208,13 +206,6 @@ def floor_of(
             f"the motor's readings scatter, its turns are known to {scatter:.2g} {unit}",
             "shield the encoder's lines, or take one with finer counts",
         )
-    rounded = max(_rounded(track) for track in tracks)
-    if rounded > _COARSE * usual:
-        findings.notice(
-            "angle" if tracks[0].sensor == ANGLE else "tracker",
-            f"the tip's place is told in steps: a turn is known to {rounded:.2g} {unit}",
-            "read the sensor with more digits, or take a finer one",
-        )
     rippled, wave = _ripple(grid, width, sigma, usual)
     if rippled:
         findings.notice(
@@ -222,7 +213,7 @@ def floor_of(
             f"B(q) ripples by {rippled:.2g} {unit} (rms) every {wave:.3g} {unit}, as an encoder may",
             "centre the encoder's magnet or disc and calibrate again",
         )
-    return float(np.sqrt(between**2 + scatter**2 + rounded**2 + rippled**2))
+    return float(np.sqrt(between**2 + scatter**2 + rippled**2))
 
 
 _FINEST = 1e-3  # tolerance: of what is seen: no rate is told that would mend more
@@ -234,16 +225,6 @@ def _faster_hz(period_s: float, between: float, allowed: float) -> int:
     least = between / max(allowed, _FINEST * between) / period_s
     decade = 10.0 ** math.floor(math.log10(least))
     return round(decade * next(step for step in (1, 2, 5, 10) if step * decade >= least * (1.0 - 1e-9)))
-
-
-def _rounded(track: Track) -> float:
-    """What the steps of a sensor that rounds are in the motor's positions, as a standard deviation; 0 of one that does
-    not."""
-    levels = np.unique(track.y[:, 0])
-    if len(levels) > _LEVELS * len(track.y) or len(levels) < 2:
-        return 0.0
-    steep = float(np.ptp(track.y[:, 0])) / max(float(np.ptp(track.motor.q)), 1e-12)
-    return float(np.median(np.diff(levels)) / np.sqrt(12.0) / max(steep, 1e-12))
 
 
 def _ripple(grid: Array, width: Array, sigma: Array, usual: float) -> tuple[float, float]:

@@ -27,6 +27,9 @@ _STRAY = 12.0  # prior: sigma, beside four usual steps, from which a lone frame 
 _RESOLVED = 4.0  # prior: times the least steps that a sensor shows: beyond, repeated values are no matter of resolution
 _HELD, _FEWEST_RUNS = 0.25, 8  # prior: share of values that are repeated then, and how many must be seen
 LITTLE = 1e-3  # tolerance: of the range: a motion or a width of less is next to none
+_LEVELS = 0.5  # prior: different values for each frame, below which a sensor rounds
+_CORNERS = 6.0  # prior: of usual third differences: more is a turn's or a stray's
+_EXACT = 1e-9  # of the range: a difference of binary numbers
 _FEW = 20  # tolerance: frames below which nothing is told of a motion
 _WORLD_DEG = 8.0  # prior: of a wall that a tip sees breathe, as a square that is followed is in an endoscope's picture
 _STILL_MM, _STILL_DEG = 0.02, 0.05  # tolerance: other degrees of freedom that stay within this do not move
@@ -48,6 +51,7 @@ class Track:
     session_s: float = 0.0  # added to its times to get the session's
     shown: Shown | None = None  # what was followed where it is no marker
     tracked_px: float = 0.0  # prior of what frames near one place are off by alike; 0 of places that others tell
+    step: float = 0.0  # of y, to which the sensor rounds; 0: to nothing that shows
     posed: bool = False  # y is the bending angle, by a pose: what other degrees of freedom move is taken out
 
     def only(self, frames: Mask | npt.NDArray[np.intp] | slice) -> Track:
@@ -185,7 +189,8 @@ def _track(recording: Recording, path: MotorPath, unit: str, t: Array, y: Array,
     stray = strays(y, noise)
     t, y = t[~stray], y[~stray]
     sigma = np.full(len(t), noise)
-    return Track(recording.name, unit, path, t, y, sigma, stray=int(stray.sum()), held=held)
+    step = rounding_step(y)
+    return Track(recording.name, unit, path, t, y, sigma, stray=int(stray.sum()), held=held, step=step)
 
 
 def not_held(y: Array) -> Mask:
@@ -199,7 +204,8 @@ def not_held(y: Array) -> Mask:
         return fresh
     step = np.linalg.norm(y[changes] - y[changes - 1], axis=1)
     runs = np.diff(changes)  # of the value that changes[i] began
-    resolution = float(np.quantile(np.diff(np.unique(y[:, 0])), 0.05)) if len(np.unique(y[:, 0])) > 1 else np.inf
+    levels = np.unique(y[:, 0])
+    resolution = _least_step(levels) if len(levels) > 1 else np.inf
     moves = np.minimum(step[:-1], step[1:]) > _RESOLVED * resolution
     if moves.sum() < _FEWEST_RUNS or np.mean(runs[moves] > 1) < _HELD:
         return fresh
@@ -236,17 +242,31 @@ def noise_of(t: Array, y: Array, least: float) -> float:
     px, 0.01 deg) of fewer than 8 frames."""
     if len(t) < 8:
         return max(least, 0.05 if y.shape[1] == 2 else 0.01)
-    step = np.diff(t)
-    even = np.abs(step - np.median(step)) < 0.25 * np.median(step)
+    gaps = np.diff(t)
+    even = np.abs(gaps - np.median(gaps)) < 0.25 * np.median(gaps)
     runs = even[:-2] & even[1:-1] & even[2:]
     third = np.diff(y, 3, axis=0)
     third = third[runs] if runs.sum() >= 8 else third
     # 20: squares of 1, 3, 3, 1; 0.6745: the median of a normal distribution's magnitudes, in its sigma.
-    noise = float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20.0)
+    step = rounding_step(y)
+    usual = float(np.median(np.abs(third))) / 0.6745
+    if step > 0.0:  # third differences are whole steps as well, and so is their median
+        usual = float(np.sqrt(np.mean(np.minimum(np.abs(third), _CORNERS * max(usual, step)) ** 2)))
+    return float(max(usual / np.sqrt(20.0), step / np.sqrt(12.0), least))
+
+
+def rounding_step(y: Array) -> float:
+    """The step of a sensor that rounds, as values y (n, channels) show it in their first channel: 0 where most are
+    others."""
     levels = np.unique(y[:, 0])
-    if len(levels) < 0.5 * len(y) and len(levels) > 1:
-        noise = max(noise, float(np.median(np.diff(levels))) / np.sqrt(12.0))
-    return float(max(noise, least))
+    return _least_step(levels) if 1 < len(levels) < _LEVELS * len(y) else 0.0
+
+
+def _least_step(levels: Array) -> float:
+    """Between neighbouring values of rising levels (n,), 2 or more: low, as a tip that moves skips some, and above
+    rounding."""
+    apart = np.diff(levels)
+    return float(np.quantile(apart[apart > _EXACT * (levels[-1] - levels[0])], 0.05))
 
 
 def turning_hysteresis(path: MotorPath, resolution: float, span: float) -> float:

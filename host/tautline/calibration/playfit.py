@@ -17,6 +17,7 @@ from scipy.linalg import cho_solve
 from tautline.calibration.beforehand import Beforehand, Term, between
 from tautline.calibration.beside import Beside
 from tautline.calibration.observations import Mask, Track, corners
+from tautline.calibration.rounding import counts
 from tautline.elements import SINGLE, Hysteresis, Play
 from tautline.least_squares import descend, factor
 from tautline.model import STEEPEST, allowed_width
@@ -191,6 +192,16 @@ class PlayFit:
         translation, rotation = track.others_at(track.scene_s(curves.delay_s))
         return self.view(s[:, 0], translation, rotation)[0]
 
+    def counts(self, curves: Curves) -> list[Array]:
+        """(n,) of each track: as how much of an independent frame each one counts (rounding.py). After `residuals` with
+        the same curves."""
+        return [
+            counts(frozen.track, self.seen(frozen.track, curves, sim.tip), frozen.use)
+            if frozen.track.step > 0.0
+            else np.ones(len(frozen.use))
+            for frozen, sim in zip(self.tracks, self.simulated, strict=True)
+        ]
+
     def normal(
         self, curves: Curves, rows: list[Array], weights: list[Array], extra: Sequence[Array] | None = None
     ) -> tuple[Array, Array]:
@@ -269,7 +280,7 @@ class PlayFit:
         minimum = descend(_Descent(self, robust, adapt), _Point.of(self, start), iterations)
         curves = minimum.curves
         rows, masks = self.residuals(curves)
-        scale, weights = _weights(rows, masks, robust)
+        scale, weights = _weights(rows, masks, robust, self.counts(curves))
         matrix, _ = self.normal(curves, rows, weights)
         penalty, _ = self.penalty(curves, scale)
         covariance = np.asarray(np.linalg.inv(matrix + penalty + 1e-12 * np.eye(len(matrix))) * scale * scale)
@@ -464,7 +475,7 @@ class _Descent:
         adapted smoothing."""
         fit, curves = self.fit, point.curves
         fit.simulated = point.simulated
-        self.scale, self.weights = _weights(point.rows, point.masks, self.robust)
+        self.scale, self.weights = _weights(point.rows, point.masks, self.robust, fit.counts(curves))
         if self.adapt and self.steps == 0:
             fit.begin(curves, self.scale)
         matrix, gradient = fit.normal(curves, point.rows, self.weights)
@@ -572,23 +583,24 @@ def _again(weights: list[Array], masks: list[Mask]) -> list[Array]:
     return [np.where(m, w, 1.0) for w, m in zip(weights, masks, strict=True)]
 
 
-def _weights(rows: list[Array], masks: list[Mask], robust: bool) -> tuple[float, list[Array]]:
-    """Scale of the residuals (rms over noise, outliers bounded; 1 without frames) and each frame's Huber weight, 0
-    where it does not count. 1.4826 and 1.2 make a median of one and of two coordinates' rms a standard deviation."""
+def _weights(rows: list[Array], masks: list[Mask], robust: bool, counts: list[Array]) -> tuple[float, list[Array]]:
+    """Scale of the residuals (rms over noise, outliers bounded; 1 without frames) and each frame's Huber weight times
+    what it counts (`PlayFit.counts`), 0 where it does not. 1.4826 and 1.2 make a median of one and of two coordinates'
+    rms a standard deviation."""
     used = [np.sqrt(np.mean(r[m] ** 2, axis=1)) for r, m in zip(rows, masks, strict=True)]
     norm = np.concatenate(used) if used else np.zeros(0)
     if len(norm) == 0:
-        return 1.0, [m.astype(float) for m in masks]
+        return 1.0, [m * c for m, c in zip(masks, counts, strict=True)]
     if not robust:
-        return max(float(np.sqrt(np.mean(norm**2))), 1e-6), [m.astype(float) for m in masks]
+        return max(float(np.sqrt(np.mean(norm**2))), 1e-6), [m * c for m, c in zip(masks, counts, strict=True)]
     middle = float(np.sqrt(np.median(norm**2))) * (1.4826 if rows[0].shape[1] == 1 else 1.2)
     limit = 4.0 * max(middle, 1e-9)
     scale = max(float(np.sqrt(np.mean(np.minimum(norm, limit) ** 2))), 1e-6)
     limit = 4.0 * scale
     weights = []
-    for r, m in zip(rows, masks, strict=True):
+    for r, m, c in zip(rows, masks, counts, strict=True):
         size = np.sqrt(np.mean(np.where(m[:, None], r, 0.0) ** 2, axis=1))
-        weights.append(np.where(m, np.minimum(1.0, limit / np.maximum(size, 1e-12)), 0.0))
+        weights.append(np.where(m, c * np.minimum(1.0, limit / np.maximum(size, 1e-12)), 0.0))
     return scale, weights
 
 

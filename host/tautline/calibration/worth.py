@@ -19,6 +19,7 @@ from tautline.calibration.beside import Beside
 from tautline.calibration.observations import Track
 from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit
 from tautline.calibration.remaining import view_of
+from tautline.calibration.rounding import resting, shared_variance
 from tautline.calibration.smooth import SPANS
 from tautline.geometry import across, project
 from tautline.independence import less_its_trend, remembered, stretches
@@ -90,14 +91,15 @@ def worth(model: Model, tracks: Sequence[Track], joint: Fitted | None, remaining
     if labels is not None and apart:
         missed = _foretold(fit, curves, rows, masks, labels)
     masks = _of_tip(fit, curves, missed, masks)
-    in_unit = [miss * track.sigma[:, None] for miss, track in zip(missed, tracks, strict=True)]
+    in_unit = [miss * frozen.track.sigma[:, None] for miss, frozen in zip(missed, fit.tracks, strict=True)]
+    over_noise = [off / track.sigma[:, None] for off, track in zip(in_unit, tracks, strict=True)]
     by_coarse = [track.y - _coarse(track, model) for track in tracks]
     seen = _counted([track.y for track in tracks], masks)
     return Worth(
         model=bounded_rms(_counted(in_unit, masks)),
         coarse=bounded_rms(_counted(by_coarse, masks)),
         constant=bounded_rms(seen - seen.mean(axis=0)),
-        over_noise=_over_noise(fit, curves, missed, masks),
+        over_noise=_over_noise(fit, curves, over_noise, masks, tracks),
         unit=tracks[0].unit,
         blocks=BLOCKS if apart else 0,
     )
@@ -123,35 +125,45 @@ def _of_tip(
     return kept
 
 
-def _over_noise(fit: PlayFit, curves: Curves, missed: Sequence[Array], masks: Sequence[npt.NDArray[np.bool_]]) -> float:
+def _over_noise(
+    fit: PlayFit,
+    curves: Curves,
+    missed: Sequence[Array],
+    masks: Sequence[npt.NDArray[np.bool_]],
+    tracks: Sequence[Track],
+) -> float:
     """What neighbouring frames miss alike is the model's. What they do not is the sensor's: as much as is stated, or
     as where the tip rests, or as across its path in the image, where nothing moves it; a tracker's own at each place is
-    added, and what its noise remembers. What is more than that along the path is an error of times, and so of what is
-    foretold."""
+    added, and what its noise remembers, and rounding. What is more than that along the path is an error of times, and
+    so of what is foretold. missed: over each frame's own noise."""
     limit = _STRAY * bounded_rms(_counted(missed, masks))
     alike, along, beside, still, placed = [], [], [], [], []
-    rests: list[Array] = []
-    for frozen, sim, off, mask in zip(fit.tracks, fit.simulated, missed, masks, strict=True):
+    still_misses: list[Array] = []
+    for track, sim, off, mask in zip(tracks, fit.simulated, missed, masks, strict=True):
         off = np.where(mask[:, None], off, 0.0)
         norm = np.sqrt(np.mean(off**2, axis=1))
         near = off * np.minimum(1.0, limit / np.maximum(norm, limit))[:, None]
         pair, moves = mask[1:] & mask[:-1], sim.moving[1:] & sim.moving[:-1]
         step = np.diff(near, axis=0) / np.sqrt(2.0)
-        slope = fit.slope_in_view(frozen.track, curves, sim.tip)
+        slope = fit.slope_in_view(track, curves, sim.tip)
         path = slope / np.maximum(np.linalg.norm(slope, axis=1), 1e-300)[:, None]
         forward = np.sum(step * path[1:], axis=1) ** 2
-        alike.append(np.mean(near[1:] * near[:-1], axis=1)[pair])
+        together = np.mean(near[1:] * near[:-1], axis=1)
+        if track.step > 0.0:
+            rests = resting(track, fit.seen(track, curves, sim.tip))
+            together = together - rests * shared_variance(track, rests) / track.sigma[1:] ** 2
+        alike.append(together[pair])
         along.append(forward[pair & moves])
         still.append(forward[pair & ~moves])
-        placed.append((frozen.track.placed_px / frozen.track.sigma[mask]) ** 2)
+        placed.append((track.placed_px / track.sigma[mask]) ** 2)
         if step.shape[1] > 1:
             sideways = np.sum(step**2, axis=1) - forward
             beside.append(sideways[pair & moves])
             still.append(sideways[pair & ~moves])
-            rests += _at_rest(frozen.track.t_s, across(near, path)[:, None], mask & ~sim.moving)
+            still_misses += _at_rest(track.t_s, across(near, path)[:, None], mask & ~sim.moving)
     if not any(map(len, alike)):
         return np.inf  # no two neighbours count: nothing tells a model's misfit from noise
-    memory = remembered(rests, _SLOW)[0] if sum(map(len, rests)) >= _FEW else 0.0
+    memory = remembered(still_misses, _SLOW)[0] if sum(map(len, still_misses)) >= _FEW else 0.0
     at_rest, moving = _mean(still), _mean(along)
     usual = _mean(beside) if beside else at_rest
     own2 = max(at_rest, usual) / (1.0 - memory)  # of what remembers, neighbours differ by so much less
@@ -230,14 +242,14 @@ def _foretold(
     labels: Sequence[Labels],
 ) -> list[Array]:
     """(n, k) of each track: what a fit without a frame's block misses it by, over the noise."""
-    limit = _STRAY * bounded_rms(_counted(rows, masks))
+    limit, counts = _STRAY * bounded_rms(_counted(rows, masks)), fit.counts(curves)
 
     def weighed(number: int) -> list[Array]:
         """(n,) of each track: weights of this block's frames, those of a stray less than 1; 0 of all other frames."""
         norms = [np.sqrt(np.mean(row**2, axis=1)) for row in rows]
         return [
-            np.where(label == number, limit / np.maximum(norm, limit), 0.0)
-            for norm, label in zip(norms, labels, strict=True)
+            np.where(label == number, count * limit / np.maximum(norm, limit), 0.0)
+            for norm, label, count in zip(norms, labels, counts, strict=True)
         ]
 
     parts = [fit.normal(curves, list(rows), weighed(number)) for number in range(BLOCKS)]
