@@ -14,7 +14,7 @@ from tautline import layouts
 from tautline.columns import Columns, read_columns
 from tautline.errors import TautError
 from tautline.folders import replaced
-from tautline.rig import Rig
+from tautline.rig import RIG_FILE, Rig
 
 # format of all: what a recording's files may hold
 
@@ -29,6 +29,14 @@ MOST_JOINTS = 8  # that are looked at
 VIDEO_NAMES = ("video.mkv", "video.mp4")
 _WRITTEN_ROWS = 200_000  # at once: a copy of all of them is not held
 PICTURE_NAME = "camera.png"
+COLOUR_FILE, REGION_FILE = "marker.toml", "region.toml"  # beside a video: what is followed in it
+IMPORT_FILE = "import.toml"  # where a recording came from
+_FOLLOWED = (COLOUR_FILE, f"{Path(REGION_FILE).stem}.*")  # with the region's picture
+# All that a recording's folder may hold, as patterns: another recording that takes its place leaves none of it.
+FILES = (
+    *(layout.file for layout in (layouts.MOTOR, layouts.MARKER, layouts.ANGLE, layouts.FRAMES)),
+    *(RIG_FILE, *VIDEO_NAMES, PICTURE_NAME, *_FOLLOWED, IMPORT_FILE, "truth.*"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,10 +226,11 @@ def read_motor(file: Path, rig: Rig, warnings: list[str] | None = None) -> Motor
 
 
 def save(recording: Recording, folder: str | Path) -> None:
-    """Writes the folder, whole or not at all. A recording that was there is replaced; other files in it stay."""
+    """Writes the folder, whole or not at all. A recording that was there is replaced, with all of FILES; other files in
+    it stay."""
     if recording.rig is None:
         raise TautError(f"{folder}: a recording is saved with its rig, which names the unit of q")
-    with replaced(Path(folder), "motor.csv") as target:
+    with replaced(Path(folder), layouts.MOTOR.file, stale=FILES) as target:
         motor, unit = recording.motor, recording.rig.actuator.unit
         recording.rig.save(target / "rig.toml")
         _write(
@@ -256,6 +265,8 @@ def save(recording: Recording, folder: str | Path) -> None:
             shutil.copyfile(recording.picture, target / PICTURE_NAME)
         if (video := recording.video) is not None:
             shutil.copyfile(video.path, target / f"video{video.path.suffix}")
+            for beside in (each for pattern in _FOLLOWED for each in video.path.parent.glob(pattern)):
+                shutil.copyfile(beside, target / beside.name)
             if video.arrival_s is not None:
                 seen = np.flatnonzero(np.isfinite(video.arrival_s))
                 _write(target / "frames.csv", {"frame": seen, "t_s": video.arrival_s[seen]})

@@ -31,13 +31,6 @@ rig_option = click.option(
     type=click.Path(path_type=Path),
     help="The rig file; wins over a rig.toml in a recording.",
 )
-
-
-def folder_option(name: str, help: str, required: bool = True) -> Callable[[Any], Any]:
-    """An option that names an output folder, such as --out."""
-    return click.option(name, type=click.Path(path_type=Path), required=required, help=help)
-
-
 compensation_option = click.option(
     "--compensation",
     "--mode",

@@ -11,7 +11,6 @@ import click
 from tautline.calibration.calibrate import Calibration, Options, calibrate
 from tautline.cli._common import (
     emit,
-    folder_option,
     json_option,
     log,
     progress_bar,
@@ -21,9 +20,10 @@ from tautline.cli._common import (
     warn,
 )
 from tautline.cli._live import LiveOptions, free_recording, live_options, opened, sigma_of, until_option
+from tautline.cli._outputs import Output, folder_option
 from tautline.diagnosis.motion import table
 from tautline.errors import UnusableError
-from tautline.folders import check_replaceable, write_file
+from tautline.folders import write_file
 from tautline.live.closing import FILE, closing
 from tautline.live.rounds import in_words
 from tautline.model import MODEL_FILE
@@ -35,7 +35,7 @@ from tautline.vision.marker import with_marker
 @click.command("calibrate")
 @click.argument("recording_paths", metavar="[RECORDING...]", nargs=-1, type=click.Path(path_type=Path))
 @rig_option
-@folder_option("--out", "The MODEL folder to write: model.json, rig.toml, report.html.")
+@folder_option("--out", "The MODEL folder to write: model.json, rig.toml, report.html.", key_file=MODEL_FILE)
 @click.option(
     "--knots",
     type=click.Choice(["smooth", "paper"]),
@@ -76,7 +76,7 @@ from tautline.vision.marker import with_marker
     help="Live: of the motion's rounds (with --thorough of its passes) in turn, the rig's unit per second; up to four "
     "times.",
 )
-@click.option("--recording", "kept", type=click.Path(path_type=Path), help="Live: kept here. Default: OUT-recording.")
+@click.option("--recording", "kept", type=Output(), help="Live: kept here. Default: OUT-recording.")
 @click.option("--video", is_flag=True, help="Live: keep the frames too.")
 @click.option("--seed", type=int, default=0, help="Of a simulation.")
 @json_option
@@ -96,7 +96,6 @@ def command(
     Live (--camera with a board, or --simulate), the board moves the axis until B(q) is known well enough, or it is
     said why it cannot be; Ctrl-C brings the axis to rest.
     """
-    check_replaceable(out, MODEL_FILE)
     options = Options(knots=knots, remaining=remaining)
     if recording_paths:
         calibration, lines, proposed = _from_recordings(recording_paths, rig_path, out, options, fleet)

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tautline.cli._common import emit, json_option, log, progress_bar, read_recordings, warn_unusable
-from tautline.folders import check_no_input
-from tautline.model import RIG_FILE, Model
+from tautline.cli._outputs import Output, check_no_input
+from tautline.model import Model
+from tautline.rig import RIG_FILE
 from tautline.vision.marker import with_marker
 
 if TYPE_CHECKING:
@@ -22,13 +23,11 @@ _MOST_CHANGES = 12  # that are told one by one
 @click.command("track")
 @click.argument("model_path", metavar="MODEL", type=click.Path(path_type=Path))
 @click.argument("recording_paths", metavar="RECORDING...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option(
-    "--csv", "csv_path", type=click.Path(path_type=Path), required=True, help="Written: a row for each frame."
-)
+@click.option("--csv", "csv_path", type=Output(file=True), required=True, help="Written: a row for each frame.")
 @click.option(
     "--picture",
     "picture_path",
-    type=click.Path(path_type=Path),
+    type=Output(file=True),
     help="Written too: state, offset and scale over time, by its ending as PNG, SVG or PDF.",
 )
 @json_option

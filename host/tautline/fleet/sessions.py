@@ -16,15 +16,15 @@ from pathlib import Path
 import pandas as pd
 
 from tautline.errors import TautError, of_system
-from tautline.model import RIG_FILE
-from tautline.recording import VIDEO_NAMES
-from tautline.vision.colour import COLOUR_FILE
-from tautline.vision.region import REGION_FILE
+from tautline.layouts import ANGLE, FRAMES, MARKER
+from tautline.layouts import MOTOR as MOTOR_LAYOUT
+from tautline.recording import COLOUR_FILE, REGION_FILE, VIDEO_NAMES
+from tautline.rig import RIG_FILE
 
 MANIFEST = "robots.csv"
-MOTOR = "motor.csv"
-_TABLES = (MOTOR, "marker.csv", "angle.csv", RIG_FILE)
-_OF_VIDEO = (*VIDEO_NAMES, "frames.csv", COLOUR_FILE, REGION_FILE)
+MOTOR = MOTOR_LAYOUT.file
+_TABLES = (MOTOR, MARKER.file, ANGLE.file, RIG_FILE)
+_OF_VIDEO = (*VIDEO_NAMES, FRAMES.file, COLOUR_FILE, REGION_FILE)
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
 
 
@@ -54,7 +54,7 @@ class Session:
         try:
             found = {} if self.rig is None else {RIG_FILE: self.rig.read_bytes()}
             for recording in _recordings(self.folder):
-                tracked = (recording / "marker.csv").exists()
+                tracked = (recording / MARKER.file).exists()
                 for name in _TABLES if tracked else (*_TABLES, *_OF_VIDEO):
                     if (recording / name).is_file():
                         found[f"{recording.name}/{name}"] = (recording / name).read_bytes()

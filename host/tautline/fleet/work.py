@@ -13,10 +13,9 @@ from tautline.calibration.calibrate import Calibration, calibrate
 from tautline.errors import TautError
 from tautline.fleet.rows import Row
 from tautline.folders import unpacked
-from tautline.model import RIG_FILE
 from tautline.prediction import width_by_delay
 from tautline.recording import load_all
-from tautline.rig import Rig
+from tautline.rig import RIG_FILE, Rig
 from tautline.vision.marker import with_marker
 
 PLACES = 33  # of a curve in a row: on 10 mm two for the finest bump that a calibration resolves, 0.6 mm
