@@ -312,10 +312,12 @@ def report(
         calibration without its recordings.
     Source: the figures of a page are those of the paper's Figs. 7 to 11; docs/files.md lists the files.
 
-    A calibration becomes a MODEL folder (model.json, rig.toml), which the commands and Model.load take; a model the
-    same without measured frames; a diagnosis its DIR (diagnosis.json, corrected/, nominal/).
+    A calibration becomes a MODEL folder (model.json, rig.toml), which the commands and Model.load take, with the motion
+    that would measure the rest of the range where there is one (next_motion.csv); a model the same without measured
+    frames; a diagnosis its DIR (diagnosis.json, corrected/, nominal/).
     """
     from tautline.diagnosis.diagnose import Diagnosis
+    from tautline.live import closing
     from tautline.model import Model
     from tautline.reports import pages
 
@@ -331,6 +333,7 @@ def report(
         if not several:
             raise TautError(f"{folder}: a calibration's report shows its recordings: give them too")
         pages.save_model(result.model, recordings_room.shifted(several, result.offsets), folder)
+        closing.write(result.model, result.gaps, several, folder)
     return folder / pages.FILE
 
 

@@ -21,10 +21,8 @@ from tautline.cli._common import (
 )
 from tautline.cli._live import LiveOptions, free_recording, live_options, opened, sigma_of, until_option
 from tautline.cli._outputs import Output, folder_option
-from tautline.diagnosis.motion import table
 from tautline.errors import UnusableError
-from tautline.folders import write_file
-from tautline.live.closing import FILE, closing
+from tautline.live import closing
 from tautline.live.rounds import in_words
 from tautline.model import MODEL_FILE
 from tautline.recording import load, shifted
@@ -136,17 +134,15 @@ def _from_recordings(
         recordings = [with_marker(recording, rig, progress) for recording in recordings]
         calibration = calibrate(recordings, rig, options, progress)
         lines = pages.save_model(calibration.model, shifted(recordings, calibration.offsets), out)
-    motion = closing(calibration.model, calibration.gaps, recordings) if calibration.model.quality.usable else None
-    if motion is None:
+    seconds = closing.write(calibration.model, calibration.gaps, recordings, out)
+    if seconds is None:
         return calibration, lines, None
-    path = out / FILE
-    unit = calibration.model.rig.actuator.unit
-    write_file(path, table(motion, unit).to_csv(index=False, float_format="%.6f"))
+    path = out / closing.FILE
     lines.append(
-        f"{motion.duration_s:.0f} s of motion would measure the rest of the range: taut record --motion {path}, then "
+        f"{seconds:.0f} s of motion would measure the rest of the range: taut record --motion {path}, then "
         "calibrate from both recordings."
     )
-    return calibration, lines, {"file": path, "seconds": motion.duration_s}
+    return calibration, lines, {"file": path, "seconds": seconds}
 
 
 def _calibrate_live(
