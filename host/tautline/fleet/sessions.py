@@ -53,7 +53,10 @@ class Session:
         be read."""
         try:
             found = {} if self.rig is None else {RIG_FILE: self.rig.read_bytes()}
-            for recording in _recordings(self.folder):
+            recordings = _recordings(self.folder)
+            if not recordings:
+                raise TautError(f"holds no {MOTOR}, and no folder with one: it is no session, or was not copied whole")
+            for recording in recordings:
                 tracked = (recording / MARKER.file).exists()
                 for name in _TABLES if tracked else (*_TABLES, *_OF_VIDEO):
                     if (recording / name).is_file():
@@ -77,18 +80,17 @@ def sessions_in(folder: Path) -> list[Session]:
         raise TautError(f"{folder}: there is no such folder: a fleet is a folder ROBOT/SESSION of recordings")
     batches = _batches(folder / MANIFEST)
     found = [session for robot in _folders(folder) for session in _of_robot(folder, robot, batches.get(robot.name))]
-    if not found:
+    if not any(_recordings(session.folder) for session in found):
         raise TautError(f"{folder}: no session is in it: lay recordings out as {folder.name}/ROBOT/SESSION/{MOTOR}")
     return found
 
 
 def _of_robot(folder: Path, robot: Path, batch: str | None) -> Iterator[Session]:
-    """The robot's sessions that hold recordings, in the order of names, each with the nearest rig.toml."""
+    """The robot's sessions in the order of names, each with the nearest rig.toml; those without a recording too."""
     for session in _folders(robot):
-        if recordings := _recordings(session):
-            places = (*recordings, session, robot, folder)
-            rig = next((at / RIG_FILE for at in places if (at / RIG_FILE).is_file()), None)
-            yield Session(robot.name, session.name, batch, session, rig)
+        places = (*_recordings(session), session, robot, folder)
+        rig = next((at / RIG_FILE for at in places if (at / RIG_FILE).is_file()), None)
+        yield Session(robot.name, session.name, batch, session, rig)
 
 
 def _recordings(session: Path) -> list[Path]:
