@@ -196,6 +196,9 @@ def command(
     with progress_bar("simulating") as progress:
         simulation.save(out, endoscope, lossless, progress)
     frames = len(simulation.scene_s) if rig.has_camera else 0
+    shown = [f"{frames} frames"] if rig.has_camera else []
+    if (angle := simulation.recording.angle) is not None:
+        shown.append(f"{len(angle.t_s)} readings of an angle sensor")
     result = {
         "recording": out,
         "instrument": made.name,
@@ -207,6 +210,6 @@ def command(
     emit(
         result,
         as_json,
-        f"{out}: {trajectory.duration_s:.1f} s of {motion} with the {made.name} instrument, {frames} frames; "
+        f"{out}: {trajectory.duration_s:.1f} s of {motion} with the {made.name} instrument, {' and '.join(shown)}; "
         "truth.csv and truth.json say what was true",
     )
