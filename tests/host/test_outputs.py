@@ -67,6 +67,13 @@ def test_an_import_leaves_no_truth_of_a_simulation(taut: Taut, tmp_path: Path) -
     assert names(out) == {"motor.csv", "angle.csv", "rig.toml", "import.toml"}
 
 
+def test_an_import_does_not_overwrite_what_it_reads(taut: Taut, tmp_path: Path) -> None:
+    source = log(tmp_path).rename(tmp_path / "motor.csv")
+    before = source.read_bytes()
+    told = taut.refuses("import", source, "--out", tmp_path, "--motor", "motor:deg", "--tip", "tip:deg")
+    assert "would be overwritten" in told and source.read_bytes() == before
+
+
 def test_a_recording_that_is_saved_leaves_nothing_of_another(tmp_path: Path) -> None:
     folder = saved_recording(tmp_path / "run")
     t_s = np.linspace(0.0, 1.0, 50)

@@ -89,6 +89,9 @@ def import_episodes(
         raise TautError(f"{source.path}: is empty: it holds no messages")
     if episode is not None and episode not in listed:
         raise TautError(f"{source.path}: has no episode {episode}: its episodes are {listed[0]} to {listed[-1]}")
+    read = source.path.resolve()
+    if read.parent == out.resolve() and any(map(read.match, recording.FILES)):
+        raise TautError(f"{out}: its {read.name} would be overwritten, and is read here: name another --out")
     origin = _origin(source)
     if episode is not None or len(listed) == 1:
         only = listed[0] if episode is None else episode
