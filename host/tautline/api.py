@@ -4,7 +4,8 @@ Each of them is one step: load -> calibrate -> predict, encode, compensate, trac
 commands take the same steps. `B` is the backlash width, `f_remain` the law behind it (docs/calibration.md); `q` is the
 motor's position in the unit of the rig (mm of cable or deg of a spindle), `c` the bending angle in deg.
 
-Every error that a caller can act on is a TautError whose text says what to do; a wrong type is Python's own.
+Every error that a caller can act on is a TautError whose text says what to do; a wrong type is Python's own. Recordings
+of your own arrays are refused as their files would be: times that do not rise, a motor with NaN, the same one twice.
 """
 
 from __future__ import annotations
@@ -147,8 +148,8 @@ def calibrate(
     from tautline.calibration.calibrate import Options
     from tautline.calibration.calibrate import calibrate as calibrated
 
-    several = _several(recordings)
-    found = calibrated(several, _rig_of(several, rig), Options(knots=knots, remaining=remaining), progress)
+    several, used = _evidence(recordings, rig)
+    found = calibrated(several, used, Options(knots=knots, remaining=remaining), progress)
     for note in found.notes:
         _log.info("%s", note)
     quality = found.model.quality
@@ -164,8 +165,8 @@ def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float
     Shapes: scene_s (n,) in any order; `.c_deg` (n,), `.image_px` (n, 2), or None on a rig without a camera; as they are
         `.c_sigma_deg` and `.image_sigma_px`, one standard deviation of what the sensor would show, its noise included.
     Units: scene_s in s on the motor's clock, which is arrival time less `model.delay_s`; start_deg and c in deg; px.
-    Errors: TautError where the motor lacks a column that one of the model's effects needs. A place where the marker
-        cannot be is NaN.
+    Errors: TautError where the motor lacks a column that one of the model's effects needs, or its times do not rise. A
+        place where the marker cannot be is NaN.
     Source: the play p[k] = min(max(p[k-1], p_lo(q)), p_hi(q)) with p_lo + B(p_lo)/2 = q = p_hi - B(p_hi)/2, then
         c = f_remain(p) and the rig's pinhole camera (eqs. 3 and 5, their signs for a law that rises or falls).
 
@@ -173,6 +174,7 @@ def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float
     """
     from tautline.prediction import predict_with_sigma
 
+    recordings_room.check_motor(motor)
     return predict_with_sigma(model, motor, scene_s, start_deg)
 
 
@@ -261,10 +263,8 @@ def diagnose(
     from tautline.diagnosis.diagnose import diagnose as diagnosed
     from tautline.diagnosis.recorded import calibrated
 
-    several = [calibration, *_several(tests)]
-    calibrated_on, on_one_clock = calibrated(
-        several, _rig_of(several, rig), lambda share, what: progress(0.3 * share, what)
-    )
+    several, used = _evidence([calibration, *_several(tests)], rig)
+    calibrated_on, on_one_clock = calibrated(several, used, lambda share, what: progress(0.3 * share, what))
     found = diagnosed(
         calibrated_on.model, on_one_clock[0], on_one_clock[1:], lambda share, what: progress(0.3 + 0.7 * share, what)
     )
@@ -295,8 +295,8 @@ def diagnose_simulator(
     """
     from tautline.diagnosis.simulated import diagnose_simulator as diagnosed
 
-    several = _several(robots)
-    return diagnosed(simulator, several, _rig_of(several, rig), progress, workers)
+    several, used = _evidence(robots, rig)
+    return diagnosed(simulator, several, used, progress, workers)
 
 
 def report(
@@ -312,10 +312,12 @@ def report(
         calibration without its recordings.
     Source: the figures of a page are those of the paper's Figs. 7 to 11; docs/files.md lists the files.
 
-    A calibration becomes a MODEL folder (model.json, rig.toml), which the commands and Model.load take; a model the
-    same without measured frames; a diagnosis its DIR (diagnosis.json, corrected/, nominal/).
+    A calibration becomes a MODEL folder (model.json, rig.toml), which the commands and Model.load take, with the motion
+    that would measure the rest of the range where there is one (next_motion.csv); a model the same without measured
+    frames; a diagnosis its DIR (diagnosis.json, corrected/, nominal/).
     """
     from tautline.diagnosis.diagnose import Diagnosis
+    from tautline.live import closing
     from tautline.model import Model
     from tautline.reports import pages
 
@@ -331,6 +333,7 @@ def report(
         if not several:
             raise TautError(f"{folder}: a calibration's report shows its recordings: give them too")
         pages.save_model(result.model, recordings_room.shifted(several, result.offsets), folder)
+        closing.write(result.model, result.gaps, several, folder)
     return folder / pages.FILE
 
 
@@ -397,7 +400,19 @@ def export(
 
 
 def _several(recordings: Recording | Sequence[Recording]) -> list[Recording]:
-    return [recordings] if isinstance(recordings, Recording) else list(recordings)
+    """The recordings as a list. TautError for what no file could hold."""
+    several = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    for recording in several:
+        recordings_room.check(recording)
+    return several
+
+
+def _evidence(recordings: Recording | Sequence[Recording], rig: Rig | None) -> tuple[list[Recording], Rig]:
+    """The recordings as a list, and the rig named or that of all. TautError where one is given twice, too."""
+    several = _several(recordings)
+    used = _rig_of(several, rig)
+    recordings_room.check_distinct(several)
+    return several, used
 
 
 def _rig_of(recordings: Sequence[Recording], rig: Rig | None) -> Rig:

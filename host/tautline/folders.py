@@ -13,7 +13,8 @@ from tautline.errors import TautError
 
 
 def check_replaceable(folder: Path, key_file: str) -> None:
-    """TautError unless the folder is new, empty, or an earlier result (it holds `key_file`)."""
+    """TautError unless the folder can be written, and is new, empty, or an earlier result (it holds `key_file`)."""
+    check_writable(folder)
     if folder.is_dir():
         if (folder / key_file).exists() or not any(folder.iterdir()):
             return
@@ -22,12 +23,19 @@ def check_replaceable(folder: Path, key_file: str) -> None:
         raise TautError(f"{folder}: is a file: name a folder")
 
 
-# format: of a recording's and a model's folder
-_READ = (
-    *("motor.csv", "marker.csv", "angle.csv", "frames.csv", "truth.csv"),
-    *("rig.toml", "model.json", "truth.json", "marker.toml", "region.toml"),
-    *("video.mkv", "video.mp4"),
-)
+def check_writable(path: Path) -> None:
+    """TautError where no file or folder can be written at `path`, or where its links lead."""
+    try:
+        if is_stream(path):
+            return
+        place = Path(os.path.realpath(path))
+        if os.path.ismount(place):
+            raise TautError(f"{path}: is a mount point, whose place nothing can take: name a folder in it")
+        there = next(each for each in place.parents if each.exists())
+        with tempfile.TemporaryDirectory(".old", f".{place.name}.", there):  # as long as the names that are written
+            pass
+    except OSError as error:
+        raise TautError(f"{path}: cannot be written ({error.strerror or error}): name another place") from error
 
 
 @contextmanager
@@ -66,37 +74,37 @@ def is_stream(path: Path) -> bool:
     return path.exists() and not (path.is_file() or path.is_dir())
 
 
-def write_file(path: Path, text: str) -> None:
-    """Writes text into a file, whole or not at all; where it is a link, into what that leads to. A device or a pipe is
-    written into as it is."""
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """A path beside `path` to write to, which takes its place when the block ends without an error; where that is a
+    link, the place of what it leads to."""
+    if path.is_dir():
+        raise TautError(f"{path}: is a folder: name a file")
+    if is_stream(path):
+        raise TautError(f"{path}: is a device or a pipe: name a file")
     place = Path(os.path.realpath(path))
-    temporary = place.with_name(f".{place.name}.{os.getpid()}")
+    temporary = place.with_name(f".{os.getpid()}.{place.name}")  # with its ending, by which some know what to write
     try:
-        if is_stream(path):
-            path.write_text(text, encoding="utf-8", newline="")
-            return
         place.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(text, encoding="utf-8", newline="")
+        yield temporary
         temporary.replace(place)
     except OSError as error:
+        raise TautError(f"{path}: cannot be written ({error.strerror or error}): name another file") from error
+    finally:
         with suppress(OSError):
             temporary.unlink()
-        raise TautError(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
-def check_no_input(out: Path | None, *inputs: Path | None) -> None:
-    """TautError if the file `out` is one of the inputs, or takes the place of a file that an input folder already
-    holds and the commands read."""
-    if out is None or is_stream(out) or out.is_dir():  # what cannot be taken for a file is told by who writes it
+def write_file(path: Path, text: str) -> None:
+    """Writes text into a file, whole or not at all. A device or a pipe is written into as it is."""
+    if not is_stream(path):
+        with whole(path) as temporary:
+            temporary.write_text(text, encoding="utf-8", newline="")
         return
-    place = Path(os.path.realpath(out))
-    for read in inputs:
-        if read is None:
-            continue
-        known = Path(os.path.realpath(read))
-        own = place.parent == known and place.name in _READ and place.exists()
-        if place == known or own:
-            raise TautError(f"{out}: would be overwritten, and is read here: name another file")
+    try:
+        path.write_text(text, encoding="utf-8", newline="")
+    except OSError as error:
+        raise TautError(f"{path}: cannot be written ({error.strerror or error}): name another file") from error
 
 
 @contextmanager

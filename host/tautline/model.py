@@ -18,12 +18,12 @@ from tautline.errors import TautError, of_system
 from tautline.friction import Friction
 from tautline.quality import Quality
 from tautline.recording import Motor
-from tautline.rig import ANGLE, MARKER, Place, Rig, Sensor
+from tautline.rig import ANGLE, MARKER, RIG_FILE, Place, Rig, Sensor
 from tautline.value import Value
 
 Array = np.ndarray
 FORMAT = "model/1"
-MODEL_FILE, RIG_FILE = "model.json", "rig.toml"
+MODEL_FILE = "model.json"
 STEEPEST = 1.8  # limit: |B'| that tables may have: p_lo and p_hi are unique while it is below 2
 LOAD = "load_reference_mNm"  # format: of a model's extra
 SIMULATOR = "simulator"  # of a model's extra: what stands in the motor's place (tautline.simulators)

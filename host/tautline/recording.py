@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from filecmp import cmp
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,8 @@ from tautline import layouts
 from tautline.columns import Columns, read_columns
 from tautline.errors import TautError
 from tautline.folders import replaced
-from tautline.rig import Rig
+from tautline.rig import RIG_FILE, Rig
+from tautline.value import Value, same
 
 # format of all: what a recording's files may hold
 
@@ -27,14 +30,23 @@ FARTHEST_PX = 1e5
 FRAME_COLUMNS = ("width_px", "height_px")  # of marker.csv: what the frames measure
 MOST_JOINTS = 8  # that are looked at
 VIDEO_NAMES = ("video.mkv", "video.mp4")
+_OTHERS = ("q_cmd", "translation_mm", "rotation_deg", "load_mNm")  # of a motor beside t_s and q
 _WRITTEN_ROWS = 200_000  # at once: a copy of all of them is not held
 PICTURE_NAME = "camera.png"
+COLOUR_FILE, REGION_FILE = "marker.toml", "region.toml"  # beside a video: what is followed in it
+IMPORT_FILE = "import.toml"  # where a recording came from
+_FOLLOWED = (COLOUR_FILE, f"{Path(REGION_FILE).stem}.*")  # with the region's picture
+# All that a recording's folder may hold, as patterns: another recording that takes its place leaves none of it.
+FILES = (
+    *(layout.file for layout in (layouts.MOTOR, layouts.MARKER, layouts.ANGLE, layouts.FRAMES)),
+    *(RIG_FILE, *VIDEO_NAMES, PICTURE_NAME, *_FOLLOWED, IMPORT_FILE, "truth.*"),
+)
 
 
-@dataclass(frozen=True, eq=False)
-class Motor:
-    """Encoder samples, negligible delay. All arrays have one length; t_s rises strictly. Each is equal to itself alone,
-    so that what follows from it can be kept (encoder.py)."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Motor(Value):
+    """Encoder samples, negligible delay. All arrays have one length; t_s rises strictly. What follows from one can be
+    kept by it (encoder.py): it has a hash."""
 
     t_s: Array
     q: Array  # bending motor, the rig's unit
@@ -43,6 +55,9 @@ class Motor:
     rotation_deg: Array | None = None  # about the base z axis; None = 0
     load_mNm: Array | None = None
     extra: Mapping[str, Array] = field(default_factory=dict)  # unknown columns, kept
+
+    def __hash__(self) -> int:  # type: ignore[override]
+        return hash((len(self.t_s), *self.t_s[-1:], *self.q[-1:]))
 
     @property
     def joints(self) -> dict[str, Array]:
@@ -63,8 +78,8 @@ class Shown:
     side_px: float
 
 
-@dataclass(frozen=True)
-class Marker:
+@dataclass(frozen=True, eq=False, repr=False)
+class Marker(Value):
     """Marker positions. t_s is when the frame arrived: it showed the scene t_delay earlier."""
 
     t_s: Array
@@ -78,8 +93,8 @@ class Marker:
     shown: Shown | None = None  # what is followed instead; None: a marker
 
 
-@dataclass(frozen=True)
-class Angle:
+@dataclass(frozen=True, eq=False, repr=False)
+class Angle(Value):
     """An external sensor's bending angle. t_s is when a value arrived: it is delay_s older."""
 
     t_s: Array
@@ -94,14 +109,14 @@ class Angle:
         return finite if self.valid is None else finite & self.valid
 
 
-@dataclass(frozen=True)
-class Video:
+@dataclass(frozen=True, eq=False, repr=False)
+class Video(Value):
     path: Path
     arrival_s: Array | None  # of each frame, from frames.csv, NaN where it is not named; None: the container's times
 
 
-@dataclass(frozen=True)
-class Recording:
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording(Value):
     """marker, angle or video is there; several may be."""
 
     name: str
@@ -110,7 +125,7 @@ class Recording:
     angle: Angle | None = None
     video: Video | None = None
     rig: Rig | None = None  # the rig.toml in its folder
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = field(default=(), compare=False)  # they name files
     picture: Path | None = None  # a frame that was kept
 
 
@@ -186,17 +201,7 @@ def read_motor(file: Path, rig: Rig, warnings: list[str] | None = None) -> Motor
             raise TautError(f'{file}: has column {other}, but the rig\'s actuator.unit is "{unit}": expected {q_name}')
         raise columns.missing(q_name, expected)
     t_s = columns.rising_times()
-    if len(t_s) < 2:
-        raise TautError(f"{file}: has a single row: expected encoder samples over some time")
-    step = np.diff(t_s)
-    if np.median(step) >= MAX_MOTOR_STEP_S:
-        raise TautError(f"{file}: rows are {np.median(step):.4g} s apart: expected 10 Hz or more, t_s in seconds")
-    if step.max() > MAX_MOTOR_GAP_S:
-        row = int(step.argmax()) + 1
-        raise TautError(
-            f"{file}, line {columns.line(row)}: t_s jumps from {t_s[row - 1]:.9g} to {t_s[row]:.9g} s: "
-            "split the recording there"
-        )
+    _check_motor_times(t_s, str(file), lambda row: f"line {columns.line(row)}")
     _check_reach(columns, q_name, rig)
     known = {
         "q": q_name,
@@ -217,11 +222,37 @@ def read_motor(file: Path, rig: Rig, warnings: list[str] | None = None) -> Motor
     return Motor(t_s=t_s, **values, extra=_extra(columns, {"t_s", *known.values()}))
 
 
+def check_motor(motor: Motor, name: str = "motor") -> None:
+    """TautError for a motor that was not read from a file and that no file could hold."""
+    columns = {each: getattr(motor, each) for each in ("t_s", "q", *_OTHERS) if getattr(motor, each) is not None}
+    _check_columns(columns, name, tuple(columns))
+    _check_motor_times(motor.t_s, name, _row)
+
+
+def check(recording: Recording) -> None:
+    """TautError for a recording that was not read from files and that no files could hold."""
+    check_motor(recording.motor, f"{recording.name}: motor")
+    if (marker := recording.marker) is not None:
+        columns = {"t_s": marker.t_s, "u_px": marker.u_px, "v_px": marker.v_px, "valid": marker.valid}
+        _check_columns(columns, f"{recording.name}: marker")
+    if (angle := recording.angle) is not None:
+        _check_columns({"t_s": angle.t_s, "c_deg": angle.c_deg}, f"{recording.name}: angle")
+
+
+def check_distinct(recordings: Sequence[Recording]) -> None:
+    """TautError where one of them is given twice, under whatever name: it would count as evidence of its own."""
+    for one, other in combinations(recordings, 2):
+        alike = all(same(getattr(one, what), getattr(other, what)) for what in ("motor", "marker", "angle"))
+        if alike and _same_video(one.video, other.video):
+            raise TautError(f"{other.name}: is the same recording as {one.name}: name it once")
+
+
 def save(recording: Recording, folder: str | Path) -> None:
-    """Writes the folder, whole or not at all. A recording that was there is replaced; other files in it stay."""
+    """Writes the folder, whole or not at all. A recording that was there is replaced, with all of FILES; other files in
+    it stay."""
     if recording.rig is None:
         raise TautError(f"{folder}: a recording is saved with its rig, which names the unit of q")
-    with replaced(Path(folder), "motor.csv") as target:
+    with replaced(Path(folder), layouts.MOTOR.file, stale=FILES) as target:
         motor, unit = recording.motor, recording.rig.actuator.unit
         recording.rig.save(target / "rig.toml")
         _write(
@@ -256,9 +287,53 @@ def save(recording: Recording, folder: str | Path) -> None:
             shutil.copyfile(recording.picture, target / PICTURE_NAME)
         if (video := recording.video) is not None:
             shutil.copyfile(video.path, target / f"video{video.path.suffix}")
+            for beside in (each for pattern in _FOLLOWED for each in video.path.parent.glob(pattern)):
+                shutil.copyfile(beside, target / beside.name)
             if video.arrival_s is not None:
                 seen = np.flatnonzero(np.isfinite(video.arrival_s))
                 _write(target / "frames.csv", {"frame": seen, "t_s": video.arrival_s[seen]})
+
+
+def _same_video(one: Video | None, other: Video | None) -> bool:
+    """Whether two videos are one, or copies of one, or both are missing."""
+    if one is None or other is None:
+        return one is other
+    return same(one.arrival_s, other.arrival_s) and cmp(one.path, other.path, shallow=False)
+
+
+def _row(row: int) -> str:
+    return f"row {row}"
+
+
+def _check_columns(columns: Mapping[str, Array], name: str, finite: Sequence[str] = ("t_s",)) -> None:
+    """TautError where columns have not one length, those named hold what is no finite number, or t_s does not rise."""
+    lengths = {each: np.shape(values) for each, values in columns.items()}
+    if len(set(lengths.values())) > 1 or any(len(shape) != 1 for shape in lengths.values()):
+        told = ", ".join(f"{each} {'x'.join(map(str, shape))}" for each, shape in lengths.items())
+        raise TautError(f"{name}: its columns have not one length ({told})")
+    for each in finite:
+        if (bad := np.flatnonzero(~np.isfinite(columns[each]))).size:
+            raise TautError(f"{name}, {_row(bad[0])}: {each} is {columns[each][bad[0]]}, expected a finite number")
+    t_s = columns["t_s"]
+    if (back := np.flatnonzero(np.diff(t_s) <= 0)).size:
+        row = int(back[0]) + 1
+        raise TautError(
+            f"{name}, {_row(row)}: t_s goes from {t_s[row - 1]:.9g} to {t_s[row]:.9g}: times must rise, on one clock"
+        )
+
+
+def _check_motor_times(t_s: Array, name: str, at: Callable[[int], str]) -> None:
+    """TautError where rising times (n,) are too few or too far apart for a motor's. at: words for a row's place."""
+    if len(t_s) < 2:
+        raise TautError(f"{name}: has a single row: expected encoder samples over some time")
+    step = np.diff(t_s)
+    if np.median(step) >= MAX_MOTOR_STEP_S:
+        raise TautError(f"{name}: rows are {np.median(step):.4g} s apart: expected 10 Hz or more, t_s in seconds")
+    if step.max() > MAX_MOTOR_GAP_S:
+        row = int(step.argmax()) + 1
+        raise TautError(
+            f"{name}, {at(row)}: t_s jumps from {t_s[row - 1]:.9g} to {t_s[row]:.9g} s: split the recording there"
+        )
 
 
 def _folder(path: str | Path) -> Path:

@@ -20,6 +20,7 @@ from tautline.schema import Key, Section
 # format of all: rig.toml's examples, counts and units
 
 FORMAT = "rig/1"
+RIG_FILE = "rig.toml"
 UNITS = ("mm", "deg")
 MOUNTS = ("base", "tip")
 PLACES: int = _native.projection_places

@@ -55,6 +55,8 @@ def _same_arrays(one: Any, other: Any) -> bool:
     """Whether both are arrays of one type with the same elements, NaN equal to itself."""
     if not (isinstance(one, np.ndarray) and isinstance(other, np.ndarray) and one.dtype == other.dtype):
         return False
+    if one.dtype == object:
+        return one.shape == other.shape and all(map(same, one.flat, other.flat))
     return bool(np.array_equal(one, other, equal_nan=one.dtype.kind in "fc"))
 
 

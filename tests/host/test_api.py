@@ -166,7 +166,10 @@ def test_report_of_a_calibration_of_a_model_and_what_it_refuses(
     page = tl.report(found, tmp_path / "model", recording)
     assert page == tmp_path / "model" / "report.html" and (tmp_path / "model" / "evidence.npz").is_file()
     whole = page.read_text()
+    motion = tmp_path / "model" / "next_motion.csv"
+    assert tl.recording.read_motor(motion, found.model.rig).t_s[-1] > 1.0 and found.gaps
     assert tl.report(found.model, tmp_path / "model").read_text() != whole
+    assert not motion.exists()  # nothing is known of where this one came from
     assert not (tmp_path / "model" / "evidence.npz").exists()  # those frames were not behind this one
     with pytest.raises(tl.TautError, match="give them too"):
         tl.report(found, tmp_path / "other")

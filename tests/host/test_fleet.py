@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from tautline.calibration.beforehand import Beforehand, Spread, between
 from tautline.calibration.calibrate import Options, calibrate
 from tautline.errors import TautError
-from tautline.fleet import prior, sessions
+from tautline.fleet import page, prior, sessions
 from tautline.fleet.changes import compared
 from tautline.fleet.findings import findings
 from tautline.fleet.population import _UNTOLD as UNTOLD
@@ -60,6 +60,10 @@ def taut(monkeypatch, capsys):
     return Taut(monkeypatch, capsys)
 
 
+def page_of(folder):
+    return (folder / "out" / page.FILE).read_text()
+
+
 def again(folder):
     with pool(1, None) as here:
         return run(folder / "in", folder / "out", here, still)
@@ -100,7 +104,10 @@ def test_sessions_robots_batches_and_dates(tmp_path):
         ("a/first", None, None),
         ("b/2026-01-01", "B7", "2026-01-01"),
         ("b/2026-02-01 noon", "B7", "2026-02-01"),
+        ("c/nothing", None, None),
     ]
+    with pytest.raises(TautError, match=r"holds no motor.csv"):
+        found[3].files()
     assert found[0].files() == {"rig.toml": b"of all", "one/motor.csv": b"t_s,q_mm\n", "two/motor.csv": b"t_s,q_mm\n"}
     assert found[1].files()["rig.toml"] == b"of b"
     assert found[2].files()["rig.toml"] == b"its own"
@@ -195,6 +202,21 @@ def test_a_bad_session_is_a_row_and_no_end(fleet, taut):
     assert (said["new"], list(said["errors"]), said["sessions"]) == (1, ["r0002/00"], ROBOTS * SESSIONS)
     assert "r0002/00: 00/motor.csv: " in done.err
     assert "r0002" in (fleet / "out" / "fleet.html").read_text()
+
+
+def test_a_session_without_a_recording_is_told(fleet, taut):
+    (fleet / "in" / "r0001" / "02").mkdir()
+    done = taut("fleet", fleet / "in", "--out", fleet / "out", "--jobs", 1, "--json")
+    assert list(json.loads(done.out)["errors"]) == ["r0001/02"]
+    assert "r0001/02: holds no motor.csv" in done.err and "holds no motor.csv" in page_of(fleet)
+
+
+def test_the_page_of_a_sound_fleet_names_its_robots(made):
+    folder, done = made
+    page.write(done.rows, findings(done.rows), folder / "out")
+    said = page_of(folder)
+    for robot in {row.robot for row in done.rows}:
+        assert f'<td class="text" data-label="robot">{robot}</td>' in said
 
 
 # ---- what the rows say
@@ -452,6 +474,9 @@ def test_a_prior_of_other_robots_is_refused(fleet, taut):
         prior.read(fleet / "out", replace(rig, actuator=replace(rig.actuator, range=(-4.0, 5.0))))
     with pytest.raises(TautError, match="taut fleet FOLDER --out"):
         prior.read(fleet / "nowhere", rig)
+    (fleet / "out" / prior.FILE).unlink()
+    with pytest.raises(TautError, match="takes 4 calibrated robots of one range"):
+        prior.read(fleet / "out", rig)
     (fleet / "out" / prior.FILE).write_text("{}")
     with pytest.raises(TautError, match="damaged"):
         prior.read(fleet / "out", rig)

@@ -166,6 +166,53 @@ def test_a_data_set_proposes_a_joint_that_moves(taut: Taut, tmp_path: Path) -> N
     assert "says no unit" in taut("import", path).err
 
 
+@pytest.mark.parametrize(
+    "motor, tip, units",
+    [
+        (20.0, 18.0, ("deg", "deg")),
+        (20.0, 3.0, ("deg", "deg")),  # a tip that moves 57 times more than its motor is none
+        (20.0, 0.3, ("deg", "rad")),
+        (0.3, 18.0, ("rad", "deg")),
+        (0.8, 0.1, ("rad", "rad")),
+        (3.0, 2.0, ("rad", "rad")),
+        (6.0, 7.0, ("deg", "deg")),
+    ],
+)
+def test_motor_and_tip_share_a_unit_unless_their_ratio_says_otherwise(
+    taut: Taut, tmp_path: Path, motor: float, tip: float, units: tuple[str, str]
+) -> None:
+    made = robot()
+    scale = {name: to / np.abs(made[name]).max() for name, to in (("motor", motor), ("tip", tip))}
+    columns = {"t": made["t"], "motor": made["motor"], "tip": made["tip"]}
+    found = proposed(taut, table(tmp_path, columns, scale))["proposal"]
+    assert (found["motor"], found["tip"]) == (f"motor:{units[0]}", [f"tip:{units[1]}"])
+
+
+@pytest.mark.parametrize("full", [1.0, 100.0])
+def test_what_ends_at_full_scale_is_told_to_be_a_share(taut: Taut, tmp_path: Path, full: float) -> None:
+    made = robot()
+    columns = {"t": made["t"]} | {
+        name: full * np.clip(1.2 * made[name] / np.abs(made[name]).max(), -1.0, 1.0) for name in ("motor", "tip")
+    }
+    result = proposed(taut, table(tmp_path, columns))
+    assert result["proposal"]["motor"] == "motor:deg"
+    assert sum(f"ends at exactly {full:g}, as shares" in note for note in result["notes"]) == 2
+
+
+@pytest.mark.parametrize("how", ["its names", "its other joints", "its other episodes"])
+def test_a_data_set_of_small_motions_is_not_taken_for_radians(taut: Taut, tmp_path: Path, how: str) -> None:
+    made, end = robot(), ".pos" if how == "its names" else ""
+    small = {name: 2.0 * made[name] / np.abs(made[name]).max() for name in ("command", "motor")}
+    others = {f"{k}{end}": (40.0 if how == "its other joints" else 1.0) * np.sin(k * made["t"]) for k in (2, 3)}
+    action, state = ({f"elbow{end}": small[name], **others} for name in ("command", "motor"))
+    path = files.lerobot(tmp_path / "set", [(made["t"], action, state)])
+    if how == "its other episodes":
+        stats = {"min": [-70.0] * 3, "max": [70.0] * 3}
+        (path / "meta/stats.json").write_text(json.dumps({"action": stats, "observation.state": stats}))
+    found = proposed(taut, path, "--motor", "action[0]")["proposal"]
+    assert found["motor"] == "action[0]:deg" and found["tip"] == ["observation.state[0]:deg"]
+
+
 def test_nothing_is_proposed_where_nothing_moves_together(taut: Taut, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     t_s = np.arange(0.0, 60.0, 0.01)

@@ -9,9 +9,9 @@ import pytest
 from cli_runner import Taut
 
 import tautline as tl
+from tautline.cli._outputs import check_no_input
 from tautline.errors import TautError
-from tautline.folders import check_no_input, write_file
-from tautline.io.exporting.whole import whole
+from tautline.folders import whole, write_file
 from tautline.model import Model
 from tautline.recording import Motor
 from tautline.reports.evidence import settled

@@ -11,8 +11,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+import tautline as tl
 from tautline.columns import read_times
 from tautline.errors import TautError
+from tautline.model import Model
 from tautline.recording import (
     PICTURE_NAME,
     Angle,
@@ -20,6 +22,7 @@ from tautline.recording import (
     Motor,
     Recording,
     Video,
+    check_distinct,
     load,
     load_motor,
     save,
@@ -357,3 +360,84 @@ def test_damaged_files_load_or_say_why(file: str, damage: list[tuple[str, float,
         else:
             if isinstance(result, Recording):
                 assert np.all(np.diff(result.motor.t_s) > 0) and np.isfinite(result.motor.q).all()
+
+
+# -- recordings of one's own arrays -----------------------------------------------------------------------------------
+
+
+def own(**changed: object) -> Recording:
+    t_s = np.arange(0.0, 4.0, 0.01)
+    seen = np.arange(0.0, 4.0, 0.04)
+    motor = Motor(t_s, np.sin(t_s), extra={"note": np.array(["a", np.nan] * 200, dtype=object)})
+    marker = Marker(seen, seen, np.full_like(seen, np.nan), seen > 1.0)
+    return replace(Recording("own", motor, marker, Angle(seen, seen), Video(Path("video.mkv"), seen), RIG), **changed)
+
+
+def test_a_recording_is_equal_to_one_that_holds_the_same() -> None:
+    one, other = own(), own(warnings=("of another place",))
+    assert one == other and one.motor == other.motor and hash(one.motor) == hash(other.motor)
+    assert one.motor is not other.motor and len(repr(one)) < 1000
+    t_s = one.motor.t_s
+    for changed in (
+        {"motor": Motor(t_s, np.cos(t_s))}, {"marker": None}, {"angle": Angle(np.zeros(1), np.zeros(1))}, {"name": "b"},
+        {"motor": replace(one.motor, extra={"note": np.array(["a", "b"] * 200, dtype=object)})},
+    ):  # fmt: skip
+        assert own(**changed) != one
+
+
+def test_a_recording_that_is_read_again_is_equal(tmp_path: Path) -> None:
+    save(own(video=None), tmp_path / "run")
+    assert load(tmp_path / "run") == load(tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    "column, row, value, says",
+    [
+        ("t_s", 7, np.nan, "motor, row 7: t_s is nan, expected a finite number"),
+        ("q", 5, np.inf, "motor, row 5: q is inf, expected a finite number"),
+        ("load_mNm", 3, np.nan, "motor, row 3: load_mNm is nan"),
+        ("t_s", 9, 0.0, "motor, row 9: t_s goes from 0.08 to 0: times must rise"),
+        ("t_s", 9, 0.08, "motor, row 9: t_s goes from 0.08 to 0.08: times must rise"),
+        ("t_s", slice(9, None), np.arange(1e6, 1e6 + 391), "rows are 1 s apart"),
+        ("q", slice(None), None, "its columns have not one length .t_s 400, q 0"),
+    ],
+)
+def test_a_motor_that_no_file_could_hold_is_refused(column: str, row: int, value: object, says: str) -> None:
+    t_s = np.arange(0.0, 4.0, 0.01)
+    columns = {"t_s": t_s.copy(), "q": np.sin(t_s), "load_mNm": np.zeros_like(t_s)}
+    if value is None:
+        columns[column] = np.zeros(0)
+    else:
+        columns[column][row] = value
+    model = Model(DEG_RIG, np.linspace(0, 60, 9), np.ones(9), np.ones(9), np.linspace(77, 23, 9), 0.0, (0.0, 60.0))
+    recording = Recording("own", Motor(**columns), angle=Angle(t_s, t_s), rig=DEG_RIG)
+    with pytest.raises(TautError, match=says):
+        tl.predict(model, recording.motor, t_s)
+    for function in (tl.calibrate, lambda it: tl.track(model, it), lambda it: tl.diagnose(own(), it)):
+        with pytest.raises(TautError, match=f"own: {says}" if says.startswith("motor") else says):
+            function(recording)
+
+
+def test_a_sensor_that_no_file_could_hold_is_refused() -> None:
+    marker = own().marker
+    for changed, says in (
+        ({"marker": replace(marker, t_s=marker.t_s[::-1])}, "own: marker, row 1: t_s goes from 3.96 to 3.92"),
+        ({"marker": replace(marker, valid=marker.valid[1:])}, "own: marker: its columns have not one length"),
+        ({"angle": Angle(np.array([0.0, np.nan]), np.zeros(2))}, "own: angle, row 1: t_s is nan"),
+    ):
+        with pytest.raises(TautError, match=says):
+            tl.calibrate(own(**changed))
+
+
+def test_one_recording_is_not_evidence_twice(tmp_path: Path) -> None:
+    one, other = own(video=None), own(video=None, name="copy")
+    for call in (tl.calibrate, lambda both: tl.diagnose(both[0], both[1])):
+        with pytest.raises(TautError, match="copy: is the same recording as own: name it once"):
+            call([one, other])
+    check_distinct([one, own(video=None, angle=None), own(video=None, marker=None)])
+    for name, frames in (("a", b"1"), ("b", b"1"), ("c", b"2")):
+        (tmp_path / f"{name}.mkv").write_bytes(frames)
+    a, b, c = (own(video=Video(tmp_path / f"{name}.mkv", None), name=name) for name in "abc")
+    check_distinct([a, c])
+    with pytest.raises(TautError, match="b: is the same recording as a"):
+        check_distinct([a, c, b])

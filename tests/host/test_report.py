@@ -197,6 +197,19 @@ def test_compare(measured: tuple[Model, Recording], tmp_path: Path) -> None:
     assert "twice" in str(CliRunner().invoke(compare, [names[0], names[0]]).exception)
 
 
+def test_a_comparison_is_not_cut_on_a_small_screen(measured: tuple[Model, Recording], tmp_path: Path) -> None:
+    browser = pytest.importorskip("tools.browser", reason="needs the extra `test`")
+    if not browser.there():
+        pytest.skip("no chromium with its driver: tools/setup browser")
+    model, _ = measured
+    models = {name: replace(model, width=model.width + 1e-3 * k) for k, name in enumerate(("monday", "friday-evening"))}
+    pages.write_comparison(models, tmp_path / "compare.html")
+    with browser.browser(1000) as seen:
+        seen.get((tmp_path / "compare.html").as_uri())
+        cut = "return [...document.querySelectorAll('.scroll, body')].filter(e => e.scrollWidth > e.clientWidth).length"
+        assert seen.execute_script(cut) == 0
+
+
 def test_every_axis_has_a_unit(measured: tuple[Model, Recording]) -> None:
     model, recording = measured
     seen = evidence.collect(model, [recording])
@@ -307,7 +320,18 @@ def test_nothing_is_praised_where_the_verdict_is_unusable(measured: tuple[Model,
     model, recording = measured
     fatal = Reason("clock", "the clocks contradict each other", "give the frames' times", fatal=True)
     said = pages.sentences(replace(model, quality=Quality((fatal,))), evidence.collect(model, [recording]))
-    assert len(said) == 1 and "f_coarse" not in said[0]
+    assert len(said) == 1 and "f_coarse" not in said[0] and "known to" not in said[0]
+
+
+def test_the_page_of_what_is_unusable_shows_no_gain(measured: tuple[Model, Recording], tmp_path: Path) -> None:
+    model, recording = measured
+    seen = evidence.collect(model, [recording])
+    good = read(pages.write(model, tmp_path, seen)).text
+    fatal = Reason("clock", "the clocks contradict each other", "give the frames' times", fatal=True)
+    bad = read(pages.write(replace(model, quality=Quality((fatal,))), tmp_path, seen)).text
+    for boast in ("times better", "known to ±", "prediction", "What the model gains"):
+        assert boast in good and boast not in bad
+    assert "Nothing here holds" in bad
 
 
 TEMPLATES = Path(pages.__file__).parent / "templates"

@@ -198,7 +198,7 @@ def test_a_simulated_video_is_tracked_to_the_same_places(tmp_path: Path) -> None
 
 def test_a_folder_of_something_else_is_not_written_to(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(TautError, match="no earlier simulation: name a new folder"):
+    with pytest.raises(TautError, match="name a new folder"):
         run(RIG, preset("constant", RIG), sines(ACTUATOR, 1.0, 1.0)).save(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 

@@ -7,6 +7,7 @@ import os
 import pty
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -16,6 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import click
 import numpy as np
@@ -35,7 +37,9 @@ from tautline.errors import TautError
 from tautline.explain import topics
 from tautline.live.setup import Recorder
 from tautline.recording import Motor, load
-from tautline.rig import Rig
+from tautline.rig import Actuator, Rig
+from tautline.simulated import instrument, simulate
+from tautline.trajectory import back_and_forth
 from tools.blindtest import command as blindtest
 
 ROOT = Path(__file__).parents[2]
@@ -315,3 +319,52 @@ def test_verdict_and_result_go_together(taut: Taut, folder: Path, tmp_path: Path
     done = taut("calibrate", folder, "--out", tmp_path / "model")
     assert done.out.startswith("taut: calibration ") and "calibration" not in done.err
     assert "After every change of direction" in done.out
+
+
+# -- what a sensor shows ----------------------------------------------------------------------------------------------
+
+
+def of_an_angle(folder: Path) -> Path:
+    rig = Rig(Actuator("mm", RIG.actuator.range, 0.001), RIG.coarse)
+    motion = back_and_forth(rig.actuator, (4.0,), 2.5, 12, 5.0)
+    simulate.run(rig, instrument.preset("reference", rig), motion, angle_noise_deg=0.02).save(folder)
+    return folder
+
+
+def test_a_sensor_at_the_tip_is_called_one(taut: Taut, tmp_path: Path) -> None:
+    session, model = of_an_angle(tmp_path / "session"), tmp_path / "model"
+    said = [taut("calibrate", session, "--out", model), taut("track", model, session, "--csv", tmp_path / "t.csv")]
+    assert all(done.code == 0 for done in said)
+    page = re.sub(r"<style>.*</style>|<[^>]*>", "", (model / "report.html").read_text(), flags=re.DOTALL)
+    for text in (page, *(done.out + done.err for done in said)):
+        assert not re.search("frame|image|marker|camera|pixel|px", text), text
+    assert "readings" in said[1].err
+
+
+def test_what_was_never_seen_is_not_trusted_aloud(taut: Taut, folder: Path, model: Path, tmp_path: Path) -> None:
+    rows = (folder / "marker.csv").read_text().splitlines()
+    assert rows[0].split(",")[:4] == ["t_s", "u_px", "v_px", "valid"]
+    blind = [f"{row.split(',')[0]},,,0,0.05" for row in rows[1:]]
+    (folder / "marker.csv").write_text("\n".join(["t_s,u_px,v_px,valid,sigma_px", *blind]) + "\n")
+    done = taut("track", model, folder, "--csv", tmp_path / "t.csv")
+    assert done.code == 0 and "seen in none of its" in done.err and "trusted" not in done.err
+
+
+def test_one_recording_is_not_evidence_twice(taut: Taut, folder: Path, model: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder, tmp_path / "copy")
+    for words in (
+        ("calibrate", folder, folder, "--out", tmp_path / "out"),
+        ("calibrate", folder, tmp_path / "copy", "--out", tmp_path / "out"),
+        ("diagnose", folder, tmp_path / "copy", "--out", tmp_path / "out"),
+    ):
+        assert "is the same recording as run: name it once" in taut.refuses(*words)
+    assert taut("track", model, folder, folder, "--csv", tmp_path / "t.csv").code == 0  # it was used twice
+
+
+def test_only_what_a_command_has_is_advised(taut: Taut, model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("TAUTLINE_BOARD", raising=False)
+    monkeypatch.setattr("tautline.device.board.find_usb", list)  # whatever is plugged in here
+    monkeypatch.setattr("tautline.drivers.ros_graph.Graph", MagicMock())
+    monkeypatch.setattr("tautline.ros.parameters.Parameters.of", lambda node: None)
+    assert "--simulate" not in taut.refuses("ros", model)
+    assert "--simulate" in taut.refuses("home", "--rig", model / "rig.toml")

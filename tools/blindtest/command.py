@@ -8,7 +8,8 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import emit, folder_option, json_option, log, progress_bar, warn
+from tautline.cli._common import emit, json_option, log, progress_bar, warn
+from tautline.cli._outputs import folder_option
 from tautline.pool import pool
 from tools.blindtest import compare, page
 from tools.blindtest.baselines import METHODS

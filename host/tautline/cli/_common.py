@@ -19,7 +19,7 @@ from tautline.errors import TautError, UnusableError
 from tautline.model import Model
 from tautline.plain import plain
 from tautline.quality import Quality, Verdict
-from tautline.recording import Recording, load_all
+from tautline.recording import Recording, check_distinct, load_all
 from tautline.rig import Rig
 
 Progress = Callable[[float, str], None]
@@ -31,13 +31,6 @@ rig_option = click.option(
     type=click.Path(path_type=Path),
     help="The rig file; wins over a rig.toml in a recording.",
 )
-
-
-def folder_option(name: str, help: str, required: bool = True) -> Callable[[Any], Any]:
-    """An option that names an output folder, such as --out."""
-    return click.option(name, type=click.Path(path_type=Path), required=required, help=help)
-
-
 compensation_option = click.option(
     "--compensation",
     "--mode",
@@ -132,9 +125,11 @@ def read_rig(path: Path) -> Rig:
     return rig
 
 
-def read_recordings(paths: Sequence[Path], rig_path: Path | None) -> tuple[list[Recording], Rig]:
-    """Reads recordings and the rig that holds for them: --rig, else the first recording's own. Prints their
-    warnings."""
+def read_recordings(
+    paths: Sequence[Path], rig_path: Path | None, repeated: bool = False
+) -> tuple[list[Recording], Rig]:
+    """Reads recordings and the rig that holds for them: --rig, else the first recording's own. Prints their warnings.
+    TautError where one is given twice, unless it may be `repeated`."""
     if rig_path is not None:
         rig = read_rig(rig_path)
         recordings = load_all(paths, rig)
@@ -146,6 +141,8 @@ def read_recordings(paths: Sequence[Path], rig_path: Path | None) -> tuple[list[
                 raise TautError(
                     f"{recording.name}: its rig.toml differs from the one used for the others: say which with --rig"
                 )
+    if not repeated:
+        check_distinct(recordings)
     for recording in recordings:
         for warning in recording.warnings:
             warn(warning)

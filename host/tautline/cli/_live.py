@@ -178,6 +178,7 @@ def opened(
             f"{rig_path}: its motor is in {rig.actuator.unit}, the model's in {model.rig.actuator.unit}: name the rig "
             "that the model was calibrated with, or leave --rig out"
         )
+    options = click.get_current_context().command.params
     picks = picks or (rig is not None and rig.sees_from_tip)  # there is no marker
     named = live.camera is not None and live.simulate is None and (live.colour.exists() or not picks)
     with open_live(
@@ -190,6 +191,7 @@ def opened(
         picks=picks,
         at=live.at,
         seed=seed,
+        otherwise="use --simulate" if any(option.name == "simulate" for option in options) else "",
     ) as setup:
         if isinstance(setup.marker_source, CameraSource) and (says := setup.marker_source.says["exposure"]):
             log(f"taut: the camera's {says}")

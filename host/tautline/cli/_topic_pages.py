@@ -12,6 +12,7 @@ from tautline import effects, trajectory
 from tautline.effects import Kind
 from tautline.explain.collect import topics
 from tautline.explain.topic import KINDS, Topic
+from tautline.folders import replaced
 from tautline.model import Model
 from tautline.recording import Motor
 from tautline.reports import figures, pages
@@ -24,19 +25,22 @@ _FEW = 5  # amplitudes that are shown together
 
 
 def write_all(folder: Path) -> Path:
-    """Writes every topic's page and the index; returns the index' path."""
+    """Writes every topic's page and the index, all or nothing; returns the path of the index. TautError where the
+    folder holds something else."""
     known = topics()
-    for topic in known.values():
-        page = {
-            "title": topic.code,
-            "topic": topic,
-            "kind": KINDS[topic.kind],
-            "see": [known[code] for code in topic.see],
-            "picture": picture(topic),
-        }
-        pages.write_page("topic.html", page, folder / topic.file)
-    groups = [(title, [topic for topic in known.values() if topic.kind == kind]) for kind, title in KINDS.items()]
-    pages.write_page("topics.html", {"title": "What tautline's messages mean", "groups": groups}, folder / INDEX)
+    with replaced(folder, next(iter(known.values())).file) as target:
+        for topic in known.values():
+            page = {
+                "title": topic.code,
+                "topic": topic,
+                "kind": KINDS[topic.kind],
+                "see": [known[code] for code in topic.see],
+                "picture": picture(topic),
+            }
+            pages.write_page("topic.html", page, target / topic.file)
+        groups = [(title, [topic for topic in known.values() if topic.kind == kind]) for kind, title in KINDS.items()]
+        index = {"title": "What tautline's messages mean", "groups": groups}
+        pages.write_page("topics.html", index, target / INDEX)
     return folder / INDEX
 
 

@@ -11,7 +11,6 @@ import click
 from tautline.calibration.calibrate import Calibration, Options, calibrate
 from tautline.cli._common import (
     emit,
-    folder_option,
     json_option,
     log,
     progress_bar,
@@ -21,10 +20,9 @@ from tautline.cli._common import (
     warn,
 )
 from tautline.cli._live import LiveOptions, free_recording, live_options, opened, sigma_of, until_option
-from tautline.diagnosis.motion import table
+from tautline.cli._outputs import Output, folder_option
 from tautline.errors import UnusableError
-from tautline.folders import check_replaceable, write_file
-from tautline.live.closing import FILE, closing
+from tautline.live import closing
 from tautline.live.rounds import in_words
 from tautline.model import MODEL_FILE
 from tautline.recording import load, shifted
@@ -35,7 +33,7 @@ from tautline.vision.marker import with_marker
 @click.command("calibrate")
 @click.argument("recording_paths", metavar="[RECORDING...]", nargs=-1, type=click.Path(path_type=Path))
 @rig_option
-@folder_option("--out", "The MODEL folder to write: model.json, rig.toml, report.html.")
+@folder_option("--out", "The MODEL folder to write: model.json, rig.toml, report.html.", key_file=MODEL_FILE)
 @click.option(
     "--knots",
     type=click.Choice(["smooth", "paper"]),
@@ -76,7 +74,7 @@ from tautline.vision.marker import with_marker
     help="Live: of the motion's rounds (with --thorough of its passes) in turn, the rig's unit per second; up to four "
     "times.",
 )
-@click.option("--recording", "kept", type=click.Path(path_type=Path), help="Live: kept here. Default: OUT-recording.")
+@click.option("--recording", "kept", type=Output(), help="Live: kept here. Default: OUT-recording.")
 @click.option("--video", is_flag=True, help="Live: keep the frames too.")
 @click.option("--seed", type=int, default=0, help="Of a simulation.")
 @json_option
@@ -96,7 +94,6 @@ def command(
     Live (--camera with a board, or --simulate), the board moves the axis until B(q) is known well enough, or it is
     said why it cannot be; Ctrl-C brings the axis to rest.
     """
-    check_replaceable(out, MODEL_FILE)
     options = Options(knots=knots, remaining=remaining)
     if recording_paths:
         calibration, lines, proposed = _from_recordings(recording_paths, rig_path, out, options, fleet)
@@ -137,17 +134,15 @@ def _from_recordings(
         recordings = [with_marker(recording, rig, progress) for recording in recordings]
         calibration = calibrate(recordings, rig, options, progress)
         lines = pages.save_model(calibration.model, shifted(recordings, calibration.offsets), out)
-    motion = closing(calibration.model, calibration.gaps, recordings) if calibration.model.quality.usable else None
-    if motion is None:
+    seconds = closing.write(calibration.model, calibration.gaps, recordings, out)
+    if seconds is None:
         return calibration, lines, None
-    path = out / FILE
-    unit = calibration.model.rig.actuator.unit
-    write_file(path, table(motion, unit).to_csv(index=False, float_format="%.6f"))
+    path = out / closing.FILE
     lines.append(
-        f"{motion.duration_s:.0f} s of motion would measure the rest of the range: taut record --motion {path}, then "
+        f"{seconds:.0f} s of motion would measure the rest of the range: taut record --motion {path}, then "
         "calibrate from both recordings."
     )
-    return calibration, lines, {"file": path, "seconds": motion.duration_s}
+    return calibration, lines, {"file": path, "seconds": seconds}
 
 
 def _calibrate_live(

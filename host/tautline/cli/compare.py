@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tautline.cli._common import emit, json_option
+from tautline.cli._outputs import Output
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.reports import figures, pages
@@ -17,7 +18,7 @@ from tautline.reports import figures, pages
 
 @click.command("compare")
 @click.argument("model_paths", metavar="MODEL MODEL...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--html", "html_path", type=click.Path(path_type=Path), help="Write a page with the picture.")
+@click.option("--html", "html_path", type=Output(file=True), help="Write a page with the picture.")
 @json_option
 def command(model_paths: tuple[Path, ...], html_path: Path | None, as_json: bool) -> None:
     """How B and f_remain changed: each model against the first."""

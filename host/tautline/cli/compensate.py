@@ -7,8 +7,8 @@ from pathlib import Path
 import click
 
 from tautline.cli._common import compensation_option, emit, json_option, progress_bar, warn, warn_unusable
+from tautline.cli._outputs import Output, check_no_input
 from tautline.compensation import RATES_HZ, compensate, read_trajectory, write_csv
-from tautline.folders import check_no_input
 from tautline.model import Model
 from tautline.undone import not_undone
 
@@ -22,9 +22,7 @@ from tautline.undone import not_undone
     required=True,
     help="A CSV with columns t_s,c_deg: the bending angle wanted, straight between its rows.",
 )
-@click.option(
-    "--csv", "csv_path", type=click.Path(path_type=Path), required=True, help="Written: t_s,q_mm (or q_deg),clipped."
-)
+@click.option("--csv", "csv_path", type=Output(file=True), required=True, help="Written: t_s,q_mm (or q_deg),clipped.")
 @click.option(
     "--rate",
     "rate_hz",

@@ -8,7 +8,8 @@ from typing import Any
 
 import click
 
-from tautline.cli._common import emit, folder_option, json_option, log, progress_bar
+from tautline.cli._common import emit, json_option, log, progress_bar
+from tautline.cli._outputs import folder_option
 from tautline.simulated.instrument import PRESETS
 
 
@@ -33,11 +34,12 @@ def run(
     report are in `out`. progress: called with the share done and a text; say: with each step's result."""
     from tautline import tables
     from tautline.folders import check_replaceable, replaced
+    from tautline.layouts import MOTOR
     from tautline.live.following import follow_run
     from tautline.live.setup import open_live
     from tautline.live.until import calibrate_until
     from tautline.model import MODEL_FILE, Model
-    from tautline.recording import load
+    from tautline.recording import FILES, load
     from tautline.reports import pages
     from tautline.reports.evidence import Evidence, Run
 
@@ -54,7 +56,7 @@ def run(
             f"1  board {board.identity.serial} found over USB/IP: {board.identity.axes} axis, virtual time, "
             f"instrument '{instrument}'"
         )
-        with replaced(recording_folder, "motor.csv") as fresh:  # of an earlier demo
+        with replaced(recording_folder, MOTOR.file, stale=FILES) as fresh:  # of an earlier demo
             calibration, reached = calibrate_until(live, fresh, progress=part(0.0, 0.55))
         model, motion = calibration.model, reached.motion
         say(

@@ -11,7 +11,6 @@ import click
 from tautline.calibration.calibrate import Calibration
 from tautline.cli._common import (
     emit,
-    folder_option,
     json_option,
     log,
     progress_bar,
@@ -20,12 +19,12 @@ from tautline.cli._common import (
     warn_unusable,
 )
 from tautline.cli._live import LiveOptions, live_options, opened
+from tautline.cli._outputs import Output, folder_option
 from tautline.diagnosis import narration
 from tautline.diagnosis.diagnose import diagnose
 from tautline.diagnosis.folder import DOCUMENT, save
 from tautline.diagnosis.recorded import calibrated
 from tautline.diagnosis.simulated import diagnose_simulator
-from tautline.folders import check_replaceable
 from tautline.recording import Recording, load
 from tautline.rig import ANGLE, Rig
 from tautline.simulators import Simulator, mjcf, source
@@ -42,7 +41,7 @@ Progress = Callable[[float, str], None]
 @click.argument("calibration_path", metavar="[CALIBRATION]", required=False, type=click.Path(path_type=Path))
 @click.argument("test_paths", metavar="[TEST...]", nargs=-1, type=click.Path(path_type=Path))
 @rig_option
-@folder_option("--out", "Folder for diagnosis.json, report.html, corrected/ and nominal/.")
+@folder_option("--out", "Folder for diagnosis.json, report.html, corrected/ and nominal/.", key_file=DOCUMENT)
 @click.option(
     "--live",
     "is_live",
@@ -71,7 +70,7 @@ Progress = Callable[[float, str], None]
 @click.option(
     "--most", type=click.IntRange(min=1), default=5, show_default=True, help="Live: recordings, after which it ends."
 )
-@click.option("--recordings", "kept", type=click.Path(path_type=Path), help="Live: kept here. Default: OUT-recordings.")
+@click.option("--recordings", "kept", type=Output(), help="Live: kept here. Default: OUT-recordings.")
 @click.option("--seed", type=int, default=0, help="Of a simulation.")
 @json_option
 def command(
@@ -97,7 +96,6 @@ def command(
     simulator lacks. With --simulator it is run here, by the robot's own motor logs, and its own parameters are among
     what may be named. --camera is then one of its file, which sees the site of --tip where marker.csv has the marker.
     """
-    check_replaceable(out, DOCUMENT)
     if simulator is not None:
         if is_live:
             raise click.UsageError("--simulator needs recordings: name them")

@@ -9,13 +9,14 @@ from pathlib import Path
 import click
 
 from tautline.cli._common import emit, json_option
+from tautline.cli._outputs import Output
 
 _WIDTH = 100
 
 
 @click.command("explain")
 @click.argument("code", required=False)
-@click.option("--html", "folder", type=click.Path(path_type=Path), help="Write all pages there, with their pictures.")
+@click.option("--html", "folder", type=Output(), help="Write all pages there, with their pictures.")
 @json_option
 def command(code: str | None, folder: Path | None, as_json: bool) -> None:
     """What a message means: an effect (transmission.creep), a reason of a verdict (clock.offset), a fault (STALL), a

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from tautline.cli._common import emit, json_option, log, progress_bar, read_rig, rig_option, warn, warn_unusable
-from tautline.folders import check_no_input
+from tautline.cli._outputs import Output, check_no_input
 from tautline.io.exporting import FORMATS, Mount, export
 from tautline.io.exporting.source import read
 
@@ -15,7 +15,7 @@ from tautline.io.exporting.source import read
 @click.command("export", epilog="Formats: " + "; ".join(f"{form.name}: {form.says}" for form in FORMATS) + ".")
 @click.argument("source_path", metavar="RECORDING|MODEL|DIAGNOSIS", type=click.Path(path_type=Path))
 @click.option("--to", required=True, metavar="FORMAT", help=", ".join(form.name for form in FORMATS))
-@click.option("--out", "out", type=click.Path(path_type=Path), required=True, help="The file or folder to write.")
+@click.option("--out", "out", type=Output(), required=True, help="The file or folder to write.")
 @click.option(
     "--model",
     "beside",

@@ -10,7 +10,6 @@ import click
 from tautline.cli._common import (
     compensation_option,
     emit,
-    folder_option,
     force_option,
     json_option,
     log,
@@ -31,6 +30,7 @@ from tautline.cli._live import (
     shapes_option,
     tracking_text,
 )
+from tautline.cli._outputs import folder_option
 
 
 @click.command("follow")

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import emit, folder_option, json_option, progress_bar, read_rig, rig_option, warn
+from tautline.cli._common import emit, json_option, progress_bar, read_rig, rig_option, warn
+from tautline.cli._outputs import folder_option
 from tautline.io.importing import (
     Listing,
     Roles,

@@ -9,7 +9,6 @@ import click
 
 from tautline.cli._common import (
     emit,
-    folder_option,
     json_option,
     log,
     progress_bar,
@@ -30,6 +29,7 @@ from tautline.cli._live import (
     speed_option,
     until_option,
 )
+from tautline.cli._outputs import folder_option
 from tautline.diagnosis.folder import DOCUMENT
 from tautline.folders import check_replaceable
 from tautline.model import MODEL_FILE, Model

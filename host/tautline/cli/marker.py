@@ -11,12 +11,14 @@ import cv2
 import numpy as np
 
 from tautline.cli._common import emit, json_option, progress_bar
+from tautline.cli._outputs import Output
 from tautline.errors import TautError
+from tautline.recording import COLOUR_FILE, REGION_FILE
 from tautline.vision.camera import VideoCamera, read_picture, sample_video
-from tautline.vision.colour import COLOUR_FILE, LARGEST_PX, MarkerColour, pick
+from tautline.vision.colour import LARGEST_PX, MarkerColour, pick
 from tautline.vision.marker import MarkerTracker, find_colour
 from tautline.vision.patch import USUAL_PX
-from tautline.vision.region import REGION_FILE, Region
+from tautline.vision.region import Region
 from tautline.vision.ros_camera import RosCamera, is_topic
 from tautline.vision.sighting import Sighting
 
@@ -68,7 +70,7 @@ class _Place(click.ParamType):  # type: ignore[type-arg]
 )
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=Output(file=True),
     help=f"File for the colour. Default: {COLOUR_FILE} where it is looked for: beside a video, where it is used by "
     "itself, else here, where --colour has it by default.",
 )

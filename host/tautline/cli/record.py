@@ -6,8 +6,9 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import emit, folder_option, json_option, progress_bar, rig_option, warn
+from tautline.cli._common import emit, json_option, progress_bar, rig_option, warn
 from tautline.cli._live import LiveOptions, bus_text, live_options, motion_option, opened, seed_option, speed_option
+from tautline.cli._outputs import folder_option
 
 
 @click.command("record")

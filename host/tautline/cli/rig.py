@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from tautline.cli._common import emit, json_option, log, progress_bar, warn
+from tautline.cli._outputs import Output
 from tautline.errors import TautError
 from tautline.recording import load
 from tautline.rig import ANGLE, FORMAT, MARKER, Coarse, Rig, Sensor
@@ -48,7 +49,7 @@ class _Squares(click.ParamType):  # type: ignore[type-arg]
 @click.command("rig")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=Output(file=True),
     default=Path("rig.toml"),
     show_default=True,
     help="The file to write; one that is there is kept unless --from names it.",

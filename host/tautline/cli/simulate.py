@@ -9,12 +9,13 @@ from pathlib import Path
 import click
 import numpy as np
 
-from tautline.cli._common import emit, folder_option, json_option, progress_bar, read_rig, warn
+from tautline.cli._common import emit, json_option, progress_bar, read_rig, warn
+from tautline.cli._outputs import folder_option
 from tautline.errors import TautError
 from tautline.rig import Actuator
 from tautline.simulated.endoscope import Endoscope, load_background
 from tautline.simulated.instrument import PRESETS, Instrument, of_name
-from tautline.simulated.simulate import run
+from tautline.simulated.simulate import TRUTH, run
 from tautline.trajectory import Trajectory, back_and_forth, random_smooth, sines, trapezoids
 from tautline.vision.timing import FrameTiming
 
@@ -89,7 +90,7 @@ MOTIONS = tuple(_MOTIONS)
 
 
 @click.command("simulate")
-@folder_option("--out", "Folder for the recording and the truth beside it.")
+@folder_option("--out", "Folder for the recording and the truth beside it.", key_file=TRUTH)
 @click.option(
     "--rig",
     "rig_path",
@@ -195,6 +196,9 @@ def command(
     with progress_bar("simulating") as progress:
         simulation.save(out, endoscope, lossless, progress)
     frames = len(simulation.scene_s) if rig.has_camera else 0
+    shown = [f"{frames} frames"] if rig.has_camera else []
+    if (angle := simulation.recording.angle) is not None:
+        shown.append(f"{len(angle.t_s)} readings of an angle sensor")
     result = {
         "recording": out,
         "instrument": made.name,
@@ -206,6 +210,6 @@ def command(
     emit(
         result,
         as_json,
-        f"{out}: {trajectory.duration_s:.1f} s of {motion} with the {made.name} instrument, {frames} frames; "
+        f"{out}: {trajectory.duration_s:.1f} s of {motion} with the {made.name} instrument, {' and '.join(shown)}; "
         "truth.csv and truth.json say what was true",
     )

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tautline.cli._common import emit, json_option, log, progress_bar, read_recordings, warn_unusable
-from tautline.folders import check_no_input
-from tautline.model import RIG_FILE, Model
+from tautline.cli._outputs import Output, check_no_input
+from tautline.model import Model
+from tautline.rig import MARKER, RIG_FILE
 from tautline.vision.marker import with_marker
 
 if TYPE_CHECKING:
@@ -23,12 +24,16 @@ _MOST_CHANGES = 12  # that are told one by one
 @click.argument("model_path", metavar="MODEL", type=click.Path(path_type=Path))
 @click.argument("recording_paths", metavar="RECORDING...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
-    "--csv", "csv_path", type=click.Path(path_type=Path), required=True, help="Written: a row for each frame."
+    "--csv",
+    "csv_path",
+    type=Output(file=True),
+    required=True,
+    help="Written: a row for each frame, or reading of an angle sensor.",
 )
 @click.option(
     "--picture",
     "picture_path",
-    type=click.Path(path_type=Path),
+    type=Output(file=True),
     help="Written too: state, offset and scale over time, by its ending as PNG, SVG or PDF.",
 )
 @json_option
@@ -54,7 +59,7 @@ def command(
         figures.check_ending(picture_path)
     model = Model.load(model_path)
     warn_unusable(model, model_path)
-    recordings, _ = read_recordings(recording_paths, model_path / RIG_FILE)
+    recordings, _ = read_recordings(recording_paths, model_path / RIG_FILE, repeated=True)
     with progress_bar("tracking") as progress:
         recordings = [with_marker(recording, model.rig, progress) for recording in recordings]
         result = replay(model, recordings, progress)
@@ -102,16 +107,19 @@ def _summary(result: Tracked, recordings: list[Any]) -> list[dict[str, Any]]:
 
 def _log_result(result: Tracked, summary: list[dict[str, Any]]) -> None:
     """Logs the changes of state and, for each recording, its residual and the law at its end."""
-    unit = "px" if result.sensor == "marker" else "deg"
+    unit, shown = ("px", "frames") if result.sensor == MARKER else ("deg", "readings")
     for change in result.changes[:_MOST_CHANGES]:
         state = click.style(change.state.value, fg=_COLOURS[change.state.value], bold=True)
         log(f"taut: {summary[change.recording]['name']}, {change.t_s:.2f} s: {state}, {change.says}")
     if len(result.changes) > _MOST_CHANGES:
         log(f"taut: and {len(result.changes) - _MOST_CHANGES} changes more (--json lists them)")
     for row in summary:
-        rms = "nothing seen" if row["rms"] is None else f"off by {row['rms']:.3g} {unit} rms"
-        share = 100.0 * row["frames"]["trusted"] / max(row["rows"], 1)
+        of, off = f"{row['rows']} {shown}", row["rms"]
+        if off is None:
+            log(f"taut: {row['name']}: the tip is seen in none of its {of}, which says nothing of the model")
+            continue
+        share = 100.0 * row["frames"]["trusted"] / row["rows"]
         log(
-            f"taut: {row['name']}: {rms}, trusted {share:.0f} % of {row['rows']} frames; at its end offset "
+            f"taut: {row['name']}: off by {off:.3g} {unit} rms, trusted {share:.0f} % of {of}; at its end offset "
             f"{row['offset']:+.4g} ± {row['offset_sigma']:.2g}, scale {row['scale']:.4g} ± {row['scale_sigma']:.2g}"
         )

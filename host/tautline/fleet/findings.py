@@ -56,7 +56,7 @@ class Findings:
 
     def sentences(self) -> list[str]:
         """The findings in sentences, the most urgent first."""
-        made, of = _counted(self.sessions, "session"), _counted(self.robots, "robot")
+        made, of = counted(self.sessions, "session"), counted(self.robots, "robot")
         said = [f"{made} of {of}, {self.failed} without a calibration."]
         if np.isfinite(self.wear):
             said.append(
@@ -75,7 +75,7 @@ class Findings:
         return said
 
 
-def _counted(count: int, what: str) -> str:
+def counted(count: int, what: str) -> str:
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from tautline.fleet.findings import Findings, Named
+from tautline.fleet.findings import Findings, Named, counted
 from tautline.fleet.rows import Row
 from tautline.reports import figures, pages
 
@@ -26,7 +27,7 @@ def write(rows: Sequence[Row], found: Findings, out: Path) -> None:
     failed = [[row.robot, row.session, row.error or ""] for row in rows if row.error is not None]
     growth = ["|robot", "|batch", "B a session (%)", "sigma (%)", "last session", "|verdict"]
     page = {
-        "title": f"What a fleet of {found.robots} robots loses between motor and tip",
+        "title": f"What a fleet of {counted(found.robots, 'robot')} loses between motor and tip",
         "sentences": found.sentences(),
         "growth": pages.picture(
             growth_of(rows, found), "Growth of B", "Of each robot, a session, with 2 sigma. Red: worn sooner."
@@ -47,6 +48,8 @@ def write(rows: Sequence[Row], found: Findings, out: Path) -> None:
                   [[one.name, _batch(last, one.name), f"{one.value:.3g}"] for one in found.unlike]),
             _part("Drifting", "B changes from session to session for certain; fastest first.", growth,
                   _lines(found.drifting, last)),
+            _part("Robots", "Each with its last usable session.",
+                  ["|robot", "|batch", "sessions", "|last session", "|verdict", "B in the mean"], _robots(rows, last)),
             _part("Without a calibration",
                   "They are tried again when their files change; where those cannot be read, or workers died, always.",
                   ["|robot", "|session", "|why"], failed),
@@ -69,6 +72,26 @@ def _lines(named: Sequence[Named], last: dict[str, Row]) -> list[list[str]]:
          last[one.name].verdict]
         for one in named
     ]  # fmt: skip
+
+
+def _robots(rows: Sequence[Row], last: dict[str, Row]) -> list[list[str]]:
+    """Rows of a table of all robots; with no usable session the last columns are empty."""
+    lines = []
+    for robot, sessions in Counter(row.robot for row in rows).items():
+        row = last.get(robot)
+        batch = next((each.batch or "" for each in rows if each.robot == robot), "")
+        told = (
+            ["", "", ""] if row is None else [row.session, row.verdict, f"{np.mean(_measured(row)[1]):.3g} {row.unit}"]
+        )
+        lines.append([robot, batch, str(sessions), *told])
+    return lines
+
+
+def _measured(row: Row) -> tuple[np.ndarray, np.ndarray]:
+    """The places q and widths B of a session where B was measured, unit of q; (n,) each."""
+    q, width = np.array(row.q), np.array(row.width)
+    inside = (q >= (row.measured_low or 0.0)) & (q <= (row.measured_high or 0.0))
+    return q[inside], width[inside]
 
 
 def _last(rows: Sequence[Row]) -> dict[str, Row]:
@@ -111,10 +134,8 @@ def spread_of(last: Sequence[Row], found: Findings) -> Figure:
     made, axes = figures.figure(10.5, 3.6)
     ax = axes[0, 0]
     for row in [*shown, *(row for row in last if row.robot in unlike)]:
-        q, width = np.array(row.q), np.array(row.width)
-        inside = (q >= (row.measured_low or 0.0)) & (q <= (row.measured_high or 0.0))
         look: dict[str, Any] = {"color": figures.MODEL, "linewidth": 1.0} if row.robot in unlike else _USUAL
-        ax.plot(q[inside], width[inside], **look)
+        ax.plot(*_measured(row), **look)
     unit = last[0].unit or ""
     ax.set_xlabel(f"q ({unit})")
     ax.set_ylabel(f"B ({unit})")

@@ -13,8 +13,8 @@ from threadpoolctl import threadpool_limits
 
 from tautline.calibration.beforehand import Beforehand, Spread
 from tautline.errors import TautError, of_system
-from tautline.fleet.population import Population, log_widths, paths, population
-from tautline.fleet.rows import Row
+from tautline.fleet.population import LEAST_ROBOTS, Population, log_widths, paths, population
+from tautline.fleet.rows import DATA_SET, Row
 from tautline.folders import write_file
 from tautline.rig import Rig
 
@@ -57,6 +57,11 @@ def read(out: Path, rig: Rig) -> Beforehand:
         known = Beforehand(_spread(document["width"]), tuple(_spread(each) for each in document["path"]))
         unit, q = str(document["unit"]), known.width.q
     except FileNotFoundError as error:
+        if (out / DATA_SET).is_dir():
+            raise TautError(
+                f"{out}: knows nothing of the next robot yet: its spread takes {LEAST_ROBOTS} calibrated robots of one "
+                "range: run 'taut fleet' on more of them, or leave --prior out"
+            ) from error
         raise TautError(f"{out}: holds no {FILE}: make it with 'taut fleet FOLDER --out {out}'") from error
     except OSError as error:
         raise TautError(of_system(error)) from error

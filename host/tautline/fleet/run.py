@@ -10,9 +10,10 @@ from pathlib import Path
 from tautline import __version__
 from tautline.errors import TautError
 from tautline.fleet.changes import compared
-from tautline.fleet.rows import DataSet, Row
+from tautline.fleet.rows import DATA_SET, DataSet, Row
 from tautline.fleet.sessions import Session, digest, sessions_in
 from tautline.fleet.work import PLACES, calibrated
+from tautline.folders import check_replaceable
 from tautline.pool import Pool
 
 Progress = Callable[[float, str], None]
@@ -39,7 +40,8 @@ def died(name: str) -> Row:
 
 def run(folder: Path, out: Path, workers: Pool, progress: Progress) -> Done:
     """Calibrates every session of FOLDER that `out`'s data set does not hold as it is now; sessions that are gone from
-    FOLDER go from it. TautError where FOLDER holds none."""
+    FOLDER go from it. TautError where FOLDER holds none, or `out` something else."""
+    check_replaceable(out, DATA_SET)
     sessions, kept = sessions_in(folder), DataSet(out)
     rows = kept.read()
     begun = {session.id: _begun(session) for session in sessions}

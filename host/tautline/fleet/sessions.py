@@ -16,15 +16,15 @@ from pathlib import Path
 import pandas as pd
 
 from tautline.errors import TautError, of_system
-from tautline.model import RIG_FILE
-from tautline.recording import VIDEO_NAMES
-from tautline.vision.colour import COLOUR_FILE
-from tautline.vision.region import REGION_FILE
+from tautline.layouts import ANGLE, FRAMES, MARKER
+from tautline.layouts import MOTOR as MOTOR_LAYOUT
+from tautline.recording import COLOUR_FILE, REGION_FILE, VIDEO_NAMES
+from tautline.rig import RIG_FILE
 
 MANIFEST = "robots.csv"
-MOTOR = "motor.csv"
-_TABLES = (MOTOR, "marker.csv", "angle.csv", RIG_FILE)
-_OF_VIDEO = (*VIDEO_NAMES, "frames.csv", COLOUR_FILE, REGION_FILE)
+MOTOR = MOTOR_LAYOUT.file
+_TABLES = (MOTOR, MARKER.file, ANGLE.file, RIG_FILE)
+_OF_VIDEO = (*VIDEO_NAMES, FRAMES.file, COLOUR_FILE, REGION_FILE)
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
 
 
@@ -53,8 +53,11 @@ class Session:
         be read."""
         try:
             found = {} if self.rig is None else {RIG_FILE: self.rig.read_bytes()}
-            for recording in _recordings(self.folder):
-                tracked = (recording / "marker.csv").exists()
+            recordings = _recordings(self.folder)
+            if not recordings:
+                raise TautError(f"holds no {MOTOR}, and no folder with one: it is no session, or was not copied whole")
+            for recording in recordings:
+                tracked = (recording / MARKER.file).exists()
                 for name in _TABLES if tracked else (*_TABLES, *_OF_VIDEO):
                     if (recording / name).is_file():
                         found[f"{recording.name}/{name}"] = (recording / name).read_bytes()
@@ -77,18 +80,17 @@ def sessions_in(folder: Path) -> list[Session]:
         raise TautError(f"{folder}: there is no such folder: a fleet is a folder ROBOT/SESSION of recordings")
     batches = _batches(folder / MANIFEST)
     found = [session for robot in _folders(folder) for session in _of_robot(folder, robot, batches.get(robot.name))]
-    if not found:
+    if not any(_recordings(session.folder) for session in found):
         raise TautError(f"{folder}: no session is in it: lay recordings out as {folder.name}/ROBOT/SESSION/{MOTOR}")
     return found
 
 
 def _of_robot(folder: Path, robot: Path, batch: str | None) -> Iterator[Session]:
-    """The robot's sessions that hold recordings, in the order of names, each with the nearest rig.toml."""
+    """The robot's sessions in the order of names, each with the nearest rig.toml; those without a recording too."""
     for session in _folders(robot):
-        if recordings := _recordings(session):
-            places = (*recordings, session, robot, folder)
-            rig = next((at / RIG_FILE for at in places if (at / RIG_FILE).is_file()), None)
-            yield Session(robot.name, session.name, batch, session, rig)
+        places = (*_recordings(session), session, robot, folder)
+        rig = next((at / RIG_FILE for at in places if (at / RIG_FILE).is_file()), None)
+        yield Session(robot.name, session.name, batch, session, rig)
 
 
 def _recordings(session: Path) -> list[Path]:

@@ -13,10 +13,9 @@ from tautline.calibration.calibrate import Calibration, calibrate
 from tautline.errors import TautError
 from tautline.fleet.rows import Row
 from tautline.folders import unpacked
-from tautline.model import RIG_FILE
 from tautline.prediction import width_by_delay
-from tautline.recording import load_all
-from tautline.rig import Rig
+from tautline.recording import check_distinct, load_all
+from tautline.rig import RIG_FILE, Rig
 from tautline.vision.marker import with_marker
 
 PLACES = 33  # of a curve in a row: on 10 mm two for the finest bump that a calibration resolves, 0.6 mm
@@ -40,7 +39,9 @@ def _calibrated(row: Row, folder: Path) -> Row:
         paths = sorted(each for each in folder.iterdir() if each.is_dir())
         own = folder / RIG_FILE
         rig = Rig.load(own if own.is_file() else paths[0] / RIG_FILE)
-        recordings = [with_marker(recording, rig) for recording in load_all(paths, rig)]
+        given = load_all(paths, rig)
+        check_distinct(given)
+        recordings = [with_marker(recording, rig) for recording in given]
         motion_s = sum(float(np.ptp(recording.motor.t_s)) for recording in recordings)
         return _told(replace(row, motion_s=motion_s), calibrate(recordings, rig))
     except TautError as error:  # the folder is gone when it is read

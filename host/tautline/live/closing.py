@@ -6,11 +6,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise, product
+from pathlib import Path
 
 import numpy as np
 
 from tautline import trajectory
 from tautline.calibration.coverage import Gap
+from tautline.diagnosis.motion import table
+from tautline.folders import write_file
 from tautline.live.rounds import Means
 from tautline.model import Model
 from tautline.recording import Motor, Recording
@@ -45,6 +48,16 @@ def closing(model: Model, gaps: Sequence[Gap], recordings: Sequence[Recording]) 
         for times, passes in product(_STROKES, (2, 1))
     ]
     return next((plan for plan in plans if plan.duration_s <= SECONDS), min(plans, key=lambda plan: plan.duration_s))
+
+
+def write(model: Model, gaps: Sequence[Gap], recordings: Sequence[Recording], folder: Path) -> float | None:
+    """Writes the motion of `closing` into a MODEL folder; how long it lasts, s. None where there are no gaps, or the
+    model is unusable: nothing is written then."""
+    motion = closing(model, gaps, recordings) if model.quality.usable else None
+    if motion is None:
+        return None
+    write_file(folder / FILE, table(motion, model.rig.actuator.unit).to_csv(index=False, float_format="%.6f"))
+    return motion.duration_s
 
 
 def _through(actuator: Actuator, gap: Gap, widest: float, times: float, speeds: Sequence[float]) -> Trajectory:

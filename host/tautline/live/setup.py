@@ -216,7 +216,8 @@ class Live:
         """The next frame; what the board has sent until then is taken in before."""
         self._check_stop()
         if self.marker_source is None:
-            raise TautError("no camera: name one with --camera, or use --simulate")
+            simulated = self.plant is not None
+            raise TautError("the rig has no [camera]: add one" if simulated else "no camera: name one with --camera")
         frame = self.marker_source.look()
         if self.feeding:
             seen = frame.sighting
@@ -429,6 +430,7 @@ def open_live(
     pictures: bool = True,
     picks: bool = False,
     seed: int = 0,
+    otherwise: str = "",
 ) -> Iterator[Live]:
     """`simulate` names an instrument preset, or the folder of a model whose effects it then has, and starts a desktop
     board; else `board` and `camera` are opened.
@@ -436,6 +438,7 @@ def open_live(
     at: where the motor is, the rig's unit; else the board's reference holds, and a simulated one begins at 0.
     pictures: False replaces the rendered endoscope by the marker's projection, which is faster.
     picks: a camera may be opened without a colour, which `use` names later.
+    otherwise: what else the caller can use where there is no board, for the error's text.
     """
     with ExitStack() as stack:
         if simulate is not None:
@@ -474,7 +477,7 @@ def open_live(
             return
         if rig is None:
             raise TautError("no rig: name the set-up's file with --rig")
-        opened = stack.enter_context(open_board(board or rig.actuator.board, "use --simulate"))
+        opened = stack.enter_context(open_board(board or rig.actuator.board, otherwise))
         opened.check_axis(axis)
         opened.align(16)
         stack.enter_context(opened.reading())

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from tautline.calibration.backlash import paper_knots
 from tautline.errors import TautError
+from tautline.folders import whole
 from tautline.model import Model
 from tautline.reports.evidence import STAGES, Evidence, Run
 
@@ -70,9 +71,9 @@ def check_ending(path: Path) -> None:
 
 
 def save(made: Figure, path: Path) -> None:
-    """Writes a figure as a picture, its kind by the name's ending."""
-    with mpl.rc_context(STYLE):
-        made.savefig(path, dpi=120)
+    """Writes a figure as a picture, whole or not at all, its kind by the name's ending."""
+    with mpl.rc_context(STYLE), whole(path) as file:
+        made.savefig(file, dpi=120)
 
 
 def onsets_of(model: Model) -> list[Onset]:

@@ -84,6 +84,7 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
     used, unused = figures.split_onsets(onsets)
     passes = model.extra.get("pass_width")
     runs = Run.load_all(folder)
+    by_marker = model.sensor == MARKER
     page: dict[str, Any] = {
         "title": f"What is lost between motor and tip: {name or folder.absolute().name}",
         "source": _source(model, evidence),
@@ -105,7 +106,7 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
             "them, its band; grey: not reached. "
             "Right: bending angle over motor position on the way up and down, and the central line f_remain.",
         ),
-        "stages": _stages(evidence),
+        "stages": _stages(evidence) if model.quality.usable else [],
         "gain": None,
         "runs": None,
         "onset_count": len(onsets),
@@ -125,7 +126,7 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
             ),
             "track": picture(
                 figures.track(evidence, onsets, model.rig.actuator.unit),
-                "Motor and marker over time",
+                f"Motor and {'marker' if by_marker else 'angle'} over time",
                 "Dots: where the tip began to move.",
             ),
             "residuals": picture(
@@ -139,14 +140,16 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
             page["closely"] = picture(
                 closely,
                 "Some onsets closely",
-                "Dots: frames. Grey: the motor turns, the tip rests. Red: the hinge; the backlash ends where it bends.",
+                f"Dots: {_shown(evidence)}. Grey: the motor turns, the tip rests. Red: the hinge; the backlash ends "
+                "where it bends.",
             )
     if passes is not None:
         page["cross_check"] = picture(
             figures.cross_check(model, np.array(passes, dtype=float)),
             "B from the onsets and from the two passes",
-            "The distance of the two passes at equal image position measures B again, without any pose. "
-            "Where they part, the onset is smooth, or the registration changes with direction.",
+            f"The distance of the two passes at equal {'image position' if by_marker else 'angle'} measures B again. "
+            "Where they part, the onset is smooth"
+            + (", or the registration changes with direction." * by_marker or "."),
         )
     if runs:
         page["runs"] = picture(
@@ -283,8 +286,13 @@ def _source(model: Model, evidence: Evidence | None) -> str:
     """The page's line on what it is made from: recordings, their length and the motor's range."""
     made = f"from {', '.join(evidence.names)}; " if evidence else ""
     low, high = model.rig.actuator.range
-    length = f"{len(evidence.t_s)} {'frames' if evidence.unit == 'px' else 'samples'}; " if evidence else ""
+    length = f"{len(evidence.t_s)} {_shown(evidence)}; " if evidence else ""
     return f"{made}{length}motor range {low:g} to {high:g} {model.rig.actuator.unit}"
+
+
+def _shown(evidence: Evidence) -> str:
+    """What the recordings hold of the tip, in the plural."""
+    return "frames" if evidence.unit == "px" else "readings"
 
 
 def sentences(model: Model, evidence: Evidence | None) -> list[str]:
@@ -298,6 +306,8 @@ def sentences(model: Model, evidence: Evidence | None) -> list[str]:
         lines.append(
             f"After every change of direction the motor turns {reach} {unit} before "
             f"the tip moves, known to ± {_digits(2 * float(np.median(sigma)), 2)} {unit}."
+            if model.quality.usable
+            else f"Nothing here holds: B came out as {reach} {unit}, and the verdict says why that cannot be trusted."
         )
     else:
         lines.append("No width could be measured: no reversal reached the end of the backlash.")
@@ -354,7 +364,7 @@ def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence:
         spread = f"± {_digits(2e3 * sigma, 1)} ms" if sigma else "nominal"
         what = "image" if model.sensor == MARKER else "sensor"
         numbers.append(Number(f"delay of the {what}", f"{1e3 * model.delay_s:.1f}\u00a0ms", spread))
-    if evidence is not None and np.isfinite(evidence.rms()[2]):
+    if evidence is not None and np.isfinite(evidence.rms()[2]) and model.quality.usable:
         numbers.append(Number("prediction", _with(evidence.rms()[2], evidence.unit, 2), "rms per coordinate"))
     return numbers
 

@@ -14,18 +14,21 @@ import pandas as pd
 
 from tautline import recording as recordings
 from tautline.errors import TautError
-from tautline.folders import write_file
-from tautline.recording import Angle, Marker, Motor, Recording
+from tautline.folders import replaced, write_file
+from tautline.prediction import TRUTH_FILE
+from tautline.recording import COLOUR_FILE, Angle, Marker, Motor, Recording
 from tautline.rig import Rig
 from tautline.simulated.endoscope import Endoscope
 from tautline.simulated.instrument import Instrument
 from tautline.trajectory import Trajectory
 from tautline.vision.camera import SimulatedCamera, VideoFile
-from tautline.vision.colour import COLOUR_FILE, pick
+from tautline.vision.colour import pick
 from tautline.vision.timing import FrameTiming
 
 Array = np.ndarray
 Progress = Callable[[float, str], None]
+
+TRUTH = "truth.json"  # beside a simulated recording, by which it is known as one
 
 
 @dataclass(frozen=True)
@@ -49,18 +52,19 @@ class Simulation:
     ) -> None:
         """The recording as a folder, and the truth: truth.csv (t_s, c_deg, p at the motor's times) and truth.json (B
         and f_remain on a grid, the delay). With an endoscope its frames as a video and the marker's colour as
-        marker.toml, in place of marker.csv. A simulation that was there is replaced.
+        marker.toml, in place of marker.csv. A simulation that was there is replaced, whole or not at all.
 
         lossless: 0.6 MB a frame instead of 0.03, and the tracker's noise 0.01 px instead of 0.04.
         """
-        folder = Path(folder)
-        _make_room(folder)
-        recording = self.recording
-        if endoscope is not None:
-            recording = replace(recording, marker=None)
+        with replaced(Path(folder), TRUTH, stale=recordings.FILES) as target:
+            self._save(target, endoscope, lossless, progress)
+
+    def _save(self, folder: Path, endoscope: Endoscope | None, lossless: bool, progress: Progress | None) -> None:
+        """Writes `save`'s files into an empty folder."""
+        recording = self.recording if endoscope is None else replace(self.recording, marker=None)
         recordings.save(recording, folder)
         table = pd.DataFrame({"t_s": self.t_s, "c_deg": self.c_deg, "p": self.p})
-        table.to_csv(folder / "truth.csv", index=False, float_format="%.6f")
+        table.to_csv(folder / TRUTH_FILE, index=False, float_format="%.6f")
         low, high = self.instrument.rig.actuator.range
         grid = np.linspace(low, high, 401)
         document = {
@@ -70,7 +74,7 @@ class Simulation:
             "backlash": {"q": grid.tolist(), "width": self.instrument.backlash(grid).tolist()},
             "remaining": {"q": grid.tolist(), "c_deg": self.instrument.bend(grid).tolist()},
         }
-        write_file(folder / "truth.json", json.dumps(document, indent=1) + "\n")
+        write_file(folder / TRUTH, json.dumps(document, indent=1) + "\n")
         if endoscope is not None:
             self._save_video(folder, endoscope, lossless, progress)
 
@@ -100,20 +104,6 @@ class Simulation:
                     progress(k / total, "drawing the video")
         frames = pd.DataFrame({"frame": np.arange(total), "t_s": arrivals})
         frames.to_csv(folder / "frames.csv", index=False, float_format="%.6f")
-
-
-_WRITTEN = ("motor.csv", "marker.csv", "angle.csv", "rig.toml", "truth.csv", "truth.json", "video.mkv", "frames.csv")
-
-
-def _make_room(folder: Path) -> None:
-    """Removes an earlier simulation's files, so that no marker.csv stays beside another's video. TautError where the
-    folder holds something else."""
-    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
-        return
-    if not (folder / "truth.json").is_file():
-        raise TautError(f"{folder}: exists, and is no earlier simulation: name a new folder")
-    for name in (*_WRITTEN, COLOUR_FILE):
-        (folder / name).unlink(missing_ok=True)
 
 
 def run(

@@ -17,7 +17,6 @@ from tautline.errors import TautError
 Array = np.ndarray
 
 FORMAT = "marker/1"
-COLOUR_FILE = "marker.toml"  # its name beside a video
 SMALLEST_PX, LARGEST_PX = 5.0, 200.0  # diameters that can be tracked
 
 _GLARE = 60.0  # rms of the grey light that may lie on anything, levels

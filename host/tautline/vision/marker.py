@@ -13,12 +13,12 @@ import numpy.typing as npt
 
 from tautline._native import MARKER_CLIPPED, MARKER_CUT_OFF, MARKER_FOUND, marker_measure
 from tautline.errors import TautError
-from tautline.recording import Marker, Recording, Shown, Video
+from tautline.recording import COLOUR_FILE, REGION_FILE, Marker, Recording, Shown, Video
 from tautline.rig import Rig
 from tautline.vision.camera import sample_video
-from tautline.vision.colour import COLOUR_FILE, MarkerColour, candidates, pick
+from tautline.vision.colour import MarkerColour, candidates, pick
 from tautline.vision.frames import Progress, every_frame, half
-from tautline.vision.region import REGION_FILE, Region
+from tautline.vision.region import Region
 from tautline.vision.scene import bending_by_scene
 from tautline.vision.sighting import Sighting
 from tautline.vision.sighting import lost as _lost

@@ -12,13 +12,12 @@ import numpy as np
 import tomli_w
 
 from tautline.errors import TautError
+from tautline.recording import COLOUR_FILE, REGION_FILE
 from tautline.vision.camera import read_picture
-from tautline.vision.colour import COLOUR_FILE
 from tautline.vision.flow import Picture
 from tautline.vision.patch import PatchTracker
 
 FORMAT = "region/1"
-REGION_FILE = "region.toml"  # its name beside a video
 
 
 @dataclass(frozen=True)

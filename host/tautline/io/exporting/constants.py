@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from tautline.errors import TautError
-from tautline.io.exporting.whole import whole
+from tautline.folders import whole
 from tautline.model import Model
 
 # Too much of it is ten times as bad as too little, per unit of width: the least expected loss is at this quantile.

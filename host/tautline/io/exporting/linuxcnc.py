@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.errors import TautError
-from tautline.io.exporting.whole import whole
+from tautline.folders import whole
 from tautline.model import Model
 
 Array = npt.NDArray[np.float64]

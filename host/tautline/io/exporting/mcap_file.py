@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from tautline.errors import TautError
-from tautline.folders import write_file
+from tautline.folders import whole, write_file
 from tautline.io.exporting.log import Curve, Log, Series
-from tautline.io.exporting.whole import whole
 from tautline.plain import plain
 
 LAYOUT_SUFFIX = ".layout.json"

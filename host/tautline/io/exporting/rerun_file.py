@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tautline.folders import whole
 from tautline.io.exporting.log import Log
-from tautline.io.exporting.whole import whole
 
 TIME, PLACE = "t_s", "q"
 _QUALITY = 90  # of the frames' JPEG: next to no loss, a fifth of PNG's size

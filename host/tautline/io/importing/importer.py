@@ -24,10 +24,11 @@ from tautline.io.importing.propose import Proposal
 from tautline.io.importing.rosbag import Rosbag
 from tautline.io.importing.source import Source
 from tautline.io.importing.units import Named, named
+from tautline.layouts import MOTOR
+from tautline.recording import IMPORT_FILE
 from tautline.rig import Rig
 
 FORMAT = "import/1"
-FILE = "import.toml"
 _HASHED_BYTES = 1 << 20  # at once
 _BAG = "metadata.yaml"
 
@@ -53,7 +54,7 @@ def open_source(path: str | Path, time: str = "") -> Source:
             return LeRobot(path)
         if (path / _BAG).is_file():
             return Rosbag(path)
-        if (path / "motor.csv").is_file():
+        if (path / MOTOR.file).is_file():
             raise TautError(f"{path}: is a recording already: 'taut calibrate {path}' takes it as it is")
         inner = sorted(each.name for each in path.iterdir())[:4]
         raise TautError(
@@ -88,15 +89,19 @@ def import_episodes(
         raise TautError(f"{source.path}: is empty: it holds no messages")
     if episode is not None and episode not in listed:
         raise TautError(f"{source.path}: has no episode {episode}: its episodes are {listed[0]} to {listed[-1]}")
+    read = source.path.resolve()
+    if read.parent == out.resolve() and any(map(read.match, recording.FILES)):
+        raise TautError(f"{out}: its {read.name} would be overwritten, and is read here: name another --out")
     origin = _origin(source)
     if episode is not None or len(listed) == 1:
         only = listed[0] if episode is None else episode
+        check_replaceable(out, MOTOR.file)
         return [_write(source, origin, out, roles, unit, rig, only, progress)], []
     written: list[Imported] = []
     skipped: list[str] = []
     first: TautError | None = None
-    check_replaceable(out, FILE)
-    with replaced(out, FILE, stale=("episode_*",)) as target:
+    check_replaceable(out, IMPORT_FILE)
+    with replaced(out, IMPORT_FILE, stale=("episode_*", *recording.FILES)) as target:
         for k, each in enumerate(listed):
             progress(k / len(listed), f"episode {each}")
             name = f"episode_{each:06d}"
@@ -112,7 +117,7 @@ def import_episodes(
             assert first is not None
             raise TautError(str(first).replace(str(target), str(out)))
         document = {"format": FORMAT, "source": origin, "episodes": [each.episode for each in written]}
-        (target / FILE).write_bytes(tomli_w.dumps(document | {"skipped": skipped}).encode())
+        (target / IMPORT_FILE).write_bytes(tomli_w.dumps(document | {"skipped": skipped}).encode())
     return written, skipped
 
 
@@ -138,13 +143,11 @@ def _write(
     with TemporaryDirectory(prefix="taut-import-") as scratch:
         made = assemble(source, episode, roles, unit, rig, Path(scratch), progress)
         known = made.rig_known or made.recording.angle is not None
-        with replaced(
-            folder, "motor.csv", stale=("marker.csv", "angle.csv", "frames.csv", "video.*", "rig.toml")
-        ) as target:
+        with replaced(folder, MOTOR.file, stale=recording.FILES) as target:
             recording.save(made.recording, target)
             if not known:
                 (target / "rig.toml").unlink()
-            (target / FILE).write_bytes(tomli_w.dumps(_provenance(source, origin, episode, made)).encode())
+            (target / IMPORT_FILE).write_bytes(tomli_w.dumps(_provenance(source, origin, episode, made)).encode())
     if not known:
         made.warnings.append(
             "no rig.toml was written, as pixels need the camera: name one with --rig, here or to calibrate"

@@ -17,7 +17,8 @@ INFO = "meta/info.json"
 _EPISODES = {"v2": "meta/episodes.jsonl", "v3": "meta/episodes"}
 _COUNTERS = ("timestamp", "frame_index", "episode_index", "index", "task_index", "next.done", "next.success")
 _FRAME = "frame_index"  # format: of an episode, from 0 on
-_FULL_SCALE = 100.0  # of LeRobot's normalised joints: -100 to 100 over the calibrated range
+_STATS = "meta/stats.json"
+_OWN = ".pos"  # format: ends the names of joints that LeRobot's own drivers read: degrees or shares, never radians
 _UNITS = ("deg", "rad", "mm", "m")
 
 
@@ -47,9 +48,13 @@ class LeRobot:
             for name, each in self._features.items()
             if name not in _COUNTERS and str(each.get("dtype", "")).startswith(("float", "int", "uint"))
         }
+        stats = self._json(path / _STATS) if (path / _STATS).is_file() else {}
         for name, feature in self._numeric.items():
-            for key, label in _names(name, feature):
-                self.facts[key] = Fact(str(feature["dtype"]), label, self._unit(feature))
+            named = _names(name, feature)
+            ends = (_ends(stats.get(name), which, len(named)) for which in ("min", "max"))
+            for (key, label), low, high in zip(named, *ends, strict=True):
+                usual = "deg" if label.endswith(_OWN) else ""
+                self.facts[key] = Fact(str(feature["dtype"]), label, self._unit(feature), usual, low, high)
         self._rows = self._episode_rows()
         if not any(fact.unit for fact in self.facts.values()):
             self.notes.append(
@@ -209,6 +214,16 @@ def _names(name: str, feature: Mapping[str, Any]) -> list[tuple[str, str]]:
         return [(name, "")]
     told = labels if isinstance(labels, list) and len(labels) == count else [""] * count
     return [(f"{name}[{k}]", str(label)) for k, label in enumerate(told)]
+
+
+def _ends(stats: Any, which: str, count: int) -> list[float]:
+    """What stats.json says of a feature's numbers over all episodes, `min` or `max`; NaN each where it says nothing."""
+    told = stats.get(which) if isinstance(stats, Mapping) else None
+    try:
+        ends = np.ravel(np.array(told, dtype=float))
+    except (TypeError, ValueError):
+        ends = np.zeros(0)
+    return ends.tolist() if len(ends) == count else [float("nan")] * count
 
 
 def is_dataset(path: Path) -> bool:

@@ -297,30 +297,68 @@ def _guessed(
     """Units of motor and tip: those given, and for "" one that ratios and ranges make likely, which `notes` then say.
     unit: of the recording's q, deg or mm."""
     m, t = listing.channels[motor.name], listing.channels[tip.name]
-    if not tip_unit and unit == "deg" and motor_unit in ANGLES:
-        scaled = ANGLES[motor_unit] * (m.high - m.low) / max(t.high - t.low, 1e-12)
-        if suspected(scaled, t.values[np.isfinite(t.values)], "deg", 1.0) == "rad":
-            notes.append(f"{tip.name} moves {scaled:.3g} times less than the motor's degrees: it is taken as radians")
-            return motor_unit, "rad"
+    if unit == "deg":
+        likely = _by_ratio(m, motor_unit, t, tip_unit) or _by_range([m, t], listing)
+    else:
+        motor_unit, likely = motor_unit or unit, _by_range([t], listing)
     for channel, known, name in ((m, motor_unit, motor.name), (t, tip_unit, tip.name)):
-        if known or (channel is m and unit == "mm"):
-            continue
-        guess = "rad" if _may_be_radians(channel) else "deg"
-        span = channel.high - channel.low
-        notes.append(
-            f"no unit is known of {name}: it moves by {span:.4g} in all, {guess} is a guess"
-            + (": write another unit or a factor behind its name" if guess == "rad" else "")
+        if not known:
+            notes.append(_told_guess(channel, name, likely[channel.name], listing))
+    return motor_unit or likely[m.name], tip_unit or likely[t.name]
+
+
+def _by_ratio(m: Channel, motor_unit: str, t: Channel, tip_unit: str) -> dict[str, str]:
+    """Units of angle of motor and tip by how much one moves beside the other: one is in radians, or, beside one that
+    the file or the user tells, both in degrees. Empty where nothing but the ratio is known, and it is none of units."""
+    spans = [ANGLES.get(known, 1.0) * max(c.high - c.low, 1e-12) for c, known in ((m, motor_unit), (t, tip_unit))]
+    for less, more, known in ((0, 1, motor_unit), (1, 0, tip_unit)):
+        channel = (m, t)[less]
+        finite = channel.values[np.isfinite(channel.values)]
+        may_be = not known and channel.fact.usual != "deg"
+        if may_be and suspected(spans[more] / spans[less], finite, "deg", 1.0) == "rad":
+            return {m.name: "deg", t.name: "deg"} | {channel.name: "rad"}
+    return {m.name: "deg", t.name: "deg"} if motor_unit or tip_unit else {}
+
+
+def _by_range(channels: Sequence[Channel], listing: Listing) -> dict[str, str]:
+    """The unit of angle that channels share: radians where none of them goes beyond a turn, one moves by more than a
+    little, and neither the file nor values that are shares say otherwise."""
+    spans = [c.high - c.low for c in channels]
+    ends = [abs(end) for c in channels for end in (*_ends(c), _usual_end(c, listing))]
+    none = any(c.fact.usual == "deg" or _full_scale(c) for c in channels)
+    radians = not none and max(ends) <= _PI_TURN and max(spans) > _SMALL
+    return {c.name: "rad" if radians else "deg" for c in channels}
+
+
+def _ends(channel: Channel) -> tuple[float, float]:
+    """The lowest and the highest value of a channel: of all episodes, where the file says it."""
+    return float(np.fmin(channel.low, channel.fact.low)), float(np.fmax(channel.high, channel.fact.high))
+
+
+def _usual_end(channel: Channel, listing: Listing) -> float:
+    """How far the numbers of the channel's feature or message go from 0, in the median of those that move: they have
+    one unit."""
+    group = channel.name.rpartition("[")[0]
+    others = [c for name, c in listing.channels.items() if group and name.startswith(f"{group}[") and c.moves]
+    return float(np.median([max(map(abs, _ends(c))) for c in others])) if others else 0.0
+
+
+def _full_scale(channel: Channel) -> float:
+    """1 or 100 where the channel's values end exactly there and at 0 or its negative, as shares of a range do; else
+    0."""
+    low, high = _ends(channel)
+    return high if high in (1.0, 100.0) and low in (0.0, -high) else 0.0
+
+
+def _told_guess(channel: Channel, name: str, guess: str, listing: Listing) -> str:
+    """The note on a guessed unit."""
+    says = f"no unit is known of {name}: it moves by {channel.high - channel.low:.4g} in all, "
+    if full := _full_scale(channel):
+        return (
+            f"{says}and ends at exactly {full:g}, as shares of a range do: write what one is in deg behind its name: "
+            f"{name}:{110.0 / full:g} for ±110 deg"
         )
-        if channel is m:
-            motor_unit = guess
-        else:
-            tip_unit = guess
-    return motor_unit or unit, tip_unit or "deg"
-
-
-def _may_be_radians(channel: Channel) -> bool:
-    """Whether a channel's range is that of a joint in radians: within a turn, and more than a little."""
-    return max(abs(channel.low), abs(channel.high)) <= _PI_TURN and channel.high - channel.low > _SMALL
+    return f"{says}{guess} is a guess" + (": write another unit or a factor behind its name" if guess == "rad" else "")
 
 
 def _says(role: str, name: str) -> bool:

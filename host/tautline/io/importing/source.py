@@ -33,6 +33,9 @@ class Fact:
     type: str = ""  # of the message or column
     label: str = ""  # another name: a joint's
     unit: str = ""  # of units.UNITS; "" where the file says none
+    usual: str = ""  # the unit that what wrote the file is known to take where it says none; "" where it may be any
+    low: float = np.nan  # of all episodes, where the file says it
+    high: float = np.nan
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,53 @@
+"""Options that name what a command writes. Whether it can be written is found before the work is done for it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from tautline.errors import TautError
+from tautline.folders import check_replaceable, check_writable, is_stream
+from tautline.model import MODEL_FILE
+from tautline.recording import FILES
+
+_READ = (*FILES, MODEL_FILE)  # what commands read of a folder
+
+
+class Output(click.Path):
+    """A file or a folder to write. key_file: what an earlier result of the same kind holds, in a folder's place."""
+
+    def __init__(self, key_file: str = "", file: bool = False) -> None:
+        super().__init__(path_type=Path)
+        self._key_file, self._file = key_file, file
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        path = super().convert(value, param, ctx)
+        if isinstance(path, Path) and not (ctx is not None and ctx.resilient_parsing):  # the shell completes
+            if self._file and path.is_dir():
+                raise TautError(f"{path}: is a folder: name a file")
+            check_replaceable(path, self._key_file) if self._key_file else check_writable(path)
+        return path
+
+
+def folder_option(name: str, help: str, required: bool = True, key_file: str = "") -> Callable[[Any], Any]:
+    """An option that names an output folder, such as --out; key_file: as of Output."""
+    return click.option(name, type=Output(key_file), required=required, help=help)
+
+
+def check_no_input(out: Path | None, *inputs: Path | None) -> None:
+    """TautError if the file `out` is one of the inputs, or takes the place of a file that an input folder already
+    holds and the commands read."""
+    if out is None or is_stream(out) or out.is_dir():  # what cannot be taken for a file is told by who writes it
+        return
+    place = Path(os.path.realpath(out))
+    for read in inputs:
+        if read is None:
+            continue
+        known = Path(os.path.realpath(read))
+        own = place.parent == known and place.exists() and any(place.match(each) for each in _READ)
+        if place == known or own:
+            raise TautError(f"{out}: would be overwritten, and is read here: name another file")
