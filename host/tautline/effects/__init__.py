@@ -1,8 +1,8 @@
-"""The effects that a model can be extended by, and the simulation with them.
+"""The effects by which a calibrated model can be extended, and the simulation with them.
 
-Every effect is a nested extension of the chain motor -> transmission -> configuration -> kinematics -> registration ->
-camera -> acquisition: a few named parameters, and with its amplitudes at zero it is absent. One descriptor (kind.py)
-owns all that is known of it; adding one is a module of library/, and a file of host/native/effects/ where it moves the
+Every effect is a nested extension of the chain actuator -> transmission -> configuration -> kinematics -> registration
+-> camera -> acquisition: a few named parameters, and with its amplitudes at zero it is absent. One descriptor (kind.py)
+has all that is known of it; adding one is a module of library/, and a file of host/native/effects/ where it moves the
 tip by laws of its own.
 """
 

@@ -1,4 +1,5 @@
-"""What an effect is made of: the descriptor that owns its parameters, how it is looked for and how a model holds it."""
+"""The descriptor of an effect: its parameters, how it is found in recordings, how a corrected model holds it, and what
+is said of it to a user."""
 
 from __future__ import annotations
 
@@ -12,10 +13,10 @@ import numpy.typing as npt
 from tautline.model import Effect, Model
 
 STAGES = ("actuator", "transmission", "configuration", "kinematics", "registration", "camera", "acquisition")
-THROUGH_ANGLE = STAGES[:3]
-_TABLED = STAGES[3:]  # these only change how the tip is seen
-COLUMN = "column"  # format: of an effect's parameters, the name of the joint's column that it follows
-SIMULATOR = "simulator"  # before them, where a user's simulator stands in the motor's place: its own parameters
+THROUGH_ANGLE = STAGES[:3]  # these move the tip by its bending angle
+_SEEN = STAGES[3:]  # these only change how the tip is seen
+COLUMN = "column"  # format: among an effect's parameters the name of the joint's column that it follows
+SIMULATOR = "simulator"  # the stage of a user's simulator's own parameters, in the motor's place before all others
 
 Array = npt.NDArray[np.float64]
 # (session times (n,) s, rising; what comes in (n,); the effect's parameters) -> what goes out (n,)
@@ -27,146 +28,154 @@ Holds = Callable[[Model, Mapping[str, float], float], Model]
 
 @dataclass(frozen=True)
 class Parameter:
-    """`scale` is a change that a user would notice: the step of differences and the unit of priors. For a parameter in
-    the actuator's unit ("unit" at the start of its unit) it is a share of the motor's range, and so are its shapes."""
+    """A number of an effect. A parameter whose unit begins with "unit" is in the actuator's unit; its `scale` and
+    `shape` are then shares of the motor's range."""
 
     name: str
     unit: str
-    scale: float
+    scale: float  # a change that a user would notice: the unit of difference steps and of priors
     shape: tuple[float, ...] = ()  # values to start from; empty: an amplitude, zero when absent
-    probe: float = 0.3  # of `scale`: how far to go to see what an amplitude does
-    one_way: bool = False  # what it does when negative is another thing
-    low: float = float("-inf")  # where it means something
+    probe: float = 0.3  # tolerance: of `scale`: the small amplitude that is simulated to screen the effect
+    one_way: bool = False  # whether a negative value does something else than the opposite, so that both are tried
+    low: float = float("-inf")  # range in which it means something
     high: float = float("inf")
-    searched: bool = False  # over its shapes or by scatter; never differentiated
-    reached: bool = False  # a bending angle: one that the recordings go beyond
+    searched: bool = False  # found over its `shape` or by scatter; never differentiated
+    reached: bool = False  # whether it is a bending angle, deg, kept within those that the recordings reach
 
 
 @dataclass(frozen=True)
 class Event:
-    """An effect without a path that repeats: it is told by its scatter (diagnosis/scatter.py)."""
+    """What makes an effect an event: it has no path that repeats and is identified by the statistics of its scatter
+    (diagnosis/scatter.py)."""
 
-    amount: str  # the parameter that says how much it scatters
-    mean: str = ""  # and the one that says what of it repeats
-    cause: str = ""  # what to mend
-    what: str = ""  # that no model takes away
+    amount: str  # name of the parameter of how much it scatters
+    mean: str = ""  # name of the parameter of its mean effect, which has a path; "" where there is none
+    cause: str = ""  # in words, what to mend
+    what: str = ""  # in words, what no model takes away
 
 
 @dataclass(frozen=True)
 class Transform:
-    """An effect's law in Python, of another distribution's (tautline.effects.outside); what it does with all its
-    amplitudes at zero is never asked. It is differentiated by differences, by its own parameters."""
+    """The law in Python of an effect of another distribution (tautline.effects.outside). It is called only where one of
+    its amplitudes is not zero, and differentiated by differences."""
 
-    place: Literal["input", "state", "output"]  # of q, of the tip's p before f_remain, of c in deg
+    place: Literal["input", "state", "output"]  # what it changes: q, the tip's p before f_remain, or c in deg
     run: Run
 
 
 @dataclass(frozen=True)
 class Kind:
-    """An effect of the library. `amplitudes` at zero: absent."""
+    """The descriptor of an effect. With its amplitudes at zero it is absent."""
 
     id: str  # stage.name
     amplitudes: tuple[Parameter, ...]
-    shapes: tuple[Parameter, ...] = ()
-    says: str = ""
+    shapes: tuple[Parameter, ...] = ()  # parameters that mean nothing while all amplitudes are zero
+    says: str = ""  # what it does, in words
     tell: str = ""  # how a person tells it from what looks like it
     mend: str = ""  # what to do about it on the instrument
     # sensor: the model has a delay for what is observed; freedom: the instrument's second or third degree of freedom
     # moves; joint: a further joint's column does.
     needs: Literal["", "camera", "sensor", "load", "freedom", "joint"] = ""
     column: str = ""  # of motor.csv, that it follows
-    of_joint: Callable[[str], Kind] | None = None  # the same for a further joint's column
-    holds: Holds | None = None  # a corrected model holds it in its own tables, rig or delay; None: it is simulated
-    undone: bool = False  # a section of the board's tables undoes it (tautline.undone)
-    in_tables: bool = False  # it is simulated as the model that holds it
-    course: Callable[[Mapping[str, float], float], float] | None = None  # over the session's time, s: how much of it
-    event: Event | None = None
-    law: bool = False  # the same equations everywhere: rigid motion, time
-    material: bool = False  # of friction or a tendon's material, which no equation has exactly
-    nominal: bool = False  # a recalibration has it already where it holds in all recordings
-    posture: bool = False  # another posture, tension or homing changes it, together with others of the kind
-    contains: tuple[str, ...] = ()  # effects that it can do too
-    brings: tuple[str, ...] = ()  # parts of the nominal model that it may well move too, where it came later
-    curve: tuple[str, ...] = ()  # amplitudes: coefficients of a cubic spline over the motor's range, in order
-    simple: Kind | None = None  # the same with fewer parameters, where what is beside it could do the rest
-    each: bool = False  # it alone may be another in every recording
-    scan: Literal["probe", "period", "moment"] = "probe"  # how its shapes are screened
+    of_joint: Callable[[str], Kind] | None = None  # makes the same effect of a further joint's column, by its name
+    holds: Holds | None = None  # puts it into a corrected model's tables, rig or delay; None: it is simulated beside
+    undone: bool = False  # whether a section of the board's tables undoes it (tautline.undone)
+    in_tables: bool = False  # whether it is simulated by the model that `holds` makes
+    course: Callable[[Mapping[str, float], float], float] | None = None  # its size at a time of the session, s
+    event: Event | None = None  # None: it has a path that repeats
+    law: bool = False  # whether it has one exact equation everywhere: rigid motion, time
+    material: bool = False  # whether it is of friction or a tendon's material, which no equation has exactly
+    nominal: bool = False  # whether it is a part of the nominal model, which a recalibration changes by itself
+    posture: bool = False  # whether another posture, tension or homing changes it, together with others of these
+    contains: tuple[str, ...] = ()  # ids of simpler effects that it can imitate exactly
+    brings: tuple[str, ...] = ()  # ids of parts of the nominal model that it may well change too, if it came later
+    curve: tuple[str, ...] = ()  # amplitudes that are coefficients of a cubic spline over the motor's range, in order
+    simple: Kind | None = None  # the same with fewer parameters, used where a curve could imitate what is beside it
+    each: bool = False  # whether it may on its own have other amplitudes in each recording
+    # How its shapes are screened: by simulation, by the period of an encoder, or by the moments at which it happens.
+    scan: Literal["probe", "period", "moment"] = "probe"
     transform: Transform | None = None  # None: the library's own C or tables simulate it
-    # What it could do whatever its equations are, beside moving the tip through the angle (diagnosis/confined.py).
+    # What else its stage could do whatever its equations are, beside changing the angle (diagnosis/confined.py).
     leaves: Literal["", "lens", "plane", "channel", "time"] = ""
 
     @property
     def stage(self) -> str:
+        """Where it acts: one of STAGES, or SIMULATOR."""
         return self.id.split(".", 1)[0]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
+        """Amplitudes, then shapes."""
         return (*self.amplitudes, *self.shapes)
 
     @property
     def moments(self) -> tuple[str, ...]:
-        """Times of the session, s, at which it happens; there are as many amplitudes for each of them."""
+        """Names of the parameters that are times of the session, s, at which it happens; each has as many amplitudes.
+        () of an effect that goes on."""
         return tuple(p.name for p in self.shapes) if self.scan == "moment" else ()
 
     def happening(self, times: int) -> Kind:
-        """The same effect with its first `times` moments alone, and their amplitudes."""
-        each = len(self.amplitudes) // len(self.moments)
-        return replace(self, amplitudes=self.amplitudes[: times * each], shapes=self.shapes[:times])
+        """The same effect happening `times` times: with its first moments and their amplitudes alone."""
+        per_moment = len(self.amplitudes) // len(self.moments)
+        return replace(self, amplitudes=self.amplitudes[: times * per_moment], shapes=self.shapes[:times])
 
     @property
     def forms(self) -> tuple[Kind, ...]:
-        """All variants with its id: itself, the one with fewer parameters, the one that follows a further joint's
-        column."""
+        """All descriptors with its id: itself, the simple one, and the one of a further joint's column, if it has
+        these."""
         of_joint = self.of_joint and self.of_joint("")
         return tuple(form for form in (self, self.simple, of_joint) if form)
 
     def of_values(self, values: Mapping[str, Any]) -> Effect:
-        """The effect as a model has it, out of values that are known by their names."""
+        """The effect as a model has it, with those of its parameters that are among `values`, by name."""
         own = {p.name: values[p.name] for p in self.parameters if p.name in values}
         return Effect(self.id, own | ({COLUMN: self.column} if self.column else {}))
 
     @property
     def through_angle(self) -> bool:
-        """Whether it acts on the way from motor to bending angle, a simulator in its place included; else it changes
-        only how, or when, the tip is seen."""
+        """Whether it changes the bending angle (as a simulator's parameters do too); else it changes only how, or when,
+        the tip is seen."""
         return self.stage in (SIMULATOR, *THROUGH_ANGLE)
 
     @property
     def bends(self) -> bool:
-        """Whether it adds to the bending angle, and not to the place that f_remain bends by alone."""
+        """Whether it changes c beside the play's centre p, so that c is not f_remain(p) alone."""
         return self.stage == THROUGH_ANGLE[2] or self.needs == "load"
 
     @property
     def carried(self) -> bool:
-        """Whether it moves the tip by a law that is the same at all times: beside B and f_remain it can be fitted in
-        any sensor's own coordinates, and a calibrated model may carry it."""
+        """Whether a calibrated model may carry it beside B and f_remain: it changes the bending angle by a law that is
+        the same at all times, and is no part of the model's tables."""
         repeats = not (self.event or self.course or self.moments)
         return self.through_angle and repeats and not self.nominal and self.holds is None
 
     @property
     def on_board(self) -> bool:
-        """Whether the tables of a corrected model put the tip where that model says: what ends up in B and f_remain,
-        what a section undoes, and what only changes how the tip is seen; what scatters nothing takes away."""
-        seen = self.stage in _TABLED and self.event is None
-        return self.holds is not None or self.undone or seen
+        """Whether a board with the corrected model's tables needs nothing else against it: it is held in these tables,
+        a section of them undoes it, or it only changes how the tip is seen. No event is: nothing undoes scatter."""
+        only_seen = self.stage in _SEEN and self.event is None
+        return self.holds is not None or self.undone or only_seen
 
 
 def six(prefix: str) -> tuple[Parameter, ...]:
-    """The parameters of a rigid motion, PREFIX_rx .. PREFIX_z: a turn as a rotation vector, deg, then a move, mm."""
+    """The six parameters of a rigid motion: PREFIX_rx, _ry, _rz, a turn as a rotation vector in deg, then PREFIX_x, _y,
+    _z, a move in mm."""
     turn = tuple(Parameter(f"{prefix}_r{axis}", "deg", 0.5) for axis in "xyz")
     move = tuple(Parameter(f"{prefix}_{axis}", "mm", 0.2) for axis in "xyz")
     return turn + move
 
 
 def simulator_id(parameter: str) -> str:
-    """Of an effect, and of its only parameter: a change of a simulator's own one, which is declared by this name."""
+    """The id of the effect that a simulator's declared `parameter` is another on the robot; its only parameter has the
+    same name."""
     return f"{SIMULATOR}.{parameter}"
 
 
 def of_simulator(
     parameter: str, unit: str = "", spread: float = 1.0, low: float = float("-inf"), high: float = float("inf")
 ) -> Kind:
-    """The effect of a simulator's parameter that is another one on the robot. spread, low, high: of its change."""
+    """The effect that a simulator's declared `parameter` is another on the robot. unit: its own; spread: a change that
+    a user would notice; low, high: range of its change."""
     name = simulator_id(parameter)
     return Kind(
         name,

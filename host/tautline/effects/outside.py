@@ -1,5 +1,5 @@
-"""Effects of other distributions: entry points of the group `tautline.effects`, each a tuple of descriptors whose laws
-are in Python.
+"""Effects of other installed distributions: entry points of the group `tautline.effects`, each a tuple of descriptors
+whose laws are in Python.
 
     [project.entry-points."tautline.effects"]
     breath = "my_effects:EFFECTS"
@@ -18,8 +18,8 @@ GROUP = "tautline.effects"
 
 
 def added(known: Sequence[Kind]) -> list[Kind]:
-    """The effects of all installed distributions, their entry points in the order of names. TautError where one cannot
-    be taken, or repeats what `known` does already."""
+    """The effects of all installed distributions, in the order of their entry points' names. known: the library's.
+    TautError where one cannot be used, or has an id or a parameter of another one."""
     found: list[Kind] = []
     for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
         for kind in _loaded(entry):
@@ -29,11 +29,11 @@ def added(known: Sequence[Kind]) -> list[Kind]:
 
 
 def _loaded(entry: EntryPoint) -> Sequence[Kind]:
-    """The descriptors that an entry point offers. TautError where it cannot be imported, or is no tuple of them."""
+    """The descriptors of an entry point. TautError where it cannot be imported, or is no tuple of descriptors."""
     try:
         kinds = entry.load()
     except Exception as error:  # of somebody else's module: anything
-        if _begun(entry):
+        if _is_being_imported(entry):
             raise TautError(
                 f"{_named(entry)} cannot be taken while it is being imported: put 'import tautline.effects' before it"
             ) from error
@@ -43,16 +43,17 @@ def _loaded(entry: EntryPoint) -> Sequence[Kind]:
     return kinds
 
 
-def _begun(entry: EntryPoint) -> bool:
-    """Whether its module is being imported: it has begun, and it was what asked for tautline."""
+def _is_being_imported(entry: EntryPoint) -> bool:
+    """Whether an entry point's module is only half imported, as it is what imported tautline."""
     return bool(getattr(getattr(sys.modules.get(entry.module), "__spec__", None), "_initializing", False))
 
 
 def _check(entry: EntryPoint, kind: Kind, known: Sequence[Kind]) -> None:
-    """TautError where a distribution's effect is incomplete, claims what only the library can do, or has an id or a
-    parameter of one that is `known`."""
+    """TautError where an effect of another distribution is incomplete, claims what only the library can do, or has the
+    id or a parameter of one that is `known`."""
 
     def refuse(why: str) -> TautError:
+        """The error, with what is wrong in words."""
         return TautError(f"{_named(entry)}: {kind.id} {why}: mend or uninstall it")
 
     if kind.stage not in THROUGH_ANGLE or kind.id.count(".") != 1:
@@ -66,8 +67,8 @@ def _check(entry: EntryPoint, kind: Kind, known: Sequence[Kind]) -> None:
     if any(kind.id == other.id for other in known):
         raise refuse("is there already")
     names = {parameter.name for other in known for form in other.forms for parameter in form.parameters}
-    if taken := sorted(names & {parameter.name for parameter in kind.parameters}):
-        raise refuse(f"has a parameter {taken[0]} that another effect has")
+    if in_common := sorted(names & {parameter.name for parameter in kind.parameters}):
+        raise refuse(f"has a parameter {in_common[0]} that another effect has")
 
 
 def _named(entry: EntryPoint) -> str:

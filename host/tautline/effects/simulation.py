@@ -20,50 +20,55 @@ from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
 
-NATIVE = frozenset(name for name, *_ in _native.effect_parameters)  # what moves the tip
-PROJECTION = frozenset(name for name, *_ in _native.projection_parameters)  # what changes where it is seen
-_TABLED = tuple(form for kind in LIBRARY if kind.in_tables for form in kind.forms)
-IN_TABLES = frozenset(p.name for form in _TABLED for p in form.parameters)  # what is simulated as tables
-_TRANSFORMED = tuple(kind for kind in LIBRARY if kind.transform)
-_MEANS = frozenset(kind.event.mean for kind in LIBRARY if kind.event)
+# Names of parameters: of effects that move the tip in C; that change where it is seen; that are simulated by tables.
+NATIVE = frozenset(name for name, *_ in _native.effect_parameters)
+PROJECTION = frozenset(name for name, *_ in _native.projection_parameters)
+_TABLED = tuple(form for kind in LIBRARY if kind.in_tables for form in kind.forms)  # descriptors of the latter
+IN_TABLES = frozenset(p.name for form in _TABLED for p in form.parameters)
+_TRANSFORMED = tuple(kind for kind in LIBRARY if kind.transform)  # effects with a law in Python
+_MEANS = frozenset(kind.event.mean for kind in LIBRARY if kind.event)  # names of events' mean effects
 
 
 @dataclass(frozen=True)
 class Path:
-    """Where the tip is at a number of scene times. All (n,)."""
+    """Where the tip is at n scene times. All (n,)."""
 
     scene_s: Array
     translation_mm: Array | None  # of the instrument; None where it never moves
     rotation_deg: Array | None
-    c_deg: Array
-    p: Array  # the play's centre coordinate
+    c_deg: Array  # bending angle
+    p: Array  # the play's centre coordinate, unit of q
     tip: Array  # the same after lag, creep and stick-slip: c = f_remain(tip) but for the configuration's effects
     gain: Array  # dc / df_remain
-    way: Array  # which way the instrument lies in its channel, -1 to 1
-    lean: Array  # -2 dp/dB where B is constant, of all plays
+    way: Array  # to which side the instrument lies in its channel, -1 to 1
+    lean: Array  # -2 dp/dB where B is constant, in the mean of all plays: +1 on the rising envelope, -1 on the falling
     side: Array  # the envelope that last carried the tip: +1 rising q, -1 falling, 0 not yet
 
 
 @dataclass(frozen=True)
 class ImagePath(Path):
+    """A path and where its marker is seen."""
+
     image_px: Array  # (n, 2), NaN without a camera
 
 
 def of_this_version(model: Model) -> tuple[Effect, ...]:
-    """The effects of a corrected model. TautError where the library does not hold one, or has another law of it."""
+    """The effects of a corrected model. TautError where the library does not know one of them, or not one of its
+    parameters."""
     for effect in model.effects:
         kind = BY_ID.get(effect.id)
         if kind is None:
             raise TautError(f"{effect.id} is no effect of this version: diagnose again")
         known = {COLUMN, *(parameter.name for form in kind.forms for parameter in form.parameters)}
-        if strange := [name for name in effect.parameters if name not in known]:
-            raise TautError(f"{effect.id} has no {', '.join(strange)} in this version: diagnose again")
+        if unknown := [name for name in effect.parameters if name not in known]:
+            raise TautError(f"{effect.id} has no {', '.join(unknown)} in this version: diagnose again")
     return model.effects
 
 
 def of_model(model: Model, scatter: bool = False) -> dict[str, Any]:
-    """The parameters of a corrected model's effects that its tables, rig and delay do not hold already. `scatter`: with
-    one course of stick-slip instead of what it is in the mean. TautError as `of_this_version`."""
+    """The parameters, by name, with which a corrected model is simulated: those of its effects that its tables, rig and
+    delay do not hold already. scatter: whether events are a random course (stick-slip) instead of their mean effect.
+    TautError as `of_this_version`."""
     return {
         name: value
         for effect in of_this_version(model)
@@ -82,11 +87,11 @@ def simulate(
     load_reference: float = 0.0,
     clock_offset_s: float = 0.0,
 ) -> ImagePath:
-    """The model with effects of these parameters (names of LIBRARY, values absolute) at scene times (n,), in any order.
-    `motor` is used as it is: tautline.encoder takes an encoder's steps out. clock_offset_s is added to its times where
-    an effect depends on the time of the session (drift, shift). load_reference, mNm, is the load at which
-    the model's tables hold. Stick-slip and jitter scatter at random: what is here is one course of the former, and
-    nothing of the latter."""
+    """The simulated path and image of a model with effects at scene times (n,), s, in any order. parameters: of the
+    effects, by the names of LIBRARY. motor: its samples are knots of straight lines as they are (tautline.encoder takes
+    an encoder's steps out). start_deg: the bending angle at first; default where the play's centre is at the motor.
+    load_reference: mNm at which the model's tables hold. clock_offset_s: added to times where an effect depends on the
+    session's time (drift, shift). Of random effects, stick-slip is one course, jitter is left out."""
     path = follow(model, motor, scene_s, parameters, start_deg, load_reference, clock_offset_s)
     px = image(model, path, parameters, clock_offset_s) if model.rig.has_camera else np.full((len(path.p), 2), np.nan)
     return ImagePath(**{f.name: getattr(path, f.name) for f in fields(Path)}, image_px=px)
@@ -101,8 +106,8 @@ def follow(
     load_reference: float = 0.0,
     clock_offset_s: float = 0.0,
 ) -> Path:
-    """Where the tip is, as in `simulate`, but not in the image. A delay and a rate of the sensor's clock move the scene
-    times; TautError where a law of another distribution gives no numbers."""
+    """The path alone, with the arguments of `simulate`. The effects "delay" and "clock_rate" shift the scene times.
+    TautError where a law of another distribution gives no numbers."""
     model = tabled(model, parameters)
     outside = [kind for kind in _TRANSFORMED if any(parameters.get(p.name) for p in kind.amplitudes)]
     scene = np.asarray(scene_s, dtype=float) - parameters.get("delay", 0.0)
@@ -118,7 +123,7 @@ def follow(
 
 
 def _at(path: Path, which: npt.NDArray[np.int64]) -> Path:
-    """The path at these indices, (n,)."""
+    """The path at these indices (m,)."""
     return Path(*(None if values is None else values[which] for values in vars(path).values()))  # type: ignore[arg-type]
 
 
@@ -132,32 +137,32 @@ def _transformed(
     load_reference: float,
     clock_offset_s: float,
 ) -> Path:
-    """As `_moved`, with the laws of other distributions at every knot of the motor and every time that is asked for.
-    What they do to dc / df_remain is not in `gain`: a fit's steps of the nominal are that much less straight."""
-    course = np.union1d(motor.t_s, rising)
+    """As `_moved`, with the laws in Python of the effects `outside`, which are run at every knot of the motor and at
+    every scene time. Their derivatives are not in `gain`, so that steps of a fit's nominal model are less exact."""
+    times = np.union1d(motor.t_s, rising)
 
     def through(place: str, values: Array) -> Array:
-        """Values (n,) at the times of `course` after all laws that stand at this place, in order."""
+        """Values (n,) at `times` after all laws that stand at this place, in order."""
         for kind in outside:
             if kind.transform and kind.transform.place == place:
                 own = {p.name: float(parameters[p.name]) for p in kind.parameters if p.name in parameters}
-                values = np.asarray(kind.transform.run(course + clock_offset_s, values, own), dtype=float)
-                if values.shape != course.shape or not np.isfinite(values).all():
-                    raise TautError(f"{kind.id}: its law gave no {len(course)} numbers: mend its distribution's run()")
+                values = np.asarray(kind.transform.run(times + clock_offset_s, values, own), dtype=float)
+                if values.shape != times.shape or not np.isfinite(values).all():
+                    raise TautError(f"{kind.id}: its law gave no {len(times)} numbers: mend its distribution's run()")
         return values
 
     translation, rotation, load = (
-        None if values is None else np.interp(course, motor.t_s, values)
+        None if values is None else np.interp(times, motor.t_s, values)
         for values in (motor.translation_mm, motor.rotation_deg, motor.load_mNm)
     )
-    joints = {name: np.interp(course, motor.t_s, values) for name, values in motor.extra.items()}
-    q = through("input", np.interp(course, motor.t_s, motor.q))
-    driven = Motor(course, q, None, translation, rotation, load, joints)
-    path = _moved(model, driven, course, parameters, start_deg, load_reference, clock_offset_s)
+    joints = {name: np.interp(times, motor.t_s, values) for name, values in motor.extra.items()}
+    q = through("input", np.interp(times, motor.t_s, motor.q))
+    driven = Motor(times, q, None, translation, rotation, load, joints)
+    path = _moved(model, driven, times, parameters, start_deg, load_reference, clock_offset_s)
     tip = through("state", path.tip)
     c_deg = path.c_deg + path.gain * (model.remaining(tip) - model.remaining(path.tip))
     path = replace(path, tip=tip, c_deg=through("output", c_deg))
-    return _at(path, np.searchsorted(course, rising))
+    return _at(path, np.searchsorted(times, rising))
 
 
 def _moved(
@@ -169,7 +174,7 @@ def _moved(
     load_reference: float,
     clock_offset_s: float,
 ) -> Path:
-    """Where the tip is at rising scene times (n,), s, by the library's own laws alone."""
+    """The path at rising scene times (n,), s, by the library's own laws in C alone; arguments as in `simulate`."""
     translation, rotation = (
         None if values is None else np.interp(rising, motor.t_s, values)
         for values in (motor.translation_mm, motor.rotation_deg)
@@ -191,31 +196,32 @@ def _moved(
     return Path(rising, translation, rotation, *moved)
 
 
-_RECENT = 8  # tolerance: as many tables are kept: a session's recordings ask for the same ones in turn
+_RECENT = 8  # tolerance: tabled models that are kept: a session's recordings need the same ones in turn
 _recent: tuple[tuple[Model, dict[str, Any], Model], ...] = ()
 
 
 def tabled(model: Model, parameters: Mapping[str, Any]) -> Model:
-    """The model with those of these parameters that are simulated as tables put into its own tables; the last few are
-    kept."""
+    """The model with the effects that are simulated by tables (IN_TABLES) put into its B and f_remain; the last few
+    results are kept. parameters: of all effects, by name."""
     present = [kind for kind in _TABLED if any(parameter.name in parameters for parameter in kind.amplitudes)]
     if not present:
         return model
     values = {name: parameters[name] for name in IN_TABLES if name in parameters}
     global _recent
-    for nominal, before, held in _recent:
-        if nominal is model and before == values:
-            return held
-    held = model
+    for nominal, known, result in _recent:
+        if nominal is model and known == values:
+            return result
+    result = model
     for kind in present:
         assert kind.holds
-        held = kind.holds(held, parameters, 0.0)
-    _recent = ((model, values, held), *_recent[: _RECENT - 1])  # whole: another thread may be reading it
-    return held
+        result = kind.holds(result, parameters, 0.0)
+    _recent = ((model, values, result), *_recent[: _RECENT - 1])  # a new tuple: another thread may read the old one
+    return result
 
 
 def image(model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_s: float = 0.0) -> Array:
-    """Where the marker is seen, (n, 2) px, with the effects of kinematics, registration and camera."""
+    """(n, 2) px: where the marker of a path is seen, with the effects of kinematics, registration and camera.
+    clock_offset_s: from the path's times to the session's, for a shift."""
     return _see(model, path, parameters, clock_offset_s, False)  # type: ignore[no-any-return]
 
 
@@ -227,7 +233,8 @@ def see(
     rotation_deg: npt.ArrayLike,
     parameters: Mapping[str, Any],
 ) -> Array:
-    """As `image`, of tips whose c and way (n,) are known and whose registration does not change."""
+    """(n, 2) px as `image`, of bending angles (n,) without a path, without a shift of the registration. way (n,): side
+    of the channel, -1 to 1; translation_mm, rotation_deg: of the instrument, (n,) or one number."""
     n = np.ones(len(c_deg))
     known = {name: value for name, value in parameters.items() if name in PROJECTION}
     rig = projection_rig(model.rig)
@@ -238,13 +245,13 @@ def see(
 def image_with_slopes(
     model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_s: float = 0.0
 ) -> tuple[Array, Array, Array]:
-    """The image (n, 2) px and its derivatives: by c (n, 2) px per deg, by a further static registration (n, 2, 6) px
-    per deg of its turn about x y z, then per mm of its move."""
+    """(The image (n, 2) px; d image / dc (n, 2) px per deg; d image / d a further static registration (n, 2, 6): px per
+    deg of its turn about x, y, z, then per mm of its move)."""
     return _see(model, path, parameters, clock_offset_s, True)  # type: ignore[no-any-return]
 
 
 def _see(model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_s: float, slopes: bool) -> Any:
-    """What C gives for `image`: (n, 2) px; with `slopes` also its derivatives, as `image_with_slopes` has them."""
+    """The result of `image`, or with `slopes` that of `image_with_slopes`."""
     shifted = None
     if "shift_time" in parameters:
         shifted = (path.scene_s + clock_offset_s >= parameters["shift_time"]).view(np.uint8)

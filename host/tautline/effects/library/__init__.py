@@ -14,7 +14,7 @@ from tautline.model import Effect
 
 
 class _ById(Mapping[str, Kind]):
-    """The library's effects, and beyond those a simulator's parameters: they are known by their names."""
+    """The library's effects by id, and for every other id "simulator.NAME" the effect of that simulator's parameter."""
 
     def __init__(self, kinds: tuple[Kind, ...]) -> None:
         self._kinds = {kind.id: kind for kind in kinds}
@@ -41,12 +41,12 @@ BY_ID: Mapping[str, Kind] = _ById(LIBRARY)
 OWNER: Mapping[str, Kind] = {
     parameter.name: kind for kind in LIBRARY for form in kind.forms for parameter in form.parameters
 }
-# Told by their scatter: at most what it is in the mean can be predicted.
+# Ids of effects without a path that repeats, of which at most the mean can be predicted, and names of their amounts.
 EVENTS = frozenset(kind.id for kind in LIBRARY if kind.event)
 SCATTERS = frozenset(kind.event.amount for kind in LIBRARY if kind.event)
 
 
 def kind_of(effect: Effect) -> Kind:
-    """The descriptor of a model's effect: that of its joint, where it follows one."""
+    """The descriptor of an effect of a model; where it follows a joint's column, the one of that joint."""
     kind, column = BY_ID[effect.id], effect.parameters.get(COLUMN)
     return kind.of_joint(column) if column and kind.of_joint else kind

@@ -4,7 +4,8 @@ _ID, _SAYS = "configuration.axis_coupling", "another degree of freedom moves the
 
 
 def _of_joint(column: str) -> Kind:
-    """Another joint of the same robot, through its own backlash."""
+    """The effect of another joint of the same robot, whose angle is in this column of motor.csv, through a backlash of
+    its own."""
     return Kind(
         _ID,
         (Parameter("c_per_joint", "deg", 0.05),),

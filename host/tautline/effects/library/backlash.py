@@ -9,23 +9,28 @@ from tautline.effects.kind import Kind, Parameter
 from tautline.model import Model, allowed_width
 from tautline.splines import Basis
 
-_PIECES = 20  # of a cubic spline over the motor's range: as fine as B itself is measured again
+_PIECES = 20  # prior: of a cubic spline over the motor's range: as fine as B itself is measured again
 _NAMES = tuple(f"width_{i}" for i in range(_PIECES + 3))
 _EVERYWHERE = "width_everywhere"
-_AT_MOTOR = "width_at_motor"  # what is worn is a part that goes with the motor, and not with the play's centre
-_STEPS = 6  # until a wall is where it is; |added'| / 2 < 1 contracts
+_AT_MOTOR = "width_at_motor"  # 1: the change goes with the motor, as a worn part does, and not with the play's centre
+_STEPS = 6  # tolerance: of a fixed-point iteration, which contracts as |d added / dq| / 2 < 1
 
 
 def _in_the_table(model: Model, values: Mapping[str, float], session_s: float) -> Model:
-    """The model with another B: times 1 + width_scale, plus the spline with coefficients width_0 .., unit of q, over
-    the play's centre or, with width_at_motor, over the motor's place, which shifts f_remain too. session_s does not
-    count."""
+    """The model with another B: times 1 + width_scale, plus width_everywhere, plus the spline with coefficients width_0
+    .., unit of q, over the play's centre or, with width_at_motor, over the motor's position. session_s is not used."""
     basis = Basis(*model.rig.actuator.range, _PIECES)
     added = basis.table(np.array([values.get(name, 0.0) for name in _NAMES]), model.q)
     width = model.width * max(0.0, 1.0 + values.get("width_scale", 0.0)) + values.get(_EVERYWHERE, 0.0)
     if not values.get(_AT_MOTOR, 0.0):
         return replace(model, width=allowed_width(model.q, width + added))
-    # The motor's place where either wall is reached, by what is added there.
+    return _with_width_at_motor(model, width, added)
+
+
+def _with_width_at_motor(model: Model, width: np.ndarray, added: np.ndarray) -> Model:
+    """The model with B(p) = width (grid,), to which `added` (grid,) of the motor's position q is added where either
+    wall of the play is reached: each wall solves q = p + s (width(p) + added(q)) / 2, s = +-1. As both walls then move
+    unlike, the play's centre shifts, and f_remain with it."""
     walls = []
     for side in (1.0, -1.0):
         wall = model.q + side * 0.5 * width
@@ -33,11 +38,11 @@ def _in_the_table(model: Model, values: Mapping[str, float], session_s: float) -
             wall = model.q + side * 0.5 * (width + np.interp(wall, model.q, added))
         walls.append(np.maximum.accumulate(wall))
     centre = 0.5 * (walls[0] + walls[1])
-    there = np.interp(model.q, centre, walls[0] - walls[1])
-    # Beyond the walls' last places as far from the centre's as there: the law goes on, and stays monotone.
+    new_width = np.interp(model.q, centre, walls[0] - walls[1])
+    # Beyond the walls' ends the centre is as far from the old one as there: the law goes on, and stays monotone.
     before, after = np.minimum(model.q - centre[0], 0.0), np.maximum(model.q - centre[-1], 0.0)
-    own = np.interp(model.q, centre, model.q) + before + after
-    return replace(model, width=allowed_width(model.q, there), c_deg=model.remaining(own))
+    old_centre = np.interp(model.q, centre, model.q) + before + after
+    return replace(model, width=allowed_width(model.q, new_width), c_deg=model.remaining(old_centre))
 
 
 _KIND = Kind(

@@ -9,13 +9,13 @@ _NAMES = ("k1", "k2", "p1", "p2", "k3")
 
 
 def distorted(camera: Camera, values: Mapping[str, float]) -> Camera:
-    """The camera with the effect's distortion on top of the rig's."""
-    k1, k2, p1, p2, k3 = (here + values.get(name, 0.0) for here, name in zip(camera.distortion, _NAMES, strict=True))
+    """The camera with the coefficients k1 .. k3 of the effect added to those of its own distortion."""
+    k1, k2, p1, p2, k3 = (own + values.get(name, 0.0) for own, name in zip(camera.distortion, _NAMES, strict=True))
     return replace(camera, distortion=(k1, k2, p1, p2, k3))
 
 
 def _in_the_rig(model: Model, values: Mapping[str, float], session_s: float) -> Model:
-    """The model with the distortion added to its rig's camera."""
+    """The model with the effect's distortion added to its rig's camera. session_s is not used."""
     rig = model.rig
     assert rig.camera
     return replace(model, rig=replace(rig, camera=distorted(rig.camera, values)))

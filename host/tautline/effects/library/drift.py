@@ -6,19 +6,20 @@ from tautline.effects.kind import Kind, Parameter
 from tautline.model import Model, allowed_width
 
 
-def _gone(values: Mapping[str, float], session_s: float) -> float:
-    """How long, s, a drift has run from drift_from to session_s, counted at its first rate: less than that time where
-    the rate decays exponentially by drift_decay, 1/s; 0 before."""
+def _effective_time(values: Mapping[str, float], session_s: float) -> float:
+    """How long, s, a drift has gone on at its first rate: T = session_s - drift_from, or, where its rate decays as
+    exp(-drift_decay t), (1 - exp(-drift_decay T)) / drift_decay; 0 before drift_from."""
     decay = values.get("drift_decay", 0.0)
     since = max(0.0, session_s - values.get("drift_from", 0.0))
     return -math.expm1(-decay * since) / decay if decay > 0.0 else since
 
 
 def _drifted(model: Model, values: Mapping[str, float], session_s: float) -> Model:
-    """The model as it is then: where the offset has grown the same p is at a lower q, and B is scaled."""
-    gone = _gone(values, session_s)
-    width = allowed_width(model.q, model.width * max(0.0, 1.0 + values["width_drift"] * gone))
-    return replace(model, q=model.q - values["offset_drift"] * gone, width=width)
+    """The model at session_s, s: q lowered by offset_drift T and B times 1 + width_drift T, with the effective time
+    T."""
+    time_s = _effective_time(values, session_s)
+    width = allowed_width(model.q, model.width * max(0.0, 1.0 + values["width_drift"] * time_s))
+    return replace(model, q=model.q - values["offset_drift"] * time_s, width=width)
 
 
 EFFECTS = (
@@ -34,6 +35,6 @@ EFFECTS = (
         tell="The gap grows with time, whatever the motion is, also with the motor at one place again.",
         mend="Warm the instrument up, check the tendon's clamps, calibrate again; taut track follows it while in use.",
         holds=_drifted,
-        course=_gone,
+        course=_effective_time,
     ),
 )

@@ -6,8 +6,8 @@ from tautline.model import Model
 
 
 def _in_the_tables(model: Model, values: Mapping[str, float], session_s: float) -> Model:
-    """The model with the offset, unit of q, in its tables: the same p is at a q lower by it; with offset_at_tip
-    f_remain is shifted instead, by the offset times its mean slope."""
+    """The model with its q lowered by `offset`, unit of q; with offset_at_tip f_remain is shifted instead, by the
+    offset times its mean slope, deg. session_s is not used."""
     low, high = model.measured
     offset = values["offset"]
     if values.get("offset_at_tip", 0.0):

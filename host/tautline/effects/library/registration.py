@@ -1,4 +1,5 @@
-"""Where the instrument is in the camera's eyes: rigid motions, of one law each."""
+"""The registration, the rigid transform from the instrument to the camera: wrong, shifted, or different by
+direction."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -15,8 +16,9 @@ from tautline.rig import HandEye
 def with_registration(
     model: Model, values: Mapping[str, float], session_s: float = 0.0, prefix: str = "static"
 ) -> Model:
-    """The model with X_cam = R (Exp(turn) X + move) + t folded into its rig's hand-eye. values: PREFIX_rx .. PREFIX_rz,
-    the turn as a rotation vector, deg, PREFIX_x .. PREFIX_z, the move, mm."""
+    """The model with a turn and a move in its rig's hand-eye transform: X_cam = R (Exp(turn) X + move) + t. values:
+    PREFIX_rx .. PREFIX_rz, the turn as a rotation vector, deg, PREFIX_x .. PREFIX_z, the move, mm. session_s is not
+    used."""
     rig = model.rig
     if rig.hand_eye is None or not values:
         return model
@@ -30,7 +32,7 @@ def with_registration(
 
 
 def _shifted(model: Model, values: Mapping[str, float], session_s: float) -> Model:
-    """The model with the registration's shift, from shift_time of the session, s, on."""
+    """The model with the registration's shift, if session_s, s, is not before shift_time."""
     return with_registration(model, values, prefix="shift") if session_s >= values["shift_time"] else model
 
 

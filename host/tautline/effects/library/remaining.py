@@ -1,4 +1,4 @@
-"""A static law that is not the model's."""
+"""A static law f_remain that is not the model's."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -9,12 +9,13 @@ from tautline.effects.kind import Kind, Parameter
 from tautline.model import Model, monotone
 from tautline.splines import Basis
 
-_PIECES = 22  # of a cubic spline over the motor's range: as fine as the law itself is measured again
+_PIECES = 22  # prior: of a cubic spline over the motor's range: as fine as the law itself is measured again
 _NAMES = tuple(f"remaining_{i}" for i in range(_PIECES + 3))
 
 
 def _in_the_table(model: Model, values: Mapping[str, float], session_s: float) -> Model:
-    """The model with the spline with coefficients remaining_0 .., deg, added to f_remain over p, kept monotone."""
+    """The model with a spline over p, coefficients remaining_0 .. in deg, added to f_remain, which stays monotone.
+    session_s is not used."""
     basis = Basis(*model.rig.actuator.range, _PIECES)
     added = basis.table(np.array([values.get(name, 0.0) for name in _NAMES]), model.q)
     return replace(model, c_deg=monotone(model.c_deg + added))

@@ -4,11 +4,11 @@ from dataclasses import replace
 from tautline.effects.kind import Kind, Parameter
 from tautline.model import Model
 
-_TIMES = range(1, 5)  # as slip.c has them
+_TIMES = range(1, 5)  # format: of the parameters' names, as in slip.c: it may slip four times
 
 
 def _with_slips(model: Model, values: Mapping[str, float], session_s: float) -> Model:
-    """The model as it is then: by what has slipped the same p is at a lower q."""
+    """The model at session_s, s: q lowered by the sum of all slips, unit of q, that happened until then."""
     slipped = sum(values.get(f"slip_{i}", 0.0) for i in _TIMES if values.get(f"slip_time_{i}", 0.0) <= session_s)
     low, high = model.measured
     return replace(model, q=model.q - slipped, measured=(low - slipped, high - slipped))
