@@ -1,7 +1,8 @@
-"""Effects that recordings cannot tell apart because of how they were made, whatever a fit says.
+"""Load dependence and drift where the design of the experiment confounds them, whatever a fit says.
 
-A load that is held through a recording and changed between two of them changes with time as well: every step between
-the recordings, of whatever cause, follows it as closely as a slope. A third load refutes that, and so does a return.
+A load that is constant within each recording and changed once between two of them is a function of time as well: any
+step between the recordings, of whatever cause, is then a slope over the load. A third load refutes that, and so does a
+return to the first one.
 """
 
 from __future__ import annotations
@@ -17,76 +18,80 @@ from tautline.effects import Kind
 
 LOAD, DRIFT = "transmission.load_dependence", "transmission.drift"
 
-_LEVEL = 0.15  # tolerance: of the loads' span: what lies nearer together is one level, a load that varies less is held
-_HIDDEN = 0.2  # prior: of a probability that two effects share: that it is the one of which nothing is recorded
-_TOLD = 1.5  # tolerance: of the loads' scatter within a recording: levels that are farther apart are others
-_PLACES = 12  # tolerance: over which what a motion does to its own load is averaged
+_SAME_LEVEL = 0.15  # tolerance: share of the loads' span: closer levels are one, a load that varies less is constant
+_UNRECORDED_SHARE = 0.2  # prior: of two confounded effects' probability, that it is the one whose cause is not recorded
+_DISTINCT = 1.5  # tolerance: standard deviations of the load within a recording, beyond which two levels differ
+_PLACES = 12  # tolerance: bins of the motor's position in which the load that a motion causes by itself is averaged
+_SLOW_S = 0.5  # tolerance: s over which the load is averaged: faster changes are no change of load
 
 
 def hidden(kinds: Sequence[Kind], segments: Sequence[Segment]) -> dict[str, str]:
-    """{id of an effect that need not be tried: id of the one that stands for it}: drift by load dependence, where the
-    load, which is recorded, changes once as time does; else {}."""
+    """{drift's id: load dependence's id} where the two are confounded, as the recorded load changes just once: drift is
+    then not fitted, but reported with a share of load dependence's probability (`add_hidden`). Else {}."""
     both = {LOAD, DRIFT} <= {kind.id for kind in kinds}
     return {DRIFT: LOAD} if both and load_goes_with_time(segments) else {}
 
 
 def load_tells_apart(segments: Sequence[Segment]) -> bool:
-    """Whether the recordings' median loads differ by clearly more than the load scatters within one: then an offset,
-    width or law of each recording could follow all that the load does. False where one has no load."""
+    """Whether the recordings' median loads, mNm, differ by more than _DISTINCT times the load's standard deviation
+    within a recording: then an offset, width or f_remain of its own for each recording could imitate any effect of the
+    load. False where a recording has no load."""
     loads = [segment.motor.load_mNm for segment in segments]
     if any(load is None for load in loads):
         return False
     levels = [float(np.median(load)) for load in loads if load is not None]
     within = float(np.median([np.std(load) for load in loads if load is not None]))
-    return max(levels) - min(levels) > _TOLD * within
+    return max(levels) - min(levels) > _DISTINCT * within
 
 
 def add_hidden(document: dict[str, Any], hidden: Mapping[str, str]) -> None:
-    """Writes the hidden effects into a diagnosis.json, as ambiguous with those that stand for them, which give them a
-    share _HIDDEN of their probability. hidden: as `hidden` gives it."""
-    for name, shown in hidden.items():
+    """Adds the effects that were not fitted to the content of a diagnosis.json: as ambiguous with the fitted effect
+    that each is confounded with, and with a share _UNRECORDED_SHARE of its probability. hidden: {id of the effect that
+    was not fitted: id of the fitted one}."""
+    for name, fitted in hidden.items():
         for effect in document["effects"]:
-            if effect["id"] == shown:
+            if effect["id"] == fitted:
                 effect["ambiguous_with"] = sorted({*effect["ambiguous_with"], name})
         for candidate in list(document["candidates"]):
-            if candidate["id"] == shown:
-                share = _HIDDEN * candidate["probability"]
+            if candidate["id"] == fitted:
+                share = _UNRECORDED_SHARE * candidate["probability"]
                 candidate |= {"probability": candidate["probability"] - share, "identifiable": False}
                 document["candidates"].append({**candidate, "id": name, "probability": share})
         document["candidates"].sort(key=lambda c: -c["probability"])
 
 
 def load_goes_with_time(segments: Sequence[Segment]) -> bool:
-    """Whether every recording has one of two load levels and the load changes once between them: then load and time
-    cannot be told apart. What the load does in step with the motor's motion is not counted as a change. False where
-    a recording has no load."""
-    levels, within = [], []
+    """Whether each recording has one of two constant loads, mNm, with one change between them over the session: then
+    load and time are confounded. A load that varies in step with the motor's motion counts as constant. False where a
+    recording has no load."""
+    levels, variation = [], []
     for segment in segments:
         load = segment.motor.load_mNm
         if load is None:
             return False
         seen = np.interp(segment.arrival_s, segment.motor.t_s, load)[segment.scored]
         levels.append(float(np.median(seen)))
-        within.append(_load_spread_beside_motion(segment, seen))
-    span = max(levels) - min(levels)
-    if span <= 0.0 or max(within) > _LEVEL * span:
+        variation.append(_load_variation_beside_motion(segment, seen))
+    lowest, highest = min(levels), max(levels)
+    span = highest - lowest
+    if span <= 0.0 or max(variation) > _SAME_LEVEL * span:
         return False
-    high = [level > min(levels) + 0.5 * span for level in levels]
-    nearest = [min(level - min(levels), max(levels) - level) for level in levels]
-    changes = sum(a != b for a, b in pairwise(high))
-    return max(nearest) < _LEVEL * span and changes == 1
+    is_high = [level > lowest + 0.5 * span for level in levels]
+    off_either_level = [min(level - lowest, highest - level) for level in levels]
+    changes = sum(before != after for before, after in pairwise(is_high))
+    return max(off_either_level) < _SAME_LEVEL * span and changes == 1
 
 
-def _load_spread_beside_motion(segment: Segment, load: np.ndarray) -> float:
-    """Standard deviation of the slow part of the load about its mean at each place and direction of the motor, mNm.
-    load: at the scored observations."""
+def _load_variation_beside_motion(segment: Segment, load: np.ndarray) -> float:
+    """Standard deviation, mNm, of what the load does that its motion does not explain: less its mean at each place and
+    direction of the motor, averaged over _SLOW_S. load: (scored,), mNm."""
     t = segment.arrival_s[segment.scored]
     q = np.interp(t, segment.motor.t_s, segment.motor.q)
-    way = np.sign(np.gradient(q)) if len(q) > 1 else np.zeros_like(q)
+    direction = np.sign(np.gradient(q)) if len(q) > 1 else np.zeros_like(q)
     edges = np.linspace(q.min(), q.max() + 1e-12, _PLACES + 1)
     # A number for each of _PLACES places and three directions: -1, 0, 1.
-    cell = (np.searchsorted(edges, q, side="right") - 1) * 3 + way.astype(int) + 1
+    cell = (np.searchsorted(edges, q, side="right") - 1) * 3 + direction.astype(int) + 1
     mean = np.bincount(cell, load) / np.maximum(np.bincount(cell), 1)
-    left = load - mean[cell]
-    slow = max(1, int(0.5 / max(float(np.median(np.diff(t))), 1e-3))) if len(t) > 2 else 1  # frames in 0.5 s
-    return float(np.std(np.convolve(left, np.ones(slow) / slow, mode="same")))
+    unexplained = load - mean[cell]
+    frames = max(1, int(_SLOW_S / max(float(np.median(np.diff(t))), 1e-3))) if len(t) > 2 else 1  # in _SLOW_S
+    return float(np.std(np.convolve(unexplained, np.ones(frames) / frames, mode="same")))

@@ -1,4 +1,4 @@
-"""What a diagnosis says, typed: the same facts as diagnosis.json, for who works with them in Python."""
+"""What a diagnosis found, as typed objects: the same facts as in diagnosis.json."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Finding(Value):
-    """An effect that is named."""
+    """An effect that a diagnosis names."""
 
     id: str
     probability: float  # that it is there, given those named before it
@@ -27,10 +27,12 @@ class Finding(Value):
 
     @property
     def stage(self) -> str:
+        """Where in the chain from motor to image it acts: one of effects.STAGES, or "simulator"."""
         return effects.BY_ID[self.id].stage
 
     @classmethod
     def of(cls, entry: Mapping[str, Any]) -> Self:
+        """From an entry of the list `effects` of a diagnosis.json."""
         known = {name: entry[name] for name in cls.__dataclass_fields__}
         return cls(**{**known, "ambiguous_with": tuple(entry["ambiguous_with"])})
 

@@ -16,7 +16,7 @@ DOCUMENT = "diagnosis.json"
 
 
 def save(diagnosis: Diagnosis, out: Path) -> None:
-    """The whole folder, or nothing. Raises TautError where it cannot be written."""
+    """Writes the whole folder `out`, or nothing of it. Raises TautError where it cannot be written."""
     with replaced(out, DOCUMENT) as folder:
         for name, model in (("nominal", diagnosis.nominal), ("corrected", diagnosis.corrected)):
             model.save(folder / name)

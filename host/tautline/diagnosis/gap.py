@@ -1,4 +1,8 @@
-"""The size of a gap: root mean squares, the noise below them, and how far they can be trusted."""
+"""The size of a gap: root mean squares of residuals, the sensor's noise, and intervals of both.
+
+Residuals are (scored, k) of each recording: scored observations, k = 2 px or k = 1 deg. The noise floor is one standard
+deviation of the noise of a coordinate, px or deg.
+"""
 
 from __future__ import annotations
 
@@ -15,18 +19,20 @@ from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
 
-_STILL_S = 0.6  # limit: a motor at rest for so long has left its own transients behind
-_UNLIKE = 4.0  # tolerance: times the median rest's power: no noise any more
-_OUTLIER = 8.0  # tolerance: deviations that a frame counts at most
-_FEW, _ENOUGH = 6, 60  # tolerance: frames of a rest, and degrees of freedom of all rests, that tell noise
-_TOGETHER, _SMOOTH = 24, 3  # tolerance: residuals across the image's path over which a misfit is of this order
-_SURE = 2.0  # loss: standard errors
-BLOCK_S = 8.0  # tolerance: of a manoeuvre: longer than a residual remembers
-_LITTLE = 0.05  # prior: of a gap: what another motion may leave of it however little these leave
-_CUT_INTO = (12, 9)  # tolerance: blocks, tried in turn where the motor's turns make none
-_REMEMBERED, _ALIKE = 199, 0.02  # tolerance: lags at most, and a correlation from which there is none
-_EACH_WAY = 0.2  # tolerance: share of the motion that either way must have
-_OF_A_SIZE, _SHRINKS = 0.95, 0.9  # format: shares of a size's and of a shrinkage's draws that an interval holds
+_STILL_S = 0.6  # limit: s of rest after which the motor's own transients are over
+_NO_NOISE = 4.0  # tolerance: times the median power of all rests: one that scatters more is not only noise
+_OUTLIER = 8.0  # tolerance: standard deviations to which a frame is cut
+_FEWEST_FRAMES, _ENOUGH = 6, 60  # tolerance: frames of a rest, degrees of freedom of all rests, that tell the noise
+_PIECE, _PIECE_ORDER = 24, 3  # tolerance: frames of a piece, order of the polynomial that a misfit is over it
+_STANDARD_ERRORS = 2.0  # loss: by which the kurtosis must exceed a Gaussian's to count
+BLOCK_S = 8.0  # tolerance: s of a block of manoeuvres: longer than residuals are correlated
+_LEAST_LEFT = 0.05  # prior: share of a gap that another motion may leave however little the recorded ones leave
+_CUT_INTO = (12, 9)  # tolerance: numbers of blocks, tried in turn where the motor's reversals make none
+_LONGEST_LAG, _UNCORRELATED = 199, 0.02  # tolerance: lags of an autocorrelation at most, value that ends the sum
+_EACH_WAY = 0.2  # tolerance: share of the motion that either direction must have
+_DRAWS = 400  # tolerance: of a bootstrap
+_LEAST_EXCESS = 1e-12  # tolerance: px^2 or deg^2: keeps a division by the power above the noise finite
+_SIZE_SHARE, _SHRINK_SHARE = 0.95, 0.9  # format: shares of the draws that the interval of a size, a shrinkage holds
 SURELY = 0.95  # loss: a worse model that is handed out costs as much as 19 better ones that are kept back
 
 
@@ -39,93 +45,98 @@ def rms(residuals: Sequence[Array]) -> float:
 def noise_floor(
     segments: Sequence[Segment], residuals: Sequence[Array], across: Sequence[Array] | None = None
 ) -> float:
-    """One standard deviation of the sensor's noise per coordinate, px or deg. From the observations while the motor
-    rests, each rest less its own straight line, as first-order autoregressive noise. Where the motor hardly ever rests,
-    as such noise from `across` (scored, 1), the residuals across the image's path, a few at a time less a cubic:
-    nothing of the tip is there, and what else moves the image is smooth. Without an image from the second differences
-    of the residuals, which a smooth misfit does not reach. Never below the rounding noise of the sensor's step: a
-    sensor that rests within one step shows no noise at all."""
+    """One standard deviation of the sensor's noise per coordinate, px or deg, as first-order autoregressive noise: from
+    the observations while the motor rests, each rest less its straight line. Where it hardly ever rests from `across`
+    (scored, 1 of each recording, px), the residuals across the image's path, in short pieces less a cubic: no motion of
+    the tip is there, and what else moves the image is smooth. Without an image from the residuals' second differences,
+    in which a smooth misfit vanishes. Never below the rounding to the sensor's step, within which a resting sensor
+    shows no noise."""
     least = rounding_noise(segments)
-    scatter, order = _scatter(segments, across)
-    return max(remembered(scatter, order)[1] if scatter else second_difference_noise(residuals), least)
+    series, order = _noise_series(segments, across)
+    return max(remembered(series, order)[1] if series else second_difference_noise(residuals), least)
 
 
 def noise_samples_per_independent(
-    segments: Sequence[Segment], most: float, across: Sequence[Array] | None = None
+    segments: Sequence[Segment], limit: float, across: Sequence[Array] | None = None
 ) -> float:
-    """How many noise samples, cut to `most`, tell the noise's power as well as one independent Gaussian sample: above 1
-    where the noise is correlated from frame to frame (factor (1 + rho^2) / (1 - rho^2)) or has outliers (kurtosis above
-    3). across: as `noise_floor`."""
-    scatter, order = _scatter(segments, across)
-    if not scatter:
+    """How many noise samples, cut to `limit` (px or deg), determine the noise's power as well as one independent
+    Gaussian sample does: (kurtosis - 1) / 2 times (1 + rho^2) / (1 - rho^2), rho the correlation from frame to frame.
+    across: as in `noise_floor`."""
+    series, order = _noise_series(segments, across)
+    if not series:
         return 1.0
-    values = np.clip(np.concatenate([part.ravel() for part in scatter]), -most, most)
-    memory, _ = remembered(scatter, order)
-    tailed = float(np.mean(values**4)) / max(float(np.mean(values**2)) ** 2, 1e-300)
-    tailed = max(tailed - _SURE * np.sqrt(24.0 / len(values)), 3.0)  # of a Gaussian: 3
-    return float(0.5 * (tailed - 1.0) * (1.0 + memory**2) / (1.0 - memory**2))
+    values = np.clip(np.concatenate([part.ravel() for part in series]), -limit, limit)
+    rho, _ = remembered(series, order)
+    kurtosis = float(np.mean(values**4)) / max(float(np.mean(values**2)) ** 2, 1e-300)
+    error = np.sqrt(24.0 / len(values))  # equation: standard error of a Gaussian's kurtosis
+    kurtosis = max(kurtosis - _STANDARD_ERRORS * error, 3.0)  # equation: a Gaussian's is 3
+    return float(0.5 * (kurtosis - 1.0) * (1.0 + rho**2) / (1.0 - rho**2))
 
 
-def _scatter(segments: Sequence[Segment], across: Sequence[Array] | None) -> tuple[list[Array], int]:
-    """What the sensor scatters: short series (n, k), each less its own trend, and that trend's order. The observations
-    of each rest of the motor; where these have fewer than 60 degrees of freedom in all, `across` a few at a time."""
+def _noise_series(segments: Sequence[Segment], across: Sequence[Array] | None) -> tuple[list[Array], int]:
+    """(Short series (n, k) of noise, each less its own polynomial trend; that trend's order): the observations of each
+    rest of the motor; where these have fewer than _ENOUGH degrees of freedom in all, `across` in pieces of _PIECE."""
     rests = [
         less_its_trend(segment.arrival_s[stretch], segment.observed[stretch])
         for segment in segments
         for stretch in still_stretches(segment)
-        if stretch.stop - stretch.start >= _FEW
+        if stretch.stop - stretch.start >= _FEWEST_FRAMES
     ]
     if sum(rest.size - 2 * rest.shape[1] for rest in rests) >= _ENOUGH:
-        return _usual(rests), 1
-    few = [a[first : first + _TOGETHER] for a in across or () for first in range(0, len(a) - _TOGETHER + 1, _TOGETHER)]
-    return _usual([less_its_trend(np.arange(_TOGETHER, dtype=float), part, _SMOOTH) for part in few]), _SMOOTH
+        return _without_outliers(rests), 1
+    pieces = [a[first : first + _PIECE] for a in across or () for first in range(0, len(a) - _PIECE + 1, _PIECE)]
+    frames = np.arange(_PIECE, dtype=float)
+    return _without_outliers([less_its_trend(frames, piece, _PIECE_ORDER) for piece in pieces]), _PIECE_ORDER
 
 
-def _usual(series: Sequence[Array]) -> list[Array]:
-    """Those that scatter as most do, outliers cut: a rest in which something happened, such as a shift, tells nothing
-    of noise; a frame that is elsewhere is noise."""
+def _without_outliers(series: Sequence[Array]) -> list[Array]:
+    """The series (n, k) without those whose power is above _NO_NOISE times the median, in which something happened,
+    such as a shift; single frames are cut to _OUTLIER standard deviations."""
     if not series:
         return []
-    power = [float(np.median(np.square(each))) for each in series]
+    power = [float(np.median(np.square(values))) for values in series]
     usual = float(np.median(power))
-    most = _OUTLIER * spread.deviation_of_squares(np.array(power))
-    return [np.clip(each, -most, most) for each, p in zip(series, power, strict=True) if p <= _UNLIKE * usual]
+    limit = _OUTLIER * spread.deviation_of_squares(np.array(power))
+    return [np.clip(values, -limit, limit) for values, p in zip(series, power, strict=True) if p <= _NO_NOISE * usual]
 
 
 def rounding_noise(segments: Sequence[Segment]) -> float:
-    """One standard deviation of the rounding to the coarsest sensor's step, in the observations' unit."""
+    """One standard deviation of the rounding to the sensor's step, the coarsest of all recordings, px or deg."""
     return spread.of_rounding(max(_step(s.observed) for s in segments))
 
 
 def second_difference_noise(residuals: Sequence[Array]) -> float:
-    """One standard deviation of white noise by the residuals' second differences, whose variance is 6 sigma^2.
-    0 where no recording has three."""
-    bends = [np.diff(r, n=2, axis=0).ravel() for r in residuals if len(r) > 2]
-    return spread.deviation(np.concatenate(bends)) / float(np.sqrt(6.0)) if bends else 0.0  # equation: 1, -2, 1
+    """One standard deviation, px or deg, of white noise by the residuals' second differences, whose variance is 6
+    sigma^2. 0 where no recording has three residuals."""
+    differences = [np.diff(r, n=2, axis=0).ravel() for r in residuals if len(r) > 2]
+    if not differences:
+        return 0.0
+    return spread.deviation(np.concatenate(differences)) / float(np.sqrt(6.0))  # equation: 1^2 + (-2)^2 + 1^2
 
 
 def _step(observed: Array) -> float:
-    """The step in which a sensor counts, 0 where its values hardly repeat."""
+    """The step in which a sensor counts, px or deg, by the differences of its distinct values; 0 where its values
+    hardly repeat. observed: (n, k)."""
     steps = [np.diff(np.unique(np.round(column, 9))) for column in observed.T]
     return max((float(np.median(s)) for s in steps if 0 < len(s) < len(observed) // 2), default=0.0)
 
 
 def still_stretches(segment: Segment) -> list[slice]:
-    """Observations while the motor and the other degrees of freedom were at rest, a slice each."""
+    """The rests of a recording, each a slice of its observations: the motor and the other axes were at rest for
+    _STILL_S before, and still are at the observation's arrival."""
     starts, ends = _moves(segment.motor)
     if len(starts) == 0:
         return [slice(0, len(segment.arrival_s))]
-    at = np.searchsorted(ends, segment.arrival_s)
-    before = np.where(at > 0, ends[np.maximum(at - 1, 0)], -np.inf)
-    after = np.where(at < len(starts), starts[np.minimum(at, len(starts) - 1)], np.inf)
-    # The frame's delay is well below _STILL_S: a frame counts when the motor rested before and after it.
-    still = (segment.arrival_s - before > _STILL_S) & (after > segment.arrival_s)
+    index = np.searchsorted(ends, segment.arrival_s)
+    last_move = np.where(index > 0, ends[np.maximum(index - 1, 0)], -np.inf)
+    next_move = np.where(index < len(starts), starts[np.minimum(index, len(starts) - 1)], np.inf)
+    # A frame's delay is well below _STILL_S, so the motor rested at its scene time too.
+    still = (segment.arrival_s - last_move > _STILL_S) & (next_move > segment.arrival_s)
     return stretches(still)
 
 
 def _moves(motor: Motor) -> tuple[Array, Array]:
-    """Times, s, from and to which the motor or another degree of freedom moved: of each such interval between two
-    samples, rising."""
+    """(Starts, ends), s, rising, of the intervals between two samples in which the motor or another axis moved."""
     moved = np.zeros(len(motor.t_s) - 1, dtype=bool)
     for values in (motor.q, motor.translation_mm, motor.rotation_deg):
         if values is not None:
@@ -134,72 +145,74 @@ def _moves(motor: Motor) -> tuple[Array, Array]:
 
 
 def blocks(segment: Segment) -> npt.NDArray[np.int64]:
-    """(scored,) the number of the block of manoeuvres that each scored observation is in: blocks end where the motor
-    turns, after BLOCK_S at the least. Where the motor turns too rarely for every other block to hold both ways (width
-    and offset are one on a single way), they are cut out of the passes, and where that cannot be, there is one."""
+    """(scored,) For each scored observation the number of its block of manoeuvres, from 0: blocks end where the motor
+    turns, and last BLOCK_S at least. Every other block has to hold both directions, as one direction alone does not
+    tell a width from an offset: if these do not, the recording is cut into equal parts, and else is one block."""
     t = segment.arrival_s[segment.scored]
     number = np.zeros(len(t), dtype=np.int64)
     if len(t) < 3:
         return number
     q = np.interp(t, segment.motor.t_s, segment.motor.q)
-    way = np.sign(np.gradient(q))
-    turns = t[1:-1][np.diff(np.sign(np.diff(q))) != 0]
+    direction = np.sign(np.gradient(q))
+    reversals_s = t[1:-1][np.diff(np.sign(np.diff(q))) != 0]
     edges, last = [], t[0]
-    for turn in turns:
-        if turn - last >= BLOCK_S:
-            edges.append(turn)
-            last = turn
+    for reversal_s in reversals_s:
+        if reversal_s - last >= BLOCK_S:
+            edges.append(reversal_s)
+            last = reversal_s
     for cuts in (np.array(edges), *(np.linspace(t[0], t[-1], n + 1)[1:-1] for n in _CUT_INTO)):
         number[:] = np.searchsorted(cuts, t, side="right")
-        if all(_goes_both_ways(way[number % 2 == half]) for half in (0, 1)):
+        if all(_goes_both_ways(direction[number % 2 == half]) for half in (0, 1)):
             return number
     return np.zeros_like(number)
 
 
-def _goes_both_ways(way: Array) -> bool:
-    """Whether either direction has at least a share _EACH_WAY of the moving samples. way: (n,) -1, 0 or 1."""
-    moving = int(np.count_nonzero(way))
-    return bool(min(np.count_nonzero(way > 0), np.count_nonzero(way < 0)) > _EACH_WAY * max(moving, 1))
+def _goes_both_ways(direction: Array) -> bool:
+    """Whether either direction has more than a share _EACH_WAY of the moving samples. direction: (n,) -1, 0 or 1."""
+    moving = int(np.count_nonzero(direction))
+    fewer = min(np.count_nonzero(direction > 0), np.count_nonzero(direction < 0))
+    return bool(fewer > _EACH_WAY * max(moving, 1))
 
 
-def shrink_interval_elsewhere(left: float, apart: tuple[float, float]) -> tuple[float, float]:
-    """90 % interval of the shrinkage 1 - after / before on a motion that was not recorded. left: after / before on the
-    recorded ones. apart: the learnt 5 and 95 % quantiles of `normalised_excess` over unseen motions."""
-    low, high = (left + end * _scale(left) for end in apart)
+def shrink_interval_elsewhere(ratio: float, excess: tuple[float, float]) -> tuple[float, float]:
+    """(Low, high) end of the 90 % interval of the shrinkage 1 - after / before on a motion that was not recorded.
+    ratio: after / before on the recorded ones. excess: learnt 5 and 95 % quantiles of `normalised_excess` over unseen
+    motions."""
+    low, high = (ratio + end * _ratio_spread(ratio) for end in excess)
     return 1.0 - high, 1.0 - max(low, 0.0)
 
 
-def normalised_excess(left: float, realised: float) -> float:
-    """By how much an unseen motion left another ratio after / before (`realised`) than the recorded motions did
-    (`left`), in units of `_scale`: comparable between large and small gaps."""
-    return (realised - left) / _scale(left)
+def normalised_excess(ratio: float, realised: float) -> float:
+    """By how much the ratio after / before of an unseen motion (`realised`) exceeds that of the recorded motions
+    (`ratio`), in units of `_ratio_spread`: comparable between large and small gaps."""
+    return (realised - ratio) / _ratio_spread(ratio)
 
 
-def _scale(left: float) -> float:
-    """The typical spread of the ratio after / before between motions: proportional to the ratio, and to what was
-    closed; neither factor falls below _LITTLE."""
-    return (left + _LITTLE) * max(1.0 - left, _LITTLE)
+def _ratio_spread(ratio: float) -> float:
+    """The typical spread of the ratio r = after / before between motions, (r + 0.05) max(1 - r, 0.05): proportional to
+    what is left and to what was closed, with _LEAST_LEFT of either."""
+    return (ratio + _LEAST_LEFT) * max(1.0 - ratio, _LEAST_LEFT)
 
 
-def unseen(before: float, left: float, floor: float, apart: tuple[float, float]) -> float:
-    """One standard deviation, px or deg, of a reading of a motion that was not recorded about its corrected prediction:
-    the sensor's noise is the same, what is left beside it is more by as much as on other unseen motions. before, left:
-    rms before and after the correction; floor: noise; apart: as in `shrink_interval_elsewhere`."""
-    beside = float(np.sqrt(max(left**2 - floor**2, 0.0)))
-    open_share = max(1.0 - beside / before, 0.0) if before > 0.0 else 0.0
-    mean, deviation = 0.5 * (apart[0] + apart[1]), 0.5 * (apart[1] - apart[0]) / spread.NINE_OF_TEN
-    more2 = (1.0 + mean * open_share) ** 2 + (deviation * open_share) ** 2  # equation: mean square of a normal
-    return float(np.hypot(min(left, floor), beside * np.sqrt(more2)))
+def unseen(before: float, after: float, floor: float, excess: tuple[float, float]) -> float:
+    """One standard deviation, px or deg, of a reading of an unseen motion about its corrected prediction: the sensor's
+    noise is the same, and the misfit above it is larger by as much as on other unseen motions. before, after: rms
+    before and after the correction; floor: of the noise; excess: as in `shrink_interval_elsewhere`."""
+    misfit = float(np.sqrt(max(after**2 - floor**2, 0.0)))
+    closed = max(1.0 - misfit / before, 0.0) if before > 0.0 else 0.0
+    mean, deviation = 0.5 * (excess[0] + excess[1]), 0.5 * (excess[1] - excess[0]) / spread.NINE_OF_TEN
+    factor2 = (1.0 + mean * closed) ** 2 + (deviation * closed) ** 2  # equation: mean square of a normal variable
+    return float(np.hypot(min(after, floor), misfit * np.sqrt(factor2)))
 
 
 def residuals_per_independent(residuals: Sequence[Array]) -> float:
-    """How many successive residuals tell as much as one independent one, by their autocorrelation; 1 where no recording
-    is long enough."""
-    long = [r - r.mean(axis=0) for r in residuals if len(r) > _REMEMBERED + 1]
+    """How many successive residuals count as one independent one, 1 + 2 times the sum of their autocorrelation; 1 where
+    no recording is longer than _LONGEST_LAG."""
+    long = [r - r.mean(axis=0) for r in residuals if len(r) > _LONGEST_LAG + 1]
     if not long:
         return 1.0
     recording = np.repeat(np.arange(len(long)), [len(r) for r in long])
-    return frames_each(np.concatenate(long), _REMEMBERED, least=_ALIKE, group=recording)
+    return frames_each(np.concatenate(long), _LONGEST_LAG, least=_UNCORRELATED, group=recording)
 
 
 def with_intervals(
@@ -207,29 +220,29 @@ def with_intervals(
     after: Sequence[Array],
     segments: Sequence[Segment],
     floor: float,
-    apart: tuple[float, float],
+    excess: tuple[float, float],
 ) -> dict[str, Any]:
-    """The object `gap` of diagnosis.json, with its intervals. before, after: residuals (scored, k) of each of
-    `segments`. apart: as in `shrink_interval_elsewhere`; the shrinkage's interval covers blocks like the recorded ones
-    and motions that were not recorded."""
-    was, left = rms(before), rms(after)
+    """The object `gap` of diagnosis.json. before, after: residuals (scored, k) of each of `segments`; floor: of the
+    noise; excess: as in `shrink_interval_elsewhere`. The shrinkage's interval covers both other blocks of the recorded
+    motions (bootstrap) and motions that were not recorded."""
+    rms_before, rms_after = rms(before), rms(after)
     drawn = bootstrap(before, after, [blocks(segment) for segment in segments])
-    own = spread.interval(1.0 - drawn[1] / drawn[0], _SHRINKS)
-    other = shrink_interval_elsewhere(left / was, apart) if was > 0.0 else (0.0, 0.0)
-    excess = max(was**2 - floor**2, 1e-12)
+    other_blocks = spread.interval(1.0 - drawn[1] / drawn[0], _SHRINK_SHARE)
+    other_motions = shrink_interval_elsewhere(rms_after / rms_before, excess) if rms_before > 0.0 else (0.0, 0.0)
+    open_before = max(rms_before**2 - floor**2, _LEAST_EXCESS)
     return {
-        "before": was,
-        "after": left,
-        "before_ci": spread.interval(drawn[0], _OF_A_SIZE),
-        "after_ci": spread.interval(drawn[1], _OF_A_SIZE),
-        "shrink": 1.0 - left / was if was > 0.0 else 0.0,
-        "shrink_ci": [min(own[0], float(other[0])), max(own[1], float(other[1]))],
-        "closable_shrink": float(np.clip(1.0 - (left**2 - floor**2) / excess, 0.0, 1.0)),
+        "before": rms_before,
+        "after": rms_after,
+        "before_ci": spread.interval(drawn[0], _SIZE_SHARE),
+        "after_ci": spread.interval(drawn[1], _SIZE_SHARE),
+        "shrink": 1.0 - rms_after / rms_before if rms_before > 0.0 else 0.0,
+        "shrink_ci": [min(other_blocks[0], float(other_motions[0])), max(other_blocks[1], float(other_motions[1]))],
+        "closable_shrink": float(np.clip(1.0 - (rms_after**2 - floor**2) / open_before, 0.0, 1.0)),
     }
 
 
 def probability_of_shrinking(before: Sequence[Array], after: Sequence[Array], segments: Sequence[Segment]) -> float:
-    """The probability, over bootstrap draws of the blocks, that `after` has a smaller rms than `before`."""
+    """The share of bootstrap draws of the blocks in which the residuals `after` have a smaller rms than `before`."""
     drawn = bootstrap(before, after, [blocks(segment) for segment in segments])
     return float(np.mean(drawn[1] < drawn[0]))
 
@@ -237,15 +250,15 @@ def probability_of_shrinking(before: Sequence[Array], after: Sequence[Array], se
 def bootstrap(
     before: Sequence[Array], after: Sequence[Array], labels: Sequence[npt.NDArray[np.int64]], seed: int = 7
 ) -> Array:
-    """(2, 400) rms of `before` and of `after` in each bootstrap draw of the blocks (drawn with replacement, the same
-    blocks for both). labels: the block of each row of each recording."""
-    sums = []
+    """(2, _DRAWS) rms of `before` and of `after` in each bootstrap draw of the blocks, drawn with replacement, the same
+    ones for both. labels: (scored,) of each recording, the number of each observation's block."""
+    sums = []  # of each block: both sums of squares, how many numbers
     for b, a, label in zip(before, after, labels, strict=True):
         for number in np.unique(label):
             here = label == number
             sums.append((float(np.sum(b[here] ** 2)), float(np.sum(a[here] ** 2)), int(b[here].size)))
     table = np.array(sums)
     rng = np.random.default_rng(seed)
-    drawn = table[rng.integers(0, len(table), (400, len(table)))].sum(axis=1)
+    drawn = table[rng.integers(0, len(table), (_DRAWS, len(table)))].sum(axis=1)
     result: Array = np.sqrt(drawn[:, :2] / drawn[:, 2:]).T
     return result

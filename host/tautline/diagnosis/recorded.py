@@ -1,4 +1,4 @@
-"""What a diagnosis begins with: recordings on the motor's clock, and the calibration that the first of them gives."""
+"""From recordings to the inputs of a diagnosis: all of them on the motor's clock, and a calibration on the first."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ Progress = Callable[[float, str], None]
 def calibrated(
     recordings: Sequence[Recording], rig: Rig, progress: Progress = lambda fraction, text: None
 ) -> tuple[Calibration, list[Recording]]:
-    """A calibration on the first recording, and all recordings with their marker's track, on the motor's clock.
-    TautError where nothing can be measured."""
+    """(A calibration on the first recording, all recordings on the motor's clock), with their marker tracked where they
+    have a video only. progress: called with the share that is done, 0 to 1, and what is done now. TautError where
+    nothing can be measured."""
     seen = [with_marker(recording, rig, progress) for recording in recordings]
     calibration = calibrate(seen[:1], rig, progress=progress, naming=False)  # a diagnosis names what is in all of them
     return calibration, [*shifted(seen[:1], calibration.offsets), *on_motor_clock(seen[1:], rig)]

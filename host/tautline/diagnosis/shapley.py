@@ -1,4 +1,4 @@
-"""Exact Shapley shares: what each member adds, averaged over every order in which the members may come."""
+"""Exact Shapley values: what each member of a group adds to its worth, averaged over every order of joining."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from collections.abc import Callable, Sequence
 
 
 def shares(names: Sequence[str], worth: Callable[[frozenset[str]], float]) -> list[float]:
-    """The Shapley share of each name; worth(names) is asked once for every subset, 2^n times."""
+    """The Shapley value of each name, sum over sets S without it of |S|! (n - |S| - 1)! / n! (worth(S + name) -
+    worth(S)); their sum is worth(all) - worth(none). worth: called once for each of the 2^n subsets."""
     known = {frozenset(s): worth(frozenset(s)) for k in range(len(names) + 1) for s in itertools.combinations(names, k)}
     n = len(names)
     weight = [math.factorial(k) * math.factorial(n - k - 1) / math.factorial(n) for k in range(n)]

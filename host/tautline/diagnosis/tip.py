@@ -1,4 +1,4 @@
-"""What the tip will do with the tables that a diagnosis leads to: simulated, old tables and new ones."""
+"""The tip's error with a board's tables before and after a diagnosis, simulated."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from tautline.rig import Actuator
 
 Array = npt.NDArray[np.float64]
 
-_SPEED = 15.0  # format: deg/s, as far as the motor's range allows
-_SPAN_S = 0.15  # format: of the angles a second, at most
-_SECONDS = 30.0
-_FREE = 0.1  # format: of the angles that the tables reach, at either end: effects need room
+_SPEED = 15.0  # format: deg/s of the trajectory, at most
+_RANGES_PER_S = 0.15  # format: of the trajectory's range of angles, at most
+_SECONDS = 30.0  # format: s of the trajectory
+_FREE = 0.1  # format: share of the angles that the tables reach, left free at either end: effects need room
 _SETTLED = 0.3  # format: share of the trajectory after which the tip has been driven through both ways
 
 
 def simulated_error(nominal: Model, corrected: Model) -> dict[str, Any] | None:
-    """Rms error of the tip's angle, deg, on a smooth trajectory over the reached angles, simulated with the instrument
-    `corrected`: `before_deg` with the tables of `nominal`, `after_deg` with its own. None where one of them makes no
-    table. Loads and other axes stay as calibrated."""
+    """The object `tip` of diagnosis.json: rms error of the tip's angle on a smooth trajectory over the reached angles,
+    the instrument being `corrected`: `before_deg` with the tables of `nominal`, `after_deg` with its own. Loads and
+    other axes stay as calibrated. None where no table can be made of one of them."""
     try:
         t_s, c_deg = _trajectory(corrected)
         before, after = (_rms_error(tables, corrected, t_s, c_deg) for tables in (nominal, corrected))
@@ -36,20 +36,21 @@ def simulated_error(nominal: Model, corrected: Model) -> dict[str, Any] | None:
 
 
 def _trajectory(model: Model) -> tuple[Array, Array]:
-    """Times, s, and angles, deg, of a smooth random trajectory within the reached angles."""
+    """(Times (n,), s; angles (n,), deg) of a smooth random trajectory (fixed seed) within the reached angles."""
     ends = np.sort(model.remaining(np.array(model.rig.actuator.range)))
     free = _FREE * (ends[1] - ends[0])
     tip = Actuator("deg", (float(ends[0] + free), float(ends[1] - free)), 1e-3)  # planned as a motor's
-    planned = trajectory.random_smooth(tip, min(_SPEED, _SPAN_S * tip.span), _SECONDS, 1)
+    planned = trajectory.random_smooth(tip, min(_SPEED, _RANGES_PER_S * tip.span), _SECONDS, 1)
     return planned.t_s, planned.q
 
 
 def _rms_error(tables: Model, instrument: Model, t_s: Array, c_deg: Array) -> float:
-    """Rms difference, deg, between the trajectory and the simulated instrument's angle under these tables, after both
-    directions were driven through."""
+    """Rms difference, deg, between a trajectory c_deg (n,) at t_s (n,) and the simulated instrument's angle, whose
+    motor is driven by these tables, from the share _SETTLED of the time on."""
     points = compensate(tables, t_s, c_deg)
     motor = Motor(points.t_s, points.q)
     parameters = effects.of_model(instrument, scatter=True)
     path = effects.follow(instrument, motor, points.t_s, parameters, float(c_deg[0]))
-    off = path.c_deg - np.interp(points.t_s, t_s, c_deg)
-    return float(np.sqrt(np.mean(off[points.t_s > t_s[0] + _SETTLED * (t_s[-1] - t_s[0])] ** 2)))
+    error = path.c_deg - np.interp(points.t_s, t_s, c_deg)
+    settled = points.t_s > t_s[0] + _SETTLED * (t_s[-1] - t_s[0])
+    return float(np.sqrt(np.mean(error[settled] ** 2)))
