@@ -1,7 +1,7 @@
-"""Which of a joint fit's unknowns are there: a posterior over all sets of them, from one fit of all.
+"""Which of a joint fit's unknowns are present: the posterior over all sets of them, from one fit with all.
 
-A set's evidence beside that of all is the density of what it leaves out at zero, after the data over before them
-(Savage and Dickey): the fit's normal distribution has it in closed form.
+The evidence of a set over that of all unknowns is the posterior density of the absent ones at zero over their prior
+density there (the Savage-Dickey ratio), which the fit's normal distribution gives in closed form.
 """
 
 from __future__ import annotations
@@ -18,62 +18,62 @@ from tautline.diagnosis.stacked import log_sum
 
 Array = npt.NDArray[np.float64]
 
-_SURE = 0.8  # loss: probability from which on a group is named
-_THERE = 0.2  # prior: probability of an unknown to be there before anything is seen
-_MOST = 12  # tolerance: unknowns of which all sets are weighed, 4096
-_TOGETHER = 3  # format: in a group at most: of three the prior alone would say 49 %
+_SURE = 0.8  # loss: probability from which a group is named
+_PRESENT = 0.2  # prior: probability of an unknown to be present
+_MOST = 12  # tolerance: unknowns of which all 4096 sets are compared
+_LARGEST_GROUP = 3  # format: unknowns in a group at most: for three the prior alone would say 49 %
 
 
 @dataclass(frozen=True)
 class Sets:
-    """(sets, ids): what is in each, and its probability (sets,)."""
+    """The posterior over sets of unknowns."""
 
-    ids: tuple[str, ...]
-    present: npt.NDArray[np.bool_]
-    probability: Array
+    ids: tuple[str, ...]  # of the unknowns that may be absent
+    present: npt.NDArray[np.bool_]  # (sets, ids) which are in each set
+    probability: Array  # (sets,) sum 1
 
     @classmethod
     def of(cls, unknowns: tuple[Unknown, ...], fitted: Fitted) -> Sets:
-        """The posterior over the sets of up to _MOST unknowns, those that would be missed most; the others are in every
-        set. One at an end of its range is in none."""
+        """The posterior over all sets of up to _MOST unknowns: of more, those whose presence the evidence favours most
+        are taken to be in every set and do not appear in it. Nor do unknowns at an end of their range, which are
+        absent."""
         free = [unknown for unknown in unknowns if np.isin(unknown.places, fitted.free).any()]
         free = sorted(free, key=lambda unknown: -_log_evidence_against_zero(fitted, [unknown]))[-_MOST:]
         present, log = [], []
         for size in range(len(free) + 1):
             for without in combinations(range(len(free)), size):
                 present.append([i not in without for i in range(len(free))])
-                log.append(
-                    -_log_evidence_against_zero(fitted, [free[i] for i in without])
-                    + size * np.log((1.0 - _THERE) / _THERE)
-                )
-        weights = np.array(log)
-        return cls(tuple(u.id for u in free), np.array(present, dtype=bool), np.exp(weights - log_sum(weights)))
+                log_evidence = -_log_evidence_against_zero(fitted, [free[i] for i in without])
+                log.append(log_evidence + size * np.log((1.0 - _PRESENT) / _PRESENT))
+        log_posterior = np.array(log)
+        probability = np.exp(log_posterior - log_sum(log_posterior))
+        return cls(tuple(unknown.id for unknown in free), np.array(present, dtype=bool), probability)
 
     def any_of(self, names: tuple[str, ...]) -> float:
-        """Probability that at least one of these is there."""
+        """Probability that at least one of these unknowns is present."""
         columns = [self.ids.index(name) for name in names]
         return float(self.probability @ self.present[:, columns].any(axis=1))
 
     @cached_property
-    def each(self) -> dict[str, float]:
-        """Probability of each unknown to be there, by id."""
+    def by_id(self) -> dict[str, float]:
+        """{id of an unknown: probability that it is present}."""
         return dict(zip(self.ids, (self.probability @ self.present).tolist(), strict=True))
 
     @property
     def count(self) -> list[float]:
-        """Probabilities that none, one, two, and three or more are there; bends of the width count as part of it."""
-        many = np.minimum(self.present[:, [name != BENDS for name in self.ids]].sum(axis=1), 3)
-        return [float(p) for p in np.bincount(many, self.probability, minlength=4)]
+        """Probabilities that none, one, two, and three or more are present; BENDS counts as part of the width."""
+        size = np.minimum(self.present[:, [name != BENDS for name in self.ids]].sum(axis=1), 3)
+        return [float(p) for p in np.bincount(size, self.probability, minlength=4)]
 
     @cached_property
     def groups(self) -> list[tuple[str, ...]]:
-        """Disjoint groups of ids, the likeliest first in each, of which at least one is there with probability _SURE; a
-        group of several means that the data do not tell which."""
-        rest = sorted((name for name in self.ids if name != BENDS), key=lambda name: -self.each[name])
+        """Disjoint groups of ids, the likeliest first in each, of which at least one is present with probability _SURE;
+        a group of several means that the data do not tell which one it is."""
+        rest = sorted((name for name in self.ids if name != BENDS), key=lambda name: -self.by_id[name])
         found: list[tuple[str, ...]] = []
         while rest:
             group: tuple[str, ...] = (rest[0],)
-            while self.any_of(group) < _SURE and len(group) < min(_TOGETHER, len(rest)):
+            while self.any_of(group) < _SURE and len(group) < min(_LARGEST_GROUP, len(rest)):
                 others = [name for name in rest if name not in group]
                 group = (*group, max(others, key=lambda name: self.any_of((*group, name))))
             if self.any_of(group) < _SURE:
@@ -84,8 +84,9 @@ class Sets:
 
 
 def _log_evidence_against_zero(fitted: Fitted, unknowns: list[Unknown]) -> float:
-    """log evidence(all unknowns) - log evidence(these at zero), by the Savage-Dickey ratio of the normal posterior; 0
-    where all of them are at an end of their range."""
+    """log evidence(all unknowns) - log evidence(these at zero), the log of prior over posterior density at zero: (mean'
+    C^-1 mean + log|C|) / 2 of the posterior's mean and covariance C, the prior being standard normal. 0 where all of
+    them are at an end of their range."""
     places = [int(i) for unknown in unknowns for i in unknown.places if i in fitted.free]
     if not places:
         return 0.0

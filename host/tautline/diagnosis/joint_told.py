@@ -1,4 +1,5 @@
-"""A joint fit of a simulator's unknowns as a diagnosis: what is named, what it leaves, the corrected model."""
+"""A joint fit of a simulator's unknowns (joint.py) as a diagnosis: what is named, what it leaves, the corrected
+model."""
 
 from __future__ import annotations
 
@@ -19,17 +20,17 @@ from tautline.model import Model
 
 Array = npt.NDArray[np.float64]
 
-_ANOTHER_TIME = 0.3  # prior: share by which a joint's friction is another in another recording: heat, load, grease
+_FRICTION_VARIES = 0.3  # prior: share by which friction differs from recording to recording: heat, load, grease
 
 
 @dataclass(frozen=True)
 class Answer:
-    """A joint fit with what it is worth beside the diagnosis that is there."""
+    """A joint fit with what is present in it and what it leaves."""
 
     joint: Joint
     fitted: Fitted
     sets: Sets
-    left: list[Array]  # of each recording, (scored, k), of blocks that the fit did not see
+    held_out: list[Array]  # (scored, k) of each recording: residual of every block by the fit without that block
 
     @classmethod
     def of(cls, joint: Joint, fitted: Fitted) -> Answer:
@@ -37,89 +38,92 @@ class Answer:
         return cls(joint, fitted, Sets.of(joint.unknowns, fitted), held_out_residuals(joint, fitted))
 
     def corrected_model(self) -> Model:
-        """The model with all unknowns as fitted; its c_sigma, deg, is the law's posterior spread, its width_sigma, unit
-        of q, the rms by which friction may be another time, 0 as far as the width is slack; its evidence what a reading
-        of an unseen motion is off by."""
+        """The model with all unknowns as fitted. Its c_sigma, deg, is the law's posterior standard deviation; its
+        width_sigma, unit of q, the standard deviation by which friction varies (_FRICTION_VARIES of the width, times
+        the root of the probability that it is friction and not slack); its evidence the standard deviation of a reading
+        of an unseen motion."""
         joint, fitted = self.joint, self.fitted
         names = [fitted.posterior.names[i] for i in joint.places[LAW]]
         c_sigma = fitted.posterior.marginal(names).spread(joint.law_slopes())
         before = gap.rms(joint.residuals(np.zeros(joint.size)))
-        noise = gap.unseen(before, gap.rms(self.left), joint.floor, learnt().elsewhere)
+        noise = gap.unseen(before, gap.rms(self.held_out), joint.floor, learnt().elsewhere)
         model = joint.model_at(fitted.u)
         return replace(
             model,
-            width_sigma=_ANOTHER_TIME * np.sqrt(self._is_friction) * model.width,
+            width_sigma=_FRICTION_VARIES * np.sqrt(self._is_friction) * model.width,
             c_sigma=c_sigma,
             extra={**model.extra, "evidence": {"residual": noise}},
         )
 
     @property
     def _is_friction(self) -> float:
-        """Probability that the width is friction's: it goes with speed or place, as slack in gears does not."""
+        """Probability that the width is friction's: that it varies with speed or place, as slack in gears does not."""
         names = tuple(name for name in (SPEED, BENDS) if name in self.sets.ids)
         return self.sets.any_of(names) if names else 0.0
 
     def shares(self, names: Sequence[str], before: float) -> list[float]:
-        """Exact Shapley share of each named unknown of the shrinkage, by the linearised fit with the unnamed at zero.
-        before: rms."""
+        """Exact Shapley share of each named unknown of the shrinkage 1 - after / before of the rms, by the linearised
+        fit with all unnamed ones at zero. before: rms of the gap, in the observations' unit."""
 
-        def worth(there: frozenset[str]) -> float:
+        def worth(present: frozenset[str]) -> float:
             """Shrinkage of the rms with these unknowns alone."""
-            on = np.zeros(self.joint.size, dtype=bool)
-            for name in there:
-                on[self.joint.places[name]] = True
-            off = np.where(on, 0.0, self.fitted.u)
+            is_present = np.zeros(self.joint.size, dtype=bool)
+            for name in present:
+                is_present[self.joint.places[name]] = True
+            absent = np.where(is_present, 0.0, self.fitted.u)
             pairs = zip(self.fitted.residuals, self.fitted.slopes, strict=True)
-            return 1.0 - gap.rms([residual + slope @ off for residual, slope in pairs]) / before
+            return 1.0 - gap.rms([residual + slope @ absent for residual, slope in pairs]) / before
 
         return shapley.shares(names, worth)
 
     def parameter_values(self, name: str) -> dict[str, float]:
-        """The fitted parameters of one effect as diagnosis.json reports them."""
+        """The fitted parameters of one effect by name, in their own units, as diagnosis.json reports them."""
         added = {effect.id: dict(effect.parameters) for effect in self.joint.effects(self.fitted.u)}
         model = self.joint.model_at(self.fitted.u)
-        own = {
+        in_tables = {
             WIDTH: {"width_everywhere": float(np.max(model.width - self.joint.model.width))},
             DELAY: {"delay": model.delay_s - self.joint.model.delay_s},
         }
-        return {**(own | added).get(name, {}), "since_calibration": 1.0}
+        return {**(in_tables | added).get(name, {}), "since_calibration": 1.0}
 
 
 def held_out_residuals(joint: Joint, fitted: Fitted) -> list[Array]:
-    """(scored, k) for each recording: the residual of every block of manoeuvres by a fit without it, from one linear
-    step as in heldout.py; the prior holds what the block alone shows."""
+    """(scored, k) for each recording: the residual of every block of manoeuvres by a fit without that block, from one
+    linear step -(N - N_b)^-1 g_b as in heldout.py; what the block alone shows is held by the prior, which is in N."""
     free, weight = fitted.free, fitted.noise.weight
     slopes = [slope[:, :, free] for slope in fitted.slopes]
     flat = [slope.reshape(-1, len(free)) for slope in slopes]
-    whole = np.eye(len(free)) + weight * sum(each.T @ each for each in flat)
+    normal = np.eye(len(free)) + weight * sum(rows.T @ rows for rows in flat)
     result = []
     for segment, residual, slope in zip(joint.segments, fitted.residuals, slopes, strict=True):
-        left, label = residual.copy(), gap.blocks(segment)
+        held_out, label = residual.copy(), gap.blocks(segment)
         for number in np.unique(label):
-            own = slope[label == number].reshape(-1, len(free))
-            gradient = weight * own.T @ residual[label == number].ravel()
-            step = -np.linalg.solve(whole - weight * own.T @ own, gradient)
-            left[label == number] -= slope[label == number] @ step
-        result.append(left)
+            block = label == number
+            rows = slope[block].reshape(-1, len(free))
+            gradient = weight * rows.T @ residual[block].ravel()
+            step = -np.linalg.solve(normal - weight * rows.T @ rows, gradient)
+            held_out[block] -= slope[block] @ step
+        result.append(held_out)
     return result
 
 
-def improved(told: Diagnosis, answer: Answer) -> Diagnosis:
-    """The diagnosis with the joint fit's answer in place of its own, if that surely leaves less on blocks that neither
-    saw; else unchanged."""
+def improved(diagnosis: Diagnosis, answer: Answer) -> Diagnosis:
+    """The diagnosis with the joint fit's answer in place of its own, if that names something and surely leaves less on
+    held-out blocks; else the diagnosis itself."""
     groups = answer.sets.groups
-    sure = gap.probability_of_shrinking(told.after, answer.left, answer.joint.segments)
+    sure = gap.probability_of_shrinking(diagnosis.after, answer.held_out, answer.joint.segments)
     if sure < gap.SURELY or not groups:
-        return told
-    before, after = gap.rms(told.before), gap.rms(answer.left)
+        return diagnosis
+    before, after = gap.rms(diagnosis.before), gap.rms(answer.held_out)
     groups = _largest_share_first(groups, answer, before)
     names = [group[0] for group in groups]
     shrink, shares = 1.0 - after / before, answer.shares(names, before)
-    total, floor = max(sum(shares), 1e-12), told.document["noise_floor"]
+    total, floor = max(sum(shares), 1e-12), diagnosis.document["noise_floor"]
+    was = diagnosis.document
     document = {
-        **told.document,
+        **was,
         "verdict": "effect",
-        "gap": gap.with_intervals(told.before, answer.left, answer.joint.segments, floor, learnt().elsewhere),
+        "gap": gap.with_intervals(diagnosis.before, answer.held_out, answer.joint.segments, floor, learnt().elsewhere),
         "effects": [
             {
                 "id": group[0],
@@ -133,32 +137,32 @@ def improved(told: Diagnosis, answer: Answer) -> Diagnosis:
             }
             for group, share in zip(groups, shares, strict=True)
         ]
-        + [effect for effect in told.document["effects"] if effect["id"] == repeated.HELD],  # of the sensor's link
-        "count": [sure * j + (1.0 - sure) * t for j, t in zip(answer.sets.count, told.document["count"], strict=True)],
-        **_mixed_probabilities(told.document, groups[0], answer.sets.each, sure),
-        "where": {**told.document["where"], "stage": effects.BY_ID[names[0]].stage},
+        + [effect for effect in was["effects"] if effect["id"] == repeated.HELD],  # of the sensor's link
+        "count": [sure * new + (1.0 - sure) * old for new, old in zip(answer.sets.count, was["count"], strict=True)],
+        **_mixed_probabilities(was, groups[0], answer.sets.by_id, sure),
+        "where": {**was["where"], "stage": effects.BY_ID[names[0]].stage},
         "signature": None,
         "moved": [],
         "resembles": [],
     }
-    is_open = decide.is_open(told.evidence, after**2)
-    rest = flexible.close(told.segments[1:], answer.left, floor) if is_open else None
-    document["flexible"] = rest.to_json() if rest else None
-    return replace(told, document=document, corrected=answer.corrected_model(), after=answer.left)
+    is_open = decide.is_open(diagnosis.evidence, after**2)
+    closed = flexible.close(diagnosis.segments[1:], answer.held_out, floor) if is_open else None
+    document["flexible"] = closed.to_json() if closed else None
+    return replace(diagnosis, document=document, corrected=answer.corrected_model(), after=answer.held_out)
 
 
 def _largest_share_first(groups: list[tuple[str, ...]], answer: Answer, before: float) -> list[tuple[str, ...]]:
-    """The groups in order of what their first member closes."""
+    """The groups in the order of how much their first member closes of the gap. before: rms of the gap."""
     shares = answer.shares([group[0] for group in groups], before)
     return [groups[i] for i in np.argsort(-np.array(shares))]
 
 
 def _mixed_probabilities(
-    document: Mapping[str, Any], leading: tuple[str, ...], each: Mapping[str, float], sure: float
+    document: Mapping[str, Any], leading: tuple[str, ...], present: Mapping[str, float], sure: float
 ) -> dict[str, Any]:
-    """The probabilities of diagnosis.json as a mixture: with probability `sure` the joint fit's leading group, each
-    member by its own, else as they were."""
-    weights = {name: each[name] / sum(each[other] for other in leading) for name in leading}
+    """The probabilities of diagnosis.json as a mixture: with probability `sure` those of the joint fit's leading group,
+    shared between its members in proportion to the probability that each is present, else those of `document`."""
+    weights = {name: present[name] / sum(present[other] for other in leading) for name in leading}
     candidates = [
         {
             **candidate,

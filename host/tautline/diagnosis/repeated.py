@@ -1,5 +1,6 @@
-"""Samples that a sensor's link repeats: known for certain where a continuous sensor shows the same value twice, so no
-fit has to find them. They are no observations; what they add to the gap is `acquisition.held_samples`."""
+"""Samples that a sensor's link sends twice (`acquisition.held_samples`). Where a continuous sensor shows the same value
+again to the last digit that is certain, so no fit has to find it: such samples are no observations (segment.repeated),
+and what they add to the gap is put into the finished diagnosis.json."""
 
 from __future__ import annotations
 
@@ -18,78 +19,80 @@ from tautline.model import Model
 Array = npt.NDArray[np.float64]
 
 HELD = "acquisition.held_samples"
-_SEEN = 0.1  # loss: of the floor's power, by which repeats raise the gap's
-_SURE = 0.98
+_SEEN = 0.1  # loss: share of the noise power by which repeats must raise the gap's to be reported
+_SURE = 0.98  # format: the probability of what is certain
 
 
 def add_repeats(document: dict[str, Any], model: Model, segments: Sequence[Segment], load_reference: float) -> None:
-    """Writes into a diagnosis.json what repeated samples add to the gap of `model`, and names them where they are much
-    of it. segments: the calibration first."""
+    """Adds to the content of a diagnosis.json what repeated samples add to the gap of `model`, and names them as an
+    effect where they are most of it or beside other named effects. segments: the calibration first. load_reference: mNm
+    at which the model's tables hold."""
     power, without, added = _powers(model, segments[1:], load_reference)
     floor2 = document["noise_floor"] ** 2
     if added < _SEEN * floor2:
         return
-    share = (power - without) / max(power - floor2, 1e-300)  # of the gap
-    closed = 1.0 - float(np.sqrt(without / power))
+    share_of_gap = (power - without) / max(power - floor2, 1e-300)
+    shrink = 1.0 - float(np.sqrt(without / power))
     alone = document["verdict"] == "none"
-    probability = _weigh_repeats(document, _SURE if alone else min(share, _SURE), closed)
+    probability = _add_candidate(document, _SURE if alone else min(share_of_gap, _SURE), shrink)
     leads = probability > 0.5
-    told = leads or document["verdict"] == "effect"
-    _count_repeats_in_gap(document["gap"], float(np.sqrt(power)), floor2, told)
-    document["count"] = _with_one_more(document["count"], _SURE if told else probability)
-    if told:  # else most of it has another, unknown cause
-        _name_repeats(document, segments, closed, leads)
+    named = leads or document["verdict"] == "effect"  # else most of the gap has another, unknown cause
+    _count_repeats_in_gap(document["gap"], float(np.sqrt(power)), floor2, named)
+    document["count"] = _with_one_more(document["count"], _SURE if named else probability)
+    if named:
+        _name_repeats(document, segments, shrink, leads)
 
 
 def _powers(model: Model, tests: Sequence[Segment], load_reference: float) -> tuple[float, float, float]:
-    """Mean squares of what the model leaves of a coordinate, px^2 or deg^2: of all frames, of those that repeat none,
-    and by how much the former is surely more for the repeated ones."""
+    """Mean squares of the residuals of a coordinate, px^2 or deg^2: (of all frames, of those that repeat none, the
+    increase by the repeated ones, at the lower end of its interval of nine in ten)."""
     squares, fresh, frames = 0.0, 0.0, 0
-    stalls: list[Array] = []  # a row each: its frames' squares, how many they are
+    stalls: list[Array] = []  # (sum of squares, number of frames) of each run of repeated frames
     for segment in tests:
-        left = np.mean(np.square(segment.observed - segment.predict(model, {}, load_reference)[1]), axis=1)
-        squares += float(np.sum(left[segment.scored | segment.held]))
-        fresh += float(np.sum(left[segment.scored]))
+        power = np.mean(np.square(segment.observed - segment.predict(model, {}, load_reference)[1]), axis=1)
+        squares += float(np.sum(power[segment.scored | segment.held]))
+        fresh += float(np.sum(power[segment.scored]))
         frames += int(np.sum(segment.scored | segment.held))
-        at = np.flatnonzero(segment.held)
-        each = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if len(at) else []
-        stalls += [np.array([np.sum(left[stall]), len(stall)]) for stall in each]
+        held = np.flatnonzero(segment.held)
+        runs = np.split(held, np.flatnonzero(np.diff(held) > 1) + 1) if len(held) else []
+        stalls += [np.array([np.sum(power[run]), len(run)]) for run in runs]
     without = fresh / max(sum(int(s.scored.sum()) for s in tests), 1)
     added = np.array([total - count * without for total, count in stalls])
-    # What happened once or twice by itself is a coincidence and no law: by a compound Poisson's standard error.
-    surely = float(np.sum(added)) - spread.NINE_OF_TEN * float(np.linalg.norm(added))
-    return squares / frames, without, surely / frames
+    # What happened once or twice may be a coincidence: a compound Poisson's sum has the standard error of its norm.
+    lower_end = float(np.sum(added)) - spread.NINE_OF_TEN * float(np.linalg.norm(added))
+    return squares / frames, without, lower_end / frames
 
 
-def _weigh_repeats(document: dict[str, Any], probability: float, closed: float) -> float:
-    """Puts held samples among the candidates with `probability`, which the others give up, beside what they had as a
-    candidate already. closed: share of the gap's rms that they are. Returns their probability."""
+def _add_candidate(document: dict[str, Any], probability: float, shrink: float) -> float:
+    """Adds held samples to the candidates with `probability`, which all others give up in proportion, plus what is left
+    of the probability they had as a candidate already. shrink: share of the gap's rms that they are. Returns their
+    probability."""
     for candidate in document["candidates"]:
         candidate["probability"] *= 1.0 - probability
     document["probability_none"] *= 1.0 - probability
     document["probability_unknown"] *= 1.0 - probability
     probability += sum(candidate["probability"] for candidate in document["candidates"] if candidate["id"] == HELD)
-    entry = {"id": HELD, "probability": probability, "shrink": closed, "identifiable": True}
+    entry = {"id": HELD, "probability": probability, "shrink": shrink, "identifiable": True}
     others = [candidate for candidate in document["candidates"] if candidate["id"] != HELD]
     document["candidates"] = sorted([entry, *others], key=lambda c: -c["probability"])
     return probability
 
 
-def _name_repeats(document: dict[str, Any], segments: Sequence[Segment], closed: float, leads: bool) -> None:
-    """Makes held samples a named effect, the first one if it leads; the shrinkages of the others are then shares of
-    what they leave. closed: share of the gap's rms that they are."""
-    repeats = [int(s.held.sum()) / max(int((s.scored | s.held).sum()), 1) for s in segments]
+def _name_repeats(document: dict[str, Any], segments: Sequence[Segment], shrink: float, leads: bool) -> None:
+    """Makes held samples a named effect, the first one if it leads; what the others shrink is then of the rest. shrink:
+    share of the gap's rms that they are."""
+    held_shares = [int(s.held.sum()) / max(int((s.scored | s.held).sum()), 1) for s in segments]
     if document["verdict"] == "unknown":
         document["effects"] = []
     for effect in document["effects"]:
         for part in (effect, *effect.get("brings", ())):
-            part["shrink"] *= 1.0 - closed
+            part["shrink"] *= 1.0 - shrink
     held = {
         "id": HELD,
         "probability": _SURE,
-        "since": (Scope.START if repeats[0] > 0.5 * max(repeats[1:]) else Scope.TESTS).since,
-        "parameters": {"held_share": sum(repeats[1:]) / len(repeats[1:])},
-        "shrink": closed,
+        "since": (Scope.START if held_shares[0] > 0.5 * max(held_shares[1:]) else Scope.TESTS).since,
+        "parameters": {"held_share": sum(held_shares[1:]) / len(held_shares[1:])},
+        "shrink": shrink,
         "swallowed_by_recalibration": False,
         "loads_on_board": BY_ID[HELD].on_board,
         "ambiguous_with": [],
@@ -102,19 +105,22 @@ def _name_repeats(document: dict[str, Any], segments: Sequence[Segment], closed:
 
 
 def _with_one_more(count: Sequence[float], probability: float) -> list[float]:
-    """The probabilities of 0, 1, 2 and 3 or more effects when with `probability` there is one more that was not
-    counted."""
+    """The probabilities of 0, 1, 2 and 3 or more effects, out of the same in `count`, if with `probability` there is
+    one effect more."""
     none, one, two, more = count
-    return [probability * w + (1.0 - probability) * o for w, o in zip((0.0, none, one, two + more), count, strict=True)]
+    shifted = (0.0, none, one, two + more)
+    return [probability * new + (1.0 - probability) * old for new, old in zip(shifted, count, strict=True)]
 
 
-def _count_repeats_in_gap(told: dict[str, Any], before: float, floor2: float, named: bool) -> None:
-    """Changes a gap's figures so that `before` includes the repeated samples and `after` has each as far off as the
-    sample that it repeats; intervals are combined at their worst ends. floor2: noise power."""
-    wider = before / told["before"]
-    told["before"], told["before_ci"] = before, [wider * end for end in told["before_ci"]]
+def _count_repeats_in_gap(gap: dict[str, Any], before: float, floor2: float, named: bool) -> None:
+    """Changes the object `gap` of diagnosis.json so that its rms before is `before`, with the repeated samples; after,
+    each is as far off as the sample that it repeats. named: whether they are, so that the shrinkage changes too, its
+    interval from the worst ends of both. floor2: noise power."""
+    factor = before / gap["before"]
+    gap["before"], gap["before_ci"] = before, [factor * end for end in gap["before_ci"]]
     if named:
-        (least, most), (low, high) = told["before_ci"], told["after_ci"]
-        told["shrink"], told["shrink_ci"] = 1.0 - told["after"] / before, [1.0 - high / least, 1.0 - low / most]
-        left = (told["after"] ** 2 - floor2) / max(before**2 - floor2, 1e-12)
-        told["closable_shrink"] = float(np.clip(1.0 - left, 0.0, 1.0))
+        (before_low, before_high), (after_low, after_high) = gap["before_ci"], gap["after_ci"]
+        gap["shrink"] = 1.0 - gap["after"] / before
+        gap["shrink_ci"] = [1.0 - after_high / before_low, 1.0 - after_low / before_high]
+        left = (gap["after"] ** 2 - floor2) / max(before**2 - floor2, 1e-12)
+        gap["closable_shrink"] = float(np.clip(1.0 - left, 0.0, 1.0))

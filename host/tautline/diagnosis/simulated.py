@@ -1,4 +1,4 @@
-"""A diagnosis with a user's simulator in the motor's place."""
+"""The diagnosis of what a user's simulator lacks, with the simulator in the motor's place."""
 
 from __future__ import annotations
 
@@ -31,37 +31,39 @@ def diagnose_simulator(
     progress: Progress = lambda fraction, text: None,
     workers: int = 1,
 ) -> Diagnosis:
-    """Diagnoses what a simulator lacks: the difference between the robots' recordings and the simulator under the same
-    motions. workers: processes for simulations side by side, with the same result. TautError where a recording has
-    nothing to compare, nothing can be scored, or the simulator fails."""
+    """Diagnoses what a simulator lacks: the gap between the robot's recordings and the simulator under the same
+    motions. Where single effects leave it open, all of the simulator's parameters are fitted together (joint.py).
+    progress: called with the share that is done, 0 to 1, and what is done now. workers: processes that simulate side by
+    side, with the same result. TautError where nothing can be compared or scored, or the simulator fails."""
     progress(0.0, "simulating")
     seen = [with_marker(robot, rig, progress) for robot in robots]
     with pool(simulator, workers) as processes:
         found = nominal(simulator, seen, rig, processes)
         progress(0.05, "simulated")
-        told = diagnose(
+        diagnosis = diagnose(
             found.model,
             found.calibration,
             found.tests,
             lambda fraction, text: progress(0.05 + 0.75 * fraction, text),
             simulated=found,
         )
-        told = replace(told, corrected=_with_noise(told))
-        if not decide.is_open(told.evidence, gap.rms(told.after) ** 2):
-            return told
+        diagnosis = replace(diagnosis, corrected=_corrected_with_noise(diagnosis))
+        if not decide.is_open(diagnosis.evidence, gap.rms(diagnosis.after) ** 2):
+            return diagnosis
         segments = prepare(found.model, found.calibration, found.tests, found.drives)[1:]
-        joint = Joint(found.model, simulator.parameters, segments, told.document["noise_floor"])
+        joint = Joint(found.model, simulator.parameters, segments, diagnosis.document["noise_floor"])
         with threadpool_limits(1, "blas"):
             fitted = joint.fit(lambda share: progress(0.8 + 0.15 * share, "fitting all parameters together"))
-            answer = improved(told, Answer.of(joint, fitted))
-        if answer is told:
-            return told
-        carried = found.to_json(answer.document["effects"])
-        return replace(answer, document={**answer.document, "simulator": carried})
+            answer = improved(diagnosis, Answer.of(joint, fitted))
+        if answer is diagnosis:
+            return diagnosis
+        of_simulator = found.to_json(answer.document["effects"])
+        return replace(answer, document={**answer.document, "simulator": of_simulator})
 
 
-def _with_noise(told: Diagnosis) -> Model:
-    """The corrected model, which was not calibrated: its noise is by what it leaves of blocks that no fit has seen."""
-    model, floor = told.corrected, told.document["noise_floor"]
-    noise = gap.unseen(gap.rms(told.before), gap.rms(told.after), floor, learnt().elsewhere)
+def _corrected_with_noise(diagnosis: Diagnosis) -> Model:
+    """The corrected model with the standard deviation of a reading about its prediction as its evidence, from what it
+    leaves of held-out blocks: no calibration has given it one."""
+    model, floor = diagnosis.corrected, diagnosis.document["noise_floor"]
+    noise = gap.unseen(gap.rms(diagnosis.before), gap.rms(diagnosis.after), floor, learnt().elsewhere)
     return replace(model, extra={**model.extra, "evidence": {"residual": noise}})

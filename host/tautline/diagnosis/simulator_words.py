@@ -1,4 +1,4 @@
-"""What of a user's simulator is to change, in words."""
+"""What of a user's simulator is to change, in words, out of the content of a diagnosis.json (`document`)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from tautline.effects import BY_ID, simulator_id
 
 
 def says(document: Mapping[str, Any], name: str) -> str:
-    """What an effect does, in words; of a simulator's parameter its value in the simulator and on the robot."""
+    """What the effect with the id `name` does, in words; of a simulator's parameter its values in the simulator and on
+    the robot."""
     for parameter in _named(document):
         if simulator_id(parameter["name"]) == name:
             return f"the simulator has {parameter['name']} {parameter['nominal']:.3g}, the robot {_value(parameter)}"
@@ -17,8 +18,8 @@ def says(document: Mapping[str, Any], name: str) -> str:
 
 
 def values(document: Mapping[str, Any], name: str) -> tuple[str, str] | None:
-    """A parameter's name, and in words its values on the robot and in the simulator; None for an effect of the
-    library."""
+    """(Name of a simulator's parameter, in words its values on the robot and in the simulator); None where the effect
+    with the id `name` is one of the library."""
     for parameter in _named(document):
         if simulator_id(parameter["name"]) == name:
             return parameter["name"], f"{_value(parameter)}, in the simulator {parameter['nominal']:.3g}"
@@ -27,13 +28,13 @@ def values(document: Mapping[str, Any], name: str) -> tuple[str, str] | None:
 
 def steps(document: Mapping[str, Any]) -> list[str]:
     """What to change in the simulator, in sentences."""
-    told = []
+    todo = []
     if named := [f"{parameter['name']} {_value(parameter)}" for parameter in _named(document)]:
-        told.append(f"Put into the simulator what the robot has: {', '.join(named)}.")
-    own = {simulator_id(parameter["name"]) for parameter in _named(document)}
-    if rest := [effect["id"] for effect in document["effects"] if effect["id"] not in own]:
-        told.append(f"Give the simulator what it has not: {', '.join(rest)}, or put the corrected model behind it.")
-    return told
+        todo.append(f"Put into the simulator what the robot has: {', '.join(named)}.")
+    of_simulator = {simulator_id(parameter["name"]) for parameter in _named(document)}
+    if rest := [effect["id"] for effect in document["effects"] if effect["id"] not in of_simulator]:
+        todo.append(f"Give the simulator what it has not: {', '.join(rest)}, or put the corrected model behind it.")
+    return todo
 
 
 def _named(document: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
@@ -42,5 +43,5 @@ def _named(document: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
 
 
 def _value(parameter: Mapping[str, Any]) -> str:
-    """Its value on the robot, with its unit."""
+    """A parameter's value on the robot, with its unit."""
     return f"{parameter['value']:.3g} {parameter['unit']}".strip()

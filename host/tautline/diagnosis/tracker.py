@@ -1,8 +1,9 @@
-"""What the marker's tracker errs by in videos, as the calibration's passes over each place show it.
+"""The error of the marker's tracker in videos as a function of the place in the image, from the calibration's frames.
 
-Shading, a glint, glare and a codec move the marker in the picture alike whenever it is there. Across its path nothing
-that moves the tip along it can be the cause: what the calibration sees there is taken off all recordings, and what it
-leaves is the noise of a moving marker. Where it leaves much more than elsewhere no recording is scored.
+Shading, a glint, glare and a codec shift the marker alike whenever it is at the same place. Nothing that moves the tip
+along its path shifts the marker across it: so the median that the calibration shows across the path at each place is
+taken off all recordings, and what that leaves is the noise of a moving marker. Places where the calibration scatters
+much more than elsewhere are scored in no recording.
 """
 
 from __future__ import annotations
@@ -26,32 +27,36 @@ from tautline.recording import Recording
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-_PLACE_PX, _HOLE_PX = 4.0, 12.0  # tolerance: along the path: told apart at least; where no frame shows the marker
-_FEWEST, _PLACES = 6, 20  # tolerance: frames that tell of a place, places that tell of a tracker
-# A calibration does not hold where so large a share of frames is so many noises off, or where they scatter so much.
-_FAR, _SEVERAL, _WILD = 6.0, 0.1, 2.0  # tolerance: noises, share of a place's frames, times the usual scatter
-_PARTS = 8  # tolerance: of a calibration, by turns
-_STEP_DEG = 0.05
-_BEYOND_DEG = 5.0
+_PLACE_PX = 4.0  # tolerance: px along the path: shortest stretch that is a place of its own
+_HOLE_PX = 12.0  # tolerance: px along the path: a longer stretch without the marker is a hole
+_FEWEST, _PLACES = 6, 20  # tolerance: frames from which a place is known, places from which a tracker is
+# A place is wrong if a share _SEVERAL of its frames is _FAR off, or its scatter is _WILD times the usual one.
+_FAR, _SEVERAL, _WILD = 6.0, 0.1, 2.0  # tolerance: usual scatters, share of a place's frames, usual scatters
+_PARTS = 8  # tolerance: contiguous parts of a calibration, whose alternate ones predict the others
+_STEP_DEG = 0.05  # tolerance: deg between points of the path
+_BEYOND_DEG = 5.0  # tolerance: deg by which the path goes beyond the model's angles
 
 
 @dataclass(frozen=True)
 class TrackerError:
-    segments: list[Segment]
-    noise: float  # px rms per coordinate of a moving marker
-    doubt: float  # of its power's logarithm: how far it may be off, as more or less of it is counted as the places'
-    unsteady: float  # standard deviation of its power's logarithm between blocks
-    left_out: float  # share of the frames, where the calibration does not hold
+    """Recordings less the tracker's error, and the noise that is left."""
+
+    segments: list[Segment]  # observations corrected, places that are wrong not scored
+    noise: float  # px, one standard deviation per coordinate of a moving marker
+    doubt: float  # of the logarithm of its power: how far it may be off, as more or less of it is an error by place
+    unsteady: float  # standard deviation of the logarithm of its power between blocks
+    left_out: float  # share of the frames that are not scored as their place is wrong
 
     def to_json(self) -> dict[str, float]:
+        """The object `tracker` of diagnosis.json."""
         return {"noise": self.noise, "left_out": self.left_out}
 
 
 def without_tracker_error(model: Model, segments: Sequence[Segment], load_reference: float) -> TrackerError | None:
-    """Recordings of videos (the calibration first) less the tracker's error at each place along the marker's path, with
-    what is left as noise. None where other axes move the path, or the calibration shows too few places."""
-    moved = (column for s in segments for column in (s.motor.translation_mm, s.motor.rotation_deg))
-    if segments[0].unit != "px" or any(column is not None and np.ptp(column) > 0.0 for column in moved):
+    """The tracker's error in recordings of videos, the calibration first. None where other axes move the marker's path,
+    or the calibration shows too few places. load_reference: mNm at which the model's tables hold."""
+    other_axes = (column for s in segments for column in (s.motor.translation_mm, s.motor.rotation_deg))
+    if segments[0].unit != "px" or any(column is not None and np.ptp(column) > 0.0 for column in other_axes):
         return None
     path = _Path.of(model)
     views = [path.view(s.observed, s.predict(model, {}, load_reference)[1]) for s in segments]
@@ -61,159 +66,160 @@ def without_tracker_error(model: Model, segments: Sequence[Segment], load_refere
     corrected, scored = [], 0
     for segment, view in zip(segments, views, strict=True):
         observed = segment.observed - places.across(view.seen)[:, None] * path.normal[view.at]
-        holds = places.holds(view.seen) & places.holds(view.expected)
-        corrected.append(replace(segment, observed=observed).part(holds))
+        right = places.are_right(view.seen) & places.are_right(view.expected)
+        corrected.append(replace(segment, observed=observed).part(right))
         scored += int(segment.scored.sum())
     kept = sum(int(segment.scored.sum()) for segment in corrected)
     if not all(segment.scored.any() for segment in corrected):
         return None
-    first = corrected[0].scored
-    own = gap.rms([(views[0].across - places.across(views[0].seen))[first]])
-    left = _cross_validated_error(views[0], first, places)
-    others = max(gap.rms([left]), own)
+    in_calibration = corrected[0].scored
+    in_sample = gap.rms([(views[0].across - places.across(views[0].seen))[in_calibration]])
+    held_out = _cross_validated_error(views[0], in_calibration, places)
+    out_of_sample = max(gap.rms([held_out]), in_sample)
     # The noise is between the two: their geometric mean, in doubt by their distance.
-    noise, doubt = float(np.sqrt(own * others)), float(np.log(others / own))
-    return TrackerError(
-        corrected, noise, doubt, _spread_of_log_power(left, gap.blocks(corrected[0])), 1.0 - kept / scored
-    )
+    noise, doubt = float(np.sqrt(in_sample * out_of_sample)), float(np.log(out_of_sample / in_sample))
+    unsteady = _spread_of_log_power(held_out, gap.blocks(corrected[0]))
+    return TrackerError(corrected, noise, doubt, unsteady, 1.0 - kept / scored)
 
 
 def of_videos(
     model: Model, segments: Sequence[Segment], load_reference: float, recordings: Sequence[Recording]
 ) -> TrackerError | None:
-    """`without_tracker_error`, if all recordings are videos tracked here; else None."""
+    """As `without_tracker_error`, if all recordings are videos that were tracked here; else None."""
     if any(recording.video is None for recording in recordings):
         return None
     return without_tracker_error(model, segments, load_reference)
 
 
 def _cross_validated_error(view: _View, scored: Mask, places: _Places) -> Array:
-    """(scored,) px across the path, each frame less the error that the other half of the calibration shows at its place
-    (all of it, where that half does not): an error of one pass, as a codec makes it, is not the place's."""
-    part = np.arange(len(scored)) * _PARTS // len(scored) % 2
-    left = view.across - places.across(view.seen)
-    for own in (part == 0, part == 1):
-        others = _Places.of(view, scored & ~own)
+    """(scored,) px across the path: each of the calibration's frames less the error that the other half of the
+    calibration shows at its place, or where that half shows none the whole: an error of a single pass, as a codec makes
+    it, is no error of the place."""
+    half = np.arange(len(scored)) * _PARTS // len(scored) % 2
+    residual = view.across - places.across(view.seen)
+    for tested in (half == 0, half == 1):
+        others = _Places.of(view, scored & ~tested)
         if others is not None:
-            known = own & others.holds(view.seen) & others.reaches(view.seen)
-            left = np.where(known, view.across - others.across(view.seen), left)
-    return np.asarray(left[scored])
+            known = tested & others.are_right(view.seen) & others.reach(view.seen)
+            residual = np.where(known, view.across - others.across(view.seen), residual)
+    return np.asarray(residual[scored])
 
 
-def _spread_of_log_power(left: Array, block: npt.NDArray[np.int64]) -> float:
-    """Standard deviation between blocks of the natural logarithm of their mean square. left, block: (scored,)."""
+def _spread_of_log_power(residual: Array, block: npt.NDArray[np.int64]) -> float:
+    """Standard deviation between blocks of the natural logarithm of their mean square. residual, block: (scored,)."""
     frames = np.bincount(block)
-    power = np.bincount(block, left**2)[frames > 0] / frames[frames > 0]
+    power = np.bincount(block, residual**2)[frames > 0] / frames[frames > 0]
     return float(np.std(np.log(power)))
 
 
 @dataclass(frozen=True)
 class _View:
-    """A recording's frames beside the path. (n,), px but `at`."""
+    """A recording's n frames in coordinates along and across the marker's path, px."""
 
-    at: npt.NDArray[np.intp]  # the path's point that is nearest to what was seen
-    seen: Array  # along the path: where the marker was seen
-    expected: Array  # and where the model has it
-    across: Array
-    along: Array
+    at: npt.NDArray[np.intp]  # (n,) index of the path's point that is nearest to the observed marker
+    seen: Array  # (n,) length along the path to that point
+    expected: Array  # (n,) length along the path to the point nearest to the predicted marker
+    across: Array  # (n,) observed marker across the path
+    along: Array  # (n,) observed less predicted marker along the path
 
 
 @dataclass(frozen=True)
 class _Path:
-    """Where the marker can be seen, by the model: (m, 2) px."""
+    """The marker's path in the image by the model, as m points."""
 
-    point: Array
-    normal: Array
-    length: Array  # (m,)
+    point: Array  # (m, 2) px
+    normal: Array  # (m, 2) unit vectors across the path
+    length: Array  # (m,) px along the path from its first point
 
     @classmethod
     def of(cls, model: Model) -> _Path:
-        """The marker's path in the image over the model's angles, and _BEYOND_DEG farther."""
+        """The path over the model's bending angles, and _BEYOND_DEG farther at either end."""
         low, high = float(np.min(model.c_deg)) - _BEYOND_DEG, float(np.max(model.c_deg)) + _BEYOND_DEG
         point = project(model.rig, np.arange(low, high, _STEP_DEG))
         step = np.gradient(point, axis=0)
-        way = step / np.maximum(np.linalg.norm(step, axis=1), 1e-12)[:, None]
+        tangent = step / np.maximum(np.linalg.norm(step, axis=1), 1e-12)[:, None]
+        normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
         lengths = np.linalg.norm(np.diff(point, axis=0), axis=1)
-        return cls(point, np.column_stack([-way[:, 1], way[:, 0]]), np.concatenate([[0.0], np.cumsum(lengths)]))
+        return cls(point, normal, np.concatenate([[0.0], np.cumsum(lengths)]))
 
     def view(self, observed: Array, predicted: Array) -> _View:
         """A recording's frames in coordinates along and across the path. observed, predicted: (n, 2) px."""
         tree = KDTree(self.point)
         at, expected = (np.asarray(tree.query(where)[1], dtype=np.intp) for where in (observed, predicted))
         normal = self.normal[at]
-        way = np.column_stack([normal[:, 1], -normal[:, 0]])  # as c rises
+        tangent = np.column_stack([normal[:, 1], -normal[:, 0]])  # as c rises
         across = np.sum((observed - self.point[at]) * normal, axis=1)
-        along = np.sum((observed - predicted) * way, axis=1)
+        along = np.sum((observed - predicted) * tangent, axis=1)
         return _View(at, self.length[at], self.length[expected], across, along)
 
 
 def _stretch_edges(seen: Array) -> Array:
-    """Edges, px along the path, of stretches with at least _FEWEST frames and _PLACE_PX; a hole without frames becomes
-    a stretch of its own. seen: sorted positions along the path."""
+    """Edges, px along the path, of stretches with at least _FEWEST frames and _PLACE_PX; a hole without the marker
+    becomes a stretch of its own. seen: sorted positions (n,) of the marker along the path, px."""
     edges = [seen[0]]
     frames = 0
-    for last, at in pairwise(seen):
+    for before, position in pairwise(seen):
         frames += 1
-        if at - last > _HOLE_PX:
-            edges += [last, at]
+        if position - before > _HOLE_PX:
+            edges += [before, position]
             frames = 0
-        elif frames >= _FEWEST and at - edges[-1] >= _PLACE_PX:
-            edges.append(at)
+        elif frames >= _FEWEST and position - edges[-1] >= _PLACE_PX:
+            edges.append(position)
             frames = 0
     return np.unique([*edges, seen[-1] + 1e-9])
 
 
 @dataclass(frozen=True)
 class _Places:
-    """Stretches of the path, as the calibration saw them."""
+    """The tracker's error at stretches of the path (places), from the calibration's frames."""
 
-    edges: Array
-    wrong: Mask  # (places,)
-    middle: Array  # of those that are right, px along the path
-    error: Array  # across it there
+    edges: Array  # (places + 1,) px along the path
+    wrong: Mask  # (places,) at which it cannot be trusted
+    middle: Array  # (right places,) px along the path
+    error: Array  # (right places,) px across the path
 
     @classmethod
     def of(cls, view: _View, scored: Mask) -> _Places | None:
-        """From the calibration's scored frames: the median error of each stretch, smoothed along the path, and which
-        stretches are wrong (many far frames or a large scatter, or beside such a one). None where fewer than _PLACES
-        are right."""
+        """From the calibration's scored frames: the median across the path of each place, smoothed along the path, and
+        which places are wrong (many far frames, or a large scatter, or next to such a place). None where fewer than
+        _PLACES are right."""
         edges = _stretch_edges(np.sort(view.seen[scored]))
         count = len(edges) - 1
         place = np.clip(np.digitize(view.seen, edges) - 1, 0, count - 1)
         frames = np.bincount(place[scored], minlength=count)
-        told = frames >= _FEWEST
-        if told.sum() < _PLACES:
+        known = frames >= _FEWEST
+        if known.sum() < _PLACES:
             return None
         across, along, scatter = np.full((3, count), np.nan)
-        for k in np.flatnonzero(told):
+        for k in np.flatnonzero(known):
             here = scored & (place == k)
             across[k], along[k] = np.median(view.across[here]), np.median(view.along[here])
             off = np.abs(view.across[here] - across[k]) + np.abs(view.along[here] - along[k])
             scatter[k] = 0.5 * spread.deviation(off)
-        noise = float(np.nanmedian(scatter))
-        off = np.hypot(view.across - float(np.nanmedian(across)), view.along)
-        far = np.bincount(place[scored & (off > _FAR * noise)], minlength=count)
-        wrong = (far >= _SEVERAL * frames) | (scatter > _WILD * noise)  # or nothing was seen there
+        usual = float(np.nanmedian(scatter))
+        distance = np.hypot(view.across - float(np.nanmedian(across)), view.along)
+        far = np.bincount(place[scored & (distance > _FAR * usual)], minlength=count)
+        wrong = (far >= _SEVERAL * frames) | (scatter > _WILD * usual)  # a place without frames too: 0 >= 0
         wrong = wrong | np.append(False, wrong[:-1]) | np.append(wrong[1:], False)
-        right = told & ~wrong
+        right = known & ~wrong
         if right.sum() < _PLACES:
             return None
         middle = 0.5 * (edges[:-1] + edges[1:])[right]
         smooth = make_smoothing_spline(middle, across[right], frames[right].astype(float))
         return cls(edges, wrong, middle, np.asarray(smooth(middle)))
 
-    def across(self, at: Array) -> Array:
-        """px across the path, by which the marker is seen off at these positions along it."""
-        return np.interp(at, self.middle, self.error)
+    def across(self, along: Array) -> Array:
+        """(n,) The tracker's error, px across the path, at positions (n,), px along it."""
+        return np.interp(along, self.middle, self.error)
 
-    def reaches(self, at: Array) -> Mask:
-        """Whether these positions lie between the first and the last stretch that is right."""
-        reaches: Mask = (at >= self.middle[0]) & (at <= self.middle[-1])
-        return reaches
+    def reach(self, along: Array) -> Mask:
+        """(n,) Whether positions (n,), px along the path, lie between the first and the last right place."""
+        reached: Mask = (along >= self.middle[0]) & (along <= self.middle[-1])
+        return reached
 
-    def holds(self, at: Array) -> Mask:
-        """Whether these positions, px along the path, are in no wrong stretch; true beyond all stretches."""
-        place = np.digitize(at, self.edges) - 1
+    def are_right(self, along: Array) -> Mask:
+        """(n,) Whether positions (n,), px along the path, are at no wrong place; true beyond all places."""
+        place = np.digitize(along, self.edges) - 1
         inside = (place >= 0) & (place < len(self.wrong))
-        holds: Mask = ~(inside & self.wrong[np.clip(place, 0, len(self.wrong) - 1)])
-        return holds
+        right: Mask = ~(inside & self.wrong[np.clip(place, 0, len(self.wrong) - 1)])
+        return right
