@@ -1,4 +1,5 @@
-"""The diagnosis in words: one sentence, what to do next, and the table that a terminal shows."""
+"""The diagnosis in words, out of the content of a diagnosis.json (`document`): one sentence, what to do next, and the
+text that a terminal shows."""
 
 from __future__ import annotations
 
@@ -11,8 +12,8 @@ from tautline.diagnosis.confounded import DRIFT, LOAD
 from tautline.effects import BY_ID, EVENTS
 from tautline.undone import COUPLED
 
-_SMALL = 3.0  # format: times the noise: a gap below is called small
-_REMAINS = {  # why
+_SMALL = 3.0  # format: times the noise: a smaller gap is called small
+_REMAINS = {  # why no table of the board undoes an effect
     "transmission.stick_slip": "where the tip sticks next is chance",
     "configuration.contact": "what holds the tip back is not the transmission",
     "configuration.swing": "a swing needs to be seen",
@@ -21,15 +22,18 @@ _REMAINS = {  # why
 }
 SHOWN = 0.005  # format: probability from which on a candidate is shown
 _NO_PATH = "It has no path that repeats, so no model can predict it away."
-_TOLD = 2  # effects that are told in words
-_NEAR = 0.1  # format: of a gap that an effect or a refit closes: it is told beside "unknown"
+_IN_WORDS = 2  # format: named effects that have a sentence each; of more only the first has
+_NEAR = 0.1  # format: share of a gap that an effect or a refit must close to be mentioned
+_REMOVES = 0.995  # format: shrinkage from which a gap is said to be removed
+LEAST_TOLD = 0.005  # format: share of a gap below which nothing is said of what an effect closes
+_HARDLY = 0.15  # format: share of a gap that a flexible model closes: below it, hardly any
 SINCE = {
     "start": " from the start",
     "calibration": " since the calibration",
     "recording": ", another in each recording",
 }
-_LEFT_OUT = 0.02  # format: share of the frames, from which it is told
-_SHRINKS = 0.02  # format: of a gap that jumps or unsteady times leave: part of it has a path
+_LEFT_OUT = 0.02  # format: share of the frames that are left out, from which this is said
+_SHRINKS = 0.02  # format: shrinkage by an event's mean effect, from which it is said to repeat
 
 
 def digits(value: float) -> str:
@@ -45,42 +49,64 @@ def listed(names: Sequence[str], last: str = "and") -> str:
 
 
 def sentence(document: Mapping[str, Any]) -> str:
-    """Verdict, effect and shrinkage in one sentence."""
-    gap, unit, floor = document["gap"], document["unit"], document["noise_floor"]
-    before = f"{digits(gap['before'])} {unit} rms"
-    times = f"{gap['before'] / floor:.2g} times the noise"
+    """Verdict, effects and shrinkage in one sentence, and what cannot be told apart in further ones."""
     if document["verdict"] == "none":
         return (
-            f"No gap beyond noise: the calibrated model predicts motions that it never saw to {before}, "
-            f"and the noise alone is {digits(floor)}."
+            "No gap beyond noise: the calibrated model predicts motions that it never saw to "
+            f"{_size_before(document)}, and the noise alone is {digits(document['noise_floor'])}."
         )
-    if document["verdict"] == "unknown":
-        small = _is_small(document)
-        what = "Nothing large is left: a small gap" if small else "A gap"
-        seen = "" if small else _pattern(document)
-        near = max(document["candidates"], key=lambda c: c["shrink"], default=None)
-        again = 1.0 - document["gap_recalibrated"]["before"] / max(gap["before"], 1e-300)
-        if near and near["shrink"] > max(_NEAR, again):
-            return (
-                f"{what} of {before}, {times}: of the known effects {near['id']} comes nearest and would close "
-                f"{percent(near['shrink'])}, but {_why_not(document, near['id'])}{seen}."
-            )
-        if again > _NEAR:
-            return (
-                f"{what} of {before}, {times}: refitting B, f_remain and registration would close {percent(again)} of "
-                f"it, but leaves what they could not{seen}."
-            )
-        return f"{what} of {before}, {times}, that no known effect explains{seen}."
+    return _unknown_sentence(document) if document["verdict"] == "unknown" else _effect_sentences(document)
+
+
+def _size_before(document: Mapping[str, Any]) -> str:
+    """The gap before with its unit: "0.42 deg rms"."""
+    return f"{digits(document['gap']['before'])} {document['unit']} rms"
+
+
+def _times_noise(document: Mapping[str, Any]) -> str:
+    """The gap before as a multiple of the noise, in words."""
+    return f"{document['gap']['before'] / document['noise_floor']:.2g} times the noise"
+
+
+def _unknown_sentence(document: Mapping[str, Any]) -> str:
+    """`sentence` of a gap with an unknown cause: what would close most of it, and why that is not the cause."""
+    before, times = _size_before(document), _times_noise(document)
+    small = _is_small(document)
+    what = "Nothing large is left: a small gap" if small else "A gap"
+    pattern = "" if small else _pattern(document)
+    nearest = max(document["candidates"], key=lambda c: c["shrink"], default=None)
+    recalibrated = 1.0 - document["gap_recalibrated"]["before"] / max(document["gap"]["before"], 1e-300)
+    if nearest and nearest["shrink"] > max(_NEAR, recalibrated):
+        return (
+            f"{what} of {before}, {times}: of the known effects {nearest['id']} comes nearest and would close "
+            f"{percent(nearest['shrink'])}, but {_why_not(document, nearest['id'])}{pattern}."
+        )
+    if recalibrated > _NEAR:
+        return (
+            f"{what} of {before}, {times}: refitting B, f_remain and registration would close {percent(recalibrated)} "
+            f"of it, but leaves what they could not{pattern}."
+        )
+    return f"{what} of {before}, {times}, that no known effect explains{pattern}."
+
+
+def _named_effects(document: Mapping[str, Any]) -> str:
+    """The named effects in words, each with its id and probability."""
     effects = document["effects"]
-    told = [
+    said = [
         f"{simulator_words.says(document, e['id'])}{_since(e)} "
         f"({e['id']}, {percent(e['probability'])} sure{_brings(e)}{_or_else(e) if i else ''})"
         for i, e in enumerate(effects)
     ]
-    if len(effects) > _TOLD:
+    if len(effects) > _IN_WORDS:
         rest = [f"{e['id']} ({percent(e['probability'])}{_or_else(e)})" for e in effects[1:]]
-        told = [told[0], f"beside it {listed(rest)}"]
-    named = listed(told)
+        said = [said[0], f"beside it {listed(rest)}"]
+    return listed(said)
+
+
+def _effect_sentences(document: Mapping[str, Any]) -> str:
+    """`sentence` where effects are named."""
+    gap, effects = document["gap"], document["effects"]
+    named, before, times = _named_effects(document), _size_before(document), _times_noise(document)
     if effects[0]["id"] in EVENTS and gap["shrink"] > _SHRINKS:
         text = (
             f"{_capital(named)}: what of it repeats shrinks the gap by {percent(gap['shrink'])} in the model, from "
@@ -89,7 +115,7 @@ def sentence(document: Mapping[str, Any]) -> str:
     elif effects[0]["id"] in EVENTS:
         text = f"{_capital(named)}: a gap of {before}, {times}. {_NO_PATH}"
     else:
-        shrinks = "removes" if gap["shrink"] > 0.995 else f"shrinks by {percent(gap['shrink'])}"
+        shrinks = "removes" if gap["shrink"] > _REMOVES else f"shrinks by {percent(gap['shrink'])}"
         text = (
             f"{_capital(named)}: with {'it' if len(effects) == 1 else 'them'} in the model the gap {shrinks}, "
             f"from {before} to {digits(gap['after'])}{_beside_noise(gap)}; on another motion expect "
@@ -105,18 +131,18 @@ def sentence(document: Mapping[str, Any]) -> str:
 
 
 def _why_not(document: Mapping[str, Any], name: str) -> str:
-    """Why an unknown cause is not the effect that it resembles."""
+    """Why an unknown cause is not the effect `name` that it resembles, to follow "but"."""
     says = next((entry["says"] for entry in document.get("resembles", ()) if entry["id"] == name), "")
     return f"would be another law elsewhere ({says})" if says else "leaves what it could not"
 
 
 def _beside_noise(gap: Mapping[str, Any]) -> str:
-    """The share of the gap's power above the noise that is closed, where it is clearly more than the gap's shrinkage;
-    else ""."""
-    above = gap.get("closable_shrink")
-    if above is None or above - gap["shrink"] < _NEAR:
+    """Which share of the gap's power above the noise is closed, if that is clearly more than the rms shrinks; else
+    ""."""
+    share = gap.get("closable_shrink")
+    if share is None or share - gap["shrink"] < _NEAR:
         return ""
-    return f", {percent(above)} of its power above the noise"
+    return f", {percent(share)} of its power above the noise"
 
 
 def _brings(effect: Mapping[str, Any]) -> str:
@@ -126,134 +152,152 @@ def _brings(effect: Mapping[str, Any]) -> str:
 
 
 def _or_else(effect: Mapping[str, Any]) -> str:
-    """Which other effects may be there in the place of a further one; "" where it is told for sure."""
+    """Which other effects may be there in the place of a named one; "" where there are none."""
     others = effect["ambiguous_with"]
     return f", or else {listed(others, 'or')}" if others else ""
 
 
 def _since(effect: Mapping[str, Any]) -> str:
-    """Since when, for a part of the nominal model; "" for other effects."""
+    """Since when a part of the nominal model is another; "" for other effects."""
     return SINCE[effect["since"]] if BY_ID[effect["id"]].nominal else ""
 
 
 def moved(document: Mapping[str, Any]) -> str:
-    """Which parts of the nominal model had to move; "" where the sentence says it all."""
+    """Which parts of the nominal model had to move, with their shares; "" for a single one, which `sentence` names."""
     parts = document["moved"]
     if len(parts) < 2:
         return ""
-    told = [p["id"] + SINCE[p["since"]] + f" ({percent(p['share'])})" for p in parts]
-    return f"What had to move: {listed(told)}."
+    said = [p["id"] + SINCE[p["since"]] + f" ({percent(p['share'])})" for p in parts]
+    return f"What had to move: {listed(said)}."
 
 
 def percent(share: float) -> str:
+    """A share, 0 to 1, as "12 %"."""
     return f"{100 * share:.0f} %"
 
 
 def _between(interval: Sequence[float]) -> str:
+    """An interval of shares as "12 to 34 %"."""
     low, high = interval
     return f"{100 * low:.0f} to {percent(high)}"
 
 
 def flexible(document: Mapping[str, Any]) -> str:
-    """What a Gaussian process without any physics would close of the gap; "" where none was fitted."""
+    """What a Gaussian process without any physics would close of the gap, or of what is left of it; "" where none was
+    fitted."""
     closed = document.get("flexible")
     if not closed:
         return ""
-    swing = _swing(document)
-    if swing:
-        asked_of = "What is left" if document["verdict"] == "effect" else "The gap"
-        text = (
-            f"{asked_of} swings with a period of {swing:.2g} s ({60 / swing:.0f} a minute), whatever the motor does. "
-        )
-    else:
-        text = ""
     what = "what is left" if document["verdict"] == "effect" else "the gap"
+    swing = _swing(document)
+    text = ""
+    if swing:
+        text = (
+            f"{_capital(what)} swings with a period of {swing:.2g} s ({60 / swing:.0f} a minute), whatever the motor "
+            "does. "
+        )
     share = closed["closable_shrink"]
-    asked = "a flexible model of motor position, travel since the reversal, speed, time and the other axes"
-    if share < 0.15:
+    process = "a flexible model of motor position, travel since the reversal, speed, time and the other axes"
+    if share < _HARDLY:
         return text + (
-            f"{_capital(asked)} would follow hardly any of {what}: it goes with nothing that was recorded, "
+            f"{_capital(process)} would follow hardly any of {what}: it goes with nothing that was recorded, "
             "or does not repeat."
         )
     return text + (
-        f"{_capital(asked)} would follow {percent(share)} of {what} above the noise "
+        f"{_capital(process)} would follow {percent(share)} of {what} above the noise "
         f"({digits(closed['before'])} to {digits(closed['after'])} {document['unit']} rms): so much of it repeats."
     )
 
 
 @dataclass(frozen=True)
 class NextStep:
-    says: str
-    command: str = ""
+    """Something to do next."""
+
+    says: str  # in a sentence
+    command: str = ""  # that does it; "" where none does
 
 
 def steps(document: Mapping[str, Any], folder: str) -> list[NextStep]:
-    """What to do next, the most useful first. folder: where the diagnosis is kept."""
-    verdict, following = document["verdict"], document["next_motion"]
-    effects = document["effects"]
-    event = bool(effects) and effects[0]["id"] in EVENTS
-    if verdict == "none" or _is_small(document):
+    """What to do next, the most useful first. folder: where the diagnosis is kept, for the commands."""
+    if document["verdict"] == "none" or _is_small(document):
         return [NextStep("Use the model as it is: these motions show nothing large that it lacks.")]
-    told = []
-    swing = _swing(document)
-    if swing and not effects:
-        told.append(NextStep(f"Look for what moves every {swing:.2g} s: breathing, a heartbeat, a loose mount, a fan."))
-    elif verdict == "unknown":
-        where = listed([f"{c['says']} ({c['axis']})" for c in document["where"]["conditions"][:3]])
-        told.append(NextStep(f"Look at the instrument where the gap is largest: {where}."))
-    ambiguous = {name for e in effects for name in (e["id"], *e["ambiguous_with"])}
-    if {LOAD, DRIFT} <= ambiguous:
-        told.append(
-            NextStep(
-                "Record the first load once more, or a third one, and diagnose with it too: no drift comes back, "
-                "and one slope serves all loads."
-            )
-        )
-    elif following and (verdict == "unknown" or any(e["ambiguous_with"] for e in effects)):
-        told.append(
-            NextStep(
-                f"Record the motion that tells the leading candidates apart ({following['why']}), and diagnose with it "
-                "too.",
-                f"taut record --motion {folder}/{following['file']} --rig {folder}/nominal/rig.toml --out more",
-            )
-        )
-    if event:
-        kind = BY_ID[effects[0]["id"]].event
-        assert kind
-        told.append(NextStep(f"Mend the cause, {kind.cause}: no table and no model takes its {kind.what} away."))
-    if effects and (not event or document["gap"]["shrink"] > _SHRINKS):
-        told.append(
+    effects = document["effects"]
+    is_event = bool(effects) and effects[0]["id"] in EVENTS
+    todo = [*_steps_to_look(document), *_steps_to_record(document, folder)]
+    if is_event:
+        event = BY_ID[effects[0]["id"]].event
+        assert event
+        todo.append(NextStep(f"Mend the cause, {event.cause}: no table and no model takes its {event.what} away."))
+    if effects and (not is_event or document["gap"]["shrink"] > _SHRINKS):
+        todo.append(
             NextStep("Predict with the corrected model.", f"taut predict {folder}/corrected RECORDING --csv OUT.csv")
         )
     if any(p["since"] == "start" and p["id"] == "registration.static" for p in document["moved"]):
-        told.append(
+        todo.append(
             NextStep(
                 "Put the corrected hand-eye transform into the rig, and calibrate with it again: f_remain was bent "
                 f"by the wrong one ([hand_eye] of {folder}/corrected/rig.toml)."
             )
         )
     if "simulator" in document:
-        return [*told, *map(NextStep, simulator_words.steps(document))]
-    if effects and not event:
-        told.append(
+        return [*todo, *map(NextStep, simulator_words.steps(document))]
+    return todo + (_steps_with_tables(effects, folder) if effects and not is_event else [])
+
+
+def _steps_to_look(document: Mapping[str, Any]) -> list[NextStep]:
+    """Where to look at the instrument while the cause is unknown."""
+    swing = _swing(document)
+    if swing and not document["effects"]:
+        return [NextStep(f"Look for what moves every {swing:.2g} s: breathing, a heartbeat, a loose mount, a fan.")]
+    if document["verdict"] != "unknown":
+        return []
+    where = listed([f"{c['says']} ({c['axis']})" for c in document["where"]["conditions"][:3]])
+    return [NextStep(f"Look at the instrument where the gap is largest: {where}.")]
+
+
+def _steps_to_record(document: Mapping[str, Any], folder: str) -> list[NextStep]:
+    """What to record where the recordings cannot tell effects apart."""
+    effects, following = document["effects"], document["next_motion"]
+    ambiguous = {name for e in effects for name in (e["id"], *e["ambiguous_with"])}
+    if {LOAD, DRIFT} <= ambiguous:
+        return [
             NextStep(
-                "Try the tables against an instrument that has this effect.",
-                f"taut follow {folder}/corrected --simulate {folder}/corrected",
+                "Record the first load once more, or a third one, and diagnose with it too: no drift comes back, "
+                "and one slope serves all loads."
+            )
+        ]
+    if following and (document["verdict"] == "unknown" or any(e["ambiguous_with"] for e in effects)):
+        return [
+            NextStep(
+                f"Record the motion that tells the leading candidates apart ({following['why']}), and diagnose with it "
+                "too.",
+                f"taut record --motion {folder}/{following['file']} --rig {folder}/nominal/rig.toml --out more",
+            )
+        ]
+    return []
+
+
+def _steps_with_tables(effects: Sequence[Mapping[str, Any]], folder: str) -> list[NextStep]:
+    """What to do with the corrected tables of named effects."""
+    todo = [
+        NextStep(
+            "Try the tables against an instrument that has this effect.",
+            f"taut follow {folder}/corrected --simulate {folder}/corrected",
+        ),
+        board(effects, folder),
+    ]
+    if effects[0]["swallowed_by_recalibration"]:
+        todo.append(
+            NextStep(
+                "Or calibrate on all these recordings: that closes the gap as well, without knowing why.",
+                "taut calibrate CALIBRATION TEST... --out MODEL",
             )
         )
-        told.append(board(effects, folder))
-        if effects[0]["swallowed_by_recalibration"]:
-            told.append(
-                NextStep(
-                    "Or calibrate on all these recordings: that closes the gap as well, without knowing why.",
-                    "taut calibrate CALIBRATION TEST... --out MODEL",
-                )
-            )
-    return told
+    return todo
 
 
 def board(effects: Sequence[Mapping[str, Any]], folder: str) -> NextStep:
-    """The next step at the board: what `taut flash` can load of the named effects."""
+    """The next step at the board: what `taut flash` can load of the named effects (entries of diagnosis.json)."""
     left = [e["id"] for e in effects if not e["loads_on_board"]]
     if left:
         why = [f"{name} ({_REMAINS[name]})" if name in _REMAINS else name for name in left]
@@ -314,8 +358,8 @@ def text(document: Mapping[str, Any], folder: str) -> str:
     closed = flexible(document)
     if closed:
         lines += ["", closed]
-    for told in (tip(document), left_out_frames(document)):
-        lines += ["", told] if told else []
+    for paragraph in (tip(document), left_out_frames(document)):
+        lines += ["", paragraph] if paragraph else []
     lines.append("")
     for step in steps(document, folder):
         lines += [f"- {step.says}", *([f"    {step.command}"] if step.command else [])]
@@ -324,8 +368,8 @@ def text(document: Mapping[str, Any], folder: str) -> str:
 
 
 def rows(document: Mapping[str, Any], most: int) -> list[tuple[str, float, str]]:
-    """Up to `most` candidates, unknown and none, each with its probability to lead and what it closes in words (""
-    where next to nothing), the likeliest first."""
+    """[(id or words, probability to lead, what it closes in words)], the likeliest first, of up to `most` candidates,
+    of an unknown cause and of none; "" where it closes next to nothing."""
     least = least_told(document)
     candidates = [
         (c["id"], c["probability"], f"closes {percent(c['shrink'])}" if c["shrink"] > least else "")
@@ -342,7 +386,7 @@ def rows(document: Mapping[str, Any], most: int) -> list[tuple[str, float, str]]
 
 def least_told(document: Mapping[str, Any]) -> float:
     """The share of the gap below which nothing is said of what an effect closes."""
-    return {"effect": 0.005, "unknown": _NEAR, "none": 1.0}[str(document["verdict"])]
+    return {"effect": LEAST_TOLD, "unknown": _NEAR, "none": 1.0}[str(document["verdict"])]
 
 
 def _pattern(document: Mapping[str, Any]) -> str:
@@ -354,7 +398,8 @@ def _pattern(document: Mapping[str, Any]) -> str:
 
 
 def _swing(document: Mapping[str, Any]) -> float | None:
-    """The period, s, in which the gap swings whatever the motor does; None where it does not, or nobody looked."""
+    """The period, s, of an oscillation of the gap that no motion drives; None where there is none, or no flexible model
+    was fitted."""
     closed = document.get("flexible")
     return closed.get("swing_s") if closed else None
 
@@ -365,4 +410,5 @@ def _is_small(document: Mapping[str, Any]) -> bool:
 
 
 def _capital(sentence: str) -> str:
+    """The sentence with its first letter in upper case."""
     return sentence[:1].upper() + sentence[1:]

@@ -19,15 +19,16 @@ from tautline.explain import of_effect
 from tautline.model import Effect, Model
 from tautline.reports import figures, pages
 
-# format of all: pictures and lists of a page
+# format of all: numbers of a page's pictures and lists
 
 FILE = "report.html"
 
-_CANDIDATES = 5
-_GUESS = 0.2  # share of a gap that an effect must close for its stage to be a guess
-_PARAMETERS = 6  # of an effect
-_AXES = 2  # pictures of where and when it is
-_MANY_POINTS = 2500
+_CANDIDATES = 5  # format: candidates that are listed
+_GUESS = 0.2  # format: share of a gap that an effect must close for its stage to be marked as a guess
+_PARAMETERS = 6  # format: parameters that are listed of an effect
+_AXES = 2  # format: pictures of the conditions under which the gap is large
+_MANY_POINTS = 2500  # format: points of a picture
+_MARGIN = 1.08  # format: of an axis beyond what is drawn
 _TITLES = {
     "q": "motor position",
     "direction": "direction of the motor",
@@ -43,8 +44,8 @@ _TITLES = {
 
 
 def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
-    """Writes FILE into `folder` and returns its path. known_as: the folder's name in the page's commands, if it is
-    moved later."""
+    """Writes the page FILE into `folder` and returns its path. known_as: the folder's path in the page's commands,
+    default `folder`, if it is moved later."""
     document = diagnosis.document
     unit = diagnosis.nominal.rig.actuator.unit
     named = document["verdict"] == "effect"
@@ -103,27 +104,28 @@ def _recordings_in_words(diagnosis: Diagnosis) -> str:
 
 
 def _chain(document: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The stages in order, each with the largest share of the gap that one of its effects closes."""
+    """The stages from motor to image in order, each with its mark ("named", "guess" or "") and, in words, the largest
+    share of the gap that its effects close."""
     named = {effect["id"].split(".")[0] for effect in document["effects"]}
     marked = document["where"]["stage"]
     stages = []
     for stage in (*((SIMULATOR,) if "simulator" in document else ()), *STAGES):
         of_stage = [c for c in document["candidates"] if c["id"].startswith(stage + ".")]
-        closes = max((c["shrink"] for c in of_stage), default=0.0)
+        could_close = max((c["shrink"] for c in of_stage), default=0.0)
         share = sum(e["shrink"] for e in document["effects"] if e["id"].startswith(stage + "."))
-        says = f"{narration.percent(share)} of the gap" if stage in named and share > 0.005 else ""
-        if not says and closes > narration.least_told(document):
-            says = f"could close {narration.percent(closes)}"
+        says = f"{narration.percent(share)} of the gap" if stage in named and share > narration.LEAST_TOLD else ""
+        if not says and could_close > narration.least_told(document):
+            says = f"could close {narration.percent(could_close)}"
         certain = document["verdict"] == "effect"
         mark = "named" if certain and (stage == marked or stage in named) else ""
-        if not certain and stage == marked and closes > _GUESS:
+        if not certain and stage == marked and could_close > _GUESS:
             mark = "guess"
         stages.append({"name": stage, "mark": mark, "says": says})
     return stages
 
 
 def width_now(nominal: Model, corrected: Model) -> str:
-    """The mean B before and after over the measured range, in words."""
+    """The mean of B over the measured range after and before the correction, in words, with the actuator's unit."""
     unit, inside = nominal.rig.actuator.unit, (nominal.q >= nominal.measured[0]) & (nominal.q <= nominal.measured[1])
     was = float(nominal.width[inside].mean())
     now = float(np.interp(nominal.q[inside], corrected.q, corrected.width).mean())
@@ -133,9 +135,10 @@ def width_now(nominal: Model, corrected: Model) -> str:
 def _parameter_rows(
     document: Mapping[str, Any], effect: Mapping[str, Any], unit: str, width: str
 ) -> list[dict[str, Any]]:
-    """The table's rows of one named effect: its parameters, and what it brings. unit: of q; width: `width_now`."""
-    if own := simulator_words.values(document, effect["id"]):
-        return [_table_row(effect, *own, True)]
+    """The rows of one named effect in the table of parameters: its values, and the parts of the nominal model that it
+    brings. unit: of q; width: what `width_now` says."""
+    if of_simulator := simulator_words.values(document, effect["id"]):
+        return [_table_row(effect, *of_simulator, True)]
     kind = kind_of(Effect(effect["id"], effect["parameters"]))
     known = {p.name: p for p in kind.parameters if p.name in effect["parameters"]}
     known = dict([item for item in known.items() if item[0] not in kind.curve][:_PARAMETERS])
@@ -157,7 +160,7 @@ def _parameter_rows(
 
 
 def _table_row(effect: Mapping[str, Any], name: str, value: str, first: bool) -> dict[str, Any]:
-    """One row of the table of parameters; first: whether it is the effect's first."""
+    """One row of the table of parameters. first: whether it is the effect's first, which shows the effect too."""
     return {
         "effect": effect["id"],
         "name": name,
@@ -170,12 +173,12 @@ def _table_row(effect: Mapping[str, Any], name: str, value: str, first: bool) ->
 
 
 def _unit(parameter: Parameter, unit: str) -> str:
-    """A parameter's unit as a reader knows it. unit: the actuator's own, put in place of "unit"."""
+    """A parameter's unit with the actuator's own `unit` in place of the word "unit"."""
     return parameter.unit.replace("unit", unit)
 
 
 def _conditions(diagnosis: Diagnosis, unit: str) -> list[dict[str, Any]]:
-    """A picture for every axis, the most telling first."""
+    """A title and a picture for each of the first _AXES conditions, the most telling first. unit: of q."""
     if diagnosis.document["verdict"] == "effect":
         reference = diagnosis.corrected.load_reference_mNm
         tests = diagnosis.segments[1:]
@@ -197,7 +200,7 @@ def _conditions(diagnosis: Diagnosis, unit: str) -> list[dict[str, Any]]:
 
 
 def _rms(condition: Condition) -> where.Array:
-    """(bins,) rms of a condition's residuals per coordinate, px or deg, to be compared with the noise."""
+    """(bins,) rms of a condition's residuals per coordinate, px or deg."""
     return np.asarray(np.sqrt(condition.power / condition.mean.shape[1]))
 
 
@@ -205,7 +208,8 @@ def _rms(condition: Condition) -> where.Array:
 def _condition_figure(
     diagnosis: Diagnosis, condition: Condition, after: Condition | None, unit: str, top: float
 ) -> Figure:
-    """Residual over one axis: rms (area), mean (lines), rms after (red). top: the common end of the vertical axis."""
+    """The residual over one axis: rms (area), mean of each coordinate (lines), rms after the correction (red). after:
+    the same condition then; unit: of q; top: the common end of all pictures' vertical axes, px or deg."""
     made, axes = figures.figure(3.5, 2.2)
     ax: Axes = axes[0, 0]
     floor = diagnosis.document["noise_floor"]
@@ -213,10 +217,10 @@ def _condition_figure(
     colours = (figures.UP, figures.DOWN)
     if condition.axis == "direction":
         shown = {-1: "falls", 0: "rests", 1: "rises"}
-        at = np.sign(np.round(x)).astype(int)
-        ax.bar(at, rms, width=0.6, color=figures.PALE)
+        direction = np.sign(np.round(x)).astype(int)
+        ax.bar(direction, rms, width=0.6, color=figures.PALE)
         for values, colour in zip(condition.mean.T, colours, strict=False):
-            ax.plot(at, values, "o", color=colour, markersize=4)
+            ax.plot(direction, values, "o", color=colour, markersize=4)
         if after is not None:
             ax.plot(np.sign(np.round(after.centres)), _rms(after), "_", color=figures.MODEL, markersize=22)
         ax.set_xticks(list(shown), list(shown.values()))
@@ -228,18 +232,18 @@ def _condition_figure(
         if after is not None:
             ax.plot(after.centres, _rms(after), color=figures.MODEL, linewidth=1.8)
         ax.margins(x=0)
-        of = where.AXES[condition.axis][2].replace("unit", unit)
-        ax.set_xlabel(f"{_TITLES.get(condition.axis, condition.axis)} ({of})")
+        unit_of_axis = where.AXES[condition.axis][2].replace("unit", unit)
+        ax.set_xlabel(f"{_TITLES.get(condition.axis, condition.axis)} ({unit_of_axis})")
     ax.axhline(floor, color=figures.INK, linewidth=0.8, linestyle="--")
     low = min(0.0, float(condition.mean.min()))
-    ax.set_ylim(1.08 * low, 1.08 * top)
+    ax.set_ylim(_MARGIN * low, _MARGIN * top)
     ax.set_ylabel(f"residual ({diagnosis.document['unit']})")
     return made
 
 
 @mpl.rc_context(figures.STYLE)
 def residuals(diagnosis: Diagnosis) -> Figure:
-    """Distance between prediction and measurement over the session's time, by both models."""
+    """The rms residual of each scored observation, px or deg, over the session's time in s, by both models."""
     made, axes = figures.figure(10.5, 2.8)
     ax = axes[0, 0]
     named = diagnosis.document["verdict"] == "effect"
