@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tautline.diagnosis.scatter import RIVALS, Scatter, frames, weighed
+from tautline.diagnosis.scatter import RIVALS, Scatter, compared, frames
 
 FLOOR, RATE_HZ = 0.05, 25.0
 JITTER, STICK = "acquisition.jitter", "transmission.stick_slip"
@@ -18,7 +18,7 @@ def told(rng: np.random.Generator, make) -> Scatter:
     p = np.cumsum(speed * (np.sin(2 * np.pi * t / 9.0) > -0.2) * np.sign(np.sin(2 * np.pi * t / 18.0))) / RATE_HZ
     seen = make(t, p, rng)[:, None] * PX_PER_UNIT + rng.normal(0.0, FLOOR, (len(t), 2))
     block = (t // 8.0).astype(np.int64)
-    return weighed([frames(t, seen, p[:, None] * PX_PER_UNIT, p, block)], FLOOR, int(block[-1]) + 1)
+    return compared([frames(t, seen, p[:, None] * PX_PER_UNIT, p, block)], FLOOR, int(block[-1]) + 1)
 
 
 def unsteady(t, p, rng):
@@ -77,7 +77,7 @@ def test_of_frames_that_come_in_bunches_nothing_is_told():
     p = np.sin(t)
     seen = p[:, None] * PX_PER_UNIT
     block = (t // 2.0).astype(np.int64)
-    said = weighed([frames(t, seen, seen, p, block)], FLOOR, int(block[-1]) + 1)
+    said = compared([frames(t, seen, seen, p, block)], FLOOR, int(block[-1]) + 1)
     assert said.white == 1.0
     assert not any(said.beats_noise(event) for event in (JITTER, STICK, HELD))
     assert all(loss.tolist() == [0.0] * 4 for loss in said.loss.values()) and set(RIVALS) < set(said.loss)

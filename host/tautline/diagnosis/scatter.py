@@ -1,11 +1,12 @@
-"""Effects without a reproducible path: frame jitter and stick-slip, told by the statistics of what a model leaves.
+"""Events: effects without a reproducible path (frame jitter, stick-slip), identified by the statistics of residuals.
 
-Each is a density of a frame's image position given the frames before it, so that their likelihoods compare. Unsteady
-frame times scatter along the motion as far as the image moves in them. A sticking tip stays where it was while the
-motor drives on, the likelier the less it has driven since, and then is anywhere within a jump. Rivals stand for
-whatever else leaves a residual: one that is larger while something moves, one that remembers the frames before,
-images that repeat whatever the motor did, and a tracker that errs with the place within a pixel. A share of every
-density is broad: no model is right for every frame.
+Each explanation is a density of a frame's observation given the frames before it, with one free number by maximum
+likelihood, so that their likelihoods compare. Jitter: frame times are unsteady, and the image scatters along its motion
+in proportion to its speed. Stick-slip: the tip stays where it was while the motor drives on, the likelier the less it
+has driven since, and else is anywhere within a jump. Rivals stand for whatever else leaves a residual: noise whose
+level is another while the motor drives ("level"), noise that is correlated with the frames before ("memory"), a link
+that sends frames twice, and a tracker that errs with the position within a pixel ("pixels"). Every density is mixed
+with a broad one: no model is right for every frame.
 """
 
 from __future__ import annotations
@@ -24,231 +25,238 @@ Array = npt.NDArray[np.float64]
 STICK_SLIP, JITTER, HELD = "transmission.stick_slip", "acquisition.jitter", "acquisition.held_samples"
 _AS_IT_IS = "as it is"
 RIVALS = ("level", "memory", HELD, "pixels")
-_MOVES = 0.02  # tolerance: of the fastest: slower is at rest
-_REMEMBERED = 3  # tolerance: frames that the rival with a memory reaches back
+_MOVES = 0.02  # tolerance: share of the fastest drive from frame to frame: slower is at rest
+_REMEMBERED = 3  # tolerance: frames that the rival "memory" reaches back
 _BROAD = 0.03  # prior: share of frames that follow no model
-_HAPPENS_S = 0.5  # about a shift: it takes its time, and a model of before and after says nothing of how it moves
-_LONGEST_S = 0.1  # prior: frame times are not less steady than this
+_HAPPENS_S = 0.5  # tolerance: s about a shift or slip that are left out: no model says how it moves meanwhile
+_LONGEST_S = 0.1  # prior: s: the largest standard deviation of frame times
+_EVEN = 0.5  # tolerance: share of the median frame period by which an interval may differ: else a frame was lost
+_FAST, _FAST_IMAGE = 0.99, 0.9  # tolerance: quantiles of a fast drive and of a fast image
+_LEAST, _MOST = 0.01, 0.99  # prior: limits of the probability that a tip sticks
+_OUTLIERS = 0.97  # tolerance: quantile to which squared residuals are cut where a noise level is estimated
+_HELD_SHARES = np.array([0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 0.9])  # prior: grid of repeats
+_JUMPS = (0.1, 30.0)  # prior: range of jumps, times a fast drive from frame to frame
 
 
 @dataclass(frozen=True)
 class Scatter:
-    """How well each says what is seen: losses, twice the mean negative log-likelihood per coordinate of each block
-    (blocks,), the constant left out so that a Gaussian of variance v gives log v."""
+    """How well each explanation predicts the residuals of a fit."""
 
-    loss: dict[str, Array]  # of the two events' ids, of RIVALS and of what is left "as it is"
-    amount: dict[str, float]  # of each event: how much it scatters, in its parameter's unit
+    # By explanation (the events' ids, RIVALS, _AS_IT_IS): (blocks,) -2 mean log-likelihood per coordinate, less a
+    # constant, so that a Gaussian of variance v gives log v; 0 of blocks in which no frame counts.
+    loss: dict[str, Array]
+    amount: dict[str, float]  # by event: its one number, in its parameter's unit
 
     @property
     def plain(self) -> Array:
-        """(blocks,) of what is left as it is."""
+        """(blocks,) The loss of the residuals as noise of one level at rest and one while the motor drives."""
         return self.loss[_AS_IT_IS]
 
     @property
     def white(self) -> float:
-        """The share of the noise's variance that the frames before do not foretell."""
-        told = self.loss["level"] != 0.0
-        gained = (self.loss["memory"] - self.loss["level"])[told]
-        return float(np.exp(min(0.0, float(np.mean(gained))))) if told.any() else 1.0
+        """The share of the noise's variance that is uncorrelated with the frames before, 0 to 1."""
+        counts = self.loss["level"] != 0.0
+        gained = (self.loss["memory"] - self.loss["level"])[counts]
+        return float(np.exp(min(0.0, float(np.mean(gained))))) if counts.any() else 1.0
 
     def beats_noise(self, event: str) -> bool:
-        """Whether an event says more than a level of noise."""
+        """Whether an event is a better explanation than noise of another level while the motor drives."""
         return float(np.mean(self.loss[event])) < float(np.mean(self.loss["level"]))
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Observations with as many predecessors as a memory needs, none lost between; (n, k) px or deg, (n,)."""
+    """The n frames of a recording that count: scored, with _REMEMBERED predecessors of which none was lost."""
 
-    residual: Array
-    moved: Array  # observed, from the frame before
-    velocity: Array  # predicted, per second
-    period: Array  # s, from the frame before
-    driven: Array  # unit of the centre coordinate since the frame before
-    per_unit: Array  # (n, k) predicted image motion per unit driven; at rest that of before
+    residual: Array  # (n, k) observed less predicted, px or deg
+    moved: Array  # (n, k) observed, from the frame before
+    velocity: Array  # (n, k) predicted, per second
+    period: Array  # (n,) s, from the frame before
+    driven: Array  # (n,) by how much the play's centre moved since the frame before, unit of q
+    per_unit: Array  # (n, k) predicted image motion per unit of `driven`; at rest that of the motion before
     image: Array  # (n, k) observed
-    before: Array  # (n, k, _REMEMBERED) residuals
-    block: npt.NDArray[np.int64]
+    before: Array  # (n, k, _REMEMBERED) residuals of the frames before
+    block: npt.NDArray[np.int64]  # (n,) the number of the block of manoeuvres
 
 
-def of_fit(fitter: Fitter, fit: Fit, labels: Sequence[npt.NDArray[np.int64]], only_tests: bool) -> Scatter:
-    """Losses of each explanation of the residuals' scatter for one fit. labels: the block of each recording's scored
-    observations. only_tests: an effect after the calibration, whose blocks' losses are 0 then. Frames near an event's
-    moment are left out."""
-    parts, count = [], 0
+def of_fit(fitter: Fitter, fit: Fit, labels: Sequence[npt.NDArray[np.int64]], tests_only: bool) -> Scatter:
+    """How well each explanation predicts the residuals of a fit. labels: (scored,) of each recording, the number of
+    each observation's block. tests_only: for an event that came after the calibration, whose frames do not count then.
+    Frames near a moment of the fit (shift, slip) do not count either."""
+    parts, blocks = [], 0
     for segment, label in zip(fitter.segments, labels, strict=True):
         block = np.full(len(segment.scored), -1)
-        block[segment.scored] = label + count
-        seen = segment.arrival_s + segment.offset_s - fit.state.model.delay_s
+        block[segment.scored] = label + blocks
+        scene_s = segment.arrival_s + segment.offset_s - fit.state.model.delay_s
         for moment in (name for kind in fit.hypothesis.kinds for name in kind.moments):
-            block[np.abs(seen - fit.state.values[moment]) < _HAPPENS_S] = -1
-        count += int(label.max(initial=-1)) + 1
-        if not (only_tests and segment.calibration):
-            at = fit.state.at(segment, fit.hypothesis)
-            path, predicted = segment.predict(fit.state.model, at, fitter.load_reference)
+            block[np.abs(scene_s - fit.state.values[moment]) < _HAPPENS_S] = -1
+        blocks += int(label.max(initial=-1)) + 1
+        if not (tests_only and segment.calibration):
+            parameters = fit.state.at(segment, fit.hypothesis)
+            path, predicted = segment.predict(fit.state.model, parameters, fitter.load_reference)
             parts.append(frames(segment.arrival_s, segment.observed, predicted, path.p, block))
-    return weighed(parts, fitter.floor, count)
+    return compared(parts, fitter.floor, blocks)
 
 
 def frames(t: Array, observed: Array, predicted: Array, p: Array, block: npt.NDArray[np.int64]) -> Frames:
-    """The frames of one recording that count: scored (block >= 0), with _REMEMBERED evenly timed predecessors. t:
-    arrival times, s; observed, predicted: (n, k); p: the centre coordinate (n,)."""
+    """The frames of one recording that count. t: arrival times (n,), s; observed, predicted: (n, k); p: the play's
+    centre coordinate (n,), unit of q; block: (n,) the number of the block, -1 of frames that are not scored."""
     step = np.diff(t)
-    whole = np.concatenate([[False], np.abs(step - np.median(step)) < 0.5 * np.median(step)])
-    known = block >= 0
+    follows = np.concatenate([[False], np.abs(step - np.median(step)) < _EVEN * np.median(step)])  # the frame before
+    counts = block >= 0
     for back in range(1, _REMEMBERED + 1):
-        known[back:] &= whole[back:] & whole[1 : len(t) - back + 1]
-        known[:back] = False
-    at = np.flatnonzero(known)
+        counts[back:] &= follows[back:] & follows[1 : len(t) - back + 1]
+        counts[:back] = False
+    kept = np.flatnonzero(counts)
     residual = observed - predicted
-    driven, seen = np.abs(np.diff(p, prepend=p[0])), np.diff(predicted, axis=0, prepend=predicted[:1])
-    moves = driven > _MOVES * max(float(np.quantile(driven, 0.99)), 1e-12)
-    last = np.maximum.accumulate(np.where(moves, np.arange(len(t)), 0))
-    per_unit = (seen / np.maximum(driven, 1e-9)[:, None])[last] * moves[last, None]
+    driven, image_motion = np.abs(np.diff(p, prepend=p[0])), np.diff(predicted, axis=0, prepend=predicted[:1])
+    moves = driven > _MOVES * max(float(np.quantile(driven, _FAST)), 1e-12)
+    last_moving = np.maximum.accumulate(np.where(moves, np.arange(len(t)), 0))
+    per_unit = (image_motion / np.maximum(driven, 1e-9)[:, None])[last_moving] * moves[last_moving, None]
     return Frames(
-        residual[at],
-        observed[at] - observed[at - 1],
-        np.gradient(predicted, t, axis=0)[at],
-        np.diff(t, prepend=t[0])[at],
-        driven[at],
-        per_unit[at],
-        observed[at],
-        np.stack([residual[at - back] for back in range(1, _REMEMBERED + 1)], axis=-1),
-        block[at],
+        residual=residual[kept],
+        moved=observed[kept] - observed[kept - 1],
+        velocity=np.gradient(predicted, t, axis=0)[kept],
+        period=np.diff(t, prepend=t[0])[kept],
+        driven=driven[kept],
+        per_unit=per_unit[kept],
+        image=observed[kept],
+        before=np.stack([residual[kept - back] for back in range(1, _REMEMBERED + 1)], axis=-1),
+        block=block[kept],
     )
 
 
-def weighed(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
-    """Losses and amounts of each explanation, its one number by maximum likelihood. parts: of each recording; floor:
-    the noise of one coordinate; blocks: how many there are in all. Where no frame counts nothing is told of any."""
+def compared(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
+    """The loss of each explanation, and the events' amounts, by maximum likelihood. parts: of each recording; floor:
+    one standard deviation of the noise of a coordinate, px or deg; blocks: the number of blocks in all. All are 0 where
+    no frame counts."""
     if not any(len(part.block) for part in parts):
-        told = (JITTER, STICK_SLIP, _AS_IT_IS, *RIVALS)
-        return Scatter({name: np.zeros(blocks) for name in told}, dict.fromkeys((JITTER, STICK_SLIP, HELD), 0.0))
+        names = (JITTER, STICK_SLIP, _AS_IT_IS, *RIVALS)
+        return Scatter({name: np.zeros(blocks) for name in names}, dict.fromkeys((JITTER, STICK_SLIP, HELD), 0.0))
     frames = _Joined(parts, floor)
-    speed, driven = frames.speed, frames.driven
-    # finest: s in which a fast image moves as far as the noise; reach: what a fast motor drives between two frames
-    finest = floor / max(float(np.quantile(speed, 0.9)), 1e-9)
+    # s in which a fast image moves as far as the noise
+    finest_s = floor / max(float(np.quantile(frames.speed, _FAST_IMAGE)), 1e-9)
     jittered, jitter_s = frames.likeliest(
-        frames.jitter, np.geomspace(min(0.1 * finest, 0.1 * _LONGEST_S), _LONGEST_S, 41)
+        frames.jitter, np.geomspace(min(0.1 * finest_s, 0.1 * _LONGEST_S), _LONGEST_S, 41)
     )
-    reach = max(float(np.quantile(driven, 0.99)), 1e-9)
-    stuck, jump = frames.likeliest(frames.stick, np.geomspace(0.1 * reach, 30.0 * reach, 61))
-    frozen, held = frames.likeliest(
-        frames.repeats, np.array([0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 0.9])
-    )
+    fast_drive = max(float(np.quantile(frames.driven, _FAST)), 1e-9)  # unit of q from frame to frame
+    stuck, jump = frames.likeliest(frames.stick, np.geomspace(_JUMPS[0] * fast_drive, _JUMPS[1] * fast_drive, 61))
+    repeated, held_share = frames.likeliest(frames.repeats, _HELD_SHARES)
     log_densities = {
         JITTER: jittered,
         STICK_SLIP: stuck,
         _AS_IT_IS: frames.two_levels(frames.as_it_is),
         "level": frames.two_levels(frames.residual),
         "memory": frames.two_levels(frames.residual - frames.by_memory()),
-        HELD: frozen,
+        HELD: repeated,
         "pixels": frames.two_levels(frames.residual - _pixel_phase_part(frames.residual, frames.image)),
     }
     count = np.maximum(np.bincount(frames.block, minlength=blocks), 1)
-    seen = np.bincount(frames.block, minlength=blocks) > 0
+    has_frames = np.bincount(frames.block, minlength=blocks) > 0
     # Less 1, the mean of square over variance: a Gaussian of variance v then gives log v.
     loss = {
-        name: seen * (-2.0 / frames.coordinates * np.bincount(frames.block, x, minlength=blocks) / count - 1.0)
+        name: has_frames * (-2.0 / frames.coordinates * np.bincount(frames.block, x, minlength=blocks) / count - 1.0)
         for name, x in log_densities.items()
     }
-    return Scatter(loss, {JITTER: jitter_s, STICK_SLIP: jump, HELD: held})
+    return Scatter(loss, {JITTER: jitter_s, STICK_SLIP: jump, HELD: held_share})
 
 
 class _Joined:
-    """The frames of all recordings, and the log-density (n,) of each under each explanation."""
+    """The n frames of all recordings, and their log-density (n,) under each explanation."""
 
     def __init__(self, parts: Sequence[Frames], floor: float) -> None:
-        """parts: frames of each recording; floor: the noise of one coordinate."""
+        """parts: of each recording; floor: one standard deviation of the noise of a coordinate, px or deg."""
 
-        def joined(of: Callable[[Frames], Array]) -> Array:
-            return np.concatenate([of(part) for part in parts])
+        def joined(field: Callable[[Frames], Array]) -> Array:
+            """A field of the frames of all recordings."""
+            return np.concatenate([field(part) for part in parts])
 
-        # Sticking holds the tip back by half a jump in the mean: more of it than while calibrating widens the play.
-        behind = np.concatenate([_fitted_lag(part.residual, part.per_unit) for part in parts])
+        # Sticking holds the tip back by half a jump in the mean: this lag of each recording is taken off first.
+        lag = np.concatenate([_fitted_lag(part.residual, part.per_unit) for part in parts])
         self.as_it_is, self.image = joined(lambda f: f.residual), joined(lambda f: f.image)
-        self.residual = self.as_it_is - behind
-        self._before = joined(lambda f: f.before) - behind[:, :, None]
+        self.residual = self.as_it_is - lag
+        self._before = joined(lambda f: f.before) - lag[:, :, None]
         self._velocity, self._per_unit = joined(lambda f: f.velocity), joined(lambda f: f.per_unit)
         self._by_velocity = _along_and_across2(self.residual, self._velocity)
-        self._by_way = _along_and_across2(self.residual, self._per_unit)
-        self._steep2 = np.sum(self._per_unit**2, axis=1)
+        self._by_direction = _along_and_across2(self.residual, self._per_unit)
+        self._per_unit2 = np.sum(self._per_unit**2, axis=1)
         self.driven, self._period = joined(lambda f: f.driven), joined(lambda f: f.period)
         self.block = np.concatenate([part.block for part in parts])
         self._recording = np.repeat(np.arange(len(parts)), [len(part.block) for part in parts])
         self.coordinates = self.residual.shape[1]
         self._floor2 = floor**2
         self.speed = np.linalg.norm(self._velocity, axis=1)
-        self._moving = self.driven > _MOVES * max(float(np.quantile(self.driven, 0.99)), 1e-12)
-        level = max(float(np.mean(self.residual**2)), self._floor2)
-        self._broad = _isotropic(np.sum(self.residual**2, axis=1), level, self.coordinates)
-        # The place of the frame before, both with their noise.
+        self._moving = self.driven > _MOVES * max(float(np.quantile(self.driven, _FAST)), 1e-12)
+        power = max(float(np.mean(self.residual**2)), self._floor2)
+        self._broad = _isotropic(np.sum(self.residual**2, axis=1), power, self.coordinates)
+        # At the position of the frame before, both with their noise.
         moved = joined(lambda f: f.moved)
         self._repeated = _isotropic(np.sum(moved**2, axis=1), 2.0 * self._floor2, self.coordinates)
 
     def likeliest(self, family: Callable[[float], Array], scales: Array) -> tuple[Array, float]:
-        """The log-density (n,) of the likeliest member of a family, with a broad share, and its scale. family: of a
-        scale; scales: those to try."""
+        """(Log-density (n,) of the likeliest member of a family of densities, mixed with a broad one; its parameter).
+        family: parameter to log-density (n,); scales: the parameters to try."""
         tried = [self._with_broad(family(float(s))) for s in scales]
         chosen = int(np.argmax([float(np.sum(x)) for x in tried]))
         return tried[chosen], float(scales[chosen])
 
     def _with_broad(self, log_density: Array) -> Array:
-        """A mixture with a broad density: of a share _BROAD of the frames nothing is said."""
+        """(n,) The log-density (n,) mixed with a share _BROAD of a Gaussian as wide as all residuals."""
         return np.asarray(np.logaddexp(np.log1p(-_BROAD) + log_density, np.log(_BROAD) + self._broad))
 
-    def two_levels(self, left: Array) -> Array:
-        """(n,) Log-density of residuals `left` (n, k) as Gaussian noise of one variance while the motor drives and
-        another while it rests, for each recording, both estimated with outliers cut; a broad share is mixed in."""
-        squares = np.sum(left**2, axis=1)
-        variance = np.empty(len(left))
+    def two_levels(self, residual: Array) -> Array:
+        """(n,) Log-density of residuals (n, k) as Gaussian noise of one variance while the motor drives and another
+        while it rests, for each recording, both estimated with outliers cut; a broad density is mixed in."""
+        squares = np.sum(residual**2, axis=1)
+        variance = np.empty(len(residual))
         for number in np.unique(self._recording):
             for part in (self._moving & (self._recording == number), ~self._moving & (self._recording == number)):
                 if part.any():
                     here = squares[part] / self.coordinates
-                    clipped = np.minimum(here, np.quantile(here, 0.97))
+                    clipped = np.minimum(here, np.quantile(here, _OUTLIERS))
                     variance[part] = max(float(np.mean(clipped)), self._floor2)
         return self._with_broad(_isotropic(squares, variance, self.coordinates))
 
     def by_memory(self) -> Array:
-        """(n, k) The part of the residual that the residuals of the frames before predict linearly."""
+        """(n, k) What the residuals of the _REMEMBERED frames before predict linearly of each residual."""
         n, k = self.residual.shape
-        memory = np.linalg.lstsq(self._before.reshape(n * k, -1), self.residual.ravel(), rcond=None)[0]
-        return np.asarray(self._before @ memory)
+        coefficients = np.linalg.lstsq(self._before.reshape(n * k, -1), self.residual.ravel(), rcond=None)[0]
+        return np.asarray(self._before @ coefficients)
 
     def jitter(self, seconds: float) -> Array:
-        """(n,) Log-density if frame times scatter by so many seconds, one standard deviation: the image then scatters
-        along its motion in proportion to its speed."""
+        """(n,) Log-density if frame times scatter by this standard deviation: the variance along the image's motion is
+        floor^2 + (seconds speed)^2, across it floor^2."""
         along, across2 = self._by_velocity
         variance = self._floor2 + (seconds * self.speed) ** 2
         return _gaussian_along(along, across2, variance, self._floor2, self.coordinates)
 
     def stick(self, jump: float) -> Array:
-        """(n,) Log-density of a tip that stays while the motor drives, with a probability that falls to 0 over a drive
-        by `jump` (of the centre coordinate, unit of q), and else is anywhere within a jump of the prediction."""
-        held = np.where(self.driven > 0.0, np.clip(1.0 - self.driven / jump, 0.01, 0.99), 0.99)
-        variance = self._floor2 + self._steep2 * jump**2 / 12.0  # equation: of a uniform density
-        along, across2 = self._by_way
-        within = _gaussian_along(along, across2, variance, self._floor2, self.coordinates)
-        return np.asarray(np.logaddexp(np.log(held) + self._repeated, np.log1p(-held) + within))
+        """(n,) Log-density of a tip that stays at the position of the frame before with a probability 1 - driven /
+        jump, and else is anywhere within a jump of the prediction, along its path. jump: of the play's centre, unit of
+        q."""
+        stays = np.where(self.driven > 0.0, np.clip(1.0 - self.driven / jump, _LEAST, _MOST), _MOST)
+        variance = self._floor2 + self._per_unit2 * jump**2 / 12.0  # equation: of a uniform density
+        along, across2 = self._by_direction
+        within_jump = _gaussian_along(along, across2, variance, self._floor2, self.coordinates)
+        return np.asarray(np.logaddexp(np.log(stays) + self._repeated, np.log1p(-stays) + within_jump))
 
     def repeats(self, share: float) -> Array:
-        """(n,) Log-density of a link that shows this share of the frames a second time, in place of the next ones."""
-        # The fitted delay has taken up how late such images are in the mean.
-        early = self.residual - share * self._velocity * self._period[:, None]
-        steady = _isotropic(np.sum(early**2, axis=1), 2.0 * self._floor2, self.coordinates)
-        return np.asarray(np.logaddexp(np.log(share) + self._repeated, np.log1p(-share) + steady))
+        """(n,) Log-density of a link that shows this share of the frames a second time in place of the next one."""
+        # The fitted delay holds how late such images are in the mean: fresh ones are early by that.
+        fresh_residual = self.residual - share * self._velocity * self._period[:, None]
+        fresh = _isotropic(np.sum(fresh_residual**2, axis=1), 2.0 * self._floor2, self.coordinates)
+        return np.asarray(np.logaddexp(np.log(share) + self._repeated, np.log1p(-share) + fresh))
 
 
 def _isotropic(squares: Array, variance: Array | float, k: int) -> Array:
-    """Log-density (n,) of an isotropic Gaussian in k coordinates, less its constant. squares: of the distance;
-    variance: of a coordinate, one or (n,)."""
+    """(n,) -(k log(variance) + squares / variance) / 2: log-density of an isotropic Gaussian in k coordinates, up to a
+    constant. squares: (n,) of the distance from its centre; variance: of a coordinate, one or (n,)."""
     return np.asarray(-0.5 * (k * np.log(variance) + squares / variance))
 
 
 def _gaussian_along(along: Array, across2: Array, variance: Array, across_variance: float, k: int) -> Array:
-    """Log-density (n,) of a Gaussian with `variance` along the motion and `across_variance` across it; across2: squared
-    distance across."""
+    """(n,) Log-density of a Gaussian in k coordinates, up to a constant, with `variance` (n,) along the motion and
+    across_variance across it. along (n,): distance along; across2 (n,): squared distance across."""
     value: Array = -0.5 * (np.log(variance) + along**2 / variance)
     if k > 1:
         value = value - 0.5 * (np.log(across_variance) + across2 / across_variance)
@@ -256,26 +264,25 @@ def _gaussian_along(along: Array, across2: Array, variance: Array, across_varian
 
 
 def _along_and_across2(r: Array, direction: Array) -> tuple[Array, Array]:
-    """(n,) The component of r (n, k) along a direction (n, k) of any length, in the unit of r, and the square of what
-    is across it."""
+    """(The component (n,) of r (n, k) along a direction (n, k) of any length, the square (n,) of what is across it)."""
     unit = direction / np.maximum(np.linalg.norm(direction, axis=1), 1e-9)[:, None]
     along = np.sum(r * unit, axis=1)
     return along, np.maximum(np.sum(r**2, axis=1) - along**2, 0.0)
 
 
 def _fitted_lag(r: Array, per_unit: Array) -> Array:
-    """(n, k) The part of a recording's residual that a constant lag of the centre coordinate along the motion
-    explains."""
+    """(n, k) The part of a recording's residual r (n, k) that a constant lag of the play's centre explains. per_unit
+    (n, k): image motion per unit of the centre."""
     length = float(np.sum(r * per_unit)) / max(float(np.sum(per_unit**2)), 1e-12)
     return length * per_unit
 
 
 def _pixel_phase_part(r: Array, image: Array) -> Array:
-    """(n, k) The part of the residual that the position within a pixel explains: two harmonics of each image
-    coordinate."""
+    """(n, k) The part of the residual r (n, k), px, that the position within a pixel explains: the first two harmonics
+    of each image coordinate (n, k)."""
     explained = np.empty_like(r)
-    for i, (left, x) in enumerate(zip(r.T, image.T, strict=True)):
-        turns = 2.0 * np.pi * x
-        waves = np.column_stack([f(n * turns) for n in (1, 2) for f in (np.sin, np.cos)])
-        explained[:, i] = waves @ np.linalg.lstsq(waves, left, rcond=None)[0]
+    for i, (residual, x) in enumerate(zip(r.T, image.T, strict=True)):
+        phase = 2.0 * np.pi * x
+        waves = np.column_stack([f(n * phase) for n in (1, 2) for f in (np.sin, np.cos)])
+        explained[:, i] = waves @ np.linalg.lstsq(waves, residual, rcond=None)[0]
     return explained
