@@ -92,11 +92,11 @@ def test_what_is_there_beside_an_effect_may_be_one_of_several():
     """Two or more are sure, and which the second is is not: naming none leaves one out for sure."""
     singles = {(LOAD,): 0.3, (RATE,): 0.8, (DELAY,): 0.8}
     verdict = decide(evidence({**singles, (LOAD, RATE): 0.004, (LOAD, DELAY): 0.004}))
-    assert verdict.named[0] == LOAD and {verdict.named[1], *verdict.instead} == {RATE, DELAY}
+    assert verdict.named[0] == LOAD and {verdict.named[1], *verdict.alternatives} == {RATE, DELAY}
     assert verdict.probability[1] < 2.0 / 3.0 < verdict.probability[0]
     assert sum(verdict.count[2:]) > 0.9
     certain = decide(evidence({**singles, (LOAD, RATE): 0.004, (LOAD, DELAY): 0.1}))
-    assert certain.named == (LOAD, RATE) and certain.instead == ()
+    assert certain.named == (LOAD, RATE) and certain.alternatives == ()
 
 
 def test_one_of_several_is_named_where_one_is_likelier_than_not_by_two_to_one():

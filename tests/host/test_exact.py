@@ -26,10 +26,10 @@ def after_turns() -> np.ndarray:
 def test_a_few_frames_tell_of_two_hypotheses_which_is_right() -> None:
     right = noise(1)
     wrong = [own + after_turns() for own in right]
-    said = exact.likelier(wrong, right, LIMITS, NOISE)
+    said = exact.log_likelihood_ratio(wrong, right, LIMITS, NOISE)
     assert said == pytest.approx(2 * 15 * 0.3**2 / (2.0 * NOISE**2), rel=0.3)
     assert exact.chance([said, -3.0]) < 1e-6
-    assert exact.likelier(right, wrong, LIMITS, NOISE) == pytest.approx(-said)
+    assert exact.log_likelihood_ratio(right, wrong, LIMITS, NOISE) == pytest.approx(-said)
     assert exact.chance([-said, -3.0]) == 1.0
 
 
@@ -38,7 +38,7 @@ def test_noise_that_remembers_tells_less() -> None:
     said = []
     for memory in (0.0, 0.95):
         right = noise(2, memory)
-        said.append(exact.likelier([own + slow for own in right], right, LIMITS, NOISE))
+        said.append(exact.log_likelihood_ratio([own + slow for own in right], right, LIMITS, NOISE))
     assert 0.0 < said[1] < 0.2 * said[0]
 
 
@@ -46,7 +46,7 @@ def test_a_lost_marker_tells_no_more_than_any_outlier() -> None:
     right = noise(3)
     wrong = [own.copy() for own in right]
     wrong[0][700] = 500.0
-    assert exact.likelier(wrong, right, [0.2, 0.2], NOISE) < 2 * 0.2**2 / NOISE**2
+    assert exact.log_likelihood_ratio(wrong, right, [0.2, 0.2], NOISE) < 2 * 0.2**2 / NOISE**2
 
 
 @pytest.mark.parametrize(

@@ -119,8 +119,8 @@ def test_all_axes_come_late_with_the_delay():
     ahead = 2e-3
     later = replace(fitter.start(), model=replace(MODEL, delay_s=MODEL.delay_s + ahead))
     sooner = replace(later, model=replace(MODEL, delay_s=MODEL.delay_s - ahead))
-    rows = fitter.rows(fitter.start(), fitter.nothing)
-    seen = [fitter.residuals(state, fitter.nothing) for state in (sooner, later)]
+    rows = fitter.rows(fitter.start(), fitter.no_effect)
+    seen = [fitter.residuals(state, fitter.no_effect) for state in (sooner, later)]
     for row, before, after in zip(rows, *seen, strict=True):
         expected, column = (before - after) / (2.0 * ahead), row.columns[:, :, -1]
         off = np.abs(column - expected)  # differences reach across a turn now and then
@@ -238,5 +238,5 @@ def test_a_sensor_that_the_model_was_not_calibrated_with_has_no_delay_to_find():
     other = Fitter(replace(MODEL, sensor=ANGLE), fitter.segments)
     assert fitter.delayed and not other.delayed
     assert "acquisition.delay" not in {kind.id for kind in applicable(other)}
-    rows = other.rows(other.start(), other.nothing)
+    rows = other.rows(other.start(), other.no_effect)
     assert all(np.all(row.columns[:, :, -1] == 0.0) for row in rows)

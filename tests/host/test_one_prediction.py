@@ -89,7 +89,7 @@ def test_all_say_the_same_of_the_marker(elements, kind):
     fitter = Fitter(own, segments)
     for segment in segments:
         same(segment.predict(own, {}, 0.0)[1])
-    for segment, row in zip(segments, fitter.rows(fitter.start(), fitter.nothing), strict=True):
+    for segment, row in zip(segments, fitter.rows(fitter.start(), fitter.no_effect), strict=True):
         same((segment.observed[segment.scored] - row.residual), segment.scored)
     # The simulation with effects, all of them absent.
     lines = straight_lines(motor, RIG.actuator.encoder_resolution)

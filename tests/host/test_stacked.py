@@ -39,7 +39,7 @@ def case(seed: int, blocks: int, calibrated: float = 2.0) -> CaseEvidence:
 def test_what_is_left_beyond_the_stages_is_noise_or_it_is_not(seed, blocks, known, steady, disturbed):
     """Noise of a power that is known to `known`; in a share of the blocks anything from the noise up."""
     evidence = case(seed, blocks)
-    told = Stacked(evidence).confined(known, steady, disturbed)
+    told = Stacked(evidence).confined_log_ratio(known, steady, disturbed)
     assert told[0] == 0.0
     off = np.linspace(-20.0, 3.0, 116) * known
     prior = np.array([-0.5 * (o / known) ** 2 if o > 0.0 else -abs(o) for o in off])
@@ -66,7 +66,7 @@ def test_what_is_left_beyond_the_stages_is_noise_or_it_is_not(seed, blocks, know
 def test_far_too_much_is_left_in_very_many_blocks():
     """Within what a double holds."""
     evidence = case(1, 300)
-    assert np.isfinite(Stacked(evidence).confined(1.0, 0.02, 0.99)).all()
+    assert np.isfinite(Stacked(evidence).confined_log_ratio(1.0, 0.02, 0.99)).all()
 
 
 @settings(deadline=None, max_examples=25)
@@ -74,7 +74,7 @@ def test_far_too_much_is_left_in_very_many_blocks():
 def test_a_block_is_student_distributed_about_what_is_predicted(seed, misfit, noise, freedom, excess):
     evidence = case(seed, 12, calibrated=1.0)
     stacked = Stacked(evidence)
-    told = stacked.by_share(misfit, noise, freedom, excess)
+    told = stacked.log_likelihood_by_share(misfit, noise, freedom, excess)
     before = np.maximum(evidence.hypotheses[0].power - FLOOR**2, 0.0)
     for i, h in enumerate(evidence.hypotheses):
         for share, value in zip(SHARES[::8], told[i, ::8], strict=True):
@@ -98,7 +98,7 @@ def test_what_the_calibration_leaves_is_in_all_blocks_the_same(blocks, numbers, 
     most = calibrated - 1.0
     for beside in (-0.2, 0.0, 0.4 * most, most, 2.0 * most):
         seen = np.full(blocks, (alone + beside) * FLOOR**2)
-        predicted, once = stacked.with_own(np.full(blocks, alone * FLOOR**2), seen, 0.4, numbers - 0.4)
+        predicted, once = stacked.with_calibration_misfit(np.full(blocks, alone * FLOOR**2), seen, 0.4, numbers - 0.4)
         own = min(max(beside, 0.0), most)
         assert predicted == pytest.approx((alone + own) * FLOOR**2)
         same = np.kron(np.ones((blocks, blocks)), np.eye(numbers))

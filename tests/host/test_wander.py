@@ -131,7 +131,7 @@ def test_what_adds_nothing_tells_nothing(lagging: Fitter, lag: Fit) -> None:
     values = {**lag.state.values, "lag": 0.0}
     absent = replace(lag, state=replace(lag.state, values=values))
     assert wander.of_fit(lagging, absent, lagging.linearised(absent), LIMITS) == ()
-    assert wander.of_fit(lagging, lagging.nominal(), lagging.rows(lagging.start(), lagging.nothing), LIMITS) == ()
+    assert wander.of_fit(lagging, lagging.nominal(), lagging.rows(lagging.start(), lagging.no_effect), LIMITS) == ()
 
 
 def test_memory_makes_numbers_tell_less() -> None:
@@ -170,7 +170,7 @@ def test_a_recording_of_which_nothing_counts_has_no_part_in_it() -> None:
     """Other axes move throughout: no frame shows the image's one curve."""
     t = np.arange(0.0, 20.0, 0.05)
     seen = wander.Course(np.sin(t), t, t, 0.0 * t, t >= 0.0)
-    values = wander.axes_values([seen, replace(seen, told=t < 0.0)])
+    values = wander.axes_values([seen, replace(seen, scored=t < 0.0)])
     assert [len(of) for of in values["place"]] == [len(t), 0]
     assert np.ptp(values["time"][0]) == pytest.approx(2.0)
 

@@ -124,7 +124,7 @@ def joint(evidence: Comparison) -> Answer:
     plain = evidence.fitter
     fitter = _Near(plain.model, plain.segments, plain.load_reference)
     fitter.floor = plain.floor
-    hypothesis = fitter.nothing
+    hypothesis = fitter.no_effect
     values: dict[str, float] = {}
     seen: set[str] = set()
     for start in evidence.screened.values():
@@ -153,7 +153,7 @@ def bic(evidence: Comparison) -> Answer:
 
     leading = list({name: None for name, _ in evidence.screened})[:_REFITTED]
     fits = [
-        fitter.fit(fitter.nothing.plus(entry.kind, scope), entry.values, evidence.base.state, entry.others)
+        fitter.fit(fitter.no_effect.plus(entry.kind, scope), entry.values, evidence.base.state, entry.others)
         for (name, scope), entry in evidence.screened.items()
         if name in leading
     ]

@@ -170,7 +170,7 @@ def left_by(session: Course, truth: Truth, throughout: bool, outside: bool) -> f
     if fitter is None:
         return 0.0
     noise = session.plant.noise_px
-    left = rms(fitter.left(fitter.rows(fitter.start(), fitter.nothing))[1:])
+    left = rms(fitter.residuals_after_step(fitter.rows(fitter.start(), fitter.no_effect))[1:])
     if not outside or left < VISIBLE * noise:
         return left
     return min(left, *(rms(fit.residuals[1:]) for fit in _imitations(fitter)))
@@ -206,7 +206,7 @@ def _imitations(fitter: Fitter) -> list[Fit]:
     for entry in screen(fitter, base, candidates.applicable(fitter), limits):
         best.setdefault((entry.kind.id, entry.scope), entry)
     nearest = list(best.values())[:_IMITATORS]
-    return [fitter.fit(fitter.nothing.plus(e.kind, e.scope), e.values, start=base.state) for e in nearest]
+    return [fitter.fit(fitter.no_effect.plus(e.kind, e.scope), e.values, start=base.state) for e in nearest]
 
 
 def _drawn(rng: np.random.Generator, kind: str) -> tuple[str, ...]:

@@ -111,7 +111,7 @@ def make(generator: str, effect: str, seed: int) -> Case:
 def _left(truth: Model, recordings: list[Recording], noise_px: float) -> float:
     fitter = Fitter(truth, prepare(truth, recordings[0], recordings[1:]), load_reference(recordings[0]))
     fitter.floor = noise_px
-    return rms(fitter.left(fitter.rows(fitter.start(), fitter.nothing))[1:])
+    return rms(fitter.residuals_after_step(fitter.rows(fitter.start(), fitter.no_effect))[1:])
 
 
 def _which(effect: str) -> tuple[int, int, int]:

@@ -24,48 +24,57 @@ from tautline.geometry import across
 
 Array = npt.NDArray[np.float64]
 
-_LENS_ORDER = 5  # prior: of polynomials over the image
-_PLANE_ORDER = 5  # prior: and over the bending angle
-_MOST_COLUMNS = 192  # tolerance: of a fit that is continued: more would take seconds
-_TRAVELS = (0.003, 0.01, 0.03)  # prior: of the motor's range, in which an instrument settles in its channel
+_LENS_ORDER = 5  # prior: total degree of the polynomials over the image
+_PLANE_ORDER = 5  # prior: degree of the polynomials over the bending angle
+_MOST_COLUMNS = 192  # tolerance: unknowns of a fit with stage freedom: more would take seconds
+_TRAVELS = (0.003, 0.01, 0.03)  # prior: decay lengths, in shares of the motor's range, of settling in the channel
+_RANK = 1e-9  # tolerance: relative singular value below which a direction of the unknowns is dropped
 
 
 def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Array] | None:
-    """For each recording, px: the residual's part that no law of the effects' stages could leave, each stage's freedom
-    fitted; (scored, 2), or (scored, 1) across the image motion that a free angle or time causes. None where they could
-    leave anything (no camera, no effect, angle and time both free). further: effects allowed besides, not fitted."""
+    """For each recording the residual, px, after fitting everything that the stages of a fit's effects could leave
+    whatever their laws: (scored, 2), or, where the bending angle or the time is free at every frame, its component
+    across the image motion that this causes, (scored, 1). None where these stages could leave anything (no camera, no
+    effect, angle and time both free). further: effects whose stages are free too, without being in the fit."""
     kinds = (*fit.hypothesis.kinds, *further)
     if not fitter.px or not kinds:
         return None
-    along = any(kind.through_angle for kind in kinds)
-    timed = any(kind.leaves == "time" for kind in kinds)
-    if along and timed:
+    angle_is_free = any(kind.through_angle for kind in kinds)
+    time_is_free = any(kind.leaves == "time" for kind in kinds)
+    if angle_is_free and time_is_free:
         return None
     rows = _with_stage_freedom(fitter, fit)
-    if not (along or timed):
-        return fitter.left(rows) if rows[0].columns.shape[2] <= _MOST_COLUMNS else None
-    directions = [row.by_c for row in rows] if along else [_velocity(s) for s in fitter.segments]
+    if not (angle_is_free or time_is_free):
+        return fitter.residuals_after_step(rows) if rows[0].columns.shape[2] <= _MOST_COLUMNS else None
+    directions = [row.by_c for row in rows] if angle_is_free else [_velocity(s) for s in fitter.segments]
+    return _residuals_across(rows, directions)
+
+
+def _residuals_across(rows: Sequence[ScoredRows], directions: Sequence[Array]) -> list[Array]:
+    """(scored, 1) px for each recording: the residual's component across the directions (scored, 2) in the image, after
+    a least-squares fit of the rows' columns to this component alone."""
     parts = [(across(row.residual, way), across(row.columns, way)) for row, way in zip(rows, directions, strict=True)]
     columns = np.concatenate([part[1] for part in parts])
-    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    seen = np.concatenate([part[0] for part in parts])
-    step = np.linalg.lstsq(columns / size, seen, rcond=1e-9)[0] / size
-    return [(left - moved @ step)[:, None] for left, moved in parts]
+    norm = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    residual = np.concatenate([part[0] for part in parts])
+    step = np.linalg.lstsq(columns / norm, residual, rcond=_RANK)[0] / norm
+    return [(before - slopes @ step)[:, None] for before, slopes in parts]
 
 
 def _with_stage_freedom(fitter: Fitter, fit: Fit) -> list[ScoredRows]:
-    """The fit's rows with the columns of what the stages of its effects could leave (lens, plane, channel); those of
-    effects that came later are zero in the calibration. The effects' own parameters are free, too: an inexact law has
-    biased them."""
+    """The fit linearised, with further columns for whatever the stages of its effects could leave (lens, plane,
+    channel; zero in the calibration if the effects came later). The effects' own parameters are free again: an inexact
+    law has biased them."""
     rows = fitter.linearised(fit)
     scopes = list(zip(fit.hypothesis.kinds, fit.hypothesis.scopes, strict=True))
-    for what, freedom in _FREEDOM.items():
-        since = [scope for kind, scope in scopes if kind.leaves == what]
+    for stage_freedom, columns_of in _FREEDOM.items():
+        since = [scope for kind, scope in scopes if kind.leaves == stage_freedom]
         if since:
-            later = all(since)
+            came_later = all(since)
+            present = [not (came_later and s.calibration) for s in fitter.segments]
             rows = [
-                replace(row, columns=np.concatenate([row.columns, more * (not (later and s.calibration))], axis=2))
-                for s, row, more in zip(fitter.segments, rows, freedom(fitter, rows), strict=True)
+                replace(row, columns=np.concatenate([row.columns, added * here], axis=2))
+                for row, added, here in zip(rows, columns_of(fitter, rows), present, strict=True)
             ]
     return rows
 
@@ -77,8 +86,8 @@ def _velocity(segment: Segment) -> Array:
 
 
 def _lens(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
-    """Freedom of a lens: columns (n, 2, m), Chebyshev polynomials of the predicted image position for either coordinate
-    (the observed position has noise in it)."""
+    """Columns (scored, 2, m) for each recording of any smooth lens distortion: Chebyshev products T_i(u) T_j(v), i + j
+    <= _LENS_ORDER, of the predicted image position (the observed one has noise in it), for either coordinate."""
     seen = [s.observed[s.scored] - row.residual for s, row in zip(fitter.segments, rows, strict=True)]
     low, high = (f([f(x, axis=0) for x in seen], axis=0) for f in (np.min, np.max))
     columns = []
@@ -91,38 +100,41 @@ def _lens(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
 
 
 def _plane(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
-    """Freedom of another curvature within the bending plane: the plane's two directions in the image, each times
-    polynomials of the bending angle, (n, 2, m)."""
+    """Columns (scored, 2, m) for each recording of a tip that is elsewhere within its bending plane: the image of a
+    move along the plane's two directions, sideways and along the axis, each times Chebyshev polynomials of the bending
+    angle up to _PLANE_ORDER."""
     angles = [row.path.c_deg[s.scored] for s, row in zip(fitter.segments, rows, strict=True)]
     low, high = min(float(c.min()) for c in angles), max(float(c.max()) for c in angles)
     columns = []
     for segment, row, c in zip(fitter.segments, rows, angles, strict=True):
         # px per mm that the registration is shifted along x, y and z, (n, 2) each
         x, y, z = np.moveaxis(row.columns[:, :, STATIC_COLUMNS], 2, 0)[3:6]
-        roll = row.path.rotation_deg
-        turned = np.zeros(len(c)) if roll is None else np.radians(roll[segment.scored])
-        sideways = np.cos(turned)[:, None] * x + np.sin(turned)[:, None] * y
+        roll_deg = row.path.rotation_deg
+        roll = np.zeros(len(c)) if roll_deg is None else np.radians(roll_deg[segment.scored])
+        sideways = np.cos(roll)[:, None] * x + np.sin(roll)[:, None] * y
         of_c = np.polynomial.chebyshev.chebvander(2.0 * (c - low) / max(high - low, 1e-9) - 1.0, _PLANE_ORDER)
         columns.append(np.concatenate([sideways[:, :, None] * of_c[:, None], z[:, :, None] * of_c[:, None]], axis=2))
     return columns
 
 
 def _channel(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
-    """Freedom of an instrument that rocks in its channel: rigid motions that depend on the direction and decay
-    exponentially with the travel since the last reversal, (n, 2, m)."""
+    """Columns (scored, 2, m) for each recording of an instrument that rocks in its channel: the six rigid motions, each
+    times 1, the direction s = +-1 of motion, and s exp(-travel / L) for L in _TRAVELS, with the travel of the play's
+    centre p since the last reversal."""
     columns = []
     for segment, row in zip(fitter.segments, rows, strict=True):
-        step = np.diff(row.path.p, prepend=row.path.p[0])
-        way = np.sign(step)
-        last = np.maximum.accumulate(np.where(way != 0, np.arange(len(way)), 0))
-        way = way[last]
-        turn = np.maximum.accumulate(np.where(np.diff(way, prepend=way[0]) != 0, np.arange(len(way)), 0))
-        travel = np.abs(row.path.p - row.path.p[np.maximum(turn - 1, 0)]) / fitter.model.rig.actuator.span
-        settles = [np.exp(-travel / reach) for reach in _TRAVELS]
-        law = np.column_stack([np.ones(len(way)), way, *(way * s for s in settles)])[segment.scored]
+        p = row.path.p
+        index = np.arange(len(p))
+        direction = np.sign(np.diff(p, prepend=p[0]))
+        last_moving = np.maximum.accumulate(np.where(direction != 0, index, 0))
+        direction = direction[last_moving]  # at rest that of the motion before
+        reversal = np.maximum.accumulate(np.where(np.diff(direction, prepend=direction[0]) != 0, index, 0))
+        travel = np.abs(p - p[np.maximum(reversal - 1, 0)]) / fitter.model.rig.actuator.span
+        settling = [np.exp(-travel / length) for length in _TRAVELS]
+        law = np.column_stack([np.ones(len(p)), direction, *(direction * s for s in settling)])[segment.scored]
         motions = row.columns[:, :, STATIC_COLUMNS]
         columns.append(np.einsum("nki,nj->nkij", motions, law).reshape(len(law), motions.shape[1], -1))
     return columns
 
 
-_FREEDOM = {"lens": _lens, "plane": _plane, "channel": _channel}
+_FREEDOM = {"lens": _lens, "plane": _plane, "channel": _channel}  # by `Kind.leaves`

@@ -1,7 +1,8 @@
-"""From evidence to probabilities: a comparison of models on blocks of manoeuvres that their fits did not see.
+"""From evidence to probabilities and a verdict: a Bayesian comparison of hypotheses by their power on held-out blocks.
 
 No model of an instrument is exact: the right effect leaves a share of what it explains, because reality has other
-equations; how much is learnt (hyperparameters.py). Pure: no fit, no recording, no simulation.
+equations; how much is learnt (hyperparameters.py). An effect leads a set of effects if it is the main cause of the
+gap. Pure functions: no fit, no recording, no simulation.
 """
 
 from __future__ import annotations
@@ -15,33 +16,32 @@ import numpy.typing as npt
 from tautline.diagnosis.hyperparameters import Hyperparameters, Learnt, learnt
 from tautline.diagnosis.hypotheses import CaseEvidence
 from tautline.diagnosis.likelihoods import Likelihoods
-from tautline.diagnosis.stacked import Stacked, brought, log_sum
+from tautline.diagnosis.stacked import Stacked, brought_parts, log_sum
 from tautline.effects import EVENTS
 
 Array = npt.NDArray[np.float64]
 
-# Of a further effect, given those before: naming a wrong one costs as much as leaving two right ones out.
-FURTHER = 2.0 / 3.0
-_ONE_OF = 3  # format: effects at most that are named as one of them
-MOVED = 0.2  # loss: share of what a recalibration closes from which on a part of it is named
-CLEARLY = 10.0  # loss: times likelier as a wrong effect's, from which an amplitude is told to be another elsewhere
-HELPS = 0.7  # loss: standard errors of the mean over blocks; one block alone that shows an effect is 1
+FURTHER = 2.0 / 3.0  # loss: probability of a further effect from which it is named: a wrong one costs two missed ones
+_LARGEST_GROUP = 3  # format: effects at most of which one is said to be there
+MOVED = 0.2  # loss: share of what a recalibration closes, from which a part of the nominal model is named
+CLEARLY = 10.0  # loss: likelihood ratio, wrong effect's over right one's, from which an amplitude is said to vary
+HELPS = 0.7  # loss: standard errors over blocks by which an effect must lower the power; one block alone makes 1
 
 
 @dataclass(frozen=True)
 class Decision:
-    none: float
-    unknown: float
-    leading: Mapping[str, float]  # of each effect weighed: that it is the leading one; with the two above they sum to 1
-    posterior: Array  # (hypotheses,); of those with the same effects the best alone has any
-    named: tuple[str, ...]  # the leading effect, and those that are surely there given those before
+    """Probabilities of what causes the gap, and what is named."""
+
+    none: float  # probability that nothing is there but noise and what a calibration leaves
+    unknown: float  # probability that the cause is no effect of the library
+    leading: Mapping[str, float]  # probability of each effect to lead; with the two above they sum to 1
+    posterior: Array  # (hypotheses,); among hypotheses with the same effects only the best one has any
+    named: tuple[str, ...]  # the leading effect, and further ones whose probability given those before is FURTHER
     probability: tuple[float, ...]  # of each named one, given those before
-    chosen: int  # the hypothesis of the named ones
-    brought: tuple[
-        str, ...
-    ] = ()  # parts of the nominal model in it that a named effect moved too: no causes of their own
-    instead: tuple[str, ...] = ()  # any of these may be there in the last named one's place: it is one of them
-    count: tuple[float, ...] = ()  # probability of 0, 1, 2 and of 3 or more effects; an unknown one is one
+    chosen: int  # index of the hypothesis with just the named effects
+    brought: tuple[str, ...] = ()  # parts of the nominal model that a named effect changed too: no causes of their own
+    alternatives: tuple[str, ...] = ()  # to the last named effect: one of these or it is there
+    count: tuple[float, ...] = ()  # probability of 0, 1, 2 and of 3 or more effects; an unknown one counts as one
 
     @property
     def name(self) -> str:
@@ -50,12 +50,13 @@ class Decision:
 
     @property
     def ranked(self) -> list[str]:
-        """Effects, the likeliest to lead first."""
+        """Ids of the effects, the likeliest to lead first."""
         return sorted(self.leading, key=lambda name: -self.leading[name])
 
     def ambiguous(self, covers: float | None = None) -> list[str]:
-        """The smallest set of effects whose probabilities of leading sum to a share `covers` of that of any effect, the
-        likeliest first. covers: the learnt level by default."""
+        """The smallest set of effects whose probabilities of leading sum to a share `covers` of all effects' sum, the
+        likeliest first: what the recordings cannot tell apart. covers: default the learnt level, with which the set
+        holds the right effect in 95 % of cases."""
         covers = learnt().covers if covers is None else covers
         total, held = sum(self.leading.values()), 0.0
         names: list[str] = []
@@ -67,47 +68,57 @@ class Decision:
         return names
 
 
-def decide(evidence: CaseEvidence, by: Learnt | None = None) -> Decision:
-    """The probabilities of none, of unknown and of each effect to lead, and which effects are named. by: the
-    hyperparameters, the learnt ones by default."""
-    by = by or learnt()
+def decide(evidence: CaseEvidence, learned: Learnt | None = None) -> Decision:
+    """The probabilities of none, of unknown and of each effect to lead, and which effects are named. learned: the
+    hyperparameters, by default those of the package."""
+    learned = learned or learnt()
     case = Stacked(evidence)
-    weights = Likelihoods(case, by.center)
-    p = _posterior(weights)
-    best = weights.best
+    likelihoods = Likelihoods(case, learned.center)
+    p = _posterior(likelihoods)
+    best = likelihoods.best
 
     leading = dict.fromkeys((name for ids in case.ids for name in ids), 0.0)
     for key, i in best.items():
         if key:
-            leading[weights.leader(key, best)] += float(p[i])
+            leading[likelihoods.leader(key, best)] += float(p[i])
 
-    named: list[str] = []
-    probability: list[float] = []
-    if leading:
-        named.append(max(leading, key=lambda name: leading[name]))
-        probability.append(sum(float(p[i]) for key, i in best.items() if named[0] in key))
-    instead: list[str] = []
-    while named and not instead:
-        given = {key: float(p[i]) for key, i in best.items() if set(named) <= key}
-        further, *instead = _next_to_name(given, named)
+    by_set = {key: float(p[i]) for key, i in best.items()}
+    named, probability, alternatives = _named(leading, by_set)
+    parts = brought_parts(named)
+    causes = {name: sure for name, sure in zip(named, probability, strict=True) if name not in parts}
+    return Decision(
+        none=float(p[0]),
+        unknown=float(p[-1]),
+        leading=leading,
+        posterior=p[:-1],
+        named=tuple(causes),
+        probability=tuple(causes.values()),
+        chosen=best.get(frozenset(named), 0),
+        brought=tuple(name for name in named if name in parts),
+        alternatives=tuple(alternatives) if named and named[-1] not in parts else (),
+        count=_count_probabilities(case, p),
+    )
+
+
+def _named(
+    leading: Mapping[str, float], by_set: Mapping[frozenset[str], float]
+) -> tuple[list[str], list[float], list[str]]:
+    """(The effects to name, the probability of each given those before it, the alternatives to the last one): the one
+    likeliest to lead, then further ones by `_next_to_name`. leading: probability of each effect to lead; by_set: of
+    each set of effects."""
+    if not leading:
+        return [], [], []
+    named = [max(leading, key=lambda name: leading[name])]
+    probability = [sum(value for key, value in by_set.items() if named[0] in key)]
+    alternatives: list[str] = []
+    while not alternatives:
+        given = {key: value for key, value in by_set.items() if set(named) <= key}
+        further, *alternatives = _next_to_name(given, named)
         if not further:
             break
         named.append(further)
         probability.append(sum(v for key, v in given.items() if further in key) / sum(given.values()))
-    with_them = brought(named)
-    causes = {name: sure for name, sure in zip(named, probability, strict=True) if name not in with_them}
-    return Decision(
-        float(p[0]),
-        float(p[-1]),
-        leading,
-        p[:-1],
-        tuple(causes),
-        tuple(causes.values()),
-        best.get(frozenset(named), 0),
-        tuple(name for name in named if name in with_them),
-        tuple(instead) if named and named[-1] not in with_them else (),
-        _count_probabilities(case, p),
-    )
+    return named, probability, alternatives
 
 
 def _next_to_name(given: Mapping[frozenset[str], float], named: Sequence[str]) -> tuple[str, ...]:
@@ -119,108 +130,114 @@ def _next_to_name(given: Mapping[frozenset[str], float], named: Sequence[str]) -
     for key, value in given.items():
         for name in key - set(named):
             likely[name] += value
-    ranked = sorted(likely, key=lambda name: -likely[name])[:_ONE_OF]
-    for many in range(1, len(ranked) + 1):
-        any_of = sum(value for key, value in given.items() if key & set(ranked[:many]))
-        if total > 0.0 and any_of >= FURTHER * total:
-            return tuple(ranked[:many])
+    ranked = sorted(likely, key=lambda name: -likely[name])[:_LARGEST_GROUP]
+    for size in range(1, len(ranked) + 1):
+        any_of_group = sum(value for key, value in given.items() if key & set(ranked[:size]))
+        if total > 0.0 and any_of_group >= FURTHER * total:
+            return tuple(ranked[:size])
     return ("",)
 
 
 def _count_probabilities(case: Stacked, p: Array) -> tuple[float, ...]:
-    """Probabilities of 0, 1, 2 and at least 3 effects; an unknown one counts as one. p: (hypotheses + 1,), the last of
-    unknown."""
-    many = [min(len(case.leaders[key]), 3) for key in case.sets]
-    told = np.bincount(many, p[:-1], minlength=4)
-    told[1] += p[-1]
-    return tuple(told.tolist())
+    """Probabilities of 0, 1, 2 and at least 3 effects; an unknown one counts as one. p: (hypotheses + 1,), posterior of
+    each hypothesis and last of an unknown cause."""
+    effects = [min(len(case.leaders[key]), 3) for key in case.sets]
+    count = np.bincount(effects, p[:-1], minlength=4)
+    count[1] += p[-1]
+    return tuple(count.tolist())
 
 
-def probabilities(case: Stacked, effect: str, by: Hyperparameters) -> tuple[float, float, float]:
-    """Probabilities of none, of unknown and of `effect` to lead, as `decide` finds them with one set of
-    hyperparameters."""
-    weights = Likelihoods(case, by)
-    p, best = _posterior(weights), weights.best
-    leads = (float(p[i]) for key, i in best.items() if effect in key and weights.leader(key, best) == effect)
+def probabilities(case: Stacked, effect: str, hyper: Hyperparameters) -> tuple[float, float, float]:
+    """Probabilities of none, of unknown and of `effect` to lead, as `decide` finds them with these hyperparameters."""
+    likelihoods = Likelihoods(case, hyper)
+    p, best = _posterior(likelihoods), likelihoods.best
+    leads = (float(p[i]) for key, i in best.items() if effect in key and likelihoods.leader(key, best) == effect)
     return float(p[0]), float(p[-1]), sum(leads)
 
 
-def _posterior(weights: Likelihoods) -> Array:
-    """(hypotheses + 1,) Posterior probability of each hypothesis, and last that of an unknown cause. Of hypotheses with
-    the same effects only the best has any."""
-    best = list(weights.best.values())
-    log = np.full(len(weights.of) + 1, -np.inf)
-    log[best] = weights.of[best] + weights.prior[best]
-    elsewhere = weights.elsewhere[best] + weights.prior[best]
-    log[-1] = log_sum(np.append(elsewhere, weights.unknown + np.log(weights.by.odds_unknown)))
+def _posterior(likelihoods: Likelihoods) -> Array:
+    """(hypotheses + 1,) Posterior probability of each hypothesis, likelihood times prior over their sum, and last that
+    of an unknown cause. Among hypotheses with the same effects only the best has any."""
+    best = list(likelihoods.best.values())
+    log = np.full(len(likelihoods.log_likelihood) + 1, -np.inf)
+    log[best] = likelihoods.log_likelihood[best] + likelihoods.prior[best]
+    unknown_scatter = likelihoods.unknown_scatter[best] + likelihoods.prior[best]
+    unknown_path = likelihoods.unknown + np.log(likelihoods.hyper.odds_unknown)
+    log[-1] = log_sum(np.append(unknown_scatter, unknown_path))
     return np.asarray(np.exp(log - log_sum(log)))
 
 
-def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]], by: Learnt | None = None) -> Decision:
-    """The verdict with parts of the nominal model as the cause, as recalibrating closed the gap: those are named whose
-    share is at least MOVED. parts: ids and shares of what was closed. Of the probability of unknown a learnt share
-    stays: they may imitate an unknown effect."""
-    certain = 1.0 - (by or learnt()).center.mimics
-    told = certain * verdict.unknown
+def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]], learned: Learnt | None = None) -> Decision:
+    """The verdict where a recalibration closes the gap: parts of the nominal model are the cause, and those with a
+    share of at least MOVED are named. They take the probability of unknown, but for the learnt share `mimics`, as they
+    may imitate an unknown effect. parts: (id, share of what the recalibration closes); learned: as in `decide`."""
+    certain = 1.0 - (learned or learnt()).center.mimics
+    taken = certain * verdict.unknown
     leading = dict(verdict.leading)
     for name, share in parts:
-        leading[name] = leading.get(name, 0.0) + share * told
+        leading[name] = leading.get(name, 0.0) + share * taken
     named = tuple(name for name, share in parts if share >= MOVED)
     return replace(
         verdict,
-        unknown=verdict.unknown - told,
+        unknown=verdict.unknown - taken,
         leading=leading,
         named=named,
         probability=tuple(certain for _ in named),
         chosen=0,
         brought=(),
-        instead=(),
+        alternatives=(),
     )
 
 
 def that_help(evidence: CaseEvidence, verdict: Decision) -> Decision:
-    """The verdict without effects that do not lower the held-out loss: one stays only if without it the mean square
-    over blocks rises by more than HELPS standard errors. Unknown where none stays. Events are kept, as they have no
-    path to be judged by."""
+    """The verdict without those named effects that do not lower the held-out power: from the last named to the first,
+    one stays only if without it the mean over blocks rises by more than HELPS standard errors. Events stay, as their
+    path explains nothing. Where none stays the cause is unknown."""
     ids = [h.ids for h in evidence.hypotheses]
 
-    def least(names: Sequence[str]) -> int:
+    def least_power(names: Sequence[str]) -> int:
         """Index of the hypothesis of just these effects that leaves the least power; 0, no effect, where none is."""
-        same = [i for i, own in enumerate(ids) if set(own) == set(names)]
+        same = [i for i, effects in enumerate(ids) if set(effects) == set(names)]
         return min(same, key=lambda i: float(np.mean(evidence.hypotheses[i].power)), default=0)
 
-    named, with_them, chosen = list(verdict.named), list(verdict.brought), verdict.chosen
+    named, parts, chosen = list(verdict.named), list(verdict.brought), verdict.chosen
     probability = dict(zip(verdict.named, verdict.probability, strict=False))
     for name in reversed(verdict.named if verdict.name == "effect" else ()):
         rest = [other for other in named if other != name]
-        kept = [other for other in with_them if other in brought([*rest, other])]
-        without = least([*rest, *kept])
+        kept_parts = [other for other in parts if other in brought_parts([*rest, other])]
+        without = least_power([*rest, *kept_parts])
         if name in EVENTS or (rest and not ids[without]):
             continue
         gained = evidence.hypotheses[without].power - evidence.hypotheses[chosen].power
         if float(np.mean(gained)) <= HELPS * float(np.std(gained)) / np.sqrt(len(gained)):
-            named, chosen, with_them = rest, without, kept
+            named, chosen, parts = rest, without, kept_parts
     if len(named) == len(verdict.named):
         return verdict
     if named[-1:] != [*verdict.named[-1:]]:
-        verdict = replace(verdict, instead=())
+        verdict = replace(verdict, alternatives=())
     if named:
         sure = tuple(probability[name] for name in named)
-        return replace(verdict, named=tuple(named), probability=sure, chosen=chosen, brought=tuple(with_them))
-    told = sum(verdict.leading.values())
-    nothing = dict.fromkeys(verdict.leading, 0.0)
+        return replace(verdict, named=tuple(named), probability=sure, chosen=chosen, brought=tuple(parts))
+    of_all_effects = sum(verdict.leading.values())
     return replace(
-        verdict, unknown=verdict.unknown + told, leading=nothing, named=(), probability=(), chosen=0, brought=()
+        verdict,
+        unknown=verdict.unknown + of_all_effects,
+        leading=dict.fromkeys(verdict.leading, 0.0),
+        named=(),
+        probability=(),
+        chosen=0,
+        brought=(),
     )
 
 
 def wanders(evidence: CaseEvidence) -> list[bool]:
-    """For each hypothesis, whether an effect's amplitude differs between places, speeds, times or loads, CLEARLY as a
-    wrong effect's does rather than as a right one's."""
-    return [bool(says < -np.log(CLEARLY)) for says in Likelihoods(Stacked(evidence), learnt().center).steady]
+    """For each hypothesis, whether the amplitude of one of its effects varies over place, speed, time, side or load so
+    much that a wrong effect is CLEARLY times likelier than a right one."""
+    log_ratios = Likelihoods(Stacked(evidence), learnt().center).steady  # right over wrong
+    return [bool(log_ratio < -np.log(CLEARLY)) for log_ratio in log_ratios]
 
 
 def is_open(evidence: CaseEvidence, power: Array | float) -> bool:
-    """Whether a fit leaves more than the noise and the little that a nominal model leaves where nothing is wrong.
-    power: its mean squares, px^2 or deg^2, one or (blocks,)."""
+    """Whether a fit leaves more than noise and what a sound calibration leaves: mean power > (1 + calibration_excess)
+    floor^2. power: mean squares of the residuals, px^2 or deg^2, one number or (blocks,)."""
     return float(np.mean(power)) > (1.0 + learnt().center.calibration_excess) * evidence.floor**2

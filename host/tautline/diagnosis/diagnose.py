@@ -20,7 +20,7 @@ from tautline.diagnosis.gather import Gathered, gather
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.hypotheses import CaseEvidence
 from tautline.diagnosis.moved import Moved
-from tautline.diagnosis.segment import Segment, load_reference, prepare, sensed
+from tautline.diagnosis.segment import Segment, load_reference, prepare, with_noise
 from tautline.diagnosis.tracker import TrackerError
 from tautline.effects.library.registration import with_registration
 from tautline.model import LOAD, Model, monotone
@@ -31,23 +31,26 @@ from tautline.value import Value
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-_NO_NOISE = 0.8  # tolerance: of a floor: a calibration that leaves less shows that it is none
+_NO_NOISE = 0.8  # tolerance: share of a noise floor: a calibration that leaves less refutes it
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis(Value):
-    document: dict[str, Any]  # diagnosis.json
-    nominal: Model
-    corrected: Model
-    next_motion: motion.NextMotion | None
-    segments: list[Segment]
-    before: list[Array]  # residuals of each test, (scored, k)
-    after: list[Array]
-    conditions: list[where.Condition]
-    evidence: CaseEvidence
+    """The result of a diagnosis. Residuals are (scored, k) of each test: scored observations, k = 2 px or 1 deg."""
+
+    document: dict[str, Any]  # the content of diagnosis.json
+    nominal: Model  # as calibrated
+    corrected: Model  # with what is named
+    next_motion: motion.NextMotion | None  # that tells the likeliest effects apart; None where fewer than two are left
+    segments: list[Segment]  # the recordings as they were fitted, the calibration first
+    before: list[Array]  # residuals by the calibrated model
+    after: list[Array]  # held-out residuals with what is named
+    conditions: list[where.Condition]  # under which the gap is large, the most telling first
+    evidence: CaseEvidence  # what the verdict was worked out from
 
     @property
     def verdict(self) -> Literal["effect", "none", "unknown"]:
+        """Whether the gap has a known cause, there is none, or its cause is unknown."""
         return cast(Literal["effect", "none", "unknown"], self.document["verdict"])
 
     @property
@@ -57,13 +60,14 @@ class Diagnosis(Value):
 
     @property
     def gap(self) -> Gap:
+        """The size of the gap before and after, in the observations' unit."""
         return Gap.of(self.document)
 
     @property
     def probabilities(self) -> dict[str, float]:
-        """The probability of each effect to be the leading one, the likeliest first, and of "none" and "unknown"; they
+        """The probability of each effect to be the main cause, the likeliest first, and of "none" and "unknown"; they
         sum to 1."""
-        leading = {each["id"]: float(each["probability"]) for each in self.document["candidates"]}
+        leading = {entry["id"]: float(entry["probability"]) for entry in self.document["candidates"]}
         return {**leading, "none": self.document["probability_none"], "unknown": self.document["probability_unknown"]}
 
 
@@ -75,10 +79,11 @@ def diagnose(
     left_out: Collection[str] = (),
     simulated: SimulatedNominal | None = None,
 ) -> Diagnosis:
-    """`model` is what `calibration` gave; effects that it carries are looked for anew, and stay in `corrected` where
-    nothing is named. `left_out`: effects that the library shall not know. `simulated`: where model, calibration and
-    tests are a simulator's. Raises TautError where nothing can be scored."""
-    with threadpool_limits(1, "blas"):  # its systems are small: threads that wait for each other cost 10 times more
+    """Which effect explains the gap between a calibrated model and later recordings. model: what `calibration` gave;
+    the search begins without the effects that it carries, and `corrected` keeps them where nothing is named. progress:
+    called with the share that is done, 0 to 1, and what is done now. left_out: ids of effects not to try. simulated:
+    if a user's simulator stands in the motor's place. Raises TautError where no observation can be scored."""
+    with threadpool_limits(1, "blas"):  # the systems are small: threads that wait for each other cost 10 times more
         found = _diagnosis(model.alone, calibration, tests, progress, left_out, simulated)
     if found.findings or not model.effects:
         return found
@@ -93,8 +98,8 @@ def _diagnosis(
     left_out: Collection[str],
     simulated: SimulatedNominal | None,
 ) -> Diagnosis:
-    """`diagnose`, in the order: segments and tracker errors, fits, verdict, what was there from the start, shares,
-    document."""
+    """As `diagnose`, of a model without effects. In this order: recordings prepared, the tracker's error taken off,
+    hypotheses fitted, the verdict, effects that the calibration has swallowed, the document."""
     progress(0.0, "preparing")
     segments = prepare(model, calibration, tests, simulated.drives if simulated else ())
     tracked = tracker.of_videos(model, segments, load_reference(calibration), [calibration, *tests])
@@ -148,67 +153,70 @@ def _diagnosis(
 def _fitter_and_residuals(
     model: Model, segments: list[Segment], load_mNm: float, simulated: SimulatedNominal | None
 ) -> tuple[Fitter, list[Array]]:
-    """A fitter of these recordings, and the residuals (scored, k) that the calibrated model leaves of each as it is. A
-    simulator's recording is given noise like the robot's sensor."""
+    """A fitter of these recordings, and the residuals (scored, k) of each by the calibrated model as it is. load_mNm:
+    at which the model's tables hold. A simulator's own recording, segments[0], is given white noise of the robot's
+    sensor."""
     fitter = Fitter(model, segments, load_mNm)
-    frozen = fitter.residuals(fitter.start(), fitter.nothing)
+    frozen = fitter.residuals(fitter.start(), fitter.no_effect)
     if simulated is None:
         return fitter, frozen
-    segments = [sensed(segments[0], gap.noise_floor(segments[1:], frozen[1:])), *segments[1:]]
+    segments = [with_noise(segments[0], gap.noise_floor(segments[1:], frozen[1:])), *segments[1:]]
     fitter = Fitter(model, segments, load_mNm)
-    return fitter, fitter.residuals(fitter.start(), fitter.nothing)
+    return fitter, fitter.residuals(fitter.start(), fitter.no_effect)
 
 
 def _recalibrate_and_set_noise(fitter: Fitter, frozen: Sequence[Array], tracked: TrackerError | None) -> Fit:
-    """The recalibrated nominal model's fit. Sets the fitter's noise floor: from the rests and the calibration's own
-    residuals; where videos were tracked, at least the noise of a moving marker."""
+    """The recalibrated nominal model's fit. Sets the fitter's noise floor, px or deg, from the sensor at rest, or from
+    the calibration's own residuals (`frozen`) where these are smaller; with tracked videos it is at least the noise of
+    a moving marker."""
     moving, segments = tracked.noise if tracked else 0.0, fitter.segments
     fitter.floor = max(gap.noise_floor(segments, frozen), moving)
     if tracked is not None:
         fitter.doubt, fitter.unsteady = tracked.doubt, tracked.unsteady
     base = fitter.nominal()
-    # A rest in which the tip goes on moving is no noise: the calibration has no more of it than its own fit leaves. A
-    # simulator's has none at all, and the robot's sensor still has its own.
-    floor = gap.noise_floor(segments, base.residuals, fitter.across(base))
-    left = max(gap.rms(frozen[:1]), gap.rounding_noise(segments), gap.second_difference_noise(base.residuals[1:]))
-    fitter.floor = max(left if left < _NO_NOISE * floor else floor, moving)
+    # A rest in which the tip goes on moving overestimates the noise: what the calibration leaves of itself bounds it.
+    # A simulator's calibration leaves nothing, so the rounding and the tests' own white noise stay a lower bound.
+    at_rest = gap.noise_floor(segments, base.residuals, fitter.across(base))
+    bound = max(gap.rms(frozen[:1]), gap.rounding_noise(segments), gap.second_difference_noise(base.residuals[1:]))
+    fitter.floor = max(bound if bound < _NO_NOISE * at_rest else at_rest, moving)
     return base
 
 
 def _with_moved_parts(
     fitter: Fitter, frozen: Sequence[Array], base: Fit, gathered: Gathered, verdict: decide.Decision
 ) -> tuple[decide.Decision, list[Moved]]:
-    """The verdict and the parts of the nominal model that moved: where a recalibration closes an unexplained gap, these
-    are named; else the verdict as it is and no parts."""
+    """(Verdict, parts of the nominal model that moved): where no effect explains the gap but a recalibration closes it,
+    the parts that it moved are named; else the verdict as it is, and no parts."""
     before, recalibrated = gap.rms(frozen[1:]), gap.rms(base.residuals[1:])
     still_open = decide.is_open(gathered.evidence, recalibrated**2)
     swallowed = moved.is_all(before, recalibrated, fitter.floor, still_open, learnt().center.unexplained_by_law)
-    parts = moved.from_the_start(fitter, frozen, base) if swallowed and verdict.name == "unknown" else []
+    if verdict.name != "unknown" or not swallowed:
+        return verdict, []
+    parts = moved.from_the_start(fitter, frozen, base)
     return (decide.with_moved(verdict, [(part.id, part.share) for part in parts]) if parts else verdict), parts
 
 
 def _chosen_candidate(fitter: Fitter, frozen: list[Array], gathered: Gathered, verdict: decide.Decision) -> Candidate:
-    """The hypothesis of what is named. Where it has events only and its recalibrated nominal does not surely leave
-    less, its effects on the calibrated model as it is."""
+    """The hypothesis of what is named. If these are events only (no path explains them) and its recalibrated nominal
+    model does not surely leave less than the calibrated one, the events are put on the calibrated one instead."""
     chosen = gathered.candidates[verdict.chosen]
-    if verdict.name != "effect" or not verdict.named or chosen.follows:
+    if verdict.name != "effect" or not verdict.named or chosen.predicts_an_effect:
         return chosen
-    if gap.probability_of_shrinking(frozen[1:], chosen.left[1:], fitter.segments[1:]) >= gap.SURELY:
+    if gap.probability_of_shrinking(frozen[1:], chosen.held_out[1:], fitter.segments[1:]) >= gap.SURELY:
         return chosen
-    return chosen.of(fitter.start(), frozen)
+    return chosen.with_nominal(fitter.start(), frozen)
 
 
 def _corrected(fit: Fit, last: Segment) -> Model:
-    """The fitted model with its effects, its state as at the end of the last test: a shift has happened, a drift has
-    gone so far."""
+    """The fitted model with its effects, in the state at the end of the recording `last`: a shift has happened, a drift
+    has gone so far."""
     model = fit.state.model
     model = with_registration(replace(model, c_deg=monotone(model.c_deg)), fit.state.static)
     values = fit.state.at(last, fit.hypothesis)
-    end = last.end_s
     added = []
     for kind in fit.hypothesis.kinds:
-        own = kind.of_values(values)
+        effect = kind.of_values(values)
         if kind.holds is not None:
-            model = kind.holds(model, own.parameters, end)
-        added.append(own)
+            model = kind.holds(model, effect.parameters, last.end_s)
+        added.append(effect)
     return replace(model, effects=tuple(added))

@@ -1,4 +1,4 @@
-"""What a diagnosis found as diagnosis.json."""
+"""The content of diagnosis.json (docs/files.md) out of what a diagnosis found."""
 
 from __future__ import annotations
 
@@ -26,25 +26,26 @@ from tautline.model import Model
 Array = npt.NDArray[np.float64]
 
 FORMAT = "diagnosis/1"
-_STEADY = 0.5  # format: share of a gap's power that does not change within a recording
-_CONDITIONS = 5  # format: at most, the largest first
+_STEADY = 0.5  # format: share of a gap's power, constant within each recording, from which this is said of it
+_CONDITIONS = 5  # format: conditions that are listed at most, the largest share first
+_AS_LARGE, _SAID = 0.5, 3  # format: share of the largest condition from which another is listed, how many at most
 
 
 @dataclass(frozen=True)
 class Found:
-    """All that was weighed, and the hypothesis that was chosen of it. Residuals are (scored, k) of each recording, the
+    """All hypotheses of a diagnosis, and the one that was chosen. Residuals are (scored, k) of each recording, the
     calibration first."""
 
-    model: Model
+    model: Model  # as calibrated
     segments: Sequence[Segment]
     fitter: Fitter
-    tracked: TrackerError | None
-    frozen: Sequence[Array]  # what the calibrated model leaves as it is
-    recalibrated: float  # rms over the tests
-    kinds: Sequence[Kind]
+    tracked: TrackerError | None  # of videos
+    frozen: Sequence[Array]  # residuals by the calibrated model as it is
+    recalibrated: float  # rms over the tests by the recalibrated nominal model, px or deg
+    kinds: Sequence[Kind]  # the effects that were tried
     gathered: Gathered
     verdict: decide.Decision
-    chosen: Candidate
+    chosen: Candidate  # the hypothesis of what is named
     parts: Sequence[Moved]  # of the nominal model, where a recalibration closes the gap
 
     @property
@@ -65,7 +66,7 @@ class Found:
     @property
     def after(self) -> Sequence[Array]:
         """Held-out residuals of the tests with what is named, (scored, k) each; `before` where nothing is named."""
-        return self.chosen.left[1:] if self.named else self.before
+        return self.chosen.held_out[1:] if self.named else self.before
 
     @property
     def floor(self) -> float:
@@ -74,8 +75,8 @@ class Found:
 
     @cached_property
     def conditions(self) -> list[where.Condition]:
-        """The conditions under which the gap is large, the most telling first; without time where what is named does
-        not depend on it."""
+        """How the gap goes with position, speed, time and so on, the largest share first; without time where what is
+        named does not depend on it."""
         paths = [s.predict(self.model, {}, self.fitter.load_reference)[0] for s in self.tests]
         every = where.conditions(self.tests, paths, self.before)
         if self.verdict.name == "effect" and not _depends_on_time(self.chosen.fit, self.named):
@@ -89,33 +90,33 @@ class Found:
 
     @cached_property
     def gap(self) -> dict[str, Any]:
-        """The object `gap` of diagnosis.json; nothing shrinks where nothing is named."""
-        later = any(effects.BY_ID[name].course for name in self.named)
-        apart = learnt().later if later else learnt().elsewhere
-        told = gap.with_intervals(self.before, self.after, self.tests, self.floor, apart)
-        return told if self.named else {**told, "shrink_ci": [0.0, 0.0], "closable_shrink": 0.0}
+        """The object `gap` of diagnosis.json: rms before and after with their intervals, px or deg, and what shrinks;
+        nothing shrinks where nothing is named."""
+        goes_with_time = any(effects.BY_ID[name].course for name in self.named)
+        excess = learnt().later if goes_with_time else learnt().elsewhere
+        sizes = gap.with_intervals(self.before, self.after, self.tests, self.floor, excess)
+        return sizes if self.named else {**sizes, "shrink_ci": [0.0, 0.0], "closable_shrink": 0.0}
 
     @cached_property
-    def rest(self) -> flexible.Flexible | None:
-        """What a Gaussian process would close of the residuals that are left; None where these are only noise."""
-        still = decide.is_open(self.gathered.evidence, self.gap["after"] ** 2)
-        return flexible.close(self.tests, self.after, self.floor) if still else None
+    def by_gaussian_process(self) -> flexible.Flexible | None:
+        """How much of what is left a Gaussian process would predict; None where only noise is left."""
+        still_open = decide.is_open(self.gathered.evidence, self.gap["after"] ** 2)
+        return flexible.close(self.tests, self.after, self.floor) if still_open else None
 
 
 def to_document(found: Found, hidden: Mapping[str, str]) -> dict[str, Any]:
-    """The content of diagnosis.json, but for what repeated samples, the tip and a simulator add. hidden: effects that
-    were not tried, with those that stand for them."""
-    told = found.gap
+    """The content of diagnosis.json, but for what repeated samples, the tip and a simulator add. hidden: {id of an
+    effect that was not fitted: id of the one it is confounded with}."""
     shares, parts = _shares(found)
     document: dict[str, Any] = {
         "format": FORMAT,
         "unit": found.segments[0].unit,
         "verdict": found.verdict.name,
         "noise_floor": found.floor,
-        "gap": told,
+        "gap": found.gap,
         "gap_recalibrated": {"before": found.recalibrated},
         "tracker": found.tracked.to_json() if found.tracked else None,  # of videos: the noise of a moving marker
-        "flexible": found.rest.to_json() if found.rest else None,
+        "flexible": found.by_gaussian_process.to_json() if found.by_gaussian_process else None,
         "effects": _effects(found, shares),
         "moved": [{"id": part.id, "share": part.share, "since": _since(found, part.id).since} for part in parts],
         "candidates": _candidates(found),
@@ -134,22 +135,21 @@ def to_document(found: Found, hidden: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _shares(found: Found) -> tuple[dict[str, float], Sequence[Moved]]:
-    """The share of the shrinkage of each named cause, by id; and the parts of the nominal model that moved, where these
-    close the whole gap."""
-    told = found.gap
+    """({id of each named cause: how much it shrinks the gap's rms, as a share of the rms before}, the parts of the
+    nominal model that moved, where these alone close the gap)."""
     if found.parts:
-        return {part.id: part.share * told["shrink"] for part in found.parts}, found.parts
+        return {part.id: part.share * found.gap["shrink"] for part in found.parts}, found.parts
     named = found.named
     causes = (*named, *(found.verdict.brought if named else ()))
-    shares = dict(zip(causes, _shapley(found, causes), strict=True))
+    shrinks = dict(zip(causes, _shapley(found, causes), strict=True))
     all_of_nominal = bool(named) and all(effects.BY_ID[name].nominal for name in named)
-    if all_of_nominal and moved.closes(told["before"], told["after"], found.floor):
-        return shares, moved.of_named(list(shares.items()))
-    return shares, ()
+    if all_of_nominal and moved.closes(found.gap["before"], found.gap["after"], found.floor):
+        return shrinks, moved.of_named(list(shrinks.items()))
+    return shrinks, ()
 
 
 def _effects(found: Found, shares: Mapping[str, float]) -> list[dict[str, Any]]:
-    """The list `effects` of diagnosis.json. shares: of the shrinkage, by id."""
+    """The list `effects` of diagnosis.json. shares: how much each named cause shrinks the gap, by id."""
     fit, ambiguous = found.chosen.fit, found.verdict.ambiguous()
     brought = {
         name: [part for part in found.verdict.brought if part in effects.BY_ID[name].brings] for name in found.named
@@ -172,8 +172,8 @@ def _effects(found: Found, shares: Mapping[str, float]) -> list[dict[str, Any]]:
 
 
 def _candidates(found: Found) -> list[dict[str, Any]]:
-    """The list `candidates` of diagnosis.json: every effect weighed, the likeliest to lead first, then those that were
-    not."""
+    """The list `candidates` of diagnosis.json: every effect that was fitted, the likeliest to lead first, then those
+    that the linear screening left out."""
     verdict, best, before = found.verdict, best_of_each(found.gathered), found.gap["before"]
     ambiguous = verdict.ambiguous()
     names = [*verdict.ranked, *(kind.id for kind in found.kinds if kind.id not in verdict.leading)]
@@ -181,7 +181,7 @@ def _candidates(found: Found) -> list[dict[str, Any]]:
         {
             "id": name,
             "probability": verdict.leading.get(name, 0.0),
-            "shrink": 1.0 - gap.rms(best[name].left[1:]) / before if name in best else 0.0,
+            "shrink": 1.0 - gap.rms(best[name].held_out[1:]) / before if name in best else 0.0,
             "identifiable": name not in ambiguous or len(ambiguous) == 1,
         }
         for name in names
@@ -189,7 +189,7 @@ def _candidates(found: Found) -> list[dict[str, Any]]:
 
 
 def best_of_each(gathered: Gathered) -> dict[str, Candidate]:
-    """For each effect its hypothesis without others that leaves the least held-out power."""
+    """{id of an effect: of its hypotheses without other effects the one with the least held-out power}."""
     best: dict[str, Candidate] = {}
     for candidate in gathered.candidates:
         if len(candidate.ids) == 1:
@@ -200,20 +200,20 @@ def best_of_each(gathered: Gathered) -> dict[str, Candidate]:
 
 
 def _fits_to_tell_apart(gathered: Gathered, verdict: decide.Decision) -> list[Fit]:
-    """Fits of up to three effects with a path: the two likeliest, and the third where it is one of those that cannot be
-    told apart."""
+    """Fits of up to three single effects, no events: the two likeliest, and the third if the recordings cannot tell it
+    from the leading one."""
     best = best_of_each(gathered)
     names = [name for name in verdict.ranked if name in best and name not in effects.EVENTS]
     unsure = set(verdict.ambiguous())
     return [best[name].fit for i, name in enumerate(names[:3]) if i < 2 or name in unsure]
 
 
-def _alternatives(verdict: decide.Decision, name: str, leads: Sequence[str]) -> list[str]:
-    """Effects that may be there in the place of the named one. leads: those that cannot be told apart as the leading
-    one."""
+def _alternatives(verdict: decide.Decision, name: str, ambiguous: Sequence[str]) -> list[str]:
+    """Effects that may be there in the place of the named one (`ambiguous_with`). ambiguous: those that cannot be told
+    from the leading effect."""
     if name == verdict.named[0]:
-        return [other for other in leads if other != name]
-    return list(verdict.instead) if name == verdict.named[-1] else []
+        return [other for other in ambiguous if other != name]
+    return list(verdict.alternatives) if name == verdict.named[-1] else []
 
 
 def _stage(verdict: decide.Decision) -> str | None:
@@ -228,15 +228,16 @@ def _stage(verdict: decide.Decision) -> str | None:
 
 
 def _shapley(found: Found, named: Sequence[str]) -> list[float]:
-    """Each named effect's exact Shapley share of the shrinkage. The worth of a set of effects is the shrinkage by its
-    own fit, or, where it was not tried, by the chosen fit with the other effects at zero; no effect has the worth 0."""
+    """Each named effect's exact Shapley share of the shrinkage 1 - after / before of the rms. The worth of a set of
+    effects is the shrinkage by its own fit, or, if it was not fitted, by the chosen fit with the amplitudes of all
+    other effects at zero; the empty set is worth 0."""
     chosen, before = found.chosen, gap.rms(found.before)
     known: dict[frozenset[str], float] = {frozenset(): 0.0}
     for candidate in found.gathered.candidates:
         if candidate.ids:
-            key, value = frozenset(candidate.ids), 1.0 - gap.rms(candidate.left[1:]) / before
+            key, value = frozenset(candidate.ids), 1.0 - gap.rms(candidate.held_out[1:]) / before
             known[key] = max(known.get(key, -np.inf), value)
-    known[frozenset(named)] = 1.0 - gap.rms(chosen.left[1:]) / before
+    known[frozenset(named)] = 1.0 - gap.rms(chosen.held_out[1:]) / before
 
     def worth(names: frozenset[str]) -> float:
         """Shrinkage of the rms, 1 - after / before, with these effects alone."""
@@ -251,29 +252,31 @@ def _shapley(found: Found, named: Sequence[str]) -> list[float]:
 
 
 def _scope(fit: Fit, name: str) -> Scope:
-    """Since when a named effect is there; START for a part of the nominal model that no effect stands for."""
-    placed = fit.hypothesis.find(name)
-    return placed[1] if placed else Scope.START
+    """Since when a named effect is there in the fit; START for a part of the nominal model that moved throughout."""
+    present = fit.hypothesis.find(name)
+    return present[1] if present else Scope.START
 
 
 def _since(found: Found, name: str) -> Scope:
-    """As `_scope`, but TESTS for an event that happened after the calibration's end."""
+    """Since when a named effect is there, as reported: as in the fit, but TESTS for a shift or slip whose moments all
+    lie after the calibration's end."""
     fit = found.chosen.fit
-    placed = fit.hypothesis.find(name)
-    happens_s = [fit.state.values[at] for at in placed[0].moments] if placed else []
-    later = bool(happens_s) and min(happens_s) > found.segments[0].end_s
-    return Scope.TESTS if later else _scope(fit, name)
+    present = fit.hypothesis.find(name)
+    moments_s = [fit.state.values[moment] for moment in present[0].moments] if present else []
+    after_calibration = bool(moments_s) and min(moments_s) > found.segments[0].end_s
+    return Scope.TESTS if after_calibration else _scope(fit, name)
 
 
 def _depends_on_time(fit: Fit, named: Sequence[str]) -> bool:
-    """Whether a named effect changes with the session's time or from recording to recording; else the gap varies with
-    time only because the motions do."""
+    """Whether a named effect is a function of the session's time (drift, shift, slip) or of the recording; if none is,
+    the gap varies with time only because the motions do."""
     kinds = [effects.BY_ID[name] for name in named]
     return any(k.course or k.scan == "moment" or _scope(fit, k.id) == Scope.EACH for k in kinds)
 
 
 def _parameter_values(fit: Fit, name: str) -> dict[str, Any]:
-    """An effect's fitted parameters as reported: where each recording has its own, those of the last test."""
+    """The object `parameters` of a named effect in diagnosis.json: its fitted values by name, in their own units (where
+    each recording has its own, those of the last test), and since_calibration, 0 or 1."""
     kind, scope = fit.hypothesis.find(name) or (effects.BY_ID[name], Scope.START)
     values = fit.state.values if fit.hypothesis.find(name) else fit.state.static
     last = fit.hypothesis.tests
@@ -284,12 +287,13 @@ def _parameter_values(fit: Fit, name: str) -> dict[str, Any]:
 
 
 def _brings(parts: Sequence[str], shares: Mapping[str, float]) -> dict[str, Any]:
-    """What an effect changed of the nominal model, and what that shrinks; it is in the effect's own share too."""
+    """{"brings": the parts of the nominal model that a named effect changed too, each with what it shrinks}, or {}; the
+    effect's own share includes these."""
     return {"brings": [{"id": part, "shrink": shares[part]} for part in parts]} if parts else {}
 
 
 def _values_by_recording(fit: Fit, name: str, segments: Sequence[Segment]) -> dict[str, Any]:
-    """{"recordings": each test's name and values of the effect}, where each has its own; else {}."""
+    """{"recordings": name and amplitudes of each test} of an effect that has its own in each; else {}."""
     kind, scope = fit.hypothesis.find(name) or (effects.BY_ID[name], Scope.START)
     if scope != Scope.EACH:
         return {}
@@ -303,13 +307,14 @@ def _values_by_recording(fit: Fit, name: str, segments: Sequence[Segment]) -> di
 
 
 def _signature(found: Found) -> str | None:
-    """The gap's conditions in words, for an unknown cause and for a drift, which itself says only when; else None."""
+    """Under which conditions the gap is largest, in words, for an unknown cause and for a drift, whose name says only
+    when; else None."""
     conditions = found.conditions
     if not conditions or not (found.verdict.name == "unknown" or confounded.DRIFT in found.named):
         return None
-    top = [c for c in conditions if c.share > 0.5 * conditions[0].share][:3]
+    top = [c for c in conditions if c.share > _AS_LARGE * conditions[0].share][:_SAID]
     says = "largest " + ", ".join(c.says for c in top)
-    if where.steady(found.before) > _STEADY:
+    if where.constant_share(found.before) > _STEADY:
         says = (
             "much the same throughout each recording, as where something changed between them that no column tells: "
             f"a load, a temperature, the mounting; {says}"

@@ -1,8 +1,8 @@
-"""What a law leaves, frame by frame, beside what another effect leaves.
+"""Whether noise alone explains that another effect leaves less than a law does, frame by frame.
 
-A law has one equation: nothing but noise is left beside it, and noise no path foretells. So where two hypotheses differ
-in a few frames alone, as a lag and a delay do in the one after a turn, these frames tell, however little of a block's
-power they are.
+A law (`Kind.law`: rigid motion, time) has one exact equation, so the right law leaves nothing but noise, which no other
+path can predict. Where two hypotheses differ in a few frames alone, as a lag and a delay do in the one after a turn,
+the Gaussian likelihood of all frames tells them apart, though these frames are hardly anything of a block's power.
 """
 
 from __future__ import annotations
@@ -18,32 +18,37 @@ from tautline.independence import frames_each
 
 Array = npt.NDArray[np.float64]
 
-_REMEMBERED = 100  # tolerance: lags at most
-_ALIKE = 0.05  # tolerance: a correlation from which there is none
+_LONGEST_LAG = 100  # tolerance: frames over which the autocorrelation is summed at most
+_UNCORRELATED = 0.05  # tolerance: autocorrelation at which the sum ends
 
 
 def is_law(ids: Sequence[str]) -> bool:
-    """Whether the hypothesis is of laws, perhaps beside parts of the nominal model, and of nothing else."""
+    """Whether a hypothesis, given by its effects' ids, consists of laws, perhaps beside parts of the nominal model, and
+    of nothing else."""
     key = frozenset(ids)
     return bool(key & LAWS) and key <= LAWS | CONSTANT and not key & EVENTS
 
 
-def likelier(left: Sequence[Array], others: Sequence[Array], limits: Sequence[float], noise: float) -> float:
-    """Log-likelihood ratio of Gaussian noise, above 0 where another hypothesis leaves less of held-out blocks
-    (`others`) than a law does (`left`): (scored, k) of each recording, px or deg, cut to its one of `limits`. noise:
-    one standard deviation of a coordinate."""
-    more = [
-        np.sum(np.square(np.clip(own, -limit, limit)) - np.square(np.clip(other, -limit, limit)), axis=1)
-        for own, other, limit in zip(left, others, limits, strict=True)
+def log_likelihood_ratio(
+    by_law: Sequence[Array], by_other: Sequence[Array], limits: Sequence[float], noise: float
+) -> float:
+    """log p(residuals of another hypothesis) / p(those of a law) as Gaussian noise, sum(r_law^2 - r_other^2) / (2
+    noise^2 n), n the number of successive frames that count as one by the terms' autocorrelation: above 0 where the
+    other one leaves less. by_law, by_other: held-out residuals (scored, k) of each recording, px or deg, cut to its one
+    of `limits`. noise: one standard deviation of a coordinate."""
+    terms = [
+        np.sum(np.square(np.clip(law, -limit, limit)) - np.square(np.clip(other, -limit, limit)), axis=1)
+        for law, other, limit in zip(by_law, by_other, limits, strict=True)
     ]
-    recording = np.repeat(np.arange(len(more)), [len(one) for one in more])
-    score = np.concatenate(more)
-    each = frames_each(score, _REMEMBERED, least=_ALIKE, group=recording)
-    return float(np.sum(score)) / (2.0 * noise**2 * each)
+    recording = np.repeat(np.arange(len(terms)), [len(of_frames) for of_frames in terms])
+    all_terms = np.concatenate(terms)
+    frames_per_independent = frames_each(all_terms, _LONGEST_LAG, least=_UNCORRELATED, group=recording)
+    return float(np.sum(all_terms)) / (2.0 * noise**2 * frames_per_independent)
 
 
-def chance(likelier_than_law: Sequence[float]) -> float:
-    """Probability that the best of so many other hypotheses is so much likelier though the law is right; 1 where none
-    is likelier. likelier_than_law: of each, the logarithm that `likelier` gives."""
-    surest = max(likelier_than_law, default=0.0)
-    return min(1.0, len(likelier_than_law) * float(np.exp(-max(surest, 0.0)))) if surest > 0.0 else 1.0
+def chance(log_ratios: Sequence[float]) -> float:
+    """Upper bound of the probability that the largest of these log-likelihood ratios against a right law comes from
+    noise: n exp(-largest) for n hypotheses (P(ratio > x) <= 1/x for each), at most 1. log_ratios: of every other
+    hypothesis, as `log_likelihood_ratio` gives them."""
+    largest = max(log_ratios, default=0.0)
+    return min(1.0, len(log_ratios) * float(np.exp(-max(largest, 0.0)))) if largest > 0.0 else 1.0

@@ -1,4 +1,4 @@
-"""What is fitted: effects with the time since when they are there, their parameters, and a point of their space."""
+"""Hypotheses (effects, each with the time since when it is there), their parameters, and points of that space."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ STATIC_NAMES = tuple(p.name for p in effects.BY_ID["registration.static"].amplit
 
 
 class Scope(IntEnum):
-    """Since when an effect is there; what is false is there from the start."""
+    """In which recordings an effect is there. bool(scope): whether the calibration is without it."""
 
-    START = 0
-    TESTS = 1  # in all recordings after the calibration, the same
-    EACH = 2  # in each of them another
+    START = 0  # in all, the calibration included
+    TESTS = 1  # in all after the calibration, with the same parameters
+    EACH = 2  # in all after the calibration, with parameters of its own in each
 
     @property
     def since(self) -> str:
@@ -35,12 +35,12 @@ class Scope(IntEnum):
 
 @dataclass(frozen=True)
 class Slot:
-    """A number that is fitted."""
+    """One fitted number: an effect's parameter, of all recordings or of one."""
 
     parameter: Parameter
-    key: str  # of State.values
+    key: str  # under which ParameterState.values has it
     scope: Scope
-    number: int = 0  # of the recording, where each has its own
+    number: int = 0  # index of the recording it belongs to, where each has its own; else 0
 
     def holds_in(self, segment: Segment) -> bool:
         """Whether this number is a parameter of that recording."""
@@ -50,29 +50,31 @@ class Slot:
 
 
 def key(name: str, number: int) -> str:
-    """Under which `ParameterState.values` has the parameter `name` of the recording `number` alone."""
+    """The key in `ParameterState.values` of a parameter that belongs to one recording: its name and that one's
+    index."""
     return f"{name}@{number}"
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Effects that are present, and since when."""
+    """Effects that are present, in the order in which they were added, and since when each is."""
 
     kinds: tuple[Kind, ...] = ()
-    scopes: tuple[Scope, ...] = ()
-    tests: int = 1  # recordings after the calibration
+    scopes: tuple[Scope, ...] = ()  # of each of `kinds`
+    tests: int = 1  # number of recordings after the calibration
 
     def plus(self, kind: Kind, scope: Scope) -> Hypothesis:
+        """The hypothesis with one effect more."""
         return replace(self, kinds=(*self.kinds, kind), scopes=(*self.scopes, scope))
 
     def find(self, name: str) -> tuple[Kind, Scope] | None:
-        """The effect with this id and since when it is there; None where this hypothesis is without it."""
+        """(The effect with this id, since when it is there); None where this hypothesis is without it."""
         return next(((k, s) for k, s in zip(self.kinds, self.scopes, strict=True) if k.id == name), None)
 
     @property
     def slots(self) -> list[Slot]:
-        """The numbers that are fitted: amplitudes and continuous shapes; one for each recording, if each has its
-        own."""
+        """The fitted numbers in the order of the parameter vector: the effects' amplitudes and continuous shapes, once
+        for each test where an effect has its own in each."""
         collected = []
         for kind, scope in zip(self.kinds, self.scopes, strict=True):
             for p in (p for p in kind.parameters if not p.searched):
@@ -85,34 +87,36 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class ParameterState:
-    """A point of the parameter space."""
+    """A point of the parameter space: the nominal model's unknowns and the effects' parameters."""
 
-    model: Model  # the nominal with its corrections
-    static: Mapping[str, float]  # nominal registration, all recordings
-    values: Mapping[str, float] = field(default_factory=dict)  # of the effects
+    model: Model  # the nominal model with B, f_remain and delay as fitted
+    static: Mapping[str, float]  # its registration, deg and mm by STATIC_NAMES, of all recordings; {} without a camera
+    values: Mapping[str, float] = field(default_factory=dict)  # of the effects' parameters, by `Slot.key`
 
     def at(self, segment: Segment, hypothesis: Hypothesis) -> dict[str, Any]:
-        """The effects' and the registration's parameters by name that hold in one recording; a change of the
+        """The parameters by name, registration and effects, with which one recording is simulated; a change of the
         registration by an effect is added to the nominal one."""
-        chosen: dict[str, Any] = dict(self.static)
+        parameters: dict[str, Any] = dict(self.static)
         for kind, scope in zip(hypothesis.kinds, hypothesis.scopes, strict=True):
             if scope and segment.calibration:
                 continue
             if kind.column:
-                chosen[effects.COLUMN] = kind.column
+                parameters[effects.COLUMN] = kind.column
             for p in kind.parameters:
-                own = scope == Scope.EACH and not p.searched
-                value = self.values.get(key(p.name, segment.number) if own else p.name)
+                by_recording = scope == Scope.EACH and not p.searched
+                value = self.values.get(key(p.name, segment.number) if by_recording else p.name)
                 if value is not None:
-                    chosen[p.name] = chosen.get(p.name, 0.0) + value if p.name in STATIC_NAMES else value
-        return chosen
+                    parameters[p.name] = parameters.get(p.name, 0.0) + value if p.name in STATIC_NAMES else value
+        return parameters
 
 
 @dataclass(frozen=True)
 class Fit:
+    """A hypothesis at the best point that was found."""
+
     hypothesis: Hypothesis
     state: ParameterState
-    residuals: list[Array]  # of each segment, (scored, k)
+    residuals: list[Array]  # (scored, k) of each recording, px or deg
 
     @property
     def finite(self) -> bool:

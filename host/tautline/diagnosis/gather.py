@@ -1,4 +1,5 @@
-"""The evidence of a diagnosis: hypotheses of one effect, and of more on top of the likeliest, fitted and judged."""
+"""Which hypotheses a diagnosis fits: single effects, and further ones on top of the most probable; what each leaves is
+the evidence for the verdict. An event is an effect without a path that repeats (jitter, stick-slip)."""
 
 from __future__ import annotations
 
@@ -21,15 +22,17 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 MOST_EFFECTS = 3
-_REFITS, _BOTH_SCOPES = 8, 3  # tolerance: of single effects
-_FURTHER_REFITS = 3  # tolerance: of effects on top of others
-_EXTENDED = (2, 1)  # tolerance: hypotheses of one and of two effects that a further one is put on
+_REFITS, _BOTH_SCOPES = 8, 3  # tolerance: single effects fitted in full, and those of them in every scope
+_FURTHER_REFITS = 3  # tolerance: effects fitted in full on top of others
+_EXTENDED = (2, 1)  # tolerance: hypotheses of one and of two effects on top of which a further one is fitted
 
 
 @dataclass(frozen=True)
 class Gathered:
+    """All fitted hypotheses: as evidence for the verdict, and as fits."""
+
     evidence: CaseEvidence
-    candidates: list[Candidate]  # of each of the evidence's hypotheses
+    candidates: list[Candidate]  # of each of the evidence's hypotheses, in their order
 
 
 def gather(
@@ -41,227 +44,232 @@ def gather(
     scopes: Sequence[Scope] = tuple(Scope),
 ) -> Gathered:
     """The evidence for a verdict: fits of single effects, then of further ones on top of the most probable. frozen:
-    residuals of each recording by the calibrated model as it is. base: the recalibrated nominal's fit. scopes: since
-    when an effect may be there; with START alone no recording counts as the calibration."""
-    steps = [0]
+    residuals (scored, k) of each recording by the calibrated model as it is. base: the recalibrated nominal model's
+    fit. kinds: effects to try. scopes: since when an effect may be there; with START alone no recording counts as the
+    calibration."""
+    fits = 0
+    expected = _REFITS + _BOTH_SCOPES + sum(_EXTENDED) * _FURTHER_REFITS
 
-    def told(text: str) -> None:
-        """Reports one more fit, as a share of about as many as there may be."""
-        steps[0] += 1
-        progress(min(1.0, steps[0] / (_REFITS + _BOTH_SCOPES + sum(_EXTENDED) * _FURTHER_REFITS)), text)
+    def report(text: str) -> None:
+        """Counts one more fit and reports the share of the expected number."""
+        nonlocal fits
+        fits += 1
+        progress(min(1.0, fits / expected), text)
 
-    search = Search(fitter, base, kinds, told, scopes)
+    search = Search(fitter, base, kinds, report, scopes)
     if confounded.load_tells_apart(fitter.segments):
-        search = search.by_what_is_recorded()
-    own = float(np.mean(np.square(frozen[0]))) if search.later else 0.0
-    weighing = _Weighing(search, search.power(frozen), own)
-    weighing.add(search.base, events=True)
-    weighing.add_single(search.on_top_of(search.base, _REFITS, _BOTH_SCOPES))
+        search = search.without_posture_if_load_explains()
+    own_calibration = float(np.mean(np.square(frozen[0]))) if search.allows_later_effects else 0.0
+    hypotheses = _Hypotheses(search, search.power(frozen), own_calibration)
+    hypotheses.add(search.base, events=True)
+    hypotheses.add_single(search.on_top_of(search.base, _REFITS, _BOTH_SCOPES))
     for size, most in enumerate(_EXTENDED, start=1):
         for _ in range(most):
-            below = weighing.next_to_extend(size)
+            below = hypotheses.next_to_extend(size)
             if below is None:
                 break
-            weighing.add_further(search.on_top_of(below, _FURTHER_REFITS, 0))
-            if size == 1 and search.later:
-                weighing.add_changed(below)
-    if search.later and not fitter.px:  # nothing else than its fit tells a delay from a width at one speed
-        late = next((candidate for candidate in weighing.candidates if candidate.ids == (DELAY,)), None)
-        if late is not None and weighing.open():
-            weighing.add_changed(late)
-    return Gathered(weighing.evidence(), [candidate.reported() for candidate in weighing.candidates])
+            hypotheses.add_further(search.on_top_of(below, _FURTHER_REFITS, 0))
+            if size == 1 and search.allows_later_effects:
+                hypotheses.add_with_posture(below)
+    if search.allows_later_effects and not fitter.px:
+        # Without an image only the fit tells a delay from a width at one speed.
+        delay = next((candidate for candidate in hypotheses.candidates if candidate.ids == (DELAY,)), None)
+        if delay is not None and hypotheses.best_single_is_open():
+            hypotheses.add_with_posture(delay)
+    return Gathered(
+        hypotheses.evidence(), [candidate.with_events_as_parameters() for candidate in hypotheses.candidates]
+    )
 
 
-class _Weighing:
+class _Hypotheses:
+    """The hypotheses fitted so far, and which further ones are worth a fit."""
+
     def __init__(self, search: Search, frozen: Array, calibrated: float) -> None:
         """frozen: (blocks,) mean squares by the calibrated model as it is. calibrated: its mean square on its own
-        calibration, 0 where no recording is one."""
+        calibration, 0 where no recording is one; both px^2 or deg^2."""
         self.search, self._frozen, self._calibrated = search, frozen, calibrated
         self.candidates: list[Candidate] = []
-        self._weighed: list[Weighed] = []
-        self._extended: set[tuple[str, ...]] = set()
-        self._likelier: dict[tuple[int, int], float] = {}  # than a law's hypothesis another is
+        self._weighed: list[Weighed] = []  # of each candidate
+        self._extended: set[tuple[str, ...]] = set()  # ids of hypotheses on top of which others were fitted
+        self._log_ratios: dict[tuple[int, int], float] = {}  # of another hypothesis to one of laws, by their indices
 
     def add(self, candidate: Candidate, events: bool = False) -> None:
-        """Adds a fitted hypothesis to the evidence; with `events` also every event (an effect without a path) on top of
-        it."""
-        nothing = np.zeros_like(candidate.power)
-        self.candidates.append(candidate)
-        self._weighed.append(
-            Weighed(
-                *(candidate.ids, candidate.unseen, nothing, nothing, candidate.parameters),
-                beyond=candidate.beyond,
-                wanders=candidate.wanders,
-                each=candidate.each,
-            )
-        )
+        """Adds a fitted hypothesis to the evidence. events: whether also every event (an effect without a path) on top
+        of it, told by the scatter of its residuals."""
+        no_scatter = np.zeros_like(candidate.power)
+        self._append(candidate, no_scatter, no_scatter)
         if not events:
             return
         kinds = [kind for kind in self.search.kinds if kind.event]
         beyond = {kind.id: self.search.beyond(candidate.fit, [kind]) for kind in kinds}
         for scope in (scope for scope in (Scope.START, Scope.TESTS) if scope in self.search.scopes):
-            left = self._scatter_left(candidate, bool(scope))
+            explained = self._explained_scatter(candidate, tests_only=bool(scope))
             for kind in kinds:
                 fit = replace(candidate.fit, hypothesis=candidate.fit.hypothesis.plus(kind, scope))
-                self._add_scatter(replace(candidate, fit=fit, beyond=beyond[kind.id]), kind, left)
+                self._add_event(replace(candidate, fit=fit, beyond=beyond[kind.id]), kind, explained)
 
-    def add_posture(self, candidates: Sequence[Candidate]) -> None:
-        """Adds the fit of all that another posture changes, on top of the best single effect of a posture or of
-        none."""
-        part = next((one for one in candidates if one.fit.hypothesis.kinds[0].posture), self.search.base)
-        posture = self.search.posture(part)
-        if posture is not None:
-            self.add(posture)
-
-    def add_changed(self, below: Candidate) -> None:
-        """Adds fits with another width, and while more than noise is left with all that another posture changes, beside
-        an effect that came after the calibration: if another machine was calibrated, such as a simulator, its nominal
-        is not this one's. A constant change of width comes first, as one that varies with place can imitate a lag."""
-        hypothesis = below.fit.hypothesis
-        if hypothesis.scopes[0] == Scope.START or hypothesis.kinds[0].posture:
-            return
-        for simple in (True, False):
-            beside = below
-            for only in ((WIDTH,), None):
-                candidate = self.search.posture(beside, only, simple)
-                if candidate is not None:
-                    self.add(candidate)
-                    beside = candidate
-                    if not self._open(candidate):
-                        return
-
-    def add_in_the_mean(self, below: Candidate) -> None:
-        """Adds fits of events after the calibration by their mean effect, on top of `below`, if they explain its
-        scatter better than noise does."""
-        left = self._scatter_left(below, True)
-        for kind in self.search.kinds:
-            if kind.event and kind.event.mean and left.beats_noise(kind.id):
-                held = self.search.in_the_mean(below, kind, left.amount[kind.id])
-                if held is not None:
-                    self._add_with_scatter(held)
-
-    def _add_with_scatter(self, candidate: Candidate) -> None:
-        """Adds a fit that has an event's mean effect, with what its scatter says of that event."""
-        kind = next(kind for kind in candidate.fit.hypothesis.kinds if kind.event and kind.event.mean)
-        self._add_scatter(candidate, kind, self._scatter_left(candidate, True))
-
-    def _scatter_left(self, candidate: Candidate, only_tests: bool) -> Scatter:
-        """How well each event and each rival explains the scatter that a fit leaves. only_tests: of an effect that came
-        after the calibration."""
-        return scatter.of_fit(self.search.fitter, candidate.fit, self.search.labels, only_tests)
-
-    def _add_scatter(self, candidate: Candidate, kind: Kind, left: Scatter) -> None:
-        """Adds `candidate` with the log-likelihoods by block, from the scatter that it leaves, of the event `kind` and
-        of the best rival explanation, both against plain noise."""
-        rival = min(
-            (left.loss[name] for name in scatter.RIVALS if name != kind.id), key=lambda loss: float(np.mean(loss))
-        )
-        assert kind.event
-        candidate = replace(candidate, scatters={kind.event.amount: left.amount[kind.id]})
+    def _append(self, candidate: Candidate, scatter: Array, rival: Array, white: float = 0.0) -> None:
+        """Appends a candidate and its evidence. scatter, rival (blocks,), white: as in Weighed."""
         self.candidates.append(candidate)
         self._weighed.append(
             Weighed(
                 candidate.ids,
-                candidate.unseen,
-                scatter=left.loss[kind.id] - left.plain,
-                rival=rival - left.plain,
+                candidate.power_with_surprise,
+                scatter=scatter,
+                rival=rival,
                 parameters=candidate.parameters,
-                white=left.white,
+                white=white,
                 beyond=candidate.beyond,
                 wanders=candidate.wanders,
-                each=candidate.each,
+                each=candidate.differs_by_recording,
             )
         )
 
+    def _explained_scatter(self, candidate: Candidate, tests_only: bool) -> Scatter:
+        """How well each event and each rival explains the scatter that a fit leaves. tests_only: for an event that came
+        after the calibration."""
+        return scatter.of_fit(self.search.fitter, candidate.fit, self.search.labels, tests_only)
+
+    def _add_event(self, candidate: Candidate, kind: Kind, explained: Scatter) -> None:
+        """Adds `candidate` with what the scatter that it leaves says of the event `kind`: by block the log-likelihood
+        of the event, and of the best rival explanation, against the residuals as they are."""
+        rivals = (explained.loss[name] for name in scatter.RIVALS if name != kind.id)
+        rival = min(rivals, key=lambda loss: float(np.mean(loss)))
+        assert kind.event
+        candidate = replace(candidate, scatters={kind.event.amount: explained.amount[kind.id]})
+        self._append(candidate, explained.loss[kind.id] - explained.plain, rival - explained.plain, explained.white)
+
+    def _add_with_mean_effect(self, candidate: Candidate) -> None:
+        """Adds a fit that has an event's mean effect among its parameters, with what its scatter says of that event."""
+        kind = next(kind for kind in candidate.fit.hypothesis.kinds if kind.event and kind.event.mean)
+        self._add_event(candidate, kind, self._explained_scatter(candidate, tests_only=True))
+
     def add_single(self, candidates: Sequence[Candidate]) -> None:
-        """Adds fits of single effects, the best first. Where the best still leaves much, an event may be there that
-        hides what is beside it: then also events on top of each, what a posture changes, and events in the mean."""
+        """Adds fits of single effects, given the best first. Where the best leaves more than a right effect does, an
+        event or another posture may hide which one it is: then also events on top of each, all that another posture
+        changes, and the mean effects of events."""
+        best = candidates[0] if candidates else None
+        is_open = best is not None and self._is_open(best)
         floor2 = self.search.fitter.floor**2
-        before = float(np.mean(self.search.base.power)) - floor2
-        hidden = (
-            bool(candidates) and float(np.mean(candidates[0].power)) - floor2 > learnt().center.unexplained * before
-        )
-        hidden = hidden and self._open(candidates[0])
-        contained = candidates[0].fit.hypothesis.kinds[0].contains if candidates else ()
-        for i, one in enumerate(candidates):
-            self.add(one, events=i == 0 or hidden or one.ids[0] in contained)
-        if not self.search.later:
+        gap2 = float(np.mean(self.search.base.power)) - floor2
+        most = learnt().center.unexplained * gap2  # that a right effect may well leave
+        hidden = best is not None and is_open and float(np.mean(best.power)) - floor2 > most
+        contained = best.fit.hypothesis.kinds[0].contains if best else ()
+        for i, candidate in enumerate(candidates):
+            self.add(candidate, events=i == 0 or hidden or candidate.ids[0] in contained)
+        if not self.search.allows_later_effects:
             return
-        if hidden or (candidates and candidates[0].fit.hypothesis.kinds[0].posture and self._open(candidates[0])):
-            self.add_posture(candidates)
-        for one in self.search.with_brought() if candidates and self._open(candidates[0]) else []:
-            self.add(one)
+        if hidden or (best and is_open and best.fit.hypothesis.kinds[0].posture):
+            self._add_posture(candidates)
+        for candidate in self.search.with_nominal_parts() if is_open else []:
+            self.add(candidate)
         if hidden:
-            self.add_in_the_mean(self.search.base)
-            # Another width is what sticking does in the mean: beside it nothing of that would be seen.
-            best = next((one for one in candidates if not one.fit.hypothesis.kinds[0].posture), None)
-            if best is not None:
-                self.add_in_the_mean(best)
+            self._add_mean_effects(self.search.base)
+            # Another width is what sticking does in the mean: on top of it no mean effect would be left.
+            no_posture = next((one for one in candidates if not one.fit.hypothesis.kinds[0].posture), None)
+            if no_posture is not None:
+                self._add_mean_effects(no_posture)
+
+    def _add_posture(self, candidates: Sequence[Candidate]) -> None:
+        """Adds the fit of all that another posture changes, beside the first of these single effects that a posture
+        changes, or on top of the nominal model."""
+        part = next((one for one in candidates if one.fit.hypothesis.kinds[0].posture), self.search.base)
+        candidate = self.search.with_posture(part)
+        if candidate is not None:
+            self.add(candidate)
+
+    def _add_mean_effects(self, below: Candidate) -> None:
+        """Adds fits of events after the calibration by their mean effect, on top of `below`, where these explain its
+        scatter better than noise of another level does."""
+        explained = self._explained_scatter(below, tests_only=True)
+        for kind in self.search.kinds:
+            if kind.event and kind.event.mean and explained.beats_noise(kind.id):
+                candidate = self.search.with_mean_effect(below, kind, explained.amount[kind.id])
+                if candidate is not None:
+                    self._add_with_mean_effect(candidate)
+
+    def add_with_posture(self, below: Candidate) -> None:
+        """Adds fits with another width, and while more than noise is left with all that another posture changes, beside
+        an effect that came after the calibration: if another machine was calibrated, such as a simulator, its nominal
+        model is not this one's. The width changes by a constant first, as one that varies over the range can imitate a
+        lag."""
+        hypothesis = below.fit.hypothesis
+        if hypothesis.scopes[0] == Scope.START or hypothesis.kinds[0].posture:
+            return
+        for simple in (True, False):
+            extended = below
+            for only in ((WIDTH,), None):
+                candidate = self.search.with_posture(extended, only, simple)
+                if candidate is not None:
+                    self.add(candidate)
+                    extended = candidate
+                    if not self._is_open(candidate):
+                        return
 
     def add_further(self, candidates: Sequence[Candidate]) -> None:
-        """Adds fits of several effects, the best first; on the best one also events."""
-        for i, one in enumerate(candidates):
-            if set(one.ids) & EVENTS:
-                self._add_with_scatter(one)
+        """Adds fits of several effects, given the best first; on the best one also events."""
+        for i, candidate in enumerate(candidates):
+            if set(candidate.ids) & EVENTS:
+                self._add_with_mean_effect(candidate)
             else:
-                self.add(one, events=i == 0 and len(one.ids) < MOST_EFFECTS)
+                self.add(candidate, events=i == 0 and len(candidate.ids) < MOST_EFFECTS)
 
-    def open(self) -> bool:
-        """Whether the best single effect leaves more than noise."""
+    def best_single_is_open(self) -> bool:
+        """Whether the single effect with the least power leaves more than noise."""
         singles = [candidate for candidate in self.candidates if len(candidate.ids) == 1]
-        return bool(singles) and self._open(min(singles, key=lambda candidate: float(np.mean(candidate.power))))
+        return bool(singles) and self._is_open(min(singles, key=lambda candidate: float(np.mean(candidate.power))))
 
-    def _open(self, candidate: Candidate) -> bool:
-        """Whether a fit leaves more than noise and the nominal model's own misfit."""
+    def _is_open(self, candidate: Candidate) -> bool:
+        """Whether a fit leaves more than noise and what a sound calibration leaves."""
         return decide.is_open(self.evidence(), candidate.power)
 
     def next_to_extend(self, size: int) -> Candidate | None:
-        """The most probable hypothesis of `size` effects, with a path and not extended before, if it leaves more than
-        noise. A missing effect may explain what is left beyond its stages and an amplitude that wanders, so neither
-        counts here. None where there is no such hypothesis."""
+        """The most probable hypothesis of `size` effects on top of which a further one is to be fitted: one whose path
+        contains all of them, not extended before; None where it leaves only noise, or there is none. The tests of
+        whether its effects are the cause (`beyond`, `wanders`) do not count, as a missing effect fails them too."""
         evidence = self.evidence()
-        anyhow = tuple(replace(h, beyond=None, wanders=()) for h in evidence.hypotheses)
-        verdict = decide.decide(replace(evidence, hypotheses=anyhow))
+        without_tests = tuple(replace(h, beyond=None, wanders=()) for h in evidence.hypotheses)
+        verdict = decide.decide(replace(evidence, hypotheses=without_tests))
         for i in np.argsort(-verdict.posterior):
             ids = self.candidates[i].ids
             if len(ids) != size or ids in self._extended:
                 continue
-            # Sticking may be likeliest without a path: with one a further effect is seen beside it.
-            one = next(
-                (
-                    candidate
-                    for candidate in (self.candidates[i], *self.candidates)
-                    if candidate.ids == ids and candidate.has_path
-                ),
-                None,
-            )
-            if one is not None:
+            # An event may be likeliest without a path: on top of its mean effect a further effect is seen.
+            same = (self.candidates[i], *self.candidates)
+            below = next((one for one in same if one.ids == ids and one.predicts_every_effect), None)
+            if below is not None:
                 self._extended.add(ids)
-                return one if self._open(one) else None
+                return below if self._is_open(below) else None
         return None
 
     def evidence(self) -> CaseEvidence:
-        """All hypotheses so far with what they leave, as `decide` takes it."""
+        """The evidence of all hypotheses so far, as `decide` takes it."""
         fitter = self.search.fitter
-        weighed = tuple(replace(h, chance=self._chance(i)) for i, h in enumerate(self._weighed))
-        weighed_kinds = len(self.search.kinds)
         return CaseEvidence(
-            fitter.floor, self._frozen, weighed, weighed_kinds, self._calibrated, fitter.doubt, fitter.unsteady
+            floor=fitter.floor,
+            frozen=self._frozen,
+            hypotheses=tuple(replace(h, chance=self._chance(i)) for i, h in enumerate(self._weighed)),
+            applicable=len(self.search.kinds),
+            calibrated=self._calibrated,
+            doubt=fitter.doubt,
+            unsteady=fitter.unsteady,
         )
 
     def _chance(self, law: int) -> float:
-        """For a hypothesis of laws: the probability that some other single effect leaves so much less though the law is
-        right; else 1."""
-        one, search = self.candidates[law], self.search
-        if not exact.is_law(one.ids):
+        """For the candidate with index `law`, if its effects are laws: the probability that some other single effect
+        leaves so much less though the law is right (exact.py); else 1."""
+        candidate, search = self.candidates[law], self.search
+        if not exact.is_law(candidate.ids):
             return 1.0
         noise = max(search.fitter.floor, float(np.sqrt(self._calibrated)))
         others = [
             i
             for i, other in enumerate(self.candidates)
-            if len(other.ids) == 1 and not other.scatters and other.ids[0] not in one.ids
+            if len(other.ids) == 1 and not other.scatters and other.ids[0] not in candidate.ids
         ]
         for i in others:
-            if (law, i) not in self._likelier:
-                self._likelier[law, i] = exact.likelier(one.left, self.candidates[i].left, search.limits, noise)
-        return exact.chance([self._likelier[law, i] for i in others])
+            if (law, i) not in self._log_ratios:
+                self._log_ratios[law, i] = exact.log_likelihood_ratio(
+                    candidate.held_out, self.candidates[i].held_out, search.limits, noise
+                )
+        return exact.chance([self._log_ratios[law, i] for i in others])

@@ -1,84 +1,116 @@
-"""What a fit leaves on a block of manoeuvres that it did not see, for every block from one fit.
+"""Leave-one-block-out cross-validation of a fit, for every block of manoeuvres by one linear step.
 
-Near its optimum a fit is a linear least-squares problem: leaving a block out moves the parameters by -(N - N_b)^-1
-g_b, where N_b and g_b are the block's own parts of the normal matrix and of the gradient. A share of the block stays
-in: what it alone shows of the nominal model (the ends of a range, an axis that moves in it only) says nothing about
-an effect, and would else be guessed.
+Near its optimum a fit is a linear least-squares problem: leaving block b out moves the parameters by -(N - N_b)^-1 g_b,
+where N is the normal matrix of all (with the prior), and N_b and g_b are the block's parts of matrix and gradient. A
+share _STAYS of the block stays in: what it alone shows of the nominal model (the ends of a range, an axis that moves
+in it only) would else be guessed, and says nothing about an effect.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnosis.fit import Fitter, ScoredRows
+from tautline.diagnosis.fit import Fitter, ScoredRows, huber_weight
 from tautline.diagnosis.fitted import Hypothesis
 from tautline.nominal import Normal, Rows
 
 Array = npt.NDArray[np.float64]
-_STAYS = 0.1  # tolerance: of a block that is left out
-_PER_OBSERVATION = ("p", "tip", "by_width", "by_follow", "by_c", "columns", "residual")
-Labels = Sequence[npt.NDArray[np.int64]]  # of each recording's scored observations: the number of their block
+_STAYS = 0.1  # tolerance: share of a block's weight that stays when it is left out
+_RANK = 1e-10  # tolerance: relative singular value below which a direction of the parameters is dropped
+_PER_OBSERVATION = ("p", "tip", "by_width", "by_follow", "by_c", "columns", "residual")  # format: fields of Rows
+Labels = Sequence[npt.NDArray[np.int64]]  # (scored,) of each recording: the number of each observation's block
 
 
 def residuals(
     fitter: Fitter, hypothesis: Hypothesis, rows: Sequence[ScoredRows], labels: Labels, limits: Sequence[float]
 ) -> list[Array]:
     """(scored, k) for each recording: the residual of every block of manoeuvres by the fit without that block. rows: of
-    the fit (Fitter.linearised). limits: of each recording, beyond which an observation counts linearly."""
+    the fit (Fitter.linearised). limits: of each recording, px or deg, beyond which an observation counts linearly
+    (Huber)."""
     return residuals_and_surprise(fitter, hypothesis, rows, labels, limits)[0]
 
 
 def residuals_and_surprise(
     fitter: Fitter, hypothesis: Hypothesis, rows: Sequence[ScoredRows], labels: Labels, limits: Sequence[float]
 ) -> tuple[list[Array], list[Array]]:
-    """As `residuals`; and (scored,) for each recording, px^2 or deg^2 a coordinate: how much the recording as a whole
-    surprises the fit of all others. Of the quadratic form of what that fit leaves, by its marginal prediction, it is
-    what the fit of all does not leave, g' (N - N_r)^-1 g with the recording's own normal equations N_r and g at the fit
-    of all: nothing where the others do not tell the parameters that it needs, and much where they tell others. It is
-    put where it moves the prediction; 0 of a recording of one block."""
+    """As `residuals`; and (scored,) for each recording, px^2 or deg^2 a coordinate, by how much the recording as a
+    whole contradicts the fit of the others (`_surprise`); 0 of a recording of one block, whose held-out residuals are
+    by the others already."""
     matrix = fitter.floor**2 * fitter.prior_precision(hypothesis)
-    parts: list[list[tuple[npt.NDArray[np.bool_], Rows, Normal]]] = []
-    for row, label, limit in zip(rows, labels, limits, strict=True):
-        parts.append([])
-        for number in np.unique(label):
-            here = label == number
-            block = _rows_where(row, here)
-            weight = np.minimum(1.0, limit / np.maximum(np.abs(block.residual), 1e-12))
-            normal = fitter.normal(block, weight=weight)
-            matrix += normal.matrix
-            parts[-1].append((here, block, normal))
+    blocks_of = [_blocks(fitter, *recording) for recording in zip(rows, labels, limits, strict=True)]
+    for blocks in blocks_of:
+        for block in blocks:
+            matrix += block.normal.matrix
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    whole = [_sum_of([normal for _, _, normal in blocks]) for blocks in parts]
-    together = _sum_of(whole)
-    # A parameter at the end of its range, or a fit that is not yet at its best, pulls on in all recordings: no two of
-    # them differ for that.
-    onward = scale * np.linalg.lstsq(matrix * np.outer(scale, scale), scale * together.gradient, rcond=1e-10)[0]
-    result, surprise = [], []
-    for row, blocks, own in zip(rows, parts, whole, strict=True):
-        left = row.residual.copy()
-        for here, block, normal in blocks:
-            rest = (matrix - (1.0 - _STAYS) * normal.matrix) * np.outer(scale, scale)
-            step = -scale * np.linalg.lstsq(rest, (1.0 - _STAYS) * scale * normal.gradient, rcond=1e-10)[0]
-            left[here] -= fitter.moved(block, step)
-        result.append(left)
-        if len(blocks) == 1:  # what is left of it is by a fit that saw nothing else of its recording
-            surprise.append(np.zeros(len(left)))
-            continue
-        gradient = own.gradient - own.matrix @ onward
-        rest = (matrix - own.matrix) * np.outer(scale, scale)
-        step = scale * np.linalg.lstsq(rest, scale * gradient, rcond=1e-10)[0]
-        moved = np.sum(fitter.moved(row, step) ** 2, axis=1)
-        each = float(step @ gradient) / max(float(moved.sum()), 1e-300) / left.shape[1]
-        surprise.append(max(each, 0.0) * moved)
-    return result, surprise
+    normals = [_sum_of([block.normal for block in blocks]) for blocks in blocks_of]
+    # A parameter at the end of its range, or a fit that is not yet at its best, has a gradient left in all recordings
+    # alike, which is no difference between them: gradients are taken after this step.
+    to_optimum = _step(matrix, _sum_of(normals).gradient, scale)
+    held_out, surprise = [], []
+    for row, blocks, normal in zip(rows, blocks_of, normals, strict=True):
+        residual = row.residual.copy()
+        for block in blocks:
+            without = matrix - (1.0 - _STAYS) * block.normal.matrix
+            step = -scale * _scaled_solution(without, (1.0 - _STAYS) * scale * block.normal.gradient, scale)
+            residual[block.here] -= fitter.moved(block.rows, step)
+        held_out.append(residual)
+        single = len(blocks) == 1
+        surprise.append(
+            np.zeros(len(residual)) if single else _surprise(fitter, row, normal, matrix, scale, to_optimum)
+        )
+    return held_out, surprise
+
+
+def _surprise(fitter: Fitter, row: Rows, normal: Normal, matrix: Array, scale: Array, to_optimum: Array) -> Array:
+    """(scored,) px^2 or deg^2 a coordinate: g' (N - N_r)^-1 g of one recording r, spread over its observations by how
+    much its step (N - N_r)^-1 g moves the prediction there. It is the increase of the recording's quadratic form e' (I
+    + J (N - N_r)^-1 J')^-1 e, by the marginal prediction of the fit of all others, over what the fit of all leaves:
+    nothing where the others do not determine the parameters that it needs, much where they determine other values.
+    matrix: N, with the prior; normal: N_r and the gradient before the step to_optimum (m,); scale (m,): of the
+    unknowns."""
+    gradient = normal.gradient - normal.matrix @ to_optimum
+    step = _step(matrix - normal.matrix, gradient, scale)
+    moved = np.sum(fitter.moved(row, step) ** 2, axis=1)
+    share = float(step @ gradient) / max(float(moved.sum()), 1e-300) / row.residual.shape[1]
+    return np.asarray(max(share, 0.0) * moved)
+
+
+@dataclass(frozen=True)
+class _Block:
+    """One block of manoeuvres of a recording."""
+
+    here: npt.NDArray[np.bool_]  # (scored,) which of the recording's observations
+    rows: Rows
+    normal: Normal
+
+
+def _blocks(fitter: Fitter, row: Rows, label: npt.NDArray[np.int64], limit: float) -> list[_Block]:
+    """The blocks of one recording. label (scored,): the number of each observation's block; limit: of Huber's cost."""
+    blocks = []
+    for number in np.unique(label):
+        here = label == number
+        rows = _rows_where(row, here)
+        blocks.append(_Block(here, rows, fitter.normal(rows, weight=huber_weight(rows.residual, limit))))
+    return blocks
+
+
+def _step(matrix: Array, gradient: Array, scale: Array) -> Array:
+    """(m,) The solution of matrix step = gradient, of minimum norm in unknowns scaled by `scale` (m,)."""
+    return scale * _scaled_solution(matrix, scale * gradient, scale)
+
+
+def _scaled_solution(matrix: Array, scaled_gradient: Array, scale: Array) -> Array:
+    """(m,) As `_step`, with gradient and solution in the scaled unknowns."""
+    solution = np.linalg.lstsq(matrix * np.outer(scale, scale), scaled_gradient, rcond=_RANK)[0]
+    return np.asarray(solution, dtype=np.float64)
 
 
 def _sum_of(normals: Sequence[Normal]) -> Normal:
-    """Their normal equations together."""
+    """The sum of these normal equations."""
     return Normal(
         np.sum([normal.matrix for normal in normals], axis=0), np.sum([normal.gradient for normal in normals], axis=0)
     )

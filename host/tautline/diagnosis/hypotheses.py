@@ -1,4 +1,9 @@
-"""What fits leave of each block of manoeuvres under each hypothesis: all that a verdict is worked out from."""
+"""The evidence of a case: what each hypothesis leaves of each block of manoeuvres. A verdict is worked out from it
+alone.
+
+It is stored with blind cases and learnt from, so its fields' names are part of a format. A power is a mean square of
+held-out residuals, px^2 or deg^2 a coordinate; blocks are in order, block after block and recording after recording.
+"""
 
 from __future__ import annotations
 
@@ -14,56 +19,58 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Beyond:
-    """What no law of a hypothesis' stages could leave (confined.py)."""
+    """What is left that no law of the stages of a hypothesis' effects could leave (confined.py)."""
 
-    power: Array  # (blocks,) mean squares
-    count: Array  # (blocks,) of how many independent numbers
+    power: Array  # (blocks,)
+    count: Array  # (blocks,) how many independent numbers each is the mean of
 
 
 @dataclass(frozen=True)
 class Wander:
-    """By what share of all that a hypothesis adds an effect's amplitude is another elsewhere (wander.py): normal
-    equations of m factors, over the noise's power."""
+    """How an effect's amplitude varies over place, speed, time, side and load (wander.py): normal equations of m
+    factors on functions of these, over the noise's power; a factor is a share of all that the hypothesis adds."""
 
-    id: str
+    id: str  # of the effect
     matrix: Array  # (m, m)
     gradient: Array  # (m,)
-    ends: Mapping[str, Array]  # of each axis (2, m): what each factor adds at its low and at its high end
+    ends: Mapping[str, Array]  # of each axis (2, m): what each factor adds to the amplitude at the low and the high end
 
     @property
     def between(self) -> tuple[str, float, float]:
-        """The axis along which the amplitude varies most, and the amplitude at its low and at its high end, as
-        multiples of the fitted one. The factors are posterior means under a normal prior whose variances sum to 1."""
-        size = len(self.gradient)
-        factors = np.linalg.solve(self.matrix + size * np.eye(size), self.gradient)
-        at = {axis: 1.0 + ends @ factors for axis, ends in self.ends.items()}
-        most = max(at, key=lambda axis: float(np.ptp(at[axis])))
-        return most, float(at[most][0]), float(at[most][1])
+        """(The axis along which the amplitude varies most, the amplitude at its low end, at its high end), as multiples
+        of the fitted amplitude. The m factors are posterior means with a prior N(0, 1/m) each."""
+        m = len(self.gradient)
+        factors = np.linalg.solve(self.matrix + m * np.eye(m), self.gradient)
+        amplitudes = {axis: 1.0 + ends @ factors for axis, ends in self.ends.items()}
+        axis = max(amplitudes, key=lambda name: float(np.ptp(amplitudes[name])))
+        low, high = amplitudes[axis]
+        return axis, float(low), float(high)
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Wander:
+        """Out of what CaseEvidence.to_json has of it."""
         ends = {axis: np.array(values) for axis, values in document["ends"].items()}
         return cls(document["id"], np.array(document["matrix"]), np.array(document["gradient"]), ends)
 
 
 @dataclass(frozen=True)
 class Weighed:
-    """One hypothesis: effects on top of the recalibrated nominal, in the order they were added; none is the nominal
-    alone."""
+    """The evidence of one hypothesis: effects on top of the recalibrated nominal model."""
 
-    ids: tuple[str, ...]
-    power: Array  # (blocks,) mean squares that a fit leaves of a block it did not see (Candidate.unseen)
-    scatter: Array  # (blocks,) logarithm of what an effect without a path takes off as a factor on the power; 0: none
-    rival: Array  # (blocks,) the same of the best scatter of another origin
-    parameters: int
-    white: float = 0.0  # 1: the scatter forgets from frame to frame, 0: it goes on
+    ids: tuple[str, ...]  # of its effects in the order they were added; () is the nominal model alone
+    power: Array  # (blocks,) held-out power, with how much each recording contradicts the others
+    scatter: Array  # (blocks,) logarithm of the factor on the power by which an event explains scatter; 0 without one
+    rival: Array  # (blocks,) the same of the best explanation of the scatter that is no event
+    parameters: int  # effective number of parameters, for the information criterion
+    white: float = 0.0  # share of the scatter that is uncorrelated from frame to frame, 0 to 1
     beyond: Beyond | None = None  # None: the effects' stages could leave anything
-    chance: float = 1.0  # of a law: of another effect to leave so much less though the law is right (exact.py)
+    chance: float = 1.0  # of a law: probability that another effect leaves so much less by chance (exact.py)
     wanders: tuple[Wander, ...] = ()  # of its effects that have a path
-    each: bool = False  # an effect is another in each recording
+    each: bool = False  # whether an effect has amplitudes of its own in each recording
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Weighed:
+        """Out of what CaseEvidence.to_json has of it."""
         beyond = document["beyond"] and Beyond(**{name: np.array(v) for name, v in document["beyond"].items()})
         arrays = {name: np.array(document[name]) for name in ("power", "scatter", "rival")}
         wanders = tuple(Wander.from_json(of) for of in document.get("wanders", ()))
@@ -72,16 +79,18 @@ class Weighed:
 
 @dataclass(frozen=True)
 class CaseEvidence:
-    floor: float  # px or deg
-    frozen: Array  # (blocks,) mean squares that the calibrated model leaves as it is
+    """The evidence of one case: all that `decide` takes."""
+
+    floor: float  # one standard deviation of the noise of a coordinate, px or deg
+    frozen: Array  # (blocks,) power that the calibrated model leaves as it is
     hypotheses: tuple[Weighed, ...]  # the first without any effect
-    applicable: int  # effects of the library that these recordings could show
-    calibrated: float = 0.0  # mean square that the calibrated model leaves of its own calibration
-    doubt: float = 0.0  # of the noise power's logarithm: how far it may be off, where that was seen
-    unsteady: float = 0.0  # its standard deviation between blocks
+    applicable: int  # how many effects of the library these recordings could show
+    calibrated: float = 0.0  # power that the calibrated model leaves of its own calibration
+    doubt: float = 0.0  # standard deviation of log(floor^2), where videos showed one
+    unsteady: float = 0.0  # standard deviation between blocks of the logarithm of the noise's power
 
     def to_json(self) -> dict[str, Any]:
-        """All that `decide` is told: plain, once tautline.plain.plain was applied."""
+        """As a dictionary of arrays and numbers; tautline.plain.plain makes JSON's types of it."""
         return asdict(self)
 
     @classmethod

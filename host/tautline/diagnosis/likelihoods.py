@@ -1,8 +1,9 @@
-"""How likely each hypothesis makes the evidence.
+"""The log-likelihood of the evidence under each hypothesis.
 
-It predicts of each block the power floor^2 + left * (power before - floor^2), with `left` drawn from what right effects
-leave; an effect that stands in for an unknown one leaves what wrong ones do. A block counts as few independent
-observations, whatever its number of frames: what is left of it is one systematic misfit, not noise.
+A hypothesis predicts of each block the power floor^2 + left * (power before - floor^2), with the share `left` drawn
+from what right effects leave; an effect that stands in for an unknown one leaves what wrong ones do. A block counts as
+few independent observations, whatever its number of frames: what is left of it is one systematic misfit, not noise.
+docs/diagnosis.md, "How it is weighed", has the reasons.
 """
 
 from __future__ import annotations
@@ -21,160 +22,197 @@ from tautline.effects import EVENTS
 Array = npt.NDArray[np.float64]
 
 COINCIDES = 0.1  # prior: probability that an unknown effect goes with a column that was measured beside the motion
-LOG_ODDS_MARGIN = 5.0  # loss: of every rival, as a logarithm: an event beside another effect that is told for sure
-_QUANTILES = -np.log1p(-(np.arange(15) + 0.5) / 15.0)  # equation: of an exponential prior
+LOG_ODDS_MARGIN = 5.0  # loss: log odds over every rival, from which an event beside another effect counts in full
+_QUANTILES = -np.log1p(-(np.arange(15) + 0.5) / 15.0)  # equation: of an exponential prior of mean 1
+_ALIKE = (0.01, 1.0)  # tolerance: limits of the share of a misfit by which a further effect looks like it
 
 
 class Likelihoods:
-    """Logarithms: `of` each hypothesis, its `prior`, of `unknown`, and of scatter of another origin (`elsewhere`) than
-    a hypothesis says. A block's residual is Student's t in as many dimensions as it tells: blocks differ from what is
-    predicted."""
+    """Log-likelihoods up to a common constant, (hypotheses,): `log_likelihood` of each hypothesis, -inf where it is
+    excluded; its log `prior`; `unknown_scatter`, of the same hypothesis but its event's scatter being of unknown
+    origin, -inf where it is not of one event alone; and one number, `unknown`, of an unknown cause that the best
+    effects only imitate."""
 
-    def __init__(self, case: Stacked, by: Hyperparameters) -> None:
-        """Weighs every hypothesis of the evidence `case` by the hyperparameters `by`: `of` and `elsewhere`,
-        (hypotheses,), and `unknown`, one number, are log-likelihoods up to a common constant; -inf where a hypothesis
-        is excluded or, in `elsewhere`, is not of one event's scatter alone."""
-        self.by = by
+    def __init__(self, case: Stacked, hyper: Hyperparameters) -> None:
+        """Of the hypotheses of `case`, with these hyperparameters."""
+        self.hyper = hyper
         self._case = case
-        self._tells = case.tells(by.misfit_tells, by.noise_tells)
-        table = case.by_share(by.misfit_tells, by.noise_tells, by.block_freedom, by.calibration_excess)
-        told = float(np.sum(self._tells))
-        # More parameters than observations are no freedom.
-        price = 0.5 * by.parameter_price * np.log1p(told) * np.minimum(case.parameters, told)
-        # The share that a set may well leave: as the worst of it.
-        self._most = np.where(case.law, by.unexplained_by_law, by.unexplained)
-        by_law, usual, any_share = (
-            self._log_right_share(most) for most in (by.unexplained_by_law, by.unexplained, 1.0)
+        self._observations = case.independent_observations(hyper.misfit_tells, hyper.noise_tells)  # (blocks,)
+        self._by_share = case.log_likelihood_by_share(
+            hyper.misfit_tells, hyper.noise_tells, hyper.block_freedom, hyper.calibration_excess
         )
-        alone = np.where(case.law[:, None], by_law, usual)
-        right = log_sum(table + np.where(case.scatters[:, None], any_share, alone)) - price
-        gain, rival = self._gain(case.scatter), self._gain(case.rival)
-        # A law is exact, but for what the nominal beside it leaves.
-        beaten = np.log(by.mimics + (1.0 - by.mimics) * case.chance)
-        own = np.where(case.size > 0, right + gain + beaten, self._log_likelihood_of_no_change)
-        # Scatter of an event or of another origin: as their likelihoods are.
-        other = np.where(case.scatters, rival - gain, -np.inf)
-        self.elsewhere = np.where((case.size == 1) & ~case.path, own + log_expit(other), -np.inf)
-        # Beside another effect an event has to say more than what that one leaves of itself, which remembers too: so
-        # much is no sign of either, unless the event is far ahead of it.
-        further = case.size > 1
-        beside = np.where(case.scatters, np.maximum(rival, 0.0), 0.0)
-        own = own - np.where(further, beside, np.logaddexp(0.0, other))
-        far = np.where(further & (other < -LOG_ODDS_MARGIN), beside, 0.0)
-        confined = case.confined(by.floor_known, by.floor_steady, by.disturbed)
-        says_nothing = self._contained_suffices
-        # What a simpler effect does as well says no more of those beside it than that one does.
-        reached, by_chance = np.where(says_nothing, -np.inf, own), self._log_chance_of_misfit
-        for size in range(int(case.size.max()), 1, -1):  # what two further ones close may be what one leaves as well
-            pairs = case.size[case.further] == size
-            i, j = case.fewer[pairs], case.further[pairs]
-            np.maximum.at(reached, i, reached[j] + np.where(case.scatters[i], far[j], 0.0) + by_chance[pairs])
-            reached[says_nothing] = -np.inf
-        self.of: Array = np.maximum(own + far, reached) + confined + self.steady
-        self.of[says_nothing | (case.repeats & ~further)] = -np.inf
-        # Now and then the best effect follows an unknown one as closely as if it were right, with all that is granted
-        # to one that is; more often two do together.
-        pair = case.causes == 2
-        mimics = np.where(pair, np.sqrt(by.mimics), by.mimics)
-        granted = np.where(case.scatters, right, np.maximum(right, reached))
-        follows = np.where(case.size > 0, np.log(mimics) + granted, -np.inf)
-        stands_in = np.logaddexp(follows, np.log1p(-mimics) + log_sum(table + self._log_wrong_share) - price)
-        stands_in = stands_in + np.where(case.measured, np.log(COINCIDES), 0.0)
-        stands_in = stands_in + np.where(case.size > 0, self.prior, 0.0)
-        # That it takes two costs nothing, as the cause is one; which two of all pairs they are is open.
-        open_pairs = np.log(by.odds_further * 0.5 * max(case.applicable - 1, 1))
-        stands_in = stands_in - np.where(pair, open_pairs, 0.0)
-        self.unknown = float(np.max(stands_in[~case.scatters & ~says_nothing]))
+        # The share that a set of effects may well leave: as the worst of it.
+        self._most = np.where(case.law, hyper.unexplained_by_law, hyper.unexplained)
+        right = self._as_right_effects
+        event, rival = self._gain(case.scatter), self._gain(case.rival)
+        own = np.where(case.size > 0, right + event + self._log_probability_unbeaten, self._log_likelihood_of_no_change)
+        rival_log_odds = np.where(case.scatters, rival - event, -np.inf)
+        self.unknown_scatter = np.where((case.size == 1) & ~case.path, own + log_expit(rival_log_odds), -np.inf)
+        # Beside another effect an event has to explain more than the best rival does, as what an inexact effect leaves
+        # is correlated too; unless the event is far ahead, where what this takes off is given back.
+        beside = case.size > 1
+        rival_gain = np.where(case.scatters, np.maximum(rival, 0.0), 0.0)
+        own = own - np.where(beside, rival_gain, np.logaddexp(0.0, rival_log_odds))
+        given_back = np.where(beside & (rival_log_odds < -LOG_ODDS_MARGIN), rival_gain, 0.0)
+        replaced = self._replaced_by_contained
+        reached = self._with_imitating_misfit(own, given_back, replaced)
+        confined = case.confined_log_ratio(hyper.floor_known, hyper.floor_steady, hyper.disturbed)
+        self.log_likelihood: Array = np.maximum(own + given_back, reached) + confined + self.steady
+        self.log_likelihood[replaced | (case.repeats & ~beside)] = -np.inf
+        self.unknown = self._log_likelihood_of_unknown(right, reached, replaced)
 
     @cached_property
     def best(self) -> dict[frozenset[str], int]:
         """For each set of effects the index of its most probable hypothesis."""
-        of = (self.of + self.prior).tolist()
-        return {key: max(same, key=of.__getitem__) for key, same in self._case.same.items()}
+        log_posterior = (self.log_likelihood + self.prior).tolist()
+        return {key: max(same, key=log_posterior.__getitem__) for key, same in self._case.same.items()}
 
     def leader(self, key: frozenset[str], best: Mapping[frozenset[str], int]) -> str:
-        """Which effect of the set `key` leads: the one whose hypothesis alone is likeliest, not counting that its
-        amplitude wanders as others are missing. Among laws the one that alone leaves the least power: a law leaves
-        nothing of its own. best: the hypothesis of each set."""
+        """Which effect of the set `key` leads: the one whose hypothesis alone is likeliest, not counting how its
+        amplitude varies, as others are missing beside it. Among laws, which leave nothing of their own, the one that
+        alone leaves the least power. best: index of the hypothesis of each set."""
         by_power = LAWS & key and not EVENTS & key
 
         def alone(name: str) -> float:
-            """How well the effect does alone, the more the better; -inf where it was not fitted alone."""
+            """How well the effect explains the gap alone, the larger the better; -inf where it was not fitted alone."""
             i = best.get(frozenset({name}))
             if i is None:
                 return -np.inf
-            return -float(self._case.mean[i]) if by_power else float(self.of[i] - self.steady[i])
+            return -float(self._case.mean[i]) if by_power else float(self.log_likelihood[i] - self.steady[i])
 
         return max((alone(name), name) for name in self._case.leaders[key])[1]
 
     @cached_property
     def prior(self) -> Array:
-        """(hypotheses,) Logarithm of each hypothesis' prior weight, by the number of its causes, up to a constant."""
-        case, by = self._case, self.by
-        some = (case.causes - 1) * np.log(by.odds_further) - np.log(case.applicable)
-        some = some + np.where(case.brings, np.log(by.odds_brought), 0.0)
-        some = some + np.where(case.each, np.log(by.odds_each), 0.0)
-        return np.where(case.causes > 0, some, np.log(by.odds_none))
-
-    def _gain(self, scatter: Array) -> Array:
-        """(hypotheses,) Log-likelihood gained by an event. scatter (hypotheses,): logarithm of the factor that it puts
-        on the blocks' power, summed over them, below 0 where it explains scatter."""
-        return np.asarray(-0.5 * (self.by.misfit_tells + self.by.noise_tells * self._case.forgets) * scatter)
+        """(hypotheses,) Logarithm of each hypothesis' prior weight up to a constant: odds_none without effects, else
+        odds_further^(causes - 1) / (number of applicable effects), times odds_brought and odds_each where these
+        apply."""
+        case, hyper = self._case, self.hyper
+        with_effects = (case.causes - 1) * np.log(hyper.odds_further) - np.log(case.applicable)
+        with_effects = with_effects + np.where(case.brings, np.log(hyper.odds_brought), 0.0)
+        with_effects = with_effects + np.where(case.each, np.log(hyper.odds_each), 0.0)
+        return np.where(case.causes > 0, with_effects, np.log(hyper.odds_none))
 
     @property
-    def _contained_suffices(self) -> npt.NDArray[np.bool_]:
+    def _price(self) -> Array:
+        """(hypotheses,) What a hypothesis' d parameters cost, parameter_price d log(1 + n) / 2 of n observations (the
+        Bayesian information criterion); more parameters than observations cost no more."""
+        n = float(np.sum(self._observations))
+        return np.asarray(0.5 * self.hyper.parameter_price * np.log1p(n) * np.minimum(self._case.parameters, n))
+
+    @property
+    def _as_right_effects(self) -> Array:
+        """(hypotheses,) Log-likelihood of the blocks' powers if a hypothesis' effects are right, less its price: over
+        the prior of the share that right effects leave, which beside an event may be any."""
+        case, hyper = self._case, self.hyper
+        of_law, usual, any_share = (
+            self._log_right_share(most) for most in (hyper.unexplained_by_law, hyper.unexplained, 1.0)
+        )
+        log_prior = np.where(case.scatters[:, None], any_share, np.where(case.law[:, None], of_law, usual))
+        return np.asarray(log_sum(self._by_share + log_prior) - self._price)
+
+    @property
+    def _log_probability_unbeaten(self) -> Array:
+        """(hypotheses,) Of laws: logarithm of the probability that another effect leaves so much less by chance, at
+        least `mimics`, as the nominal model beside a law is not exact; 0 of other effects."""
+        mimics = self.hyper.mimics
+        return np.asarray(np.log(mimics + (1.0 - mimics) * self._case.chance))
+
+    def _gain(self, scatter: Array) -> Array:
+        """(hypotheses,) Log-likelihood gained by scatter. scatter (hypotheses,): logarithm of the factor that it puts
+        on the blocks' power, summed over them, below 0 where it explains something."""
+        observations = self.hyper.misfit_tells + self.hyper.noise_tells * self._case.forgets
+        return np.asarray(-0.5 * observations * scatter)
+
+    def _with_imitating_misfit(self, own: Array, given_back: Array, replaced: npt.NDArray[np.bool_]) -> Array:
+        """(hypotheses,) The largest log-likelihood of a hypothesis with the misfit of its effects: its own, or that of
+        one with a further effect, where by chance the misfit looks like that further effect. own: log-likelihood of
+        each; given_back: what events far ahead of their rivals get back; replaced: which are excluded."""
+        case = self._case
+        reached, by_chance = np.where(replaced, -np.inf, own), self._log_chance_of_misfit
+        for size in range(int(case.size.max()), 1, -1):  # the largest first: two further ones may imitate as well
+            pairs = case.size[case.further] == size
+            i, j = case.fewer[pairs], case.further[pairs]
+            np.maximum.at(reached, i, reached[j] + np.where(case.scatters[i], given_back[j], 0.0) + by_chance[pairs])
+            reached[replaced] = -np.inf
+        return reached
+
+    def _log_likelihood_of_unknown(self, right: Array, reached: Array, replaced: npt.NDArray[np.bool_]) -> float:
+        """Log-likelihood times prior of the best effects, one or two, if they stand in for an unknown cause: with
+        probability `mimics` (its square root of the best of all pairs) they follow it as closely as if they were right,
+        else they leave what wrong effects do. right, reached: log-likelihoods as right effects, without and with an
+        imitating misfit; replaced: which hypotheses are excluded."""
+        case, hyper = self._case, self.hyper
+        pair = case.causes == 2
+        mimics = np.where(pair, np.sqrt(hyper.mimics), hyper.mimics)
+        as_if_right = np.where(case.scatters, right, np.maximum(right, reached))
+        imitates = np.where(case.size > 0, np.log(mimics) + as_if_right, -np.inf)
+        as_wrong = np.log1p(-mimics) + log_sum(self._by_share + self._log_wrong_share) - self._price
+        stands_in = np.logaddexp(imitates, as_wrong)
+        stands_in = stands_in + np.where(case.measured, np.log(COINCIDES), 0.0)
+        stands_in = stands_in + np.where(case.size > 0, self.prior, 0.0)
+        # That it takes two costs nothing, as the cause is one; which two of all pairs they are is open.
+        open_pairs = np.log(hyper.odds_further * 0.5 * max(case.applicable - 1, 1))
+        stands_in = stands_in - np.where(pair, open_pairs, 0.0)
+        return float(np.max(stands_in[~case.scatters & ~replaced]))
+
+    @property
+    def _replaced_by_contained(self) -> npt.NDArray[np.bool_]:
         """(hypotheses,) Whether a more flexible effect gives way to a simpler one that it contains: the simpler one
-        alone leaves no more than a right effect may."""
+        alone leaves no more of the gap than a right effect may."""
         before = max(float(np.mean(self._case.before)), 1e-300)
-        little = self._case.mean - self._case.floor2 < self._most * before
-        return np.asarray(self._case.does_as_well[:, little].any(axis=1))
+        suffices = self._case.mean - self._case.floor2 < self._most * before
+        return np.asarray(self._case.does_as_well[:, suffices].any(axis=1))
 
     @property
     def _log_likelihood_of_no_change(self) -> float:
-        """Log-likelihood that nothing changed: the calibrated model leaves noise and what a nominal model may leave.
-        What a recalibration takes off is improbable then, be it in one block only."""
-        case, by, n = self._case, self.by, self._tells
-        usual = (by.block_freedom + n) * np.log1p(n / by.block_freedom)  # where the power is as predicted both agree
+        """Log-likelihood that nothing changed since the calibration: the calibrated model leaves noise and an excess
+        with an exponential prior of mean calibration_excess. What a recalibration takes off the power, `taken`, is
+        improbable then: exp(-taken / (the nominal model's own misfit + calibration_excess)), in units of floor^2."""
+        case, hyper, n = self._case, self.hyper, self._observations
+        # Student's constant, so that both likelihoods agree where the power is as predicted.
+        constant = (hyper.block_freedom + n) * np.log1p(n / hyper.block_freedom)
         recalibrated = case.power[0]
-        least = np.minimum(case.frozen, recalibrated)
+        seen = np.minimum(case.frozen, recalibrated)
         taken = max(float(np.mean(case.frozen - recalibrated)), 0.0) / case.floor2
-        alone = (1.0 + by.calibration_excess * _QUANTILES)[:, None] * np.full(len(n), case.floor2)
-        predicted, once = case.with_own(alone, least, by.misfit_tells, by.noise_tells)
-        said = once - 0.5 * np.sum(usual + n * (np.log(predicted) + least / predicted - 1.0), axis=1)
-        own = case.nominal2 / case.floor2 - 1.0
-        return float(log_sum(said) - np.log(len(said))) - taken / (own + by.calibration_excess)
+        noise = (1.0 + hyper.calibration_excess * _QUANTILES)[:, None] * np.full(len(n), case.floor2)
+        predicted, correction = case.with_calibration_misfit(noise, seen, hyper.misfit_tells, hyper.noise_tells)
+        by_quantile = correction - 0.5 * np.sum(constant + n * (np.log(predicted) + seen / predicted - 1.0), axis=1)
+        own_misfit = case.nominal2 / case.floor2 - 1.0
+        mean = float(log_sum(by_quantile) - np.log(len(by_quantile)))
+        return mean - taken / (own_misfit + hyper.calibration_excess)
 
     @property
     def _log_chance_of_misfit(self) -> Array:
-        """(pairs,) Logarithm of the probability that what one further effect closes is only the misfit that the right
-        one leaves: that this misfit is as large, times that the further effect looks so like it (the share that it
-        closes of it is uniform). A further part of the nominal model is a curve by place, which follows any small
-        misfit."""
+        """(pairs,) For hypotheses of which the second has one effect more: logarithm of the probability that what this
+        one closes is only misfit that the right first ones leave: that this misfit is as large (log-normally falling
+        beyond the usual share), times, as the share of it that the further effect closes is uniform, that it looks so
+        like that effect. A further part of the nominal model is a curve by place, which follows any small misfit."""
         case = self._case
         left, after = np.maximum(case.left[case.fewer], 1e-300), case.left[case.further]
         share = np.maximum((left - after) / max(float(np.sum(case.before)), 1e-300), 1e-12)
         parts = case.constant[case.further]
         most = np.where(parts, np.minimum(self._most[case.fewer], FOLLOWED), self._most[case.fewer])
-        so_much = log_ndtr(-(np.log(share) - np.log(most)) / self.by.share_spread)
-        return np.asarray(so_much + np.where(parts, 0.0, np.log(np.clip(after / left, 0.01, 1.0))))
+        as_large = log_ndtr(-(np.log(share) - np.log(most)) / self.hyper.share_spread)
+        return np.asarray(as_large + np.where(parts, 0.0, np.log(np.clip(after / left, *_ALIKE))))
 
     @cached_property
     def steady(self) -> Array:
         """(hypotheses,) Log-likelihood ratio, at most 0, of the amplitudes varying over place, speed, time, side and
-        load as a right effect's do (little) against as a wrong one's do (by any share). The worst effect of each
-        hypothesis counts."""
-        case, by = self._case, self.by
-        means = np.where(case.geometry, by.wanders, by.wanders_material)
-        right, wrong = (log_sum(case.wander + _exponential(mean[:, None])) for mean in (means, np.ones_like(means)))
-        each = right - np.logaddexp(np.log(by.mimics) + right, np.log1p(-by.mimics) + wrong)
-        least = np.zeros(len(case.size))  # some imitations are steady too, and noise has no amplitude
-        np.minimum.at(least, case.wandering, each)
-        return least
+        load as a right effect's do (an exponential share, mean `wanders`) against as a wrong one's do (mean 1), of
+        which a share `mimics` is as steady. The worst effect of each hypothesis counts."""
+        case, hyper = self._case, self.hyper
+        means = np.where(case.geometry, hyper.wanders, hyper.wanders_material)
+        right, wrong = (log_sum(case.wander + _log_exponential(mean[:, None])) for mean in (means, np.ones_like(means)))
+        ratio = right - np.logaddexp(np.log(hyper.mimics) + right, np.log1p(-hyper.mimics) + wrong)
+        worst = np.zeros(len(case.size))  # some imitations are steady too, and noise has no amplitude
+        np.minimum.at(worst, case.wandering, ratio)
+        return worst
 
     def _log_right_share(self, most: float) -> Array:
-        """Log-probabilities of SHARES for what a right effect leaves: any magnitude up to `most` alike, log-normally
-        falling above."""
-        log: Array = -0.5 * np.square(np.maximum(np.log(SHARES / most), 0.0) / self.by.share_spread)
+        """Log-probabilities (sum 1) of SHARES, even in their logarithm, for the share of the gap that right effects
+        leave: any magnitude up to `most` alike, log-normally falling above."""
+        log: Array = -0.5 * np.square(np.maximum(np.log(SHARES / most), 0.0) / self.hyper.share_spread)
         return np.asarray(log - log_sum(log))
 
     @property
@@ -182,13 +220,13 @@ class Likelihoods:
         """Log-probabilities (sum 1) of SHARES, even in their logarithm, for the share of the gap that a wrong effect
         leaves: log-normally rising to the learnt least share, any magnitude from it to 1 alike."""
         log: Array = -0.5 * np.square(
-            np.minimum(np.log(SHARES / self.by.unexplained_by_wrong), 0.0) / self.by.share_spread
+            np.minimum(np.log(SHARES / self.hyper.unexplained_by_wrong), 0.0) / self.hyper.share_spread
         )
         return np.asarray(log - log_sum(log))
 
 
-def _exponential(mean: Array) -> Array:
-    """(..., WANDERS) Log-probabilities of WANDERS for an exponential density of each mean (..., 1) over a grid of
-    logarithmic steps."""
+def _log_exponential(mean: Array) -> Array:
+    """(..., WANDERS) Log-probabilities (sum 1) on the grid WANDERS of an exponential density with each mean (..., 1);
+    the grid's steps are even in the logarithm, hence w exp(-w / mean)."""
     log: Array = np.log(WANDERS) - WANDERS / mean
     return np.asarray(log - log_sum(log)[..., None])

@@ -1,5 +1,5 @@
-"""What an unknown cause looks like and is not: effects that close much of its gap, and where the amplitude of each
-would be another."""
+"""Which effects an unknown cause resembles: those that close most of its gap, and for which their amplitude would have
+to vary, which a right effect's does not (wander.py)."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from tautline.diagnosis.gather import Gathered
 from tautline.diagnosis.narration import digits
 from tautline.effects import SIMULATOR
 
-_MOST = 3
-_ENDS: Mapping[str, tuple[str, str]] = {  # of the axes of wander.py
+_MOST = 3  # format: effects that are listed
+_ENDS: Mapping[str, tuple[str, str]] = {  # in words, the low and the high end of each axis of wander.py
     "place": ("at low positions", "at high ones"),
     "speed": ("when slow", "when fast"),
     "time": ("early", "late"),
@@ -23,30 +23,32 @@ _ENDS: Mapping[str, tuple[str, str]] = {  # of the axes of wander.py
 
 
 def closest_effects(gathered: Gathered, before: float) -> list[dict[str, Any]]:
-    """Up to three single effects with a path that close most of an unexplained gap: the share that each closes, and in
-    which conditions its amplitude would be another ("" where it wanders not). before: rms of the gap."""
+    """The list `resembles` of diagnosis.json: up to _MOST single effects that close most of an unexplained gap, each
+    with the share of the rms that it closes and with its amplitude at both ends of what it varies with, in words (""
+    where it does not vary). before: rms of the gap, px or deg."""
     best: dict[str, dict[str, Any]] = {}
-    for one, wanders in zip(gathered.candidates, decide.wanders(gathered.evidence), strict=True):
-        if len(one.ids) != 1 or not one.follows:
+    for candidate, varies in zip(gathered.candidates, decide.wanders(gathered.evidence), strict=True):
+        if len(candidate.ids) != 1 or not candidate.predicts_an_effect:
             continue
-        closes = 1.0 - gap.rms(one.left[1:]) / max(before, 1e-300)
-        if closes > best.get(one.ids[0], {"closes": 0.0})["closes"]:
-            says = _amplitudes_in_words(one.fit, *one.wanders[0].between) if wanders else ""
-            best[one.ids[0]] = {"id": one.ids[0], "closes": closes, "says": says}
+        name = candidate.ids[0]
+        closes = 1.0 - gap.rms(candidate.held_out[1:]) / max(before, 1e-300)
+        if closes > best.get(name, {"closes": 0.0})["closes"]:
+            says = _amplitudes_in_words(candidate.fit, *candidate.wanders[0].between) if varies else ""
+            best[name] = {"id": name, "closes": closes, "says": says}
     return sorted(best.values(), key=lambda entry: -entry["closes"])[:_MOST]
 
 
 def _amplitudes_in_words(fit: Fit, axis: str, low: float, high: float) -> str:
-    """The amplitude at the low and the high end of an axis in words, with its unit where it is one number. low, high:
-    multiples of the fitted amplitude."""
+    """The amplitude of a fit's effect at the low and the high end of an axis in words ("30 ms when slow, 80 ms when
+    fast"); where it has several amplitudes, as multiples. low, high: multiples of the fitted amplitude."""
     kind = fit.hypothesis.kinds[0]
     name, unit = kind.amplitudes[0].name, kind.amplitudes[0].unit
     if len(kind.amplitudes) == 1 and name in fit.state.values:
         value = fit.state.values[name] * (1e3 if unit == "s" else 1.0)
         unit = "ms" if unit == "s" else unit.replace("unit", fit.state.model.rig.actuator.unit)
-        sizes = [f"{digits(value * times)} {unit}".rstrip() for times in (low, high)]
+        sizes = [f"{digits(value * factor)} {unit}".rstrip() for factor in (low, high)]
     else:
-        sizes = [f"{digits(times)} times itself" for times in (low, high)]
+        sizes = [f"{digits(factor)} times itself" for factor in (low, high)]
     first, last = _ENDS[axis]
     changed = "changed by " if kind.stage == SIMULATOR else ""
     return f"{changed}{sizes[0]} {first}, {sizes[1]} {last}"

@@ -22,50 +22,55 @@ from tautline.simulators.drive import Drive
 
 Array = npt.NDArray[np.float64]
 
-_CONTINUOUS = 0.9  # tolerance: share of a sensor's fresh values that no other is equal to
+_CONTINUOUS = 0.9  # tolerance: share of distinct values from which a sensor does not count in steps
+_ANGLES = 6000  # tolerance: samples of an angle sensor that are enough: of twice as many every second is taken
 
 
 @dataclass(frozen=True)
 class Segment:
-    """One recording. Observations (n, k): k = 2 px from the marker or k = 1 deg from the angle."""
+    """One recording as it is fitted. Observations (n, k): k = 2 px from the marker or k = 1 deg from the angle."""
 
     name: str
-    motor: Motor  # between the encoder's counts; knots of straight lines
-    arrival_s: Array  # (n,)
+    motor: Motor  # the motor's path, its samples the knots of straight lines
+    arrival_s: Array  # (n,) when each observation arrived, on the recording's clock
     observed: Array  # (n, k)
-    scored: npt.NDArray[np.bool_]  # (n,) after a full backlash in both directions
+    scored: npt.NDArray[np.bool_]  # (n,) whether it counts: once the tip was driven through B in both directions
     offset_s: float  # added to the recording's times to get the session's
-    calibration: bool
-    number: int = 1  # of the recording, the calibration is 0
-    repeats: npt.NDArray[np.bool_] | None = None  # (n,) that would be scored were they no repetition of the one before
+    calibration: bool  # whether the model was calibrated on it
+    number: int = 1  # the recording's index in the session, the calibration 0
+    repeats: npt.NDArray[np.bool_] | None = None  # (n,) not scored only because they repeat the one before
     drive: Drive | None = None  # of a simulator that stands in the motor's place
 
     @property
     def held(self) -> npt.NDArray[np.bool_]:
-        """(n,) Observations that would be scored did they not repeat the one before."""
+        """(n,) Which observations are not scored only because they repeat the one before to the last digit."""
         return np.zeros_like(self.scored) if self.repeats is None else self.repeats
 
     @property
     def end_s(self) -> float:
-        """Of the recording, on the session's clock."""
+        """When the recording ends, s on the session's clock."""
         return float(self.motor.t_s[-1]) + self.offset_s
 
     @property
     def unit(self) -> str:
+        """Of the observations: "px" or "deg"."""
         return "px" if self.observed.shape[1] == 2 else "deg"
 
     @property
     def sensor(self) -> Sensor:
+        """What observed it: the marker's camera or an angle sensor."""
         return MARKER if self.unit == "px" else ANGLE
 
     def ask(self, parameters: Mapping[str, Any]) -> None:
-        """Announces that `follow` will be called with these parameters, so that a simulator can run several at once."""
+        """Announces to a user's simulator, if there is one, that `follow` will be called with these parameters, so that
+        it can run several at once."""
         if self.drive is not None:
             self.drive.ask(parameters)
 
     def follow(self, model: Model, parameters: Mapping[str, Any], load_reference: float) -> Path:
-        """The tip's path at the observations. parameters: of effects, by name; with a simulator its own, as changes.
-        load_reference: mNm at which the model's tables hold."""
+        """The simulated path of the tip at the observations' scene times (arrival less the sensor's delay). parameters:
+        of the effects, by name; those of a user's simulator as changes from its nominal values. load_reference: mNm at
+        which the model's tables hold."""
         scene = self.arrival_s - model.delay_of(self.sensor)
         motor = self.motor if self.drive is None else self.drive.motor(parameters)
         return effects.follow(
@@ -73,11 +78,11 @@ class Segment:
         )
 
     def seen(self, model: Model, parameters: Mapping[str, Any], path: Path) -> Array:
-        """(n, k) What the sensor shows of this path: px with a marker, else deg."""
+        """(n, k) What the sensor would show of this path with these effects' parameters: px with a marker, else deg."""
         return effects.image(model, path, parameters, self.offset_s) if self.unit == "px" else path.c_deg[:, None]
 
     def predict(self, model: Model, parameters: Mapping[str, Any], load_reference: float) -> tuple[Path, Array]:
-        """The path at the observations and the prediction (n, k)."""
+        """(The simulated path, the predicted observations (n, k)); parameters as for `follow`."""
         path = self.follow(model, parameters, load_reference)
         return path, self.seen(model, parameters, path)
 
@@ -92,11 +97,11 @@ class Segment:
         return replace(self, scored=self.scored & keep)
 
 
-def sensed(simulated: Segment, noise: float) -> Segment:
-    """A simulator's recording with white noise of this standard deviation added (fixed seed): without, it would be told
-    from the robot by its noise alone."""
-    off = np.random.default_rng(0).normal(0.0, noise, simulated.observed.shape)
-    return replace(simulated, observed=simulated.observed + off)
+def with_noise(simulated: Segment, noise: float) -> Segment:
+    """A simulator's recording with white noise added (fixed seed): without any, its lack of noise would be a difference
+    to the robot. noise: one standard deviation, px or deg."""
+    added = np.random.default_rng(0).normal(0.0, noise, simulated.observed.shape)
+    return replace(simulated, observed=simulated.observed + added)
 
 
 def load_reference(calibration: Recording) -> float:
@@ -109,8 +114,8 @@ def prepare(
     model: Model, calibration: Recording, tests: Sequence[Recording], drives: Sequence[Drive] = ()
 ) -> list[Segment]:
     """A segment of each recording, the calibration first: of markers (px) where every recording has one, else of angles
-    (deg). drives: one of each recording, if the recordings' motor is a simulator's tip. TautError where a recording
-    cannot be scored."""
+    (deg). drives: of each recording one, where a user's simulator stands in the motor's place. TautError where
+    recordings lack a sensor, or one has no observation to score."""
     recordings = [calibration, *tests]
     by_marker = model.rig.has_camera and all(recording.marker is not None for recording in recordings)
     if not by_marker and not all(recording.angle is not None for recording in recordings):
@@ -120,21 +125,7 @@ def prepare(
         drive = drives[i] if drives else None
         path = MotorPath.of(recording.motor, model.rig.actuator.encoder_resolution) if drive is None else None
         motor = path.lines if path else recording.motor
-        if by_marker:
-            marker = recording.marker
-            assert marker is not None
-            good = np.asarray(marker.valid, dtype=bool) & np.isfinite(marker.u_px) & np.isfinite(marker.v_px)
-            times, observed = marker.t_s[good], np.column_stack([marker.u_px, marker.v_px])[good]
-        else:
-            angle = recording.angle
-            assert angle is not None
-            times, observed = angle.t_s[angle.seen], angle.c_deg[angle.seen, None]
-        again = repeated(observed)
-        if not by_marker:
-            stride = max(1, len(times) // 6000)  # tolerance: of more than 12000 samples 6000 or some more are enough
-            # Of those that repeat one and of the others as large a part: a link may repeat as regularly.
-            kept = np.sort(np.concatenate([np.flatnonzero(again)[::stride], np.flatnonzero(~again)[::stride]]))
-            times, observed, again = times[kept], observed[kept], again[kept]
+        times, observed, again = _marker_observations(recording) if by_marker else _angle_observations(recording)
         scene = times - model.delay_of(MARKER if by_marker else ANGLE)
         from_s = settled_from(model, recording.motor)
         within = (scene >= from_s) & (scene <= motor.t_s[-1])
@@ -162,9 +153,32 @@ def prepare(
     return segments
 
 
+def _marker_observations(recording: Recording) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    """(Arrival times (n,), s; positions of the marker (n, 2), px; which repeat the one before (n,)) where it is
+    seen."""
+    marker = recording.marker
+    assert marker is not None
+    good = np.asarray(marker.valid, dtype=bool) & np.isfinite(marker.u_px) & np.isfinite(marker.v_px)
+    observed = np.column_stack([marker.u_px, marker.v_px])[good]
+    return marker.t_s[good], observed, repeated(observed)
+
+
+def _angle_observations(recording: Recording) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    """(Arrival times (n,), s; angles (n, 1), deg; which repeat the one before (n,)): at even strides, so that _ANGLES
+    to 2 _ANGLES are left."""
+    angle = recording.angle
+    assert angle is not None
+    times, observed = angle.t_s[angle.seen], angle.c_deg[angle.seen, None]
+    again = repeated(observed)
+    stride = max(1, len(times) // _ANGLES)
+    # Of those that repeat one and of the others as large a part: a link may repeat as regularly.
+    kept = np.sort(np.concatenate([np.flatnonzero(again)[::stride], np.flatnonzero(~again)[::stride]]))
+    return times[kept], observed[kept], again[kept]
+
+
 def repeated(observed: Array) -> npt.NDArray[np.bool_]:
-    """(n,) Whether each observation (n, k) of a continuous sensor is equal to the one before to the last digit: that is
-    a repetition by its link. All false for a sensor that counts in steps, which may rest within one."""
+    """(n,) Whether each observation (n, k) of a continuous sensor equals the one before to the last digit, so that its
+    link has sent it twice. All false for a sensor that counts in steps, which may rest within one."""
     again = np.zeros(len(observed), dtype=bool)
     again[1:] = (observed[1:] == observed[:-1]).all(axis=1)
     fresh = observed[~again]

@@ -1,8 +1,8 @@
-"""What was there from the first recording on, and so while calibrating: one name of it, whoever asks.
+"""Effects that were there from the first recording on, and so while calibrating.
 
-A calibration asks of its own recordings, a diagnosis of all that it was given. The nominal model is fitted anew beside
-each effect, a single play with smooth curves: what an effect has left in a calibrated B and f_remain, or in its
-number of plays, speaks for the effect.
+A calibration looks for them in its own recordings, a diagnosis in all that it was given, by the same functions, so that
+both give the same name. The nominal model is fitted anew beside each effect, a single play with smooth curves: what an
+effect has left in a calibrated B and f_remain, or in its number of plays, is then evidence for the effect.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from tautline.splines import Basis
 
 Progress = Callable[[float, str], None]
 
-# What may be named: no part of the nominal model, which is free beside it, and no scatter, which a fit has no path of.
+# Ids of what may be named: no part of the nominal model, which is free beside it, and no event, which has no path.
 NAMES = frozenset(kind.id for kind in LIBRARY if not kind.nominal and not kind.event)
-_SURE = 2.0  # standard deviations: of B where nothing was wrong its shape is 0.5 to 0.9 of one finer than the splines
+_SURE = 2.0  # loss: rms of B's finest details over its standard deviation; where nothing is wrong 0.5 to 0.9
 
 
 @dataclass(frozen=True)
 class Start:
-    """What was weighed, and what is likeliest of it."""
+    """The hypotheses of effects from the start, and the verdict on them."""
 
     fitter: Fitter
     gathered: Gathered
@@ -42,29 +42,31 @@ class Start:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Ids of the library, the leading one first; none where nothing is left, or nothing known explains it."""
+        """Ids of the named effects, the leading one first; () where there is no gap, or no known effect explains it."""
         return self.verdict.named if self.verdict.name == "effect" else ()
 
     @property
     def fit(self) -> Fit:
-        """Of what is named, the nominal model free beside it."""
+        """The fit of what is named, with the nominal model free beside it."""
         return self.gathered.candidates[self.verdict.chosen].fit
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """What is named, as strong as it was fitted."""
+        """What is named, with its fitted parameters."""
         values = self.fit.state.values
         kinds = [kind for kind in self.fit.hypothesis.kinds if kind.id in self.named]
         return tuple(kind.of_values(values) for kind in kinds)
 
 
 def concerns(model: Model) -> bool:
-    """Whether the model's calibration says that something was there beside it, or has taken it for a part of B."""
+    """Whether an effect may have been there while calibrating: the calibration's verdict gives one as a reason, or B
+    has details that no smooth B has (`in_the_width`)."""
     return any(reason.code in NAMES for reason in model.quality.reasons) or in_the_width(model)
 
 
 def in_the_width(model: Model) -> bool:
-    """Whether B holds what none of the nominal's splines follows, by more than it is uncertain by: no smooth B does."""
+    """Whether B has details finer than the nominal model's splines: whether their rms exceeds _SURE times that of B's
+    standard deviation. A smooth B has none; an effect such as an encoder's ripple leaves them."""
     low, high = model.measured
     inside = (model.q > low) & (model.q < high)
     q, width, sigma = (values[inside] for values in (model.q, model.width, model.width_sigma))
@@ -75,8 +77,9 @@ def in_the_width(model: Model) -> bool:
 
 
 def of_recordings(model: Model, recordings: Sequence[Recording], progress: Progress) -> Start:
-    """What was there from the first recording on. recordings: on the motor's clock, the earliest first. Effects that
-    the model carries are looked for anew. Raises TautError where none can be scored."""
+    """Which effects were there from the first recording on. model: its own effects are left out, and looked for anew.
+    recordings: on the motor's clock, the earliest first. progress: called with the share that is done, 0 to 1, and what
+    is done now. Raises TautError where none can be scored."""
     model = model.alone
     segments, reference = prepare(model, recordings[0], recordings[1:]), load_reference(recordings[0])
     tracked = tracker.of_videos(model, segments, reference, recordings)
@@ -91,14 +94,15 @@ def of_segments(
     progress: Progress,
     left_out: Collection[str] = (),
 ) -> Start:
-    """`of_recordings` of segments, each as if it were the calibration. load_mNm: at which the model's tables hold.
-    tracked: of videos, what their tracker errs by, taken off the segments already. left_out: effects not to try."""
+    """As `of_recordings`, of segments, all of which count as the calibration. load_mNm: at which the model's tables
+    hold. tracked: of videos, the tracker's error, which is taken off the segments already. left_out: ids of effects not
+    to try."""
     alike = [replace(segment, calibration=True) for segment in segments]
     fitter = Fitter(model, alike, load_mNm, smooth=True)
     moving = tracked.noise if tracked else 0.0
     if tracked:
         fitter.doubt, fitter.unsteady = tracked.doubt, tracked.unsteady
-    fitter.floor = max(gap.noise_floor(alike, fitter.residuals(fitter.start(), fitter.nothing)), moving)
+    fitter.floor = max(gap.noise_floor(alike, fitter.residuals(fitter.start(), fitter.no_effect)), moving)
     base = fitter.nominal()
     fitter.floor = max(gap.noise_floor(alike, base.residuals, fitter.across(base)), moving)
     kinds = [kind for kind in applicable(fitter, left_out) if kind.id in NAMES]

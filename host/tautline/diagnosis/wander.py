@@ -1,9 +1,9 @@
-"""Whether an effect is one law: whether its amplitude is the same at all places, speeds, times, sides and loads.
+"""Whether an effect is one law: whether its amplitude is constant over place, speed, time, side and load (the axes).
 
-An effect that only imitates a cause can follow it closely, but with another amplitude elsewhere. So what each effect of
-a fit adds to the prediction is multiplied by a few functions of these; with the nominal model and all effects free
-beside them, their factors say by how much the amplitude is another there, as a share of what all effects add together:
-what a large one leaves because it is not exact is a large share of a small one.
+An effect that only imitates a cause can follow it closely, but with an amplitude that varies. So what each effect of a
+fit adds to the prediction (its signal) is multiplied by a few polynomials of each axis, and the factors of these
+products are estimated with the nominal model and all effects free beside them. A factor is a share of what all effects
+add together, as what a large effect leaves because it is not exact is a large share of a small one.
 """
 
 from __future__ import annotations
@@ -14,93 +14,112 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnosis.fit import Fitter, ScoredRows
+from tautline.diagnosis.fit import Fitter, ScoredRows, huber_weight
 from tautline.diagnosis.fitted import Fit
 from tautline.diagnosis.hypotheses import Wander
 from tautline.diagnosis.segment import Segment
 
 Array = npt.NDArray[np.float64]
 
-_ORDERS = {"place": 3, "speed": 2, "time": 2, "side": 1, "load": 1}  # prior: of polynomials over each
-_MOVES = 0.05  # tolerance: of a fast motor's speed: a slower one rests, and counts as what it did before
-_FAST, _ENDS = 0.95, (0.1, 0.9)  # tolerance: quantiles: of its speeds; between which an amplitude is told
-_SAME = 1e-6  # tolerance: variance of an axis over an effect's own signal, or of a power of it: so little tells nothing
+_ORDERS = {"place": 3, "speed": 2, "time": 2, "side": 1, "load": 1}  # prior: orders of the polynomials of each axis
+_MOVES = 0.05  # tolerance: share of a fast motor's speed: a slower one rests, and keeps the speed and side of before
+_FAST = 0.95  # tolerance: quantile of the speeds that is fast
+_ENDS = (0.1, 0.9)  # format: quantiles of an axis, by the signal's power, that are its low and its high end
+_SAME = 1e-6  # tolerance: variance of an axis, or of a polynomial of it, below which it is constant
+_RANK = 1e-10  # tolerance: relative singular value below which a direction of the unknowns is dropped
 
 
 def of_fit(fitter: Fitter, fit: Fit, rows: Sequence[ScoredRows], limits: Sequence[float]) -> tuple[Wander, ...]:
-    """For each effect of a fit that adds anything: the normal equations of how its amplitude varies over place, speed,
-    time, side and load, everything else free. rows: of the fit (Fitter.linearised). limits: of each recording, to which
-    residuals are cut."""
-    slots = fit.hypothesis.slots
-    if not slots:
+    """For each effect of a fit that adds anything: the normal equations of its factors, all unknowns of the fit free
+    beside them. rows: of the fit (Fitter.linearised). limits: of each recording, px or deg, to which residuals are
+    cut."""
+    if not fit.hypothesis.slots:
         return ()
-    places = axes_values([_course(*each) for each in zip(fitter.segments, rows, strict=True)])
-    stiff = fitter.floor**2 * fitter.prior_precision(fit.hypothesis)
+    axes = axes_values([_course(segment, row) for segment, row in zip(fitter.segments, rows, strict=True)])
+    signals = _signals(fit, rows)
+    power_of_all = _power([np.sum(of_recording, axis=0) for of_recording in zip(*signals, strict=True)])
+    found = []
+    for kind, signal in zip(fit.hypothesis.kinds, signals, strict=True):
+        # A curve over the place is free to vary with it.
+        varying_axes = {axis: values for axis, values in axes.items() if not (kind.curve and axis == "place")}
+        columns, ends = varying_columns(varying_axes, signal, power_of_all)
+        if ends:
+            matrix, gradient = _factors_normal(fitter, fit, rows, columns, limits)
+            found.append(Wander(kind.id, matrix, gradient, ends))
+    return tuple(found)
+
+
+def _signals(fit: Fit, rows: Sequence[ScoredRows]) -> list[list[Array]]:
+    """For each effect of a fit and each recording (scored, k), px or deg: its columns times its amplitudes, what it
+    adds to the prediction to first order."""
+    slots = fit.hypothesis.slots
     signals = []
     for kind in fit.hypothesis.kinds:
         names = {parameter.name for parameter in kind.amplitudes}
-        sizes = np.array([fit.state.values[s.key] if s.parameter.name in names else 0.0 for s in slots])
-        signals.append([row.columns[:, :, -len(slots) :] @ sizes for row in rows])
-    together = _power([np.sum(each, axis=0) for each in zip(*signals, strict=True)])
-    found = []
-    for kind, signal in zip(fit.hypothesis.kinds, signals, strict=True):
-        # A curve over the place may be any.
-        axes = {axis: at for axis, at in places.items() if not (kind.curve and axis == "place")}
-        functions, told = varying_columns(axes, signal, together)
-        if not told:
-            continue
-        wider = [
-            replace(row, columns=np.concatenate([row.columns, own], axis=2))
-            for row, own in zip(rows, functions, strict=True)
-        ]
-        parts = [
-            fitter.normal(row, weight=np.minimum(1.0, limit / np.maximum(np.abs(row.residual), 1e-12)))
-            for row, limit in zip(wider, limits, strict=True)
-        ]
-        matrix, gradient = (np.sum([getattr(part, of) for part in parts], axis=0) for of in ("matrix", "gradient"))
-        matrix[: len(stiff), : len(stiff)] += stiff
-        own, pull, step = _reduced_normal(matrix, gradient, len(stiff))
-        left = [
-            np.clip(row.residual - fitter.moved(row, step), -limit, limit)
-            for row, limit in zip(wider, limits, strict=True)
-        ]
-        noise = max(_power_per_independent(left), fitter.floor**2)
-        found.append(Wander(kind.id, own / noise, pull / noise, told))
-    return tuple(found)
+        amplitudes = np.array([fit.state.values[s.key] if s.parameter.name in names else 0.0 for s in slots])
+        signals.append([row.columns[:, :, -len(slots) :] @ amplitudes for row in rows])
+    return signals
+
+
+def _factors_normal(
+    fitter: Fitter, fit: Fit, rows: Sequence[ScoredRows], columns: Sequence[Array], limits: Sequence[float]
+) -> tuple[Array, Array]:
+    """(Normal matrix (m, m), gradient (m,)) of the factors of `columns` (scored, k, m) of each recording, with all
+    unknowns of the fit eliminated, over the noise's power: that of what is left with them, an independent reading."""
+    precision = fitter.floor**2 * fitter.prior_precision(fit.hypothesis)
+    extended = [
+        replace(row, columns=np.concatenate([row.columns, further], axis=2))
+        for row, further in zip(rows, columns, strict=True)
+    ]
+    parts = [
+        fitter.normal(row, weight=huber_weight(row.residual, limit))
+        for row, limit in zip(extended, limits, strict=True)
+    ]
+    matrix = np.sum([part.matrix for part in parts], axis=0)
+    gradient = np.sum([part.gradient for part in parts], axis=0)
+    matrix[: len(precision), : len(precision)] += precision
+    of_factors, gradient_of_factors, step = _reduced_normal(matrix, gradient, len(precision))
+    residuals = [
+        np.clip(row.residual - fitter.moved(row, step), -limit, limit)
+        for row, limit in zip(extended, limits, strict=True)
+    ]
+    noise = max(_power_per_independent(residuals), fitter.floor**2)
+    return of_factors / noise, gradient_of_factors / noise
 
 
 @dataclass(frozen=True)
 class Course:
-    """Where the tip of one recording was. All (n,)."""
+    """What one recording's tip did at its n observations, for the axes. All (n,)."""
 
-    p: Array  # the play's centre coordinate
+    p: Array  # the play's centre coordinate, unit of q
     t_s: Array  # rising
-    session_s: Array
+    session_s: Array  # the same times on the session's clock
     load_mNm: Array
-    told: npt.NDArray[np.bool_]  # what counts
+    scored: npt.NDArray[np.bool_]  # which observations count
 
 
 def _course(segment: Segment, row: ScoredRows) -> Course:
     """The course of one recording; its load is 0 where none was recorded."""
-    motor, at = segment.motor, segment.arrival_s
-    load = np.zeros_like(at) if motor.load_mNm is None else np.interp(at, motor.t_s, motor.load_mNm)
-    return Course(row.path.p, at, at + segment.offset_s, load, segment.scored)
+    motor, t = segment.motor, segment.arrival_s
+    load = np.zeros_like(t) if motor.load_mNm is None else np.interp(t, motor.t_s, motor.load_mNm)
+    return Course(row.path.p, t, t + segment.offset_s, load, segment.scored)
 
 
 def axes_values(courses: Sequence[Course]) -> dict[str, list[Array]]:
-    """What an amplitude may vary with, by axis and recording (told,), scaled to -1 .. 1; of the speed the logarithm.
-    At rest the speed and side of the motion before count."""
+    """The values of each axis, (scored,) of each recording, scaled linearly to -1 .. 1: place p, logarithm of the
+    speed, time of the session, side (direction of motion), load. At rest speed and side are those of the motion
+    before."""
     speeds = [np.gradient(course.p, course.t_s) for course in courses]
     fast = max(float(np.quantile(np.abs(np.concatenate(speeds)), _FAST)), 1e-300)
     found: dict[str, list[Array]] = {name: [] for name in _ORDERS}
     for course, speed in zip(courses, speeds, strict=True):
         moving = np.abs(speed) > _MOVES * fast
-        last = np.maximum.accumulate(np.where(moving, np.arange(len(speed)), 0))[course.told]
-        found["place"].append(course.p[course.told])
-        found["speed"].append(np.log(np.maximum(np.abs(speed[last]), _MOVES * fast)))
-        found["time"].append(course.session_s[course.told])
-        found["side"].append(np.sign(speed[last]))
-        found["load"].append(course.load_mNm[course.told])
+        last_moving = np.maximum.accumulate(np.where(moving, np.arange(len(speed)), 0))[course.scored]
+        found["place"].append(course.p[course.scored])
+        found["speed"].append(np.log(np.maximum(np.abs(speed[last_moving]), _MOVES * fast)))
+        found["time"].append(course.session_s[course.scored])
+        found["side"].append(np.sign(speed[last_moving]))
+        found["load"].append(course.load_mNm[course.scored])
     return {name: _scaled_to_unit(values) for name, values in found.items()}
 
 
@@ -112,80 +131,91 @@ def _scaled_to_unit(values: Sequence[Array]) -> list[Array]:
 
 
 def _power(signals: Sequence[Array]) -> float:
-    """Sum of squares over all recordings."""
+    """Sum of squares of all numbers of all recordings."""
     return sum(float(np.sum(signal**2)) for signal in signals)
 
 
 def varying_columns(
-    places: dict[str, list[Array]], signals: Sequence[Array], together: float
+    axes: dict[str, list[Array]], signal: Sequence[Array], power_of_all: float
 ) -> tuple[list[Array], dict[str, Array]]:
-    """The columns by which an amplitude varies, (n, k, m) for each recording: the effect's signal (n, k) times
-    polynomials of each axis, orthonormal over the signal's power among themselves and to a constant, times the root of
-    the power `together` of all effects over its own: a factor's square is a variance of the amplitude along its axis,
-    as a share of what all effects add, be the signal in a small part of the range alone. And for each axis (2, m) their
-    values at its low and its high end."""
-    power = [np.sum(signal**2, axis=1) for signal in signals]
-    total = sum(float(np.sum(of)) for of in power)
+    """(Columns (n, k, m) of each recording, {axis: (2, m) value of each column's function at its low and high end}):
+    the signal (n, k) of an effect times polynomials of each axis, orthonormal over the signal's power among themselves
+    and to a constant, times sqrt(power_of_all / the signal's sum of squares). So a factor's square is a variance of the
+    amplitude along its axis, as a share of what all effects add, though the signal be in a small part of the range.
+    axes: values (n,) of each axis and recording; power_of_all: sum of squares of what all effects add. ([], {}) where
+    nothing varies."""
+    power = [np.sum(values**2, axis=1) for values in signal]
+    total = sum(float(np.sum(of_recording)) for of_recording in power)
     if total <= 0.0:
         return [], {}
-    columns: list[list[Array]] = []
-    ends: list[tuple[str, Array]] = []
     weight = np.concatenate(power) / total
-    cuts = np.cumsum([len(of) for of in power])[:-1]
-    scale = np.sqrt(together / total)
-    for name, values_of in places.items():
-        at = np.concatenate(values_of)
-        ranked = np.argsort(at)
-        last = ranked[np.searchsorted(np.cumsum(weight[ranked]), np.array(_ENDS))]
-        middle = float(weight @ at)
-        spread = float(np.sqrt(weight @ (at - middle) ** 2))
-        before = [np.ones_like(at)]
-        for degree in range(1, _ORDERS[name] + 1) if spread**2 > _SAME else ():
-            function = ((at - middle) / spread) ** degree
-            for own in (*before, *before):  # twice: as exact as what a small part of the range leaves of it
-                function = function - float(weight @ (own * function)) * own
-            variance = float(weight @ function**2)
-            if variance > _SAME:
-                before.append(function / np.sqrt(variance))
-                columns.append(np.split(scale * before[-1], cuts))
-                ends.append((name, scale * before[-1][last]))
-    if not columns:
+    scale = np.sqrt(power_of_all / total)
+    cuts = np.cumsum([len(of_recording) for of_recording in power])[:-1]
+    functions: list[list[Array]] = []  # of each column and recording (n,)
+    at_ends: list[tuple[str, Array]] = []  # of each column its axis and its values at the ends
+    for axis, values_of in axes.items():
+        values = np.concatenate(values_of)
+        ranked = np.argsort(values)
+        ends = ranked[np.searchsorted(np.cumsum(weight[ranked]), np.array(_ENDS))]
+        for polynomial in _orthonormal_polynomials(values, weight, _ORDERS[axis]):
+            functions.append(np.split(scale * polynomial, cuts))
+            at_ends.append((axis, scale * polynomial[ends]))
+    if not functions:
         return [], {}
-    told = {axis: np.column_stack([by * (of == axis) for of, by in ends]) for axis in dict(ends)}
-    functions = [
-        signal[:, :, None] * np.column_stack(each)[:, None, :]
-        for signal, each in zip(signals, zip(*columns, strict=True), strict=True)
+    ends_of = {axis: np.column_stack([value * (of == axis) for of, value in at_ends]) for axis in dict(at_ends)}
+    columns = [
+        values[:, :, None] * np.column_stack(of_recording)[:, None, :]
+        for values, of_recording in zip(signal, zip(*functions, strict=True), strict=True)
     ]
-    return functions, told
+    return columns, ends_of
+
+
+def _orthonormal_polynomials(values: Array, weight: Array, order: int) -> list[Array]:
+    """Polynomials of values (n,) of degrees 1 to `order`, each (n,), orthonormal under weight (n,), sum 1, among
+    themselves and to a constant, by Gram and Schmidt; without those that hardly vary."""
+    mean = float(weight @ values)
+    deviation = float(np.sqrt(weight @ (values - mean) ** 2))
+    if not deviation**2 > _SAME:
+        return []
+    basis = [np.ones_like(values)]
+    for degree in range(1, order + 1):
+        polynomial = ((values - mean) / deviation) ** degree
+        for lower in (*basis, *basis):  # twice, for rounding
+            polynomial = polynomial - float(weight @ (lower * polynomial)) * lower
+        variance = float(weight @ polynomial**2)
+        if variance > _SAME:
+            basis.append(polynomial / np.sqrt(variance))
+    return basis[1:]
 
 
 def _reduced_normal(matrix: Array, gradient: Array, first: int) -> tuple[Array, Array, Array]:
-    """Normal matrix and gradient of the unknowns from index `first` on with all others eliminated (Schur complement),
-    and the least-squares step of all unknowns."""
+    """(Normal matrix, gradient) of the unknowns from index `first` on with all others eliminated (Schur complement C -
+    X'A^-1 X), and the least-squares step of all unknowns."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    scaled, pull = matrix * np.outer(scale, scale), scale * gradient
-    follows = np.linalg.pinv(scaled[:first, :first], rcond=1e-10, hermitian=True) @ scaled[:first, first:]
-    own = scaled[first:, first:] - follows.T @ scaled[:first, first:]
-    own_pull = pull[first:] - follows.T @ pull[:first]
-    step = scale * np.linalg.lstsq(scaled, pull, rcond=1e-10)[0]
-    of = scale[first:]
-    return own / np.outer(of, of), own_pull / of, step
+    scaled, scaled_gradient = matrix * np.outer(scale, scale), scale * gradient
+    cross = scaled[:first, first:]
+    follows = np.linalg.pinv(scaled[:first, :first], rcond=_RANK, hermitian=True) @ cross
+    reduced = scaled[first:, first:] - follows.T @ cross
+    reduced_gradient = scaled_gradient[first:] - follows.T @ scaled_gradient[:first]
+    step = scale * np.linalg.lstsq(scaled, scaled_gradient, rcond=_RANK)[0]
+    own_scale = scale[first:]
+    return reduced / np.outer(own_scale, own_scale), reduced_gradient / own_scale, step
 
 
-def _power_per_independent(left: Sequence[Array]) -> float:
-    """Mean square of the residuals `left` (n, k) of each recording times the number of samples that count as one
-    independent one, by the autocorrelations up to the first that is not positive."""
-    summed: Array = np.zeros(max(len(values) for values in left))
-    for values in left:
+def _power_per_independent(residuals: Sequence[Array]) -> float:
+    """Mean square of residuals (n, k) of each recording times the number of successive ones that count as one, 1 + 2
+    sum(rho), rho the autocorrelation up to the first lag at which it is not positive; px^2 or deg^2."""
+    summed: Array = np.zeros(max(len(values) for values in residuals))
+    for values in residuals:
         for column in values.T:
-            summed[: len(column)] += _autocorrelation(column)
-    ends = np.flatnonzero(summed <= 0.0)
-    until = int(ends[0]) if len(ends) else len(summed)
-    count = sum(values.size for values in left)
-    return float(2.0 * np.sum(summed[:until]) - summed[0]) / count
+            summed[: len(column)] += _autocovariance_sums(column)
+    not_positive = np.flatnonzero(summed <= 0.0)
+    lags = int(not_positive[0]) if len(not_positive) else len(summed)
+    count = sum(values.size for values in residuals)
+    return float(2.0 * np.sum(summed[:lags]) - summed[0]) / count
 
 
-def _autocorrelation(values: Array) -> Array:
-    """(n,) Sums of products of values (n,) with those so many samples later."""
+def _autocovariance_sums(values: Array) -> Array:
+    """(n,) For each lag the sum of products of values (n,) with those that are so many samples later."""
     spectrum = np.abs(np.fft.rfft(values, 2 * len(values))) ** 2
     return np.fft.irfft(spectrum)[: len(values)]

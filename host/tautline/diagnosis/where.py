@@ -1,4 +1,5 @@
-"""Under which conditions a gap is large: the residual's power over the axes that an engineer would look at."""
+"""Under which conditions a gap is large: the residual's power as a function of position, speed, time and so on
+(axes)."""
 
 from __future__ import annotations
 
@@ -14,8 +15,9 @@ from tautline.effects import Path
 
 Array = npt.NDArray[np.float64]
 
-_BINS = 12
-# Axis: (what its ends are called, unit); "unit" is the actuator's.
+_BINS = 12  # tolerance: of an axis, with about as many observations each
+_MOVES = 0.02  # tolerance: share of the fastest motion: slower is at rest
+# Axis: (its low end in words, its high end, its unit); "unit" is the actuator's.
 AXES: Mapping[str, tuple[str, str, str]] = {
     "q": ("at low motor positions", "at high motor positions", "unit"),
     "direction": ("while the motor falls", "while the motor rises", ""),
@@ -32,23 +34,24 @@ AXES: Mapping[str, tuple[str, str, str]] = {
 
 @dataclass(frozen=True)
 class Condition:
-    """`share` of the residual's power that its value along the axis predicts (0 to 1, noise taken off)."""
+    """How a residual goes with one axis."""
 
-    axis: str
-    share: float
-    range: tuple[float, float]  # where the power per observation is largest
-    says: str
-    centres: Array  # of the bins
-    mean: Array  # (bins, k) residual
-    power: Array  # (bins,) mean square
+    axis: str  # one of AXES
+    share: float  # of the residual's power that goes with the axis, 0 to 1
+    range: tuple[float, float]  # the bin with the largest power per observation, in the axis' unit
+    says: str  # at which end that is, in words
+    centres: Array  # (bins,) in the axis' unit
+    mean: Array  # (bins, k) residual, px or deg
+    power: Array  # (bins,) mean over observations of the squared residual, summed over its coordinates
 
     def to_json(self) -> dict[str, Any]:
+        """An entry of the list `where.conditions` of diagnosis.json."""
         return {"axis": self.axis, "share": self.share, "range": list(self.range), "says": self.says}
 
 
 def conditions(segments: Sequence[Segment], paths: Sequence[Path], residuals: Sequence[Array]) -> list[Condition]:
-    """How much of the residuals' power goes with each axis (position, speed, time, ...), the largest share first.
-    paths, residuals: of each segment, at all and at scored observations."""
+    """How the residuals go with each axis that every recording has, the largest share first. paths: of each segment at
+    all observations; residuals: (scored, k) of each."""
     columns: dict[str, list[Array]] = {}
     for segment, path in zip(segments, paths, strict=True):
         for name, values in axis_values(segment, path).items():
@@ -67,44 +70,44 @@ def conditions(segments: Sequence[Segment], paths: Sequence[Path], residuals: Se
 def _without_apparent_time(
     conditions: Sequence[Condition], columns: Mapping[str, list[Array]], residual: Array
 ) -> list[Condition]:
-    """The conditions with time's share reduced to what is left of it once the power is normalised by the best other
-    axis: as motions differ between recordings, a gap that goes with speed seems to go with time."""
+    """The conditions with time's share reduced to that of the residual divided by its rms over the best other axis: as
+    motions differ between recordings, a gap that goes with speed seems to go with time. columns: of each axis its
+    values (scored,) by recording; residual: (n, k) of all."""
     others = [c for c in conditions if c.axis != "time"]
     if not others:
         return list(conditions)
     best = max(others, key=lambda c: c.share)
-    usual = np.sqrt(np.interp(np.concatenate(columns[best.axis]), best.centres, best.power))
-    even = residual / np.maximum(usual, 1e-12)[:, None]
+    rms_by_best = np.sqrt(np.interp(np.concatenate(columns[best.axis]), best.centres, best.power))
+    normalised = residual / np.maximum(rms_by_best, 1e-12)[:, None]
     result = []
     for condition in conditions:
         if condition.axis == "time":
-            apart = _condition("time", np.concatenate(columns["time"]), even).share
-            condition = replace(condition, share=min(condition.share, apart))
+            beside_best = _condition("time", np.concatenate(columns["time"]), normalised).share
+            condition = replace(condition, share=min(condition.share, beside_best))
         result.append(condition)
     return result
 
 
-def steady(residuals: Sequence[Array]) -> float:
-    """Share of the power, 0 to 1, that is constant within each recording."""
+def constant_share(residuals: Sequence[Array]) -> float:
+    """Share of the residuals' power, 0 to 1, that is in the mean of each recording. residuals: (scored, k) of each."""
     power = sum(float(np.sum(r**2)) for r in residuals)
     return sum(float(np.sum(r.mean(axis=0) ** 2)) * len(r) for r in residuals) / max(power, 1e-300)
 
 
 def axis_values(segment: Segment, path: Path) -> dict[str, Array]:
-    """Values (n,) of each axis of AXES that was recorded, in its unit there, at the recording's observations. The
-    direction is -1 or 1, 0 at rest."""
+    """{axis: its values (n,) at the recording's observations, in its unit} of those AXES that were recorded. direction:
+    -1 or 1, 0 at rest; phase: time since the last reversal."""
     motor, t = segment.motor, segment.arrival_s
     q = np.interp(t, motor.t_s, motor.q)
     rate = np.gradient(q, t) if len(t) > 1 else np.zeros_like(q)
-    # Slower than 2 % of the fastest is at rest.
-    quick = np.abs(rate) > 0.02 * max(float(np.abs(rate).max()), 1e-12)
-    sign = np.where(quick, np.sign(rate), 0.0)
-    last, since, direction = t[0], np.zeros_like(t), 0.0
+    moves = np.abs(rate) > _MOVES * max(float(np.abs(rate).max()), 1e-12)
+    direction = np.where(moves, np.sign(rate), 0.0)
+    reversal_s, phase, current = t[0], np.zeros_like(t), 0.0
     for i in range(len(t)):
-        if sign[i] != 0.0 and sign[i] != direction:
-            direction, last = sign[i], t[i]
-        since[i] = t[i] - last
-    values = {"q": q, "direction": sign, "speed": np.abs(rate), "phase": since, "time": t + segment.offset_s}
+        if direction[i] != 0.0 and direction[i] != current:
+            current, reversal_s = direction[i], t[i]
+        phase[i] = t[i] - reversal_s
+    values = {"q": q, "direction": direction, "speed": np.abs(rate), "phase": phase, "time": t + segment.offset_s}
     others = {"translation": motor.translation_mm, "rotation": motor.rotation_deg, "load": motor.load_mNm}
     values |= {name: np.interp(t, motor.t_s, v) for name, v in others.items() if v is not None}
     if segment.unit == "px":
@@ -113,15 +116,16 @@ def axis_values(segment: Segment, path: Path) -> dict[str, Array]:
 
 
 def _condition(name: str, values: Array, residual: Array) -> Condition:
-    """How the residual (n, k) goes with one axis' values (n,). Its share of the power is the larger of what the bins'
-    mean residuals explain, and of how unevenly the power is spread over the bins (half the mean deviation)."""
+    """How the residual (n, k) goes with the values (n,) of the axis `name`. Its share of the power is the larger of the
+    share that the bins' mean residuals explain, and of half the mean relative deviation of the bins' power from the
+    mean power."""
     edges = _bin_edges(values)
-    at = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
-    count = np.bincount(at, minlength=len(edges) - 1).astype(float)
+    bin_of = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+    count = np.bincount(bin_of, minlength=len(edges) - 1).astype(float)
     filled = count > 0
     low, high, count = edges[:-1][filled], edges[1:][filled], count[filled]
-    squares = np.bincount(at, np.sum(residual**2, axis=1))[filled]
-    mean = np.column_stack([np.bincount(at, column)[filled] / count for column in residual.T])
+    squares = np.bincount(bin_of, np.sum(residual**2, axis=1))[filled]
+    mean = np.column_stack([np.bincount(bin_of, column)[filled] / count for column in residual.T])
     total = float(np.sum(residual**2))
     explained = float(np.sum(count * np.sum(mean**2, axis=1))) / total
     power = squares / count
@@ -142,7 +146,8 @@ def _condition(name: str, values: Array, residual: Array) -> Condition:
 
 
 def _bin_edges(values: Array) -> Array:
-    """Edges of bins that hold about as many values each; of up to three distinct values (directions) a bin for each."""
+    """(bins + 1,) Edges of _BINS bins with about as many of the values (n,) each; of up to three distinct values, such
+    as directions, a bin for each."""
     levels = np.unique(values)
     if len(levels) > 3:
         return np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)))
