@@ -95,7 +95,7 @@ class _Hypotheses:
 
     def add(self, candidate: Candidate, events: bool = False) -> None:
         """Adds a fitted hypothesis to the evidence. events: whether also every event (an effect without a path) on top
-        of it, told by the scatter of its residuals."""
+        of it, identified by the scatter of its residuals."""
         no_scatter = np.zeros_like(candidate.power)
         self._append(candidate, no_scatter, no_scatter)
         if not events:

@@ -34,7 +34,9 @@ class Likelihoods:
     effects only imitate."""
 
     def __init__(self, case: Stacked, hyper: Hyperparameters) -> None:
-        """Of the hypotheses of `case`, with these hyperparameters."""
+        """Of the hypotheses of `case`, with these hyperparameters: the likelihood of the blocks' powers and of an
+        event's scatter, times those of what is left beyond the effects' stages (confined.py) and of how their
+        amplitudes vary (wander.py)."""
         self.hyper = hyper
         self._case = case
         self._observations = case.independent_observations(hyper.misfit_tells, hyper.noise_tells)  # (blocks,)
@@ -44,22 +46,31 @@ class Likelihoods:
         # The share that a set of effects may well leave: as the worst of it.
         self._most = np.where(case.law, hyper.unexplained_by_law, hyper.unexplained)
         right = self._as_right_effects
-        event, rival = self._gain(case.scatter), self._gain(case.rival)
-        own = np.where(case.size > 0, right + event + self._log_probability_unbeaten, self._log_likelihood_of_no_change)
-        rival_log_odds = np.where(case.scatters, rival - event, -np.inf)
-        self.unknown_scatter = np.where((case.size == 1) & ~case.path, own + log_expit(rival_log_odds), -np.inf)
-        # Beside another effect an event has to explain more than the best rival does, as what an inexact effect leaves
-        # is correlated too; unless the event is far ahead, where what this takes off is given back.
-        beside = case.size > 1
-        rival_gain = np.where(case.scatters, np.maximum(rival, 0.0), 0.0)
-        own = own - np.where(beside, rival_gain, np.logaddexp(0.0, rival_log_odds))
-        given_back = np.where(beside & (rival_log_odds < -LOG_ODDS_MARGIN), rival_gain, 0.0)
+        own, self.unknown_scatter, given_back = self._with_events(right)
         replaced = self._replaced_by_contained
         reached = self._with_imitating_misfit(own, given_back, replaced)
         confined = case.confined_log_ratio(hyper.floor_known, hyper.floor_steady, hyper.disturbed)
         self.log_likelihood: Array = np.maximum(own + given_back, reached) + confined + self.steady
-        self.log_likelihood[replaced | (case.repeats & ~beside)] = -np.inf
+        self.log_likelihood[replaced | (case.repeats & ~(case.size > 1))] = -np.inf
         self.unknown = self._log_likelihood_of_unknown(right, reached, replaced)
+
+    def _with_events(self, right: Array) -> tuple[Array, Array, Array]:
+        """Log-likelihoods, (hypotheses,) each: (of a hypothesis with its event's scatter; of the same with the scatter
+        of unknown origin; what an event far ahead of its rivals gets back). With L = right + event, and rival, the
+        gains by an event and by its best rival: a single event has L - log(1 + exp(rival - event)), unknown scatter the
+        rest of exp(L). Beside another effect, whose misfit is correlated too, it has to explain more than the rival
+        does, L - max(rival, 0), which it gets back if it is LOG_ODDS_MARGIN ahead. right: as right effects without
+        scatter."""
+        case = self._case
+        event, rival = self._gain(case.scatter), self._gain(case.rival)
+        own = np.where(case.size > 0, right + event + self._log_probability_unbeaten, self._log_likelihood_of_no_change)
+        rival_log_odds = np.where(case.scatters, rival - event, -np.inf)
+        unknown_scatter = np.where((case.size == 1) & ~case.path, own + log_expit(rival_log_odds), -np.inf)
+        beside = case.size > 1
+        rival_gain = np.where(case.scatters, np.maximum(rival, 0.0), 0.0)
+        own = own - np.where(beside, rival_gain, np.logaddexp(0.0, rival_log_odds))
+        given_back = np.where(beside & (rival_log_odds < -LOG_ODDS_MARGIN), rival_gain, 0.0)
+        return own, unknown_scatter, given_back
 
     @cached_property
     def best(self) -> dict[frozenset[str], int]:

@@ -118,7 +118,7 @@ def _effect_sentences(document: Mapping[str, Any]) -> str:
         shrinks = "removes" if gap["shrink"] > _REMOVES else f"shrinks by {percent(gap['shrink'])}"
         text = (
             f"{_capital(named)}: with {'it' if len(effects) == 1 else 'them'} in the model the gap {shrinks}, "
-            f"from {before} to {digits(gap['after'])}{_beside_noise(gap)}; on another motion expect "
+            f"from {before} to {digits(gap['after'])}{_closed_above_noise(gap)}; on another motion expect "
             f"{_between(gap['shrink_ci'])}."
         )
     others = [name for name in effects[0]["ambiguous_with"] if name not in {e["id"] for e in effects}]
@@ -136,7 +136,7 @@ def _why_not(document: Mapping[str, Any], name: str) -> str:
     return f"would be another law elsewhere ({says})" if says else "leaves what it could not"
 
 
-def _beside_noise(gap: Mapping[str, Any]) -> str:
+def _closed_above_noise(gap: Mapping[str, Any]) -> str:
     """Which share of the gap's power above the noise is closed, if that is clearly more than the rms shrinks; else
     ""."""
     share = gap.get("closable_shrink")

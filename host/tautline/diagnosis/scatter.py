@@ -241,7 +241,8 @@ class _Joined:
         return np.asarray(np.logaddexp(np.log(stays) + self._repeated, np.log1p(-stays) + within_jump))
 
     def repeats(self, share: float) -> Array:
-        """(n,) Log-density of a link that shows this share of the frames a second time in place of the next one."""
+        """(n,) Log-density of a link that shows this share of the frames a second time in place of the next one; a
+        frame has the variance of two frames' noise about the one that it repeats, and as much where it is fresh."""
         # The fitted delay holds how late such images are in the mean: fresh ones are early by that.
         fresh_residual = self.residual - share * self._velocity * self._period[:, None]
         fresh = _isotropic(np.sum(fresh_residual**2, axis=1), 2.0 * self._floor2, self.coordinates)

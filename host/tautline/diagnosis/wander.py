@@ -64,8 +64,9 @@ def _signals(fit: Fit, rows: Sequence[ScoredRows]) -> list[list[Array]]:
 def _factors_normal(
     fitter: Fitter, fit: Fit, rows: Sequence[ScoredRows], columns: Sequence[Array], limits: Sequence[float]
 ) -> tuple[Array, Array]:
-    """(Normal matrix (m, m), gradient (m,)) of the factors of `columns` (scored, k, m) of each recording, with all
-    unknowns of the fit eliminated, over the noise's power: that of what is left with them, an independent reading."""
+    """(Normal matrix (m, m), gradient (m,)) of the factors of `columns` (scored, k, m of each recording), with all
+    unknowns of the fit eliminated. Both are divided by the noise's power: the mean square of the residuals with all of
+    these fitted, times the number of successive ones that count as one, at least floor^2."""
     precision = fitter.floor**2 * fitter.prior_precision(fit.hypothesis)
     extended = [
         replace(row, columns=np.concatenate([row.columns, further], axis=2))
