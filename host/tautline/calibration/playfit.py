@@ -192,14 +192,14 @@ class PlayFit:
         translation, rotation = track.others_at(track.scene_s(curves.delay_s))
         return self.view(s[:, 0], translation, rotation)[0]
 
-    def counts(self, curves: Curves) -> list[Array]:
-        """(n,) of each track: as how much of an independent frame each one counts (rounding.py). After `residuals` with
-        the same curves."""
+    def counted(self, weights: Sequence[Array], curves: Curves, scale: float) -> list[Array]:
+        """Weights (n,) of each track's frames times as much of an independent frame as each one is (rounding.py), where
+        the residuals are `scale` times the noise. After `residuals` with the same curves."""
         return [
-            counts(frozen.track, self.seen(frozen.track, curves, sim.tip), frozen.use)
+            weight * counts(frozen.track, self.seen(frozen.track, curves, sim.tip), frozen.use, scale)
             if frozen.track.step > 0.0
-            else np.ones(len(frozen.use))
-            for frozen, sim in zip(self.tracks, self.simulated, strict=True)
+            else weight
+            for weight, frozen, sim in zip(weights, self.tracks, self.simulated, strict=True)
         ]
 
     def normal(
@@ -280,7 +280,8 @@ class PlayFit:
         minimum = descend(_Descent(self, robust, adapt), _Point.of(self, start), iterations)
         curves = minimum.curves
         rows, masks = self.residuals(curves)
-        scale, weights = _weights(rows, masks, robust, self.counts(curves))
+        scale, weights = _weights(rows, masks, robust)
+        weights = self.counted(weights, curves, scale)
         matrix, _ = self.normal(curves, rows, weights)
         penalty, _ = self.penalty(curves, scale)
         covariance = np.asarray(np.linalg.inv(matrix + penalty + 1e-12 * np.eye(len(matrix))) * scale * scale)
@@ -475,7 +476,8 @@ class _Descent:
         adapted smoothing."""
         fit, curves = self.fit, point.curves
         fit.simulated = point.simulated
-        self.scale, self.weights = _weights(point.rows, point.masks, self.robust, fit.counts(curves))
+        self.scale, weights = _weights(point.rows, point.masks, self.robust)
+        self.weights = fit.counted(weights, curves, self.scale)
         if self.adapt and self.steps == 0:
             fit.begin(curves, self.scale)
         matrix, gradient = fit.normal(curves, point.rows, self.weights)
@@ -583,24 +585,23 @@ def _again(weights: list[Array], masks: list[Mask]) -> list[Array]:
     return [np.where(m, w, 1.0) for w, m in zip(weights, masks, strict=True)]
 
 
-def _weights(rows: list[Array], masks: list[Mask], robust: bool, counts: list[Array]) -> tuple[float, list[Array]]:
-    """Scale of the residuals (rms over noise, outliers bounded; 1 without frames) and each frame's Huber weight times
-    what it counts (`PlayFit.counts`), 0 where it does not. 1.4826 and 1.2 make a median of one and of two coordinates'
-    rms a standard deviation."""
+def _weights(rows: list[Array], masks: list[Mask], robust: bool) -> tuple[float, list[Array]]:
+    """Scale of the residuals (rms over noise, outliers bounded; 1 without frames) and each frame's Huber weight, 0
+    where it does not count. 1.4826 and 1.2 make a median of one and of two coordinates' rms a standard deviation."""
     used = [np.sqrt(np.mean(r[m] ** 2, axis=1)) for r, m in zip(rows, masks, strict=True)]
     norm = np.concatenate(used) if used else np.zeros(0)
     if len(norm) == 0:
-        return 1.0, [m * c for m, c in zip(masks, counts, strict=True)]
+        return 1.0, [m.astype(float) for m in masks]
     if not robust:
-        return max(float(np.sqrt(np.mean(norm**2))), 1e-6), [m * c for m, c in zip(masks, counts, strict=True)]
+        return max(float(np.sqrt(np.mean(norm**2))), 1e-6), [m.astype(float) for m in masks]
     middle = float(np.sqrt(np.median(norm**2))) * (1.4826 if rows[0].shape[1] == 1 else 1.2)
     limit = 4.0 * max(middle, 1e-9)
     scale = max(float(np.sqrt(np.mean(np.minimum(norm, limit) ** 2))), 1e-6)
     limit = 4.0 * scale
     weights = []
-    for r, m, c in zip(rows, masks, counts, strict=True):
+    for r, m in zip(rows, masks, strict=True):
         size = np.sqrt(np.mean(np.where(m[:, None], r, 0.0) ** 2, axis=1))
-        weights.append(np.where(m, c * np.minimum(1.0, limit / np.maximum(size, 1e-12)), 0.0))
+        weights.append(np.where(m, np.minimum(1.0, limit / np.maximum(size, 1e-12)), 0.0))
     return scale, weights
 
 

@@ -37,16 +37,17 @@ def shared_variance(track: Track, rests: Mask) -> float:
     return track.step**2 * float(np.interp(0.5 * np.mean(apart**2), _OWN, _SHARED))
 
 
-def counts(track: Track, seen: Array, use: Mask) -> Array:
+def counts(track: Track, seen: Array, use: Mask, scale: float) -> Array:
     """(n,) As how much of an independent frame each one counts, 1 at most: n frames of one rest know the tip's place to
-    own^2 / n + shared^2, own^2 being what of the noise they do not share. use (n,): frames that a fit has."""
+    own^2 / n + shared^2. own^2 is all else that is left of them, in a fit that leaves `scale` times the noise: its
+    misfit is no rounding. use (n,): frames that the fit has."""
     every = np.ones(len(seen))
     if track.step <= 0.0 or not len(every):
         return every
     rests = resting(track, seen)
-    shared2, noise2 = shared_variance(track, rests), float(np.median(track.sigma)) ** 2
+    shared2, left2 = shared_variance(track, rests), (max(scale, 1.0) * float(np.median(track.sigma))) ** 2
     for rest in stretches(rests):
         frames = slice(rest.start, rest.stop + 1)
         many = max(int(np.count_nonzero(use[frames])), 1)
-        every[frames] = noise2 / (noise2 + (many - 1) * shared2)
+        every[frames] = left2 / (left2 + (many - 1) * shared2)
     return every

@@ -242,15 +242,14 @@ def _foretold(
     labels: Sequence[Labels],
 ) -> list[Array]:
     """(n, k) of each track: what a fit without a frame's block misses it by, over the noise."""
-    limit, counts = _STRAY * bounded_rms(_counted(rows, masks)), fit.counts(curves)
+    scale = bounded_rms(_counted(rows, masks))
+    limit = _STRAY * scale
+    norms = [np.sqrt(np.mean(row**2, axis=1)) for row in rows]
+    weights = fit.counted([limit / np.maximum(norm, limit) for norm in norms], curves, scale)
 
     def weighed(number: int) -> list[Array]:
         """(n,) of each track: weights of this block's frames, those of a stray less than 1; 0 of all other frames."""
-        norms = [np.sqrt(np.mean(row**2, axis=1)) for row in rows]
-        return [
-            np.where(label == number, count * limit / np.maximum(norm, limit), 0.0)
-            for norm, label, count in zip(norms, labels, counts, strict=True)
-        ]
+        return [np.where(label == number, weight, 0.0) for label, weight in zip(labels, weights, strict=True)]
 
     parts = [fit.normal(curves, list(rows), weighed(number)) for number in range(BLOCKS)]
     whole = np.sum([matrix for matrix, _ in parts], axis=0) + fit.penalty(curves, 1.0)[0]

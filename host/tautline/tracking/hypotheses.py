@@ -57,7 +57,8 @@ _LEAST_NARROWER = 0.01  # loss: of B, that is worth a step of the tables
 _TOLD_APART = 0.6  # loss: of what a law changes in B: so much must have been passed before another law replaces it
 _HARD, _GUESS = 200, 320  # tolerance: us, at most, of looks at a case
 DECISION = 350  # tolerance: and of taking a law into use
-_HOLDS_FOR_NOW = "the model holds for now"
+_HELD = "the law in use held over the last strokes, and is trusted again once it has for more"
+_NONE_BETTER = "no other law leaves clearly less than the one in use: what scatters more is the sensor, or no play"
 _ONE_WAY = "the tip was not yet seen to move both ways since the model stopped holding"
 
 
@@ -133,7 +134,7 @@ def _judged(
             return (yield from _judged_by_offset(case, posture))
         return Inference(_ONE_WAY, case.evidence, early=True)
     if not adapting and case.lately(case.z) < _HOLDS * case.level:
-        return Inference(_HOLDS_FOR_NOW, case.evidence, early=True)
+        return Inference(_HELD, case.evidence, early=True)
     fit = yield from _simplest_sufficient(case)
     yield _HARD
     if case.turns and not np.array_equal(case.theta, unchanged()) and _tells_apart(case, lately=True):
@@ -143,7 +144,7 @@ def _judged(
         if lately <= good and better:
             return _calibrated_holds(case, lately)
     if not adapting and not case.worth_adopting(fit.z, _NOW, fit):
-        return Inference(_HOLDS_FOR_NOW, case.evidence, early=True)
+        return Inference(_NONE_BETTER, case.evidence, early=True)
     foretold = proposal is not None and (yield from _predicts_later_strokes(case, proposal))
     yield _HARD + len(case.z) // 8
     least = max(_TURNS, _RICHER_TURNS * _richness(fit))
@@ -168,7 +169,7 @@ def _judged(
             only[SCALE] *= share
             left = (yield from simulated(case.nominal, case.evidence, only, False))[0]
             if not case.clear(fit) and not case.worth_adopting(left, 1, fit):
-                return Inference(_HOLDS_FOR_NOW, case.evidence, proposed=fit.theta)
+                return Inference(_NONE_BETTER, case.evidence, proposed=fit.theta)
             return Inference(
                 f"transmission.backlash: {100 * share:.0f} % of the width as it was: no more is taken up",
                 case.evidence,
