@@ -204,11 +204,13 @@ def fitted(
     nominal: LawFamily, evidence: WindowKnots, start: Array, free: tuple[int, ...], prior: Prior
 ) -> Work[LawFit]:
     """The law of least cost, parameters with the indices `free` varying, by Levenberg-Marquardt on Huber's cost with
-    the prior. Yields each piece's cost beforehand, us."""
+    the prior, which counts in units of the residuals' level^2: what no law explains bends none. Yields each piece's
+    cost beforehand, us."""
     picked = list(free)
-    information = prior.information(picked)
+    known = prior.information(picked)
     theta = nominal.clipped(start)
     z, by = yield from simulated(nominal, evidence, theta)
+    information = known * _level2(z)
     algebra = 70 + len(z) * (3 + len(free)) // 300
     yield algebra
     cost = _huber_cost(z, theta, prior, picked, information)
@@ -231,7 +233,9 @@ def fitted(
         trial_cost = _huber_cost(trial_z, trial, prior, picked, information)
         if trial_cost < cost:
             gained = cost - trial_cost
-            theta, z, by, cost = trial, trial_z, trial_by, trial_cost
+            theta, z, by = trial, trial_z, trial_by
+            information = known * _level2(z)
+            cost = _huber_cost(z, theta, prior, picked, information)
             damping *= 0.1  # tolerance: of Levenberg and Marquardt's steps
             if gained < _DONE:
                 break
@@ -241,6 +245,11 @@ def fitted(
                 break
     yield 2 * algebra + 40
     return LawFit(evidence, theta, free, z, cost, _covariance(evidence, z, by[:, picked], information))
+
+
+def _level2(z: Array) -> float:
+    """Square of the level of residuals over sigma z (n,), that of the noise at least."""
+    return max(1.0, trimmed(z)) ** 2
 
 
 def _huber_cost(z: Array, theta: Array, prior: Prior, free: list[int], information: Array) -> float:
@@ -257,7 +266,7 @@ def _covariance(evidence: WindowKnots, z: Array, slopes: Array, information: Arr
     if slopes.shape[1] == 0:
         return np.zeros((0, 0))
     inverse = np.linalg.inv(slopes.T @ slopes + information)
-    own = max(1.0, trimmed(z)) ** 2
+    own = _level2(z)
     begins = np.flatnonzero(np.diff(evidence.stroke, prepend=evidence.stroke[0] - 1))  # strokes are in order
     if len(begins) <= slopes.shape[1]:
         return np.asarray(2.0 * own * inverse)
