@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 
 from tautline import _native
 from tautline.elements import Play
+from tautline.model import Model
 from tautline.recording import Angle, Motor, Recording, save
+from tautline.rig import Actuator, Coarse, Rig
 from tautline.tracking import State, off_by, replay, tracker
 from tautline.tracking.doubt import JUMP, MEMORY_S, Doubt
 from tautline.tracking.hypotheses import judge
@@ -325,6 +327,37 @@ def test_an_angle_sensor_will_do():
     late = tracked.t_s > reversals_since(made)[9]
     assert np.sqrt(np.mean(off_by(tracked, [recording])[late] ** 2)) < 1.3 * noise
     assert tracked.rows[-1].scale == pytest.approx(0.7, abs=0.01)
+
+
+def growing(seed: int, to: float) -> tuple[Model, Recording]:
+    """A joint whose B grows to `to` times itself from 40 to 100 s of use, and its model as it was; in plain numpy."""
+    rig, rng = Rig(Actuator("mm", (-5.0, 5.0), 0.001), Coarse(12.0, 0.0)), np.random.default_rng(seed)
+    q, at = [0.0], 0.0
+    while len(q) < 170 * 200:
+        goal = rng.uniform(-4.5, 4.5)
+        s = np.linspace(0.0, 1.0, max(int(200 * abs(goal - at) / rng.uniform(0.8, 3.0)), 60))
+        q += (at + (goal - at) * (10 * s**3 - 15 * s**4 + 6 * s**5)).tolist()
+        at = goal
+    t_s, p, place = np.arange(170 * 200) / 200.0, 0.0, []
+    half = 0.25 * (1.0 + (to - 1.0) * np.clip((t_s - 40.0) / 60.0, 0.0, 1.0))
+    for motor, b in zip(q, half.tolist(), strict=False):
+        p = min(max(p, motor - b), motor + b)
+        place.append(p)
+    frames = slice(3, None, 8)
+    c = 12.0 * np.array(place)[frames]
+    angle = Angle(t_s[frames], c + 0.01 * rng.normal(size=len(c)))
+    flat, evidence = 0.0 * GRID, {"evidence": {"residual": 0.01}}
+    model = Model(rig, GRID, flat + 0.5, flat + 0.001, 12.0 * GRID, 0.0, (-4.7, 4.7), sensor="angle", extra=evidence)
+    return model, Recording("use", Motor(t_s, np.round(q[: len(t_s)], 3)), angle=angle, rig=rig)
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_width_that_grows_while_it_is_learnt_is_not_told_to_be_narrow_somewhere(seed):
+    """Frames of different widths agree on none: what no law explains must not bend the shape of B."""
+    model, recording = growing(seed, 1.3)
+    scales = np.array([row.scale for row in replay(model, [recording]).rows])
+    print(f"scale {scales.min():.2f} at least, {scales[-1]:.2f} in the end")
+    assert scales.min() > 0.8
 
 
 # What does not change is not
