@@ -224,6 +224,19 @@ def test_a_sets_probability_is_that_of_its_own_evidence(seed, there):
     np.testing.assert_allclose(sets.probability, expected, rtol=1e-6)
 
 
+def test_what_is_surely_there_is_named_however_many_may_be():
+    rng = np.random.default_rng(3)
+    slopes, noise = rng.normal(size=(60, 15)), 0.8
+    u = np.zeros(15)
+    u[[4, 9]] = 2.0, -1.5
+    sets = Sets.of(
+        tuple(Unknown(f"x{i}", np.array([i])) for i in range(15)),
+        linear(slopes, slopes @ u + noise * rng.normal(size=60), noise),
+    )
+    assert sorted(sets.ids) == sorted(f"x{i}" for i in range(15))
+    assert set(sets.groups[:2]) == {("x4",), ("x9",)} and sets.count[2] + sets.count[3] > 0.99
+
+
 def test_a_block_that_is_left_out_is_foretold_by_a_fit_without_it(answer):
     """Of a linear model the step to it is exact."""
     rng = np.random.default_rng(2)

@@ -28,26 +28,26 @@ _LARGEST_GROUP = 3  # format: unknowns in a group at most: for three the prior a
 class Sets:
     """The posterior over sets of unknowns."""
 
-    ids: tuple[str, ...]  # of the unknowns that may be absent
+    ids: tuple[str, ...]  # of the unknowns that may be there
     present: npt.NDArray[np.bool_]  # (sets, ids) which are in each set
     probability: Array  # (sets,) sum 1
 
     @classmethod
     def of(cls, unknowns: tuple[Unknown, ...], fitted: Fitted) -> Sets:
         """The posterior over all sets of up to _MOST unknowns: of more, those whose presence the evidence favours most
-        are taken to be in every set and do not appear in it. Nor do unknowns at an end of their range, which are
-        absent."""
-        free = [unknown for unknown in unknowns if np.isin(unknown.places, fitted.free).any()]
-        free = sorted(free, key=lambda unknown: -_log_evidence_against_zero(fitted, [unknown]))[-_MOST:]
+        are in every set. Unknowns at an end of their range are absent and not among the ids."""
+        reached = [unknown for unknown in unknowns if np.isin(unknown.places, fitted.free).any()]
+        reached = sorted(reached, key=lambda unknown: -_log_evidence_against_zero(fitted, [unknown]))
+        certain, free = reached[:-_MOST], reached[-_MOST:]
         present, log = [], []
         for size in range(len(free) + 1):
             for without in combinations(range(len(free)), size):
-                present.append([i not in without for i in range(len(free))])
+                present.append([True] * len(certain) + [i not in without for i in range(len(free))])
                 log_evidence = -_log_evidence_against_zero(fitted, [free[i] for i in without])
                 log.append(log_evidence + size * np.log((1.0 - _PRESENT) / _PRESENT))
         log_posterior = np.array(log)
         probability = np.exp(log_posterior - log_sum(log_posterior))
-        return cls(tuple(unknown.id for unknown in free), np.array(present, dtype=bool), probability)
+        return cls(tuple(unknown.id for unknown in reached), np.array(present, dtype=bool), probability)
 
     def any_of(self, names: tuple[str, ...]) -> float:
         """Probability that at least one of these unknowns is present."""
