@@ -95,8 +95,12 @@ class Compensator:
 
     def step(self, c_deg: float, t_s: float) -> float:
         """The motor's set-point, the rig's unit, at the last tick up to t_s, s, where the tip should be at c_deg.
-        TautError for a time that is not after the one before, and for what is not finite."""
-        self.run([t_s], [c_deg])
+        TautError for a time that is not after the one before, and for what is no finite number."""
+        try:
+            command = float(t_s), float(c_deg)
+        except (TypeError, ValueError):
+            raise TautError(f"step takes an angle, deg, and a time, s: not {c_deg!r} and {t_s!r}") from None
+        self.run(command[:1], command[1:])
         return self._q
 
     def run(
@@ -118,7 +122,7 @@ class Compensator:
             raise TautError("the trajectory's times must rise, and its times and angles be finite")
         if (t_s[-1] - known_s[0]) * self.rate_hz * (1 + 1e-12) >= MOST_ROWS:
             rows = f"{MOST_ROWS} rows at {self.rate_hz} Hz"
-            raise TautError(f"the trajectory has more than {rows}: lower --rate or cut it")
+            raise TautError(f"the trajectory has more than {rows}: lower the rate or cut it; after a pause begin anew")
         if first:
             self._start(float(t_s[0]), float(c_deg[0]))
         last = int((t_s[-1] - self._begin_s) * self.rate_hz * (1 + 1e-12) + 1e-6)

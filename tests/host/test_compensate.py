@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from cli_runner import Taut
 
-from tautline.compensation import compensate
+from tautline.compensation import Compensator, compensate
 from tautline.elements import SINGLE, Elements
+from tautline.errors import TautError
 from tautline.model import Effect, Model
 from tautline.rig import Actuator, Coarse, Rig
 
@@ -138,6 +139,24 @@ def test_beyond_the_range_and_a_limit_it_is_clipped():
     assert slow.clipped.any()
     quick = compensate(model(0.5, GRADUAL, speed_max=1000.0), *trajectory(4), 1000)
     assert not quick.clipped.any()
+
+
+@pytest.mark.parametrize(
+    ("c_deg", "t_s", "says"),
+    [
+        ("x", 0.1, "step takes an angle"),
+        (None, 0.1, "step takes an angle"),
+        (1.0, float("nan"), "finite"),
+        (1.0, 0.0, "must rise"),
+        (1.0, 1e9, "after a pause begin anew"),
+    ],
+)
+def test_a_loop_that_gives_what_is_no_command_is_told_so_and_goes_on(c_deg, t_s, says) -> None:
+    loop = Compensator(model(0.5))
+    before = loop.step(1.0, 0.0)
+    with pytest.raises(TautError, match=says):
+        loop.step(c_deg, t_s)
+    assert loop.step(1.0, 0.2) == before
 
 
 def write(path: Path, rows: str) -> Path:
