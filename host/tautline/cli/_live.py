@@ -159,6 +159,12 @@ def sigma_of(text: str, unit: str) -> float:
     return value * 1e-3 if named in ("um", "µm") else value
 
 
+def _takes(option: str) -> bool:
+    """Whether the command that runs has this option."""
+    context = click.get_current_context(silent=True)
+    return context is not None and any(each.name == option for each in context.command.params)
+
+
 @contextmanager
 def opened(
     live: LiveOptions, rig_path: Path | None, seed: int = 0, model: Model | None = None, picks: bool = False
@@ -178,7 +184,6 @@ def opened(
             f"{rig_path}: its motor is in {rig.actuator.unit}, the model's in {model.rig.actuator.unit}: name the rig "
             "that the model was calibrated with, or leave --rig out"
         )
-    options = click.get_current_context().command.params
     picks = picks or (rig is not None and rig.sees_from_tip)  # there is no marker
     named = live.camera is not None and live.simulate is None and (live.colour.exists() or not picks)
     with open_live(
@@ -191,7 +196,7 @@ def opened(
         picks=picks,
         at=live.at,
         seed=seed,
-        otherwise="use --simulate" if any(option.name == "simulate" for option in options) else "",
+        otherwise="use --simulate" if _takes("simulate") else "",
     ) as setup:
         if isinstance(setup.marker_source, CameraSource) and (says := setup.marker_source.says["exposure"]):
             log(f"taut: the camera's {says}")

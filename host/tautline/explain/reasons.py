@@ -157,17 +157,10 @@ REASONS = (
         "rig.actuator.encoder_resolution",
     ),
     _reason(
-        "angle",
-        "The angle sensor tells its value in steps that are seen beside B.",
-        "angle.csv holds few different values.",
-        "Read the sensor with more digits, or take a finer one.",
-        "angle.csv",
-    ),
-    _reason(
         "tracker",
-        "The marker's position comes in steps that are seen beside B.",
-        "marker.csv holds few different values, such as whole pixels.",
-        "Let the tracker tell fractions of a pixel: taut tracks a video to some hundredths.",
+        "The marker's place errs alike in neighbouring frames, and anew along every stroke.",
+        "A video codec holds back what moves little; a camera's noise reduction mixes in the frame before.",
+        "Record raw or MJPEG frames, give the codec more bits, switch the camera's noise reduction off.",
         "marker.csv",
     ),
     _reason(
