@@ -97,10 +97,10 @@ class Compensator:
         """The motor's set-point, the rig's unit, at the last tick up to t_s, s, where the tip should be at c_deg.
         TautError for a time that is not after the one before, and for what is no finite number."""
         try:
-            command = float(t_s), float(c_deg)
+            time, angle = float(t_s), float(c_deg)
         except (TypeError, ValueError):
             raise TautError(f"step takes an angle, deg, and a time, s: not {c_deg!r} and {t_s!r}") from None
-        self.run(command[:1], command[1:])
+        self.run([time], [angle])
         return self._q
 
     def run(

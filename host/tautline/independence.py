@@ -83,14 +83,17 @@ def expected_sums(n: int, order: int = 1) -> Array:
     trend = _orthonormal(np.arange(n, dtype=float), order)
     sums = []
     for rho in MEMORIES:
-        remembers = np.vstack([np.ones(n), np.full(n, -rho)])
-        ahead = solve_banded((1, 0), remembers, trend)
-        behind = solve_banded((0, 1), remembers[::-1, ::-1], trend)
+        ahead, behind = first_order_sums(trend, rho), first_order_sums(trend[::-1], rho)[::-1]
         covered = ahead + behind - trend  # covariance times trend
         of_trend = trend.T @ covered
         neighbours = np.sum(trend[:-1] * covered[1:] + covered[:-1] * trend[1:] - (trend[:-1] @ of_trend) * trend[1:])
         sums.append([n - np.trace(of_trend), (n - 1) * rho - neighbours])
     return np.array(sums).T
+
+
+def first_order_sums(values: Array, rho: float) -> Array:
+    """y of y[k] = values[k] + rho y[k - 1], y being 0 before the first; values (n, ...)."""
+    return np.asarray(solve_banded((1, 0), np.vstack([np.ones(len(values)), np.full(len(values), -rho)]), values))
 
 
 def _orthonormal(t: Array, order: int) -> Array:

@@ -166,10 +166,8 @@ def _late_section(v: Mapping[str, float]) -> Section:
         above = above * fast * slowly
         below = below * ((1.0 - share) * fast * slowly + share * (1.0 - slow) * slowly + share * slow * fast)
     poles = np.sort(np.real(below.roots))  # apart from one another
-    gains = above(poles) / below.deriv()(poles)
-    gains_q16 = [
-        round(float(np.clip(gains[k] / poles[k], -_GAIN_MOST, _GAIN_MOST)) * 65536.0) for k in range(len(poles))
-    ]
+    gains = np.clip(above(poles) / below.deriv()(poles) / poles, -_GAIN_MOST, _GAIN_MOST)
+    gains_q16 = [round(float(gain) * 65536.0) for gain in gains]
     times_us = [round(-1e6 / float(pole)) for pole in poles]
     free = _native.TABLE_LATE_MAX - len(poles)
     return {"gain_q16": gains_q16 + [0] * free, "time_us": times_us + [0] * free} if len(poles) else {}

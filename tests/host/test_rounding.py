@@ -7,9 +7,11 @@ from dataclasses import replace
 import angle_plant
 import numpy as np
 import pytest
+from reference_instrument import RIG, moved
 
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.observations import Track, observe, rounding_step
+from tautline.calibration.remaining import posed
 from tautline.calibration.rounding import counts, resting, shared_variance
 
 
@@ -61,6 +63,14 @@ def test_a_step_is_found_where_most_levels_are_skipped() -> None:
     y = np.concatenate([y, np.repeat(y[:300], 4)])[:, None]
     assert rounding_step(y) == pytest.approx(0.05, rel=1e-6)
     assert rounding_step(rng.normal(size=(900, 1))) == 0.0
+
+
+def test_angles_by_the_pose_of_whole_pixels_have_no_step() -> None:
+    made = moved([-2.0, 1.0, -1.0, 2.0, -2.0], 0.5)
+    marker = made.marker
+    whole = replace(made, marker=replace(marker, u_px=np.round(marker.u_px), v_px=np.round(marker.v_px)))
+    track = observe([whole], RIG)[0]
+    assert track.step == 1.0 and posed(track, RIG, 0.08).step == 0.0
 
 
 @pytest.mark.parametrize(("quantum", "noise", "speed"), [(0.1, 0.005, 20.0), (0.1, 0.0, 30.0), (0.0879, 0.03, 20.0)])

@@ -104,7 +104,7 @@ def over_noise(off: np.ndarray, moving: np.ndarray, placed: float = 0.0) -> floa
         width=lambda curves: np.ones(3),
     )
     masks = worths._of_tip(cast(Any, fit), cast(Any, None), [off], [np.ones(n, bool)])
-    return worths._over_noise(cast(Any, fit), cast(Any, None), [off], masks, [cast(Any, track)])
+    return worths._over_noise(cast(Any, fit), cast(Any, None), [off], masks)
 
 
 def test_what_neighbours_miss_alike_is_the_models_and_the_rest_is_noise() -> None:

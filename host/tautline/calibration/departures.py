@@ -14,13 +14,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 from scipy.interpolate import BSpline
-from scipy.linalg import helmert, solve_banded
+from scipy.linalg import helmert
 
 from tautline import _native
 from tautline.calibration.observations import Mask, turning_hysteresis, usual_width
 from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit, Simulated
 from tautline.core.motor import MotorPath
 from tautline.elements import Play
+from tautline.independence import first_order_sums
 from tautline.rig import Rig
 
 Array = npt.NDArray[np.float64]
@@ -429,8 +430,7 @@ def _since_turn(path: MotorPath, at: Array, rig: Rig) -> tuple[Array, Array]:
 def _low_pass(p: Array, time_s: float) -> Array:
     """p (n,), a value every _FINE_S, after a first-order low pass with time constant time_s."""
     share = np.exp(-_FINE_S / time_s)
-    follows = np.vstack([np.ones(len(p)), np.full(len(p), -share)])
-    return np.asarray(p[0] + solve_banded((1, 0), follows, (1 - share) * (p - p[0])))
+    return np.asarray(p[0] + first_order_sums((1 - share) * (p - p[0]), share))
 
 
 def _hats(x: Array, nodes: Array) -> sparse.csr_matrix:

@@ -18,7 +18,7 @@ from scipy.special import expit
 from tautline.calibration.components import between, nominal_columns
 from tautline.calibration.departures import Scene, by_rows, scene_of
 from tautline.calibration.playfit import Curves, Fitted
-from tautline.calibration.several import bounded_rms, left, powers
+from tautline.calibration.several import left, powers, rms_of_powers
 from tautline.elements import Play
 from tautline.friction import BOUC_WEN, DAHL, VALUES, Friction
 from tautline.rig import Rig
@@ -92,7 +92,7 @@ def _descended(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Fit
     frame tells."""
     power = powers(state)
     for _ in range(_STEPS):
-        state = replace(state, scale=bounded_rms(power, state.scale))
+        state = replace(state, scale=rms_of_powers(power, state.scale))
         least = _cost(power, state, kind, unknowns)
         if not np.isfinite(least):
             break
@@ -109,7 +109,7 @@ def _descended(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Fit
         gained, state, unknowns, power = 1.0 - now / least, trial, then, there
         if gained < _ENOUGH:
             break
-    return replace(state, scale=bounded_rms(power, state.scale)), unknowns
+    return replace(state, scale=rms_of_powers(power, state.scale)), unknowns
 
 
 def _cost(power: Array, state: Fitted, kind: str, unknowns: Array) -> float:
@@ -117,7 +117,7 @@ def _cost(power: Array, state: Fitted, kind: str, unknowns: Array) -> float:
     frame tells. power: the state's `powers`."""
     mean, sigma = PRIORS[kind]
     prior = float(np.sum(((unknowns - mean) / sigma) ** 2)) / max(state.frames, 1)
-    return bounded_rms(power, state.scale) ** 2 + state.scale**2 * prior
+    return rms_of_powers(power, state.scale) ** 2 + state.scale**2 * prior
 
 
 def _with(state: Fitted, kind: str, unknowns: Array) -> Fitted:

@@ -66,7 +66,8 @@ def posed(track: Track, rig: Rig, delay_s: float) -> Track:
     gain = np.linalg.norm(slope, axis=1)
     good = np.isfinite(c) & (gain > 0.05 * np.nanmedian(gain))
     sigma = track.sigma[good] / gain[good]
-    return replace(track, unit="deg", posed=True, t_s=track.t_s[good], y=c[good, None], sigma=sigma)
+    # Of a tracker that rounds to pixels the angles have no step.
+    return replace(track, unit="deg", posed=True, t_s=track.t_s[good], y=c[good, None], sigma=sigma, step=0.0)
 
 
 def fit_remaining(

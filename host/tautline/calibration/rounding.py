@@ -14,7 +14,7 @@ Mask = npt.NDArray[np.bool_]
 _STEADY = 0.1  # tolerance: of a step: rounding's errors of two values so near to each other are alike by half and more
 _FEW = 30  # tolerance: neighbours that tell a scatter
 _NOISE = np.linspace(0.0, 1.0, 101)  # tolerance: in steps, before it is rounded: of more rounding adds white noise
-_K = np.arange(1, 50)
+_K = np.arange(1, 50)  # tolerance: terms of a sawtooth's series
 _SHARED = np.exp(-((2.0 * np.pi * np.outer(_NOISE, _K)) ** 2)) @ (0.5 / (np.pi * _K) ** 2)
 _OWN = _NOISE**2 + _SHARED[0] - _SHARED
 
@@ -41,10 +41,7 @@ def counts(track: Track, seen: Array, use: Mask, scale: float) -> Array:
     """(n,) As how much of an independent frame each one counts, 1 at most: n frames of one rest know the tip's place to
     own^2 / n + shared^2. own^2 is all else that is left of them, in a fit that leaves `scale` times the noise: its
     misfit is no rounding. use (n,): frames that the fit has."""
-    every = np.ones(len(seen))
-    if track.step <= 0.0 or not len(every):
-        return every
-    rests = resting(track, seen)
+    every, rests = np.ones(len(seen)), resting(track, seen)
     shared2, left2 = shared_variance(track, rests), (max(scale, 1.0) * float(np.median(track.sigma))) ** 2
     for rest in stretches(rests):
         frames = slice(rest.start, rest.stop + 1)

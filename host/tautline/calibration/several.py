@@ -89,7 +89,7 @@ def _lawful(weights: Array) -> Array:
 def left(fitted: Fitted) -> float:
     """Residual over noise (rms) of all counted frames; strays count as four scales. Infinite where the tip was never
     driven through the widest element: no frame tells of that."""
-    return bounded_rms(powers(fitted), fitted.scale)
+    return rms_of_powers(powers(fitted), fitted.scale)
 
 
 def powers(fitted: Fitted) -> Array:
@@ -98,7 +98,7 @@ def powers(fitted: Fitted) -> Array:
     return np.concatenate([np.mean(r[m] ** 2, axis=1) for r, m in zip(rows, masks, strict=True)])
 
 
-def bounded_rms(power: Array, scale: float) -> float:
+def rms_of_powers(power: Array, scale: float) -> float:
     """Root of the mean of `powers`, those of strays as of four scales; infinite of none."""
     return float(np.sqrt(np.mean(np.minimum(power, (4.0 * scale) ** 2)))) if len(power) else np.inf
 

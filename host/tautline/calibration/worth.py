@@ -91,15 +91,14 @@ def worth(model: Model, tracks: Sequence[Track], joint: Fitted | None, remaining
     if labels is not None and apart:
         missed = _foretold(fit, curves, rows, masks, labels)
     masks = _of_tip(fit, curves, missed, masks)
-    in_unit = [miss * frozen.track.sigma[:, None] for miss, frozen in zip(missed, fit.tracks, strict=True)]
-    over_noise = [off / track.sigma[:, None] for off, track in zip(in_unit, tracks, strict=True)]
+    in_unit = [miss * track.sigma[:, None] for miss, track in zip(missed, tracks, strict=True)]
     by_coarse = [track.y - _coarse(track, model) for track in tracks]
     seen = _counted([track.y for track in tracks], masks)
     return Worth(
         model=bounded_rms(_counted(in_unit, masks)),
         coarse=bounded_rms(_counted(by_coarse, masks)),
         constant=bounded_rms(seen - seen.mean(axis=0)),
-        over_noise=_over_noise(fit, curves, over_noise, masks, tracks),
+        over_noise=_over_noise(fit, curves, missed, masks),
         unit=tracks[0].unit,
         blocks=BLOCKS if apart else 0,
     )
@@ -125,21 +124,16 @@ def _of_tip(
     return kept
 
 
-def _over_noise(
-    fit: PlayFit,
-    curves: Curves,
-    missed: Sequence[Array],
-    masks: Sequence[npt.NDArray[np.bool_]],
-    tracks: Sequence[Track],
-) -> float:
+def _over_noise(fit: PlayFit, curves: Curves, missed: Sequence[Array], masks: Sequence[npt.NDArray[np.bool_]]) -> float:
     """What neighbouring frames miss alike is the model's. What they do not is the sensor's: as much as is stated, or
     as where the tip rests, or as across its path in the image, where nothing moves it; a tracker's own at each place is
     added, and what its noise remembers, and rounding. What is more than that along the path is an error of times, and
-    so of what is foretold. missed: over each frame's own noise."""
+    so of what is foretold."""
     limit = _STRAY * bounded_rms(_counted(missed, masks))
     alike, along, beside, still, placed = [], [], [], [], []
     still_misses: list[Array] = []
-    for track, sim, off, mask in zip(tracks, fit.simulated, missed, masks, strict=True):
+    for frozen, sim, off, mask in zip(fit.tracks, fit.simulated, missed, masks, strict=True):
+        track = frozen.track
         off = np.where(mask[:, None], off, 0.0)
         norm = np.sqrt(np.mean(off**2, axis=1))
         near = off * np.minimum(1.0, limit / np.maximum(norm, limit))[:, None]
