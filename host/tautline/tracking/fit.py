@@ -28,6 +28,7 @@ FOLLOWS, AHEAD = 0.5, 3.0  # limit: of the motor's way: on an envelope the tip m
 SURE = 2.5  # loss: standard deviations that a motion between two frames must have, and a tip be ahead both ways
 _WITHOUT = 0.03  # prior: of the frames: left out of a rms, as outliers
 REACH, _UNSURE = 1.8, 0.3  # prior: of B, that carries every element; until then a frame tells so much
+_ALIKE = 0.25  # prior: of the measured range, along which a misfit is alike
 _PIECE = 400  # tolerance: knots simulated at once
 
 
@@ -244,7 +245,7 @@ def fitted(
             if damping > 1e4:  # tolerance: no step is short enough
                 break
     yield 2 * algebra + 40
-    return LawFit(evidence, theta, free, z, cost, _covariance(evidence, z, by[:, picked], information))
+    return LawFit(evidence, theta, free, z, cost, _covariance(nominal, evidence, z, by, free, information))
 
 
 def _level2(z: Array) -> float:
@@ -260,21 +261,28 @@ def _huber_cost(z: Array, theta: Array, prior: Prior, free: list[int], informati
     return float(np.sum(robust) + 0.5 * away @ information @ away)
 
 
-def _covariance(evidence: WindowKnots, z: Array, slopes: Array, information: Array) -> Array:
-    """Covariance of the free parameters: the larger, by trace, of the fit's own (scaled by its residual level) and the
-    sandwich estimate clustered by stroke; twice the own where there are too few strokes for a sandwich."""
-    if slopes.shape[1] == 0:
+def _covariance(
+    nominal: LawFamily, evidence: WindowKnots, z: Array, slopes: Array, free: Sequence[int], information: Array
+) -> Array:
+    """Covariance (free, free) of the free parameters' estimate: of the frames' own noise; of what the law leaves beyond
+    that, which is taken for one error of all frames on each side of the play (it most likely goes with place and side,
+    so that more frames make it no smaller); and of the prior, `information` in units of the residuals' squares. What is
+    left has been made small by the fit: its variance is over as many degrees of freedom as misfits have on such a way,
+    one a stroke and one each _ALIKE of the measured range, less those that the fit took."""
+    picked = slopes[:, list(free)]
+    if not free:
         return np.zeros((0, 0))
-    inverse = np.linalg.inv(slopes.T @ slopes + information)
-    own = _level2(z)
-    begins = np.flatnonzero(np.diff(evidence.stroke, prepend=evidence.stroke[0] - 1))  # strokes are in order
-    if len(begins) <= slopes.shape[1]:
-        return np.asarray(2.0 * own * inverse)
-    limited = np.clip(z, -OUTLYING, OUTLYING)
-    forces = np.add.reduceat(slopes * limited[:, None], begins)
-    sandwich = inverse @ (forces.T @ forces) @ inverse * len(begins) / (len(begins) - slopes.shape[1])
-    wider = np.diag(sandwich).sum() / np.diag(inverse).sum() > own
-    return np.asarray(sandwich if wider else own * inverse)
+    told = picked.T @ picked
+    inverse = np.linalg.inv(told + information)
+    level2, noise2 = _level2(z), evidence.noise**2
+    alike = _ALIKE * float(np.ptp(nominal.places))
+    values = len(evidence.strokes) + float(np.abs(np.diff(evidence.q)).sum()) / alike
+    taken = float(np.trace(inverse @ told))
+    misfit2 = max(level2 - noise2, 0.0) * values / max(values - taken, 1.0)
+    by_width = slopes[:, SCALE]
+    sides = np.stack([picked[by_width > 0.0].sum(axis=0), picked[by_width < 0.0].sum(axis=0)])
+    spread = noise2 * told + misfit2 * (sides.T @ sides) + level2 * information
+    return np.asarray(inverse @ spread @ inverse)
 
 
 def from_envelopes(nominal: LawFamily, evidence: WindowKnots, theta: Array, envelope: Envelopes, both: bool) -> Array:

@@ -159,11 +159,12 @@ def _judged(
         learnt = _adopting(case, fit)
         now, before = (_least_share(case, theta, learnt.passed) for theta in (fit.theta, case.theta))
         share = now / before if before > 0.0 else 1.0
+        sigma = _least_share_sigma(case, fit, learnt.passed)
         sure = SHAPE.start not in fit.free or case.explained(fit)
         if (
             (SCALE in fit.free or SHAPE.start in fit.free)
             and sure
-            and 1.0 - share > max(_NARROWER * learnt.scale_sigma, _LEAST_NARROWER)
+            and 1.0 - share > max(_NARROWER * sigma, _LEAST_NARROWER)
         ):
             only = case.theta.copy()
             only[SCALE] *= share
@@ -175,7 +176,7 @@ def _judged(
                 case.evidence,
                 only,
                 learnt.offset_sigma + abs(float(fit.theta[OFFSET] - case.theta[OFFSET])),
-                learnt.scale_sigma,
+                sigma,
                 (0.0, 0.0),
                 case.turns,
                 fit.level,
@@ -355,7 +356,7 @@ def _adopting(case: Case, fit: LawFit) -> Inference:
         case.evidence,
         fit.theta,
         max(fit.sigma(OFFSET), fit.sigma(TIP.start) / abs(case.nominal.tip_slope)),
-        _scale_sigma(case, fit, passed),
+        _least_share_sigma(case, fit, case.nominal.model.measured),
         passed,
         case.turns,
         fit.level,
@@ -364,6 +365,10 @@ def _adopting(case: Case, fit: LawFit) -> Inference:
     )
 
 
-def _scale_sigma(case: Case, fit: LawFit, passed: tuple[float, float]) -> float:
-    """Standard deviation of the mean ratio of B to the calibrated one over the places that were passed."""
-    return fit.spread_of(case.nominal.ratio_slopes(fit.theta, np.linspace(*passed, 9)))
+def _least_share_sigma(case: Case, fit: LawFit, between: tuple[float, float]) -> float:
+    """Standard deviation of `_least_share` of a fit's law between two centre coordinates: that at the place of it."""
+    model = case.nominal.model
+    inside = (model.q >= between[0]) & (model.q <= between[1])
+    places = model.q[inside] if inside.any() else np.array(between)
+    shares = np.interp(places, model.q, case.nominal.width_ratio(case.nominal.law(fit.theta)))
+    return fit.spread_of(case.nominal.ratio_slopes(fit.theta, places[[int(np.argmin(shares))]]))

@@ -26,6 +26,7 @@ from tautline.tracking.law import OFFSET, SCALE, SHAPE, TIP, LawFamily, unchange
 from tautline.tracking.passes import Passes
 from tautline.tracking.path import MotorPath, knots
 from tautline.tracking.projection import AngleEstimate, Projection
+from tautline.tracking.scatter import Scatter
 from tautline.tracking.visit import Visit
 from tautline.tracking.window import Window, WindowKnots
 
@@ -50,6 +51,7 @@ _NEWS = 10  # tolerance: frames between two judgements
 _SETTLED_TURNS = 5  # loss: reversals since the change after which the law is settled
 _LEAN_PACE, _LEANS = 0.1, 0.5  # prior: of those means; the mean's share of squares from which it goes on
 _MOST_LEVEL = 5.0  # loss: of the calibration's residual, that a law may leave and be trusted
+_SCATTERS = 1.5  # loss: times the calibration's noise: worth a word
 _UNKNOWN = 1.0  # prior: of B: what a width's sigma is at most taken for
 
 
@@ -120,7 +122,8 @@ class LawTracker:
         self._offset, self._scale = 0.0, 1.0
         self._allowed = np.ones(len(self.nominal.model.q))  # share of the calibrated B that may be taken up there
         self._dialled = ""  # why less is taken up than the law in use has
-        self._level = 1.0  # of what the law in use leaves, in sigmas of the calibration's
+        self._misfit = 1.0  # what _level is where frames scatter as in the calibration
+        self._scatter = Scatter()
         self._play = _native.TrackState(0.0)
         self._started = False
         self._start_q = np.nan  # inf once every element was carried since
@@ -179,6 +182,12 @@ class LawTracker:
             seen = self.projection.from_image(u, v, 0.0, 0.0, c)
             return seen.sigma / slope if seen is not None else 0.0
         return self.projection.noise / slope
+
+    @property
+    def _level(self) -> float:
+        """rms of residuals over the calibration's sigma that the law in use is known to leave: its misfit and what the
+        frames of the moment scatter by."""
+        return float(np.sqrt(self._misfit**2 + self._scatter.times**2 - 1.0))
 
     def motor(self, t_s: Array, q: Array, others: Array | None = None) -> None:
         """Samples that came, in order of time. others (n, 3): translation (mm), rotation (deg), load (mNm)."""
@@ -284,7 +293,12 @@ class LawTracker:
             self._way, self._far = -self._way, q
             self._next_stroke()
             if self.state is State.STALE and self._stroke > self._doubted_in + _WELL_STROKES:
-                self._become_trusted("the model holds again as it was")
+                self._become_trusted("the model holds again as it was" + self._scatter_in_words())
+
+    def _scatter_in_words(self) -> str:
+        """What the frames scatter by, if it is clearly more than when the model was calibrated; else ""."""
+        times = self._scatter.times
+        return f"; places scatter {times:.1f} times as much as in the calibration" if times > _SCATTERS else ""
 
     def _next_stroke(self) -> None:
         """Counts a new stroke and keeps the number of its first entry."""
@@ -332,6 +346,7 @@ class LawTracker:
             self._leans[0] += _LEAN_PACE * (away - self._leans[0])
             self._leans[1] += _LEAN_PACE * (away**2 - self._leans[1])
         self._off += _PACE * (abs(off) - self._off)
+        self._scatter.add(off / sigma)
         onset = abs(self._window.last_q - self._turned_at) < ONSET * self._width
         for doubt in self._doubts if onset else self._doubts[:1]:
             doubt.add(off / (sigma * self._level), self._stroke, scene_s, self._window.end - 1)
@@ -478,7 +493,8 @@ class LawTracker:
             starts.setdefault(max(self._since, self._begin_of(self._stroke - _STALE_STROKES)), self._theta)
         elif moved and self._begin_of(self._stroke - _FEW_STROKES) <= self._since:
             starts.setdefault(self._begin_of(self._stroke - 1), self._theta)
-        return [(e, o) for since, o in starts.items() if (e := self._window.since(since)) is not None]
+        noise = self._scatter.times
+        return [(e, o) for since, o in starts.items() if (e := self._window.since(since, noise)) is not None]
 
     def _act_on(self, verdict: Inference) -> None:
         """Draws the consequences of a verdict: adopts its law and perhaps trusts it, stays, or discards what was learnt
@@ -503,7 +519,8 @@ class LawTracker:
         self._adopt(verdict)
         again = verdict.settled and np.array_equal(self._theta, unchanged())
         if again or (verdict.turns >= _SETTLED_TURNS and verdict.settled):
-            self._level = min(max(1.0, verdict.level), _MOST_LEVEL)
+            own = float(np.sqrt(max(verdict.level**2 - verdict.evidence.noise**2, 0.0) + 1.0))
+            self._misfit = min(own, _MOST_LEVEL)
             self._become_trusted(verdict.says)
         else:
             self._change_state(State.ADAPTING, verdict.says)

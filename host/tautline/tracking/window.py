@@ -30,6 +30,7 @@ class WindowKnots:
     t_s: Array  # scene times
     stroke: npt.NDArray[np.intp]
     off: Array  # standard deviations off the marker's track
+    noise: float = 1.0  # times the stated sigma that frames scatter by themselves
 
     @property
     def strokes(self) -> npt.NDArray[np.intp]:
@@ -40,7 +41,7 @@ class WindowKnots:
         begin = int(self.seen[first])
         c_deg, sigma, t_s = self.c_deg[first:], self.sigma[first:], self.t_s[first:]
         seen, stroke, off = self.seen[first:] - begin, self.stroke[first:], self.off[first:]
-        return WindowKnots(self.q[begin:], seen, c_deg, sigma, t_s, stroke, off)
+        return WindowKnots(self.q[begin:], seen, c_deg, sigma, t_s, stroke, off, self.noise)
 
 
 class Window:
@@ -121,9 +122,9 @@ class Window:
         self._rows[self._count] = row
         self._count += 1
 
-    def since(self, number: int) -> WindowKnots | None:
-        """The evidence from an entry on, as far as it is still kept and not too long. None for fewer than three seen
-        frames."""
+    def since(self, number: int, noise: float = 1.0) -> WindowKnots | None:
+        """The evidence from an entry on, as far as it is still kept and not too long. noise: times the stated sigma
+        that frames scatter by themselves. None for fewer than three seen frames."""
         first = max(number - self._first, 0, self._count - LONGEST)
         rows = self._rows[first : self._count]
         if len(rows) and rows[0, _STROKE] < rows[-1, _STROKE] - STROKES:
@@ -134,5 +135,5 @@ class Window:
         rows, seen = rows[seen[0] :].copy(), seen - seen[0]
         at = rows[seen]
         return WindowKnots(
-            rows[:, _Q], seen, at[:, _C], at[:, _SIGMA], at[:, _T], at[:, _STROKE].astype(np.intp), at[:, _OFF]
+            rows[:, _Q], seen, at[:, _C], at[:, _SIGMA], at[:, _T], at[:, _STROKE].astype(np.intp), at[:, _OFF], noise
         )
