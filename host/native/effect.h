@@ -78,6 +78,8 @@ struct effect {
     size_t (*lots)(const double *v, double *spread, double *share);
     double (*late)(const double *v, int side,
                    double since); // play (>= 0) beside B that a side still has after so much travel
+    // Moves what nothing holds within the play, of place *at and speed *speed, on by dt s; the play's ends stop it.
+    void (*fall)(const double *v, double dt, double *at, double *speed);
     void (*start)(const double *v, double *state, double centre);
     void (*follow)(const double *v, double *state, struct effect_chain *chain, double u0, double u1, double dt);
     double (*hold)(const double *v, double *state, double tip); // where the tip stays that would be there

@@ -36,6 +36,8 @@ struct chain_play {
     double share;                   // of the motion
     double spread;                  // of its width
     double since;                   // travel since the delayed side began to carry
+    double speed;                   // of what falls within it
+    int pushed;                     // by which end in the last step, 0 by none
 };
 
 struct plays {
@@ -134,11 +136,13 @@ static struct ends find_ends(const struct elements *elements, struct plays *play
 // Returns how much of q's last step carried the play.
 static inline double play_move(const struct active *late, const struct elements *elements, struct plays *plays,
                                struct chain_play *own, const struct ends *ends, double scale) {
+    own->pushed = 0;
     for (int s = PLAY_FALLING; s <= PLAY_RISING; s += 2) {
         const double q = ends->q[s > 0], x = own->table ? q : ends->x[s > 0];
         const double beyond = late ? push_late(late, elements, plays, own, q, x, s, scale * own->spread)
                                    : play_push(&own->play, own->table, x, s, scale * own->spread);
         if (beyond > 0.0) {
+            own->pushed = s;
             return beyond;
         }
     }
@@ -164,13 +168,34 @@ static double mean_place(const struct plays *plays) {
     return sum;
 }
 
+// Plays in the motor's coordinate fall by themselves before their ends push them; what is faster than an end that
+// pushes it leaves that end.
+static void plays_fall(const struct active *falls, struct plays *plays, const struct effect_moment *now) {
+    const double end_speed = now->dt > 0.0 ? now->moved / now->dt : 0.0;
+    for (struct chain_play *own = plays->of, *end = own + plays->count; own != end; own++) {
+        if (!own->table) {
+            continue;
+        }
+        if (own->pushed * (end_speed - own->speed) > 0.0) {
+            own->speed = end_speed;
+        }
+        falls->effect->fall(falls->v, now->dt, &own->play.at, &own->speed);
+        own->play.half = 0.5 * play_width(own->table, own->play.at, &own->play.spans[0]);
+    }
+}
+
 // The centre coordinate after all plays have moved; *carried as of a single one.
-static double plays_move(const struct active *late, const struct elements *elements, struct plays *plays,
-                         const struct effect_drive *drive, double *carried) {
+static double plays_move(const struct active *late, const struct active *falls, const struct elements *elements,
+                         struct plays *plays, const struct effect_moment *now, struct effect_drive *drive,
+                         double *carried) {
     if (elements->friction.kind) {
         *carried = INFINITY;
         return friction_move(&elements->friction, &elements->table, &plays->friction, drive->q, drive->scale,
                              drive->extra, 1);
+    }
+    if (falls) {
+        drive->way = 0.0; // either end stops what falls
+        plays_fall(falls, plays, now);
     }
     const struct ends ends = find_ends(elements, plays, drive);
     *carried = push_all(late, elements, plays, &ends, drive->scale);
@@ -289,10 +314,11 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
     double state[MOST][EFFECT_STATES] = {{0}};
     struct all all;
     find_present(values, state, &all);
-    const struct active *following[MOST], *late = NULL;
+    const struct active *following[MOST], *late = NULL, *falls = NULL;
     size_t follows = 0;
     for (size_t i = 0; i < all.count; i++) {
         late = all.of[i].effect->late ? &all.of[i] : late;
+        falls = all.of[i].effect->fall ? &all.of[i] : falls;
         if (all.of[i].effect->follow) {
             following[follows++] = &all.of[i];
         }
@@ -348,7 +374,7 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
         if (!started) {
             plays_start(tables->elements, &plays, drive.q, isnan(p0) ? drive.q : p0);
         }
-        centre = plays_move(late, tables->elements, &plays, &drive, &carried);
+        centre = plays_move(late, falls, tables->elements, &plays, &now, &drive, &carried);
         for (size_t i = 0; !started && i < all.count; i++) {
             if (all.of[i].effect->start) {
                 all.of[i].effect->start(all.of[i].v, all.of[i].state, centre);

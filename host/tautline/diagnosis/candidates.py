@@ -312,7 +312,7 @@ def applicable(fitter: Fitter, left_out: Collection[str] = ()) -> list[Kind]:
         for values in (s.motor.translation_mm, s.motor.rotation_deg)
     )
     joints = sorted({name for s in fitter.segments for name in s.motor.joints})
-    has = {"": True, "camera": fitter.px, "sensor": fitter.delayed, "load": load, "freedom": freedom}
+    has = {"": True, "camera": fitter.px, "sensor": fitter.delayed, "load": load, "freedom": freedom, SIMULATOR: False}
     known = [kind for kind in effects.LIBRARY if kind.id not in left_out]
     further = [kind.of_joint(name) for kind in known if kind.of_joint for name in joints]
     return [*(kind for kind in known if has[kind.needs]), *further]

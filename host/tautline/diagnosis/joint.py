@@ -1,7 +1,8 @@
 """The posterior of all parameters of a user's simulator at once, with a play, a static law and a delay behind its tip.
 
 The play stands for friction in a servo's gears as well: its width varies smoothly over the place, as a load does, and
-is another one at speed than at rest (Stribeck).
+is another one at speed than at rest (Stribeck). Or it is slack in which nothing holds the joint, which falls to the
+side that its load pulls to: a second mode, found from starts of its own.
 
 The unknowns are a vector u (m,) with a standard normal prior: a positive parameter is its nominal value times exp(u),
 any other one nominal plus u times a spread. Residuals are correlated in time: n successive readings count as one, n
@@ -14,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -31,11 +33,17 @@ Indices = npt.NDArray[np.int64]
 
 WIDTH, LAW, DELAY = "transmission.backlash", "configuration.remaining", "acquisition.delay"
 SPEED = "transmission.rate_dependent_backlash"
-BENDS = "bends"  # id of the width's variation over the place; it is reported as part of WIDTH
+LOOSE = "transmission.loose"
+BENDS = "bends"  # id of the width's variation over the place
+OF_WIDTH = (BENDS, LOOSE)  # ids that are reported as part of WIDTH
 _FACTOR = 1.0  # prior: standard deviation of a positive parameter's logarithm: published values differ twofold
 _SPREADS = 3.0  # prior: standard deviation of any other parameter, in its declared spreads
 _WIDTH = 0.02  # prior: standard deviation of the width, and of what speed adds to it, in shares of the motor's range
 _BENDS, _BEND = 2, 0.3  # prior: order of the polynomial of log(width) over the place, a coefficient's deviation
+_PULL, _DRAG = 70.0, 5.0  # prior: 1/s^2, 1/s: a rod of 20 cm that hangs; its bearing stops it in a fifth of a second
+_PLACE = 0.3  # prior: standard deviation of where a load changes sides, in shares of the motor's range
+# tolerance: starts of the second mode: unknowns of width and pull, of place and of drag
+_WIDTHS, _PULLS, _PLACES, _DRAGS = (0.5, 1.0, 2.0), (1.0, -1.0), (-1.0, 0.0, 1.0), (0.0, 3.0)
 _USUAL = 0.1  # equation: the library's unit of speed, motor's ranges per second
 _SATURATION = 3.0  # prior: Stribeck's speed of small gears: half of what speed does is there at a quarter of that unit
 _SPEED_S = 0.02  # prior: s in which a width follows the speed, as in the library
@@ -44,6 +52,7 @@ _DELAY_S = 0.05  # prior: standard deviation of the delay beyond the calibration
 _DIFFERENCE = 0.01  # tolerance: standard deviations of an unknown: the step of its difference quotient
 _AT_BOUND = 1e-6  # tolerance: standard deviations: an unknown nearer to the end of its range is at it
 _ROUNDS, _STEPS = 3, 12  # tolerance: rounds of the noise's estimate, Gauss-Newton steps of each at most
+_REFITS = 4  # tolerance: steps of a fit without a block
 _SMALL_GAIN = 0.02  # tolerance: of -2 log posterior: a step that gains less is the last
 
 
@@ -94,13 +103,28 @@ class Fitted:
         """(m,) The unknowns at the posterior's maximum, in standard deviations of their prior."""
         return self.posterior.mean
 
+    def log_evidence(self, noise: Noise) -> float:
+        """The recordings' log evidence about this maximum by Laplace, up to a constant, if residuals have this noise."""
+        covariance = self.posterior.covariance[np.ix_(self.free, self.free)]
+        fit = -0.5 * _cost(noise, _Point(self.u, self.residuals))
+        return fit + 0.5 * float(np.linalg.slogdet(covariance)[1])
+
 
 class Joint:
     """The unknowns of a simulator, and the robot's recordings as a function of them."""
 
-    def __init__(self, model: Model, parameters: Sequence[Declared], segments: Sequence[Segment], floor: float) -> None:
+    def __init__(
+        self,
+        model: Model,
+        parameters: Sequence[Declared],
+        segments: Sequence[Segment],
+        floor: float,
+        loose: bool = False,
+    ) -> None:
         """model: the simulator's nominal one. segments: the robot's recordings, each with its drive. floor: one
-        standard deviation of the sensor's noise, in the observations' unit."""
+        standard deviation of the sensor's noise, in the observations' unit. loose: whether nothing holds the joint
+        within the play."""
+        self.loose = loose
         self.model, self.parameters, self.segments, self.floor = model, tuple(parameters), list(segments), floor
         low = min(float(s.motor.q.min()) for s in segments)
         high = max(float(s.motor.q.max()) for s in segments)
@@ -110,13 +134,15 @@ class Joint:
 
     @cached_property
     def unknowns(self) -> tuple[Unknown, ...]:
-        """In the order of the vector u: the simulator's parameters, then width, law, delay, speed and bends."""
+        """In the order of the vector u: the simulator's parameters, then width, law, delay, speed, bends, and if
+        the joint is loose the pull of its load, where that changes sides, and its drag."""
         sizes = {simulator_id(p.name): 1 for p in self.parameters} | {
             WIDTH: 1,
             LAW: _ORDER + 1,
             DELAY: 1,
             SPEED: 1,
             BENDS: _BENDS,
+            **({LOOSE: 3} if self.loose else {}),
         }
         ends = np.cumsum([0, *sizes.values()])
         return tuple(Unknown(name, np.arange(a, b)) for name, a, b in zip(sizes, ends[:-1], ends[1:], strict=True))
@@ -132,8 +158,8 @@ class Joint:
         return {unknown.id: unknown.places for unknown in self.unknowns}
 
     def effects(self, u: Array) -> tuple[Effect, ...]:
-        """What at u (m,) is not in the model's tables, as effects: the changed parameters of the simulator, and the
-        width's dependence on speed."""
+        """What at u (m,) is not in the model's tables, as effects: the changed parameters of the simulator, the width's
+        dependence on speed, and what is loose within it."""
         changes = {simulator_id(p.name): _change(p, float(x)) for p, x in zip(self.parameters, u, strict=False)}
         found = [Effect(name, {name: value}) for name, value in changes.items() if value]
         speed = float(u[self.places[SPEED]][0])
@@ -147,6 +173,10 @@ class Joint:
                 "width_held": 1.0,
             }
             found.append(Effect(SPEED, parameters))
+        if self.loose:
+            pull, place, drag = u[self.places[LOOSE]].tolist()
+            parameters = {"loose_pull": _PULL * pull, "loose_place": _PLACE * self.model.rig.actuator.span * place}
+            found.append(Effect(LOOSE, {**parameters, "loose_drag": _DRAG * float(np.exp(drag))}))
         return tuple(found)
 
     def changes(self, u: Array) -> dict[str, float]:
@@ -195,10 +225,11 @@ class Joint:
                 column[:, :, i] = (residual - stepped) / step[i]
         return columns
 
-    def fit(self, progress: Callable[[float], None] = lambda share: None) -> Fitted:
-        """The posterior about its maximum, found from the simulator as it is (u = 0) in rounds, between which the noise
-        is estimated anew. progress: called with the share of the rounds that are done."""
-        u = np.zeros(self.size)
+    def fit(self, progress: Callable[[float], None] = lambda share: None, start: Array | None = None) -> Fitted:
+        """The posterior about its maximum, found from `start` (m,), by default the simulator as it is (u = 0), in
+        rounds, between which the noise is estimated anew. progress: called with the share of the rounds that are
+        done."""
+        u = np.zeros(self.size) if start is None else start
         point = _Point(u, self.residuals(u))
         noise = Noise.of(point.residuals, self.floor)
         for i in range(_ROUNDS):
@@ -206,6 +237,34 @@ class Joint:
             noise = Noise.of(point.residuals, self.floor)
             progress((i + 1) / _ROUNDS)
         return self._laplace(point, noise)
+
+    def loosened(self, held: Fitted) -> tuple[Joint, Array]:
+        """The same unknowns with a joint that is loose within the play, and where the search for them begins: of all
+        starts the one that leaves least, with the law that fits it and all else as in `held`, the fit of this one."""
+        joint = Joint(self.model, self.parameters, self.segments, self.floor, loose=True)
+        law, weight = self.places[LAW], held.noise.weight
+        rows = np.concatenate([slope[:, :, law].reshape(-1, len(law)) for slope in held.slopes])
+        normal = np.eye(len(law)) + weight * rows.T @ rows
+        as_before = np.concatenate([held.u, np.zeros(3)])
+        as_before[law] = as_before[self.places[SPEED]] = as_before[self.places[BENDS]] = 0.0
+        best, least = as_before, np.inf
+        for width, pull, place, drag in product(_WIDTHS, _PULLS, _PLACES, _DRAGS):
+            u = as_before.copy()
+            u[joint.places[WIDTH]], u[joint.places[LOOSE]] = width, (pull, place, drag)
+            left = np.concatenate([residuals.ravel() for residuals in joint.residuals(u)])
+            u[law] = weight * np.linalg.solve(normal, rows.T @ left)
+            squares = float(np.sum((left - rows @ u[law]) ** 2))
+            best, least = (u, squares) if squares < least else (best, least)
+        return joint, best
+
+    def left_without(self, fitted: Fitted, counted: Sequence[npt.NDArray[np.bool_]], step: Array) -> list[Array] | None:
+        """Residuals, (scored, k) of each recording, of a fit to the `counted` readings (scored,) of each alone. None
+        where the `step` (m,) that leads there from the fit of all lowers their cost: it holds as far as it goes."""
+        problem = _Descent(self, fitted.noise, counted)
+        here = _Point(fitted.u, fitted.residuals)
+        if problem.cost(problem.moved(here, step)) <= problem.cost(here):
+            return None
+        return descend(problem, here, _REFITS).residuals
 
     def _laplace(self, point: _Point, noise: Noise) -> Fitted:
         """The posterior's normal approximation at its maximum; unknowns at an end of their range have variance 0."""
@@ -229,20 +288,36 @@ class Joint:
         return clipped
 
 
+def likeliest(joint: Joint, progress: Callable[[float], None] = lambda share: None) -> tuple[Joint, Fitted]:
+    """Of two maxima the likelier, with its joint fit: that of `joint`, whose play holds what it drives where the motor
+    leaves it, and that in which it is loose. progress: called with the share that is done."""
+    held = joint.fit(lambda share: progress(0.5 * share))
+    loosened, start = joint.loosened(held)
+    loose = loosened.fit(lambda share: progress(0.5 + 0.5 * share), start)
+    noise = min(held.noise, loose.noise, key=lambda noise: noise.sigma)
+    return max((joint, held), (loosened, loose), key=lambda pair: pair[1].log_evidence(noise))
+
+
 class _Descent:
     """-2 log posterior as a least-squares problem (least_squares.Problem)."""
 
-    def __init__(self, joint: Joint, noise: Noise) -> None:
-        self.joint, self.noise = joint, noise
+    def __init__(self, joint: Joint, noise: Noise, counted: Sequence[npt.NDArray[np.bool_]] | None = None) -> None:
+        """counted: the readings (scored,) of each recording that count; all by default."""
+        self.joint, self.noise, self.counted = joint, noise, counted
+
+    def _of_counted(self, rows: Sequence[Array]) -> list[Array]:
+        """Those of the readings that count, of each recording."""
+        return list(rows) if self.counted is None else [r[c] for r, c in zip(rows, self.counted, strict=True)]
 
     def linearised(self, point: _Point) -> tuple[Array, Array, float]:
         """(Normal matrix (m, m), gradient (m,), cost) at a point; unknowns at an end of their range are held."""
-        slopes = self.joint.slopes(point.u, point.residuals)
-        matrix, gradient = _normal_equations(self.noise, point, slopes)
+        slopes = self._of_counted(self.joint.slopes(point.u, point.residuals))
+        counted = _Point(point.u, self._of_counted(point.residuals))
+        matrix, gradient = _normal_equations(self.noise, counted, slopes)
         held = np.flatnonzero(_is_at_bound(self.joint, point.u, gradient))
         matrix[held, :] = matrix[:, held] = gradient[held] = 0.0
         matrix[held, held] = 1.0
-        return matrix, gradient, _cost(self.noise, point)
+        return matrix, gradient, self.cost(point)
 
     def moved(self, point: _Point, step: Array) -> _Point:
         """The point a step (m,) further, within the unknowns' ranges."""
@@ -251,7 +326,7 @@ class _Descent:
 
     def cost(self, point: _Point) -> float:
         """-2 log posterior, up to a constant."""
-        return _cost(self.noise, point)
+        return _cost(self.noise, _Point(point.u, self._of_counted(point.residuals)))
 
     def enough(self, gained: float, cost: float) -> bool:
         """Whether a step that lowered the cost by `gained` was the last."""

@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnosis.joint import BENDS, Fitted, Unknown
+from tautline.diagnosis.joint import OF_WIDTH, Fitted, Unknown
 from tautline.diagnosis.stacked import log_sum
 
 Array = npt.NDArray[np.float64]
@@ -34,17 +34,21 @@ class Sets:
 
     @classmethod
     def of(cls, unknowns: tuple[Unknown, ...], fitted: Fitted) -> Sets:
-        """The posterior over all sets of up to _MOST unknowns: of more, those whose presence the evidence favours most
-        are in every set. Unknowns at an end of their range are absent and not among the ids."""
+        """The posterior over all sets of up to _MOST unknowns. Of more, those that the evidence alone decides most, one
+        way or the other, are in every set or in none. Unknowns at an end of their range are absent and not among the
+        ids."""
         reached = [unknown for unknown in unknowns if np.isin(unknown.places, fitted.free).any()]
-        reached = sorted(reached, key=lambda unknown: -_log_evidence_against_zero(fitted, [unknown]))
-        certain, free = reached[:-_MOST], reached[-_MOST:]
+        price = np.log((1.0 - _PRESENT) / _PRESENT)
+        odds = {unknown.id: _log_evidence_against_zero(fitted, [unknown]) - price for unknown in reached}
+        reached = sorted(reached, key=lambda unknown: -abs(odds[unknown.id]))
+        decided, free = reached[:-_MOST], reached[-_MOST:]
+        absent = [unknown for unknown in decided if odds[unknown.id] < 0.0]
         present, log = [], []
         for size in range(len(free) + 1):
             for without in combinations(range(len(free)), size):
-                present.append([True] * len(certain) + [i not in without for i in range(len(free))])
-                log_evidence = -_log_evidence_against_zero(fitted, [free[i] for i in without])
-                log.append(log_evidence + size * np.log((1.0 - _PRESENT) / _PRESENT))
+                present.append([odds[u.id] > 0.0 for u in decided] + [i not in without for i in range(len(free))])
+                log_evidence = -_log_evidence_against_zero(fitted, absent + [free[i] for i in without])
+                log.append(log_evidence + size * price)
         log_posterior = np.array(log)
         probability = np.exp(log_posterior - log_sum(log_posterior))
         return cls(tuple(unknown.id for unknown in reached), np.array(present, dtype=bool), probability)
@@ -61,15 +65,15 @@ class Sets:
 
     @property
     def count(self) -> list[float]:
-        """Probabilities that none, one, two, and three or more are present; BENDS counts as part of the width."""
-        size = np.minimum(self.present[:, [name != BENDS for name in self.ids]].sum(axis=1), 3)
+        """Probabilities that none, one, two, and three or more are present; what is OF_WIDTH counts with the width."""
+        size = np.minimum(self.present[:, [name not in OF_WIDTH for name in self.ids]].sum(axis=1), 3)
         return [float(p) for p in np.bincount(size, self.probability, minlength=4)]
 
     @cached_property
     def groups(self) -> list[tuple[str, ...]]:
         """Disjoint groups of ids, the likeliest first in each, of which at least one is present with probability _SURE;
         a group of several means that the data do not tell which one it is."""
-        rest = sorted((name for name in self.ids if name != BENDS), key=lambda name: -self.by_id[name])
+        rest = sorted((name for name in self.ids if name not in OF_WIDTH), key=lambda name: -self.by_id[name])
         found: list[tuple[str, ...]] = []
         while rest:
             group: tuple[str, ...] = (rest[0],)

@@ -89,20 +89,25 @@ class Answer:
 
 def held_out_residuals(joint: Joint, fitted: Fitted) -> list[Array]:
     """(scored, k) for each recording: the residual of every block of manoeuvres by a fit without that block, from one
-    linear step -(N - N_b)^-1 g_b as in heldout.py; what the block alone shows is held by the prior, which is in N."""
+    linear step -(N - N_b)^-1 g_b as in heldout.py, or by a descent where that step leads nowhere better, as where the
+    block alone shows what the model is linear in but nearby; what the block alone shows is held by the prior, in N."""
     free, weight = fitted.free, fitted.noise.weight
     slopes = [slope[:, :, free] for slope in fitted.slopes]
     flat = [slope.reshape(-1, len(free)) for slope in slopes]
     normal = np.eye(len(free)) + weight * sum(rows.T @ rows for rows in flat)
     result = []
-    for segment, residual, slope in zip(joint.segments, fitted.residuals, slopes, strict=True):
+    for i, (segment, residual, slope) in enumerate(zip(joint.segments, fitted.residuals, slopes, strict=True)):
         held_out, label = residual.copy(), gap.blocks(segment)
         for number in np.unique(label):
             block = label == number
             rows = slope[block].reshape(-1, len(free))
             gradient = weight * rows.T @ residual[block].ravel()
-            step = -np.linalg.solve(normal - weight * rows.T @ rows, gradient)
-            held_out[block] -= slope[block] @ step
+            step = np.zeros(len(fitted.u))
+            step[free] = -np.linalg.solve(normal - weight * rows.T @ rows, gradient)
+            counted = [np.ones(len(r), dtype=bool) for r in fitted.residuals]
+            counted[i] = ~block
+            refitted = joint.left_without(fitted, counted, step)
+            held_out[block] = (residual - slope @ step[free] if refitted is None else refitted[i])[block]
         result.append(held_out)
     return result
 

@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 from tautline.diagnosis import decide, gap
 from tautline.diagnosis.diagnose import Diagnosis, diagnose
 from tautline.diagnosis.hyperparameters import learnt
-from tautline.diagnosis.joint import Joint
+from tautline.diagnosis.joint import Joint, likeliest
 from tautline.diagnosis.joint_told import Answer, improved
 from tautline.diagnosis.segment import prepare
 from tautline.model import Model
@@ -53,8 +53,8 @@ def diagnose_simulator(
         segments = prepare(found.model, found.calibration, found.tests, found.drives)[1:]
         joint = Joint(found.model, simulator.parameters, segments, diagnosis.document["noise_floor"])
         with threadpool_limits(1, "blas"):
-            fitted = joint.fit(lambda share: progress(0.8 + 0.15 * share, "fitting all parameters together"))
-            answer = improved(diagnosis, Answer.of(joint, fitted))
+            told = likeliest(joint, lambda share: progress(0.8 + 0.15 * share, "fitting all parameters together"))
+            answer = improved(diagnosis, Answer.of(*told))
         if answer is diagnosis:
             return diagnosis
         of_simulator = found.to_json(answer.document["effects"])

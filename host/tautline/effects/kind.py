@@ -75,7 +75,8 @@ class Kind:
     mend: str = ""  # what to do about it on the instrument
     # sensor: the model has a delay for what is observed; freedom: the instrument's second or third degree of freedom
     # moves; joint: a further joint's column does.
-    needs: Literal["", "camera", "sensor", "load", "freedom", "joint"] = ""
+    # simulator: a user's simulator stands in the motor's place, and all is fitted together.
+    needs: Literal["", "camera", "sensor", "load", "freedom", "joint", "simulator"] = ""
     column: str = ""  # of motor.csv, that it follows
     of_joint: Callable[[str], Kind] | None = None  # makes the same effect of a further joint's column, by its name
     holds: Holds | None = None  # puts it into a corrected model's tables, rig or delay; None: it is simulated beside
@@ -147,7 +148,8 @@ class Kind:
         """Whether a calibrated model may carry it beside B and f_remain: it changes the bending angle by a law that is
         the same at all times, and is no part of the model's tables."""
         repeats = not (self.event or self.course or self.moments)
-        return self.through_angle and repeats and not self.nominal and self.holds is None
+        beside_motor = self.needs != SIMULATOR
+        return self.through_angle and beside_motor and repeats and not self.nominal and self.holds is None
 
     @property
     def on_board(self) -> bool:
