@@ -216,7 +216,7 @@ def test_the_command_writes_what_the_format_says(tmp_path, monkeypatch, capsys):
             *("swallowed_by_recalibration", "loads_on_board", "ambiguous_with"),
         }
     assert document["moved"] == [] and document["effects"][0]["since"] == "calibration"
-    applicable = {kind.id for kind in LIBRARY if kind.needs != "load"}
+    applicable = {kind.id for kind in LIBRARY if kind.needs not in ("load", "simulator")}
     assert {c["id"] for c in document["candidates"]} == applicable
     assert all(set(c) == {"id", "probability", "shrink", "identifiable"} for c in document["candidates"])
     total = sum(c["probability"] for c in document["candidates"])

@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 from tautline.core.posterior import Posterior
 from tautline.diagnosis import gap
 from tautline.diagnosis.diagnose import diagnose
-from tautline.diagnosis.joint import BENDS, LAW, SPEED, WIDTH, Fitted, Joint, Noise, Unknown
+from tautline.diagnosis.joint import BENDS, LAW, SPEED, WIDTH, Fitted, Joint, Noise, Unknown, likeliest
 from tautline.diagnosis.joint_sets import Sets
 from tautline.diagnosis.joint_told import Answer, held_out_residuals, improved
 from tautline.diagnosis.segment import prepare
@@ -148,6 +148,44 @@ def test_friction_that_falls_with_speed_and_goes_with_the_place_is_foretold(fold
     segment = prepare(other.model, other.calibration, other.tests, other.drives)[1]
     told = segment.predict(model, joint.changes(fitted.u), 0.0)[1]
     assert gap.rms([(segment.observed - told)[segment.scored]]) < 1.5 * NOISE_DEG
+
+
+def hanging(c, t_s):
+    """Slack of 2 deg in which a rod hangs: 64 / s^2 to 3 deg, a drag of 4 / s; ends that take its speed; 0.1 ms."""
+    fine_s = np.arange(t_s[0], t_s[-1], 1e-4)
+    wheel = np.interp(fine_s, t_s, c)
+    p, speed, last, seen = float(wheel[0]), 0.0, float(wheel[0]), []
+    for now in wheel.tolist():
+        speed -= 1e-4 * (64.0 * (p - 3.0) + 4.0 * speed)
+        p += 1e-4 * speed
+        if abs(p - now) > 1.0:
+            end = (now - last) / 1e-4
+            speed = min(speed, end) if p > now else max(speed, end)
+            p = now + np.copysign(1.0, p - now)
+        seen.append(p)
+        last = now
+    return np.interp(t_s, fine_s, seen)
+
+
+def test_slack_in_which_a_load_holds_the_joint_to_one_side_is_a_width_and_no_law(folder, monkeypatch):
+    monkeypatch.setattr(f"{__name__}.rubbing", lambda c, t_s, *friction: hanging(c, t_s))
+    seen = nominal(SERVO, [robot(folder, seed) for seed in (3, 5)], arms.rig(folder))
+    joint = Joint(seen.model, PARAMETERS, prepare(seen.model, seen.calibration, seen.tests, seen.drives)[1:], NOISE_DEG)
+    told = Answer.of(*likeliest(joint))
+    assert told.joint.loose and {WIDTH} in [set(group) for group in told.sets.groups]
+    assert not any(LAW in group for group in told.sets.groups)
+    model = told.corrected_model()
+    np.testing.assert_allclose(np.interp([-20.0, 0.0, 20.0], model.q, model.width), 2.0, atol=0.1)
+    other = nominal(SERVO, [robot(folder, 8)], arms.rig(folder))
+    segment = prepare(other.model, other.calibration, other.tests, other.drives)[1]
+    after = segment.observed - segment.predict(model, told.joint.changes(told.fitted.u), 0.0)[1]
+    before = segment.observed - segment.predict(joint.model, {}, 0.0)[1]
+    print(f"another motion: {gap.rms([before[segment.scored]]):.3f} -> {gap.rms([after[segment.scored]]):.3f} deg")
+    assert gap.rms([after[segment.scored]]) < 1.5 * NOISE_DEG
+
+
+def test_a_play_that_holds_is_not_loose(answer):
+    assert not likeliest(answer.joint)[0].loose
 
 
 def test_friction_may_be_another_one_in_another_recording_and_slack_is_not(answer, folder):

@@ -4,7 +4,8 @@
 
 enum { PULL, PLACE, DRAG, COUNT };
 static const struct effect_parameter PARAMETERS[COUNT] = {
-    {"loose_pull", 0, "1/s^2", "acceleration over the way to loose_place of what is free within B; below 0 away from it"},
+    {"loose_pull", 0, "1/s^2",
+     "acceleration over the way to loose_place of what is free within B; below 0 away from it"},
     {"loose_place", 0, "unit", "where its load pulls to neither side"},
     {"loose_drag", 5, "1/s", "deceleration over its speed"},
 };
@@ -25,5 +26,5 @@ static void fall(const double *v, double dt, double *at, double *speed) {
     *at += *speed * dt;
 }
 
-const struct effect effect_loose = {"transmission.loose", PLACE_PLAY, PARAMETERS, COUNT, .present = present,
-                                    .drive = drive,       .fall = fall};
+const struct effect effect_loose = {"transmission.loose", PLACE_PLAY,     PARAMETERS,  COUNT,
+                                    .present = present,   .drive = drive, .fall = fall};

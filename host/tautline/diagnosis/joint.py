@@ -104,7 +104,7 @@ class Fitted:
         return self.posterior.mean
 
     def log_evidence(self, noise: Noise) -> float:
-        """The recordings' log evidence about this maximum by Laplace, up to a constant, if residuals have this noise."""
+        """The recordings' log evidence about this maximum (Laplace), up to a constant, if residuals have this noise."""
         covariance = self.posterior.covariance[np.ix_(self.free, self.free)]
         fit = -0.5 * _cost(noise, _Point(self.u, self.residuals))
         return fit + 0.5 * float(np.linalg.slogdet(covariance)[1])
