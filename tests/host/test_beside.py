@@ -11,10 +11,10 @@ import pytest
 
 from tautline.calibration import calibrate as room
 from tautline.calibration import naming
-from tautline.calibration.beside import FITTED, Beside
+from tautline.calibration.beside import FITTED, FittedEffects
 from tautline.calibration.calibrate import Calibration, calibrate
 from tautline.calibration.observations import observe
-from tautline.calibration.playfit import Curves, Frozen, PlayFit
+from tautline.calibration.playfit import Curves, PlayFit, PreparedTrack
 from tautline.calibration.wandering import allowing_for_wander
 from tautline.calibration.worth import PREDICTS
 from tautline.diagnosis.hyperparameters import learnt
@@ -109,15 +109,15 @@ def test_what_may_be_carried_moves_the_tip_at_all_times_alike() -> None:
 
 
 def test_an_effect_is_read_and_written_as_a_model_has_it() -> None:
-    beside, values = Beside.of([LAG, Effect("transmission.drift", {"offset_drift": 0.3})], SOUND)
+    beside, values = FittedEffects.of([LAG, Effect("transmission.drift", {"offset_drift": 0.3})], SOUND)
     assert beside.to_effects(values) == (LAG,)
     wrist = Effect(COUPLING.id, {"c_per_joint": 0.2, "joint_play": 2.0, "column": "wrist_deg"})
-    beside, values = Beside.of([COUPLING, LAG], SOUND, others_rest=True)
+    beside, values = FittedEffects.of([COUPLING, LAG], SOUND, others_rest=True)
     assert values.tolist() == [0.15, 0.2] and beside.to_effects(values) == (COUPLING, LAG)
-    beside, values = Beside.of([wrist], SOUND)
+    beside, values = FittedEffects.of([wrist], SOUND)
     assert values.tolist() == [0.2, 2.0] and beside.to_effects(values) == (wrist,)
     by_speed = {"width_per_speed": 0.01, "speed_saturation": 1.0, "speed_time": 0.03, "width_held": 1.0}
-    beside, values = Beside.of([Effect("transmission.rate_dependent_backlash", by_speed)], SOUND)
+    beside, values = FittedEffects.of([Effect("transmission.rate_dependent_backlash", by_speed)], SOUND)
     assert len(values) == 3 and beside.held == {"width_held": 1.0}
     assert beside.to_effects(values)[0].parameters == by_speed
     assert not beside.ended(values)
@@ -135,9 +135,9 @@ def test_the_gradient_is_the_costs_slope(effect: Effect) -> None:
     made = recorded([effect], 1, seconds=20.0, sways=effect is COUPLING)
     if effect is LOAD:
         made = replace(made, motor=replace(made.motor, load_mNm=20.0 * np.sin(0.3 * made.motor.t_s)))
-    frozen = [Frozen.of(track) for track in observe([made], RIG)]
-    beside, values = Beside.of([effect], SOUND)
-    fit = PlayFit(frozen, Basis(-5, 5, 10), Basis(-5, 5, 12), settled_only=False, beside=beside)
+    prepared = [PreparedTrack.of(track) for track in observe([made], RIG)]
+    beside, values = FittedEffects.of([effect], SOUND)
+    fit = PlayFit(prepared, Basis(-5, 5, 10), Basis(-5, 5, 12), settled_only=False, beside=beside)
     width = np.linalg.lstsq(fit.backlash.design(Q).toarray(), SOUND.width, rcond=None)[0]
     curves = Curves(width, project(RIG, 11.0 * fit.follow.centres), RIG.delay_s + 0.01, 1.1 * values)
     rows, masks = fit.residuals(curves)
@@ -203,9 +203,9 @@ def test_the_sigmas_of_b_and_delay_beside_an_effect_cover(monkeypatch: pytest.Mo
 
 def test_b_is_as_uncertain_as_its_fit_beside_another_amplitude_is_off() -> None:
     """By the share that a right effect may be another than its law makes of the frames."""
-    frozen = [Frozen.of(track) for track in observe([recorded([ONE_SIDED], 6, seconds=30.0)], RIG)]
-    beside, values = Beside.of([ONE_SIDED], SOUND)
-    fit = PlayFit(frozen, Basis(-5, 5, 20), Basis(-5, 5, 40), settled_only=True, beside=beside)
+    prepared = [PreparedTrack.of(track) for track in observe([recorded([ONE_SIDED], 6, seconds=30.0)], RIG)]
+    beside, values = FittedEffects.of([ONE_SIDED], SOUND)
+    fit = PlayFit(prepared, Basis(-5, 5, 20), Basis(-5, 5, 40), settled_only=True, beside=beside)
     width = np.linalg.lstsq(fit.backlash.design(Q).toarray(), SOUND.width, rcond=None)[0]
     found = fit.solve(Curves(width, project(RIG, 11.0 * fit.follow.centres), RIG.delay_s, values))
     held = replace(fit, fit_beside=False, smoothing=dict(fit.smoothing))
@@ -283,7 +283,7 @@ def test_what_the_carrying_model_still_misses_is_a_doubt() -> None:
 def test_a_tip_is_half_of_what_b_widens_behind_or_ahead_however_narrow_b_is(width: float) -> None:
     """By a tiny lag, so that an effect is there; of a constant B, dp/dB = -side / 2."""
     motor = recorded((), 5).motor
-    beside, values = Beside.of([Effect(LAG.id, {"lag": 1e-3, "lag_second": 0.0})], SOUND)
+    beside, values = FittedEffects.of([Effect(LAG.id, {"lag": 1e-3, "lag_second": 0.0})], SOUND)
     at_s = np.linspace(motor.t_s[len(motor.t_s) // 2], motor.t_s[-1] - 0.1, 400)
     by_width, _, _ = beside.slopes(motor, at_s, Q, np.full(len(Q), width), room.SINGLE, values)
     far = np.abs(by_width)[np.abs(np.interp(at_s, motor.t_s, np.gradient(motor.q, motor.t_s))) > 0.5]

@@ -8,7 +8,7 @@ import numpy.typing as npt
 import pytest
 
 from tautline.calibration.calibrate import JOINT, Calibration, calibrate
-from tautline.calibration.components import Component, Components, Since
+from tautline.calibration.components import Component, Components, DifferenceFromEnd
 from tautline.calibration.doubts import _ripple, doubts, goes_on
 from tautline.calibration.holding import released
 from tautline.calibration.observations import observe
@@ -106,7 +106,7 @@ def test_a_departure_is_told_where_a_good_verdict_hangs_on_its_being_taken_out(r
     [("offset.time", 2.0, 2.0), ("image.shift", 2.0, 0.0), ("offset.recording", 2.0, 0.0)],
 )
 def test_what_happened_once_does_not_go_on(name: str, late: float, still: float) -> None:
-    since = Since(np.arange(4), late * np.ones((4, 2)), np.ones(4, bool))
+    since = DifferenceFromEnd(np.arange(4), late * np.ones((4, 2)), np.ones(4, bool))
     found = components(3.0, 0.5)
     found = replace(found, parts=(replace(found.parts[0], name=name),), since=(since,))
     assert goes_on(found) == pytest.approx(still)

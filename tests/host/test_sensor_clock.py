@@ -15,7 +15,7 @@ from tautline.calibration.calibrate import _Session, calibrate
 from tautline.calibration.components import Components
 from tautline.calibration.observations import not_held, observe
 from tautline.calibration.onset import Delay
-from tautline.calibration.smooth import Domain, fit_jointly, freeze
+from tautline.calibration.smooth import Domain, fit_jointly, prepare_tracks
 from tautline.calibration.steps import jumps
 from tautline.encoder import between_counts
 from tautline.model import Model
@@ -274,7 +274,7 @@ def test_between_counts_a_step_stays_within_its_sample():
 @pytest.mark.parametrize(("sigma_s", "own"), [(0.02, False), (0.0002, True)])
 def test_a_delay_that_departures_leave_uncertain_is_the_nominal_one(sigma_s: float, own: bool) -> None:
     tracks = observe([record(Motion.through(), delay_s=0.003)], RIG)
-    joint = fit_jointly(freeze(tracks, 0.0), Domain(*RIG.actuator.range), 0.0, fit_delay=True)
+    joint = fit_jointly(prepare_tracks(tracks, 0.0), Domain(*RIG.actuator.range), 0.0, fit_delay=True)
     assert joint is not None and joint.curves.delay_s == pytest.approx(0.003, abs=5e-4)
     session = cast(_Session, SimpleNamespace(framed=False, nominal_s=0.0))
     width = joint.fit.width(joint.curves)

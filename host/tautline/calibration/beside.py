@@ -32,7 +32,7 @@ _FAR = 30.0  # prior: of a parameter's scale, a step's
 
 
 @dataclass(frozen=True)
-class Beside:
+class FittedEffects:
     """Effects, their order that of `values` wherever these are handed on: amplitudes and shapes that can be
     differentiated. `held` has the others' values."""
 

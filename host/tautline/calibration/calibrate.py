@@ -16,7 +16,7 @@ from tautline.calibration.acquisition import doubts as acquisition_doubts
 from tautline.calibration.acquisition import in_another_unit, mistaken_unit
 from tautline.calibration.backlash import WidthCurve, fit_widths
 from tautline.calibration.beforehand import Beforehand
-from tautline.calibration.beside import Beside
+from tautline.calibration.beside import FittedEffects
 from tautline.calibration.choice import JOINT, ONSETS, PASSES, Choice, jumping, measuring
 from tautline.calibration.components import WORSE, Components, separate
 from tautline.calibration.departures import SPEED
@@ -36,7 +36,7 @@ from tautline.calibration.place import (
 from tautline.calibration.playfit import NODES, Curves, Fitted, PlayFit
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
 from tautline.calibration.several import fit_elements, left
-from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze, overlap
+from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, overlap, prepare_tracks
 from tautline.calibration.wandering import allowing_for_wander
 from tautline.calibration.worth import PREDICTS, Worth, worth
 from tautline.core.session import Session
@@ -282,7 +282,7 @@ def _with_effects(found: Calibration, told: start.Start, beside: Calibration | N
 def _likelihoods(fits: Sequence[Fitted]) -> Array:
     """(n,) How likely each of these fits of the same frames is, their noise integrated out; the sum is 1."""
     noise = place_noise(fits[0])
-    number = fits[0].frames * fits[0].rows[0].shape[1] / (1.0 if noise is None else noise.effect)
+    number = fits[0].frames * fits[0].residuals[0].shape[1] / (1.0 if noise is None else noise.effect)
     log = -number * np.log([fit.scale for fit in fits])
     likely = np.exp(log - log.max())
     return np.asarray(likely / likely.sum())
@@ -303,9 +303,9 @@ class _Session:
         self.held = 0.0  # share of the frames that repeat a place that the tip had left
         self.ended: Sequence[Track] | None = None  # what was seen, as it is when the session ends
         self.elements: Hysteresis = SINGLE
-        self.effects: tuple[Beside, Array] | None = None  # beside the play
+        self.effects: tuple[FittedEffects, Array] | None = None  # beside the play
         self.load_mNm = 0.0  # at which B and f_remain hold beside them
-        self.joint: Fitted | None = None
+        self.joint_fit: Fitted | None = None
         self.delay: Delay | None = None
         reached = [(float(t.motor.q.min()), float(t.motor.q.max())) for t in tracks]
         self.reached = min(r[0] for r in reached), max(r[1] for r in reached)
@@ -345,9 +345,9 @@ class _Session:
         onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
         curve = fit_widths(onsets, self.grid)
         self.say(0.35, "fitting the way up and down")
-        joint, passes = self._smooth(onsets, delay, curve)
-        if joint is not None and (joint.fit.fit_delay or joint.curves.delay_s != delay.delay_s):
-            before, delay = delay, self._joint_delay(delay, joint)
+        joint_fit, passes = self._smooth(onsets, delay, curve)
+        if joint_fit is not None and (joint_fit.fit.fit_delay or joint_fit.curves.delay_s != delay.delay_s):
+            before, delay = delay, self._joint_delay(delay, joint_fit)
             surer = not self.framed and delay.sigma_s < 0.5 * before.sigma_s
             later = delay.delay_s - before.delay_s
             if surer or abs(later) > _LATER * clock.period_s(self.tracks):
@@ -360,26 +360,28 @@ class _Session:
             part.name.startswith(("phase", SPEED)) for part in self.components.parts
         )
         like_paper = self.options.knots == "paper"
-        width, sigma, source = self.choice.choose(onsets, curve, joint, passes, like_paper=like_paper, gradual=gradual)
+        width, sigma, source = self.choice.choose(
+            onsets, curve, joint_fit, passes, like_paper=like_paper, gradual=gradual
+        )
         if source == JOINT:
             # The joint fit is so much sharper that the onsets' scatter about it is their own.
             spread = float(np.sqrt(np.clip(self.findings.evidence["onsets_against_joint_z2"], 1.0, 9.0)))
             onsets = [replace(o, sigma=o.sigma * spread) if o.used and o.kind == HINGE else o for o in onsets]
-        self.joint, self.delay = joint, delay
+        self.joint_fit, self.delay = joint_fit, delay
         self.say(0.75, "fitting f_remain")
-        settled = joint.fit.settled_only if joint is not None else False
-        if joint is not None:
-            self._find_place(joint)
+        settled = joint_fit.fit.settled_only if joint_fit is not None else False
+        if joint_fit is not None:
+            self._find_place(joint_fit)
         remaining = self._remaining(width, delay.delay_s, settled) if self.choice.moves() else None
         self._comment(onsets, remaining, otherwise=source in (JOINT, PASSES))
         self._doubt_place(remaining)
         self.say(0.8, "naming what departs")
-        return self._result(onsets, delay, curve, joint, passes, width, sigma, source, remaining)
+        return self._result(onsets, delay, curve, joint_fit, passes, width, sigma, source, remaining)
 
     def beside(self, before: _Session, told: start.Start) -> Calibration | None:
         """What `run` finds, with effects that were named fitted beside B, path and delay. before: the session
         without them. None where they cannot be fitted."""
-        if before.joint is None or before.delay is None:
+        if before.joint_fit is None or before.delay is None:
             return None
         effects = told.effects
         if not before.elements.single and any(effect.id == _GRADUAL_START for effect in effects):
@@ -389,46 +391,46 @@ class _Session:
         self.load_mNm = told.fitter.load_reference
         law = replace(nominal, extra={LOAD: self.load_mNm})
         posed = all(track.posed for track in self._one_curve(before.delay.delay_s))
-        beside, values = Beside.of(effects, law, others_rest=not posed)
+        beside, values = FittedEffects.of(effects, law, others_rest=not posed)
         if not beside.kinds:
             return None
         self._release()
         self.say(0.0, f"fitting {', '.join(kind.id for kind in beside.kinds)} beside the play")
         start_s = before.delay.delay_s + (nominal.delay_s - told.fitter.model.delay_s)
-        fits = [self._beside(before.joint, nominal, start_s, form, values) for form in beside.forms]
+        fits = [self._beside(before.joint_fit, nominal, start_s, form, values) for form in beside.forms]
         if beside.bends:
-            fits = [self._by_its_law(before.joint, fit) for fit in fits]
+            fits = [self._by_its_law(before.joint_fit, fit) for fit in fits]
         likely = _likelihoods(fits)
         best = int(np.argmax(likely))
-        joint = fits[best]
-        self.effects = joint.beside
-        delay = self._joint_delay(before.delay, joint)
-        late_s = np.array([fit.curves.delay_s - joint.curves.delay_s for fit in fits])
-        apart = np.array([fit.fit.width(fit.curves) - joint.fit.width(joint.curves) for fit in fits])
+        joint_fit = fits[best]
+        self.effects = joint_fit.beside
+        delay = self._joint_delay(before.delay, joint_fit)
+        late_s = np.array([fit.curves.delay_s - joint_fit.curves.delay_s for fit in fits])
+        apart = np.array([fit.fit.width(fit.curves) - joint_fit.fit.width(joint_fit.curves) for fit in fits])
         delay = replace(delay, sigma_s=float(np.sqrt(delay.sigma_s**2 + likely @ late_s**2)))
         onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
         curve = fit_widths(onsets, self.grid)
-        width = self.choice.held(joint, curve)
-        sigma = np.sqrt(joint.width_sigma(self.grid) ** 2 + likely @ apart**2)
-        self.findings.evidence["residual_joint"] = joint.scale
+        width = self.choice.held(joint_fit, curve)
+        sigma = np.sqrt(joint_fit.width_sigma(self.grid) ** 2 + likely @ apart**2)
+        self.findings.evidence["residual_joint"] = joint_fit.scale
         self.say(0.75, "fitting f_remain")
-        self._find_place(joint)
-        remaining = self._remaining(width, delay.delay_s, joint.fit.settled_only)
+        self._find_place(joint_fit)
+        remaining = self._remaining(width, delay.delay_s, joint_fit.fit.settled_only)
         self._comment(onsets, remaining, otherwise=True)
         self._doubt_place(remaining)
-        return self._result(onsets, delay, curve, joint, None, width, sigma, JOINT, remaining)
+        return self._result(onsets, delay, curve, joint_fit, None, width, sigma, JOINT, remaining)
 
-    def _beside(self, before: Fitted, nominal: Model, delay_s: float, beside: Beside, values: Array) -> Fitted:
+    def _beside(self, before: Fitted, nominal: Model, delay_s: float, beside: FittedEffects, values: Array) -> Fitted:
         """The joint fit with effects, from a nominal model, delay and values of theirs. What they did before the
         tip was driven both ways is not known."""
         fit_delay = self.options.delay_s is None
-        frozen = freeze(self._one_curve(delay_s), delay_s)
+        prepared = prepare_tracks(self._one_curve(delay_s), delay_s)
         basis = before.fit.backlash
         fit = PlayFit(
-            frozen, basis, basis, fit_delay=fit_delay, beforehand=before.fit.beforehand, beside=beside,
+            prepared, basis, basis, fit_delay=fit_delay, beforehand=before.fit.beforehand, beside=beside,
             elements=self.elements,
         )  # fmt: skip
-        channels = frozen[0].track.y.shape[1]
+        channels = prepared[0].track.y.shape[1]
         backlash = np.linalg.lstsq(
             basis.design(self.grid).toarray(), np.interp(self.grid, nominal.q, nominal.width), rcond=None
         )[0]
@@ -436,21 +438,21 @@ class _Session:
             backlash, np.zeros((basis.size, channels)), delay_s if fit_delay else before.curves.delay_s, values
         )
         path = replace(fit, fit_backlash=False, fit_delay=False, fit_beside=False, smoothing=dict(fit.smoothing))
-        joint = fit.solve(path.step(curves, *path.residuals(curves)))
-        joint = allowing_for_place(joint, place_noise(joint))
-        joint = allowing_for_wander(joint)
-        cut = joint.curves.follow.size
-        block, late = slice(cut, cut + basis.size), joint.covariance[-1, -1]
-        by_delay = basis.design(self.grid).toarray() @ joint.covariance[block, -1] / late
-        return replace(joint, by_delay=by_delay) if fit_delay and late > 0.0 else joint
+        joint_fit = fit.solve(path.step(curves, *path.residuals(curves)))
+        joint_fit = allowing_for_place(joint_fit, place_noise(joint_fit))
+        joint_fit = allowing_for_wander(joint_fit)
+        cut = joint_fit.curves.follow.size
+        block, late = slice(cut, cut + basis.size), joint_fit.covariance[-1, -1]
+        by_delay = basis.design(self.grid).toarray() @ joint_fit.covariance[block, -1] / late
+        return replace(joint_fit, width_by_delay=by_delay) if fit_delay and late > 0.0 else joint_fit
 
-    def _by_its_law(self, before: Fitted, joint: Fitted) -> Fitted:
+    def _by_its_law(self, before: Fitted, joint_fit: Fitted) -> Fitted:
         """The joint fit again, with what adds to the bending angle by the f_remain that it leaves."""
-        self.effects = beside, values = joint.beside
-        width, delay_s = joint.fit.width(joint.curves), joint.curves.delay_s
-        remaining = self._remaining(width, delay_s, joint.fit.settled_only)
+        self.effects = beside, values = joint_fit.beside
+        width, delay_s = joint_fit.fit.width(joint_fit.curves), joint_fit.curves.delay_s
+        remaining = self._remaining(width, delay_s, joint_fit.fit.settled_only)
         if remaining is None:
-            return joint
+            return joint_fit
         law = replace(beside.law, q=self.grid, width=width, width_sigma=0.0 * width, c_deg=remaining.c_deg)
         return self._beside(before, law, delay_s, replace(beside, law=law), values)
 
@@ -473,20 +475,20 @@ class _Session:
             return clock.delay_of_all(self.tracks, self.rig)
         return clock.delay_of_stops(self.tracks, self.rig)
 
-    def _joint_delay(self, stops: Delay, joint: Fitted) -> Delay:
+    def _joint_delay(self, stops: Delay, joint_fit: Fitted) -> Delay:
         """The joint fit's delay and its sigma, s, to which turns that are known to a rounded count add. Where it was
         not fitted the sigma is that of the stops, of the nominal delay a sample's time at most."""
         # Each turn is known to a rounded count: an error of time at the motor's speed.
-        speed = float(np.median(np.concatenate([np.abs(s.speed[s.moving]) for s in joint.fit.simulated])))
+        speed = float(np.median(np.concatenate([np.abs(s.speed[s.moving]) for s in joint_fit.fit.simulated])))
         counts = self.rig.actuator.encoder_resolution / np.sqrt(12.0) / max(speed, 1e-9) / np.sqrt(max(stops.stops, 1))
-        own = joint.delay_sigma
-        if not joint.fit.fit_delay:  # at the nominal delay: within a sample of it
+        own = joint_fit.delay_sigma
+        if not joint_fit.fit.fit_delay:  # at the nominal delay: within a sample of it
             own = (
                 min(stops.sigma_s, clock.period_s(self.tracks))
-                if joint.curves.delay_s == self.nominal_s
+                if joint_fit.curves.delay_s == self.nominal_s
                 else stops.sigma_s
             )
-        return Delay(joint.curves.delay_s, float(np.hypot(own, counts)), stops.stops)
+        return Delay(joint_fit.curves.delay_s, float(np.hypot(own, counts)), stops.stops)
 
     # ---- B
 
@@ -506,104 +508,108 @@ class _Session:
     ) -> tuple[Fitted | None, Fitted | None]:
         """The joint fit of B, path and delay, with what departs beside it, and the passes' alone; each None where too
         little was seen for it."""
-        frozen = freeze(self._one_curve(delay.delay_s), delay.delay_s)
+        prepared = prepare_tracks(self._one_curve(delay.delay_s), delay.delay_s)
         fit_delay = self.options.delay_s is None
-        joint = fit_jointly(
-            frozen, self.domain, delay.delay_s, fit_delay=fit_delay, guess=curve,
+        joint_fit = fit_jointly(
+            prepared, self.domain, delay.delay_s, fit_delay=fit_delay, guess=curve,
             beforehand=self.options.beforehand,
         )  # fmt: skip
-        if joint is None:
+        if joint_fit is None:
             return None, None
         if fit_delay and not self.framed:
-            joint = clock.settled(joint, delay, self.tracks, self.nominal_s)
-        elif fit_delay and (jumping(onsets) or not joint.explained):
+            joint_fit = clock.settled(joint_fit, delay, self.tracks, self.nominal_s)
+        elif fit_delay and (jumping(onsets) or not joint_fit.explained):
             # What the model does not know would bend the delay: the image stops tell it alone.
-            joint.fit.fit_delay = False
-            joint = joint.fit.solve(replace(joint.curves, delay_s=delay.delay_s))
-        if fit_delay and not joint.fit.fit_delay:
-            joint.fit.delay_sigma_s = min(self._joint_delay(delay, joint).sigma_s, 1.0)
+            joint_fit.fit.fit_delay = False
+            joint_fit = joint_fit.fit.solve(replace(joint_fit.curves, delay_s=delay.delay_s))
+        if fit_delay and not joint_fit.fit.fit_delay:
+            joint_fit.fit.delay_sigma_s = min(self._joint_delay(delay, joint_fit).sigma_s, 1.0)
         self.say(0.5, "looking for what is no play")
-        joint = self._separated(joint, onsets, curve)
+        joint_fit = self._separated(joint_fit, onsets, curve)
         self.say(0.6, "fitting the passes alone")
         # How far beyond an onset a pass begins: a tenth of B and a little of the range.
-        margin = 0.1 * float(np.median(joint.fit.width(joint.curves))) + 0.005 * self.domain.span
-        passes = fit_passes(joint, margin)
-        return joint, None if passes is None else as_many_as_independent(passes)
+        margin = 0.1 * float(np.median(joint_fit.fit.width(joint_fit.curves))) + 0.005 * self.domain.span
+        passes = fit_passes(joint_fit, margin)
+        return joint_fit, None if passes is None else as_many_as_independent(passes)
 
-    def _separated(self, joint: Fitted, onsets: Sequence[Onset], curve: WidthCurve | None) -> Fitted:
+    def _separated(self, joint_fit: Fitted, onsets: Sequence[Onset], curve: WidthCurve | None) -> Fitted:
         """The joint fit with all that departs from its model beside it: with the B that this gives where that predicts
         about as well or onsets agree with it, else as it was and less certain."""
-        noise = place_noise(joint)
+        noise = place_noise(joint_fit)
         if noise is not None:
             self.findings.evidence |= {f"place_{key}": value for key, value in asdict(noise).items()}
-        joint = allowing_for_place(joint, noise)
-        self.findings.evidence["residual_before_components"] = joint.scale
-        self.components = separate(joint, self.rig)
+        joint_fit = allowing_for_place(joint_fit, noise)
+        self.findings.evidence["residual_before_components"] = joint_fit.scale
+        self.components = separate(joint_fit, self.rig)
         if self.components.noise > PREDICTS and not self.components.of_tracker:
-            smoother = as_smooth_as_independent(joint, noise)
+            smoother = as_smooth_as_independent(joint_fit, noise)
             again = separate(smoother, self.rig)
             if again.noise < WORSE * self.components.noise:  # else B's shape was taken for what departs
-                joint, self.components = smoother, again
+                joint_fit, self.components = smoother, again
         gradual = self.options.elements == "auto" and not jumping(onsets)
-        several = self._several(joint, self.components) if gradual else None
+        several = self._several(joint_fit, self.components) if gradual else None
         if several is not None:
-            joint, self.elements = several.fitted, several.fitted.fit.elements
-            components = separate(joint, self.rig, without=_OF_ELEMENTS)
+            joint_fit, self.elements = several.fitted, several.fitted.fit.elements
+            components = separate(joint_fit, self.rig, without=_OF_ELEMENTS)
             spread = _BETWEEN_ELEMENTS * components.width if several.spread is None else several.spread
             self.components = replace(components, sigma=np.hypot(components.sigma, spread))
         self.findings.evidence["residual_components"] = self.components.noise
         for part in self.components.parts:
             self.findings.evidence[f"component_{part.name}"] = part.rms
-        apart = self.components.applied(joint)
-        alone = self.choice.alone(self.components, apart, joint)
-        if self.choice.predicts(alone, joint) or self.choice.nearer(onsets, curve, self.components, apart, joint):
+        apart = self.components.applied(joint_fit)
+        alone = self.choice.alone(self.components, apart, joint_fit)
+        if self.choice.predicts(alone, joint_fit) or self.choice.nearer(
+            onsets, curve, self.components, apart, joint_fit
+        ):
             if self.components.since and apart.fit.tracks[0].track.unit == self.tracks[0].unit:
                 self.ended = [t for t in self.components.at_the_end(self.tracks) if len(t.t_s)]
             self.findings.evidence["residual_alone"] = alone
             return apart
-        self.findings.evidence["residual_alone"] = joint.scale
-        return self._as_one(joint, self.components)
+        self.findings.evidence["residual_alone"] = joint_fit.scale
+        return self._as_one(joint_fit, self.components)
 
-    def _as_one(self, joint: Fitted, components: Components) -> Fitted:
+    def _as_one(self, joint_fit: Fitted, components: Components) -> Fitted:
         """The joint fit as it is; how far the departures would take B from it is its uncertainty. An angle sensor's
         delay that they leave less certain than it is off the nominal one by is that."""
-        delay_sigma = max(components.delay_sigma, joint.delay_sigma)
-        if not self.framed and joint.fit.fit_delay and abs(joint.curves.delay_s - self.nominal_s) < delay_sigma:
-            fit = replace(joint.fit, fit_delay=False, delay_sigma_s=delay_sigma, smoothing=dict(joint.fit.smoothing))
-            joint = fit.solve(replace(joint.curves, delay_s=self.nominal_s))
-        width = joint.fit.width(joint.curves)
-        joint.fit.residuals(joint.curves)
+        delay_sigma = max(components.delay_sigma, joint_fit.delay_sigma)
+        if not self.framed and joint_fit.fit.fit_delay and abs(joint_fit.curves.delay_s - self.nominal_s) < delay_sigma:
+            fit = replace(
+                joint_fit.fit, fit_delay=False, delay_sigma_s=delay_sigma, smoothing=dict(joint_fit.fit.smoothing)
+            )
+            joint_fit = fit.solve(replace(joint_fit.curves, delay_s=self.nominal_s))
+        width = joint_fit.fit.width(joint_fit.curves)
+        joint_fit.fit.residuals(joint_fit.curves)
         spread = np.hypot(components.sigma, components.width - width)
-        return replace(joint, spread=spread, delay_spread=delay_sigma, by_delay=components.by_delay)
+        return replace(joint_fit, spread=spread, delay_spread=delay_sigma, width_by_delay=components.width_by_delay)
 
-    def _several(self, joint: Fitted, components: Components) -> Tried | None:
+    def _several(self, joint_fit: Fitted, components: Components) -> Tried | None:
         """The joint fit with several elements or with friction, whichever is likelier, where the tip starts gradually
         and it holds most of that; None where either is not so."""
         gradual = next((part for part in components.parts if part.name == "phase.even"), None)
         if gradual is None or gradual.rms < max(_GRADUAL, 0.5 * max(part.rms for part in components.parts)):
             return None
-        start, fit_delay = components.applied(joint), self.options.delay_s is None
+        start, fit_delay = components.applied(joint_fit), self.options.delay_s is None
         plays = fit_elements(start, self.rig, fit_delay=fit_delay)
         assert isinstance(plays.fit.elements, Elements)
         tried = [Tried(plays, len(plays.fit.elements.width) - 1)]
-        friction = (fit_friction([joint, start], self.rig, kind, fit_delay) for kind in PRIORS)
+        friction = (fit_friction([joint_fit, start], self.rig, kind, fit_delay) for kind in PRIORS)
         tried += [each for each in friction if each is not None]
         best = likeliest(tried, components.effective)
         several = best.fitted
         # What several leave is no noise: where that is less, it is at most that of a tip at rest.
         noise = components.noise if several.scale > components.noise else min(components.noise, 1.0)
-        alike = replace(several, scale=joint.scale)  # strays count as much in both
-        before, after = (max(left(fitted) ** 2 - noise**2, 0.0) for fitted in (joint, alike))
+        alike = replace(several, scale=joint_fit.scale)  # strays count as much in both
+        before, after = (max(left(fitted) ** 2 - noise**2, 0.0) for fitted in (joint_fit, alike))
         return best if after < _HELD * before and not several.fit.elements.single else None
 
     # ---- f_remain
 
-    def _find_place(self, joint: Fitted) -> None:
+    def _find_place(self, joint_fit: Fitted) -> None:
         """Estimates where on a bare tip lies what was shown and followed instead of a marker: from here on the rig has
         it."""
         shown = self.tracks[0].shown
         if shown is not None and all(track.shown == shown for track in self.tracks):
-            self.rig = replace(self.rig, place=place_on_tip(joint, self.rig, shown))
+            self.rig = replace(self.rig, place=place_on_tip(joint_fit, self.rig, shown))
 
     def _doubt_place(self, remaining: Remaining | None) -> None:
         """Doubts f_remain, not B, where what is seen is no marker at a known place: by the tip's own camera, or a place
@@ -693,7 +699,7 @@ class _Session:
     def _judge(
         self,
         told: Worth | None,
-        joint: Fitted | None,
+        joint_fit: Fitted | None,
         width: Array,
         usual: float,
         sigma: Array,
@@ -723,22 +729,22 @@ class _Session:
             departs = doubts(found, inside, usual, self.unit, rough, holds)
         doubted = departs or any(not reason.mild for reason in self.findings.reasons)
         if told is not None and not predicts and not doubted:
-            self.findings.reasons.append(self._unexplained(told, joint, width))
+            self.findings.reasons.append(self._unexplained(told, joint_fit, width))
         self.findings.looks = [*departs, *self.findings.looks]
         self.findings.judge(holds)
         if not holds and self.camera:
             self.findings.reasons += clock.jumps(self.tracks, self.rig)
         if inside.any():
-            self._doubt_sigma(joint, usual, sigma[inside], inside, holds)
+            self._doubt_sigma(joint_fit, usual, sigma[inside], inside, holds)
 
     def _doubt_sigma(
-        self, joint: Fitted | None, usual: float, sigma: Array, inside: npt.NDArray[np.bool_], holds: bool
+        self, joint_fit: Fitted | None, usual: float, sigma: Array, inside: npt.NDArray[np.bool_], holds: bool
     ) -> None:
         """Where B is known no better than a twentieth; sigma (k,) where it was measured, `usual` B there. A doubt
         unless all but that is the delay's: what the two say together foretells as well as either that is known."""
         unsure, late = sigma / usual, np.zeros_like(sigma)
-        if joint is not None and joint.by_delay is not None:
-            late = joint.delay_sigma * joint.by_delay[inside] / usual
+        if joint_fit is not None and joint_fit.width_by_delay is not None:
+            late = joint_fit.delay_sigma * joint_fit.width_by_delay[inside] / usual
         all_of_it, of_delay = (float(np.mean(part**2)) for part in (unsure, late))
         if all_of_it <= KNOWN**2:
             return
@@ -750,18 +756,18 @@ class _Session:
         says = f"B(q) is known to {share * usual:.2g} {self.unit} only ({share:.1%} of {usual:.2g} {self.unit})"
         self.findings.doubt("coverage", says, more, mild=mild)
 
-    def _measured(self, curve: WidthCurve | None, joint: Fitted | None, source: str) -> tuple[float, float]:
+    def _measured(self, curve: WidthCurve | None, joint_fit: Fitted | None, source: str) -> tuple[float, float]:
         """The lowest and highest position, unit of q, at which B is measured. With friction a tip starts at every turn:
         then it is what was passed near both envelopes."""
-        if joint is None or not isinstance(self.elements, Friction):
-            return self.choice.measured(curve, joint, source)
-        low, high = overlap(joint)
-        return (low, high) if low < high else self.choice.measured(curve, joint, source)
+        if joint_fit is None or not isinstance(self.elements, Friction):
+            return self.choice.measured(curve, joint_fit, source)
+        low, high = overlap(joint_fit)
+        return (low, high) if low < high else self.choice.measured(curve, joint_fit, source)
 
-    def _unexplained(self, told: Worth, joint: Fitted | None, width: Array) -> Reason:
+    def _unexplained(self, told: Worth, joint_fit: Fitted | None, width: Array) -> Reason:
         """Why a model does not predict beside which nothing departs: the rig's path, or something else."""
         times = f"{told.over_noise:.1f} times the noise"
-        if self.camera and joint is not None and self.choice.left_at(joint, width) <= PREDICTS:
+        if self.camera and joint_fit is not None and self.choice.left_at(joint_fit, width) <= PREDICTS:
             says = f"the tip's path in the image is not the rig's: {times} is left"
             return Reason("registration.static", says, "check hand_eye, kinematics and the camera's calibration")
         says = f"what the fit has not seen is foretold to {times}"
@@ -830,13 +836,13 @@ class _Session:
     # ---- the result
 
     def _result(
-        self, onsets: Sequence[Onset], delay: Delay, curve: WidthCurve | None, joint: Fitted | None,
+        self, onsets: Sequence[Onset], delay: Delay, curve: WidthCurve | None, joint_fit: Fitted | None,
         passes: Fitted | None, width: Array, sigma: Array, source: str, remaining: Remaining | None,
     ) -> Calibration:  # fmt: skip
         """The calibration of all this: B's sigma with what no scatter shows, the model, what it foretells, doubts and
         notes. width, sigma (grid,): of B, from `source`."""
         names = tuple(track.name for track in self.tracks)
-        measured = self._measured(curve, joint, source)
+        measured = self._measured(curve, joint_fit, source)
         beyond = np.abs(self.grid - np.clip(self.grid, *measured))
         inside = (self.grid > measured[0]) & (self.grid < measured[1])
         usual = usual_width(width[inside], self.domain.span)
@@ -844,8 +850,8 @@ class _Session:
         floor = floor_of(self.tracks, *known_at, usual, self.unit, self.findings)
         known = self.options.beforehand is not None and source in (JOINT, PASSES)  # beyond what reversals reached, too
         sigma = np.hypot(np.hypot(sigma, floor), 0.0 if known else 0.5 * beyond)
-        if source != ONSETS and joint is not None:
-            sigma = np.hypot(sigma, self.choice.bridged(joint, width, inside))
+        if source != ONSETS and joint_fit is not None:
+            sigma = np.hypot(sigma, self.choice.bridged(joint_fit, width, inside))
         pass_width, pass_sigma = self.choice.second_opinion(onsets, curve, passes)
         characteristic = self._characteristic(delay.delay_s)
         if self.components is not None:
@@ -879,9 +885,11 @@ class _Session:
         if (near := stands_in(model)) is not None:
             self.findings.notes.append(self._instead(near))
             model = model if model.friction is None else replace(model, elements=near.elements)
-        gaps = coverage.gaps(model, coverage.one_way(joint, self.grid) if joint is not None else 0.0 * self.grid)
+        gaps = coverage.gaps(
+            model, coverage.one_way(joint_fit, self.grid) if joint_fit is not None else 0.0 * self.grid
+        )
         self.findings.notes += [f"{gap.says(self.unit)}, and is held there" for gap in gaps]
-        told = worth(model, self.ended or self.tracks, joint, None if remaining is None else remaining.fitted)
+        told = worth(model, self.ended or self.tracks, joint_fit, None if remaining is None else remaining.fitted)
         if told is not None:
             self.findings.reasons += told.doubts
             self.findings.evidence |= {
@@ -891,7 +899,7 @@ class _Session:
                 "error_coarse": told.coarse,
                 "error_constant": told.constant,
             }
-        self._judge(told, joint, width, usual, sigma, inside)
+        self._judge(told, joint_fit, width, usual, sigma, inside)
         notes = tuple(dict.fromkeys(self.findings.notes))
         extra: dict[str, Any] = {
             "source": source,
@@ -903,15 +911,15 @@ class _Session:
             "options": asdict(replace(self.options, beforehand=None)),
             "tracked_px": max(track.tracked_px for track in self.tracks),
         }
-        if joint is not None and joint.by_delay is not None and source == JOINT:
-            extra["width_by_delay"] = [_finite(v) for v in joint.by_delay]
+        if joint_fit is not None and joint_fit.width_by_delay is not None and source == JOINT:
+            extra["width_by_delay"] = [_finite(v) for v in joint_fit.width_by_delay]
         if pass_width is not None:
             extra["pass_width"] = [_finite(v) for v in pass_width]
         model = replace(model, quality=Quality.of(self.findings.reasons), extra={**model.extra, **extra})
         return Calibration(
             model, tuple(onsets), delay, source, curve, pass_width, pass_sigma, self.findings.evidence, notes, names,
             aligned.offsets, tuple(_foretold(model, track, delay_s) for track in self.tracks), gaps,
-            None if joint is None else joint.path(),
+            None if joint_fit is None else joint_fit.path(),
         )  # fmt: skip
 
     def _instead(self, near: Nearest) -> str:

@@ -60,7 +60,7 @@ class Choice:
         self,
         onsets: Sequence[Onset],
         curve: WidthCurve | None,
-        joint: Fitted | None,
+        joint_fit: Fitted | None,
         passes: Fitted | None,
         *,
         like_paper: bool,
@@ -74,9 +74,9 @@ class Choice:
             if paper is not None:
                 self.findings.notes += [*paper.notes, "B(q) is the paper's spline of 14 knots through the onsets"]
                 return paper.width, paper.sigma, ONSETS
-        if joint is not None and curve is None and not self._passes_tell(joint):
-            joint = None
-        if joint is None and curve is None:
+        if joint_fit is not None and curve is None and not self._passes_tell(joint_fit):
+            joint_fit = None
+        if joint_fit is None and curve is None:
             self.findings.doubt(
                 "coverage",
                 "no reversal showed an onset and no two passes cover the same positions, B(q) is taken as 0",
@@ -84,30 +84,30 @@ class Choice:
                 fatal=True,
             )
             return np.zeros(NODES), np.full(NODES, self.domain.span / 4), NOTHING
-        if joint is None:
+        if joint_fit is None:
             assert curve is not None
             self.findings.notes += curve.notes
             return curve.width, curve.sigma, ONSETS
-        width = self.held(joint, curve)
-        sigma = joint.width_sigma(self.grid)
+        width = self.held(joint_fit, curve)
+        sigma = joint_fit.width_sigma(self.grid)
         if curve is None:
             self.findings.notes.append("no reversal gave a width: B(q) is the distance between the passes")
             return width, sigma, PASSES
         widths = measuring(onsets)
         z = self._against(widths, curve, width, sigma)
         self.findings.evidence["onsets_against_joint_z2"] = float(np.mean(z**2))
-        self.findings.evidence["joint_residual_over_noise"] = joint.scale
-        if not joint.fit.elements.single:  # of several an onset shows the first
+        self.findings.evidence["joint_residual_over_noise"] = joint_fit.scale
+        if not joint_fit.fit.elements.single:  # of several an onset shows the first
             return width, sigma, JOINT
-        agreed = joint.explained or float(np.mean(z**2)) < _AGREE
-        jumps = jumping(widths) and not self._foretells(widths, joint, curve)
+        agreed = joint_fit.explained or float(np.mean(z**2)) < _AGREE
+        jumps = jumping(widths) and not self._foretells(widths, joint_fit, curve)
         if not jumps and (agreed or not self._contradicted(widths, curve, passes)):
             both, spread = (width, sigma) if gradual else self._weighed(curve, width, sigma)
-            if both is not width and self._bears(joint, width, both):
+            if both is not width and self._bears(joint_fit, width, both):
                 width, sigma = both, spread
             return width, sigma, JOINT
         self.findings.notes.append("the passes contradict the onsets: B(q) is the onsets' alone")
-        return self._filled(widths, curve, joint, passes)
+        return self._filled(widths, curve, joint_fit, passes)
 
     def _weighed(self, curve: WidthCurve, width: Array, sigma: Array) -> tuple[Array, Array]:
         """B and its sigma. Onsets know no model: where its errors leave the joint fit clearly less certain of B than
@@ -120,42 +120,47 @@ class Choice:
         both = (own * width + other * curve.width) / (own + other)
         return allowed_width(self.grid, both), (own + other) ** -0.5
 
-    def _bears(self, joint: Fitted, width: Array, both: Array) -> bool:
+    def _bears(self, joint_fit: Fitted, width: Array, both: Array) -> bool:
         """Whether B may be `both` (grid,) where the joint fit has `width`: not where that predicts well, nor where the
         other leaves far more."""
-        own = self.left_at(joint, width)
-        return own > EXPLAINED and self.left_at(joint, both) < _BEARABLE * own
+        own = self.left_at(joint_fit, width)
+        return own > EXPLAINED and self.left_at(joint_fit, both) < _BEARABLE * own
 
     def nearer(
-        self, onsets: Sequence[Onset], curve: WidthCurve | None, components: Components, apart: Fitted, joint: Fitted
+        self,
+        onsets: Sequence[Onset],
+        curve: WidthCurve | None,
+        components: Components,
+        apart: Fitted,
+        joint_fit: Fitted,
     ) -> bool:
         """Whether the onsets, which know no model, clearly agree with the B beside the departures (apart) and not with
         the one without (joint). No where few are there, or these are a gradual start first of all: onsets show its
         first motion only."""
         widths = measuring(onsets)
-        if curve is None or len(widths) < _FEW_ONSETS or not joint.fit.elements.single or components.of_start:
+        if curve is None or len(widths) < _FEW_ONSETS or not joint_fit.fit.elements.single or components.of_start:
             return False
-        sigma = joint.width_sigma(self.grid)
-        off = [self._against(widths, curve, fit.fit.width(fit.curves), sigma) for fit in (apart, joint)]
+        sigma = joint_fit.width_sigma(self.grid)
+        off = [self._against(widths, curve, fit.fit.width(fit.curves), sigma) for fit in (apart, joint_fit)]
         near, far = (float(np.mean(z**2)) for z in off)
         return far > _AGREE and near < _NEARER * far
 
-    def alone(self, components: Components, apart: Fitted, joint: Fitted) -> float:
+    def alone(self, components: Components, apart: Fitted, joint_fit: Fitted) -> float:
         """Residual over noise of B, path and delay as they are without the departures."""
-        return self._left_with(apart, components.usual) if components.parts else joint.scale
+        return self._left_with(apart, components.usual) if components.parts else joint_fit.scale
 
     @staticmethod
-    def predicts(rest: float, joint: Fitted) -> bool:
+    def predicts(rest: float, joint_fit: Fitted) -> bool:
         """Whether a B that leaves so much (residual over noise) predicts what was seen about as well as the one that
         fits it best: departures that take B far from that stand for something else."""
-        return rest < _WORSE * max(joint.scale, 1.0)
+        return rest < _WORSE * max(joint_fit.scale, 1.0)
 
-    def bridged(self, joint: Fitted, width: Array, inside: npt.NDArray[np.bool_]) -> Array:
+    def bridged(self, joint_fit: Fitted, width: Array, inside: npt.NDArray[np.bool_]) -> Array:
         """(grid,) by how much B may be another, unit of q, where nothing was passed both ways: it changes as elsewhere,
         over the distance to what was. 0 elsewhere, and where B is known beforehand, which says it itself."""
-        if joint.fit.beforehand is not None:
+        if joint_fit.fit.beforehand is not None:
             return np.zeros(len(self.grid))
-        apart = one_way(joint, self.grid)
+        apart = one_way(joint_fit, self.grid)
         if not np.isfinite(apart).all():
             return np.zeros(len(self.grid))
         gap = np.maximum(apart - HOLE * self.domain.span, 0.0)
@@ -177,13 +182,13 @@ class Choice:
             inside, max(2.0 * steep, _BENDS * float(np.median(width[inside])) / self.domain.span) * gap, 0.0
         )
 
-    def measured(self, curve: WidthCurve | None, joint: Fitted | None, source: str) -> tuple[float, float]:
+    def measured(self, curve: WidthCurve | None, joint_fit: Fitted | None, source: str) -> tuple[float, float]:
         """The lowest and highest position at which B was measured, unit of q: of onsets, or of the passes' frames; both
         the range's middle where nowhere."""
         if curve is not None:
             return curve.measured
-        if joint is not None and source == PASSES:
-            p = np.concatenate([s.p[m] for s, m in zip(joint.fit.simulated, joint.masks, strict=True)])
+        if joint_fit is not None and source == PASSES:
+            p = np.concatenate([s.p[m] for s, m in zip(joint_fit.fit.simulated, joint_fit.masks, strict=True)])
             return float(p.min()), float(p.max())
         middle = 0.5 * (self.grid[0] + self.grid[-1])
         return middle, middle
@@ -224,27 +229,27 @@ class Choice:
         """Whether the tip was seen to move by more than noise."""
         return any((np.ptp(track.y, axis=0) > _STANDS_OUT * np.median(track.sigma)).any() for track in self.tracks)
 
-    def _foretells(self, widths: Sequence[Onset], joint: Fitted, curve: WidthCurve) -> bool:
+    def _foretells(self, widths: Sequence[Onset], joint_fit: Fitted, curve: WidthCurve) -> bool:
         """Whether onsets come late (wider than the joint fit's B) one way only, and their B predicts what was seen
         worse than the joint fit's: the tip is on its envelope all the same. Where both ways jump alike, the image
         does."""
         at, up = np.array([o.q_mean for o in widths]), np.array([o.direction > 0 for o in widths])
         if min(up.sum(), (~up).sum()) < _FEW_ONSETS // 2:
             return False
-        late = np.array([o.width for o in widths]) - np.interp(at, self.grid, joint.fit.width(joint.curves))
+        late = np.array([o.width for o in widths]) - np.interp(at, self.grid, joint_fit.fit.width(joint_fit.curves))
         near, far = sorted((late[up], late[~up]), key=lambda way: abs(way.mean()))
         clear = max(_ONE_WAY * far.std() / np.sqrt(len(far)), _LITTLE * float(np.median(curve.width)))
         if far.mean() < clear or abs(near.mean()) > _OTHER_WAY * far.mean():
             return False
-        rest = self.left_at(joint, curve.width)
+        rest = self.left_at(joint_fit, curve.width)
         self.findings.evidence["residual_with_onsets"] = rest
-        return not self.predicts(rest, joint)
+        return not self.predicts(rest, joint_fit)
 
-    def left_at(self, joint: Fitted, width: Array) -> float:
+    def left_at(self, joint_fit: Fitted, width: Array) -> float:
         """Residual over noise of the joint fit with another B, width (grid,), once the path fits that."""
-        design = joint.fit.backlash.design(self.grid)
+        design = joint_fit.fit.backlash.design(self.grid)
         backlash = np.linalg.lstsq(design.toarray(), width, rcond=None)[0]
-        return self._left_with(joint, replace(joint.curves, backlash=backlash))
+        return self._left_with(joint_fit, replace(joint_fit.curves, backlash=backlash))
 
     @staticmethod
     def _left_with(fitted: Fitted, curves: Curves) -> float:
@@ -254,23 +259,23 @@ class Choice:
         solved = alone.solve(curves, iterations=5, adapt=False)
         return solved.scale if alone.elements.single else left(replace(solved, scale=fitted.scale))
 
-    def held(self, joint: Fitted, curve: WidthCurve | None) -> Array:
+    def held(self, joint_fit: Fitted, curve: WidthCurve | None) -> Array:
         """The joint fit's B, held beyond the positions that passes both ways or onsets reached: what lies there could
         be f_remain as well. Not where something is known of it beforehand, nor of several elements: some turn in no
         stroke but there, and are where B there puts them."""
-        if not joint.fit.elements.single or joint.fit.beforehand is not None:
-            return joint.fit.width(joint.curves)
-        low, high = overlap(joint)
+        if not joint_fit.fit.elements.single or joint_fit.fit.beforehand is not None:
+            return joint_fit.fit.width(joint_fit.curves)
+        low, high = overlap(joint_fit)
         if curve is not None:
             low, high = (min(low, curve.measured[0]), max(high, curve.measured[1])) if low < high else curve.measured
-        width = joint.fit.width(joint.curves)
+        width = joint_fit.fit.width(joint_fit.curves)
         if low >= high:
             return width
         return allowed_width(self.grid, np.interp(np.clip(self.grid, low, high), self.grid, width))
 
-    def _passes_tell(self, joint: Fitted) -> bool:
+    def _passes_tell(self, joint_fit: Fitted) -> bool:
         """Whether the tip was seen to move over the same positions both ways."""
-        low, high = overlap(joint)
+        low, high = overlap(joint_fit)
         return low < high and self.moves()
 
     def _contradicted(self, widths: Sequence[Onset], curve: WidthCurve, passes: Fitted | None) -> bool:
@@ -317,7 +322,7 @@ class Choice:
         return np.asarray((w - there) / spread)
 
     def _filled(
-        self, widths: Sequence[Onset], curve: WidthCurve, joint: Fitted, passes: Fitted | None
+        self, widths: Sequence[Onset], curve: WidthCurve, joint_fit: Fitted, passes: Fitted | None
     ) -> tuple[Array, Array, str]:
         """The onsets' curve near onsets; farther off, the passes' shape shifted to meet it: B, its sigma, its source.
         The image's jump is in the passes' distance, another at each place: as far as it differs where onsets tell it,

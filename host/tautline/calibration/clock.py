@@ -17,7 +17,7 @@ import numpy.typing as npt
 from tautline import _native
 from tautline.calibration.observations import Mask, Track, observe
 from tautline.calibration.onset import NOMINAL_S, Delay, find_delay
-from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit
+from tautline.calibration.playfit import Curves, Fitted, PlayFit, PreparedTrack
 from tautline.calibration.steps import resolved
 from tautline.geometry import project
 from tautline.independence import first_order
@@ -512,7 +512,7 @@ class _Profile:
         low = min(view.low for view in views)
         high = max(view.low + view.span for view in views)
         self._fit = PlayFit(
-            [Frozen.of(view.track, view.moving()) for view in views],
+            [PreparedTrack.of(view.track, view.moving()) for view in views],
             Basis(low, high, spans[0]),
             Basis(low, high, spans[1]),
             fit_delay=False,
@@ -555,7 +555,7 @@ class _Profile:
 def _independent(fitted: Fitted) -> float:
     """How many independent residuals there are: neighbours that are off alike count as one."""
     count = 0.0
-    for rows, mask in zip(fitted.rows, fitted.masks, strict=True):
+    for rows, mask in zip(fitted.residuals, fitted.masks, strict=True):
         r = rows[mask]
         if len(r) > 2:
             count += len(r) / first_order(r)

@@ -20,15 +20,15 @@ from tautline.calibration.departures import (
     SHARE,
     SPEED,
     STATES,
-    Design,
-    Part,
-    Scene,
+    CountedFrames,
+    Departure,
+    SearchedParameters,
     Sparse,
     by_rows,
     contrasts,
+    counted_frames,
     departures,
     on_clock,
-    scene_of,
     slow_basis,
     starts_anew,
 )
@@ -72,7 +72,7 @@ class Component:
 
 
 @dataclass(frozen=True)
-class Since:
+class DifferenceFromEnd:
     """How the counted frames of one track differ from what they would show when the session ends."""
 
     frames: npt.NDArray[np.intp]
@@ -89,7 +89,7 @@ class Components:
     width: Array
     sigma: Array  # of B, model error included
     delay_sigma: float
-    by_delay: Array  # by how much B is another for each second that the delay is
+    width_by_delay: Array  # by how much B is another for each second that the delay is
     held_back_s: float  # by how much a tracker may show a moving tip late
     noise: float  # rms over the stated noise of what no component explains
     moving: float  # the same of frames at which the tip moves, over that of the others
@@ -97,7 +97,7 @@ class Components:
     parts: tuple[Component, ...]  # strongest first
     clock: Array  # (2,) seconds by which the sensor's clock departs, linear and quadratic over the session
     rough: bool  # an encoder's count shows in the image
-    since: tuple[Since, ...] = ()  # by track; empty where nothing changed
+    since: tuple[DifferenceFromEnd, ...] = ()  # by track; empty where nothing changed
 
     @property
     def late(self) -> float:
@@ -128,10 +128,10 @@ class Components:
     def applied(self, fitted: Fitted) -> Fitted:
         """The joint fit as it is with the components taken into account."""
         fit = replace(fitted.fit, tracks=on_clock(fitted.fit.tracks, self.clock), smoothing=fitted.fit.smoothing)
-        rows, masks = fit.residuals(self.curves)
+        residuals, masks = fit.residuals(self.curves)
         return replace(
-            fitted, fit=fit, curves=self.curves, rows=rows, masks=masks, scale=self.noise, spread=self.sigma,
-            delay_spread=self.delay_sigma, by_delay=self.by_delay,
+            fitted, fit=fit, curves=self.curves, residuals=residuals, masks=masks, scale=self.noise, spread=self.sigma,
+            delay_spread=self.delay_sigma, width_by_delay=self.width_by_delay,
         )  # fmt: skip
 
 
@@ -155,16 +155,18 @@ class _Separation:
     def run(self) -> Components:
         """Lets components join and moves to where they lead, linearisation by linearisation, until nothing changes."""
         self._expect_turns()
-        scene = scene_of(self.fitted, self.fitted.curves, self.rig, np.zeros(2))
-        assert scene is not None  # it was fitted to frames
-        looked_for = Design(anew_px=starts_anew(scene))
-        if scene.rows.shape[1] == 1:  # no image may have moved instead: at once, before strokes stand in for a slip
-            looked_for = looked_for.scanned(scene, scene.rows, set())
-        solved = self._solved(self.fitted.curves, scene, np.zeros(2), looked_for)
+        counted = counted_frames(self.fitted, self.fitted.curves, self.rig, np.zeros(2))
+        assert counted is not None  # it was fitted to frames
+        searched = SearchedParameters(anew_px=starts_anew(counted))
+        if (
+            counted.residuals.shape[1] == 1
+        ):  # no image may have moved instead: at once, before strokes stand in for a slip
+            searched = searched.updated(counted, counted.residuals, set())
+        solved = self._solved(self.fitted.curves, counted, np.zeros(2), searched)
         for _ in range(_ROUNDS):
             joined = solved.join()
             self.moving_noise = solved.moving_noise()
-            columns = solved.scanned()
+            columns = solved.updated()
             if not joined and not solved.changes:
                 break
             ahead = self._ahead(solved, columns)
@@ -177,27 +179,27 @@ class _Separation:
         """Begins with the component of turns where an encoder's count moves the image by more than a share of its
         noise: the motor's turns are known no better, whatever else is there."""
         fit, resolution = self.fitted.fit, self.rig.actuator.encoder_resolution
-        count = _COUNT * max(count_of(frozen.track.reading, resolution) for frozen in fit.tracks)
+        count = _COUNT * max(count_of(prepared.track.reading, resolution) for prepared in fit.tracks)
         steep = np.linalg.norm(fit.follow.slope(self.fitted.curves.follow, fit.grid).reshape(len(fit.grid), -1), axis=1)
-        sigma = float(np.median(np.concatenate([frozen.track.sigma for frozen in fit.tracks])))
+        sigma = float(np.median(np.concatenate([prepared.track.sigma for prepared in fit.tracks])))
         if count * float(np.median(steep)) > _SHOWS * sigma:
             self.rough = True
             self.active.append("turn")
             self.penalties["turn"] = (self.fitted.scale / count) ** 2
 
-    def _at(self, curves: Curves, clock: Array, columns: Design) -> _Solved | None:
+    def _at(self, curves: Curves, clock: Array, columns: SearchedParameters) -> _Solved | None:
         """The model solved at these curves and this clock (see `scene_of`); None where no frame tells of them."""
-        scene = scene_of(self.fitted, curves, self.rig, clock)
-        return None if scene is None else self._solved(curves, scene, clock, columns)
+        counted = counted_frames(self.fitted, curves, self.rig, clock)
+        return None if counted is None else self._solved(curves, counted, clock, columns)
 
-    def _solved(self, curves: Curves, scene: Scene, clock: Array, columns: Design) -> _Solved:
+    def _solved(self, curves: Curves, counted: CountedFrames, clock: Array, columns: SearchedParameters) -> _Solved:
         """The model of a scene at these curves and this clock, solved with the active components."""
-        parts = [part for part in departures(scene, columns) if part.name not in self.without]
-        solved = _Solved(self, curves, scene, parts, clock, columns)
+        parts = [part for part in departures(counted, columns) if part.name not in self.without]
+        solved = _Solved(self, curves, counted, parts, clock, columns)
         solved.settle()
         return solved
 
-    def _ahead(self, solved: _Solved, columns: Design) -> _Solved | None:
+    def _ahead(self, solved: _Solved, columns: SearchedParameters) -> _Solved | None:
         """The model solved again where its step leads, or less far; None where it gets worse all the same."""
         penalties = dict(self.penalties)
         for share in _SHARES:
@@ -218,31 +220,37 @@ def between(start: Curves, end: Curves, share: float) -> Curves:
     )
 
 
-def nominal_columns(fit: PlayFit, scene: Scene) -> Sparse:
+def nominal_columns(fit: PlayFit, counted: CountedFrames) -> Sparse:
     """(channels * n, unknowns), sparse: how the whitened image changes by the coefficients of the path (channel by
     channel), those of B, and the delay."""
-    path = by_rows(scene.inverse, fit.follow.design(scene.p))
-    by_width = by_rows(scene.by_width, fit.backlash.design(scene.p))
-    shared = sparse.csr_matrix(sparse.hstack([by_width, sparse.csr_matrix(scene.by_delay[:, None])]))
-    return sparse.csr_matrix(sparse.hstack([scene.each(path), scene.along(shared)]))
+    path = by_rows(counted.inverse, fit.follow.design(counted.p))
+    by_width = by_rows(counted.by_width, fit.backlash.design(counted.p))
+    shared = sparse.csr_matrix(sparse.hstack([by_width, sparse.csr_matrix(counted.by_delay[:, None])]))
+    return sparse.csr_matrix(sparse.hstack([counted.per_channel(path), counted.along_path(shared)]))
 
 
 class _Solved:
     """The mixed model at one linearisation: normal equations of path, B, delay and all departures."""
 
     def __init__(
-        self, owner: _Separation, curves: Curves, scene: Scene, parts: list[Part], clock: Array, columns: Design
+        self,
+        owner: _Separation,
+        curves: Curves,
+        counted: CountedFrames,
+        parts: list[Departure],
+        clock: Array,
+        columns: SearchedParameters,
     ) -> None:
         """Sums the normal equations; unknowns: path (channel by channel), B, delay, then each part's values. clock
         (2,): as in `scene_of`; columns: what was looked for; nothing is solved yet."""
-        self.owner, self.curves, self.scene, self.clock, self.columns = owner, curves, scene, clock, columns
+        self.owner, self.curves, self.counted, self.clock, self.columns = owner, curves, counted, clock, columns
         self.fit = fit = owner.fitted.fit
-        nominal = nominal_columns(fit, scene)
+        nominal = nominal_columns(fit, counted)
         design = sparse.hstack([nominal, *(part.columns for part in parts)], format="csr")
         self.design = design
-        moving = np.where(scene.moving, owner.moving_noise**-2, 1.0)
-        self.weight = np.tile(scene.weight * moving, scene.rows.shape[1])
-        self.target = scene.rows.T.ravel()
+        moving = np.where(counted.moving, owner.moving_noise**-2, 1.0)
+        self.weight = np.tile(counted.weight * moving, counted.residuals.shape[1])
+        self.target = counted.residuals.T.ravel()
         heavy = by_rows(self.weight, design)
         self.gram = np.asarray((heavy.T @ design).toarray())
         self.force = np.asarray(heavy.T @ self.target).ravel()
@@ -333,7 +341,7 @@ class _Solved:
             joined = True
         return joined
 
-    def _gain(self, part: Part) -> tuple[float, float]:
+    def _gain(self, part: Departure) -> tuple[float, float]:
         """By how much twice the restricted log likelihood grows with this part at its best penalty, and that penalty; 0
         and 1 where no frame tells of it."""
         at = self.places[part.name]
@@ -353,14 +361,14 @@ class _Solved:
     def _left(self) -> Array:
         """(n, channels) what is not explained of the whitened residuals."""
         left = self.target - self.design[:, self.kept] @ self.values
-        return np.asarray(left.reshape(self.scene.rows.shape[1], -1).T)
+        return np.asarray(left.reshape(self.counted.residuals.shape[1], -1).T)
 
     def moving_noise(self) -> float:
         """Scatter from frame to frame where the tip moves, over that where it rests, 1 to 30; 1 where too few frames do
         either."""
         step = np.mean(np.diff(self._left(), axis=0) ** 2, axis=1)
-        moves = self.scene.moving[1:] & self.scene.moving[:-1]
-        rests = ~self.scene.moving[1:] & ~self.scene.moving[:-1]
+        moves = self.counted.moving[1:] & self.counted.moving[:-1]
+        rests = ~self.counted.moving[1:] & ~self.counted.moving[:-1]
         if moves.sum() < _FEW or rests.sum() < _FEW:
             return 1.0
         return float(np.clip(np.sqrt(np.median(step[moves]) / max(float(np.median(step[rests])), 1e-30)), 1.0, 30.0))
@@ -369,9 +377,9 @@ class _Solved:
         """Frames for each independent one of what is not explained."""
         return effective(self._left())
 
-    def scanned(self) -> Design:
+    def updated(self) -> SearchedParameters:
         """The moments of a shift and a slip, and the rhythm of a breath, that fit what is left; those in use stay."""
-        return self.columns.scanned(self.scene, self._left(), set(self.owner.active))
+        return self.columns.updated(self.counted, self._left(), set(self.owner.active))
 
     # ---- what it says
 
@@ -438,7 +446,7 @@ class _Solved:
         later = CORRECTS * float(np.sqrt(sum(part.later_s**2 for part in parts)))
         delay = float(np.hypot(own_delay, later))
         power = np.mean(left**2, axis=1)
-        moves = self.scene.moving
+        moves = self.counted.moving
         rests = np.mean(power[~moves]) if (~moves).sum() > _FEW else np.mean(power)
         moving = np.sqrt(np.mean(power[moves]) / max(float(rests), 1e-30)) if moves.any() else 1.0
         return Components(
@@ -459,20 +467,20 @@ class _Solved:
         block, design = self._width_columns()
         return np.asarray(design @ covariance[block, -1] / covariance[-1, -1])
 
-    def _since(self) -> tuple[Since, ...]:
+    def _since(self) -> tuple[DifferenceFromEnd, ...]:
         """By track, how its frames differ from what they would show when the session ends; empty where no state
         changes."""
         changed = [(name, at) for name, at in self._blocks() if name in STATES]
         if not changed:
             return ()
-        scene = self.scene
-        ended = {part.name: part for part in departures(scene.at_the_end(), self.columns, apart=True)}
-        rows = np.zeros(scene.rows.size)
+        counted = self.counted
+        ended = {part.name: part for part in departures(counted.at_the_end(), self.columns, apart=True)}
+        rows = np.zeros(counted.residuals.size)
         for name, at in changed:
             rows += (self.parts[name].columns - ended[name].columns) @ self.values[at]
-        by_frame = rows.reshape(scene.rows.shape[1], -1).T
-        own = [scene.recording == k for k in range(len(self.fit.tracks))]
-        return tuple(Since(scene.frame[k], by_frame[k], scene.t[k] > _LATE) for k in own)
+        by_frame = rows.reshape(counted.residuals.shape[1], -1).T
+        own = [counted.recording == k for k in range(len(self.fit.tracks))]
+        return tuple(DifferenceFromEnd(counted.frame[k], by_frame[k], counted.t[k] > _LATE) for k in own)
 
     def _offset_at_the_end(self) -> float:
         """Of the motor's positions, unit of q: the tip is where it was at q + offset."""
@@ -505,13 +513,13 @@ class _Solved:
     def _as_a_delay(self) -> float:
         """A lag, s, that is so short that frames do not tell it from a delay; 0 where it is longer."""
         lags = sum(float(self.values[at][0]) for name, at in self._blocks() if name.startswith("lag"))
-        return lags if lags < _SHORT * float(np.median(np.diff(self.scene.time_s))) else 0.0
+        return lags if lags < _SHORT * float(np.median(np.diff(self.counted.time_s))) else 0.0
 
     def _held_back_s(self, parts: Sequence[Component]) -> float:
         """By how much, s, a tracker shows a moving tip late that holds back what begins: what all strokes share of that
         is as much as what they do not. 0 where the tracker does not err so."""
         rms = {part.name: part.rms for part in parts if part.name in ("tracker", "phase.even")}
-        speed = (np.linalg.norm(self.scene.slope, axis=1) * np.abs(self.scene.speed))[self.scene.moving]
+        speed = (np.linalg.norm(self.counted.slope, axis=1) * np.abs(self.counted.speed))[self.counted.moving]
         if "tracker" not in rms or not len(speed):
             return 0.0
         return sum(rms.values()) / max(float(np.median(speed)), 1e-12)

@@ -44,11 +44,11 @@ def seeable(model: Model, low: float, high: float) -> Span:
     return low + 0.5 * float(model.width[0]) + free, high - 0.5 * float(model.width[-1]) - free
 
 
-def one_way(joint: Fitted, grid: Array) -> Array:
+def one_way(joint_fit: Fitted, grid: Array) -> Array:
     """(grid,) how far, unit of q, the nearest frame of a tip that goes up is, or of one that goes down, whichever is
     farther; inf where one way has no frame."""
     seen = [
-        (s.p[mask], s.lean[mask]) for s, mask in zip(joint.fit.simulated, joint.masks, strict=True)
+        (s.p[mask], s.lean[mask]) for s, mask in zip(joint_fit.fit.simulated, joint_fit.masks, strict=True)
     ]  # the simulation is the last that the fit made: at its own curves
     by_direction = [np.unique(np.concatenate([p[way * lean > _LEANS] for p, lean in seen])) for way in (-1, 1)]
     if not all(len(p) for p in by_direction):

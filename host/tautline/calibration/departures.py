@@ -18,7 +18,7 @@ from scipy.linalg import helmert
 
 from tautline import _native
 from tautline.calibration.observations import Mask, turning_hysteresis, usual_width
-from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit, Simulated
+from tautline.calibration.playfit import Curves, Fitted, PlayFit, PreparedTrack, Simulated
 from tautline.core.motor import MotorPath
 from tautline.elements import Play
 from tautline.independence import first_order_sums
@@ -48,7 +48,7 @@ STATES = frozenset(
 
 
 @dataclass(frozen=True)
-class Part:
+class Departure:
     """One departure's columns for every row, channel by channel: (channels * n, m)."""
 
     name: str
@@ -64,7 +64,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Scene:
+class CountedFrames:
     """The counted frames of all tracks, one after the other, at one state of the fit."""
 
     time_s: Array  # (n,) of the session
@@ -85,18 +85,18 @@ class Scene:
     behind: Callable[[tuple[float, ...]], Array]  # (n, k) what lags of these time constants, s, would add to p
     load: Array | None  # less its mean
     inverse: Array  # 1 / stated noise
-    rows: Array  # (n, channels) whitened residuals
+    residuals: Array  # (n, channels) whitened residuals
     weight: Array
 
-    def along(self, columns: Sparse) -> sparse.csr_matrix:
+    def along_path(self, columns: Sparse) -> sparse.csr_matrix:
         """Columns of p as columns of what is seen, channel by channel."""
         return sparse.csr_matrix(sparse.vstack([by_rows(slope, columns) for slope in self.slope.T]))
 
-    def each(self, columns: Sparse) -> sparse.csr_matrix:
+    def per_channel(self, columns: Sparse) -> sparse.csr_matrix:
         """The same columns for every channel of the image, apart."""
         return sparse.csr_matrix(sparse.block_diag([sparse.csr_matrix(columns)] * self.slope.shape[1]))
 
-    def at_the_end(self) -> Scene:
+    def at_the_end(self) -> CountedFrames:
         """The same frames, had all been taken when the session ended."""
         n = len(self.t)
         last = int(self.recording[np.argmax(self.time_s)]) if n else 0
@@ -113,7 +113,7 @@ def by_rows(factors: Array, columns: Sparse) -> sparse.csr_matrix:
 
 
 @dataclass(frozen=True)
-class Design:
+class SearchedParameters:
     """What is looked for in what is left: when the image shifted and when the transmission slipped, s, and how often
     something breathes, Hz; after how much of the path the tracker's error begins anew, px."""
 
@@ -122,20 +122,20 @@ class Design:
     breath_hz: float | None = None
     anew_px: float | None = None
 
-    def scanned(self, scene: Scene, left: Array, used: Set[str]) -> Design:
+    def updated(self, counted: CountedFrames, left: Array, used: Set[str]) -> SearchedParameters:
         """The same with the moments of a shift and a slip and the rhythm that explain most of what is left (n,
         channels); those of departures that are in use stay."""
         best = self
         if "image.shift" not in used:
-            best = replace(best, shift_s=_shift_time(scene.time_s, left))
+            best = replace(best, shift_s=_shift_time(counted.time_s, left))
         if "offset.slip" not in used:
-            best = replace(best, slip_s=_slip_time(scene, left))
+            best = replace(best, slip_s=_slip_time(counted, left))
         if "image.breath" not in used:
-            best = replace(best, breath_hz=_rhythm(scene.time_s, left))
+            best = replace(best, breath_hz=_rhythm(counted.time_s, left))
         return best
 
 
-def scene_of(fitted: Fitted, curves: Curves, rig: Rig, clock: Array) -> Scene | None:
+def counted_frames(fitted: Fitted, curves: Curves, rig: Rig, clock: Array) -> CountedFrames | None:
     """All that departures are columns of, at these curves. clock (2,): how far the sensor's clock departs, s, linear
     and quadratic over the session; taken out here. None where the tip was never driven through so wide a play: no frame
     tells of it."""
@@ -143,13 +143,13 @@ def scene_of(fitted: Fitted, curves: Curves, rig: Rig, clock: Array) -> Scene | 
     first, length = _session(fit.tracks)
     tracks = on_clock(fit.tracks, clock)
     there = replace(fit, tracks=tracks, smoothing=fit.smoothing)
-    rows, masks = there.residuals(curves)
+    residuals, masks = there.residuals(curves)
     if not any(mask.any() for mask in masks):
         return None
     usual = usual_width(there.width(curves), float(fit.grid[-1] - fit.grid[0]))
     pieces = [
-        _piece(there, curves, frozen, sim, r, mask, w, usual, rig)
-        for frozen, sim, r, mask, w in zip(tracks, there.simulated, rows, masks, fitted.weights, strict=True)
+        _piece(there, curves, prepared, sim, r, mask, w, usual, rig)
+        for prepared, sim, r, mask, w in zip(tracks, there.simulated, residuals, masks, fitted.weights, strict=True)
     ]
     before = 0
     for piece in pieces:
@@ -160,11 +160,11 @@ def scene_of(fitted: Fitted, curves: Curves, rig: Rig, clock: Array) -> Scene | 
     load = None if any(piece["load"] is None for piece in pieces) else np.concatenate([p["load"] for p in pieces])
     courses = [piece.pop("behind") for piece in pieces]
     joined = {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0] if name != "load"}
-    norm = np.sqrt(np.mean(joined["rows"] ** 2, axis=1))
+    norm = np.sqrt(np.mean(joined["residuals"] ** 2, axis=1))
     limit = 4.0 * max(1.4826 * float(np.median(norm)), 1e-9)
     joined["weight"] = np.minimum(joined["weight"], (limit / np.maximum(norm, limit)) ** 2)  # as of a heavy tail
     time_s = joined.pop("time_s")
-    return Scene(
+    return CountedFrames(
         time_s=time_s,
         t=(time_s - first) / length - 0.5,
         load=None if load is None else load - load.mean(),
@@ -173,141 +173,152 @@ def scene_of(fitted: Fitted, curves: Curves, rig: Rig, clock: Array) -> Scene | 
     )
 
 
-def departures(scene: Scene, looked_for: Design, *, apart: bool | None = None) -> list[Part]:
+def departures(counted: CountedFrames, searched: SearchedParameters, *, apart: bool | None = None) -> list[Departure]:
     """Every departure that these frames could show, as columns. looked_for: moments, rhythm and length found before;
     apart: whether recordings may differ (None: where they show much the same positions)."""
-    hats = _hats(scene.phase, _PHASES)[:, :-1]
+    hats = _hats(counted.phase, _PHASES)[:, :-1]
     smooth, one = _smooth(hats.shape[1]), np.eye(1)
-    n, channels = len(scene.p), scene.slope.shape[1]
-    strokes = int(scene.stroke.max(initial=0)) + 1
-    slow = slow_basis(scene.t, min(_TIMES, strokes // _STROKES_A_SPAN))
-    each = sparse.csr_matrix((np.ones(n), (np.arange(n), scene.stroke)), shape=(n, strokes))
-    held = by_rows(np.where(scene.moving, 0.0, 1.0), each)
-    speeds = np.abs(scene.speed)
-    usual = max(float(np.mean(speeds[scene.moving])) if scene.moving.any() else 0.0, 1e-12)
+    n, channels = len(counted.p), counted.slope.shape[1]
+    strokes = int(counted.stroke.max(initial=0)) + 1
+    slow = slow_basis(counted.t, min(_TIMES, strokes // _STROKES_A_SPAN))
+    each = sparse.csr_matrix((np.ones(n), (np.arange(n), counted.stroke)), shape=(n, strokes))
+    held = by_rows(np.where(counted.moving, 0.0, 1.0), each)
+    speeds = np.abs(counted.speed)
+    usual = max(float(np.mean(speeds[counted.moving])) if counted.moving.any() else 0.0, 1e-12)
 
-    def column(name: str, values: Array, *not_beside: str) -> Part:
-        return Part(name, scene.along(values[:, None]), one, False, frozenset(not_beside))
+    def column(name: str, values: Array, *not_beside: str) -> Departure:
+        return Departure(name, counted.along_path(values[:, None]), one, False, frozenset(not_beside))
 
-    def speed_parts() -> list[Part]:
+    def speed_parts() -> list[Departure]:
         """One of several laws of a width that is less at rest. A motor that stops passes every speed on the
         way: a tip that rests was left there by a slow one, unless the width holds."""
         laws = {f"{SPEED}.{at:g}": -np.expm1(-speeds / (at * usual)) / -np.expm1(-1.0 / at) for at in _SATURATES}
-        laws |= {f"{name}.0": np.where(scene.moving, law, 1.0) for name, law in laws.items()}
-        columns = {name: scene.by_width * (law - 1.0) for name, law in laws.items()}
-        columns |= {name + SHARE: column * scene.width for name, column in columns.items()}
+        laws |= {f"{name}.0": np.where(counted.moving, law, 1.0) for name, law in laws.items()}
+        columns = {name: counted.by_width * (law - 1.0) for name, law in laws.items()}
+        columns |= {name + SHARE: column * counted.width for name, column in columns.items()}
         beside = frozenset(columns) | {"phase.even"}
-        return [Part(name, scene.along(values[:, None]), one, False, beside) for name, values in columns.items()]
+        return [
+            Departure(name, counted.along_path(values[:, None]), one, False, beside) for name, values in columns.items()
+        ]
 
-    def slow_parts(name: str, times_s: tuple[float, ...], columns: Array) -> list[Part]:
+    def slow_parts(name: str, times_s: tuple[float, ...], columns: Array) -> list[Departure]:
         """One of several time constants."""
         names = frozenset(f"{name}.{tau:g}" for tau in times_s)
         return [
-            Part(f"{name}.{tau:g}", scene.along(columns[:, [i]]), one, True, names) for i, tau in enumerate(times_s)
+            Departure(f"{name}.{tau:g}", counted.along_path(columns[:, [i]]), one, True, names)
+            for i, tau in enumerate(times_s)
         ]
 
-    by_speed, behind = speed_parts(), scene.behind(_LAGS_S + _CREEPS_S)
+    by_speed, behind = speed_parts(), counted.behind(_LAGS_S + _CREEPS_S)
     parts = [
-        Part(
+        Departure(
             "phase.even",
-            scene.along(by_rows(scene.way, hats)),
+            counted.along_path(by_rows(counted.way, hats)),
             smooth,
             False,
             frozenset(p.name for p in by_speed),
         ),
-        Part("phase.odd", scene.along(hats), smooth),
-        Part("stroke", scene.along(each), np.eye(strokes)),
-        Part("turn", scene.along(held), np.eye(strokes)),
-        *([] if slow is None else [Part("offset.time", scene.along(slow), _smooth(slow.shape[1]))]),
-        column("width.time", scene.by_width * scene.width * scene.t),
+        Departure("phase.odd", counted.along_path(hats), smooth),
+        Departure("stroke", counted.along_path(each), np.eye(strokes)),
+        Departure("turn", counted.along_path(held), np.eye(strokes)),
+        *([] if slow is None else [Departure("offset.time", counted.along_path(slow), _smooth(slow.shape[1]))]),
+        column("width.time", counted.by_width * counted.width * counted.t),
         *by_speed,
-        column("clock.rate", scene.by_delay * scene.t),
-        column("clock.drift", scene.by_delay * (scene.t**2 - 1 / 12)),
+        column("clock.rate", counted.by_delay * counted.t),
+        column("clock.drift", counted.by_delay * (counted.t**2 - 1 / 12)),
         *slow_parts("lag", _LAGS_S, behind[:, : len(_LAGS_S)] / np.array(_LAGS_S)),
         *slow_parts("creep", _CREEPS_S, behind[:, len(_LAGS_S) :]),
     ]
-    if looked_for.slip_s is not None:
-        slipped = (scene.time_s >= looked_for.slip_s).astype(float)[:, None]
-        parts.append(Part("offset.slip", scene.along(slipped), one, price=_SCAN))
-    if scene.load is not None and np.ptp(scene.load) > 0:
-        load = scene.load / np.std(scene.load)
-        effects = np.column_stack([load, scene.by_width * load, (scene.p - scene.p.mean()) * load])
-        parts.append(Part("load", scene.along(effects), np.eye(3)))
-    recordings = int(scene.recording.max(initial=0)) + 1
-    if recordings > 1 and (_same_places(scene, recordings) if apart is None else apart):
-        which, free = contrasts(recordings)[scene.recording], np.eye(recordings - 1)
+    if searched.slip_s is not None:
+        slipped = (counted.time_s >= searched.slip_s).astype(float)[:, None]
+        parts.append(Departure("offset.slip", counted.along_path(slipped), one, price=_SCAN))
+    if counted.load is not None and np.ptp(counted.load) > 0:
+        load = counted.load / np.std(counted.load)
+        effects = np.column_stack([load, counted.by_width * load, (counted.p - counted.p.mean()) * load])
+        parts.append(Departure("load", counted.along_path(effects), np.eye(3)))
+    recordings = int(counted.recording.max(initial=0)) + 1
+    if recordings > 1 and (_same_places(counted, recordings) if apart is None else apart):
+        which, free = contrasts(recordings)[counted.recording], np.eye(recordings - 1)
         parts += [
-            Part("offset.recording", scene.along(which), free),
-            Part("width.recording", scene.along(which * (scene.by_width * scene.width)[:, None]), free),
+            Departure("offset.recording", counted.along_path(which), free),
+            Departure("width.recording", counted.along_path(which * (counted.by_width * counted.width)[:, None]), free),
         ]
     if channels > 1:
         parts += [
-            *([] if slow is None else [Part("image.time", scene.each(slow), _smooth(slow.shape[1], channels))]),
-            _of_strokes(scene, each, looked_for.anew_px),
-            Part("image.side", scene.each(scene.side[:, None]), np.eye(channels)),
+            *(
+                []
+                if slow is None
+                else [Departure("image.time", counted.per_channel(slow), _smooth(slow.shape[1], channels))]
+            ),
+            _of_strokes(counted, each, searched.anew_px),
+            Departure("image.side", counted.per_channel(counted.side[:, None]), np.eye(channels)),
         ]
-        if looked_for.shift_s is not None:
-            after = (scene.time_s >= looked_for.shift_s).astype(float)[:, None]
-            parts.append(Part("image.shift", scene.each(after * _places(scene)), np.eye(3 * channels), price=_SCAN))
-        if looked_for.breath_hz is not None:
-            turn = 2 * np.pi * looked_for.breath_hz * scene.time_s
+        if searched.shift_s is not None:
+            after = (counted.time_s >= searched.shift_s).astype(float)[:, None]
+            parts.append(
+                Departure(
+                    "image.shift", counted.per_channel(after * _places(counted)), np.eye(3 * channels), price=_SCAN
+                )
+            )
+        if searched.breath_hz is not None:
+            turn = 2 * np.pi * searched.breath_hz * counted.time_s
             waves = np.column_stack([np.cos(turn), np.sin(turn)])
-            parts.append(Part("image.breath", scene.each(waves), np.eye(2 * channels), price=_SCAN))
+            parts.append(Departure("image.breath", counted.per_channel(waves), np.eye(2 * channels), price=_SCAN))
     return parts
 
 
-def _of_strokes(scene: Scene, each: Sparse, anew_px: float | None) -> Part:
+def _of_strokes(counted: CountedFrames, each: Sparse, anew_px: float | None) -> Departure:
     """The image's place on each stroke, or the tracker's error on each piece of it."""
-    columns = each if anew_px is None else _pieces(scene, anew_px)
+    columns = each if anew_px is None else _pieces(counted, anew_px)
     name = "image.stroke" if anew_px is None else "tracker"
-    return Part(name, scene.each(columns), np.eye(scene.slope.shape[1] * columns.shape[1]))
+    return Departure(name, counted.per_channel(columns), np.eye(counted.slope.shape[1] * columns.shape[1]))
 
 
-def starts_anew(scene: Scene) -> float | None:
+def starts_anew(counted: CountedFrames) -> float | None:
     """After how much of the path (px) an error of the tracker begins anew, as behind a codec that holds back what moves
     little; None where there is none. It lies across the path as well as along it, as none of the tip does, and is
     another in both halves of a stroke, as none of the camera's is but a sway."""
-    if scene.slope.shape[1] < 2 or len(scene.p) < 4 * _LAGS:
+    if counted.slope.shape[1] < 2 or len(counted.p) < 4 * _LAGS:
         return None
-    left = scene.rows * scene.weight[:, None]
-    direction = scene.slope / np.maximum(np.linalg.norm(scene.slope, axis=1), 1e-12)[:, None]
+    left = counted.residuals * counted.weight[:, None]
+    direction = counted.slope / np.maximum(np.linalg.norm(counted.slope, axis=1), 1e-12)[:, None]
     along = np.sum(left * direction, axis=1)
     across = left[:, 0] * direction[:, 1] - left[:, 1] * direction[:, 0]
 
     def shared(values: Array, lag: int = 1) -> float:
         """Mean product of values `lag` frames apart on one stroke: what they have in common, noise squared."""
-        same = scene.stroke[lag:] == scene.stroke[:-lag]
+        same = counted.stroke[lag:] == counted.stroke[:-lag]
         return float(np.mean((values[lag:] * values[:-lag])[same])) if same.any() else 0.0
 
     near = shared(along) + shared(across)
     if near < _LASTS * float(np.mean(np.sum(left**2, axis=1))) or shared(across) < _ACROSS * shared(along):
         return None
-    if _halves(left, scene.stroke) > _CONSTANT * near or _swaying(scene.time_s, left) > _SWAYS:
+    if _halves(left, counted.stroke) > _CONSTANT * near or _swaying(counted.time_s, left) > _SWAYS:
         return None
-    place = _along_path(scene)
+    place = _along_path(counted)
     for lag in range(1, _LAGS):
         if shared(along, lag) + shared(across, lag) < 0.5 * near:
             break
-    same = (scene.stroke[lag:] == scene.stroke[:-lag]) & scene.moving[lag:]
+    same = (counted.stroke[lag:] == counted.stroke[:-lag]) & counted.moving[lag:]
     gone = float(np.median((place[lag:] - place[:-lag])[same])) if same.any() else 0.0
     return max(gone, float(np.sum(np.maximum(np.diff(place), 0.0))) / _PIECES)
 
 
-def _along_path(scene: Scene) -> Array:
+def _along_path(counted: CountedFrames) -> Array:
     """(n,) how far, px, the image has gone since the stroke began."""
-    step = np.linalg.norm(scene.slope / scene.inverse[:, None], axis=1)[1:] * np.abs(np.diff(scene.p))
+    step = np.linalg.norm(counted.slope / counted.inverse[:, None], axis=1)[1:] * np.abs(np.diff(counted.p))
     gone = np.concatenate([[0.0], np.cumsum(step)])
-    first = np.searchsorted(scene.stroke, scene.stroke, side="left")
+    first = np.searchsorted(counted.stroke, counted.stroke, side="left")
     return np.asarray(gone - gone[first])
 
 
-def _pieces(scene: Scene, length_px: float) -> sparse.csr_matrix:
+def _pieces(counted: CountedFrames, length_px: float) -> sparse.csr_matrix:
     """(n, nodes) piecewise linear along each stroke's path, with a node every length_px."""
-    place = _along_path(scene) / length_px
-    spans = np.zeros(int(scene.stroke.max(initial=0)) + 1, dtype=np.intp)
-    np.maximum.at(spans, scene.stroke, place.astype(np.intp) + 1)
+    place = _along_path(counted) / length_px
+    spans = np.zeros(int(counted.stroke.max(initial=0)) + 1, dtype=np.intp)
+    np.maximum.at(spans, counted.stroke, place.astype(np.intp) + 1)
     first = np.concatenate([[0], np.cumsum(spans + 1)])
-    at = first[scene.stroke] + place.astype(np.intp)
+    at = first[counted.stroke] + place.astype(np.intp)
     share, n = place % 1.0, np.arange(len(place))
     seen, node = np.unique(np.concatenate([at, at + 1]), return_inverse=True)  # no frame is near any other
     values = np.concatenate([1.0 - share, share]), (np.concatenate([n, n]), node)
@@ -339,45 +350,45 @@ def contrasts(recordings: int) -> Array:
     return np.asarray(helmert(recordings).T)
 
 
-def _same_places(scene: Scene, recordings: int) -> bool:
+def _same_places(counted: CountedFrames, recordings: int) -> bool:
     """Whether all recordings show much the same positions: else what differs may be the place."""
-    spans = [scene.p[scene.recording == k] for k in range(recordings)]
+    spans = [counted.p[counted.recording == k] for k in range(recordings)]
     if any(len(span) == 0 for span in spans):
         return False
     shared = min(float(span.max()) for span in spans) - max(float(span.min()) for span in spans)
     return shared > 0.7 * max(float(np.ptp(span)) for span in spans)
 
 
-def _places(scene: Scene) -> Array:
+def _places(counted: CountedFrames) -> Array:
     """(n, 3) constant, linear and quadratic in p: a rigid transform moves each place of the path in its own way."""
-    x = (scene.p - scene.p.mean()) / max(float(np.std(scene.p)), 1e-12)
+    x = (counted.p - counted.p.mean()) / max(float(np.std(counted.p)), 1e-12)
     return np.column_stack([np.ones_like(x), x, x**2 - 1])
 
 
-def on_clock(tracks: Sequence[Frozen], clock: Array) -> list[Frozen]:
+def on_clock(tracks: Sequence[PreparedTrack], clock: Array) -> list[PreparedTrack]:
     """The tracks with the departure of their clock (see `scene_of`) taken out."""
     first, length = _session(tracks)
     corrected = []
-    for frozen in tracks:
-        t = (frozen.track.t_s + frozen.track.session_s - first) / length - 0.5
+    for prepared in tracks:
+        t = (prepared.track.t_s + prepared.track.session_s - first) / length - 0.5
         departs = clock[0] * t + clock[1] * (t**2 - 1 / 12)
-        corrected.append(replace(frozen, track=replace(frozen.track, t_s=frozen.track.t_s - departs)))
+        corrected.append(replace(prepared, track=replace(prepared.track, t_s=prepared.track.t_s - departs)))
     return corrected
 
 
-def _session(tracks: Sequence[Frozen]) -> tuple[float, float]:
+def _session(tracks: Sequence[PreparedTrack]) -> tuple[float, float]:
     """When the first frame of the session came, and how long it was until the last one, s."""
-    ends = [frozen.track.t_s[[0, -1]] + frozen.track.session_s for frozen in tracks]
+    ends = [prepared.track.t_s[[0, -1]] + prepared.track.session_s for prepared in tracks]
     first, last = float(np.min(ends)), float(np.max(ends))
     return first, max(last - first, 1e-9)
 
 
 def _piece(
-    fit: PlayFit, curves: Curves, frozen: Frozen, sim: Simulated, rows: Array, keep: Mask, weights: Array,
+    fit: PlayFit, curves: Curves, prepared: PreparedTrack, sim: Simulated, rows: Array, keep: Mask, weights: Array,
     usual: float, rig: Rig,
 ) -> dict[str, Any]:  # fmt: skip
     """What `Scene` holds, of one track."""
-    track = frozen.track
+    track = prepared.track
     scene_s = track.scene_s(curves.delay_s)
     gone, way = _since_turn(track.path, scene_s[keep], rig)
     p, side, moving = sim.p[keep], sim.side[keep].astype(float), sim.moving[keep]
@@ -410,7 +421,7 @@ def _piece(
         "behind": behind,
         "load": None if load is None else np.interp(scene_s[keep], track.motor.t_s, load),
         "inverse": inverse,
-        "rows": rows[keep],
+        "residuals": rows[keep],
         "weight": np.where(weights[keep] > 0, weights[keep], 1.0),
     }
 
@@ -471,16 +482,16 @@ def _shift_time(t: Array, left: Array) -> float | None:
     return float(t[int(np.argmax(gain)) + 21])
 
 
-def _slip_time(scene: Scene, left: Array) -> float | None:
+def _slip_time(counted: CountedFrames, left: Array) -> float | None:
     """The moment, s, from which on another place of the tip along its path explains most, beside one of all the
     session, at least 20 frames from either end; None of fewer than 60 frames."""
     if len(left) < 60:
         return None
-    pull, power = np.sum(left * scene.slope, axis=1), np.sum(scene.slope**2, axis=1)
+    pull, power = np.sum(left * counted.slope, axis=1), np.sum(counted.slope**2, axis=1)
     share = np.cumsum(power) / max(float(power.sum()), 1e-30)
     inside = slice(20, -20)
     gain = (np.cumsum(pull) - share * pull.sum())[inside] ** 2 / np.maximum(share * (1.0 - share), 1e-12)[inside]
-    return float(scene.time_s[int(np.argmax(gain)) + 21])
+    return float(counted.time_s[int(np.argmax(gain)) + 21])
 
 
 def _rhythm(t: Array, left: Array) -> float | None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from tautline.calibration.observations import Mask, Track
-from tautline.calibration.smooth import Domain, fit_jointly, freeze
+from tautline.calibration.smooth import Domain, fit_jointly, prepare_tracks
 from tautline.independence import stretches
 
 _RUN = 4  # tolerance: frames at one place from which it may be held
@@ -24,12 +24,12 @@ def released(
     runs = [_runs(track) for track in tracks]
     if not any(runs):
         return list(tracks)
-    joint = fit_jointly(freeze(on_one_curve(), delay_s), domain, delay_s, fit_delay=False)
-    if joint is None:
+    joint_fit = fit_jointly(prepare_tracks(on_one_curve(), delay_s), domain, delay_s, fit_delay=False)
+    if joint_fit is None:
         return list(tracks)
     kept = []
-    for track, places, rows in zip(tracks, runs, joint.rows, strict=True):
-        off = np.sqrt(np.mean(rows**2, axis=1)) > _OFF * max(joint.scale, 1.0)
+    for track, places, rows in zip(tracks, runs, joint_fit.residuals, strict=True):
+        off = np.sqrt(np.mean(rows**2, axis=1)) > _OFF * max(joint_fit.scale, 1.0)
         held: Mask = np.zeros(len(track.t_s), dtype=bool)
         for run in places:
             held[run] = off[run].any()

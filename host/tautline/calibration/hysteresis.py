@@ -16,7 +16,7 @@ from scipy import sparse
 from scipy.special import expit
 
 from tautline.calibration.components import between, nominal_columns
-from tautline.calibration.departures import Scene, by_rows, scene_of
+from tautline.calibration.departures import CountedFrames, by_rows, counted_frames
 from tautline.calibration.playfit import Curves, Fitted
 from tautline.calibration.several import left, powers, rms_of_powers
 from tautline.elements import Play
@@ -52,7 +52,7 @@ class Tried:
         """Logarithm of it but for what all have, by Schwarz's approximation: the noise unknown, and of each unknown as
         much known before as one independent frame says (the unit information prior). frames_each: frames for each
         independent one."""
-        number = self.fitted.frames / max(frames_each, 1.0) * self.fitted.rows[0].shape[1]
+        number = self.fitted.frames / max(frames_each, 1.0) * self.fitted.residuals[0].shape[1]
         rms = max(left(self.fitted), 1e-9)
         return float(-number * np.log(rms) - 0.5 * self.unknowns * np.log(number))
 
@@ -83,8 +83,8 @@ def fit_friction(starts: Sequence[Fitted], rig: Rig, kind: str, fit_delay: bool)
     if not np.isfinite(state.scale):
         return None
     spread = _step(state, rig, kind, unknowns)[2]
-    rows, masks = state.fit.residuals(state.curves)
-    return Tried(replace(state, rows=rows, masks=masks), len(unknowns), spread)
+    residuals, masks = state.fit.residuals(state.curves)
+    return Tried(replace(state, residuals=residuals, masks=masks), len(unknowns), spread)
 
 
 def _descended(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Fitted, Array]:
@@ -130,7 +130,7 @@ def _reached(state: Fitted) -> Array:
     """(k,) B, unit of q, at the table's positions between the lowest and the highest that the motor reached; all of B
     where none is."""
     fit = state.fit
-    q = np.concatenate([frozen.corner_q for frozen in fit.tracks])
+    q = np.concatenate([prepared.corner_q for prepared in fit.tracks])
     inside = (fit.grid >= q.min()) & (fit.grid <= q.max())
     width = fit.width(state.curves)
     return width[inside] if inside.any() else width
@@ -163,14 +163,14 @@ def _by_unknown(kind: str, unknowns: Array, width: Array) -> Array:
 def _step(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Curves, Array, Array]:
     """The curves after a Gauss-Newton step, the unknowns' step (k,), and what these leave open of B (grid,), one
     standard deviation in the unit of q."""
-    scene = scene_of(state, state.curves, rig, np.zeros(2))
-    assert scene is not None  # it was fitted to frames
+    counted = counted_frames(state, state.curves, rig, np.zeros(2))
+    assert counted is not None  # it was fitted to frames
     fit, scale = state.fit, max(state.scale, 1e-6)
-    nominal = nominal_columns(fit, scene)
-    own = scene.along(_slopes(state, scene) @ _by_unknown(kind, unknowns, _reached(state)))
+    nominal = nominal_columns(fit, counted)
+    own = counted.along_path(_slopes(state, counted) @ _by_unknown(kind, unknowns, _reached(state)))
     design = sparse.csr_matrix(sparse.hstack([nominal, own]))
-    heavy = by_rows(np.tile(scene.weight, scene.rows.shape[1]), design)
-    gram, force = np.asarray((heavy.T @ design).toarray()), np.asarray(heavy.T @ scene.rows.T.ravel()).ravel()
+    heavy = by_rows(np.tile(counted.weight, counted.residuals.shape[1]), design)
+    gram, force = np.asarray((heavy.T @ design).toarray()), np.asarray(heavy.T @ counted.residuals.T.ravel()).ravel()
     head = nominal.shape[1]
     base, pull = fit.penalty(state.curves, scale)
     mean, sigma = PRIORS[kind]
@@ -192,14 +192,14 @@ def _step(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Curves, 
     return fit.moved(state.curves, step[:head]), step[head:], spread
 
 
-def _slopes(state: Fitted, scene: Scene) -> Array:
+def _slopes(state: Fitted, counted: CountedFrames) -> Array:
     """(counted frames, values of Friction) derivatives of p by these."""
     fit, curves = state.fit, state.curves
     native = Play(fit.grid, fit.width(curves), fit.elements).native
     far = 10.0 * float(np.abs(fit.grid).max() + np.ptp(fit.grid))
     rows = []
-    for number, frozen in enumerate(fit.tracks):
-        positions, at = frozen.course(frozen.track.scene_s(curves.delay_s))
+    for number, prepared in enumerate(fit.tracks):
+        positions, at = prepared.course(prepared.track.scene_s(curves.delay_s))
         by = native.slopes(positions, -far).reshape(-1, len(VALUES))
-        rows.append(by[at][scene.frame[scene.recording == number]])
+        rows.append(by[at][counted.frame[counted.recording == number]])
     return np.concatenate(rows)

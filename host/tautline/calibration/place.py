@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.calibration.playfit import Fitted, Frozen
+from tautline.calibration.playfit import Fitted, PreparedTrack
 from tautline.independence import frames_each
 
 Array = npt.NDArray[np.float64]
@@ -86,16 +86,16 @@ def as_smooth_as_independent(fitted: Fitted, noise: PlaceNoise | None) -> Fitted
     return fit.solve(fitted.curves, iterations=_ITERATIONS)
 
 
-def _noisier(fitted: Fitted, k: int, common: float) -> Frozen:
+def _noisier(fitted: Fitted, k: int, common: float) -> PreparedTrack:
     """Track k, with more noise in each frame: together its frames know each place no better than `common`, sensor's
     unit."""
-    frozen = fitted.fit.tracks[k]
-    seen = fitted.fit.seen(frozen.track, fitted.curves, fitted.fit.simulated[k].tip)
+    prepared = fitted.fit.tracks[k]
+    seen = fitted.fit.seen(prepared.track, fitted.curves, fitted.fit.simulated[k].tip)
     step = np.linalg.norm(np.diff(seen, axis=0), axis=1)
-    place = np.concatenate([[0], np.cumsum(step > _TOGETHER * frozen.track.sigma[1:])])
-    frames = np.bincount(place, weights=frozen.use)[place]
-    sigma = np.sqrt(frozen.track.sigma**2 + np.maximum(frames, 1.0) * common**2)
-    return replace(frozen, track=replace(frozen.track, sigma=sigma))
+    place = np.concatenate([[0], np.cumsum(step > _TOGETHER * prepared.track.sigma[1:])])
+    frames = np.bincount(place, weights=prepared.use)[place]
+    sigma = np.sqrt(prepared.track.sigma**2 + np.maximum(frames, 1.0) * common**2)
+    return replace(prepared, track=replace(prepared.track, sigma=sigma))
 
 
 @dataclass(frozen=True)
@@ -113,11 +113,11 @@ def _along(fitted: Fitted, k: int) -> _Along:
     """The counted frames of track k, their residuals taken along the path of the tip's image, sensor's unit."""
     fit, curves = fitted.fit, fitted.curves
     sim, mask = fit.simulated[k], fitted.masks[k]
-    frozen = fit.tracks[k]
-    slope = fit.slope_in_view(frozen.track, curves, sim.tip)
+    prepared = fit.tracks[k]
+    slope = fit.slope_in_view(prepared.track, curves, sim.tip)
     steep = np.maximum(np.linalg.norm(slope, axis=1), 1e-12)
     weight = np.minimum(fitted.weights[k], 1.0)
-    error = np.sum(fitted.rows[k] * frozen.track.sigma[:, None] * slope, axis=1) / steep * np.sqrt(weight)
+    error = np.sum(fitted.residuals[k] * prepared.track.sigma[:, None] * slope, axis=1) / steep * np.sqrt(weight)
     stroke = np.cumsum(np.diff(sim.side, prepend=sim.side[:1]) != 0)
     at = np.interp(sim.p, *_path_length(sim.p[mask], steep[mask])) if mask.any() else sim.p
     return _Along(error[mask], (error * steep)[mask], at[mask], stroke[mask], sim.moving[mask])

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.linalg import cho_solve
 
 from tautline.calibration.beforehand import Beforehand, Term, between
-from tautline.calibration.beside import Beside
+from tautline.calibration.beside import FittedEffects
 from tautline.calibration.observations import Mask, Track, corners
 from tautline.calibration.rounding import counts
 from tautline.elements import SINGLE, Hysteresis, Play
@@ -72,7 +72,7 @@ class Simulated:
 
 
 @dataclass(frozen=True)
-class Driven:
+class MotorAtFrames:
     """What the motor did, as the frames of one track saw it at one delay."""
 
     positions: Array  # all that a play needs, in order of time
@@ -82,7 +82,7 @@ class Driven:
 
 
 @dataclass(frozen=True)
-class Frozen:
+class PreparedTrack:
     """One track prepared for many simulations."""
 
     track: Track
@@ -90,10 +90,12 @@ class Frozen:
     corner_q: Array
     use: Mask  # frames that count
     half_s: float  # half the interval over which the motor's speed is taken
-    last: dict[float, Driven] = field(init=False, default_factory=dict, compare=False, repr=False)  # of one delay
+    last: dict[float, MotorAtFrames] = field(
+        init=False, default_factory=dict, compare=False, repr=False
+    )  # of one delay
 
     @classmethod
-    def of(cls, track: Track, use: Mask | None = None) -> Frozen:
+    def of(cls, track: Track, use: Mask | None = None) -> PreparedTrack:
         """The track with its motor's extremes; use (n,): frames that count, all by default."""
         times, positions = corners(track.motor)
         samples_s = track.reading.t_s
@@ -108,19 +110,19 @@ class Frozen:
         back[order] = np.arange(len(times))
         return np.concatenate([self.corner_q, self.track.motor_at(scene_s)])[order], back[len(self.corner_t) :]
 
-    def driven(self, delay_s: float) -> Driven:
+    def driven(self, delay_s: float) -> MotorAtFrames:
         """What the motor did at this delay, s. Kept until another one is asked for: a scan of widths has one."""
         if delay_s not in self.last:
             track, scene = self.track, self.track.scene_s(delay_s)
             positions, at = self.course(scene)
             speed = (track.motor_at(scene + self.half_s) - track.motor_at(scene - self.half_s)) / (2 * self.half_s)
             self.last.clear()
-            self.last[delay_s] = Driven(positions, at, track.within_motor(scene), speed)
+            self.last[delay_s] = MotorAtFrames(positions, at, track.within_motor(scene), speed)
         return self.last[delay_s]
 
     def simulate(
         self, grid: Array, width: Array, delay_s: float, elements: Hysteresis = SINGLE,
-        beside: Beside | None = None, values: Array | None = None,
+        beside: FittedEffects | None = None, values: Array | None = None,
     ) -> Simulated:  # fmt: skip
         """What a play of B width (nodes,) on grid, unit of q, says at each frame at this delay, s, with effects beside
         it. Run from both far ends: where the two agree it has forgotten its start."""
@@ -144,7 +146,7 @@ class Frozen:
 class PlayFit:
     """Fits `Curves` to tracks. `view` None: the channels are y itself."""
 
-    tracks: Sequence[Frozen]
+    tracks: Sequence[PreparedTrack]
     backlash: Basis
     follow: Basis
     view: View | None = None
@@ -157,7 +159,7 @@ class PlayFit:
     elements: Hysteresis = SINGLE
     delay_sigma_s: float = 1.0  # how well the delay is known where it is not fitted
     beforehand: Beforehand | None = None  # what is known without these tracks
-    beside: Beside | None = None  # effects between the motor and the curve that is followed
+    beside: FittedEffects | None = None  # effects between the motor and the curve that is followed
     fit_beside: bool = True
     alike: float = 1.0  # frames for each independent one: that many say as much of a curve's shape as one
     smoothing: dict[str, float] = field(default_factory=lambda: {"backlash": 1e-2, "follow": 1e-6})
@@ -177,12 +179,12 @@ class PlayFit:
         self.simulated = [
             t.simulate(self.grid, width, curves.delay_s, self.elements, self.beside, curves.beside) for t in self.tracks
         ]
-        rows, masks = [], []
-        for frozen, sim in zip(self.tracks, self.simulated, strict=True):
-            y = self.seen(frozen.track, curves, sim.tip)
-            rows.append((frozen.track.y - y) / frozen.track.sigma[:, None])
-            masks.append(frozen.use & (sim.settled if self.settled_only else sim.known) & np.isfinite(y).all(axis=1))
-        return rows, masks
+        residuals, masks = [], []
+        for prepared, sim in zip(self.tracks, self.simulated, strict=True):
+            y = self.seen(prepared.track, curves, sim.tip)
+            residuals.append((prepared.track.y - y) / prepared.track.sigma[:, None])
+            masks.append(prepared.use & (sim.settled if self.settled_only else sim.known) & np.isfinite(y).all(axis=1))
+        return residuals, masks
 
     def seen(self, track: Track, curves: Curves, p: Array) -> Array:
         """The model's y (n, coordinates), sensor's unit, at each frame of a track, the tip being at p (n,)."""
@@ -196,14 +198,14 @@ class PlayFit:
         """Weights (n,) of each track's frames times as much of an independent frame as each one is (rounding.py), where
         the residuals are `scale` times the noise. After `residuals` with the same curves."""
         return [
-            weight * counts(frozen.track, self.seen(frozen.track, curves, sim.tip), frozen.use, scale)
-            if frozen.track.step > 0.0
+            weight * counts(prepared.track, self.seen(prepared.track, curves, sim.tip), prepared.use, scale)
+            if prepared.track.step > 0.0
             else weight
-            for weight, frozen, sim in zip(weights, self.tracks, self.simulated, strict=True)
+            for weight, prepared, sim in zip(weights, self.tracks, self.simulated, strict=True)
         ]
 
     def normal(
-        self, curves: Curves, rows: list[Array], weights: list[Array], extra: Sequence[Array] | None = None
+        self, curves: Curves, residuals: list[Array], weights: list[Array], extra: Sequence[Array] | None = None
     ) -> tuple[Array, Array]:
         """J'WJ and J'Wr of the whitened problem, unknowns ordered follow (channel by channel), backlash, what is beside
         them, delay, and the factors of `extra`: columns (frames, m) of each track, unit of the tip's place.
@@ -216,16 +218,18 @@ class PlayFit:
         shared = np.arange(channels * mf, total)
         places = [np.concatenate([shared[:mb], np.arange(k * mf, (k + 1) * mf), shared[mb:]]) for k in range(channels)]
         nominal, sums = Nominal(self.backlash, self.follow), [Normal.zeros(len(at)) for at in places]
-        for number, (frozen, sim, r, w) in enumerate(zip(self.tracks, self.simulated, rows, weights, strict=True)):
+        for number, (prepared, sim, r, w) in enumerate(
+            zip(self.tracks, self.simulated, residuals, weights, strict=True)
+        ):
             keep = w > 0
             if not keep.any():
                 continue
-            p, tip, track = sim.p[keep], sim.tip[keep], frozen.track
+            p, tip, track = sim.p[keep], sim.tip[keep], prepared.track
             inverse = 1.0 / track.sigma[keep]
             slope = self.follow.slope(curves.follow, tip)
             by_s = self._seen_at(track, self.follow.value(curves.follow, tip), keep, curves.delay_s)
             by_s = by_s * inverse[:, None]
-            by_b, shared_by = self.slopes(frozen, sim, keep, curves)
+            by_b, shared_by = self.slopes(prepared, sim, keep, curves)
             shared_by = np.column_stack([shared_by, extra[number][keep]]) if extra else shared_by
             for channel, own in enumerate(sums):
                 of = slice(None) if self.view is not None else slice(channel, channel + 1)
@@ -239,17 +243,17 @@ class PlayFit:
             gradient[at] += part.gradient
         return matrix, gradient
 
-    def slopes(self, frozen: Frozen, sim: Simulated, keep: Mask, curves: Curves) -> tuple[Array, Array]:
+    def slopes(self, prepared: PreparedTrack, sim: Simulated, keep: Mask, curves: Curves) -> tuple[Array, Array]:
         """Derivatives of the tip's place at the frames that are kept: by B there (kept,), and (kept, m) by what is
         beside it and the delay."""
         by_b, by_delay = sim.slopes(keep, self.backlash.slope(curves.backlash, sim.p[keep]))
         by_values = np.empty((len(by_b), 0))
         if self.beside is not None and (self.fit_beside or self.fit_delay or self.fit_backlash):
-            at = frozen.track.scene_s(curves.delay_s)
+            at = prepared.track.scene_s(curves.delay_s)
             by_b, by_values, by_delay = (
                 each[keep]
                 for each in self.beside.slopes(
-                    frozen.track.reading, at, self.grid, self.width(curves), self.elements, curves.beside
+                    prepared.track.reading, at, self.grid, self.width(curves), self.elements, curves.beside
                 )
             )
         elif self.beside is not None:
@@ -279,17 +283,17 @@ class PlayFit:
         likelihood (Fellner-Schall steps), else as it is."""
         minimum = descend(_Descent(self, robust, adapt), _Point.of(self, start), iterations)
         curves = minimum.curves
-        rows, masks = self.residuals(curves)
-        scale, weights = _weights(rows, masks, robust)
+        residuals, masks = self.residuals(curves)
+        scale, weights = _weights(residuals, masks, robust)
         weights = self.counted(weights, curves, scale)
-        matrix, _ = self.normal(curves, rows, weights)
+        matrix, _ = self.normal(curves, residuals, weights)
         penalty, _ = self.penalty(curves, scale)
         covariance = np.asarray(np.linalg.inv(matrix + penalty + 1e-12 * np.eye(len(matrix))) * scale * scale)
-        return Fitted(self, curves, scale, rows, masks, weights, covariance)
+        return Fitted(self, curves, scale, residuals, masks, weights, covariance)
 
-    def step(self, curves: Curves, rows: list[Array], masks: list[Mask]) -> Curves:
+    def step(self, curves: Curves, residuals: list[Array], masks: list[Mask]) -> Curves:
         """One Gauss-Newton step of all counted frames alike; after `residuals` with the same curves."""
-        matrix, gradient = self.normal(curves, rows, [m.astype(float) for m in masks])
+        matrix, gradient = self.normal(curves, residuals, [m.astype(float) for m in masks])
         system = matrix + self.penalty(curves, 1.0)[0]
         ridge = 1e-9 * np.eye(len(system)) * np.trace(system) / len(system)
         return self.moved(curves, np.asarray(np.linalg.solve(system + ridge, gradient)))
@@ -422,7 +426,7 @@ class PlayFit:
             ratio = self.alike * scale * scale * max(rank - spent, 1e-3) / max(now * rough, 1e-12)
             self.smoothing[name] = float(np.clip(now * np.clip(ratio, 0.05, 20.0), 1e-10, 1e8))
 
-    def cost(self, curves: Curves, rows: list[Array], weights: list[Array], scale: float) -> float:
+    def cost(self, curves: Curves, residuals: list[Array], weights: list[Array], scale: float) -> float:
         """Weighted squares of the residuals over noise, with smoothness, priors and constraints, which count in units
         of scale^2; infinite where no frame counts."""
         used = sum(float(np.sum(w > 0)) for w in weights)
@@ -430,7 +434,7 @@ class PlayFit:
             return np.inf
         data = sum(
             float(np.sum(w[:, None] * np.where(w[:, None] > 0, r, 0.0) ** 2))
-            for r, w in zip(rows, weights, strict=True)
+            for r, w in zip(residuals, weights, strict=True)
         )
         total = sum(len(w) for w in weights)
         data *= total / used  # frames that drop out of the simulation are no gain
@@ -452,15 +456,15 @@ class PlayFit:
 @dataclass(frozen=True)
 class _Point:
     curves: Curves
-    rows: list[Array]
+    residuals: list[Array]
     masks: list[Mask]
     simulated: list[Simulated]
 
     @classmethod
     def of(cls, fit: PlayFit, curves: Curves) -> _Point:
         """With the residuals and the simulation of these curves."""
-        rows, masks = fit.residuals(curves)
-        return cls(curves, rows, masks, fit.simulated)
+        residuals, masks = fit.residuals(curves)
+        return cls(curves, residuals, masks, fit.simulated)
 
 
 class _Descent:
@@ -476,11 +480,11 @@ class _Descent:
         adapted smoothing."""
         fit, curves = self.fit, point.curves
         fit.simulated = point.simulated
-        self.scale, weights = _weights(point.rows, point.masks, self.robust)
+        self.scale, weights = _weights(point.residuals, point.masks, self.robust)
         self.weights = fit.counted(weights, curves, self.scale)
         if self.adapt and self.steps == 0:
             fit.begin(curves, self.scale)
-        matrix, gradient = fit.normal(curves, point.rows, self.weights)
+        matrix, gradient = fit.normal(curves, point.residuals, self.weights)
         penalty, pull = fit.penalty(curves, self.scale)
         if self.adapt and self.steps > 0:
             fit.adapt(curves, matrix + penalty, self.scale)
@@ -488,7 +492,7 @@ class _Descent:
         self.steps += 1
         if fit.beside is not None:
             fit.hold(curves, matrix, gradient)
-        return matrix + penalty, gradient - pull, fit.cost(curves, point.rows, self.weights, self.scale)
+        return matrix + penalty, gradient - pull, fit.cost(curves, point.residuals, self.weights, self.scale)
 
     def moved(self, point: _Point, step: Array) -> _Point:
         """The point a step further."""
@@ -499,7 +503,7 @@ class _Descent:
         frames that did not count then weigh 1."""
         kept = _again(self.weights, point.masks)
         weights = [np.where(m, w, 0.0) for m, w in zip(point.masks, kept, strict=True)]
-        return self.fit.cost(point.curves, point.rows, weights, self.scale)
+        return self.fit.cost(point.curves, point.residuals, weights, self.scale)
 
     def enough(self, gained: float, cost: float) -> bool:
         """Whether two steps in a row gained too little: 0.2 sigma^2, or 3e-4 of the cost while the residuals are
@@ -514,13 +518,13 @@ class Fitted:
     fit: PlayFit
     curves: Curves
     scale: float  # rms residual over the stated noise, outliers apart: 1 where the model explains everything
-    rows: list[Array]
+    residuals: list[Array]
     masks: list[Mask]
     weights: list[Array]
     covariance: Array  # of follow (channel by channel), backlash, what is beside them, delay
     spread: Array | None = None  # of B on fit.grid, and of the delay, where model error is known too
     delay_spread: float = 0.0
-    by_delay: Array | None = None  # on fit.grid, by how much B is another for each second that the delay is
+    width_by_delay: Array | None = None  # on fit.grid, by how much B is another for each second that the delay is
 
     @property
     def frames(self) -> int:
@@ -528,7 +532,7 @@ class Fitted:
         return int(sum(m.sum() for m in self.masks))
 
     @property
-    def beside(self) -> tuple[Beside, Array]:
+    def beside(self) -> tuple[FittedEffects, Array]:
         """The effects that were fitted, and their values."""
         assert self.fit.beside is not None
         return self.fit.beside, self.curves.beside
@@ -585,21 +589,21 @@ def _again(weights: list[Array], masks: list[Mask]) -> list[Array]:
     return [np.where(m, w, 1.0) for w, m in zip(weights, masks, strict=True)]
 
 
-def _weights(rows: list[Array], masks: list[Mask], robust: bool) -> tuple[float, list[Array]]:
+def _weights(residuals: list[Array], masks: list[Mask], robust: bool) -> tuple[float, list[Array]]:
     """Scale of the residuals (rms over noise, outliers bounded; 1 without frames) and each frame's Huber weight, 0
     where it does not count. 1.4826 and 1.2 make a median of one and of two coordinates' rms a standard deviation."""
-    used = [np.sqrt(np.mean(r[m] ** 2, axis=1)) for r, m in zip(rows, masks, strict=True)]
+    used = [np.sqrt(np.mean(r[m] ** 2, axis=1)) for r, m in zip(residuals, masks, strict=True)]
     norm = np.concatenate(used) if used else np.zeros(0)
     if len(norm) == 0:
         return 1.0, [m.astype(float) for m in masks]
     if not robust:
         return max(float(np.sqrt(np.mean(norm**2))), 1e-6), [m.astype(float) for m in masks]
-    middle = float(np.sqrt(np.median(norm**2))) * (1.4826 if rows[0].shape[1] == 1 else 1.2)
+    middle = float(np.sqrt(np.median(norm**2))) * (1.4826 if residuals[0].shape[1] == 1 else 1.2)
     limit = 4.0 * max(middle, 1e-9)
     scale = max(float(np.sqrt(np.mean(np.minimum(norm, limit) ** 2))), 1e-6)
     limit = 4.0 * scale
     weights = []
-    for r, m in zip(rows, masks, strict=True):
+    for r, m in zip(residuals, masks, strict=True):
         size = np.sqrt(np.mean(np.where(m[:, None], r, 0.0) ** 2, axis=1))
         weights.append(np.where(m, np.minimum(1.0, limit / np.maximum(size, 1e-12)), 0.0))
     return scale, weights

@@ -11,10 +11,10 @@ import numpy.typing as npt
 from scipy.interpolate import make_smoothing_spline
 from scipy.optimize import isotonic_regression
 
-from tautline.calibration.beside import Beside
+from tautline.calibration.beside import FittedEffects
 from tautline.calibration.observations import Track
 from tautline.calibration.place import as_many_as_independent
-from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit, View
+from tautline.calibration.playfit import Curves, Fitted, PlayFit, PreparedTrack, View
 from tautline.calibration.smooth import SPANS, Domain
 from tautline.elements import SINGLE, Hysteresis
 from tautline.geometry import pose, project_with_slope, tracked_deg
@@ -79,15 +79,15 @@ def fit_remaining(
     delay_s: float,
     settled_only: bool,
     elements: Hysteresis = SINGLE,
-    beside: tuple[Beside, Array] | None = None,
+    beside: tuple[FittedEffects, Array] | None = None,
 ) -> Remaining | None:
     """A monotone penalised spline through image residuals (or angles), B, delay and the effects beside them fixed. None
     where nothing tells."""
     view = view_of(rig) if tracks[0].unit == "px" else None
     basis = Basis(domain.low, domain.high, SPANS)
-    frozen = [Frozen.of(track) for track in tracks]
+    prepared = [PreparedTrack.of(track) for track in tracks]
     effects, values = beside or (None, np.zeros(0))
-    simulated = [f.simulate(grid, width, delay_s, elements, effects, values) for f in frozen]
+    simulated = [f.simulate(grid, width, delay_s, elements, effects, values) for f in prepared]
     angles = [pose_of(track, rig, delay_s) for track in tracks]
     count = [s.settled if settled_only else s.known for s in simulated]
     p = np.concatenate([s.tip[k] for s, k in zip(simulated, count, strict=True)])
@@ -98,7 +98,7 @@ def fit_remaining(
         return None
     falling = float(np.polyfit(p - p.mean(), c, 1)[0]) < 0
     fit = _FixedWidth(
-        frozen, basis, basis, view=view, fit_backlash=False, fit_delay=False, settled_only=settled_only,
+        prepared, basis, basis, view=view, fit_backlash=False, fit_delay=False, settled_only=settled_only,
         elements=elements, beside=effects, fit_beside=False,
         rising=-1.0 if falling else 1.0, least_slope=_LEAST_SLOPE * abs(rig.coarse.gain),
         slope_unit=abs(rig.coarse.gain),
@@ -146,7 +146,7 @@ class _FixedWidth(PlayFit):
 def _rms(fitted: Fitted, tracks: Sequence[Track]) -> float:
     """What the fit leaves, rms per coordinate in the sensor's unit, px or deg; strays count as six medians. 0 without
     frames."""
-    rows = zip(tracks, fitted.rows, fitted.masks, strict=True)
+    rows = zip(tracks, fitted.residuals, fitted.masks, strict=True)
     off = np.concatenate([np.sqrt(np.mean((r[m] * track.sigma[m, None]) ** 2, axis=1)) for track, r, m in rows])
     if not len(off):
         return 0.0

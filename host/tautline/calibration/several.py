@@ -16,7 +16,7 @@ from scipy.optimize import nnls
 
 from tautline import _native
 from tautline.calibration.components import between, nominal_columns
-from tautline.calibration.departures import by_rows, scene_of
+from tautline.calibration.departures import by_rows, counted_frames
 from tautline.calibration.playfit import Curves, Fitted
 from tautline.elements import SINGLE, Elements, Play, warp_of
 from tautline.rig import Rig
@@ -94,8 +94,8 @@ def left(fitted: Fitted) -> float:
 
 def powers(fitted: Fitted) -> Array:
     """(counted frames,) Mean square of each one's residual over noise."""
-    rows, masks = fitted.fit.residuals(fitted.curves)
-    return np.concatenate([np.mean(r[m] ** 2, axis=1) for r, m in zip(rows, masks, strict=True)])
+    residuals, masks = fitted.fit.residuals(fitted.curves)
+    return np.concatenate([np.mean(r[m] ** 2, axis=1) for r, m in zip(residuals, masks, strict=True)])
 
 
 def rms_of_powers(power: Array, scale: float) -> float:
@@ -105,12 +105,12 @@ def rms_of_powers(power: Array, scale: float) -> float:
 
 def _step(fitted: Fitted, weights: Array, rig: Rig) -> tuple[Curves, Array]:
     """The curves and the weights (shares,) of a Gauss-Newton step, these by non-negative least squares."""
-    scene = scene_of(fitted, fitted.curves, rig, np.zeros(2))
-    assert scene is not None  # it was fitted to frames
-    nominal = nominal_columns(fitted.fit, scene)
-    design = sparse.csr_matrix(sparse.hstack([nominal, scene.along(_by_weight(fitted))]))
-    heavy = by_rows(np.tile(scene.weight, scene.rows.shape[1]), design)
-    gram, force = np.asarray((heavy.T @ design).toarray()), np.asarray(heavy.T @ scene.rows.T.ravel()).ravel()
+    counted = counted_frames(fitted, fitted.curves, rig, np.zeros(2))
+    assert counted is not None  # it was fitted to frames
+    nominal = nominal_columns(fitted.fit, counted)
+    design = sparse.csr_matrix(sparse.hstack([nominal, counted.along_path(_by_weight(fitted))]))
+    heavy = by_rows(np.tile(counted.weight, counted.residuals.shape[1]), design)
+    gram, force = np.asarray((heavy.T @ design).toarray()), np.asarray(heavy.T @ counted.residuals.T.ravel()).ravel()
     head = nominal.shape[1]
     base, pull = fitted.fit.penalty(fitted.curves, max(fitted.scale, 1e-6))
     own = gram[:head, :head] + base
@@ -142,8 +142,8 @@ def _by_weight(fitted: Fitted) -> Array:
     far = 10.0 * float(np.abs(warp.x).max())
     plays = [_native.Plays(np.array([-far, far]), np.full(2, share)) for share in SHARES]
     fits = []
-    for frozen, sim, mask in zip(fit.tracks, fit.simulated, masks, strict=True):
-        positions, at = frozen.course(frozen.track.scene_s(curves.delay_s))
+    for prepared, sim, mask in zip(fit.tracks, fit.simulated, masks, strict=True):
+        positions, at = prepared.course(prepared.track.scene_s(curves.delay_s))
         x = np.interp(positions, warp.q, warp.x)
         alone = [play.forward(x, -far)[0] for play in plays]
         fits.append(np.column_stack(alone)[at][mask] * np.interp(sim.p[mask], fit.grid, by_y)[:, None])

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from tautline.calibration.backlash import WidthCurve
 from tautline.calibration.beforehand import Beforehand
 from tautline.calibration.observations import Mask, Track
-from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit
+from tautline.calibration.playfit import Curves, Fitted, PlayFit, PreparedTrack
 from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
@@ -37,29 +37,34 @@ class Domain:
         return self.high - self.low
 
 
-def freeze(tracks: Sequence[Track], delay_s: float) -> list[Frozen]:
+def prepare_tracks(tracks: Sequence[Track], delay_s: float) -> list[PreparedTrack]:
     """Tracks for a pose-free fit: frames at which translation and rotation are where they mostly are."""
     reference = tracks[0].others_reference
     total = sum(len(track.t_s) for track in tracks)
     stride = max(1, -(-total // _MOST_FRAMES))
-    frozen = []
+    prepared = []
     for track in tracks:
         use: Mask = track.at_reference(track.scene_s(delay_s), reference)
         if stride > 1:
             use &= np.arange(len(use)) % stride == 0
-        frozen.append(Frozen.of(track, use))
-    return frozen
+        prepared.append(PreparedTrack.of(track, use))
+    return prepared
 
 
 def fit_jointly(
-    frozen: Sequence[Frozen], domain: Domain, delay_s: float, *, fit_delay: bool, guess: WidthCurve | None = None,
+    prepared: Sequence[PreparedTrack],
+    domain: Domain,
+    delay_s: float,
+    *,
+    fit_delay: bool,
+    guess: WidthCurve | None = None,
     beforehand: Beforehand | None = None,
-) -> Fitted | None:  # fmt: skip
+) -> Fitted | None:
     """B, the path in the sensor's own coordinates and the delay, from all frames at once. None where the tip was never
     driven through a backlash (or next to nothing was seen). A path that is no other robot's is not known beforehand."""
     if beforehand is None or not beforehand.path:
-        return _fitted(frozen, domain, delay_s, fit_delay, guess, beforehand)
-    fitted = _fitted(frozen, domain, delay_s, fit_delay, guess, replace(beforehand, path=()))
+        return _fitted(prepared, domain, delay_s, fit_delay, guess, beforehand)
+    fitted = _fitted(prepared, domain, delay_s, fit_delay, guess, replace(beforehand, path=()))
     if fitted is None or not _has_path(beforehand, fitted):
         return fitted
     fit = replace(fitted.fit, beforehand=beforehand, smoothing=dict(fitted.fit.smoothing))
@@ -79,18 +84,18 @@ def _has_path(known: Beforehand, fitted: Fitted) -> bool:
 
 
 def _fitted(
-    frozen: Sequence[Frozen], domain: Domain, delay_s: float, fit_delay: bool, guess: WidthCurve | None,
+    prepared: Sequence[PreparedTrack], domain: Domain, delay_s: float, fit_delay: bool, guess: WidthCurve | None,
     beforehand: Beforehand | None,
 ) -> Fitted | None:  # fmt: skip
     """As `fit_jointly`: from the best constant width (or guess), few spans and few frames, to all of them. Frames of
     the first approach count where they follow the same curves, or are needed and do no harm."""
-    coarse = _scan(_thinned(frozen), domain, delay_s, guess, beforehand)
+    coarse = _scan(_thinned(prepared), domain, delay_s, guess, beforehand)
     if coarse is None:
         return None
     fit, curves = coarse
     rough = fit.solve(curves, iterations=7)
     fine = PlayFit(
-        frozen, Basis(domain.low, domain.high, SPANS), Basis(domain.low, domain.high, SPANS),
+        prepared, Basis(domain.low, domain.high, SPANS), Basis(domain.low, domain.high, SPANS),
         fit_delay=fit_delay, settled_only=fit.settled_only, beforehand=beforehand,
     )  # fmt: skip
     start = Curves(
@@ -111,13 +116,13 @@ def _fitted(
     return fitted
 
 
-def _thinned(frozen: Sequence[Frozen]) -> list[Frozen]:
+def _thinned(prepared: Sequence[PreparedTrack]) -> list[PreparedTrack]:
     """About _SCANNED of the frames, evenly."""
-    stride = max(1, sum(len(each.track.t_s) for each in frozen) // _SCANNED)
+    stride = max(1, sum(len(each.track.t_s) for each in prepared) // _SCANNED)
     if stride == 1:
-        return list(frozen)
+        return list(prepared)
     every = slice(None, None, stride)
-    return [replace(each, track=each.track.only(every), use=each.use[every]) for each in frozen]
+    return [replace(each, track=each.track.only(every), use=each.use[every]) for each in prepared]
 
 
 def _reaches_further(fitted: Fitted, domain: Domain) -> bool:
@@ -130,7 +135,7 @@ def _reaches_further(fitted: Fitted, domain: Domain) -> bool:
 def _settled_scale(fitted: Fitted) -> float:
     """Residual over noise (rms) of frames after the tip was driven both ways, strays as four scales; infinite where
     there are none."""
-    seen = zip(fitted.rows, fitted.masks, fitted.fit.simulated, strict=True)
+    seen = zip(fitted.residuals, fitted.masks, fitted.fit.simulated, strict=True)
     squares = np.concatenate([np.mean(r[m & s.settled] ** 2, axis=1) for r, m, s in seen])
     return float(np.sqrt(np.mean(np.minimum(squares, (4.0 * fitted.scale) ** 2)))) if len(squares) else np.inf
 
@@ -156,7 +161,9 @@ def _missed(fitted: Fitted, strokes: Sequence[npt.NDArray[np.intp]], scale: floa
         out = [(each >= 0) & (each % _TURNS == turn) for each in strokes]
         if not any(each.any() for each in out):
             continue
-        kept = [replace(frozen, use=frozen.use & ~each) for frozen, each in zip(fitted.fit.tracks, out, strict=True)]
+        kept = [
+            replace(prepared, use=prepared.use & ~each) for prepared, each in zip(fitted.fit.tracks, out, strict=True)
+        ]
         fit = replace(fitted.fit, tracks=kept, smoothing=dict(fitted.fit.smoothing))
         curves = fit.solve(fitted.curves, iterations=_AGAIN, adapt=False).curves
         for row, each in zip(fit.residuals(curves)[0], out, strict=True):
@@ -182,28 +189,28 @@ def _repeats(fitted: Fitted) -> bool:
     a start pose with other friction or slack must not spoil the fit."""
     fit, squares = fitted.fit, []
     low, high = overlap(fitted)
-    for frozen, sim, rows in zip(fit.tracks, fit.simulated, fitted.rows, strict=True):
-        early = frozen.use & sim.known & ~sim.settled & (sim.p > low) & (sim.p < high)
+    for prepared, sim, rows in zip(fit.tracks, fit.simulated, fitted.residuals, strict=True):
+        early = prepared.use & sim.known & ~sim.settled & (sim.p > low) & (sim.p < high)
         squares.append(np.mean(rows[early] ** 2, axis=1))
     early_squares = np.concatenate(squares)  # their median: where B is not settled yet some are off
     return len(early_squares) < 5 or float(np.median(early_squares)) < (_REPEATS * fitted.scale) ** 2
 
 
-def fit_passes(joint: Fitted, margin: float) -> Fitted | None:
+def fit_passes(joint_fit: Fitted, margin: float) -> Fitted | None:
     """B again from the horizontal distance between the passes alone: only frames well beyond an onset, with the delay
     as it is. margin: how far beyond, unit of q. None where too few are."""
-    fit = joint.fit
-    frozen = []
+    fit = joint_fit.fit
+    prepared = []
     for track, sim in zip(fit.tracks, fit.simulated, strict=True):
         beyond = _beyond_onset(sim.p, sim.side)
-        frozen.append(replace(track, use=track.use & sim.moving & (beyond > margin)))
+        prepared.append(replace(track, use=track.use & sim.moving & (beyond > margin)))
     again = PlayFit(
-        frozen, fit.backlash, fit.follow, fit_delay=False, settled_only=fit.settled_only,
+        prepared, fit.backlash, fit.follow, fit_delay=False, settled_only=fit.settled_only,
         smoothing=dict(fit.smoothing),
     )  # fmt: skip
-    if sum(int((f.use).sum()) for f in frozen) < _FEWEST:
+    if sum(int((f.use).sum()) for f in prepared) < _FEWEST:
         return None
-    return again.solve(joint.curves, iterations=8)
+    return again.solve(joint_fit.curves, iterations=8)
 
 
 def _beyond_onset(p: Array, side: npt.NDArray[np.int8]) -> Array:
@@ -218,7 +225,7 @@ def _beyond_onset(p: Array, side: npt.NDArray[np.int8]) -> Array:
 
 
 def _scan(
-    frozen: Sequence[Frozen],
+    prepared: Sequence[PreparedTrack],
     domain: Domain,
     delay_s: float,
     guess: WidthCurve | None,
@@ -226,7 +233,7 @@ def _scan(
 ) -> tuple[PlayFit, Curves] | None:
     """The best constant width, or the guess where that is better, with a path of 16 spans; frames before the tip was
     driven both ways are left out unless little else is there. None where too few frames tell any."""
-    channels = frozen[0].track.y.shape[1]
+    channels = prepared[0].track.y.shape[1]
     flat, path = Basis(domain.low, domain.high, 8), Basis(domain.low, domain.high, 16)
     candidates = [np.full(flat.size, b) for b in domain.span * np.linspace(0.0, 0.4, 41)]
     if guess is not None:
@@ -236,20 +243,20 @@ def _scan(
     for settled_only in (True, False):
         best: tuple[float, PlayFit, Curves] | None = None
         for candidate in candidates:
-            fit = PlayFit(frozen, flat, path, fit_backlash=False, fit_delay=False, settled_only=settled_only)
+            fit = PlayFit(prepared, flat, path, fit_backlash=False, fit_delay=False, settled_only=settled_only)
             curves = Curves(candidate, np.zeros((path.size, channels)), delay_s)
-            rows, masks = fit.residuals(curves)
-            if sum(int(m.sum()) for m in masks) < max(_FEWEST, 0.25 * sum(int(f.use.sum()) for f in frozen)):
+            residuals, masks = fit.residuals(curves)
+            if sum(int(m.sum()) for m in masks) < max(_FEWEST, 0.25 * sum(int(f.use.sum()) for f in prepared)):
                 continue
             if settled_only and not _both_ways(fit, masks, domain):
                 continue
-            curves = fit.step(curves, rows, masks)
-            rows, masks = fit.residuals(curves)
-            cost = float(np.mean(np.concatenate([np.abs(r[m]).ravel() for r, m in zip(rows, masks, strict=True)])))
+            curves = fit.step(curves, residuals, masks)
+            residuals, masks = fit.residuals(curves)
+            cost = float(np.mean(np.concatenate([np.abs(r[m]).ravel() for r, m in zip(residuals, masks, strict=True)])))
             if best is None or cost < best[0]:
                 best = (cost, fit, curves)
         if best is not None:
-            fit = PlayFit(frozen, flat, path, fit_delay=False, settled_only=settled_only)
+            fit = PlayFit(prepared, flat, path, fit_delay=False, settled_only=settled_only)
             return fit, best[2]
     return None
 

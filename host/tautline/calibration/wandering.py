@@ -35,7 +35,7 @@ def allowing_for_wander(fitted: Fitted) -> Fitted:
     noise = place_noise(fitted)
     unit2 = fitted.scale**2 * (1.0 if noise is None else noise.effect)
     fit, curves, share = fitted.fit, fitted.curves, _share(fitted)
-    matrix, _ = fit.normal(curves, fitted.rows, fitted.weights, _functions(fitted))
+    matrix, _ = fit.normal(curves, fitted.residuals, fitted.weights, _functions(fitted))
     penalty, _ = fit.penalty(curves, fitted.scale)
     known = len(penalty)
     matrix[:known, :known] += penalty
@@ -67,10 +67,10 @@ def _functions(fitted: Fitted) -> list[Array]:
     fit.residuals(fitted.curves)
     amplitudes = beside.amplitudes(values)
     courses, signals = [], []
-    for frozen, sim, mask in zip(fit.tracks, fit.simulated, fitted.masks, strict=True):
-        track = frozen.track
+    for prepared, sim, mask in zip(fit.tracks, fit.simulated, fitted.masks, strict=True):
+        track = prepared.track
         at = track.scene_s(fitted.curves.delay_s)
-        _, by = fit.slopes(frozen, sim, mask, fitted.curves)
+        _, by = fit.slopes(prepared, sim, mask, fitted.curves)
         signals.append((by[:, :-1] @ amplitudes)[:, None])
         load = track.reading.load_mNm
         loads = np.zeros_like(at) if load is None else np.interp(at, track.reading.t_s, load)

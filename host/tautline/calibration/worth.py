@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_solve
 
-from tautline.calibration.beside import Beside
+from tautline.calibration.beside import FittedEffects
 from tautline.calibration.observations import Track
-from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit
+from tautline.calibration.playfit import Curves, Fitted, PlayFit, PreparedTrack
 from tautline.calibration.remaining import view_of
 from tautline.calibration.rounding import resting, shared_variance
 from tautline.calibration.smooth import SPANS
@@ -79,17 +79,17 @@ class Worth:
         ]
 
 
-def worth(model: Model, tracks: Sequence[Track], joint: Fitted | None, remaining: Fitted | None) -> Worth | None:
+def worth(model: Model, tracks: Sequence[Track], joint_fit: Fitted | None, remaining: Fitted | None) -> Worth | None:
     """tracks: on the motor's clock. joint, remaining: the fits of B and of f_remain, whose smoothness is the prior of
     both; where one is None nothing is left out. None where nothing was seen after the tip was driven both ways."""
-    fit, curves = _fit_of(model, tracks, joint, remaining)
-    rows, masks = fit.residuals(curves)
+    fit, curves = _fit_of(model, tracks, joint_fit, remaining)
+    residuals, masks = fit.residuals(curves)
     if not any(mask.any() for mask in masks):
         return None
-    missed, labels = rows, _blocks(fit, masks)
-    apart = labels is not None and joint is not None and remaining is not None
+    missed, labels = residuals, _blocks(fit, masks)
+    apart = labels is not None and joint_fit is not None and remaining is not None
     if labels is not None and apart:
-        missed = _foretold(fit, curves, rows, masks, labels)
+        missed = _foretold(fit, curves, residuals, masks, labels)
     masks = _of_tip(fit, curves, missed, masks)
     in_unit = [miss * track.sigma[:, None] for miss, track in zip(missed, tracks, strict=True)]
     by_coarse = [track.y - _coarse(track, model) for track in tracks]
@@ -118,8 +118,8 @@ def _of_tip(
     a lost count; not where most are."""
     usual, widest = _STRAY * bounded_rms(_counted(missed, masks)), float(fit.width(curves).max())
     kept = []
-    for frozen, sim, off, mask in zip(fit.tracks, fit.simulated, missed, masks, strict=True):
-        steep = np.linalg.norm(fit.slope_in_view(frozen.track, curves, sim.tip), axis=1) / frozen.track.sigma
+    for prepared, sim, off, mask in zip(fit.tracks, fit.simulated, missed, masks, strict=True):
+        steep = np.linalg.norm(fit.slope_in_view(prepared.track, curves, sim.tip), axis=1) / prepared.track.sigma
         kept.append(mask & (np.linalg.norm(off, axis=1) <= np.maximum(usual, widest * steep)))
     return kept
 
@@ -132,8 +132,8 @@ def _over_noise(fit: PlayFit, curves: Curves, missed: Sequence[Array], masks: Se
     limit = _STRAY * bounded_rms(_counted(missed, masks))
     alike, along, beside, still, placed = [], [], [], [], []
     still_misses: list[Array] = []
-    for frozen, sim, off, mask in zip(fit.tracks, fit.simulated, missed, masks, strict=True):
-        track = frozen.track
+    for prepared, sim, off, mask in zip(fit.tracks, fit.simulated, missed, masks, strict=True):
+        track = prepared.track
         off = np.where(mask[:, None], off, 0.0)
         norm = np.sqrt(np.mean(off**2, axis=1))
         near = off * np.minimum(1.0, limit / np.maximum(norm, limit))[:, None]
@@ -192,22 +192,22 @@ def _coarse(track: Track, model: Model) -> Array:
 
 
 def _fit_of(
-    model: Model, tracks: Sequence[Track], joint: Fitted | None, remaining: Fitted | None
+    model: Model, tracks: Sequence[Track], joint_fit: Fitted | None, remaining: Fitted | None
 ) -> tuple[PlayFit, Curves]:
     """B, f_remain, the delay and what is beside them as the model has them, as unknowns that frames in the sensor's own
     coordinates tell."""
     basis = Basis(float(model.q[0]), float(model.q[-1]), SPANS)
     fit = PlayFit(
-        [Frozen.of(track) for track in tracks], basis, basis,
+        [PreparedTrack.of(track) for track in tracks], basis, basis,
         view=view_of(model.rig) if tracks[0].unit == "px" else None, elements=model.friction or model.elements,
     )  # fmt: skip
-    if joint is not None and remaining is not None:
-        fit.smoothing = {name: of.fit.smoothing[name] for name, of in (("backlash", joint), ("follow", remaining))}
-        fit.fit_delay, fit.delay_sigma_s = joint.fit.fit_delay, joint.fit.delay_sigma_s
-        fit.beforehand = joint.fit.beforehand
+    if joint_fit is not None and remaining is not None:
+        fit.smoothing = {name: of.fit.smoothing[name] for name, of in (("backlash", joint_fit), ("follow", remaining))}
+        fit.fit_delay, fit.delay_sigma_s = joint_fit.fit.fit_delay, joint_fit.fit.delay_sigma_s
+        fit.beforehand = joint_fit.fit.beforehand
     values = np.zeros(0)
     if model.effects:
-        fit.beside, values = Beside.of(model.effects, model)
+        fit.beside, values = FittedEffects.of(model.effects, model)
     design = basis.design(model.q).toarray()
     width, c = np.linalg.lstsq(design, np.column_stack([model.width, model.c_deg]), rcond=None)[0].T
     return fit, Curves(width, c[:, None], model.delay_s, values)
@@ -231,24 +231,24 @@ def _blocks(fit: PlayFit, masks: Sequence[npt.NDArray[np.bool_]]) -> list[Labels
 def _foretold(
     fit: PlayFit,
     curves: Curves,
-    rows: Sequence[Array],
+    residuals: Sequence[Array],
     masks: Sequence[npt.NDArray[np.bool_]],
     labels: Sequence[Labels],
 ) -> list[Array]:
     """(n, k) of each track: what a fit without a frame's block misses it by, over the noise."""
-    scale = bounded_rms(_counted(rows, masks))
+    scale = bounded_rms(_counted(residuals, masks))
     limit = _STRAY * scale
-    norms = [np.sqrt(np.mean(row**2, axis=1)) for row in rows]
+    norms = [np.sqrt(np.mean(row**2, axis=1)) for row in residuals]
     weights = fit.counted([limit / np.maximum(norm, limit) for norm in norms], curves, scale)
 
     def weighed(number: int) -> list[Array]:
         """(n,) of each track: weights of this block's frames, those of a stray less than 1; 0 of all other frames."""
         return [np.where(label == number, weight, 0.0) for label, weight in zip(labels, weights, strict=True)]
 
-    parts = [fit.normal(curves, list(rows), weighed(number)) for number in range(BLOCKS)]
+    parts = [fit.normal(curves, list(residuals), weighed(number)) for number in range(BLOCKS)]
     whole = np.sum([matrix for matrix, _ in parts], axis=0) + fit.penalty(curves, 1.0)[0]
     whole[np.diag_indices_from(whole)] += _RIDGE * np.diag(whole)
-    missed = [row.copy() for row in rows]
+    missed = [row.copy() for row in residuals]
     for number, (matrix, gradient) in enumerate(parts):
         share = 1.0 - STAYS
         step = -cho_solve(factor(whole - share * matrix), share * gradient, check_finite=False)
