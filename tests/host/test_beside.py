@@ -137,7 +137,7 @@ def test_the_gradient_is_the_costs_slope(effect: Effect) -> None:
         made = replace(made, motor=replace(made.motor, load_mNm=20.0 * np.sin(0.3 * made.motor.t_s)))
     prepared = [PreparedTrack.of(track) for track in observe([made], RIG)]
     beside, values = FittedEffects.of([effect], SOUND)
-    fit = PlayFit(prepared, Basis(-5, 5, 10), Basis(-5, 5, 12), settled_only=False, beside=beside)
+    fit = PlayFit(prepared, Basis(-5, 5, 10), Basis(-5, 5, 12), settled_only=False, effects=beside)
     width = np.linalg.lstsq(fit.backlash.design(Q).toarray(), SOUND.width, rcond=None)[0]
     curves = Curves(width, project(RIG, 11.0 * fit.follow.centres), RIG.delay_s + 0.01, 1.1 * values)
     rows, masks = fit.residuals(curves)
@@ -151,8 +151,10 @@ def test_the_gradient_is_the_costs_slope(effect: Effect) -> None:
     steps = 0.01 * beside.scales
     slopes = np.zeros(len(steps))
     for i, step in enumerate(steps):
-        ahead, behind = (curves.beside + sign * step * np.eye(len(values))[i] for sign in (1, -1))
-        slopes[i] = (cost(replace(curves, beside=ahead)) - cost(replace(curves, beside=behind))) / (2.0 * step)
+        ahead, behind = (curves.effect_values + sign * step * np.eye(len(values))[i] for sign in (1, -1))
+        slopes[i] = (cost(replace(curves, effect_values=ahead)) - cost(replace(curves, effect_values=behind))) / (
+            2.0 * step
+        )
     told, slopes = gradient[-1 - len(steps) : -1] * beside.scales, slopes * beside.scales
     assert told == pytest.approx(slopes, abs=0.05 * np.abs(slopes).max())
     cut = curves.follow.size
@@ -201,17 +203,17 @@ def test_the_sigmas_of_b_and_delay_beside_an_effect_cover(monkeypatch: pytest.Mo
     assert abs(model.delay_s - RIG.delay_s) < 3.0 * found.delay.sigma_s
 
 
-def test_b_is_as_uncertain_as_its_fit_beside_another_amplitude_is_off() -> None:
+def test_b_is_as_uncertain_as_its_fit_effects_another_amplitude_is_off() -> None:
     """By the share that a right effect may be another than its law makes of the frames."""
     prepared = [PreparedTrack.of(track) for track in observe([recorded([ONE_SIDED], 6, seconds=30.0)], RIG)]
     beside, values = FittedEffects.of([ONE_SIDED], SOUND)
-    fit = PlayFit(prepared, Basis(-5, 5, 20), Basis(-5, 5, 40), settled_only=True, beside=beside)
+    fit = PlayFit(prepared, Basis(-5, 5, 20), Basis(-5, 5, 40), settled_only=True, effects=beside)
     width = np.linalg.lstsq(fit.backlash.design(Q).toarray(), SOUND.width, rcond=None)[0]
     found = fit.solve(Curves(width, project(RIG, 11.0 * fit.follow.centres), RIG.delay_s, values))
-    held = replace(fit, fit_beside=False, smoothing=dict(fit.smoothing))
-    amplitudes = beside.amplitudes(found.curves.beside)
-    other = found.curves.beside + learnt().center.wanders_material * amplitudes
-    beside_it = held.solve(replace(found.curves, beside=other), adapt=False)
+    held = replace(fit, fit_effects=False, smoothing=dict(fit.smoothing))
+    amplitudes = beside.amplitudes(found.curves.effect_values)
+    other = found.curves.effect_values + learnt().center.wanders_material * amplitudes
+    beside_it = held.solve(replace(found.curves, effect_values=other), adapt=False)
     at = Q[np.abs(Q) < 3.0]
     shift = np.abs(np.interp(at, fit.grid, fit.width(beside_it.curves) - fit.width(found.curves)))
     sigma = allowing_for_wander(found).width_sigma(at)

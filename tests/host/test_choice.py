@@ -53,16 +53,16 @@ def test_where_the_joint_fit_predicts_well_onsets_do_not_count(own: float, other
 def test_onsets_confirm_no_departure_that_is_a_gradual_start(leads: str) -> None:
     def says(width: float) -> Any:
         elements = SimpleNamespace(single=True)
-        fit = SimpleNamespace(elements=elements, width=lambda curves: width * np.ones_like(GRID))
+        fit = SimpleNamespace(hysteresis=elements, width=lambda curves: width * np.ones_like(GRID))
         return SimpleNamespace(fit=fit, curves=None, width_sigma=lambda grid: 0.01 * np.ones_like(GRID))
 
     at = np.linspace(-4.0, 4.0, 8)
     onsets: Any = [SimpleNamespace(used=True, kind=HINGE, q_mean=q, width=1.0, sigma=0.05, direction=1) for q in at]
     curve = WidthCurve(GRID, np.ones_like(GRID), 0.05 * np.ones_like(GRID), (-4.0, 4.0), 0.0, places=8)
     parts = tuple(SimpleNamespace(name=name) for name in (leads, "stroke"))
-    first = cast(property, Components.of_start).fget
+    first = cast(property, Components.mainly_start_of_strokes).fget
     assert first is not None
-    components = cast(Components, SimpleNamespace(of_start=first(SimpleNamespace(parts=parts))))
+    components = cast(Components, SimpleNamespace(mainly_start_of_strokes=first(SimpleNamespace(parts=parts))))
     choice = Choice([], Domain(-5.0, 5.0), GRID, "deg", Findings())
     assert choice.nearer(onsets, curve, components, says(1.0), says(2.0)) is (leads != "phase.even")
 

@@ -81,7 +81,7 @@ def components(
     curves = Curves(np.zeros(3), np.zeros((3, 2)), 0.1)
     return Components(
         curves, curves, flat, 1e-3 * sigma_um * one, 1e-4, 0.0 * flat, 0.0, noise, 1.0, effective, (part,),
-        np.zeros(2), rough=False,
+        np.zeros(2), count_visible=False,
     )  # fmt: skip
 
 
@@ -108,7 +108,7 @@ def test_a_departure_is_told_where_a_good_verdict_hangs_on_its_being_taken_out(r
 def test_what_happened_once_does_not_go_on(name: str, late: float, still: float) -> None:
     since = DifferenceFromEnd(np.arange(4), late * np.ones((4, 2)), np.ones(4, bool))
     found = components(3.0, 0.5)
-    found = replace(found, parts=(replace(found.parts[0], name=name),), since=(since,))
+    found = replace(found, parts=(replace(found.parts[0], name=name),), from_end=(since,))
     assert goes_on(found) == pytest.approx(still)
 
 
@@ -116,7 +116,9 @@ def test_frames_that_are_elsewhere_are_outliers_and_scatter_of_all_is_noise() ->
     few = doubts(components(0.1, 0.1, noise=5.0), np.ones(50, bool), 0.5, "mm", rough=False, good=True)
     scattered = replace(components(0.1, 0.1, noise=1.8), parts=())
     every = doubts(scattered, np.ones(50, bool), 0.5, "mm", rough=False, good=False)
-    alike = doubts(replace(scattered, effective=6.0), np.ones(50, bool), 0.5, "mm", rough=False, good=False)
+    alike = doubts(
+        replace(scattered, frames_per_independent=6.0), np.ones(50, bool), 0.5, "mm", rough=False, good=False
+    )
     assert [(r.code, r.mild) for r in few] == [("outliers", True)]
     assert [(r.code, r.mild) for r in every] == [("noise", False)]
     assert [(r.code, r.mild) for r in alike] == [("residual", False)]

@@ -278,7 +278,9 @@ def test_a_delay_that_departures_leave_uncertain_is_the_nominal_one(sigma_s: flo
     assert joint is not None and joint.curves.delay_s == pytest.approx(0.003, abs=5e-4)
     session = cast(_Session, SimpleNamespace(framed=False, nominal_s=0.0))
     width = joint.fit.width(joint.curves)
-    departing = cast(Components, SimpleNamespace(delay_sigma=sigma_s, width=width, sigma=0.01 * width, by_delay=None))
+    departing = cast(
+        Components, SimpleNamespace(delay_sigma=sigma_s, width=width, sigma=0.01 * width, width_by_delay=None)
+    )
     alone = _Session._as_one(session, joint, departing)
     assert alone.delay_sigma == sigma_s
     assert alone.curves.delay_s == (joint.curves.delay_s if own else 0.0)

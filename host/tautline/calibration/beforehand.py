@@ -85,7 +85,7 @@ class Beforehand(Value):
 
 
 @lru_cache(maxsize=8)
-def between(basis: Basis, q: tuple[float, ...]) -> tuple[Array, int]:
+def free_bending(basis: Basis, q: tuple[float, ...]) -> tuple[Array, int]:
     """The penalty (size, size) on bending less what values at q tell of it, which is on how a curve departs from the
     one through them that bends least; and its rank."""
     free = null_space(basis.design(np.array(q)).toarray())

@@ -302,7 +302,7 @@ class _Session:
         self.components: Components | None = None
         self.held = 0.0  # share of the frames that repeat a place that the tip had left
         self.ended: Sequence[Track] | None = None  # what was seen, as it is when the session ends
-        self.elements: Hysteresis = SINGLE
+        self.hysteresis: Hysteresis = SINGLE
         self.effects: tuple[FittedEffects, Array] | None = None  # beside the play
         self.load_mNm = 0.0  # at which B and f_remain hold beside them
         self.joint_fit: Fitted | None = None
@@ -323,7 +323,9 @@ class _Session:
     def departs(self) -> bool:
         """Whether the recordings show more than B, path and delay, a motor's counts, a tracker's error and noise."""
         found = self.components
-        return found is not None and (found.noise > PREDICTS or any(p.name not in _OF_SENSORS for p in found.parts))
+        return found is not None and (
+            found.unexplained > PREDICTS or any(p.name not in _OF_SENSORS for p in found.parts)
+        )
 
     @property
     def choice(self) -> Choice:
@@ -384,8 +386,8 @@ class _Session:
         if before.joint_fit is None or before.delay is None:
             return None
         effects = told.effects
-        if not before.elements.single and any(effect.id == _GRADUAL_START for effect in effects):
-            self.elements = before.elements  # which hold that
+        if not before.hysteresis.single and any(effect.id == _GRADUAL_START for effect in effects):
+            self.hysteresis = before.hysteresis  # which hold that
             effects = tuple(effect for effect in effects if effect.id != _GRADUAL_START)
         nominal = told.fit.state.model
         self.load_mNm = told.fitter.load_reference
@@ -403,7 +405,7 @@ class _Session:
         likely = _likelihoods(fits)
         best = int(np.argmax(likely))
         joint_fit = fits[best]
-        self.effects = joint_fit.beside
+        self.effects = joint_fit.effects_and_values
         delay = self._joint_delay(before.delay, joint_fit)
         late_s = np.array([fit.curves.delay_s - joint_fit.curves.delay_s for fit in fits])
         apart = np.array([fit.fit.width(fit.curves) - joint_fit.fit.width(joint_fit.curves) for fit in fits])
@@ -427,8 +429,8 @@ class _Session:
         prepared = prepare_tracks(self._one_curve(delay_s), delay_s)
         basis = before.fit.backlash
         fit = PlayFit(
-            prepared, basis, basis, fit_delay=fit_delay, beforehand=before.fit.beforehand, beside=beside,
-            elements=self.elements,
+            prepared, basis, basis, fit_delay=fit_delay, beforehand=before.fit.beforehand, effects=beside,
+            hysteresis=self.hysteresis,
         )  # fmt: skip
         channels = prepared[0].track.y.shape[1]
         backlash = np.linalg.lstsq(
@@ -437,7 +439,7 @@ class _Session:
         curves = Curves(
             backlash, np.zeros((basis.size, channels)), delay_s if fit_delay else before.curves.delay_s, values
         )
-        path = replace(fit, fit_backlash=False, fit_delay=False, fit_beside=False, smoothing=dict(fit.smoothing))
+        path = replace(fit, fit_backlash=False, fit_delay=False, fit_effects=False, smoothing=dict(fit.smoothing))
         joint_fit = fit.solve(path.step(curves, *path.residuals(curves)))
         joint_fit = allowing_for_place(joint_fit, place_noise(joint_fit))
         joint_fit = allowing_for_wander(joint_fit)
@@ -448,7 +450,7 @@ class _Session:
 
     def _by_its_law(self, before: Fitted, joint_fit: Fitted) -> Fitted:
         """The joint fit again, with what adds to the bending angle by the f_remain that it leaves."""
-        self.effects = beside, values = joint_fit.beside
+        self.effects = beside, values = joint_fit.effects_and_values
         width, delay_s = joint_fit.fit.width(joint_fit.curves), joint_fit.curves.delay_s
         remaining = self._remaining(width, delay_s, joint_fit.fit.settled_only)
         if remaining is None:
@@ -541,19 +543,19 @@ class _Session:
         joint_fit = allowing_for_place(joint_fit, noise)
         self.findings.evidence["residual_before_components"] = joint_fit.scale
         self.components = separate(joint_fit, self.rig)
-        if self.components.noise > PREDICTS and not self.components.of_tracker:
+        if self.components.unexplained > PREDICTS and not self.components.tracker_errs:
             smoother = as_smooth_as_independent(joint_fit, noise)
             again = separate(smoother, self.rig)
-            if again.noise < WORSE * self.components.noise:  # else B's shape was taken for what departs
+            if again.unexplained < WORSE * self.components.unexplained:  # else B's shape was taken for what departs
                 joint_fit, self.components = smoother, again
         gradual = self.options.elements == "auto" and not jumping(onsets)
         several = self._several(joint_fit, self.components) if gradual else None
         if several is not None:
-            joint_fit, self.elements = several.fitted, several.fitted.fit.elements
+            joint_fit, self.hysteresis = several.fitted, several.fitted.fit.hysteresis
             components = separate(joint_fit, self.rig, without=_OF_ELEMENTS)
             spread = _BETWEEN_ELEMENTS * components.width if several.spread is None else several.spread
             self.components = replace(components, sigma=np.hypot(components.sigma, spread))
-        self.findings.evidence["residual_components"] = self.components.noise
+        self.findings.evidence["residual_components"] = self.components.unexplained
         for part in self.components.parts:
             self.findings.evidence[f"component_{part.name}"] = part.rms
         apart = self.components.applied(joint_fit)
@@ -561,7 +563,7 @@ class _Session:
         if self.choice.predicts(alone, joint_fit) or self.choice.nearer(
             onsets, curve, self.components, apart, joint_fit
         ):
-            if self.components.since and apart.fit.tracks[0].track.unit == self.tracks[0].unit:
+            if self.components.from_end and apart.fit.tracks[0].track.unit == self.tracks[0].unit:
                 self.ended = [t for t in self.components.at_the_end(self.tracks) if len(t.t_s)]
             self.findings.evidence["residual_alone"] = alone
             return apart
@@ -590,17 +592,17 @@ class _Session:
             return None
         start, fit_delay = components.applied(joint_fit), self.options.delay_s is None
         plays = fit_elements(start, self.rig, fit_delay=fit_delay)
-        assert isinstance(plays.fit.elements, Elements)
-        tried = [Tried(plays, len(plays.fit.elements.width) - 1)]
+        assert isinstance(plays.fit.hysteresis, Elements)
+        tried = [Tried(plays, len(plays.fit.hysteresis.width) - 1)]
         friction = (fit_friction([joint_fit, start], self.rig, kind, fit_delay) for kind in PRIORS)
         tried += [each for each in friction if each is not None]
-        best = likeliest(tried, components.effective)
+        best = likeliest(tried, components.frames_per_independent)
         several = best.fitted
         # What several leave is no noise: where that is less, it is at most that of a tip at rest.
-        noise = components.noise if several.scale > components.noise else min(components.noise, 1.0)
+        noise = components.unexplained if several.scale > components.unexplained else min(components.unexplained, 1.0)
         alike = replace(several, scale=joint_fit.scale)  # strays count as much in both
         before, after = (max(left(fitted) ** 2 - noise**2, 0.0) for fitted in (joint_fit, alike))
-        return best if after < _HELD * before and not several.fit.elements.single else None
+        return best if after < _HELD * before and not several.fit.hysteresis.single else None
 
     # ---- f_remain
 
@@ -655,7 +657,7 @@ class _Session:
             self.findings.notes.append("the characteristic shows no closed shape: f_remain was fitted directly instead")
         tracks = self.ended or self.tracks
         return fit_remaining(
-            tracks, self.rig, self.domain, self.grid, width, delay_s, settled, self.elements, self.effects
+            tracks, self.rig, self.domain, self.grid, width, delay_s, settled, self.hysteresis, self.effects
         )
 
     # ---- what to think of it
@@ -716,8 +718,8 @@ class _Session:
                 f"{frames / (1.0 - self.held) * self.held:.0f} frames repeat a place that the tip had left",
                 "let the tracker say when it does not see the marker",
             )
-        if not self.elements.single and not predicts:
-            held = "several plays" if isinstance(self.elements, Elements) else "Bouc-Wen's and Dahl's equations"
+        if not self.hysteresis.single and not predicts:
+            held = "several plays" if isinstance(self.hysteresis, Elements) else "Bouc-Wen's and Dahl's equations"
             self.findings.notice(
                 "transmission.smooth_onset",
                 f"after a reversal the tip starts gradually, and not as {held} do",
@@ -725,7 +727,7 @@ class _Session:
             )
         departs: list[Reason] = []
         if found is not None:
-            rough = found.rough or any(track.motor_noise > 0 for track in self.tracks)
+            rough = found.count_visible or any(track.motor_noise > 0 for track in self.tracks)
             departs = doubts(found, inside, usual, self.unit, rough, holds)
         doubted = departs or any(not reason.mild for reason in self.findings.reasons)
         if told is not None and not predicts and not doubted:
@@ -759,7 +761,7 @@ class _Session:
     def _measured(self, curve: WidthCurve | None, joint_fit: Fitted | None, source: str) -> tuple[float, float]:
         """The lowest and highest position, unit of q, at which B is measured. With friction a tip starts at every turn:
         then it is what was passed near both envelopes."""
-        if joint_fit is None or not isinstance(self.elements, Friction):
+        if joint_fit is None or not isinstance(self.hysteresis, Friction):
             return self.choice.measured(curve, joint_fit, source)
         low, high = overlap(joint_fit)
         return (low, high) if low < high else self.choice.measured(curve, joint_fit, source)
@@ -855,7 +857,7 @@ class _Session:
         pass_width, pass_sigma = self.choice.second_opinion(onsets, curve, passes)
         characteristic = self._characteristic(delay.delay_s)
         if self.components is not None:
-            delay = replace(delay, sigma_s=float(np.hypot(delay.sigma_s, self.components.held_back_s)))
+            delay = replace(delay, sigma_s=float(np.hypot(delay.sigma_s, self.components.tracker_lag_s)))
         delay_s = delay.delay_s  # of the tracks
         aligned, delay = self.clock.with_delay(delay, self.nominal_s)
         if any(aligned.offsets_s) and delay.sigma_s > _TOLD_S:
@@ -878,8 +880,8 @@ class _Session:
             self.rig, self.grid, width, sigma, c, delay.delay_s, measured, c_sigma=c_sigma,
             sensor=self.tracks[0].sensor, offset_s=aligned.offset_s,
             effects=() if self.effects is None else self.effects[0].to_effects(self.effects[1]),
-            elements=self.elements if isinstance(self.elements, Elements) else SINGLE,
-            friction=self.elements if isinstance(self.elements, Friction) else None,
+            elements=self.hysteresis if isinstance(self.hysteresis, Elements) else SINGLE,
+            friction=self.hysteresis if isinstance(self.hysteresis, Friction) else None,
             extra={LOAD: self.load_mNm} if self.load_mNm else {},
         )  # fmt: skip
         if (near := stands_in(model)) is not None:
@@ -925,10 +927,10 @@ class _Session:
     def _instead(self, near: Nearest) -> str:
         """The note that a board's tables hold a few plays instead of this hysteresis, and what these leave."""
         plays = f"{len(near.elements.width)} plays, which leave {100.0 * near.share:.2g} % of what there is to undo"
-        if isinstance(self.elements, Friction):
-            its = self.elements.says(self.unit)
+        if isinstance(self.hysteresis, Friction):
+            its = self.hysteresis.says(self.unit)
             return f"its hysteresis is {its}: a board's tables and what follows the tip in use hold {plays}"
-        return f"its hysteresis is {len(self.elements.width)} plays: a board's tables hold {plays}"
+        return f"its hysteresis is {len(self.hysteresis.width)} plays: a board's tables hold {plays}"
 
     def _characteristic(self, delay_s: float) -> dict[str, Any]:
         """Some 3000 frames of (q, c) for the report's picture."""

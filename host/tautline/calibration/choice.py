@@ -97,7 +97,7 @@ class Choice:
         z = self._against(widths, curve, width, sigma)
         self.findings.evidence["onsets_against_joint_z2"] = float(np.mean(z**2))
         self.findings.evidence["joint_residual_over_noise"] = joint_fit.scale
-        if not joint_fit.fit.elements.single:  # of several an onset shows the first
+        if not joint_fit.fit.hysteresis.single:  # of several an onset shows the first
             return width, sigma, JOINT
         agreed = joint_fit.explained or float(np.mean(z**2)) < _AGREE
         jumps = jumping(widths) and not self._foretells(widths, joint_fit, curve)
@@ -138,7 +138,12 @@ class Choice:
         the one without (joint). No where few are there, or these are a gradual start first of all: onsets show its
         first motion only."""
         widths = measuring(onsets)
-        if curve is None or len(widths) < _FEW_ONSETS or not joint_fit.fit.elements.single or components.of_start:
+        if (
+            curve is None
+            or len(widths) < _FEW_ONSETS
+            or not joint_fit.fit.hysteresis.single
+            or components.mainly_start_of_strokes
+        ):
             return False
         sigma = joint_fit.width_sigma(self.grid)
         off = [self._against(widths, curve, fit.fit.width(fit.curves), sigma) for fit in (apart, joint_fit)]
@@ -147,7 +152,7 @@ class Choice:
 
     def alone(self, components: Components, apart: Fitted, joint_fit: Fitted) -> float:
         """Residual over noise of B, path and delay as they are without the departures."""
-        return self._left_with(apart, components.usual) if components.parts else joint_fit.scale
+        return self._left_with(apart, components.session_mean) if components.parts else joint_fit.scale
 
     @staticmethod
     def predicts(rest: float, joint_fit: Fitted) -> bool:
@@ -216,7 +221,7 @@ class Choice:
             self.findings.evidence["onsets_minus_passes_rms"] = float(np.sqrt(np.mean(difference**2)))
             self.findings.evidence["onsets_minus_passes_z2"] = float(np.mean(z**2))
             share = abs(mean) / max(float(np.median([o.width for o in widths])), 1e-9)
-            if float(np.mean(z**2)) > 2 * _AGREE and share > 0.03 and passes.fit.elements.single and jumping(widths):
+            if float(np.mean(z**2)) > 2 * _AGREE and share > 0.03 and passes.fit.hysteresis.single and jumping(widths):
                 self.findings.notice(
                     "registration.direction_dependent",
                     f"the passes lie {abs(mean):.3g} {self.unit} {'less' if mean > 0 else 'more'} apart than the "
@@ -257,13 +262,13 @@ class Choice:
         smoothing = dict(fitted.fit.smoothing)
         alone = replace(fitted.fit, fit_backlash=False, fit_delay=False, smoothing=smoothing)
         solved = alone.solve(curves, iterations=5, adapt=False)
-        return solved.scale if alone.elements.single else left(replace(solved, scale=fitted.scale))
+        return solved.scale if alone.hysteresis.single else left(replace(solved, scale=fitted.scale))
 
     def held(self, joint_fit: Fitted, curve: WidthCurve | None) -> Array:
         """The joint fit's B, held beyond the positions that passes both ways or onsets reached: what lies there could
         be f_remain as well. Not where something is known of it beforehand, nor of several elements: some turn in no
         stroke but there, and are where B there puts them."""
-        if not joint_fit.fit.elements.single or joint_fit.fit.beforehand is not None:
+        if not joint_fit.fit.hysteresis.single or joint_fit.fit.beforehand is not None:
             return joint_fit.fit.width(joint_fit.curves)
         low, high = overlap(joint_fit)
         if curve is not None:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from tautline.calibration.components import GAIN, Component, Components
+from tautline.calibration.components import REML_GAIN, Component, Components
 from tautline.calibration.departures import SHARE, SPEED, STATES
 from tautline.calibration.findings import Findings
 from tautline.calibration.observations import Track
@@ -132,7 +132,7 @@ def goes_on(components: Components) -> float:
     """By how much, in the noise, what changes in time still did in the session's last quarter; rms, 0 where nothing
     does."""
     moves = any(part.name in STATES and part.name.endswith("time") for part in components.parts)
-    return components.late if moves else 0.0
+    return components.late_change if moves else 0.0
 
 
 def doubts(
@@ -144,17 +144,17 @@ def doubts(
     late = goes_on(components)
     reasons = []
     for part in sorted(components.parts, key=lambda each: -each.chi2):
-        shift = float(np.sqrt(np.mean(part.shift[counted] ** 2))) if counted.any() else 0.0
+        shift = float(np.sqrt(np.mean(part.width_shift[counted] ** 2))) if counted.any() else 0.0
         if part.name.startswith(SPEED):
             shift = abs(float(part.values[0])) * (usual if part.name.endswith(SHARE) else 1.0)
         spoils = np.hypot(1.0, part.rms) > PREDICTS or shift > KNOWN * usual
-        expected = part.name == "turn" and part.chi2 < GAIN  # where counts are coarse, there or not
+        expected = part.name == "turn" and part.chi2 < REML_GAIN  # where counts are coarse, there or not
         if not spoils and (good or expected):
             continue
         kind = "turn.itself" if part.name == "turn" and not rough else part.name
         still = f", {late:.1f} in its last quarter" if part.name in STATES and late > 0.0 else ""
         reasons.append(_reason(kind, part, shift, unit, still, good))
-    if components.noise > PREDICTS:
+    if components.unexplained > PREDICTS:
         reasons.append(_scatter(components, good))
     return reasons
 
@@ -169,17 +169,17 @@ def _reason(kind: str, part: Component, shift: float, unit: str, still: str, mil
 def _scatter(components: Components, good: bool) -> Reason:
     """The doubt of noise that no departure explains, by its look: a few frames far off, from frame to frame (the noise,
     or times while the tip moves), or alike in neighbours."""
-    times = f"{components.noise:.1f} times the noise of a tip at rest is left"
+    times = f"{components.unexplained:.1f} times the noise of a tip at rest is left"
     if good:  # of most frames
-        says = f"some frames are far off ({components.noise:.1f} times the noise with them)"
+        says = f"some frames are far off ({components.unexplained:.1f} times the noise with them)"
         return Reason("outliers", says, "look for a second blob of the marker's colour", mild=True)
-    if components.effective < _WHITE and components.moving > _SPEEDS:
+    if components.frames_per_independent < _WHITE and components.moving_ratio > _SPEEDS:
         return Reason(
             "acquisition.jitter",
             f"{times}, from frame to frame, while the tip moves",
             "take the frames' hardware times",
         )
-    if components.effective < _WHITE:
+    if components.frames_per_independent < _WHITE:
         return Reason("noise", f"{times}, from frame to frame", "check light, focus and the marker's colour")
     return Reason("residual", f"{times}, which no known departure explains", "taut diagnose says where it is")
 
@@ -252,5 +252,5 @@ def _ripple(grid: Array, width: Array, sigma: Array, usual: float) -> tuple[floa
         best = int(np.argmax(gains))
         smooth, waved = min(smooth, without), min(waved, (without - gains[best], best, size[best]), key=lambda w: w[0])
     surprise, best, size = waved
-    there = surprise + GAIN < smooth  # what any departure has to gain
+    there = surprise + REML_GAIN < smooth  # what any departure has to gain
     return (float(np.linalg.norm(size)) / np.sqrt(2.0) if there else 0.0), 1.0 / float(rates[best])

@@ -15,8 +15,8 @@ import numpy.typing as npt
 from scipy import sparse
 from scipy.special import expit
 
-from tautline.calibration.components import between, nominal_columns
-from tautline.calibration.departures import CountedFrames, by_rows, counted_frames
+from tautline.calibration.components import interpolated, nominal_columns
+from tautline.calibration.departures import CountedFrames, counted_frames, scaled_rows
 from tautline.calibration.playfit import Curves, Fitted
 from tautline.calibration.several import left, powers, rms_of_powers
 from tautline.elements import Play
@@ -99,7 +99,7 @@ def _descended(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Fit
         moved, step, _ = _step(state, rig, kind, unknowns)
         for share in _SHARES:
             then = unknowns + share * step
-            trial = _with(replace(state, curves=between(state.curves, moved, share)), kind, then)
+            trial = _with(replace(state, curves=interpolated(state.curves, moved, share)), kind, then)
             there = powers(trial)
             now = _cost(there, trial, kind, then)
             if now < least:
@@ -123,7 +123,7 @@ def _cost(power: Array, state: Fitted, kind: str, unknowns: Array) -> float:
 def _with(state: Fitted, kind: str, unknowns: Array) -> Fitted:
     """The joint fit with friction of these unknowns in place of its hysteresis, not fitted to it yet."""
     friction = _friction(kind, unknowns, _reached(state))
-    return replace(state, fit=replace(state.fit, elements=friction, smoothing=state.fit.smoothing))
+    return replace(state, fit=replace(state.fit, hysteresis=friction, smoothing=state.fit.smoothing))
 
 
 def _reached(state: Fitted) -> Array:
@@ -169,7 +169,7 @@ def _step(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Curves, 
     nominal = nominal_columns(fit, counted)
     own = counted.along_path(_slopes(state, counted) @ _by_unknown(kind, unknowns, _reached(state)))
     design = sparse.csr_matrix(sparse.hstack([nominal, own]))
-    heavy = by_rows(np.tile(counted.weight, counted.residuals.shape[1]), design)
+    heavy = scaled_rows(np.tile(counted.weight, counted.residuals.shape[1]), design)
     gram, force = np.asarray((heavy.T @ design).toarray()), np.asarray(heavy.T @ counted.residuals.T.ravel()).ravel()
     head = nominal.shape[1]
     base, pull = fit.penalty(state.curves, scale)
@@ -195,7 +195,7 @@ def _step(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Curves, 
 def _slopes(state: Fitted, counted: CountedFrames) -> Array:
     """(counted frames, values of Friction) derivatives of p by these."""
     fit, curves = state.fit, state.curves
-    native = Play(fit.grid, fit.width(curves), fit.elements).native
+    native = Play(fit.grid, fit.width(curves), fit.hysteresis).native
     far = 10.0 * float(np.abs(fit.grid).max() + np.ptp(fit.grid))
     rows = []
     for number, prepared in enumerate(fit.tracks):

@@ -82,7 +82,7 @@ def as_smooth_as_independent(fitted: Fitted, noise: PlaceNoise | None) -> Fitted
     from stroke to stroke is taken for the shape of B."""
     if noise is None or noise.effect < _ALIKE:
         return fitted
-    fit = replace(fitted.fit, alike=noise.effect, smoothing=dict(fitted.fit.smoothing))
+    fit = replace(fitted.fit, frames_per_independent=noise.effect, smoothing=dict(fitted.fit.smoothing))
     return fit.solve(fitted.curves, iterations=_ITERATIONS)
 
 
@@ -90,7 +90,7 @@ def _noisier(fitted: Fitted, k: int, common: float) -> PreparedTrack:
     """Track k, with more noise in each frame: together its frames know each place no better than `common`, sensor's
     unit."""
     prepared = fitted.fit.tracks[k]
-    seen = fitted.fit.seen(prepared.track, fitted.curves, fitted.fit.simulated[k].tip)
+    seen = fitted.fit.predicted(prepared.track, fitted.curves, fitted.fit.simulated[k].tip)
     step = np.linalg.norm(np.diff(seen, axis=0), axis=1)
     place = np.concatenate([[0], np.cumsum(step > _TOGETHER * prepared.track.sigma[1:])])
     frames = np.bincount(place, weights=prepared.use)[place]
@@ -118,7 +118,7 @@ def _along(fitted: Fitted, k: int) -> _Along:
     steep = np.maximum(np.linalg.norm(slope, axis=1), 1e-12)
     weight = np.minimum(fitted.weights[k], 1.0)
     error = np.sum(fitted.residuals[k] * prepared.track.sigma[:, None] * slope, axis=1) / steep * np.sqrt(weight)
-    stroke = np.cumsum(np.diff(sim.side, prepend=sim.side[:1]) != 0)
+    stroke = sim.half_cycle
     at = np.interp(sim.p, *_path_length(sim.p[mask], steep[mask])) if mask.any() else sim.p
     return _Along(error[mask], (error * steep)[mask], at[mask], stroke[mask], sim.moving[mask])
 

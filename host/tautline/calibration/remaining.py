@@ -99,7 +99,7 @@ def fit_remaining(
     falling = float(np.polyfit(p - p.mean(), c, 1)[0]) < 0
     fit = _FixedWidth(
         prepared, basis, basis, view=view, fit_backlash=False, fit_delay=False, settled_only=settled_only,
-        elements=elements, beside=effects, fit_beside=False,
+        hysteresis=elements, effects=effects, fit_effects=False,
         rising=-1.0 if falling else 1.0, least_slope=_LEAST_SLOPE * abs(rig.coarse.gain),
         slope_unit=abs(rig.coarse.gain),
     )  # fmt: skip

@@ -37,7 +37,7 @@ def shared_variance(track: Track, rests: Mask) -> float:
     return track.step**2 * float(np.interp(0.5 * np.mean(apart**2), _OWN, _SHARED))
 
 
-def counts(track: Track, seen: Array, use: Mask, scale: float) -> Array:
+def independence_weights(track: Track, seen: Array, use: Mask, scale: float) -> Array:
     """(n,) As how much of an independent frame each one counts, 1 at most: n frames of one rest know the tip's place to
     own^2 / n + shared^2. own^2 is all else that is left of them, in a fit that leaves `scale` times the noise: its
     misfit is no rounding. use (n,): frames that the fit has."""

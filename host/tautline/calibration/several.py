@@ -15,8 +15,8 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import nnls
 
 from tautline import _native
-from tautline.calibration.components import between, nominal_columns
-from tautline.calibration.departures import by_rows, counted_frames
+from tautline.calibration.components import interpolated, nominal_columns
+from tautline.calibration.departures import counted_frames, scaled_rows
 from tautline.calibration.playfit import Curves, Fitted
 from tautline.elements import SINGLE, Elements, Play, warp_of
 from tautline.rig import Rig
@@ -44,15 +44,15 @@ def fit_elements(fitted: Fitted, rig: Rig, fit_delay: bool) -> Fitted:
 def _descended(fitted: Fitted, weights: Array, rig: Rig, fit_delay: bool) -> Fitted:
     """The joint fit after damped Gauss-Newton steps from these weights (shares,); its scale is what it leaves, infinite
     where no frame tells of the elements."""
-    fit = replace(fitted.fit, elements=_elements(weights), fit_delay=fit_delay, smoothing=fitted.fit.smoothing)
+    fit = replace(fitted.fit, hysteresis=_elements(weights), fit_delay=fit_delay, smoothing=fitted.fit.smoothing)
     state = replace(fitted, fit=fit)
     least = left(state)
     for _ in range(_STEPS if np.isfinite(least) else 0):
         moved, target = _step(state, weights, rig)
         for share in (1.0, 0.5, 0.2):
             then = _lawful(weights + share * (target - weights))
-            fit = replace(state.fit, elements=_elements(then), smoothing=state.fit.smoothing)
-            trial = replace(state, fit=fit, curves=between(state.curves, moved, share))
+            fit = replace(state.fit, hysteresis=_elements(then), smoothing=state.fit.smoothing)
+            trial = replace(state, fit=fit, curves=interpolated(state.curves, moved, share))
             now = left(trial)
             if now < least:
                 break
@@ -109,7 +109,7 @@ def _step(fitted: Fitted, weights: Array, rig: Rig) -> tuple[Curves, Array]:
     assert counted is not None  # it was fitted to frames
     nominal = nominal_columns(fitted.fit, counted)
     design = sparse.csr_matrix(sparse.hstack([nominal, counted.along_path(_by_weight(fitted))]))
-    heavy = by_rows(np.tile(counted.weight, counted.residuals.shape[1]), design)
+    heavy = scaled_rows(np.tile(counted.weight, counted.residuals.shape[1]), design)
     gram, force = np.asarray((heavy.T @ design).toarray()), np.asarray(heavy.T @ counted.residuals.T.ravel()).ravel()
     head = nominal.shape[1]
     base, pull = fitted.fit.penalty(fitted.curves, max(fitted.scale, 1e-6))

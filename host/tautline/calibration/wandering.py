@@ -25,7 +25,7 @@ Array = npt.NDArray[np.float64]
 def _share(fitted: Fitted) -> float:
     """Of itself, by which the effects' amplitude is another elsewhere (one standard deviation), whatever they are as
     much as friction's. At an end of its range the fit says nothing of a value: it may be as without the effect."""
-    beside, values = fitted.beside
+    beside, values = fitted.effects_and_values
     return 1.0 if beside.ended(values) else learnt().center.wanders_material
 
 
@@ -49,7 +49,7 @@ def allowing_for_wander(fitted: Fitted) -> Fitted:
 def _of_form(fitted: Fitted, information: Array, share: float) -> Array:
     """Covariance (unknowns, unknowns) where each effect as a whole is another by this share than its law makes of the
     frames, everything but the effects following it. information: inverse covariance of the same."""
-    beside, values = fitted.beside
+    beside, values = fitted.effects_and_values
     own = np.arange(len(information) - 1 - len(values), len(information) - 1)
     rest = np.setdiff1d(np.arange(len(information)), own)
     follows = -np.linalg.solve(information[np.ix_(rest, rest)], information[np.ix_(rest, own)])
@@ -63,7 +63,7 @@ def _of_form(fitted: Fitted, information: Array, share: float) -> Array:
 def _functions(fitted: Fitted) -> list[Array]:
     """Of each track (frames, m): what the effects add to the tip's place, times the functions by which that may vary,
     each of the power of it all; 0 at frames that do not count."""
-    fit, (beside, values) = fitted.fit, fitted.beside
+    fit, (beside, values) = fitted.fit, fitted.effects_and_values
     fit.residuals(fitted.curves)
     amplitudes = beside.amplitudes(values)
     courses, signals = [], []

@@ -144,7 +144,7 @@ def _over_noise(fit: PlayFit, curves: Curves, missed: Sequence[Array], masks: Se
         forward = np.sum(step * path[1:], axis=1) ** 2
         together = np.mean(near[1:] * near[:-1], axis=1)
         if track.step > 0.0:
-            rests = resting(track, fit.seen(track, curves, sim.tip))
+            rests = resting(track, fit.predicted(track, curves, sim.tip))
             together = together - rests * shared_variance(track, rests) / track.sigma[1:] ** 2
         alike.append(together[pair])
         along.append(forward[pair & moves])
@@ -199,7 +199,7 @@ def _fit_of(
     basis = Basis(float(model.q[0]), float(model.q[-1]), SPANS)
     fit = PlayFit(
         [PreparedTrack.of(track) for track in tracks], basis, basis,
-        view=view_of(model.rig) if tracks[0].unit == "px" else None, elements=model.friction or model.elements,
+        view=view_of(model.rig) if tracks[0].unit == "px" else None, hysteresis=model.friction or model.elements,
     )  # fmt: skip
     if joint_fit is not None and remaining is not None:
         fit.smoothing = {name: of.fit.smoothing[name] for name, of in (("backlash", joint_fit), ("follow", remaining))}
@@ -207,7 +207,7 @@ def _fit_of(
         fit.beforehand = joint_fit.fit.beforehand
     values = np.zeros(0)
     if model.effects:
-        fit.beside, values = FittedEffects.of(model.effects, model)
+        fit.effects, values = FittedEffects.of(model.effects, model)
     design = basis.design(model.q).toarray()
     width, c = np.linalg.lstsq(design, np.column_stack([model.width, model.c_deg]), rcond=None)[0].T
     return fit, Curves(width, c[:, None], model.delay_s, values)
@@ -218,7 +218,7 @@ def _blocks(fit: PlayFit, masks: Sequence[npt.NDArray[np.bool_]]) -> list[Labels
     -1 where it does not count. None where there are too few."""
     strokes, before = [], 0
     for sim, mask in zip(fit.simulated, masks, strict=True):
-        stroke = before + np.cumsum(np.diff(sim.side, prepend=sim.side[:1]) != 0)
+        stroke = before + sim.half_cycle
         strokes.append(np.where(mask, stroke, -1))
         before = int(stroke.max(initial=before - 1)) + 1
     counted = np.unique(np.concatenate([each[each >= 0] for each in strokes]))
@@ -239,7 +239,7 @@ def _foretold(
     scale = bounded_rms(_counted(residuals, masks))
     limit = _STRAY * scale
     norms = [np.sqrt(np.mean(row**2, axis=1)) for row in residuals]
-    weights = fit.counted([limit / np.maximum(norm, limit) for norm in norms], curves, scale)
+    weights = fit.weights_with_rounding([limit / np.maximum(norm, limit) for norm in norms], curves, scale)
 
     def weighed(number: int) -> list[Array]:
         """(n,) of each track: weights of this block's frames, those of a stray less than 1; 0 of all other frames."""
