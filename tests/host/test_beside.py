@@ -86,7 +86,7 @@ def calibrated(
     """Without the effects that are named, and with them."""
     made = [recorded(there, seed)]
     alone = calibrate(made, RIG, naming=False)
-    monkeypatch.setattr(naming, "asked", lambda model, *rest: told(names, model))
+    monkeypatch.setattr(naming, "effects_of_diagnosis", lambda model, *rest: told(names, model))
     monkeypatch.setattr(room.start, "concerns", lambda model: True)
     return alone, calibrate(made, RIG)
 
@@ -231,7 +231,7 @@ def test_what_moves_one_recordings_stops_sets_no_clock_where_it_is_named(monkeyp
     ]
     alone = calibrate(made, RIG, naming=False)
     assert alone.offsets
-    monkeypatch.setattr(naming, "asked", lambda model, *rest: told([there], model))
+    monkeypatch.setattr(naming, "effects_of_diagnosis", lambda model, *rest: told([there], model))
     monkeypatch.setattr(room.start, "concerns", lambda model: True)
     found = calibrate(made, RIG)
     assert [each.id for each in found.model.effects] == [there.id] and not found.offsets
@@ -274,7 +274,7 @@ def test_beside_what_is_not_weighed_a_name_counts_only_where_it_leaves_no_more_t
 
 def test_what_the_carrying_model_still_misses_is_a_doubt() -> None:
     carries, other = replace(SOUND, effects=(LAG,)), Reason("coverage", "a hole", "move there")
-    reasons = naming.carried([Reason(LAG.id, "late", "")], [other], carries, predicts=False)
+    reasons = naming.reasons_with_carried([Reason(LAG.id, "late", "")], [other], carries, predicts=False)
     assert [(each.code, each.says, each.mild) for each in reasons] == [
         (LAG.id, "late", False),
         ("coverage", "a hole", False),

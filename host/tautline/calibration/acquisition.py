@@ -40,7 +40,7 @@ _SEEN = 0.3  # tolerance: of the frames there
 _FEWEST = 20  # frames from which a share is one
 
 
-def doubts(
+def rig_contradictions(
     recordings: Sequence[Recording], tracks: Sequence[Track], offsets_s: Sequence[float], rig: Rig
 ) -> list[Reason]:
     """What contradicts the rig, and what of the motion was not seen. tracks: what the recordings show, on the motor's

@@ -240,6 +240,16 @@ def nominal_columns(fit: PlayFit, counted: CountedFrames) -> Sparse:
     return sparse.csr_matrix(sparse.hstack([counted.per_channel(path), counted.along_path(shared)]))
 
 
+def normal_with_columns(fit: PlayFit, counted: CountedFrames, columns: Array) -> tuple[Array, Array, int]:
+    """Weighted normal matrix (m, m) and gradient (m,) of the nominal unknowns followed by further ones, which move the
+    tip's place by columns (n, k); and the number of nominal unknowns. No penalties."""
+    nominal = nominal_columns(fit, counted)
+    design = sparse.csr_matrix(sparse.hstack([nominal, counted.along_path(columns)]))
+    weighted = scaled_rows(np.tile(counted.weight, counted.residuals.shape[1]), design)
+    gram = np.asarray((weighted.T @ design).toarray())
+    return gram, np.asarray(weighted.T @ counted.residuals.T.ravel()).ravel(), int(nominal.shape[1])
+
+
 class _MixedModel:
     """The mixed model at one linearisation. Unknowns: those of the nominal model (path channel by channel, B, delay),
     `nominal` of them, then the values of every candidate. Only those of active components are solved for: `solved`
