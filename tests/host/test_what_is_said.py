@@ -276,7 +276,7 @@ def test_a_log_that_is_too_slow_is_told_a_rate_that_is_faster() -> None:
     found = Findings()
     usual = float(np.median(PLANT.backlash(grid)))
     common_error([track], grid, PLANT.backlash(grid), np.full(201, 0.01), usual, "mm", found)
-    (reason,) = [each for each in found.looks if each.code == "rate"]
+    (reason,) = [each for each in found.noticed if each.code == "rate"]
     rate = re.search(r"log the motor at (\d+) Hz or more", reason.remedy)
     assert "5 ms apart" in reason.says and rate is not None and int(rate[1]) > 200
     allowed = 0.015 * usual

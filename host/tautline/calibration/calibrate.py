@@ -863,7 +863,7 @@ class _CalibrationRun:
         doubted = departs or any(not reason.mild for reason in self.findings.reasons)
         if predictions is not None and not predicts and not doubted:
             self.findings.reasons.append(self._unexplained(predictions, measured))
-        self.findings.looks = [*departs, *self.findings.looks]
+        self.findings.noticed = [*departs, *self.findings.noticed]
         self.findings.judge(holds)
         if not holds and self.camera:
             self.findings.reasons += clock.delay_jumps(self.tracks, self.rig)
