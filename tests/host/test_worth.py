@@ -72,7 +72,7 @@ def test_a_block_is_foretold_as_a_fit_without_it_does(made: Recording, monkeypat
     monkeypatch.setattr(worths, "STAYS", 0.0)
     asked: list[Any] = []
     foretold = worths._held_out_errors
-    monkeypatch.setattr(worths, "_foretold", lambda *all_of: asked.append(all_of) or foretold(*all_of))
+    monkeypatch.setattr(worths, "_held_out_errors", lambda *all_of: asked.append(all_of) or foretold(*all_of))
     found = calibrate([made], RIG, naming=False)
     assert found.evidence["foretold_blocks"] == worths.BLOCKS
     fit, curves, _, masks, labels = asked[0]

@@ -1,8 +1,8 @@
-"""Effects that are fitted beside B, the path and the delay: what was there from the first recording on.
+"""Effects of the library that are fitted together with B, path and delay: what was there from the first recording on.
 
-They move the tip's place along the curve that it follows, so one set of numbers moves the tip of a pose-free fit and
-that of a rig alike: what adds to the bending angle (a load's gain, another joint) moves that place by the law f_remain,
-as it was known before. With all of them at zero a fit is the one without them.
+They move the tip's place along the curve that it follows, so the same values hold in a fit without poses and in one
+with them. What adds to the bending angle (a load's gain, another joint) moves that place by as much as the law
+f_remain, as it was known before, makes of the angle. With all amplitudes at zero the fit is the one without effects.
 """
 
 from __future__ import annotations
@@ -23,12 +23,13 @@ from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
 
+# Ids of the effects that a fit can contain.
 FITTED = frozenset(kind.id for kind in LIBRARY if kind.carried)
 
 _DIFFERENCE = 0.05  # tolerance: of a parameter's scale: the step of its difference quotient
-_WIDER = 5e-4  # tolerance: of the motor's range: the step of B's
-_AHEAD_S = 5e-3  # tolerance: over which the tip's velocity is taken
-_FAR = 30.0  # prior: of a parameter's scale, a step's
+_WIDER = 5e-4  # tolerance: of the motor's range: the step of B in difference quotients
+_AHEAD_S = 5e-3  # tolerance: the interval over which the tip's velocity is taken
+_FAR = 30.0  # prior: times a parameter's scale: standard deviation of a step of it
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,9 @@ class FittedEffects:
 
     @property
     def precision(self) -> Array:
-        """(m,) inverse variance of a step of each value, whose prior standard deviation is _FAR scales."""
+        """(m,) what is added to the normal matrix for each value, in units of the residuals' variance: a step's prior
+        has a standard deviation of _FAR scales. It is about the present value, so that it holds a step that no frame
+        tells and pulls no value towards 0."""
         return np.asarray((_FAR * self.scales) ** -2.0)
 
     def inside(self, values: Array) -> Array:

@@ -62,23 +62,25 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 _LEAST_FRAMES = 10  # tolerance: frames from which anything is said
-_TOLD_S = 0.001  # tolerance: standard deviation to which a clock that was off is found
-_LATER = 0.05  # tolerance: of a frame's period, by which onsets are moved and not looked for again
-_GRADUAL = 0.4  # prior: noise: what a gradual start must leave for several elements to be tried
-_HELD = 0.5  # prior: of the square of what one element leaves beyond noise: several may leave so much
+_TOLD_S = 0.001  # tolerance: standard deviation to which the offset of a clock that was off has to be known
+_LATER = 0.05  # tolerance: of a frame's period: by less, onsets are moved with the delay and not looked for again
+_GRADUAL = 0.4  # prior: rms over noise of phase.even from which several elements or friction are tried
+_HELD = 0.5  # prior: of the power that one element leaves beyond noise: what several may leave at most
 _OF_SENSORS = frozenset({"turn", "tracker"})  # departures that no effect of the library looks like
-_OF_ELEMENTS = frozenset({"phase.even", "image.side"})  # what several elements, or their number, stand for
-_GRADUAL_START = "transmission.smooth_onset"  # of the effects, what several elements are
+_OF_ELEMENTS = frozenset({"phase.even", "image.side"})  # departures that several elements, or their number, stand for
+_GRADUAL_START = "transmission.smooth_onset"  # the effect that several elements are
 _BETWEEN_ELEMENTS = 0.003  # prior: of B: what elements of a few shares leave, alike on every stroke
-_UNIT_SLACK = 1.6  # prior: by which f_coarse's gain and f_remain's may part beside a unit that is mistaken
-_LIKELY_GAIN = (0.4, 2.5)  # prior: of f_coarse's, between which f_remain's is no wrong scale
-_LIKELY_BEND = 0.5  # prior: of f_coarse's span, by which f_remain may leave it
-_TOLD = 0.1  # tolerance: of what the tip bends: angles that are known no better are not known
+_UNIT_SLACK = 1.6  # prior: ratio by which f_coarse's gain and f_remain's may differ beside a mistaken unit
+_LIKELY_GAIN = (0.4, 2.5)  # prior: range of f_remain's gain over f_coarse's that is no wrong scale
+_LIKELY_BEND = 0.5  # prior: of f_coarse's span of angles: by how much f_remain may leave it
+_TOLD = 0.1  # tolerance: of the span of angles: f_remain is not known if its sigma by the place is more
 _LARGE = 0.1  # tolerance: of the image's motion (rms): a registration that is off by less still tells angles
 
 
 @dataclass(frozen=True)
 class Options:
+    """What a calibration is told beside recordings and rig."""
+
     delay_s: float | None = None  # given, not estimated
     knots: Literal["smooth", "paper"] = "smooth"  # paper: 14 knots through the onsets alone
     remaining: Literal["direct", "morphological"] = "direct"
@@ -107,12 +109,14 @@ class Foretold(Value):
 
     @property
     def residual(self) -> Array:
-        """(n, k)"""
+        """(n, k) seen less predicted, px or deg."""
         return self.seen - self.predicted
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration(Value):
+    """The result of a calibration: the model, and what it was made from. Positions and B in the unit of q."""
+
     model: Model
     onsets: tuple[Onset, ...]
     delay: Delay
@@ -409,13 +413,15 @@ class _CalibrationRun:
         return self._result(_Measured(onsets, delay, curve, joint_fit, passes, width, sigma, source, remaining))
 
     def run_with_effects(self, before: _CalibrationRun, told: start.Start) -> Calibration | None:
-        """What `run` finds, with the effects that a diagnosis named (told) fitted together with B, path and delay.
-        before: the run without them. None where they cannot be fitted."""
+        """What `run` finds, with the effects that a diagnosis named fitted together with B, path and delay. told: the
+        diagnosis, which has the effects, its nominal model and the load at which that holds; before: the run without
+        them. If an effect has several forms each is fitted, and the most probable one counts. None where they cannot be
+        fitted."""
         if before.joint_fit is None or before.delay is None:
             return None
         named = told.effects
         if not before.hysteresis.single and any(effect.id == _GRADUAL_START for effect in named):
-            self.hysteresis = before.hysteresis  # which hold that
+            self.hysteresis = before.hysteresis  # its elements or friction are the gradual start
             named = tuple(effect for effect in named if effect.id != _GRADUAL_START)
         nominal = told.fit.state.model
         self.load_mNm = told.fitter.load_reference

@@ -27,16 +27,19 @@ Array = npt.NDArray[np.float64]
 
 ONSETS, JOINT, PASSES, NOTHING = "onsets", "onsets and passes", "passes", "nothing"
 _AGREE = 3.0  # prior: mean squared z of onsets against the joint fit up to which both are one evidence
-_STANDS_OUT = 10.0  # tolerance: a motion of so many sigma is one
-_AT_ONCE = 0.75  # prior: of the path's slope: a tip that starts slower starts gradually
-_SURER = 2.0  # prior: times less certain: the joint fit's B beside the onsets'
-_BEARABLE = 3.0  # prior: times what the joint fit's own B leaves: onsets' that leaves more stands for something else
-_LITTLE = 0.03  # tolerance: of the width: differences below are no contradiction
-_WORSE = 1.25  # tolerance: times what the best single curve leaves: a B that leaves more is not for predictions
-_FEW_ONSETS = 6  # tolerance: onsets that may say so
-_NEARER = 0.5  # prior: their mean squared z against one B over that to the other
-_ONE_WAY, _OTHER_WAY = 4.0, 0.3  # prior: standard errors by which onsets are late; of that, the other way's
-_BENDS = 2.0  # prior: its own size by which B may change over the range
+_STANDS_OUT = 10.0  # tolerance: noise sigmas by which y has to range for a motion
+_AT_ONCE = 0.75  # prior: of the path's slope: a tip whose first slope is less starts gradually
+_SURER = 2.0  # prior: ratio of the sigmas, joint fit's to onsets', from which both are averaged
+_BEARABLE = 3.0  # prior: times what the joint fit's own B leaves: a B that leaves more stands for something else
+_LITTLE = 0.03  # tolerance: of the width: a smaller difference is no contradiction
+_WORSE = 1.25  # tolerance: times the best fit's residual: a B that leaves more does not predict as well
+_FEW_ONSETS = 6  # tolerance: onsets that are needed to contradict the joint fit
+_NEARER = 0.5  # prior: ratio of their mean squared z for two curves of B, below which they favour one
+_ONE_WAY, _OTHER_WAY = (
+    4.0,
+    0.3,
+)  # prior: standard errors by which onsets of one direction are late; of that, what the other's may be
+_BENDS = 2.0  # prior: times its own size by which B may change over the range
 
 
 def image_jumps(onsets: Sequence[Onset]) -> bool:

@@ -34,36 +34,52 @@ Array = npt.NDArray[np.float64]
 REACH_S = 10.0  # prior: an offset is looked for this far around the nominal delay
 DELAY_REACH_S = 0.25  # prior: what is farther from the nominal delay is no delay but another clock
 FITS = 0.003  # tolerance: misfit up to which the nominal delay is as right as a search could say
-_FOLLOWS = 0.25  # prior: a misfit above says that the sensor does not follow this motor
-_RIVAL = 2.0  # prior: times the least misfit: an offset that leaves less may be the true one
-_NOISY = 0.05  # tolerance: share of noise in what was seen, above which there is no motion to compare
-_PITCH_S = 0.05  # tolerance: between lags; a stroke lasts ten times longer
-_EDGE_S = 0.09  # tolerance: find_delay's reach is a little more
-_NEAR_S = 1.0  # prior: a clock that is off by less need not leave much
-_BEATEN = 1.4  # prior: times what is left by a lag nearby that is no delay
-_APART_S = 0.3  # prior: offsets that are nearer are one
-_RIDGE = 3.0  # prior: times the misfit between two offsets, where they are two
-_ANEW = 8  # tolerance: lags after which all widths are tried
+_FOLLOWS = 0.25  # prior: misfit above which the sensor does not follow this motor at any offset
+_RIVAL = 2.0  # prior: times the least misfit: other offsets that leave less are rivals of the best
+_NOISY = 0.05  # tolerance: share of noise in the variance of y above which there is no motion to compare
+_PITCH_S = 0.05  # tolerance: between lags of the search; a stroke lasts ten times longer
+_EDGE_S = 0.09  # tolerance: a delay this far from the nominal one is at the edge of what find_delay looks through
+_NEAR_S = 1.0  # prior: around the nominal delay, where lags are tried first
+_BEATEN = 1.4  # prior: ratio of misfits from which a lag nearby is clearly better
+_APART_S = 0.3  # prior: minima of the misfit that are nearer are one offset
+_RIDGE = 3.0  # prior: times the misfit: how high it has to be between two minima that are two offsets
+_ANEW = 8  # tolerance: lags after which all widths are tried again
 _ORDER = 5  # prior: of the polynomial that stands for the path
-_FRAMES = 400, 1500  # tolerance: to search with, to measure with
-_WIDTHS = (0.0, 0.01, 0.022, 0.04, 0.065, 0.1, 0.16, 0.26, 0.4)  # tolerance: shares of the motor's span
-_LONGER = 0.01  # prior: difference of durations that a stretched clock is tried for
-_CLEAR, _SAME_S = 5.0, 0.004  # prior: standard deviations, and s, by which the delays of two recordings differ
-_PARTS, _JUMP_S = 4, 0.03  # prior: of a recording, whose delays differ by so much where its clock jumps
-_SURE_S = 0.02  # tolerance: a delay that is known as well refines an offset
-_STRETCHED = 0.2  # prior: of the misfit that a stretched clock must leave at most
-_STATED_S = 0.05  # prior: standard deviation of an angle sensor's delay that the rig states
-_UNSTATED_S = 0.05, 0.07  # prior: mean and standard deviation of what bus, filter or servo take where it states none
-_SPANS = (8, 16), (1, 6)  # prior: of B and of the path; the second where a B that may bend tells no delay
-_TOLD_S = 0.025  # tolerance: standard deviation up to which a delay is told
-_COARSE_S = 0.02  # tolerance: between delays that are tried first
-_PER_STROKE = 4.0  # prior: independent errors of a model within a stroke, at most
-_STROKES = 10  # prior: what a model does not hold is much the same in further ones
-_WHITE = 1.05  # tolerance: residual over noise up to which nothing else is in it
-_CLEARLY = 1.03  # prior: times the residual
-_LIKELY = 3.0  # prior: standard deviations
-_SAMPLES, _LITTLE_S = 1.5, 0.01  # prior: a delay of less may be an error of the model
-_AROUND_S = 0.5  # prior: a tip follows its motor within it
+_FRAMES = 400, 1500  # tolerance: frames, at most: to search with, to refine with
+_WIDTHS = (
+    0.0,
+    0.01,
+    0.022,
+    0.04,
+    0.065,
+    0.1,
+    0.16,
+    0.26,
+    0.4,
+)  # tolerance: of the plays that are tried, in shares of the motor's span
+_LONGER = 0.01  # prior: relative difference of durations from which a stretched clock is tried for
+_CLEAR, _SAME_S = 5.0, 0.004  # prior: standard deviations, and s, by which two recordings' delays differ clearly
+_PARTS, _JUMP_S = 4, 0.03  # prior: parts of a recording, and s by which their delays differ where its clock jumps
+_SURE_S = 0.02  # tolerance: standard deviation of a delay that is known well enough to refine an offset
+_STRETCHED = 0.2  # prior: of the misfit that a stretched clock may leave at most
+_STATED_S = 0.05  # prior: standard deviation of an angle sensor's delay about what the rig states
+_UNSTATED_S = 0.05, 0.07  # prior: mean and standard deviation where the rig states none: of bus, filter or servo
+_SPANS = (
+    (8, 16),
+    (1, 6),
+)  # prior: spans of B and of the path; the second, stiffer pair where the first does not tell the delay
+_TOLD_S = 0.025  # tolerance: standard deviation up to which a delay counts as told
+_COARSE_S = 0.02  # tolerance: between delays of the first search
+_PER_STROKE = 4.0  # prior: independent residuals of a model with errors within a stroke, at most
+_STROKES = 10  # prior: strokes that count for that at most: model errors repeat in further ones
+_WHITE = 1.05  # tolerance: residual over noise up to which nothing but noise is in it
+_CLEARLY = 1.03  # prior: ratio of residuals from which one fit is clearly worse
+_LIKELY = 3.0  # prior: standard deviations within which a delay is likely
+_SAMPLES, _LITTLE_S = (
+    1.5,
+    0.01,
+)  # prior: frame periods, and s: a delay that differs by less may be an error of the model
+_AROUND_S = 0.5  # prior: s: a tip follows its motor within it
 _DITHER = 2e-3  # tolerance: of the motor's span: turns within it do not matter here
 
 
@@ -73,8 +89,8 @@ class Offset:
     well."""
 
     offset_s: float
-    sigma_s: float
-    misfit: float
+    sigma_s: float  # its standard deviation; inf where no lag could be tried
+    misfit: float  # 0 to 1
     rivals: tuple[float, ...] = ()
 
 
@@ -83,8 +99,8 @@ class AlignedTracks:
     """Tracks with their times on the motor's clock: later than the scene by one delay and no more."""
 
     tracks: list[Track]
-    offsets_s: tuple[float, ...]  # that were taken from each track's times
-    reasons: tuple[Reason, ...]
+    offsets_s: tuple[float, ...]  # of each track's clock, which were taken off its times
+    reasons: tuple[Reason, ...]  # of clocks that were off, or cannot be aligned
     notes: tuple[str, ...] = ()
 
     @classmethod

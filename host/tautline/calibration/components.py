@@ -57,10 +57,10 @@ WORSE = 1.02  # tolerance: ratio of what is left after and before, from which a 
 _STILL = 0.05  # tolerance: a change of B, in its sigma, that is none
 _COUNT_SIGMA = 0.29  # equation: of an encoder's step: the standard deviation of a place within it
 _SHOWS = 0.3  # tolerance: of the noise: an encoder's count that moves the image by more shows
-_FEW = 30  # tolerance: frames that tell no scatter
-LAW = 0.5  # prior: of what speed adds to B: slower than what was seen it may follow another law
-CORRECTS = 0.3  # prior: of a component's correction of B: what it may be off by
-_SHORT_LAG = 0.1  # tolerance: of a frame's period
+_FEW = 30  # tolerance: frames that are too few to tell a scatter
+LAW = 0.5  # prior: of what speed adds to B: its uncertainty, as slower than what was seen it may follow another law
+CORRECTS = 0.3  # prior: of a component's correction of B: its standard deviation
+_SHORT_LAG = 0.1  # tolerance: of a frame's period: a shorter lag is not told from a delay
 _LAGS = 60  # tolerance: frames of autocorrelation
 _LATE = 0.25  # equation: of the session, which goes from -1/2 to 1/2: its last quarter
 

@@ -39,8 +39,14 @@ _SATURATES = (0.1, 0.3, 1.0, 10.0)  # prior: of the usual speed, at which a widt
 _FINE_S = 0.005  # tolerance: of the path that lags
 _BREATHS_HZ = 0.08, 1.0  # prior: 5 to 60 breaths or heartbeats a minute
 _SCAN = 12.0  # prior: what looking for a moment or a rhythm costs, of twice the log likelihood
-_LASTS, _CONSTANT = 0.2, 0.5  # prior: of the misfit, that neighbours share; of that, both halves of a stroke
-_ACROSS, _SWAYS = 0.25, 0.5  # prior: of what lies along the path, across it; of the misfit, that one rhythm explains
+_LASTS, _CONSTANT = (
+    0.2,
+    0.5,
+)  # prior: of a tracker's error: least share of the residual power that neighbours share; most of that in halves
+_ACROSS, _SWAYS = (
+    0.25,
+    0.5,
+)  # prior: of it: least share across the path of that along it; most of all that one sine explains
 _PIECES, _LAGS = 100, 60  # tolerance: of all strokes, at most; frames over which neighbours share something
 
 SPEED, SHARE = "width.speed", "%"  # names of departures that add to B begin so; of those that add a share of B end so

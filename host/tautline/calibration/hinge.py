@@ -88,7 +88,9 @@ class _Window:
         return max(float(self.x.max()), 1e-12)
 
     def paths(self, knots: Array) -> _Paths:
-        """The best path from each of the knots (K,), in the unit of x, for each bending prior."""
+        """The best path from each of the knots (K,), in the unit of x, for each bending prior. Deviance: N log s^2 +
+        squares / s^2 + channels log det + that of the first slope, s^2 the larger of 1 and squares / N, N the number of
+        values less those of level and slope."""
         squares, chi2, volume, _, way, coefficients = _native.hinge(
             self.x, self.y, knots, self.precision, self.jump, used_too=False
         )

@@ -71,11 +71,11 @@ def fit_friction(starts: Sequence[Fitted], rig: Rig, kind: str, fit_delay: bool)
     throughout."""
     scale = max(start.scale for start in starts)  # outliers are cut alike in all, and not before a fit is done
     mean = PRIORS[kind][0]
-    begun = []
+    descended = []
     for start in starts:
         fit = replace(start.fit, fit_delay=fit_delay, smoothing=dict(start.fit.smoothing))
-        begun.append(_descended(_with(replace(start, fit=fit, scale=scale), kind, mean), rig, kind, mean))
-    state, unknowns = min(begun, key=lambda one: rms_over_noise(one[0]))
+        descended.append(_descended(_with(replace(start, fit=fit, scale=scale), kind, mean), rig, kind, mean))
+    state, unknowns = min(descended, key=lambda pair: rms_over_noise(pair[0]))
     for _ in range(_AGAIN):
         if not np.isfinite(state.scale):
             return None
@@ -100,15 +100,15 @@ def _descended(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Fit
             break
         moved, step, _ = _step(state, rig, kind, unknowns)
         for share in _SHARES:
-            then = unknowns + share * step
-            trial = _with(replace(state, curves=interpolated(state.curves, moved, share)), kind, then)
-            there = frame_powers(trial)
-            now = _cost(there, trial, kind, then)
-            if now < least:
+            trial_unknowns = unknowns + share * step
+            trial = _with(replace(state, curves=interpolated(state.curves, moved, share)), kind, trial_unknowns)
+            trial_power = frame_powers(trial)
+            cost = _cost(trial_power, trial, kind, trial_unknowns)
+            if cost < least:
                 break
         else:
-            break
-        gained, state, unknowns, power = 1.0 - now / least, trial, then, there
+            break  # no share of the step lowers the cost
+        gained, state, unknowns, power = 1.0 - cost / least, trial, trial_unknowns, trial_power
         if gained < _ENOUGH:
             break
     return replace(state, scale=rms_of_frame_powers(power, state.scale)), unknowns

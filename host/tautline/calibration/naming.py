@@ -40,14 +40,14 @@ def effects_of_diagnosis(model: Model, recordings: Sequence[Recording], progress
     return told if told.named else None
 
 
-def reasons_with_names(reasons: Sequence[Reason], model: Model, told: Sequence[str]) -> list[Reason]:
-    """The reasons, with these names of effects (told) in place of all that departs by its looks (LOOKS). A name is mild
+def reasons_with_names(reasons: Sequence[Reason], model: Model, names: Sequence[str]) -> list[Reason]:
+    """The reasons, with these names of effects in place of all that departs by its looks (LOOKS). A name is mild
     if all that it replaces is, unless B itself holds a part of the effect."""
     stands_for = [reason for reason in reasons if reason.code in LOOKS]
     mild = all(reason.mild for reason in stands_for) and not start.in_the_width(model)
     seen = {reason.code: reason.says for reason in stands_for}
-    names = [Reason(name, seen.get(name, BY_ID[name].says), DRIVE, mild=mild) for name in told]
-    return [*names, *(reason for reason in reasons if reason.code not in LOOKS | set(told))]
+    named = [Reason(name, seen.get(name, BY_ID[name].says), DRIVE, mild=mild) for name in names]
+    return [*named, *(reason for reason in reasons if reason.code not in LOOKS | set(names))]
 
 
 def reasons_with_carried(

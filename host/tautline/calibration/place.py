@@ -18,10 +18,10 @@ from tautline.independence import frames_each
 Array = npt.NDArray[np.float64]
 
 _WINDOW = 5.0  # tolerance: correlation times over which an autocorrelation is summed (Sokal)
-_LONGEST = 0.5  # prior: of a stroke: alike for longer is no error of the tracker's but the path's or the width's own
-_TOGETHER = 2.0  # prior: noises at rest within which two frames show one place
-_MOSTLY = 0.7  # prior: of what neighbouring frames share, that other passes repeat
-_ALIKE = 1.5  # tolerance: frames for each independent one, from which they err alike
+_LONGEST = 0.5  # prior: of a stroke: what stays alike for longer is the path's or the width's error, not the tracker's
+_TOGETHER = 2.0  # prior: times the noise at rest, within which two frames show one place
+_MOSTLY = 0.7  # prior: of what neighbouring frames share: least part that other passes repeat
+_ALIKE = 1.5  # tolerance: frames for each independent one, from which they count as correlated
 _ITERATIONS = 10  # tolerance: steps at most
 _FEWEST = 40  # tolerance: frames from which anything is said
 

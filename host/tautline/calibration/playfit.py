@@ -217,6 +217,7 @@ class PlayFit:
     simulated: list[Simulated] = field(init=False, default_factory=list)  # by the last call of `residuals`
 
     def __post_init__(self) -> None:
+        """Sets the grid over the range of B's basis."""
         self.grid = np.linspace(self.backlash.low, self.backlash.high, NODES)
 
     def layout(self, curves: Curves, extra: int = 0) -> Layout:
@@ -523,6 +524,7 @@ class _Descent:
     """A PlayFit as a `least_squares.Problem`: weights by Huber, smoothing that adapts from the second step on."""
 
     def __init__(self, fit: PlayFit, robust: bool, adapt: bool) -> None:
+        """robust, adapt: as of `PlayFit.solve`."""
         self.fit, self.robust, self.adapt = fit, robust, adapt
         self.scale, self.weights = 1.0, list[Array]()
         self.steps = self.small_steps = 0

@@ -44,6 +44,7 @@ def view_of(rig: Rig) -> View:
     """The projection as a fit's view: c (n,) deg to image positions and their slope."""
 
     def view(c: Array, translation: Array, rotation: Array) -> tuple[Array, Array]:
+        """(n, k) image positions, px, and their slope by the bending angle c (n,), deg."""
         return project_with_slope(rig, c, translation, rotation)
 
     return view
@@ -79,8 +80,8 @@ def fit_remaining(
     width: Array,
     delay_s: float,
     settled_only: bool,
-    elements: Hysteresis = SINGLE,
-    beside: tuple[FittedEffects, Array] | None = None,
+    hysteresis: Hysteresis = SINGLE,
+    effects_and_values: tuple[FittedEffects, Array] | None = None,
 ) -> Remaining | None:
     """f_remain as a monotone penalised spline in the play's centre, fitted to the image through the projection (or to
     angles), with B width (grid,), delay, s, hysteresis and effects held. settled_only: frames before the tip was driven
@@ -88,8 +89,8 @@ def fit_remaining(
     view = view_of(rig) if tracks[0].unit == "px" else None
     basis = Basis(domain.low, domain.high, SPANS)
     prepared = [PreparedTrack.of(track) for track in tracks]
-    effects, values = beside or (None, np.zeros(0))
-    simulated = [f.simulate(grid, width, delay_s, elements, effects, values) for f in prepared]
+    effects, values = effects_and_values or (None, np.zeros(0))
+    simulated = [f.simulate(grid, width, delay_s, hysteresis, effects, values) for f in prepared]
     angles = [pose_of(track, rig, delay_s) for track in tracks]
     count = [s.settled if settled_only else s.known for s in simulated]
     p = np.concatenate([s.tip[k] for s, k in zip(simulated, count, strict=True)])
@@ -101,7 +102,7 @@ def fit_remaining(
     falling = float(np.polyfit(p - p.mean(), c, 1)[0]) < 0
     fit = _FixedWidth(
         prepared, basis, basis, view=view, fit_backlash=False, fit_delay=False, settled_only=settled_only,
-        hysteresis=elements, effects=effects, fit_effects=False,
+        hysteresis=hysteresis, effects=effects, fit_effects=False,
         rising=-1.0 if falling else 1.0, least_slope=_LEAST_SLOPE * abs(rig.coarse.gain),
         slope_unit=abs(rig.coarse.gain),
     )  # fmt: skip

@@ -51,15 +51,15 @@ def _descended(fitted: Fitted, weights: Array, rig: Rig, fit_delay: bool) -> Fit
     for _ in range(_STEPS if np.isfinite(least) else 0):
         moved, target = _step(state, weights, rig)
         for share in (1.0, 0.5, 0.2):
-            weights_after = _lawful(weights + share * (target - weights))
-            fit = replace(state.fit, hysteresis=_elements(weights_after), smoothing=state.fit.smoothing)
+            trial_weights = _lawful(weights + share * (target - weights))
+            fit = replace(state.fit, hysteresis=_elements(trial_weights), smoothing=state.fit.smoothing)
             trial = replace(state, fit=fit, curves=interpolated(state.curves, moved, share))
-            now = rms_over_noise(trial)
-            if now < least:
+            left = rms_over_noise(trial)
+            if left < least:
                 break
         else:
-            break
-        gained, state, weights, least = 1.0 - (now / least) ** 2, trial, weights_after, now
+            break  # no share of the step lowers the residual
+        gained, state, weights, least = 1.0 - (left / least) ** 2, trial, trial_weights, left
         if gained < _ENOUGH:
             break
     return replace(state, scale=least)

@@ -24,9 +24,9 @@ Array = npt.NDArray[np.float64]
 SPANS = 100  # tolerance: of B and of the path: a bump of B 0.6 mm wide on 10 mm has six of them
 _MOST_FRAMES = 12000  # tolerance: of one fit; more are thinned out evenly
 _SCANNED = 3000  # tolerance: frames, about, that tell where a fit begins
-_REPEATS = 1.6  # prior: residual of the first approach over that of the rest up to which it counts
-_HARMLESS = 1.15  # tolerance: what counting the first approach may do to the residuals of the rest
-_PARTS, _AGAIN = 5, 4  # tolerance: parts in which strokes are left out, of both directions; steps without them
+_REPEATS = 1.6  # prior: residual of the first approach over that of the rest, up to which it counts
+_HARMLESS = 1.15  # tolerance: ratio by which the rest's residual may grow when the first approach counts
+_PARTS, _AGAIN = 5, 4  # tolerance: parts in which strokes are left out in turn; steps of each fit without them
 _FEWEST = 40  # tolerance: frames that a joint fit is tried with
 
 
@@ -258,24 +258,28 @@ def _start(
     if beforehand is not None:
         candidates.append(_coefficients_of(flat, beforehand.usual))
     for settled_only in (True, False):
-        best: tuple[float, Curves] | None = None
-        for candidate in candidates:
-            fit = PlayFit(prepared, flat, path, fit_backlash=False, fit_delay=False, settled_only=settled_only)
-            curves = Curves(candidate, np.zeros((path.size, channels)), delay_s)
-            residuals, masks = fit.residuals(curves)
-            if sum(int(m.sum()) for m in masks) < max(_FEWEST, 0.25 * sum(int(f.use.sum()) for f in prepared)):
-                continue
-            if settled_only and not _covers_both_ways(fit, masks):
-                continue
-            curves = fit.step(curves, residuals, masks)
-            residuals, masks = fit.residuals(curves)
-            cost = float(np.mean(np.concatenate([np.abs(r[m]).ravel() for r, m in zip(residuals, masks, strict=True)])))
-            if best is None or cost < best[0]:
-                best = (cost, curves)
-        if best is not None:
-            fit = PlayFit(prepared, flat, path, fit_delay=False, settled_only=settled_only)
-            return fit, best[1]
+        fit = PlayFit(prepared, flat, path, fit_backlash=False, fit_delay=False, settled_only=settled_only)
+        starts = [Curves(candidate, np.zeros((path.size, channels)), delay_s) for candidate in candidates]
+        steps = [step for step in (_path_step(fit, start) for start in starts) if step is not None]
+        if steps:
+            best = min(steps, key=lambda step: step[0])[1]
+            return PlayFit(prepared, flat, path, fit_delay=False, settled_only=settled_only), best
     return None
+
+
+def _path_step(fit: PlayFit, start: Curves) -> tuple[float, Curves] | None:
+    """The curves with the path fitted to B and delay in one step, and the mean absolute residual over noise that they
+    leave. None where too few frames count: fewer than a quarter, or, once the first approach is left out, not both ways
+    over the same positions."""
+    residuals, masks = fit.residuals(start)
+    if sum(int(m.sum()) for m in masks) < max(_FEWEST, 0.25 * sum(int(f.use.sum()) for f in fit.tracks)):
+        return None
+    if fit.settled_only and not _covers_both_ways(fit, masks):
+        return None
+    curves = fit.step(start, residuals, masks)
+    residuals, masks = fit.residuals(curves)
+    left = np.concatenate([np.abs(r[m]).ravel() for r, m in zip(residuals, masks, strict=True)])
+    return float(np.mean(left)), curves
 
 
 def _covers_both_ways(fit: PlayFit, masks: Sequence[Mask]) -> bool:

@@ -31,9 +31,9 @@ def motor_jumps(motor: Motor, resolution: float) -> npt.NDArray[np.intp]:
     # The median speed of three samples before and after: a jump may be followed by the jump back.
     padded = np.concatenate([np.zeros(3), speed, np.zeros(3)])
     usual = np.median(np.lib.stride_tricks.sliding_window_view(padded, 3), axis=1)
-    beside = np.maximum(usual[: len(speed)], usual[4:])
+    usual_nearby = np.maximum(usual[: len(speed)], usual[4:])
     least = max(_COUNTS * resolution, _SHARE * float(np.ptp(motor.q)))
-    return np.flatnonzero((moved > least) & (speed > _FASTER * beside))
+    return np.flatnonzero((moved > least) & (speed > _FASTER * usual_nearby))
 
 
 def without_steps(tracks: Sequence[Track], rig: Rig) -> tuple[list[Track], list[Reason], list[str]]:

@@ -26,8 +26,8 @@ def _varying_share(fitted: Fitted) -> float:
     """Share of itself (standard deviation) by which the effects' amplitude varies, as learnt for materials, whatever
     the effect is; 1 where a value ended at an end of its range: the fit says nothing of it then, and it may be as
     without the effect."""
-    beside, values = fitted.effects_and_values
-    return 1.0 if beside.ended(values) else learnt().center.wanders_material
+    effects, values = fitted.effects_and_values
+    return 1.0 if effects.ended(values) else learnt().center.wanders_material
 
 
 def allowing_for_wander(fitted: Fitted) -> Fitted:
@@ -49,13 +49,13 @@ def allowing_for_wander(fitted: Fitted) -> Fitted:
 def _covariance_of_form(fitted: Fitted, information: Array, share: float) -> Array:
     """Covariance (m, m) that it adds when each effect as a whole is off by this share from what its law makes of the
     frames, all other unknowns following it. information (m, m): inverse covariance of the unknowns."""
-    beside, values = fitted.effects_and_values
+    effects, values = fitted.effects_and_values
     own = np.arange(len(information) - 1 - len(values), len(information) - 1)
     rest = np.setdiff1d(np.arange(len(information)), own)
     follows = -np.linalg.solve(information[np.ix_(rest, rest)], information[np.ix_(rest, own)])
-    moved = np.zeros((len(information), len(beside.kinds)))
-    for k, kind in enumerate(beside.kinds):
-        moved[own, k] = share * beside.amplitudes(values, kind)
+    moved = np.zeros((len(information), len(effects.kinds)))
+    for k, kind in enumerate(effects.kinds):
+        moved[own, k] = share * effects.amplitudes(values, kind)
         moved[rest, k] = follows @ moved[own, k]
     return np.asarray(moved @ moved.T)
 
@@ -63,9 +63,9 @@ def _covariance_of_form(fitted: Fitted, information: Array, share: float) -> Arr
 def _varying_columns(fitted: Fitted) -> list[Array]:
     """By track, (n, k) what the effects add to the tip's place, unit of q, times each of k functions by which it may
     vary, each scaled to the power of the effects' whole motion; 0 at frames that do not count."""
-    fit, (beside, values) = fitted.fit, fitted.effects_and_values
+    fit, (effects, values) = fitted.fit, fitted.effects_and_values
     fit.residuals(fitted.curves)
-    amplitudes = beside.amplitudes(values)
+    amplitudes = effects.amplitudes(values)
     courses, signals = [], []
     for prepared, sim, mask in zip(fit.tracks, fit.simulated, fitted.masks, strict=True):
         track = prepared.track

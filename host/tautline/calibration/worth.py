@@ -20,7 +20,7 @@ from scipy.linalg import cho_solve
 
 from tautline.calibration.beside import FittedEffects
 from tautline.calibration.observations import Track
-from tautline.calibration.playfit import Curves, Fitted, PlayFit, PreparedTrack
+from tautline.calibration.playfit import Curves, Fitted, PlayFit, PreparedTrack, Simulated
 from tautline.calibration.remaining import view_of
 from tautline.calibration.rounding import resting, shared_variance
 from tautline.calibration.smooth import SPANS
@@ -35,13 +35,15 @@ Array = npt.NDArray[np.float64]
 Labels = npt.NDArray[np.intp]
 
 PREDICTS = 1.3  # format: of the noise, within which a good model predicts (formats.md)
-HALVES = 2  # equation: half-cycles of a block at least, one of each direction
+HALF_CYCLES = 2  # equation: half-cycles of a block at least, one of each direction
 BLOCKS = 8  # tolerance: of which one is a small share of all; with fewer half-cycles nothing is left out
-STAYS = 0.1  # tolerance: of a block: what it alone shows (the ends of a range) no other one can foretell
-_FEW = 30  # tolerance: frames that tell a scatter
-_SLOW = 3  # tolerance: order of what sways or breathes within a rest, which is no noise
+STAYS = (
+    0.1  # tolerance: of a block that stays in the fit: what it alone shows (the ends of a range) no other can predict
+)
+_FEW = 30  # tolerance: frames that are needed to tell a scatter
+_SLOW = 3  # tolerance: order of the trend within a rest: sway or breath, which is no noise
 _RIDGE = 1e-10  # tolerance: of the diagonal, for rounding
-_STRAY = 4.0  # tolerance: usual misses from which a frame counts as a stray, as in every fit (playfit)
+_STRAY = 4.0  # tolerance: times the usual error from which a frame is an outlier, as in every fit (playfit)
 
 
 @dataclass(frozen=True)
@@ -134,43 +136,73 @@ def _over_noise(fit: PlayFit, curves: Curves, errors: Sequence[Array], masks: Se
     of neighbouring frames' errors, which they share, less what the sensor's noise remembers or a rounding sensor
     repeats. noise^2: half the squared difference of neighbours while the tip rests, or across its path in the image,
     where nothing moves it, or 1, whichever is largest, plus a tracker's error at each place. jitter^2: by how much that
-    is larger along the path while the tip moves: an error of frame times, and so of predictions."""
+    is larger along the path while the tip moves: an error of frame times, and so of predictions. Infinite where no two
+    neighbours count."""
     limit = _STRAY * bounded_rms(_counted(errors, masks))
-    alike, along, beside, still, placed = [], [], [], [], []
-    still_misses: list[Array] = []
-    for prepared, sim, off, mask in zip(fit.tracks, fit.simulated, errors, masks, strict=True):
-        track = prepared.track
-        off = np.where(mask[:, None], off, 0.0)
-        norm = np.sqrt(np.mean(off**2, axis=1))
-        near = off * np.minimum(1.0, limit / np.maximum(norm, limit))[:, None]
-        pair, moves = mask[1:] & mask[:-1], sim.moving[1:] & sim.moving[:-1]
-        step = np.diff(near, axis=0) / np.sqrt(2.0)
-        slope = fit.slope_in_view(track, curves, sim.tip)
-        path = slope / np.maximum(np.linalg.norm(slope, axis=1), 1e-300)[:, None]
-        forward = np.sum(step * path[1:], axis=1) ** 2
-        together = np.mean(near[1:] * near[:-1], axis=1)
-        if track.step > 0.0:
-            rests = resting(track, fit.predicted(track, curves, sim.tip))
-            together = together - rests * shared_variance(track, rests) / track.sigma[1:] ** 2
-        alike.append(together[pair])
-        along.append(forward[pair & moves])
-        still.append(forward[pair & ~moves])
-        placed.append((track.placed_px / track.sigma[mask]) ** 2)
-        if step.shape[1] > 1:
-            sideways = np.sum(step**2, axis=1) - forward
-            beside.append(sideways[pair & moves])
-            still.append(sideways[pair & ~moves])
-            still_misses += _at_rest(track.t_s, across(near, path)[:, None], mask & ~sim.moving)
-    if not any(map(len, alike)):
-        return np.inf  # no two neighbours count: nothing tells a model's misfit from noise
-    memory = remembered(still_misses, _SLOW)[0] if sum(map(len, still_misses)) >= _FEW else 0.0
-    at_rest, moving = _mean(still), _mean(along)
-    usual = _mean(beside) if beside else at_rest
+    tracks = [
+        _neighbour_squares(fit, curves, prepared, sim, off, mask, limit)
+        for prepared, sim, off, mask in zip(fit.tracks, fit.simulated, errors, masks, strict=True)
+    ]
+    if not any(len(track.shared) for track in tracks):
+        return np.inf
+    channels = errors[0].shape[1]
+    rests = [rest for track in tracks for rest in track.rests]
+    memory = remembered(rests, _SLOW)[0] if sum(map(len, rests)) >= _FEW else 0.0
+    at_rest, along = _mean([track.at_rest for track in tracks]), _mean([track.along for track in tracks])
+    usual = _mean([track.across for track in tracks]) if channels > 1 else at_rest
     own2 = max(at_rest, usual) / (1.0 - memory)  # of what remembers, neighbours differ by so much less
-    noise2 = max(own2, 1.0) + _mean(placed)
-    jitter2 = max(moving - max(usual, 1.0), 0.0) / step.shape[1]
-    model2 = max(float(np.concatenate(alike).mean()) - memory * own2, 0.0)
+    noise2 = max(own2, 1.0) + _mean([track.placed for track in tracks])
+    jitter2 = max(along - max(usual, 1.0), 0.0) / channels
+    shared = float(np.concatenate([track.shared for track in tracks]).mean())
+    model2 = max(shared - memory * own2, 0.0)
     return float(np.sqrt(1.0 + (model2 + jitter2) / noise2))
+
+
+@dataclass(frozen=True)
+class _NeighbourSquares:
+    """Squares over the stated noise of the neighbouring counted frames of one track."""
+
+    shared: Array  # (pairs,) products of both errors, mean over coordinates, less what rounding repeats
+    along: Array  # (moving pairs,) half the squared difference along the path of the tip's image
+    across: Array  # (moving pairs,) the same across the path; empty for one channel
+    at_rest: Array  # of resting pairs, the same in either direction
+    placed: Array  # (frames,) of a tracker's error at each place
+    rests: list[Array]  # (frames of a rest, 1) errors across the path, less their trend; empty for one channel
+
+
+def _neighbour_squares(
+    fit: PlayFit, curves: Curves, prepared: PreparedTrack, sim: Simulated, off: Array, mask: npt.NDArray[np.bool_],
+    limit: float,
+) -> _NeighbourSquares:  # fmt: skip
+    """The squares of one track, from errors off (n, k) over the noise; errors of more than `limit` (rms per coordinate)
+    are cut."""
+    track = prepared.track
+    off = np.where(mask[:, None], off, 0.0)
+    norm = np.sqrt(np.mean(off**2, axis=1))
+    near = off * np.minimum(1.0, limit / np.maximum(norm, limit))[:, None]
+    pair, moves = mask[1:] & mask[:-1], sim.moving[1:] & sim.moving[:-1]
+    step = np.diff(near, axis=0) / np.sqrt(2.0)
+    slope = fit.slope_in_view(track, curves, sim.tip)
+    path = slope / np.maximum(np.linalg.norm(slope, axis=1), 1e-300)[:, None]
+    forward = np.sum(step * path[1:], axis=1) ** 2
+    shared = np.mean(near[1:] * near[:-1], axis=1)
+    if track.step > 0.0:
+        resting_pairs = resting(track, fit.predicted(track, curves, sim.tip))
+        shared = shared - resting_pairs * shared_variance(track, resting_pairs) / track.sigma[1:] ** 2
+    across_moving, at_rest, rests = np.zeros(0), forward[pair & ~moves], list[Array]()
+    if step.shape[1] > 1:
+        sideways = np.sum(step**2, axis=1) - forward
+        across_moving = sideways[pair & moves]
+        at_rest = np.concatenate([at_rest, sideways[pair & ~moves]])
+        rests = _at_rest(track.t_s, across(near, path)[:, None], mask & ~sim.moving)
+    return _NeighbourSquares(
+        shared=shared[pair],
+        along=forward[pair & moves],
+        across=across_moving,
+        at_rest=at_rest,
+        placed=(track.placed_px / track.sigma[mask]) ** 2,
+        rests=rests,
+    )
 
 
 def _at_rest(t: Array, off: Array, resting: npt.NDArray[np.bool_]) -> list[Array]:
@@ -222,14 +254,14 @@ def _fit_of(
 
 def _blocks(fit: PlayFit, masks: Sequence[npt.NDArray[np.bool_]]) -> list[Labels] | None:
     """By track, (n,) the number of each frame's block, 0 to BLOCKS - 1, -1 where it does not count. A block is a run of
-    whole half-cycles of the tip. None with fewer than HALVES half-cycles a block."""
+    whole half-cycles of the tip. None with fewer than HALF_CYCLES half-cycles a block."""
     strokes, before = [], 0
     for sim, mask in zip(fit.simulated, masks, strict=True):
         stroke = before + sim.half_cycle
         strokes.append(np.where(mask, stroke, -1))
         before = int(stroke.max(initial=before - 1)) + 1
     counted = np.unique(np.concatenate([each[each >= 0] for each in strokes]))
-    if len(counted) < BLOCKS * HALVES:
+    if len(counted) < BLOCKS * HALF_CYCLES:
         return None
     number = np.arange(len(counted)) * BLOCKS // len(counted)
     return [np.where(each >= 0, number[np.searchsorted(counted, np.maximum(each, 0))], -1) for each in strokes]
