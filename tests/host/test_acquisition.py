@@ -11,7 +11,7 @@ import pytest
 from cli_runner import Taut
 
 from tautline import recording as recordings
-from tautline.calibration.acquisition import doubts
+from tautline.calibration.acquisition import rig_contradictions
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.observations import observe
 from tautline.errors import TautError
@@ -34,7 +34,7 @@ def made() -> Recording:
 
 def quality(recording: Recording, rig: Rig = RIG) -> Quality:
     """Of what is checked before anything is fitted."""
-    return Quality.of(doubts([recording], observe([recording], rig), [0.0], rig))
+    return Quality.of(rig_contradictions([recording], observe([recording], rig), [0.0], rig))
 
 
 def reason(found: Quality, code: str) -> Reason:
@@ -85,7 +85,7 @@ def test_recordings_of_two_sizes_are_not_taken_together(made: Recording) -> None
     fits = replace(made, name="one", marker=replace(made.marker, frame_px=(720, 576)))
     other = replace(scaled(made, 0.5, (360, 288)), name="two")
     both = [fits, other]
-    found = Quality.of(doubts(both, observe(both, RIG), [0.0, 0.0], RIG))
+    found = Quality.of(rig_contradictions(both, observe(both, RIG), [0.0, 0.0], RIG))
     assert found.verdict is Verdict.UNUSABLE and "two" in reason(found, "frame_size").says
 
 

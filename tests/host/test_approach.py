@@ -7,8 +7,8 @@ import pytest
 from angle_plant import RIG, Motion, record
 
 from tautline.calibration.observations import observe
-from tautline.calibration.playfit import NODES, Frozen
-from tautline.calibration.smooth import Domain, fit_jointly, freeze
+from tautline.calibration.playfit import NODES, PreparedTrack
+from tautline.calibration.smooth import Domain, fit_jointly, prepare_tracks
 
 TURNS = (-40, 35, -30, 25, -35, -5, -25, 10, -10, 35, 0, 20, -35, 35, -35)  # it comes from farther than it ever returns
 
@@ -20,7 +20,7 @@ def fitted(off_deg: float, noise: float = 0.03):
     early = made.angle.t_s < motion.t_s[int(np.argmax(motion.q))]
     made = replace(made, angle=replace(made.angle, c_deg=made.angle.c_deg + off_deg * early))
     low, high = RIG.actuator.range
-    return fit_jointly(freeze(observe([made], RIG), 0.0), Domain(low, high), 0.0, fit_delay=False)
+    return fit_jointly(prepare_tracks(observe([made], RIG), 0.0), Domain(low, high), 0.0, fit_delay=False)
 
 
 def test_an_approach_on_the_same_curves_counts() -> None:
@@ -39,6 +39,6 @@ def test_a_width_of_nothing_at_the_start_is_not_driven_through_at_once() -> None
     track = observe([record(Motion(motion.t_s, motion.q + trembles))], RIG)[0]
     grid = np.linspace(-40.0, 40.0, NODES)
     width = np.clip(1.8 * (grid + 35.0), 0.0, 2.0)
-    settled = Frozen.of(track).simulate(grid, width, 0.0).settled
+    settled = PreparedTrack.of(track).simulate(grid, width, 0.0).settled
     turned = motion.t_s[int(np.argmax(motion.q))]
     assert settled.any() and track.t_s[settled][0] == pytest.approx(turned + 2.0 / 8.0, abs=0.02)

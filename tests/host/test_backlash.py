@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import logsumexp
 
-from tautline.calibration.backlash import _box, fit_paper, fit_widths, paper_knots
+from tautline.calibration.backlash import _interval_terms, fit_paper, fit_widths, paper_knots
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Onset
 
 GRID = np.linspace(-5.0, 5.0, 1025)
@@ -190,12 +190,12 @@ def test_brackets_and_onsets_that_no_frame_bounds_agree():
 @given(st.floats(-25.0, 25.0), st.floats(1e-3, 10.0))
 def test_a_bracket_costs_the_mass_that_is_left_to_it(middle: float, half: float) -> None:
     a, b = np.array([middle + half]), np.array([middle - half])
-    cost, first, second = (float(x[0]) for x in _box(a, b))
+    cost, first, second = (float(x[0]) for x in _interval_terms(a, b))
     inside = middle + half * (np.arange(-9999.0, 10000.0, 2.0) / 10000.0)
     mass = logsumexp(-0.5 * inside**2) + np.log(2 * half / len(inside) / np.sqrt(2 * np.pi))
     assert cost == pytest.approx(-mass, abs=2e-3)
     step = 1e-3
-    ahead, behind = (_box(a + way * step, b + way * step) for way in (1, -1))
+    ahead, behind = (_interval_terms(a + way * step, b + way * step) for way in (1, -1))
     assert first == pytest.approx(float((ahead[0] - behind[0])[0]) / (2 * step), rel=1e-3, abs=1e-6)
     assert second == pytest.approx(float((ahead[1] - behind[1])[0]) / (2 * step), rel=1e-2, abs=1e-5)
 
@@ -203,7 +203,7 @@ def test_a_bracket_costs_the_mass_that_is_left_to_it(middle: float, half: float)
 @given(st.floats(30.0, 1e15), st.floats(0.0, 1e3), st.sampled_from([-1, 1]))
 def test_a_bracket_pulls_from_however_far_away(beyond: float, half: float, side: int) -> None:
     middle = side * (beyond + half)
-    cost, first, second = (float(x[0]) for x in _box(np.array([middle + half]), np.array([middle - half])))
+    cost, first, second = (float(x[0]) for x in _interval_terms(np.array([middle + half]), np.array([middle - half])))
     assert cost == pytest.approx(0.5 * beyond**2, rel=0.02)
     assert first == pytest.approx(side * beyond, rel=0.02)
     assert second == pytest.approx(1.0, abs=0.02)

@@ -11,10 +11,10 @@ import pytest
 
 from tautline.calibration import calibrate as room
 from tautline.calibration import naming
-from tautline.calibration.beside import FITTED, Beside
+from tautline.calibration.beside import FITTED, FittedEffects
 from tautline.calibration.calibrate import Calibration, calibrate
 from tautline.calibration.observations import observe
-from tautline.calibration.playfit import Curves, Frozen, PlayFit
+from tautline.calibration.playfit import Curves, PlayFit, PreparedTrack
 from tautline.calibration.wandering import allowing_for_wander
 from tautline.calibration.worth import PREDICTS
 from tautline.diagnosis.hyperparameters import learnt
@@ -86,7 +86,7 @@ def calibrated(
     """Without the effects that are named, and with them."""
     made = [recorded(there, seed)]
     alone = calibrate(made, RIG, naming=False)
-    monkeypatch.setattr(naming, "asked", lambda model, *rest: told(names, model))
+    monkeypatch.setattr(naming, "effects_of_diagnosis", lambda model, *rest: told(names, model))
     monkeypatch.setattr(room.start, "concerns", lambda model: True)
     return alone, calibrate(made, RIG)
 
@@ -109,15 +109,15 @@ def test_what_may_be_carried_moves_the_tip_at_all_times_alike() -> None:
 
 
 def test_an_effect_is_read_and_written_as_a_model_has_it() -> None:
-    beside, values = Beside.of([LAG, Effect("transmission.drift", {"offset_drift": 0.3})], SOUND)
+    beside, values = FittedEffects.of([LAG, Effect("transmission.drift", {"offset_drift": 0.3})], SOUND)
     assert beside.to_effects(values) == (LAG,)
     wrist = Effect(COUPLING.id, {"c_per_joint": 0.2, "joint_play": 2.0, "column": "wrist_deg"})
-    beside, values = Beside.of([COUPLING, LAG], SOUND, others_rest=True)
+    beside, values = FittedEffects.of([COUPLING, LAG], SOUND, others_rest=True)
     assert values.tolist() == [0.15, 0.2] and beside.to_effects(values) == (COUPLING, LAG)
-    beside, values = Beside.of([wrist], SOUND)
+    beside, values = FittedEffects.of([wrist], SOUND)
     assert values.tolist() == [0.2, 2.0] and beside.to_effects(values) == (wrist,)
     by_speed = {"width_per_speed": 0.01, "speed_saturation": 1.0, "speed_time": 0.03, "width_held": 1.0}
-    beside, values = Beside.of([Effect("transmission.rate_dependent_backlash", by_speed)], SOUND)
+    beside, values = FittedEffects.of([Effect("transmission.rate_dependent_backlash", by_speed)], SOUND)
     assert len(values) == 3 and beside.held == {"width_held": 1.0}
     assert beside.to_effects(values)[0].parameters == by_speed
     assert not beside.ended(values)
@@ -135,9 +135,9 @@ def test_the_gradient_is_the_costs_slope(effect: Effect) -> None:
     made = recorded([effect], 1, seconds=20.0, sways=effect is COUPLING)
     if effect is LOAD:
         made = replace(made, motor=replace(made.motor, load_mNm=20.0 * np.sin(0.3 * made.motor.t_s)))
-    frozen = [Frozen.of(track) for track in observe([made], RIG)]
-    beside, values = Beside.of([effect], SOUND)
-    fit = PlayFit(frozen, Basis(-5, 5, 10), Basis(-5, 5, 12), settled_only=False, beside=beside)
+    prepared = [PreparedTrack.of(track) for track in observe([made], RIG)]
+    beside, values = FittedEffects.of([effect], SOUND)
+    fit = PlayFit(prepared, Basis(-5, 5, 10), Basis(-5, 5, 12), settled_only=False, effects=beside)
     width = np.linalg.lstsq(fit.backlash.design(Q).toarray(), SOUND.width, rcond=None)[0]
     curves = Curves(width, project(RIG, 11.0 * fit.follow.centres), RIG.delay_s + 0.01, 1.1 * values)
     rows, masks = fit.residuals(curves)
@@ -151,8 +151,10 @@ def test_the_gradient_is_the_costs_slope(effect: Effect) -> None:
     steps = 0.01 * beside.scales
     slopes = np.zeros(len(steps))
     for i, step in enumerate(steps):
-        ahead, behind = (curves.beside + sign * step * np.eye(len(values))[i] for sign in (1, -1))
-        slopes[i] = (cost(replace(curves, beside=ahead)) - cost(replace(curves, beside=behind))) / (2.0 * step)
+        ahead, behind = (curves.effect_values + sign * step * np.eye(len(values))[i] for sign in (1, -1))
+        slopes[i] = (cost(replace(curves, effect_values=ahead)) - cost(replace(curves, effect_values=behind))) / (
+            2.0 * step
+        )
     told, slopes = gradient[-1 - len(steps) : -1] * beside.scales, slopes * beside.scales
     assert told == pytest.approx(slopes, abs=0.05 * np.abs(slopes).max())
     cut = curves.follow.size
@@ -201,17 +203,17 @@ def test_the_sigmas_of_b_and_delay_beside_an_effect_cover(monkeypatch: pytest.Mo
     assert abs(model.delay_s - RIG.delay_s) < 3.0 * found.delay.sigma_s
 
 
-def test_b_is_as_uncertain_as_its_fit_beside_another_amplitude_is_off() -> None:
+def test_b_is_as_uncertain_as_its_fit_effects_another_amplitude_is_off() -> None:
     """By the share that a right effect may be another than its law makes of the frames."""
-    frozen = [Frozen.of(track) for track in observe([recorded([ONE_SIDED], 6, seconds=30.0)], RIG)]
-    beside, values = Beside.of([ONE_SIDED], SOUND)
-    fit = PlayFit(frozen, Basis(-5, 5, 20), Basis(-5, 5, 40), settled_only=True, beside=beside)
+    prepared = [PreparedTrack.of(track) for track in observe([recorded([ONE_SIDED], 6, seconds=30.0)], RIG)]
+    beside, values = FittedEffects.of([ONE_SIDED], SOUND)
+    fit = PlayFit(prepared, Basis(-5, 5, 20), Basis(-5, 5, 40), settled_only=True, effects=beside)
     width = np.linalg.lstsq(fit.backlash.design(Q).toarray(), SOUND.width, rcond=None)[0]
     found = fit.solve(Curves(width, project(RIG, 11.0 * fit.follow.centres), RIG.delay_s, values))
-    held = replace(fit, fit_beside=False, smoothing=dict(fit.smoothing))
-    amplitudes = beside.amplitudes(found.curves.beside)
-    other = found.curves.beside + learnt().center.wanders_material * amplitudes
-    beside_it = held.solve(replace(found.curves, beside=other), adapt=False)
+    held = replace(fit, fit_effects=False, smoothing=dict(fit.smoothing))
+    amplitudes = beside.amplitudes(found.curves.effect_values)
+    other = found.curves.effect_values + learnt().center.wanders_material * amplitudes
+    beside_it = held.solve(replace(found.curves, effect_values=other), adapt=False)
     at = Q[np.abs(Q) < 3.0]
     shift = np.abs(np.interp(at, fit.grid, fit.width(beside_it.curves) - fit.width(found.curves)))
     sigma = allowing_for_wander(found).width_sigma(at)
@@ -229,7 +231,7 @@ def test_what_moves_one_recordings_stops_sets_no_clock_where_it_is_named(monkeyp
     ]
     alone = calibrate(made, RIG, naming=False)
     assert alone.offsets
-    monkeypatch.setattr(naming, "asked", lambda model, *rest: told([there], model))
+    monkeypatch.setattr(naming, "effects_of_diagnosis", lambda model, *rest: told([there], model))
     monkeypatch.setattr(room.start, "concerns", lambda model: True)
     found = calibrate(made, RIG)
     assert [each.id for each in found.model.effects] == [there.id] and not found.offsets
@@ -272,7 +274,7 @@ def test_beside_what_is_not_weighed_a_name_counts_only_where_it_leaves_no_more_t
 
 def test_what_the_carrying_model_still_misses_is_a_doubt() -> None:
     carries, other = replace(SOUND, effects=(LAG,)), Reason("coverage", "a hole", "move there")
-    reasons = naming.carried([Reason(LAG.id, "late", "")], [other], carries, predicts=False)
+    reasons = naming.reasons_with_carried([Reason(LAG.id, "late", "")], [other], carries, predicts=False)
     assert [(each.code, each.says, each.mild) for each in reasons] == [
         (LAG.id, "late", False),
         ("coverage", "a hole", False),
@@ -283,7 +285,7 @@ def test_what_the_carrying_model_still_misses_is_a_doubt() -> None:
 def test_a_tip_is_half_of_what_b_widens_behind_or_ahead_however_narrow_b_is(width: float) -> None:
     """By a tiny lag, so that an effect is there; of a constant B, dp/dB = -side / 2."""
     motor = recorded((), 5).motor
-    beside, values = Beside.of([Effect(LAG.id, {"lag": 1e-3, "lag_second": 0.0})], SOUND)
+    beside, values = FittedEffects.of([Effect(LAG.id, {"lag": 1e-3, "lag_second": 0.0})], SOUND)
     at_s = np.linspace(motor.t_s[len(motor.t_s) // 2], motor.t_s[-1] - 0.1, 400)
     by_width, _, _ = beside.slopes(motor, at_s, Q, np.full(len(Q), width), room.SINGLE, values)
     far = np.abs(by_width)[np.abs(np.interp(at_s, motor.t_s, np.gradient(motor.q, motor.t_s))) > 0.5]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tautline.calibration.calibrate import JOINT, ONSETS, Options, calibrate
-from tautline.calibration.playfit import Frozen
+from tautline.calibration.playfit import PreparedTrack
 from tautline.effects import simulate as simulate_effects
 from tautline.errors import TautError
 from tautline.geometry import project
@@ -171,7 +171,7 @@ def test_an_angle_sensor_alone_needs_no_camera():
     test = run(rig, plant, random_smooth(rig.actuator, 15.0, 40.0, 6), angle_noise_deg=0.05, seed=6)
     told = predict(found.model, test.recording.motor, test.recording.angle.t_s - found.model.delay_s)
     assert told.image_px is None
-    reached = Frozen.of(_angle_track(made, rig)).simulate(plant.grid, plant.width, 0.0).p
+    reached = PreparedTrack.of(_angle_track(made, rig)).simulate(plant.grid, plant.width, 0.0).p
     p = np.interp(test.recording.angle.t_s, test.t_s, test.p)
     late = (test.recording.angle.t_s > 15.0) & (p > reached.min()) & (p < reached.max())
     rms = float(np.sqrt(np.mean((test.recording.angle.c_deg - told.c_deg)[late] ** 2)))

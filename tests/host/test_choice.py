@@ -24,7 +24,7 @@ def weighed(sigma: float, theirs: float, excess: float = 0.0, places: int = 4) -
     flat = np.ones_like(GRID)
     curve = WidthCurve(GRID, 2.0 * flat, theirs * flat, (-4.0, 4.0), excess, places=places)
     choice = Choice([], Domain(-5.0, 5.0), GRID, "deg", Findings())
-    width, spread = choice._weighed(curve, flat, sigma * flat)
+    width, spread = choice._combined(curve, flat, sigma * flat)
     return float(width[50]), float(spread[50])
 
 
@@ -45,26 +45,26 @@ def test_what_onsets_at_one_place_share_is_counted_once() -> None:
 @pytest.mark.parametrize(("own", "other", "counts"), [(1.3, 2.0, False), (2.0, 5.0, True), (2.0, 6.5, False)])
 def test_where_the_joint_fit_predicts_well_onsets_do_not_count(own: float, other: float, counts: bool) -> None:
     joint, both = np.ones_like(GRID), 2.0 * np.ones_like(GRID)
-    left = SimpleNamespace(left_at=lambda _, width: own if width is joint else other)
-    assert Choice._bears(cast(Choice, left), cast(Fitted, None), joint, both) is counts
+    left = SimpleNamespace(residual_with_width=lambda _, width: own if width is joint else other)
+    assert Choice._tolerates(cast(Choice, left), cast(Fitted, None), joint, both) is counts
 
 
 @pytest.mark.parametrize("leads", ["phase.even", "creep.2"])
 def test_onsets_confirm_no_departure_that_is_a_gradual_start(leads: str) -> None:
     def says(width: float) -> Any:
         elements = SimpleNamespace(single=True)
-        fit = SimpleNamespace(elements=elements, width=lambda curves: width * np.ones_like(GRID))
+        fit = SimpleNamespace(hysteresis=elements, width=lambda curves: width * np.ones_like(GRID))
         return SimpleNamespace(fit=fit, curves=None, width_sigma=lambda grid: 0.01 * np.ones_like(GRID))
 
     at = np.linspace(-4.0, 4.0, 8)
     onsets: Any = [SimpleNamespace(used=True, kind=HINGE, q_mean=q, width=1.0, sigma=0.05, direction=1) for q in at]
     curve = WidthCurve(GRID, np.ones_like(GRID), 0.05 * np.ones_like(GRID), (-4.0, 4.0), 0.0, places=8)
     parts = tuple(SimpleNamespace(name=name) for name in (leads, "stroke"))
-    first = cast(property, Components.of_start).fget
+    first = cast(property, Components.mainly_start_of_strokes).fget
     assert first is not None
-    components = cast(Components, SimpleNamespace(of_start=first(SimpleNamespace(parts=parts))))
+    components = cast(Components, SimpleNamespace(mainly_start_of_strokes=first(SimpleNamespace(parts=parts))))
     choice = Choice([], Domain(-5.0, 5.0), GRID, "deg", Findings())
-    assert choice.nearer(onsets, curve, components, says(1.0), says(2.0)) is (leads != "phase.even")
+    assert choice.onsets_favour_departures(onsets, curve, components, says(1.0), says(2.0)) is (leads != "phase.even")
 
 
 def test_where_no_onset_is_the_passes_are_as_far_off_as_they_are_elsewhere() -> None:
@@ -80,7 +80,7 @@ def test_where_no_onset_is_the_passes_are_as_far_off_as_they_are_elsewhere() -> 
     )
     curve = WidthCurve(GRID, true, 0.01 * flat, (-4.5, 4.5), 0.0)
     choice = Choice([], Domain(-5.0, 5.0), GRID, "deg", Findings())
-    width, sigma, _ = choice._filled(onsets, curve, cast(Fitted, None), cast(Fitted, passes))
+    width, sigma, _ = choice._onsets_filled_by_passes(onsets, curve, cast(Fitted, None), cast(Fitted, passes))
     hole = (GRID > -1.2) & (GRID < 1.7)
     off = np.abs(width - true)[hole]
     assert (off < 2.0 * sigma[hole]).all() and (sigma[hole] < 0.06).all()  # the jump itself is 0.2

@@ -9,7 +9,7 @@ import pytest
 
 from tautline import _native
 from tautline.calibration.calibrate import Calibration, calibrate
-from tautline.calibration.components import effective, separate
+from tautline.calibration.components import frames_per_independent, separate
 from tautline.encoder import between_counts
 from tautline.geometry import project
 from tautline.quality import Verdict
@@ -216,7 +216,7 @@ def test_a_gradual_start_is_several_elements_and_predicts_as_well_as_a_play():
 
 def test_noise_that_is_thought_too_large_hides_no_elements(monkeypatch):
     def noisier(*args, **options):
-        return replace(separate(*args, **options), noise=9.0)
+        return replace(separate(*args, **options), unexplained=9.0)
 
     monkeypatch.setattr("tautline.calibration.calibrate.separate", noisier)
     plant = Plant()
@@ -268,4 +268,4 @@ def test_frames_that_go_together_count_for_fewer(memory):
     left = np.zeros_like(white)
     for k in range(1, len(left)):
         left[k] = memory * left[k - 1] + white[k]
-    assert effective(left) == pytest.approx((1 + memory) / (1 - memory), rel=0.15)
+    assert frames_per_independent(left) == pytest.approx((1 + memory) / (1 - memory), rel=0.15)

@@ -8,9 +8,9 @@ import numpy.typing as npt
 import pytest
 
 from tautline.calibration.calibrate import JOINT, Calibration, calibrate
-from tautline.calibration.components import Component, Components, Since
-from tautline.calibration.doubts import _ripple, doubts, goes_on
-from tautline.calibration.holding import released
+from tautline.calibration.components import Component, Components, DifferenceFromEnd
+from tautline.calibration.doubts import _ripple, component_reasons, still_changing
+from tautline.calibration.holding import without_held_places
 from tautline.calibration.observations import observe
 from tautline.calibration.playfit import Curves
 from tautline.calibration.smooth import Domain
@@ -81,7 +81,7 @@ def components(
     curves = Curves(np.zeros(3), np.zeros((3, 2)), 0.1)
     return Components(
         curves, curves, flat, 1e-3 * sigma_um * one, 1e-4, 0.0 * flat, 0.0, noise, 1.0, effective, (part,),
-        np.zeros(2), rough=False,
+        np.zeros(2), count_visible=False,
     )  # fmt: skip
 
 
@@ -95,9 +95,11 @@ def components(
     ],
 )
 def test_a_departure_is_told_where_a_good_verdict_hangs_on_its_being_taken_out(rms, shift_um, told) -> None:
-    good = doubts(components(rms, shift_um), np.ones(50, bool), 0.5, "mm", rough=False, good=True)
+    good = component_reasons(components(rms, shift_um), np.ones(50, bool), 0.5, "mm", motor_visible=False, good=True)
     assert [(reason.code, reason.mild) for reason in good] == ([("transmission.drift", True)] if told else [])
-    not_good = doubts(components(rms, shift_um), np.ones(50, bool), 0.5, "mm", rough=False, good=False)
+    not_good = component_reasons(
+        components(rms, shift_um), np.ones(50, bool), 0.5, "mm", motor_visible=False, good=False
+    )
     assert [(reason.code, reason.mild) for reason in not_good] == [("transmission.drift", False)]
 
 
@@ -106,17 +108,21 @@ def test_a_departure_is_told_where_a_good_verdict_hangs_on_its_being_taken_out(r
     [("offset.time", 2.0, 2.0), ("image.shift", 2.0, 0.0), ("offset.recording", 2.0, 0.0)],
 )
 def test_what_happened_once_does_not_go_on(name: str, late: float, still: float) -> None:
-    since = Since(np.arange(4), late * np.ones((4, 2)), np.ones(4, bool))
+    since = DifferenceFromEnd(np.arange(4), late * np.ones((4, 2)), np.ones(4, bool))
     found = components(3.0, 0.5)
-    found = replace(found, parts=(replace(found.parts[0], name=name),), since=(since,))
-    assert goes_on(found) == pytest.approx(still)
+    found = replace(found, parts=(replace(found.parts[0], name=name),), from_end=(since,))
+    assert still_changing(found) == pytest.approx(still)
 
 
 def test_frames_that_are_elsewhere_are_outliers_and_scatter_of_all_is_noise() -> None:
-    few = doubts(components(0.1, 0.1, noise=5.0), np.ones(50, bool), 0.5, "mm", rough=False, good=True)
+    few = component_reasons(
+        components(0.1, 0.1, noise=5.0), np.ones(50, bool), 0.5, "mm", motor_visible=False, good=True
+    )
     scattered = replace(components(0.1, 0.1, noise=1.8), parts=())
-    every = doubts(scattered, np.ones(50, bool), 0.5, "mm", rough=False, good=False)
-    alike = doubts(replace(scattered, effective=6.0), np.ones(50, bool), 0.5, "mm", rough=False, good=False)
+    every = component_reasons(scattered, np.ones(50, bool), 0.5, "mm", motor_visible=False, good=False)
+    alike = component_reasons(
+        replace(scattered, frames_per_independent=6.0), np.ones(50, bool), 0.5, "mm", motor_visible=False, good=False
+    )
     assert [(r.code, r.mild) for r in few] == [("outliers", True)]
     assert [(r.code, r.mild) for r in every] == [("noise", False)]
     assert [(r.code, r.mild) for r in alike] == [("residual", False)]
@@ -130,7 +136,7 @@ def test_what_speed_adds_to_b_is_told_by_how_much_it_is(name: str, added_um: flo
     found = components(0.5, 0.1)
     added = 1e-3 * added_um / (0.5 if name.endswith("%") else 1.0)
     found = replace(found, parts=(replace(found.parts[0], name=name, values=np.array([added])),))
-    reasons = doubts(found, np.ones(50, bool), 0.5, "mm", rough=False, good=True)
+    reasons = component_reasons(found, np.ones(50, bool), 0.5, "mm", motor_visible=False, good=True)
     assert [reason.code for reason in reasons] == (["transmission.rate_dependent_backlash"] if told else [])
 
 
@@ -162,7 +168,7 @@ def test_a_tip_that_rests_is_held_by_nobody() -> None:
     made = run(RIG, preset("reference", RIG, 912), motion(), seed=912, noise_px=0.0)
     tracks = observe([made.recording], RIG)
     domain = Domain(*RIG.actuator.range)
-    kept = released(tracks, lambda: tracks, domain, RIG.nominal_delay_s(tracks[0].sensor))
+    kept = without_held_places(tracks, lambda: tracks, domain, RIG.nominal_delay_s(tracks[0].sensor))
     assert sum(len(track.t_s) for track in kept) == sum(len(track.t_s) for track in tracks)
 
 

@@ -14,7 +14,7 @@ from fleet_workers import doubled
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tautline.calibration.beforehand import Beforehand, Spread, between
+from tautline.calibration.beforehand import Beforehand, Spread, free_bending
 from tautline.calibration.calibrate import Options, calibrate
 from tautline.errors import TautError
 from tautline.fleet import page, prior, sessions
@@ -376,7 +376,7 @@ def test_the_prior_s_gradient_is_that_of_its_logarithm(seed, size):
 def test_what_is_known_of_the_path_is_no_bending_and_the_rest_is(seed):
     """A curve through the places that bends least costs nothing, one that is 0 at them all that it bends."""
     rng, basis = np.random.default_rng(seed), Basis(-5.0, 5.0, 100)
-    design, (form, rank) = basis.design(PLACES).toarray(), between(basis, tuple(PLACES.tolist()))
+    design, (form, rank) = basis.design(PLACES).toarray(), free_bending(basis, tuple(PLACES.tolist()))
     assert np.linalg.matrix_rank(form, tol=1e-9) == rank == basis.size - 33
     values = rng.normal(size=33)
     bordered = np.block([[basis.bending, design.T], [design, np.zeros((33, 33))]])

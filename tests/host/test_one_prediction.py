@@ -11,7 +11,7 @@ import pytest
 
 from tautline import effects, trajectory
 from tautline.calibration.observations import observe
-from tautline.calibration.playfit import Frozen
+from tautline.calibration.playfit import PreparedTrack
 from tautline.core.motor import MotorPath
 from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.segment import prepare
@@ -105,7 +105,7 @@ def test_all_say_the_same_of_the_marker(elements, kind):
         moved = [np.interp(scene, lines.t_s, v) for v in others(lines)]
         same(Corrected(own, "own").see(path.c_deg[at_scene], path.way[at_scene], *moved))
     track = replace(observe([recording], RIG)[0], path=MotorPath.of(motor, RIG.actuator.encoder_resolution))
-    fitted = Frozen.of(track).simulate(GRID, own.width, DELAY_S, elements)
+    fitted = PreparedTrack.of(track).simulate(GRID, own.width, DELAY_S, elements)
     c = own.remaining(fitted.p)
     image = project(RIG, c, *track.others_at(track.scene_s(DELAY_S)))
     kept = np.searchsorted(scene, track.scene_s(DELAY_S) - 1e-9)

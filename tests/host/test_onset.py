@@ -260,7 +260,7 @@ def test_a_delay_is_as_uncertain_as_its_stops_leave_it(sigma_s: float, off_s: fl
     """Of one stop whose squares are known: with the nominal delay's own its posterior is normal."""
     stop = SimpleNamespace(freedom=40, squares=lambda delays: 40.0 + ((delays - RIG.delay_s - off_s) / sigma_s) ** 2)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(room, "_stops", lambda track, rig, delay_s: [stop])
+        patched.setattr(room, "_stops_of_track", lambda track, rig, delay_s: [stop])
         found = find_delay([None], RIG, RIG.delay_s)
     both_s = (sigma_s**-2 + room.NOMINAL_S**-2) ** -0.5
     assert found.sigma_s == pytest.approx(both_s, rel=0.01)

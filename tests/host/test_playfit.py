@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tautline.calibration.observations import noise_of, observe
-from tautline.calibration.playfit import Curves, Frozen, PlayFit
+from tautline.calibration.playfit import Curves, PlayFit, PreparedTrack
 from tautline.calibration.remaining import monotone, view_of
 from tautline.encoder import between_counts
 from tautline.geometry import project
@@ -28,9 +28,9 @@ RIG = reference_rig()
 def test_the_jacobian_is_the_residuals_slope(seed, with_view):
     rng = np.random.default_rng(seed)
     made = run(RIG, preset("random", RIG, seed), random_smooth(RIG.actuator, 1.0, 20.0, seed), noise_px=0.3, seed=seed)
-    frozen = [Frozen.of(track) for track in observe([made.recording], RIG)]
+    prepared = [PreparedTrack.of(track) for track in observe([made.recording], RIG)]
     view = view_of(RIG) if with_view else None
-    fit = PlayFit(frozen, Basis(-5, 5, 10), Basis(-5, 5, 12), view=view, settled_only=False)
+    fit = PlayFit(prepared, Basis(-5, 5, 10), Basis(-5, 5, 12), view=view, settled_only=False)
     p = fit.follow.centres
     follow = 11.0 * p[:, None] if with_view else project(RIG, 11.0 * p)
     curves = Curves(0.5 + 0.1 * rng.uniform(-1, 1, fit.backlash.size), follow, 0.08)

@@ -12,7 +12,7 @@ from reference_instrument import RIG, moved
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.observations import Track, observe, rounding_step
 from tautline.calibration.remaining import posed
-from tautline.calibration.rounding import counts, resting, shared_variance
+from tautline.calibration.rounding import independence_weights, resting, shared_variance
 
 
 def rests(step: float, noise: float, frames: int, seed: int) -> tuple[Track, np.ndarray]:
@@ -42,7 +42,7 @@ def test_a_rest_is_known_as_well_as_its_mean(noise: float, frames: int) -> None:
     """noise: in steps of 1. The mean of a rest's frames is off by as much as frames that count so much are."""
     track, tip = rests(1.0, noise, frames, 42)
     off = (track.y - tip).reshape(-1, frames).mean(axis=1)
-    each = counts(track, tip, np.ones(len(tip), dtype=bool), 1.0)
+    each = independence_weights(track, tip, np.ones(len(tip), dtype=bool), 1.0)
     told = 1.0 / float(np.sum(each.reshape(-1, frames)[7] / track.sigma[0] ** 2))
     assert told == pytest.approx(float(np.mean(off**2)), rel=0.15)
 
@@ -50,11 +50,13 @@ def test_a_rest_is_known_as_well_as_its_mean(noise: float, frames: int) -> None:
 def test_a_sensor_that_moves_or_does_not_round_counts_in_full() -> None:
     track, tip = rests(0.1, 0.0, 1, 43)
     every = np.ones(len(tip), dtype=bool)
-    assert np.all(counts(track, tip, every, 1.0) == 1.0)
+    assert np.all(independence_weights(track, tip, every, 1.0) == 1.0)
     fine = replace(track, step=0.0)
-    assert np.all(counts(fine, np.zeros_like(tip), every, 1.0) == 1.0)
+    assert np.all(independence_weights(fine, np.zeros_like(tip), every, 1.0) == 1.0)
     rested, place = rests(0.1, 0.0, 20, 43)
-    assert np.all(counts(rested, place, np.ones(len(place), dtype=bool), 100.0) > 0.99)  # misfit is no rounding
+    assert np.all(
+        independence_weights(rested, place, np.ones(len(place), dtype=bool), 100.0) > 0.99
+    )  # misfit is no rounding
 
 
 def test_a_step_is_found_where_most_levels_are_skipped() -> None:

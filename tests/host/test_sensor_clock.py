@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tautline.calibration import clock
-from tautline.calibration.calibrate import _Session, calibrate
+from tautline.calibration.calibrate import _CalibrationRun, calibrate
 from tautline.calibration.components import Components
 from tautline.calibration.observations import not_held, observe
 from tautline.calibration.onset import Delay
-from tautline.calibration.smooth import Domain, fit_jointly, freeze
-from tautline.calibration.steps import jumps
+from tautline.calibration.smooth import Domain, fit_jointly, prepare_tracks
+from tautline.calibration.steps import motor_jumps
 from tautline.encoder import between_counts
 from tautline.model import Model
 from tautline.prediction import predict, times_of
@@ -261,7 +261,7 @@ def test_no_motion_at_a_speed_is_a_step(rate, speed, seed):
     q = motion.q[::stride]
     # A stroke of a few samples cannot be told from a step.
     if np.min(np.abs(np.diff(motion.q[np.flatnonzero(np.diff(np.sign(np.diff(motion.q))))]))) > 5 * speed / rate:
-        assert len(jumps(Motor(motion.t_s[::stride], np.round(q / 0.01) * 0.01), 0.01)) == 0
+        assert len(motor_jumps(Motor(motion.t_s[::stride], np.round(q / 0.01) * 0.01), 0.01)) == 0
 
 
 def test_between_counts_a_step_stays_within_its_sample():
@@ -274,11 +274,13 @@ def test_between_counts_a_step_stays_within_its_sample():
 @pytest.mark.parametrize(("sigma_s", "own"), [(0.02, False), (0.0002, True)])
 def test_a_delay_that_departures_leave_uncertain_is_the_nominal_one(sigma_s: float, own: bool) -> None:
     tracks = observe([record(Motion.through(), delay_s=0.003)], RIG)
-    joint = fit_jointly(freeze(tracks, 0.0), Domain(*RIG.actuator.range), 0.0, fit_delay=True)
+    joint = fit_jointly(prepare_tracks(tracks, 0.0), Domain(*RIG.actuator.range), 0.0, fit_delay=True)
     assert joint is not None and joint.curves.delay_s == pytest.approx(0.003, abs=5e-4)
-    session = cast(_Session, SimpleNamespace(framed=False, nominal_s=0.0))
+    session = cast(_CalibrationRun, SimpleNamespace(framed=False, nominal_s=0.0))
     width = joint.fit.width(joint.curves)
-    departing = cast(Components, SimpleNamespace(delay_sigma=sigma_s, width=width, sigma=0.01 * width, by_delay=None))
-    alone = _Session._as_one(session, joint, departing)
+    departing = cast(
+        Components, SimpleNamespace(delay_sigma=sigma_s, width=width, sigma=0.01 * width, width_by_delay=None)
+    )
+    alone = _CalibrationRun._as_uncertain_as_departures(session, joint, departing)
     assert alone.delay_sigma == sigma_s
     assert alone.curves.delay_s == (joint.curves.delay_s if own else 0.0)

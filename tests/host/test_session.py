@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tautline as tl
-from tautline.calibration.departures import scene_of
+from tautline.calibration.departures import counted_frames
 from tautline.calibration.observations import observe
-from tautline.calibration.smooth import Domain, fit_jointly, freeze
+from tautline.calibration.smooth import Domain, fit_jointly, prepare_tracks
 from tautline.core.session import GAP_S, SessionClock
 from tautline.diagnosis.segment import prepare
 from tautline.reports import evidence
@@ -70,14 +70,14 @@ def test_calibration_diagnosis_and_report_have_one_clock(two):
         assert tuple(segment.offset_s for segment in prepare(MODEL, recordings[0], recordings[1:])) == offsets
         shown = evidence.collect(MODEL, recordings)
         assert tuple(shown.offset_s) == offsets
-        fitted = fit_jointly(freeze(tracks, MODEL.delay_s), Domain(-5.0, 5.0), MODEL.delay_s, fit_delay=False)
+        fitted = fit_jointly(prepare_tracks(tracks, MODEL.delay_s), Domain(-5.0, 5.0), MODEL.delay_s, fit_delay=False)
         assert fitted is not None
-        scene = scene_of(fitted, fitted.curves, MODEL.rig, np.zeros(2))
+        counted = counted_frames(fitted, fitted.curves, MODEL.rig, np.zeros(2))
         for i, (track, offset) in enumerate(zip(tracks, offsets, strict=True)):
-            mine = scene.recording == i
-            np.testing.assert_allclose(scene.time_s[mine], track.t_s[scene.frame[mine]] + offset, atol=1e-9)
-        assert abs(scene.t).max() <= 0.5
-        ended = scene.at_the_end()
+            mine = counted.recording == i
+            np.testing.assert_allclose(counted.time_s[mine], track.t_s[counted.frame[mine]] + offset, atol=1e-9)
+        assert abs(counted.t).max() <= 0.5
+        ended = counted.at_the_end()
         assert ended.recording[0] == np.argmax([r.motor.t_s[-1] + o for r, o in zip(recordings, offsets, strict=True)])
 
 

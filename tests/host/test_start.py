@@ -38,8 +38,8 @@ def told(monkeypatch: pytest.MonkeyPatch, names: Sequence[str], reasons: Sequenc
         named = tuple(names)
 
     monkeypatch.setattr(start, "of_recordings", lambda *args: Weighed)
-    asked = naming.asked(a_model(), [], lambda share, what: None)
-    return list(reasons) if asked is None else naming.named(reasons, a_model(), asked.named)
+    asked = naming.effects_of_diagnosis(a_model(), [], lambda share, what: None)
+    return list(reasons) if asked is None else naming.reasons_with_names(reasons, a_model(), asked.named)
 
 
 def test_a_name_stands_for_all_looks_and_for_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -64,7 +64,7 @@ def test_what_no_diagnosis_can_score_keeps_its_looks(monkeypatch: pytest.MonkeyP
         raise TautError("the tip is never driven through a full backlash")
 
     monkeypatch.setattr(start, "of_recordings", refuses)
-    assert naming.asked(a_model(), [], lambda share, what: None) is None
+    assert naming.effects_of_diagnosis(a_model(), [], lambda share, what: None) is None
 
 
 @pytest.mark.parametrize("seed", [0, 3])  # with a motor whose counts show, and without

@@ -27,7 +27,7 @@ from reference_instrument import PLANT, RIG, moved, saved_model, saved_recording
 
 from tautline import cli
 from tautline.calibration.calibrate import calibrate
-from tautline.calibration.doubts import floor_of
+from tautline.calibration.doubts import common_error
 from tautline.calibration.findings import Findings
 from tautline.calibration.observations import observe
 from tautline.cli._commands import COMMANDS, EXIT_STATUS, GROUPS, Command
@@ -275,8 +275,8 @@ def test_a_log_that_is_too_slow_is_told_a_rate_that_is_faster() -> None:
     grid = np.linspace(-4.0, 4.0, 201)
     found = Findings()
     usual = float(np.median(PLANT.backlash(grid)))
-    floor_of([track], grid, PLANT.backlash(grid), np.full(201, 0.01), usual, "mm", found)
-    (reason,) = [each for each in found.looks if each.code == "rate"]
+    common_error([track], grid, PLANT.backlash(grid), np.full(201, 0.01), usual, "mm", found)
+    (reason,) = [each for each in found.noticed if each.code == "rate"]
     rate = re.search(r"log the motor at (\d+) Hz or more", reason.remedy)
     assert "5 ms apart" in reason.says and rate is not None and int(rate[1]) > 200
     allowed = 0.015 * usual

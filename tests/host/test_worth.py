@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from tautline.calibration import worth as worths
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.observations import observe
-from tautline.calibration.worth import worth
+from tautline.calibration.worth import predictive_worth
 from tautline.quality import Quality, Verdict
 from tautline.recording import Recording
 from tautline.simulated.instrument import preset, reference_rig
@@ -40,12 +40,12 @@ def turned(degrees: float):
 
 def test_a_right_model_is_measured_against_the_two_simplest(made: Recording) -> None:
     found = calibrate([made], RIG)
-    right = worth(found.model, observe([made], RIG), None, None)
+    right = predictive_worth(found.model, observe([made], RIG), None, None)
     assert right is not None
     assert right.model == pytest.approx(0.05, rel=0.1) and right.predicts and not right.doubts
     assert right.coarse > 50 * right.model and right.constant > 5 * right.coarse
     worse = replace(found.model, c_deg=found.model.c_deg[::-1].copy())
-    told = worth(worse, observe([made], RIG), None, None)
+    told = predictive_worth(worse, observe([made], RIG), None, None)
     assert told is not None and not told.predicts and told.doubts[0].fatal
 
 
@@ -71,8 +71,8 @@ def test_a_block_is_foretold_as_a_fit_without_it_does(made: Recording, monkeypat
     """By Newton's step from the whole fit; the reference is fitted anew."""
     monkeypatch.setattr(worths, "STAYS", 0.0)
     asked: list[Any] = []
-    foretold = worths._foretold
-    monkeypatch.setattr(worths, "_foretold", lambda *all_of: asked.append(all_of) or foretold(*all_of))
+    foretold = worths._held_out_errors
+    monkeypatch.setattr(worths, "_held_out_errors", lambda *all_of: asked.append(all_of) or foretold(*all_of))
     found = calibrate([made], RIG, naming=False)
     assert found.evidence["foretold_blocks"] == worths.BLOCKS
     fit, curves, _, masks, labels = asked[0]
@@ -103,7 +103,7 @@ def over_noise(off: np.ndarray, moving: np.ndarray, placed: float = 0.0) -> floa
         slope_in_view=lambda track, curves, p: np.tile([50.0, 0.0], (n, 1)),
         width=lambda curves: np.ones(3),
     )
-    masks = worths._of_tip(cast(Any, fit), cast(Any, None), [off], [np.ones(n, bool)])
+    masks = worths._frames_of_tip(cast(Any, fit), cast(Any, None), [off], [np.ones(n, bool)])
     return worths._over_noise(cast(Any, fit), cast(Any, None), [off], masks)
 
 

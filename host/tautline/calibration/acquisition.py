@@ -40,19 +40,19 @@ _SEEN = 0.3  # tolerance: of the frames there
 _FEWEST = 20  # frames from which a share is one
 
 
-def doubts(
+def rig_contradictions(
     recordings: Sequence[Recording], tracks: Sequence[Track], offsets_s: Sequence[float], rig: Rig
 ) -> list[Reason]:
-    """What contradicts the rig, and what of the motion was not seen. tracks: what the recordings show, on the motor's
-    clock, from which their own differ by offsets_s."""
-    reasons = _range(tracks, rig)
+    """The reasons of what contradicts the rig, and of motion that was not seen. tracks: of the recordings, on the
+    motor's clock, from which their sensors' clocks differ by offsets_s."""
+    reasons = _range_in_another_unit(tracks, rig)
     if rig.camera is not None and tracks[0].unit == "px":
-        reasons += _frame_size(recordings, tracks, rig, rig.camera)
-        reasons += _rate(recordings, rig.camera)
+        reasons += _wrong_frame_size(recordings, tracks, rig, rig.camera)
+        reasons += _wrong_rate(recordings, rig.camera)
     for recording, track, offset_s in zip(recordings, tracks, offsets_s, strict=True):
-        reasons += _duration(recording, track, rig.nominal_delay_s(track.sensor), offset_s)
+        reasons += _frames_beyond_motor(recording, track, rig.nominal_delay_s(track.sensor), offset_s)
         if recording.marker is not None and track.unit == "px":
-            reasons += _lost(recording, recording.marker, rig)
+            reasons += _marker_not_seen(recording, recording.marker, rig)
     return reasons
 
 
@@ -67,14 +67,14 @@ def in_another_unit(reached: tuple[float, float], rig: Rig) -> bool:
 # ---- units
 
 
-def mistaken_unit(times: float, unit: str, slack: float) -> str:
-    """The name of the unit that values are in which have to be taken `times` to be in `unit` ("mm" or "deg"), known by
-    a factor of `slack`; empty where that is no unit that is mistaken for it."""
-    off, name = min((abs(np.log(max(times, 1e-12) / factor)), name) for factor, name in _MISTAKEN[unit])
-    return name if off < np.log(slack) else ""
+def mistaken_unit(factor: float, unit: str, slack: float) -> str:
+    """The name of the unit that values are in if they must be multiplied by `factor` to be in `unit` ("mm" or "deg"):
+    the one of _MISTAKEN whose factor is nearest; empty if that is off by more than a factor of `slack`."""
+    distance, name = min((abs(np.log(max(factor, 1e-12) / known)), name) for known, name in _MISTAKEN[unit])
+    return name if distance < np.log(slack) else ""
 
 
-def _range(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
+def _range_in_another_unit(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
     """A fatal reason, in a list, where the motor's positions, the rig's range and coarse.gain cannot be in one unit;
     empty where they can."""
     actuator = rig.actuator
@@ -112,7 +112,9 @@ def _range(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
 # ---- frames
 
 
-def _frame_size(recordings: Sequence[Recording], tracks: Sequence[Track], rig: Rig, camera: Camera) -> list[Reason]:
+def _wrong_frame_size(
+    recordings: Sequence[Recording], tracks: Sequence[Track], rig: Rig, camera: Camera
+) -> list[Reason]:
     """A fatal reason, in a list, where frames or marker positions are not of the rig's frame size; empty where none
     contradicts it."""
     nominal = (camera.width_px, camera.height_px)
@@ -126,17 +128,17 @@ def _frame_size(recordings: Sequence[Recording], tracks: Sequence[Track], rig: R
             Reason(
                 "frame_size",
                 f"{recording.name}: its frames are {size[0]} x {size[1]} px, the rig's {nominal[0]} x {nominal[1]}",
-                _rescaled(scale[0]) if even else "calibrate the camera at this size, or record at the rig's",
+                _remedy_of_scale(scale[0]) if even else "calibrate the camera at this size, or record at the rig's",
                 fatal=True,
             )
         ]
     for track in tracks:
-        if reason := _told_by_places(track, rig, camera):
+        if reason := _frame_size_by_places(track, rig, camera):
             return [reason]
     return []
 
 
-def _rescaled(scale: float) -> str:
+def _remedy_of_scale(scale: float) -> str:
     """What to do about frames that are `scale` times the rig's size, by both sides alike."""
     return (
         "record at the rig's size, or, where the whole view was scaled and not cut, multiply fx_px, fy_px, cx_px, "
@@ -144,9 +146,9 @@ def _rescaled(scale: float) -> str:
     )
 
 
-def _told_by_places(track: Track, rig: Rig, camera: Camera) -> Reason | None:
-    """A fatal reason by marker positions alone: outside of the frame, or on the tip's path only if they are scaled.
-    None where they are neither."""
+def _frame_size_by_places(track: Track, rig: Rig, camera: Camera) -> Reason | None:
+    """A fatal reason where marker positions lie outside of the rig's frame, or on the tip's path only if they are
+    scaled. None where neither is so."""
     if not len(track.t_s):
         return None
     size = np.array([camera.width_px, camera.height_px])
@@ -158,9 +160,10 @@ def _told_by_places(track: Track, rig: Rig, camera: Camera) -> Reason | None:
 
     q = track.motor_at(track.scene_s(rig.delay_s))[some]
 
-    def off(scale: float) -> float:
-        """How far off the tip's path the marker is, rms in px of the rig's, if frames are `scale` times the rig's size;
-        infinite where the angles are not f_coarse's either."""
+    def path_error(scale: float) -> float:
+        """rms distance, px of the rig's size, of the marker from the tip's path if frames are `scale` times the rig's
+        size; infinite where no angle shows the marker so, or the angles' slope is not f_coarse's within a factor of 2
+        (not asked at scale 1)."""
         # Whole numbers are the middles of pixels: the picture begins at -0.5.
         c, away = pose(rig, (track.y[some] + 0.5) / scale - 0.5, *others)
         if not np.isfinite(away).all():
@@ -169,14 +172,14 @@ def _told_by_places(track: Track, rig: Rig, camera: Camera) -> Reason | None:
         likely = scale == 1.0 or 0.5 < gain < 2.0
         return float(np.sqrt(np.mean(away**2))) if likely else np.inf
 
-    as_is = off(1.0)
-    best = min(_SCALES, key=off) if as_is > _OFF * camera.width_px else 1.0
-    if best != 1.0 and off(best) < _FITS * as_is:
+    as_is = path_error(1.0)
+    best = min(_SCALES, key=path_error) if as_is > _OFF * camera.width_px else 1.0
+    if best != 1.0 and path_error(best) < _FITS * as_is:
         return Reason(
             "frame_size",
             f"{track.name}: the marker is {as_is:.3g} px off the tip's path, but on it if the frames were {best:.3g} "
             "times the rig's size",
-            _rescaled(best),
+            _remedy_of_scale(best),
             fatal=True,
         )
     if outside:
@@ -191,7 +194,7 @@ def _told_by_places(track: Track, rig: Rig, camera: Camera) -> Reason | None:
     return None
 
 
-def _rate(recordings: Sequence[Recording], camera: Camera) -> list[Reason]:
+def _wrong_rate(recordings: Sequence[Recording], camera: Camera) -> list[Reason]:
     """A doubt, in a list, where most frames come at a steady rate that is not the rig's; frames that were lost leave
     multiples of its period."""
     for recording in recordings:
@@ -214,7 +217,7 @@ def _rate(recordings: Sequence[Recording], camera: Camera) -> list[Reason]:
     return []
 
 
-def _lost(recording: Recording, marker: Marker, rig: Rig) -> list[Reason]:
+def _marker_not_seen(recording: Recording, marker: Marker, rig: Rig) -> list[Reason]:
     """A doubt, in a list, where the marker was mostly not seen in parts of the motor's range; empty where it was."""
     motor = recording.motor
     scene = marker.t_s - rig.delay_s
@@ -242,7 +245,7 @@ def _lost(recording: Recording, marker: Marker, rig: Rig) -> list[Reason]:
 # ---- clocks
 
 
-def _duration(recording: Recording, track: Track, delay_s: float, offset_s: float) -> list[Reason]:
+def _frames_beyond_motor(recording: Recording, track: Track, delay_s: float, offset_s: float) -> list[Reason]:
     """A doubt where motion of the motor has no frames, or frames go on without the motor: a camera that started late or
     stopped early, or two clocks. offset_s: the sensor's clock less the motor's, which `track` is on already."""
     if len(track.t_s) < _FEWEST:
@@ -262,7 +265,7 @@ def _duration(recording: Recording, track: Track, delay_s: float, offset_s: floa
     if missing <= slack and frames_last - motor_lasts <= slack:
         return []
     says = f"{recording.name}: its frames last {frames_last:.4g} s, its motor {motor_lasts:.4g}"
-    left = _unexplained(track, delay_s)
+    left = _unexplained_share(track, delay_s)
     if left > _SCATTERED:
         return [
             Reason(
@@ -280,9 +283,9 @@ def _duration(recording: Recording, track: Track, delay_s: float, offset_s: floa
     return [Reason("duration", f"{says}: {what}", remedy)]
 
 
-def _unexplained(track: Track, delay_s: float) -> float:
-    """Share (0 to 1) of the image's variance that a curve over the motor's position (means of 24 bins) leaves, for the
-    better of either way of motion taken alone: backlash is in neither. 0 where too few frames move."""
+def _unexplained_share(track: Track, delay_s: float) -> float:
+    """Share (0 to 1) of the image's variance that the mean in each of 24 bins of the motor's position leaves, for the
+    better of either direction of motion taken alone, so that backlash is no part of it. 0 where too few frames move."""
     scene = track.scene_s(delay_s)
     inside = track.within_motor(scene)
     q, way = track.motor_at(scene), track.motor_at(scene + 0.05) - track.motor_at(scene - 0.05)

@@ -1,4 +1,8 @@
-"""B(q) from the widths at reversals: a penalised cubic B-spline, or the paper's."""
+"""B(q) from the widths at reversals: a penalised cubic B-spline through them, or the paper's spline.
+
+Onsets are of three kinds: hinges are widths with a Gaussian error, brackets intervals that contain the width, bounds
+lengths of strokes that moved nothing, which B is not below. B, widths, positions and sigmas are in the unit of q.
+"""
 
 from __future__ import annotations
 
@@ -28,15 +32,15 @@ _PAPER_UNIFORM, _PAPER_REPEATS = 8, 3  # format: 14 knots in all, 10 coefficient
 
 @dataclass(frozen=True)
 class WidthCurve:
-    """B(q) on a grid over the motor's range. Beyond the measured q_mean it is held."""
+    """B(q) on a grid over the motor's range, constant beyond the measured positions."""
 
-    q: Array
-    width: Array
-    sigma: Array
-    measured: tuple[float, float]
+    q: Array  # (grid,)
+    width: Array  # (grid,) B
+    sigma: Array  # (grid,) its standard deviation
+    measured: tuple[float, float]  # lowest and highest position of a width
     excess: float  # scatter of the widths about the curve beyond their stated sigma, unit of q
     notes: tuple[str, ...] = field(default=())
-    places: int = 1  # at which widths were measured, apart by a span of the spline
+    places: int = 1  # number of the spline's spans in which widths were measured
 
     def at(self, p: Array) -> Array:
         """B (n,) at positions p (n,), both in the unit of q."""
@@ -48,14 +52,15 @@ class WidthCurve:
 
 
 def paper_knots(low: float, high: float) -> Array:
-    """8 uniform knots with both ends, 3 repeats at either end: 14 (paper, section V-D)."""
+    """The paper's knots (14,) for a cubic spline on [low, high]: 8 evenly spaced with both ends, and 3 repeats of
+    either end (paper, section V-D)."""
     ends = [low] * _PAPER_REPEATS, [high] * _PAPER_REPEATS
     return np.concatenate([ends[0], np.linspace(low, high, _PAPER_UNIFORM), ends[1]])
 
 
 def fit_paper(onsets: Sequence[Onset], grid: Array) -> WidthCurve | None:
-    """The paper's B-spline, least squares through the widths, on the grid's range; its excess is the rms of what it
-    leaves. None where no width was measured."""
+    """The paper's B-spline by weighted least squares through the widths, on the grid's range; its excess is the rms
+    residual. None where no width was measured."""
     widths = [o for o in onsets if o.used and o.kind in (HINGE, BRACKET)]
     if not widths:
         return None
@@ -80,14 +85,16 @@ def fit_paper(onsets: Sequence[Onset], grid: Array) -> WidthCurve | None:
 
 
 def fit_widths(onsets: Sequence[Onset], grid: Array, smoothing: float | None = None) -> WidthCurve | None:
-    """Penalised spline through all used onsets: hinges by their sigma, brackets as brackets, bounds as inequalities.
-    smoothing: relative to the weight of one width; None: by cross-validation. Beyond what was measured B is held and
-    its sigma grows by half the distance. None where no width was measured."""
+    """Penalised spline through all used onsets: hinges by their sigma, brackets as intervals, bounds as inequalities.
+    smoothing: relative to the median weight of a width; None: by cross-validation or likelihood. Beyond what was
+    measured B is constant and its sigma grows by half the distance. None where no width was measured."""
     widths = [o for o in onsets if o.used and o.kind in (HINGE, BRACKET)]
     if not widths:
         return None
-    fit = _Fit(widths, [o for o in onsets if o.used and o.kind == BOUND], Basis(float(grid[0]), float(grid[-1]), SPANS))
-    fit.settle(smoothing)
+    fit = _WidthFit(
+        widths, [o for o in onsets if o.used and o.kind == BOUND], Basis(float(grid[0]), float(grid[-1]), SPANS)
+    )
+    fit.solve(smoothing)
     low, high = float(fit.p.min()), float(fit.p.max())
     held = np.clip(grid, low, high)
     curve = fit.basis.value(fit.coefficients, held)
@@ -99,57 +106,55 @@ def fit_widths(onsets: Sequence[Onset], grid: Array, smoothing: float | None = N
     return WidthCurve(grid, lawful, sigma, (low, high), fit.excess, tuple(dict.fromkeys(fit.notes)), len(fit.places()))
 
 
-class _Fit:
-    """One spline through widths (hinges, brackets), which strokes that moved nothing (bounds) may join. Lengths in the
-    unit of q."""
+class _WidthFit:
+    """One spline through widths (n,): hinges and brackets, and bounds that the curve would violate."""
 
     def __init__(self, widths: Sequence[Onset], bounds: Sequence[Onset], basis: Basis) -> None:
-        """Begins with a constant B, the mean of the widths by their sigma. Arrays (n,) over the widths, in their
-        order."""
+        """Begins with a constant B, the mean of the widths weighted by 1 / sigma^2."""
         self.basis = basis
         self.notes: list[str] = []
         self.p, self.w, self.stated = (np.array([getattr(o, k) for o in widths]) for k in ("q_mean", "width", "sigma"))
         self.direction = np.array([o.direction for o in widths], dtype=float)
-        self.boxed = np.array([o.kind == BRACKET for o in widths])
+        self.is_bracket = np.array([o.kind == BRACKET for o in widths])
         self.low = np.array([o.low for o in widths])
         self.high = np.array([o.high for o in widths])
         self.design = basis.design(self.p).toarray()
         self.excess = 0.0
         self.spread = self.stated.copy()
         self.bounds = list(bounds)
-        self.lifted: list[str] = []
+        self.notes_of_bounds: list[str] = []
         self.coefficients = np.full(basis.size, float(np.average(self.w, weights=self.stated**-2)))
 
-    # The measured q_mean and width share one error: B' rotates it.
-    def _effective(self) -> Array:
-        """(n,) sigma of each width about the curve, unit of q: the stated one, turned by B' since q_mean and width
-        share one error, and the excess scatter."""
+    def _effective_sigma(self) -> Array:
+        """(n,) standard deviation of each width about the curve: the stated one times |1 - direction B'/2|, since
+        position and width share one error, and the excess scatter."""
         slope = self.basis.slope(self.coefficients, self.p)
         turned = np.abs(1.0 - 0.5 * self.direction * np.clip(slope, -STEEPEST, STEEPEST))
         return np.asarray(np.maximum(np.hypot(self.stated * turned, self.excess), 1e-12))
 
-    def _take_bounds(self) -> None:
-        """Strokes that moved nothing and were longer than the curve now says join the widths as if B were just that."""
+    def _add_violated_bounds(self) -> None:
+        """Adds strokes that moved nothing though they were longer than the curve says as widths of that length, each
+        with the median sigma and a note."""
         for onset in list(self.bounds):
             if float(self.basis.value(self.coefficients, np.array([onset.q_mean]))[0]) < onset.low:
                 self.bounds.remove(onset)
-                self.lifted.append(
+                self.notes_of_bounds.append(
                     f"a stroke of {onset.low:.4g} at {onset.q_mean:.4g} moved nothing and lifts B(q) there"
                 )
                 self.p, self.w = np.append(self.p, onset.q_mean), np.append(self.w, onset.low)
                 self.stated = np.append(self.stated, float(np.median(self.stated)))
                 self.direction = np.append(self.direction, 0.0)
-                self.boxed = np.append(self.boxed, False)
+                self.is_bracket = np.append(self.is_bracket, False)
                 self.low, self.high = np.append(self.low, onset.low), np.append(self.high, np.inf)
         self.design = self.basis.design(self.p).toarray()
 
-    def settle(self, smoothing: float | None) -> None:
+    def solve(self, smoothing: float | None) -> None:
         """Fits the curve in at most four rounds, as weights, smoothing, excess scatter and bounds depend on it; then
-        anew to brackets, if there are any. smoothing: relative to the weight of one width, None to choose it."""
+        anew with brackets as intervals, if there are any. smoothing: as in `fit_widths`."""
         for turn in range(4):
             if turn:
-                self._take_bounds()
-            self.spread = self._effective()
+                self._add_violated_bounds()
+            self.spread = self._effective_sigma()
             weight = self.spread**-2
             unit = float(np.median(weight))
             chosen = smoothing if smoothing is not None else self._cross_validated(weight, unit)
@@ -159,13 +164,13 @@ class _Fit:
             self.excess = self._excess(weight)
             if np.abs(self.coefficients - before).max() < 0.05 * float(np.median(self.spread)) and turn:
                 break
-        if self.boxed.any():
-            self._brackets(smoothing)
+        if self.is_bracket.any():
+            self._solve_with_brackets(smoothing)
 
     def _cross_validated(self, weight: Array, unit: float) -> float:
-        """The smoothing, relative to `unit`, that foretells a place left out best, in closed form; the largest of fewer
-        than 5 places. Reversals at one place are one: what lies between is the test. weight (n,): 1 / sigma^2; unit:
-        its median."""
+        """The smoothing, relative to `unit`, with the least sum of squared weighted residuals of places left out one at
+        a time, in closed form; the largest with fewer than 5 places. Widths in one span of the spline are one place:
+        what lies between places is the test. weight (n,): 1 / sigma^2; unit: its median."""
         places = self.places()
         if len(places) < 5:
             return float(_SMOOTHINGS[-1])
@@ -194,13 +199,14 @@ class _Fit:
 
     @staticmethod
     def _inverse(system: Array) -> Array:
+        """Inverse of a symmetric system (m, m), with a ridge that is too small to pull a curve of few widths to 0."""
         ridge = 1e-14 * float(np.trace(system)) / len(system)  # more would pull a curve of few widths to 0
         return np.asarray(cho_solve(cho_factor(system + ridge * np.eye(len(system))), np.eye(len(system))))
 
     def _solve(self, weight: Array) -> None:
-        """Sets the coefficients by a fit with weight (n,), 1 / sigma^2, to which the inequalities that are violated are
-        added, as stiff equations, until none is."""
-        self.notes[:] = self.lifted
+        """Sets the coefficients by penalised least squares with weight (n,), 1 / sigma^2. Inequalities that are
+        violated are added as stiff equations, until none is."""
+        self.notes[:] = self.notes_of_bounds
         gram = self.design.T @ (weight[:, None] * self.design) + self.roughness * self.basis.roughness
         right = self.design.T @ (weight * self.w)
         coefficients = self._inverse(gram) @ right
@@ -217,8 +223,8 @@ class _Fit:
         self.gram = gram
 
     def _violated(self, coefficients: Array) -> tuple[Array, Array]:
-        """B >= 0 and |B'| <= 1.8 where the coefficients break them near what was measured, as equations rows (k, size)
-        @ coefficients = values (k,). Notes which limit the curve."""
+        """The limits B >= 0 and |B'| <= 1.8 where the coefficients break them near what was measured, as equations rows
+        (k, m) @ coefficients = values (k,). Notes which limit acts."""
         rows: list[Array] = []
         values: list[float] = []
         identity = np.eye(self.basis.size)
@@ -237,8 +243,9 @@ class _Fit:
         return np.array(rows).reshape(-1, self.basis.size), np.array(values)
 
     def _excess(self, weight: Array) -> float:
-        """Scatter of the widths beyond their stated sigma, unit of q: with it chi-square is what the degrees of freedom
-        are. 0 where the stated one is enough; as before where fewer than 2 are left."""
+        """Scatter of the widths beyond their stated sigma with which chi-square equals the degrees of freedom; 0 where
+        the stated one is enough; as before with fewer than 2 degrees of freedom. weight (n,): 1 / sigma^2 of the
+        fit."""
         inverse = self._inverse(self.gram)
         spent = float(np.sum(np.sum((self.design @ inverse) * self.design, axis=1) * weight))
         freedom = len(self.w) - spent
@@ -256,92 +263,94 @@ class _Fit:
         return float(brentq(surplus, 0.0, most)) if surplus(most) < 0 else most
 
     def sigma(self, p: Array) -> Array:
-        """Standard deviation of B (n,) at positions p (n,), unit of q, as the widths' weights have it."""
+        """Standard deviation of B (k,) at positions p (k,), by the widths' weights."""
         design = self.basis.design(p).toarray()
         return np.asarray(np.sqrt(np.maximum(np.sum((design @ self._inverse(self.gram)) * design, axis=1), 0.0)))
 
     # ---- brackets: each says only between which two positions the onset was; many together say more
 
-    def _brackets(self, smoothing: float | None) -> None:
-        """Fits the curve anew where some widths are known to an interval only: the smoothing by likelihood, then the
-        curve with edges of the intervals that sharpen in five steps (see `_boxed`)."""
-        self.notes[:] = self.lifted
+    def _solve_with_brackets(self, smoothing: float | None) -> None:
+        """Fits the curve anew with brackets as intervals: the smoothing by restricted likelihood, then the curve by
+        Newton's method. smoothing: as in `fit_widths`."""
+        self.notes[:] = self.notes_of_bounds
         unit = float(np.median(self.spread**-2))
-        everything = np.ones(len(self.w), bool)
         start = np.full(self.basis.size, float(np.mean(self.w)))
-        best = smoothing if smoothing is not None else self._likeliest(unit)
+        best = smoothing if smoothing is not None else self._smoothing_of_brackets(unit)
         self.roughness = best * unit
-        self.coefficients = self._boxed(start, everything, self.roughness, (1.0, 0.5, 0.25, 0.12, 0.06))
+        self.coefficients = self._newton_with_brackets(start, (1.0, 0.5, 0.25, 0.12, 0.06))
         self.gram = self.design.T @ ((self.spread**-2)[:, None] * self.design) + self.roughness * self.basis.roughness
         self.notes.append(
             "the image jumps at the onset: each reversal brackets it between two frames, and B(q) is what all agree on"
         )
 
-    def _likeliest(self, unit: float) -> float:
-        """The smoothing at which brackets are likeliest, each as a width at its middle that is off by as much as a
-        uniform density: restricted likelihood, B's level unknown. Leaving some out would ask mostly about the
-        outermost, of which the others say little."""
+    def _smoothing_of_brackets(self, unit: float) -> float:
+        """The smoothing, relative to `unit`, of the largest restricted likelihood, each bracket being a width at its
+        middle with a uniform density's sigma. Not by leaving some out, which would ask mostly about the outermost, of
+        which the others say little."""
         weight = self.spread**-2
         gram, right = self.design.T @ (weight[:, None] * self.design), self.design.T @ (weight * self.w)
 
-        def surprise(smoothing: float) -> float:
-            """-2 log of it, but for a constant."""
+        def deviance(smoothing: float) -> float:
+            """-2 log restricted likelihood but for a constant."""
             system = gram + smoothing * unit * self.basis.roughness
             system += 1e-12 * float(np.trace(gram)) / len(gram) * np.eye(len(gram))
             explained = float(right @ np.linalg.solve(system, right))
             return float(np.linalg.slogdet(system)[1]) - (len(gram) - 1) * math.log(smoothing) - explained
 
-        return float(min(_SMOOTHINGS, key=surprise))
+        return float(min(_SMOOTHINGS, key=deviance))
 
-    def _terms(self, coefficients: Array, use: npt.NDArray[np.bool_], sharpness: float) -> tuple[Array, Array, Array]:
-        """-log likelihood of each width that is used and its first two derivatives by B(p), (k,) each. use (n,);
-        sharpness: how soft the edges of brackets are, in halves of their length."""
-        value = self.design[use] @ coefficients
-        gauss = ~self.boxed[use]
-        low, high = (np.where(gauss, self.w[use], edge[use]) for edge in (self.low, self.high))
+    def _likelihood_terms(self, coefficients: Array, softness: float) -> tuple[Array, Array, Array]:
+        """-log likelihood of each width and its first two derivatives by B(p), (n,) each: Gaussian for hinges,
+        `_interval_terms` for brackets, whose edges are soft by `softness` halves of their length."""
+        value = self.design @ coefficients
+        gauss = ~self.is_bracket
+        low, high = (np.where(gauss, self.w, edge) for edge in (self.low, self.high))
         # Brackets that contradict each other are no walls, and no edge is sharper than B is solved to.
-        soft = np.maximum(0.5 * sharpness * (high - low), max(self.excess, self._close))
-        cost, first, second = _box((value - low) / soft, (value - high) / soft)
-        z = (value - self.w[use]) / self.spread[use]
+        soft = np.maximum(0.5 * softness * (high - low), max(self.excess, self._tolerance))
+        cost, first, second = _interval_terms((value - low) / soft, (value - high) / soft)
+        z = (value - self.w) / self.spread
         return (
             np.where(gauss, 0.5 * z * z, cost),
-            np.where(gauss, z / self.spread[use], first / soft),
-            np.where(gauss, self.spread[use] ** -2, second / soft**2),
+            np.where(gauss, z / self.spread, first / soft),
+            np.where(gauss, self.spread**-2, second / soft**2),
         )
 
     @property
-    def _close(self) -> float:
-        """What the coefficients may still move by, unit of q, when B from brackets counts as solved."""
+    def _tolerance(self) -> float:
+        """By how much the coefficients may still move when B from brackets counts as solved."""
         return _CLOSE * float(np.median(self.spread))
 
-    def _boxed(self, start: Array, use: npt.NDArray[np.bool_], roughness: float, sharpness: Sequence[float]) -> Array:
-        """Coefficients by Newton's method on the penalised likelihood, with brackets whose edges sharpen step by step:
-        it ends near the middle of what they allow. use (n,): widths that count; roughness: the penalty's weight."""
+    def _newton_with_brackets(self, start: Array, softness: Sequence[float]) -> Array:
+        """Coefficients (m,) that maximise the penalised likelihood, by Newton's method with step halving, with brackets
+        whose edges sharpen step by step: it ends near the middle of what they allow."""
         coefficients = start
-        design, rough = self.design[use], roughness * self.basis.roughness
-        ridge = 1e-10 * roughness * np.eye(self.basis.size)
+        rough = self.roughness * self.basis.roughness
+        ridge = 1e-10 * self.roughness * np.eye(self.basis.size)
 
-        def total(at: Array, sharp: float) -> float:
-            return float(self._terms(at, use, sharp)[0].sum()) + 0.5 * float(at @ rough @ at)
+        def total(at: Array, soft: float) -> float:
+            """-log of the penalised likelihood at coefficients (m,)."""
+            return float(self._likelihood_terms(at, soft)[0].sum()) + 0.5 * float(at @ rough @ at)
 
-        for sharp in sharpness:
+        for soft in softness:
             for _ in range(25):
-                _, first, second = self._terms(coefficients, use, sharp)
-                system = cho_factor(design.T @ (second[:, None] * design) + rough + ridge, check_finite=False)
-                step = cho_solve(system, design.T @ first + rough @ coefficients, check_finite=False)
-                now, length = total(coefficients, sharp), 1.0
-                while length > 1e-3 and total(coefficients - length * step, sharp) > now:
+                _, first, second = self._likelihood_terms(coefficients, soft)
+                system = cho_factor(
+                    self.design.T @ (second[:, None] * self.design) + rough + ridge, check_finite=False
+                )  # fmt: skip
+                step = cho_solve(system, self.design.T @ first + rough @ coefficients, check_finite=False)
+                now, length = total(coefficients, soft), 1.0
+                while length > 1e-3 and total(coefficients - length * step, soft) > now:
                     length *= 0.5
                 coefficients = coefficients - length * step
-                if np.abs(length * step).max() < self._close:
+                if np.abs(length * step).max() < self._tolerance:
                     break
         return coefficients
 
 
-def _box(a: Array, b: Array) -> tuple[Array, Array, Array]:
-    """-log(Phi(a) - Phi(b)), a >= b: how far B is above either edge of a bracket, over its softness; with derivatives
-    when both move together; to 0.1 %, which is from where on its tail is a parabola. What is narrower than a thousandth
-    of its edges' softness is as good as a point."""
+def _interval_terms(a: Array, b: Array) -> tuple[Array, Array, Array]:
+    """-log(Phi(a) - Phi(b)) (n,), a >= b (n,): the distances of B above the lower and the upper edge of a bracket, over
+    its edges' softness; and its first two derivatives when both move together. Far outside (_TAIL) it goes on as a
+    parabola, to 0.1 %; brackets narrower than a thousandth of the softness count as that wide."""
     middle, half = 0.5 * (a + b), np.maximum(0.5 * (a - b), 5e-4)
     beyond = np.maximum(np.abs(middle) - half - _TAIL, 0.0)  # of the nearer edge
     a, b = half - (np.abs(middle) - beyond), -half - (np.abs(middle) - beyond)

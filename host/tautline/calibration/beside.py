@@ -1,8 +1,8 @@
-"""Effects that are fitted beside B, the path and the delay: what was there from the first recording on.
+"""Effects of the library that are fitted together with B, path and delay: what was there from the first recording on.
 
-They move the tip's place along the curve that it follows, so one set of numbers moves the tip of a pose-free fit and
-that of a rig alike: what adds to the bending angle (a load's gain, another joint) moves that place by the law f_remain,
-as it was known before. With all of them at zero a fit is the one without them.
+They move the tip's place along the curve that it follows, so the same values hold in a fit without poses and in one
+with them. What adds to the bending angle (a load's gain, another joint) moves that place by as much as the law
+f_remain, as it was known before, makes of the angle. With all amplitudes at zero the fit is the one without effects.
 """
 
 from __future__ import annotations
@@ -23,18 +23,20 @@ from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
 
+# Ids of the effects that a fit can contain.
 FITTED = frozenset(kind.id for kind in LIBRARY if kind.carried)
 
 _DIFFERENCE = 0.05  # tolerance: of a parameter's scale: the step of its difference quotient
-_WIDER = 5e-4  # tolerance: of the motor's range: the step of B's
-_AHEAD_S = 5e-3  # tolerance: over which the tip's velocity is taken
-_FAR = 30.0  # prior: of a parameter's scale, a step's
+_WIDER = 5e-4  # tolerance: of the motor's range: the step of B in difference quotients
+_AHEAD_S = 5e-3  # tolerance: the interval over which the tip's velocity is taken
+_FAR = 30.0  # prior: times a parameter's scale: standard deviation of a step of it
 
 
 @dataclass(frozen=True)
-class Beside:
-    """Effects, their order that of `values` wherever these are handed on: amplitudes and shapes that can be
-    differentiated. `held` has the others' values."""
+class FittedEffects:
+    """Effects of the library that a joint fit contains beside B, path and delay. Their fitted parameters are amplitudes
+    and shapes in which the tip's path can be differentiated; `values` (m,) always has these in the order of
+    `parameters`. `held` has the values of all other parameters."""
 
     kinds: tuple[Kind, ...]
     law: Model  # f_remain, as far as it is known, and the load at which it holds
@@ -42,8 +44,9 @@ class Beside:
 
     @classmethod
     def of(cls, found: Sequence[Effect], law: Model, others_rest: bool = False) -> tuple[Self, Array]:
-        """Those of these effects that can be fitted, and their values (m,). law: f_remain, as far as it is known.
-        others_rest: other axes do at all frames that count, so that what follows them is held."""
+        """Those of the effects `found` that can be fitted, and their values (m,) to begin with. law: f_remain, as far
+        as it is known. others_rest: other axes rest at all frames that count, so that parameters of effects that follow
+        these axes are held."""
         known = [effect for effect in found if effect.id in FITTED]
         kinds = tuple(effects.kind_of(effect) for effect in known)
         untold = [kind for kind in kinds if others_rest and kind.needs == "freedom"]
@@ -55,56 +58,59 @@ class Beside:
 
     @property
     def forms(self) -> tuple[Self, ...]:
-        """This, and one more for each held shape that has two possible values, with that one at the other value."""
+        """This, and for each held parameter with two possible values one more with the other value."""
         twofold = [p for kind in self.kinds for p in kind.parameters if p.name in self.held and len(p.shape) == 2]
         others = ((p.name, sum(p.shape) - self.held[p.name]) for p in twofold)
         return self, *(replace(self, held={**self.held, name: other}) for name, other in others)
 
     @property
     def bends(self) -> bool:
-        """Whether any adds to the bending angle."""
+        """Whether any of them adds to the bending angle, not to the play's centre."""
         return any(kind.bends for kind in self.kinds)
 
     @property
     def parameters(self) -> list[Parameter]:
-        """Those that are fitted, in the order of `values`: neither searched nor held."""
+        """The fitted parameters in the order of `values`: those that are neither searched nor held."""
         every = (p for kind in self.kinds for p in kind.parameters)
         return [p for p in every if not p.searched and p.name not in self.held]
 
     @property
     def scales(self) -> Array:
-        """(m,) a change of each fitted parameter that a user would notice, in its own unit: of those in the motor's
-        unit the scale is a share of its range."""
+        """(m,) a noticeable change of each fitted parameter, in its own unit; for parameters in the motor's unit it is
+        a share of the motor's range."""
         span = self.law.rig.actuator.span
         return np.array([p.scale * (span if p.unit.startswith("unit") else 1.0) for p in self.parameters])
 
     @property
     def precision(self) -> Array:
-        """(m,) 1 / variance of the prior of a step of each value, whose standard deviation is many natural steps."""
+        """(m,) what is added to the normal matrix for each value, in units of the residuals' variance: a step's prior
+        has a standard deviation of _FAR scales. It is about the present value, so that it holds a step that no frame
+        tells and pulls no value towards 0."""
         return np.asarray((_FAR * self.scales) ** -2.0)
 
     def inside(self, values: Array) -> Array:
-        """(m,) clipped to where they mean something."""
+        """Values (m,) clipped to the ranges of their parameters."""
         own = self.parameters
         return np.clip(values, [p.low for p in own], [p.high for p in own])
 
     def ended(self, values: Array) -> bool:
-        """Whether any of the values is at an end of its range that is not zero, where it is absent: a simpler law."""
+        """Whether any value (m,) is at an end of its range other than 0: the effect is a limit of its law there, a
+        simpler one."""
         own = zip(values.tolist(), self.parameters, strict=True)
         return any(value != 0.0 and (value <= p.low or value >= p.high) for value, p in own)
 
     def amplitudes(self, values: Array, of: Kind | None = None) -> Array:
-        """(m,) the values of amplitudes, of one effect or of all; 0 in the place of others and of shapes."""
+        """(m,) the values with all but amplitudes set to 0; of one effect, or of all."""
         own = {p.name for kind in self.kinds for p in kind.amplitudes if of in (None, kind)}
         return np.where([p.name in own for p in self.parameters], values, 0.0)
 
     def at_ends(self, values: Array, towards: Array) -> npt.NDArray[np.intp]:
-        """Indices of the values (m,) that are at an end of their range beyond which this direction (m,) leads."""
+        """Indices of values (m,) that are at an end of their range beyond which the direction `towards` (m,) leads."""
         onward = self.inside(values + np.sign(towards) * 1e-6 * self.scales)
         return np.flatnonzero(onward == values)
 
     def _named(self, values: Array) -> dict[str, Any]:
-        """All parameters by their names, those that are held too."""
+        """All parameters by name, held ones and columns of the recording that effects follow included."""
         fitted = zip((p.name for p in self.parameters), values.tolist(), strict=True)
         followed = [(COLUMN, kind.column) for kind in self.kinds if kind.column]
         return {**dict(fitted), **self.held, **dict(followed)}
@@ -117,9 +123,10 @@ class Beside:
     def follow(
         self, motor: Motor, at_s: Array, grid: Array, width: Array, hysteresis: Hysteresis, values: Array
     ) -> effects.Path:
-        """The tip's path at times (n,) of a motor as it was read, its motion as predictions have it: between counts its
-        speed would be rough. B being `width` on the grid; `tip` is the place along the law at which it shows that
-        bending angle."""
+        """The simulated path at times at_s (n,), s, of a motor log, with B width (grid,) on the grid and effects of
+        values (m,). Its `tip` is the position along f_remain that shows the path's bending angle, so what adds to the
+        angle moves it. The motor's log is taken as predictions take it: the speed of positions between counts would be
+        rough."""
         plays = {"elements": hysteresis} if isinstance(hysteresis, Elements) else {"friction": hysteresis}
         law, rig = self.law.remaining(grid), self.law.rig
         model = Model(rig, grid, width, np.zeros_like(grid), law, 0.0, (grid[0], grid[-1]), **plays)
@@ -131,8 +138,8 @@ class Beside:
     def slopes(
         self, motor: Motor, at_s: Array, grid: Array, width: Array, hysteresis: Hysteresis, values: Array
     ) -> tuple[Array, Array, Array]:
-        """Derivatives of the tip's place by difference quotients: (n,) by a B that is wider everywhere, as what follows
-        the play makes of it; (n, m) by each value; (n,) by the delay."""
+        """Derivatives of the tip's place, unit of q, by central differences: (n,) by B, wider by the same everywhere,
+        with what follows the play; (n, m) by each value; (n,) by the delay, per s. Arguments as of `follow`."""
 
         def tip(times: Array, there: Array, wider: float = 0.0) -> Array:
             """The tip's place (n,), unit of q, at these times and values; B is wider everywhere by `wider`, unit of

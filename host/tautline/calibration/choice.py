@@ -1,4 +1,8 @@
-"""Which B counts: the onsets', the joint fit's of all frames, or the passes' distance; and where none tells it."""
+"""Which B(q) counts, of three opinions: the curve through the onsets' widths (backlash.py), the joint fit of all frames
+(playfit.py), and the passes alone, whose B is the distance between the ways up and down away from the reversals.
+
+grid: (grid,) motor positions at which B is tabulated; B, its sigma and positions are in the unit of q, (grid,).
+"""
 
 from __future__ import annotations
 
@@ -10,12 +14,12 @@ import numpy.typing as npt
 
 from tautline.calibration.backlash import WidthCurve, fit_paper
 from tautline.calibration.components import Components
-from tautline.calibration.coverage import HOLE, one_way
+from tautline.calibration.coverage import HOLE, distance_to_both_ways
 from tautline.calibration.findings import Findings
 from tautline.calibration.observations import Track
 from tautline.calibration.onset import BRACKET, HINGE, Onset
 from tautline.calibration.playfit import EXPLAINED, NODES, Curves, Fitted
-from tautline.calibration.several import left
+from tautline.calibration.several import rms_over_noise
 from tautline.calibration.smooth import Domain, overlap
 from tautline.model import allowed_width
 
@@ -23,32 +27,35 @@ Array = npt.NDArray[np.float64]
 
 ONSETS, JOINT, PASSES, NOTHING = "onsets", "onsets and passes", "passes", "nothing"
 _AGREE = 3.0  # prior: mean squared z of onsets against the joint fit up to which both are one evidence
-_STANDS_OUT = 10.0  # tolerance: a motion of so many sigma is one
-_AT_ONCE = 0.75  # prior: of the path's slope: a tip that starts slower starts gradually
-_SURER = 2.0  # prior: times less certain: the joint fit's B beside the onsets'
-_BEARABLE = 3.0  # prior: times what the joint fit's own B leaves: onsets' that leaves more stands for something else
-_LITTLE = 0.03  # tolerance: of the width: differences below are no contradiction
-_WORSE = 1.25  # tolerance: times what the best single curve leaves: a B that leaves more is not for predictions
-_FEW_ONSETS = 6  # tolerance: onsets that may say so
-_NEARER = 0.5  # prior: their mean squared z against one B over that to the other
-_ONE_WAY, _OTHER_WAY = 4.0, 0.3  # prior: standard errors by which onsets are late; of that, the other way's
-_BENDS = 2.0  # prior: its own size by which B may change over the range
+_STANDS_OUT = 10.0  # tolerance: noise sigmas by which y has to range for a motion
+_AT_ONCE = 0.75  # prior: of the path's slope: a tip whose first slope is less starts gradually
+_SURER = 2.0  # prior: ratio of the sigmas, joint fit's to onsets', from which both are averaged
+_BEARABLE = 3.0  # prior: times what the joint fit's own B leaves: a B that leaves more stands for something else
+_LITTLE = 0.03  # tolerance: of the width: a smaller difference is no contradiction
+_WORSE = 1.25  # tolerance: times the best fit's residual: a B that leaves more does not predict as well
+_FEW_ONSETS = 6  # tolerance: onsets that are needed to contradict the joint fit
+_NEARER = 0.5  # prior: ratio of their mean squared z for two curves of B, below which they favour one
+_ONE_WAY, _OTHER_WAY = (
+    4.0,
+    0.3,
+)  # prior: standard errors by which onsets of one direction are late; of that, what the other's may be
+_BENDS = 2.0  # prior: times its own size by which B may change over the range
 
 
-def jumping(onsets: Sequence[Onset]) -> bool:
-    """Whether the image jumps at most onsets: no joint fit knows that."""
-    widths = measuring(onsets)
+def image_jumps(onsets: Sequence[Onset]) -> bool:
+    """Whether the image jumps at most onsets, which no joint fit contains: most of their widths are brackets."""
+    widths = with_width(onsets)
     return 2 * sum(o.kind == BRACKET for o in widths) > len(widths)
 
 
-def measuring(onsets: Sequence[Onset]) -> list[Onset]:
-    """Those that are a width, not a bound."""
+def with_width(onsets: Sequence[Onset]) -> list[Onset]:
+    """The used onsets that measure a width; others are bounds only."""
     return [o for o in onsets if o.used and o.kind in (HINGE, BRACKET)]
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Between the opinions of B(q) on `grid`; what it sees on the way goes to `findings`."""
+    """Weighs the opinions of B(q); notes, evidence and doubts that come up go to `findings`."""
 
     tracks: Sequence[Track]
     domain: Domain
@@ -60,23 +67,24 @@ class Choice:
         self,
         onsets: Sequence[Onset],
         curve: WidthCurve | None,
-        joint: Fitted | None,
+        joint_fit: Fitted | None,
         passes: Fitted | None,
         *,
         like_paper: bool,
         gradual: bool,
     ) -> tuple[Array, Array, str]:
-        """The onsets' B where there are onsets. The joint fit of all frames refines it where it agrees with them; the
-        passes fill it in where no reversal was made. Where the tip starts gradually onsets
-        show its first motion only. (B, its sigma, where it is from)"""
+        """B, its sigma and its source (ONSETS, JOINT, PASSES or NOTHING). The joint fit's B where the onsets agree with
+        it, or where there are none and the passes tell; else the onsets', filled in by the passes where no reversal was
+        made. like_paper: the paper's spline through the onsets. gradual: the tip starts gradually, so that onsets show
+        its first motion only and are not averaged into B."""
         if like_paper:
             paper = fit_paper(onsets, self.grid)
             if paper is not None:
                 self.findings.notes += [*paper.notes, "B(q) is the paper's spline of 14 knots through the onsets"]
                 return paper.width, paper.sigma, ONSETS
-        if joint is not None and curve is None and not self._passes_tell(joint):
-            joint = None
-        if joint is None and curve is None:
+        if joint_fit is not None and curve is None and not self._passed_both_ways(joint_fit):
+            joint_fit = None
+        if joint_fit is None and curve is None:
             self.findings.doubt(
                 "coverage",
                 "no reversal showed an onset and no two passes cover the same positions, B(q) is taken as 0",
@@ -84,34 +92,34 @@ class Choice:
                 fatal=True,
             )
             return np.zeros(NODES), np.full(NODES, self.domain.span / 4), NOTHING
-        if joint is None:
+        if joint_fit is None:
             assert curve is not None
             self.findings.notes += curve.notes
             return curve.width, curve.sigma, ONSETS
-        width = self.held(joint, curve)
-        sigma = joint.width_sigma(self.grid)
+        width = self.held_beyond_measured(joint_fit, curve)
+        sigma = joint_fit.width_sigma(self.grid)
         if curve is None:
             self.findings.notes.append("no reversal gave a width: B(q) is the distance between the passes")
             return width, sigma, PASSES
-        widths = measuring(onsets)
-        z = self._against(widths, curve, width, sigma)
+        widths = with_width(onsets)
+        z = self._z_scores(widths, curve, width, sigma)
         self.findings.evidence["onsets_against_joint_z2"] = float(np.mean(z**2))
-        self.findings.evidence["joint_residual_over_noise"] = joint.scale
-        if not joint.fit.elements.single:  # of several an onset shows the first
+        self.findings.evidence["joint_residual_over_noise"] = joint_fit.scale
+        if not joint_fit.fit.hysteresis.single:  # of several an onset shows the first
             return width, sigma, JOINT
-        agreed = joint.explained or float(np.mean(z**2)) < _AGREE
-        jumps = jumping(widths) and not self._foretells(widths, joint, curve)
+        agreed = joint_fit.explained or float(np.mean(z**2)) < _AGREE
+        jumps = image_jumps(widths) and not self._late_one_way_only(widths, joint_fit, curve)
         if not jumps and (agreed or not self._contradicted(widths, curve, passes)):
-            both, spread = (width, sigma) if gradual else self._weighed(curve, width, sigma)
-            if both is not width and self._bears(joint, width, both):
+            both, spread = (width, sigma) if gradual else self._combined(curve, width, sigma)
+            if both is not width and self._tolerates(joint_fit, width, both):
                 width, sigma = both, spread
             return width, sigma, JOINT
         self.findings.notes.append("the passes contradict the onsets: B(q) is the onsets' alone")
-        return self._filled(widths, curve, joint, passes)
+        return self._onsets_filled_by_passes(widths, curve, joint_fit, passes)
 
-    def _weighed(self, curve: WidthCurve, width: Array, sigma: Array) -> tuple[Array, Array]:
-        """B and its sigma. Onsets know no model: where its errors leave the joint fit clearly less certain of B than
-        they are, both count, by what each is uncertain by."""
+    def _combined(self, curve: WidthCurve, width: Array, sigma: Array) -> tuple[Array, Array]:
+        """B and its sigma, given the joint fit's. Onsets depend on no model: where model errors leave the joint fit
+        _SURER times less certain of B than they are, the mean of both, weighted by 1 / sigma^2."""
         inside = (self.grid > curve.measured[0]) & (self.grid < curve.measured[1])
         theirs = np.hypot(curve.sigma, curve.excess / np.sqrt(curve.places))  # a place errs alike every time
         if not inside.any() or np.median(sigma[inside]) < _SURER * np.median(theirs[inside]):
@@ -120,42 +128,55 @@ class Choice:
         both = (own * width + other * curve.width) / (own + other)
         return allowed_width(self.grid, both), (own + other) ** -0.5
 
-    def _bears(self, joint: Fitted, width: Array, both: Array) -> bool:
-        """Whether B may be `both` (grid,) where the joint fit has `width`: not where that predicts well, nor where the
-        other leaves far more."""
-        own = self.left_at(joint, width)
-        return own > EXPLAINED and self.left_at(joint, both) < _BEARABLE * own
+    def _tolerates(self, joint_fit: Fitted, width: Array, both: Array) -> bool:
+        """Whether B may be `both` (grid,) instead of the joint fit's `width`: if that does not predict well itself, and
+        `both` does not leave far more."""
+        own = self.residual_with_width(joint_fit, width)
+        return own > EXPLAINED and self.residual_with_width(joint_fit, both) < _BEARABLE * own
 
-    def nearer(
-        self, onsets: Sequence[Onset], curve: WidthCurve | None, components: Components, apart: Fitted, joint: Fitted
+    def onsets_favour_departures(
+        self,
+        onsets: Sequence[Onset],
+        curve: WidthCurve | None,
+        components: Components,
+        apart: Fitted,
+        joint_fit: Fitted,
     ) -> bool:
-        """Whether the onsets, which know no model, clearly agree with the B beside the departures (apart) and not with
-        the one without (joint). No where few are there, or these are a gradual start first of all: onsets show its
-        first motion only."""
-        widths = measuring(onsets)
-        if curve is None or len(widths) < _FEW_ONSETS or not joint.fit.elements.single or components.of_start:
+        """Whether the onsets, which depend on no model, clearly agree with the B that was estimated together with the
+        departures (apart) and not with the one without (joint_fit), by mean squared z. No where onsets are few, or the
+        strongest departure is a gradual start, of which onsets show the first motion only."""
+        widths = with_width(onsets)
+        if (
+            curve is None
+            or len(widths) < _FEW_ONSETS
+            or not joint_fit.fit.hysteresis.single
+            or components.mainly_start_of_strokes
+        ):
             return False
-        sigma = joint.width_sigma(self.grid)
-        off = [self._against(widths, curve, fit.fit.width(fit.curves), sigma) for fit in (apart, joint)]
+        sigma = joint_fit.width_sigma(self.grid)
+        off = [self._z_scores(widths, curve, fit.fit.width(fit.curves), sigma) for fit in (apart, joint_fit)]
         near, far = (float(np.mean(z**2)) for z in off)
         return far > _AGREE and near < _NEARER * far
 
-    def alone(self, components: Components, apart: Fitted, joint: Fitted) -> float:
-        """Residual over noise of B, path and delay as they are without the departures."""
-        return self._left_with(apart, components.usual) if components.parts else joint.scale
+    def residual_without_departures(self, components: Components, apart: Fitted, joint_fit: Fitted) -> float:
+        """Residual over noise of B and delay as estimated with the departures, but with these taken out again: how well
+        the model that is handed out, which does not contain them, predicts."""
+        return self._residual_with_curves(apart, components.session_mean) if components.parts else joint_fit.scale
 
     @staticmethod
-    def predicts(rest: float, joint: Fitted) -> bool:
-        """Whether a B that leaves so much (residual over noise) predicts what was seen about as well as the one that
-        fits it best: departures that take B far from that stand for something else."""
-        return rest < _WORSE * max(joint.scale, 1.0)
+    def predicts_as_well(residual: float, joint_fit: Fitted) -> bool:
+        """Whether a B that leaves this residual over noise predicts what was seen about as well as the best-fitting
+        one: departures that take B far from that one stand for something else."""
+        return residual < _WORSE * max(joint_fit.scale, 1.0)
 
-    def bridged(self, joint: Fitted, width: Array, inside: npt.NDArray[np.bool_]) -> Array:
-        """(grid,) by how much B may be another, unit of q, where nothing was passed both ways: it changes as elsewhere,
-        over the distance to what was. 0 elsewhere, and where B is known beforehand, which says it itself."""
-        if joint.fit.beforehand is not None:
+    def sigma_where_passed_one_way(self, joint_fit: Fitted, width: Array, inside: npt.NDArray[np.bool_]) -> Array:
+        """(grid,) further standard deviation of B where the tip passed one way only: the distance to the nearest place
+        that it passed both ways, times twice the rms slope of B elsewhere (or _BENDS typical widths over the range). 0
+        elsewhere, and everywhere if B was known beforehand, since its prior covers that. inside (grid,): where B was
+        measured."""
+        if joint_fit.fit.beforehand is not None:
             return np.zeros(len(self.grid))
-        apart = one_way(joint, self.grid)
+        apart = distance_to_both_ways(joint_fit, self.grid)
         if not np.isfinite(apart).all():
             return np.zeros(len(self.grid))
         gap = np.maximum(apart - HOLE * self.domain.span, 0.0)
@@ -177,22 +198,22 @@ class Choice:
             inside, max(2.0 * steep, _BENDS * float(np.median(width[inside])) / self.domain.span) * gap, 0.0
         )
 
-    def measured(self, curve: WidthCurve | None, joint: Fitted | None, source: str) -> tuple[float, float]:
-        """The lowest and highest position at which B was measured, unit of q: of onsets, or of the passes' frames; both
-        the range's middle where nowhere."""
+    def measured(self, curve: WidthCurve | None, joint_fit: Fitted | None, source: str) -> tuple[float, float]:
+        """The lowest and highest position at which B was measured: of onsets, or of the counted frames if B is from
+        passes; twice the range's middle where nowhere."""
         if curve is not None:
             return curve.measured
-        if joint is not None and source == PASSES:
-            p = np.concatenate([s.p[m] for s, m in zip(joint.fit.simulated, joint.masks, strict=True)])
+        if joint_fit is not None and source == PASSES:
+            p = np.concatenate([s.p[m] for s, m in zip(joint_fit.fit.simulated, joint_fit.masks, strict=True)])
             return float(p.min()), float(p.max())
         middle = 0.5 * (self.grid[0] + self.grid[-1])
         return middle, middle
 
-    def second_opinion(
+    def opinion_of_passes(
         self, onsets: Sequence[Onset], curve: WidthCurve | None, passes: Fitted | None
     ) -> tuple[Array | None, Array | None]:
-        """(B, its sigma) from the passes alone, (grid,) in the unit of q, NaN beyond where both ways overlap; None of
-        each where nowhere. The onsets' disagreement is evidence."""
+        """B and its sigma from the passes alone, NaN where the ways up and down do not overlap; None of each where they
+        nowhere do. By how much the onsets differ goes to the evidence, and to the findings where it is far."""
         if passes is None:
             return None, None
         low, high = overlap(passes)
@@ -205,13 +226,18 @@ class Choice:
         if curve is not None and len(widths) >= 2:
             p = np.array([o.q_mean for o in widths])
             difference = np.array([o.width for o in widths]) - np.interp(p, self.grid, width)
-            z = self._against(widths, curve, passes.fit.width(passes.curves), passes.width_sigma(self.grid))
+            z = self._z_scores(widths, curve, passes.fit.width(passes.curves), passes.width_sigma(self.grid))
             mean = float(np.mean(difference))
             self.findings.evidence["onsets_minus_passes"] = mean
             self.findings.evidence["onsets_minus_passes_rms"] = float(np.sqrt(np.mean(difference**2)))
             self.findings.evidence["onsets_minus_passes_z2"] = float(np.mean(z**2))
             share = abs(mean) / max(float(np.median([o.width for o in widths])), 1e-9)
-            if float(np.mean(z**2)) > 2 * _AGREE and share > 0.03 and passes.fit.elements.single and jumping(widths):
+            if (
+                float(np.mean(z**2)) > 2 * _AGREE
+                and share > 0.03
+                and passes.fit.hysteresis.single
+                and image_jumps(widths)
+            ):
                 self.findings.notice(
                     "registration.direction_dependent",
                     f"the passes lie {abs(mean):.3g} {self.unit} {'less' if mean > 0 else 'more'} apart than the "
@@ -220,76 +246,78 @@ class Choice:
                 )
         return width, sigma
 
-    def moves(self) -> bool:
+    def tip_moves(self) -> bool:
         """Whether the tip was seen to move by more than noise."""
         return any((np.ptp(track.y, axis=0) > _STANDS_OUT * np.median(track.sigma)).any() for track in self.tracks)
 
-    def _foretells(self, widths: Sequence[Onset], joint: Fitted, curve: WidthCurve) -> bool:
-        """Whether onsets come late (wider than the joint fit's B) one way only, and their B predicts what was seen
-        worse than the joint fit's: the tip is on its envelope all the same. Where both ways jump alike, the image
-        does."""
+    def _late_one_way_only(self, widths: Sequence[Onset], joint_fit: Fitted, curve: WidthCurve) -> bool:
+        """Whether onsets are wider than the joint fit's B after turns one way only, and their B predicts what was seen
+        worse: then the tip starts late that way but ends on the same envelope, and the joint fit is right. Onsets that
+        are off both ways alike mean an image that jumps."""
         at, up = np.array([o.q_mean for o in widths]), np.array([o.direction > 0 for o in widths])
         if min(up.sum(), (~up).sum()) < _FEW_ONSETS // 2:
             return False
-        late = np.array([o.width for o in widths]) - np.interp(at, self.grid, joint.fit.width(joint.curves))
+        late = np.array([o.width for o in widths]) - np.interp(at, self.grid, joint_fit.fit.width(joint_fit.curves))
         near, far = sorted((late[up], late[~up]), key=lambda way: abs(way.mean()))
         clear = max(_ONE_WAY * far.std() / np.sqrt(len(far)), _LITTLE * float(np.median(curve.width)))
         if far.mean() < clear or abs(near.mean()) > _OTHER_WAY * far.mean():
             return False
-        rest = self.left_at(joint, curve.width)
+        rest = self.residual_with_width(joint_fit, curve.width)
         self.findings.evidence["residual_with_onsets"] = rest
-        return not self.predicts(rest, joint)
+        return not self.predicts_as_well(rest, joint_fit)
 
-    def left_at(self, joint: Fitted, width: Array) -> float:
-        """Residual over noise of the joint fit with another B, width (grid,), once the path fits that."""
-        design = joint.fit.backlash.design(self.grid)
+    def residual_with_width(self, joint_fit: Fitted, width: Array) -> float:
+        """Residual over noise with B held at width (grid,) and the joint fit's delay, the path fitted anew."""
+        design = joint_fit.fit.backlash.design(self.grid)
         backlash = np.linalg.lstsq(design.toarray(), width, rcond=None)[0]
-        return self._left_with(joint, replace(joint.curves, backlash=backlash))
+        return self._residual_with_curves(joint_fit, replace(joint_fit.curves, backlash=backlash))
 
     @staticmethod
-    def _left_with(fitted: Fitted, curves: Curves) -> float:
-        """Residual over noise with this B and delay, once the path fits them; measured as the fit's own scale is."""
+    def _residual_with_curves(fitted: Fitted, curves: Curves) -> float:
+        """Residual over noise with B and delay held at these, the path fitted anew, smoothing as it was; outliers
+        cut as for the fit's own scale."""
         smoothing = dict(fitted.fit.smoothing)
         alone = replace(fitted.fit, fit_backlash=False, fit_delay=False, smoothing=smoothing)
         solved = alone.solve(curves, iterations=5, adapt=False)
-        return solved.scale if alone.elements.single else left(replace(solved, scale=fitted.scale))
+        return solved.scale if alone.hysteresis.single else rms_over_noise(replace(solved, scale=fitted.scale))
 
-    def held(self, joint: Fitted, curve: WidthCurve | None) -> Array:
-        """The joint fit's B, held beyond the positions that passes both ways or onsets reached: what lies there could
-        be f_remain as well. Not where something is known of it beforehand, nor of several elements: some turn in no
-        stroke but there, and are where B there puts them."""
-        if not joint.fit.elements.single or joint.fit.beforehand is not None:
-            return joint.fit.width(joint.curves)
-        low, high = overlap(joint)
+    def held_beyond_measured(self, joint_fit: Fitted, curve: WidthCurve | None) -> Array:
+        """The joint fit's B (grid,), constant beyond the positions that passes both ways or onsets reached: what the
+        frames show there could be f_remain as well. As it is if B was known beforehand, or for several elements, some
+        of which turn nowhere else."""
+        if not joint_fit.fit.hysteresis.single or joint_fit.fit.beforehand is not None:
+            return joint_fit.fit.width(joint_fit.curves)
+        low, high = overlap(joint_fit)
         if curve is not None:
             low, high = (min(low, curve.measured[0]), max(high, curve.measured[1])) if low < high else curve.measured
-        width = joint.fit.width(joint.curves)
+        width = joint_fit.fit.width(joint_fit.curves)
         if low >= high:
             return width
         return allowed_width(self.grid, np.interp(np.clip(self.grid, low, high), self.grid, width))
 
-    def _passes_tell(self, joint: Fitted) -> bool:
-        """Whether the tip was seen to move over the same positions both ways."""
-        low, high = overlap(joint)
-        return low < high and self.moves()
+    def _passed_both_ways(self, joint_fit: Fitted) -> bool:
+        """Whether the tip was seen to move, and over the same positions both ways."""
+        low, high = overlap(joint_fit)
+        return low < high and self.tip_moves()
 
     def _contradicted(self, widths: Sequence[Onset], curve: WidthCurve, passes: Fitted | None) -> bool:
-        """Whether onsets and passes, where both say something, differ by more than noise and by more than a little."""
-        if passes is None or self._gradual(widths, passes):
+        """Whether at least three onsets lie where passes overlap and differ from their B by more than noise (mean
+        squared z above _AGREE) and by more than the share _LITTLE in the median; no where the tip starts gradually."""
+        if passes is None or self._starts_gradually(widths, passes):
             return False
         low, high = overlap(passes)
         inside = [o for o in widths if low <= o.q_mean <= high]
         if len(inside) < 3:
             return False
         width, sigma = passes.fit.width(passes.curves), passes.width_sigma(self.grid)
-        z = self._against(inside, curve, width, sigma)
+        z = self._z_scores(inside, curve, width, sigma)
         difference = [o.width - float(np.interp(o.q_mean, self.grid, width)) for o in inside]
         share = abs(float(np.median(difference))) / max(float(np.median([o.width for o in inside])), 1e-9)
         return float(np.mean(z**2)) > _AGREE and share > _LITTLE
 
-    def _gradual(self, widths: Sequence[Onset], passes: Fitted) -> bool:
-        """Whether the tip starts more slowly than it goes on along the passes: then an onset is where a gradual start
-        begins, and no play's width."""
+    def _starts_gradually(self, widths: Sequence[Onset], passes: Fitted) -> bool:
+        """Whether the slope of the image just after the onsets is less, in the median, than _AT_ONCE of the passes'
+        path slope there: then an onset is where a gradual start begins, not the play's width."""
         p = np.array([o.q_mean for o in widths])
         path = passes.fit.follow.slope(passes.curves.follow, p)
         turn = 0.5 * np.array([o.direction for o in widths]) * passes.fit.backlash.slope(passes.curves.backlash, p)
@@ -305,8 +333,10 @@ class Choice:
         )
         return True
 
-    def _against(self, widths: Sequence[Onset], curve: WidthCurve, width: Array, sigma: Array) -> Array:
-        """Each onset's distance from another curve of B, over what both are uncertain by."""
+    def _z_scores(self, widths: Sequence[Onset], curve: WidthCurve, width: Array, sigma: Array) -> Array:
+        """(onsets,) each onset's width less the B `width` (grid,) there, over the standard deviation of the difference:
+        the onset's own (corrected for B', since its position and width share one error), sigma (grid,) of B, and the
+        onsets' excess scatter."""
         p = np.array([o.q_mean for o in widths])
         w = np.array([o.width for o in widths])
         own = np.array([o.sigma for o in widths])
@@ -316,12 +346,12 @@ class Choice:
         spread = np.sqrt(own**2 + np.interp(p, self.grid, sigma) ** 2 + curve.excess**2)
         return np.asarray((w - there) / spread)
 
-    def _filled(
-        self, widths: Sequence[Onset], curve: WidthCurve, joint: Fitted, passes: Fitted | None
+    def _onsets_filled_by_passes(
+        self, widths: Sequence[Onset], curve: WidthCurve, joint_fit: Fitted, passes: Fitted | None
     ) -> tuple[Array, Array, str]:
-        """The onsets' curve near onsets; farther off, the passes' shape shifted to meet it: B, its sigma, its source.
-        The image's jump is in the passes' distance, another at each place: as far as it differs where onsets tell it,
-        it may there."""
+        """B, its sigma and its source: the onsets' curve near onsets, and the passes' B farther off, shifted to meet
+        that curve. The shift is the image's jump, which differs from place to place: by its standard deviation where
+        onsets tell it, which is in sigma."""
         p = np.sort([o.q_mean for o in widths])
         reach = max(
             1.5 * float(np.median(np.diff(p))) if len(p) > 2 else 0.0, float(np.median([o.width for o in widths]))
@@ -333,13 +363,13 @@ class Choice:
         own = passes.fit.width(passes.curves)
         near = far == 0.0
         apart = (curve.width - own)[near]
-        other = own + np.interp(self.grid, self.grid[near], apart)
-        meets = np.interp(self.grid, self.grid[near], np.hypot(curve.sigma[near], float(np.std(apart))))
+        shifted = own + np.interp(self.grid, self.grid[near], apart)
+        sigma_of_shift = np.interp(self.grid, self.grid[near], np.hypot(curve.sigma[near], float(np.std(apart))))
         share = far * far * (3 - 2 * far)  # without a corner at either end
         inside = (self.grid >= p[0]) & (self.grid <= p[-1])
         share = np.where(inside, share, 0.0)
-        width = allowed_width(self.grid, (1 - share) * curve.width + share * other)
-        sigma = np.hypot((1 - share) * curve.sigma, share * np.hypot(passes.width_sigma(self.grid), meets))
+        width = allowed_width(self.grid, (1 - share) * curve.width + share * shifted)
+        sigma = np.hypot((1 - share) * curve.sigma, share * np.hypot(passes.width_sigma(self.grid), sigma_of_shift))
         if share.max() > 0.5:
             where = self.grid[share > 0.5]
             self.findings.notes.append(

@@ -28,6 +28,7 @@ class Gap:
     why: str
 
     def says(self, unit: str) -> str:
+        """The gap in words. unit: of q."""
         return f"{not_measured((self.low, self.high), unit)}: {self.why}"
 
 
@@ -38,27 +39,30 @@ def not_measured(span: Span, unit: str) -> str:
 
 
 def seeable(model: Model, low: float, high: float) -> Span:
-    """Where B has to be measured for a motor that goes from `low` to `high`: all but B/2, and a little, at either
-    end."""
+    """The lowest and highest position at which B has to be measured for a motor that goes from `low` to `high`: all but
+    B/2 and _EDGE of the range at either end, where it cannot be seen."""
     free = _EDGE * (high - low)
     return low + 0.5 * float(model.width[0]) + free, high - 0.5 * float(model.width[-1]) - free
 
 
-def one_way(joint: Fitted, grid: Array) -> Array:
-    """(grid,) how far, unit of q, the nearest frame of a tip that goes up is, or of one that goes down, whichever is
-    farther; inf where one way has no frame."""
+def distance_to_both_ways(joint_fit: Fitted, grid: Array) -> Array:
+    """(grid,) distance, unit of q, from each position to the nearest counted frame of a rising tip or to that of a
+    falling one, whichever is farther: 0 where it passed both ways. inf everywhere if one way has no frame."""
     seen = [
-        (s.p[mask], s.lean[mask]) for s, mask in zip(joint.fit.simulated, joint.masks, strict=True)
+        (s.p[mask], s.lean[mask]) for s, mask in zip(joint_fit.fit.simulated, joint_fit.masks, strict=True)
     ]  # the simulation is the last that the fit made: at its own curves
     by_direction = [np.unique(np.concatenate([p[way * lean > _LEANS] for p, lean in seen])) for way in (-1, 1)]
     if not all(len(p) for p in by_direction):
         return np.full(len(grid), np.inf)
-    return np.asarray(np.max([np.min(np.abs(grid[:, None] - _nearest(p, grid)), axis=1) for p in by_direction], axis=0))
+    return np.asarray(
+        np.max([np.min(np.abs(grid[:, None] - _neighbours(p, grid)), axis=1) for p in by_direction], axis=0)
+    )
 
 
 def gaps(model: Model, apart: Array) -> tuple[Gap, ...]:
-    """What is not measured of the positions where B can be seen, the lowest first. apart: `one_way` on the model's
-    grid."""
+    """The stretches in which B can be seen (`seeable`) and is not measured, the lowest first: not passed both ways
+    within HOLE of the range, or beyond all turns. apart: `distance_to_both_ways`
+    on the model's grid."""
     low, high = float(model.q[0]), float(model.q[-1])
     first, last = seeable(model, low, high)
     passed = apart <= HOLE * (high - low)
@@ -69,19 +73,20 @@ def gaps(model: Model, apart: Array) -> tuple[Gap, ...]:
 
 
 def _gap(q: Array, run: npt.NDArray[np.intp], passed: npt.NDArray[np.bool_], first: float, last: float) -> Gap:
-    """The gap of one run of indices of the grid q; where it reaches the last that can be seen it goes on to the end of
-    the range. passed (grid,): both ways; first, last: ends of what can be seen, unit of q."""
+    """The gap of one run of indices of the grid q (grid,). If it reaches an end of what can be seen, first or last, it
+    goes on to that end of the range. passed (grid,): whether passed both ways."""
     step = float(q[1] - q[0])
     low, high = float(q[run[0]]), float(q[run[-1]])
     why = "passed both ways, but no turn there gave a width" if passed[run].all() else "never passed both ways"
     return Gap(float(q[0]) if low < first + step else low, float(q[-1]) if high > last - step else high, why)
 
 
-def _nearest(p: Array, at: Array) -> Array:
-    """(at, 2) the sorted p on either side of each place."""
+def _neighbours(p: Array, at: Array) -> Array:
+    """(places, 2) of sorted positions p (n,) the neighbours on either side of each place `at` (places,)."""
     k = np.searchsorted(p, at)
     return np.column_stack([p[np.clip(k - 1, 0, len(p) - 1)], p[np.clip(k, 0, len(p) - 1)]])
 
 
 def to_json(missing: Sequence[Gap], unit: str) -> dict[str, object]:
+    """`coverage` of a calibration's JSON (formats). unit: of q."""
     return {"missing": [{"from": gap.low, "to": gap.high, "says": gap.says(unit)} for gap in missing]}

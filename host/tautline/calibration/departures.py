@@ -1,13 +1,16 @@
-"""How an instrument, its clock or its camera may depart from a play with one delay: columns for a mixed model.
+"""How an instrument, its clock or its camera may depart from a play with one delay, as columns of a mixed model
+(components.py).
 
-Each departure is a linear change of what the sensor sees, frame by frame, with a roughness or size that its variance
-multiplies. Those of the transmission move p and so the image along the path; those of the camera move the image.
+Each departure is a linear change of what the sensor sees, frame by frame: columns Z with a penalty matrix P, so that
+its values u have the prior N(0, s^2 P^-1). Departures of the transmission move the tip's place p and so the image along
+the path; those of the camera move the image itself. n: counted frames; channels: 2 of an image (px), 1 of an angle
+(deg). Columns are for the whitened image, channel by channel: (channels * n, m).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +21,7 @@ from scipy.linalg import helmert
 
 from tautline import _native
 from tautline.calibration.observations import Mask, turning_hysteresis, usual_width
-from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit, Simulated
+from tautline.calibration.playfit import Curves, Fitted, PlayFit, PreparedTrack
 from tautline.core.motor import MotorPath
 from tautline.elements import Play
 from tautline.independence import first_order_sums
@@ -36,11 +39,17 @@ _SATURATES = (0.1, 0.3, 1.0, 10.0)  # prior: of the usual speed, at which a widt
 _FINE_S = 0.005  # tolerance: of the path that lags
 _BREATHS_HZ = 0.08, 1.0  # prior: 5 to 60 breaths or heartbeats a minute
 _SCAN = 12.0  # prior: what looking for a moment or a rhythm costs, of twice the log likelihood
-_LASTS, _CONSTANT = 0.2, 0.5  # prior: of the misfit, that neighbours share; of that, both halves of a stroke
-_ACROSS, _SWAYS = 0.25, 0.5  # prior: of what lies along the path, across it; of the misfit, that one rhythm explains
+_LASTS, _CONSTANT = (
+    0.2,
+    0.5,
+)  # prior: of a tracker's error: least share of the residual power that neighbours share; most of that in halves
+_ACROSS, _SWAYS = (
+    0.25,
+    0.5,
+)  # prior: of it: least share across the path of that along it; most of all that one sine explains
 _PIECES, _LAGS = 100, 60  # tolerance: of all strokes, at most; frames over which neighbours share something
 
-SPEED, SHARE = "width.speed", "%"  # of departures that add to B, of those that add a share of it
+SPEED, SHARE = "width.speed", "%"  # names of departures that add to B begin so; of those that add a share of B end so
 # What changes during a session and then is what it is: a model holds what it came to.
 STATES = frozenset(
     {"offset.time", "offset.slip", "width.time", "image.time", "image.shift", "offset.recording", "width.recording"}
@@ -48,56 +57,58 @@ STATES = frozenset(
 
 
 @dataclass(frozen=True)
-class Part:
-    """One departure's columns for every row, channel by channel: (channels * n, m)."""
+class Departure:
+    """A candidate for a component: its columns and the prior of its values."""
 
     name: str
-    columns: sparse.csr_matrix
-    penalty: Array  # (m, m)
+    columns: sparse.csr_matrix  # (channels * n, m)
+    penalty: Array  # (m, m) P
     one_way: bool = False  # its only value cannot be negative
-    not_beside: frozenset[str] = frozenset()  # departures that it would stand in for
-    price: float = 0.0  # for having been looked for
+    not_beside: frozenset[str] = frozenset()  # departures that it would stand in for: not if one of them is active
+    price: float = 0.0  # of twice the log likelihood, for a parameter that was searched for
 
     @property
     def size(self) -> int:
+        """m, the number of its values."""
         return int(self.columns.shape[1])
 
 
 @dataclass(frozen=True)
-class Scene:
-    """The counted frames of all tracks, one after the other, at one state of the fit."""
+class CountedFrames:
+    """The frames that count, of all tracks one after the other, at one state of the fit: residuals, and what the
+    columns of nominal model and departures are made of. All (n,) but as said; lengths in the unit of q."""
 
-    time_s: Array  # (n,) of the session
+    time_s: Array  # of the session
     t: Array  # the same, -1/2 to 1/2
-    p: Array
-    side: Array
-    slope: Array  # (n, channels) of the whitened path
+    p: Array  # the play's centre
+    side: Array  # envelope that last moved p, +1 or -1
+    slope: Array  # (n, channels) d(whitened image)/dp
     width: Array  # B(p)
     by_width: Array  # dp/dB
-    by_delay: Array
-    speed: Array  # of the motor where the tip moves
-    moving: Mask
-    phase: Array  # travel since the motor turned, in widths
-    way: Array  # of the motor since then
-    stroke: npt.NDArray[np.intp]  # half-cycle of the tip
-    recording: npt.NDArray[np.intp]
-    frame: npt.NDArray[np.intp]  # of its track
-    behind: Callable[[tuple[float, ...]], Array]  # (n, k) what lags of these time constants, s, would add to p
+    by_delay: Array  # dp/d(delay), per s
+    speed: Array  # of the motor, per s, where the tip moves; else 0
+    moving: Mask  # the tip moves
+    phase: Array  # travel since the motor turned, in widths B(p)
+    direction: Array  # of the motor since then, +1 or -1
+    stroke: npt.NDArray[np.intp]  # number of the tip's half-cycle, in all tracks
+    recording: npt.NDArray[np.intp]  # number of the track
+    frame: npt.NDArray[np.intp]  # index in its track
+    lag_columns: Callable[[tuple[float, ...]], Array]  # (n, k) what first-order lags, time constants (k,) s, add to p
     load: Array | None  # less its mean
     inverse: Array  # 1 / stated noise
-    rows: Array  # (n, channels) whitened residuals
+    residuals: Array  # (n, channels) whitened
     weight: Array
 
-    def along(self, columns: Sparse) -> sparse.csr_matrix:
-        """Columns of p as columns of what is seen, channel by channel."""
-        return sparse.csr_matrix(sparse.vstack([by_rows(slope, columns) for slope in self.slope.T]))
+    def along_path(self, columns: Sparse) -> sparse.csr_matrix:
+        """(channels * n, m) columns of the image, from columns (n, m) of the tip's place p."""
+        return sparse.csr_matrix(sparse.vstack([scaled_rows(slope, columns) for slope in self.slope.T]))
 
-    def each(self, columns: Sparse) -> sparse.csr_matrix:
-        """The same columns for every channel of the image, apart."""
+    def per_channel(self, columns: Sparse) -> sparse.csr_matrix:
+        """(channels * n, channels * m) these columns (n, m) for every channel of the image, with values of its own."""
         return sparse.csr_matrix(sparse.block_diag([sparse.csr_matrix(columns)] * self.slope.shape[1]))
 
-    def at_the_end(self) -> Scene:
-        """The same frames, had all been taken when the session ended."""
+    def at_the_end(self) -> CountedFrames:
+        """The same frames with the times and the recording of the session's last one."""
         n = len(self.t)
         last = int(self.recording[np.argmax(self.time_s)]) if n else 0
         return replace(
@@ -105,319 +116,390 @@ class Scene:
         )
 
 
-def by_rows(factors: Array, columns: Sparse) -> sparse.csr_matrix:
-    """(n, k) the rows of these columns times a factor (n,) each."""
+def scaled_rows(factors: Array, columns: Sparse) -> sparse.csr_matrix:
+    """(n, m) columns with each row times its factor (n,)."""
     scaled = sparse.csr_matrix(columns, dtype=float, copy=True)
     scaled.data *= np.repeat(factors, np.diff(scaled.indptr))
     return scaled
 
 
 @dataclass(frozen=True)
-class Design:
-    """What is looked for in what is left: when the image shifted and when the transmission slipped, s, and how often
-    something breathes, Hz; after how much of the path the tracker's error begins anew, px."""
+class SearchedParameters:
+    """Parameters in which departures are not linear: found by a search in the residuals, None where nothing was
+    found."""
 
-    shift_s: float | None = None
-    slip_s: float | None = None
-    breath_hz: float | None = None
-    anew_px: float | None = None
+    shift_s: float | None = None  # when the image shifted, session time
+    slip_s: float | None = None  # when the transmission slipped
+    breath_hz: float | None = None  # frequency at which the image sways
+    tracker_length_px: float | None = None  # length of the image's path over which a tracker's error stays alike
 
-    def scanned(self, scene: Scene, left: Array, used: Set[str]) -> Design:
-        """The same with the moments of a shift and a slip and the rhythm that explain most of what is left (n,
-        channels); those of departures that are in use stay."""
+    def updated(self, counted: CountedFrames, left: Array, in_use: Set[str]) -> SearchedParameters:
+        """With the moments of shift and slip and the frequency that explain most of the whitened residuals left (n,
+        channels); those of departures that are in use (names) stay."""
         best = self
-        if "image.shift" not in used:
-            best = replace(best, shift_s=_shift_time(scene.time_s, left))
-        if "offset.slip" not in used:
-            best = replace(best, slip_s=_slip_time(scene, left))
-        if "image.breath" not in used:
-            best = replace(best, breath_hz=_rhythm(scene.time_s, left))
+        if "image.shift" not in in_use:
+            best = replace(best, shift_s=_shift_time(counted.time_s, left))
+        if "offset.slip" not in in_use:
+            best = replace(best, slip_s=_slip_time(counted, left))
+        if "image.breath" not in in_use:
+            best = replace(best, breath_hz=_sway_frequency(counted.time_s, left))
         return best
 
 
-def scene_of(fitted: Fitted, curves: Curves, rig: Rig, clock: Array) -> Scene | None:
-    """All that departures are columns of, at these curves. clock (2,): how far the sensor's clock departs, s, linear
-    and quadratic over the session; taken out here. None where the tip was never driven through so wide a play: no frame
-    tells of it."""
-    fit = fitted.fit
-    first, length = _session(fit.tracks)
-    tracks = on_clock(fit.tracks, clock)
-    there = replace(fit, tracks=tracks, smoothing=fit.smoothing)
-    rows, masks = there.residuals(curves)
+# ---- the frames
+
+
+def counted_frames(fitted: Fitted, curves: Curves, rig: Rig, clock_error: Array) -> CountedFrames | None:
+    """The frames that count at these curves. clock_error (2,), s, is taken off the tracks' times: the sensor's clock
+    is off by c0 t + c1 (t^2 - 1/12), t from -1/2 to 1/2 over the session. None where no frame counts: the tip was never
+    driven through so wide a play."""
+    tracks = on_clock(fitted.fit.tracks, clock_error)
+    fit = replace(fitted.fit, tracks=tracks, smoothing=fitted.fit.smoothing)
+    residuals, masks = fit.residuals(curves)
     if not any(mask.any() for mask in masks):
         return None
-    usual = usual_width(there.width(curves), float(fit.grid[-1] - fit.grid[0]))
-    pieces = [
-        _piece(there, curves, frozen, sim, r, mask, w, usual, rig)
-        for frozen, sim, r, mask, w in zip(tracks, there.simulated, rows, masks, fitted.weights, strict=True)
-    ]
-    before = 0
-    for piece in pieces:
-        piece["stroke"] = piece["stroke"] + before
-        before = int(piece["stroke"].max(initial=before - 1)) + 1
-    for number, piece in enumerate(pieces):
-        piece["recording"] = np.full(len(piece["p"]), number)
-    load = None if any(piece["load"] is None for piece in pieces) else np.concatenate([p["load"] for p in pieces])
-    courses = [piece.pop("behind") for piece in pieces]
-    joined = {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0] if name != "load"}
-    norm = np.sqrt(np.mean(joined["rows"] ** 2, axis=1))
-    limit = 4.0 * max(1.4826 * float(np.median(norm)), 1e-9)
-    joined["weight"] = np.minimum(joined["weight"], (limit / np.maximum(norm, limit)) ** 2)  # as of a heavy tail
-    time_s = joined.pop("time_s")
-    return Scene(
-        time_s=time_s,
-        t=(time_s - first) / length - 0.5,
-        load=None if load is None else load - load.mean(),
-        behind=lambda times_s: np.concatenate([behind(times_s) for behind in courses]),
-        **joined,
+    usual = usual_width(fit.width(curves), float(fit.grid[-1] - fit.grid[0]))
+    return _joined(
+        [
+            _of_track(fit, curves, number, residuals[number], masks[number], fitted.weights[number], usual, rig)
+            for number in range(len(tracks))
+        ],
+        _session(fitted.fit.tracks),
     )
 
 
-def departures(scene: Scene, looked_for: Design, *, apart: bool | None = None) -> list[Part]:
-    """Every departure that these frames could show, as columns. looked_for: moments, rhythm and length found before;
-    apart: whether recordings may differ (None: where they show much the same positions)."""
-    hats = _hats(scene.phase, _PHASES)[:, :-1]
-    smooth, one = _smooth(hats.shape[1]), np.eye(1)
-    n, channels = len(scene.p), scene.slope.shape[1]
-    strokes = int(scene.stroke.max(initial=0)) + 1
-    slow = slow_basis(scene.t, min(_TIMES, strokes // _STROKES_A_SPAN))
-    each = sparse.csr_matrix((np.ones(n), (np.arange(n), scene.stroke)), shape=(n, strokes))
-    held = by_rows(np.where(scene.moving, 0.0, 1.0), each)
-    speeds = np.abs(scene.speed)
-    usual = max(float(np.mean(speeds[scene.moving])) if scene.moving.any() else 0.0, 1e-12)
+def on_clock(tracks: Sequence[PreparedTrack], clock_error: Array) -> list[PreparedTrack]:
+    """The tracks with the error of their clock (2,), s, as in `counted_frames`, taken off their times."""
+    first, length = _session(tracks)
+    corrected = []
+    for prepared in tracks:
+        t = (prepared.track.t_s + prepared.track.session_s - first) / length - 0.5
+        error = clock_error[0] * t + clock_error[1] * (t**2 - 1 / 12)
+        corrected.append(replace(prepared, track=replace(prepared.track, t_s=prepared.track.t_s - error)))
+    return corrected
 
-    def column(name: str, values: Array, *not_beside: str) -> Part:
-        return Part(name, scene.along(values[:, None]), one, False, frozenset(not_beside))
 
-    def speed_parts() -> list[Part]:
-        """One of several laws of a width that is less at rest. A motor that stops passes every speed on the
-        way: a tip that rests was left there by a slow one, unless the width holds."""
-        laws = {f"{SPEED}.{at:g}": -np.expm1(-speeds / (at * usual)) / -np.expm1(-1.0 / at) for at in _SATURATES}
-        laws |= {f"{name}.0": np.where(scene.moving, law, 1.0) for name, law in laws.items()}
-        columns = {name: scene.by_width * (law - 1.0) for name, law in laws.items()}
-        columns |= {name + SHARE: column * scene.width for name, column in columns.items()}
-        beside = frozenset(columns) | {"phase.even"}
-        return [Part(name, scene.along(values[:, None]), one, False, beside) for name, values in columns.items()]
+def _session(tracks: Sequence[PreparedTrack]) -> tuple[float, float]:
+    """When the first frame of the session came, and how long it was until the last one, s."""
+    ends = [prepared.track.t_s[[0, -1]] + prepared.track.session_s for prepared in tracks]
+    first, last = float(np.min(ends)), float(np.max(ends))
+    return first, max(last - first, 1e-9)
 
-    def slow_parts(name: str, times_s: tuple[float, ...], columns: Array) -> list[Part]:
-        """One of several time constants."""
-        names = frozenset(f"{name}.{tau:g}" for tau in times_s)
-        return [
-            Part(f"{name}.{tau:g}", scene.along(columns[:, [i]]), one, True, names) for i, tau in enumerate(times_s)
-        ]
 
-    by_speed, behind = speed_parts(), scene.behind(_LAGS_S + _CREEPS_S)
-    parts = [
-        Part(
-            "phase.even",
-            scene.along(by_rows(scene.way, hats)),
-            smooth,
-            False,
-            frozenset(p.name for p in by_speed),
-        ),
-        Part("phase.odd", scene.along(hats), smooth),
-        Part("stroke", scene.along(each), np.eye(strokes)),
-        Part("turn", scene.along(held), np.eye(strokes)),
-        *([] if slow is None else [Part("offset.time", scene.along(slow), _smooth(slow.shape[1]))]),
-        column("width.time", scene.by_width * scene.width * scene.t),
+def _of_track(
+    fit: PlayFit, curves: Curves, number: int, residuals: Array, keep: Mask, weights: Array, usual: float, rig: Rig
+) -> CountedFrames:
+    """The counted frames of one track: `t` is 0 and `stroke` counts from the track's first. residuals (frames,
+    channels), keep (frames,) and weights (frames,) of all its frames; usual: typical B, unit of q. After
+    `fit.residuals` with the same curves."""
+    prepared, sim = fit.tracks[number], fit.simulated[number]
+    track = prepared.track
+    scene_s = track.scene_s(curves.delay_s)
+    travel, direction = _since_turn(track.path, scene_s[keep], rig)
+    p, moving = sim.p[keep], sim.moving[keep]
+    by_width, by_delay = sim.slopes(keep, fit.backlash.slope(curves.backlash, p))
+    inverse = 1.0 / track.sigma[keep]
+    width = np.interp(p, fit.grid, fit.width(curves))
+    load = track.motor.load_mNm
+
+    def lag_columns(times_s: tuple[float, ...]) -> Array:
+        """(n, k) what a first-order lag of each time constant (k,), s, adds to the play's p, unit of q."""
+        fine = np.arange(track.motor.t_s[0], track.motor.t_s[-1], _FINE_S)
+        course = Play(fit.grid, fit.width(curves), fit.hysteresis).forward(track.motor_at(fine))
+        return np.column_stack([np.interp(scene_s[keep], fine, _low_pass(course, tau) - course) for tau in times_s])
+
+    return CountedFrames(
+        time_s=track.t_s[keep] + track.session_s,
+        t=np.zeros(len(p)),
+        p=p,
+        side=sim.side[keep].astype(float),
+        slope=fit.follow.slope(curves.follow, p).reshape(len(p), curves.follow.shape[1]) * inverse[:, None],
+        width=width,
+        by_width=by_width,
+        by_delay=by_delay,
+        speed=sim.speed[keep] * moving,
+        moving=moving,
+        phase=travel / np.maximum(width, 0.2 * usual),
+        direction=direction,
+        stroke=sim.half_cycle[keep],
+        recording=np.full(len(p), number),
+        frame=np.flatnonzero(keep),
+        lag_columns=lag_columns,
+        load=None if load is None else np.interp(scene_s[keep], track.motor.t_s, load),
+        inverse=inverse,
+        residuals=residuals[keep],
+        weight=np.where(weights[keep] > 0, weights[keep], 1.0),
+    )
+
+
+def _joined(pieces: Sequence[CountedFrames], session: tuple[float, float]) -> CountedFrames:
+    """The frames of all tracks as one, strokes numbered on, and outliers of the residuals weighed down as by a
+    heavy-tailed density. session: first frame and length, s."""
+    first, length = session
+    before, strokes = 0, []
+    for piece in pieces:
+        strokes.append(piece.stroke + before)
+        before = int(strokes[-1].max(initial=before - 1)) + 1
+    arrays = {
+        field.name: np.concatenate([getattr(piece, field.name) for piece in pieces])
+        for field in fields(CountedFrames)
+        if field.name not in ("lag_columns", "load", "stroke")
+    }
+    norm = np.sqrt(np.mean(arrays["residuals"] ** 2, axis=1))
+    limit = 4.0 * max(1.4826 * float(np.median(norm)), 1e-9)
+    arrays["weight"] = np.minimum(arrays["weight"], (limit / np.maximum(norm, limit)) ** 2)
+    arrays["t"] = (arrays["time_s"] - first) / length - 0.5
+    loads = [piece.load for piece in pieces if piece.load is not None]
+    load = np.concatenate(loads) if len(loads) == len(pieces) else None
+    return CountedFrames(
+        stroke=np.concatenate(strokes),
+        load=None if load is None else load - load.mean(),
+        lag_columns=lambda times_s: np.concatenate([piece.lag_columns(times_s) for piece in pieces]),
+        **arrays,
+    )
+
+
+# ---- the departures
+
+
+def departures(counted: CountedFrames, searched: SearchedParameters, *, apart: bool | None = None) -> list[Departure]:
+    """Every departure that these frames could show. searched: its parameters that are not linear; apart: whether
+    recordings may differ (None: where they show much the same positions)."""
+    n = len(counted.p)
+    strokes = int(counted.stroke.max(initial=0)) + 1
+    slow = slow_basis(counted.t, min(_TIMES, strokes // _STROKES_A_SPAN))
+    by_stroke = sparse.csr_matrix((np.ones(n), (np.arange(n), counted.stroke)), shape=(n, strokes))
+    by_speed = _speed_departures(counted)
+    found = [
+        *_start_departures(counted, by_speed),
+        *_stroke_departures(counted, by_stroke),
+        *([] if slow is None else [Departure("offset.time", counted.along_path(slow), _smooth(slow.shape[1]))]),
+        _one_value(counted, "width.time", counted.by_width * counted.width * counted.t),
         *by_speed,
-        column("clock.rate", scene.by_delay * scene.t),
-        column("clock.drift", scene.by_delay * (scene.t**2 - 1 / 12)),
-        *slow_parts("lag", _LAGS_S, behind[:, : len(_LAGS_S)] / np.array(_LAGS_S)),
-        *slow_parts("creep", _CREEPS_S, behind[:, len(_LAGS_S) :]),
+        _one_value(counted, "clock.rate", counted.by_delay * counted.t),
+        _one_value(counted, "clock.drift", counted.by_delay * (counted.t**2 - 1 / 12)),
+        *_lag_departures(counted),
     ]
-    if looked_for.slip_s is not None:
-        slipped = (scene.time_s >= looked_for.slip_s).astype(float)[:, None]
-        parts.append(Part("offset.slip", scene.along(slipped), one, price=_SCAN))
-    if scene.load is not None and np.ptp(scene.load) > 0:
-        load = scene.load / np.std(scene.load)
-        effects = np.column_stack([load, scene.by_width * load, (scene.p - scene.p.mean()) * load])
-        parts.append(Part("load", scene.along(effects), np.eye(3)))
-    recordings = int(scene.recording.max(initial=0)) + 1
-    if recordings > 1 and (_same_places(scene, recordings) if apart is None else apart):
-        which, free = contrasts(recordings)[scene.recording], np.eye(recordings - 1)
-        parts += [
-            Part("offset.recording", scene.along(which), free),
-            Part("width.recording", scene.along(which * (scene.by_width * scene.width)[:, None]), free),
-        ]
-    if channels > 1:
-        parts += [
-            *([] if slow is None else [Part("image.time", scene.each(slow), _smooth(slow.shape[1], channels))]),
-            _of_strokes(scene, each, looked_for.anew_px),
-            Part("image.side", scene.each(scene.side[:, None]), np.eye(channels)),
-        ]
-        if looked_for.shift_s is not None:
-            after = (scene.time_s >= looked_for.shift_s).astype(float)[:, None]
-            parts.append(Part("image.shift", scene.each(after * _places(scene)), np.eye(3 * channels), price=_SCAN))
-        if looked_for.breath_hz is not None:
-            turn = 2 * np.pi * looked_for.breath_hz * scene.time_s
-            waves = np.column_stack([np.cos(turn), np.sin(turn)])
-            parts.append(Part("image.breath", scene.each(waves), np.eye(2 * channels), price=_SCAN))
-    return parts
+    if searched.slip_s is not None:
+        slipped = (counted.time_s >= searched.slip_s).astype(float)[:, None]
+        found.append(Departure("offset.slip", counted.along_path(slipped), np.eye(1), price=_SCAN))
+    if counted.load is not None and np.ptp(counted.load) > 0:
+        found.append(_load_departure(counted, counted.load))
+    recordings = int(counted.recording.max(initial=0)) + 1
+    if recordings > 1 and (_same_places(counted, recordings) if apart is None else apart):
+        found += _recording_departures(counted, recordings)
+    if counted.slope.shape[1] > 1:
+        found += _image_departures(counted, searched, slow, by_stroke)
+    return found
 
 
-def _of_strokes(scene: Scene, each: Sparse, anew_px: float | None) -> Part:
-    """The image's place on each stroke, or the tracker's error on each piece of it."""
-    columns = each if anew_px is None else _pieces(scene, anew_px)
-    name = "image.stroke" if anew_px is None else "tracker"
-    return Part(name, scene.each(columns), np.eye(scene.slope.shape[1] * columns.shape[1]))
+def _one_value(counted: CountedFrames, name: str, column: Array) -> Departure:
+    """The departure of one value, from what it adds to p at each frame, (n,)."""
+    return Departure(name, counted.along_path(column[:, None]), np.eye(1))
 
 
-def starts_anew(scene: Scene) -> float | None:
-    """After how much of the path (px) an error of the tracker begins anew, as behind a codec that holds back what moves
-    little; None where there is none. It lies across the path as well as along it, as none of the tip does, and is
-    another in both halves of a stroke, as none of the camera's is but a sway."""
-    if scene.slope.shape[1] < 2 or len(scene.p) < 4 * _LAGS:
+def _start_departures(counted: CountedFrames, by_speed: Sequence[Departure]) -> list[Departure]:
+    """How the tip starts after a reversal, over the travel since the turn in widths: alike both ways (phase.even, not
+    beside a width by speed, which looks like it) and the other way round (phase.odd)."""
+    hats = _hats(counted.phase, _PHASES)[:, :-1]
+    smooth = _smooth(hats.shape[1])
+    even = counted.along_path(scaled_rows(counted.direction, hats))
+    return [
+        Departure("phase.even", even, smooth, not_beside=frozenset(part.name for part in by_speed)),
+        Departure("phase.odd", counted.along_path(hats), smooth),
+    ]
+
+
+def _stroke_departures(counted: CountedFrames, by_stroke: Sparse) -> list[Departure]:
+    """An offset of p on every half-cycle (stroke), and one while the tip rests in it (turn). by_stroke (n, strokes): 1
+    where a frame is of a stroke."""
+    resting = scaled_rows(np.where(counted.moving, 0.0, 1.0), by_stroke)
+    each = np.eye(by_stroke.shape[1])
+    return [
+        Departure("stroke", counted.along_path(by_stroke), each),
+        Departure("turn", counted.along_path(resting), each),
+    ]
+
+
+def _speed_departures(counted: CountedFrames) -> list[Departure]:
+    """B plus v (law - 1), or B (1 + v (law - 1)), law being 1 at the usual speed and rising as 1 - exp(-speed / (a
+    usual)) with a of _SATURATES. A motor that stops passes every speed on the way, so a tip that rests was left there
+    by a slow one: law is 0 at rest, unless the width holds what it had (".0" in the name). Only one of all is
+    likely, and not beside phase.even, which looks alike."""
+    speeds = np.abs(counted.speed)
+    usual = max(float(np.mean(speeds[counted.moving])) if counted.moving.any() else 0.0, 1e-12)
+    laws = {f"{SPEED}.{at:g}": -np.expm1(-speeds / (at * usual)) / -np.expm1(-1.0 / at) for at in _SATURATES}
+    laws |= {f"{name}.0": np.where(counted.moving, law, 1.0) for name, law in laws.items()}
+    columns = {name: counted.by_width * (law - 1.0) for name, law in laws.items()}
+    columns |= {name + SHARE: column * counted.width for name, column in columns.items()}
+    alike = frozenset(columns) | {"phase.even"}
+    return [
+        Departure(name, counted.along_path(values[:, None]), np.eye(1), not_beside=alike)
+        for name, values in columns.items()
+    ]
+
+
+def _lag_departures(counted: CountedFrames) -> list[Departure]:
+    """A first-order lag as its time constant in s times what that does for each second (lag), and a share of what a
+    slow first-order lag holds back (creep); of each one time constant of several."""
+    behind = counted.lag_columns(_LAGS_S + _CREEPS_S)
+    lags, creeps = behind[:, : len(_LAGS_S)] / np.array(_LAGS_S), behind[:, len(_LAGS_S) :]
+    found = []
+    for kind, times_s, columns in (("lag", _LAGS_S, lags), ("creep", _CREEPS_S, creeps)):
+        names = [f"{kind}.{tau:g}" for tau in times_s]
+        for i, name in enumerate(names):
+            column = counted.along_path(columns[:, [i]])
+            found.append(Departure(name, column, np.eye(1), one_way=True, not_beside=frozenset(names)))
+    return found
+
+
+def _load_departure(counted: CountedFrames, load: Array) -> Departure:
+    """An offset of p, a width and a gain that follow the logged load (n,), in its standard deviations."""
+    load = load / np.std(load)
+    effects = np.column_stack([load, counted.by_width * load, (counted.p - counted.p.mean()) * load])
+    return Departure("load", counted.along_path(effects), np.eye(3))
+
+
+def _recording_departures(counted: CountedFrames, recordings: int) -> list[Departure]:
+    """An offset of p and a width that differ between recordings, as contrasts: (recordings - 1) values each."""
+    which, free = contrasts(recordings)[counted.recording], np.eye(recordings - 1)
+    return [
+        Departure("offset.recording", counted.along_path(which), free),
+        Departure(
+            "width.recording", counted.along_path(which * (counted.by_width * counted.width)[:, None]), free
+        ),
+    ]  # fmt: skip
+
+
+def _image_departures(
+    counted: CountedFrames, searched: SearchedParameters, slow: Sparse | None, by_stroke: Sparse
+) -> list[Departure]:
+    """The image's own motion against the instrument: slow in time, on each stroke (or the tracker's error in its
+    place), by direction, one shift, one sine. slow (n, splines); by_stroke (n, strokes)."""
+    channels = counted.slope.shape[1]
+    found = []
+    if slow is not None:
+        found.append(Departure("image.time", counted.per_channel(slow), _smooth(slow.shape[1], channels)))
+    length_px = searched.tracker_length_px
+    name, pieces = ("image.stroke", by_stroke) if length_px is None else ("tracker", _pieces(counted, length_px))
+    found.append(Departure(name, counted.per_channel(pieces), np.eye(channels * pieces.shape[1])))
+    found.append(Departure("image.side", counted.per_channel(counted.side[:, None]), np.eye(channels)))
+    if searched.shift_s is not None:
+        after = (counted.time_s >= searched.shift_s).astype(float)[:, None]
+        shifted = counted.per_channel(after * _places(counted))
+        found.append(Departure("image.shift", shifted, np.eye(3 * channels), price=_SCAN))
+    if searched.breath_hz is not None:
+        angle = 2 * np.pi * searched.breath_hz * counted.time_s
+        waves = np.column_stack([np.cos(angle), np.sin(angle)])
+        found.append(Departure("image.breath", counted.per_channel(waves), np.eye(2 * channels), price=_SCAN))
+    return found
+
+
+# ---- the error of a marker's tracker
+
+
+def tracker_error_length(counted: CountedFrames) -> float | None:
+    """Length of the image's path, px, over which an error of the tracker stays alike before it begins anew, as behind a
+    video codec that holds back what moves little; None where there is no such error. It is told from others by what
+    neighbouring frames of a stroke share: that lies across the path as well as along it, as nothing of the tip does,
+    and is another in both halves of a stroke, as nothing of the camera's place is but a sway."""
+    if counted.slope.shape[1] < 2 or len(counted.p) < 4 * _LAGS:
         return None
-    left = scene.rows * scene.weight[:, None]
-    direction = scene.slope / np.maximum(np.linalg.norm(scene.slope, axis=1), 1e-12)[:, None]
+    left = counted.residuals * counted.weight[:, None]
+    direction = counted.slope / np.maximum(np.linalg.norm(counted.slope, axis=1), 1e-12)[:, None]
     along = np.sum(left * direction, axis=1)
     across = left[:, 0] * direction[:, 1] - left[:, 1] * direction[:, 0]
 
     def shared(values: Array, lag: int = 1) -> float:
-        """Mean product of values `lag` frames apart on one stroke: what they have in common, noise squared."""
-        same = scene.stroke[lag:] == scene.stroke[:-lag]
+        """Autocovariance of values (n,) at this lag, in frames of one stroke; noise squared."""
+        same = counted.stroke[lag:] == counted.stroke[:-lag]
         return float(np.mean((values[lag:] * values[:-lag])[same])) if same.any() else 0.0
 
     near = shared(along) + shared(across)
     if near < _LASTS * float(np.mean(np.sum(left**2, axis=1))) or shared(across) < _ACROSS * shared(along):
         return None
-    if _halves(left, scene.stroke) > _CONSTANT * near or _swaying(scene.time_s, left) > _SWAYS:
+    if _shared_by_halves(left, counted.stroke) > _CONSTANT * near or _share_of_sine(counted.time_s, left) > _SWAYS:
         return None
-    place = _along_path(scene)
+    place = _path_in_stroke(counted)
     for lag in range(1, _LAGS):
         if shared(along, lag) + shared(across, lag) < 0.5 * near:
             break
-    same = (scene.stroke[lag:] == scene.stroke[:-lag]) & scene.moving[lag:]
+    same = (counted.stroke[lag:] == counted.stroke[:-lag]) & counted.moving[lag:]
     gone = float(np.median((place[lag:] - place[:-lag])[same])) if same.any() else 0.0
     return max(gone, float(np.sum(np.maximum(np.diff(place), 0.0))) / _PIECES)
 
 
-def _along_path(scene: Scene) -> Array:
-    """(n,) how far, px, the image has gone since the stroke began."""
-    step = np.linalg.norm(scene.slope / scene.inverse[:, None], axis=1)[1:] * np.abs(np.diff(scene.p))
+def _path_in_stroke(counted: CountedFrames) -> Array:
+    """(n,) how far, px, the image has gone along its path since the stroke began."""
+    step = np.linalg.norm(counted.slope / counted.inverse[:, None], axis=1)[1:] * np.abs(np.diff(counted.p))
     gone = np.concatenate([[0.0], np.cumsum(step)])
-    first = np.searchsorted(scene.stroke, scene.stroke, side="left")
+    first = np.searchsorted(counted.stroke, counted.stroke, side="left")
     return np.asarray(gone - gone[first])
 
 
-def _pieces(scene: Scene, length_px: float) -> sparse.csr_matrix:
-    """(n, nodes) piecewise linear along each stroke's path, with a node every length_px."""
-    place = _along_path(scene) / length_px
-    spans = np.zeros(int(scene.stroke.max(initial=0)) + 1, dtype=np.intp)
-    np.maximum.at(spans, scene.stroke, place.astype(np.intp) + 1)
+def _pieces(counted: CountedFrames, length_px: float) -> sparse.csr_matrix:
+    """(n, nodes) piecewise linear basis over the image's path in each stroke, with a node every length_px; nodes near
+    no frame are left out."""
+    place = _path_in_stroke(counted) / length_px
+    spans = np.zeros(int(counted.stroke.max(initial=0)) + 1, dtype=np.intp)
+    np.maximum.at(spans, counted.stroke, place.astype(np.intp) + 1)
     first = np.concatenate([[0], np.cumsum(spans + 1)])
-    at = first[scene.stroke] + place.astype(np.intp)
+    at = first[counted.stroke] + place.astype(np.intp)
     share, n = place % 1.0, np.arange(len(place))
-    seen, node = np.unique(np.concatenate([at, at + 1]), return_inverse=True)  # no frame is near any other
+    seen, node = np.unique(np.concatenate([at, at + 1]), return_inverse=True)
     values = np.concatenate([1.0 - share, share]), (np.concatenate([n, n]), node)
     return sparse.csr_matrix(values, shape=(len(place), len(seen)))
 
 
-def _halves(left: Array, stroke: npt.NDArray[np.intp]) -> float:
-    """Mean product of the means of a stroke's two halves: what both share, noise squared; 0 where strokes are short."""
+def _shared_by_halves(left: Array, stroke: npt.NDArray[np.intp]) -> float:
+    """Mean product of the means of residuals (n, channels) in a stroke's two halves: the variance, noise squared, that
+    is constant over a stroke. 0 where all strokes are shorter than 12 frames."""
     begins = np.flatnonzero(np.diff(stroke, prepend=-1))
     ends = np.append(begins[1:], len(stroke))
     pairs = [(left[a : (a + b) // 2], left[(a + b) // 2 : b]) for a, b in zip(begins, ends, strict=True) if b - a >= 12]
     return float(np.mean([early.mean(axis=0) @ late.mean(axis=0) for early, late in pairs])) if pairs else 0.0
 
 
-def _swaying(t: Array, left: Array) -> float:
-    """Share (0 to 1) of what is left that a sine of the likeliest frequency explains; 0 where no frequency can be
-    told."""
-    rate = _rhythm(t, left)
+def _share_of_sine(t: Array, left: Array) -> float:
+    """Share (0 to 1) of the variance of residuals left (n, channels) at times t (n,), s, that a sine of the best
+    frequency explains; 0 where no frequency can be told."""
+    rate = _sway_frequency(t, left)
     if rate is None:
         return 0.0
-    turn = 2 * np.pi * rate * t
-    waves = np.column_stack([np.cos(turn), np.sin(turn), np.ones_like(t)])
+    angle = 2 * np.pi * rate * t
+    waves = np.column_stack([np.cos(angle), np.sin(angle), np.ones_like(t)])
     rest = left - waves @ np.linalg.lstsq(waves, left, rcond=None)[0]
     return 1.0 - float(np.sum(rest**2)) / max(float(np.sum((left - left.mean(axis=0)) ** 2)), 1e-30)
 
 
+# ---- columns and penalties
+
+
 def contrasts(recordings: int) -> Array:
-    """(recordings, recordings - 1): what each differs by from the mean of all, which is path's and B's own."""
+    """(recordings, recordings - 1) orthonormal contrasts (Helmert): what each recording differs by from the mean of
+    all, which the nominal path and B already are."""
     return np.asarray(helmert(recordings).T)
 
 
-def _same_places(scene: Scene, recordings: int) -> bool:
+def _same_places(counted: CountedFrames, recordings: int) -> bool:
     """Whether all recordings show much the same positions: else what differs may be the place."""
-    spans = [scene.p[scene.recording == k] for k in range(recordings)]
+    spans = [counted.p[counted.recording == k] for k in range(recordings)]
     if any(len(span) == 0 for span in spans):
         return False
     shared = min(float(span.max()) for span in spans) - max(float(span.min()) for span in spans)
     return shared > 0.7 * max(float(np.ptp(span)) for span in spans)
 
 
-def _places(scene: Scene) -> Array:
-    """(n, 3) constant, linear and quadratic in p: a rigid transform moves each place of the path in its own way."""
-    x = (scene.p - scene.p.mean()) / max(float(np.std(scene.p)), 1e-12)
+def _places(counted: CountedFrames) -> Array:
+    """(n, 3) constant, linear and quadratic in p: a rigid motion of the image moves each place of the path in its own
+    way."""
+    x = (counted.p - counted.p.mean()) / max(float(np.std(counted.p)), 1e-12)
     return np.column_stack([np.ones_like(x), x, x**2 - 1])
 
 
-def on_clock(tracks: Sequence[Frozen], clock: Array) -> list[Frozen]:
-    """The tracks with the departure of their clock (see `scene_of`) taken out."""
-    first, length = _session(tracks)
-    corrected = []
-    for frozen in tracks:
-        t = (frozen.track.t_s + frozen.track.session_s - first) / length - 0.5
-        departs = clock[0] * t + clock[1] * (t**2 - 1 / 12)
-        corrected.append(replace(frozen, track=replace(frozen.track, t_s=frozen.track.t_s - departs)))
-    return corrected
-
-
-def _session(tracks: Sequence[Frozen]) -> tuple[float, float]:
-    """When the first frame of the session came, and how long it was until the last one, s."""
-    ends = [frozen.track.t_s[[0, -1]] + frozen.track.session_s for frozen in tracks]
-    first, last = float(np.min(ends)), float(np.max(ends))
-    return first, max(last - first, 1e-9)
-
-
-def _piece(
-    fit: PlayFit, curves: Curves, frozen: Frozen, sim: Simulated, rows: Array, keep: Mask, weights: Array,
-    usual: float, rig: Rig,
-) -> dict[str, Any]:  # fmt: skip
-    """What `Scene` holds, of one track."""
-    track = frozen.track
-    scene_s = track.scene_s(curves.delay_s)
-    gone, way = _since_turn(track.path, scene_s[keep], rig)
-    p, side, moving = sim.p[keep], sim.side[keep].astype(float), sim.moving[keep]
-    by_width, by_delay = sim.slopes(keep, fit.backlash.slope(curves.backlash, p))
-    inverse = 1.0 / track.sigma[keep]
-    stroke = np.cumsum(np.diff(sim.side.astype(int), prepend=sim.side[:1]) != 0)
-    width = np.interp(p, fit.grid, fit.width(curves))
-    load = track.motor.load_mNm
-
-    def behind(times_s: tuple[float, ...]) -> Array:
-        """(frames, time constants) what a first-order lag of each time constant, s, adds to the play's p, unit of q."""
-        fine = np.arange(track.motor.t_s[0], track.motor.t_s[-1], _FINE_S)
-        course = Play(fit.grid, fit.width(curves), fit.elements).forward(track.motor_at(fine))
-        return np.column_stack([np.interp(scene_s[keep], fine, _low_pass(course, tau) - course) for tau in times_s])
-
-    return {
-        "time_s": track.t_s[keep] + track.session_s,
-        "p": p,
-        "side": side,
-        "slope": fit.follow.slope(curves.follow, p).reshape(len(p), curves.follow.shape[1]) * inverse[:, None],
-        "width": width,
-        "by_width": by_width,
-        "by_delay": by_delay,
-        "speed": sim.speed[keep] * moving,
-        "moving": moving,
-        "phase": gone / np.maximum(width, 0.2 * usual),
-        "way": way,
-        "stroke": stroke[keep],
-        "frame": np.flatnonzero(keep),
-        "behind": behind,
-        "load": None if load is None else np.interp(scene_s[keep], track.motor.t_s, load),
-        "inverse": inverse,
-        "rows": rows[keep],
-        "weight": np.where(weights[keep] > 0, weights[keep], 1.0),
-    }
-
-
 def _since_turn(path: MotorPath, at: Array, rig: Rig) -> tuple[Array, Array]:
-    """How far the motor has gone since it last turned (n,), unit of q, and which way (n,), +1 or -1, at scene times
-    (n,), s; how far is inf before its first turn."""
+    """How far the motor has gone since it last turned (n,), unit of q, and its direction since then (n,), +1 or -1, at
+    scene times (n,), s; how far is inf before its first turn."""
     motor, hysteresis = path.lines, turning_hysteresis(path, rig.actuator.encoder_resolution, rig.actuator.span)
     turns = _native.turns(np.ascontiguousarray(motor.q), hysteresis)
     edges = np.concatenate([[0], turns, [len(motor.q) - 1]]).astype(int)
@@ -434,7 +516,7 @@ def _low_pass(p: Array, time_s: float) -> Array:
 
 
 def _hats(x: Array, nodes: Array) -> sparse.csr_matrix:
-    """(n, nodes) piecewise linear basis; nothing beyond the last node."""
+    """(n, nodes) piecewise linear basis at x (n,); 0 beyond the last node."""
     n = np.flatnonzero(x < nodes[-1])
     at = np.clip(np.searchsorted(nodes, x[n], side="right") - 1, 0, len(nodes) - 2)
     share = (x[n] - nodes[at]) / (nodes[at + 1] - nodes[at])
@@ -443,8 +525,8 @@ def _hats(x: Array, nodes: Array) -> sparse.csr_matrix:
 
 
 def slow_basis(t: Array, spans: int) -> Sparse | None:
-    """Cubic splines (n, spans + 3) at times t (n,) of the session, -1/2 to 1/2. None of fewer than 2 spans: that is no
-    slower than the motion."""
+    """Cubic B-splines (n, spans + 3) at times t (n,) of the session, -1/2 to 1/2. None of fewer than 2 spans: that is
+    no slower than the motion."""
     if spans < 2:
         return None
     knots = -0.5 + np.arange(-3, spans + 4) / spans
@@ -459,9 +541,12 @@ def _smooth(size: int, channels: int = 1) -> Array:
     return np.asarray(np.kron(np.eye(channels), rough), dtype=float)
 
 
+# ---- searches in the residuals
+
+
 def _shift_time(t: Array, left: Array) -> float | None:
-    """The moment, s, at which a step of the image explains most of what is left (n, channels), at least 20 frames from
-    either end; None of fewer than 60 frames."""
+    """The moment, s, at which a step of the image explains most of the residuals left (n, channels) at times t (n,), at
+    least 20 frames from either end (CUSUM statistic |S_k|^2 n / (k (n - k))); None of fewer than 60 frames."""
     n = len(left)
     if n < 60:
         return None
@@ -471,21 +556,21 @@ def _shift_time(t: Array, left: Array) -> float | None:
     return float(t[int(np.argmax(gain)) + 21])
 
 
-def _slip_time(scene: Scene, left: Array) -> float | None:
-    """The moment, s, from which on another place of the tip along its path explains most, beside one of all the
-    session, at least 20 frames from either end; None of fewer than 60 frames."""
+def _slip_time(counted: CountedFrames, left: Array) -> float | None:
+    """The moment, s, from which on an offset of p explains most of the residuals left (n, channels), beside one of all
+    the session; at least 20 frames from either end. None of fewer than 60 frames."""
     if len(left) < 60:
         return None
-    pull, power = np.sum(left * scene.slope, axis=1), np.sum(scene.slope**2, axis=1)
+    pull, power = np.sum(left * counted.slope, axis=1), np.sum(counted.slope**2, axis=1)
     share = np.cumsum(power) / max(float(power.sum()), 1e-30)
     inside = slice(20, -20)
     gain = (np.cumsum(pull) - share * pull.sum())[inside] ** 2 / np.maximum(share * (1.0 - share), 1e-12)[inside]
-    return float(scene.time_s[int(np.argmax(gain)) + 21])
+    return float(counted.time_s[int(np.argmax(gain)) + 21])
 
 
-def _rhythm(t: Array, left: Array) -> float | None:
-    """The frequency, Hz, at which a sine explains most of what is left; None where frames are few or the session too
-    short."""
+def _sway_frequency(t: Array, left: Array) -> float | None:
+    """The frequency, Hz, of the largest peak of the periodogram of residuals left (n, channels) at times t (n,), s,
+    within _BREATHS_HZ and of four cycles or more; None where frames are few or the session is too short."""
     if len(t) < 100:
         return None
     even = np.linspace(t[0], t[-1], len(t))

@@ -1,4 +1,5 @@
-"""What the components of a calibration say of the instrument, its clock and its camera: reasons to doubt it."""
+"""Reasons to doubt a calibration, from its components (components.py): what each says of the instrument, its clock and
+its camera; and the errors that all strokes share, which no scatter shows."""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from tautline.calibration.components import GAIN, Component, Components
+from tautline.calibration.components import REML_GAIN, Component, Components
 from tautline.calibration.departures import SHARE, SPEED, STATES
 from tautline.calibration.findings import Findings
 from tautline.calibration.observations import Track
@@ -128,67 +129,69 @@ _MEANS: dict[str, tuple[str, str, str]] = {
 }
 
 
-def goes_on(components: Components) -> float:
-    """By how much, in the noise, what changes in time still did in the session's last quarter; rms, 0 where nothing
-    does."""
+def still_changing(components: Components) -> float:
+    """rms over the noise of what still changed in the session's last quarter, if an offset, a width or the image's
+    place changes gradually with time; else 0."""
     moves = any(part.name in STATES and part.name.endswith("time") for part in components.parts)
-    return components.late if moves else 0.0
+    return components.late_change if moves else 0.0
 
 
-def doubts(
-    components: Components, counted: npt.NDArray[np.bool_], usual: float, unit: str, rough: bool, good: bool
+def component_reasons(
+    components: Components, counted: npt.NDArray[np.bool_], usual: float, unit: str, motor_visible: bool, good: bool
 ) -> list[Reason]:
-    """Likeliest first. counted: the grid's places at which B was measured; usual: B there; unit: of q; rough: the
-    motor's counts or noise show in the image; good: the model predicts and B is known whatever departs: then only what
-    would spoil either if it were left out is told, and as no doubt."""
-    late = goes_on(components)
+    """A reason for each component, strongest first, then one for unexplained scatter. good: the model predicts and B is
+    known: then reasons are mild, and only components that would spoil either if they were left out are told. counted
+    (grid,): where B was measured; usual: typical B there, unit of q; motor_visible: the motor's counts or noise show in
+    the image, so that a component of turns is the encoder's."""
+    late = still_changing(components)
     reasons = []
     for part in sorted(components.parts, key=lambda each: -each.chi2):
-        shift = float(np.sqrt(np.mean(part.shift[counted] ** 2))) if counted.any() else 0.0
+        shift = float(np.sqrt(np.mean(part.width_shift[counted] ** 2))) if counted.any() else 0.0
         if part.name.startswith(SPEED):
             shift = abs(float(part.values[0])) * (usual if part.name.endswith(SHARE) else 1.0)
         spoils = np.hypot(1.0, part.rms) > PREDICTS or shift > KNOWN * usual
-        expected = part.name == "turn" and part.chi2 < GAIN  # where counts are coarse, there or not
+        expected = part.name == "turn" and part.chi2 < REML_GAIN  # where counts are coarse, there or not
         if not spoils and (good or expected):
             continue
-        kind = "turn.itself" if part.name == "turn" and not rough else part.name
+        kind = "turn.itself" if part.name == "turn" and not motor_visible else part.name
         still = f", {late:.1f} in its last quarter" if part.name in STATES and late > 0.0 else ""
         reasons.append(_reason(kind, part, shift, unit, still, good))
-    if components.noise > PREDICTS:
+    if components.unexplained > PREDICTS:
         reasons.append(_scatter(components, good))
     return reasons
 
 
 def _reason(kind: str, part: Component, shift: float, unit: str, still: str, mild: bool) -> Reason:
-    """The doubt of one component. kind: its name as in _MEANS, but for the number at its end; shift: of B without it
-    (rms), unit of q; still: what its text ends with."""
+    """The reason of one component. kind: a key of _MEANS, with or without a number at its end; shift: rms by which B
+    would change without it, unit of q; still: appended to the text."""
     code, says, remedy = _MEANS[kind.rstrip("0123456789.%")]
     return Reason(code, f"{says} ({part.rms:.1f} times the noise, {shift:.2g} {unit} of B{still})", remedy, mild=mild)
 
 
 def _scatter(components: Components, good: bool) -> Reason:
-    """The doubt of noise that no departure explains, by its look: a few frames far off, from frame to frame (the noise,
-    or times while the tip moves), or alike in neighbours."""
-    times = f"{components.noise:.1f} times the noise of a tip at rest is left"
+    """The reason of residuals that no departure explains, by their look: a few frames far off (if all else is good),
+    white (noise, or unsteady frame times if it is larger while the tip moves), or correlated between neighbours."""
+    times = f"{components.unexplained:.1f} times the noise of a tip at rest is left"
     if good:  # of most frames
-        says = f"some frames are far off ({components.noise:.1f} times the noise with them)"
+        says = f"some frames are far off ({components.unexplained:.1f} times the noise with them)"
         return Reason("outliers", says, "look for a second blob of the marker's colour", mild=True)
-    if components.effective < _WHITE and components.moving > _SPEEDS:
+    if components.frames_per_independent < _WHITE and components.moving_ratio > _SPEEDS:
         return Reason(
             "acquisition.jitter",
             f"{times}, from frame to frame, while the tip moves",
             "take the frames' hardware times",
         )
-    if components.effective < _WHITE:
+    if components.frames_per_independent < _WHITE:
         return Reason("noise", f"{times}, from frame to frame", "check light, focus and the marker's colour")
     return Reason("residual", f"{times}, which no known departure explains", "taut diagnose says where it is")
 
 
-def floor_of(
+def common_error(
     tracks: Sequence[Track], grid: Array, width: Array, sigma: Array, usual: float, unit: str, findings: Findings
 ) -> float:
-    """What every stroke is wrong by alike, unit of q: no scatter shows it, so it is added to B's sigma. grid, width and
-    sigma where B was measured; usual: B there."""
+    """The error of B, unit of q, that all strokes share, so that their scatter does not show it: of turns between the
+    motor's samples, of its readings' noise at turns, and the rms of a ripple of B. What is large is noticed in the
+    findings. grid, width, sigma (k,): B where it was measured; usual: typical B there; unit: of q."""
     if len(grid) < 2:
         return 0.0
     between = max(between_samples(track.path.sampled) for track in tracks)
@@ -220,37 +223,41 @@ _FINEST = 1e-3  # tolerance: of what is seen: no rate is told that would mend mo
 
 
 def _faster_hz(period_s: float, between: float, allowed: float) -> int:
-    """The rate at which straight lines between samples are within `allowed` of the motor's path, a round number: what
-    they are off by falls as the period does at a sharp turn, and with its square at others."""
+    """The rate, Hz, a round number (1, 2 or 5 times a power of ten), at which straight lines between motor samples come
+    within `allowed` of its path, where they are off by `between` at samples period_s apart, both in the unit of q: the
+    error is taken to fall with the period, as at a sharp turn."""
     least = between / max(allowed, _FINEST * between) / period_s
     decade = 10.0 ** math.floor(math.log10(least))
     return round(decade * next(step for step in (1, 2, 5, 10) if step * decade >= least * (1.0 - 1e-9)))
 
 
 def _ripple(grid: Array, width: Array, sigma: Array, usual: float) -> tuple[float, float]:
-    """(rms, period) of one wave that goes on all over what was measured, where B is likelier with it than as a smooth
-    curve alone: rms 0 where it is not. B's shape is a cubic smoothing spline whose variance is the likeliest, with and
-    without the wave; the wave's prior is as large as B (`usual`), its rate anywhere alike."""
+    """(rms, period), both in the unit of q, of a sine of constant amplitude in B; rms 0 where the restricted likelihood
+    does not gain REML_GAIN (of twice its logarithm) by it. B width (k,) with sigma (k,) at grid (k,) is a cubic
+    smoothing spline, its smoothing the likeliest with and without the sine, plus the sine, whose two amplitudes have
+    the prior N(0, usual^2) and whose frequency any of _RATES values alike."""
     at = np.linspace(grid[0], grid[-1], _PLACES)
     y, weight = np.interp(at, grid, width), np.interp(at, grid, sigma) ** -2
     basis = Basis(float(at[0]), float(at[-1]), _PLACES // 2)
     design = basis.design(at).toarray()
-    heavy = design * weight[:, None]
+    weighted = design * weight[:, None]
     rates = np.linspace(_CYCLES[0], _CYCLES[1], _RATES) / float(at[-1] - at[0])
-    turn = 2.0 * np.pi * np.outer(rates, at)
-    waves = np.stack([np.cos(turn), np.sin(turn)], axis=2)
+    angle = 2.0 * np.pi * np.outer(rates, at)
+    waves = np.stack([np.cos(angle), np.sin(angle)], axis=2)  # (rates, places, 2)
+    # -2 log restricted likelihood: the best without a wave; with one (deviance, its rate's index, its amplitudes).
     smooth, waved = np.inf, (np.inf, 0, np.zeros(2))
     for smoothing in np.logspace(-8, 8, 17) * float(np.median(weight)):
-        system = heavy.T @ design + smoothing * basis.bending
-        within = np.diag(weight) - heavy @ np.linalg.solve(system, heavy.T)
-        without = float(y @ within @ y + np.linalg.slogdet(system)[1] - (basis.size - 2) * np.log(smoothing))
-        seen = within @ waves
+        system = weighted.T @ design + smoothing * basis.bending
+        precision = np.diag(weight) - weighted @ np.linalg.solve(system, weighted.T)  # of y, the spline integrated out
+        without = float(y @ precision @ y + np.linalg.slogdet(system)[1] - (basis.size - 2) * np.log(smoothing))
+        seen = precision @ waves
         pull = np.einsum("rnc,n->rc", seen, y)
-        known = np.einsum("rnc,rnd->rcd", waves, seen) + np.eye(2) / usual**2
-        size = np.linalg.solve(known, pull[..., None])[..., 0]
-        gains = np.sum(pull * size, axis=1) - np.linalg.slogdet(usual**2 * known)[1] - 2.0 * np.log(_RATES)
+        information = np.einsum("rnc,rnd->rcd", waves, seen) + np.eye(2) / usual**2
+        amplitudes = np.linalg.solve(information, pull[..., None])[..., 0]
+        gains = np.sum(pull * amplitudes, axis=1) - np.linalg.slogdet(usual**2 * information)[1] - 2.0 * np.log(_RATES)
         best = int(np.argmax(gains))
-        smooth, waved = min(smooth, without), min(waved, (without - gains[best], best, size[best]), key=lambda w: w[0])
-    surprise, best, size = waved
-    there = surprise + GAIN < smooth  # what any departure has to gain
-    return (float(np.linalg.norm(size)) / np.sqrt(2.0) if there else 0.0), 1.0 / float(rates[best])
+        smooth = min(smooth, without)
+        waved = min(waved, (without - gains[best], best, amplitudes[best]), key=lambda wave: wave[0])
+    deviance, best, amplitudes = waved
+    there = deviance + REML_GAIN < smooth  # what any departure has to gain
+    return (float(np.linalg.norm(amplitudes)) / np.sqrt(2.0) if there else 0.0), 1.0 / float(rates[best])

@@ -1,9 +1,12 @@
-"""Level, then a knot or a jump, then a path: where in the motor's travel the image begins to move.
+"""Change-point models of one stroke: y is level, then from a knot on (`fit_hinge`), or after a jump (`fit_jump`),
+follows a path over the motor's travel x since the turn. The knot is where the image begins to move.
 
-The path's shape is not known: f_remain, and B where it is steep, bend it. Its slope is a Wiener process over the
-travel (the prior of a cubic smoothing spline), whose variance is unknown as well and summed over. It starts at about
-the speed that it goes on with: else what creeps before the onset is taken for a slow start. So a path that bends within
-the few frames of a quick stroke widens the knot's posterior and does not move it.
+The path's shape is not known: f_remain, and B where it is steep, bend it. Its slope is a Wiener process over the travel
+(the prior of a cubic smoothing spline), whose variance is unknown as well and summed over. The prior of its first slope
+is log-normal about its mean slope: else what creeps before the onset is taken for a slow start. So a path that bends
+within the few frames of a quick stroke widens the knot's posterior and does not move it.
+
+Deviance is -2 log likelihood but for a constant. y is whitened: of unit noise, (n, channels).
 """
 
 from __future__ import annotations
@@ -29,38 +32,38 @@ _FLAT = 1e-9  # tolerance: precision of what is fitted, in whitened units over t
 
 @dataclass(frozen=True)
 class Hinge:
-    """Level, then a knot, then a path: the knot's posterior mean and standard deviation."""
+    """A fitted hinge: the knot's posterior mean and standard deviation, in the unit of x."""
 
     knot: float
     sigma: float
-    surprise: float  # -2 log of the likelihood at its best
-    chi2: float  # of what the path leaves
-    freedom: float
+    deviance: float  # at its best
+    chi2: float  # sum of squared residuals of the best path
+    freedom: float  # their degrees of freedom
     slope: Array  # (channels,) of whitened y per unit of x, just after the knot
 
 
 @dataclass(frozen=True)
 class Jump:
-    """Level, then a jump of unknown size: the frames bracket the onset."""
+    """A fitted jump of unknown size: the onset is bracketed by two frames."""
 
-    low: float
-    high: float
+    low: float  # travel of the last still frame, in the unit of x
+    high: float  # of the first moving one
     size: float  # of the jump, in sigma
-    surprise: float
+    deviance: float
 
 
 @dataclass(frozen=True)
 class _Paths:
-    """The best paths for K candidate knots and V bends."""
+    """The best paths for K candidate knots and V values of the bending's standard deviation."""
 
-    surprise: Array  # (K, V) -2 log likelihood, noise as much as is left but not below what is stated
+    deviance: Array  # (K, V) noise as large as the residuals say, but not below the stated one
     chi2: Array  # (K, V) of the residual
     coefficients: Array  # (K, V, columns, channels) of level, slope over the window, pieces (, jump)
 
 
 @dataclass(frozen=True)
 class _Window:
-    """What is seen over a travel, and the priors of a path in it."""
+    """The frames of one stroke, and the priors of a path through them."""
 
     x: Array  # (n,) travel
     y: Array  # (n, channels) of unit variance, from its first value on
@@ -70,7 +73,7 @@ class _Window:
     @classmethod
     def of(cls, x: Array, y: Array, *, jump: bool = False) -> Self:
         """The window of travel x (n,) and whitened y (n, channels), with the priors of _BENDS paths from straight to
-        bent. jump: one more column, a jump at the knot."""
+        bent. jump: with one more column, a jump at the knot."""
         centred = y - y[:1]
         swing = max(float(np.sqrt(np.max(np.sum(centred**2, axis=1)))), 1.0)
         bends = np.geomspace(_LEAST_BEND, _MOST_BEND * swing, _BENDS)
@@ -85,44 +88,47 @@ class _Window:
         return max(float(self.x.max()), 1e-12)
 
     def paths(self, knots: Array) -> _Paths:
-        """The best paths from each of knots (K,), in the unit of x, at each bend."""
+        """The best path from each of the knots (K,), in the unit of x, for each bending prior. Deviance: N log s^2 +
+        squares / s^2 + channels log det + that of the first slope, s^2 the larger of 1 and squares / N, N the number of
+        values less those of level and slope."""
         squares, chi2, volume, _, way, coefficients = _native.hinge(
             self.x, self.y, knots, self.precision, self.jump, used_too=False
         )
         channels = self.y.shape[1]
         count = (len(self.x) - 2) * channels
         noise = np.maximum(squares / count, 1.0)
-        start = _start(coefficients[:, :, 1], way / np.maximum(1.0 - knots / self.reach, 1e-9)[:, None, None])
-        surprise = count * np.log(noise) + squares / noise + channels * volume + start
-        return _Paths(surprise, chi2, coefficients)
+        start = _start_deviance(coefficients[:, :, 1], way / np.maximum(1.0 - knots / self.reach, 1e-9)[:, None, None])
+        deviance = count * np.log(noise) + squares / noise + channels * volume + start
+        return _Paths(deviance, chi2, coefficients)
 
-    def used(self, knot: float, bend: int) -> float:
-        """How many unknowns of each channel the data determine of a path from this knot; bend: the index of its
+    def effective_parameters(self, knot: float, bend: int) -> float:
+        """Effective number of parameters, in each channel, of the path from this knot; bend: the index of its bending
         prior."""
         return float(_native.hinge(self.x, self.y, np.array([knot]), self.precision[[bend]], self.jump)[3][0, 0])
 
 
-def _start(slope: Array, mean: Array) -> Array:
-    """-2 log of the prior of the slope at the knot (..., channels) over the path's mean slope: log-normal around 1."""
+def _start_deviance(slope: Array, mean: Array) -> Array:
+    """-2 log prior density of the slope at the knot (..., channels), log-normal about the path's mean slope (...,
+    channels)."""
     share = np.sum(slope * mean, axis=-1) / np.maximum(np.sum(mean**2, axis=-1), 1e-12)
     return np.asarray((np.log(np.clip(share, _BACKWARDS, None)) / _SPREAD) ** 2)
 
 
-def _moments(knots: Array, surprise: Array) -> tuple[float, float]:
-    """Mean and standard deviation of the knot, whatever the bend; knots (K,), surprise (K, bends): -2 log
-    likelihood."""
-    weight = np.exp(-0.5 * np.clip(surprise - surprise.min(), 0.0, 200.0)).sum(axis=1)
+def _moments(knots: Array, deviance: Array) -> tuple[float, float]:
+    """Posterior mean and standard deviation of the knot on the grid knots (K,), summed over the bending priors;
+    deviance (K, bends)."""
+    weight = np.exp(-0.5 * np.clip(deviance - deviance.min(), 0.0, 200.0)).sum(axis=1)
     mean = float(weight @ knots / weight.sum())
     return mean, float(np.sqrt(weight @ (knots - mean) ** 2 / weight.sum()))
 
 
 def fit_hinge(x: Array, y: Array, low: float, high: float) -> Hinge:
-    """The knot, within [low, high], of y (n, channels; unit variance, or more where more is left) = level before it, a
-    path from there after it. x (n,) is motor travel since the turn."""
+    """The posterior of the knot, within [low, high], of y (n, channels) at motor travel x (n,) since the turn. The grid
+    of candidate knots narrows until it resolves the posterior."""
     knots = np.linspace(low, high, _KNOTS)
     window = _Window.of(x, y)
     paths = window.paths(knots)
-    mean, spread = _moments(knots, paths.surprise)
+    mean, spread = _moments(knots, paths.deviance)
     for _ in range(6):  # towards the likelihood's bulk, whatever its width
         pitch = knots[1] - knots[0]
         reach = max(6.0 * spread, 3.0 * pitch)
@@ -130,24 +136,24 @@ def fit_hinge(x: Array, y: Array, low: float, high: float) -> Hinge:
         if spread > 2.0 * pitch or closer[-1] - closer[0] < 1e-9 * (high - low + 1e-12):
             break
         knots, paths = closer, window.paths(closer)
-        mean, spread = _moments(knots, paths.surprise)
-    k, v = (int(i) for i in np.unravel_index(np.argmin(paths.surprise), paths.surprise.shape))
+        mean, spread = _moments(knots, paths.deviance)
+    k, v = (int(i) for i in np.unravel_index(np.argmin(paths.deviance), paths.deviance.shape))
     slope = paths.coefficients[k, v, 1] / window.reach
-    freedom = max(1.0, (len(x) - window.used(float(knots[k]), v)) * y.shape[1] - 1.0)
-    return Hinge(mean, spread, float(paths.surprise[k, v]), float(paths.chi2[k, v]), freedom, slope)
+    freedom = max(1.0, (len(x) - window.effective_parameters(float(knots[k]), v)) * y.shape[1] - 1.0)
+    return Hinge(mean, spread, float(paths.deviance[k, v]), float(paths.chi2[k, v]), freedom, slope)
 
 
 def fit_jump(x: Array, y: Array, low: float, high: float) -> Jump:
-    """As fit_hinge with a free jump at the knot: x of the last still and of the first moving frame; from `low` on where
-    no frame needs to be a still one. The union of neighbouring brackets that fit almost as well (twice the log
-    likelihood within 9). Surprise inf where no frames bracket it."""
+    """The best jump, between neighbouring frames with x within [low, high] (and from `low` to the first of them),
+    followed by a free path. Its bracket is the union of neighbouring brackets whose deviance is within 9 of the best.
+    Deviance inf where no frames bracket it."""
     edges = np.unique(np.append(x, low))
     edges = edges[(edges >= low) & (edges <= high)]
     if len(edges) < 2:
         return Jump(low, high, 0.0, np.inf)
     paths = _Window.of(x, y, jump=True).paths(0.5 * (edges[1:] + edges[:-1]))
-    each = paths.surprise.min(axis=1)
+    each = paths.deviance.min(axis=1)
     best = int(np.argmin(each))
     near = np.flatnonzero(each < each[best] + 9.0)
-    size = float(np.linalg.norm(paths.coefficients[best, int(np.argmin(paths.surprise[best])), -1]))
+    size = float(np.linalg.norm(paths.coefficients[best, int(np.argmin(paths.deviance[best])), -1]))
     return Jump(float(edges[near[0]]), float(edges[near[-1] + 1]), size, float(each[best]))

@@ -1,4 +1,5 @@
-"""A tracker that says the last place again while its marker is covered: frames that show where the tip was."""
+"""Frames at which a tracker repeats the last place while its marker is covered, though the tip moves on: they are found
+and left out."""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from tautline.calibration.observations import Mask, Track
-from tautline.calibration.smooth import Domain, fit_jointly, freeze
+from tautline.calibration.smooth import Domain, fit_jointly, prepare_tracks
 from tautline.independence import stretches
 
 _RUN = 4  # tolerance: frames at one place from which it may be held
@@ -16,20 +17,21 @@ _MOVES = 0.02  # of the motor's span, by which it moves meanwhile
 _OFF = 6.0  # tolerance: scales of what is left, by which the tip is elsewhere then
 
 
-def released(
+def without_held_places(
     tracks: Sequence[Track], on_one_curve: Callable[[], Sequence[Track]], domain: Domain, delay_s: float
 ) -> list[Track]:
-    """`tracks` without frames that repeat a covered marker's last place while the tip is elsewhere. on_one_curve: the
-    same tracks, as a play is fitted to them: that fit is made only where a place is repeated while the motor moves."""
-    runs = [_runs(track) for track in tracks]
+    """`tracks` without the runs of frames that repeat a place while the motor moves, if in any of its frames a joint
+    fit has the tip elsewhere (by _OFF times the usual residual). on_one_curve: gives the same tracks as a play is
+    fitted to them, and is called only if there is such a run. delay_s: at which the fit is made."""
+    runs = [_repeated_while_moving(track) for track in tracks]
     if not any(runs):
         return list(tracks)
-    joint = fit_jointly(freeze(on_one_curve(), delay_s), domain, delay_s, fit_delay=False)
-    if joint is None:
+    joint_fit = fit_jointly(prepare_tracks(on_one_curve(), delay_s), domain, delay_s, fit_delay=False)
+    if joint_fit is None:
         return list(tracks)
     kept = []
-    for track, places, rows in zip(tracks, runs, joint.rows, strict=True):
-        off = np.sqrt(np.mean(rows**2, axis=1)) > _OFF * max(joint.scale, 1.0)
+    for track, places, rows in zip(tracks, runs, joint_fit.residuals, strict=True):
+        off = np.sqrt(np.mean(rows**2, axis=1)) > _OFF * max(joint_fit.scale, 1.0)
         held: Mask = np.zeros(len(track.t_s), dtype=bool)
         for run in places:
             held[run] = off[run].any()
@@ -37,9 +39,9 @@ def released(
     return kept
 
 
-def _runs(track: Track) -> list[slice]:
-    """Slices of frames that repeat the place of the one before, in runs of at least _RUN frames with that one in which
-    the motor moves by more than _MOVES of its span."""
+def _repeated_while_moving(track: Track) -> list[slice]:
+    """Slices of frames that each show exactly the place of the frame before; only runs of at least _RUN frames (that
+    first one counted) during which the motor moves by more than _MOVES of its span."""
     same = np.concatenate([[False], (track.y[1:] == track.y[:-1]).all(axis=1)])
     q, least = track.motor_at(track.t_s), _MOVES * float(np.ptp(track.motor.q))
     runs = [(run, slice(run.start - 1, run.stop)) for run in stretches(same)]  # and with the first of each

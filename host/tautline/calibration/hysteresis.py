@@ -1,8 +1,10 @@
-"""Friction instead of plays, fitted to all frames beside B, path and delay; and which hysteresis it is, by evidence.
+"""Bouc-Wen's or Dahl's friction (tautline.friction) instead of plays, fitted to all frames together with B, path and
+delay; and which hysteresis it is, by evidence.
 
-Unknown are numbers of one size each: the logit of the share of its later slope with which the tip starts where it
-starts slowest, the part of the length that goes with B, the logarithm of the exponent, and of Bouc-Wen's the logit of
-beta. Each has a normal prior; Gauss-Newton steps by the state's own derivatives.
+The unknowns (k,) are scaled to about 1 each: u[0] the logit of the share of its later slope with which the tip starts
+where it starts slowest; u[1] the part of the friction's length that is proportional to B; u[2] the logarithm of the
+exponent; of Bouc-Wen's u[3] the logit of beta. Each has a normal prior; Gauss-Newton steps use the state's own
+derivatives. "state" below is the joint fit as it stands during the descent, its scale what it leaves.
 """
 
 from __future__ import annotations
@@ -12,13 +14,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy import sparse
 from scipy.special import expit
 
-from tautline.calibration.components import between, nominal_columns
-from tautline.calibration.departures import Scene, by_rows, scene_of
+from tautline.calibration.components import interpolated, normal_with_columns
+from tautline.calibration.departures import CountedFrames, counted_frames
 from tautline.calibration.playfit import Curves, Fitted
-from tautline.calibration.several import left, powers, rms_of_powers
+from tautline.calibration.several import frame_powers, rms_of_frame_powers, rms_over_noise
 from tautline.elements import Play
 from tautline.friction import BOUC_WEN, DAHL, VALUES, Friction
 from tautline.rig import Rig
@@ -41,39 +42,40 @@ _DIFFERENCE = 1e-5  # tolerance: over which the transform is straight
 
 
 @dataclass(frozen=True)
-class Tried:
-    """A hysteresis fitted to the recordings."""
+class HysteresisFit:
+    """A joint fit with a hysteresis other than one play."""
 
     fitted: Fitted
-    unknowns: int  # beside B, path and delay
-    spread: Array | None = None  # of B on the fit's grid: what the unknowns leave open of it
+    unknowns: int  # how many the hysteresis has
+    spread: Array | None = None  # (grid,) standard deviation of B, unit of q, by the unknowns' uncertainty
 
     def evidence(self, frames_each: float) -> float:
-        """Logarithm of it but for what all have, by Schwarz's approximation: the noise unknown, and of each unknown as
-        much known before as one independent frame says (the unit information prior). frames_each: frames for each
-        independent one."""
-        number = self.fitted.frames / max(frames_each, 1.0) * self.fitted.rows[0].shape[1]
-        rms = max(left(self.fitted), 1e-9)
+        """Log evidence but for a constant, by Schwarz's approximation: -N log(rms) - k/2 log N, N the number of
+        independent residuals, k the unknowns, the noise's size integrated out. frames_each: frames for each independent
+        one."""
+        number = self.fitted.frames / max(frames_each, 1.0) * self.fitted.residuals[0].shape[1]
+        rms = max(rms_over_noise(self.fitted), 1e-9)
         return float(-number * np.log(rms) - 0.5 * self.unknowns * np.log(number))
 
 
-def likeliest(tried: list[Tried], frames_each: float) -> Tried:
+def most_evidence(candidates: list[HysteresisFit], frames_each: float) -> HysteresisFit:
     """The one of most evidence. frames_each: frames for each independent one, alike for all."""
-    scale = min(one.fitted.scale for one in tried)  # strays count as much in all
-    alike = [replace(one, fitted=replace(one.fitted, scale=scale)) for one in tried]
-    return tried[int(np.argmax([one.evidence(frames_each) for one in alike]))]
+    scale = min(one.fitted.scale for one in candidates)  # outliers are cut alike in all
+    alike = [replace(one, fitted=replace(one.fitted, scale=scale)) for one in candidates]
+    return candidates[int(np.argmax([one.evidence(frames_each) for one in alike]))]
 
 
-def fit_friction(starts: Sequence[Fitted], rig: Rig, kind: str, fit_delay: bool) -> Tried | None:
-    """From where joint fits stand, of which the one that leads furthest goes on. Its scale is what friction
-    leaves. None where no frame tells of it, its start being felt throughout."""
-    scale = max(start.scale for start in starts)  # strays count as much in all, and no frame is one before it is fitted
+def fit_friction(starts: Sequence[Fitted], rig: Rig, kind: str, fit_delay: bool) -> HysteresisFit | None:
+    """The joint fit with friction of this kind, descended from each of the starts, of which the best goes on, with its
+    smoothing adapted twice more; its scale is what friction leaves. None where no frame counts: its start is felt
+    throughout."""
+    scale = max(start.scale for start in starts)  # outliers are cut alike in all, and not before a fit is done
     mean = PRIORS[kind][0]
-    begun = []
+    descended = []
     for start in starts:
         fit = replace(start.fit, fit_delay=fit_delay, smoothing=dict(start.fit.smoothing))
-        begun.append(_descended(_with(replace(start, fit=fit, scale=scale), kind, mean), rig, kind, mean))
-    state, unknowns = min(begun, key=lambda one: left(one[0]))
+        descended.append(_descended(_with(replace(start, fit=fit, scale=scale), kind, mean), rig, kind, mean))
+    state, unknowns = min(descended, key=lambda pair: rms_over_noise(pair[0]))
     for _ in range(_AGAIN):
         if not np.isfinite(state.scale):
             return None
@@ -83,62 +85,62 @@ def fit_friction(starts: Sequence[Fitted], rig: Rig, kind: str, fit_delay: bool)
     if not np.isfinite(state.scale):
         return None
     spread = _step(state, rig, kind, unknowns)[2]
-    rows, masks = state.fit.residuals(state.curves)
-    return Tried(replace(state, rows=rows, masks=masks), len(unknowns), spread)
+    residuals, masks = state.fit.residuals(state.curves)
+    return HysteresisFit(replace(state, residuals=residuals, masks=masks), len(unknowns), spread)
 
 
 def _descended(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Fitted, Array]:
     """The joint fit and the unknowns after damped Gauss-Newton steps; its scale is what it leaves, infinite where no
-    frame tells."""
-    power = powers(state)
+    frame counts."""
+    power = frame_powers(state)
     for _ in range(_STEPS):
-        state = replace(state, scale=rms_of_powers(power, state.scale))
+        state = replace(state, scale=rms_of_frame_powers(power, state.scale))
         least = _cost(power, state, kind, unknowns)
         if not np.isfinite(least):
             break
         moved, step, _ = _step(state, rig, kind, unknowns)
         for share in _SHARES:
-            then = unknowns + share * step
-            trial = _with(replace(state, curves=between(state.curves, moved, share)), kind, then)
-            there = powers(trial)
-            now = _cost(there, trial, kind, then)
-            if now < least:
+            trial_unknowns = unknowns + share * step
+            trial = _with(replace(state, curves=interpolated(state.curves, moved, share)), kind, trial_unknowns)
+            trial_power = frame_powers(trial)
+            cost = _cost(trial_power, trial, kind, trial_unknowns)
+            if cost < least:
                 break
         else:
-            break
-        gained, state, unknowns, power = 1.0 - now / least, trial, then, there
+            break  # no share of the step lowers the cost
+        gained, state, unknowns, power = 1.0 - cost / least, trial, trial_unknowns, trial_power
         if gained < _ENOUGH:
             break
-    return replace(state, scale=rms_of_powers(power, state.scale)), unknowns
+    return replace(state, scale=rms_of_frame_powers(power, state.scale)), unknowns
 
 
 def _cost(power: Array, state: Fitted, kind: str, unknowns: Array) -> float:
-    """Mean square of the residuals over noise, strays bounded, plus the unknowns' prior per frame; infinite where no
-    frame tells. power: the state's `powers`."""
+    """Mean square of the residuals over noise, outliers cut, plus the unknowns' squared distance from their prior per
+    frame; infinite where no frame counts. power: the state's `frame_powers`."""
     mean, sigma = PRIORS[kind]
     prior = float(np.sum(((unknowns - mean) / sigma) ** 2)) / max(state.frames, 1)
-    return rms_of_powers(power, state.scale) ** 2 + state.scale**2 * prior
+    return rms_of_frame_powers(power, state.scale) ** 2 + state.scale**2 * prior
 
 
 def _with(state: Fitted, kind: str, unknowns: Array) -> Fitted:
-    """The joint fit with friction of these unknowns in place of its hysteresis, not fitted to it yet."""
+    """The joint fit with friction of these unknowns in place of its hysteresis, nothing fitted yet."""
     friction = _friction(kind, unknowns, _reached(state))
-    return replace(state, fit=replace(state.fit, elements=friction, smoothing=state.fit.smoothing))
+    return replace(state, fit=replace(state.fit, hysteresis=friction, smoothing=state.fit.smoothing))
 
 
 def _reached(state: Fitted) -> Array:
-    """(k,) B, unit of q, at the table's positions between the lowest and the highest that the motor reached; all of B
-    where none is."""
+    """(k,) B, unit of q, at the grid's positions that the motor reached; all of B where there is none."""
     fit = state.fit
-    q = np.concatenate([frozen.corner_q for frozen in fit.tracks])
+    q = np.concatenate([prepared.corner_q for prepared in fit.tracks])
     inside = (fit.grid >= q.min()) & (fit.grid <= q.max())
     width = fit.width(state.curves)
     return width[inside] if inside.any() else width
 
 
 def _friction(kind: str, unknowns: Array, width: Array) -> Friction:
-    """Friction of these unknowns (k,), in the order of PRIORS, on B width (n,), unit of q: as long as makes the tip
-    start with the share expit(unknowns[0]) of its later slope where it starts slowest, so that it goes nowhere back."""
+    """The friction of these unknowns (k,) on B width (n,), unit of q. Its length L(q) = length + share B(q) is scaled
+    so that the tip starts with expit(u[0]) of its later slope where it starts slowest, which keeps it from going
+    backwards."""
     start, part = float(expit(unknowns[0])), float(unknowns[1])
     exponent = float(np.exp(unknowns[2]))
     beta = float(expit(unknowns[3])) if kind == BOUC_WEN else 1.0
@@ -150,7 +152,7 @@ def _friction(kind: str, unknowns: Array, width: Array) -> Friction:
 
 
 def _by_unknown(kind: str, unknowns: Array, width: Array) -> Array:
-    """(values of Friction, unknowns) derivatives of `_friction`, by differences."""
+    """(values of Friction, unknowns) derivatives of `_friction`, by central differences."""
     columns = []
     for i in range(len(unknowns)):
         away = np.zeros(len(unknowns))
@@ -161,45 +163,46 @@ def _by_unknown(kind: str, unknowns: Array, width: Array) -> Array:
 
 
 def _step(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Curves, Array, Array]:
-    """The curves after a Gauss-Newton step, the unknowns' step (k,), and what these leave open of B (grid,), one
-    standard deviation in the unit of q."""
-    scene = scene_of(state, state.curves, rig, np.zeros(2))
-    assert scene is not None  # it was fitted to frames
+    """One Gauss-Newton step: the curves after it, the unknowns' step (k,), at most _LONGEST prior standard deviations,
+    and the standard deviation of B (grid,), unit of q, that the unknowns' uncertainty causes."""
+    counted = counted_frames(state, state.curves, rig, np.zeros(2))
+    assert counted is not None  # it was fitted to frames
     fit, scale = state.fit, max(state.scale, 1e-6)
-    nominal = nominal_columns(fit, scene)
-    own = scene.along(_slopes(state, scene) @ _by_unknown(kind, unknowns, _reached(state)))
-    design = sparse.csr_matrix(sparse.hstack([nominal, own]))
-    heavy = by_rows(np.tile(scene.weight, scene.rows.shape[1]), design)
-    gram, force = np.asarray((heavy.T @ design).toarray()), np.asarray(heavy.T @ scene.rows.T.ravel()).ravel()
-    head = nominal.shape[1]
-    base, pull = fit.penalty(state.curves, scale)
+    by_unknown = _slopes(state, counted) @ _by_unknown(kind, unknowns, _reached(state))
+    gram, gradient, size = normal_with_columns(fit, counted, by_unknown)
+    penalty, pull = fit.penalty(state.curves, scale)
     mean, sigma = PRIORS[kind]
-    gram[:head, :head] += base
-    force[:head] -= pull
-    gram[head:, head:] += np.diag((scale / sigma) ** 2)
-    force[head:] -= scale**2 * (unknowns - mean) / sigma**2
+    gram[:size, :size] += penalty
+    gradient[:size] -= pull
+    gram[size:, size:] += np.diag((scale / sigma) ** 2)
+    gradient[size:] -= scale**2 * (unknowns - mean) / sigma**2
     diagonal = np.diag_indices_from(gram)
-    gram[diagonal] += 1e-9 * float(np.mean(gram[diagonal][:head]))
-    step = np.linalg.solve(gram, force)
-    along = step[head:]
-    too_far = float(np.max(np.abs(along) / (_LONGEST * sigma)))
-    step = step / max(too_far, 1.0)
-    answer = np.linalg.solve(gram[:head, :head], gram[:head, head:])  # of the curves to the unknowns
-    schur = gram[head:, head:] - gram[head:, :head] @ answer
-    first = state.curves.follow.size
-    by = fit.backlash.design(fit.grid) @ answer[first : first + fit.backlash.size]
-    spread = scale * np.sqrt(np.maximum(np.sum((by @ np.linalg.inv(schur)) * by, axis=1), 0.0))
-    return fit.moved(state.curves, step[:head]), step[head:], spread
+    gram[diagonal] += 1e-9 * float(np.mean(gram[diagonal][:size]))
+    step: Array = np.asarray(np.linalg.solve(gram, gradient), dtype=np.float64)
+    too_far = float(np.max(np.abs(step[size:]) / (_LONGEST * sigma)))
+    step = np.asarray(step / max(too_far, 1.0), dtype=np.float64)
+    return fit.moved(state.curves, step[:size]), step[size:], _spread(state, gram, size)
 
 
-def _slopes(state: Fitted, scene: Scene) -> Array:
-    """(counted frames, values of Friction) derivatives of p by these."""
+def _spread(state: Fitted, gram: Array, size: int) -> Array:
+    """(grid,) standard deviation of B, unit of q, by the unknowns alone: dB/du C dB/du', C their covariance with the
+    curves eliminated, dB/du how the curves follow them. gram (m, m): normal matrix with priors, `size` of its unknowns
+    the curves'."""
+    fit, scale = state.fit, max(state.scale, 1e-6)
+    follows = np.linalg.solve(gram[:size, :size], gram[:size, size:])
+    schur = gram[size:, size:] - gram[size:, :size] @ follows
+    by = fit.backlash.design(fit.grid) @ follows[fit.layout(state.curves).backlash]
+    return np.asarray(scale * np.sqrt(np.maximum(np.sum((by @ np.linalg.inv(schur)) * by, axis=1), 0.0)))
+
+
+def _slopes(state: Fitted, counted: CountedFrames) -> Array:
+    """(counted frames, values of Friction) derivatives of p by the friction's values."""
     fit, curves = state.fit, state.curves
-    native = Play(fit.grid, fit.width(curves), fit.elements).native
+    native = Play(fit.grid, fit.width(curves), fit.hysteresis).native
     far = 10.0 * float(np.abs(fit.grid).max() + np.ptp(fit.grid))
     rows = []
-    for number, frozen in enumerate(fit.tracks):
-        positions, at = frozen.course(frozen.track.scene_s(curves.delay_s))
+    for number, prepared in enumerate(fit.tracks):
+        positions, at = prepared.course(prepared.track.scene_s(curves.delay_s))
         by = native.slopes(positions, -far).reshape(-1, len(VALUES))
-        rows.append(by[at][scene.frame[scene.recording == number]])
+        rows.append(by[at][counted.frame[counted.recording == number]])
     return np.concatenate(rows)

@@ -1,4 +1,5 @@
-"""The names of what a calibration's own recordings show beside its model: those that a diagnosis of them gives."""
+"""The names of the effects that a calibration's own recordings show: those that a diagnosis of these recordings gives,
+and the reasons of the verdict with them."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from tautline.recording import Recording
 HOLDS = "the model holds it, and predicts with it: what a board's tables undo of it taut export says"
 LOOKS = start.NAMES | {"residual", "repeatability"}  # what departs, by how it looks
 # What is not weighed, and what effects that are may look like: they may as well stand in for it.
-_OTHERS = frozenset(
+_UNWEIGHED = frozenset(
     {
         *("transmission.offset", "transmission.backlash", "clock.drift"),
         *("registration.drift", "registration.breathing", "registration.repeatability"),
@@ -23,15 +24,15 @@ _OTHERS = frozenset(
 )
 
 
-def others(reasons: Sequence[Reason]) -> bool:
-    """Whether one of the reasons is something that is not weighed against the library's effects: then an effect has its
-    name only if the fit with it leaves as little of the frames as all that departs does."""
-    return any(reason.code in _OTHERS for reason in reasons)
+def has_unweighed(reasons: Sequence[Reason]) -> bool:
+    """Whether one of the reasons is a departure that a diagnosis does not weigh against the library's effects, so that
+    an effect may only be standing in for it."""
+    return any(reason.code in _UNWEIGHED for reason in reasons)
 
 
-def asked(model: Model, recordings: Sequence[Recording], progress: start.Progress) -> start.Start | None:
-    """All of the library's effects, weighed against each other; None where none is likelier than something unknown.
-    recordings: on the motor's clock, the earliest first."""
+def effects_of_diagnosis(model: Model, recordings: Sequence[Recording], progress: start.Progress) -> start.Start | None:
+    """What a diagnosis says is in these recordings from the start, all effects of the library weighed against each
+    other; None where it names none. recordings: on the motor's clock, the earliest first."""
     try:
         told = start.of_recordings(model, recordings, progress)
     except TautError:  # nothing that a diagnosis could score
@@ -39,18 +40,21 @@ def asked(model: Model, recordings: Sequence[Recording], progress: start.Progres
     return told if told.named else None
 
 
-def named(reasons: Sequence[Reason], model: Model, told: Sequence[str]) -> list[Reason]:
-    """The reasons with what departs under these names. A name is as much of a doubt as what it stands for, and one
-    where B itself holds a part of it."""
+def reasons_with_names(reasons: Sequence[Reason], model: Model, names: Sequence[str]) -> list[Reason]:
+    """The reasons, with these names of effects in place of all that departs by its looks (LOOKS). A name is mild
+    if all that it replaces is, unless B itself holds a part of the effect."""
     stands_for = [reason for reason in reasons if reason.code in LOOKS]
     mild = all(reason.mild for reason in stands_for) and not start.in_the_width(model)
     seen = {reason.code: reason.says for reason in stands_for}
-    names = [Reason(name, seen.get(name, BY_ID[name].says), DRIVE, mild=mild) for name in told]
-    return [*names, *(reason for reason in reasons if reason.code not in LOOKS | set(told))]
+    named = [Reason(name, seen.get(name, BY_ID[name].says), DRIVE, mild=mild) for name in names]
+    return [*named, *(reason for reason in reasons if reason.code not in LOOKS | set(names))]
 
 
-def carried(before: Sequence[Reason], reasons: Sequence[Reason], model: Model, predicts: bool) -> list[Reason]:
-    """The reasons of a model that carries effects, with their names. before: of the one that does not."""
+def reasons_with_carried(
+    before: Sequence[Reason], reasons: Sequence[Reason], model: Model, predicts: bool
+) -> list[Reason]:
+    """The reasons of a model that carries effects, with a reason for each effect first, mild if the model predicts.
+    before: reasons of the model without effects, whose words are kept."""
     seen = {reason.code: reason.says for reason in before}
     ids = [effect.id for effect in model.effects]
     names = [

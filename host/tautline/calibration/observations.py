@@ -10,7 +10,7 @@ import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
 from tautline import _native, geometry
-from tautline.calibration.sway import driven, rests
+from tautline.calibration.sway import play_paths, probability_of_rest
 from tautline.core.motor import MotorPath
 from tautline.core.session import SessionClock
 from tautline.encoder import reading_noise, smoothed_away
@@ -55,12 +55,13 @@ class Track:
     posed: bool = False  # y is the bending angle, by a pose: what other degrees of freedom move is taken out
 
     def only(self, frames: Mask | npt.NDArray[np.intp] | slice) -> Track:
-        """With these of its frames."""
+        """The track with these of its frames: mask (n,), indices or slice."""
         return replace(self, t_s=self.t_s[frames], y=self.y[frames], sigma=self.sigma[frames])
 
     @property
     def placed_px(self) -> float:
-        """Prior, px per coordinate, of what the tracker is off by at each place anew; 0 of places that others tell."""
+        """Standard deviation, px per coordinate, of what the tracker is off by at each place anew; 0 where the places
+        are from another program."""
         return geometry.PLACED_PX if self.tracked_px else 0.0
 
     def scene_s(self, delay_s: float) -> Array:
@@ -79,6 +80,7 @@ class Track:
 
     @property
     def sensor(self) -> Sensor:
+        """Which of the rig's sensors saw it."""
         return MARKER if self.unit == "px" else ANGLE
 
     def motor_at(self, scene_s: Array) -> Array:
@@ -120,7 +122,8 @@ class Track:
 
 
 def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
-    """One track per recording: its marker where it has one and the rig a camera, else its angle."""
+    """One track for each recording, in the session's time: its marker where it has one and the rig a camera, else its
+    angle. TautError where a recording has neither, or some have the one and some the other."""
     tracks = []
     for recording, session_s in zip(recordings, SessionClock.of(recordings).offset_s, strict=True):
         resolution = rig.actuator.encoder_resolution
@@ -153,8 +156,8 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
 
 
 def without_sway(track: Track, rig: Rig, side: float) -> Track:
-    """Where what is followed does not follow the motor, without what it goes to and fro by: the motion that is expected
-    of the tip. side: of what is followed, y's unit."""
+    """The track, its motion multiplied by the probability that the followed place follows the motor and does not only
+    sway (sway.py): the expected motion of the tip. side: size of the followed square, y's unit."""
     low, high = float(track.motor.q.min()), float(track.motor.q.max())
     if len(track.t_s) < _FEW or not high - low > turning_hysteresis(
         track.path, rig.actuator.encoder_resolution, rig.actuator.span
@@ -166,14 +169,14 @@ def without_sway(track: Track, rig: Rig, side: float) -> Track:
     swing = float(np.linalg.norm(ends[1] - ends[0]))
     if not np.isfinite(swing):
         return track
-    paths = driven(track.motor, track.scene_s(rig.delay_s))
-    still = rests(track.t_s, track.y, float(track.sigma[0]), paths, swing, side)
+    paths = play_paths(track.motor, track.scene_s(rig.delay_s))
+    still = probability_of_rest(track.t_s, track.y, float(track.sigma[0]), paths, swing, side)
     return replace(track, y=track.y - still * (track.y - np.median(track.y, axis=0)))
 
 
 def _track(recording: Recording, path: MotorPath, unit: str, t: Array, y: Array, given: Array | None) -> Track:
-    """The track of y (n, channels), seen at t (n,), s, without repeated values, frames of doubtful noise and strays.
-    given (n,): noise that the recording states, or None; it counts if it is about what y shows."""
+    """The track of y (n, channels) at arrival times t (n,), s, without repeated values, frames of doubtful stated noise
+    and strays. given (n,): noise that the recording states, or None; it counts where y shows about as much."""
     fresh = not_held(y)
     held = int(np.sum(~fresh))
     t, y, given = t[fresh], y[fresh], None if given is None else given[fresh]
@@ -194,8 +197,9 @@ def _track(recording: Recording, path: MotorPath, unit: str, t: Array, y: Array,
 
 
 def not_held(y: Array) -> Mask:
-    """(n,) frames at which a sensor that is sampled and held shows y (n, channels) anew. It repeats values while the
-    tip moves by far more than its resolution; of one that rests every so many frames are fresh too."""
+    """(n,) frames at which a sensor shows a new sample of y (n, channels). A sensor that is sampled and held repeats
+    values while the tip moves by far more than its resolution: those repeats are not new; while it rests, one in so
+    many frames is."""
     fresh = np.ones(len(y), dtype=bool)
     if len(y) < 8:
         return fresh
@@ -231,7 +235,7 @@ def strays(y: Array, sigma: float) -> Mask:
 
 
 def _running_median(values: Array, size: int) -> Array:
-    """Of each `size` (odd) neighbours along the first axis; the first and last value go on beyond the ends."""
+    """Medians of each `size` (odd) neighbours along the first axis, same shape; ends are continued by their value."""
     beyond = [(size // 2, size // 2)] + [(0, 0)] * (values.ndim - 1)
     return np.asarray(np.median(sliding_window_view(np.pad(values, beyond, mode="edge"), size, axis=0), axis=-1))
 
@@ -256,31 +260,33 @@ def noise_of(t: Array, y: Array, least: float) -> float:
 
 
 def rounding_step(y: Array) -> float:
-    """The step of a sensor that rounds, as values y (n, channels) show it in their first channel: 0 where most are
-    others."""
+    """The step of y's first channel, (n, channels), if the sensor rounds: it takes fewer than _LEVELS different values
+    for each frame. Else 0."""
     levels = np.unique(y[:, 0])
     return _least_step(levels) if 1 < len(levels) < _LEVELS * len(y) else 0.0
 
 
 def _least_step(levels: Array) -> float:
-    """Between neighbouring values of rising levels (n,), 2 or more: low, as a tip that moves skips some, and above
-    rounding."""
+    """A low quantile of the steps between neighbouring values of rising levels (n,), 2 or more; not the least, since
+    binary rounding makes two of one value."""
     apart = np.diff(levels)
     return float(np.quantile(apart[apart > _EXACT * (levels[-1] - levels[0])], 0.05))
 
 
 def turning_hysteresis(path: MotorPath, resolution: float, span: float) -> float:
-    """Going back by no more than this is encoder dither, not a reversal (unit of q)."""
+    """How far, unit of q, a motor has to go back for a turn: by less it is dither of the encoder, noise of its readings
+    or next to nothing of the span."""
     return float(max(3.0 * resolution, 8.0 * reading_noise(path.sampled), LITTLE * span))
 
 
 def usual_width(width: Array, span: float) -> float:
-    """The median of widths (k,), next to none of a range of q at least: shares of B are of this."""
+    """The median of widths (k,), unit of q, at least the share LITTLE of a range of q, span."""
     return max(float(np.median(width)) if len(width) else 0.0, LITTLE * span)
 
 
 def corners(motor: Motor) -> tuple[Array, Array]:
-    """Times and positions of every extreme of q, with the first and the last sample: all that a play needs to know."""
+    """Times and positions (k,) of the motor's extremes, with the first and the last sample: all that a play needs to
+    know."""
     q = motor.q
     if len(q) < 3:
         return motor.t_s, q

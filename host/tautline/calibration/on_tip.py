@@ -1,9 +1,10 @@
-"""Where on a bare instrument's tip lies what is followed, estimated beside f_remain.
+"""Where on a bare instrument's tip the followed place lies, estimated together with the bending angles.
 
-The rig says where a marker would be. A place on the surface that a hand has shown lies beside it, and goes on over the
-surface as the tip turns another side to the camera. Its path in the image is known well, but which angle shows it where
-depends on the place: both are unknown at each motor position, the place with a prior as wide as a hand shows it, and
-the posterior is Laplace's.
+The rig says where a marker would be. A place on the surface that a user has pointed at lies beside that, and moves over
+the surface as the tip turns another side to the camera. Its path in the image is known well (from the joint fit), but
+which angle shows it where depends on the place. So at each of n motor positions (nodes) the angle and the place's three
+coordinates in the tip's frame are unknown, 4 n in all; places have a prior as wide as a user points, and the posterior
+is taken as Gaussian at its maximum (Laplace).
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ _ENOUGH = 1e-3  # tolerance: of the cost, sigma^2
 
 
 def place_on_tip(fitted: Fitted, rig: Rig, shown: Shown) -> Place | None:
-    """Where on a bare tip the square lies that was shown and followed, by the path of its image. fitted: of the image
-    itself. None where it is not, the rig lacks a camera, or hardly anything moved."""
+    """The place on a bare tip of the square that was shown and followed, from the path of its image. fitted: the joint
+    fit of the image itself. None if it is of something else, the rig lacks a camera, or hardly anything moved."""
     if fitted.fit.view is not None or fitted.curves.follow.shape[1] != 2:
         return None
     if rig.kinematics is None or rig.camera is None or rig.hand_eye is None:
@@ -46,7 +47,7 @@ def place_on_tip(fitted: Fitted, rig: Rig, shown: Shown) -> Place | None:
     nodes = np.linspace(counted.min(), counted.max(), _NODES)
     path = fitted.fit.follow.value(fitted.curves.follow, nodes)
     track = fitted.fit.tracks[0].track
-    seen = _Seen(rig.kinematics, rig.hand_eye, rig.camera, *track.others_reference)
+    seen = _View(rig.kinematics, rig.hand_eye, rig.camera, *track.others_reference)
     coarse = rig.coarse.gain * nodes + rig.coarse.offset
     at = float(coarse[np.argmin(np.sum((path - shown.at_px) ** 2, axis=1))])  # where it was shown
     side_mm = shown.side_px * seen.mm_per_px(at)
@@ -59,15 +60,15 @@ def place_on_tip(fitted: Fitted, rig: Rig, shown: Shown) -> Place | None:
     covariance[np.diag_indices(_NODES)] += (track.tracked_px * seen.mm_per_px(at)) ** 2
     mean = np.repeat(0.5 * side_mm * side, _NODES)
     noise = float(np.median(track.sigma)) * max(fitted.scale, 1.0)
-    problem = _Posterior(seen, path, noise, mean, np.kron(np.eye(3), np.linalg.inv(covariance)))
+    problem = _PlaceProblem(seen, path, noise, mean, np.kron(np.eye(3), np.linalg.inv(covariance)))
     found = descend(problem, np.concatenate([coarse, mean]), _MOST_STEPS)
     spread = np.sqrt(np.diag(np.linalg.inv(problem.linearised(found)[0]))[:_NODES])
     return _table(found[:_NODES], found[_NODES:].reshape(3, _NODES), spread)
 
 
 def _table(c_deg: Array, mm: Array, sigma_deg: Array) -> Place | None:
-    """The place at even angles, from angles c_deg (n,), places mm (3, n) and the angles' sigma (n,). None where the
-    path does not tell the angles' order."""
+    """The place as a table at evenly spaced angles, from angles c_deg (n,), places mm (3, n) and the angles' sigma
+    (n,). None where the angles are not monotone along the path."""
     order = slice(None) if c_deg[-1] > c_deg[0] else slice(None, None, -1)
     c_deg, mm, sigma_deg = c_deg[order], mm[:, order], sigma_deg[order]
     if not (np.diff(c_deg) > 0).all():
@@ -83,8 +84,8 @@ def _table(c_deg: Array, mm: Array, sigma_deg: Array) -> Place | None:
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """What is seen of places in the tip's frame, while the other degrees of freedom rest."""
+class _View:
+    """The camera's view of places in the tip's frame, while the other degrees of freedom rest."""
 
     kinematics: Kinematics
     hand_eye: HandEye
@@ -103,12 +104,13 @@ class _Seen:
         return to_camera(self.hand_eye, about_base_z(self.rotation_deg, point))
 
     def image(self, unknown: Array) -> Array:
-        """(2 n,) px of the angles and places (4 n,)."""
+        """(2 n,) px of the unknowns (4 n,): angles, deg, then places, mm."""
         c_deg, *place = unknown.reshape(4, -1)
         return to_image(self.camera, self.in_camera(c_deg, np.array(place))).ravel()
 
     def by_unknown(self, unknown: Array) -> Array:
-        """(2 n, 4 n) derivatives of the image, by differences: each depends on its own angle and place alone."""
+        """(2 n, 4 n) derivatives of `image`, by central differences: each node depends on its own angle and place
+        alone."""
         n = len(unknown) // 4
         slopes = np.zeros((n, 2, 4, n))
         here = np.arange(n)
@@ -134,10 +136,11 @@ class _Seen:
 
 
 @dataclass(frozen=True)
-class _Posterior:
-    """Of the angles (n,) deg, which have no prior, and the places (3 n,) mm: unknown (4 n,)."""
+class _PlaceProblem:
+    """The posterior of the unknowns (4 n,) as a `least_squares.Problem`; angles, deg, have no prior, places, mm, a
+    Gaussian one."""
 
-    seen: _Seen
+    seen: _View
     path: Array  # (n, 2) px
     noise_px: float
     mean: Array  # (3 n,)
@@ -154,10 +157,11 @@ class _Posterior:
         return matrix, gradient, self.cost(point)
 
     def moved(self, point: Array, step: Array) -> Array:
+        """The point (4 n,) a step further."""
         return point + step
 
     def cost(self, point: Array) -> float:
-        """Chi-square of path and prior at a point (4 n,)."""
+        """Chi-square of the path plus that of the prior at a point (4 n,)."""
         left = (self.path.ravel() - self.seen.image(point)) / self.noise_px
         off = point[len(self.path) :] - self.mean
         return float(left @ left + off @ self.precision @ off)

@@ -1,6 +1,9 @@
-"""Reversals: where the image stops and where it starts again, as knots in the image position over motor position.
+"""Onsets: after each reversal of the motor, the travel at which the image starts to move again, which is a width; and
+the delay, from the moments at which the image stops when the motor turns.
 
-No pose, no camera calibration: only that the image stands still while the motor crosses the backlash (eq. 1).
+No pose, no camera calibration: only that the image stands still while the motor crosses the backlash (eq. 1). A stroke
+is what lies between two turns of the motor. y is whitened (over the stated noise) where it is called z. Positions,
+travel and widths are in the unit of q.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from tautline.rig import Rig
 
 Array = npt.NDArray[np.float64]
 
+# Kinds of onsets: a knot with sigma, a jump between two frames, nothing moved (a lower bound), not told.
 HINGE, BRACKET, BOUND, NONE = "hinge", "bracket", "bound", "none"
 _LONGEST = 160  # frames after the onset that one hinge takes in
 _BEFORE = 24  # frames before the turn that tell when the image stopped
@@ -44,7 +48,7 @@ class Onset:
     sigma: float  # of the width, unit of q; of a bracket: the standard deviation of a uniform density on it
     low: float  # width is at least this: the bracket's lower end, or the whole stroke where nothing moved
     high: float  # width is at most this (inf for a bound)
-    kind: str
+    kind: str  # HINGE, BRACKET, BOUND or NONE
     used: bool
     reason: str = ""  # why it is not used
     slope: float = np.nan  # px (or deg) per unit of q at which the tip starts
@@ -68,15 +72,15 @@ class Onset:
 class _Stroke:
     """Frames between two turns of the motor, for a given delay."""
 
-    start_s: float
-    end_s: float
-    q1: float
-    direction: int
-    frames: npt.NDArray[np.intp]
+    start_s: float  # when the motor turned
+    end_s: float  # when it turned again
+    q1: float  # motor position at the turn
+    direction: int  # sign of dq
+    frames: npt.NDArray[np.intp]  # (frames,) of the track
     travel: Array  # (frames,) motor travel since the turn
-    z: Array  # (frames, channels) whitened positions, without what the tip still creeps the old way
+    z: Array  # (frames, channels) whitened y, less what the tip creeps on the old way
     departure: int | None  # first frame (index into frames) at which the image has left its level
-    first: bool
+    first: bool  # it begins the recording, with no turn
 
     @property
     def reach(self) -> float:
@@ -85,8 +89,8 @@ class _Stroke:
 
 
 def _strokes(track: Track, rig: Rig, delay_s: float) -> list[_Stroke]:
-    """A track's strokes, from turn to turn of the motor, with the frames of each at this delay, s; from the second on
-    without what the tip still moves the old way."""
+    """The track's strokes from turn to turn of the motor, with the frames of each at this delay, s. From the second on
+    without the frames, or the part of z, with which the tip still moves the old way after the turn."""
     motor = track.motor
     q = np.ascontiguousarray(motor.q)
     hysteresis = turning_hysteresis(track.path, rig.actuator.encoder_resolution, rig.actuator.span)
@@ -107,9 +111,9 @@ def _strokes(track: Track, rig: Rig, delay_s: float) -> list[_Stroke]:
         travel = np.maximum(direction * (at[frames] - q1), 0.0)
         z = track.y[frames] / track.sigma[frames, None]
         if k > 0:
-            creep = _settling(scene[frames] - start, z, _heading(strokes[-1].z))
+            creep = _creep(scene[frames] - start, z, _last_direction(strokes[-1].z))
             z = z - creep
-            tail = 0 if creep.any() else _tail(z)
+            tail = 0 if creep.any() else _lagging_frames(z)
             frames, travel, z = frames[tail:], travel[tail:], z[tail:]
         strokes.append(
             _Stroke(start, end, q1, direction, frames, travel, z, _native.still_until(np.ascontiguousarray(z)), k == 0)
@@ -117,9 +121,9 @@ def _strokes(track: Track, rig: Rig, delay_s: float) -> list[_Stroke]:
     return strokes
 
 
-def _heading(z: Array) -> Array:
-    """(channels,) unit vector: which way the image of z (n, channels) moved last; 0 where that was by less than 10
-    sigma."""
+def _last_direction(z: Array) -> Array:
+    """(channels,) unit vector along which z (n, channels) moved in its last eight frames; 0 where that was by less than
+    10 sigma."""
     last = z[-8:]
     if len(last) < 4:
         return np.zeros(z.shape[1])
@@ -128,9 +132,10 @@ def _heading(z: Array) -> Array:
     return way / size if size > 10.0 else np.zeros_like(way)
 
 
-def _settling(since_s: Array, z: Array, heading: Array) -> Array:
-    """(n, channels) what the tip goes on moving along `heading` after the motor turned at 0 s: A (1 - exp(-t / tau)),
-    fitted to the frames before it comes back. 0 where it does not, or for no longer than a lag (_tail)."""
+def _creep(since_s: Array, z: Array, heading: Array) -> Array:
+    """(n, channels) the part of z (n, channels) at since_s (n,) after the turn with which the tip creeps on along
+    `heading` (channels,), A (1 - exp(-t / tau)), fitted to the frames before it comes back. 0 where it does not creep,
+    or for no longer than a lag."""
     none = np.zeros_like(z)
     if len(z) < 10 or not heading.any():
         return none
@@ -151,9 +156,10 @@ def _settling(since_s: Array, z: Array, heading: Array) -> Array:
     return best if least - z[:stop].size < (1.0 - _SETTLES) * level else none
 
 
-def _tail(z: Array) -> int:
-    """How many frames after a turn still move the old way: the tip lags, or the delay is longer than is known yet. z
-    (n, channels): whitened, so that the bounds here are in sigma."""
+def _lagging_frames(z: Array) -> int:
+    """How many frames after a turn still move the old way, as the tip lags or the delay is longer than is known yet:
+    until z (n, channels), along the stroke's own direction, is within 3 sigma of its lowest. 0 where the stroke is
+    short or z does not fall at once."""
     if len(z) < 10:
         return 0
     way = z[-3:].mean(axis=0) - z[:3].mean(axis=0)
@@ -167,20 +173,21 @@ def _tail(z: Array) -> int:
 
 
 def find_onsets(tracks: Sequence[Track], rig: Rig, delay_s: float, delay_sigma: float = 0.0) -> list[Onset]:
-    """Every reversal of every track, in order of time, with the widths that count."""
+    """The onset of every reversal of every track, in order of time, at this delay, s. delay_sigma: its standard
+    deviation, s, which adds to that of the widths."""
     onsets = []
     for number, track in enumerate(tracks):
         strokes = _strokes(track, rig, delay_s)
         for before, after in pairwise(strokes):
-            onsets.append(_onset(number, track, before, after, rig, delay_s))
-    onsets = _pooled_jumps(onsets)
+            onsets.append(_onset_of_stroke(number, track, before, after))
+    onsets = _as_brackets_if_most_jump(onsets)
     resolution = rig.actuator.encoder_resolution
-    return [_with_clock_and_counts(onset, tracks[onset.track], delay_sigma, resolution) for onset in onsets]
+    return [_with_timing_errors(onset, tracks[onset.track], delay_sigma, resolution) for onset in onsets]
 
 
 def delayed(onsets: Sequence[Onset], tracks: Sequence[Track], by_s: float) -> list[Onset]:
-    """The same onsets where the images are later by much less than a frame than they were found with: the scene is
-    earlier, the motor where it was then. To first order what `find_onsets` gives."""
+    """The same onsets if the delay is later by by_s, s, much less than a frame: the scene is earlier, so the motor was
+    where it was then. To first order what `find_onsets` gives."""
     moved = []
     for onset in onsets:
         if not np.isfinite(onset.t_s):
@@ -195,35 +202,33 @@ def delayed(onsets: Sequence[Onset], tracks: Sequence[Track], by_s: float) -> li
     return moved
 
 
-def _onset(number: int, track: Track, before: _Stroke, after: _Stroke, rig: Rig, delay_s: float) -> Onset:
-    """The onset in the stroke `after` a turn: a bracket where a jump gains more than 40 of twice the log likelihood,
-    else a hinge; a bound where nothing moved; not used, with a reason, where frames do not tell it. number: of the
-    track."""
-    reach = after.reach
-    nothing = Onset(
-        number, after.start_s, np.nan, after.direction, after.q1, after.q1 + after.direction * reach, np.inf,
+def _onset_of_stroke(number: int, track: Track, before: _Stroke, after: _Stroke) -> Onset:
+    """The onset in the stroke `after` a turn; number: of the track. A bracket where a jump gains more than 40 of twice
+    the log likelihood over a hinge, else a hinge; a bound where nothing moved; not used, with a reason, where the
+    frames do not tell it."""
+    not_told = Onset(
+        number, after.start_s, np.nan, after.direction, after.q1, after.q1 + after.direction * after.reach, np.inf,
         0.0, np.inf, NONE, False,
     )  # fmt: skip
     if len(after.frames) < 4:
-        return replace(nothing, reason="fewer than 4 frames show it")
+        return replace(not_told, reason="fewer than 4 frames show it")
     if not track.others_still(before.start_s if before.first else before.end_s - 0.5, after.end_s):
-        return replace(nothing, reason="translation or rotation moved")
+        return replace(not_told, reason="translation or rotation moved")
     on_envelope = before.departure is not None and before.departure < len(before.frames) - 1
-    if after.departure is None:
-        if not on_envelope:
-            return replace(nothing, reason="the tip was not on an envelope before it")
-        return replace(nothing, kind=BOUND, low=reach, used=True, reason="nothing moved: the stroke is shorter than B")
     if not on_envelope:
-        return replace(nothing, reason="the tip was not on an envelope before it")
+        return replace(not_told, reason="the tip was not on an envelope before it")
+    if after.departure is None:
+        reason = "nothing moved: the stroke is shorter than B"
+        return replace(not_told, kind=BOUND, low=after.reach, used=True, reason=reason)
     window = _fit_window(after)
     if window is None:
-        return replace(nothing, reason="too few frames around the onset")
+        return replace(not_told, reason="too few frames around the onset")
     x, y, hinge = window
     jump = fit_jump(x, y, 0.0, max(hinge.knot * 1.5, after.travel[min(after.departure + 3, len(after.travel) - 1)]))
-    gain = hinge.surprise - jump.surprise
+    gain = hinge.deviance - jump.deviance
     width, sigma = hinge.knot, max(hinge.sigma, 1e-9)
     kind = BRACKET if gain > 40.0 and jump.size > _JUMP else HINGE
-    at = _time_at(track, after, width)
+    at = _time_of_travel(track, after, width)
     onset = Onset(
         number, after.start_s, at, after.direction, after.q1, after.q1 + after.direction * width, sigma,
         jump.low, jump.high, kind, True,
@@ -232,20 +237,21 @@ def _onset(number: int, track: Track, before: _Stroke, after: _Stroke, rig: Rig,
     )  # fmt: skip
     if kind == BRACKET:
         onset = _as_bracket(onset)
-    if onset.sigma > 0.25 * max(width, reach):
+    if onset.sigma > 0.25 * max(width, after.reach):
         onset = replace(onset, used=False, reason="the tip hardly moves here: the onset is too uncertain")
     return onset
 
 
 def _as_bracket(onset: Onset) -> Onset:
-    """The onset as a width that is known between `low` and `high` only: their middle, and a uniform density's sigma."""
+    """The onset as a width known only between `low` and `high`: their middle, with the sigma of a uniform density."""
     middle = 0.5 * (onset.low + onset.high)
     spread = (onset.high - onset.low) / np.sqrt(12.0)
     return replace(onset, kind=BRACKET, q2=onset.q1 + onset.direction * middle, sigma=max(float(spread), 1e-9))
 
 
-def _pooled_jumps(onsets: list[Onset]) -> list[Onset]:
-    """A jump at the onset belongs to the rig: where most reversals show it, or all together do, all are brackets."""
+def _as_brackets_if_most_jump(onsets: list[Onset]) -> list[Onset]:
+    """The onsets; all as brackets if most reversals show a jump, or all together do by their mean gain: a jump is the
+    rig's then."""
     fitted = [o for o in onsets if o.kind in (HINGE, BRACKET) and o.used]
     jumping = sum(o.kind == BRACKET for o in fitted)
     together = len(fitted) >= 8 and float(np.mean([min(o.jump, 100.0) for o in fitted])) > _JUMPS_TOGETHER
@@ -254,8 +260,9 @@ def _pooled_jumps(onsets: list[Onset]) -> list[Onset]:
     return [_as_bracket(o) if o.kind == HINGE and o.used else o for o in onsets]
 
 
-def _with_clock_and_counts(onset: Onset, track: Track, delay_sigma: float, resolution: float) -> Onset:
-    """Adds what the delay's uncertainty and a turn that is known to a count do to the width."""
+def _with_timing_errors(onset: Onset, track: Track, delay_sigma: float, resolution: float) -> Onset:
+    """The onset with sigma increased by the motor's travel during the delay's standard deviation, s, and by the
+    rounding of the turn to a count of the encoder (resolution, unit of q)."""
     if not np.isfinite(onset.sigma):
         return onset
     speed = 0.0
@@ -267,8 +274,8 @@ def _with_clock_and_counts(onset: Onset, track: Track, delay_sigma: float, resol
 
 
 def _fit_window(stroke: _Stroke) -> tuple[Array, Array, Hinge] | None:
-    """The longest window after the onset that a path follows within the noise (3 sigma of chi-square): travel x (n,),
-    whitened y (n, channels) and the hinge on them. None where there are too few frames."""
+    """The longest window from the turn that a hinge's path follows within the noise (chi-square within 3 sigma of its
+    degrees of freedom): travel x (n,), whitened y (n, channels) and the hinge. None where there are too few frames."""
     departure = stroke.departure
     assert departure is not None
     frames, travel, z = stroke.frames, stroke.travel, stroke.z
@@ -285,8 +292,8 @@ def _fit_window(stroke: _Stroke) -> tuple[Array, Array, Hinge] | None:
         after = max(8, int(after * 0.6))
 
 
-def _time_at(track: Track, stroke: _Stroke, travel: float) -> float:
-    """When, s, the motor had gone `travel` (unit of q) beyond the turn; the stroke's end where it did not go so far."""
+def _time_of_travel(track: Track, stroke: _Stroke, travel: float) -> float:
+    """When, s, the motor had gone `travel` beyond the turn; the stroke's end where it did not go so far."""
     t, q = track.path.course(stroke.start_s, stroke.end_s)
     gone = np.maximum.accumulate(stroke.direction * (q - stroke.q1))
     beyond = int(np.searchsorted(gone, travel))
@@ -303,19 +310,22 @@ def _time_at(track: Track, stroke: _Stroke, travel: float) -> float:
 
 @dataclass(frozen=True)
 class Delay:
+    """By how much images are later than their scene."""
+
     delay_s: float
-    sigma_s: float
+    sigma_s: float  # standard deviation; inf where nothing told it
     stops: int  # reversals that told it
 
 
 def find_delay(tracks: Sequence[Track], rig: Rig, nominal_s: float, passes: int = 3) -> Delay:
-    """The delay at which the image stops when the motor turns, jointly over all reversals on an envelope; sigma inf
-    where there are none. Less than 0 where frames carry a clock that runs ahead, as a video's own time does that starts
-    with its first frame."""
+    """Posterior mean and standard deviation of the delay at which the image stops when the motor turns, jointly over
+    all reversals on an envelope, its prior normal about nominal_s with NOMINAL_S; the nominal one with sigma inf where
+    there are none. It is negative where frames carry a clock that runs ahead, as a video's own times do that start with
+    its first frame. passes: how often the stops are found anew at the new delay."""
     delay = nominal_s
     result = Delay(nominal_s, np.inf, 0)
     for _ in range(passes):
-        stops = [stop for track in tracks for stop in _stops(track, rig, delay)]
+        stops = [stop for track in tracks for stop in _stops_of_track(track, rig, delay)]
         if not stops:
             return Delay(nominal_s, np.inf, 0)
         grid = np.linspace(nominal_s - _DELAY_REACH_S, nominal_s + _DELAY_REACH_S, 61)
@@ -324,9 +334,9 @@ def find_delay(tracks: Sequence[Track], rig: Rig, nominal_s: float, passes: int 
             pitch = grid[1] - grid[0]
             freedom = sum(stop.freedom for stop in stops)
             inflate = max(1.0, float(squares.min()) / freedom)
-            surprise = squares / inflate + ((grid - nominal_s) / NOMINAL_S) ** 2
-            best = int(np.argmin(surprise))
-            weight = np.exp(-0.5 * np.clip(surprise - surprise[best], 0, 200))
+            deviance = squares / inflate + ((grid - nominal_s) / NOMINAL_S) ** 2
+            best = int(np.argmin(deviance))
+            weight = np.exp(-0.5 * np.clip(deviance - deviance[best], 0, 200))
             mean = float(weight @ grid / weight.sum())
             spread = float(np.sqrt(weight @ (grid - mean) ** 2 / weight.sum()))
             if spread > 2 * pitch:
@@ -341,32 +351,35 @@ def find_delay(tracks: Sequence[Track], rig: Rig, nominal_s: float, passes: int 
 
 
 @dataclass(frozen=True)
-class _Turn:
-    arrival_s: Array  # (frames,)
-    motor_t: Array  # around them
-    motor_q: Array
-    turn_s: float
-    q1: float
-    direction: int  # before the turn
-    z: Array  # (frames, channels) as in _Stroke
-    order: int
+class _Stop:
+    """The frames around one turn of the motor that tell the delay."""
+
+    arrival_s: Array  # (frames,) when they arrived
+    motor_t: Array  # (knots,) of the motor's path around them, s
+    motor_q: Array  # (knots,)
+    turn_s: float  # when the motor turned
+    q1: float  # where
+    direction: int  # of the motor before the turn
+    z: Array  # (frames, channels) whitened y
+    order: int  # of the polynomial
 
     @property
     def freedom(self) -> int:
-        """Degrees of freedom that level and polynomial leave, 1 at least."""
+        """Degrees of freedom of the residuals, 1 at least."""
         return int(max(1, (len(self.arrival_s) - 1 - self.order) * self.z.shape[1]))
 
     def squares(self, delays: Array) -> Array:
-        """(delays,) sums of squares, over noise, of the best fits of level + polynomial of what is left of the motor's
-        way, at delays in s."""
+        """(delays,) sums of squared residuals over noise, at each of delays (delays,), s, of z as a polynomial of the
+        motor's travel that is left before the turn, and level after it."""
         return _native.still_squares(  # type: ignore[no-any-return]
             self.arrival_s, self.z, self.motor_t, self.motor_q, self.turn_s, self.q1, self.direction, self.order, delays
         )
 
 
-def _stops(track: Track, rig: Rig, delay_s: float) -> list[_Turn]:
-    """Of each turn the frames that tell the delay: before it those that a short path fits within the noise (4 sigma of
-    chi-square), after it those at which the tip still rests. delay_s: as known so far."""
+def _stops_of_track(track: Track, rig: Rig, delay_s: float) -> list[_Stop]:
+    """The stops of a track, found with the strokes at this delay, s. Of the frames before a turn those count that a
+    short polynomial fits within the noise (4 sigma of chi-square), of those after it the ones at which the tip still
+    rests."""
     strokes = _strokes(track, rig, delay_s)
     stops = []
     for before, after in pairwise(strokes):
@@ -387,7 +400,7 @@ def _stops(track: Track, rig: Rig, delay_s: float) -> list[_Turn]:
             arrival = track.t_s[frames]
             times, positions = track.path.course(*(arrival[[0, -1]] - delay_s + _AROUND_S).tolist())
             order = 2 if count > 6 else 1
-            stop = _Turn(arrival, times, positions, after.start_s, after.q1, -after.direction, z, order)
+            stop = _Stop(arrival, times, positions, after.start_s, after.q1, -after.direction, z, order)
             nearby = delay_s + np.linspace(-0.03, 0.03, 13)
             if count <= 6 or stop.squares(nearby).min() < stop.freedom + 4.0 * np.sqrt(2.0 * stop.freedom):
                 break

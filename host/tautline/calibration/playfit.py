@@ -1,8 +1,12 @@
 """A least-squares fit of everything smooth at once: B(p), the curve that the tip follows with p, and the delay.
 
-The tip's measured coordinates are y = h(s(p)), p the play of the motor through B. s is either the image itself (two
-channels, h = identity: no pose, no camera, no hand-eye) or the bending angle (one channel, h = the projection, or
-identity for an angle sensor). Residuals and Jacobian are exact on the linear table; every row has few entries.
+The tip's measured coordinates are y = h(s(p)), p the centre of the play of width B that the motor drives, s the curve
+that is followed. s is either the image itself (two channels, h = identity: no pose, no camera, no hand-eye) or the
+bending angle (one channel, h = the projection, or identity for an angle sensor). B and s are cubic B-splines; B is
+tabulated at NODES positions, on which the simulated play and its derivatives are exact.
+
+Shapes: n frames of a track; coordinates k of y (2 px or 1 deg); channels of s. Residuals are whitened, (n, k): seen
+less predicted, over the stated noise. A mask (n,) says which frames count. Positions and B are in the unit of q.
 """
 
 from __future__ import annotations
@@ -14,10 +18,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_solve
 
-from tautline.calibration.beforehand import Beforehand, Term, between
-from tautline.calibration.beside import Beside
+from tautline.calibration.beforehand import Beforehand, Term, free_bending
+from tautline.calibration.beside import FittedEffects
 from tautline.calibration.observations import Mask, Track, corners
-from tautline.calibration.rounding import counts
+from tautline.calibration.rounding import independence_weights
 from tautline.elements import SINGLE, Hysteresis, Play
 from tautline.least_squares import descend, factor
 from tautline.model import STEEPEST, allowed_width
@@ -38,26 +42,70 @@ _SLOPE_S = 0.004  # least half interval over which the motor's speed is taken
 
 @dataclass(frozen=True)
 class Curves:
-    """The state of a fit. Coefficients belong to the fit's two bases."""
+    """The unknowns of a fit. Coefficients belong to the fit's two spline bases."""
 
-    backlash: Array  # (m_b,)
-    follow: Array  # (m_f, channels)
+    backlash: Array  # (m_b,) of B
+    follow: Array  # (m_f, channels) of the curve s that the tip follows
     delay_s: float
-    beside: Array = field(default_factory=lambda: np.zeros(0))  # values of the effects that the fit holds
+    effect_values: Array = field(default_factory=lambda: np.zeros(0))  # (m_e,) of the effects that the fit contains
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where each kind of unknown is in a fit's normal equations: follow channel by channel, backlash, effect values,
+    the delay, then `extra` further columns."""
+
+    follow_size: int
+    channels: int
+    backlash_size: int
+    effects_size: int
+    extra: int = 0
+
+    @property
+    def follow(self) -> list[slice]:
+        """The coefficients of the curve that is followed, for each channel."""
+        size = self.follow_size
+        return [slice(k * size, (k + 1) * size) for k in range(self.channels)]
+
+    @property
+    def backlash(self) -> slice:
+        """The coefficients of B."""
+        first = self.channels * self.follow_size
+        return slice(first, first + self.backlash_size)
+
+    @property
+    def effects(self) -> slice:
+        """The effects' values."""
+        return slice(self.backlash.stop, self.backlash.stop + self.effects_size)
+
+    @property
+    def delay(self) -> int:
+        """The delay."""
+        return self.channels * self.follow_size + self.backlash_size + self.effects_size
+
+    @property
+    def total(self) -> int:
+        """How many unknowns there are."""
+        return self.delay + 1 + self.extra
 
 
 @dataclass(frozen=True)
 class Simulated:
-    """What the model says at each frame of one track."""
+    """What the model says at each frame of one track, (n,) all."""
 
-    p: Array
-    tip: Array  # where along the law: p, but for effects beside the play
+    p: Array  # centre of the play
+    tip: Array  # where along the followed curve: p, but for effects behind the play
     known: Mask  # the play has forgotten where it started, and motor samples cover the frame
     settled: Mask  # known, and driven through a full backlash in both directions
     side: npt.NDArray[np.int8]  # envelope that last moved p (of several elements: that last held them all)
     lean: Array  # -2 dp/dB where B is constant; of one element its side
     share: Array  # dp/dq there: of one element 1 where p moves with q at this frame, else 0
-    speed: Array  # dq/dt, unit/s
+    speed: Array  # dq/dt, per s
+
+    @property
+    def half_cycle(self) -> npt.NDArray[np.intp]:
+        """(n,) number of the tip's half-cycle at each frame, from 0: it changes with the envelope."""
+        return np.asarray(np.cumsum(np.diff(self.side.astype(int), prepend=self.side[:1]) != 0))
 
     @property
     def moving(self) -> Mask:
@@ -66,166 +114,251 @@ class Simulated:
         return moves
 
     def slopes(self, keep: Mask, slope: Array) -> tuple[Array, Array]:
-        """dp/dB and dp/d(delay) (in the unit of q per s) at the frames that are kept, dB/dp there being `slope`."""
+        """dp/dB (kept,) and dp/d(delay) (kept,), per s, at the frames that are kept, dB/dp there being `slope`."""
         lean = self.lean[keep]
         return by_width(lean, slope), -self.speed[keep] * self.share[keep] / steepness(lean, slope)
 
 
 @dataclass(frozen=True)
-class Driven:
-    """What the motor did, as the frames of one track saw it at one delay."""
+class MotorAtFrames:
+    """The motor as the frames of one track saw it at one delay."""
 
-    positions: Array  # all that a play needs, in order of time
-    at: npt.NDArray[np.intp]  # which of them are at the frames
-    within: Mask  # motor samples cover the frame
-    speed: Array  # dq/dt, unit/s
+    positions: Array  # (m,) all that a play needs, in order of time: extremes, and those at the frames
+    at: npt.NDArray[np.intp]  # (n,) which of these are at the frames
+    within: Mask  # (n,) motor samples cover the frame
+    speed: Array  # (n,) dq/dt, per s
 
 
 @dataclass(frozen=True)
-class Frozen:
+class PreparedTrack:
     """One track prepared for many simulations."""
 
     track: Track
-    corner_t: Array
-    corner_q: Array
-    use: Mask  # frames that count
+    corner_t: Array  # (c,) times of the motor's extremes, s
+    corner_q: Array  # (c,) its positions there
+    use: Mask  # (n,) frames that may count
     half_s: float  # half the interval over which the motor's speed is taken
-    last: dict[float, Driven] = field(init=False, default_factory=dict, compare=False, repr=False)  # of one delay
+    last: dict[float, MotorAtFrames] = field(init=False, default_factory=dict, compare=False, repr=False)  # by delay
 
     @classmethod
-    def of(cls, track: Track, use: Mask | None = None) -> Frozen:
-        """The track with its motor's extremes; use (n,): frames that count, all by default."""
+    def of(cls, track: Track, use: Mask | None = None) -> PreparedTrack:
+        """The track with its motor's extremes; use (n,): frames that may count, all by default."""
         times, positions = corners(track.motor)
         samples_s = track.reading.t_s
         half_s = max(_SLOPE_S, float(np.median(np.diff(samples_s)))) if len(samples_s) > 1 else _SLOPE_S
         return cls(track, times, positions, np.ones(len(track.t_s), bool) if use is None else use, half_s)
 
     def course(self, scene_s: Array) -> tuple[Array, npt.NDArray[np.intp]]:
-        """All that a play needs of the motor's positions, in order of time, and which of them are at `scene_s`."""
+        """The motor's positions (m,) that a play needs, extremes and those at scene_s (n,), in order of time; and which
+        of them (n,) are at scene_s."""
         times = np.concatenate([self.corner_t, scene_s])
         order = np.argsort(times, kind="stable")
         back = np.empty(len(times), dtype=np.intp)
         back[order] = np.arange(len(times))
         return np.concatenate([self.corner_q, self.track.motor_at(scene_s)])[order], back[len(self.corner_t) :]
 
-    def driven(self, delay_s: float) -> Driven:
-        """What the motor did at this delay, s. Kept until another one is asked for: a scan of widths has one."""
+    def driven(self, delay_s: float) -> MotorAtFrames:
+        """The motor at the frames for this delay, s. Kept until another delay is asked for: a scan of widths has
+        one."""
         if delay_s not in self.last:
             track, scene = self.track, self.track.scene_s(delay_s)
             positions, at = self.course(scene)
             speed = (track.motor_at(scene + self.half_s) - track.motor_at(scene - self.half_s)) / (2 * self.half_s)
             self.last.clear()
-            self.last[delay_s] = Driven(positions, at, track.within_motor(scene), speed)
+            self.last[delay_s] = MotorAtFrames(positions, at, track.within_motor(scene), speed)
         return self.last[delay_s]
 
     def simulate(
-        self, grid: Array, width: Array, delay_s: float, elements: Hysteresis = SINGLE,
-        beside: Beside | None = None, values: Array | None = None,
+        self, grid: Array, width: Array, delay_s: float, hysteresis: Hysteresis = SINGLE,
+        effects: FittedEffects | None = None, effect_values: Array | None = None,
     ) -> Simulated:  # fmt: skip
-        """What a play of B width (nodes,) on grid, unit of q, says at each frame at this delay, s, with effects beside
-        it. Run from both far ends: where the two agree it has forgotten its start."""
+        """The play of B width (nodes,) on grid (nodes,) at each frame for this delay, s, and what effects of these
+        values make of it. The play is run from both far ends: where both agree it has forgotten its start."""
         driven = self.driven(delay_s)
         positions, at = driven.positions, driven.at
         far = 10.0 * (abs(grid[-1] - grid[0]) + abs(positions).max(initial=1.0))
-        plays = Play(grid, width, elements).native
+        plays = Play(grid, width, hysteresis).native
         p, side, lean, share = plays.trace(positions, -far)
         other, other_side = plays.forward(positions, far)
-        known = (np.abs(p - other) < elements.forgotten * (grid[-1] - grid[0]))[at] & driven.within
+        known = (np.abs(p - other) < hysteresis.forgotten * (grid[-1] - grid[0]))[at] & driven.within
         both = np.logical_or.accumulate(side == -1) & np.logical_or.accumulate(other_side == 1)
-        both &= _there_and_back(positions, _low_width(grid, width, positions))
-        alone = Simulated(p[at], p[at], known, known & both[at], side[at], lean[at], share[at], driven.speed)
-        if beside is None or values is None:
-            return alone
-        path = beside.follow(self.track.reading, self.track.scene_s(delay_s), grid, width, elements, values)
-        return replace(alone, p=path.p, tip=path.tip, side=np.sign(path.side).astype(np.int8), lean=path.lean)
+        both &= _went_both_ways(positions, _low_quantile_of_width(grid, width, positions))
+        play_alone = Simulated(p[at], p[at], known, known & both[at], side[at], lean[at], share[at], driven.speed)
+        if effects is None or effect_values is None:
+            return play_alone
+        path = effects.follow(
+            self.track.reading, self.track.scene_s(delay_s), grid, width, hysteresis, effect_values
+        )  # fmt: skip
+        return replace(play_alone, p=path.p, tip=path.tip, side=np.sign(path.side).astype(np.int8), lean=path.lean)
 
 
 @dataclass
 class PlayFit:
-    """Fits `Curves` to tracks. `view` None: the channels are y itself."""
+    """The least-squares problem: tracks, bases, what is fitted and what is known beforehand. `solve` gives a Fitted."""
 
-    tracks: Sequence[Frozen]
-    backlash: Basis
-    follow: Basis
-    view: View | None = None
+    tracks: Sequence[PreparedTrack]
+    backlash: Basis  # of B
+    follow: Basis  # of the curve that the tip follows
+    view: View | None = None  # h; None: the channels of s are y itself
     fit_backlash: bool = True
     fit_delay: bool = True
     settled_only: bool = True  # frames before the tip was driven both ways do not count
     rising: float = 0.0  # +1, -1: s must rise or fall with p by `least_slope`; 0: free
     least_slope: float = 0.0
     slope_unit: float = 1.0  # a usual slope of s
-    elements: Hysteresis = SINGLE
+    hysteresis: Hysteresis = SINGLE
     delay_sigma_s: float = 1.0  # how well the delay is known where it is not fitted
     beforehand: Beforehand | None = None  # what is known without these tracks
-    beside: Beside | None = None  # effects between the motor and the curve that is followed
-    fit_beside: bool = True
-    alike: float = 1.0  # frames for each independent one: that many say as much of a curve's shape as one
-    smoothing: dict[str, float] = field(default_factory=lambda: {"backlash": 1e-2, "follow": 1e-6})
-    grid: Array = field(init=False)
-    simulated: list[Simulated] = field(init=False, default_factory=list)
+    effects: FittedEffects | None = None  # between the motor and the curve that is followed
+    fit_effects: bool = True
+    frames_per_independent: float = 1.0  # so many frames say as much of a curve's shape as one independent frame
+    smoothing: dict[str, float] = field(default_factory=lambda: {"backlash": 1e-2, "follow": 1e-6})  # penalty factors
+    grid: Array = field(init=False)  # (NODES,) on which B is tabulated
+    simulated: list[Simulated] = field(init=False, default_factory=list)  # by the last call of `residuals`
 
     def __post_init__(self) -> None:
+        """Sets the grid over the range of B's basis."""
         self.grid = np.linspace(self.backlash.low, self.backlash.high, NODES)
 
+    def layout(self, curves: Curves, extra: int = 0) -> Layout:
+        """The order of the unknowns in this fit's normal equations. extra: columns beside them."""
+        channels, values = curves.follow.shape[1], len(curves.effect_values)
+        return Layout(self.follow.size, channels, self.backlash.size, values, extra)
+
     def width(self, curves: Curves) -> Array:
-        """B (nodes,) on the fit's grid, unit of q, limited to what a table may have."""
+        """B (nodes,) on the fit's grid, limited to what a table may have."""
         return allowed_width(self.grid, self.backlash.value(curves.backlash, self.grid))
 
+    # ---- prediction
+
     def residuals(self, curves: Curves) -> tuple[list[Array], list[Mask]]:
-        """Per track: (y - model)/sigma (n, k), and which frames count (n,). Sets `simulated`."""
+        """Simulates every track (sets `simulated`). By track: (y - predicted) / sigma (n, k), and which frames count
+        (n,)."""
         width = self.width(curves)
         self.simulated = [
-            t.simulate(self.grid, width, curves.delay_s, self.elements, self.beside, curves.beside) for t in self.tracks
+            prepared.simulate(self.grid, width, curves.delay_s, self.hysteresis, self.effects, curves.effect_values)
+            for prepared in self.tracks
         ]
-        rows, masks = [], []
-        for frozen, sim in zip(self.tracks, self.simulated, strict=True):
-            y = self.seen(frozen.track, curves, sim.tip)
-            rows.append((frozen.track.y - y) / frozen.track.sigma[:, None])
-            masks.append(frozen.use & (sim.settled if self.settled_only else sim.known) & np.isfinite(y).all(axis=1))
-        return rows, masks
+        residuals, masks = [], []
+        for prepared, sim in zip(self.tracks, self.simulated, strict=True):
+            y = self.predicted(prepared.track, curves, sim.tip)
+            residuals.append((prepared.track.y - y) / prepared.track.sigma[:, None])
+            counts = prepared.use & (sim.settled if self.settled_only else sim.known)
+            masks.append(counts & np.isfinite(y).all(axis=1))
+        return residuals, masks
 
-    def seen(self, track: Track, curves: Curves, p: Array) -> Array:
-        """The model's y (n, coordinates), sensor's unit, at each frame of a track, the tip being at p (n,)."""
-        s = self.follow.value(curves.follow, p)
+    def predicted(self, track: Track, curves: Curves, tip: Array) -> Array:
+        """y (n, k), sensor's unit, at each frame of a track, the tip being at `tip` (n,) of the followed curve."""
+        s = self.follow.value(curves.follow, tip)
         if self.view is None:
             return s
         translation, rotation = track.others_at(track.scene_s(curves.delay_s))
         return self.view(s[:, 0], translation, rotation)[0]
 
-    def counted(self, weights: Sequence[Array], curves: Curves, scale: float) -> list[Array]:
-        """Weights (n,) of each track's frames times as much of an independent frame as each one is (rounding.py), where
-        the residuals are `scale` times the noise. After `residuals` with the same curves."""
+    def slope_in_view(self, track: Track, curves: Curves, tip: Array) -> Array:
+        """dy/dp (n, k), sensor's unit per unit of q, at each frame of a track, the tip being at `tip` (n,)."""
+        slope = self.follow.slope(curves.follow, tip)
+        if self.view is None:
+            return slope
+        s = self.follow.value(curves.follow, tip)
+        return self._view_slope(track, s, np.ones(len(tip), dtype=bool), curves.delay_s) * slope
+
+    def _view_slope(self, track: Track, s: Array, keep: Mask, delay_s: float) -> Array:
+        """dy/ds (kept, k), sensor's unit; 1 where s is y itself."""
+        if self.view is None:
+            return np.ones_like(s)
+        translation, rotation = track.others_at(track.scene_s(delay_s)[keep])
+        return self.view(s[:, 0], translation, rotation)[1]
+
+    def slopes(self, prepared: PreparedTrack, sim: Simulated, keep: Mask, curves: Curves) -> tuple[Array, Array]:
+        """Derivatives of the tip's place at the frames that are kept: by B there (kept,); and (kept, m_e + 1) by the
+        effects' values and the delay. 0 for what is not fitted."""
+        by_b, by_delay = sim.slopes(keep, self.backlash.slope(curves.backlash, sim.p[keep]))
+        by_values = np.empty((len(by_b), 0))
+        if self.effects is not None and (self.fit_effects or self.fit_delay or self.fit_backlash):
+            at = prepared.track.scene_s(curves.delay_s)
+            by_b, by_values, by_delay = (
+                each[keep]
+                for each in self.effects.slopes(
+                    prepared.track.reading, at, self.grid, self.width(curves), self.hysteresis, curves.effect_values
+                )
+            )
+        elif self.effects is not None:
+            by_values = np.zeros((len(by_b), len(curves.effect_values)))
+        shared = np.column_stack([by_values * self.fit_effects, by_delay * self.fit_delay])
+        return by_b * self.fit_backlash, shared
+
+    # ---- the fit
+
+    def solve(self, start: Curves, iterations: int = 30, robust: bool = True, adapt: bool = True) -> Fitted:
+        """Damped Gauss-Newton steps from `start`. robust: outliers are weighed down (Huber); adapt: the smoothing moves
+        to the restricted likelihood's maximum (Fellner-Schall steps), else it stays."""
+        minimum = descend(_Descent(self, robust, adapt), _Point.of(self, start), iterations)
+        curves = minimum.curves
+        residuals, masks = self.residuals(curves)
+        scale, weights = _huber_weights(residuals, masks, robust)
+        weights = self.weights_with_rounding(weights, curves, scale)
+        matrix, _ = self.normal(curves, residuals, weights)
+        penalty, _ = self.penalty(curves, scale)
+        covariance = np.asarray(np.linalg.inv(matrix + penalty + 1e-12 * np.eye(len(matrix))) * scale * scale)
+        return Fitted(self, curves, scale, residuals, masks, weights, covariance)
+
+    def step(self, curves: Curves, residuals: list[Array], masks: list[Mask]) -> Curves:
+        """One Gauss-Newton step, all counted frames weighing 1; after `residuals` with the same curves."""
+        matrix, gradient = self.normal(curves, residuals, [m.astype(float) for m in masks])
+        system = matrix + self.penalty(curves, 1.0)[0]
+        ridge = 1e-9 * np.eye(len(system)) * np.trace(system) / len(system)
+        return self.moved(curves, np.asarray(np.linalg.solve(system + ridge, gradient)))
+
+    def moved(self, curves: Curves, step: Array) -> Curves:
+        """The curves after a step of the unknowns, within their limits: B moves by 15 % of the range at most and stays
+        at 0 or above, the delay moves by 30 ms at most, effects stay in their ranges; what is not fitted stays."""
+        layout = self.layout(curves)
+        backlash = curves.backlash
+        if self.fit_backlash:
+            limit = 0.15 * (self.backlash.high - self.backlash.low)
+            backlash = np.maximum(backlash + np.clip(step[layout.backlash], -limit, limit), 0.0)
+        delay = curves.delay_s + float(np.clip(step[-1], -0.03, 0.03)) if self.fit_delay else curves.delay_s
+        follow = curves.follow + step[: layout.backlash.start].reshape(layout.channels, self.follow.size).T
+        values = curves.effect_values
+        if self.effects is not None and self.fit_effects:
+            values = self.effects.inside(values + step[layout.backlash.stop : -1])
+        return replace(curves, backlash=backlash, follow=follow, delay_s=delay, effect_values=values)
+
+    def weights_with_rounding(self, weights: Sequence[Array], curves: Curves, scale: float) -> list[Array]:
+        """By track: the weights (n,) of frames, less where a sensor rounds, whose frames of one rest share an error
+        (rounding.py). scale: residuals over the noise. After `residuals` with the same curves."""
         return [
-            weight * counts(frozen.track, self.seen(frozen.track, curves, sim.tip), frozen.use, scale)
-            if frozen.track.step > 0.0
+            weight
+            * independence_weights(prepared.track, self.predicted(prepared.track, curves, sim.tip), prepared.use, scale)
+            if prepared.track.step > 0.0
             else weight
-            for weight, frozen, sim in zip(weights, self.tracks, self.simulated, strict=True)
+            for weight, prepared, sim in zip(weights, self.tracks, self.simulated, strict=True)
         ]
 
     def normal(
-        self, curves: Curves, rows: list[Array], weights: list[Array], extra: Sequence[Array] | None = None
+        self, curves: Curves, residuals: list[Array], weights: list[Array], extra: Sequence[Array] | None = None
     ) -> tuple[Array, Array]:
-        """J'WJ and J'Wr of the whitened problem, unknowns ordered follow (channel by channel), backlash, what is beside
-        them, delay, and the factors of `extra`: columns (frames, m) of each track, unit of the tip's place.
-        After `residuals` with the same curves."""
-        channels = curves.follow.shape[1]
-        mf, mb = self.follow.size, self.backlash.size
-        total = channels * mf + mb + len(curves.beside) + 1 + (extra[0].shape[1] if extra else 0)
-        matrix, gradient = np.zeros((total, total)), np.zeros(total)
-        # For each channel: where its unknowns and those that all share (backlash to delay) are, and their own sums.
-        shared = np.arange(channels * mf, total)
-        places = [np.concatenate([shared[:mb], np.arange(k * mf, (k + 1) * mf), shared[mb:]]) for k in range(channels)]
+        """J'WJ (m, m) and J'Wr (m,) of the whitened problem, unknowns as in `layout`. weights (n,) by track; extra:
+        further columns (n, e) of each track, derivatives of the tip's place. After `residuals` with the same curves."""
+        layout = self.layout(curves, extra[0].shape[1] if extra else 0)
+        matrix, gradient = np.zeros((layout.total, layout.total)), np.zeros(layout.total)
+        # Channels share no unknowns of the followed curve, so each has its own sums: B, its own curve, then the rest.
+        before, after = np.r_[layout.backlash], np.arange(layout.backlash.stop, layout.total)
+        places = [np.concatenate([before, np.r_[follow], after]) for follow in layout.follow]
         nominal, sums = Nominal(self.backlash, self.follow), [Normal.zeros(len(at)) for at in places]
-        for number, (frozen, sim, r, w) in enumerate(zip(self.tracks, self.simulated, rows, weights, strict=True)):
+        for number, (prepared, sim, r, w) in enumerate(
+            zip(self.tracks, self.simulated, residuals, weights, strict=True)
+        ):
             keep = w > 0
             if not keep.any():
                 continue
-            p, tip, track = sim.p[keep], sim.tip[keep], frozen.track
+            p, tip, track = sim.p[keep], sim.tip[keep], prepared.track
             inverse = 1.0 / track.sigma[keep]
             slope = self.follow.slope(curves.follow, tip)
-            by_s = self._seen_at(track, self.follow.value(curves.follow, tip), keep, curves.delay_s)
+            by_s = self._view_slope(track, self.follow.value(curves.follow, tip), keep, curves.delay_s)
             by_s = by_s * inverse[:, None]
-            by_b, shared_by = self.slopes(frozen, sim, keep, curves)
+            by_b, shared_by = self.slopes(prepared, sim, keep, curves)
             shared_by = np.column_stack([shared_by, extra[number][keep]]) if extra else shared_by
             for channel, own in enumerate(sums):
                 of = slice(None) if self.view is not None else slice(channel, channel + 1)
@@ -239,91 +372,17 @@ class PlayFit:
             gradient[at] += part.gradient
         return matrix, gradient
 
-    def slopes(self, frozen: Frozen, sim: Simulated, keep: Mask, curves: Curves) -> tuple[Array, Array]:
-        """Derivatives of the tip's place at the frames that are kept: by B there (kept,), and (kept, m) by what is
-        beside it and the delay."""
-        by_b, by_delay = sim.slopes(keep, self.backlash.slope(curves.backlash, sim.p[keep]))
-        by_values = np.empty((len(by_b), 0))
-        if self.beside is not None and (self.fit_beside or self.fit_delay or self.fit_backlash):
-            at = frozen.track.scene_s(curves.delay_s)
-            by_b, by_values, by_delay = (
-                each[keep]
-                for each in self.beside.slopes(
-                    frozen.track.reading, at, self.grid, self.width(curves), self.elements, curves.beside
-                )
-            )
-        elif self.beside is not None:
-            by_values = np.zeros((len(by_b), len(curves.beside)))
-        shared = np.column_stack([by_values * self.fit_beside, by_delay * self.fit_delay])
-        return by_b * self.fit_backlash, shared
-
-    def slope_in_view(self, track: Track, curves: Curves, p: Array) -> Array:
-        """dy/dp (n, coordinates) in the sensor's unit at each frame of a track."""
-        slope = self.follow.slope(curves.follow, p)
-        if self.view is None:
-            return slope
-        s = self.follow.value(curves.follow, p)
-        return self._seen_at(track, s, np.ones(len(p), dtype=bool), curves.delay_s) * slope
-
-    def _seen_at(self, track: Track, s: Array, keep: Mask, delay_s: float) -> Array:
-        """dy/ds (kept, coordinates), sensor's unit; 1 where s is y itself."""
-        if self.view is None:
-            return np.ones_like(s)
-        translation, rotation = track.others_at(track.scene_s(delay_s)[keep])
-        return self.view(s[:, 0], translation, rotation)[1]
-
-    # ---- the fit
-
-    def solve(self, start: Curves, iterations: int = 30, robust: bool = True, adapt: bool = True) -> Fitted:
-        """Least squares from `start`. robust: outliers are weighed by Huber; adapt: smoothing by restricted maximum
-        likelihood (Fellner-Schall steps), else as it is."""
-        minimum = descend(_Descent(self, robust, adapt), _Point.of(self, start), iterations)
-        curves = minimum.curves
-        rows, masks = self.residuals(curves)
-        scale, weights = _weights(rows, masks, robust)
-        weights = self.counted(weights, curves, scale)
-        matrix, _ = self.normal(curves, rows, weights)
-        penalty, _ = self.penalty(curves, scale)
-        covariance = np.asarray(np.linalg.inv(matrix + penalty + 1e-12 * np.eye(len(matrix))) * scale * scale)
-        return Fitted(self, curves, scale, rows, masks, weights, covariance)
-
-    def step(self, curves: Curves, rows: list[Array], masks: list[Mask]) -> Curves:
-        """One Gauss-Newton step of all counted frames alike; after `residuals` with the same curves."""
-        matrix, gradient = self.normal(curves, rows, [m.astype(float) for m in masks])
-        system = matrix + self.penalty(curves, 1.0)[0]
-        ridge = 1e-9 * np.eye(len(system)) * np.trace(system) / len(system)
-        return self.moved(curves, np.asarray(np.linalg.solve(system + ridge, gradient)))
-
-    def moved(self, curves: Curves, step: Array) -> Curves:
-        """The curves a step further, within what they may be: B moves by 15 % of the range at most and not below 0, the
-        delay by 30 ms; what is not fitted stays."""
-        channels = curves.follow.shape[1]
-        cut = channels * self.follow.size
-        backlash = curves.backlash
-        if self.fit_backlash:
-            change = step[cut : cut + self.backlash.size]
-            limit = 0.15 * (self.backlash.high - self.backlash.low)
-            backlash = np.maximum(backlash + np.clip(change, -limit, limit), 0.0)
-        delay = curves.delay_s + float(np.clip(step[-1], -0.03, 0.03)) if self.fit_delay else curves.delay_s
-        follow = curves.follow + step[:cut].reshape(channels, self.follow.size).T
-        beside = curves.beside
-        if self.beside is not None and self.fit_beside:
-            beside = self.beside.inside(beside + step[cut + self.backlash.size : -1])
-        return replace(curves, backlash=backlash, follow=follow, delay_s=delay, beside=beside)
+    # ---- smoothness, constraints and priors
 
     def penalty(self, curves: Curves, scale: float) -> tuple[Array, Array]:
-        """Matrix P and gradient P theta of smoothness, of constraints that are violated and of priors, which count in
-        units of scale^2 (scale: residual over noise). What is not fitted is held by a unit diagonal, the delay by its
-        sigma."""
-        channels = curves.follow.shape[1]
-        mf, mb = self.follow.size, self.backlash.size
-        cut = channels * mf
-        total = cut + mb + len(curves.beside) + 1
-        matrix, pull = np.zeros((total, total)), np.zeros(total)
-        known_path = self._known_path(curves)
-        bending, _ = self._bending(channels)
-        for k in range(channels):
-            block = slice(k * mf, (k + 1) * mf)
+        """Matrix P (m, m) and gradient (m,), P theta where it is quadratic about 0, of half of what `cost` adds to the
+        data: smoothness, violated constraints and priors, the latter two in units of scale^2 (scale: residual over
+        noise). What is not fitted is held by a unit diagonal, the delay by its sigma."""
+        layout = self.layout(curves)
+        matrix, pull = np.zeros((layout.total, layout.total)), np.zeros(layout.total)
+        known_path = self._path_prior(curves)
+        bending, _ = self._bending(layout.channels)
+        for k, block in enumerate(layout.follow):
             rough = self.smoothing["follow"] * bending
             matrix[block, block] += rough
             pull[block] += rough @ curves.follow[:, k]
@@ -332,11 +391,11 @@ class PlayFit:
                 matrix[block, block] += scale * scale * known
                 pull[block] += scale * scale * pulled
         if self.fit_backlash:
-            block = slice(cut, cut + mb)
+            block = layout.backlash
             rough = self.smoothing["backlash"] * self.backlash.roughness
             matrix[block, block] += rough
             pull[block] += rough @ curves.backlash
-            stiff, bend = _steep(curves.backlash, STEEPEST * 0.98 * self.backlash.step)
+            stiff, bend = _steep_steps(curves.backlash, STEEPEST * 0.98 * self.backlash.step)
             weight = _STIFF * scale * scale / self.backlash.step**2
             matrix[block, block] += weight * stiff
             pull[block] += weight * bend
@@ -345,47 +404,50 @@ class PlayFit:
                 matrix[block, block] += scale * scale * known
                 pull[block] += scale * scale * pulled
         else:
-            matrix[cut : cut + mb, cut : cut + mb] += np.eye(mb)
+            matrix[layout.backlash, layout.backlash] += np.eye(self.backlash.size)
         if self.rising:
-            block = slice(0, mf)
-            stiff, bend = _monotone(curves.follow[:, 0], self.rising, self.least_slope * self.follow.step)
+            block = layout.follow[0]
+            stiff, bend = _wrong_way_steps(curves.follow[:, 0], self.rising, self.least_slope * self.follow.step)
             weight = _STIFF * scale * scale / (self.slope_unit * self.follow.step) ** 2
             matrix[block, block] += weight * stiff
             pull[block] += weight * bend
         if not self.fit_delay:
             matrix[-1, -1] += (scale / self.delay_sigma_s) ** 2
-        if self.beside is not None:
-            at = np.arange(cut + mb, total - 1)
-            matrix[at, at] += scale * scale * self.beside.precision if self.fit_beside else 1.0
+        if self.effects is not None:
+            at = np.r_[layout.effects]
+            matrix[at, at] += scale * scale * self.effects.precision if self.fit_effects else 1.0
         return matrix, pull
 
-    def _path_known(self, channels: int) -> Beforehand | None:
-        """What is known of the path, where it is followed in the sensor's own coordinates and these are as many."""
+    def _path_beforehand(self, channels: int) -> Beforehand | None:
+        """What is known of the followed curve beforehand, if it is in the sensor's own coordinates and these are as
+        many; else None."""
         known = self.beforehand
         return known if known is not None and self.view is None and len(known.path) == channels else None
 
-    def _known_path(self, curves: Curves) -> list[Term]:
-        """The prior's Term of each channel of the path; none where nothing is known of it."""
-        known = self._path_known(curves.follow.shape[1])
+    def _path_prior(self, curves: Curves) -> list[Term]:
+        """The prior's Term of each channel of the followed curve; empty where nothing is known of it."""
+        known = self._path_beforehand(curves.follow.shape[1])
         return [] if known is None else known.of_path(self.follow, curves.follow)
 
     def _bending(self, channels: int) -> tuple[Array, int]:
-        """Penalty (size, size) on each channel of the path, and its rank: what is known of it beforehand is not
-        smoothed as well."""
-        known = self._path_known(channels)
+        """Smoothness penalty (m_f, m_f) on each channel of the followed curve, and its rank. Of a curve that is known
+        beforehand at places only the bending between them is penalised."""
+        known = self._path_beforehand(channels)
         if known is None:
             return self.follow.bending, self.follow.size - 2
-        return between(self.follow, tuple(known.path[0].q.tolist()))
+        return free_bending(self.follow, tuple(known.path[0].q.tolist()))
 
-    def hold(self, curves: Curves, matrix: Array, gradient: Array) -> None:
-        """Takes out of the normal equations what is beside B and at an end of its range that they lead beyond."""
-        assert self.beside is not None
-        first = len(gradient) - 1 - len(curves.beside)
-        ends = first + self.beside.at_ends(curves.beside, gradient[first:-1])
+    def hold_at_limits(self, curves: Curves, matrix: Array, gradient: Array) -> None:
+        """Takes out of the normal equations, in place, the effects' values that are at an end of their range beyond
+        which the gradient leads."""
+        assert self.effects is not None
+        first = len(gradient) - 1 - len(curves.effect_values)
+        ends = first + self.effects.at_ends(curves.effect_values, gradient[first:-1])
         matrix[ends, :] = matrix[:, ends] = gradient[ends] = 0.0
 
-    def begin(self, curves: Curves, scale: float) -> None:
-        """Sets the smoothing as the start's own roughness suggests. scale: residual over noise."""
+    def begin_smoothing(self, curves: Curves, scale: float) -> None:
+        """Sets each smoothing factor to scale^2 rank / (c' P c), the one at which a curve of coefficients c is as rough
+        as its prior has it. scale: residual over noise."""
         bending, rank = self._bending(curves.follow.shape[1])
         rough = sum(float(c @ bending @ c) for c in curves.follow.T)
         rank *= curves.follow.shape[1]
@@ -394,52 +456,45 @@ class PlayFit:
         rank = self.backlash.size - 2
         self.smoothing["backlash"] = float(np.clip(scale * scale * rank / max(rough, 1e-12), 1e-8, 1e8))
 
-    def adapt(self, curves: Curves, system: Array, scale: float) -> None:
-        """A step of the smoothing towards the restricted likelihood's maximum. system: normal matrix with all
-        penalties; scale: residual over noise."""
-        channels = curves.follow.shape[1]
-        mf, mb = self.follow.size, self.backlash.size
-        cut = channels * mf
+    def adapt_smoothing(self, curves: Curves, system: Array, scale: float) -> None:
+        """One Fellner-Schall step of each smoothing factor lambda towards the restricted likelihood's maximum: lambda
+        <- frames_per_independent scale^2 (rank - lambda tr(C P)) / (c' P c), C the inverse of `system` (m, m), the
+        normal matrix with all penalties; at most a factor of 20 at once. scale: residual over noise."""
+        layout = self.layout(curves)
         inverse = cho_solve(factor(system), np.eye(len(system)), check_finite=False)
-        bending, rank = self._bending(channels)
+        bending, rank = self._bending(layout.channels)
         parts: list[tuple[str, list[slice], Array, int, list[Array]]] = [
-            (
-                "follow",
-                [slice(k * mf, (k + 1) * mf) for k in range(channels)],
-                bending,
-                rank,
-                list(curves.follow.T),
-            )
+            ("follow", layout.follow, bending, rank, list(curves.follow.T))
         ]
         if self.fit_backlash:
-            block = [slice(cut, cut + mb)]
-            parts.append(("backlash", block, self.backlash.roughness, mb - 2, [curves.backlash]))
-        for name, blocks, form, rank_each, values in parts:
+            roughness, rank_b = self.backlash.roughness, self.backlash.size - 2
+            parts.append(("backlash", [layout.backlash], roughness, rank_b, [curves.backlash]))
+        for name, blocks, form, rank_each, coefficients in parts:
             now = self.smoothing[name]
             rank = rank_each * len(blocks)
             spent = now * sum(float(np.sum(inverse[b, b] * form)) for b in blocks)
-            rough = sum(float(v @ form @ v) for v in values)
-            ratio = self.alike * scale * scale * max(rank - spent, 1e-3) / max(now * rough, 1e-12)
+            rough = sum(float(c @ form @ c) for c in coefficients)
+            ratio = self.frames_per_independent * scale * scale * max(rank - spent, 1e-3) / max(now * rough, 1e-12)
             self.smoothing[name] = float(np.clip(now * np.clip(ratio, 0.05, 20.0), 1e-10, 1e8))
 
-    def cost(self, curves: Curves, rows: list[Array], weights: list[Array], scale: float) -> float:
-        """Weighted squares of the residuals over noise, with smoothness, priors and constraints, which count in units
-        of scale^2; infinite where no frame counts."""
+    def cost(self, curves: Curves, residuals: list[Array], weights: list[Array], scale: float) -> float:
+        """Weighted squares of the residuals (over noise) plus the penalties of smoothness, constraints and priors, the
+        latter two in units of scale^2; infinite where no frame counts."""
         used = sum(float(np.sum(w > 0)) for w in weights)
         if used == 0:
             return np.inf
         data = sum(
             float(np.sum(w[:, None] * np.where(w[:, None] > 0, r, 0.0) ** 2))
-            for r, w in zip(rows, weights, strict=True)
+            for r, w in zip(residuals, weights, strict=True)
         )
         total = sum(len(w) for w in weights)
         data *= total / used  # frames that drop out of the simulation are no gain
         bending, _ = self._bending(curves.follow.shape[1])
         smooth = sum(self.smoothing["follow"] * float(c @ bending @ c) for c in curves.follow.T)
-        smooth += scale * scale * sum(told for _, _, told in self._known_path(curves))
+        smooth += scale * scale * sum(surprise for _, _, surprise in self._path_prior(curves))
         if self.fit_backlash:
             smooth += self.smoothing["backlash"] * float(curves.backlash @ self.backlash.roughness @ curves.backlash)
-            _, bend = _steep(curves.backlash, STEEPEST * 0.98 * self.backlash.step)
+            _, bend = _steep_steps(curves.backlash, STEEPEST * 0.98 * self.backlash.step)
             smooth += _STIFF * scale * scale / self.backlash.step**2 * float(curves.backlash @ bend)
             if self.beforehand is not None:
                 smooth += scale * scale * self.beforehand.of_width(self.backlash, curves.backlash)[2]
@@ -451,76 +506,81 @@ class PlayFit:
 
 @dataclass(frozen=True)
 class _Point:
+    """Curves with what they predict: each point of a descent is simulated once."""
+
     curves: Curves
-    rows: list[Array]
+    residuals: list[Array]
     masks: list[Mask]
     simulated: list[Simulated]
 
     @classmethod
     def of(cls, fit: PlayFit, curves: Curves) -> _Point:
-        """With the residuals and the simulation of these curves."""
-        rows, masks = fit.residuals(curves)
-        return cls(curves, rows, masks, fit.simulated)
+        """The point at these curves."""
+        residuals, masks = fit.residuals(curves)
+        return cls(curves, residuals, masks, fit.simulated)
 
 
 class _Descent:
-    """A PlayFit as a least-squares problem: weights by Huber, smoothing that adapts from the second step on."""
+    """A PlayFit as a `least_squares.Problem`: weights by Huber, smoothing that adapts from the second step on."""
 
     def __init__(self, fit: PlayFit, robust: bool, adapt: bool) -> None:
+        """robust, adapt: as of `PlayFit.solve`."""
         self.fit, self.robust, self.adapt = fit, robust, adapt
         self.scale, self.weights = 1.0, list[Array]()
-        self.steps = self.settled = 0
+        self.steps = self.small_steps = 0
 
     def linearised(self, point: _Point) -> tuple[Array, Array, float]:
         """Normal matrix, gradient that lowers the cost, and cost at a point, with new weights and, from the second on,
         adapted smoothing."""
         fit, curves = self.fit, point.curves
         fit.simulated = point.simulated
-        self.scale, weights = _weights(point.rows, point.masks, self.robust)
-        self.weights = fit.counted(weights, curves, self.scale)
+        self.scale, weights = _huber_weights(point.residuals, point.masks, self.robust)
+        self.weights = fit.weights_with_rounding(weights, curves, self.scale)
         if self.adapt and self.steps == 0:
-            fit.begin(curves, self.scale)
-        matrix, gradient = fit.normal(curves, point.rows, self.weights)
+            fit.begin_smoothing(curves, self.scale)
+        matrix, gradient = fit.normal(curves, point.residuals, self.weights)
         penalty, pull = fit.penalty(curves, self.scale)
         if self.adapt and self.steps > 0:
-            fit.adapt(curves, matrix + penalty, self.scale)
+            fit.adapt_smoothing(curves, matrix + penalty, self.scale)
             penalty, pull = fit.penalty(curves, self.scale)
         self.steps += 1
-        if fit.beside is not None:
-            fit.hold(curves, matrix, gradient)
-        return matrix + penalty, gradient - pull, fit.cost(curves, point.rows, self.weights, self.scale)
+        if fit.effects is not None:
+            fit.hold_at_limits(curves, matrix, gradient)
+        return matrix + penalty, gradient - pull, fit.cost(curves, point.residuals, self.weights, self.scale)
 
     def moved(self, point: _Point, step: Array) -> _Point:
         """The point a step further."""
         return _Point.of(self.fit, self.fit.moved(point.curves, step))
 
     def cost(self, point: _Point) -> float:
-        """The cost at a point, by the weights and the smoothing of the last linearisation, so that costs compare;
-        frames that did not count then weigh 1."""
-        kept = _again(self.weights, point.masks)
+        """The cost at a point, with the weights and the smoothing of the last linearisation, so that costs compare. A
+        frame that did not count then and does now weighs 1."""
+        kept = _ones_where_uncounted(self.weights, point.masks)
         weights = [np.where(m, w, 0.0) for m, w in zip(point.masks, kept, strict=True)]
-        return self.fit.cost(point.curves, point.rows, weights, self.scale)
+        return self.fit.cost(point.curves, point.residuals, weights, self.scale)
 
     def enough(self, gained: float, cost: float) -> bool:
-        """Whether two steps in a row gained too little: 0.2 sigma^2, or 3e-4 of the cost while the residuals are
+        """Whether two steps in a row gained too little: _GAIN sigma^2, or 3e-4 of the cost while the residuals are
         clearly more than noise (1.2)."""
         least = max(_GAIN * self.scale * self.scale, 3e-4 * cost * (self.scale > 1.2))
-        self.settled = self.settled + 1 if gained < least else 0
-        return self.settled >= 2
+        self.small_steps = self.small_steps + 1 if gained < least else 0
+        return self.small_steps >= 2
 
 
 @dataclass(frozen=True)
 class Fitted:
+    """A solved PlayFit. Lists are by track."""
+
     fit: PlayFit
     curves: Curves
     scale: float  # rms residual over the stated noise, outliers apart: 1 where the model explains everything
-    rows: list[Array]
-    masks: list[Mask]
-    weights: list[Array]
-    covariance: Array  # of follow (channel by channel), backlash, what is beside them, delay
-    spread: Array | None = None  # of B on fit.grid, and of the delay, where model error is known too
-    delay_spread: float = 0.0
-    by_delay: Array | None = None  # on fit.grid, by how much B is another for each second that the delay is
+    residuals: list[Array]  # (n, k) whitened
+    masks: list[Mask]  # (n,) frames that count
+    weights: list[Array]  # (n,) of the frames
+    covariance: Array  # (m, m), unknowns as in PlayFit.layout
+    spread: Array | None = None  # (nodes,) standard deviation of B where model error is known too, else None
+    delay_spread: float = 0.0  # of the delay then, s
+    width_by_delay: Array | None = None  # (nodes,) dB/d(delay), unit of q per s, along the posterior's correlation
 
     @property
     def frames(self) -> int:
@@ -528,10 +588,10 @@ class Fitted:
         return int(sum(m.sum() for m in self.masks))
 
     @property
-    def beside(self) -> tuple[Beside, Array]:
-        """The effects that were fitted, and their values."""
-        assert self.fit.beside is not None
-        return self.fit.beside, self.curves.beside
+    def effects_and_values(self) -> tuple[FittedEffects, Array]:
+        """The effects that were fitted, and their values (m_e,)."""
+        assert self.fit.effects is not None
+        return self.fit.effects, self.curves.effect_values
 
     @property
     def explained(self) -> bool:
@@ -539,19 +599,20 @@ class Fitted:
         return self.scale < EXPLAINED
 
     def width_sigma(self, p: Array) -> Array:
-        """Standard deviation of B at p: from the residuals' noise alone where nothing more is known."""
+        """Standard deviation of B at positions p (k,): `spread` where model error is known, else that of the residuals'
+        noise."""
         if self.spread is not None:
             return np.asarray(np.interp(p, self.fit.grid, self.spread))
-        cut = self.curves.follow.size
         design = self.fit.backlash.design(p).toarray()
-        block = self.covariance[cut : cut + self.fit.backlash.size, cut : cut + self.fit.backlash.size]
-        return np.asarray(np.sqrt(np.maximum(np.sum((design @ block) * design, axis=1), 0.0)))
+        block = self.fit.layout(self.curves).backlash
+        covariance = self.covariance[block, block]
+        return np.asarray(np.sqrt(np.maximum(np.sum((design @ covariance) * design, axis=1), 0.0)))
 
     def path(self) -> tuple[Array, Array]:
-        """(grid, channels) each: the path in the sensor's unit, and its standard deviation by the residuals' noise."""
+        """(nodes, channels) each: the followed curve in the unit of s, and its standard deviation by the residuals'
+        noise."""
         design = self.fit.follow.design(self.fit.grid).toarray()
-        size = self.fit.follow.size
-        blocks = [slice(k * size, (k + 1) * size) for k in range(self.curves.follow.shape[1])]
+        blocks = self.fit.layout(self.curves).follow
         variance = [np.sum((design @ self.covariance[block, block]) * design, axis=1) for block in blocks]
         return design @ self.curves.follow, np.sqrt(np.maximum(np.column_stack(variance), 0.0))
 
@@ -564,49 +625,51 @@ class Fitted:
         return float(np.sqrt(self.covariance[-1, -1])) if self.fit.fit_delay else 0.0
 
 
-def _low_width(grid: Array, width: Array, positions: Array) -> float:
-    """A low quantile of B over the positions that the motor reached, unit of q: a way that counts as driven through a
-    full backlash. Not the least B: at the ends of the motion only the start tells it, and a B of 0 there would be
-    driven through at once. grid, width (nodes,); positions (n,)."""
+def _low_quantile_of_width(grid: Array, width: Array, positions: Array) -> float:
+    """The quantile _SELDOM of B width (nodes,) on grid over the positions (n,) that the motor reached: a travel that
+    counts as driven through a full backlash. Not the least B: at the ends of the motion only the start tells it, and a
+    B of 0 there would be driven through at once."""
     first, last = np.searchsorted(grid, [positions.min(), positions.max()])
     return float(np.quantile(width[first : max(last, first + 1)], _SELDOM))
 
 
-def _there_and_back(positions: Array, way: float) -> Mask:
-    """(n,) whether the motor, in positions (n,), had gone up by `way` and down by it so far, both in the unit of q."""
-    up = positions - np.minimum.accumulate(positions) >= way
-    down = np.maximum.accumulate(positions) - positions >= way
+def _went_both_ways(positions: Array, travel: float) -> Mask:
+    """(n,) whether the motor, at positions (n,), had gone up by `travel` and down by it so far."""
+    up = positions - np.minimum.accumulate(positions) >= travel
+    down = np.maximum.accumulate(positions) - positions >= travel
     both: Mask = np.logical_or.accumulate(up) & np.logical_or.accumulate(down)
     return both
 
 
-def _again(weights: list[Array], masks: list[Mask]) -> list[Array]:
-    """Weights with those of frames that did not count set to 1, in case they count next time."""
+def _ones_where_uncounted(weights: list[Array], masks: list[Mask]) -> list[Array]:
+    """Weights (n,) by track, 1 where the mask does not hold."""
     return [np.where(m, w, 1.0) for w, m in zip(weights, masks, strict=True)]
 
 
-def _weights(rows: list[Array], masks: list[Mask], robust: bool) -> tuple[float, list[Array]]:
-    """Scale of the residuals (rms over noise, outliers bounded; 1 without frames) and each frame's Huber weight, 0
-    where it does not count. 1.4826 and 1.2 make a median of one and of two coordinates' rms a standard deviation."""
-    used = [np.sqrt(np.mean(r[m] ** 2, axis=1)) for r, m in zip(rows, masks, strict=True)]
+def _huber_weights(residuals: list[Array], masks: list[Mask], robust: bool) -> tuple[float, list[Array]]:
+    """Scale of the residuals (rms over noise, outliers cut at four scales; 1 without frames) and each frame's Huber
+    weight, min(1, 4 scale / its rms), 0 where it does not count. Not robust: the plain rms, and 1."""
+    used = [np.sqrt(np.mean(r[m] ** 2, axis=1)) for r, m in zip(residuals, masks, strict=True)]
     norm = np.concatenate(used) if used else np.zeros(0)
     if len(norm) == 0:
         return 1.0, [m.astype(float) for m in masks]
     if not robust:
         return max(float(np.sqrt(np.mean(norm**2))), 1e-6), [m.astype(float) for m in masks]
-    middle = float(np.sqrt(np.median(norm**2))) * (1.4826 if rows[0].shape[1] == 1 else 1.2)
+    # The median of one or of two coordinates' rms as a standard deviation.
+    middle = float(np.sqrt(np.median(norm**2))) * (1.4826 if residuals[0].shape[1] == 1 else 1.2)
     limit = 4.0 * max(middle, 1e-9)
     scale = max(float(np.sqrt(np.mean(np.minimum(norm, limit) ** 2))), 1e-6)
     limit = 4.0 * scale
     weights = []
-    for r, m in zip(rows, masks, strict=True):
+    for r, m in zip(residuals, masks, strict=True):
         size = np.sqrt(np.mean(np.where(m[:, None], r, 0.0) ** 2, axis=1))
         weights.append(np.where(m, np.minimum(1.0, limit / np.maximum(size, 1e-12)), 0.0))
     return scale, weights
 
 
-def _steep(coefficients: Array, limit: float) -> tuple[Array, Array]:
-    """Quadratic penalty where neighbours differ by more than `limit`: matrix and gradient."""
+def _steep_steps(coefficients: Array, limit: float) -> tuple[Array, Array]:
+    """Matrix (m, m) and gradient (m,) of half the sum of squares by which neighbouring coefficients (m,) differ by more
+    than `limit`."""
     difference = np.diff(coefficients)
     over = np.abs(difference) > limit
     d = np.diff(np.eye(len(coefficients)), axis=0)[over]
@@ -614,9 +677,9 @@ def _steep(coefficients: Array, limit: float) -> tuple[Array, Array]:
     return d.T @ d, d.T @ excess
 
 
-def _monotone(coefficients: Array, rising: float, least: float) -> tuple[Array, Array]:
-    """Quadratic penalty where neighbours do not rise (rising +1) or fall (-1) by at least `least`: matrix and
-    gradient."""
+def _wrong_way_steps(coefficients: Array, rising: float, least: float) -> tuple[Array, Array]:
+    """Matrix (m, m) and gradient (m,) of half the sum of squares by which steps between neighbouring coefficients (m,)
+    fall short of a rise (rising +1) or fall (-1) by `least`."""
     difference = rising * np.diff(coefficients)
     under = difference < least
     d = rising * np.diff(np.eye(len(coefficients)), axis=0)[under]

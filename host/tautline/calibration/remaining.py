@@ -11,10 +11,10 @@ import numpy.typing as npt
 from scipy.interpolate import make_smoothing_spline
 from scipy.optimize import isotonic_regression
 
-from tautline.calibration.beside import Beside
+from tautline.calibration.beside import FittedEffects
 from tautline.calibration.observations import Track
 from tautline.calibration.place import as_many_as_independent
-from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit, View
+from tautline.calibration.playfit import Curves, Fitted, PlayFit, PreparedTrack, View
 from tautline.calibration.smooth import SPANS, Domain
 from tautline.elements import SINGLE, Hysteresis
 from tautline.geometry import pose, project_with_slope, tracked_deg
@@ -44,22 +44,24 @@ def view_of(rig: Rig) -> View:
     """The projection as a fit's view: c (n,) deg to image positions and their slope."""
 
     def view(c: Array, translation: Array, rotation: Array) -> tuple[Array, Array]:
+        """(n, k) image positions, px, and their slope by the bending angle c (n,), deg."""
         return project_with_slope(rig, c, translation, rotation)
 
     return view
 
 
 def pose_of(track: Track, rig: Rig, delay_s: float) -> Array:
-    """Bending angle (n,) deg of each frame: by pose (eq. 8) from a marker, as it is from an angle sensor."""
+    """Bending angle (n,) deg of each frame: by inverting the projection (paper, eq. 8) for a marker, as it is from an
+    angle sensor."""
     if track.unit == "deg":
         return track.y[:, 0]
     return pose(rig, track.y, *track.others_at(track.scene_s(delay_s)))[0]
 
 
 def posed(track: Track, rig: Rig, delay_s: float) -> Track:
-    """The track as bending angles, each with the noise that its pose makes of the image's; frames whose image hardly
-    moves with the angle are left out. Other degrees of freedom are taken out, as far as camera, hand_eye and kinematics
-    are right."""
+    """A marker's track as bending angles by pose, with the image's noise divided by the projection's slope; frames
+    whose image hardly moves with the angle are left out. What other degrees of freedom move is taken out, as exactly as
+    camera, hand_eye and kinematics are."""
     others = track.others_at(track.scene_s(delay_s))
     c, _ = pose(rig, track.y, *others)
     _, slope = project_with_slope(rig, c, *others)
@@ -78,16 +80,17 @@ def fit_remaining(
     width: Array,
     delay_s: float,
     settled_only: bool,
-    elements: Hysteresis = SINGLE,
-    beside: tuple[Beside, Array] | None = None,
+    hysteresis: Hysteresis = SINGLE,
+    effects_and_values: tuple[FittedEffects, Array] | None = None,
 ) -> Remaining | None:
-    """A monotone penalised spline through image residuals (or angles), B, delay and the effects beside them fixed. None
-    where nothing tells."""
+    """f_remain as a monotone penalised spline in the play's centre, fitted to the image through the projection (or to
+    angles), with B width (grid,), delay, s, hysteresis and effects held. settled_only: frames before the tip was driven
+    both ways do not count. None where hardly anything moved."""
     view = view_of(rig) if tracks[0].unit == "px" else None
     basis = Basis(domain.low, domain.high, SPANS)
-    frozen = [Frozen.of(track) for track in tracks]
-    effects, values = beside or (None, np.zeros(0))
-    simulated = [f.simulate(grid, width, delay_s, elements, effects, values) for f in frozen]
+    prepared = [PreparedTrack.of(track) for track in tracks]
+    effects, values = effects_and_values or (None, np.zeros(0))
+    simulated = [f.simulate(grid, width, delay_s, hysteresis, effects, values) for f in prepared]
     angles = [pose_of(track, rig, delay_s) for track in tracks]
     count = [s.settled if settled_only else s.known for s in simulated]
     p = np.concatenate([s.tip[k] for s, k in zip(simulated, count, strict=True)])
@@ -98,8 +101,8 @@ def fit_remaining(
         return None
     falling = float(np.polyfit(p - p.mean(), c, 1)[0]) < 0
     fit = _FixedWidth(
-        frozen, basis, basis, view=view, fit_backlash=False, fit_delay=False, settled_only=settled_only,
-        elements=elements, beside=effects, fit_beside=False,
+        prepared, basis, basis, view=view, fit_backlash=False, fit_delay=False, settled_only=settled_only,
+        hysteresis=hysteresis, effects=effects, fit_effects=False,
         rising=-1.0 if falling else 1.0, least_slope=_LEAST_SLOPE * abs(rig.coarse.gain),
         slope_unit=abs(rig.coarse.gain),
     )  # fmt: skip
@@ -124,8 +127,8 @@ def fit_remaining(
 
 
 def carried_on(curve: Array, grid: Array, low: float, high: float) -> Array:
-    """The curve with straight ends beyond [low, high], the positions that were reached: with its mean slope over the
-    last tenth of them, since a spline says nothing of where no data are."""
+    """The curve (grid,) with straight ends beyond [low, high], the positions that were reached, with its mean slope
+    over the last tenth of them: a spline says nothing of where no data are."""
     tenth = 0.1 * (high - low)
     low_value, low_next, high_next, high_value = np.interp([low, low + tenth, high - tenth, high], grid, curve)
     below = low_value + (low_next - low_value) / tenth * (grid - low)
@@ -134,7 +137,7 @@ def carried_on(curve: Array, grid: Array, low: float, high: float) -> Array:
 
 
 class _FixedWidth(PlayFit):
-    """A fit of the path alone: the table is given, not a spline."""
+    """A PlayFit of the followed curve alone, with B given as a table (nodes,), not a spline."""
 
     table: Array
 
@@ -144,9 +147,8 @@ class _FixedWidth(PlayFit):
 
 
 def _rms(fitted: Fitted, tracks: Sequence[Track]) -> float:
-    """What the fit leaves, rms per coordinate in the sensor's unit, px or deg; strays count as six medians. 0 without
-    frames."""
-    rows = zip(tracks, fitted.rows, fitted.masks, strict=True)
+    """rms residual per coordinate, px or deg, outliers cut at _STRAY medians; 0 without frames."""
+    rows = zip(tracks, fitted.residuals, fitted.masks, strict=True)
     off = np.concatenate([np.sqrt(np.mean((r[m] * track.sigma[m, None]) ** 2, axis=1)) for track, r, m in rows])
     if not len(off):
         return 0.0
@@ -154,8 +156,8 @@ def _rms(fitted: Fitted, tracks: Sequence[Track]) -> float:
 
 
 def monotone(curve: Array, grid: Array, falling: bool, least_slope: float) -> Array:
-    """The nearest strictly monotone curve, deg on grid (n,): isotonic regression, then the least slope, deg per unit of
-    q."""
+    """The nearest curve, deg on grid (n,), that rises (or falls) by at least least_slope, deg per unit of q,
+    everywhere: isotonic regression of the curve less that slope."""
     tilt = least_slope * (grid - grid[0])
     sign = -1.0 if falling else 1.0
     rising = isotonic_regression(sign * curve - tilt).x + tilt
@@ -211,7 +213,7 @@ def characteristic(q: Array, c_deg: Array) -> Characteristic | None:
 def morphological(tracks: Sequence[Track], rig: Rig, grid: Array, delay_s: float) -> Remaining | None:
     """f_remain as the median line of the filled characteristic, smoothed by a spline. None where that has fewer than 10
     rows."""
-    shape = one_step(tracks, rig, delay_s)
+    shape = characteristic_of_tracks(tracks, rig, delay_s)
     if shape is None or len(shape.c_deg) < 10:
         return None
     falling = bool(np.polyfit(shape.centre, shape.c_deg, 1)[0] < 0)
@@ -228,8 +230,8 @@ def morphological(tracks: Sequence[Track], rig: Rig, grid: Array, delay_s: float
     return Remaining(lawful, sigma, residual, np.nan, ("f_remain is the paper's median line",))
 
 
-def one_step(tracks: Sequence[Track], rig: Rig, delay_s: float) -> Characteristic | None:
-    """Pose of every frame, then the characteristic: the hysteresis in a single step. It believes the pose: what
+def characteristic_of_tracks(tracks: Sequence[Track], rig: Rig, delay_s: float) -> Characteristic | None:
+    """The characteristic of all frames by pose: B and f_remain in a single step, as the paper does it. What
     registration gets wrong becomes backlash (paper, Fig. 7)."""
     q = np.concatenate([track.motor_at(track.scene_s(delay_s)) for track in tracks])
     c = np.concatenate([pose_of(track, rig, delay_s) for track in tracks])

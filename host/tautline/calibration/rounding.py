@@ -1,4 +1,6 @@
-"""A sensor that rounds: while the tip rests, all of its values are off by the same, and say little more than one."""
+"""A sensor that rounds to a step: while the tip rests, all frames have the same rounding error, so that many say little
+more than one. Own error: the part that differs from frame to frame.
+"""
 
 from __future__ import annotations
 
@@ -20,16 +22,16 @@ _OWN = _NOISE**2 + _SHARED[0] - _SHARED
 
 
 def resting(track: Track, seen: Array) -> Mask:
-    """(n - 1,) whether the tip rests from one frame to the next, for a sensor that rounds. seen (n, channels): where a
-    model has the tip, the sensor's unit."""
+    """(n - 1,) whether the tip rests from one frame to the next: by a model's positions seen (n, channels), sensor's
+    unit, it moves by less than _STEADY of a step, so that both frames have much the same rounding error."""
     return np.asarray((np.abs(np.diff(seen, axis=0)) < _STEADY * track.step).all(axis=1))
 
 
 def shared_variance(track: Track, rests: Mask) -> float:
-    """Variance, the sensor's unit squared, of the error that frames of one rest share, by how much these still scatter
-    (own^2). With Gaussian noise of standard deviation s before it is rounded, in steps and with Fourier's series of a
-    sawtooth: shared^2 = sum exp(-(2 pi k s)^2) / (2 pi^2 k^2), own^2 = s^2 + 1/12 - shared^2. rests: as `resting` gives
-    them; by more than a step a resting tip is not off."""
+    """Variance, sensor's unit squared, of the rounding error that frames of one rest share, from how much these still
+    scatter (own^2). With Gaussian noise of standard deviation s before rounding, in steps and by the Fourier series of
+    a sawtooth: shared^2 = sum_k exp(-(2 pi k s)^2) / (2 pi^2 k^2), own^2 = s^2 + 1/12 - shared^2. rests (n - 1,): as
+    `resting` gives them. 0 with too few frames."""
     inner = rests[1:-1] & rests[:-2] & rests[2:]  # when a rest ends is known to a frame only
     if np.count_nonzero(inner) < _FEW:
         return 0.0
@@ -37,14 +39,14 @@ def shared_variance(track: Track, rests: Mask) -> float:
     return track.step**2 * float(np.interp(0.5 * np.mean(apart**2), _OWN, _SHARED))
 
 
-def counts(track: Track, seen: Array, use: Mask, scale: float) -> Array:
-    """(n,) As how much of an independent frame each one counts, 1 at most: n frames of one rest know the tip's place to
-    own^2 / n + shared^2. own^2 is all else that is left of them, in a fit that leaves `scale` times the noise: its
-    misfit is no rounding. use (n,): frames that the fit has."""
-    every, rests = np.ones(len(seen)), resting(track, seen)
-    shared2, left2 = shared_variance(track, rests), (max(scale, 1.0) * float(np.median(track.sigma))) ** 2
+def independence_weights(track: Track, seen: Array, use: Mask, scale: float) -> Array:
+    """(n,) weight of each frame so that m frames of one rest together know the tip's place to own^2 / m + shared^2:
+    own^2 / (own^2 + (m - 1) shared^2), 1 elsewhere. own is taken as what the fit leaves, `scale` times the noise. seen
+    (n, channels): the model's positions; use (n,): frames that the fit has."""
+    weight, rests = np.ones(len(seen)), resting(track, seen)
+    shared2, own2 = shared_variance(track, rests), (max(scale, 1.0) * float(np.median(track.sigma))) ** 2
     for rest in stretches(rests):
         frames = slice(rest.start, rest.stop + 1)
         many = max(int(np.count_nonzero(use[frames])), 1)
-        every[frames] = left2 / (left2 + (many - 1) * shared2)
-    return every
+        weight[frames] = own2 / (own2 + (many - 1) * shared2)
+    return weight

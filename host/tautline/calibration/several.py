@@ -1,7 +1,8 @@
-"""Whether the play has several elements: their weights beside B, path and delay, from all frames at once.
+"""A play of several elements, as the tip starts gradually: their weights are fitted together with B, path and delay.
 
-The widths of the elements are fixed shares of B, their weights are unknowns with sum w = 1 and sum w (2 r) = 1, none
-negative. Each step eliminates the nominal's unknowns and solves for the weights as a non-negative least squares.
+The tip is the weighted mean of plays whose widths are fixed shares s of B (SHARES). Their weights w are unknowns, none
+negative, with sum w = 1 and sum w s = 1, so that B remains the width of the whole. Each Gauss-Newton step eliminates
+the unknowns of B, path and delay (Schur complement) and solves for the weights by non-negative least squares.
 """
 
 from __future__ import annotations
@@ -10,13 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import nnls
 
 from tautline import _native
-from tautline.calibration.components import between, nominal_columns
-from tautline.calibration.departures import by_rows, scene_of
+from tautline.calibration.components import interpolated, normal_with_columns
+from tautline.calibration.departures import counted_frames
 from tautline.calibration.playfit import Curves, Fitted
 from tautline.elements import SINGLE, Elements, Play, warp_of
 from tautline.rig import Rig
@@ -33,7 +33,8 @@ _ENOUGH = 2e-3  # tolerance: of the squares: a step that gains less is the last
 
 
 def fit_elements(fitted: Fitted, rig: Rig, fit_delay: bool) -> Fitted:
-    """The joint fit with as many elements as help, from where it stands; its scale is what they leave (`left`)."""
+    """The joint fit with several elements, started from the fit as it stands with weights near one play and with equal
+    weights, whichever ends with the smaller residual; its scale is what it leaves (`rms_over_noise`)."""
     at = int(np.searchsorted(SHARES, 1.0))
     narrow, wide = np.zeros(len(SHARES)), np.full(len(SHARES), 1.0 / len(SHARES))
     narrow[at - 1 : at + 1] = 2 / 3, 1 / 3
@@ -42,30 +43,31 @@ def fit_elements(fitted: Fitted, rig: Rig, fit_delay: bool) -> Fitted:
 
 
 def _descended(fitted: Fitted, weights: Array, rig: Rig, fit_delay: bool) -> Fitted:
-    """The joint fit after damped Gauss-Newton steps from these weights (shares,); its scale is what it leaves, infinite
-    where no frame tells of the elements."""
-    fit = replace(fitted.fit, elements=_elements(weights), fit_delay=fit_delay, smoothing=fitted.fit.smoothing)
+    """The joint fit after damped Gauss-Newton steps of curves and weights (shares,), from these weights; its scale is
+    what it leaves, infinite where the tip was never driven through the widest element."""
+    fit = replace(fitted.fit, hysteresis=_elements(weights), fit_delay=fit_delay, smoothing=fitted.fit.smoothing)
     state = replace(fitted, fit=fit)
-    least = left(state)
+    least = rms_over_noise(state)
     for _ in range(_STEPS if np.isfinite(least) else 0):
         moved, target = _step(state, weights, rig)
         for share in (1.0, 0.5, 0.2):
-            then = _lawful(weights + share * (target - weights))
-            fit = replace(state.fit, elements=_elements(then), smoothing=state.fit.smoothing)
-            trial = replace(state, fit=fit, curves=between(state.curves, moved, share))
-            now = left(trial)
-            if now < least:
+            trial_weights = _lawful(weights + share * (target - weights))
+            fit = replace(state.fit, hysteresis=_elements(trial_weights), smoothing=state.fit.smoothing)
+            trial = replace(state, fit=fit, curves=interpolated(state.curves, moved, share))
+            left = rms_over_noise(trial)
+            if left < least:
                 break
         else:
-            break
-        gained, state, weights, least = 1.0 - (now / least) ** 2, trial, then, now
+            break  # no share of the step lowers the residual
+        gained, state, weights, least = 1.0 - (left / least) ** 2, trial, trial_weights, left
         if gained < _ENOUGH:
             break
     return replace(state, scale=least)
 
 
 def _elements(weights: Array) -> Elements:
-    """The elements of weights (shares,), without those that weigh next to nothing; the rest keep both sums."""
+    """The elements of weights (shares,) above _LEAST, their widths scaled so that both sums stay 1; one play if one is
+    left."""
     kept = weights > _LEAST
     width, weight = SHARES[kept], weights[kept] / weights[kept].sum()
     if len(width) == 1:
@@ -74,64 +76,69 @@ def _elements(weights: Array) -> Elements:
 
 
 def _lawful(weights: Array) -> Array:
-    """The nearest weights, none negative, the first that counts not too small, with both sums one."""
-    rows = np.vstack([np.eye(len(SHARES)), 1e4 * np.ones(len(SHARES)), 1e4 * SHARES])
-    weighted = nnls(rows, np.concatenate([weights, [1e4, 1e4]]))[0]
-    first = int(np.argmax(weighted > _LEAST))
-    if weighted[first] < _FIRST:
-        weighted[:first] = 0.0
-        weighted[first + 1] += weighted[first]
-        weighted[first] = 0.0
-        return _lawful(weighted)
-    return np.asarray(weighted)
+    """The nearest weights (shares,), in least squares, that are not negative, with both sums 1 and the weight of the
+    narrowest element at least _FIRST; a smaller one is moved to the next element."""
+    equations = np.vstack([np.eye(len(SHARES)), 1e4 * np.ones(len(SHARES)), 1e4 * SHARES])
+    nearest = nnls(equations, np.concatenate([weights, [1e4, 1e4]]))[0]
+    first = int(np.argmax(nearest > _LEAST))
+    if nearest[first] < _FIRST:
+        nearest[:first] = 0.0
+        nearest[first + 1] += nearest[first]
+        nearest[first] = 0.0
+        return _lawful(nearest)
+    return np.asarray(nearest)
 
 
-def left(fitted: Fitted) -> float:
-    """Residual over noise (rms) of all counted frames; strays count as four scales. Infinite where the tip was never
-    driven through the widest element: no frame tells of that."""
-    return rms_of_powers(powers(fitted), fitted.scale)
+def rms_over_noise(fitted: Fitted) -> float:
+    """rms residual over noise of the counted frames, outliers cut at four of the fit's scales; infinite where no frame
+    counts, as where the tip was never driven through the widest element."""
+    return rms_of_frame_powers(frame_powers(fitted), fitted.scale)
 
 
-def powers(fitted: Fitted) -> Array:
-    """(counted frames,) Mean square of each one's residual over noise."""
-    rows, masks = fitted.fit.residuals(fitted.curves)
-    return np.concatenate([np.mean(r[m] ** 2, axis=1) for r, m in zip(rows, masks, strict=True)])
+def frame_powers(fitted: Fitted) -> Array:
+    """(counted frames of all tracks,) each one's mean squared residual over noise."""
+    residuals, masks = fitted.fit.residuals(fitted.curves)
+    return np.concatenate([np.mean(r[m] ** 2, axis=1) for r, m in zip(residuals, masks, strict=True)])
 
 
-def rms_of_powers(power: Array, scale: float) -> float:
-    """Root of the mean of `powers`, those of strays as of four scales; infinite of none."""
+def rms_of_frame_powers(power: Array, scale: float) -> float:
+    """Root of the mean of frame powers (frames,), cut at (4 scale)^2; infinite of none."""
     return float(np.sqrt(np.mean(np.minimum(power, (4.0 * scale) ** 2)))) if len(power) else np.inf
 
 
 def _step(fitted: Fitted, weights: Array, rig: Rig) -> tuple[Curves, Array]:
-    """The curves and the weights (shares,) of a Gauss-Newton step, these by non-negative least squares."""
-    scene = scene_of(fitted, fitted.curves, rig, np.zeros(2))
-    assert scene is not None  # it was fitted to frames
-    nominal = nominal_columns(fitted.fit, scene)
-    design = sparse.csr_matrix(sparse.hstack([nominal, scene.along(_by_weight(fitted))]))
-    heavy = by_rows(np.tile(scene.weight, scene.rows.shape[1]), design)
-    gram, force = np.asarray((heavy.T @ design).toarray()), np.asarray(heavy.T @ scene.rows.T.ravel()).ravel()
-    head = nominal.shape[1]
-    base, pull = fitted.fit.penalty(fitted.curves, max(fitted.scale, 1e-6))
-    own = gram[:head, :head] + base
-    own[np.diag_indices_from(own)] += 1e-9 * float(np.mean(np.diag(own)))
-    factor = cho_factor(own, check_finite=False)
-    across, first = gram[:head, head:], force[:head] - pull
-    schur = gram[head:, head:] - across.T @ cho_solve(factor, across, check_finite=False)
-    right = force[head:] - across.T @ cho_solve(factor, first, check_finite=False)
-    roots, vectors = np.linalg.eigh(schur)
+    """One Gauss-Newton step: the curves, and the weights (shares,) by non-negative least squares once the curves'
+    unknowns are eliminated."""
+    counted = counted_frames(fitted, fitted.curves, rig, np.zeros(2))
+    assert counted is not None  # it was fitted to frames
+    gram, gradient, size = normal_with_columns(fitted.fit, counted, _by_weight(fitted))
+    penalty, pull = fitted.fit.penalty(fitted.curves, max(fitted.scale, 1e-6))
+    nominal = gram[:size, :size] + penalty
+    nominal[np.diag_indices_from(nominal)] += 1e-9 * float(np.mean(np.diag(nominal)))
+    factor = cho_factor(nominal, check_finite=False)
+    across, of_curves = gram[:size, size:], gradient[:size] - pull
+    schur = gram[size:, size:] - across.T @ cho_solve(factor, across, check_finite=False)
+    of_weights = gradient[size:] - across.T @ cho_solve(factor, of_curves, check_finite=False)
+    solved = _nonnegative(schur, of_weights, weights)
+    step = cho_solve(factor, of_curves - across @ (solved - weights), check_finite=False)
+    return fitted.fit.moved(fitted.curves, np.asarray(step)), solved
+
+
+def _nonnegative(matrix: Array, gradient: Array, weights: Array) -> Array:
+    """Weights w (shares,), none negative and with both sums 1, that minimise d' matrix d / 2 - gradient' d, d = w -
+    weights; as least squares by the root of the matrix, the sums as two equations of _STRICT times its weight."""
+    roots, vectors = np.linalg.eigh(matrix)
     kept = roots > 1e-10 * roots.max()
     rows = np.sqrt(roots[kept])[:, None] * vectors[:, kept].T
-    values = rows @ weights + (vectors[:, kept].T @ right) / np.sqrt(roots[kept])
+    values = rows @ weights + (vectors[:, kept].T @ gradient) / np.sqrt(roots[kept])
     strict = _STRICT * float(np.sqrt(roots.max()))
     rows = np.vstack([rows, strict * np.ones(len(weights)), strict * SHARES])
-    then = np.asarray(nnls(rows, np.concatenate([values, [strict, strict]]))[0])
-    step = cho_solve(factor, first - across @ (then - weights), check_finite=False)
-    return fitted.fit.moved(fitted.curves, np.asarray(step)), then
+    return np.asarray(nnls(rows, np.concatenate([values, [strict, strict]]))[0])
 
 
 def _by_weight(fitted: Fitted) -> Array:
-    """(counted frames, elements): dp/dw, but for what the two sums make of it."""
+    """(counted frames, elements) dp/dw, but for the part along the two sums: each element's own play in the coordinate
+    x = G(q) in which every width is constant (elements.Warp), times dp/dx."""
     fit, curves = fitted.fit, fitted.curves
     width = fit.width(curves)
     narrow = Play(fit.grid, width).narrow
@@ -142,8 +149,8 @@ def _by_weight(fitted: Fitted) -> Array:
     far = 10.0 * float(np.abs(warp.x).max())
     plays = [_native.Plays(np.array([-far, far]), np.full(2, share)) for share in SHARES]
     fits = []
-    for frozen, sim, mask in zip(fit.tracks, fit.simulated, masks, strict=True):
-        positions, at = frozen.course(frozen.track.scene_s(curves.delay_s))
+    for prepared, sim, mask in zip(fit.tracks, fit.simulated, masks, strict=True):
+        positions, at = prepared.course(prepared.track.scene_s(curves.delay_s))
         x = np.interp(positions, warp.q, warp.x)
         alone = [play.forward(x, -far)[0] for play in plays]
         fits.append(np.column_stack(alone)[at][mask] * np.interp(sim.p[mask], fit.grid, by_y)[:, None])

@@ -1,4 +1,9 @@
-"""Everything smooth in one calibration: the joint fit of B, path and delay, and B from the passes' distance alone."""
+"""How the joint fit of B, path and delay (playfit.py) is begun and which frames it counts; and the fit of the passes
+alone, whose B is the distance between the ways up and down away from the reversals.
+
+The first approach are the frames before the tip was driven both ways through the backlash: B is not separate from the
+play's unknown start there.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +16,7 @@ import numpy.typing as npt
 from tautline.calibration.backlash import WidthCurve
 from tautline.calibration.beforehand import Beforehand
 from tautline.calibration.observations import Mask, Track
-from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit
+from tautline.calibration.playfit import Curves, Fitted, PlayFit, PreparedTrack
 from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
@@ -19,9 +24,9 @@ Array = npt.NDArray[np.float64]
 SPANS = 100  # tolerance: of B and of the path: a bump of B 0.6 mm wide on 10 mm has six of them
 _MOST_FRAMES = 12000  # tolerance: of one fit; more are thinned out evenly
 _SCANNED = 3000  # tolerance: frames, about, that tell where a fit begins
-_REPEATS = 1.6  # prior: residual of the first approach over that of the rest up to which it counts
-_HARMLESS = 1.15  # tolerance: what counting the first approach may do to the residuals of the rest
-_TURNS, _AGAIN = 5, 4  # tolerance: parts in which strokes are left out, of both directions; steps without them
+_REPEATS = 1.6  # prior: residual of the first approach over that of the rest, up to which it counts
+_HARMLESS = 1.15  # tolerance: ratio by which the rest's residual may grow when the first approach counts
+_PARTS, _AGAIN = 5, 4  # tolerance: parts in which strokes are left out in turn; steps of each fit without them
 _FEWEST = 40  # tolerance: frames that a joint fit is tried with
 
 
@@ -34,40 +39,48 @@ class Domain:
 
     @property
     def span(self) -> float:
+        """Its length, unit of q."""
         return self.high - self.low
 
 
-def freeze(tracks: Sequence[Track], delay_s: float) -> list[Frozen]:
-    """Tracks for a pose-free fit: frames at which translation and rotation are where they mostly are."""
+def prepare_tracks(tracks: Sequence[Track], delay_s: float) -> list[PreparedTrack]:
+    """Tracks prepared for a fit without poses: frames at which translation and rotation are where they mostly are may
+    count, thinned out evenly to _MOST_FRAMES in all."""
     reference = tracks[0].others_reference
     total = sum(len(track.t_s) for track in tracks)
     stride = max(1, -(-total // _MOST_FRAMES))
-    frozen = []
+    prepared = []
     for track in tracks:
         use: Mask = track.at_reference(track.scene_s(delay_s), reference)
         if stride > 1:
             use &= np.arange(len(use)) % stride == 0
-        frozen.append(Frozen.of(track, use))
-    return frozen
+        prepared.append(PreparedTrack.of(track, use))
+    return prepared
 
 
 def fit_jointly(
-    frozen: Sequence[Frozen], domain: Domain, delay_s: float, *, fit_delay: bool, guess: WidthCurve | None = None,
+    prepared: Sequence[PreparedTrack],
+    domain: Domain,
+    delay_s: float,
+    *,
+    fit_delay: bool,
+    guess: WidthCurve | None = None,
     beforehand: Beforehand | None = None,
-) -> Fitted | None:  # fmt: skip
-    """B, the path in the sensor's own coordinates and the delay, from all frames at once. None where the tip was never
-    driven through a backlash (or next to nothing was seen). A path that is no other robot's is not known beforehand."""
+) -> Fitted | None:
+    """The joint fit of B, the path in the sensor's own coordinates and the delay (held at delay_s unless fit_delay) to
+    all frames. guess: a B to begin with. What is known of the path beforehand is used only if a fit without it looks
+    like one of these. None where the tip was never driven through a backlash, or too few frames were seen."""
     if beforehand is None or not beforehand.path:
-        return _fitted(frozen, domain, delay_s, fit_delay, guess, beforehand)
-    fitted = _fitted(frozen, domain, delay_s, fit_delay, guess, replace(beforehand, path=()))
-    if fitted is None or not _has_path(beforehand, fitted):
+        return _fit_in_steps(prepared, domain, delay_s, fit_delay, guess, beforehand)
+    fitted = _fit_in_steps(prepared, domain, delay_s, fit_delay, guess, replace(beforehand, path=()))
+    if fitted is None or not _path_may_be_one_of(beforehand, fitted):
         return fitted
     fit = replace(fitted.fit, beforehand=beforehand, smoothing=dict(fitted.fit.smoothing))
     return fit.solve(fitted.curves)
 
 
-def _has_path(known: Beforehand, fitted: Fitted) -> bool:
-    """Whether a path that was fitted without them may be one of those that are known."""
+def _path_may_be_one_of(known: Beforehand, fitted: Fitted) -> bool:
+    """Whether the path of a fit without prior may be one more of the known distribution, channel by channel."""
     basis, follow = fitted.fit.follow, fitted.curves.follow
     if follow.shape[1] != len(known.path):
         return False
@@ -78,85 +91,92 @@ def _has_path(known: Beforehand, fitted: Fitted) -> bool:
     return all(told)
 
 
-def _fitted(
-    frozen: Sequence[Frozen], domain: Domain, delay_s: float, fit_delay: bool, guess: WidthCurve | None,
+def _fit_in_steps(
+    prepared: Sequence[PreparedTrack], domain: Domain, delay_s: float, fit_delay: bool, guess: WidthCurve | None,
     beforehand: Beforehand | None,
 ) -> Fitted | None:  # fmt: skip
-    """As `fit_jointly`: from the best constant width (or guess), few spans and few frames, to all of them. Frames of
-    the first approach count where they follow the same curves, or are needed and do no harm."""
-    coarse = _scan(_thinned(frozen), domain, delay_s, guess, beforehand)
+    """As `fit_jointly`: from the best constant width (or guess) with few spans and few frames, to all of them. The
+    first approach counts if it follows the same curves as the rest, or if positions would be seen one way only without
+    it and it does no harm."""
+    coarse = _start(_thinned(prepared), domain, delay_s, guess, beforehand)
     if coarse is None:
         return None
     fit, curves = coarse
     rough = fit.solve(curves, iterations=7)
     fine = PlayFit(
-        frozen, Basis(domain.low, domain.high, SPANS), Basis(domain.low, domain.high, SPANS),
+        prepared, Basis(domain.low, domain.high, SPANS), Basis(domain.low, domain.high, SPANS),
         fit_delay=fit_delay, settled_only=fit.settled_only, beforehand=beforehand,
     )  # fmt: skip
     start = Curves(
-        _lift(fine.backlash, lambda x: fit.backlash.value(rough.curves.backlash, x)),
-        _lift(fine.follow, lambda x: fit.follow.value(rough.curves.follow, x)),
+        _coefficients_of(fine.backlash, lambda x: fit.backlash.value(rough.curves.backlash, x)),
+        _coefficients_of(fine.follow, lambda x: fit.follow.value(rough.curves.follow, x)),
         delay_s,
     )
     fitted = fine.solve(start)
-    if fine.settled_only and _repeats(fitted):
+    if fine.settled_only and _approach_fits(fitted):
         fine.settled_only = False
         return fine.solve(fitted.curves)
     if fine.settled_only and _reaches_further(fitted, domain):
-        # Without the first approach B and the path are not apart everywhere: does it do harm?
+        # Without the first approach B and the path are not told apart everywhere: does it do harm?
         whole = replace(fine, settled_only=False, smoothing=dict(fine.smoothing)).solve(start)
-        if _settled_scale(whole) < _HARMLESS * fitted.scale and _foretells(whole, fitted):
+        if _settled_scale(whole) < _HARMLESS * fitted.scale and _predicts_no_worse(whole, fitted):
             return whole
         fitted.fit.residuals(fitted.curves)
     return fitted
 
 
-def _thinned(frozen: Sequence[Frozen]) -> list[Frozen]:
-    """About _SCANNED of the frames, evenly."""
-    stride = max(1, sum(len(each.track.t_s) for each in frozen) // _SCANNED)
+def _thinned(prepared: Sequence[PreparedTrack]) -> list[PreparedTrack]:
+    """The tracks with about _SCANNED frames in all, evenly spread."""
+    stride = max(1, sum(len(each.track.t_s) for each in prepared) // _SCANNED)
     if stride == 1:
-        return list(frozen)
+        return list(prepared)
     every = slice(None, None, stride)
-    return [replace(each, track=each.track.only(every), use=each.use[every]) for each in frozen]
+    return [replace(each, track=each.track.only(every), use=each.use[every]) for each in prepared]
 
 
 def _reaches_further(fitted: Fitted, domain: Domain) -> bool:
-    """Whether the tip was somewhere that the counted frames do not cover both ways."""
+    """Whether the tip was at positions, by more than 2 % of the domain, that the counted frames do not cover both
+    ways."""
     low, high = overlap(fitted)
     known = np.concatenate([s.p[s.known] for s in fitted.fit.simulated])
     return bool(low - known.min() > 0.02 * domain.span or known.max() - high > 0.02 * domain.span)
 
 
 def _settled_scale(fitted: Fitted) -> float:
-    """Residual over noise (rms) of frames after the tip was driven both ways, strays as four scales; infinite where
-    there are none."""
-    seen = zip(fitted.rows, fitted.masks, fitted.fit.simulated, strict=True)
+    """rms residual over noise of the frames after the first approach, outliers cut at four scales; infinite where there
+    are none."""
+    seen = zip(fitted.residuals, fitted.masks, fitted.fit.simulated, strict=True)
     squares = np.concatenate([np.mean(r[m & s.settled] ** 2, axis=1) for r, m, s in seen])
     return float(np.sqrt(np.mean(np.minimum(squares, (4.0 * fitted.scale) ** 2)))) if len(squares) else np.inf
 
 
-def _foretells(whole: Fitted, alone: Fitted) -> bool:
-    """Whether strokes that were left out are foretold as well with the first approach as without it."""
+def _predicts_no_worse(whole: Fitted, alone: Fitted) -> bool:
+    """Whether strokes that are left out are predicted as well by the fit with the first approach (whole) as by the one
+    without it (alone)."""
     fit = alone.fit
     fit.residuals(alone.curves)
-    late, before = [], 0
+    strokes, before = [], 0
     for sim, mask in zip(fit.simulated, alone.masks, strict=True):
-        stroke = before + np.cumsum(np.diff(sim.side, prepend=sim.side[:1]) != 0)
+        stroke = before + sim.half_cycle
         before = int(stroke.max(initial=before)) + 1
-        late.append(np.where(mask, stroke, -1))
-    with_it, without = (_missed(fitted, late, alone.scale) for fitted in (whole, alone))
+        strokes.append(np.where(mask, stroke, -1))
+    with_it, without = (_held_out_power(fitted, strokes, alone.scale) for fitted in (whole, alone))
     whole.fit.residuals(whole.curves)
     return with_it <= without
 
 
-def _missed(fitted: Fitted, strokes: Sequence[npt.NDArray[np.intp]], scale: float) -> float:
-    """Mean square over the noise of strokes that the fit did not see, some at a time; strays count as four scales."""
+def _held_out_power(fitted: Fitted, strokes: Sequence[npt.NDArray[np.intp]], scale: float) -> float:
+    """Mean square over the noise of strokes that the fit did not see: every _PARTS-th stroke is left out in turn and
+    the fit goes on for _AGAIN steps. Outliers are cut at four times `scale`. strokes: by track, (n,) the number of each
+    frame's stroke, -1 where it does not count."""
     total, frames = 0.0, 0
-    for turn in range(_TURNS):
-        out = [(each >= 0) & (each % _TURNS == turn) for each in strokes]
+    for part in range(_PARTS):
+        out = [(each >= 0) & (each % _PARTS == part) for each in strokes]
         if not any(each.any() for each in out):
             continue
-        kept = [replace(frozen, use=frozen.use & ~each) for frozen, each in zip(fitted.fit.tracks, out, strict=True)]
+        kept = [
+            replace(prepared, use=prepared.use & ~each) for prepared, each in zip(fitted.fit.tracks, out, strict=True)
+        ]
         fit = replace(fitted.fit, tracks=kept, smoothing=dict(fitted.fit.smoothing))
         curves = fit.solve(fitted.curves, iterations=_AGAIN, adapt=False).curves
         for row, each in zip(fit.residuals(curves)[0], out, strict=True):
@@ -166,7 +186,8 @@ def _missed(fitted: Fitted, strokes: Sequence[npt.NDArray[np.intp]], scale: floa
 
 
 def overlap(fitted: Fitted) -> tuple[float, float]:
-    """The range of p, unit of q, that counted frames cover in both directions; empty (1, -1) where few or none do."""
+    """The range of p, unit of q, that counted frames cover in both directions; the empty range (1, -1) with fewer than
+    five frames of one direction."""
     low, high = -np.inf, np.inf
     for side in (1, -1):
         seen = zip(fitted.fit.simulated, fitted.masks, strict=True)
@@ -177,37 +198,40 @@ def overlap(fitted: Fitted) -> tuple[float, float]:
     return low, high
 
 
-def _repeats(fitted: Fitted) -> bool:
-    """Whether the first approach, before the tip was driven both ways, follows the same curves as all that came after:
-    a start pose with other friction or slack must not spoil the fit."""
+def _approach_fits(fitted: Fitted) -> bool:
+    """Whether the residuals of the first approach are within _REPEATS times the fit's scale in the median, where the
+    rest covers both ways: a start pose with other friction or slack must not spoil the fit. Yes if it has fewer than
+    five frames."""
     fit, squares = fitted.fit, []
     low, high = overlap(fitted)
-    for frozen, sim, rows in zip(fit.tracks, fit.simulated, fitted.rows, strict=True):
-        early = frozen.use & sim.known & ~sim.settled & (sim.p > low) & (sim.p < high)
+    for prepared, sim, rows in zip(fit.tracks, fit.simulated, fitted.residuals, strict=True):
+        early = prepared.use & sim.known & ~sim.settled & (sim.p > low) & (sim.p < high)
         squares.append(np.mean(rows[early] ** 2, axis=1))
-    early_squares = np.concatenate(squares)  # their median: where B is not settled yet some are off
+    early_squares = np.concatenate(squares)
+    # The median: frames at which the play has not forgotten its start are off.
     return len(early_squares) < 5 or float(np.median(early_squares)) < (_REPEATS * fitted.scale) ** 2
 
 
-def fit_passes(joint: Fitted, margin: float) -> Fitted | None:
-    """B again from the horizontal distance between the passes alone: only frames well beyond an onset, with the delay
-    as it is. margin: how far beyond, unit of q. None where too few are."""
-    fit = joint.fit
-    frozen = []
+def fit_passes(joint_fit: Fitted, margin: float) -> Fitted | None:
+    """B from the passes alone: the joint fit again with only those frames at which the tip moves and has gone by more
+    than `margin`, unit of q, since it started to; the delay held. None where these are too few."""
+    fit = joint_fit.fit
+    prepared = []
     for track, sim in zip(fit.tracks, fit.simulated, strict=True):
         beyond = _beyond_onset(sim.p, sim.side)
-        frozen.append(replace(track, use=track.use & sim.moving & (beyond > margin)))
+        prepared.append(replace(track, use=track.use & sim.moving & (beyond > margin)))
     again = PlayFit(
-        frozen, fit.backlash, fit.follow, fit_delay=False, settled_only=fit.settled_only,
+        prepared, fit.backlash, fit.follow, fit_delay=False, settled_only=fit.settled_only,
         smoothing=dict(fit.smoothing),
     )  # fmt: skip
-    if sum(int((f.use).sum()) for f in frozen) < _FEWEST:
+    if sum(int((f.use).sum()) for f in prepared) < _FEWEST:
         return None
-    return again.solve(joint.curves, iterations=8)
+    return again.solve(joint_fit.curves, iterations=8)
 
 
 def _beyond_onset(p: Array, side: npt.NDArray[np.int8]) -> Array:
-    """(n,) how far the centre p (n,) has gone since the tip last began to move, unit of q."""
+    """(n,) how far the play's centre p (n,) has gone since it last changed its envelope, side (n,): since the tip last
+    began to move. Unit of q."""
     gone = np.zeros(len(p))
     start = 0
     for k in range(1, len(p)):
@@ -217,45 +241,49 @@ def _beyond_onset(p: Array, side: npt.NDArray[np.int8]) -> Array:
     return gone
 
 
-def _scan(
-    frozen: Sequence[Frozen],
+def _start(
+    prepared: Sequence[PreparedTrack],
     domain: Domain,
     delay_s: float,
     guess: WidthCurve | None,
     beforehand: Beforehand | None,
 ) -> tuple[PlayFit, Curves] | None:
-    """The best constant width, or the guess where that is better, with a path of 16 spans; frames before the tip was
-    driven both ways are left out unless little else is there. None where too few frames tell any."""
-    channels = frozen[0].track.y.shape[1]
+    """Where the joint fit begins: the coarse fit and its curves, of B constant (or the guesses, if one leaves less) and
+    a path of 16 spans. The first approach counts only if little else is there. None where too few frames tell any."""
+    channels = prepared[0].track.y.shape[1]
     flat, path = Basis(domain.low, domain.high, 8), Basis(domain.low, domain.high, 16)
     candidates = [np.full(flat.size, b) for b in domain.span * np.linspace(0.0, 0.4, 41)]
     if guess is not None:
-        candidates.append(_lift(flat, guess.at))
+        candidates.append(_coefficients_of(flat, guess.at))
     if beforehand is not None:
-        candidates.append(_lift(flat, beforehand.usual))
+        candidates.append(_coefficients_of(flat, beforehand.usual))
     for settled_only in (True, False):
-        best: tuple[float, PlayFit, Curves] | None = None
-        for candidate in candidates:
-            fit = PlayFit(frozen, flat, path, fit_backlash=False, fit_delay=False, settled_only=settled_only)
-            curves = Curves(candidate, np.zeros((path.size, channels)), delay_s)
-            rows, masks = fit.residuals(curves)
-            if sum(int(m.sum()) for m in masks) < max(_FEWEST, 0.25 * sum(int(f.use.sum()) for f in frozen)):
-                continue
-            if settled_only and not _both_ways(fit, masks, domain):
-                continue
-            curves = fit.step(curves, rows, masks)
-            rows, masks = fit.residuals(curves)
-            cost = float(np.mean(np.concatenate([np.abs(r[m]).ravel() for r, m in zip(rows, masks, strict=True)])))
-            if best is None or cost < best[0]:
-                best = (cost, fit, curves)
-        if best is not None:
-            fit = PlayFit(frozen, flat, path, fit_delay=False, settled_only=settled_only)
-            return fit, best[2]
+        fit = PlayFit(prepared, flat, path, fit_backlash=False, fit_delay=False, settled_only=settled_only)
+        starts = [Curves(candidate, np.zeros((path.size, channels)), delay_s) for candidate in candidates]
+        steps = [step for step in (_path_step(fit, start) for start in starts) if step is not None]
+        if steps:
+            best = min(steps, key=lambda step: step[0])[1]
+            return PlayFit(prepared, flat, path, fit_delay=False, settled_only=settled_only), best
     return None
 
 
-def _both_ways(fit: PlayFit, masks: Sequence[Mask], domain: Domain) -> bool:
-    """Whether what is left once the tip was driven both ways still covers, in both directions, what was covered."""
+def _path_step(fit: PlayFit, start: Curves) -> tuple[float, Curves] | None:
+    """The curves with the path fitted to B and delay in one step, and the mean absolute residual over noise that they
+    leave. None where too few frames count: fewer than a quarter, or, once the first approach is left out, not both ways
+    over the same positions."""
+    residuals, masks = fit.residuals(start)
+    if sum(int(m.sum()) for m in masks) < max(_FEWEST, 0.25 * sum(int(f.use.sum()) for f in fit.tracks)):
+        return None
+    if fit.settled_only and not _covers_both_ways(fit, masks):
+        return None
+    curves = fit.step(start, residuals, masks)
+    residuals, masks = fit.residuals(curves)
+    left = np.concatenate([np.abs(r[m]).ravel() for r, m in zip(residuals, masks, strict=True)])
+    return float(np.mean(left)), curves
+
+
+def _covers_both_ways(fit: PlayFit, masks: Sequence[Mask]) -> bool:
+    """Whether the counted frames still cover, in both directions, 80 % of the positions that were seen."""
     spans = []
     for side in (1, -1):
         p = np.concatenate([s.p[m & (s.side == side)] for s, m in zip(fit.simulated, masks, strict=True)])
@@ -267,9 +295,9 @@ def _both_ways(fit: PlayFit, masks: Sequence[Mask], domain: Domain) -> bool:
     return bool(high - low > 0.8 * np.ptp(known))
 
 
-def _lift(basis: Basis, curve: object) -> Array:
-    """Spline coefficients, (size,) or (size, channels), nearest to a curve: a function of positions x (n,) whose values
-    are (n,) or (n, channels)."""
+def _coefficients_of(basis: Basis, curve: object) -> Array:
+    """Spline coefficients (size,) or (size, channels) nearest to a curve in least squares: a function of positions x
+    (n,) with values (n,) or (n, channels)."""
     x = np.linspace(basis.low, basis.high, 4 * basis.size)
     values = np.asarray(curve(x))  # type: ignore[operator]
     design = basis.design(x).toarray()

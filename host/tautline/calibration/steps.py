@@ -1,4 +1,5 @@
-"""Motors that step: a position that jumps within one sample says nothing of what the tip did in between."""
+"""Motors that step: their log jumps within one sample and so says nothing of where the motor went in between. Frames at
+which the tip still follows such a step are left out."""
 
 from __future__ import annotations
 
@@ -22,31 +23,32 @@ _SIGMAS, _LEFT = 4.0, 0.05  # tolerance: a tip within so many sigma, or this sha
 _MOST_S = 3.0  # prior: that a tip may take to settle
 
 
-def jumps(motor: Motor, resolution: float) -> npt.NDArray[np.intp]:
-    """Indices of the samples after which the motor is somewhere else at once. resolution: of its encoder, unit of q."""
+def motor_jumps(motor: Motor, resolution: float) -> npt.NDArray[np.intp]:
+    """Indices of the samples after which the motor jumps: by far more than its encoder's resolution (unit of q) and
+    much faster than just before and after."""
     moved = np.abs(np.diff(motor.q))
     speed = moved / np.diff(motor.t_s)
-    # Of three samples before and after it: a jump may be followed by the jump back.
+    # The median speed of three samples before and after: a jump may be followed by the jump back.
     padded = np.concatenate([np.zeros(3), speed, np.zeros(3)])
     usual = np.median(np.lib.stride_tricks.sliding_window_view(padded, 3), axis=1)
-    beside = np.maximum(usual[: len(speed)], usual[4:])
+    usual_nearby = np.maximum(usual[: len(speed)], usual[4:])
     least = max(_COUNTS * resolution, _SHARE * float(np.ptp(motor.q)))
-    return np.flatnonzero((moved > least) & (speed > _FASTER * beside))
+    return np.flatnonzero((moved > least) & (speed > _FASTER * usual_nearby))
 
 
-def resolved(tracks: Sequence[Track], rig: Rig) -> tuple[list[Track], list[Reason], list[str]]:
-    """Tracks without the frames at which the tip may still follow a jump of the motor; why a track cannot be used, and
-    what was left out."""
+def without_steps(tracks: Sequence[Track], rig: Rig) -> tuple[list[Track], list[Reason], list[str]]:
+    """Tracks without the frames at which the tip may still follow a jump of the motor; a fatal reason for each whose
+    motor hardly moves but by jumps; and a note for each with frames left out."""
     left, reasons, notes = [], [], []
     resolution = rig.actuator.encoder_resolution
     for track in tracks:
         q = track.path.readings.q  # what a path makes of them is no jump
-        at = jumps(track.path.readings, resolution) if len(q) > 2 else np.zeros(0, dtype=np.intp)
+        at = motor_jumps(track.path.readings, resolution) if len(q) > 2 else np.zeros(0, dtype=np.intp)
         if len(at):
             turns = _native.turns(np.ascontiguousarray(q), turning_hysteresis(track.path, resolution, np.ptp(q)))
             total = float(np.abs(np.diff(q[np.concatenate([[0], turns, [len(q) - 1]]).astype(int)])).sum())
             jumped = float(np.abs(np.diff(q)[at]).sum())
-            settling = _settling(track, at, rig.nominal_delay_s(track.sensor))
+            settling = _following_a_step(track, at, rig.nominal_delay_s(track.sensor))
             if jumped > 0.5 * total and total - jumped < _SWEEPS * float(np.ptp(q)):
                 says = f"{track.name}: the motor steps {len(at)} times within one sample and hardly moves otherwise"
                 remedy = "move it at a speed, and record its encoder, not its command"
@@ -62,8 +64,9 @@ def resolved(tracks: Sequence[Track], rig: Rig) -> tuple[list[Track], list[Reaso
     return left, reasons, notes
 
 
-def _settling(track: Track, at: npt.NDArray[np.intp], nominal_s: float) -> Mask:
-    """(n,) frames from each jump on until the tip stays where it ends up before the next one."""
+def _following_a_step(track: Track, at: npt.NDArray[np.intp], nominal_s: float) -> Mask:
+    """(n,) frames at which the tip may follow one of the jumps after the samples `at`: from each on until y stays near
+    its median at the end of the time before the next jump (_MOST_S at most). nominal_s: the nominal delay."""
     settling = np.zeros(len(track.t_s), dtype=bool)
     begins = track.reading.t_s[at] + min(nominal_s, 0.0)
     ends = np.append(track.reading.t_s[at[1:]], np.inf)

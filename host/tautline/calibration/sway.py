@@ -1,13 +1,16 @@
-"""What goes to and fro with time and not with the motor, in the image of a bare instrument whose tip rests.
+"""The probability that a bare instrument's tip rests, though the place that is followed on it sways in the image.
 
-Tissue that moves behind the place that is followed takes it along a little: where the tip does not move that is the
-only motion there is, and whatever a motor does, something begins after each of its turns. Three explanations of a
-recording are weighed. The place rests and sways by a process in time, an Ornstein-Uhlenbeck process of unknown size and
-memory, smaller than the square that is followed. Or it follows the motor through a play of unknown width, on an unknown
-path about as long as the rig makes it, and sways beside that. Or it goes farther than a place that rests could,
-whatever with. All are linear with Gaussian unknowns, so their likelihoods are exact; size, memory and width are summed
-over. Of a place that rests nothing that is seen, sway or noise, is the tip's: what is expected of the tip is what is
-seen of it, as far as it is probable that it moves.
+Tissue that moves behind the place takes it along a little. If the tip does not move that sway is the only motion, and
+whatever the motor does, something begins after each of its turns: onsets would be invented. Three explanations of a
+recording are compared:
+
+- it rests: y is a level plus an Ornstein-Uhlenbeck process in time that is small against the square that is followed;
+- it follows the motor: y is an unknown path, about as long as the rig makes it, over the centre of a play, plus such a
+  process;
+- it roams: a level plus a process that is larger than a resting place could sway.
+
+All are linear with Gaussian unknowns and white noise, so their marginal likelihoods are exact; size and memory of the
+process and the play's width are averaged over grids, which are their priors.
 """
 
 from __future__ import annotations
@@ -35,16 +38,16 @@ _NODES = 12  # prior: places of the path at which it is unknown, straight betwee
 
 @dataclass(frozen=True)
 class _Sway:
-    """One size and memory: what it takes to use the inverse of the covariance of n frames, sway and noise."""
+    """The covariance S of n frames of Ornstein-Uhlenbeck sway plus white noise, by a banded Cholesky factor."""
 
-    factor: Array  # of the precision of the sway where it is seen, tridiagonal
+    factor: Array  # of the sway's posterior precision given the frames, tridiagonal
     variance: float  # of the noise
-    volume: float  # log of the covariance's determinant
+    volume: float  # log det S
 
     @classmethod
     def of(cls, t_s: Array, size: float, memory_s: float, sigma: float) -> _Sway:
-        """The process at times t_s (n,): size its standard deviation, memory_s its correlation time, sigma that of the
-        white noise in each frame."""
+        """The process at times t_s (n,), s: size its standard deviation, memory_s its correlation time, sigma the white
+        noise's."""
         kept, fresh = np.exp(-np.diff(t_s) / memory_s), -np.expm1(-2.0 * np.diff(t_s) / memory_s)
         precision = np.zeros((2, len(t_s)))  # upper form: what is beside the diagonal, the diagonal
         precision[1] = np.append(1.0, 1.0 / fresh) + np.append(kept**2 / fresh, 0.0)
@@ -56,12 +59,13 @@ class _Sway:
         return cls(factor, sigma**2, volume + 2.0 * len(t_s) * float(np.log(size * sigma)))
 
     def expected(self, rows: Array) -> Array:
-        """Of the sway (n, k), where rows (n, k) are sway and noise alone."""
+        """(n, k) posterior mean of the sway, given rows (n, k) that are sway plus noise."""
         return np.asarray(cho_solve_banded((self.factor, False), rows / self.variance))
 
     def explains(self, columns: Array, spread: float, y: Array) -> float:
-        """Log likelihood of y (n, channels) as columns (n, k) of unknown amplitudes (standard deviation `spread`), sway
-        and noise, but for what all explanations share."""
+        """Log marginal likelihood of y (n, channels) = columns (n, k) times amplitudes N(0, spread^2) + sway + noise,
+        without the constant -n channels / 2 log 2 pi: -1/2 (y' V^-1 y + channels log det V), V = S + spread^2 columns
+        columns', by the Woodbury identity."""
         k = columns.shape[1]
         rows = np.hstack([columns, y])
         solved = (rows - self.expected(rows)) / self.variance
@@ -72,10 +76,10 @@ class _Sway:
         return float(-0.5 * (squares + y.shape[1] * volume))
 
 
-def rests(t_s: Array, y: Array, sigma: float, paths: Sequence[Array], swing: float, side: float) -> float:
-    """The probability that what is followed rests: y (n, channels), seen at t_s (n,) with noise sigma. paths: where the
-    play of each width is (n,); swing: how far the rig moves the image over the motor's way; side: of the square that is
-    followed, both of y's unit."""
+def probability_of_rest(t_s: Array, y: Array, sigma: float, paths: Sequence[Array], swing: float, side: float) -> float:
+    """The probability that the place rests; the three explanations are alike before. y (n, channels): seen at t_s (n,),
+    s, with noise sigma; paths: for each width of the play where its centre is (n,); swing: how far the rig moves the
+    image over the motor's range; side: of the square that is followed. All in y's unit but paths."""
     y = y - np.median(y, axis=0)
     sizes = np.geomspace(_LEAST * sigma, max(swing, side), _SIZES)
     # Frames tell best how far it goes in one of their periods: a small and a large one are tried at the same steps.
@@ -101,13 +105,13 @@ def rests(t_s: Array, y: Array, sigma: float, paths: Sequence[Array], swing: flo
 
 
 def _hats(path: Array) -> Array:
-    """(n, nodes): pieces, straight between the nodes, over where the path goes."""
+    """(n, nodes) piecewise linear basis over the range of path (n,)."""
     nodes = np.linspace(path.min(), path.max(), _NODES)
     return np.stack([np.interp(path, nodes, row) for row in np.eye(_NODES)], axis=1)
 
 
-def driven(motor: Motor, scene_s: Array) -> list[Array]:
-    """The centre of a play (n,) at scene_s (n,), for each width of the prior."""
+def play_paths(motor: Motor, scene_s: Array) -> list[Array]:
+    """For each width of the prior, the centre of a play (n,) at scene_s (n,), s; unit of q."""
     low, high = float(motor.q.min()), float(motor.q.max())
     paths = []
     for width in (_WIDTHS * (high - low)).tolist():

@@ -1,10 +1,10 @@
-"""What B, the delay and the path are uncertain by, as an effect beside them is another elsewhere.
+"""The covariance of B, path and delay when effects are fitted with them, allowing for effects whose laws are not exact.
 
-A right effect's amplitude is the same at all places, speeds, times, sides and loads but for a share of itself, which is
-learnt. Whatever a fit of one amplitude makes of that goes to B and the delay: so factors on what the effect adds, one
-for each function that a diagnosis asks of an amplitude (diagnosis/wander.py), are unknowns of the same normal
-equations, each normal about 0, and are integrated out. No law is exact either: frames that tell the amplitude tell that
-of the law, and it may be another by the same share as a whole.
+The amplitude of a real effect varies with place, speed, time, side and load by a share of itself (standard deviation),
+which is learnt. A fit with one constant amplitude puts that variation into B and the delay. So the tip's motion by the
+effects, times each function by which a diagnosis lets amplitudes vary (diagnosis/wander.py), are further columns of the
+normal equations, their factors normal about 0 and integrated out. Besides, the effect as a whole may be off its law by
+the same share (`_covariance_of_form`).
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from tautline.diagnosis.wander import Course, axes_values, varying_columns
 Array = npt.NDArray[np.float64]
 
 
-def _share(fitted: Fitted) -> float:
-    """Of itself, by which the effects' amplitude is another elsewhere (one standard deviation), whatever they are as
-    much as friction's. At an end of its range the fit says nothing of a value: it may be as without the effect."""
-    beside, values = fitted.beside
-    return 1.0 if beside.ended(values) else learnt().center.wanders_material
+def _varying_share(fitted: Fitted) -> float:
+    """Share of itself (standard deviation) by which the effects' amplitude varies, as learnt for materials, whatever
+    the effect is; 1 where a value ended at an end of its range: the fit says nothing of it then, and it may be as
+    without the effect."""
+    effects, values = fitted.effects_and_values
+    return 1.0 if effects.ended(values) else learnt().center.wanders_material
 
 
 def allowing_for_wander(fitted: Fitted) -> Fitted:
-    """The same fit, its covariance that of as many frames as are independent and of effects whose amplitude
-    wanders."""
+    """The same fit with the covariance of as many frames as are independent, and of effects whose amplitude varies."""
     noise = place_noise(fitted)
     unit2 = fitted.scale**2 * (1.0 if noise is None else noise.effect)
-    fit, curves, share = fitted.fit, fitted.curves, _share(fitted)
-    matrix, _ = fit.normal(curves, fitted.rows, fitted.weights, _functions(fitted))
+    fit, curves, share = fitted.fit, fitted.curves, _varying_share(fitted)
+    matrix, _ = fit.normal(curves, fitted.residuals, fitted.weights, _varying_columns(fitted))
     penalty, _ = fit.penalty(curves, fitted.scale)
     known = len(penalty)
     matrix[:known, :known] += penalty
@@ -43,34 +43,34 @@ def allowing_for_wander(fitted: Fitted) -> Fitted:
     factors = np.arange(known, len(matrix))
     information[factors, factors] += len(factors) / share**2
     covariance = np.linalg.inv(information)[:known, :known]
-    return replace(fitted, covariance=covariance + _of_form(fitted, information[:known, :known], share))
+    return replace(fitted, covariance=covariance + _covariance_of_form(fitted, information[:known, :known], share))
 
 
-def _of_form(fitted: Fitted, information: Array, share: float) -> Array:
-    """Covariance (unknowns, unknowns) where each effect as a whole is another by this share than its law makes of the
-    frames, everything but the effects following it. information: inverse covariance of the same."""
-    beside, values = fitted.beside
+def _covariance_of_form(fitted: Fitted, information: Array, share: float) -> Array:
+    """Covariance (m, m) that it adds when each effect as a whole is off by this share from what its law makes of the
+    frames, all other unknowns following it. information (m, m): inverse covariance of the unknowns."""
+    effects, values = fitted.effects_and_values
     own = np.arange(len(information) - 1 - len(values), len(information) - 1)
     rest = np.setdiff1d(np.arange(len(information)), own)
     follows = -np.linalg.solve(information[np.ix_(rest, rest)], information[np.ix_(rest, own)])
-    moved = np.zeros((len(information), len(beside.kinds)))
-    for k, kind in enumerate(beside.kinds):
-        moved[own, k] = share * beside.amplitudes(values, kind)
+    moved = np.zeros((len(information), len(effects.kinds)))
+    for k, kind in enumerate(effects.kinds):
+        moved[own, k] = share * effects.amplitudes(values, kind)
         moved[rest, k] = follows @ moved[own, k]
     return np.asarray(moved @ moved.T)
 
 
-def _functions(fitted: Fitted) -> list[Array]:
-    """Of each track (frames, m): what the effects add to the tip's place, times the functions by which that may vary,
-    each of the power of it all; 0 at frames that do not count."""
-    fit, (beside, values) = fitted.fit, fitted.beside
+def _varying_columns(fitted: Fitted) -> list[Array]:
+    """By track, (n, k) what the effects add to the tip's place, unit of q, times each of k functions by which it may
+    vary, each scaled to the power of the effects' whole motion; 0 at frames that do not count."""
+    fit, (effects, values) = fitted.fit, fitted.effects_and_values
     fit.residuals(fitted.curves)
-    amplitudes = beside.amplitudes(values)
+    amplitudes = effects.amplitudes(values)
     courses, signals = [], []
-    for frozen, sim, mask in zip(fit.tracks, fit.simulated, fitted.masks, strict=True):
-        track = frozen.track
+    for prepared, sim, mask in zip(fit.tracks, fit.simulated, fitted.masks, strict=True):
+        track = prepared.track
         at = track.scene_s(fitted.curves.delay_s)
-        _, by = fit.slopes(frozen, sim, mask, fitted.curves)
+        _, by = fit.slopes(prepared, sim, mask, fitted.curves)
         signals.append((by[:, :-1] @ amplitudes)[:, None])
         load = track.reading.load_mNm
         loads = np.zeros_like(at) if load is None else np.interp(at, track.reading.t_s, load)

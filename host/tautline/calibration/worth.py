@@ -1,9 +1,12 @@
-"""What a model is worth: blocks of its own calibration foretold by a fit that has not seen them, beside f_coarse, a tip
-that never moves, and the noise.
+"""What a model is worth: blocks of its own calibration predicted by a fit that has not seen them (cross-validation),
+beside f_coarse, a tip that never moves, and the noise.
 
-Near its optimum a fit is a linear least-squares problem: without a block its parameters are another by -(N - N_b)^-1
-g_b, N_b and g_b being the block's own parts of the normal matrix and of the gradient. The play is then followed anew.
-What departs from the model is foretold by nothing: it is in what is missed, as it will be in a motion to come.
+Near its optimum a fit is a linear least-squares problem: without block b its unknowns change by -(N - N_b)^-1 g_b, N_b
+and g_b the block's own parts of the normal matrix and of the gradient. The play is then simulated anew. What departs
+from the model is not predicted: it stays in the errors, as it will in a motion to come.
+
+Errors are seen less predicted, (n, k) of each track: k = 2 px or 1 deg, over the stated noise where not said otherwise.
+Masks (n,) say which frames count.
 """
 
 from __future__ import annotations
@@ -15,9 +18,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_solve
 
-from tautline.calibration.beside import Beside
+from tautline.calibration.beside import FittedEffects
 from tautline.calibration.observations import Track
-from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit
+from tautline.calibration.playfit import Curves, Fitted, PlayFit, PreparedTrack, Simulated
 from tautline.calibration.remaining import view_of
 from tautline.calibration.rounding import resting, shared_variance
 from tautline.calibration.smooth import SPANS
@@ -32,35 +35,36 @@ Array = npt.NDArray[np.float64]
 Labels = npt.NDArray[np.intp]
 
 PREDICTS = 1.3  # format: of the noise, within which a good model predicts (formats.md)
-HALVES = 2  # equation: half-cycles of a block at least, one of each direction
+HALF_CYCLES = 2  # equation: half-cycles of a block at least, one of each direction
 BLOCKS = 8  # tolerance: of which one is a small share of all; with fewer half-cycles nothing is left out
-STAYS = 0.1  # tolerance: of a block: what it alone shows (the ends of a range) no other one can foretell
-_FEW = 30  # tolerance: frames that tell a scatter
-_SLOW = 3  # tolerance: order of what sways or breathes within a rest, which is no noise
+STAYS = (
+    0.1  # tolerance: of a block that stays in the fit: what it alone shows (the ends of a range) no other can predict
+)
+_FEW = 30  # tolerance: frames that are needed to tell a scatter
+_SLOW = 3  # tolerance: order of the trend within a rest: sway or breath, which is no noise
 _RIDGE = 1e-10  # tolerance: of the diagonal, for rounding
-_STRAY = 4.0  # tolerance: usual misses from which a frame counts as a stray, as in every fit (playfit)
+_STRAY = 4.0  # tolerance: times the usual error from which a frame is an outlier, as in every fit (playfit)
 
 
 @dataclass(frozen=True)
 class Worth:
-    """Misses rms per coordinate, px or deg, of frames after the tip was driven both ways; strays are bounded."""
+    """rms errors per coordinate, px or deg, of frames after the tip was driven both ways; outliers are cut."""
 
-    model: float  # blocks foretold without them; where there are too few, what the model leaves of them
+    model: float  # of blocks that were left out; where there are too few, of the fit itself
     coarse: float  # c = gain q + offset, no backlash
     constant: float  # the mean of what was seen
-    over_noise: float  # what it misses, over the sensor's noise; 1 where it misses nothing
+    over_noise: float  # the model's error with the sensor's noise, over that noise; 1 where it errs by nothing
     unit: str
     blocks: int  # 0: too few to leave any out
 
     @property
     def predicts(self) -> bool:
-        """Whether what it misses is within PREDICTS times the noise."""
+        """Whether its error is within PREDICTS times the noise."""
         return self.over_noise <= PREDICTS
 
     @property
     def useless(self) -> bool:
-        """Whether f_coarse or a tip that never moves foretells it as well. What is within the noise is right, whatever
-        else is."""
+        """Whether f_coarse or a tip that never moves predicts as well, and the model not to within the noise."""
         return not self.predicts and self.model >= min(self.coarse, self.constant)
 
     @property
@@ -79,96 +83,131 @@ class Worth:
         ]
 
 
-def worth(model: Model, tracks: Sequence[Track], joint: Fitted | None, remaining: Fitted | None) -> Worth | None:
+def predictive_worth(
+    model: Model, tracks: Sequence[Track], joint_fit: Fitted | None, remaining: Fitted | None
+) -> Worth | None:
     """tracks: on the motor's clock. joint, remaining: the fits of B and of f_remain, whose smoothness is the prior of
     both; where one is None nothing is left out. None where nothing was seen after the tip was driven both ways."""
-    fit, curves = _fit_of(model, tracks, joint, remaining)
-    rows, masks = fit.residuals(curves)
+    fit, curves = _fit_of(model, tracks, joint_fit, remaining)
+    residuals, masks = fit.residuals(curves)
     if not any(mask.any() for mask in masks):
         return None
-    missed, labels = rows, _blocks(fit, masks)
-    apart = labels is not None and joint is not None and remaining is not None
+    errors, labels = residuals, _blocks(fit, masks)
+    apart = labels is not None and joint_fit is not None and remaining is not None
     if labels is not None and apart:
-        missed = _foretold(fit, curves, rows, masks, labels)
-    masks = _of_tip(fit, curves, missed, masks)
-    in_unit = [miss * track.sigma[:, None] for miss, track in zip(missed, tracks, strict=True)]
+        errors = _held_out_errors(fit, curves, residuals, masks, labels)
+    masks = _frames_of_tip(fit, curves, errors, masks)
+    in_unit = [miss * track.sigma[:, None] for miss, track in zip(errors, tracks, strict=True)]
     by_coarse = [track.y - _coarse(track, model) for track in tracks]
     seen = _counted([track.y for track in tracks], masks)
     return Worth(
         model=bounded_rms(_counted(in_unit, masks)),
         coarse=bounded_rms(_counted(by_coarse, masks)),
         constant=bounded_rms(seen - seen.mean(axis=0)),
-        over_noise=_over_noise(fit, curves, missed, masks),
+        over_noise=_over_noise(fit, curves, errors, masks),
         unit=tracks[0].unit,
         blocks=BLOCKS if apart else 0,
     )
 
 
 def bounded_rms(off: Array) -> float:
-    """Per coordinate of misses (n, k), strays bounded; infinite where one cannot be in the image at all."""
+    """rms per coordinate of errors (n, k), outliers cut at _STRAY times the usual one; infinite where an error is, as
+    of a prediction that is behind the camera."""
     norm = np.sqrt(np.mean(off**2, axis=1))
     usual = float(np.sqrt(np.mean(np.minimum(norm, _STRAY * float(np.median(norm))) ** 2)))
     return float(np.sqrt(np.mean(np.minimum(norm, _STRAY * usual) ** 2))) if np.isfinite(usual) else float("inf")
 
 
-def _of_tip(
-    fit: PlayFit, curves: Curves, missed: Sequence[Array], masks: Sequence[npt.NDArray[np.bool_]]
+def _frames_of_tip(
+    fit: PlayFit, curves: Curves, errors: Sequence[Array], masks: Sequence[npt.NDArray[np.bool_]]
 ) -> list[npt.NDArray[np.bool_]]:
-    """Frames that may show the tip. Those that are off by more than all of B moves it are the sensor's: another blob,
-    a lost count; not where most are."""
-    usual, widest = _STRAY * bounded_rms(_counted(missed, masks)), float(fit.width(curves).max())
+    """The masks without frames whose error is larger than both all of B would move the tip in the image and _STRAY
+    times the usual error: these show something else than the tip (another blob, a lost count)."""
+    usual, widest = _STRAY * bounded_rms(_counted(errors, masks)), float(fit.width(curves).max())
     kept = []
-    for frozen, sim, off, mask in zip(fit.tracks, fit.simulated, missed, masks, strict=True):
-        steep = np.linalg.norm(fit.slope_in_view(frozen.track, curves, sim.tip), axis=1) / frozen.track.sigma
+    for prepared, sim, off, mask in zip(fit.tracks, fit.simulated, errors, masks, strict=True):
+        steep = np.linalg.norm(fit.slope_in_view(prepared.track, curves, sim.tip), axis=1) / prepared.track.sigma
         kept.append(mask & (np.linalg.norm(off, axis=1) <= np.maximum(usual, widest * steep)))
     return kept
 
 
-def _over_noise(fit: PlayFit, curves: Curves, missed: Sequence[Array], masks: Sequence[npt.NDArray[np.bool_]]) -> float:
-    """What neighbouring frames miss alike is the model's. What they do not is the sensor's: as much as is stated, or
-    as where the tip rests, or as across its path in the image, where nothing moves it; a tracker's own at each place is
-    added, and what its noise remembers, and rounding. What is more than that along the path is an error of times, and
-    so of what is foretold."""
-    limit = _STRAY * bounded_rms(_counted(missed, masks))
-    alike, along, beside, still, placed = [], [], [], [], []
-    still_misses: list[Array] = []
-    for frozen, sim, off, mask in zip(fit.tracks, fit.simulated, missed, masks, strict=True):
-        track = frozen.track
-        off = np.where(mask[:, None], off, 0.0)
-        norm = np.sqrt(np.mean(off**2, axis=1))
-        near = off * np.minimum(1.0, limit / np.maximum(norm, limit))[:, None]
-        pair, moves = mask[1:] & mask[:-1], sim.moving[1:] & sim.moving[:-1]
-        step = np.diff(near, axis=0) / np.sqrt(2.0)
-        slope = fit.slope_in_view(track, curves, sim.tip)
-        path = slope / np.maximum(np.linalg.norm(slope, axis=1), 1e-300)[:, None]
-        forward = np.sum(step * path[1:], axis=1) ** 2
-        together = np.mean(near[1:] * near[:-1], axis=1)
-        if track.step > 0.0:
-            rests = resting(track, fit.seen(track, curves, sim.tip))
-            together = together - rests * shared_variance(track, rests) / track.sigma[1:] ** 2
-        alike.append(together[pair])
-        along.append(forward[pair & moves])
-        still.append(forward[pair & ~moves])
-        placed.append((track.placed_px / track.sigma[mask]) ** 2)
-        if step.shape[1] > 1:
-            sideways = np.sum(step**2, axis=1) - forward
-            beside.append(sideways[pair & moves])
-            still.append(sideways[pair & ~moves])
-            still_misses += _at_rest(track.t_s, across(near, path)[:, None], mask & ~sim.moving)
-    if not any(map(len, alike)):
-        return np.inf  # no two neighbours count: nothing tells a model's misfit from noise
-    memory = remembered(still_misses, _SLOW)[0] if sum(map(len, still_misses)) >= _FEW else 0.0
-    at_rest, moving = _mean(still), _mean(along)
-    usual = _mean(beside) if beside else at_rest
+def _over_noise(fit: PlayFit, curves: Curves, errors: Sequence[Array], masks: Sequence[npt.NDArray[np.bool_]]) -> float:
+    """sqrt(1 + (model^2 + jitter^2) / noise^2), in squares per coordinate over the stated noise. model^2: the product
+    of neighbouring frames' errors, which they share, less what the sensor's noise remembers or a rounding sensor
+    repeats. noise^2: half the squared difference of neighbours while the tip rests, or across its path in the image,
+    where nothing moves it, or 1, whichever is largest, plus a tracker's error at each place. jitter^2: by how much that
+    is larger along the path while the tip moves: an error of frame times, and so of predictions. Infinite where no two
+    neighbours count."""
+    limit = _STRAY * bounded_rms(_counted(errors, masks))
+    tracks = [
+        _neighbour_squares(fit, curves, prepared, sim, off, mask, limit)
+        for prepared, sim, off, mask in zip(fit.tracks, fit.simulated, errors, masks, strict=True)
+    ]
+    if not any(len(track.shared) for track in tracks):
+        return np.inf
+    channels = errors[0].shape[1]
+    rests = [rest for track in tracks for rest in track.rests]
+    memory = remembered(rests, _SLOW)[0] if sum(map(len, rests)) >= _FEW else 0.0
+    at_rest, along = _mean([track.at_rest for track in tracks]), _mean([track.along for track in tracks])
+    usual = _mean([track.across for track in tracks]) if channels > 1 else at_rest
     own2 = max(at_rest, usual) / (1.0 - memory)  # of what remembers, neighbours differ by so much less
-    noise2 = max(own2, 1.0) + _mean(placed)
-    jitter2 = max(moving - max(usual, 1.0), 0.0) / step.shape[1]
-    model2 = max(float(np.concatenate(alike).mean()) - memory * own2, 0.0)
+    noise2 = max(own2, 1.0) + _mean([track.placed for track in tracks])
+    jitter2 = max(along - max(usual, 1.0), 0.0) / channels
+    shared = float(np.concatenate([track.shared for track in tracks]).mean())
+    model2 = max(shared - memory * own2, 0.0)
     return float(np.sqrt(1.0 + (model2 + jitter2) / noise2))
 
 
+@dataclass(frozen=True)
+class _NeighbourSquares:
+    """Squares over the stated noise of the neighbouring counted frames of one track."""
+
+    shared: Array  # (pairs,) products of both errors, mean over coordinates, less what rounding repeats
+    along: Array  # (moving pairs,) half the squared difference along the path of the tip's image
+    across: Array  # (moving pairs,) the same across the path; empty for one channel
+    at_rest: Array  # of resting pairs, the same in either direction
+    placed: Array  # (frames,) of a tracker's error at each place
+    rests: list[Array]  # (frames of a rest, 1) errors across the path, less their trend; empty for one channel
+
+
+def _neighbour_squares(
+    fit: PlayFit, curves: Curves, prepared: PreparedTrack, sim: Simulated, off: Array, mask: npt.NDArray[np.bool_],
+    limit: float,
+) -> _NeighbourSquares:  # fmt: skip
+    """The squares of one track, from errors off (n, k) over the noise; errors of more than `limit` (rms per coordinate)
+    are cut."""
+    track = prepared.track
+    off = np.where(mask[:, None], off, 0.0)
+    norm = np.sqrt(np.mean(off**2, axis=1))
+    near = off * np.minimum(1.0, limit / np.maximum(norm, limit))[:, None]
+    pair, moves = mask[1:] & mask[:-1], sim.moving[1:] & sim.moving[:-1]
+    step = np.diff(near, axis=0) / np.sqrt(2.0)
+    slope = fit.slope_in_view(track, curves, sim.tip)
+    path = slope / np.maximum(np.linalg.norm(slope, axis=1), 1e-300)[:, None]
+    forward = np.sum(step * path[1:], axis=1) ** 2
+    shared = np.mean(near[1:] * near[:-1], axis=1)
+    if track.step > 0.0:
+        resting_pairs = resting(track, fit.predicted(track, curves, sim.tip))
+        shared = shared - resting_pairs * shared_variance(track, resting_pairs) / track.sigma[1:] ** 2
+    across_moving, at_rest, rests = np.zeros(0), forward[pair & ~moves], list[Array]()
+    if step.shape[1] > 1:
+        sideways = np.sum(step**2, axis=1) - forward
+        across_moving = sideways[pair & moves]
+        at_rest = np.concatenate([at_rest, sideways[pair & ~moves]])
+        rests = _at_rest(track.t_s, across(near, path)[:, None], mask & ~sim.moving)
+    return _NeighbourSquares(
+        shared=shared[pair],
+        along=forward[pair & moves],
+        across=across_moving,
+        at_rest=at_rest,
+        placed=(track.placed_px / track.sigma[mask]) ** 2,
+        rests=rests,
+    )
+
+
 def _at_rest(t: Array, off: Array, resting: npt.NDArray[np.bool_]) -> list[Array]:
-    """Of misses (n, 1) at times (n,) those of each rest, less their trend: what its place makes is none of it."""
+    """The errors (n, 1) at times (n,), s, of each rest that is long enough, less their trend of order _SLOW: what its
+    place or a slow sway makes is no noise. resting (n,): frames at which the tip rests."""
     rests = [rest for rest in stretches(resting) if rest.stop - rest.start >= 2 * _SLOW]
     return [less_its_trend(t[rest], off[rest], _SLOW) for rest in rests]
 
@@ -180,79 +219,80 @@ def _mean(squares: Sequence[Array]) -> float:
 
 
 def _counted(off: Sequence[Array], masks: Sequence[npt.NDArray[np.bool_]]) -> Array:
-    """(frames, k) the rows that count, of all tracks."""
+    """(counted, k) the rows of the counted frames, of all tracks."""
     return np.concatenate([each[mask] for each, mask in zip(off, masks, strict=True)])
 
 
 def _coarse(track: Track, model: Model) -> Array:
-    """(n, k) what f_coarse alone, without backlash, says of each frame, in the track's unit."""
+    """(n, k) the prediction of each frame by f_coarse alone, without backlash, in the track's unit."""
     scene, coarse = track.scene_s(model.delay_s), model.rig.coarse
     c = coarse.gain * track.motor_at(scene) + coarse.offset
     return project(model.rig, c, *track.others_at(scene)) if track.unit == "px" else np.asarray(c[:, None])
 
 
 def _fit_of(
-    model: Model, tracks: Sequence[Track], joint: Fitted | None, remaining: Fitted | None
+    model: Model, tracks: Sequence[Track], joint_fit: Fitted | None, remaining: Fitted | None
 ) -> tuple[PlayFit, Curves]:
-    """B, f_remain, the delay and what is beside them as the model has them, as unknowns that frames in the sensor's own
-    coordinates tell."""
+    """The model as a PlayFit and its curves: B, f_remain (seen through the projection if the sensor is a camera), delay
+    and effects as spline coefficients and values, with the smoothing and priors of the fits that they are from."""
     basis = Basis(float(model.q[0]), float(model.q[-1]), SPANS)
     fit = PlayFit(
-        [Frozen.of(track) for track in tracks], basis, basis,
-        view=view_of(model.rig) if tracks[0].unit == "px" else None, elements=model.friction or model.elements,
+        [PreparedTrack.of(track) for track in tracks], basis, basis,
+        view=view_of(model.rig) if tracks[0].unit == "px" else None, hysteresis=model.friction or model.elements,
     )  # fmt: skip
-    if joint is not None and remaining is not None:
-        fit.smoothing = {name: of.fit.smoothing[name] for name, of in (("backlash", joint), ("follow", remaining))}
-        fit.fit_delay, fit.delay_sigma_s = joint.fit.fit_delay, joint.fit.delay_sigma_s
-        fit.beforehand = joint.fit.beforehand
+    if joint_fit is not None and remaining is not None:
+        fit.smoothing = {name: of.fit.smoothing[name] for name, of in (("backlash", joint_fit), ("follow", remaining))}
+        fit.fit_delay, fit.delay_sigma_s = joint_fit.fit.fit_delay, joint_fit.fit.delay_sigma_s
+        fit.beforehand = joint_fit.fit.beforehand
     values = np.zeros(0)
     if model.effects:
-        fit.beside, values = Beside.of(model.effects, model)
+        fit.effects, values = FittedEffects.of(model.effects, model)
     design = basis.design(model.q).toarray()
     width, c = np.linalg.lstsq(design, np.column_stack([model.width, model.c_deg]), rcond=None)[0].T
     return fit, Curves(width, c[:, None], model.delay_s, values)
 
 
 def _blocks(fit: PlayFit, masks: Sequence[npt.NDArray[np.bool_]]) -> list[Labels] | None:
-    """Of every frame of each track the number of its block, of whole half-cycles of the tip that follow each other;
-    -1 where it does not count. None where there are too few."""
+    """By track, (n,) the number of each frame's block, 0 to BLOCKS - 1, -1 where it does not count. A block is a run of
+    whole half-cycles of the tip. None with fewer than HALF_CYCLES half-cycles a block."""
     strokes, before = [], 0
     for sim, mask in zip(fit.simulated, masks, strict=True):
-        stroke = before + np.cumsum(np.diff(sim.side, prepend=sim.side[:1]) != 0)
+        stroke = before + sim.half_cycle
         strokes.append(np.where(mask, stroke, -1))
         before = int(stroke.max(initial=before - 1)) + 1
     counted = np.unique(np.concatenate([each[each >= 0] for each in strokes]))
-    if len(counted) < BLOCKS * HALVES:
+    if len(counted) < BLOCKS * HALF_CYCLES:
         return None
     number = np.arange(len(counted)) * BLOCKS // len(counted)
     return [np.where(each >= 0, number[np.searchsorted(counted, np.maximum(each, 0))], -1) for each in strokes]
 
 
-def _foretold(
+def _held_out_errors(
     fit: PlayFit,
     curves: Curves,
-    rows: Sequence[Array],
+    residuals: Sequence[Array],
     masks: Sequence[npt.NDArray[np.bool_]],
     labels: Sequence[Labels],
 ) -> list[Array]:
-    """(n, k) of each track: what a fit without a frame's block misses it by, over the noise."""
-    scale = bounded_rms(_counted(rows, masks))
+    """By track, (n, k) the errors of each frame by the fit without its block, over the noise (module docstring). The
+    share STAYS of a block stays in its fit. labels: as `_blocks` gives them."""
+    scale = bounded_rms(_counted(residuals, masks))
     limit = _STRAY * scale
-    norms = [np.sqrt(np.mean(row**2, axis=1)) for row in rows]
-    weights = fit.counted([limit / np.maximum(norm, limit) for norm in norms], curves, scale)
+    norms = [np.sqrt(np.mean(row**2, axis=1)) for row in residuals]
+    weights = fit.weights_with_rounding([limit / np.maximum(norm, limit) for norm in norms], curves, scale)
 
-    def weighed(number: int) -> list[Array]:
-        """(n,) of each track: weights of this block's frames, those of a stray less than 1; 0 of all other frames."""
+    def weights_of(number: int) -> list[Array]:
+        """By track, (n,) weights of this block's frames, less than 1 for outliers; 0 of all other frames."""
         return [np.where(label == number, weight, 0.0) for label, weight in zip(labels, weights, strict=True)]
 
-    parts = [fit.normal(curves, list(rows), weighed(number)) for number in range(BLOCKS)]
+    parts = [fit.normal(curves, list(residuals), weights_of(number)) for number in range(BLOCKS)]
     whole = np.sum([matrix for matrix, _ in parts], axis=0) + fit.penalty(curves, 1.0)[0]
     whole[np.diag_indices_from(whole)] += _RIDGE * np.diag(whole)
-    missed = [row.copy() for row in rows]
+    errors = [row.copy() for row in residuals]
     for number, (matrix, gradient) in enumerate(parts):
         share = 1.0 - STAYS
         step = -cho_solve(factor(whole - share * matrix), share * gradient, check_finite=False)
         there = fit.residuals(fit.moved(curves, step))[0]
-        for miss, row, label in zip(missed, there, labels, strict=True):
-            miss[label == number] = row[label == number]
-    return missed
+        for error, row, label in zip(errors, there, labels, strict=True):
+            error[label == number] = row[label == number]
+    return errors
