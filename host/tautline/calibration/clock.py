@@ -478,6 +478,8 @@ class _LagScan:
             step_s, step = 0.6 * step_s, 0.6 * step
         h = 0.02
         curvature = (self.misfit(lag_s - h, width) + self.misfit(lag_s + h, width) - 2.0 * best) / h**2
+        if not np.isfinite(curvature):  # at the end of what can be tried: the other side is not known
+            return _Minimum(lag_s, np.inf, best)
         sigma = np.sqrt(2.0 * best / max(curvature, 1e-12) / len(self.track.t_s))
         return _Minimum(lag_s, float(sigma), best)
 

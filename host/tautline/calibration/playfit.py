@@ -487,15 +487,15 @@ class PlayFit:
             float(np.sum(w[:, None] * np.where(w[:, None] > 0, r, 0.0) ** 2))
             for r, w in zip(residuals, weights, strict=True)
         )
-        total = sum(len(w) for w in weights)
+        total = sum(np.count_nonzero(prepared.use) for prepared in self.tracks)
         data *= total / used  # frames that drop out of the simulation are no gain
         bending, _ = self._bending(curves.follow.shape[1])
         smooth = sum(self.smoothing["follow"] * float(c @ bending @ c) for c in curves.follow.T)
         smooth += scale * scale * sum(surprise for _, _, surprise in self._path_prior(curves))
         if self.fit_backlash:
             smooth += self.smoothing["backlash"] * float(curves.backlash @ self.backlash.roughness @ curves.backlash)
-            _, bend = _steep_steps(curves.backlash, STEEPEST * 0.98 * self.backlash.step)
-            smooth += _STIFF * scale * scale / self.backlash.step**2 * float(curves.backlash @ bend)
+            excess = np.maximum(np.abs(np.diff(curves.backlash)) - STEEPEST * 0.98 * self.backlash.step, 0.0)
+            smooth += _STIFF * scale * scale / self.backlash.step**2 * float(excess @ excess)
             if self.beforehand is not None:
                 smooth += scale * scale * self.beforehand.of_width(self.backlash, curves.backlash)[2]
         if self.rising:
