@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from tautline._native import MARKER_CLIPPED, MARKER_CUT_OFF, MARKER_FOUND, marker_measure
+from tautline._native import MARKER_CLIPPED, MARKER_CUT_OFF, MARKER_FOUND, MarkerExpected, marker_measure
 from tautline.errors import TautError
 from tautline.recording import COLOUR_FILE, REGION_FILE, Marker, Recording, Shown, Video
 from tautline.rig import Rig
@@ -41,7 +41,6 @@ _LEAP, _FASTER = 0.5, 3.0  # diameters at once, and times its usual speed, that 
 _WHOLE, _AROUND = 0.04, 12  # of its diameter in so many frames to either side: a marker of which nothing is hidden
 _PALE = 0.8  # of its usual purity, below which a picked colour is not the marker's own
 _AS_OFTEN = 0.9  # as the colour that was picked first, another one has to find the marker
-_UNKNOWN = 0.5  # prior: that a marker is lit from one side
 _ALIKE_LIT = 1.5  # prior, diameters: over which light changes little
 _SURE_PX = 1e-3  # no position is said to be known better
 _SAMPLES = 24  # frames of a video that are looked at for its marker's colour
@@ -55,7 +54,7 @@ class _Blob:
     seen: Sighting
     score: float  # how marker-like
     cut: float  # membership half-way between it and what is around it
-    shaded: float  # probability that it is lit from one side
+    after: MarkerExpected  # what it says of the next frame
 
 
 class MarkerTracker:
@@ -81,7 +80,7 @@ class MarkerTracker:
         self._step = (0.0, 0.0)  # px from the frame before
         self._nothing = _lost("no marker of this colour")  # why the last search found none
         self._cut = 0.5  # membership half-way between the marker and what is around it
-        self._shaded = _UNKNOWN  # probability that the marker is lit from one side
+        self._expected = MarkerExpected(self.colour.diameter_px)  # by the frames so far
 
     def track(self, picture: Array) -> Sighting:
         """The marker in the next frame, BGR (height, width, 3) uint8; lost, with the reason, where it is not found."""
@@ -118,7 +117,7 @@ class MarkerTracker:
         up to two times in a larger region, where it goes on beyond it. Lost, with the reason, where it is none."""
         half = int(0.6 * diameter + _MARGIN_PX + slack)
         for _ in range(3):
-            status, outline = marker_measure(picture, self._weights, self._cut, u, v, diameter, half, self._shaded)
+            status, outline = marker_measure(picture, self._weights, self._cut, u, v, diameter, half, self._expected)
             if status != MARKER_CLIPPED:
                 break
             u, v, diameter = outline.u, outline.v, max(diameter, outline.diameter)
@@ -135,7 +134,7 @@ class MarkerTracker:
             return _lost("its outline is broken")
         if not _SMALLER < outline.diameter / self.colour.diameter_px < _LARGER:
             return _lost("nothing of its size")
-        self._cut, self._shaded = 0.5 * (outline.within + outline.around), outline.shaded
+        self._cut, self._expected = 0.5 * (outline.within + outline.around), outline.after
         lit_px = outline.lit_u, outline.lit_v
         return Sighting(outline.u, outline.v, max(outline.sigma, _SURE_PX), outline.diameter, lit_px=lit_px)
 
@@ -148,7 +147,7 @@ class MarkerTracker:
             self._cut = 0.5
             return _lost("what is there is alike but never moves") if blobs else self._nothing
         best = max(others, key=self._likeness)
-        self._cut, self._shaded = best.cut, best.shaded
+        self._cut, self._expected = best.cut, best.after
         return best.seen
 
     def _likeness(self, blob: _Blob) -> float:
@@ -177,7 +176,7 @@ class MarkerTracker:
         marker as picked); y is of the picture made `shrink` times smaller. Without one, why is kept in _nothing."""
         _, _, stats, centroids = cv2.connectedComponentsWithStats((y > level).astype(np.uint8), connectivity=4)
         expected = 0.25 * np.pi * (self.colour.diameter_px / shrink) ** 2
-        blobs: list[_Blob] = []
+        blobs, before = list[_Blob](), self._expected
         self._nothing = _lost("no marker of this colour")
         largest = np.argsort(-np.minimum(stats[1:, cv2.CC_STAT_AREA], expected))[:6] + 1  # 0 is what is no blob
         for i in largest:
@@ -187,16 +186,17 @@ class MarkerTracker:
             u, v = (centroids[i] + 0.5) * shrink - 0.5  # whole numbers are the middles of pixels
             self._cut = max(level, float(np.percentile(y[y0 : y0 + height, x0 : x0 + width], 90))) / 2
             diameter = self.colour.diameter_px * float(np.sqrt(area / expected))
-            self._shaded = _UNKNOWN
+            self._expected = before
             sighting = self._measure(picture, float(u), float(v), diameter, 2.0 * shrink)
             if sighting.valid:  # again, now that its own level is known
-                self._shaded = _UNKNOWN
+                self._expected = before
                 sighting = self._measure(picture, sighting.u_px, sighting.v_px, sighting.diameter_px, 0.0)
             if sighting.valid:
                 ratio = sighting.diameter_px / self.colour.diameter_px
-                blobs.append(_Blob(sighting, min(ratio, 1.0 / ratio) * self._cut, self._cut, self._shaded))
+                blobs.append(_Blob(sighting, min(ratio, 1.0 / ratio) * self._cut, self._cut, self._expected))
             else:
                 self._nothing = sighting
+        self._expected = before
         return blobs
 
 

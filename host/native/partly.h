@@ -1,0 +1,31 @@
+/* Where a marker is of which a part may be hidden.
+ *
+ * Its outline is known beforehand, within a spread, from the frames before: r(t) about its middle. Each edge that is
+ * seen on a ray is its own, or that of something in front, which lies anywhere inside of it; rarely something beyond it
+ * has its colour. The middle and the outline are the mode of that mixture's posterior, their covariance is its
+ * curvature there, and the evidence is Laplace's, so that ways to explain the same frame can be weighed.
+ */
+#ifndef TAUTLINE_PARTLY_H
+#define TAUTLINE_PARTLY_H
+
+#include "marker.h"
+#include "rays.h"
+
+/* A way to explain a frame, or the mean over several. */
+typedef struct {
+    double x, y;                   /* px in the region: the outline's middle */
+    double variance;               /* px2 of x or y, their mean */
+    double shape[MARKER_SHAPE];    /* px, as in marker_expected_t */
+    double of_shape[MARKER_SHAPE]; /* px2, its variances */
+    double scatter;                /* px, rms of its own edges about it */
+    double own;                    /* share of the rays on which the outline is seen */
+    double evidence;               /* log, but for what all ways have in common */
+} partly_t;
+
+/* The mean over the ways to explain a frame. level, about (0, 0) of the region: the marker's own. before: what is known
+ * of its outline. expected, found: px in the region, where it should be, and where its outline would be if all of it
+ * were seen. 0: there is no way. */
+int partly_weigh(const field_t *field, const double level[PLANE], const marker_expected_t *before,
+                 const double expected[2], const double found[2], const double shape[MARKER_SHAPE], partly_t *out);
+
+#endif
