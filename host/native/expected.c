@@ -64,13 +64,18 @@ void expected_at(const marker_expected_t *before, double u, double v, marker_exp
     }
 }
 
-double expected_variance(const marker_expected_t *expected, int term) {
-    return expected->shape[term].covariance[0][0] + expected->stretched[term] * expected->stretched[term];
+/* px2: variance of a term from frame to frame. */
+static double this_frame(const marker_expected_t *expected, int term) {
+    return BENEATH_PX * BENEATH_PX + expected->stretched[term] * expected->stretched[term];
 }
 
-/* px2: variance of a term of the outline by the noise of its edges and what is beneath them. */
+double expected_variance(const marker_expected_t *expected, int term) {
+    return expected->shape[term].covariance[0][0] + this_frame(expected, term);
+}
+
+/* px2: variance of a term of the outline by the noise of its edges. */
 static double noise(int term, double scatter, int kept) {
-    return BENEATH_PX * BENEATH_PX + (term == 0 ? 1.0 : 2.0) * CORRELATION * scatter * scatter / kept;
+    return (term == 0 ? 1.0 : 2.0) * CORRELATION * scatter * scatter / kept;
 }
 
 double expected_hidden(const marker_expected_t *expected, const double shape[MARKER_SHAPE], double scatter, int kept,
@@ -105,19 +110,17 @@ static void update(marker_term_t *term, double value, double variance) {
 
 void expected_learn(marker_expected_t *expected, const double shape[MARKER_SHAPE], double scatter, int kept) {
     for (int k = 0; k < MARKER_SHAPE; k++) {
-        const double stretched = expected->stretched[k];
-        update(&expected->shape[k], shape[k], noise(k, scatter, kept) + stretched * stretched);
+        update(&expected->shape[k], shape[k], noise(k, scatter, kept) + this_frame(expected, k));
     }
     expected->scatter += STEADY * (scatter - expected->scatter);
 }
 
 void expected_take(marker_expected_t *expected, const double shape[MARKER_SHAPE], const double variance[MARKER_SHAPE]) {
     for (int k = 0; k < MARKER_SHAPE; k++) {
-        const double before = expected->shape[k].covariance[0][0], told = 1.0 / variance[k] - 1.0 / before;
+        const double told = 1.0 / variance[k] - 1.0 / expected_variance(expected, k);
         if (told > 0.0) { /* else the frame told nothing of it */
-            const double value = expected->shape[k].value;
-            const double own = value + (shape[k] - value) * (1.0 / variance[k]) / told;
-            update(&expected->shape[k], own, 1.0 / told + BENEATH_PX * BENEATH_PX);
+            const double value = expected->shape[k].value, own = value + (shape[k] - value) / (told * variance[k]);
+            update(&expected->shape[k], own, 1.0 / told + this_frame(expected, k));
         }
     }
 }

@@ -447,14 +447,15 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
         expected_learn(after, shape, out->scatter, kept);
     } else {
         const double towards[2] = {u - view->x0, v - view->y0}, found[2] = {out->u - view->x0, out->v - view->y0};
+        const double last[2] = {before->u - view->x0, before->v - view->y0};
         partly_t partly;
-        if (!partly_weigh(&field, even, &expected, towards, found, kept > 0 ? shape : NULL, &partly)) {
+        if (!partly_weigh(&field, even, &expected, towards, found, before->seen && hypot(last[0]-towards[0],last[1]-towards[1])>0.3*diameter ? last : NULL, kept > 0 ? shape : NULL, &partly)) {
             return MARKER_NONE;
         }
         if (lit) {
             const double ux = partly.x, uy = partly.y;
             const double about[PLANE] = {level[0] - level[1] * cx - level[2] * cy, level[1], level[2]};
-            if (!partly_weigh(&field, about, &expected, towards, found, kept > 0 ? shape : NULL, &partly)) {
+            if (!partly_weigh(&field, about, &expected, towards, found, before->seen && hypot(last[0]-towards[0],last[1]-towards[1])>0.3*diameter ? last : NULL, kept > 0 ? shape : NULL, &partly)) {
                 return MARKER_NONE;
             }
             out->lit_u = partly.x - ux;

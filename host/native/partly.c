@@ -21,7 +21,8 @@
 #define NOT_BEYOND  0.1  /* as often as below the outline an edge of something else lies beyond it */
 #define EVEN_PX     0.4  /* sigma: by which its own edge goes deeper from ray to ray ... */
 #define UNEVEN      0.2  /* ... but for a share of them */
-#define ANOTHER     1e-3 /* that the marker is another one than before */
+#define MIXED       2    /* rays to either side whose edges what is in front reaches, too, by lens and averages */
+#define ANOTHER     1e-5 /* that the marker is another one than before */
 
 /* The outline's terms at an edge (dx, dy) px from its middle, and their derivatives by the angle. */
 static void turn(double dx, double dy, double r, double terms[MARKER_SHAPE], double by_angle[MARKER_SHAPE]) {
@@ -107,7 +108,7 @@ static double tell(const rays_t *rays, edges_t *edges, double sigma, double radi
 
 /* One step of the posterior's mode: x, outline and middle, is moved; a: the curvature's factor. Returns how far the
  * middle went, px, < 0: singular. */
-static double step(const rays_t *rays, const marker_expected_t *before, double sigma, double x[UNKNOWNS],
+static double step(const rays_t *rays, const marker_expected_t *before, const double towards[2], double sigma, double x[UNKNOWNS],
                    double a[UNKNOWNS_MAX][UNKNOWNS_MAX], partly_t *out) {
     edges_t edges;
     compare(rays, x, &edges);
@@ -115,9 +116,13 @@ static double step(const rays_t *rays, const marker_expected_t *before, double s
     double b[UNKNOWNS_MAX] = {0.0}, own = 0.0, square = 0.0;
     memset(a, 0, sizeof(double[UNKNOWNS_MAX][UNKNOWNS_MAX]));
     for (int i = 0; i < rays->count; i++) {
-        const double *row = edges.row[i], off = edges.off[i], weight = edges.own[i] / (CORRELATION * sigma * sigma);
-        own += edges.own[i];
-        square += edges.own[i] * off * off;
+        double clear = edges.own[i]; /* that nothing in front is mixed in from a neighbour */
+        for (int k = 1; k <= MIXED; k++) {
+            clear = fmin(clear, fmin(edges.own[(i + k) % rays->count], edges.own[(i + rays->count - k) % rays->count]));
+        }
+        const double *row = edges.row[i], off = edges.off[i], weight = clear / (CORRELATION * sigma * sigma);
+        own += clear;
+        square += clear * off * off;
         for (int j = 0; j < UNKNOWNS; j++) {
             b[j] += weight * row[j] * off;
             for (int k = 0; k <= j; k++) {
@@ -132,6 +137,14 @@ static double step(const rays_t *rays, const marker_expected_t *before, double s
         b[k] += away / variance;
         misfit += away * away / variance;
         volume -= 0.5 * log(variance);
+    }
+    const double near = fmax(2.0 * before->shape[0].value, 1.0);
+    for (int k = 0; k < 2; k++) {
+        const double away = towards[k] - x[MARKER_SHAPE + k];
+        a[MARKER_SHAPE + k][MARKER_SHAPE + k] += 1.0 / (near * near);
+        b[MARKER_SHAPE + k] += away / (near * near);
+        misfit += away * away / (near * near);
+        volume -= log(near);
     }
     if (!rays_solve(a, b, UNKNOWNS)) {
         return -1.0;
@@ -174,7 +187,7 @@ typedef struct {
 } look_t;
 
 /* 0: it cannot be so. */
-static int explain(const field_t *field, const double level[PLANE], const look_t *look, partly_t *out) {
+static int explain(const field_t *field, const double level[PLANE], const double expected[2], const look_t *look, partly_t *out) {
     rays_t rays;
     double unknown[UNKNOWNS], a[UNKNOWNS_MAX][UNKNOWNS_MAX], variance[UNKNOWNS];
     const double radius = look->before->shape[0].value;
@@ -184,6 +197,7 @@ static int explain(const field_t *field, const double level[PLANE], const look_t
         unknown[k] = look->shape ? look->shape[k] : look->before->shape[k].value;
     }
     for (int again = 0; again < 2; again++) { /* from where the middle was found: rays meet the outline squarely */
+        const double towards[] = {expected[0] - x, expected[1] - y};
         const double here[PLANE] = {level[0] + level[1] * x + level[2] * y, level[1], level[2]};
         if (x < 0.0 || y < 0.0 || x > field->columns - 1.0 || y > field->rows - 1.0) {
             return 0;
@@ -192,7 +206,7 @@ static int explain(const field_t *field, const double level[PLANE], const look_t
         rays_find_edges(&rays, field, x, y, here);
         unknown[MARKER_SHAPE] = unknown[MARKER_SHAPE + 1] = 0.0;
         for (int pass = 0; pass < PASSES; pass++) {
-            const double moved = step(&rays, look->before, sigma, unknown, a, out);
+            const double moved = step(&rays, look->before, towards, sigma, unknown, a, out);
             if (getenv("DBG2")) fprintf(stderr,"moved %g sigma %g own %g R %g\n",moved,sigma,out->own,unknown[0]);//DBG
             if (moved < 0.0 || moved > radius) {
                 return 0;
@@ -216,13 +230,14 @@ static int explain(const field_t *field, const double level[PLANE], const look_t
 }
 
 int partly_weigh(const field_t *field, const double level[PLANE], const marker_expected_t *before,
-                 const double expected[2], const double found[2], const double shape[MARKER_SHAPE], partly_t *out) {
+                 const double expected[2], const double found[2], const double *last, const double shape[MARKER_SHAPE], partly_t *out) {
     marker_expected_t other;
     marker_expect(2.0 * before->shape[0].value, &other);
     const double coarse = COARSE * before->shape[0].value;
     const look_t ways[] = {
         {expected, NULL, before, coarse, 1.0},
         {found, NULL, before, coarse, 1.0},
+        {last, NULL, before, coarse, 1.0},
         {found, shape, before, before->scatter, 1.0},
         {found, shape, &other, before->scatter, ANOTHER},
     };
@@ -230,7 +245,7 @@ int partly_weigh(const field_t *field, const double level[PLANE], const marker_e
     partly_t way[WAYS];
     double best = -INFINITY, sum = 0.0;
     for (int i = 0; i < WAYS; i++) {
-        if ((i >= 2 && !shape) || !explain(field, level, &ways[i], &way[i])) {
+        if ((i >= 3 && !shape) || (i == 2 && !last) || !explain(field, level, expected, &ways[i], &way[i])) {
             way[i].evidence = -INFINITY;
         }
         way[i].evidence += log(ways[i].prior);

@@ -26,6 +26,6 @@ typedef struct {
  * of its outline. expected, found: px in the region, where it should be, and where its outline would be if all of it
  * were seen. 0: there is no way. */
 int partly_weigh(const field_t *field, const double level[PLANE], const marker_expected_t *before,
-                 const double expected[2], const double found[2], const double shape[MARKER_SHAPE], partly_t *out);
+                 const double expected[2], const double found[2], const double *last, const double shape[MARKER_SHAPE], partly_t *out);
 
 #endif
