@@ -16,6 +16,9 @@ static const double STRETCH[] = {0.0, 0.02, 0.0, 0.01};        /* by which motio
 #define SHADED         0.5   /* prior: that a marker is lit from one side */
 #define SHIFTED        3.0   /* prior: by how much more than expected what is in front changes the outline */
 #define FREEDOM        3.0   /* what is in front covers from a side, so deep and so wide */
+#define LEARNS         0.05  /* a frame: how soon it is known how little the outline wanders ... */
+#define LARGEST        4.0   /* ... which no frame contradicts by more than so many variances */
+#define STEADIEST      1e-4
 #define STEADY         0.1   /* by how much of a frame's scatter what is known of it changes */
 
 static int order(int term) { return (term + 1) / 2; }
@@ -27,6 +30,7 @@ void marker_expect(double diameter, marker_expected_t *out) {
     for (int k = 0; k < MARKER_SHAPE; k++) {
         const double unseen = UNSEEN[order(k)] * radius, slope = SLOPE[order(k)];
         out->shape[k].covariance[0][0] = unseen * unseen;
+        out->steady[k] = 1.0;
         out->shape[k].covariance[1][1] = out->shape[k].covariance[2][2] = slope * slope;
     }
     out->scatter = UNSEEN_SCATTER * radius;
@@ -53,7 +57,7 @@ void expected_at(const marker_expected_t *before, double u, double v, marker_exp
                 *(pass ? &p[i][0] : &p[0][i]) += moved;
             }
         }
-        const double bends = BENDS[order(k)] * BENDS[order(k)] * way / diameter, ages = AGES * 0.5 * diameter;
+        const double bends = before->steady[k] * BENDS[order(k)] * BENDS[order(k)] * way / diameter, ages = AGES * 0.5 * diameter;
         for (int i = 0; i < 2; i++) { /* a slope that wanders all along the step: its integral's moments */
             p[1 + i][1 + i] += bends;
             p[0][1 + i] += 0.5 * bends * step[i];
@@ -110,7 +114,11 @@ static void update(marker_term_t *term, double value, double variance) {
 
 void expected_learn(marker_expected_t *expected, const double shape[MARKER_SHAPE], double scatter, int kept) {
     for (int k = 0; k < MARKER_SHAPE; k++) {
-        update(&expected->shape[k], shape[k], noise(k, scatter, kept) + this_frame(expected, k));
+        const double told = noise(k, scatter, kept) + this_frame(expected, k), away = shape[k] - expected->shape[k].value;
+        const double unusual = away * away / (expected->shape[k].covariance[0][0] + told);
+        expected->steady[k] *= exp(LEARNS * (fmin(unusual, LARGEST) - 1.0));
+        expected->steady[k] = fmin(fmax(expected->steady[k], STEADIEST), 1.0);
+        update(&expected->shape[k], shape[k], told);
     }
     expected->scatter += STEADY * (scatter - expected->scatter);
 }

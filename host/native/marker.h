@@ -45,6 +45,7 @@ typedef struct {
 typedef struct {
     marker_term_t shape[MARKER_SHAPE]; /* of the outline r(t) about its middle, where the marker was seen last */
     double stretched[MARKER_SHAPE];    /* px, sigma: by which motion may change them in this frame alone */
+    double steady[MARKER_SHAPE];       /* share of the wandering that the prior allows a term, by how it came so far */
     double scatter;                    /* px, rms of an edge about it */
     double shaded;                     /* probability that the marker is lit from one side: its level is a plane */
     int seen;                          /* it was, at: */
