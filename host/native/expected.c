@@ -8,7 +8,7 @@
 /* Priors, sigma, for the orders 0, 2, 3 and 4 of an outline. */
 static const double UNSEEN[] = {0.30, 0.12, 0.01, 0.03};       /* of the radius, any marker: half a turn is no change */
 static const double SLOPE[] = {0.02, 0.02, 0.002, 0.005};      /* by which it changes a px of the way ... */
-static const double BENDS[] = {0.004, 0.003, 0.0005, 0.001};    /* ... and by how much that does in a diameter */
+static const double BENDS[] = {0.005, 0.005, 0.0005, 0.001};    /* ... and by how much that does in a diameter */
 static const double STRETCH[] = {0.0, 0.02, 0.0, 0.01};        /* by which motion blurs it, of the way in a frame */
 #define AGES           5e-4  /* of the radius, from frame to frame, where it is */
 #define BENEATH_PX     0.03  /* by which tissue beneath the rim, and compression, change a term */
@@ -18,7 +18,8 @@ static const double STRETCH[] = {0.0, 0.02, 0.0, 0.01};        /* by which motio
 #define FREEDOM        3.0   /* what is in front covers from a side, so deep and so wide */
 #define LEARNS         0.05  /* a frame: how soon it is known how little the outline wanders ... */
 #define LARGEST        4.0   /* ... which no frame contradicts by more than so many variances */
-#define STEADIEST      1e-4
+#define STEADIEST      0.03
+#define UNSURE         0.1   /* of the radius, times the share that is hidden: by which what is in front bends the rest */
 #define STEADY         0.1   /* by how much of a frame's scatter what is known of it changes */
 
 static int order(int term) { return (term + 1) / 2; }
@@ -123,12 +124,14 @@ void expected_learn(marker_expected_t *expected, const double shape[MARKER_SHAPE
     expected->scatter += STEADY * (scatter - expected->scatter);
 }
 
-void expected_take(marker_expected_t *expected, const double shape[MARKER_SHAPE], const double variance[MARKER_SHAPE]) {
+void expected_take(marker_expected_t *expected, const double shape[MARKER_SHAPE], const double variance[MARKER_SHAPE],
+                   double hidden) {
+    const double bent = UNSURE * hidden * expected->shape[0].value;
     for (int k = 0; k < MARKER_SHAPE; k++) {
         const double told = 1.0 / variance[k] - 1.0 / expected_variance(expected, k);
         if (told > 0.0) { /* else the frame told nothing of it */
             const double value = expected->shape[k].value, own = value + (shape[k] - value) / (told * variance[k]);
-            update(&expected->shape[k], own, 1.0 / told + this_frame(expected, k));
+            update(&expected->shape[k], own, 1.0 / told + this_frame(expected, k) + bent * bent);
         }
     }
 }

@@ -23,8 +23,9 @@ double expected_hidden(const marker_expected_t *expected, const double shape[MAR
 /* Takes in a whole outline that was seen. */
 void expected_learn(marker_expected_t *expected, const double shape[MARKER_SHAPE], double scatter, int kept);
 
-/* Takes in what is known after a frame in which a part may be hidden: means and variances, which what is expected is a
- * part of. */
-void expected_take(marker_expected_t *expected, const double shape[MARKER_SHAPE], const double variance[MARKER_SHAPE]);
+/* Takes in what is known after a frame in which the share `hidden` of the outline is not seen: means and variances,
+ * which what is expected is a part of. */
+void expected_take(marker_expected_t *expected, const double shape[MARKER_SHAPE], const double variance[MARKER_SHAPE],
+                   double hidden);
 
 #endif

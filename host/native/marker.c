@@ -468,7 +468,7 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
         out->kept = partly.own;
         expected_at(before, out->u, out->v, after);
         after->shaded = expected.shaded;
-        expected_take(after, partly.shape, partly.of_shape);
+        expected_take(after, partly.shape, partly.of_shape, 1.0 - partly.own);
         out->diameter = 2.0 * mean_radius(partly.shape);
     }
     return MARKER_FOUND;
