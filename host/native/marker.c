@@ -13,7 +13,8 @@
 
 #define SHADE           0.3  /* prior, sigma: of the contrast, from the middle to the rim */
 #define OFTEN           1e-3 /* prior: that from a frame to the next the light is another one; less is no reason */
-#define CERTAIN         -7.0 /* log odds that a part is hidden, below which it is not asked for: 1e-3 */
+#define ELSEWHERE       0.6  /* of the radius: where it was is looked at, too, when it should be farther away */
+#define CERTAIN         -5.0 /* log odds that a part is hidden, below which it is not asked for */
 #define RISES           0.1  /* of the contrast within 2 px: what is around is mixed in, by lens or motion */
 #define FINEST          1e-3 /* membership: no pixel is known better */
 #define PIXELS_TOGETHER 3.0  /* by which neighbouring pixels say less than independent ones, in MJPEG; measured */
@@ -332,6 +333,45 @@ static void prefetch(const marker_view_t *view) {
 #endif
 }
 
+/* What is seen of a marker of which a part may be hidden, in place of its whole outline in `out`. even, plane: the
+ * marker's level, NULL: it is even. shape: of the whole outline, NULL: there is none. Returns one of PARTLY_*. */
+static int beside(const marker_view_t *view, const field_t *field, const double even[PLANE], const double *plane,
+                  double cx, double cy, double u, double v, const marker_expected_t *before, const double *shape,
+                  marker_outline_t *out) {
+    const marker_expected_t expected = out->after;
+    const double towards[2] = {u - view->x0, v - view->y0}, found[2] = {out->u - view->x0, out->v - view->y0};
+    const double last[2] = {before->u - view->x0, before->v - view->y0};
+    const int elsewhere = before->seen && hypot(before->u - u, before->v - v) > ELSEWHERE * before->shape[0].value;
+    partly_t partly, lit;
+    int seen = partly_weigh(field, even, &expected, towards, elsewhere ? last : NULL, found, shape, &partly);
+    if (seen != PARTLY_SEEN) {
+        return seen;
+    }
+    double x = partly.x, y = partly.y;
+    out->lit_u = out->lit_v = 0.0;
+    if (plane) {
+        const double about[PLANE] = {plane[0] - plane[1] * cx - plane[2] * cy, plane[1], plane[2]};
+        const double here[2] = {x, y};
+        if (partly_weigh(field, about, &expected, here, NULL, here, NULL, &lit) != PARTLY_NOT) {
+            out->lit_u = lit.x - x;
+            out->lit_v = lit.y - y;
+            x = lit.x;
+            y = lit.y;
+        }
+    }
+    out->u = view->x0 + x;
+    out->v = view->y0 + y;
+    out->sigma = sqrt(partly.variance);
+    out->scatter = partly.scatter;
+    out->kept = partly.own;
+    out->diameter = 2.0 * mean_radius(partly.shape);
+    const double shaded = out->after.shaded;
+    expected_at(before, out->u, out->v, &out->after);
+    out->after.shaded = shaded;
+    expected_take(&out->after, partly.shape, partly.of_shape, 1.0 - partly.own);
+    return seen;
+}
+
 int marker_measure(const marker_view_t *view, const float weights[4], double cut, double u, double v, double diameter,
                    const marker_expected_t *before, void *scratch, marker_outline_t *out) {
     const int columns = view->x1 - view->x0, rows = view->y1 - view->y0;
@@ -442,34 +482,14 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
     if (kept > 0) {
         read_shape(&rays, shape);
     }
-    if (getenv("DBG")) fprintf(stderr,"   gate %.1f kept %.2f scatter %.3f\n",expected_hidden(&expected, shape, out->scatter, kept, rays.count),out->kept,out->scatter);//DBG
-    if (kept > 0 && expected_hidden(&expected, shape, out->scatter, kept, rays.count) < CERTAIN) {
+    const int seen = kept > 0 && expected_hidden(&expected, shape, out->scatter, kept, rays.count) < CERTAIN
+                         ? PARTLY_WHOLE
+                         : beside(view, &field, even, lit ? level : NULL, cx, cy, u, v, before, kept > 0 ? shape : NULL, out);
+    if (seen == PARTLY_NOT) {
+        return MARKER_NONE;
+    }
+    if (seen == PARTLY_WHOLE) {
         expected_learn(after, shape, out->scatter, kept);
-    } else {
-        const double towards[2] = {u - view->x0, v - view->y0}, found[2] = {out->u - view->x0, out->v - view->y0};
-        const double last[2] = {before->u - view->x0, before->v - view->y0};
-        partly_t partly;
-        if (!partly_weigh(&field, even, &expected, towards, found, before->seen && hypot(last[0]-towards[0],last[1]-towards[1])>0.3*diameter ? last : NULL, kept > 0 ? shape : NULL, &partly)) {
-            return MARKER_NONE;
-        }
-        if (lit) {
-            const double ux = partly.x, uy = partly.y;
-            const double about[PLANE] = {level[0] - level[1] * cx - level[2] * cy, level[1], level[2]};
-            if (!partly_weigh(&field, about, &expected, towards, found, before->seen && hypot(last[0]-towards[0],last[1]-towards[1])>0.3*diameter ? last : NULL, kept > 0 ? shape : NULL, &partly)) {
-                return MARKER_NONE;
-            }
-            out->lit_u = partly.x - ux;
-            out->lit_v = partly.y - uy;
-        }
-        out->u = view->x0 + partly.x;
-        out->v = view->y0 + partly.y;
-        out->sigma = sqrt(partly.variance);
-        out->scatter = partly.scatter;
-        out->kept = partly.own;
-        expected_at(before, out->u, out->v, after);
-        after->shaded = expected.shaded;
-        expected_take(after, partly.shape, partly.of_shape, 1.0 - partly.own);
-        out->diameter = 2.0 * mean_radius(partly.shape);
     }
     return MARKER_FOUND;
 }

@@ -22,7 +22,8 @@
 #define EVEN_PX     0.4  /* sigma: by which its own edge goes deeper from ray to ray ... */
 #define UNEVEN      0.2  /* ... but for a share of them */
 #define MIXED       2    /* rays to either side whose edges what is in front reaches, too, by lens and averages */
-#define ANOTHER     1e-5 /* that the marker is another one than before */
+#define WHOLE       0.97 /* share of the outline beyond which nothing is taken to be in front */
+#define ANOTHER     1e-8 /* that the marker is another one than before */
 
 /* The outline's terms at an edge (dx, dy) px from its middle, and their derivatives by the angle. */
 static void turn(double dx, double dy, double r, double terms[MARKER_SHAPE], double by_angle[MARKER_SHAPE]) {
@@ -230,31 +231,31 @@ static int explain(const field_t *field, const double level[PLANE], const double
 }
 
 int partly_weigh(const field_t *field, const double level[PLANE], const marker_expected_t *before,
-                 const double expected[2], const double found[2], const double *last, const double shape[MARKER_SHAPE], partly_t *out) {
+                 const double expected[2], const double last[2], const double found[2], const double *shape,
+                 partly_t *out) {
     marker_expected_t other;
     marker_expect(2.0 * before->shape[0].value, &other);
     const double coarse = COARSE * before->shape[0].value;
-    const look_t ways[] = {
-        {expected, NULL, before, coarse, 1.0},
-        {found, NULL, before, coarse, 1.0},
-        {last, NULL, before, coarse, 1.0},
-        {found, shape, before, before->scatter, 1.0},
+    const look_t looks[] = {
+        {found, NULL, before, coarse, 1.0},          {expected, NULL, before, coarse, 1.0},
+        {last, NULL, before, coarse, 1.0},           {found, shape, before, before->scatter, 1.0},
         {found, shape, &other, before->scatter, ANOTHER},
     };
-    enum { WAYS = sizeof ways / sizeof *ways };
+    enum { WAYS = sizeof looks / sizeof *looks };
     partly_t way[WAYS];
     double best = -INFINITY, sum = 0.0;
     for (int i = 0; i < WAYS; i++) {
-        if ((i >= 3 && !shape) || (i == 2 && !last) || !explain(field, level, expected, &ways[i], &way[i])) {
-            way[i].evidence = -INFINITY;
-        }
-        way[i].evidence += log(ways[i].prior);
-        if (getenv("DBG")) fprintf(stderr,"     way %d ev %.1f at %.2f %.2f (from %.2f %.2f) sd %.3f own %.2f scat %.3f R %.2f a2 %.2f %.2f a3 %.2f %.2f a4 %.2f\n",i,way[i].evidence,way[i].x,way[i].y,ways[i].from[0],ways[i].from[1],sqrt(way[i].variance),way[i].own,way[i].scatter,way[i].shape[0],way[i].shape[1],way[i].shape[2],way[i].shape[3],way[i].shape[4],way[i].shape[5]);//DBG
+        const int there = looks[i].from && (shape || i < 3) && explain(field, level, expected, &looks[i], &way[i]);
+        way[i].evidence = there ? way[i].evidence + log(looks[i].prior) : -INFINITY;
         best = fmax(best, way[i].evidence);
+        if (i == 0 && there && shape && way[i].own > WHOLE) {
+            *out = way[i];
+            return PARTLY_WHOLE;
+        }
     }
     memset(out, 0, sizeof *out);
     if (!(best > -INFINITY)) {
-        return 0;
+        return PARTLY_NOT;
     }
     for (int i = 0; i < WAYS; i++) {
         sum += exp(way[i].evidence - best);
@@ -285,5 +286,5 @@ int partly_weigh(const field_t *field, const double level[PLANE], const marker_e
             }
         }
     }
-    return 1;
+    return PARTLY_SEEN;
 }

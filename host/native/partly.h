@@ -22,10 +22,13 @@ typedef struct {
     double evidence;               /* log, but for what all ways have in common */
 } partly_t;
 
+enum { PARTLY_NOT, PARTLY_SEEN, PARTLY_WHOLE };
+
 /* The mean over the ways to explain a frame. level, about (0, 0) of the region: the marker's own. before: what is known
- * of its outline. expected, found: px in the region, where it should be, and where its outline would be if all of it
- * were seen. 0: there is no way. */
+ * of its outline. px in the region: expected, where it should be; last, where it was, or NULL; found, where its outline
+ * is and, if not NULL, its terms, should all of it be seen. PARTLY_NOT: there is no way; PARTLY_WHOLE: all of it is. */
 int partly_weigh(const field_t *field, const double level[PLANE], const marker_expected_t *before,
-                 const double expected[2], const double found[2], const double *last, const double shape[MARKER_SHAPE], partly_t *out);
+                 const double expected[2], const double last[2], const double found[2], const double *shape,
+                 partly_t *out);
 
 #endif

@@ -30,6 +30,7 @@ _LIKE = 0.92  # cosine between its colour and the picked one: 23 deg, which leav
 _SHRUNK, _GROWN = 0.5, 1.8  # diameter against the frame before that is still the same marker
 _SMALLER, _LARGER = 0.3, 4.0  # diameter against the picked one
 _KEPT = 0.3  # share of the outline that must be seen
+_UNSURE = 0.2  # sigma against the radius: a place that is known worse is none
 _RAGGED = 0.15  # scatter of the edges against the radius: more is no marker but a stain
 _SAME_PLACE = 0.4  # of the diameter, within which two things are at one place
 _NEAR = 4.0  # diameters from where the marker was last, at which another blob is half as likely
@@ -130,7 +131,8 @@ class MarkerTracker:
         if b * own_b + g * own_g + r * own_r < _LIKE * sqrt(b * b + g * g + r * r):
             return _lost("what is there has another colour")
         radius = 0.5 * outline.diameter
-        if outline.kept < _KEPT or outline.scatter > max(_RAGGED * radius, 0.5):
+        unsure = outline.sigma > _UNSURE * radius
+        if unsure or outline.kept < _KEPT or outline.scatter > max(_RAGGED * radius, 0.5):
             return _lost("its outline is broken")
         if not _SMALLER < outline.diameter / self.colour.diameter_px < _LARGER:
             return _lost("nothing of its size")
