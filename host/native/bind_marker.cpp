@@ -13,15 +13,15 @@ using Four = nb::ndarray<const float, nb::shape<4>, nb::c_contig, nb::device::cp
 
 void bind_marker(nb::module_ &m) {
     nb::class_<marker_expected_t>(m, "MarkerExpected")
-        .def("__init__",
-             [](marker_expected_t *expected, double diameter) {
-                 if (!(diameter > 0 && diameter < 1e6)) {
-                     throw std::invalid_argument("marker: diameter out of range");
-                 }
-                 marker_expect(diameter, new (expected) marker_expected_t);
-             },
-             nb::arg("diameter"), "What is known of a marker of about `diameter` px that was not seen yet.")
-        .def_prop_ro("dbg", [](const marker_expected_t &e) { nb::list l; for (int k=0;k<MARKER_SHAPE;k++) l.append(nb::make_tuple(e.shape[k].value,e.shape[k].covariance[0][0])); return l; });
+        .def(
+            "__init__",
+            [](marker_expected_t *expected, double diameter) {
+                if (!(diameter > 0 && diameter < 1e6)) {
+                    throw std::invalid_argument("marker: diameter out of range");
+                }
+                marker_expect(diameter, new (expected) marker_expected_t);
+            },
+            nb::arg("diameter"), "What is known of a marker of about `diameter` px that was not seen yet.");
     nb::class_<marker_outline_t>(m, "MarkerOutline")
         .def_ro("u", &marker_outline_t::u)
         .def_ro("v", &marker_outline_t::v)

@@ -6,26 +6,29 @@
 #include "rays.h"
 
 /* Priors, sigma, for the orders 0, 2, 3 and 4 of an outline. */
-static const double UNSEEN[] = {0.30, 0.12, 0.01, 0.03};       /* of the radius, any marker: half a turn is no change */
-static const double SLOPE[] = {0.02, 0.02, 0.002, 0.005};      /* by which it changes a px of the way ... */
-static const double BENDS[] = {0.005, 0.005, 0.0005, 0.001};    /* ... and by how much that does in a diameter */
-static const double STRETCH[] = {0.0, 0.02, 0.0, 0.01};        /* by which motion blurs it, of the way in a frame */
-#define AGES           5e-4  /* of the radius, from frame to frame, where it is */
+static const double UNSEEN[] = {0.30, 0.12, 0.01, 0.03};     /* of the radius, any marker: half a turn is no change */
+static const double SLOPE[] = {0.02, 0.02, 0.002, 0.005};    /* by which it changes a px of the way ... */
+static const double BENDS[] = {0.005, 0.005, 0.0005, 0.001}; /* ... and by how much that does in a diameter */
+static const double STRETCH[] = {0.0, 0.02, 0.0, 0.01};      /* by which motion blurs it, of the way in a frame */
+#define AGES           5e-4                                  /* of the radius, from frame to frame, where it is */
 #define BENEATH_PX     0.03  /* by which tissue beneath the rim, and compression, change a term */
+#define SMALLEST_PX    1.0   /* limit: of a radius */
 #define UNSEEN_SCATTER 0.015 /* of the radius: of edges */
 #define SHADED         0.5   /* prior: that a marker is lit from one side */
 #define SHIFTED        3.0   /* prior: by how much more than expected what is in front changes the outline */
-#define FREEDOM        3.0   /* what is in front covers from a side, so deep and so wide */
+#define FREEDOM        3.0   /* numbers that say what is in front: from which side, how deep, how wide */
 #define LEARNS         0.05  /* a frame: how soon it is known how little the outline wanders ... */
 #define LARGEST        4.0   /* ... which no frame contradicts by more than so many variances */
-#define STEADIEST      0.03
-#define UNSURE         0.1   /* of the radius, times the share that is hidden: by which what is in front bends the rest */
-#define STEADY         0.1   /* by how much of a frame's scatter what is known of it changes */
+#define STEADIEST      0.03  /* prior: share of the wandering that is never ruled out */
+#define UNSURE         0.1 /* of the radius, times the share that is hidden: by which what is in front bends the rest */
+#define STEADY         0.1 /* by how much of a frame's scatter what is known of it changes */
 
-static int order(int term) { return (term + 1) / 2; }
+static int order(int term) {
+    return (term + 1) / 2;
+}
 
 void marker_expect(double diameter, marker_expected_t *out) {
-    const double radius = 0.5 * diameter;
+    const double radius = fmax(0.5 * diameter, SMALLEST_PX);
     memset(out, 0, sizeof *out);
     out->shape[0].value = radius;
     for (int k = 0; k < MARKER_SHAPE; k++) {
@@ -47,10 +50,10 @@ void expected_at(const marker_expected_t *before, double u, double v, marker_exp
         return;
     }
     const double step[] = {u - before->u, v - before->v}, way = hypot(step[0], step[1]);
-    const double diameter = 2.0 * fabs(before->shape[0].value);
+    const double diameter = 2.0 * before->shape[0].value;
     for (int k = 0; k < MARKER_SHAPE; k++) {
         marker_term_t *term = &out->shape[k];
-        double(*p)[3] = term->covariance;
+        double (*p)[3] = term->covariance;
         term->value += term->by_u * step[0] + term->by_v * step[1];
         for (int pass = 0; pass < 2; pass++) { /* rows, then columns */
             for (int i = 0; i < 3; i++) {
@@ -58,7 +61,8 @@ void expected_at(const marker_expected_t *before, double u, double v, marker_exp
                 *(pass ? &p[i][0] : &p[0][i]) += moved;
             }
         }
-        const double bends = before->steady[k] * BENDS[order(k)] * BENDS[order(k)] * way / diameter, ages = AGES * 0.5 * diameter;
+        const double bends = before->steady[k] * BENDS[order(k)] * BENDS[order(k)] * way / diameter;
+        const double ages = AGES * 0.5 * diameter;
         for (int i = 0; i < 2; i++) { /* a slope that wanders all along the step: its integral's moments */
             p[1 + i][1 + i] += bends;
             p[0][1 + i] += 0.5 * bends * step[i];
@@ -67,6 +71,7 @@ void expected_at(const marker_expected_t *before, double u, double v, marker_exp
         p[0][0] += bends * way * way / 3.0 + ages * ages;
         out->stretched[k] = STRETCH[order(k)] * way;
     }
+    out->shape[0].value = fmax(out->shape[0].value, SMALLEST_PX);
 }
 
 /* px2: variance of a term from frame to frame. */
@@ -98,7 +103,7 @@ double expected_hidden(const marker_expected_t *expected, const double shape[MAR
 
 /* Kalman's update of a term with `value`, of variance `noise`. */
 static void update(marker_term_t *term, double value, double variance) {
-    double(*p)[3] = term->covariance, gain[3];
+    double (*p)[3] = term->covariance, gain[3];
     const double innovation = value - term->value, first[] = {p[0][0], p[0][1], p[0][2]};
     for (int i = 0; i < 3; i++) {
         gain[i] = first[i] / (first[0] + variance);
@@ -115,7 +120,8 @@ static void update(marker_term_t *term, double value, double variance) {
 
 void expected_learn(marker_expected_t *expected, const double shape[MARKER_SHAPE], double scatter, int kept) {
     for (int k = 0; k < MARKER_SHAPE; k++) {
-        const double told = noise(k, scatter, kept) + this_frame(expected, k), away = shape[k] - expected->shape[k].value;
+        const double told = noise(k, scatter, kept) + this_frame(expected, k);
+        const double away = shape[k] - expected->shape[k].value;
         const double unusual = away * away / (expected->shape[k].covariance[0][0] + told);
         expected->steady[k] *= exp(LEARNS * (fmin(unusual, LARGEST) - 1.0));
         expected->steady[k] = fmin(fmax(expected->steady[k], STEADIEST), 1.0);

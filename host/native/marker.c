@@ -1,20 +1,17 @@
 #include "marker.h"
 
 #include <math.h>
-#include <stdio.h>//DBG
-#include <stdlib.h>//DBG
 #include <string.h>
 
 #include "expected.h"
 #include "partly.h"
 #include "rays.h"
 
-#define SMALLEST    12  /* px, area */
-
+#define SMALLEST        12   /* px, area */
 #define SHADE           0.3  /* prior, sigma: of the contrast, from the middle to the rim */
 #define OFTEN           1e-3 /* prior: that from a frame to the next the light is another one; less is no reason */
 #define ELSEWHERE       0.6  /* of the radius: where it was is looked at, too, when it should be farther away */
-#define CERTAIN         -5.0 /* log odds that a part is hidden, below which it is not asked for */
+#define CERTAIN         -3.5 /* log odds that a part is hidden, below which it is not asked for */
 #define RISES           0.1  /* of the contrast within 2 px: what is around is mixed in, by lens or motion */
 #define FINEST          1e-3 /* membership: no pixel is known better */
 #define PIXELS_TOGETHER 3.0  /* by which neighbouring pixels say less than independent ones, in MJPEG; measured */
@@ -154,8 +151,8 @@ static int fit_outline(rays_t *rays, double *scatter) {
 
 /* The outline where the marker's own level is `level`: its centroid from (cx, cy), its diameter and scatter. Returns
  * how many edges it keeps, 0: none. */
-static int outline(rays_t *rays, const field_t *field, double cx, double cy, const double level[PLANE],
-                   double place[2], marker_outline_t *out) {
+static int outline(rays_t *rays, const field_t *field, double cx, double cy, const double level[PLANE], double place[2],
+                   marker_outline_t *out) {
     rays_find_edges(rays, field, cx, cy, level);
     const int kept = fit_outline(rays, &out->scatter);
     if (kept == 0) {
@@ -175,7 +172,8 @@ static int outline(rays_t *rays, const field_t *field, double cx, double cy, con
     return kept;
 }
 
-/* The terms of the outline about its middle, which is near the rays'. */
+/* The terms of the outline about its middle, which is near the rays': those up to order 3 from its fit, the rest from
+ * what that leaves. */
 static void read_shape(const rays_t *rays, double shape[MARKER_SHAPE]) {
     memset(shape, 0, MARKER_SHAPE * sizeof *shape);
     for (int i = 0; i < rays->count; i++) {
@@ -234,8 +232,7 @@ typedef struct {
 } inside_t;
 
 /* How far what is around is mixed into the marker, px from its rim: on all but a quarter of the rays no farther. */
-static double rim_width(const rays_t *rays, const field_t *field, double cx, double cy,
-                        double contrast) {
+static double rim_width(const rays_t *rays, const field_t *field, double cx, double cy, double contrast) {
     float width[MARKER_RAYS_MAX];
     int count = 0;
     for (int i = 0; i < rays->count; i += 2) { /* neighbours share pixels */
@@ -333,42 +330,48 @@ static void prefetch(const marker_view_t *view) {
 #endif
 }
 
-/* What is seen of a marker of which a part may be hidden, in place of its whole outline in `out`. even, plane: the
- * marker's level, NULL: it is even. shape: of the whole outline, NULL: there is none. Returns one of PARTLY_*. */
-static int beside(const marker_view_t *view, const field_t *field, const double even[PLANE], const double *plane,
-                  double cx, double cy, double u, double v, const marker_expected_t *before, const double *shape,
-                  marker_outline_t *out) {
-    const marker_expected_t expected = out->after;
-    const double towards[2] = {u - view->x0, v - view->y0}, found[2] = {out->u - view->x0, out->v - view->y0};
-    const double last[2] = {before->u - view->x0, before->v - view->y0};
-    const int elsewhere = before->seen && hypot(before->u - u, before->v - v) > ELSEWHERE * before->shape[0].value;
-    partly_t partly, lit;
-    int seen = partly_weigh(field, even, &expected, towards, elsewhere ? last : NULL, found, shape, &partly);
+/* Where a frame is looked at, px in the region: where the marker should be, and where the blob's middle is. */
+typedef struct {
+    const marker_view_t *view;
+    const field_t *field;
+    const marker_expected_t *before;
+    double expected[2], blob[2];
+} view_of_t;
+
+/* Puts what is seen of a marker of which a part may be hidden in place of its whole outline in `out`. even: its level.
+ * lit, about the blob's middle: its level by the light, NULL: it is even. shape: of the whole outline, NULL: there is
+ * none. Returns one of PARTLY_*; all of it is seen: `out` stands. */
+static int see_part(const view_of_t *of, const double even[PLANE], const double *lit, const double *shape,
+                    marker_outline_t *out) {
+    const marker_expected_t *before = of->before, expected = out->after;
+    const double found[2] = {out->u - of->view->x0, out->v - of->view->y0};
+    const double last[2] = {before->u - of->view->x0, before->v - of->view->y0};
+    const double away = hypot(last[0] - of->expected[0], last[1] - of->expected[1]);
+    const int elsewhere = before->seen && away > ELSEWHERE * before->shape[0].value;
+    partly_t part, shifted;
+    const int seen =
+        partly_weigh(of->field, even, &expected, of->expected, elsewhere ? last : NULL, found, shape, &part);
     if (seen != PARTLY_SEEN) {
         return seen;
     }
-    double x = partly.x, y = partly.y;
     out->lit_u = out->lit_v = 0.0;
-    if (plane) {
-        const double about[PLANE] = {plane[0] - plane[1] * cx - plane[2] * cy, plane[1], plane[2]};
-        const double here[2] = {x, y};
-        if (partly_weigh(field, about, &expected, here, NULL, here, NULL, &lit) != PARTLY_NOT) {
-            out->lit_u = lit.x - x;
-            out->lit_v = lit.y - y;
-            x = lit.x;
-            y = lit.y;
+    if (lit) {
+        const double level[PLANE] = {lit[0] - lit[1] * of->blob[0] - lit[2] * of->blob[1], lit[1], lit[2]};
+        const double here[2] = {part.x, part.y};
+        if (partly_weigh(of->field, level, &expected, here, NULL, here, NULL, &shifted) != PARTLY_NOT) {
+            out->lit_u = shifted.x - part.x;
+            out->lit_v = shifted.y - part.y;
         }
     }
-    out->u = view->x0 + x;
-    out->v = view->y0 + y;
-    out->sigma = sqrt(partly.variance);
-    out->scatter = partly.scatter;
-    out->kept = partly.own;
-    out->diameter = 2.0 * mean_radius(partly.shape);
-    const double shaded = out->after.shaded;
+    out->u = of->view->x0 + part.x + out->lit_u;
+    out->v = of->view->y0 + part.y + out->lit_v;
+    out->sigma = sqrt(part.variance);
+    out->scatter = part.scatter;
+    out->kept = part.own;
+    out->diameter = 2.0 * mean_radius(part.shape);
     expected_at(before, out->u, out->v, &out->after);
-    out->after.shaded = shaded;
-    expected_take(&out->after, partly.shape, partly.of_shape, 1.0 - partly.own);
+    out->after.shaded = expected.shaded;
+    expected_take(&out->after, part.shape, part.of_shape, 1.0 - part.own);
     return seen;
 }
 
@@ -474,22 +477,19 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
         out->u += place[0];
         out->v += place[1];
     }
-    marker_expected_t *after = &out->after, expected;
+    marker_expected_t expected;
     expected_at(before, out->u, out->v, &expected);
-    expected.shaded = after->shaded;
-    *after = expected;
+    expected.shaded = out->after.shaded;
+    out->after = expected;
     double shape[MARKER_SHAPE];
-    if (kept > 0) {
-        read_shape(&rays, shape);
-    }
-    const int seen = kept > 0 && expected_hidden(&expected, shape, out->scatter, kept, rays.count) < CERTAIN
-                         ? PARTLY_WHOLE
-                         : beside(view, &field, even, lit ? level : NULL, cx, cy, u, v, before, kept > 0 ? shape : NULL, out);
-    if (seen == PARTLY_NOT) {
-        return MARKER_NONE;
+    read_shape(&rays, shape);
+    int seen = PARTLY_WHOLE;
+    if (kept == 0 || expected_hidden(&expected, shape, out->scatter, kept, rays.count) > CERTAIN) {
+        const view_of_t of = {view, &field, before, {u - view->x0, v - view->y0}, {cx, cy}};
+        seen = see_part(&of, even, lit ? level : NULL, kept > 0 ? shape : NULL, out);
     }
     if (seen == PARTLY_WHOLE) {
-        expected_learn(after, shape, out->scatter, kept);
+        expected_learn(&out->after, shape, out->scatter, kept);
     }
-    return MARKER_FOUND;
+    return seen == PARTLY_NOT ? MARKER_NONE : MARKER_FOUND;
 }

@@ -53,15 +53,15 @@ typedef struct {
 } marker_expected_t;
 
 typedef struct {
-    double u, v;         /* px, centroid of the outline; integers are the middles of pixels */
-    double sigma;        /* px per coordinate, from the scatter of the edges and from what may be hidden */
-    double diameter;     /* px, of the disc with the outline's area */
-    double within;       /* membership of the blob, median of its core */
-    double around;       /* membership around it, mean over the rays */
-    double scatter;      /* px, rms of the kept edges about the outline */
-    double kept;         /* share of the rays whose edge fitted */
-    double colour[3];    /* mean B, G, R of its core, levels */
-    double lit_u, lit_v; /* px, of (u, v): what that light moved it by, by this frame alone */
+    double u, v;             /* px, centroid of the outline; integers are the middles of pixels */
+    double sigma;            /* px per coordinate, from the scatter of the edges and from what may be hidden */
+    double diameter;         /* px, of the disc with the outline's area */
+    double within;           /* membership of the blob, median of its core */
+    double around;           /* membership around it, mean over the rays */
+    double scatter;          /* px, rms of the kept edges about the outline */
+    double kept;             /* share of the rays whose edge fitted */
+    double colour[3];        /* mean B, G, R of its core, levels */
+    double lit_u, lit_v;     /* px, of (u, v): what that light moved it by, by this frame alone */
     marker_expected_t after; /* what this frame and those before say of the next */
 } marker_outline_t;
 

@@ -1,29 +1,28 @@
 #include "partly.h"
 
 #include <math.h>
-#include <stdio.h>//DBG
-#include <stdlib.h>//DBG
 #include <string.h>
 
 #include "expected.h"
 
-#define UNKNOWNS    (MARKER_SHAPE + 2) /* the outline's terms, then its middle */
-#define COARSE      0.15 /* of the radius: as wide as edges scatter when the search for the middle begins ... */
-#define NARROWER    0.6  /* ... and by how much less each time */
-#define PASSES      24   /* at most */
-#define SETTLED_PX  1e-3
-#define REACH       3.0 /* px beyond where the outline may be: no farther are edges looked for */
-#define AS_MANY     8.0 /* prior: edges that the scatter of the frames before counts for */
+#define UNKNOWNS   (MARKER_SHAPE + 2) /* the outline's terms, then its middle */
+#define COARSE     0.15 /* of the radius: as wide as edges scatter when the search for the middle begins ... */
+#define NARROWER   0.6  /* ... and by how much less each time */
+#define PASSES     24   /* at most */
+#define SETTLED_PX 2e-3 /* tolerance */
+#define SQUARE_PX  0.3  /* tolerance: of the rays' middle, up to which they meet the outline squarely */
+#define REACH      3.0  /* px beyond where the outline may be: no farther are edges looked for */
+#define AS_MANY    8.0  /* prior: edges that the scatter of the frames before counts for */
 /* Priors of what is in front. */
-#define BEGINS      0.002 /* from ray to ray, which are a pixel apart on the rim */
-#define ENDS        0.1
-#define SHALLOW_PX  0.3  /* depths below the outline are alike in their logarithm from here on */
-#define NOT_BEYOND  0.1  /* as often as below the outline an edge of something else lies beyond it */
-#define EVEN_PX     0.4  /* sigma: by which its own edge goes deeper from ray to ray ... */
-#define UNEVEN      0.2  /* ... but for a share of them */
-#define MIXED       2    /* rays to either side whose edges what is in front reaches, too, by lens and averages */
-#define WHOLE       0.97 /* share of the outline beyond which nothing is taken to be in front */
-#define ANOTHER     1e-8 /* that the marker is another one than before */
+#define BEGINS     0.002 /* that it begins, and ends, from a ray to the next, a pixel farther on the rim */
+#define ENDS       0.1
+#define SHALLOW_PX 0.3  /* depths below the outline are alike in their logarithm from here on */
+#define NOT_BEYOND 0.1  /* as often as below the outline an edge of something else lies beyond it */
+#define EVEN_PX    0.4  /* sigma: by which its own edge goes deeper from ray to ray ... */
+#define UNEVEN     0.2  /* ... but for a share of them */
+#define MIXED      2    /* rays to either side whose edges what is in front reaches, too, by lens and averages */
+#define WHOLE      0.97 /* tolerance: share of the outline beyond which nothing is taken to be in front */
+#define ANOTHER    1e-8 /* that the marker is another one than before */
 
 /* The outline's terms at an edge (dx, dy) px from its middle, and their derivatives by the angle. */
 static void turn(double dx, double dy, double r, double terms[MARKER_SHAPE], double by_angle[MARKER_SHAPE]) {
@@ -48,6 +47,7 @@ typedef struct {
     double own[MARKER_RAYS_MAX]; /* probability that it is the outline's */
 } edges_t;
 
+/* x: the outline's terms, and its middle from that of the rays. */
 static void compare(const rays_t *rays, const double x[UNKNOWNS], edges_t *edges) {
     for (int i = 0; i < rays->count; i++) {
         const double dx = rays->edge[i] * rays->basis[i][1] - x[MARKER_SHAPE];
@@ -109,8 +109,8 @@ static double tell(const rays_t *rays, edges_t *edges, double sigma, double radi
 
 /* One step of the posterior's mode: x, outline and middle, is moved; a: the curvature's factor. Returns how far the
  * middle went, px, < 0: singular. */
-static double step(const rays_t *rays, const marker_expected_t *before, const double towards[2], double sigma, double x[UNKNOWNS],
-                   double a[UNKNOWNS_MAX][UNKNOWNS_MAX], partly_t *out) {
+static double step(const rays_t *rays, const marker_expected_t *before, const double towards[2], double sigma,
+                   double x[UNKNOWNS], double a[UNKNOWNS_MAX][UNKNOWNS_MAX], partly_t *out) {
     edges_t edges;
     compare(rays, x, &edges);
     const double log_likelihood = tell(rays, &edges, sigma, before->shape[0].value);
@@ -139,7 +139,7 @@ static double step(const rays_t *rays, const marker_expected_t *before, const do
         misfit += away * away / variance;
         volume -= 0.5 * log(variance);
     }
-    const double near = fmax(2.0 * before->shape[0].value, 1.0);
+    const double near = 2.0 * before->shape[0].value; /* prior, sigma: of the middle, from where it should be */
     for (int k = 0; k < 2; k++) {
         const double away = towards[k] - x[MARKER_SHAPE + k];
         a[MARKER_SHAPE + k][MARKER_SHAPE + k] += 1.0 / (near * near);
@@ -187,8 +187,9 @@ typedef struct {
     double coarse, prior;
 } look_t;
 
-/* 0: it cannot be so. */
-static int explain(const field_t *field, const double level[PLANE], const double expected[2], const look_t *look, partly_t *out) {
+/* What a frame shows when it is looked at so. 0: nothing. */
+static int explain(const field_t *field, const double level[PLANE], const double expected[2], const look_t *look,
+                   partly_t *out) {
     rays_t rays;
     double unknown[UNKNOWNS], a[UNKNOWNS_MAX][UNKNOWNS_MAX], variance[UNKNOWNS];
     const double radius = look->before->shape[0].value;
@@ -197,29 +198,33 @@ static int explain(const field_t *field, const double level[PLANE], const double
     for (int k = 0; k < MARKER_SHAPE; k++) {
         unknown[k] = look->shape ? look->shape[k] : look->before->shape[k].value;
     }
-    for (int again = 0; again < 2; again++) { /* from where the middle was found: rays meet the outline squarely */
+    for (int again = 0; again < 2; again++) {
         const double towards[] = {expected[0] - x, expected[1] - y};
         const double here[PLANE] = {level[0] + level[1] * x + level[2] * y, level[1], level[2]};
-        if (x < 0.0 || y < 0.0 || x > field->columns - 1.0 || y > field->rows - 1.0) {
+        if (!(x >= 0.0 && y >= 0.0 && x <= field->columns - 1.0 && y <= field->rows - 1.0)) {
             return 0;
         }
         (void)rays_look_beyond(&rays, field, ABOVE, x, y, 1.5 * radius + REACH);
         rays_find_edges(&rays, field, x, y, here);
         unknown[MARKER_SHAPE] = unknown[MARKER_SHAPE + 1] = 0.0;
+        double aside = 0.0;
         for (int pass = 0; pass < PASSES; pass++) {
             const double moved = step(&rays, look->before, towards, sigma, unknown, a, out);
-            if (getenv("DBG2")) fprintf(stderr,"moved %g sigma %g own %g R %g\n",moved,sigma,out->own,unknown[0]);//DBG
-            if (moved < 0.0 || moved > radius) {
+            if (!(moved >= 0.0 && moved <= radius)) {
                 return 0;
             }
+            aside = hypot(unknown[MARKER_SHAPE], unknown[MARKER_SHAPE + 1]);
             const double narrow = fmax(out->scatter, NARROWER * sigma);
-            if (moved < SETTLED_PX && narrow > 0.95 * sigma) {
+            if (narrow > 0.95 * sigma && (moved < SETTLED_PX || (again == 0 && moved < 0.1 * aside))) {
                 break;
             }
             sigma = narrow;
         }
         x += unknown[MARKER_SHAPE];
         y += unknown[MARKER_SHAPE + 1];
+        if (aside < SQUARE_PX) {
+            break;
+        }
     }
     variances(a, variance);
     out->x = x;
@@ -236,16 +241,21 @@ int partly_weigh(const field_t *field, const double level[PLANE], const marker_e
     marker_expected_t other;
     marker_expect(2.0 * before->shape[0].value, &other);
     const double coarse = COARSE * before->shape[0].value;
+    const double *whole = shape ? found : NULL;
     const look_t looks[] = {
-        {found, NULL, before, coarse, 1.0},          {expected, NULL, before, coarse, 1.0},
-        {last, NULL, before, coarse, 1.0},           {found, shape, before, before->scatter, 1.0},
-        {found, shape, &other, before->scatter, ANOTHER},
+        /* One hypothesis from several places on, as each is led to the mode that is nearest. */
+        {found, NULL, before, coarse, 1.0},
+        {expected, NULL, before, coarse, 1.0},
+        {last, NULL, before, coarse, 1.0},
+        {whole, shape, before, before->scatter, 1.0},
+        /* Another one. */
+        {whole, shape, &other, before->scatter, ANOTHER},
     };
     enum { WAYS = sizeof looks / sizeof *looks };
     partly_t way[WAYS];
     double best = -INFINITY, sum = 0.0;
     for (int i = 0; i < WAYS; i++) {
-        const int there = looks[i].from && (shape || i < 3) && explain(field, level, expected, &looks[i], &way[i]);
+        const int there = looks[i].from && explain(field, level, expected, &looks[i], &way[i]);
         way[i].evidence = there ? way[i].evidence + log(looks[i].prior) : -INFINITY;
         best = fmax(best, way[i].evidence);
         if (i == 0 && there && shape && way[i].own > WHOLE) {

@@ -1,9 +1,10 @@
 /* Where a marker is of which a part may be hidden.
  *
- * Its outline is known beforehand, within a spread, from the frames before: r(t) about its middle. Each edge that is
- * seen on a ray is its own, or that of something in front, which lies anywhere inside of it; rarely something beyond it
- * has its colour. The middle and the outline are the mode of that mixture's posterior, their covariance is its
- * curvature there, and the evidence is Laplace's, so that ways to explain the same frame can be weighed.
+ * Its outline r(t) about its middle is known beforehand, within a spread, from the frames before. The edges that are
+ * seen on rays around it are its own, or those of what is in front, which lie inside of it (rarely beyond: something of
+ * its colour) and go on from ray to ray as an edge does: a hidden Markov chain around the rim tells which. Middle and
+ * outline are the mode of the posterior, their covariance its curvature there, and the evidence is Laplace's, so that
+ * several ways to explain a frame can be weighed.
  */
 #ifndef TAUTLINE_PARTLY_H
 #define TAUTLINE_PARTLY_H

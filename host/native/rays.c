@@ -164,4 +164,3 @@ void rays_find_edges(rays_t *rays, const field_t *field, double cx, double cy, c
         rays->edge[i] = from + STEP * ((double)sum - 0.5); /* what lies before `from` counts in full */
     }
 }
-
