@@ -28,6 +28,7 @@ Array = np.ndarray
 _FAINT = 0.3  # of the picked contrast: fainter is no marker
 _LIKE = 0.92  # cosine between its colour and the picked one: 23 deg, which leaves room for glare
 _SHRUNK, _GROWN = 0.5, 1.8  # diameter against the frame before that is still the same marker
+_FORGOTTEN = 50  # prior: frames after which what is found may be of any size again
 _SMALLER, _LARGER = 0.3, 4.0  # diameter against the picked one
 _KEPT = 0.3  # share of the outline that must be seen
 _UNSURE = 0.2  # sigma against the radius: a place that is known worse is none
@@ -77,7 +78,8 @@ class MarkerTracker:
     def reset(self) -> None:
         """Forgets where the marker was: the next frame is searched as a whole."""
         self._last: Sighting | None = None
-        self._left: Sighting | None = None  # where it was seen last
+        self._left: Sighting | None = None  # where it was seen last ...
+        self._missed = 0  # ... and how many frames ago
         self._step = (0.0, 0.0)  # px from the frame before
         self._nothing = _lost("no marker of this colour")  # why the last search found none
         self._cut = 0.5  # membership half-way between the marker and what is around it
@@ -92,10 +94,12 @@ class MarkerTracker:
                 self._step = (sighting.u_px - last.u_px, sighting.v_px - last.v_px)
                 self._last = self._left = sighting
                 return sighting
+        self._missed += 1
         sighting = self._search(picture)
         self._step = (0.0, 0.0)
         self._last = sighting if sighting.valid else None
-        self._left = self._last or self._left
+        if sighting.valid:
+            self._left, self._missed = sighting, 0
         return sighting
 
     def _at_another(self, sighting: Sighting) -> bool:
@@ -109,9 +113,15 @@ class MarkerTracker:
         speed = max(abs(self._step[0]), abs(self._step[1]))
         u, v = last.u_px + self._step[0], last.v_px + self._step[1]
         sighting = self._measure(picture, u, v, last.diameter_px, 0.5 * speed)
-        if sighting.valid and not _SHRUNK < sighting.diameter_px / last.diameter_px < _GROWN:
+        if sighting.valid and not self._of_its_size(sighting):
             return _lost("its size jumped")
         return sighting
+
+    def _of_its_size(self, sighting: Sighting) -> bool:
+        """Whether a sighting is about as large as the marker was when it was seen last; any is after a while."""
+        if self._left is None or self._missed > _FORGOTTEN:
+            return True
+        return _SHRUNK < sighting.diameter_px / self._left.diameter_px < _GROWN
 
     def _measure(self, picture: Array, u: float, v: float, diameter: float, slack: float) -> Sighting:
         """The outline of the marker around (u, v) px, its expected diameter, px, and `slack` px of room about it given;
@@ -145,10 +155,13 @@ class MarkerTracker:
         was last seen."""
         blobs = self.blobs(picture)
         others = [blob for blob in blobs if not self._at_another(blob.seen)]
-        if not others:
+        alike = [blob for blob in others if self._of_its_size(blob.seen)]
+        if not alike:
             self._cut = 0.5
+            if others:
+                return _lost("its size jumped")
             return _lost("what is there is alike but never moves") if blobs else self._nothing
-        best = max(others, key=self._likeness)
+        best = max(alike, key=self._likeness)
         self._cut, self._expected = best.cut, best.after
         return best.seen
 
