@@ -9,12 +9,13 @@ import cv2
 import numpy as np
 
 Array = np.ndarray
-Cover = Callable[[Array, Array, float], Array]  # x, y px, share of the recording that is over -> where it is opaque
+Cover = Callable[[Array, Array, float], Array]  # x, y px, share of the recording that is over: where it is opaque
 
 WIDTH, HEIGHT = 360, 180
 _FINE = 4  # samples a pixel and direction
 _MARKER, _TUBE = np.array([62.0, 168.0, 48.0]), np.array([72.0, 75.0, 80.0])  # B, G, R levels
 IN_FRONT = np.array([48.0, 52.0, 118.0])
+_X, _Y = np.meshgrid(*[(np.arange(size * _FINE) + 0.5) / _FINE - 0.5 for size in (WIDTH, HEIGHT)])
 
 
 def nothing(x: Array, y: Array, share: float) -> Array:
@@ -62,10 +63,9 @@ class Scene:
         for k, place in enumerate(self.places()):
             picture = tissue.copy()
             cv2.line(picture, np.rint(place).astype(int).tolist(), (int(place[0]), HEIGHT), _TUBE.tolist(), 12)
-            share = k / self.frames
-            x, y = np.meshgrid(*[(np.arange(size * _FINE) + 0.5) / _FINE - 0.5 for size in (WIDTH, HEIGHT)], copy=False)
             box = self._around(place)
-            x, y = x[box], y[box]
+            fine = tuple(slice(_FINE * s.start, _FINE * s.stop) for s in box)
+            x, y = _X[fine], _Y[fine]
             along = (place[0] - 75.0) / 190.0
             half = 0.5 * self.diameter * (0.9 + 0.2 * along)
             squeezed = np.cos(0.25 + 0.6 * along) if self.flat else 1.0
@@ -73,10 +73,9 @@ class Scene:
             own = (dx**2 + dy**2 < 1.0).astype(np.float32)
             lit = own * (1.0 + self.light * (0.6 * dx - 0.6 * dy)).astype(np.float32)
             own, lit = _coarse(own), _coarse(lit)
-            patch = picture[self._pixels(place)]
+            patch = picture[box]
             patch[:] = patch * (1.0 - own) + lit * _MARKER
-            over = self.cover(*np.meshgrid(*[(np.arange(s * _FINE) + 0.5) / _FINE - 0.5 for s in (WIDTH, HEIGHT)]), share)
-            over = _coarse(over.astype(np.float32))
+            over = _coarse(self.cover(_X, _Y, k / self.frames).astype(np.float32))
             picture = cv2.GaussianBlur(picture * (1.0 - over) + over * IN_FRONT, (0, 0), 0.7)
             picture = np.clip(np.rint(picture + rng.normal(0.0, self.noise, picture.shape)), 0, 255).astype(np.uint8)
             if self.quality is not None:
@@ -84,14 +83,11 @@ class Scene:
                 picture = cv2.imdecode(coded, cv2.IMREAD_COLOR)
             yield picture
 
-    def _pixels(self, place: Array) -> tuple[slice, slice]:
+    def _around(self, place: Array) -> tuple[slice, slice]:
+        """Rows and columns that hold the marker."""
         reach = int(0.6 * self.diameter) + 3
         u, v = np.rint(place).astype(int)
         return slice(v - reach, v + reach + 1), slice(u - reach, u + reach + 1)
-
-    def _around(self, place: Array) -> tuple[slice, slice]:
-        rows, columns = self._pixels(place)
-        return tuple(slice(s.start * _FINE, s.stop * _FINE) for s in (rows, columns))  # type: ignore[return-value]
 
 
 def _coarse(fine: Array) -> Array:
