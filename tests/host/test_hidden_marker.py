@@ -110,7 +110,7 @@ def test_a_sliver_beside_what_hides_the_marker_is_no_marker() -> None:
     for _ in range(5):
         assert tracker.track(resting).valid
     hidden = resting.copy()
-    hidden[: round(v + 11.0)] = hidden_marker.IN_FRONT.astype(np.uint8)
+    hidden[: round(v + 10.0)] = hidden_marker.IN_FRONT.astype(np.uint8)
     assert not any(tracker.track(hidden).valid for _ in range(20))
     assert tracker.track(resting).valid
 
@@ -128,3 +128,14 @@ def test_a_video_with_something_in_front_says_what_is_known(tmp_path: Path) -> N
     assert seen.sigma_px is not None and seen.valid.mean() > 0.9
     error = np.column_stack([seen.u_px, seen.v_px]) - scene.places()
     assert pull(error[seen.valid], seen.sigma_px[seen.valid]).max() < 4.0
+
+
+def test_something_much_smaller_is_not_the_marker_that_was_just_seen() -> None:
+    large, small = (Scene(d, False, quality=LOSSLESS, frames=20, seed=17) for d in (28.0, 10.0))
+    u, v = large.places()[0]
+    tracker = MarkerTracker(pick(pictures(large)[0], (float(u), float(v))))
+    assert tracker.track(pictures(large)[0]).valid
+    elsewhere = pictures(small)[6]
+    found = [tracker.track(elsewhere) for _ in range(60)]
+    assert {sighting.lost for sighting in found[:50]} == {"its size jumped"}
+    assert found[-1].valid  # another size is believed after a while
