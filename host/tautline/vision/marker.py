@@ -27,11 +27,11 @@ Array = np.ndarray
 
 _FAINT = 0.3  # of the picked contrast: fainter is no marker
 _LIKE = 0.92  # cosine between its colour and the picked one: 23 deg, which leaves room for glare
-_SHRUNK, _GROWN = 0.5, 1.8  # diameter against the frame before that is still the same marker
+_SHRUNK, _GROWN = 0.5, 1.8  # tolerance: diameter against when it was seen last that is still the same marker
 _FORGOTTEN = 50  # prior: frames after which what is found may be of any size again
 _SMALLER, _LARGER = 0.3, 4.0  # diameter against the picked one
-_KEPT = 0.3  # share of the outline that must be seen
-_UNSURE = 0.2  # sigma against the radius: a place that is known worse is none
+_KEPT = 0.3  # limit: share of the outline that must be seen
+_UNSURE = 0.2  # limit: sigma against the radius: a place that is known worse is none
 _RAGGED = 0.15  # scatter of the edges against the radius: more is no marker but a stain
 _SAME_PLACE = 0.4  # of the diameter, within which two things are at one place
 _NEAR = 4.0  # diameters from where the marker was last, at which another blob is half as likely
