@@ -3,28 +3,18 @@
 #include <math.h>
 #include <string.h>
 
-#define ORDER          3
-#define TERMS          (2 * ORDER + 1)
-#define STEP           0.5 /* px between samples along a ray */
-#define WINDOW         3.0 /* px to either side of the half-way crossing in which an edge is measured */
-#define WINDOW_SAMPLES 13  /* 2 WINDOW / STEP + 1 */
-#define BEYOND         3.0 /* px beyond the crossing where the surroundings begin ... */
-#define BEYOND_SAMPLES 6   /* ... and how far they are averaged */
-#define LOW            0.2 /* share of the contrast below which a sample is all surroundings */
-#define HIGH           0.8 /* and above which it is all marker */
-#define CORRELATION 1.6 /* by which neighbouring rays, which share pixels, say less than independent ones; measured */
-#define SMALLEST    12  /* px, area */
-#define PI          3.14159265358979323846
+#include "expected.h"
+#include "partly.h"
+#include "rays.h"
 
-#define PLANE           3    /* terms: level in the middle, slopes along x and y */
+#define SMALLEST        12   /* px, area */
 #define SHADE           0.3  /* prior, sigma: of the contrast, from the middle to the rim */
 #define OFTEN           1e-3 /* prior: that from a frame to the next the light is another one; less is no reason */
+#define ELSEWHERE       0.6  /* of the radius: where it was is looked at, too, when it should be farther away */
+#define CERTAIN         -3.5 /* log odds that a part is hidden, below which it is not asked for */
 #define RISES           0.1  /* of the contrast within 2 px: what is around is mixed in, by lens or motion */
 #define FINEST          1e-3 /* membership: no pixel is known better */
 #define PIXELS_TOGETHER 3.0  /* by which neighbouring pixels say less than independent ones, in MJPEG; measured */
-
-/* What a pixel of the region is. */
-enum { BELOW, ABOVE, OTHER, BLOB };
 
 typedef struct {
     int x, y; /* first row's first pixel that the flood reached: where to flood again */
@@ -34,36 +24,6 @@ typedef struct {
 
 size_t marker_scratch_size(size_t pixels) {
     return pixels * (5 * sizeof(float) + sizeof(int32_t) + sizeof(uint8_t));
-}
-
-/* The k-th smallest, in place. */
-static float kth(float *x, int n, int k) {
-    int low = 0, high = n - 1;
-    while (low < high) {
-        const float pivot = x[(low + high) / 2];
-        int i = low, j = high;
-        while (i <= j) {
-            while (x[i] < pivot) {
-                i++;
-            }
-            while (x[j] > pivot) {
-                j--;
-            }
-            if (i <= j) {
-                const float t = x[i];
-                x[i++] = x[j];
-                x[j--] = t;
-            }
-        }
-        if (k <= j) {
-            high = j;
-        } else if (k >= i) {
-            low = i;
-        } else {
-            break;
-        }
-    }
-    return x[k];
 }
 
 /* Marks the region of `from` (4-connected) in `mark` that holds start with `to`. */
@@ -106,147 +66,9 @@ static blob_t flood(const marker_view_t *view, uint8_t *mark, int32_t *stack, in
     return blob;
 }
 
-/* Bilinear, at a place inside of the region and half a pixel and more from its right and lower rim. */
-static inline float sample(const float *y, int columns, float px, float py) {
-    const int ix = (int)px, iy = (int)py;
-    const float fx = px - (float)ix, fy = py - (float)iy;
-    const float *at = y + iy * columns + ix;
-    const float upper = at[0] + fx * (at[1] - at[0]);
-    const float lower = at[columns] + fx * (at[columns + 1] - at[columns]);
-    return upper + fy * (lower - upper);
-}
-
-/* `count` samples along a ray, STEP apart from r on; held beyond the region's rim. */
-static void sample_ray(const float *y, int columns, int rows, double cx, double cy, const double *basis, double r,
-                       int count, float *out) {
-    const float right = (float)columns - 1.001F, bottom = (float)rows - 1.001F;
-    float px = (float)(cx + r * basis[1]), py = (float)(cy + r * basis[2]);
-    const float dx = (float)(STEP * basis[1]), dy = (float)(STEP * basis[2]);
-    const float ex = px + (float)count * dx, ey = py + (float)count * dy;
-    if (fminf(px, ex) >= 0.0F && fminf(py, ey) >= 0.0F && fmaxf(px, ex) <= right && fmaxf(py, ey) <= bottom) {
-        for (int i = 0; i < count; i++, px += dx, py += dy) {
-            out[i] = sample(y, columns, px, py);
-        }
-        return;
-    }
-    for (int i = 0; i < count; i++, px += dx, py += dy) {
-        out[i] = sample(y, columns, fminf(fmaxf(px, 0.0F), right), fminf(fmaxf(py, 0.0F), bottom));
-    }
-}
-
-/* Cholesky of the leading terms, in place; 0: the matrix is singular (too few rays are left). */
-static int solve(double a[TERMS][TERMS], double b[TERMS], int terms) {
-    for (int i = 0; i < terms; i++) {
-        for (int j = 0; j <= i; j++) {
-            double s = a[i][j];
-            for (int k = 0; k < j; k++) {
-                s -= a[i][k] * a[j][k];
-            }
-            if (i == j) {
-                if (s <= 1e-9) {
-                    return 0;
-                }
-                a[i][i] = sqrt(s);
-            } else {
-                a[i][j] = s / a[j][j];
-            }
-        }
-        for (int k = 0; k < i; k++) {
-            b[i] -= a[i][k] * b[k];
-        }
-        b[i] /= a[i][i];
-    }
-    for (int i = terms - 1; i >= 0; i--) {
-        for (int k = i + 1; k < terms; k++) {
-            b[i] -= a[k][i] * b[k];
-        }
-        b[i] /= a[i][i];
-    }
-    return 1;
-}
-
-typedef struct {
-    int count;
-    double basis[MARKER_RAYS_MAX][TERMS]; /* 1, cos t, sin t, cos 2t, ... */
-    double crossing[MARKER_RAYS_MAX], around[MARKER_RAYS_MAX], edge[MARKER_RAYS_MAX], fit[MARKER_RAYS_MAX];
-    int keep[MARKER_RAYS_MAX];
-} rays_t;
-
-static void aim(rays_t *rays, double radius) {
-    int count = 8 * (int)lround(2.0 * PI * radius / 8.0);
-    rays->count = count = count < 24 ? 24 : count > MARKER_RAYS_MAX ? MARKER_RAYS_MAX : count;
-    const double turn_cos = cos(2.0 * PI / count), turn_sin = sin(2.0 * PI / count);
-    double along = 1.0, across = 0.0;
-    for (int i = 0; i < count; i++) {
-        double *b = rays->basis[i];
-        b[0] = 1.0;
-        b[1] = along;
-        b[2] = across;
-        along = b[1] * turn_cos - b[2] * turn_sin;
-        across = b[2] * turn_cos + b[1] * turn_sin;
-        for (int k = 2; k <= ORDER; k++) {
-            b[2 * k - 1] = b[2 * k - 3] * b[1] - b[2 * k - 2] * b[2];
-            b[2 * k] = b[2 * k - 2] * b[1] + b[2 * k - 3] * b[2];
-        }
-    }
-}
-
-/* The last pixel of the blob on every ray, and the level of what is beyond it. Returns the mean of the latter. */
-static double look_beyond(rays_t *rays, const float *y, const uint8_t *mark, int columns, int rows, double cx,
-                          double cy, double reach) {
-    double sum = 0.0;
-    for (int i = 0; i < rays->count; i++) {
-        const double dx = rays->basis[i][1], dy = rays->basis[i][2];
-        double last = reach;
-        for (; last > 0.0; last -= STEP) {
-            const double px = cx + last * dx + 0.5, py = cy + last * dy + 0.5; /* truncated, the nearest pixel */
-            if (px >= 0.0 && py >= 0.0 && px < columns && py < rows &&
-                mark[(ptrdiff_t)py * columns + (ptrdiff_t)px] == BLOB) {
-                break;
-            }
-        }
-        rays->crossing[i] = last;
-        float levels[BEYOND_SAMPLES], level = 0.0F;
-        sample_ray(y, columns, rows, cx, cy, rays->basis[i], last + BEYOND, BEYOND_SAMPLES, levels);
-        for (int k = 0; k < BEYOND_SAMPLES; k++) {
-            level += levels[k];
-        }
-        rays->edge[i] = (double)level / BEYOND_SAMPLES;
-        sum += rays->edge[i];
-    }
-    for (int i = 0; i < rays->count; i++) { /* of three neighbours */
-        const int before = (i + rays->count - 1) % rays->count, after = (i + 1) % rays->count;
-        rays->around[i] = (rays->edge[before] + rays->edge[i] + rays->edge[after]) / 3.0;
-    }
-    return sum / rays->count;
-}
-
-/* level: the marker's own in its middle, and how it rises a px along x and y. */
-static void find_edges(rays_t *rays, const float *y, int columns, int rows, double cx, double cy,
-                       const double level[PLANE]) {
-    for (int i = 0; i < rays->count; i++) {
-        const double from = rays->crossing[i] > WINDOW ? rays->crossing[i] - WINDOW : 0.0;
-        const double slope = level[1] * rays->basis[i][1] + level[2] * rays->basis[i][2];
-        const double contrast = level[0] + slope * rays->crossing[i] - rays->around[i];
-        rays->keep[i] = contrast > 0.0;
-        rays->edge[i] = from;
-        if (!rays->keep[i]) {
-            continue;
-        }
-        float levels[WINDOW_SAMPLES], sum = 0.0F;
-        sample_ray(y, columns, rows, cx, cy, rays->basis[i], from, WINDOW_SAMPLES, levels);
-        const float scale = (float)(1.0 / (contrast * (HIGH - LOW))), zero = (float)(rays->around[i] + LOW * contrast);
-        for (int k = 0; k < WINDOW_SAMPLES; k++) {
-            const float share = (levels[k] - zero) * scale;
-            sum += share < 0.0F ? 0.0F : share > 1.0F ? 1.0F : share;
-        }
-        rays->edge[i] = from + STEP * ((double)sum - 0.5); /* what lies before `from` counts in full */
-    }
-}
-
 /* Least squares for the first `terms` of the outline, with `weight` a ray. 0: too few rays. */
 static int fit_weighted(rays_t *rays, const double *weight, int terms) {
-    double a[TERMS][TERMS] = {{0.0}}, b[TERMS] = {0.0};
+    double a[UNKNOWNS_MAX][UNKNOWNS_MAX] = {{0.0}}, b[UNKNOWNS_MAX] = {0.0};
     for (int i = 0; i < rays->count; i++) {
         for (int j = 0; j < terms; j++) {
             const double w = weight[i] * rays->basis[i][j];
@@ -256,7 +78,7 @@ static int fit_weighted(rays_t *rays, const double *weight, int terms) {
             }
         }
     }
-    if (!solve(a, b, terms)) {
+    if (!rays_solve(a, b, terms)) {
         return 0;
     }
     for (int i = 0; i < rays->count; i++) {
@@ -274,7 +96,7 @@ static double spread(const rays_t *rays) {
     for (int i = 0; i < rays->count; i++) {
         size[i] = (float)fabs(rays->edge[i] - rays->fit[i]);
     }
-    return fmax(1.4826 * (double)kth(size, rays->count, rays->count / 2), 0.02);
+    return fmax(1.4826 * (double)rays_kth(size, rays->count, rays->count / 2), 0.02);
 }
 
 /* The outline through the edges that agree. What touches the marker on one side must not bend it: it starts as a circle
@@ -286,7 +108,7 @@ static int fit_outline(rays_t *rays, double *scatter) {
     for (int i = 0; i < rays->count; i++) {
         sorted[i] = (float)rays->edge[i];
     }
-    const double median = kth(sorted, rays->count, rays->count / 2);
+    const double median = rays_kth(sorted, rays->count, rays->count / 2);
     for (int i = 0; i < rays->count; i++) {
         rays->fit[i] = median;
     }
@@ -329,9 +151,9 @@ static int fit_outline(rays_t *rays, double *scatter) {
 
 /* The outline where the marker's own level is `level`: its centroid from (cx, cy), its diameter and scatter. Returns
  * how many edges it keeps, 0: none. */
-static int outline(rays_t *rays, const float *y, int columns, int rows, double cx, double cy, const double level[PLANE],
-                   double place[2], marker_outline_t *out) {
-    find_edges(rays, y, columns, rows, cx, cy, level);
+static int outline(rays_t *rays, const field_t *field, double cx, double cy, const double level[PLANE], double place[2],
+                   marker_outline_t *out) {
+    rays_find_edges(rays, field, cx, cy, level);
     const int kept = fit_outline(rays, &out->scatter);
     if (kept == 0) {
         return 0;
@@ -348,6 +170,33 @@ static int outline(rays_t *rays, const float *y, int columns, int rows, double c
     place[1] = 2.0 / 3.0 * my / twice_area;
     out->diameter = 2.0 * sqrt(twice_area / rays->count);
     return kept;
+}
+
+/* The terms of the outline about its middle, which is near the rays': those up to order 3 from its fit, the rest from
+ * what that leaves. */
+static void read_shape(const rays_t *rays, double shape[MARKER_SHAPE]) {
+    memset(shape, 0, MARKER_SHAPE * sizeof *shape);
+    for (int i = 0; i < rays->count; i++) {
+        const double *b = rays->basis[i], r = rays->fit[i], off = rays->keep[i] ? rays->edge[i] - r : 0.0;
+        shape[0] += r;
+        for (int k = 1; k < 5; k++) {
+            shape[k] += 2.0 * r * b[k + 2];
+        }
+        shape[5] += 2.0 * off * (b[3] * b[3] - b[4] * b[4]);
+        shape[6] += 2.0 * off * 2.0 * b[3] * b[4];
+    }
+    for (int k = 0; k < MARKER_SHAPE; k++) {
+        shape[k] /= rays->count;
+    }
+}
+
+/* px, of the disc with an outline's area. */
+static double mean_radius(const double shape[MARKER_SHAPE]) {
+    double square = shape[0] * shape[0];
+    for (int k = 1; k < MARKER_SHAPE; k++) {
+        square += 0.5 * shape[k] * shape[k];
+    }
+    return sqrt(square);
 }
 
 /* Marks the best blob near (u, v) as such and what else is above the cut as OTHER. 0: there is none. */
@@ -383,36 +232,35 @@ typedef struct {
 } inside_t;
 
 /* How far what is around is mixed into the marker, px from its rim: on all but a quarter of the rays no farther. */
-static double rim_width(const rays_t *rays, const float *y, int columns, int rows, double cx, double cy,
-                        double contrast) {
+static double rim_width(const rays_t *rays, const field_t *field, double cx, double cy, double contrast) {
     float width[MARKER_RAYS_MAX];
     int count = 0;
     for (int i = 0; i < rays->count; i += 2) { /* neighbours share pixels */
         double r = rays->crossing[i];
         float level[5]; /* the first 2 px further in than the last */
         for (; r > 2.0; r -= STEP) {
-            sample_ray(y, columns, rows, cx, cy, rays->basis[i], r - 2.0, 5, level);
+            rays_sample(field, cx, cy, rays->basis[i], r - 2.0, 5, level);
             if ((double)(level[0] - level[4]) < RISES * contrast) {
                 break;
             }
         }
         width[count++] = (float)(rays->crossing[i] - r);
     }
-    return (double)kth(width, count, 3 * count / 4);
+    return (double)rays_kth(width, count, 3 * count / 4);
 }
 
 /* The blob's pixels that show it alone. */
-static void gather(inside_t *inside, const float *y, const uint8_t *mark, int columns, int rows, double cx, double cy,
-                   double alone) {
+static void gather(inside_t *inside, const field_t *field, double cx, double cy, double alone) {
+    const int columns = field->columns, rows = field->rows;
     const int top = (int)fmax(cy - alone, 0.0), bottom = (int)fmin(cy + alone + 1.0, rows);
     const int left = (int)fmax(cx - alone, 0.0), right = (int)fmin(cx + alone + 1.0, columns);
     for (int row = top; row < bottom; row++) {
         for (int column = left; column < right; column++) {
             const double dx = column - cx, dy = row - cy;
-            if (dx * dx + dy * dy < alone * alone && mark[row * columns + column] == BLOB) {
+            if (dx * dx + dy * dy < alone * alone && field->mark[row * columns + column] == BLOB) {
                 inside->x[inside->count] = (float)dx;
                 inside->y[inside->count] = (float)dy;
-                inside->level[inside->count++] = y[row * columns + column];
+                inside->level[inside->count++] = field->y[row * columns + column];
             }
         }
     }
@@ -429,13 +277,13 @@ static double fit_plane(const inside_t *inside, double within, double plane[PLAN
         for (int i = 0; i < inside->count; i++) {
             inside->room[i] = fabsf(inside->level[i] - level - along * inside->x[i] - across * inside->y[i]);
         }
-        const double sigma = fmax(1.4826 * (double)kth(inside->room, inside->count, inside->count / 2), FINEST);
+        const double sigma = fmax(1.4826 * (double)rays_kth(inside->room, inside->count, inside->count / 2), FINEST);
         if (sigma > 0.98 * before) { /* settled */
             break;
         }
         before = sigma;
         const float scale = (float)(0.5 / sigma);
-        double a[TERMS][TERMS] = {{0.0}}, b[TERMS] = {0.0};
+        double a[UNKNOWNS_MAX][UNKNOWNS_MAX] = {{0.0}}, b[UNKNOWNS_MAX] = {0.0};
         for (int i = 0; i < inside->count; i++) {
             const float x = inside->x[i], y = inside->y[i], value = inside->level[i];
             const float left = (value - level - along * x - across * y) * scale, weight = 1.0F / (1.0F + left * left);
@@ -450,7 +298,7 @@ static double fit_plane(const inside_t *inside, double within, double plane[PLAN
             b[2] += (double)(weight * value * y);
         }
         const double spread = a[1][1] + a[2][2] - (a[1][0] * a[1][0] + a[2][0] * a[2][0]) / a[0][0];
-        if (!solve(a, b, PLANE)) {
+        if (!rays_solve(a, b, PLANE)) {
             return INFINITY;
         }
         memcpy(plane, b, PLANE * sizeof *plane);
@@ -482,8 +330,53 @@ static void prefetch(const marker_view_t *view) {
 #endif
 }
 
+/* Where a frame is looked at, px in the region: where the marker should be, and where the blob's middle is. */
+typedef struct {
+    const marker_view_t *view;
+    const field_t *field;
+    const marker_expected_t *before;
+    double expected[2], blob[2];
+} view_of_t;
+
+/* Puts what is seen of a marker of which a part may be hidden in place of its whole outline in `out`. even: its level.
+ * lit, about the blob's middle: its level by the light, NULL: it is even. shape: of the whole outline, NULL: there is
+ * none. Returns one of PARTLY_*; all of it is seen: `out` stands. */
+static int see_part(const view_of_t *of, const double even[PLANE], const double *lit, const double *shape,
+                    marker_outline_t *out) {
+    const marker_expected_t *before = of->before, expected = out->after;
+    const double found[2] = {out->u - of->view->x0, out->v - of->view->y0};
+    const double last[2] = {before->u - of->view->x0, before->v - of->view->y0};
+    const double away = hypot(last[0] - of->expected[0], last[1] - of->expected[1]);
+    const int elsewhere = before->seen && away > ELSEWHERE * before->shape[0].value;
+    partly_t part, shifted;
+    const int seen =
+        partly_weigh(of->field, even, &expected, of->expected, elsewhere ? last : NULL, found, shape, &part);
+    if (seen != PARTLY_SEEN) {
+        return seen;
+    }
+    out->lit_u = out->lit_v = 0.0;
+    if (lit) {
+        const double level[PLANE] = {lit[0] - lit[1] * of->blob[0] - lit[2] * of->blob[1], lit[1], lit[2]};
+        const double here[2] = {part.x, part.y};
+        if (partly_weigh(of->field, level, &expected, here, NULL, here, NULL, &shifted) != PARTLY_NOT) {
+            out->lit_u = shifted.x - part.x;
+            out->lit_v = shifted.y - part.y;
+        }
+    }
+    out->u = of->view->x0 + part.x + out->lit_u;
+    out->v = of->view->y0 + part.y + out->lit_v;
+    out->sigma = sqrt(part.variance);
+    out->scatter = part.scatter;
+    out->kept = part.own;
+    out->diameter = 2.0 * mean_radius(part.shape);
+    expected_at(before, out->u, out->v, &out->after);
+    out->after.shaded = expected.shaded;
+    expected_take(&out->after, part.shape, part.of_shape, 1.0 - part.own);
+    return seen;
+}
+
 int marker_measure(const marker_view_t *view, const float weights[4], double cut, double u, double v, double diameter,
-                   double shaded, void *scratch, marker_outline_t *out) {
+                   const marker_expected_t *before, void *scratch, marker_outline_t *out) {
     const int columns = view->x1 - view->x0, rows = view->y1 - view->y0;
     const size_t pixels = (size_t)columns * (size_t)rows;
     float *y = scratch;
@@ -492,7 +385,7 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
     int32_t *stack = (int32_t *)(core + 4 * pixels);
     uint8_t *mark = (uint8_t *)(stack + pixels);
     memset(out, 0, sizeof *out);
-    out->shaded = shaded;
+    out->after = *before;
 
     prefetch(view);
     for (int row = 0; row < rows; row++) {
@@ -536,7 +429,7 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
     if (count == 0) { /* a ring, a crescent: no marker has its middle outside of itself */
         return MARKER_NONE;
     }
-    out->within = kth(core, count, count / 2);
+    out->within = rays_kth(core, count, count / 2);
     for (int k = 0; k < 3; k++) {
         out->colour[k] /= count;
     }
@@ -544,42 +437,59 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
         return blob.cut_off ? MARKER_CUT_OFF : MARKER_CLIPPED;
     }
 
+    const field_t field = {y, mark, columns, rows};
     rays_t rays;
-    aim(&rays, radius);
-    out->around = look_beyond(&rays, y, mark, columns, rows, cx, cy, furthest + 1.0);
+    rays_aim(&rays, radius);
+    out->around = rays_look_beyond(&rays, &field, BLOB, cx, cy, furthest + 1.0);
     if (!(out->within > out->around)) {
         return MARKER_NONE;
     }
     const double even[PLANE] = {out->within, 0.0, 0.0};
     double place[2];
-    const int kept = outline(&rays, y, columns, rows, cx, cy, even, place, out);
-    const double rim = rim_width(&rays, y, columns, rows, cx, cy, out->within - out->around);
-    gather(&inside, y, mark, columns, rows, cx, cy, fmax(radius - rim, 0.0));
+    const int kept = outline(&rays, &field, cx, cy, even, place, out);
+    const double rim = rim_width(&rays, &field, cx, cy, out->within - out->around);
+    gather(&inside, &field, cx, cy, fmax(radius - rim, 0.0));
     double level[PLANE];
     const double variance = fit_plane(&inside, out->within, level);
     if (kept > 0 && variance < INFINITY) {
         const double share = radius / (out->within - out->around), slopes = level[1] * level[1] + level[2] * level[2];
-        out->shaded = lit_from_one_side(shaded, share * share * slopes, share * share * variance);
+        out->after.shaded = lit_from_one_side(before->shaded, share * share * slopes, share * share * variance);
     }
-    if (kept > 0 && variance < INFINITY && out->shaded > OFTEN) {
-        marker_outline_t lit = {0}; /* tells the shift alone: what else is said is of the outline that is shifted */
+    const int lit = variance < INFINITY && out->after.shaded > OFTEN;
+    if (lit) {
+        level[0] = out->within + out->after.shaded * (level[0] - out->within);
+        level[1] *= out->after.shaded;
+        level[2] *= out->after.shaded;
+    }
+    if (kept > 0 && lit) {
+        marker_outline_t shifted = {0}; /* tells the shift alone: what else is said is of the outline that is shifted */
         double there[2];
-        level[0] = out->within + out->shaded * (level[0] - out->within);
-        level[1] *= out->shaded;
-        level[2] *= out->shaded;
-        if (outline(&rays, y, columns, rows, cx, cy, level, there, &lit) > 0) {
+        if (outline(&rays, &field, cx, cy, level, there, &shifted) > 0) {
             out->lit_u = there[0] - place[0];
             out->lit_v = there[1] - place[1];
             memcpy(place, there, sizeof place);
         }
     }
     out->kept = (double)kept / rays.count;
-    if (kept == 0) {
-        return MARKER_NONE;
-    }
-    out->u += place[0];
-    out->v += place[1];
     /* The centroid is the outline's first harmonic, whose variance is 2/n that of an edge. */
-    out->sigma = out->scatter * sqrt(2.0 / kept * CORRELATION);
-    return MARKER_FOUND;
+    out->sigma = kept > 0 ? out->scatter * sqrt(2.0 / kept * CORRELATION) : 0.0;
+    if (kept > 0) {
+        out->u += place[0];
+        out->v += place[1];
+    }
+    marker_expected_t expected;
+    expected_at(before, out->u, out->v, &expected);
+    expected.shaded = out->after.shaded;
+    out->after = expected;
+    double shape[MARKER_SHAPE];
+    read_shape(&rays, shape);
+    int seen = PARTLY_WHOLE;
+    if (kept == 0 || expected_hidden(&expected, shape, out->scatter, kept, rays.count) > CERTAIN) {
+        const view_of_t of = {view, &field, before, {u - view->x0, v - view->y0}, {cx, cy}};
+        seen = see_part(&of, even, lit ? level : NULL, kept > 0 ? shape : NULL, out);
+    }
+    if (seen == PARTLY_WHOLE) {
+        expected_learn(&out->after, shape, out->scatter, kept);
+    }
+    return seen == PARTLY_NOT ? MARKER_NONE : MARKER_FOUND;
 }

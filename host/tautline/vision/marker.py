@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from tautline._native import MARKER_CLIPPED, MARKER_CUT_OFF, MARKER_FOUND, marker_measure
+from tautline._native import MARKER_CLIPPED, MARKER_CUT_OFF, MARKER_FOUND, MarkerExpected, marker_measure
 from tautline.errors import TautError
 from tautline.recording import COLOUR_FILE, REGION_FILE, Marker, Recording, Shown, Video
 from tautline.rig import Rig
@@ -27,9 +27,11 @@ Array = np.ndarray
 
 _FAINT = 0.3  # of the picked contrast: fainter is no marker
 _LIKE = 0.92  # cosine between its colour and the picked one: 23 deg, which leaves room for glare
-_SHRUNK, _GROWN = 0.5, 1.8  # diameter against the frame before that is still the same marker
+_SHRUNK, _GROWN = 0.5, 1.8  # tolerance: diameter against when it was seen last that is still the same marker
+_FORGOTTEN = 50  # prior: frames after which what is found may be of any size again
 _SMALLER, _LARGER = 0.3, 4.0  # diameter against the picked one
-_KEPT = 0.5  # share of the outline that must be seen
+_KEPT = 0.3  # limit: share of the outline that must be seen
+_UNSURE = 0.2  # limit: sigma against the radius: a place that is known worse is none
 _RAGGED = 0.15  # scatter of the edges against the radius: more is no marker but a stain
 _SAME_PLACE = 0.4  # of the diameter, within which two things are at one place
 _NEAR = 4.0  # diameters from where the marker was last, at which another blob is half as likely
@@ -41,7 +43,6 @@ _LEAP, _FASTER = 0.5, 3.0  # diameters at once, and times its usual speed, that 
 _WHOLE, _AROUND = 0.04, 12  # of its diameter in so many frames to either side: a marker of which nothing is hidden
 _PALE = 0.8  # of its usual purity, below which a picked colour is not the marker's own
 _AS_OFTEN = 0.9  # as the colour that was picked first, another one has to find the marker
-_UNKNOWN = 0.5  # prior: that a marker is lit from one side
 _ALIKE_LIT = 1.5  # prior, diameters: over which light changes little
 _SURE_PX = 1e-3  # no position is said to be known better
 _SAMPLES = 24  # frames of a video that are looked at for its marker's colour
@@ -55,7 +56,7 @@ class _Blob:
     seen: Sighting
     score: float  # how marker-like
     cut: float  # membership half-way between it and what is around it
-    shaded: float  # probability that it is lit from one side
+    after: MarkerExpected  # what it says of the next frame
 
 
 class MarkerTracker:
@@ -77,11 +78,12 @@ class MarkerTracker:
     def reset(self) -> None:
         """Forgets where the marker was: the next frame is searched as a whole."""
         self._last: Sighting | None = None
-        self._left: Sighting | None = None  # where it was seen last
+        self._left: Sighting | None = None  # where it was seen last ...
+        self._missed = 0  # ... and how many frames ago
         self._step = (0.0, 0.0)  # px from the frame before
         self._nothing = _lost("no marker of this colour")  # why the last search found none
         self._cut = 0.5  # membership half-way between the marker and what is around it
-        self._shaded = _UNKNOWN  # probability that the marker is lit from one side
+        self._expected = MarkerExpected(self.colour.diameter_px)  # by the frames so far
 
     def track(self, picture: Array) -> Sighting:
         """The marker in the next frame, BGR (height, width, 3) uint8; lost, with the reason, where it is not found."""
@@ -92,10 +94,12 @@ class MarkerTracker:
                 self._step = (sighting.u_px - last.u_px, sighting.v_px - last.v_px)
                 self._last = self._left = sighting
                 return sighting
+        self._missed += 1
         sighting = self._search(picture)
         self._step = (0.0, 0.0)
         self._last = sighting if sighting.valid else None
-        self._left = self._last or self._left
+        if sighting.valid:
+            self._left, self._missed = sighting, 0
         return sighting
 
     def _at_another(self, sighting: Sighting) -> bool:
@@ -109,16 +113,22 @@ class MarkerTracker:
         speed = max(abs(self._step[0]), abs(self._step[1]))
         u, v = last.u_px + self._step[0], last.v_px + self._step[1]
         sighting = self._measure(picture, u, v, last.diameter_px, 0.5 * speed)
-        if sighting.valid and not _SHRUNK < sighting.diameter_px / last.diameter_px < _GROWN:
+        if sighting.valid and not self._of_its_size(sighting):
             return _lost("its size jumped")
         return sighting
+
+    def _of_its_size(self, sighting: Sighting) -> bool:
+        """Whether a sighting is about as large as the marker was when it was seen last; any is after a while."""
+        if self._left is None or self._missed > _FORGOTTEN:
+            return True
+        return _SHRUNK < sighting.diameter_px / self._left.diameter_px < _GROWN
 
     def _measure(self, picture: Array, u: float, v: float, diameter: float, slack: float) -> Sighting:
         """The outline of the marker around (u, v) px, its expected diameter, px, and `slack` px of room about it given;
         up to two times in a larger region, where it goes on beyond it. Lost, with the reason, where it is none."""
         half = int(0.6 * diameter + _MARGIN_PX + slack)
         for _ in range(3):
-            status, outline = marker_measure(picture, self._weights, self._cut, u, v, diameter, half, self._shaded)
+            status, outline = marker_measure(picture, self._weights, self._cut, u, v, diameter, half, self._expected)
             if status != MARKER_CLIPPED:
                 break
             u, v, diameter = outline.u, outline.v, max(diameter, outline.diameter)
@@ -131,11 +141,12 @@ class MarkerTracker:
         if b * own_b + g * own_g + r * own_r < _LIKE * sqrt(b * b + g * g + r * r):
             return _lost("what is there has another colour")
         radius = 0.5 * outline.diameter
-        if outline.kept < _KEPT or outline.scatter > max(_RAGGED * radius, 0.5):
+        unsure = outline.sigma > _UNSURE * radius
+        if unsure or outline.kept < _KEPT or outline.scatter > max(_RAGGED * radius, 0.5):
             return _lost("its outline is broken")
         if not _SMALLER < outline.diameter / self.colour.diameter_px < _LARGER:
             return _lost("nothing of its size")
-        self._cut, self._shaded = 0.5 * (outline.within + outline.around), outline.shaded
+        self._cut, self._expected = 0.5 * (outline.within + outline.around), outline.after
         lit_px = outline.lit_u, outline.lit_v
         return Sighting(outline.u, outline.v, max(outline.sigma, _SURE_PX), outline.diameter, lit_px=lit_px)
 
@@ -144,11 +155,14 @@ class MarkerTracker:
         was last seen."""
         blobs = self.blobs(picture)
         others = [blob for blob in blobs if not self._at_another(blob.seen)]
-        if not others:
+        alike = [blob for blob in others if self._of_its_size(blob.seen)]
+        if not alike:
             self._cut = 0.5
+            if others:
+                return _lost("its size jumped")
             return _lost("what is there is alike but never moves") if blobs else self._nothing
-        best = max(others, key=self._likeness)
-        self._cut, self._shaded = best.cut, best.shaded
+        best = max(alike, key=self._likeness)
+        self._cut, self._expected = best.cut, best.after
         return best.seen
 
     def _likeness(self, blob: _Blob) -> float:
@@ -177,7 +191,7 @@ class MarkerTracker:
         marker as picked); y is of the picture made `shrink` times smaller. Without one, why is kept in _nothing."""
         _, _, stats, centroids = cv2.connectedComponentsWithStats((y > level).astype(np.uint8), connectivity=4)
         expected = 0.25 * np.pi * (self.colour.diameter_px / shrink) ** 2
-        blobs: list[_Blob] = []
+        blobs, before = list[_Blob](), self._expected
         self._nothing = _lost("no marker of this colour")
         largest = np.argsort(-np.minimum(stats[1:, cv2.CC_STAT_AREA], expected))[:6] + 1  # 0 is what is no blob
         for i in largest:
@@ -187,16 +201,17 @@ class MarkerTracker:
             u, v = (centroids[i] + 0.5) * shrink - 0.5  # whole numbers are the middles of pixels
             self._cut = max(level, float(np.percentile(y[y0 : y0 + height, x0 : x0 + width], 90))) / 2
             diameter = self.colour.diameter_px * float(np.sqrt(area / expected))
-            self._shaded = _UNKNOWN
+            self._expected = before
             sighting = self._measure(picture, float(u), float(v), diameter, 2.0 * shrink)
             if sighting.valid:  # again, now that its own level is known
-                self._shaded = _UNKNOWN
+                self._expected = before
                 sighting = self._measure(picture, sighting.u_px, sighting.v_px, sighting.diameter_px, 0.0)
             if sighting.valid:
                 ratio = sighting.diameter_px / self.colour.diameter_px
-                blobs.append(_Blob(sighting, min(ratio, 1.0 / ratio) * self._cut, self._cut, self._shaded))
+                blobs.append(_Blob(sighting, min(ratio, 1.0 / ratio) * self._cut, self._cut, self._expected))
             else:
                 self._nothing = sighting
+        self._expected = before
         return blobs
 
 

@@ -1,0 +1,31 @@
+/* What the frames before say of a marker's outline, and whether the one that is seen is that. */
+#ifndef TAUTLINE_EXPECTED_H
+#define TAUTLINE_EXPECTED_H
+
+#include "marker.h"
+
+/* Priors. */
+#define HIDDEN  0.02 /* that a part is hidden in a frame */
+#define STRAY   0.03 /* share of the edges that stray, of a whole marker ... */
+#define COVERED 0.3  /* ... and of one that is hidden in part */
+
+/* `before`, of a frame in which the marker is at (u, v) px. */
+void expected_at(const marker_expected_t *before, double u, double v, marker_expected_t *out);
+
+/* px2: variance of a term in this frame. */
+double expected_variance(const marker_expected_t *expected, int term);
+
+/* Log of the odds that a part of the marker is hidden, by the shape of the outline that was fitted to `kept` of `count`
+ * edges, which scatter by `scatter` px about it. */
+double expected_hidden(const marker_expected_t *expected, const double shape[MARKER_SHAPE], double scatter, int kept,
+                       int count);
+
+/* Takes in a whole outline that was seen. */
+void expected_learn(marker_expected_t *expected, const double shape[MARKER_SHAPE], double scatter, int kept);
+
+/* Takes in what is known after a frame in which the share `hidden` of the outline is not seen: means and variances,
+ * which what is expected is a part of. */
+void expected_take(marker_expected_t *expected, const double shape[MARKER_SHAPE], const double variance[MARKER_SHAPE],
+                   double hidden);
+
+#endif
