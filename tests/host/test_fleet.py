@@ -141,6 +141,12 @@ def test_every_session_is_a_row_of_the_data_set(made):
     assert list(DataSet(folder / "out").read().values()) == list(done.rows)
 
 
+def test_a_file_in_the_data_sets_place_is_one_line(made, tmp_path):
+    (tmp_path / DATA_SET).write_text("no folder")
+    with pytest.raises(TautError):
+        DataSet(tmp_path).append(made[1].rows)
+
+
 def test_rows_hold_the_truth_within_their_sigma(made):
     _, done = made
     rig = robots.reference_rig()

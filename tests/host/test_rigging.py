@@ -185,6 +185,15 @@ def test_angles_that_cannot_be_are_one_line(taut: Taut, tmp_path: Path, change, 
     assert not (tmp_path / "rig.toml").exists()
 
 
+@pytest.mark.parametrize(
+    ("given_alone", "says"), [(["--angles", "a.csv"], "--motion"), (["--squares", "8x6"], "--board")]
+)
+def test_what_says_nothing_by_itself_is_refused(taut: Taut, tmp_path: Path, given_alone, says) -> None:
+    done = taut("rig", "--out", tmp_path / "rig.toml", *given_alone)
+    assert done.code == 2 and says in done.err
+    assert not (tmp_path / "rig.toml").exists()
+
+
 def test_angles_with_the_wrong_sign_are_doubted(taut: Taut, tmp_path: Path) -> None:
     known_motion(tmp_path / "motion")
     file = tmp_path / "motion" / "angles.csv"

@@ -39,6 +39,8 @@ _RIVAL = 2.0  # prior: times the least misfit: other offsets that leave less are
 _NOISY = 0.05  # tolerance: share of noise in the variance of y above which there is no motion to compare
 _PITCH_S = 0.05  # tolerance: between lags of the search; a stroke lasts ten times longer
 _EDGE_S = 0.09  # tolerance: a delay this far from the nominal one is at the edge of what find_delay looks through
+_CLEARLY_LESS = 0.7  # prior: of the nominal delay's misfit: another lag fits
+_BY_ITSELF_S = 0.06  # tolerance: as far as a search from the nominal delay surely comes, below _EDGE_S
 _NEAR_S = 1.0  # prior: around the nominal delay, where lags are tried first
 _BEATEN = 1.4  # prior: ratio of misfits from which a lag nearby is clearly better
 _APART_S = 0.3  # prior: minima of the misfit that are nearer are one offset
@@ -333,7 +335,7 @@ def delay_of_stops(tracks: Sequence[Track], rig: Rig) -> Delay:
     delay = find_delay(tracks, rig, nominal_s)
     if abs(delay.delay_s - nominal_s) < _EDGE_S and np.isfinite(delay.sigma_s):
         return delay
-    start_s = _coarse_delay(tracks, rig, nominal_s)
+    start_s = _start_of_search(tracks, rig, nominal_s)
     if start_s == nominal_s and np.isfinite(delay.sigma_s):
         start_s = delay.delay_s  # the edge that it ran into
     other = find_delay(tracks, rig, start_s)
@@ -341,16 +343,18 @@ def delay_of_stops(tracks: Sequence[Track], rig: Rig) -> Delay:
     return other if inside else delay
 
 
-def _coarse_delay(tracks: Sequence[Track], rig: Rig, nominal_s: float) -> float:
-    """The nominal delay, or the one of 11 lags within DELAY_REACH_S that leaves less than 0.7 of its misfit, s."""
+def _start_of_search(tracks: Sequence[Track], rig: Rig, nominal_s: float) -> float:
+    """Where `find_delay` is to start, s: the one of 11 lags within DELAY_REACH_S of the nominal delay that leaves the
+    least misfit, where that is less than _CLEARLY_LESS of the nominal one's and the lag is farther from it than
+    `find_delay` comes by itself; else the nominal delay."""
     scans = [scan for scan in (_LagScan.of(track, rig, _FRAMES[0]) for track in tracks) if scan is not None]
     if not scans:
         return nominal_s
     lags = nominal_s + np.linspace(-DELAY_REACH_S, DELAY_REACH_S, 11)
     least_misfits = np.sum([scan.least_misfits(lags) for scan in scans], axis=0)
     best = int(np.argmin(least_misfits))
-    clearly = least_misfits[best] < 0.7 * least_misfits[len(lags) // 2] and abs(lags[best] - nominal_s) > 0.06
-    return float(lags[best]) if clearly else nominal_s
+    better = least_misfits[best] < _CLEARLY_LESS * least_misfits[len(lags) // 2]
+    return float(lags[best]) if better and abs(lags[best] - nominal_s) > _BY_ITSELF_S else nominal_s
 
 
 @dataclass(frozen=True)

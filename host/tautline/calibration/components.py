@@ -469,7 +469,7 @@ class _MixedModel:
         each = frames_per_independent(left)
         # Covariances of the nominal unknowns without components: of frames that are all independent, and of as many as
         # are. Only the frames' share is divided, what is known beforehand is known all the same.
-        alone, fewer = self._nominal_inverse(1.0), self._nominal_inverse(each)
+        without_components, of_independent = self._nominal_inverse(1.0), self._nominal_inverse(each)
         found = (self._component(name, at) for name, at in self._active_blocks())
         parts = sorted(found, key=lambda part: -part.chi2)
         mean = self.solution
@@ -481,9 +481,9 @@ class _MixedModel:
             curves=curves,
             session_mean=mean,
             width=width,
-            sigma=self._total_width_sigma(alone, fewer, parts, changed, width),
-            delay_sigma=self._total_delay_sigma(alone, fewer, parts),
-            width_by_delay=self._width_by_delay(fewer),
+            sigma=self._total_width_sigma(without_components, of_independent, parts, changed, width),
+            delay_sigma=self._total_delay_sigma(without_components, of_independent, parts),
+            width_by_delay=self._width_by_delay(of_independent),
             tracker_lag_s=self._tracker_lag_s(parts),
             unexplained=self.noise,
             moving_ratio=self._moving_ratio(left),
@@ -502,23 +502,26 @@ class _MixedModel:
         return np.asarray(cho_solve(cho_factor(system, check_finite=False), np.eye(self.nominal), check_finite=False))
 
     def _total_width_sigma(
-        self, alone: Array, fewer: Array, parts: Sequence[Component], changed: float, width: Array
+        self, without_components: Array, of_independent: Array, parts: Sequence[Component], changed: float, width: Array
     ) -> Array:
-        """(grid,) standard deviation of B: what the components add to its variance, noise of as many frames as are
-        independent, CORRECTS of what the components correct and of what the session's change does (changed: its mean
-        square, unit of q squared), the scatter between recordings, and LAW of what speed adds to B, `width`."""
-        without, own = self._width_sigma(alone), self._width_sigma()
+        """(grid,) standard deviation of B, unit of q, in quadrature: what the components add to its variance; the noise
+        of as many frames as are independent; CORRECTS of what the components correct and of what the session's change
+        does (changed: its mean square); the scatter between recordings; and LAW of what speed adds to B, `width`.
+        without_components, of_independent: `_nominal_inverse` of all frames and of the independent ones."""
+        without, own = self._width_sigma(without_components), self._width_sigma()
         corrected = sum((np.mean(part.width_shift**2) for part in parts), 0.0)
-        independent = self._width_sigma(fewer)
+        independent = self._width_sigma(of_independent)
         sigma = np.sqrt(np.maximum(own**2 - without**2, 0.0) + independent**2 + CORRECTS**2 * corrected)
         between, slower = self._scatter_between_recordings() * width, LAW * self._added_by_speed(width)
         return np.asarray(np.sqrt(sigma**2 + CORRECTS**2 * changed + between**2 + slower**2))
 
-    def _total_delay_sigma(self, alone: Array, fewer: Array, parts: Sequence[Component]) -> float:
-        """Standard deviation of the delay, s: what the components add to its variance, noise of as many frames as are
-        independent, and CORRECTS of what the components correct."""
-        added = max(self.inverse[self.nominal - 1, self.nominal - 1] - alone[-1, -1], 0.0)
-        own = self.noise * float(np.sqrt(added + fewer[-1, -1]))
+    def _total_delay_sigma(self, without_components: Array, of_independent: Array, parts: Sequence[Component]) -> float:
+        """Standard deviation of the delay, s, in quadrature: what the components add to its variance, the noise of as
+        many frames as are independent, and CORRECTS of what the components correct. without_components, of_independent:
+        `_nominal_inverse` of all frames and of the independent ones, the delay last."""
+        delay = self.nominal - 1
+        added = max(self.inverse[delay, delay] - without_components[delay, delay], 0.0)
+        own = self.noise * float(np.sqrt(added + of_independent[delay, delay]))
         corrected = CORRECTS * float(np.sqrt(sum(part.delay_shift_s**2 for part in parts)))
         return float(np.hypot(own, corrected))
 

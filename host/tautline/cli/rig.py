@@ -90,6 +90,10 @@ def command(
     """
     if out.exists() and (start is None or start.resolve() != out.resolve()):
         raise TautError(f"{out}: is there already: go on from it with --from {out}, or name another with --out")
+    if motion is None and angles is not None:
+        raise click.UsageError("--angles says how the tip was bent in --motion: name the recording")
+    if not board and (squares or square_mm is not None or marker_mm is not None):
+        raise click.UsageError("--squares, --square-mm and --marker-mm are of a --board: name its pictures or video")
     document: rig_keys.Document = Rig.load(start).to_document() if start is not None else {"format": FORMAT}
     for text in given:
         name, equals, value = text.partition("=")

@@ -189,12 +189,12 @@ class _Hypotheses:
                     self._add_with_mean_effect(candidate)
 
     def add_with_posture(self, below: Candidate) -> None:
-        """Adds fits with another width, and while more than noise is left with all that another posture changes, beside
-        an effect that came after the calibration: if another machine was calibrated, such as a simulator, its nominal
-        model is not this one's. The width changes by a constant first, as one that varies over the range can imitate a
-        lag."""
-        hypothesis = below.fit.hypothesis
-        if hypothesis.scopes[0] == Scope.START or hypothesis.kinds[0].posture:
+        """Adds fits for the case that another machine was calibrated, such as a simulator, whose nominal model is not
+        this one's. To `below` is added another width, then all that another posture changes; first with a width that
+        changes by a constant, then by a curve, which can imitate a lag. The first fit that leaves only noise is the
+        last. Nothing is added to what was there from the start, or is itself another posture's."""
+        first_kind, first_scope = below.fit.hypothesis.kinds[0], below.fit.hypothesis.scopes[0]
+        if first_scope == Scope.START or first_kind.posture:
             return
         for simple in (True, False):
             extended = below

@@ -3,7 +3,7 @@ model."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -114,46 +114,60 @@ def held_out_residuals(joint: Joint, fitted: Fitted) -> list[Array]:
 
 def improved(diagnosis: Diagnosis, answer: Answer) -> Diagnosis:
     """The diagnosis with the joint fit's answer in place of its own, if that names something and surely leaves less on
-    held-out blocks; else the diagnosis itself."""
+    held-out blocks; else the diagnosis itself. The answer is of the robot's recordings, the diagnosis' segments but the
+    first, which is the simulator's."""
     groups = answer.sets.groups
     sure = gap.probability_of_shrinking(diagnosis.after, answer.held_out, answer.joint.segments)
     if sure < gap.SURELY or not groups:
         return diagnosis
-    before, after = gap.rms(diagnosis.before), gap.rms(answer.held_out)
-    groups = _largest_share_first(groups, answer, before)
-    names = [group[0] for group in groups]
-    shrink, shares = 1.0 - after / before, answer.shares(names, before)
-    total, floor = max(sum(shares), 1e-12), diagnosis.document["noise_floor"]
-    was = diagnosis.document
-    document = {
+    groups = _largest_share_first(groups, answer, gap.rms(diagnosis.before))
+    document = _document(diagnosis, answer, groups, sure)
+    return replace(diagnosis, document=document, corrected=answer.corrected_model(), after=answer.held_out)
+
+
+def _document(diagnosis: Diagnosis, answer: Answer, groups: Sequence[tuple[str, ...]], sure: float) -> dict[str, Any]:
+    """The content of diagnosis.json with the joint fit's answer. groups: what it names; sure: probability that it
+    leaves less than the diagnosis' own answer."""
+    was, floor, after = diagnosis.document, diagnosis.document["noise_floor"], gap.rms(answer.held_out)
+    is_open = decide.is_open(diagnosis.evidence, after**2)
+    closed = flexible.close(diagnosis.segments[1:], answer.held_out, floor) if is_open else None
+    return {
         **was,
         "verdict": "effect",
         "gap": gap.with_intervals(diagnosis.before, answer.held_out, answer.joint.segments, floor, learnt().elsewhere),
         "effects": [
-            {
-                "id": group[0],
-                "probability": answer.sets.any_of(group),
-                "since": "calibration",
-                "parameters": answer.parameter_values(group[0]),
-                "shrink": shrink * share / total,
-                "swallowed_by_recalibration": False,
-                "loads_on_board": False,
-                "ambiguous_with": list(group[1:]),
-            }
-            for group, share in zip(groups, shares, strict=True)
-        ]
-        + [effect for effect in was["effects"] if effect["id"] == repeated.HELD],  # of the sensor's link
+            *_effects(answer, groups, gap.rms(diagnosis.before), after),
+            *(effect for effect in was["effects"] if effect["id"] == repeated.HELD),  # of the sensor's link
+        ],
         "count": [sure * new + (1.0 - sure) * old for new, old in zip(answer.sets.count, was["count"], strict=True)],
         **_mixed_probabilities(was, groups[0], answer.sets.by_id, sure),
-        "where": {**was["where"], "stage": effects.BY_ID[names[0]].stage},
+        "where": {**was["where"], "stage": effects.BY_ID[groups[0][0]].stage},
+        # These were of the answer that this one is in place of.
         "signature": None,
         "moved": [],
         "resembles": [],
+        "flexible": closed.to_json() if closed else None,
     }
-    is_open = decide.is_open(diagnosis.evidence, after**2)
-    closed = flexible.close(diagnosis.segments[1:], answer.held_out, floor) if is_open else None
-    document["flexible"] = closed.to_json() if closed else None
-    return replace(diagnosis, document=document, corrected=answer.corrected_model(), after=answer.held_out)
+
+
+def _effects(
+    answer: Answer, groups: Sequence[tuple[str, ...]], before: float, after: float
+) -> Iterator[dict[str, Any]]:
+    """The named groups as diagnosis.json's effects, each with its share of the shrinkage. before, after: rms of the gap
+    without and with the answer. A simulator was never calibrated with them, and its model is loaded on no board."""
+    shares = answer.shares([group[0] for group in groups], before)
+    total, shrink = max(sum(shares), 1e-12), 1.0 - after / before
+    for group, share in zip(groups, shares, strict=True):
+        yield {
+            "id": group[0],
+            "probability": answer.sets.any_of(group),
+            "since": "calibration",
+            "parameters": answer.parameter_values(group[0]),
+            "shrink": shrink * share / total,
+            "swallowed_by_recalibration": False,
+            "loads_on_board": False,
+            "ambiguous_with": list(group[1:]),
+        }
 
 
 def _largest_share_first(groups: list[tuple[str, ...]], answer: Answer, before: float) -> list[tuple[str, ...]]:

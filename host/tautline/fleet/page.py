@@ -22,10 +22,11 @@ _CURVES = 400  # of the robots, evenly taken, that a picture shows
 
 
 def write(rows: Sequence[Row], found: Findings, out: Path) -> None:
-    """OUT/fleet.html."""
+    """Writes OUT/fleet.html. rows: each robot's in the order of its sessions. A column's name that begins with | is of
+    text."""
     last = _last(rows)
     failed = [[row.robot, row.session, row.error or ""] for row in rows if row.error is not None]
-    growth = ["|robot", "|batch", "B a session (%)", "sigma (%)", "last session", "|verdict"]
+    growth = ["|robot", "|batch", "B a session (%)", "sigma (%)", "|last session", "|verdict"]
     page = {
         "title": f"What a fleet of {counted(found.robots, 'robot')} loses between motor and tip",
         "sentences": found.sentences(),

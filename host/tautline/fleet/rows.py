@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from importlib import import_module
 from pathlib import Path
@@ -117,7 +118,8 @@ class DataSet:
             self._parquet.write_table(table, temporary)
             temporary.replace(path)
         except OSError as error:
-            temporary.unlink(missing_ok=True)
+            with suppress(OSError):  # where the folder is none
+                temporary.unlink()
             raise TautError(of_system(error)) from error
         self._next += 1
 
