@@ -44,6 +44,8 @@ _PULL, _DRAG = 70.0, 5.0  # prior: 1/s^2, 1/s: a rod of 20 cm that hangs; its be
 _PLACE = 0.3  # prior: standard deviation of where a load changes sides, in shares of the motor's range
 # tolerance: starts of the second mode: unknowns of width and pull, of place and of drag
 _WIDTHS, _PULLS, _PLACES, _DRAGS = (0.5, 1.0, 2.0), (1.0, -1.0), (-1.0, 0.0, 1.0), (0.0, 3.0)
+_LOOSE = 0.2  # prior: probability of a joint to be loose, that of any other unknown
+_PROMISING = 2.0  # tolerance: of the squares that the other maximum leaves
 _USUAL = 0.1  # equation: the library's unit of speed, motor's ranges per second
 _SATURATION = 3.0  # prior: Stribeck's speed of small gears: half of what speed does is there at a quarter of that unit
 _SPEED_S = 0.02  # prior: s in which a width follows the speed, as in the library
@@ -53,6 +55,7 @@ _DIFFERENCE = 0.01  # tolerance: standard deviations of an unknown: the step of 
 _AT_BOUND = 1e-6  # tolerance: standard deviations: an unknown nearer to the end of its range is at it
 _ROUNDS, _STEPS = 3, 12  # tolerance: rounds of the noise's estimate, Gauss-Newton steps of each at most
 _REFITS = 4  # tolerance: steps of a fit without a block
+_RAISED = 1.0  # tolerance: of -2 log posterior, which is not smooth where a joint begins to fall
 _SMALL_GAIN = 0.02  # tolerance: of -2 log posterior: a step that gains less is the last
 
 
@@ -238,9 +241,10 @@ class Joint:
             progress((i + 1) / _ROUNDS)
         return self._laplace(point, noise)
 
-    def loosened(self, held: Fitted) -> tuple[Joint, Array]:
+    def loosened(self, held: Fitted) -> tuple[Joint, Array] | None:
         """The same unknowns with a joint that is loose within the play, and where the search for them begins: of all
-        starts the one that leaves least, with the law that fits it and all else as in `held`, the fit of this one."""
+        starts the one that leaves least, with the law that fits it and all else as in `held`, the fit of this one. None
+        where no start leaves less than _PROMISING times the squares that `held` does."""
         joint = Joint(self.model, self.parameters, self.segments, self.floor, loose=True)
         law, weight = self.places[LAW], held.noise.weight
         rows = np.concatenate([slope[:, :, law].reshape(-1, len(law)) for slope in held.slopes])
@@ -255,16 +259,19 @@ class Joint:
             u[law] = weight * np.linalg.solve(normal, rows.T @ left)
             squares = float(np.sum((left - rows @ u[law]) ** 2))
             best, least = (u, squares) if squares < least else (best, least)
-        return joint, best
+        promising = least < _PROMISING * sum(float(np.sum(residuals**2)) for residuals in held.residuals)
+        return (joint, best) if promising else None
 
     def left_without(self, fitted: Fitted, counted: Sequence[npt.NDArray[np.bool_]], step: Array) -> list[Array] | None:
         """Residuals, (scored, k) of each recording, of a fit to the `counted` readings (scored,) of each alone. None
-        where the `step` (m,) that leads there from the fit of all lowers their cost: it holds as far as it goes."""
+        where the linear `step` (m,) that leads there from the fit of all does not raise their cost, so that it holds as
+        far as it goes, or no shorter one lowers it."""
         problem = _Descent(self, fitted.noise, counted)
         here = _Point(fitted.u, fitted.residuals)
-        if problem.cost(problem.moved(here, step)) <= problem.cost(here):
+        if problem.cost(problem.moved(here, step)) < problem.cost(here) + _RAISED:
             return None
-        return descend(problem, here, _REFITS).residuals
+        found = descend(problem, here, _REFITS)
+        return None if found is here else found.residuals
 
     def _laplace(self, point: _Point, noise: Noise) -> Fitted:
         """The posterior's normal approximation at its maximum; unknowns at an end of their range have variance 0."""
@@ -290,12 +297,18 @@ class Joint:
 
 def likeliest(joint: Joint, progress: Callable[[float], None] = lambda share: None) -> tuple[Joint, Fitted]:
     """Of two maxima the likelier, with its joint fit: that of `joint`, whose play holds what it drives where the motor
-    leaves it, and that in which it is loose. progress: called with the share that is done."""
+    leaves it, and that in which it is loose, as _LOOSE of all are; without a play nothing is. progress: called with the
+    share that is done."""
     held = joint.fit(lambda share: progress(0.5 * share))
-    loosened, start = joint.loosened(held)
+    beginning = joint.loosened(held)
+    if beginning is None:
+        return joint, held
+    loosened, start = beginning
     loose = loosened.fit(lambda share: progress(0.5 + 0.5 * share), start)
     noise = min(held.noise, loose.noise, key=lambda noise: noise.sigma)
-    return max((joint, held), (loosened, loose), key=lambda pair: pair[1].log_evidence(noise))
+    log_odds = float(np.log(_LOOSE / (1.0 - _LOOSE))) + loose.log_evidence(noise) - held.log_evidence(noise)
+    has_play = loose.u[loosened.places[WIDTH]][0] > 0.0
+    return (loosened, loose) if has_play and log_odds > 0.0 else (joint, held)
 
 
 class _Descent:
