@@ -5,9 +5,9 @@
 #include "marker.h"
 
 /* Priors. */
-#define HIDDEN  0.02 /* that a part is hidden in a frame */
-#define STRAY   0.03 /* share of the edges that stray, of a whole marker ... */
-#define COVERED 0.3  /* ... and of one that is hidden in part */
+#define HIDDEN 0.02 /* that a part is hidden in a frame */
+#define STRAY                                                                                                          \
+    0.03 /* share of the edges that stray, of a whole marker; of one that is hidden in part any is as likely */
 
 /* `before`, of a frame in which the marker is at (u, v) px. */
 void expected_at(const marker_expected_t *before, double u, double v, marker_expected_t *out);

@@ -72,7 +72,8 @@ size_t marker_scratch_size(size_t pixels);
 void marker_expect(double diameter, marker_expected_t *out);
 
 /* weights[3] per level of B, G, R and weights[3 + 1] = offset. (u, v) expected place, diameter expected, px. Returns
- * one of MARKER_*. O(pixels of the region); about 60 us for a marker of 20 px. */
+ * one of MARKER_*. O(pixels of the region); about 70 us for a marker of 20 px, 1 to 7 ms where a part
+ * of it is hidden. */
 int marker_measure(const marker_view_t *view, const float weights[4], double cut, double u, double v, double diameter,
                    const marker_expected_t *before, void *scratch, marker_outline_t *out);
 

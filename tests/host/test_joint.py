@@ -55,14 +55,16 @@ def rubbing(c, t_s, rest_deg, moving_deg, bent):
     return seen
 
 
-def robot(folder, seed, play_deg=1.5, moving_deg=None, bent=0.0, **off):
-    """The servo with other values, a play behind it and a sensor's noise."""
+def robot(folder, seed, play_deg=1.5, moving_deg=None, bent=0.0, behind=None, **off):
+    """The servo with other values, a play (or what else c, t_s goes through) behind it and a sensor's noise."""
     values = {p.name: p.nominal for p in PARAMETERS} | off
     course = random_smooth(arms.rig(folder).actuator, 60.0, 12.0, seed)
     t_s = np.arange(0.0, course.duration_s, STEP_S)
     q = np.interp(t_s, course.t_s, course.q)
     motor = Motor(t_s, q, q)  # commands are not rounded
-    c = rubbing(servo(motor, values), t_s, play_deg, play_deg if moving_deg is None else moving_deg, bent)
+    driven = servo(motor, values)
+    moving_deg = play_deg if moving_deg is None else moving_deg
+    c = behind(driven, t_s) if behind else rubbing(driven, t_s, play_deg, moving_deg, bent)
     seen_s = t_s[20::4]
     noise = np.random.default_rng(seed).normal(0.0, NOISE_DEG, len(seen_s))
     return Recording(f"robot{seed}", motor, angle=Angle(seen_s, np.interp(seen_s, t_s, c) + noise))
@@ -167,16 +169,15 @@ def hanging(c, t_s):
     return np.interp(t_s, fine_s, seen)
 
 
-def test_slack_in_which_a_load_holds_the_joint_to_one_side_is_a_width_and_no_law(folder, monkeypatch):
-    monkeypatch.setattr(f"{__name__}.rubbing", lambda c, t_s, *friction: hanging(c, t_s))
-    seen = nominal(SERVO, [robot(folder, seed) for seed in (3, 5)], arms.rig(folder))
+def test_slack_in_which_a_load_holds_the_joint_to_one_side_is_a_width_and_no_law(folder):
+    seen = nominal(SERVO, [robot(folder, seed, behind=hanging) for seed in (3, 5)], arms.rig(folder))
     joint = Joint(seen.model, PARAMETERS, prepare(seen.model, seen.calibration, seen.tests, seen.drives)[1:], NOISE_DEG)
     told = Answer.of(*likeliest(joint))
     assert told.joint.loose and {WIDTH} in [set(group) for group in told.sets.groups]
     assert not any(LAW in group for group in told.sets.groups)
     model = told.corrected_model()
     np.testing.assert_allclose(np.interp([-20.0, 0.0, 20.0], model.q, model.width), 2.0, atol=0.1)
-    other = nominal(SERVO, [robot(folder, 8)], arms.rig(folder))
+    other = nominal(SERVO, [robot(folder, 8, behind=hanging)], arms.rig(folder))
     segment = prepare(other.model, other.calibration, other.tests, other.drives)[1]
     after = segment.observed - segment.predict(model, told.joint.changes(told.fitted.u), 0.0)[1]
     before = segment.observed - segment.predict(joint.model, {}, 0.0)[1]
@@ -291,3 +292,21 @@ def test_a_block_that_is_left_out_is_foretold_by_a_fit_without_it(answer):
         rest = label != number
         u = linear(slopes[rest], y[rest], noise).u
         np.testing.assert_allclose(left[~rest], (y - slopes @ u)[~rest], atol=1e-9)
+
+
+def test_where_a_linear_step_fails_the_rest_is_fitted_without_the_block(answer):
+    """Curves exp(2 x u): from u = 0 the straight line leads far beyond what the rest alone says, 0.5."""
+    joint = Joint(answer.joint.model, PARAMETERS, answer.joint.segments[:1], NOISE_DEG)
+    x = np.linspace(1.0, 2.0, 40)[:, None]
+    rest = np.arange(40) < 30
+    y = np.where(rest[:, None], np.exp(x), 1.0)
+    joint._clipped = lambda u: u
+    joint.residuals = lambda u: [y - np.exp(2.0 * x * u[0])]
+    joint.slopes = lambda u, residuals: [(2.0 * x * np.exp(2.0 * x * u[0]))[:, :, None]]
+    here = np.zeros(1)
+    posterior = Posterior(("u:0",), here, np.eye(1))
+    fitted = Fitted(posterior, Noise(0.01, 1.0), joint.residuals(here), joint.slopes(here, None), np.arange(1))
+    refitted = joint.left_without(fitted, [rest], np.array([1.5]))
+    assert refitted is not None
+    np.testing.assert_allclose(refitted[0][~rest], (y - np.exp(x))[~rest], rtol=0.02)
+    assert joint.left_without(fitted, [rest], np.array([0.5])) is None  # a step that leads there holds

@@ -44,7 +44,7 @@ _PULL, _DRAG = 70.0, 5.0  # prior: 1/s^2, 1/s: a rod of 20 cm that hangs; its be
 _PLACE = 0.3  # prior: standard deviation of where a load changes sides, in shares of the motor's range
 # tolerance: starts of the second mode: unknowns of width and pull, of place and of drag
 _WIDTHS, _PULLS, _PLACES, _DRAGS = (0.5, 1.0, 2.0), (1.0, -1.0), (-1.0, 0.0, 1.0), (0.0, 3.0)
-_LOOSE = 0.2  # prior: probability of a joint to be loose, that of any other unknown
+PRESENT = 0.2  # prior: probability of an unknown to be present, and of a joint to be loose
 _PROMISING = 2.0  # tolerance: of the squares that the other maximum leaves
 _USUAL = 0.1  # equation: the library's unit of speed, motor's ranges per second
 _SATURATION = 3.0  # prior: Stribeck's speed of small gears: half of what speed does is there at a quarter of that unit
@@ -249,7 +249,7 @@ class Joint:
         law, weight = self.places[LAW], held.noise.weight
         rows = np.concatenate([slope[:, :, law].reshape(-1, len(law)) for slope in held.slopes])
         normal = np.eye(len(law)) + weight * rows.T @ rows
-        as_before = np.concatenate([held.u, np.zeros(3)])
+        as_before = np.concatenate([held.u, np.zeros(joint.size - self.size)])
         as_before[law] = as_before[self.places[SPEED]] = as_before[self.places[BENDS]] = 0.0
         best, least = as_before, np.inf
         for width, pull, place, drag in product(_WIDTHS, _PULLS, _PLACES, _DRAGS):
@@ -297,8 +297,8 @@ class Joint:
 
 def likeliest(joint: Joint, progress: Callable[[float], None] = lambda share: None) -> tuple[Joint, Fitted]:
     """Of two maxima the likelier, with its joint fit: that of `joint`, whose play holds what it drives where the motor
-    leaves it, and that in which it is loose, as _LOOSE of all are; without a play nothing is. progress: called with the
-    share that is done."""
+    leaves it, and that in which it is loose, as PRESENT of all are; without a play nothing is. progress: called with
+    the share that is done."""
     held = joint.fit(lambda share: progress(0.5 * share))
     beginning = joint.loosened(held)
     if beginning is None:
@@ -306,7 +306,7 @@ def likeliest(joint: Joint, progress: Callable[[float], None] = lambda share: No
     loosened, start = beginning
     loose = loosened.fit(lambda share: progress(0.5 + 0.5 * share), start)
     noise = min(held.noise, loose.noise, key=lambda noise: noise.sigma)
-    log_odds = float(np.log(_LOOSE / (1.0 - _LOOSE))) + loose.log_evidence(noise) - held.log_evidence(noise)
+    log_odds = float(np.log(PRESENT / (1.0 - PRESENT))) + loose.log_evidence(noise) - held.log_evidence(noise)
     has_play = loose.u[loosened.places[WIDTH]][0] > 0.0
     return (loosened, loose) if has_play and log_odds > 0.0 else (joint, held)
 

@@ -13,13 +13,12 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnosis.joint import OF_WIDTH, Fitted, Unknown
+from tautline.diagnosis.joint import OF_WIDTH, PRESENT, Fitted, Unknown
 from tautline.diagnosis.stacked import log_sum
 
 Array = npt.NDArray[np.float64]
 
 _SURE = 0.8  # loss: probability from which a group is named
-_PRESENT = 0.2  # prior: probability of an unknown to be present
 _MOST = 12  # tolerance: unknowns of which all 4096 sets are compared
 _LARGEST_GROUP = 3  # format: unknowns in a group at most: for three the prior alone would say 49 %
 
@@ -38,7 +37,7 @@ class Sets:
         way or the other, are in every set or in none. Unknowns at an end of their range are absent and not among the
         ids."""
         reached = [unknown for unknown in unknowns if np.isin(unknown.places, fitted.free).any()]
-        price = np.log((1.0 - _PRESENT) / _PRESENT)
+        price = np.log((1.0 - PRESENT) / PRESENT)
         odds = {unknown.id: _log_evidence_against_zero(fitted, [unknown]) - price for unknown in reached}
         reached = sorted(reached, key=lambda unknown: -abs(odds[unknown.id]))
         decided, free = reached[:-_MOST], reached[-_MOST:]

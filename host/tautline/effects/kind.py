@@ -148,8 +148,8 @@ class Kind:
         """Whether a calibrated model may carry it beside B and f_remain: it changes the bending angle by a law that is
         the same at all times, and is no part of the model's tables."""
         repeats = not (self.event or self.course or self.moments)
-        beside_motor = self.needs != SIMULATOR
-        return self.through_angle and beside_motor and repeats and not self.nominal and self.holds is None
+        behind_motor = self.needs != SIMULATOR
+        return self.through_angle and behind_motor and repeats and not self.nominal and self.holds is None
 
     @property
     def on_board(self) -> bool:

@@ -6,16 +6,17 @@ from collections import deque
 
 import numpy as np
 
+from tautline.driven import white_noise
+
 _FRAMES = 400  # tolerance: that tell it
 _PRIOR_FRAMES = 20.0  # prior: so many frames say that the noise is the calibration's
 _ANEW = 10  # tolerance: frames between two estimates
-_OF_WHITE = 20.0 * 0.455  # median of squared third differences of white noise of variance 1: a chi-squared's is 0.455
 
 
 class Scatter:
-    """The standard deviation of the frames' own noise over the stated one, 1 at least: by the median square of third
-    differences of residuals in order of time, in which neither a law's misfit nor its jumps at turns show. O(1) a
-    frame, O(_FRAMES) each _ANEW frames."""
+    """The standard deviation of the frames' own noise over the stated one, 1 at least: by `white_noise` of their
+    residuals, in which neither a law's misfit nor its jumps at turns show. O(1) a frame, O(_FRAMES) each _ANEW
+    frames."""
 
     def __init__(self) -> None:
         self._z: deque[float] = deque(maxlen=_FRAMES + 3)
@@ -28,6 +29,6 @@ class Scatter:
         self._new += 1
         if self._new == _ANEW:
             self._new = 0
-            third = np.diff(np.fromiter(self._z, float), 3)
-            squares = len(third) * float(np.median(third * third)) / _OF_WHITE if len(third) else 0.0
-            self.times = max(1.0, float(np.sqrt((_PRIOR_FRAMES + squares) / (_PRIOR_FRAMES + len(third)))))
+            kept, count = np.array(self._z), len(self._z) - 3
+            squares = count * white_noise(np.arange(len(kept), dtype=np.float64), kept) ** 2
+            self.times = max(1.0, float(np.sqrt((_PRIOR_FRAMES + squares) / (_PRIOR_FRAMES + count))))

@@ -7,7 +7,7 @@ the law is, is decided by hypotheses that are fitted to the frames since it stop
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
@@ -494,7 +494,8 @@ class LawTracker:
         elif moved and self._begin_of(self._stroke - _FEW_STROKES) <= self._since:
             starts.setdefault(self._begin_of(self._stroke - 1), self._theta)
         noise = self._scatter.times
-        return [(e, o) for since, o in starts.items() if (e := self._window.since(since, noise)) is not None]
+        stretches = [(self._window.since(since), origin) for since, origin in starts.items()]
+        return [(replace(evidence, noise=noise), origin) for evidence, origin in stretches if evidence is not None]
 
     def _act_on(self, verdict: Inference) -> None:
         """Draws the consequences of a verdict: adopts its law and perhaps trusts it, stays, or discards what was learnt

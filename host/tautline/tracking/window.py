@@ -122,9 +122,9 @@ class Window:
         self._rows[self._count] = row
         self._count += 1
 
-    def since(self, number: int, noise: float = 1.0) -> WindowKnots | None:
-        """The evidence from an entry on, as far as it is still kept and not too long. noise: times the stated sigma
-        that frames scatter by themselves. None for fewer than three seen frames."""
+    def since(self, number: int) -> WindowKnots | None:
+        """The evidence from an entry on, as far as it is still kept and not too long. None for fewer than three seen
+        frames."""
         first = max(number - self._first, 0, self._count - LONGEST)
         rows = self._rows[first : self._count]
         if len(rows) and rows[0, _STROKE] < rows[-1, _STROKE] - STROKES:
@@ -135,5 +135,5 @@ class Window:
         rows, seen = rows[seen[0] :].copy(), seen - seen[0]
         at = rows[seen]
         return WindowKnots(
-            rows[:, _Q], seen, at[:, _C], at[:, _SIGMA], at[:, _T], at[:, _STROKE].astype(np.intp), at[:, _OFF], noise
+            rows[:, _Q], seen, at[:, _C], at[:, _SIGMA], at[:, _T], at[:, _STROKE].astype(np.intp), at[:, _OFF]
         )
