@@ -47,10 +47,33 @@ void add(Values p, Values tip, Values by_width, Values by_follow, Rows by_c, Col
     normal_add(&rows, &b, &f, first, matrix.data(), gradient.data());
 }
 
+void add_sparse(ArrayIn<int> first, ArrayIn<int> column, Values value, Values weight, Values residual, Square matrix,
+                Vector gradient) {
+    const size_t rows = weight.shape(0), entries = column.shape(0), size = gradient.shape(0);
+    bool right = first.shape(0) == rows + 1 && value.shape(0) == entries && residual.shape(0) == rows &&
+                 matrix.shape(0) == size && matrix.shape(1) == size && first.data()[0] == 0 &&
+                 static_cast<size_t>(first.data()[rows]) == entries;
+    for (size_t r = 0; right && r < rows; r++) {
+        right = first.data()[r] <= first.data()[r + 1];
+        for (int j = first.data()[r]; right && j < first.data()[r + 1]; j++) {
+            const int at = column.data()[j];
+            right = at >= 0 && static_cast<size_t>(at) < size && (j == first.data()[r] || at > column.data()[j - 1]);
+        }
+    }
+    if (!right) {
+        throw std::invalid_argument("sparse rows, their columns rising, do not fit the matrix");
+    }
+    const normal_sparse all = {first.data(), column.data(), value.data(), weight.data(), residual.data(), rows, size};
+    nb::gil_scoped_release unlocked;
+    normal_add_sparse(&all, matrix.data(), gradient.data());
+}
+
 } // namespace
 
 void bind_normal(nb::module_ &m) {
     m.def("normal_add", add, "p"_a, "tip"_a, "by_width"_a, "by_follow"_a, "by_c"_a, "columns"_a, "residual"_a,
           "weight"_a.none(), "width"_a, "follow"_a, "matrix"_a, "gradient"_a, "first"_a = 0,
           "Adds J'WJ and J'Wr to matrix and gradient. width, follow: (low, step, size) of the splines. See normal.h.");
+    m.def("normal_add_sparse", add_sparse, "first"_a, "column"_a, "value"_a, "weight"_a, "residual"_a, "matrix"_a,
+          "gradient"_a, "Adds J'WJ and J'Wr of sparse rows to matrix and gradient. See normal.h.");
 }

@@ -18,6 +18,15 @@ static size_t spline(const struct normal_basis *basis, double x, double *value) 
     return span;
 }
 
+// What was written lies below the diagonal of matrix (m, m).
+static void mirror(double *matrix, size_t m) {
+    for (size_t j = 0; j < m; j++) {
+        for (size_t i = j + 1; i < m; i++) {
+            matrix[j * m + i] = matrix[i * m + j];
+        }
+    }
+}
+
 void normal_add(const struct normal_rows *rows, const struct normal_basis *width, const struct normal_basis *follow,
                 size_t first, double *matrix, double *gradient) {
     const size_t curves = width->size + follow->size, m = curves + rows->count, count = rows->count;
@@ -68,9 +77,21 @@ void normal_add(const struct normal_rows *rows, const struct normal_basis *width
             }
         }
     }
-    for (size_t j = 0; j < m; j++) { // what was written lies below the diagonal
-        for (size_t i = j + 1; i < m; i++) {
-            matrix[j * m + i] = matrix[i * m + j];
+    mirror(matrix, m);
+}
+
+void normal_add_sparse(const struct normal_sparse *rows, double *matrix, double *gradient) {
+    for (size_t r = 0; r < rows->rows; r++) {
+        const size_t end = (size_t)rows->first[r + 1];
+        for (size_t j = (size_t)rows->first[r], begin = j; j < end; j++) {
+            const size_t at = (size_t)rows->column[j];
+            const double part = rows->weight[r] * rows->value[j];
+            double *into = matrix + at * rows->size;
+            gradient[at] += part * rows->residual[r];
+            for (size_t i = begin; i <= j; i++) {
+                into[rows->column[i]] += part * rows->value[i];
+            }
         }
     }
+    mirror(matrix, rows->size);
 }

@@ -8,7 +8,8 @@ from functools import cache
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import solve_banded
+
+from tautline import _native
 
 Array = npt.NDArray[np.float64]
 
@@ -93,7 +94,9 @@ def expected_sums(n: int, order: int = 1) -> Array:
 
 def first_order_sums(values: Array, rho: float) -> Array:
     """y of y[k] = values[k] + rho y[k - 1], y being 0 before the first; values (n, ...)."""
-    return np.asarray(solve_banded((1, 0), np.vstack([np.ones(len(values)), np.full(len(values), -rho)]), values))
+    sums = np.array(values, dtype=float, order="C")
+    _native.first_order_sums(sums.reshape(len(sums), int(np.prod(sums.shape[1:]))), rho)
+    return sums
 
 
 def _orthonormal(t: Array, order: int) -> Array:

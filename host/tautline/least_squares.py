@@ -13,6 +13,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg.lapack import dpotrf, dpotri
 
 Array = npt.NDArray[np.float64]
 Point = TypeVar("Point")  # the unknowns and all that is known of them there: they are simulated once
@@ -70,6 +71,23 @@ def descend(problem: Problem[Point], point: Point, most: int) -> Point:
 
 def factor(matrix: Array) -> tuple[Array, bool]:
     """Cholesky factor of the matrix with a negligible ridge. Raises LinAlgError."""
-    ridge = _RIDGE * np.diag(np.diag(matrix)) + _FLOOR * np.eye(len(matrix))
-    factored: tuple[Array, bool] = cho_factor(matrix + ridge, check_finite=False)
+    factored: tuple[Array, bool] = cho_factor(with_ridge(matrix), overwrite_a=True, check_finite=False)
     return factored
+
+
+def with_ridge(matrix: Array) -> Array:
+    """The matrix (m, m) with a negligible ridge on its diagonal."""
+    ridged = np.array(matrix)
+    ridged[np.diag_indices_from(ridged)] += _RIDGE * np.diag(matrix) + _FLOOR
+    return ridged
+
+
+def inverse_of(matrix: Array) -> Array:
+    """Inverse of a symmetric positive definite matrix (m, m), in a third of the time that solving for the unit matrix
+    takes. Raises LinAlgError where it is not."""
+    root, failed = dpotrf(matrix, lower=1, clean=0)
+    if failed:
+        raise LinAlgError("the matrix is not positive definite")
+    lower, _ = dpotri(root, lower=1)
+    below = np.tril(lower)
+    return np.asarray(below + np.tril(below, -1).T)

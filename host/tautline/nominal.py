@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_matrix
 
 from tautline import _native
 from tautline.splines import Basis
@@ -45,6 +46,17 @@ class Normal:
     @classmethod
     def zeros(cls, size: int) -> Normal:
         return cls(np.zeros((size, size)), np.zeros(size))
+
+    @classmethod
+    def of_sparse(cls, design: csr_matrix, weight: Array, residual: Array) -> Normal:
+        """Those of rows of any columns, design (n, m), most of its entries 0; weight, residual: (n,)."""
+        design.sort_indices()
+        normal = cls.zeros(int(design.shape[1]))
+        _native.normal_add_sparse(
+            *(design.indptr, design.indices, design.data, weight, np.ascontiguousarray(residual)),
+            *(normal.matrix, normal.gradient),
+        )
+        return normal
 
 
 @dataclass(frozen=True)

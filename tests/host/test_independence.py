@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from tautline.independence import first_order, frames_each
+from tautline.independence import first_order, first_order_sums, frames_each
 
 
 def process(alike: float, n: int, seed: int = 1) -> np.ndarray:
@@ -47,3 +49,15 @@ def test_nothing_left_is_independent():
     assert frames_each(np.zeros(100), 20) == 1.0
     assert frames_each(np.ones(1), 20) == 1.0
     assert first_order(np.zeros(100)) == 1.0
+
+
+@given(st.integers(0, 30), st.integers(1, 3), st.floats(-1.0, 1.0), st.integers(0, 2**31))
+def test_a_sum_remembers_the_one_before(n, columns, rho, seed):
+    values = np.random.default_rng(seed).normal(size=(n, columns))
+    kept, last = values.copy(), np.zeros(columns)
+    sums = first_order_sums(values, rho)
+    for k in range(n):
+        last = values[k] + rho * last
+        np.testing.assert_allclose(sums[k], last, atol=1e-12)
+    np.testing.assert_array_equal(values, kept)
+    np.testing.assert_allclose(first_order_sums(values[:, 0], rho), sums[:, 0], atol=1e-12)

@@ -4,8 +4,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import sparse
 
-from tautline.least_squares import descend, factor
+from tautline import _native
+from tautline.least_squares import LinAlgError, descend, factor, inverse_of
+from tautline.nominal import Normal
 
 
 @dataclass
@@ -128,3 +133,33 @@ def test_it_stays_where_nothing_is_predicted():
     problem = Blind(seen.x, np.where(seen.x > 2.0, np.nan, seen.y), seen.low, seen.high)
     start = np.array([0.5, 3.0])
     np.testing.assert_array_equal(descend(problem, start, 50), start)
+
+
+@given(st.integers(1, 40), st.integers(1, 12), st.floats(0.0, 1.0), st.integers(0, 2**31))
+def test_sparse_rows_sum_to_what_dense_ones_do(rows, size, share, seed):
+    rng = np.random.default_rng(seed)
+    dense = np.where(rng.random((rows, size)) < share, rng.normal(size=(rows, size)), 0.0)
+    design = sparse.csr_matrix(dense)
+    for row in range(rows):  # in any order within a row
+        within = slice(design.indptr[row], design.indptr[row + 1])
+        design.indices[within], design.data[within] = design.indices[within][::-1], design.data[within][::-1]
+    design.has_sorted_indices = False
+    weight, residual = rng.random(rows), rng.normal(size=rows)
+    normal = Normal.of_sparse(design, weight, residual)
+    np.testing.assert_allclose(normal.matrix, dense.T @ (weight[:, None] * dense), atol=1e-12)
+    np.testing.assert_allclose(normal.gradient, dense.T @ (weight * residual), atol=1e-12)
+
+
+@pytest.mark.parametrize("column", [[0, 3], [1, 0], [-1, 0]])
+def test_a_column_that_is_not_there_or_out_of_order_is_refused(column):
+    rows = np.array([0, 2], np.int32), np.array(column, np.int32), np.ones(2), np.ones(1), np.ones(1)
+    with pytest.raises(ValueError, match="columns rising"):
+        _native.normal_add_sparse(*rows, np.zeros((3, 3)), np.zeros(3))
+
+
+@pytest.mark.parametrize("size", [1, 2, 40])
+def test_an_inverse_is_numpys(size):
+    root = np.random.default_rng(size).normal(size=(size, 2 * size))
+    np.testing.assert_allclose(inverse_of(root @ root.T), np.linalg.inv(root @ root.T), rtol=1e-9, atol=1e-12)
+    with pytest.raises(LinAlgError):
+        inverse_of(-np.eye(size))

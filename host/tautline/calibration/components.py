@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
-from scipy.linalg import cho_factor, cho_solve, eigh
+from scipy.linalg import eigh
 
 from tautline.calibration.departures import (
     SHARE,
@@ -41,6 +41,8 @@ from tautline.calibration.observations import Track
 from tautline.calibration.playfit import Curves, Fitted, PlayFit
 from tautline.encoder import count_of
 from tautline.independence import frames_each
+from tautline.least_squares import inverse_of
+from tautline.nominal import Normal
 from tautline.rig import Rig
 
 Array = npt.NDArray[np.float64]
@@ -245,9 +247,9 @@ def normal_with_columns(fit: PlayFit, counted: CountedFrames, columns: Array) ->
     tip's place by columns (n, k); and the number of nominal unknowns. No penalties."""
     nominal = nominal_columns(fit, counted)
     design = sparse.csr_matrix(sparse.hstack([nominal, counted.along_path(columns)]))
-    weighted = scaled_rows(np.tile(counted.weight, counted.residuals.shape[1]), design)
-    gram = np.asarray((weighted.T @ design).toarray())
-    return gram, np.asarray(weighted.T @ counted.residuals.T.ravel()).ravel(), int(nominal.shape[1])
+    weight = np.tile(counted.weight, counted.residuals.shape[1])
+    normal = Normal.of_sparse(design, weight, counted.residuals.T.ravel())
+    return normal.matrix, normal.gradient, int(nominal.shape[1])
 
 
 class _MixedModel:
@@ -269,9 +271,8 @@ class _MixedModel:
         moving_weight = np.where(counted.moving, selection.moving_noise**-2, 1.0)
         self.weight = np.tile(counted.weight * moving_weight, counted.residuals.shape[1])
         self.target = counted.residuals.T.ravel()
-        weighted = scaled_rows(self.weight, self.design)
-        self.gram = np.asarray((weighted.T @ self.design).toarray())
-        self.right = np.asarray(weighted.T @ self.target).ravel()
+        normal = Normal.of_sparse(self.design, self.weight, self.target)
+        self.gram, self.right = normal.matrix, normal.gradient
         self.target_squares = float(self.weight @ self.target**2)
         self.nominal = int(nominal.shape[1])
         ends = np.cumsum([self.nominal, *(part.size for part in candidates)])
@@ -298,7 +299,8 @@ class _MixedModel:
         self.solved = np.concatenate(
             [np.arange(self.nominal), *(self.places[name] for name in self.selection.active)]
         )  # fmt: skip
-        system = self.gram[np.ix_(self.solved, self.solved)].copy()
+        gram, right = self.gram[np.ix_(self.solved, self.solved)], self.right[self.solved]
+        system = gram.copy()
         system[: self.nominal, : self.nominal] += self.nominal_penalty
         for name, at in self._active_blocks():
             system[np.ix_(at, at)] += self.selection.penalties[name] * self.candidates[name].penalty
@@ -306,13 +308,10 @@ class _MixedModel:
         system[diagonal] += 1e-10 * system[diagonal] + 1e-12 * float(np.mean(system[diagonal]))
         pull = np.zeros(len(self.solved))
         pull[: self.nominal] = self.nominal_pull
-        factor = cho_factor(system, check_finite=False)
-        self.inverse = np.asarray(cho_solve(factor, np.eye(len(system)), check_finite=False))
-        right = self.right[self.solved]
+        self.inverse = inverse_of(system)
         self.values = self.inverse @ (right - pull)
-        gram = self.gram[np.ix_(self.solved, self.solved)]
         squares = self.target_squares - 2 * float(self.values @ right) + float(self.values @ gram @ self.values)
-        freedom = float(self.weight.sum()) - float(np.sum(self.inverse * gram))
+        freedom = float(self.weight.sum()) - float(np.vdot(self.inverse, gram))
         self.noise = float(np.sqrt(max(squares, 1e-12) / max(freedom, 1.0)))
 
     def _active_blocks(self) -> list[tuple[str, Indices]]:
@@ -499,7 +498,7 @@ class _MixedModel:
         where one of `frames_each` frames is independent."""
         system = self.gram[: self.nominal, : self.nominal] / frames_each + self.nominal_penalty
         system[np.diag_indices_from(system)] += 1e-10 * float(np.mean(np.diag(system)))
-        return np.asarray(cho_solve(cho_factor(system, check_finite=False), np.eye(self.nominal), check_finite=False))
+        return inverse_of(system)
 
     def _total_width_sigma(
         self, without_components: Array, of_independent: Array, parts: Sequence[Component], changed: float, width: Array

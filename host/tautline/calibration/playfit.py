@@ -16,14 +16,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import cho_solve
 
 from tautline.calibration.beforehand import Beforehand, Term, free_bending
 from tautline.calibration.beside import FittedEffects
 from tautline.calibration.observations import Mask, Track, corners
 from tautline.calibration.rounding import independence_weights
 from tautline.elements import SINGLE, Hysteresis, Play
-from tautline.least_squares import descend, factor
+from tautline.least_squares import descend, inverse_of, with_ridge
 from tautline.model import STEEPEST, allowed_width
 from tautline.nominal import Nominal, Normal, Rows, by_width, steepness
 from tautline.splines import Basis
@@ -461,7 +460,7 @@ class PlayFit:
         <- frames_per_independent scale^2 (rank - lambda tr(C P)) / (c' P c), C the inverse of `system` (m, m), the
         normal matrix with all penalties; at most a factor of 20 at once. scale: residual over noise."""
         layout = self.layout(curves)
-        inverse = cho_solve(factor(system), np.eye(len(system)), check_finite=False)
+        inverse = inverse_of(with_ridge(system))
         bending, rank = self._bending(layout.channels)
         parts: list[tuple[str, list[slice], Array, int, list[Array]]] = [
             ("follow", layout.follow, bending, rank, list(curves.follow.T))
