@@ -38,6 +38,12 @@ KINDS = [pytest.param(kind, marks=NO_ROS) if kind == "ros" else kind for kind in
 every_kind = pytest.mark.parametrize("kind", KINDS)
 
 
+def some_kinds(*quick: str) -> pytest.MarkDecorator:
+    """Every kind, those that are not among the quick ones in long runs alone."""
+    marks = {kind: [pytest.mark.long] * (kind not in quick) + [NO_ROS] * (kind == "ros") for kind in EMULATORS}
+    return pytest.mark.parametrize("kind", [pytest.param(kind, marks=marks[kind]) for kind in EMULATORS])
+
+
 @dataclass
 class Setup:
     live: Live

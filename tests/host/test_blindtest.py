@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from slices import some
 
 from tautline.calibration.calibrate import calibrate
 from tautline.errors import TautError
@@ -256,7 +257,9 @@ def test_what_a_diagnosis_sees_does_not_tell_the_label(tmp_path, stubbed):
 
 @pytest.mark.parametrize(
     "what",
-    ["sealed/case-0000/label.json", "sealed/case-0000/further/marker.csv", "diagnoses/case-0001/diagnosis.json"],
+    some(
+        ["sealed/case-0000/label.json", "diagnoses/case-0001/diagnosis.json", "sealed/case-0000/further/marker.csv"], 1
+    ),
 )
 def test_what_was_changed_after_sealing_is_an_error(tmp_path, stubbed, what):
     conduct(tmp_path / "out")
@@ -289,7 +292,7 @@ def test_labels_cannot_be_opened_before_every_diagnosis_is_written(tmp_path, stu
         folder.open("case-0000", folder.plan()["cases"]["case-0000"])
 
 
-@pytest.mark.parametrize("stage", ["making cases", "diagnosed 1", "opening"])
+@pytest.mark.parametrize("stage", some(["diagnosed 1", "making cases", "opening"], 1))
 def test_an_interrupted_campaign_goes_on_where_it_was(tmp_path, stubbed, monkeypatch, stage):
     whole = conduct(tmp_path / "whole")
     done = []
@@ -400,7 +403,7 @@ def test_baselines_answer_on_the_same_cases(tmp_path, stubbed, monkeypatch):
         assert result["methods"][method]["overall"]["of"] == 2
 
 
-@pytest.mark.parametrize("method", ["process", "narx"])
+@pytest.mark.parametrize("method", some(["narx", "process"], 1))
 def test_what_only_shrinks_the_gap_is_not_scored_on_names(method):
     pytest.importorskip(baselines.NEEDS.get(method, "tautline"))
     case = made_once(3, "single", ("configuration.axis_coupling",))

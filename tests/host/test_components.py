@@ -214,6 +214,7 @@ def test_a_gradual_start_is_several_elements_and_predicts_as_well_as_a_play():
     assert um < 4e-3 and z < 2.5
 
 
+@pytest.mark.long
 def test_noise_that_is_thought_too_large_hides_no_elements(monkeypatch):
     def noisier(*args, **options):
         return replace(separate(*args, **options), unexplained=9.0)

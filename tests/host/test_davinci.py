@@ -113,7 +113,8 @@ def test_at_one_load_nothing_large_is_left(tool, test):
     assert "Nothing large is left" in narration.sentence(document) or document["verdict"] == "none"
 
 
-@pytest.mark.parametrize("tests", [[(2, 1)], pytest.param([(2, 1), (2, 3)], marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("tests", [[(2, 1)], [(2, 1), (2, 3)]])
 def test_without_the_load_column_it_says_why(tool, tests):
     document = tool.diagnose((2, 0), tests, with_load=False).document
     if named(document)[:1] == ["transmission.offset"]:  # of each recording: what a load that nobody logged looks like

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from slices import some
 
 from tautline import effects, trajectory
 from tautline.calibration.calibrate import calibrate
@@ -82,12 +83,15 @@ def test_nothing_is_called_nothing():
 
 @pytest.mark.parametrize(
     "parameters",
-    [
-        {"lag": 0.08},
-        {"c_per_translation": 0.4, "c_per_rotation": 0.03},
-        {"k1": 0.15, "p1": 0.01},
-        {"creep_share": 0.12, "creep_time": 1.5},
-    ],
+    some(
+        [
+            {"lag": 0.08},
+            {"k1": 0.15, "p1": 0.01},
+            {"c_per_translation": 0.4, "c_per_rotation": 0.03},
+            {"creep_share": 0.12, "creep_time": 1.5},
+        ],
+        2,
+    ),
     ids=lambda p: next(iter(p)),
 )
 def test_a_known_effect_is_named_and_sized(parameters):
@@ -174,6 +178,7 @@ def test_counts_that_were_lost_are_a_slip_and_mended_by_it():
     assert after < 1.3 * NOISE < 0.2 * before
 
 
+@pytest.mark.long
 def test_what_sticking_holds_back_is_predicted():
     """Of the second instrument, whose grip scatters: after the calibration the play is wider in the mean."""
     case = cases.make(20912, "single", ("transmission.stick_slip",))

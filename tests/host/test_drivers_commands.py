@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_runner import Finished, Taut
-from emulated_drives import EMULATORS, driven, every_kind, model_of, where
+from emulated_drives import EMULATORS, driven, every_kind, model_of, some_kinds, where
 from motor_emulators import Cia402Emulator, Motor
 
 from tautline.device import wire
@@ -38,7 +38,7 @@ def stored(live: Live) -> dict[str, Any]:
     return dict(live.board.ask("get_settings", axis=0).values)
 
 
-@every_kind
+@some_kinds("canopen", "ros")
 @pytest.mark.parametrize("scale", [pytest.param(1.0, marks=pytest.mark.long), 0.7])
 def test_watch_tells_whether_the_model_still_holds(kind: str, scale: float) -> None:
     """The instrument has `scale` times the model's backlash."""
@@ -159,7 +159,7 @@ def in_time(kind: str, told: Callable[[str, Motor], Finished]) -> Finished:
     return done
 
 
-@every_kind
+@some_kinds("dynamixel", "moteus")
 def test_stream_sends_set_points_by_the_wall_clock(kind: str, taut: Taut, tmp_path: Path) -> None:
     model = model_of(preset("reference"))
     model.save(tmp_path / "model")

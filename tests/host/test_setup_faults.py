@@ -1,10 +1,8 @@
 """Blind cases whose fault the set-up hides: when it begins, and what the calibration saw of it."""
 
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
 import pytest
+from slices import some
 
 from tautline.calibration.calibrate import calibrate
 from tautline.diagnosis import moved
@@ -48,11 +46,6 @@ def quicker(case: cases.Case) -> float:
     return float(quick / slow)
 
 
-def some(effects: Sequence[str], count: int) -> list[Any]:
-    """All of them, those beyond the first few in long runs alone."""
-    return [pytest.param(each, marks=[pytest.mark.long] * (i >= count)) for i, each in enumerate(effects)]
-
-
 @pytest.mark.parametrize("effect", setup.MISPLACED)
 def test_a_rig_that_is_wrong_is_wrong_while_calibrating_too(monkeypatch, effect):
     assert min(apart(monkeypatch, effect)) > 1.0
@@ -60,7 +53,7 @@ def test_a_rig_that_is_wrong_is_wrong_while_calibrating_too(monkeypatch, effect)
     assert case.label.identifiable and case.label.generator == setup.NAME
 
 
-@pytest.mark.parametrize("effect", some(setup.CHANGED, 2))
+@pytest.mark.parametrize("effect", some(setup.CHANGED, 1))
 def test_what_changes_after_the_calibration_is_there_from_the_tests_on(monkeypatch, effect):
     calibrated, *tests = apart(monkeypatch, effect)
     assert calibrated == 0.0 and min(tests) > 0.1
@@ -71,7 +64,7 @@ def test_a_drift_begins_when_the_calibration_ends(monkeypatch):
     assert calibrated == 0.0 and 0.0 < first < second
 
 
-@pytest.mark.parametrize("effect", some(setup.ONE_SPEED, 2))
+@pytest.mark.parametrize("effect", some(setup.ONE_SPEED, 1))
 def test_what_one_speed_hides_is_calibrated_at_one_speed(monkeypatch, effect):
     assert quicker(setup.make(SEED, "single", (effect,))) < 1.2
     assert min(apart(monkeypatch, effect)) > 0.05

@@ -38,6 +38,7 @@ def test_a_command_that_steps_is_refused():
     assert Calibrated.on(load(folder / "rotation-prbs-excitation", rig), rig).refused.startswith("steps")
 
 
+@pytest.mark.long
 def test_what_a_rigid_simulator_lacks_is_a_servos_delay():
     """The simulated joint is where it is told to be; the play that the real one has too is named beside the delay."""
     folder = data()

@@ -9,6 +9,7 @@ import pytest
 from cli_runner import Taut
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from slices import some
 
 from tautline import _native
 from tautline.elements import Play
@@ -411,7 +412,7 @@ def test_a_width_that_grows_behind_a_sensor_that_scatters_more_is_learnt(seed):
 
 
 @pytest.mark.parametrize("kind", sessions.DISTURBED)
-@pytest.mark.parametrize("seed", range(20, 23))
+@pytest.mark.parametrize("seed", some(range(20, 23), 1))
 def test_nothing_is_learnt_when_nothing_changes(kind, seed):
     made = session(Instrument(seed), kind, seed)
     tracked = replay(ideal_model(made.instrument), [made.recording])

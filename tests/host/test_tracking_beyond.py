@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from slices import some
 
 from tautline import _native, trajectory
 from tautline.calibration.calibrate import calibrate
@@ -65,7 +66,9 @@ def left(seed: int, offset: float, motion: str) -> float:
 
 @pytest.mark.parametrize(
     ("seed", "offset", "motion"),
-    [(1, 0.4, "trapezoids"), (1, 0.4, "back and forth"), (2, 0.4, "back and forth"), (2, -0.6, "back and forth")],
+    some(
+        [(1, 0.4, "trapezoids"), (2, -0.6, "back and forth"), (1, 0.4, "back and forth"), (2, 0.4, "back and forth")], 2
+    ),
 )
 def test_what_remains_of_an_offset_is_noise(seed, offset, motion):
     assert left(seed, offset, motion) < RATIO
