@@ -39,7 +39,9 @@ def fit_elements(fitted: Fitted, rig: Rig, fit_delay: bool) -> Fitted:
     narrow, wide = np.zeros(len(SHARES)), np.full(len(SHARES), 1.0 / len(SHARES))
     narrow[at - 1 : at + 1] = 2 / 3, 1 / 3
     fits = [_descended(fitted, _lawful(start), rig, fit_delay) for start in (narrow, wide)]
-    return min(fits, key=lambda one: one.scale)
+    best = min(fits, key=lambda one: one.scale)
+    residuals, masks = best.fit.residuals(best.curves)
+    return replace(best, residuals=residuals, masks=masks)
 
 
 def _descended(fitted: Fitted, weights: Array, rig: Rig, fit_delay: bool) -> Fitted:
