@@ -15,8 +15,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import tautline as tl
-from tautline.calibration.calibrate import Calibration
 from tautline.calibration.onset import Onset
+from tautline.calibration.result import Calibration
 from tautline.diagnosis.diagnose import Diagnosis
 from tautline.model import Effect
 from tautline.recording import Recording

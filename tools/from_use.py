@@ -19,7 +19,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from tautline.calibration.calibrate import Calibration, calibrate
+from tautline.calibration.calibrate import calibrate
+from tautline.calibration.result import Calibration
 from tautline.live.closing import closing
 from tautline.model import Model
 from tautline.recording import load

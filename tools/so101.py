@@ -24,7 +24,8 @@ from rich.console import Console
 from rich.table import Table
 from scipy.optimize import minimize, nnls
 
-from tautline.calibration.calibrate import Calibration, calibrate
+from tautline.calibration.calibrate import calibrate
+from tautline.calibration.result import Calibration
 from tautline.errors import TautError
 from tautline.prediction import predict
 from tautline.quality import Reason

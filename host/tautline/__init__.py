@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from tautline.api import propose_import as propose_import
     from tautline.api import report as report
     from tautline.api import track as track
-    from tautline.calibration.calibrate import Calibration as Calibration
+    from tautline.calibration.result import Calibration as Calibration
     from tautline.compensation import Compensator as Compensator
     from tautline.compensation import SetPoints as SetPoints
     from tautline.core.session import Session as Session
@@ -65,7 +65,7 @@ __version__ = version(DISTRIBUTION)
 
 _PUBLIC = {
     "Angle": "recording",
-    "Calibration": "calibration.calibrate",
+    "Calibration": "calibration.result",
     "Compensator": "compensation",
     "Diagnosis": "diagnosis.diagnose",
     "Elements": "elements",

@@ -26,7 +26,7 @@ from tautline.rig import Rig
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from tautline.calibration.calibrate import Calibration
+    from tautline.calibration.result import Calibration
     from tautline.compensation import SetPoints
     from tautline.diagnosis.diagnose import Diagnosis
     from tautline.io.exporting import Exported
@@ -145,8 +145,8 @@ def calibrate(
     knots: B as a spline smoothed as the data ask for, or through the paper's 14 knots. remaining: f_remain fitted
     directly, or the paper's central fibre of the characteristic as an image. rig: default the first recording's.
     """
-    from tautline.calibration.calibrate import Options
     from tautline.calibration.calibrate import calibrate as calibrated
+    from tautline.calibration.options import Options
 
     several, used = _evidence(recordings, rig)
     found = calibrated(several, used, Options(knots=knots, remaining=remaining), progress)

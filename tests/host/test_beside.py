@@ -13,13 +13,15 @@ from slices import some
 from tautline.calibration import calibrate as room
 from tautline.calibration import naming
 from tautline.calibration.beside import FITTED, FittedEffects
-from tautline.calibration.calibrate import Calibration, calibrate
+from tautline.calibration.calibrate import calibrate
 from tautline.calibration.observations import observe
 from tautline.calibration.playfit import Curves, PlayFit, PreparedTrack
+from tautline.calibration.result import Calibration
 from tautline.calibration.wandering import allowing_for_wander
 from tautline.calibration.worth import PREDICTS
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.effects import BY_ID, LIBRARY
+from tautline.elements import SINGLE
 from tautline.geometry import project
 from tautline.model import Effect, Model
 from tautline.prediction import foretold
@@ -288,6 +290,6 @@ def test_a_tip_is_half_of_what_b_widens_behind_or_ahead_however_narrow_b_is(widt
     motor = recorded((), 5).motor
     beside, values = FittedEffects.of([Effect(LAG.id, {"lag": 1e-3, "lag_second": 0.0})], SOUND)
     at_s = np.linspace(motor.t_s[len(motor.t_s) // 2], motor.t_s[-1] - 0.1, 400)
-    by_width, _, _ = beside.slopes(motor, at_s, Q, np.full(len(Q), width), room.SINGLE, values)
+    by_width, _, _ = beside.slopes(motor, at_s, Q, np.full(len(Q), width), SINGLE, values)
     far = np.abs(by_width)[np.abs(np.interp(at_s, motor.t_s, np.gradient(motor.q, motor.t_s))) > 0.5]
     assert np.median(far) == pytest.approx(0.5, abs=0.01)

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tautline.calibration.calibrate import JOINT, ONSETS, Options, calibrate
+from tautline.calibration.calibrate import calibrate
+from tautline.calibration.choice import JOINT, ONSETS
+from tautline.calibration.options import Options
 from tautline.calibration.playfit import PreparedTrack
 from tautline.effects import simulate as simulate_effects
 from tautline.errors import TautError

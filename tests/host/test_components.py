@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from tautline import _native
-from tautline.calibration.calibrate import Calibration, calibrate
+from tautline.calibration.calibrate import calibrate
 from tautline.calibration.components import frames_per_independent, separate
+from tautline.calibration.result import Calibration
 from tautline.encoder import between_counts
 from tautline.geometry import project
 from tautline.quality import Verdict
@@ -219,7 +220,7 @@ def test_noise_that_is_thought_too_large_hides_no_elements(monkeypatch):
     def noisier(*args, **options):
         return replace(separate(*args, **options), unexplained=9.0)
 
-    monkeypatch.setattr("tautline.calibration.calibrate.separate", noisier)
+    monkeypatch.setattr("tautline.calibration.measuring.separate", noisier)
     plant = Plant()
     plant.p = np.mean([plant.play(np.full_like(GRID, 0.46 * share)) for share in np.linspace(0.5, 1.5, 15)], axis=0)
     assert len(plant.calibrated().model.elements.width) > 1

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tautline.calibration.calibrate import Options, calibrate
+from tautline.calibration.calibrate import calibrate
+from tautline.calibration.options import Options
 from tautline.diagnosis import narration
 from tautline.prediction import predict
 from tautline.recording import Recording, load

@@ -7,12 +7,14 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from tautline.calibration.calibrate import JOINT, Calibration, calibrate
+from tautline.calibration.calibrate import calibrate
+from tautline.calibration.choice import JOINT
 from tautline.calibration.components import Component, Components, DifferenceFromEnd
 from tautline.calibration.doubts import _ripple, component_reasons, still_changing
 from tautline.calibration.holding import without_held_places
 from tautline.calibration.observations import observe
 from tautline.calibration.playfit import Curves
+from tautline.calibration.result import Calibration
 from tautline.calibration.smooth import Domain
 from tautline.geometry import project
 from tautline.quality import Quality, Reason, Verdict

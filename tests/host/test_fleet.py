@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from slices import some
 
 from tautline.calibration.beforehand import Beforehand, Spread, free_bending
-from tautline.calibration.calibrate import Options, calibrate
+from tautline.calibration.calibrate import calibrate
+from tautline.calibration.options import Options
 from tautline.errors import TautError
 from tautline.fleet import page, prior, sessions
 from tautline.fleet.changes import compared

@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tautline import _native, encoder
-from tautline.calibration.calibrate import Calibration, calibrate
+from tautline.calibration.calibrate import calibrate
 from tautline.calibration.observations import observe
+from tautline.calibration.result import Calibration
 from tautline.core.motor import MotorPath
 from tautline.driven import driven, white_noise
 from tautline.model import Model

@@ -14,8 +14,9 @@ from scipy.interpolate import CubicHermiteSpline
 from slices import some
 
 from tautline import geometry, trajectory
-from tautline.calibration.calibrate import Calibration, calibrate
+from tautline.calibration.calibrate import calibrate
 from tautline.calibration.observations import observe
+from tautline.calibration.result import Calibration
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.prediction import predict_with_sigma, settled_from

@@ -14,8 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tautline.calibration.calibrate import Calibration
 from tautline.calibration.onset import Delay
+from tautline.calibration.result import Calibration
 from tautline.cli._live import sigma_of
 from tautline.cli._picture import calibration_picture, picture, standing
 from tautline.live.rounds import (

@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tautline.calibration import clock
-from tautline.calibration.calibrate import _CalibrationRun, calibrate
+from tautline.calibration.calibrate import calibrate
 from tautline.calibration.components import Components
+from tautline.calibration.measuring import Measuring
 from tautline.calibration.observations import not_held, observe
 from tautline.calibration.onset import Delay
 from tautline.calibration.smooth import Domain, fit_jointly, prepare_tracks
@@ -276,11 +277,11 @@ def test_a_delay_that_departures_leave_uncertain_is_the_nominal_one(sigma_s: flo
     tracks = observe([record(Motion.through(), delay_s=0.003)], RIG)
     joint = fit_jointly(prepare_tracks(tracks, 0.0), Domain(*RIG.actuator.range), 0.0, fit_delay=True)
     assert joint is not None and joint.curves.delay_s == pytest.approx(0.003, abs=5e-4)
-    session = cast(_CalibrationRun, SimpleNamespace(framed=False, nominal_s=0.0))
+    session = cast(Measuring, SimpleNamespace(framed=False, nominal_s=0.0))
     width = joint.fit.width(joint.curves)
     departing = cast(
         Components, SimpleNamespace(delay_sigma=sigma_s, width=width, sigma=0.01 * width, width_by_delay=None)
     )
-    alone = _CalibrationRun._as_uncertain_as_departures(session, joint, departing)
+    alone = Measuring._as_uncertain_as_departures(session, joint, departing)
     assert alone.delay_sigma == sigma_s
     assert alone.curves.delay_s == (joint.curves.delay_s if own else 0.0)

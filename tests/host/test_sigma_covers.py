@@ -12,8 +12,9 @@ import pytest
 
 import tautline as tl
 from tautline import trajectory
-from tautline.calibration.calibrate import Calibration, calibrate
+from tautline.calibration.calibrate import calibrate
 from tautline.calibration.hinge import fit_jump
+from tautline.calibration.result import Calibration
 from tautline.prediction import predict_with_sigma
 from tautline.recording import Marker, Recording, Video
 from tautline.simulated import simulate

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from tautline.calibration import naming
-from tautline.calibration.calibrate import Calibration, calibrate
+from tautline.calibration.calibrate import calibrate
+from tautline.calibration.result import Calibration
 from tautline.diagnosis import start
 from tautline.diagnosis.diagnose import diagnose
 from tautline.errors import TautError

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import tautline as tl
-from tautline.calibration.calibrate import Options
+from tautline.calibration.options import Options
 from tautline.value import Value, same
 from tools.tracking.sessions import Instrument, calibration, ideal_model
 

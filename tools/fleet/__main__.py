@@ -11,7 +11,8 @@ import click
 import numpy as np
 import numpy.typing as npt
 
-from tautline.calibration.calibrate import Options, calibrate
+from tautline.calibration.calibrate import calibrate
+from tautline.calibration.options import Options
 from tautline.fleet import prior
 from tautline.rig import Rig
 from tautline.simulated.instrument import reference_rig

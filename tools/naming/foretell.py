@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tautline.calibration.calibrate import Calibration, calibrate
+from tautline.calibration.calibrate import calibrate
+from tautline.calibration.result import Calibration
 from tautline.prediction import foretold
 from tools.naming.cases import Case, make
 

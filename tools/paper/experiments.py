@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from scipy.interpolate import PchipInterpolator
 
 from tautline import _native, geometry, tables
-from tautline.calibration.calibrate import Options, calibrate
+from tautline.calibration.calibrate import calibrate
+from tautline.calibration.options import Options
 from tautline.model import Model
 from tautline.recording import Recording
 from tautline.reports import evidence, figures

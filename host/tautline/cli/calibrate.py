@@ -8,7 +8,9 @@ from typing import Any, Literal
 
 import click
 
-from tautline.calibration.calibrate import Calibration, Options, calibrate
+from tautline.calibration.calibrate import calibrate
+from tautline.calibration.options import Options
+from tautline.calibration.result import Calibration
 from tautline.cli._common import (
     emit,
     json_option,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tautline.calibration.calibrate import Calibration
+from tautline.calibration.result import Calibration
 from tautline.cli._common import (
     emit,
     json_option,

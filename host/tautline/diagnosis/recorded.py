@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from tautline.calibration.calibrate import Calibration, calibrate
+from tautline.calibration.calibrate import calibrate
 from tautline.calibration.clock import on_motor_clock
+from tautline.calibration.result import Calibration
 from tautline.recording import Recording, shifted
 from tautline.rig import Rig
 from tautline.vision.marker import with_marker

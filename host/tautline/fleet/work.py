@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tautline.calibration.calibrate import Calibration, calibrate
+from tautline.calibration.calibrate import calibrate
+from tautline.calibration.result import Calibration
 from tautline.errors import TautError
 from tautline.fleet.rows import Row
 from tautline.folders import unpacked

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tautline.calibration.calibrate import Calibration
 from tautline.calibration.clock import on_motor_clock
+from tautline.calibration.result import Calibration
 from tautline.diagnosis import motion
 from tautline.diagnosis.diagnose import Diagnosis, diagnose
 from tautline.diagnosis.motion import NextMotion

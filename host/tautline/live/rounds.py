@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tautline.calibration.calibrate import Calibration
 from tautline.calibration.coverage import not_measured, seeable
 from tautline.calibration.onset import BOUND
+from tautline.calibration.result import Calibration
 from tautline.effects import OWNER
 from tautline.rig import Actuator
 

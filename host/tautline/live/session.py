@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from tautline.calibration.calibrate import Calibration, Options, calibrate
+from tautline.calibration.calibrate import calibrate
+from tautline.calibration.options import Options
+from tautline.calibration.result import Calibration
 from tautline.device import wire
 from tautline.errors import TautError
 from tautline.geometry import project

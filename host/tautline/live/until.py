@@ -7,7 +7,8 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from tautline.calibration.calibrate import Calibration, Options
+from tautline.calibration.options import Options
+from tautline.calibration.result import Calibration
 from tautline.errors import TautError
 from tautline.live.rounds import (
     Means,

@@ -11,7 +11,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from tautline import spread
-from tautline.calibration.calibrate import Calibration, Options, calibrate
+from tautline.calibration.calibrate import calibrate
+from tautline.calibration.options import Options
+from tautline.calibration.result import Calibration
 from tautline.errors import TautError
 from tautline.live.rounds import CameraView, Standing, in_words
 from tautline.live.setup import Frame

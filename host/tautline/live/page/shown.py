@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from tautline.calibration.calibrate import Calibration
 from tautline.calibration.coverage import not_measured
+from tautline.calibration.result import Calibration
 from tautline.diagnosis.narration import SHOWN, sentence
 from tautline.geometry import coarse_range_deg, project
 from tautline.live.asking import Leading, answers_of

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from tautline.calibration.calibrate import Calibration
+from tautline.calibration.result import Calibration
 from tautline.diagnosis.diagnose import Diagnosis
 from tautline.diagnosis.folder import save
 from tautline.errors import TautError

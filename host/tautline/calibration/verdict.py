@@ -1,0 +1,276 @@
+"""From what was measured to a calibration: its model, what that predicts, and the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.calibration import clock, coverage
+from tautline.calibration.choice import JOINT, ONSETS, PASSES
+from tautline.calibration.doubts import KNOWN, common_error, component_reasons, still_changing
+from tautline.calibration.measured_doubts import doubt_onsets_and_remaining, doubt_place
+from tautline.calibration.measuring import Measured
+from tautline.calibration.observations import usual_width
+from tautline.calibration.onset import Delay
+from tautline.calibration.remaining import pose_of
+from tautline.calibration.result import Calibration, finite, foretold, onset_json
+from tautline.calibration.smooth import overlap
+from tautline.calibration.worth import PREDICTS, Worth, predictive_worth
+from tautline.elements import SINGLE, Elements
+from tautline.friction import Friction
+from tautline.geometry import coarse_range_deg
+from tautline.model import LOAD, Model
+from tautline.nearest import Nearest
+from tautline.quality import Quality, Reason
+from tautline.undone import stands_in
+
+Array = npt.NDArray[np.float64]
+
+_TOLD_S = 0.001  # tolerance: standard deviation to which the offset of a clock that was off has to be known
+
+
+@dataclass(frozen=True)
+class _Extent:
+    """Where B was measured, and how large it typically is there."""
+
+    measured: tuple[float, float]  # lowest and highest position, unit of q
+    inside: npt.NDArray[np.bool_]  # (grid,) between them
+    usual: float  # typical B there, unit of q
+
+
+def judged(found: Measured) -> Calibration:
+    """The calibration that was measured: doubted, B's sigma completed by what no scatter shows, the model, its
+    predictions, verdict and notes."""
+    doubt_onsets_and_remaining(found)
+    doubt_place(found)
+    extent = _extent(found)
+    found = replace(found, sigma=_complete_sigma(found, extent))
+    pass_width, pass_sigma = found.choice.opinion_of_passes(found.onsets, found.onset_curve, found.passes)
+    characteristic = _characteristic(found, found.delay.delay_s)
+    if found.components is not None:
+        delay = found.delay
+        lag_s = found.components.tracker_lag_s
+        found = replace(found, delay=replace(delay, sigma_s=float(np.hypot(delay.sigma_s, lag_s))))
+    delay_of_tracks_s = found.delay.delay_s
+    aligned, delay = found.aligned.with_delay(found.delay, found.nominal_s)
+    found = replace(found, delay=delay)
+    _doubt_clock(found, aligned, delay)
+    model = _model(found, aligned, extent.measured)
+    joint_fit = found.joint_fit
+    apart = coverage.distance_to_both_ways(joint_fit, found.grid) if joint_fit is not None else 0.0 * found.grid
+    gaps = coverage.gaps(model, apart)
+    found.findings.notes += [f"{gap.says(found.unit)}, and is held there" for gap in gaps]
+    fit_of_remaining = None if found.remaining is None else found.remaining.fitted
+    predictions = predictive_worth(model, found.ended or found.tracks, joint_fit, fit_of_remaining)
+    if predictions is not None:
+        found.findings.reasons += predictions.doubts
+        found.findings.evidence |= {
+            "error": predictions.model,
+            "foretold_over_noise": predictions.over_noise,
+            "foretold_blocks": float(predictions.blocks),
+            "error_coarse": predictions.coarse,
+            "error_constant": predictions.constant,
+        }
+    _judge(found, predictions, extent)
+    notes = tuple(dict.fromkeys(found.findings.notes))
+    extra = _extra(found, notes, characteristic, pass_width)
+    model = replace(model, quality=Quality.of(found.findings.reasons), extra={**model.extra, **extra})
+    return Calibration(
+        model=model,
+        onsets=tuple(found.onsets),
+        delay=delay,
+        source=found.source,
+        onset_curve=found.onset_curve,
+        pass_width=pass_width,
+        pass_sigma=pass_sigma,
+        evidence=found.findings.evidence,
+        notes=notes,
+        names=tuple(track.name for track in found.tracks),
+        offsets=aligned.offsets,
+        predicted=tuple(foretold(model, track, delay_of_tracks_s) for track in found.tracks),
+        gaps=gaps,
+        path=None if joint_fit is None else joint_fit.path(),
+    )
+
+
+def _judge(found: Measured, predictions: Worth | None, extent: _Extent) -> None:
+    """The verdict: good where the model predicts blocks that the fit has not seen to within the noise, B is known,
+    and nothing still changes. What departs, scatters or is hidden says why it is not, and else is worth knowing.
+    predictions: None where nothing could be predicted; found.sigma: with all that is uncertain."""
+    components, frames = found.components, sum(len(track.t_s) for track in found.tracks)
+    predicts = predictions is None or predictions.predicts
+    holds = predicts and (components is None or float(np.hypot(1.0, still_changing(components))) <= PREDICTS)
+    if found.held > 0:
+        found.findings.notice(
+            "acquisition.held_samples",
+            f"{frames / (1.0 - found.held) * found.held:.0f} frames repeat a place that the tip had left",
+            "let the tracker say when it does not see the marker",
+        )
+    if not found.hysteresis.single and not predicts:
+        held = "several plays" if isinstance(found.hysteresis, Elements) else "Bouc-Wen's and Dahl's equations"
+        found.findings.notice(
+            "transmission.smooth_onset",
+            f"after a reversal the tip starts gradually, and not as {held} do",
+            "its hysteresis is of another kind: expect as much of a prediction",
+        )
+    departs: list[Reason] = []
+    if components is not None:
+        motor_visible = components.count_visible or any(track.motor_noise > 0 for track in found.tracks)
+        departs = component_reasons(components, extent.inside, extent.usual, found.unit, motor_visible, holds)
+    doubted = departs or any(not reason.mild for reason in found.findings.reasons)
+    if predictions is not None and not predicts and not doubted:
+        found.findings.reasons.append(_unexplained(found, predictions))
+    found.findings.noticed = [*departs, *found.findings.noticed]
+    found.findings.judge(holds)
+    if not holds and found.camera:
+        found.findings.reasons += clock.delay_jumps(found.tracks, found.rig)
+    if extent.inside.any():
+        _doubt_sigma(found, extent, holds)
+
+
+def _doubt_sigma(found: Measured, extent: _Extent, holds: bool) -> None:
+    """Doubts B where the rms of its sigma is more than KNOWN of it. Mild if the model holds and the rest is known
+    that well once the delay's part is taken off: together B and delay predict as well as either that is known."""
+    inside, usual, joint_fit = extent.inside, extent.usual, found.joint_fit
+    unsure = found.sigma[inside] / usual
+    by_delay = np.zeros_like(unsure)
+    if joint_fit is not None and joint_fit.width_by_delay is not None:
+        by_delay = joint_fit.delay_sigma * joint_fit.width_by_delay[inside] / usual
+    all_of_it, of_delay = (float(np.mean(part**2)) for part in (unsure, by_delay))
+    if all_of_it <= KNOWN**2:
+        return
+    more = "move back and forth for longer, and turn at more places"
+    if of_delay > 0.5 * all_of_it:
+        more = "move at several speeds: at one a delay and a width look alike"
+    mild = holds and all_of_it - of_delay <= KNOWN**2
+    share = float(np.sqrt(all_of_it))
+    says = f"B(q) is known to {share * usual:.2g} {found.unit} only ({share:.1%} of {usual:.2g} {found.unit})"
+    found.findings.doubt("coverage", says, more, mild=mild)
+
+
+def _unexplained(found: Measured, predictions: Worth) -> Reason:
+    """Why a model does not predict although nothing departs from it: the rig's path, or something else."""
+    times = f"{predictions.over_noise:.1f} times the noise"
+    joint_fit = found.joint_fit
+    if found.camera and joint_fit is not None and found.choice.residual_with_width(joint_fit, found.width) <= PREDICTS:
+        says = f"the tip's path in the image is not the rig's: {times} is left"
+        return Reason("registration.static", says, "check hand_eye, kinematics and the camera's calibration")
+    says = f"what the fit has not seen is foretold to {times}"
+    return Reason("residual", says, "taut diagnose says where it is")
+
+
+def _extent(found: Measured) -> _Extent:
+    """Where B was measured, and its median there."""
+    measured = _measured_range(found)
+    inside = (found.grid > measured[0]) & (found.grid < measured[1])
+    return _Extent(measured, inside, usual_width(found.width[inside], found.domain.span))
+
+
+def _measured_range(found: Measured) -> tuple[float, float]:
+    """The lowest and highest position, unit of q, at which B is measured. With friction a tip starts at every turn:
+    then it is what was passed near both envelopes."""
+    if found.joint_fit is not None and isinstance(found.hysteresis, Friction):
+        low, high = overlap(found.joint_fit)
+        if low < high:
+            return low, high
+    return found.choice.measured(found.onset_curve, found.joint_fit, found.source)
+
+
+def _complete_sigma(found: Measured, extent: _Extent) -> Array:
+    """(grid,) B's sigma with what its scatter does not show: errors that all strokes share; half the distance
+    beyond what was measured, unless B was known beforehand; what B may change where the tip passed one way only."""
+    inside = extent.inside
+    known_at = found.grid[inside], found.width[inside], found.sigma[inside]
+    floor = common_error(found.tracks, *known_at, extent.usual, found.unit, found.findings)
+    known = found.options.beforehand is not None and found.source in (JOINT, PASSES)
+    beyond = np.abs(found.grid - np.clip(found.grid, *extent.measured))
+    sigma = np.hypot(np.hypot(found.sigma, floor), 0.0 if known else 0.5 * beyond)
+    if found.source != ONSETS and found.joint_fit is not None:
+        one_way = found.choice.sigma_where_passed_one_way(found.joint_fit, found.width, inside)
+        sigma = np.hypot(sigma, one_way)
+    return np.asarray(sigma)
+
+
+def _doubt_clock(found: Measured, aligned: clock.AlignedTracks, delay: Delay) -> None:
+    """Doubts a clock that was off and whose offset is not known to _TOLD_S; notes a delay that nothing told."""
+    if any(aligned.offsets_s) and delay.sigma_s > _TOLD_S:
+        found.findings.doubt(
+            "clock.offset",
+            f"the sensor's clock was off, and its offset is known to {2e3 * delay.sigma_s:.2g} ms only (2 sigma)",
+            "put both on one clock: what a codec or glare holds back of the marker looks like a delay",
+            fatal=True,
+        )
+    if not np.isfinite(delay.sigma_s):
+        found.findings.notes.append(
+            f"no stop of the tip told the delay: the nominal {delay.delay_s * 1e3:.0f} ms is used"
+        )
+
+
+def _model(found: Measured, aligned: clock.AlignedTracks, measured: tuple[float, float]) -> Model:
+    """The model, without verdict and extra. Where a board cannot hold its hysteresis it carries the plays that come
+    nearest to it, which is noted."""
+    coarse, remaining = found.rig.coarse, found.remaining
+    c = remaining.c_deg if remaining is not None else coarse.gain * found.grid + coarse.offset
+    c_sigma = remaining.sigma_deg if remaining is not None else np.full(len(c), np.nan)
+    if found.rig.place is not None:
+        c_sigma = np.hypot(c_sigma, found.rig.place.sigma_at(c))
+    model = Model(
+        found.rig, found.grid, found.width, found.sigma, c, found.delay.delay_s, measured, c_sigma=c_sigma,
+        sensor=found.tracks[0].sensor, offset_s=aligned.offset_s,
+        effects=() if found.effects is None else found.effects[0].to_effects(found.effects[1]),
+        elements=found.hysteresis if isinstance(found.hysteresis, Elements) else SINGLE,
+        friction=found.hysteresis if isinstance(found.hysteresis, Friction) else None,
+        extra={LOAD: found.load_mNm} if found.load_mNm else {},
+    )  # fmt: skip
+    if (near := stands_in(model)) is not None:
+        found.findings.notes.append(_note_of_plays(found, near))
+        model = model if model.friction is None else replace(model, elements=near.elements)
+    return model
+
+
+def _extra(
+    found: Measured, notes: Sequence[str], characteristic: dict[str, Any], pass_width: Array | None
+) -> dict[str, Any]:
+    """What model.json keeps of a calibration beside the model itself (formats)."""
+    names = tuple(track.name for track in found.tracks)
+    joint_fit = found.joint_fit
+    extra: dict[str, Any] = {
+        "source": found.source,
+        "delay_sigma_s": finite(found.delay.sigma_s),
+        "onsets": [onset_json(o, names) for o in found.onsets],
+        "evidence": {key: finite(value) for key, value in found.findings.evidence.items()},
+        "notes": list(notes),
+        "characteristic": characteristic,
+        "options": asdict(replace(found.options, beforehand=None)),
+        "tracked_px": max(track.tracked_px for track in found.tracks),
+    }
+    if joint_fit is not None and joint_fit.width_by_delay is not None and found.source == JOINT:
+        extra["width_by_delay"] = [finite(v) for v in joint_fit.width_by_delay]
+    if pass_width is not None:
+        extra["pass_width"] = [finite(v) for v in pass_width]
+    return extra
+
+
+def _note_of_plays(found: Measured, near: Nearest) -> str:
+    """The note that a board's tables hold a few plays instead of this hysteresis, and what these leave."""
+    plays = f"{len(near.elements.width)} plays, which leave {100.0 * near.share:.2g} % of what there is to undo"
+    if isinstance(found.hysteresis, Friction):
+        its = found.hysteresis.says(found.unit)
+        return f"its hysteresis is {its}: a board's tables and what follows the tip in use hold {plays}"
+    return f"its hysteresis is {len(found.hysteresis.width)} plays: a board's tables hold {plays}"
+
+
+def _characteristic(found: Measured, delay_s: float) -> dict[str, Any]:
+    """Some 3000 frames of (q, c) for the report's picture, c in deg by pose; without angles far off the coarse
+    range."""
+    stride = max(1, sum(len(track.t_s) for track in found.tracks) // 3000)
+    tracks = [track.only(slice(None, None, stride)) for track in found.tracks]
+    q = np.concatenate([t.motor_at(t.scene_s(delay_s)) for t in tracks])
+    c = np.concatenate([pose_of(t, found.rig, delay_s) for t in tracks])
+    low, high = coarse_range_deg(found.rig)
+    good = np.flatnonzero(np.isfinite(c) & (np.abs(c) < 10 * max(abs(low), abs(high), 1.0)))
+    return {"q": np.round(q[good], 5).tolist(), "c_deg": np.round(c[good], 4).tolist()}
