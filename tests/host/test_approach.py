@@ -7,7 +7,8 @@ import pytest
 from angle_plant import RIG, Motion, record
 
 from tautline.calibration.observations import observe
-from tautline.calibration.playfit import NODES, PreparedTrack
+from tautline.calibration.playfit import NODES
+from tautline.calibration.simulated_track import PreparedTrack
 from tautline.calibration.smooth import Domain, fit_jointly, prepare_tracks
 
 TURNS = (-40, 35, -30, 25, -35, -5, -25, 10, -10, 35, 0, 20, -35, 35, -35)  # it comes from farther than it ever returns

@@ -15,8 +15,9 @@ from tautline.calibration import naming
 from tautline.calibration.beside import FITTED, FittedEffects
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.observations import observe
-from tautline.calibration.playfit import Curves, PlayFit, PreparedTrack
+from tautline.calibration.playfit import Curves, PlayFit
 from tautline.calibration.result import Calibration
+from tautline.calibration.simulated_track import PreparedTrack
 from tautline.calibration.wandering import allowing_for_wander
 from tautline.calibration.worth import PREDICTS
 from tautline.diagnosis.hyperparameters import learnt

@@ -10,7 +10,7 @@ import pytest
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.choice import JOINT, ONSETS
 from tautline.calibration.options import Options
-from tautline.calibration.playfit import PreparedTrack
+from tautline.calibration.simulated_track import PreparedTrack
 from tautline.effects import simulate as simulate_effects
 from tautline.errors import TautError
 from tautline.geometry import project

@@ -11,7 +11,7 @@ import pytest
 
 from tautline import effects, trajectory
 from tautline.calibration.observations import observe
-from tautline.calibration.playfit import PreparedTrack
+from tautline.calibration.simulated_track import PreparedTrack
 from tautline.core.motor import MotorPath
 from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.segment import prepare

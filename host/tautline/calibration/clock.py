@@ -20,7 +20,8 @@ import numpy.typing as npt
 from tautline import _native
 from tautline.calibration.observations import Mask, Track, observe
 from tautline.calibration.onset import NOMINAL_S, Delay, find_delay
-from tautline.calibration.playfit import Curves, Fitted, PlayFit, PreparedTrack
+from tautline.calibration.playfit import Curves, Fitted, PlayFit
+from tautline.calibration.simulated_track import PreparedTrack
 from tautline.calibration.steps import without_steps
 from tautline.geometry import project
 from tautline.independence import first_order

@@ -21,7 +21,8 @@ from scipy.linalg import helmert
 
 from tautline import _native
 from tautline.calibration.observations import Mask, turning_hysteresis, usual_width
-from tautline.calibration.playfit import Curves, Fitted, PlayFit, PreparedTrack
+from tautline.calibration.playfit import Curves, Fitted, PlayFit
+from tautline.calibration.simulated_track import PreparedTrack
 from tautline.core.motor import MotorPath
 from tautline.elements import Play
 from tautline.independence import first_order_sums

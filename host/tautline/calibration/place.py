@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.calibration.playfit import Fitted, PreparedTrack
+from tautline.calibration.playfit import Fitted
+from tautline.calibration.simulated_track import PreparedTrack
 from tautline.independence import frames_each
 
 Array = npt.NDArray[np.float64]

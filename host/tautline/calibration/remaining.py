@@ -14,7 +14,8 @@ from scipy.optimize import isotonic_regression
 from tautline.calibration.beside import FittedEffects
 from tautline.calibration.observations import Track
 from tautline.calibration.place import as_many_as_independent
-from tautline.calibration.playfit import Curves, Fitted, PlayFit, PreparedTrack, View
+from tautline.calibration.playfit import Curves, Fitted, PlayFit, View
+from tautline.calibration.simulated_track import PreparedTrack
 from tautline.calibration.smooth import SPANS, Domain
 from tautline.elements import SINGLE, Hysteresis
 from tautline.geometry import pose, project_with_slope, tracked_deg

@@ -16,7 +16,8 @@ import numpy.typing as npt
 from tautline.calibration.backlash import WidthCurve
 from tautline.calibration.beforehand import Beforehand
 from tautline.calibration.observations import Mask, Track
-from tautline.calibration.playfit import Curves, Fitted, PlayFit, PreparedTrack
+from tautline.calibration.playfit import Curves, Fitted, PlayFit
+from tautline.calibration.simulated_track import PreparedTrack
 from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]

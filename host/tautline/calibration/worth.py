@@ -20,9 +20,10 @@ from scipy.linalg import cho_solve
 
 from tautline.calibration.beside import FittedEffects
 from tautline.calibration.observations import Track
-from tautline.calibration.playfit import Curves, Fitted, PlayFit, PreparedTrack, Simulated
+from tautline.calibration.playfit import Curves, Fitted, PlayFit
 from tautline.calibration.remaining import view_of
 from tautline.calibration.rounding import resting, shared_variance
+from tautline.calibration.simulated_track import PreparedTrack, Simulated
 from tautline.calibration.smooth import SPANS
 from tautline.geometry import across, project
 from tautline.independence import less_its_trend, remembered, stretches

@@ -1,0 +1,141 @@
+"""What a play with these curves does at each frame of a track: the motor as the frames saw it, the play's centre, and
+which frames tell of it.
+
+Positions and B are in the unit of q; n frames of a track.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.calibration.beside import FittedEffects
+from tautline.calibration.observations import Mask, Track, corners
+from tautline.elements import SINGLE, Hysteresis, Play
+from tautline.nominal import by_width, steepness
+
+Array = npt.NDArray[np.float64]
+
+_SELDOM = 0.1  # tolerance: of the positions, at which B may be less than what counts as driven through
+_SLOPE_S = 0.004  # tolerance: least half interval over which the motor's speed is taken
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """What the model says at each frame of one track, (n,) all."""
+
+    p: Array  # centre of the play
+    tip: Array  # where along the followed curve: p, but for effects behind the play
+    known: Mask  # the play has forgotten where it started, and motor samples cover the frame
+    settled: Mask  # known, and driven through a full backlash in both directions
+    side: npt.NDArray[np.int8]  # envelope that last moved p (of several elements: that last held them all)
+    lean: Array  # -2 dp/dB where B is constant; of one element its side
+    share: Array  # dp/dq there: of one element 1 where p moves with q at this frame, else 0
+    speed: Array  # dq/dt, per s
+
+    @property
+    def half_cycle(self) -> npt.NDArray[np.intp]:
+        """(n,) number of the tip's half-cycle at each frame, from 0: it changes with the envelope."""
+        return np.asarray(np.cumsum(np.diff(self.side.astype(int), prepend=self.side[:1]) != 0))
+
+    @property
+    def moving(self) -> Mask:
+        """(n,) frames at which the tip moves."""
+        moves: Mask = self.share > 0
+        return moves
+
+    def slopes(self, keep: Mask, slope: Array) -> tuple[Array, Array]:
+        """dp/dB (kept,) and dp/d(delay) (kept,), per s, at the frames that are kept, dB/dp there being `slope`."""
+        lean = self.lean[keep]
+        return by_width(lean, slope), -self.speed[keep] * self.share[keep] / steepness(lean, slope)
+
+
+@dataclass(frozen=True)
+class MotorAtFrames:
+    """The motor as the frames of one track saw it at one delay."""
+
+    positions: Array  # (m,) all that a play needs, in order of time: extremes, and those at the frames
+    at: npt.NDArray[np.intp]  # (n,) which of these are at the frames
+    within: Mask  # (n,) motor samples cover the frame
+    speed: Array  # (n,) dq/dt, per s
+
+
+@dataclass(frozen=True)
+class PreparedTrack:
+    """One track prepared for many simulations."""
+
+    track: Track
+    corner_t: Array  # (c,) times of the motor's extremes, s
+    corner_q: Array  # (c,) its positions there
+    use: Mask  # (n,) frames that may count
+    half_s: float  # half the interval over which the motor's speed is taken
+    last: dict[float, MotorAtFrames] = field(init=False, default_factory=dict, compare=False, repr=False)  # by delay
+
+    @classmethod
+    def of(cls, track: Track, use: Mask | None = None) -> PreparedTrack:
+        """The track with its motor's extremes; use (n,): frames that may count, all by default."""
+        times, positions = corners(track.motor)
+        samples_s = track.reading.t_s
+        half_s = max(_SLOPE_S, float(np.median(np.diff(samples_s)))) if len(samples_s) > 1 else _SLOPE_S
+        return cls(track, times, positions, np.ones(len(track.t_s), bool) if use is None else use, half_s)
+
+    def course(self, scene_s: Array) -> tuple[Array, npt.NDArray[np.intp]]:
+        """The motor's positions (m,) that a play needs, extremes and those at scene_s (n,), in order of time; and which
+        of them (n,) are at scene_s."""
+        times = np.concatenate([self.corner_t, scene_s])
+        order = np.argsort(times, kind="stable")
+        back = np.empty(len(times), dtype=np.intp)
+        back[order] = np.arange(len(times))
+        return np.concatenate([self.corner_q, self.track.motor_at(scene_s)])[order], back[len(self.corner_t) :]
+
+    def driven(self, delay_s: float) -> MotorAtFrames:
+        """The motor at the frames for this delay, s. Kept until another delay is asked for: a scan of widths has
+        one."""
+        if delay_s not in self.last:
+            track, scene = self.track, self.track.scene_s(delay_s)
+            positions, at = self.course(scene)
+            speed = (track.motor_at(scene + self.half_s) - track.motor_at(scene - self.half_s)) / (2 * self.half_s)
+            self.last.clear()
+            self.last[delay_s] = MotorAtFrames(positions, at, track.within_motor(scene), speed)
+        return self.last[delay_s]
+
+    def simulate(
+        self, grid: Array, width: Array, delay_s: float, hysteresis: Hysteresis = SINGLE,
+        effects: FittedEffects | None = None, effect_values: Array | None = None,
+    ) -> Simulated:  # fmt: skip
+        """The play of B width (nodes,) on grid (nodes,) at each frame for this delay, s, and what effects of these
+        values make of it. The play is run from both far ends: where both agree it has forgotten its start."""
+        driven = self.driven(delay_s)
+        positions, at = driven.positions, driven.at
+        far = 10.0 * (abs(grid[-1] - grid[0]) + abs(positions).max(initial=1.0))
+        plays = Play(grid, width, hysteresis).native
+        p, side, lean, share = plays.trace(positions, -far)
+        other, other_side = plays.forward(positions, far)
+        known = (np.abs(p - other) < hysteresis.forgotten * (grid[-1] - grid[0]))[at] & driven.within
+        both = np.logical_or.accumulate(side == -1) & np.logical_or.accumulate(other_side == 1)
+        both &= _went_both_ways(positions, _low_quantile_of_width(grid, width, positions))
+        play_alone = Simulated(p[at], p[at], known, known & both[at], side[at], lean[at], share[at], driven.speed)
+        if effects is None or effect_values is None:
+            return play_alone
+        path = effects.follow(
+            self.track.reading, self.track.scene_s(delay_s), grid, width, hysteresis, effect_values
+        )  # fmt: skip
+        return replace(play_alone, p=path.p, tip=path.tip, side=np.sign(path.side).astype(np.int8), lean=path.lean)
+
+
+def _low_quantile_of_width(grid: Array, width: Array, positions: Array) -> float:
+    """The quantile _SELDOM of B width (nodes,) on grid over the positions (n,) that the motor reached: a travel that
+    counts as driven through a full backlash. Not the least B: at the ends of the motion only the start tells it, and a
+    B of 0 there would be driven through at once."""
+    first, last = np.searchsorted(grid, [positions.min(), positions.max()])
+    return float(np.quantile(width[first : max(last, first + 1)], _SELDOM))
+
+
+def _went_both_ways(positions: Array, travel: float) -> Mask:
+    """(n,) whether the motor, at positions (n,), had gone up by `travel` and down by it so far."""
+    up = positions - np.minimum.accumulate(positions) >= travel
+    down = np.maximum.accumulate(positions) - positions >= travel
+    both: Mask = np.logical_or.accumulate(up) & np.logical_or.accumulate(down)
+    return both
