@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from tautline.calibration import clock
 from tautline.calibration.acquisition import in_another_unit
+from tautline.calibration.angle_delay import at_credible_delay, delay_of_all
 from tautline.calibration.backlash import WidthCurve, fit_widths
 from tautline.calibration.beside import FittedEffects
 from tautline.calibration.choice import JOINT, Choice, image_jumps
@@ -22,6 +23,7 @@ from tautline.calibration.departures import SPEED
 from tautline.calibration.findings import Findings
 from tautline.calibration.holding import without_held_places
 from tautline.calibration.hysteresis import PRIORS, HysteresisFit, fit_friction, most_evidence
+from tautline.calibration.lag_scan import period_s
 from tautline.calibration.observations import LITTLE, Track
 from tautline.calibration.on_tip import place_on_tip
 from tautline.calibration.onset import HINGE, Delay, Onset, delayed, find_onsets
@@ -296,7 +298,7 @@ class Measuring:
         if self.options.delay_s is not None:
             return Delay(self.options.delay_s, 0.0, 0)
         if not self.framed:
-            return clock.delay_of_all(self.tracks, self.rig)
+            return delay_of_all(self.tracks, self.rig)
         return clock.delay_of_stops(self.tracks, self.rig)
 
     def _delay_of_joint_fit(self, stops: Delay, joint_fit: Fitted) -> Delay:
@@ -308,7 +310,7 @@ class Measuring:
         own = joint_fit.delay_sigma
         if not joint_fit.fit.fit_delay:
             at_nominal = joint_fit.curves.delay_s == self.nominal_s
-            own = min(stops.sigma_s, clock.period_s(self.tracks)) if at_nominal else stops.sigma_s
+            own = min(stops.sigma_s, period_s(self.tracks)) if at_nominal else stops.sigma_s
         return Delay(joint_fit.curves.delay_s, float(np.hypot(own, counts)), stops.stops)
 
     def _onsets(self, delay: Delay) -> tuple[list[Onset], WidthCurve | None]:
@@ -324,7 +326,7 @@ class Measuring:
         they are."""
         surer = not self.framed and delay.sigma_s < 0.5 * first.sigma_s
         later_s = delay.delay_s - first.delay_s
-        if surer or abs(later_s) > _LATER * clock.period_s(self.tracks):
+        if surer or abs(later_s) > _LATER * period_s(self.tracks):
             return self._onsets(delay)
         if abs(later_s) > 1e-4:
             onsets = delayed(onsets, self.tracks, later_s)
@@ -359,7 +361,7 @@ class Measuring:
         if joint_fit is None:
             return None, None
         if fit_delay and not self.framed:
-            joint_fit = clock.at_credible_delay(joint_fit, delay, self.tracks, self.nominal_s)
+            joint_fit = at_credible_delay(joint_fit, delay, self.tracks, self.nominal_s)
         elif fit_delay and (image_jumps(onsets) or not joint_fit.explained):
             # What the model does not know would bend the delay: the image stops tell it alone.
             joint_fit.fit.fit_delay = False

@@ -1,0 +1,156 @@
+"""The delay of an angle sensor, by all its values: real joints do not stop so sharply that stops alone tell it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tautline.calibration.lag_scan import DELAY_REACH_S, FRAMES, WIDTHS, LagScan, period_s
+from tautline.calibration.observations import Track
+from tautline.calibration.onset import Delay
+from tautline.calibration.playfit import Curves, Fitted, PlayFit
+from tautline.calibration.simulated_track import PreparedTrack
+from tautline.independence import first_order
+from tautline.rig import Rig
+from tautline.splines import Basis
+
+_STATED_S = 0.05  # prior: standard deviation of an angle sensor's delay about what the rig states
+_UNSTATED_S = 0.05, 0.07  # prior: mean and standard deviation where the rig states none: of bus, filter or servo
+_SPANS = (
+    (8, 16),
+    (1, 6),
+)  # prior: spans of B and of the path; the second, stiffer pair where the first does not tell the delay
+_TOLD_S = 0.025  # tolerance: standard deviation up to which a delay counts as told
+_COARSE_S = 0.02  # tolerance: between delays of the first search
+_PER_STROKE = 4.0  # prior: independent residuals of a model with errors within a stroke, at most
+_STROKES = 10  # prior: strokes that count for that at most: model errors repeat in further ones
+_WHITE = 1.05  # tolerance: residual over noise up to which nothing but noise is in it
+_CLEARLY = 1.03  # prior: ratio of residuals from which one fit is clearly worse
+_LIKELY = 3.0  # prior: standard deviations within which a delay is likely
+_SAMPLES, _LITTLE_S = (
+    1.5,
+    0.01,
+)  # prior: frame periods, and s: a delay that differs by less may be an error of the model
+
+
+def delay_of_all(tracks: Sequence[Track], rig: Rig) -> Delay:
+    """The posterior of the delay at which a smooth B and a smooth path fit all frames, its prior about the nominal
+    delay; the nominal delay with infinite sigma where nothing tells it. For angle sensors of real joints, which do not
+    stop so sharply that stops alone tell the delay."""
+    nominal_s = rig.nominal_delay_s(tracks[0].sensor)
+    scans = [scan for scan in (LagScan.of(track, rig, FRAMES[1]) for track in tracks) if scan is not None]
+    if not scans:
+        return Delay(nominal_s, np.inf, 0)
+    lags = nominal_s + np.linspace(-DELAY_REACH_S, DELAY_REACH_S, 21)
+    start = float(lags[int(np.argmin(np.sum([scan.least_misfits(lags) for scan in scans], axis=0)))])
+    try:
+        prior_mean_s, prior_sigma_s = _UNSTATED_S if rig.angle is None else (nominal_s, _STATED_S)
+        return _delay_posterior(scans, prior_mean_s, start, prior_sigma_s)
+    except np.linalg.LinAlgError:  # the tip is seen at too few places
+        return Delay(nominal_s, np.inf, 0)
+
+
+def _delay_posterior(scans: Sequence[LagScan], prior_mean_s: float, start: float, prior_sigma_s: float) -> Delay:
+    """Posterior mean and standard deviation of the delay, s, by a search and ever finer grids; with stiffer curves
+    where the first do not tell it to _TOLD_S. prior_mean_s, prior_sigma_s: of the normal prior; start: where plays of
+    constant width fit best, s."""
+    for spans in _SPANS:
+        profile = _DelayDeviance(scans, spans, prior_mean_s, prior_sigma_s, start)
+        best = min((prior_mean_s, 0.5 * (start + prior_mean_s), start), key=profile.deviance)
+        while (better := min((best, best - _COARSE_S, best + _COARSE_S), key=profile.deviance)) != best:
+            best = better
+        for pitch_s in (2.0 * _COARSE_S, _COARSE_S, 0.4 * _COARSE_S, 0.12 * _COARSE_S):
+            best, spread = profile.posterior(best, pitch_s)
+            if spread > pitch_s:
+                break
+        if spread < _TOLD_S:
+            break
+    return Delay(best, spread, len(scans))
+
+
+def at_credible_delay(free: Fitted, delay: Delay, tracks: Sequence[Track], nominal_s: float) -> Fitted:
+    """An angle sensor's joint fit at a delay that its model errors cannot have moved. free: with the delay fitted,
+    which is kept if it leaves only noise, or clearly less than at `delay` (`delay_of_all`). Where model errors are
+    there and the fitted delay is within about a sample of the nominal one, it is that one; else `delay`."""
+    own_s = free.curves.delay_s
+    if free.scale <= _WHITE:
+        return free
+    at_nominal = abs(own_s - nominal_s) <= min(_SAMPLES * period_s(tracks), _LITTLE_S)
+    if not at_nominal and free.explained:
+        return free
+    fixed = replace(free.fit, fit_delay=False, smoothing=dict(free.fit.smoothing))
+    fitted = fixed.solve(replace(free.curves, delay_s=nominal_s if at_nominal else delay.delay_s))
+    likely = not at_nominal and abs(own_s - delay.delay_s) < _LIKELY * delay.sigma_s
+    return free if likely and fitted.scale > _CLEARLY * free.scale else fitted
+
+
+class _DelayDeviance:
+    """The deviance (-2 log posterior density, but for a constant) of a delay, by all frames of all tracks and a normal
+    prior. The frames' part is 2 N log(scale): scale the residual over noise of the best smooth B and path at that
+    delay, N the number of independent residuals, at most _PER_STROKE a stroke, as model errors repeat."""
+
+    def __init__(
+        self,
+        scans: Sequence[LagScan],
+        spans: tuple[int, int],
+        prior_mean_s: float,
+        prior_sigma_s: float,
+        start_s: float,
+    ) -> None:
+        """spans: of the splines of B and of the path. prior_mean_s, prior_sigma_s: of the normal prior; start_s: the
+        delay at which N is counted."""
+        self._scans, self._prior_mean_s, self._prior_sigma_s = scans, prior_mean_s, prior_sigma_s
+        low = min(scan.low for scan in scans)
+        high = max(scan.low + scan.span for scan in scans)
+        self._fit = PlayFit(
+            [PreparedTrack.of(scan.track, scan.moving()) for scan in scans],
+            Basis(low, high, spans[0]),
+            Basis(low, high, spans[1]),
+            fit_delay=False,
+            settled_only=False,
+        )
+        self._smoothing = dict(self._fit.smoothing)
+        self._found: dict[float, float] = {}
+        strokes = sum(len(scan.turn_t) - 1 for scan in scans)
+        self._independent = min(_independent(self._solved(start_s)), _PER_STROKE * min(strokes, _STROKES))
+
+    def deviance(self, delay_s: float) -> float:
+        """The deviance of a delay, s; kept for the next time."""
+        key = round(delay_s, 7)
+        if key not in self._found:
+            left = 2.0 * self._independent * float(np.log(self._solved(delay_s).scale))
+            self._found[key] = left + ((delay_s - self._prior_mean_s) / self._prior_sigma_s) ** 2
+        return self._found[key]
+
+    def posterior(self, centre_s: float, pitch_s: float) -> tuple[float, float]:
+        """Posterior mean and standard deviation, s, on a grid of seven delays pitch_s apart around centre_s; the grid's
+        own rounding is in the latter."""
+        delays = centre_s + pitch_s * np.arange(-3, 4)
+        deviance = np.array([self.deviance(float(delay)) for delay in delays])
+        weight = np.exp(-0.5 * np.clip(deviance - deviance.min(), 0.0, 200.0))
+        weight /= weight.sum()
+        mean = float(weight @ delays)
+        return mean, float(np.hypot(np.sqrt(weight @ (delays - mean) ** 2), pitch_s / np.sqrt(12.0)))
+
+    def _solved(self, delay_s: float) -> Fitted:
+        """The fit with the delay held at this, s, started from the constant width that fits best and the first
+        smoothing."""
+        fit, channels = self._fit, self._scans[0].track.y.shape[1]
+        fit.smoothing = dict(self._smoothing)
+        widths = [share * self._scans[0].span for share in WIDTHS]
+        width = min(widths, key=lambda w: sum(scan.misfit(delay_s, w) for scan in self._scans))
+        flat = Curves(np.full(fit.backlash.size, width), np.zeros((fit.follow.size, channels)), delay_s)
+        return fit.solve(flat, iterations=6)
+
+
+def _independent(fitted: Fitted) -> float:
+    """The number of independent residuals: frames over `first_order`, how many correlated neighbours make one; 1 at
+    least."""
+    count = 0.0
+    for rows, mask in zip(fitted.residuals, fitted.masks, strict=True):
+        r = rows[mask]
+        if len(r) > 2:
+            count += len(r) / first_order(r)
+    return max(count, 1.0)

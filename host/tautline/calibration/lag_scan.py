@@ -1,0 +1,178 @@
+"""How well a track fits its motor at any lag, by how much the sensor's times are later than the motor's, s.
+
+A play of constant width and a polynomial of fifth order are fitted to what the sensor saw. The share of the variance of
+y that they leave is the misfit: it needs no pose, no camera and no model of the instrument.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline import _native
+from tautline.calibration.observations import Mask, Track
+from tautline.geometry import project
+from tautline.rig import MARKER, Rig
+
+Array = npt.NDArray[np.float64]
+
+DELAY_REACH_S = 0.25  # prior: what is farther from the nominal delay is no delay but another clock
+PITCH_S = 0.05  # tolerance: between lags of the search; a stroke lasts ten times longer
+FRAMES = 400, 1500  # tolerance: frames, at most: to search with, to refine with
+_NOISY = 0.05  # tolerance: share of noise in the variance of y above which there is no motion to compare
+_ANEW = 8  # tolerance: lags after which all widths are tried again
+_ORDER = 5  # prior: of the polynomial that stands for the path
+FEWEST = 8 * _ORDER  # tolerance: frames that such a fit needs
+WIDTHS = (
+    0.0,
+    0.01,
+    0.022,
+    0.04,
+    0.065,
+    0.1,
+    0.16,
+    0.26,
+    0.4,
+)  # tolerance: of the plays that are tried, in shares of the motor's span
+_AROUND_S = 0.5  # prior: s: a tip follows its motor within it
+_DITHER = 2e-3  # tolerance: of the motor's span: turns within it do not matter here
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """A local minimum of the misfit over lags."""
+
+    lag_s: float
+    sigma_s: float
+    misfit: float
+
+
+@dataclass(frozen=True)
+class LagScan:
+    """One track prepared to be fitted at many lags."""
+
+    track: Track  # thinned out
+    turn_t: Array  # (turns,) when the motor turned, s
+    turn_q: Array  # (turns,) where, unit of q
+    low: float  # lowest motor position
+    span: float  # of the motor's positions
+    noise_share: float  # of the variance of y
+    reference: tuple[float, float] | None  # of the other axes; None where they rest
+    coarse_direction: Array  # (channels,) in which y moves as q rises, by f_coarse
+
+    @classmethod
+    def of(cls, track: Track, rig: Rig, most: int) -> LagScan | None:
+        """The track thinned to at most `most` frames. None where nothing moves by more than noise, or other axes move
+        for more than a tenth of the frames."""
+        motor = track.motor
+        span = float(np.ptp(motor.q))
+        variance = float(np.mean(np.var(track.y, axis=0))) if len(track.t_s) else 0.0
+        if len(track.t_s) < FEWEST or span <= 0.0 or variance <= 0.0:
+            return None
+        share = float(np.mean(track.sigma**2)) / variance
+        reference = None if motor.translation_mm is None and motor.rotation_deg is None else track.others_reference
+        if share > _NOISY:
+            return None
+        if reference is not None and np.mean(track.at_reference(track.t_s, reference)) < 0.9:
+            return None
+        stride = -(-len(track.t_s) // most)
+        few = track.only(slice(None, None, stride))
+        turns = _native.turns(np.ascontiguousarray(motor.q), _DITHER * span)
+        keep = np.unique(np.concatenate([[0], turns, [len(motor.q) - 1]])).astype(np.intp)
+        low = float(motor.q.min())
+        ends = rig.coarse.gain * (low + np.array([0.25, 0.75]) * span) + rig.coarse.offset
+        if track.sensor == MARKER:
+            coarse_direction = np.diff(project(rig, ends, *track.others_reference), axis=0)[0]
+        else:
+            coarse_direction = np.diff(ends)
+        return cls(few, motor.t_s[keep], motor.q[keep], low, span, share, reference, coarse_direction)
+
+    def least_misfits(self, lags: npt.NDArray[Any]) -> Array:
+        """The least misfit over all widths at each of lags (n,), s, which follow each other closely: the best width
+        moves by one place of WIDTHS at most from lag to lag, so all of them are tried only every _ANEW lags."""
+        least, at = np.empty(len(lags)), 0
+        for i, lag in enumerate(lags):
+            near = range(len(WIDTHS)) if i % _ANEW == 0 else range(max(at - 1, 0), min(at + 2, len(WIDTHS)))
+            tried = [self.misfit(float(lag), WIDTHS[k] * self.span) for k in near]
+            at = near[int(np.argmin(tried))]
+            least[i] = min(tried)
+        return least
+
+    def moves_as_coarse(self, lag_s: float) -> bool:
+        """Whether y rises with the play's centre the way that f_coarse says, at a lag in s."""
+        width = min(WIDTHS, key=lambda share: self.misfit(lag_s, share * self.span)) * self.span
+        return bool(self._polynomial_fit(lag_s, width)[1] @ self.coarse_direction > 0.0)
+
+    def misfit(self, lag_s: float, width: float) -> float:
+        """Share of the variance of y that is left at a lag, s, and a play's width, unit of q; infinite where the
+        motor's record covers fewer than half of the frames."""
+        return self._polynomial_fit(lag_s, width)[0]
+
+    def _polynomial_fit(self, lag_s: float, width: float) -> tuple[float, Array]:
+        """Least squares of y by a Chebyshev polynomial of order _ORDER in p, the centre of a play of this width, unit
+        of q, at a lag, s: the misfit, and the coefficients of the linear term (channels,). inf and 0 where fewer than
+        half of the frames count: those that the motor's record covers, once the play has forgotten its start."""
+        track = self.track
+        scene = track.scene_s(lag_s)
+        n = len(self.turn_t)
+        times = np.concatenate([self.turn_t, scene])
+        order = np.argsort(times, kind="stable")
+        q = np.concatenate([self.turn_q, track.motor_at(scene)])[order]
+        grid = np.array([self.low - self.span, self.low + 2.0 * self.span])
+        plays = _native.Plays(grid, np.full(2, width))
+        far = 10.0 * (self.span + float(np.abs(grid).max()))
+        p, other = (plays.forward(q, start)[0] for start in (-far, far))
+        counted = order >= n
+        counted &= np.abs(p - other) < 1e-9 * self.span
+        frames = order[counted] - n
+        inside = track.within_motor(scene)[frames]
+        if self.reference is not None:
+            inside &= track.at_reference(scene, self.reference)[frames]
+        frames, x = frames[inside], 2.0 * (p[counted][inside] - self.low) / self.span - 1.0
+        if 2 * len(frames) < len(scene):
+            return np.inf, np.zeros_like(self.coarse_direction)
+        y = track.y[frames]
+        y = y - y.mean(axis=0)
+        design = np.polynomial.chebyshev.chebvander(x, _ORDER)
+        gram = design.T @ design + 1e-9 * len(x) * np.eye(_ORDER + 1)
+        pull = design.T @ y
+        total = max(float(np.sum(y * y)), 1e-30)
+        coefficients = np.linalg.solve(gram, pull)
+        return max(1.0 - float(np.sum(pull * coefficients)) / total, 0.0), coefficients[1]
+
+    def moving(self) -> Mask:
+        """(n,) frames within _AROUND_S of which the motor moves: only they tell a delay."""
+        t = self.track.t_s
+        q = self.track.motor_at(t[:, None] + np.linspace(-_AROUND_S, _AROUND_S, 9))
+        moves: Mask = np.ptp(q, axis=1) > _DITHER * self.span
+        return moves
+
+    def minimum_near(self, lag_s: float) -> Minimum:
+        """The minimum of the misfit over lag and width near lag_s, by a pattern search; its sigma is that of white
+        residuals, from the curvature over the lag."""
+        width = self.span * min(WIDTHS, key=lambda share: self.misfit(lag_s, share * self.span))
+        step_s, step = PITCH_S, 0.3 * width + 0.005 * self.span
+        best = self.misfit(lag_s, width)
+        for _ in range(9):
+            for other in (lag_s - step_s, lag_s + step_s):
+                if (trial := self.misfit(other, width)) < best:
+                    best, lag_s = trial, other
+            for other in (max(width - step, 0.0), width + step):
+                if (trial := self.misfit(lag_s, other)) < best:
+                    best, width = trial, other
+            step_s, step = 0.6 * step_s, 0.6 * step
+        h = 0.02
+        curvature = (self.misfit(lag_s - h, width) + self.misfit(lag_s + h, width) - 2.0 * best) / h**2
+        if not np.isfinite(curvature):  # at the end of what can be tried: the other side is not known
+            return Minimum(lag_s, np.inf, best)
+        sigma = np.sqrt(2.0 * best / max(curvature, 1e-12) / len(self.track.t_s))
+        return Minimum(lag_s, float(sigma), best)
+
+
+def period_s(tracks: Sequence[Track]) -> float:
+    """Median time between frames, s."""
+    return float(np.median(np.concatenate([np.diff(track.t_s) for track in tracks])))
