@@ -9,7 +9,8 @@ import pytest
 
 from tautline import _native
 from tautline.calibration.calibrate import calibrate
-from tautline.calibration.components import frames_per_independent, separate
+from tautline.calibration.components import separate
+from tautline.calibration.mixed_model import frames_per_independent
 from tautline.calibration.result import Calibration
 from tautline.encoder import between_counts
 from tautline.geometry import project

@@ -9,9 +9,10 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from tautline.calibration.components import REML_GAIN, Component, Components
+from tautline.calibration.components import Component, Components
 from tautline.calibration.departures import SHARE, SPEED, STATES
 from tautline.calibration.findings import Findings
+from tautline.calibration.mixed_model import REML_GAIN
 from tautline.calibration.observations import Track
 from tautline.calibration.worth import PREDICTS
 from tautline.encoder import between_samples

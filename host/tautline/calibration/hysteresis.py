@@ -16,8 +16,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import expit
 
-from tautline.calibration.components import interpolated, normal_with_columns
+from tautline.calibration.components import interpolated
 from tautline.calibration.departures import CountedFrames, counted_frames
+from tautline.calibration.mixed_model import normal_with_columns
 from tautline.calibration.playfit import Curves, Fitted
 from tautline.calibration.several import frame_powers, rms_of_frame_powers, rms_over_noise
 from tautline.elements import Play

@@ -15,8 +15,9 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import nnls
 
 from tautline import _native
-from tautline.calibration.components import interpolated, normal_with_columns
+from tautline.calibration.components import interpolated
 from tautline.calibration.departures import counted_frames
+from tautline.calibration.mixed_model import normal_with_columns
 from tautline.calibration.playfit import Curves, Fitted
 from tautline.elements import SINGLE, Elements, Play, warp_of
 from tautline.rig import Rig

@@ -1,0 +1,280 @@
+"""The mixed model of what a joint fit leaves, at one linearisation: nominal unknowns, and the values of departures,
+each with a variance of its own.
+
+r = J d(theta) + sum_k Z_k u_k + e, u_k ~ N(0, s_k^2 P_k^-1): theta are the coefficients of path, B and delay, each Z_k
+the columns of one departure (departures.py). Variances are handled as penalties lambda_k = sigma^2 / s_k^2 on
+u_k' P_k u_k, sigma^2 the residual variance in units of the stated noise; they maximise the restricted likelihood (REML,
+by Fellner-Schall steps), and the values are solved together with the nominal unknowns (Henderson's equations).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+from scipy.linalg import eigh
+
+from tautline.calibration.departures import CountedFrames, Departure, SearchedParameters, Sparse, scaled_rows
+from tautline.calibration.playfit import Curves, Fitted, PlayFit
+from tautline.independence import frames_each
+from tautline.least_squares import inverse_of
+from tautline.nominal import Normal
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+
+REML_GAIN = 20.0  # prior: of twice the restricted log likelihood, for a component; noise alone gives 5 to 8
+_JOIN_AT_ONCE = 2  # tolerance: components that may join at one linearisation
+_VARIANCE_STEPS = 6  # tolerance: Fellner-Schall steps at one linearisation
+_PENALTIES = np.logspace(-6, 3, 19)  # tolerance: tried for a new component, in units of its own information
+_MOST, _LEAST = 1e12, 1e-12  # tolerance: of a penalty
+_STILL = 0.05  # tolerance: a change of B, in its sigma, that is none
+_FEW = 30  # tolerance: frames that are too few to tell a scatter
+_LAGS = 60  # tolerance: frames of autocorrelation
+
+
+@dataclass
+class Selected:
+    """Which departures are components, and what carries over from one linearisation to the next."""
+
+    active: list[str] = field(default_factory=list)  # names of the components
+    penalties: dict[str, float] = field(default_factory=dict)  # of active departures, by name
+    refused: set[str] = field(default_factory=set)  # departures whose value would be negative and must not
+    moving_noise: float = 1.0  # scatter of frames at which the tip moves, over that of the others
+
+
+def nominal_columns(fit: PlayFit, counted: CountedFrames) -> Sparse:
+    """(channels * n, unknowns), sparse: derivatives of the whitened image by the coefficients of the path (channel by
+    channel), those of B, and the delay."""
+    path = scaled_rows(counted.inverse, fit.follow.design(counted.p))
+    by_width = scaled_rows(counted.by_width, fit.backlash.design(counted.p))
+    shared = sparse.csr_matrix(sparse.hstack([by_width, sparse.csr_matrix(counted.by_delay[:, None])]))
+    return sparse.csr_matrix(sparse.hstack([counted.per_channel(path), counted.along_path(shared)]))
+
+
+def normal_with_columns(fit: PlayFit, counted: CountedFrames, columns: Array) -> tuple[Array, Array, int]:
+    """Weighted normal matrix (m, m) and gradient (m,) of the nominal unknowns followed by further ones, which move the
+    tip's place by columns (n, k); and the number of nominal unknowns. No penalties."""
+    nominal = nominal_columns(fit, counted)
+    design = sparse.csr_matrix(sparse.hstack([nominal, counted.along_path(columns)]))
+    weight = np.tile(counted.weight, counted.residuals.shape[1])
+    normal = Normal.of_sparse(design, weight, counted.residuals.T.ravel())
+    return normal.matrix, normal.gradient, int(nominal.shape[1])
+
+
+class MixedModel:
+    """The mixed model at one linearisation. Unknowns: those of the nominal model (path channel by channel, B, delay),
+    `nominal` of them, then the values of every candidate. Only those of active components are solved for: `solved`
+    has their indices, and `values`, `inverse` are in its order."""
+
+    def __init__(
+        self, fitted: Fitted, selected: Selected, curves: Curves, counted: CountedFrames, candidates: list[Departure],
+        clock_error: Array, searched: SearchedParameters,
+    ) -> None:  # fmt: skip
+        """Sums the weighted normal equations of all candidates; solves nothing yet. fitted: the joint fit; clock_error
+        (2,): s, as in `counted_frames`; searched: with which the candidates were made."""
+        self.selected, self.curves, self.counted = selected, curves, counted
+        self.clock_error, self.searched = clock_error, searched
+        self.fit = fit = fitted.fit
+        nominal = nominal_columns(fit, counted)
+        self.design = sparse.hstack([nominal, *(part.columns for part in candidates)], format="csr")
+        moving_weight = np.where(counted.moving, selected.moving_noise**-2, 1.0)
+        self.weight = np.tile(counted.weight * moving_weight, counted.residuals.shape[1])
+        self.target = counted.residuals.T.ravel()
+        normal = Normal.of_sparse(self.design, self.weight, self.target)
+        self.gram, self.right = normal.matrix, normal.gradient
+        self.target_squares = float(self.weight @ self.target**2)
+        self.nominal = int(nominal.shape[1])
+        ends = np.cumsum([self.nominal, *(part.size for part in candidates)])
+        self.candidates = {part.name: part for part in candidates}
+        self.places = {part.name: np.arange(a, b) for part, a, b in zip(candidates, ends[:-1], ends[1:], strict=True)}
+        self.noise = fitted.scale  # rms over the stated noise of what the model leaves
+        self.nominal_penalty, self.nominal_pull = fit.penalty(curves, max(self.noise, 1e-6))
+
+    # ---- estimation with the active components
+
+    def solve_with_variances(self) -> None:
+        """Solves with the active components while their penalties move to the restricted likelihood's maximum, in at
+        most _VARIANCE_STEPS steps."""
+        self.selected.active = [name for name in self.selected.active if name in self.candidates]
+        self._solve()
+        for _ in range(_VARIANCE_STEPS if self.selected.active else 0):
+            if not self._adapt_penalties():
+                break
+            self._solve()
+
+    def _solve(self) -> None:
+        """Henderson's equations at the present penalties: sets `values`, the system's `inverse` (the covariance in
+        units of the noise's variance) and `noise`^2 = residual squares over residual degrees of freedom."""
+        self.solved = np.concatenate(
+            [np.arange(self.nominal), *(self.places[name] for name in self.selected.active)]
+        )  # fmt: skip
+        gram, right = self.gram[np.ix_(self.solved, self.solved)], self.right[self.solved]
+        system = gram.copy()
+        system[: self.nominal, : self.nominal] += self.nominal_penalty
+        for name, at in self.active_blocks():
+            system[np.ix_(at, at)] += self.selected.penalties[name] * self.candidates[name].penalty
+        diagonal = np.diag_indices_from(system)
+        system[diagonal] += 1e-10 * system[diagonal] + 1e-12 * float(np.mean(system[diagonal]))
+        pull = np.zeros(len(self.solved))
+        pull[: self.nominal] = self.nominal_pull
+        self.inverse = inverse_of(system)
+        self.values = self.inverse @ (right - pull)
+        squares = self.target_squares - 2 * float(self.values @ right) + float(self.values @ gram @ self.values)
+        freedom = float(self.weight.sum()) - float(np.vdot(self.inverse, gram))
+        self.noise = float(np.sqrt(max(squares, 1e-12) / max(freedom, 1.0)))
+
+    def active_blocks(self) -> list[tuple[str, Indices]]:
+        """Each active component's name and the places of its values in `values`."""
+        blocks, at = [], self.nominal
+        for name in self.selected.active:
+            size = self.candidates[name].size
+            blocks.append((name, np.arange(at, at + size)))
+            at += size
+        return blocks
+
+    def value(self, name: str) -> float | None:
+        """The first value of an active component; None of one that is not active."""
+        at = dict(self.active_blocks()).get(name)
+        return None if at is None else float(self.values[at][0])
+
+    def _adapt_penalties(self) -> bool:
+        """One Fellner-Schall step of every active penalty, lambda <- lambda (noise^2 edf / (lambda u' P u))^1.5, edf =
+        m - lambda tr(C P) the component's effective degrees of freedom, C its block of the inverse. The exponent 1.5
+        converges faster. Whether any penalty changed by more than a tenth."""
+        changed = False
+        for name, at in self.active_blocks():
+            now, penalty = self.selected.penalties[name], self.candidates[name].penalty
+            freedom = len(at) - now * float(np.sum(self.inverse[np.ix_(at, at)] * penalty))
+            size = float(self.values[at] @ penalty @ self.values[at])
+            ratio = self.noise**2 * max(freedom, 1e-4) / max(now * size, 1e-30)
+            then = float(np.clip(now * np.clip(ratio**1.5, 0.01, 100.0), _LEAST, _MOST))
+            changed |= abs(np.log(then / now)) > 0.1
+            self.selected.penalties[name] = then
+        return changed
+
+    # ---- selection of further components
+
+    def join(self) -> bool:
+        """Makes up to _JOIN_AT_ONCE candidates components, each the one with the largest REML gain less its price, if
+        that is at least REML_GAIN per independent frame. One whose value comes out negative and must not is refused for
+        good. Whether any was tried."""
+        joined = False
+        for _ in range(_JOIN_AT_ONCE):
+            closed = set(self.selected.active) | self.selected.refused
+            open_parts = [p for p in self.candidates.values() if p.name not in closed and not p.not_beside & closed]
+            gains = {part.name: self._reml_gain(part) for part in open_parts}
+            if not gains:
+                break
+            name = max(gains, key=lambda each: gains[each][0] - self.candidates[each].price)
+            if gains[name][0] < (REML_GAIN + self.candidates[name].price) * self.frames_per_independent():
+                break
+            self.selected.active.append(name)
+            self.selected.penalties[name] = gains[name][1]
+            self.solve_with_variances()
+            value = self.value(name)
+            if self.candidates[name].one_way and value is not None and value < 0:
+                self.selected.active.remove(name)
+                self.selected.refused.add(name)
+                self.solve_with_variances()
+            joined = True
+        return joined
+
+    def _reml_gain(self, part: Departure) -> tuple[float, float]:
+        """By how much twice the restricted log likelihood grows with this candidate, and its penalty lambda there, the
+        best of _PENALTIES: sum_i f_i^2 / (noise^2 (d_i + lambda)) - log(1 + d_i / lambda), d_i the eigenvalues of its
+        information given the other unknowns relative to P, f_i its gradient along them. (0, 1) where no frame tells of
+        it."""
+        at = self.places[part.name]
+        across = self.gram[np.ix_(self.solved, at)]
+        information = self.gram[np.ix_(at, at)] - across.T @ self.inverse @ across
+        gradient = self.right[at] - across.T @ self.values
+        roots, vectors = eigh(information, part.penalty, check_finite=False)
+        roots = np.maximum(roots, 0.0)
+        squares = (vectors.T @ gradient) ** 2 / max(self.noise**2, 1e-30)
+        if not roots.max() > 0:
+            return 0.0, 1.0
+        penalties = _PENALTIES * float(roots.max())
+        gains = [float(np.sum(squares / (roots + each) - np.log1p(roots / each))) for each in penalties]
+        best = int(np.argmax(gains))
+        return gains[best], float(penalties[best])
+
+    def searched_again(self) -> SearchedParameters:
+        """The moments of a shift and a slip and the frequency of a breath that fit the residuals that are left; those
+        of active components stay."""
+        return self.searched.updated(self.counted, self.left(), set(self.selected.active))
+
+    # ---- residuals
+
+    def left(self) -> Array:
+        """(n, channels) whitened residuals that the solution leaves."""
+        left = self.target - self.design[:, self.solved] @ self.values
+        return np.asarray(left.reshape(self.counted.residuals.shape[1], -1).T)
+
+    def moving_noise(self) -> float:
+        """Scatter between neighbouring frames while the tip moves, over that while it rests, 1 to 30 (root of the ratio
+        of median squared steps); 1 where fewer than _FEW frames do either."""
+        step = np.mean(np.diff(self.left(), axis=0) ** 2, axis=1)
+        moves = self.counted.moving[1:] & self.counted.moving[:-1]
+        rests = ~self.counted.moving[1:] & ~self.counted.moving[:-1]
+        if moves.sum() < _FEW or rests.sum() < _FEW:
+            return 1.0
+        return float(np.clip(np.sqrt(np.median(step[moves]) / max(float(np.median(step[rests])), 1e-30)), 1.0, 30.0))
+
+    def moving_ratio(self, left: Array) -> float:
+        """rms of residuals (n, channels) while the tip moves over that while it rests, of all where few frames rest; 1
+        where it never moves."""
+        power, moves = np.mean(left**2, axis=1), self.counted.moving
+        rests = np.mean(power[~moves]) if (~moves).sum() > _FEW else np.mean(power)
+        return float(np.sqrt(np.mean(power[moves]) / max(float(rests), 1e-30)) if moves.any() else 1.0)
+
+    def frames_per_independent(self) -> float:
+        """`frames_per_independent` of the residuals that are left."""
+        return frames_per_independent(self.left())
+
+    # ---- the Gauss-Newton step
+
+    @property
+    def solution(self) -> Curves:
+        """The curves after the step that the solution makes."""
+        return self.fit.moved(self.curves, self.values[: self.nominal])
+
+    @property
+    def clock_step(self) -> Array:
+        """(2,) by how much the solution moves the clock's rate and drift, s, as in `counted_frames`; 0 for what is not
+        active."""
+        return np.array([self.value(name) or 0.0 for name in ("clock.rate", "clock.drift")])
+
+    @property
+    def moves_width(self) -> bool:
+        """Whether the step changes B by more than _STILL of its median sigma anywhere."""
+        shift = np.abs(self.width_step(self.values))
+        return bool(shift.max() > _STILL * float(np.median(self.width_sigma())))
+
+    def width_block(self) -> tuple[slice, Array]:
+        """Where B's coefficients are among the unknowns, and the basis (grid, coefficients) that makes B of them."""
+        first = self.curves.follow.size
+        return slice(first, first + self.fit.backlash.size), np.asarray(
+            self.fit.backlash.design(self.fit.grid).toarray()
+        )
+
+    def width_step(self, values: Array) -> Array:
+        """(grid,) by how much these values of the unknowns change B, unit of q."""
+        block, design = self.width_block()
+        return np.asarray(design @ values[block])
+
+    def width_sigma(self, inverse: Array | None = None) -> Array:
+        """(grid,) standard deviation of B, unit of q. inverse: covariance in units of the noise's variance, by default
+        that of the solution."""
+        block, design = self.width_block()
+        covariance = (self.inverse if inverse is None else inverse)[block, block]
+        return np.asarray(self.noise * np.sqrt(np.maximum(np.sum((design @ covariance) * design, axis=1), 0.0)))
+
+
+def frames_per_independent(residuals: Array) -> float:
+    """How many residuals (n, channels) tell as much as one independent frame: 1 + 2 sum of their autocorrelation while
+    that is more than chance, outliers cut at 4 rms."""
+    clipped = np.clip(residuals / max(float(np.sqrt(np.mean(residuals**2))), 1e-30), -4.0, 4.0)
+    return frames_each(clipped, min(_LAGS, len(clipped) // 4), least=2.0 / float(np.sqrt(clipped.size)))
