@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tautline as tl
-from tautline.calibration.departures import counted_frames
+from tautline.calibration.counted import counted_frames
 from tautline.calibration.observations import observe
 from tautline.calibration.smooth import Domain, fit_jointly, prepare_tracks
 from tautline.core.session import GAP_S, SessionClock

@@ -16,16 +16,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from tautline.calibration.counted import CountedFrames, counted_frames, on_clock
 from tautline.calibration.departures import (
     SHARE,
     SPEED,
     STATES,
-    CountedFrames,
     SearchedParameters,
     contrasts,
-    counted_frames,
     departures,
-    on_clock,
     slow_basis,
     tracker_error_length,
 )

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.special import expit
 
 from tautline.calibration.components import interpolated
-from tautline.calibration.departures import CountedFrames, counted_frames
+from tautline.calibration.counted import CountedFrames, counted_frames
 from tautline.calibration.mixed_model import normal_with_columns
 from tautline.calibration.playfit import Curves, Fitted
 from tautline.calibration.several import frame_powers, rms_of_frame_powers, rms_over_noise

@@ -16,7 +16,8 @@ import numpy.typing as npt
 from scipy import sparse
 from scipy.linalg import eigh
 
-from tautline.calibration.departures import CountedFrames, Departure, SearchedParameters, Sparse, scaled_rows
+from tautline.calibration.counted import CountedFrames, Sparse, scaled_rows
+from tautline.calibration.departures import Departure, SearchedParameters
 from tautline.calibration.playfit import Curves, Fitted, PlayFit
 from tautline.independence import frames_each
 from tautline.least_squares import inverse_of

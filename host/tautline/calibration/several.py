@@ -16,7 +16,7 @@ from scipy.optimize import nnls
 
 from tautline import _native
 from tautline.calibration.components import interpolated
-from tautline.calibration.departures import counted_frames
+from tautline.calibration.counted import counted_frames
 from tautline.calibration.mixed_model import normal_with_columns
 from tautline.calibration.playfit import Curves, Fitted
 from tautline.elements import SINGLE, Elements, Play, warp_of
