@@ -23,11 +23,11 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 MODES = {"off": _native.MODE_OFF, "backlash": _native.MODE_BACKLASH, "full": _native.MODE_FULL}
-RATES_HZ = 16.0, 100_000.0  # that the compensator runs at
+RATES_HZ = 16.0, 100_000.0  # limit: that the compensator runs at
 MOST_ROWS = 10_000_000
 _FLAGS = _native.COMPENSATOR_FLAGS
 _CLIPPED = _FLAGS["BELOW"] | _FLAGS["ABOVE"] | _FLAGS["CLIPPED"] | _FLAGS["LIMITED"]
-_PIECE = 200_000  # rows between two reports of progress
+_PIECE = 200_000  # display: rows between two reports of progress
 
 
 @dataclass(frozen=True, eq=False, repr=False)

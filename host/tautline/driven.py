@@ -16,7 +16,7 @@ from tautline import _native
 
 Array = npt.NDArray[np.float64]
 
-_GRID_S = 0.004  # between nodes at most: finer than a camera's frames by far
+_GRID_S = 0.004  # tolerance: between nodes at most: finer than a camera's frames by far
 _NO_NOISE = 1e-3  # tolerance: of a step: less is none
 _LEAST_NOISE = 0.2  # of a step, to begin with
 _RARER = 0.1  # times the square of the usual change, a sweep

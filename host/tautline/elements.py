@@ -22,11 +22,11 @@ from tautline.friction import Friction
 Array = npt.NDArray[np.float64]
 
 MOST: int = _native.ELEMENTS_MAX
-_NARROW_COUNTS, _NARROW_SHARE = 4.0, 0.01  # of an encoder's step, of the largest width: below it one element will do
-_PERIODS = 4000  # of the warp, at most, over the table
-_MESH = 32  # nodes of a period on which the warp's smoothness is measured
-_FINE = 64  # and at least so many that it is sampled at
-_AT_LEAST = 0.05  # of the mean rise: the warp's least, between two nodes of the mesh
+_NARROW_COUNTS, _NARROW_SHARE = 4.0, 0.01  # tolerance: of an encoder's step, of the largest width: below, one will do
+_PERIODS = 4000  # limit: of the warp, at most, over the table
+_MESH = 32  # tolerance: nodes of a period on which the warp's smoothness is measured
+_FINE = 64  # tolerance: and at least so many that it is sampled at
+_AT_LEAST = 0.05  # tolerance: of the mean rise: the warp's least, between two nodes of the mesh
 _PAST = 8  # tolerance: periods beyond the table's ends in which it is still exact
 _BEYOND = 1e3  # and to which it goes on
 _RIDGE = 1e-15

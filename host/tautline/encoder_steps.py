@@ -13,8 +13,8 @@ from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
 
-_COARSER = 30.0  # times the rig's step, at most: what is more is a motor that steps
-REST_S = 0.05  # a motor that stands still for longer rests
+_COARSER = 30.0  # prior: times the rig's step, at most: what is more is a motor that steps
+REST_S = 0.05  # prior: a motor that stands still for longer rests
 CHANGES = 24, 4  # tolerance: of the count, most and least, that tell how a motor slows down
 _SLOWING = 4  # tolerance: intervals of a path that tell how the motor slows down
 _UNSEEN = 2  # tolerance: of a path's nodes, by which changes of count may put a stop too early

@@ -21,7 +21,7 @@ class UnusableError(TautError):
     status = 3
 
 
-_LONGEST_NAME = 120  # characters of a file's name that an error shows
+_LONGEST_NAME = 120  # display: characters of a file's name that an error shows
 
 
 def of_system(error: OSError) -> str:
@@ -32,7 +32,7 @@ def of_system(error: OSError) -> str:
     return f"{shown}: {error.strerror or error}: name another file or folder, or make room and permission for this one"
 
 
-_ALIKE = 0.75  # of two words: one may be the other, misspelt
+_ALIKE = 0.75  # display: of two words: one may be the other, misspelt
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:

@@ -24,14 +24,14 @@ from tautline.value import Value, same
 Array = np.ndarray
 
 MAX_MOTOR_STEP_S = 1.0  # beyond it the times are not in seconds
-MAX_MOTOR_GAP_S = 3600.0
+MAX_MOTOR_GAP_S = 3600.0  # limit: between two samples of one log
 FARTHEST = 1e4  # spans of the range beyond it
 FARTHEST_PX = 1e5
 FRAME_COLUMNS = ("width_px", "height_px")  # of marker.csv: what the frames measure
-MOST_JOINTS = 8  # that are looked at
+MOST_JOINTS = 8  # limit: that are looked at
 VIDEO_NAMES = ("video.mkv", "video.mp4")
 _OTHERS = ("q_cmd", "translation_mm", "rotation_deg", "load_mNm")  # of a motor beside t_s and q
-_WRITTEN_ROWS = 200_000  # at once: a copy of all of them is not held
+_WRITTEN_ROWS = 200_000  # limit: at once: a copy of all of them is not held
 PICTURE_NAME = "camera.png"
 COLOUR_FILE, REGION_FILE = "marker.toml", "region.toml"  # beside a video: what is followed in it
 IMPORT_FILE = "import.toml"  # where a recording came from

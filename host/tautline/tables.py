@@ -22,11 +22,11 @@ _KIND_NAMES = {value: name for name, value in KINDS.items()}
 _UNIT_NAMES = {value: name for name, value in _native.AXIS_UNITS.items()}
 _COUNT = float(_native.COUNT_ONE)  # Q8
 _DEG = float(_native.DEG_ONE)  # Q16
-_SLOPE = 2.0**28  # deg per count, Q28
+_SLOPE = 2.0**28  # format: deg per count, Q28
 _NANO = 1e-9
-_SHARE, _WEIGHT = 2.0**28, 2**16  # of an element's width, and of its share of the motion
-_PERIOD_LOG2 = 26  # of the warp, at most
-_HALF_LOG2 = 26  # and of half the widest element
+_SHARE, _WEIGHT = 2.0**28, 2**16  # format: of an element's width, and of its share of the motion
+_PERIOD_LOG2 = 26  # format: of the warp, at most
+_HALF_LOG2 = 26  # format: and of half the widest element
 _WARP_OFF = 4.0, 0.02  # tolerance: counts, of B: how far the warp may be off between the nodes of a board's grid
 
 

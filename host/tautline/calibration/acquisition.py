@@ -20,22 +20,22 @@ from tautline.rig import Camera, Rig
 
 Array = npt.NDArray[np.float64]
 
-# Sizes that a camera or a converter makes of a picture, as factors of the rig's.
+# prior: sizes that a camera or a converter makes of a picture, as factors of the rig's.
 _SCALES = (1 / 4, 1 / 3, 3 / 8, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 8 / 3, 3.0, 4.0)
-_EVEN = 0.01  # by which the two sides may be scaled differently: a rounded number of pixels
-_OFF = 0.02  # of the picture's width: farther from the tip's path the marker is not where the rig puts it
-_FITS = 0.1  # of that distance is left where another scale is right
-_MARGIN_PX, _IN_A_ROW = 2.0, 3  # a marker outside of the picture, and frames in a row that show it there
-# How many of the rig's units one of another is, and what that one is called.
+_EVEN = 0.01  # tolerance: by which the two sides may be scaled differently: a rounded number of pixels
+_OFF = 0.02  # prior: of the picture's width: farther from the tip's path the marker is not where the rig puts it
+_FITS = 0.1  # prior: of that distance is left where another scale is right
+_MARGIN_PX, _IN_A_ROW = 2.0, 3  # tolerance: a marker outside of the picture, and frames in a row that show it there
+# unit: how many of the rig's units one of another is, and what that one is called.
 _MISTAKEN = {"mm": ((1000.0, "metres"), (25.4, "inches"), (1e-3, "micrometres")), "deg": ((57.3, "radians"),)}
-_REACH_SLACK = 10.0  # of such a factor: a motion covers a part of the range
-_LEAST_REACH, _MOST_REACH = 0.02, 5.0  # of the range: beyond, the two are in different units
-_LEAST_BEND_DEG, _MOST_BEND_DEG = 1.0, 1000.0  # three turns: no bending section's
-_LOST_ENDS_S, _LOST_ENDS = 3.0, 0.05  # of motion without frames, by which a camera may start late or stop early
-_SCATTERED = 0.15  # of the image's motion that the motor's position leaves unexplained: more is no backlash
-_RATE = 0.05  # by which a steady frame rate may differ from the rig's
+_REACH_SLACK = 10.0  # prior: of such a factor: a motion covers a part of the range
+_LEAST_REACH, _MOST_REACH = 0.02, 5.0  # prior: of the range: beyond, the two are in different units
+_LEAST_BEND_DEG, _MOST_BEND_DEG = 1.0, 1000.0  # prior: three turns: no bending section's
+_LOST_ENDS_S, _LOST_ENDS = 3.0, 0.05  # tolerance: of motion without frames, as a camera starts late
+_SCATTERED = 0.15  # prior: of the image's motion that the motor's position leaves unexplained: more is no backlash
+_RATE = 0.05  # tolerance: by which a steady frame rate may differ from the rig's
 _STEADY = 0.1  # of the frame period: what varies more is no rate
-_PLACES = 12  # of the motor's range, in each of which the marker has to be seen
+_PLACES = 12  # tolerance: of the motor's range, in each of which the marker has to be seen
 _SEEN = 0.3  # tolerance: of the frames there
 _FEWEST = 20  # frames from which a share is one
 

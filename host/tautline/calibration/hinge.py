@@ -21,7 +21,7 @@ from tautline import _native
 
 Array = npt.NDArray[np.float64]
 
-_KNOTS = 33  # candidates at once
+_KNOTS = 33  # tolerance: candidates at once
 _PIECES = 10  # of the path, in each of which its second derivative is constant
 _BENDS = 7  # tolerance: values of its standard deviation, evenly in its logarithm
 _LEAST_BEND, _MOST_BEND = 0.3, 2.0  # over the window: of the noise, nothing is seen of it; of the whole swing

@@ -24,8 +24,8 @@ Array = npt.NDArray[np.float64]
 
 # Kinds of onsets: a knot with sigma, a jump between two frames, nothing moved (a lower bound), not told.
 HINGE, BRACKET, BOUND, NONE = "hinge", "bracket", "bound", "none"
-_LONGEST = 160  # frames after the onset that one hinge takes in
-_BEFORE = 24  # frames before the turn that tell when the image stopped
+_LONGEST = 160  # tolerance: frames after the onset that one hinge takes in
+_BEFORE = 24  # tolerance: frames before the turn that tell when the image stopped
 _JUMP = 8.0  # tolerance: sigma: a quantised sensor's steps are no jumps
 _JUMPS_TOGETHER = 8.0  # prior: mean chi-square that jumps explain; 1 to 3 where there are none
 NOMINAL_S = 0.03  # standard deviation of a nominal delay

@@ -25,8 +25,8 @@ Array = npt.NDArray[np.float64]
 
 _FALSE = 0.5  # expected among all that are named
 _APART = 2.0  # spreads: nearer together, two normal distributions of one spread have one mode
-_FEWEST = 4  # robots of whom growth is known, to speak of groups
-_SHOWN = 8  # names in a sentence
+_FEWEST = 4  # tolerance: robots of whom growth is known, to speak of groups
+_SHOWN = 8  # display: names in a sentence
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,9 @@ from tautline.fleet.rows import Row
 from tautline.reports import figures, pages
 
 FILE = "fleet.html"
-_MOST = 40  # lines of one table
+_MOST = 40  # display: lines of one table
 _USUAL: dict[str, Any] = {"color": figures.UP, "linewidth": 0.5, "alpha": 0.35}
-_CURVES = 400  # of the robots, evenly taken, that a picture shows
+_CURVES = 400  # display: of the robots, evenly taken, that a picture shows
 
 
 def write(rows: Sequence[Row], found: Findings, out: Path) -> None:

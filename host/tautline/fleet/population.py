@@ -23,11 +23,11 @@ from tautline.fleet.rows import Row
 
 Array = npt.NDArray[np.float64]
 
-LEAST_ROBOTS = 4  # that a spread can be told of
-_STEPS = 40  # of expectation and maximisation
+LEAST_ROBOTS = 4  # tolerance: that a spread can be told of
+_STEPS = 40  # tolerance: of expectation and maximisation
 _PARTS = 3  # in which robots are left out
-_LENGTHS = (0.08, 0.16, 0.32)  # of the range, over which a kernel's values go together
-_WORTH = (0.1, 0.5, 2.0, 8.0, 32.0)  # robots that the kernel counts as
+_LENGTHS = (0.08, 0.16, 0.32)  # prior: of the range, over which a kernel's values go together
+_WORTH = (0.1, 0.5, 2.0, 8.0, 32.0)  # prior: robots that the kernel counts as
 _WORTH_OF_NEXT = 0.5  # prior: at least, of the next robot: wear is of shapes that no sound robot has
 _TAILS = (4.0, 12.0, 1e6)  # degrees of freedom; the last is a normal distribution. prior: the first, of the next robot
 _MOST = 600  # sessions, evenly taken, that S is found from

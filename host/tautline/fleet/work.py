@@ -19,7 +19,7 @@ from tautline.recording import check_distinct, load_all
 from tautline.rig import RIG_FILE, Rig
 from tautline.vision.marker import with_marker
 
-PLACES = 33  # of a curve in a row: on 10 mm two for the finest bump that a calibration resolves, 0.6 mm
+PLACES = 33  # tolerance: of a curve in a row: on 10 mm two for the finest bump that a calibration resolves, 0.6 mm
 
 
 def calibrated(row: Row, files: Mapping[str, bytes]) -> Row:

@@ -19,9 +19,9 @@ DICTIONARIES = {
     for name in dir(cv2.aruco)
     if name.startswith(("DICT_4X4", "DICT_5X5", "DICT_6X6", "DICT_7X7"))
 }
-_LEAST_CORNERS = 6  # of a view: a homography's four and two that check it
-_LEAST_VIEWS = 4  # two give five intrinsics; a view that is off must not decide
-_FOCAL_SHARE = 0.005  # sigma of the focal length: it goes into every angle as it is
+_LEAST_CORNERS = 6  # tolerance: of a view: a homography's four and two that check it
+_LEAST_VIEWS = 4  # tolerance: two give five intrinsics; a view that is off must not decide
+_FOCAL_SHARE = 0.005  # tolerance: sigma of the focal length: it goes into every angle as it is
 
 
 @dataclass(frozen=True)

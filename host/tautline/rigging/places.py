@@ -15,10 +15,10 @@ from tautline.recording import Angle, Recording
 from tautline.rig import Coarse
 
 Array = npt.NDArray[np.float64]
-SETTLES_S = 0.3  # after a stated time: a frame's age, and what rings
+SETTLES_S = 0.3  # prior: after a stated time: a frame's age, and what rings
 STANDS_S = 1.0  # from a stated time on
-_LEAST_FRAMES = 5
-_LEAST_PLACES = 4  # a pose has six numbers and a place gives two; one place checks them
+_LEAST_FRAMES = 5  # tolerance: of a rest, for the scatter of its mean
+_LEAST_PLACES = 4  # tolerance: a pose has six numbers and a place gives two; one place checks them
 _MOVES = 1e-2  # of the motor's travel: what moves more does not rest
 
 

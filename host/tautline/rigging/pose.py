@@ -18,7 +18,7 @@ from tautline.rigging.places import Places
 
 Array = npt.NDArray[np.float64]
 _LEAST_DEG = 1e-6
-_RIVAL = 9.0  # of its sum of squares: a pose that is as far off is left at 3 sigma
+_RIVAL = 9.0  # tolerance: of its sum of squares: a pose that is as far off is left at 3 sigma
 _STRAYS = 2.0  # times what was stated
 _SINGULAR = 1e12  # condition of the scaled information: double precision has no pose left beyond it
 

@@ -10,8 +10,8 @@ from tautline.device import wire
 from tautline.drivers.ros_graph import library
 from tautline.rig import Rig
 
-NS = 10**9
-_FARTHEST = 500.0  # rad: the board's angles end at 32768 deg, which is 571 rad
+NS = 10**9  # unit: of a second
+_FARTHEST = 500.0  # limit: rad: the board's angles end at 32768 deg, which is 571 rad
 
 
 def si(rig: Rig) -> float:

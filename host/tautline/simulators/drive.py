@@ -19,8 +19,8 @@ from tautline.simulators.simulator import Simulator
 
 Array = npt.NDArray[np.float64]
 
-STEP_S = 5e-3  # between the simulated tip's knots: at 1000 deg/s^2 straight lines are 3 mdeg off
-_KEPT = 64  # simulations that are not run twice
+STEP_S = 5e-3  # tolerance: between the simulated tip's knots: at 1000 deg/s^2 straight lines are 3 mdeg off
+_KEPT = 64  # limit: simulations that are not run twice
 
 
 class Drive:

@@ -17,7 +17,7 @@ from tautline.rig import ANGLE, MARKER, Rig
 from tautline.simulators.drive import Drive
 from tautline.simulators.simulator import Simulator
 
-_POINTS = 257  # of the model's tables
+_POINTS = 257  # tolerance: of the model's tables
 
 
 @dataclass(frozen=True)
