@@ -24,10 +24,8 @@ from tautline.rig import PLACES, Camera, HandEye, Kinematics, Place, Rig
 Array = npt.NDArray[np.float64]
 
 _NODES = PLACES  # motor positions at which angle and place are unknown
-_SHOWN = 0.25  # prior: of the square's side: standard deviation of its middle from the middle of a tube as wide as the square
-_ROAMS = (
-    0.25  # prior: of it, half a tube's radius: by how much the place goes over to the side that the camera sees then
-)
+_SHOWN = 0.25  # prior: of the square's side: standard deviation of its middle from that of a tube as wide
+_ROAMS = 0.25  # prior: of it, half a tube's radius: how far the place goes over to the side that the camera sees
 _ANYWAY = 0.5  # prior: turns of that side, in radii, that it goes on by where the side is the one that was shown
 _TURN_DEG = 20.0  # of bending over which that stays alike
 _JITTER = 1e-4  # tolerance: of it, that keeps its covariance regular
