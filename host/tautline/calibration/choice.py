@@ -234,7 +234,7 @@ class Choice:
             share = abs(mean) / max(float(np.median([o.width for o in widths])), 1e-9)
             if (
                 float(np.mean(z**2)) > 2 * _AGREE
-                and share > 0.03
+                and share > _LITTLE
                 and passes.fit.hysteresis.single
                 and image_jumps(widths)
             ):
