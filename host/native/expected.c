@@ -135,9 +135,12 @@ static void update(marker_term_t *term, double value, double variance) {
     }
 }
 
-void expected_learn(marker_expected_t *expected, const double shape[MARKER_SHAPE], double scatter, int kept) {
+void expected_learn(marker_expected_t *expected, const double shape[MARKER_SHAPE], double scatter, int kept,
+                    double hidden) {
+    const double wide = SHIFTED * SHIFTED / (1.0 + exp(-hidden));
     for (int k = 0; k < MARKER_SHAPE; k++) {
-        const double told = noise(expected, k, scatter, kept) + this_frame(expected, k);
+        const double seen = noise(expected, k, scatter, kept);
+        const double told = seen + this_frame(expected, k) + wide * (expected_variance(expected, k) + seen);
         const double away = shape[k] - expected->shape[k].value;
         const double unusual = away * away / (expected->shape[k].covariance[0][0] + told);
         expected->steady[k] *= exp(LEARNS * (fmin(unusual, LARGEST) - 1.0));

@@ -32,8 +32,9 @@ double expected_variance(const marker_expected_t *expected, int term);
 double expected_hidden(const marker_expected_t *expected, const double shape[MARKER_SHAPE], double scatter, int kept,
                        int count);
 
-/* Takes in a whole outline that was seen. */
-void expected_learn(marker_expected_t *expected, const double shape[MARKER_SHAPE], double scatter, int kept);
+/* Takes in a whole outline that was seen. hidden: log odds that it is not whole, by `expected_hidden`. */
+void expected_learn(marker_expected_t *expected, const double shape[MARKER_SHAPE], double scatter, int kept,
+                    double hidden);
 
 /* Takes in what a frame's edges scatter by; known: of how much of it, 1: of all. */
 void expected_learn_noise(marker_expected_t *expected, const marker_noise_t *seen, double known);

@@ -520,12 +520,14 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
     expected.shaded = out->after.shaded;
     out->after = expected;
     int seen = PARTLY_WHOLE;
-    if (kept == 0 || expected_hidden(&expected, shape, out->scatter, kept, rays.count) > CERTAIN) {
+    const double hidden =
+        kept > 0 ? expected_hidden(&expected, shape, out->scatter, kept, rays.count) : (double)INFINITY;
+    if (hidden > CERTAIN) {
         const view_of_t of = {view, &field, before, {u - view->x0, v - view->y0}, {cx, cy}};
         seen = see_part(&of, even, lit ? level : NULL, kept > 0 ? shape : NULL, out);
     }
     if (seen == PARTLY_WHOLE) {
-        expected_learn(&out->after, shape, out->scatter, kept);
+        expected_learn(&out->after, shape, out->scatter, kept, hidden);
         expected_learn_noise(&out->after, &noise, 1.0);
     }
     return seen == PARTLY_NOT ? MARKER_NONE : MARKER_FOUND;

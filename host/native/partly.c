@@ -18,7 +18,7 @@
 #define SHALLOW_PX 0.3  /* depths below the outline are alike in their logarithm from here on */
 #define NOT_BEYOND 0.1  /* as often as below the outline an edge of something else lies beyond it */
 #define EVEN_PX    0.4  /* sigma: by which its own edge goes deeper from a ray to the next ... */
-#define BENT_PX    0.1  /* ... and by which it leaves the straight line through the two before ... */
+#define BENT_PX    0.04 /* ... and by which it leaves the straight line through the two before ... */
 #define UNEVEN     0.2  /* ... but for a share of them */
 #define FARTHEST_PX 1e3 /* tolerance: of a line that meets a ray there */
 #define MIXED      2    /* rays to either side whose edges what is in front reaches, too, by lens and averages */
