@@ -101,7 +101,7 @@ enum { FIRST, SECOND, LATER, AGES };
 static double from_line(const rays_t *rays, int i) {
     const int n = rays->count, one = (i + n - 1) % n, two = (i + n - 2) % n;
     const double inverse = 2.0 * rays->basis[1][1] / fmax(rays->edge[one], STEP) - 1.0 / fmax(rays->edge[two], STEP);
-    return rays->edge[i] - 1.0 / fmax(inverse, 1.0 / FARTHEST_PX);
+    return fmax(rays->edge[i], STEP) - 1.0 / fmax(inverse, 1.0 / FARTHEST_PX);
 }
 
 /* Likelihood of each edge, if it is of a kind and an age. fresh: where none is expected. */
@@ -230,7 +230,7 @@ static double step(const rays_t *rays, const marker_expected_t *before, const do
         volume -= log(a[k][k]);
     }
     const double usual = before->noise.all / (sigma * sigma); /* prior of what edges scatter by in a frame */
-    out->evidence = log_likelihood - 0.5 * misfit + volume + 0.5 * AS_MANY * (log(usual) + 1.0 - usual);
+    out->evidence = log_likelihood / together - 0.5 * misfit + volume + 0.5 * AS_MANY * (log(usual) + 1.0 - usual);
     out->own = own / rays->count;
     out->scatter = sqrt(expected_scatter(&before->noise, square, own));
     for (int k = 0; k < UNKNOWNS; k++) {
