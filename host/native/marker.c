@@ -378,6 +378,9 @@ static int see_part(const view_of_t *of, const double even[PLANE], const double 
     partly_t part, shifted;
     const int seen =
         partly_weigh(of->field, even, &expected, of->expected, elsewhere ? last : NULL, found, shape, &part);
+    if (seen == PARTLY_WHOLE) { /* by how much what was expected of its shape would move it */
+        out->sigma = hypot(out->sigma, hypot(part.x - found[0], part.y - found[1]) / sqrt(2.0));
+    }
     if (seen != PARTLY_SEEN) {
         return seen;
     }
