@@ -14,9 +14,9 @@ static const double STRETCH[] = {0.0, 0.02, 0.0, 0.01};      /* by which motion 
 #define BENEATH_PX     0.03  /* by which tissue beneath the rim, and compression, change a term */
 #define SMALLEST_PX    1.0   /* limit: of a radius */
 #define UNSEEN_SCATTER 0.015 /* of the radius: of edges */
-#define UNSEEN_STEP    0.5   /* of their variance, as in MJPEG of some noise */
-#define UNSEEN_LARGE   2.5
-#define MOST_ALIKE     0.98 /* tolerance */
+#define UNSEEN_STEP    0.5   /* of their variance: between a picture's without compression and MJPEG's ... */
+#define UNSEEN_LARGE   2.5   /* ... as this */
+#define MOST_ALIKE     0.98  /* tolerance: of a correlation */
 #define SHADED         0.5   /* prior: that a marker is lit from one side */
 #define SHIFTED        3.0   /* prior: by how much more than expected what is in front changes the outline */
 #define FREEDOM        3.0   /* numbers that say what is in front: from which side, how deep, how wide */
@@ -111,7 +111,8 @@ double expected_hidden(const marker_expected_t *expected, const double shape[MAR
         const double away = shape[k] - expected->shape[k].value;
         misfit += away * away / (expected_variance(expected, k) + noise(expected, k, scatter, kept));
     }
-    const double together = expected_together(&expected->noise), n = count / together, strays = (count - kept) / together;
+    const double together = expected_together(&expected->noise), n = count / together,
+                 strays = (count - kept) / together;
     const double wide = 1.0 + SHIFTED * SHIFTED;
     const double share = lgamma(strays + 1.0) + lgamma(n - strays + 1.0) - lgamma(n + 2.0); /* any is as likely */
     return log(HIDDEN / (1.0 - HIDDEN)) + 0.5 * misfit * (1.0 - 1.0 / wide) - 0.5 * FREEDOM * log(wide) + share -
@@ -137,7 +138,7 @@ static void update(marker_term_t *term, double value, double variance) {
 
 void expected_learn(marker_expected_t *expected, const double shape[MARKER_SHAPE], double scatter, int kept,
                     double hidden) {
-    const double wide = SHIFTED * SHIFTED / (1.0 + exp(-hidden));
+    const double wide = SHIFTED * SHIFTED / (1.0 + exp(-hidden)); /* the mixture that is weighed in expected_hidden */
     for (int k = 0; k < MARKER_SHAPE; k++) {
         const double seen = noise(expected, k, scatter, kept);
         const double told = seen + this_frame(expected, k) + wide * (expected_variance(expected, k) + seen);

@@ -8,22 +8,22 @@
 #define UNKNOWNS   (MARKER_SHAPE + 2) /* the outline's terms, then its middle */
 #define COARSE     0.15 /* of the radius: as wide as edges scatter when the search for the middle begins ... */
 #define NARROWER   0.6  /* ... and by how much less each time */
-#define PASSES     24   /* at most */
+#define PASSES     24   /* tolerance: at most */
 #define SETTLED_PX 2e-3 /* tolerance */
 #define SQUARE_PX  0.3  /* tolerance: of the rays' middle, up to which they meet the outline squarely */
 #define REACH      3.0  /* px beyond where the outline may be: no farther are edges looked for */
 /* Priors of what is in front. */
-#define BEGINS     0.002 /* that it begins, and ends, from a ray to the next, a pixel farther on the rim */
-#define ENDS       0.1
-#define SHALLOW_PX 0.3  /* depths below the outline are alike in their logarithm from here on */
-#define NOT_BEYOND 0.1  /* as often as below the outline an edge of something else lies beyond it */
-#define EVEN_PX    0.4  /* sigma: by which its own edge goes deeper from a ray to the next ... */
-#define BENT_PX    0.04 /* ... and by which it leaves the straight line through the two before ... */
-#define UNEVEN     0.2  /* ... but for a share of them */
-#define FARTHEST_PX 1e3 /* tolerance: of a line that meets a ray there */
-#define MIXED      2    /* rays to either side whose edges what is in front reaches, too, by lens and averages */
-#define WHOLE      0.97 /* tolerance: share of the outline beyond which nothing is taken to be in front */
-#define ANOTHER    1e-8 /* that the marker is another one than before */
+#define BEGINS      0.002 /* that it begins, and ends, from a ray to the next, a pixel farther on the rim */
+#define ENDS        0.1
+#define SHALLOW_PX  0.3  /* depths below the outline are alike in their logarithm from here on */
+#define NOT_BEYOND  0.1  /* as often as below the outline an edge of something else lies beyond it */
+#define EVEN_PX     0.4  /* sigma: by which its own edge goes deeper from a ray to the next ... */
+#define BENT_PX     0.04 /* ... and by which it leaves the straight line through the two before ... */
+#define UNEVEN      0.2  /* ... but for a share of them */
+#define FARTHEST_PX 1e3  /* tolerance: where a line that leads away from a ray is taken to meet it */
+#define MIXED       2    /* rays to either side whose edges what is in front reaches, too, by lens and averages */
+#define WHOLE       0.97 /* tolerance: share of the outline beyond which nothing is taken to be in front */
+#define ANOTHER     1e-8 /* that the marker is another one than before */
 
 /* The outline's terms at an edge (dx, dy) px from its middle, and their derivatives by the angle. */
 static void turn(double dx, double dy, double r, double terms[MARKER_SHAPE], double by_angle[MARKER_SHAPE]) {
@@ -44,7 +44,8 @@ static void turn(double dx, double dy, double r, double terms[MARKER_SHAPE], dou
 
 /* The edges about an outline: how far beyond it, px, and the rows that they are of. */
 typedef struct {
-    double off[MARKER_RAYS_MAX], left[MARKER_RAYS_MAX] /* of it beside what its neighbour says */, row[MARKER_RAYS_MAX][UNKNOWNS];
+    double off[MARKER_RAYS_MAX], left[MARKER_RAYS_MAX] /* of it beside what its neighbour says */,
+        row[MARKER_RAYS_MAX][UNKNOWNS];
     double own[MARKER_RAYS_MAX]; /* probability that it is the outline's */
 } edges_t;
 
@@ -66,16 +67,16 @@ static void compare(const rays_t *rays, const double x[UNKNOWNS], edges_t *edges
     }
 }
 
-/* An edge's noise beside what those before it say: an autoregression along the rim, which has the correlation of
+/* An edge's noise by those before it: the autoregression of second order along the rim that has the correlation of
  * neighbours and the variance of low orders that were seen. left: share of the standard deviation that is left. */
 typedef struct {
-    double one, left_one;        /* by the one before */
+    double one, left_one;         /* by the one before */
     double two, second, left_two; /* by the two before */
 } along_t;
 
 static void along_rim(const marker_noise_t *noise, along_t *out) {
     const double alike = expected_alike(noise), together = expected_together(noise);
-    double low = -0.95, high = 0.95, variance = 1.0;
+    double low = -0.95, high = 0.95, variance = 1.0; /* tolerance: within what is stationary */
     for (int pass = 0; pass < 24; pass++) {
         out->second = 0.5 * (low + high);
         out->two = alike * (1.0 - out->second);
@@ -104,7 +105,7 @@ static double from_line(const rays_t *rays, int i) {
     return fmax(rays->edge[i], STEP) - 1.0 / fmax(inverse, 1.0 / FARTHEST_PX);
 }
 
-/* Likelihood of each edge, if it is of a kind and an age. fresh: where none is expected. */
+/* Likelihood of each edge, if it is of a kind and an age. */
 static void edge_likelihoods(const rays_t *rays, edges_t *edges, const marker_noise_t *noise, double sigma,
                              double radius, double (*edge)[KINDS][AGES]) {
     const int n = rays->count;
@@ -230,6 +231,7 @@ static double step(const rays_t *rays, const marker_expected_t *before, const do
         volume -= log(a[k][k]);
     }
     const double usual = before->noise.all / (sigma * sigma); /* prior of what edges scatter by in a frame */
+    /* Ways from different middles see different edges, in number and smoothness: they count as independent ones do. */
     out->evidence = log_likelihood / together - 0.5 * misfit + volume + 0.5 * AS_MANY * (log(usual) + 1.0 - usual);
     out->own = own / rays->count;
     out->scatter = sqrt(expected_scatter(&before->noise, square, own));
