@@ -381,6 +381,13 @@ static int see_part(const view_of_t *of, const double even[PLANE], const double 
     if (seen == PARTLY_WHOLE) { /* by how much what was expected of its shape would move it */
         out->sigma = hypot(out->sigma, hypot(part.x - found[0], part.y - found[1]) / sqrt(2.0));
     }
+    if (seen == PARTLY_WHOLE && part.another > 0.5) { /* the loss: what is known is one marker's */
+        marker_expected_t other;
+        marker_expect(out->diameter, &other);
+        expected_at(&other, out->u, out->v, &out->after);
+        out->after.noise = expected.noise;
+        out->after.shaded = expected.shaded;
+    }
     if (seen != PARTLY_SEEN) {
         return seen;
     }
@@ -530,7 +537,8 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
         seen = see_part(&of, even, lit ? level : NULL, kept > 0 ? shape : NULL, out);
     }
     if (seen == PARTLY_WHOLE) {
-        expected_learn(&out->after, shape, out->scatter, kept, hidden);
+        const double odds = expected_hidden(&out->after, shape, out->scatter, kept, rays.count);
+        expected_learn(&out->after, shape, out->scatter, kept, odds);
         expected_learn_noise(&out->after, &noise, 1.0);
     }
     return seen == PARTLY_NOT ? MARKER_NONE : MARKER_FOUND;

@@ -360,6 +360,7 @@ int partly_weigh(const field_t *field, const double level[PLANE], const marker_e
                 out->y += share * way[i].y;
                 out->scatter += share * way[i].scatter;
                 out->own += share * way[i].own;
+                out->another += looks[i].before == &other ? share : 0.0;
             } else {
                 out->variance += share * (way[i].variance + 0.5 * (dx * dx + dy * dy));
             }
