@@ -337,7 +337,9 @@ int partly_weigh(const field_t *field, const double level[PLANE], const marker_e
     double best = -INFINITY, sum = 0.0;
     for (int i = 0; i < WAYS; i++) {
         const int there = looks[i].from && explain(field, level, expected, &looks[i], &way[i]);
-        way[i].evidence = there ? way[i].evidence + log(looks[i].prior) : -INFINITY;
+        /* Of the chain's own prior only a part counts, as of its edges. */
+        const double prior = looks[i].prior * (there && way[i].own > WHOLE ? 1.0 - HIDDEN : HIDDEN);
+        way[i].evidence = there ? way[i].evidence + log(prior) : -INFINITY;
         best = fmax(best, way[i].evidence);
     }
     memset(out, 0, sizeof *out);
