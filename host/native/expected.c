@@ -14,6 +14,9 @@ static const double STRETCH[] = {0.0, 0.02, 0.0, 0.01};      /* by which motion 
 #define BENEATH_PX     0.03  /* by which tissue beneath the rim, and compression, change a term */
 #define SMALLEST_PX    1.0   /* limit: of a radius */
 #define UNSEEN_SCATTER 0.015 /* of the radius: of edges */
+#define UNSEEN_STEP    0.5   /* of their variance: between a picture's without compression and MJPEG's ... */
+#define UNSEEN_LARGE   2.5   /* ... as this */
+#define MOST_ALIKE     0.98  /* tolerance: of a correlation */
 #define SHADED         0.5   /* prior: that a marker is lit from one side */
 #define SHIFTED        3.0   /* prior: by how much more than expected what is in front changes the outline */
 #define FREEDOM        3.0   /* numbers that say what is in front: from which side, how deep, how wide */
@@ -21,7 +24,7 @@ static const double STRETCH[] = {0.0, 0.02, 0.0, 0.01};      /* by which motion 
 #define LARGEST        4.0   /* ... which no frame contradicts by more than so many variances */
 #define STEADIEST      0.03  /* prior: share of the wandering that is never ruled out */
 #define UNSURE         0.1 /* of the radius, times the share that is hidden: by which what is in front bends the rest */
-#define STEADY         0.1 /* by how much of a frame's scatter what is known of it changes */
+#define STEADY         0.1 /* prior: least weight of a frame's noise beside that of the frames before */
 
 static int order(int term) {
     return (term + 1) / 2;
@@ -37,7 +40,8 @@ void marker_expect(double diameter, marker_expected_t *out) {
         out->steady[k] = 1.0;
         out->shape[k].covariance[1][1] = out->shape[k].covariance[2][2] = slope * slope;
     }
-    out->scatter = UNSEEN_SCATTER * radius;
+    const double edge = UNSEEN_SCATTER * radius * UNSEEN_SCATTER * radius;
+    out->noise = (marker_noise_t){1.0, edge, UNSEEN_STEP * edge, UNSEEN_LARGE * edge};
     out->shaded = SHADED;
 }
 
@@ -83,9 +87,21 @@ double expected_variance(const marker_expected_t *expected, int term) {
     return expected->shape[term].covariance[0][0] + this_frame(expected, term);
 }
 
+double expected_scatter(const marker_noise_t *noise, double square, double count) {
+    return (AS_MANY * noise->all + square) / (AS_MANY + fmax(count, 0.0));
+}
+
+double expected_together(const marker_noise_t *noise) {
+    return fmax(noise->large / noise->all, 1.0);
+}
+
+double expected_alike(const marker_noise_t *noise) {
+    return fmin(fmax(1.0 - noise->step / noise->all, 0.0), MOST_ALIKE);
+}
+
 /* px2: variance of a term of the outline by the noise of its edges. */
-static double noise(int term, double scatter, int kept) {
-    return (term == 0 ? 1.0 : 2.0) * CORRELATION * scatter * scatter / kept;
+static double noise(const marker_expected_t *expected, int term, double scatter, int kept) {
+    return (term == 0 ? 1.0 : 2.0) * expected_together(&expected->noise) * scatter * scatter / kept;
 }
 
 double expected_hidden(const marker_expected_t *expected, const double shape[MARKER_SHAPE], double scatter, int kept,
@@ -93,9 +109,11 @@ double expected_hidden(const marker_expected_t *expected, const double shape[MAR
     double misfit = 0.0;
     for (int k = 0; k < MARKER_SHAPE; k++) {
         const double away = shape[k] - expected->shape[k].value;
-        misfit += away * away / (expected_variance(expected, k) + noise(k, scatter, kept));
+        misfit += away * away / (expected_variance(expected, k) + noise(expected, k, scatter, kept));
     }
-    const double wide = 1.0 + SHIFTED * SHIFTED, n = count / CORRELATION, strays = (count - kept) / CORRELATION;
+    const double together = expected_together(&expected->noise), n = count / together,
+                 strays = (count - kept) / together;
+    const double wide = 1.0 + SHIFTED * SHIFTED;
     const double share = lgamma(strays + 1.0) + lgamma(n - strays + 1.0) - lgamma(n + 2.0); /* any is as likely */
     return log(HIDDEN / (1.0 - HIDDEN)) + 0.5 * misfit * (1.0 - 1.0 / wide) - 0.5 * FREEDOM * log(wide) + share -
            strays * log(STRAY) - (n - strays) * log(1.0 - STRAY);
@@ -118,16 +136,27 @@ static void update(marker_term_t *term, double value, double variance) {
     }
 }
 
-void expected_learn(marker_expected_t *expected, const double shape[MARKER_SHAPE], double scatter, int kept) {
+void expected_learn(marker_expected_t *expected, const double shape[MARKER_SHAPE], double scatter, int kept,
+                    double hidden) {
+    const double wide = SHIFTED * SHIFTED / (1.0 + exp(-hidden)); /* the mixture that is weighed in expected_hidden */
     for (int k = 0; k < MARKER_SHAPE; k++) {
-        const double told = noise(k, scatter, kept) + this_frame(expected, k);
+        const double seen = noise(expected, k, scatter, kept);
+        const double told = seen + this_frame(expected, k) + wide * (expected_variance(expected, k) + seen);
         const double away = shape[k] - expected->shape[k].value;
         const double unusual = away * away / (expected->shape[k].covariance[0][0] + told);
         expected->steady[k] *= exp(LEARNS * (fmin(unusual, LARGEST) - 1.0));
         expected->steady[k] = fmin(fmax(expected->steady[k], STEADIEST), 1.0);
         update(&expected->shape[k], shape[k], told);
     }
-    expected->scatter += STEADY * (scatter - expected->scatter);
+}
+
+void expected_learn_noise(marker_expected_t *expected, const marker_noise_t *seen, double known) {
+    marker_noise_t *noise = &expected->noise;
+    const double gain = fmax(known / (noise->frames + known), STEADY * known);
+    noise->frames += known;
+    noise->all += gain * (seen->all - noise->all);
+    noise->step += gain * (seen->step - noise->step);
+    noise->large += gain * (seen->large - noise->large);
 }
 
 void expected_take(marker_expected_t *expected, const double shape[MARKER_SHAPE], const double variance[MARKER_SHAPE],

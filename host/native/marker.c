@@ -99,10 +99,43 @@ static double spread(const rays_t *rays) {
     return fmax(1.4826 * (double)rays_kth(size, rays->count, rays->count / 2), 0.02);
 }
 
+/* What edges scatter by about a whole outline of this shape. Its own orders, up to 4, are taken from the fit; the noise
+ * there is as large as in the next three. Returns the sum of their squares. */
+static double read_noise(const rays_t *rays, const double shape[MARKER_SHAPE], marker_noise_t *seen) {
+    enum { NEXT = 3 };
+    double off[MARKER_RAYS_MAX], along[NEXT] = {0.0}, across[NEXT] = {0.0}, square = 0.0, steps = 0.0;
+    int kept = 0, pairs = 0;
+    for (int i = 0; i < rays->count; i++) {
+        const double *b = rays->basis[i];
+        double c = b[3] * b[3] - b[4] * b[4], s = 2.0 * b[3] * b[4]; /* of order 4 */
+        off[i] = rays->keep[i] ? rays->edge[i] - rays->fit[i] - shape[5] * c - shape[6] * s : 0.0;
+        square += off[i] * off[i];
+        kept += rays->keep[i];
+        for (int k = 0; k < NEXT; k++) {
+            const double turned = c * b[1] - s * b[2];
+            s = s * b[1] + c * b[2];
+            c = turned;
+            along[k] += off[i] * c;
+            across[k] += off[i] * s;
+        }
+        if (i > 0 && rays->keep[i] && rays->keep[i - 1]) {
+            steps += 0.5 * (off[i] - off[i - 1]) * (off[i] - off[i - 1]);
+            pairs++;
+        }
+    }
+    seen->large = 0.0;
+    for (int k = 0; k < NEXT; k++) {
+        seen->large += (along[k] * along[k] + across[k] * across[k]) / (NEXT * kept);
+    }
+    seen->all = (square + UNKNOWNS_MAX * seen->large) / kept;
+    seen->step = pairs > 0 ? steps / pairs : seen->all;
+    return square;
+}
+
 /* The outline through the edges that agree. What touches the marker on one side must not bend it: it starts as a circle
  * of median radius, becomes an ellipse with Cauchy's weights, and takes its last order without the strays (3 sigma).
  * Returns how many edges it keeps, 0: no fit. */
-static int fit_outline(rays_t *rays, double *scatter) {
+static int fit_outline(rays_t *rays) {
     double weight[MARKER_RAYS_MAX];
     float sorted[MARKER_RAYS_MAX];
     for (int i = 0; i < rays->count; i++) {
@@ -140,21 +173,15 @@ static int fit_outline(rays_t *rays, double *scatter) {
             return 0;
         }
     }
-    double square = 0.0;
-    for (int i = 0; i < rays->count; i++) {
-        const double residual = rays->edge[i] - rays->fit[i];
-        square += weight[i] * residual * residual;
-    }
-    *scatter = sqrt(square / (kept - TERMS));
     return kept;
 }
 
-/* The outline where the marker's own level is `level`: its centroid from (cx, cy), its diameter and scatter. Returns
+/* The outline where the marker's own level is `level`: its centroid from (cx, cy), and its diameter. Returns
  * how many edges it keeps, 0: none. */
 static int outline(rays_t *rays, const field_t *field, double cx, double cy, const double level[PLANE], double place[2],
                    marker_outline_t *out) {
     rays_find_edges(rays, field, cx, cy, level);
-    const int kept = fit_outline(rays, &out->scatter);
+    const int kept = fit_outline(rays);
     if (kept == 0) {
         return 0;
     }
@@ -351,6 +378,16 @@ static int see_part(const view_of_t *of, const double even[PLANE], const double 
     partly_t part, shifted;
     const int seen =
         partly_weigh(of->field, even, &expected, of->expected, elsewhere ? last : NULL, found, shape, &part);
+    if (seen == PARTLY_WHOLE) { /* by how much what was expected of its shape would move it */
+        out->sigma = hypot(out->sigma, hypot(part.x - found[0], part.y - found[1]) / sqrt(2.0));
+    }
+    if (seen == PARTLY_WHOLE && part.another > 0.5) { /* the loss: what is known is one marker's */
+        marker_expected_t other;
+        marker_expect(out->diameter, &other);
+        expected_at(&other, out->u, out->v, &out->after);
+        out->after.noise = expected.noise;
+        out->after.shaded = expected.shaded;
+    }
     if (seen != PARTLY_SEEN) {
         return seen;
     }
@@ -372,6 +409,10 @@ static int see_part(const view_of_t *of, const double even[PLANE], const double 
     expected_at(before, out->u, out->v, &out->after);
     out->after.shaded = expected.shaded;
     expected_take(&out->after, part.shape, part.of_shape, 1.0 - part.own);
+    const double times = part.scatter * part.scatter / expected.noise.all;
+    const marker_noise_t noise = {1.0, times * expected.noise.all, times * expected.noise.step,
+                                  times * expected.noise.large};
+    expected_learn_noise(&out->after, &noise, part.own);
     return seen;
 }
 
@@ -471,8 +512,15 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
         }
     }
     out->kept = (double)kept / rays.count;
+    double shape[MARKER_SHAPE];
+    marker_noise_t noise;
+    if (kept > 0) {
+        read_shape(&rays, shape);
+        const double square = read_noise(&rays, shape, &noise), together = expected_together(&before->noise);
+        out->scatter = sqrt(expected_scatter(&before->noise, square, kept - UNKNOWNS_MAX * together));
+    }
     /* The centroid is the outline's first harmonic, whose variance is 2/n that of an edge. */
-    out->sigma = kept > 0 ? out->scatter * sqrt(2.0 / kept * CORRELATION) : 0.0;
+    out->sigma = kept > 0 ? out->scatter * sqrt(2.0 / kept * expected_together(&before->noise)) : 0.0;
     if (kept > 0) {
         out->u += place[0];
         out->v += place[1];
@@ -481,15 +529,17 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
     expected_at(before, out->u, out->v, &expected);
     expected.shaded = out->after.shaded;
     out->after = expected;
-    double shape[MARKER_SHAPE];
-    read_shape(&rays, shape);
     int seen = PARTLY_WHOLE;
-    if (kept == 0 || expected_hidden(&expected, shape, out->scatter, kept, rays.count) > CERTAIN) {
+    const double hidden =
+        kept > 0 ? expected_hidden(&expected, shape, out->scatter, kept, rays.count) : (double)INFINITY;
+    if (hidden > CERTAIN) {
         const view_of_t of = {view, &field, before, {u - view->x0, v - view->y0}, {cx, cy}};
         seen = see_part(&of, even, lit ? level : NULL, kept > 0 ? shape : NULL, out);
     }
     if (seen == PARTLY_WHOLE) {
-        expected_learn(&out->after, shape, out->scatter, kept);
+        const double odds = expected_hidden(&out->after, shape, out->scatter, kept, rays.count);
+        expected_learn(&out->after, shape, out->scatter, kept, odds);
+        expected_learn_noise(&out->after, &noise, 1.0);
     }
     return seen == PARTLY_NOT ? MARKER_NONE : MARKER_FOUND;
 }

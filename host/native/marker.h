@@ -41,15 +41,22 @@ typedef struct {
     double covariance[3][3];  /* of these three */
 } marker_term_t;
 
+/* The noise of edges about a whole outline: as wide as it is, and how smoothly it goes round (lens, codec). */
+typedef struct {
+    double frames;           /* that it was learnt from, the prior counted as one */
+    double all, step, large; /* px2: variance of an edge; half of that of the difference between neighbours; of a term
+                                of low order, times the edges that tell it */
+} marker_noise_t;
+
 /* What the frames before say of the next one. */
 typedef struct {
     marker_term_t shape[MARKER_SHAPE]; /* of the outline r(t) about its middle, where the marker was seen last */
     double stretched[MARKER_SHAPE];    /* px, sigma: by which motion may change them in this frame alone */
     double steady[MARKER_SHAPE];       /* share of the wandering that the prior allows a term, by how it came so far */
-    double scatter;                    /* px, rms of an edge about it */
-    double shaded;                     /* probability that the marker is lit from one side: its level is a plane */
-    int seen;                          /* it was, at: */
-    double u, v;                       /* px */
+    marker_noise_t noise;
+    double shaded; /* probability that the marker is lit from one side: its level is a plane */
+    int seen;      /* it was, at: */
+    double u, v;   /* px */
 } marker_expected_t;
 
 typedef struct {

@@ -21,6 +21,7 @@ typedef struct {
     double scatter;                /* px, rms of its own edges about it */
     double own;                    /* share of the rays on which the outline is seen */
     double evidence;               /* log, but for what all ways have in common */
+    double another;                /* probability that it is another marker */
 } partly_t;
 
 enum { PARTLY_NOT, PARTLY_SEEN, PARTLY_WHOLE };

@@ -6,9 +6,8 @@
 
 #include "marker.h"
 
-#define STEP        0.5 /* px between samples along a ray */
-#define CORRELATION 1.6 /* by which neighbouring rays, which share pixels, say less than independent ones; measured */
-#define PI          3.14159265358979323846
+#define STEP 0.5 /* px between samples along a ray */
+#define PI   3.14159265358979323846
 
 enum {
     PLANE = 3, /* terms of a level: in the middle, slopes along x and y */

@@ -80,6 +80,23 @@ def test_something_thin_in_front_costs_little(diameter: float, flat: bool) -> No
     assert np.sqrt(np.mean(error[seen] ** 2)) < 0.06
 
 
+def test_blocks_of_a_compressed_picture_are_nothing_in_front() -> None:
+    """What a codec does to an edge goes on from ray to ray as something in front would: a third of the frames were
+    lost."""
+    for seed in (18, 19):
+        _, sigma = followed(Scene(LITTLE, False, quality=50, frames=60, seed=seed))
+        assert np.mean(np.isfinite(sigma)) > 0.95
+
+
+@pytest.mark.parametrize("flat", [False, True], ids=["ball", "disc"])
+def test_the_noise_of_a_compressed_picture_is_what_is_stated(flat: bool) -> None:
+    """How smoothly an edge's noise goes round the rim is learnt: with that of pictures without compression sigma was
+    two thirds of what frames scatter by (by third differences)."""
+    error, sigma = followed(Scene(24.0, flat, quality=80, frames=100, seed=18))
+    scatter = np.diff(error, n=3, axis=0) / np.sqrt(20.0)
+    assert 0.75 < np.sqrt(np.mean(scatter**2) / np.mean(sigma**2)) < 1.25
+
+
 @pytest.mark.parametrize("diameter", [LITTLE, LARGE])
 def test_the_less_is_seen_the_less_is_known(diameter: float) -> None:
     scene = Scene(diameter, False, quality=LOSSLESS, frames=60, seed=13)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from slices import some
 
 from tautline import _native
+from tautline.driven import white_noise
 from tautline.elements import Play
 from tautline.model import Model
 from tautline.recording import Angle, Motor, Recording, save
@@ -20,6 +21,7 @@ from tautline.tracking import State, off_by, replay, tracker
 from tautline.tracking.doubt import JUMP, MEMORY_S, Doubt
 from tautline.tracking.hypotheses import judge
 from tautline.tracking.replay import COLUMNS
+from tautline.tracking.scatter import Scatter
 from tools.tracking import sessions
 from tools.tracking.score import score
 from tools.tracking.sessions import NOISE_PX, Change, Instrument, ideal_model, session
@@ -46,6 +48,16 @@ def native(b, share=(1.0,), weight=(1.0,), basis=None, shape=None):
     basis = np.empty((0, len(GRID))) if basis is None else basis
     shape = np.empty((0, len(share))) if shape is None else shape
     return _native.TrackModel(GRID, b, np.array(share), np.array(weight), basis, shape)
+
+
+def test_the_scatter_is_that_of_the_last_frames_third_differences() -> None:
+    z = 1.7 * np.random.default_rng(3).normal(size=700)
+    scatter = Scatter()
+    for value in z.tolist():
+        scatter.add(value)
+    last = z[-403:]
+    squares = 400 * white_noise(np.arange(403.0), last) ** 2
+    assert scatter.times == pytest.approx(np.sqrt((20.0 + squares) / 420.0), rel=1e-9)
 
 
 # The play
