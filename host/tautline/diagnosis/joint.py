@@ -39,7 +39,7 @@ OF_WIDTH = (BENDS, LOOSE)  # ids that are reported as part of WIDTH
 _FACTOR = 1.0  # prior: standard deviation of a positive parameter's logarithm: published values differ twofold
 _SPREADS = 3.0  # prior: standard deviation of any other parameter, in its declared spreads
 _WIDTH = 0.02  # prior: standard deviation of the width, and of what speed adds to it, in shares of the motor's range
-_BENDS, _BEND = 2, 0.3  # prior: order of the polynomial of log(width) over the place, a coefficient's deviation
+_BENDS, _BEND = 5, _FACTOR  # prior: order of the polynomial of log(width) over the place, a coefficient's deviation
 _PULL, _DRAG = 70.0, 5.0  # prior: 1/s^2, 1/s: a rod of 20 cm that hangs; its bearing stops it in a fifth of a second
 _PLACE = 0.3  # prior: standard deviation of where a load changes sides, in shares of the motor's range
 # tolerance: starts of the second mode: unknowns of width and pull, of place and of drag
@@ -49,7 +49,7 @@ _PROMISING = 2.0  # tolerance: of the squares that the other maximum leaves
 _USUAL = 0.1  # equation: the library's unit of speed, motor's ranges per second
 _SATURATION = 3.0  # prior: Stribeck's speed of small gears: half of what speed does is there at a quarter of that unit
 _SPEED_S = 0.02  # prior: s in which a width follows the speed, as in the library
-_ORDER, _LAW_DEG = 5, 3.0  # prior: order of the law's polynomial, standard deviation of a coefficient in deg
+_ORDER, _LAW_DEG = 9, 3.0  # prior: order of the law's polynomial, standard deviation of a coefficient in deg
 _DELAY_S = 0.05  # prior: standard deviation of the delay beyond the calibration's: a bus, a filter or a servo
 _DIFFERENCE = 0.01  # tolerance: standard deviations of an unknown: the step of its difference quotient
 _AT_BOUND = 1e-6  # tolerance: standard deviations: an unknown nearer to the end of its range is at it
@@ -262,16 +262,16 @@ class Joint:
         promising = least < _PROMISING * sum(float(np.sum(residuals**2)) for residuals in held.residuals)
         return (joint, best) if promising else None
 
-    def left_without(self, fitted: Fitted, counted: Sequence[npt.NDArray[np.bool_]], step: Array) -> list[Array] | None:
-        """Residuals, (scored, k) of each recording, of a fit to the `counted` readings (scored,) of each alone. None
-        where the linear `step` (m,) that leads there from the fit of all does not raise their cost, so that it holds as
-        far as it goes, or no shorter one lowers it."""
+    def left_without(self, fitted: Fitted, counted: Sequence[npt.NDArray[np.bool_]], step: Array) -> list[Array]:
+        """Residuals, (scored, k) of each recording, of a fit to the `counted` readings (scored,) of each alone: after
+        the linear `step` (m,) that leads there from the fit of all, or, where that raises their cost, after a
+        descent."""
         problem = _Descent(self, fitted.noise, counted)
         here = _Point(fitted.u, fitted.residuals)
-        if problem.cost(problem.moved(here, step)) < problem.cost(here) + _RAISED:
-            return None
-        found = descend(problem, here, _REFITS)
-        return None if found is here else found.residuals
+        there = problem.moved(here, step)
+        if problem.cost(there) < problem.cost(here) + _RAISED:
+            return there.residuals
+        return descend(problem, here, _REFITS).residuals
 
     def _laplace(self, point: _Point, noise: Noise) -> Fitted:
         """The posterior's normal approximation at its maximum; unknowns at an end of their range have variance 0."""

@@ -88,9 +88,10 @@ class Answer:
 
 
 def held_out_residuals(joint: Joint, fitted: Fitted) -> list[Array]:
-    """(scored, k) for each recording: the residual of every block of manoeuvres by a fit without that block, from one
-    linear step -(N - N_b)^-1 g_b as in heldout.py, or by a descent where that step leads nowhere better, as where the
-    block alone shows what the model is linear in but nearby; what the block alone shows is held by the prior, in N."""
+    """(scored, k) for each recording: the residual of every block of manoeuvres by a fit without that block, which is
+    one step -(N - N_b)^-1 g_b away as in heldout.py, or found by a descent where that step leads nowhere better, as
+    where the block alone shows what the model is linear in but nearby; what the block alone shows is held by the prior,
+    in N."""
     free, weight = fitted.free, fitted.noise.weight
     slopes = [slope[:, :, free] for slope in fitted.slopes]
     flat = [slope.reshape(-1, len(free)) for slope in slopes]
@@ -106,8 +107,7 @@ def held_out_residuals(joint: Joint, fitted: Fitted) -> list[Array]:
             step[free] = -np.linalg.solve(normal - weight * rows.T @ rows, gradient)
             counted = [np.ones(len(r), dtype=bool) for r in fitted.residuals]
             counted[i] = ~block
-            refitted = joint.left_without(fitted, counted, step)
-            held_out[block] = (residual - slope @ step[free] if refitted is None else refitted[i])[block]
+            held_out[block] = joint.left_without(fitted, counted, step)[i][block]
         result.append(held_out)
     return result
 
