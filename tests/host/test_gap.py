@@ -79,3 +79,41 @@ def test_numbers_that_tell_the_same_are_told_by_how_much_their_power_scatters(rh
     power = np.mean(np.minimum(np.abs(noise), 5.0).reshape(200, -1) ** 2, axis=1)
     scatters = float(np.var(power) / np.mean(power) ** 2) / (2.0 / 400)
     assert gap.noise_samples_per_independent([still(noise[:8000])], 5.0) == pytest.approx(scatters, rel=0.3)
+
+
+def moving(t: np.ndarray, q: np.ndarray) -> Segment:
+    return Segment("s", Motor(t, q, None), t, q[:, None], t >= 0.0, 0.0, False)
+
+
+def lengths(segment: Segment) -> np.ndarray:
+    number = gap.blocks(segment)
+    return PERIOD_S * np.bincount(number)
+
+
+@pytest.mark.parametrize(("half_cycle_s", "duration_s"), [(1.1, 11.0), (1.5, 30.0), (4.0, 67.0)])
+def test_blocks_are_alike_in_length_and_end_where_the_motor_turns(half_cycle_s, duration_s):
+    t = np.arange(0.0, duration_s, PERIOD_S)
+    strokes = moving(t, half_cycle_s * np.abs((t / half_cycle_s) % 2.0 - 1.0))
+    long = lengths(strokes)
+    assert len(long) == max(4, int(duration_s // gap.BLOCK_S))
+    assert long.max() <= 3.0 * long.min()  # each end moves by a quarter at most
+    if half_cycle_s < 0.5 * long.mean():
+        ends_s = np.cumsum(long)[:-1]
+        assert np.abs(ends_s / half_cycle_s - np.round(ends_s / half_cycle_s)).max() < 2.0 * PERIOD_S
+
+
+def test_where_the_motor_hardly_turns_blocks_are_as_long_as_they_can_be():
+    """7.4 s with one turn, after 5: halves of five parts hold both directions, and those of fewer do not."""
+    t = np.arange(0.0, 7.4, PERIOD_S)
+    assert lengths(moving(t, -np.abs(t - 5.0))) == pytest.approx(7.4 / 5, abs=2.0 * PERIOD_S)
+    assert len(lengths(moving(t, t))) == 1
+
+
+def test_a_long_block_counts_as_much_as_what_it_was_cut_into():
+    """A model that is better throughout 6 of 10 s is better, whether the rest is one block or twelve."""
+    before, after = np.ones((1000, 1)), np.where(np.arange(1000) < 600, 0.5, 1.01)[:, None]
+    label = np.where(np.arange(1000) < 600, np.arange(1000) // 300, 2 + (np.arange(1000) - 600) * 12 // 400)
+    shorter = gap.bootstrap([before], [after], [label])
+    assert np.mean(shorter[1] < shorter[0]) > 0.95
+    equal = gap.bootstrap([before], [after], [np.arange(1000) // 200])
+    assert np.std(shorter[1]) == pytest.approx(np.std(equal[1]), rel=0.4)

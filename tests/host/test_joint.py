@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
 from tautline.core.posterior import Posterior
-from tautline.diagnosis import gap
+from tautline.diagnosis import gap, heldout
 from tautline.diagnosis.diagnose import diagnose
 from tautline.diagnosis.joint import BENDS, LAW, SPEED, WIDTH, Fitted, Joint, Noise, Unknown, likeliest
 from tautline.diagnosis.joint_sets import Sets
@@ -276,8 +276,9 @@ def test_what_is_surely_there_is_named_however_many_may_be():
     assert set(sets.groups[:2]) == {("x4",), ("x9",)} and sets.count[2] + sets.count[3] > 0.99
 
 
-def test_a_block_that_is_left_out_is_foretold_by_a_fit_without_it(answer):
+def test_a_block_that_is_left_out_is_foretold_by_a_fit_without_it(answer, monkeypatch):
     """Of a linear model the step to it is exact."""
+    monkeypatch.setattr(heldout, "STAYS", 0.0)
     rng = np.random.default_rng(2)
     joint = Joint(answer.joint.model, PARAMETERS, answer.joint.segments[:1], NOISE_DEG)
     segment = joint.segments[0]
@@ -298,15 +299,28 @@ def test_where_a_linear_step_fails_the_rest_is_fitted_without_the_block(answer):
     """Curves exp(2 x u): from u = 0 the straight line leads far beyond what the rest alone says, 0.5."""
     joint = Joint(answer.joint.model, PARAMETERS, answer.joint.segments[:1], NOISE_DEG)
     x = np.linspace(1.0, 2.0, 40)[:, None]
-    rest = np.arange(40) < 30
-    y = np.where(rest[:, None], np.exp(x), 1.0)
+    rest = (np.arange(40) < 30).astype(float)
+    y = np.where(rest[:, None] > 0.0, np.exp(x), 1.0)
     joint._clipped = lambda u: u
     joint.residuals = lambda u: [y - np.exp(2.0 * x * u[0])]
     joint.slopes = lambda u, residuals: [(2.0 * x * np.exp(2.0 * x * u[0]))[:, :, None]]
     here = np.zeros(1)
     posterior = Posterior(("u:0",), here, np.eye(1))
     fitted = Fitted(posterior, Noise(0.01, 1.0), joint.residuals(here), joint.slopes(here, None), np.arange(1))
-    refitted = joint.left_without(fitted, [rest], np.array([1.5]))
-    assert refitted is not None
-    np.testing.assert_allclose(refitted[0][~rest], (y - np.exp(x))[~rest], rtol=0.02)
-    assert joint.left_without(fitted, [rest], np.array([0.5])) is None  # a step that leads there holds
+    for step in (1.5, 0.5):  # it leads nowhere, and there
+        refitted = joint.left_without(fitted, [rest], np.array([step]))
+        np.testing.assert_allclose(refitted[0][rest == 0.0], (y - np.exp(x))[rest == 0.0], rtol=0.02)
+
+
+def test_a_fit_without_a_block_stays_within_the_unknowns_ranges(answer):
+    """Lines u x of a width, which is 0 at least: where the rest says -1 it is 0."""
+    joint = Joint(answer.joint.model, PARAMETERS, answer.joint.segments[:1], NOISE_DEG)
+    x = np.linspace(1.0, 2.0, 40)[:, None]
+    rest = (np.arange(40) < 30).astype(float)
+    y = np.where(rest[:, None] > 0.0, -x, x)
+    joint._clipped = lambda u: np.maximum(u, 0.0)
+    joint.residuals = lambda u: [y - x * u[0]]
+    here = np.full(1, 0.1)
+    posterior = Posterior(("u:0",), here, np.eye(1))
+    fitted = Fitted(posterior, Noise(0.01, 1.0), joint.residuals(here), [x[:, :, None]], np.arange(1))
+    np.testing.assert_allclose(joint.left_without(fitted, [rest], np.array([-1.1]))[0], y)

@@ -27,7 +27,9 @@ _PIECE, _PIECE_ORDER = 24, 3  # tolerance: frames of a piece, order of the polyn
 _STANDARD_ERRORS = 2.0  # loss: by which the kurtosis must exceed a Gaussian's to count
 BLOCK_S = 8.0  # tolerance: s of a block of manoeuvres: longer than residuals are correlated
 _LEAST_LEFT = 0.05  # prior: share of a gap that another motion may leave however little the recorded ones leave
-_CUT_INTO = (12, 9)  # tolerance: numbers of blocks, tried in turn where the motor's reversals make none
+_FEWEST_BLOCKS = 4  # tolerance: of a recording: with a calibration and a test the eight that a verdict needs
+_TO_A_TURN = 0.25  # tolerance: share of a block by which its end moves: none is shorter than half of an equal one
+_MOST_PARTS = 12  # tolerance: equal parts of a recording whose motor turns too seldom
 _LONGEST_LAG, _UNCORRELATED = 199, 0.02  # tolerance: lags of an autocorrelation at most, value that ends the sum
 _EACH_WAY = 0.2  # tolerance: share of the motion that either direction must have
 _DRAWS = 400  # tolerance: of a bootstrap
@@ -145,26 +147,41 @@ def _moves(motor: Motor) -> tuple[Array, Array]:
 
 
 def blocks(segment: Segment) -> npt.NDArray[np.int64]:
-    """(scored,) For each scored observation the number of its block of manoeuvres, from 0: blocks end where the motor
-    turns, and last BLOCK_S at least. Every other block has to hold both directions, as one direction alone does not
-    tell a width from an offset: if these do not, the recording is cut into equal parts, and else is one block."""
+    """(scored,) For each scored observation the number of its block of manoeuvres, from 0. A recording is cut into as
+    many equal parts as last BLOCK_S each, but into _FEWEST_BLOCKS at least: a fit without a block is to know nearly as
+    much as the fit of all, and a block as much as any other. A part ends where the motor turns, if it does within a
+    share _TO_A_TURN of a part. Every other block has to hold both directions, as one direction alone does not tell a
+    width from an offset: if these do not, the cuts are where equal parts meet, and the parts as many more as it takes,
+    up to _MOST_PARTS; where none do the recording is one block."""
     t = segment.arrival_s[segment.scored]
     number = np.zeros(len(t), dtype=np.int64)
     if len(t) < 3:
         return number
     q = np.interp(t, segment.motor.t_s, segment.motor.q)
     direction = np.sign(np.gradient(q))
-    reversals_s = t[1:-1][np.diff(np.sign(np.diff(q))) != 0]
-    edges, last = [], t[0]
-    for reversal_s in reversals_s:
-        if reversal_s - last >= BLOCK_S:
-            edges.append(reversal_s)
-            last = reversal_s
-    for cuts in (np.array(edges), *(np.linspace(t[0], t[-1], n + 1)[1:-1] for n in _CUT_INTO)):
+    turns_s = t[1:-1][np.diff(np.sign(np.diff(q))) != 0]
+    count = max(int((t[-1] - t[0]) / BLOCK_S), _FEWEST_BLOCKS)
+    equal = [_equal_parts(t, n) for n in (count, *range(count, max(count, _MOST_PARTS) + 1))]
+    equal[0] = _moved_to_turns(equal[0], turns_s, _TO_A_TURN * (t[-1] - t[0]) / count)
+    for cuts in equal:
         number[:] = np.searchsorted(cuts, t, side="right")
         if all(_goes_both_ways(direction[number % 2 == half]) for half in (0, 1)):
             return number
     return np.zeros_like(number)
+
+
+def _equal_parts(t_s: Array, count: int) -> Array:
+    """(count - 1,) Where equal parts of the time from the first to the last of t_s (n,) meet."""
+    return np.linspace(t_s[0], t_s[-1], count + 1)[1:-1]
+
+
+def _moved_to_turns(equal: Array, turns_s: Array, most_s: float) -> Array:
+    """Where `equal` parts (n,) meet, each at the nearest of the motor's turns (m,) if that is no further than
+    most_s."""
+    if len(turns_s) == 0:
+        return equal
+    nearest = turns_s[np.argmin(np.abs(turns_s - equal[:, None]), axis=1)]
+    return np.where(np.abs(nearest - equal) <= most_s, nearest, equal)
 
 
 def _goes_both_ways(direction: Array) -> bool:
@@ -251,14 +268,17 @@ def bootstrap(
     before: Sequence[Array], after: Sequence[Array], labels: Sequence[npt.NDArray[np.int64]], seed: int = 7
 ) -> Array:
     """(2, _DRAWS) rms of `before` and of `after` in each bootstrap draw of the blocks, drawn with replacement, the same
-    ones for both. labels: (scored,) of each recording, the number of each observation's block."""
-    sums = []  # of each block: both sums of squares, how many numbers
+    ones for both. A block is drawn in proportion to its length, so that a draw is like the recordings however unequal
+    they were cut, and as many are drawn as equal blocks would tell the mean as well (Kish's effective number). labels:
+    (scored,) of each recording, the number of each observation's block."""
+    blocks_of = []  # of each block: both mean squares, how many numbers
     for b, a, label in zip(before, after, labels, strict=True):
         for number in np.unique(label):
             here = label == number
-            sums.append((float(np.sum(b[here] ** 2)), float(np.sum(a[here] ** 2)), int(b[here].size)))
-    table = np.array(sums)
-    rng = np.random.default_rng(seed)
-    drawn = table[rng.integers(0, len(table), (_DRAWS, len(table)))].sum(axis=1)
-    result: Array = np.sqrt(drawn[:, :2] / drawn[:, 2:]).T
+            blocks_of.append((float(np.mean(b[here] ** 2)), float(np.mean(a[here] ** 2)), int(b[here].size)))
+    table = np.array(blocks_of)
+    share = table[:, 2] / table[:, 2].sum()
+    effective = round(1.0 / float(np.sum(share**2)))
+    drawn = np.random.default_rng(seed).choice(len(table), (_DRAWS, effective), p=share)
+    result: Array = np.sqrt(table[drawn, :2].mean(axis=1)).T
     return result

@@ -2,7 +2,7 @@
 
 Near its optimum a fit is a linear least-squares problem: leaving block b out moves the parameters by -(N - N_b)^-1 g_b,
 where N is the normal matrix of all (with the prior), and N_b and g_b are the block's parts of matrix and gradient. A
-share _STAYS of the block stays in: what it alone shows of the nominal model (the ends of a range, an axis that moves
+share STAYS of the block stays in: what it alone shows of the nominal model (the ends of a range, an axis that moves
 in it only) would else be guessed, and says nothing about an effect.
 """
 
@@ -19,7 +19,7 @@ from tautline.diagnosis.fitted import Hypothesis
 from tautline.nominal import Normal, Rows
 
 Array = npt.NDArray[np.float64]
-_STAYS = 0.1  # tolerance: share of a block's weight that stays when it is left out
+STAYS = 0.1  # tolerance: share of a block's weight that stays when it is left out
 _RANK = 1e-10  # tolerance: relative singular value below which a direction of the parameters is dropped
 _PER_OBSERVATION = ("p", "tip", "by_width", "by_follow", "by_c", "columns", "residual")  # format: fields of Rows
 Labels = Sequence[npt.NDArray[np.int64]]  # (scored,) of each recording: the number of each observation's block
@@ -54,8 +54,8 @@ def residuals_and_surprise(
     for row, blocks, normal in zip(rows, blocks_of, normals, strict=True):
         residual = row.residual.copy()
         for block in blocks:
-            without = matrix - (1.0 - _STAYS) * block.normal.matrix
-            step = -scale * _scaled_solution(without, (1.0 - _STAYS) * scale * block.normal.gradient, scale)
+            without = matrix - (1.0 - STAYS) * block.normal.matrix
+            step = -scale * _scaled_solution(without, (1.0 - STAYS) * scale * block.normal.gradient, scale)
             residual[block.here] -= fitter.moved(block.rows, step)
         held_out.append(residual)
         single = len(blocks) == 1

@@ -39,7 +39,6 @@ OF_WIDTH = (BENDS, LOOSE)  # ids that are reported as part of WIDTH
 _FACTOR = 1.0  # prior: standard deviation of a positive parameter's logarithm: published values differ twofold
 _SPREADS = 3.0  # prior: standard deviation of any other parameter, in its declared spreads
 _WIDTH = 0.02  # prior: standard deviation of the width, and of what speed adds to it, in shares of the motor's range
-_BENDS, _BEND = 2, 0.3  # prior: order of the polynomial of log(width) over the place, a coefficient's deviation
 _PULL, _DRAG = 70.0, 5.0  # prior: 1/s^2, 1/s: a rod of 20 cm that hangs; its bearing stops it in a fifth of a second
 _PLACE = 0.3  # prior: standard deviation of where a load changes sides, in shares of the motor's range
 # tolerance: starts of the second mode: unknowns of width and pull, of place and of drag
@@ -49,7 +48,7 @@ _PROMISING = 2.0  # tolerance: of the squares that the other maximum leaves
 _USUAL = 0.1  # equation: the library's unit of speed, motor's ranges per second
 _SATURATION = 3.0  # prior: Stribeck's speed of small gears: half of what speed does is there at a quarter of that unit
 _SPEED_S = 0.02  # prior: s in which a width follows the speed, as in the library
-_ORDER, _LAW_DEG = 5, 3.0  # prior: order of the law's polynomial, standard deviation of a coefficient in deg
+_LAW_DEG = 3.0  # prior: standard deviation of a coefficient of the law's polynomial, deg
 _DELAY_S = 0.05  # prior: standard deviation of the delay beyond the calibration's: a bus, a filter or a servo
 _DIFFERENCE = 0.01  # tolerance: standard deviations of an unknown: the step of its difference quotient
 _AT_BOUND = 1e-6  # tolerance: standard deviations: an unknown nearer to the end of its range is at it
@@ -57,6 +56,19 @@ _ROUNDS, _STEPS = 3, 12  # tolerance: rounds of the noise's estimate, Gauss-Newt
 _REFITS = 4  # tolerance: steps of a fit without a block
 _RAISED = 1.0  # tolerance: of -2 log posterior, which is not smooth where a joint begins to fall
 _SMALL_GAIN = 0.02  # tolerance: of -2 log posterior: a step that gains less is the last
+
+
+@dataclass(frozen=True)
+class Detail:
+    """How finely the law and the play's width go with the place."""
+
+    law: int  # order of the law's polynomial
+    width: int  # order of the polynomial of log(width)
+    bend: float  # standard deviation of a coefficient of the latter
+
+
+NAMING = Detail(5, 2, 0.3)  # prior: where more bends, what is named is told less well: law and width stand for others
+FORETELLING = Detail(9, 5, _FACTOR)  # prior: of real joints, by blocks left out; a width is as uncertain as the rest
 
 
 @dataclass(frozen=True)
@@ -123,17 +135,18 @@ class Joint:
         segments: Sequence[Segment],
         floor: float,
         loose: bool = False,
+        detail: Detail = NAMING,
     ) -> None:
         """model: the simulator's nominal one. segments: the robot's recordings, each with its drive. floor: one
         standard deviation of the sensor's noise, in the observations' unit. loose: whether nothing holds the joint
         within the play."""
-        self.loose = loose
+        self.loose, self.detail = loose, detail
         self.model, self.parameters, self.segments, self.floor = model, tuple(parameters), list(segments), floor
         low = min(float(s.motor.q.min()) for s in segments)
         high = max(float(s.motor.q.max()) for s in segments)
-        # Chebyshev polynomials (grid, _ORDER + 1) over the range that was reached; beyond it as at its ends.
+        # Chebyshev polynomials (grid, orders) over the range that was reached; beyond it as at its ends.
         place = np.clip((2.0 * model.q - low - high) / max(high - low, 1e-9), -1.0, 1.0)
-        self._polynomials = np.polynomial.chebyshev.chebvander(place, _ORDER)
+        self._polynomials = np.polynomial.chebyshev.chebvander(place, max(detail.law, detail.width))
 
     @cached_property
     def unknowns(self) -> tuple[Unknown, ...]:
@@ -141,10 +154,10 @@ class Joint:
         the joint is loose the pull of its load, where that changes sides, and its drag."""
         sizes = {simulator_id(p.name): 1 for p in self.parameters} | {
             WIDTH: 1,
-            LAW: _ORDER + 1,
+            LAW: self.detail.law + 1,
             DELAY: 1,
             SPEED: 1,
-            BENDS: _BENDS,
+            BENDS: self.detail.width,
             **({LOOSE: 3} if self.loose else {}),
         }
         ends = np.cumsum([0, *sizes.values()])
@@ -192,7 +205,7 @@ class Joint:
         return replace(
             model,
             width=allowed_width(model.q, model.width + _WIDTH * model.rig.actuator.span * self._widths(u)),
-            c_deg=monotone(model.c_deg + _LAW_DEG * self._polynomials @ u[self.places[LAW]]),
+            c_deg=monotone(model.c_deg + self.law_slopes() @ u[self.places[LAW]]),
             delay_s=model.delay_s + _DELAY_S * float(u[self.places[DELAY]][0]),
             effects=self.effects(u),
         )
@@ -200,12 +213,12 @@ class Joint:
     def _widths(self, u: Array) -> Array:
         """(grid,) What u (m,) adds to the play's width of a resting motor, in units of _WIDTH times the motor's range:
         max(u_width, 0) exp(polynomial of the place)."""
-        log_shape = _BEND * self._polynomials[:, 1 : 1 + _BENDS] @ u[self.places[BENDS]]
+        log_shape = self.detail.bend * self._polynomials[:, 1 : 1 + self.detail.width] @ u[self.places[BENDS]]
         return np.asarray(max(float(u[self.places[WIDTH]][0]), 0.0) * np.exp(log_shape))
 
     def law_slopes(self) -> Array:
-        """(grid, _ORDER + 1) d c_deg / d u of the law's unknowns, deg, on the model's grid of q."""
-        return np.asarray(_LAW_DEG * self._polynomials)
+        """(grid, law + 1) d c_deg / d u of the law's unknowns, deg, on the model's grid of q."""
+        return np.asarray(_LAW_DEG * self._polynomials[:, : self.detail.law + 1])
 
     def residuals(self, u: Array) -> list[Array]:
         """Observed less predicted, (scored, k) for each recording, at u (m,)."""
@@ -245,7 +258,7 @@ class Joint:
         """The same unknowns with a joint that is loose within the play, and where the search for them begins: of all
         starts the one that leaves least, with the law that fits it and all else as in `held`, the fit of this one. None
         where no start leaves less than _PROMISING times the squares that `held` does."""
-        joint = Joint(self.model, self.parameters, self.segments, self.floor, loose=True)
+        joint = Joint(self.model, self.parameters, self.segments, self.floor, loose=True, detail=self.detail)
         law, weight = self.places[LAW], held.noise.weight
         rows = np.concatenate([slope[:, :, law].reshape(-1, len(law)) for slope in held.slopes])
         normal = np.eye(len(law)) + weight * rows.T @ rows
@@ -262,16 +275,25 @@ class Joint:
         promising = least < _PROMISING * sum(float(np.sum(residuals**2)) for residuals in held.residuals)
         return (joint, best) if promising else None
 
-    def left_without(self, fitted: Fitted, counted: Sequence[npt.NDArray[np.bool_]], step: Array) -> list[Array] | None:
-        """Residuals, (scored, k) of each recording, of a fit to the `counted` readings (scored,) of each alone. None
-        where the linear `step` (m,) that leads there from the fit of all does not raise their cost, so that it holds as
-        far as it goes, or no shorter one lowers it."""
-        problem = _Descent(self, fitted.noise, counted)
+    def detailed(self, fitted: Fitted) -> tuple[Joint, Fitted]:
+        """The same unknowns with a law and a width of more detail (FORETELLING), and their fit, from `fitted` on."""
+        joint = Joint(self.model, self.parameters, self.segments, self.floor, self.loose, FORETELLING)
+        start = np.zeros(joint.size)
+        for unknown in self.unknowns:
+            start[joint.places[unknown.id][: len(unknown.places)]] = fitted.u[unknown.places]
+        start[joint.places[BENDS]] *= self.detail.bend / joint.detail.bend
+        return joint, joint.fit(start=start)
+
+    def left_without(self, fitted: Fitted, weights: Sequence[Array], step: Array) -> list[Array]:
+        """Residuals, (scored, k) of each recording, of a fit to all readings with these weights (scored,), 0 to 1:
+        after the linear `step` (m,) that leads there from the fit of all, or, where that raises its cost, after a
+        descent."""
+        problem = _Descent(self, fitted.noise, weights)
         here = _Point(fitted.u, fitted.residuals)
-        if problem.cost(problem.moved(here, step)) < problem.cost(here) + _RAISED:
-            return None
-        found = descend(problem, here, _REFITS)
-        return None if found is here else found.residuals
+        there = problem.moved(here, step)
+        if problem.cost(there) < problem.cost(here) + _RAISED:
+            return there.residuals
+        return descend(problem, here, _REFITS).residuals
 
     def _laplace(self, point: _Point, noise: Noise) -> Fitted:
         """The posterior's normal approximation at its maximum; unknowns at an end of their range have variance 0."""
@@ -314,19 +336,22 @@ def likeliest(joint: Joint, progress: Callable[[float], None] = lambda share: No
 class _Descent:
     """-2 log posterior as a least-squares problem (least_squares.Problem)."""
 
-    def __init__(self, joint: Joint, noise: Noise, counted: Sequence[npt.NDArray[np.bool_]] | None = None) -> None:
-        """counted: the readings (scored,) of each recording that count; all by default."""
-        self.joint, self.noise, self.counted = joint, noise, counted
+    def __init__(self, joint: Joint, noise: Noise, weights: Sequence[Array] | None = None) -> None:
+        """weights: of the readings (scored,) of each recording; 1 by default."""
+        self.joint, self.noise, self.weights = joint, noise, weights
 
-    def _of_counted(self, rows: Sequence[Array]) -> list[Array]:
-        """Those of the readings that count, of each recording."""
-        return list(rows) if self.counted is None else [r[c] for r, c in zip(rows, self.counted, strict=True)]
+    def _weighted(self, rows: Sequence[Array]) -> list[Array]:
+        """The rows (scored, ...) of each recording times the roots of the readings' weights."""
+        if self.weights is None:
+            return list(rows)
+        roots = [np.sqrt(w).reshape(-1, *[1] * (r.ndim - 1)) for r, w in zip(rows, self.weights, strict=True)]
+        return [r * root for r, root in zip(rows, roots, strict=True)]
 
     def linearised(self, point: _Point) -> tuple[Array, Array, float]:
         """(Normal matrix (m, m), gradient (m,), cost) at a point; unknowns at an end of their range are held."""
-        slopes = self._of_counted(self.joint.slopes(point.u, point.residuals))
-        counted = _Point(point.u, self._of_counted(point.residuals))
-        matrix, gradient = _normal_equations(self.noise, counted, slopes)
+        slopes = self._weighted(self.joint.slopes(point.u, point.residuals))
+        weighted = _Point(point.u, self._weighted(point.residuals))
+        matrix, gradient = _normal_equations(self.noise, weighted, slopes)
         held = np.flatnonzero(_is_at_bound(self.joint, point.u, gradient))
         matrix[held, :] = matrix[:, held] = gradient[held] = 0.0
         matrix[held, held] = 1.0
@@ -339,7 +364,7 @@ class _Descent:
 
     def cost(self, point: _Point) -> float:
         """-2 log posterior, up to a constant."""
-        return _cost(self.noise, _Point(point.u, self._of_counted(point.residuals)))
+        return _cost(self.noise, _Point(point.u, self._weighted(point.residuals)))
 
     def enough(self, gained: float, cost: float) -> bool:
         """Whether a step that lowered the cost by `gained` was the last."""

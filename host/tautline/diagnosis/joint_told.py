@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import effects
-from tautline.diagnosis import decide, flexible, gap, repeated, shapley
+from tautline.diagnosis import decide, flexible, gap, heldout, repeated, shapley
 from tautline.diagnosis.diagnose import Diagnosis
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.joint import BENDS, DELAY, LAW, SPEED, WIDTH, Fitted, Joint
@@ -88,26 +88,25 @@ class Answer:
 
 
 def held_out_residuals(joint: Joint, fitted: Fitted) -> list[Array]:
-    """(scored, k) for each recording: the residual of every block of manoeuvres by a fit without that block, from one
-    linear step -(N - N_b)^-1 g_b as in heldout.py, or by a descent where that step leads nowhere better, as where the
-    block alone shows what the model is linear in but nearby; what the block alone shows is held by the prior, in N."""
+    """(scored, k) for each recording: the residual of every block of manoeuvres by a fit without that block, of which a
+    share STAYS stays as in heldout.py. It is one step -(N - N_b)^-1 g_b away, or found by a descent where that step
+    leads nowhere better, as where the block alone shows what the model is linear in but nearby."""
     free, weight = fitted.free, fitted.noise.weight
     slopes = [slope[:, :, free] for slope in fitted.slopes]
     flat = [slope.reshape(-1, len(free)) for slope in slopes]
     normal = np.eye(len(free)) + weight * sum(rows.T @ rows for rows in flat)
+    goes = weight * (1.0 - heldout.STAYS)
     result = []
     for i, (segment, residual, slope) in enumerate(zip(joint.segments, fitted.residuals, slopes, strict=True)):
         held_out, label = residual.copy(), gap.blocks(segment)
         for number in np.unique(label):
             block = label == number
             rows = slope[block].reshape(-1, len(free))
-            gradient = weight * rows.T @ residual[block].ravel()
             step = np.zeros(len(fitted.u))
-            step[free] = -np.linalg.solve(normal - weight * rows.T @ rows, gradient)
-            counted = [np.ones(len(r), dtype=bool) for r in fitted.residuals]
-            counted[i] = ~block
-            refitted = joint.left_without(fitted, counted, step)
-            held_out[block] = (residual - slope @ step[free] if refitted is None else refitted[i])[block]
+            step[free] = -np.linalg.solve(normal - goes * rows.T @ rows, goes * rows.T @ residual[block].ravel())
+            weights = [np.ones(len(r)) for r in fitted.residuals]
+            weights[i][block] = heldout.STAYS
+            held_out[block] = joint.left_without(fitted, weights, step)[i][block]
         result.append(held_out)
     return result
 
@@ -121,22 +120,33 @@ def improved(diagnosis: Diagnosis, answer: Answer) -> Diagnosis:
     if sure < gap.SURELY or not groups:
         return diagnosis
     groups = _largest_share_first(groups, answer, gap.rms(diagnosis.before))
-    document = _document(diagnosis, answer, groups, sure)
-    return replace(diagnosis, document=document, corrected=answer.corrected_model(), after=answer.held_out)
+    best = foretelling(answer)
+    document = _document(diagnosis, answer, best, groups, sure)
+    return replace(diagnosis, document=document, corrected=best.corrected_model(), after=best.held_out)
 
 
-def _document(diagnosis: Diagnosis, answer: Answer, groups: Sequence[tuple[str, ...]], sure: float) -> dict[str, Any]:
-    """The content of diagnosis.json with the joint fit's answer. groups: what it names; sure: probability that it
-    leaves less than the diagnosis' own answer."""
-    was, floor, after = diagnosis.document, diagnosis.document["noise_floor"], gap.rms(answer.held_out)
+def foretelling(answer: Answer) -> Answer:
+    """The answer whose model is handed out: with more detail of law and width, where that surely leaves less of blocks
+    left out; else `answer`. What is named is not asked of it: law and width of much detail stand for other causes."""
+    detailed = Answer.of(*answer.joint.detailed(answer.fitted))
+    sure = gap.probability_of_shrinking(answer.held_out, detailed.held_out, answer.joint.segments)
+    return detailed if sure >= gap.SURELY else answer
+
+
+def _document(
+    diagnosis: Diagnosis, answer: Answer, best: Answer, groups: Sequence[tuple[str, ...]], sure: float
+) -> dict[str, Any]:
+    """The content of diagnosis.json with the joint fit's answer. best: what is handed out; groups: what `answer`
+    names; sure: probability that it leaves less than the diagnosis' own answer."""
+    was, floor, after = diagnosis.document, diagnosis.document["noise_floor"], gap.rms(best.held_out)
     is_open = decide.is_open(diagnosis.evidence, after**2)
-    closed = flexible.close(diagnosis.segments[1:], answer.held_out, floor) if is_open else None
+    closed = flexible.close(diagnosis.segments[1:], best.held_out, floor) if is_open else None
     return {
         **was,
         "verdict": "effect",
-        "gap": gap.with_intervals(diagnosis.before, answer.held_out, answer.joint.segments, floor, learnt().elsewhere),
+        "gap": gap.with_intervals(diagnosis.before, best.held_out, answer.joint.segments, floor, learnt().elsewhere),
         "effects": [
-            *_effects(answer, groups, gap.rms(diagnosis.before), after),
+            *_effects(answer, best, groups, gap.rms(diagnosis.before), after),
             *(effect for effect in was["effects"] if effect["id"] == repeated.HELD),  # of the sensor's link
         ],
         "count": [sure * new + (1.0 - sure) * old for new, old in zip(answer.sets.count, was["count"], strict=True)],
@@ -151,10 +161,11 @@ def _document(diagnosis: Diagnosis, answer: Answer, groups: Sequence[tuple[str, 
 
 
 def _effects(
-    answer: Answer, groups: Sequence[tuple[str, ...]], before: float, after: float
+    answer: Answer, best: Answer, groups: Sequence[tuple[str, ...]], before: float, after: float
 ) -> Iterator[dict[str, Any]]:
-    """The named groups as diagnosis.json's effects, each with its share of the shrinkage. before, after: rms of the gap
-    without and with the answer. A simulator was never calibrated with them, and its model is loaded on no board."""
+    """The named groups as diagnosis.json's effects, each with its share of the shrinkage and its value in what is
+    handed out (`best`). before, after: rms of the gap without and with that. A simulator was never calibrated with
+    them, and its model is loaded on no board."""
     shares = answer.shares([group[0] for group in groups], before)
     total, shrink = max(sum(shares), 1e-12), 1.0 - after / before
     for group, share in zip(groups, shares, strict=True):
@@ -162,7 +173,7 @@ def _effects(
             "id": group[0],
             "probability": answer.sets.any_of(group),
             "since": "calibration",
-            "parameters": answer.parameter_values(group[0]),
+            "parameters": best.parameter_values(group[0]),
             "shrink": shrink * share / total,
             "swallowed_by_recalibration": False,
             "loads_on_board": False,
