@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tautline import _native
+from tautline import _native, spread
 
 Array = npt.NDArray[np.float64]
 
@@ -154,7 +154,7 @@ def white_noise(t_s: Array, q: Array) -> float:
     """Standard deviation of white noise on readings q (n,) of a smooth motion at rising times t_s (n,), their unit, by
     third differences; 0 for fewer than four."""
     third = third_differences(t_s, q)[1]
-    return float(np.sqrt(np.median(third**2) / 0.455)) if len(third) else 0.0  # 0.455: a chi-squared's median
+    return spread.deviation_of_squares(third**2) if len(third) else 0.0
 
 
 def _block_means(t_s: Array, q: Array) -> tuple[Array, Array]:

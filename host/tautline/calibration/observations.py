@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
-from tautline import _native, geometry
+from tautline import _native, geometry, spread
 from tautline.calibration.sway import play_paths, probability_of_rest
 from tautline.core.motor import MotorPath
 from tautline.core.session import SessionClock
@@ -251,12 +251,12 @@ def noise_of(t: Array, y: Array, least: float) -> float:
     runs = even[:-2] & even[1:-1] & even[2:]
     third = np.diff(y, 3, axis=0)
     third = third[runs] if runs.sum() >= 8 else third
-    # 20: squares of 1, 3, 3, 1; 0.6745: the median of a normal distribution's magnitudes, in its sigma.
     step = rounding_step(y)
-    usual = float(np.median(np.abs(third))) / 0.6745
+    usual = spread.deviation(third)
     if step > 0.0:  # third differences are whole steps as well, and so is their median
         usual = float(np.sqrt(np.mean(np.minimum(np.abs(third), _CORNERS * max(usual, step)) ** 2)))
-    return float(max(usual / np.sqrt(20.0), step / np.sqrt(12.0), least))
+    of_one = usual / np.sqrt(20.0)  # equation: squares of 1, 3, 3, 1
+    return float(max(of_one, spread.of_rounding(step), least))
 
 
 def rounding_step(y: Array) -> float:

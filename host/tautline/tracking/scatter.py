@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections import deque
-from statistics import median
 
 import numpy as np
+
+from tautline import spread
 
 _FRAMES = 400  # tolerance: that tell it
 _PRIOR_FRAMES = 20.0  # prior: so many frames say that the noise is the calibration's
 _ANEW = 10  # tolerance: frames between two estimates
 _THIRD = 20.0  # equation: 1 + 9 + 9 + 1, the variance of a third difference of white noise of variance 1
-_MEDIAN = 0.455  # equation: of a chi-squared of one degree of freedom
 
 
 class Scatter:
@@ -35,5 +35,5 @@ class Scatter:
         if self._new == _ANEW:
             self._new = 0
             count = len(self._squares)
-            squares = count * median(self._squares) / _MEDIAN if count else 0.0
+            squares = count * spread.deviation_of_squares(np.array(self._squares)) ** 2 if count else 0.0
             self.times = max(1.0, float(np.sqrt((_PRIOR_FRAMES + squares) / (_PRIOR_FRAMES + count))))
