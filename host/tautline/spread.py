@@ -9,7 +9,7 @@ Array = npt.NDArray[np.float64]
 
 NINE_OF_TEN = 1.645  # equation: standard deviations of a normal distribution, either way, that hold 90 %
 _MEDIAN = 0.6745  # equation: of a normal variable's size, in standard deviations
-_MEDIAN2 = 0.4549  # equation: of a chi-squared variable's of one degree of freedom
+_MEDIAN2 = 0.4549364  # equation: of a chi-squared variable's of one degree of freedom
 
 
 def deviation(values: Array) -> float:

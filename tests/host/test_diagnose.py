@@ -361,5 +361,5 @@ def test_what_a_cause_outside_of_the_library_resembles():
     assert document["verdict"] == "unknown" and 1 <= len(document["resembles"]) <= 3
     nearest = document["resembles"][0]
     assert nearest["closes"] == max(c["shrink"] for c in document["candidates"])
-    assert any(each["says"] for each in document["resembles"])  # in words, that its amplitude is not the same everywhere
+    assert any(each["says"] for each in document["resembles"])  # that its amplitude is not the same everywhere
     assert (nearest["says"] or "leaves what it could not") in narration.sentence(document)

@@ -10,6 +10,7 @@ import pytest
 from angle_plant import RIG, Motion, record, tip, width
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import chi2
 
 from tautline import _native, encoder
 from tautline.calibration.calibrate import calibrate
@@ -244,7 +245,8 @@ def test_noise_is_told_at_uneven_times(seed, uneven, noise):
     assert white_noise(t_s, readings) == pytest.approx(noise, rel=0.25)
     even = 0.01 * np.arange(len(way))
     third = np.diff(readings, 3)
-    assert white_noise(even, readings) == pytest.approx(float(np.sqrt(np.median(third**2) / 0.455 / 20.0)), rel=1e-6)
+    by_median = float(np.sqrt(np.median(third**2) / chi2(1).median() / 20.0))
+    assert white_noise(even, readings) == pytest.approx(by_median, rel=1e-6)
 
 
 @given(seed=st.integers(0, 1000), uneven=st.floats(0.0, 0.9))
