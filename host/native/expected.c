@@ -13,8 +13,8 @@ static const double STRETCH[] = {0.0, 0.02, 0.0, 0.01};      /* by which motion 
 #define AGES           5e-4                                  /* of the radius, from frame to frame, where it is */
 #define BENEATH_PX     0.03  /* by which tissue beneath the rim, and compression, change a term */
 #define SMALLEST_PX    1.0   /* limit: of a radius */
-#define UNSEEN_SCATTER 0.015 /* of the radius: of edges */
-#define UNSEEN_STEP    0.5   /* of their variance: between a picture's without compression and MJPEG's ... */
+#define UNSEEN_SCATTER 0.015 /* prior: of the radius: of edges */
+#define UNSEEN_STEP    0.5   /* prior: of their variance: between a picture's without compression and MJPEG's ... */
 #define UNSEEN_LARGE   2.5   /* ... as this */
 #define MOST_ALIKE     0.98  /* tolerance: of a correlation */
 #define SHADED         0.5   /* prior: that a marker is lit from one side */

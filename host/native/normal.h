@@ -44,8 +44,8 @@ struct normal_sparse {
     size_t rows, size;
 };
 
-// Adds J'WJ to matrix (size, size), symmetric before, and J'Wr to gradient (size). About 0.6 ns for each pair of
-// entries of a row.
+// Adds J'WJ to matrix (size, size), symmetric before, and J'Wr to gradient (size). About 2 ns for each pair of
+// entries of a row, a fifth of what scipy's product takes.
 void normal_add_sparse(const struct normal_sparse *rows, double *matrix, double *gradient);
 
 #ifdef __cplusplus

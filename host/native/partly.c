@@ -148,9 +148,9 @@ static double tell(const rays_t *rays, edges_t *edges, const marker_noise_t *noi
         const int i = (first + k) % n;
         double sum = 0.0;
         for (int kind = 0; kind < KINDS; kind++) {
-            const double *same = before[kind], *else_ = before[1 - kind];
+            const double *same = before[kind], *opposite = before[1 - kind];
             const double begins = k == 0 ? (kind == OWN ? 1.0 - BEGINS : BEGINS)
-                                         : other[1 - kind] * (else_[FIRST] + else_[SECOND] + else_[LATER]);
+                                         : other[1 - kind] * (opposite[FIRST] + opposite[SECOND] + opposite[LATER]);
             double *now = forward[i][kind];
             now[FIRST] = begins * edge[i][kind][FIRST];
             now[SECOND] = (1.0 - other[kind]) * same[FIRST] * edge[i][kind][SECOND];

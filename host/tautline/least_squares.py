@@ -13,7 +13,6 @@ from typing import Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
-from scipy.linalg.lapack import dpotrf, dpotri
 
 Array = npt.NDArray[np.float64]
 Point = TypeVar("Point")  # the unknowns and all that is known of them there: they are simulated once
@@ -83,11 +82,6 @@ def with_ridge(matrix: Array) -> Array:
 
 
 def inverse_of(matrix: Array) -> Array:
-    """Inverse of a symmetric positive definite matrix (m, m), in a third of the time that solving for the unit matrix
-    takes. Raises LinAlgError where it is not."""
-    root, failed = dpotrf(matrix, lower=1, clean=0)
-    if failed:
-        raise LinAlgError("the matrix is not positive definite")
-    lower, _ = dpotri(root, lower=1)
-    below = np.tril(lower)
-    return np.asarray(below + np.tril(below, -1).T)
+    """Inverse of a symmetric positive definite matrix (m, m). Raises LinAlgError where it is not."""
+    factored = cho_factor(matrix, check_finite=False)
+    return np.asarray(cho_solve(factored, np.eye(len(matrix)), check_finite=False))

@@ -18,6 +18,7 @@ from scipy.optimize import brentq
 from scipy.special import log_ndtr
 
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Onset
+from tautline.least_squares import inverse_of
 from tautline.model import STEEPEST, allowed_width
 from tautline.splines import Basis
 
@@ -201,7 +202,7 @@ class _WidthFit:
     def _inverse(system: Array) -> Array:
         """Inverse of a symmetric system (m, m), with a ridge that is too small to pull a curve of few widths to 0."""
         ridge = 1e-14 * float(np.trace(system)) / len(system)  # more would pull a curve of few widths to 0
-        return np.asarray(cho_solve(cho_factor(system + ridge * np.eye(len(system))), np.eye(len(system))))
+        return inverse_of(system + ridge * np.eye(len(system)))
 
     def _solve(self, weight: Array) -> None:
         """Sets the coefficients by penalised least squares with weight (n,), 1 / sigma^2. Inequalities that are

@@ -56,7 +56,7 @@ class CountedFrames:
 
     def along_path(self, columns: Sparse) -> sparse.csr_matrix:
         """(channels * n, m) columns of the image, from columns (n, m) of the tip's place p."""
-        if isinstance(columns, np.ndarray):  # every entry is kept: twelve times as fast as to look for those that are 0
+        if isinstance(columns, np.ndarray):  # every entry is kept: a fifth of the time
             n, m = columns.shape
             rows = self.slope.shape[1] * n
             values = (self.slope.T[:, :, None] * columns).ravel()

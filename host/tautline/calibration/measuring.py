@@ -60,8 +60,43 @@ _GRADUAL_START = "transmission.smooth_onset"  # the effect that several elements
 _BETWEEN_ELEMENTS = 0.003  # prior: of B: what elements of a few shares leave, alike on every stroke
 
 
+class _Setting:
+    """What follows from rig and tracks, while they are measured and after it."""
+
+    rig: Rig
+    tracks: Sequence[Track]
+    domain: Domain
+    grid: Array
+    findings: Findings
+
+    @property
+    def camera(self) -> bool:
+        """Whether the tip was seen in an image of the rig's camera."""
+        return self.tracks[0].unit == "px"
+
+    @property
+    def framed(self) -> bool:
+        """Whether the delay is a camera's: of frames that are still after a turn."""
+        return self.camera or self.rig.sees_from_tip
+
+    @property
+    def unit(self) -> str:
+        """The unit of q."""
+        return self.rig.actuator.unit
+
+    @property
+    def nominal_s(self) -> float:
+        """The rig's delay of this sensor, s."""
+        return self.rig.nominal_delay_s(self.tracks[0].sensor)
+
+    @property
+    def choice(self) -> Choice:
+        """What weighs the opinions of B against each other."""
+        return Choice(self.tracks, self.domain, self.grid, self.unit, self.findings)
+
+
 @dataclass(frozen=True)
-class Measured:
+class Measured(_Setting):
     """What one calibration was given and what its fits found. Arrays (grid,); positions and B in the unit of q."""
 
     aligned: clock.AlignedTracks
@@ -89,21 +124,6 @@ class Measured:
     load_mNm: float = 0.0  # at which B and f_remain hold beside them
 
     @property
-    def camera(self) -> bool:
-        """Whether the tip was seen in an image of the rig's camera."""
-        return self.tracks[0].unit == "px"
-
-    @property
-    def unit(self) -> str:
-        """The unit of q."""
-        return self.rig.actuator.unit
-
-    @property
-    def nominal_s(self) -> float:
-        """The rig's delay of this sensor, s."""
-        return self.rig.nominal_delay_s(self.tracks[0].sensor)
-
-    @property
     def departs(self) -> bool:
         """Whether the recordings show more than B, path and delay, a motor's counts, a tracker's error and noise."""
         found = self.components
@@ -111,13 +131,8 @@ class Measured:
             found.unexplained > PREDICTS or any(part.name not in _OF_SENSORS for part in found.parts)
         )
 
-    @property
-    def choice(self) -> Choice:
-        """What weighs the opinions of B against each other."""
-        return Choice(self.tracks, self.domain, self.grid, self.unit, self.findings)
 
-
-class Measuring:
+class Measuring(_Setting):
     """The measurement of tracks on one clock: the steps in order, and what they have found so far. Positions and B in
     the unit of q."""
 
@@ -142,15 +157,6 @@ class Measuring:
         below, above = self.reached[0] < low - half, self.reached[1] > high + half
         self.domain = Domain(self.reached[0] if below else low, self.reached[1] if above else high)
         self.grid = np.linspace(self.domain.low, self.domain.high, NODES)
-        self.camera = tracks[0].unit == "px"
-        self.framed = self.camera or rig.sees_from_tip  # a camera's delay: of frames that are still after a turn
-        self.nominal_s = rig.nominal_delay_s(tracks[0].sensor)
-        self.unit = rig.actuator.unit
-
-    @property
-    def choice(self) -> Choice:
-        """What weighs the opinions of B against each other."""
-        return Choice(self.tracks, self.domain, self.grid, self.unit, self.findings)
 
     def run(self) -> Measured:
         """Measures the delay, onsets, B and f_remain in turn. TautError where the motor does not move."""
