@@ -1,5 +1,6 @@
-"""Prior knowledge of B and the tip's path, from other robots: how B's logarithm and the path are distributed between
-them, each as a multivariate Student t of the values at some motor positions (places).
+"""Prior knowledge of B, the tip's path and its sensor's delay, from other robots: how B's logarithm and the path are
+distributed between them, each as a multivariate Student t of the values at some motor positions (places), and the delay
+as one of a single value.
 
 -2 log p(y) = (nu + k) log(1 + d^2 / nu), d^2 = (y - m)' S^-1 (y - m): where a robot is far off what is usual its weight
 (nu + k) / (nu + d^2) falls, and S counts as that much wider.
@@ -61,10 +62,11 @@ class Spread(Value):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Beforehand(Value):
-    """What is known of a robot's B and path."""
+    """What is known of a robot's B, and of its path and delay as one sensor sees them."""
 
     width: Spread  # of log B, B in the unit of q
     path: tuple[Spread, ...] = ()  # of each coordinate of the path, sensor's unit; empty where it is not known
+    delay: Spread | None = None  # of that sensor, s, a single value
 
     def usual(self, q: Array) -> Array:
         """The usual B (n,), exp of the mean of log B, at positions q (n,); unit of q."""
@@ -81,6 +83,12 @@ class Beforehand(Value):
         designs = [basis.design(each.q).toarray() for each in self.path]
         seen = zip(self.path, designs, coefficients.T, strict=True)
         return [each.term(design @ own, design) for each, design, own in seen]
+
+    def of_delay(self, delay_s: float) -> Term:
+        """The Term of the delay, matrix (1, 1) and gradient (1,); of nothing where it is not known."""
+        if self.delay is None:
+            return np.zeros((1, 1)), np.zeros(1), 0.0
+        return self.delay.term(np.array([delay_s]), np.eye(1))
 
 
 @lru_cache(maxsize=8)

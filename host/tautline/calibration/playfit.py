@@ -308,14 +308,18 @@ class PlayFit:
             pull[block] += weight * bend
         if not self.fit_delay:
             matrix[-1, -1] += (scale / self.delay_sigma_s) ** 2
+        elif (prior := self._path_beforehand(layout.channels)) is not None:
+            known, pulled, _ = prior.of_delay(curves.delay_s)
+            matrix[-1:, -1:] += scale * scale * known
+            pull[-1:] += scale * scale * pulled
         if self.effects is not None:
             at = np.r_[layout.effects]
             matrix[at, at] += scale * scale * self.effects.precision if self.fit_effects else 1.0
         return matrix, pull
 
     def _path_beforehand(self, channels: int) -> Beforehand | None:
-        """What is known of the followed curve beforehand, if it is in the sensor's own coordinates and these are as
-        many; else None."""
+        """What is known of the followed curve and the delay beforehand, if the curve is in the sensor's own coordinates
+        and these are as many; else None."""
         known = self.beforehand
         return known if known is not None and self.view is None and len(known.path) == channels else None
 
@@ -387,6 +391,8 @@ class PlayFit:
         bending, _ = self._bending(curves.follow.shape[1])
         smooth = sum(self.smoothing["follow"] * float(c @ bending @ c) for c in curves.follow.T)
         smooth += scale * scale * sum(surprise for _, _, surprise in self._path_prior(curves))
+        if self.fit_delay and (prior := self._path_beforehand(curves.follow.shape[1])) is not None:
+            smooth += scale * scale * prior.of_delay(curves.delay_s)[2]
         if self.fit_backlash:
             smooth += self.smoothing["backlash"] * float(curves.backlash @ self.backlash.roughness @ curves.backlash)
             excess = np.maximum(np.abs(np.diff(curves.backlash)) - STEEPEST * 0.98 * self.backlash.step, 0.0)

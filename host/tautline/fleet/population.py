@@ -25,6 +25,7 @@ Array = npt.NDArray[np.float64]
 
 LEAST_ROBOTS = 4  # tolerance: that a spread can be told of
 _STEPS = 40  # tolerance: of expectation and maximisation
+_SPREADS, _WIDEST = 200, 3.0  # tolerance: spreads of a single value that are tried, up to so many of what is seen
 _PARTS = 3  # in which robots are left out
 _LENGTHS = (0.08, 0.16, 0.32)  # prior: of the range, over which a kernel's values go together
 _WORTH = (0.1, 0.5, 2.0, 8.0, 32.0)  # prior: robots that the kernel counts as
@@ -128,8 +129,7 @@ def log_widths(rows: Sequence[Row]) -> Curves:
 def paths(rows: Sequence[Row]) -> list[Curves]:
     """The path that the tip's sensor sees, a set of curves for each coordinate (px or deg), of the usable sessions with
     what most have; none where too few robots have any."""
-    seen = [row for row in rows if row.usable and row.path]
-    seen = _of_one_kind(seen, lambda row: (row.unit, row.q, len(row.path)))
+    seen = _of_one_sensor(rows)
     if len({row.robot for row in seen}) < LEAST_ROBOTS:
         return []
     q, names = np.array(seen[0].q), tuple(row.robot for row in seen)
@@ -137,6 +137,22 @@ def paths(rows: Sequence[Row]) -> list[Curves]:
         np.array([getattr(row, name) for row in seen]).reshape(len(seen), -1, len(q)) for name in ("path", "path_sigma")
     )
     return [Curves(q, value[:, k], sigma[:, k], names) for k in range(value.shape[1])]
+
+
+def delays(rows: Sequence[Row]) -> Curves | None:
+    """The delay of the sensor that sees `paths`, s, a curve of one place, of the usable sessions that tell it; None
+    where too few robots have any."""
+    told = [(row.robot, row.delay_s, row.delay_sigma_s) for row in _of_one_sensor(rows) if row.delay_sigma_s]
+    if len({robot for robot, _, _ in told}) < LEAST_ROBOTS:
+        return None
+    names, value, sigma = zip(*told, strict=True)
+    return Curves(np.zeros(1), np.array(value, dtype=float)[:, None], np.array(sigma, dtype=float)[:, None], names)
+
+
+def _of_one_sensor(rows: Sequence[Row]) -> list[Row]:
+    """The usable sessions whose path is of the range and of as many coordinates as most have."""
+    seen = [row for row in rows if row.usable and row.path]
+    return _of_one_kind(seen, lambda row: (row.unit, row.q, len(row.path)))
 
 
 def _of_one_kind(rows: Sequence[Row], kind: Callable[[Row], Hashable]) -> list[Row]:
@@ -163,6 +179,32 @@ def population(curves: Curves, of_next: bool = False) -> Population:
             told[i] += float(left.weight @ there.log_density(left))
     length, worth, free = choices[int(np.argmax(told))]
     return _shrunk(*_fitted(curves, free), curves, length, worth, free)
+
+
+def single(curves: Curves) -> Population:
+    """How a single value (n, 1) is spread, for the next robot: the mean of what may be, over all spreads from none on
+    and all tails, none of which is likelier beforehand. One of no spread would be told by nothing but that the sessions
+    state their errors exactly."""
+    value, variance, weight = curves.value[:, 0], curves.sigma[:, 0] ** 2, curves.weight
+    middle = float(np.median(value))
+    scales = np.linspace(0.0, _WIDEST * float(np.sqrt(np.mean((value - middle) ** 2))), _SPREADS)[:, None]
+    total = scales**2 + variance  # (spreads, n)
+    told, mean2 = np.zeros((len(_TAILS), _SPREADS)), np.zeros((len(_TAILS), _SPREADS))
+    means = np.zeros((len(_TAILS), _SPREADS))
+    for i, free in enumerate(_TAILS):
+        mean = np.full(_SPREADS, middle)
+        for _ in range(_STEPS):
+            pulls = weight * (free + 1.0) / (free + (value - mean[:, None]) ** 2 / total) / total
+            mean = (pulls @ value) / pulls.sum(axis=1)
+        means[i], mean2[i] = mean, 1.0 / (weight / total).sum(axis=1)
+        far = np.log1p((value - mean[:, None]) ** 2 / total / free)
+        top = gammaln(0.5 * (free + 1.0)) - gammaln(0.5 * free) - 0.5 * np.log(free)
+        told[i] = (top - 0.5 * np.log(total) - 0.5 * (free + 1.0) * far) @ weight + 0.5 * np.log(mean2[i])
+    chance = np.exp(told - told.max())
+    chance /= chance.sum()
+    usual = float(np.sum(chance * means))
+    scale = float(np.sum(chance * (scales[:, 0] ** 2 + mean2 + (means - usual) ** 2)))
+    return Population(curves.q, np.array([usual]), np.array([[scale]]), _TAILS[0])
 
 
 def _fitted(curves: Curves, free: float) -> tuple[Array, Array]:

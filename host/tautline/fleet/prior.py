@@ -1,5 +1,5 @@
-"""What a fleet teaches of the next robot: how B and the tip's path in the image are spread over it, kept beside its
-results."""
+"""What a fleet teaches of the next robot: how B, the tip's path in the image and its delay are spread over it, kept
+beside its results."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from threadpoolctl import threadpool_limits
 
 from tautline.calibration.beforehand import Beforehand, Spread
 from tautline.errors import TautError, of_system
-from tautline.fleet.population import LEAST_ROBOTS, Population, log_widths, paths, population
+from tautline.fleet.population import LEAST_ROBOTS, Population, delays, log_widths, paths, population, single
 from tautline.fleet.rows import DATA_SET, Row
 from tautline.folders import write_file
 from tautline.rig import Rig
 
-FILE, FORMAT = "prior.json", "prior/2"
+FILE, FORMAT, _WITHOUT_DELAY = "prior.json", "prior/3", "prior/2"
 _SAME = 0.01  # of the range, by which a robot's may differ
 
 
@@ -30,7 +30,10 @@ def write(rows: Sequence[Row], out: Path) -> None:
     with threadpool_limits(1, "blas"):
         width = _told(population(curves, of_next=True))  # who may be worn; a law is what it is
         path = [_told(population(each)) for each in paths(rows)]
-    document = {"format": FORMAT, "unit": unit, "robots": len(set(curves.names)), "width": width, "path": path}
+        late = delays(rows)
+        delay = None if late is None else _told(single(late))
+    robots = len(set(curves.names))
+    document = {"format": FORMAT, "unit": unit, "robots": robots, "width": width, "path": path, "delay": delay}
     write_file(out / FILE, json.dumps(document))
 
 
@@ -52,9 +55,11 @@ def read(out: Path, rig: Rig) -> Beforehand:
     path = out / FILE
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-        if document["format"] != FORMAT:
+        if document["format"] not in (FORMAT, _WITHOUT_DELAY):
             raise ValueError(f"format {document['format']}")
-        known = Beforehand(_spread(document["width"]), tuple(_spread(each) for each in document["path"]))
+        late = document.get("delay")
+        path_known = tuple(_spread(each) for each in document["path"])
+        known = Beforehand(_spread(document["width"]), path_known, None if late is None else _spread(late))
         unit, q = str(document["unit"]), known.width.q
     except FileNotFoundError as error:
         if (out / DATA_SET).is_dir():
