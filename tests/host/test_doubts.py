@@ -110,7 +110,7 @@ def test_a_departure_is_told_where_a_good_verdict_hangs_on_its_being_taken_out(r
     [("offset.time", 2.0, 2.0), ("image.shift", 2.0, 0.0), ("offset.recording", 2.0, 0.0)],
 )
 def test_what_happened_once_does_not_go_on(name: str, late: float, still: float) -> None:
-    since = DifferenceFromEnd(np.arange(4), late * np.ones((4, 2)), np.ones(4, bool))
+    since = DifferenceFromEnd(np.arange(4), late * np.ones((4, 2)), np.ones(4, bool), np.zeros((4, 2, 1)), np.ones(4))
     found = components(3.0, 0.5)
     found = replace(found, parts=(replace(found.parts[0], name=name),), from_end=(since,))
     assert still_changing(found) == pytest.approx(still)

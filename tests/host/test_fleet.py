@@ -421,7 +421,7 @@ def test_a_delay_is_spread_as_the_robots_are_and_not_as_their_sessions_err(sprea
 
 
 def test_a_camera_of_another_delay_is_no_usual_one_and_hides_none():
-    """One robot in 60 that is 5 ms later leaves the others' spread; a calibration of it gets next to nothing to hold."""
+    """One robot in 60 that is 5 ms later leaves the others' spread; its own calibration is hardly held by that."""
     seen = late_by(np.random.default_rng(9), 0.0, 60, 3)
     seen.value[:3] += 5e-3
     found = single(seen)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse
 
 from tautline.calibration.counted import CountedFrames, counted_frames, on_clock
 from tautline.calibration.departures import (
@@ -67,6 +68,16 @@ class DifferenceFromEnd:
     frames: Indices  # (n,) of the track
     over_noise: Array  # (n, channels) seen less what would be seen at the end, over the stated noise
     late: npt.NDArray[np.bool_]  # (n,) frames of the last quarter of the session
+    spread: Array  # (n, channels, m) standard deviation of that, a column for each direction that varies by itself
+    sigma: Array  # (n,) the noise, sensor's unit
+
+
+@dataclass(frozen=True)
+class EndedTrack:
+    """A track as if it had been seen with the state of the session's end."""
+
+    track: Track
+    spread: Array  # (n, channels, m) sensor's unit: m errors that all frames share, each one standard deviation
 
 
 @dataclass(frozen=True)
@@ -94,14 +105,17 @@ class Components:
         late = [each.over_noise[each.late] for each in self.from_end if each.late.any()]
         return float(np.sqrt(np.mean(np.concatenate(late) ** 2))) if late else 0.0
 
-    def at_the_end(self, tracks: Sequence[Track]) -> list[Track]:
-        """The counted frames of the fit's tracks as if all had been seen with the state of the session's end."""
-        if not self.from_end:
-            return list(tracks)
-        kept = [track.only(change.frames) for track, change in zip(tracks, self.from_end, strict=True)]
+    def at_the_end(self, tracks: Sequence[Track]) -> list[EndedTrack]:
+        """The counted frames of the fit's tracks as if all had been seen with the state of the session's end; only
+        tracks that have any. Empty where nothing changed."""
+        kept = [track.only(change.frames) for track, change in zip(tracks, self.from_end, strict=bool(self.from_end))]
         return [
-            replace(track, y=track.y - change.over_noise * track.sigma[:, None])
+            EndedTrack(
+                replace(track, y=track.y - change.over_noise * change.sigma[:, None]),
+                change.spread * change.sigma[:, None, None],
+            )
             for track, change in zip(kept, self.from_end, strict=True)
+            if len(track.t_s)
         ]
 
     @property
@@ -338,12 +352,20 @@ class _Estimated:
             return ()
         counted = self.model.counted
         ended = {part.name: part for part in departures(counted.at_the_end(), self.model.searched, apart=True)}
-        difference = np.zeros(counted.residuals.size)
-        for name, at in changed:
-            difference += (self.model.candidates[name].columns - ended[name].columns) @ self.model.values[at]
-        by_frame = difference.reshape(counted.residuals.shape[1], -1).T
+        columns = sparse.hstack([self.model.candidates[name].columns - ended[name].columns for name, _ in changed])
+        at_all, shape = np.concatenate([at for _, at in changed]), (counted.residuals.shape[1], -1)
+        by_frame = (columns @ self.model.values[at_all]).reshape(shape).T
+        variance, ways = np.linalg.eigh(
+            self.model.inverse[np.ix_(at_all, at_all)] * self.model.frames_per_independent()
+        )
+        spread = columns @ (ways * (self.model.noise * np.sqrt(np.maximum(variance, 0.0))))
+        spread = spread.reshape(*shape, len(at_all)).transpose(1, 0, 2)
         own = [counted.recording == k for k in range(len(self.model.fit.tracks))]
-        return tuple(DifferenceFromEnd(counted.frame[k], by_frame[k], counted.t[k] > _LATE) for k in own)
+        sigma = [each.track.sigma for each in self.model.fit.tracks]
+        return tuple(
+            DifferenceFromEnd(counted.frame[k], by_frame[k], counted.t[k] > _LATE, spread[k], noise[counted.frame[k]])
+            for k, noise in zip(own, sigma, strict=True)
+        )
 
     def _offset_at_the_end(self) -> float:
         """Offset of the motor's positions at the session's end against its mean, unit of q: the tip at q is where it

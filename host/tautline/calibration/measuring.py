@@ -18,7 +18,7 @@ from tautline.calibration.angle_delay import at_credible_delay, delay_of_all
 from tautline.calibration.backlash import WidthCurve, fit_widths
 from tautline.calibration.beside import FittedEffects
 from tautline.calibration.choice import JOINT, Choice, image_jumps
-from tautline.calibration.components import WORSE, Components, separate
+from tautline.calibration.components import WORSE, Components, EndedTrack, separate
 from tautline.calibration.departures import SPEED
 from tautline.calibration.findings import Findings
 from tautline.calibration.holding import without_held_places
@@ -118,7 +118,7 @@ class Measured(_Setting):
     remaining: Remaining | None
     components: Components | None = None
     held: float = 0.0  # share of the frames that repeat a place that the tip had left
-    ended: Sequence[Track] | None = None  # the tracks as if seen with the state of the session's end
+    ended: Sequence[EndedTrack] = ()  # the tracks as if seen with the state of the session's end, if that changed
     hysteresis: Hysteresis = SINGLE
     effects: tuple[FittedEffects, Array] | None = None  # beside the play, and their values
     load_mNm: float = 0.0  # at which B and f_remain hold beside them
@@ -146,7 +146,7 @@ class Measuring(_Setting):
         self.findings = Findings([*aligned.reasons, *reasons], list(aligned.notes))
         self.components: Components | None = None
         self.held = 0.0  # share of the frames that repeat a place that the tip had left
-        self.ended: Sequence[Track] | None = None  # the tracks as if seen with the state of the session's end
+        self.ended: Sequence[EndedTrack] = ()
         self.hysteresis: Hysteresis = SINGLE
         self.effects: tuple[FittedEffects, Array] | None = None  # beside the play, and their values
         self.load_mNm = 0.0  # at which B and f_remain hold beside them
@@ -410,7 +410,7 @@ class Measuring(_Setting):
             onsets, curve, components, apart, joint_fit
         ):
             if components.from_end and apart.fit.tracks[0].track.unit == self.tracks[0].unit:
-                self.ended = [t for t in components.at_the_end(self.tracks) if len(t.t_s)]
+                self.ended = components.at_the_end(self.tracks)
             self.findings.evidence["residual_alone"] = alone
             return apart
         self.findings.evidence["residual_alone"] = joint_fit.scale
@@ -481,9 +481,20 @@ class Measuring(_Setting):
             if curves is not None:
                 return curves
             self.findings.notes.append("the characteristic shows no closed shape: f_remain was fitted directly instead")
-        tracks = self.ended or self.tracks
+        tracks, spread = self.tracks, [each.spread for each in self.ended]
+        if self.ended:
+            tracks = [each.track for each in self.ended]
         return fit_remaining(
-            tracks, self.rig, self.domain, self.grid, width, delay_s, settled_only, self.hysteresis, self.effects
+            tracks,
+            self.rig,
+            self.domain,
+            self.grid,
+            width,
+            delay_s,
+            settled_only,
+            self.hysteresis,
+            self.effects,
+            spread,
         )
 
 

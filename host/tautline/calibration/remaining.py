@@ -19,6 +19,7 @@ from tautline.calibration.simulated_track import PreparedTrack
 from tautline.calibration.smooth import SPANS, Domain
 from tautline.elements import SINGLE, Hysteresis
 from tautline.geometry import pose, project_with_slope, tracked_deg
+from tautline.least_squares import with_ridge
 from tautline.rig import Rig
 from tautline.splines import Basis
 
@@ -83,10 +84,12 @@ def fit_remaining(
     settled_only: bool,
     hysteresis: Hysteresis = SINGLE,
     effects_and_values: tuple[FittedEffects, Array] | None = None,
+    shared: Sequence[Array] = (),
 ) -> Remaining | None:
     """f_remain as a monotone penalised spline in the play's centre, fitted to the image through the projection (or to
     angles), with B width (grid,), delay, s, hysteresis and effects held. settled_only: frames before the tip was driven
-    both ways do not count. None where hardly anything moved."""
+    both ways do not count. shared: by track errors (n, channels, m), sensor's unit, m that all frames share, each one
+    standard deviation. None where hardly anything moved."""
     view = view_of(rig) if tracks[0].unit == "px" else None
     basis = Basis(domain.low, domain.high, SPANS)
     prepared = [PreparedTrack.of(track) for track in tracks]
@@ -122,8 +125,10 @@ def fit_remaining(
         notes.append("f_remain is not monotone where the tip hardly moves: it was made so for the inverse")
     design_on_grid = basis.design(grid).toarray()
     block = fitted.covariance[: basis.size, : basis.size]
-    own = np.sqrt(np.maximum(np.sum((design_on_grid @ block) * design_on_grid, axis=1), 0.0))
-    sigma = np.hypot(own, tracked_deg(max(track.tracked_px for track in tracks), rig, lawful))
+    variance = np.maximum(np.sum((design_on_grid @ block) * design_on_grid, axis=1), 0.0)
+    if shared:
+        variance += np.sum((design_on_grid @ _moved_by(fitted, shared)[: basis.size]) ** 2, axis=1)
+    sigma = np.hypot(np.sqrt(variance), tracked_deg(max(track.tracked_px for track in tracks), rig, lawful))
     return Remaining(lawful, sigma, _rms(fitted, tracks), fitted.scale, tuple(notes), fitted)
 
 
@@ -135,6 +140,18 @@ def carried_on(curve: Array, grid: Array, low: float, high: float) -> Array:
     below = low_value + (low_next - low_value) / tenth * (grid - low)
     above = high_value + (high_value - high_next) / tenth * (grid - high)
     return np.where(grid < low, below, np.where(grid > high, above, curve))
+
+
+def _moved_by(fitted: Fitted, errors: Sequence[Array]) -> Array:
+    """(unknowns, m) by how much each of m errors of the frames, by track (n, channels, m), sensor's unit, moves the
+    solution, to first order."""
+    fit, curves = fitted.fit, fitted.curves
+    over_noise = [each / prepared.track.sigma[:, None, None] for each, prepared in zip(errors, fit.tracks, strict=True)]
+    system, gradients = fit.penalty(curves, fitted.scale)[0], []
+    for k in range(errors[0].shape[2]):
+        matrix, gradient = fit.normal(curves, [each[:, :, k] for each in over_noise], fitted.weights)
+        gradients.append(gradient)
+    return np.asarray(np.linalg.solve(with_ridge(matrix + system), np.column_stack(gradients)))
 
 
 class _FixedWidth(PlayFit):

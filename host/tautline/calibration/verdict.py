@@ -65,7 +65,8 @@ def judged(found: Measured) -> Calibration:
     gaps = coverage.gaps(model, apart)
     found.findings.notes += [f"{gap.says(found.unit)}, and is held there" for gap in gaps]
     fit_of_remaining = None if found.remaining is None else found.remaining.fitted
-    predictions = predictive_worth(model, found.ended or found.tracks, joint_fit, fit_of_remaining)
+    tracks = [each.track for each in found.ended] or found.tracks
+    predictions = predictive_worth(model, tracks, joint_fit, fit_of_remaining)
     if predictions is not None:
         found.findings.reasons += predictions.doubts
         found.findings.evidence |= {
