@@ -74,6 +74,23 @@ def codes(found: Calibration) -> set[str]:
     return {reason.code for reason in found.model.quality.reasons}
 
 
+@pytest.mark.parametrize("fall", [2.2, 5.0])  # deg/mm, the most by which the angle falls while p rises
+def test_a_law_that_turns_back_is_no_good_one_and_its_sigma_covers(fall, monkeypatch):
+    """No inverse has it. The play is as it is, B is right; the table is level where the tip goes back."""
+
+    def turning(p: np.ndarray) -> np.ndarray:
+        return np.asarray(11.0 * p - (11.0 + fall) * np.exp(-0.5 * ((p - 1.0) / 0.8) ** 2) * (p - 1.0))
+
+    monkeypatch.setitem(globals(), "bend", turning)
+    found = Plant().calibrated()
+    model, (_, z) = found.model, error_of(found)
+    inside = (model.q > model.measured[0]) & (model.q < model.measured[1])
+    off = ((model.c_deg - turning(model.q)) / model.c_sigma)[inside]
+    assert model.quality.verdict is Verdict.DOUBTFUL
+    assert z < 1.5 and np.sqrt(np.mean(off**2)) < 1.5
+    assert any("turns back between" in note for note in found.notes)
+
+
 def test_nothing_departs_and_nothing_is_said():
     found = Plant().calibrated(naming=True)
     um, z = error_of(found)

@@ -121,11 +121,16 @@ def fit_remaining(
     lawful = monotone(curve, grid, falling, _LEAST_SLOPE * abs(rig.coarse.gain))
     notes = []
     seen = (grid >= p.min()) & (grid <= p.max())
-    if np.abs(lawful - curve)[seen].max(initial=0.0) > 1e-3 * np.ptp(curve):
-        notes.append("f_remain is not monotone where the tip hardly moves: it was made so for the inverse")
+    changed = np.where(seen, np.abs(lawful - curve), 0.0)
+    if changed.max() > 1e-3 * np.ptp(curve):
+        low, high = grid[changed > 0.5 * changed.max()][[0, -1]]
+        notes.append(
+            f"f_remain turns back between {low:.3g} and {high:.3g} {rig.actuator.unit}, by {changed.max():.2g} deg: "
+            "it is level there, as only what rises or falls everywhere has an inverse"
+        )
     design_on_grid = basis.design(grid).toarray()
     block = fitted.covariance[: basis.size, : basis.size]
-    variance = np.maximum(np.sum((design_on_grid @ block) * design_on_grid, axis=1), 0.0)
+    variance = np.maximum(np.sum((design_on_grid @ block) * design_on_grid, axis=1), 0.0) + (lawful - curve) ** 2
     if shared:
         variance += np.sum((design_on_grid @ _moved_by(fitted, shared)[: basis.size]) ** 2, axis=1)
     sigma = np.hypot(np.sqrt(variance), tracked_deg(max(track.tracked_px for track in tracks), rig, lawful))

@@ -123,12 +123,15 @@ def _frames_of_tip(
     fit: PlayFit, curves: Curves, errors: Sequence[Array], masks: Sequence[npt.NDArray[np.bool_]]
 ) -> list[npt.NDArray[np.bool_]]:
     """The masks without frames whose error is larger than both all of B would move the tip in the image and _STRAY
-    times the usual error: these show something else than the tip (another blob, a lost count)."""
+    times the usual error: these show something else than the tip (another blob, a lost count). The tip moves as it does
+    on average (rms): where a model has it rest it may be what is wrong."""
     usual, widest = _STRAY * bounded_rms(_counted(errors, masks)), float(fit.width(curves).max())
     kept = []
     for prepared, sim, off, mask in zip(fit.tracks, fit.simulated, errors, masks, strict=True):
-        steep = np.linalg.norm(fit.slope_in_view(prepared.track, curves, sim.tip), axis=1) / prepared.track.sigma
-        kept.append(mask & (np.linalg.norm(off, axis=1) <= np.maximum(usual, widest * steep)))
+        steep = np.linalg.norm(fit.slope_in_view(prepared.track, curves, sim.tip), axis=1)
+        usual_steep = float(np.sqrt(np.mean(steep[mask] ** 2))) if mask.any() else 0.0
+        by_width = widest * np.maximum(steep, usual_steep) / prepared.track.sigma
+        kept.append(mask & (np.linalg.norm(off, axis=1) <= np.maximum(usual, by_width)))
     return kept
 
 
