@@ -84,11 +84,36 @@ def test_a_law_that_turns_back_is_no_good_one_and_its_sigma_covers(fall, monkeyp
     monkeypatch.setitem(globals(), "bend", turning)
     found = Plant().calibrated()
     model, (_, z) = found.model, error_of(found)
-    inside = (model.q > model.measured[0]) & (model.q < model.measured[1])
-    off = ((model.c_deg - turning(model.q)) / model.c_sigma)[inside]
     assert model.quality.verdict is Verdict.DOUBTFUL
-    assert z < 1.5 and np.sqrt(np.mean(off**2)) < 1.5
+    assert z < 1.5 and off_in_sigmas(model) < 1.5
     assert any("turns back between" in note for note in found.notes)
+
+
+def off_in_sigmas(model) -> float:
+    """rms of f_remain's errors over its sigma, between the reversals."""
+    inside = (model.q > model.measured[0]) & (model.q < model.measured[1])
+    return float(np.sqrt(np.mean(((model.c_deg - bend(model.q)) / model.c_sigma)[inside] ** 2)))
+
+
+@pytest.mark.parametrize("wrong", ["focal", "hand eye"])
+def test_a_rig_that_is_wrong_is_in_the_sigma_of_f_remain(wrong):
+    """The marker goes beside the rig's path by as much as along it, as far as anyone can tell. Without that f_remain is
+    60 and 220 sigmas off."""
+    plant = Plant()
+    camera, (x, y, z) = RIG.camera, RIG.hand_eye.translation_mm
+    plant.rig = (
+        replace(RIG, camera=replace(camera, fx_px=1.05 * camera.fx_px, fy_px=1.05 * camera.fy_px))
+        if wrong == "focal"
+        else replace(RIG, hand_eye=replace(RIG.hand_eye, translation_mm=(x + 1.0, y, z)))
+    )
+    model = calibrate([plant.recording()], RIG, naming=False).model
+    assert model.quality.verdict is Verdict.DOUBTFUL
+    assert off_in_sigmas(model) < 12.0
+
+
+def test_a_rig_that_is_right_has_a_sigma_of_its_frames():
+    model = Plant().calibrated().model
+    assert 0.5 < off_in_sigmas(model) < 1.6
 
 
 def test_nothing_departs_and_nothing_is_said():

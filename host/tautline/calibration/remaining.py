@@ -18,7 +18,7 @@ from tautline.calibration.playfit import Curves, Fitted, PlayFit, View
 from tautline.calibration.simulated_track import PreparedTrack
 from tautline.calibration.smooth import SPANS, Domain
 from tautline.elements import SINGLE, Hysteresis
-from tautline.geometry import pose, project_with_slope, tracked_deg
+from tautline.geometry import across, pose, project_with_slope, tracked_deg
 from tautline.least_squares import with_ridge
 from tautline.rig import Rig
 from tautline.splines import Basis
@@ -27,6 +27,7 @@ Array = npt.NDArray[np.float64]
 
 _STRAY = 6.0  # tolerance: medians of what is left
 _LEAST_SLOPE = 2e-3  # limit: of f_coarse's: f_remain has an inverse everywhere
+_PARTS, _FEW = 8, 4  # tolerance: of the range, in which a path is looked at; frames that tell of one
 _PICTURE = (720, 1440)  # rows (c) and columns (q) of the characteristic as an image
 
 
@@ -133,7 +134,8 @@ def fit_remaining(
     variance = np.maximum(np.sum((design_on_grid @ block) * design_on_grid, axis=1), 0.0) + (lawful - curve) ** 2
     if shared:
         variance += np.sum((design_on_grid @ _moved_by(fitted, shared)[: basis.size]) ** 2, axis=1)
-    sigma = np.hypot(np.sqrt(variance), tracked_deg(max(track.tracked_px for track in tracks), rig, lawful))
+    px = float(np.hypot(max(track.tracked_px for track in tracks), _beside_the_path_px(fitted)))
+    sigma = np.hypot(np.sqrt(variance), tracked_deg(px, rig, lawful))
     return Remaining(lawful, sigma, _rms(fitted, tracks), fitted.scale, tuple(notes), fitted)
 
 
@@ -157,6 +159,28 @@ def _moved_by(fitted: Fitted, errors: Sequence[Array]) -> Array:
         matrix, gradient = fit.normal(curves, [each[:, :, k] for each in over_noise], fitted.weights)
         gradients.append(gradient)
     return np.asarray(np.linalg.solve(with_ridge(matrix + system), np.column_stack(gradients)))
+
+
+def _beside_the_path_px(fitted: Fitted) -> float:
+    """rms over the places, px, by which the marker goes beside the path that the rig has for it, noise taken out: what
+    camera, hand_eye and kinematics are wrong by. f_remain took that along the path, which is as much as far as anyone
+    knows. 0 for an angle sensor."""
+    fit, places, beside = fitted.fit, [], []
+    if fit.view is None:
+        return 0.0
+    for prepared, sim, off, mask in zip(fit.tracks, fit.simulated, fitted.residuals, fitted.masks, strict=True):
+        path = fit.slope_in_view(prepared.track, fitted.curves, sim.tip)[mask]
+        places.append(sim.tip[mask])
+        beside.append(across(off[mask] * prepared.track.sigma[mask, None], path))
+    part = np.digitize(np.concatenate(places), np.linspace(fit.follow.low, fit.follow.high, _PARTS + 1)[1:-1])
+    count = np.bincount(part, minlength=_PARTS)
+    sums, squares = (np.bincount(part, np.concatenate(beside) ** power, _PARTS) for power in (1, 2))
+    told = count >= _FEW
+    if not told.any():
+        return 0.0
+    mean, number = sums[told] / count[told], count[told]
+    of_noise = np.maximum(squares[told] / number - mean**2, 0.0) / (number - 1)
+    return float(np.sqrt(max(float(np.mean(mean**2 - of_noise)), 0.0)))
 
 
 class _FixedWidth(PlayFit):
