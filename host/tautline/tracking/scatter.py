@@ -1,4 +1,4 @@
-"""How much the frames of the moment scatter by themselves, whatever the law leaves."""
+"""How much the frames of the moment scatter by themselves, whatever the law leaves; and what they are off by alike."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from tautline import spread
 _FRAMES = 400  # tolerance: that tell it
 _PRIOR_FRAMES = 20.0  # prior: so many frames say that the noise is the calibration's
 _ANEW = 10  # tolerance: frames between two estimates
+_LEAN_PACE, _LEANS = 0.1, 0.5  # prior: of a running mean; its share of squares from which it goes on
 _THIRD = 20.0  # equation: 1 + 9 + 9 + 1, the variance of a third difference of white noise of variance 1
 
 
@@ -37,3 +38,20 @@ class Scatter:
             count = len(self._squares)
             squares = count * spread.deviation_of_squares(np.array(self._squares)) ** 2 if count else 0.0
             self.times = max(1.0, float(np.sqrt((_PRIOR_FRAMES + squares) / (_PRIOR_FRAMES + count))))
+
+
+class Lean:
+    """What frames are off by alike, deg: the running mean of the residual, and of its squares."""
+
+    def __init__(self) -> None:
+        self._mean, self._square = 0.0, 0.0
+
+    def add(self, off_deg: float) -> None:
+        """Adds a frame's residual, deg."""
+        self._mean += _LEAN_PACE * (off_deg - self._mean)
+        self._square += _LEAN_PACE * (off_deg**2 - self._square)
+
+    @property
+    def steady_deg(self) -> float:
+        """The mean, if it is most of what there is; else 0."""
+        return self._mean if self._mean**2 > _LEANS * self._square else 0.0

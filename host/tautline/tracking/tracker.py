@@ -6,7 +6,6 @@ the law is, is decided by hypotheses that are fitted to the frames since it stop
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
@@ -19,14 +18,18 @@ from tautline.errors import TautError
 from tautline.model import SIMULATOR, Model
 from tautline.rig import MARKER, Sensor
 from tautline.tracking.beyond import Beyond
+from tautline.tracking.disturbance import Disturbance
 from tautline.tracking.doubt import JUMP, ONSET, Doubt
 from tautline.tracking.fit import REACH, Work
 from tautline.tracking.hypotheses import Inference, judge
-from tautline.tracking.law import OFFSET, SCALE, SHAPE, TIP, LawFamily, unchanged
+from tautline.tracking.judgement import Judgement
+from tautline.tracking.law import OFFSET, TIP, LawFamily, unchanged
 from tautline.tracking.passes import Passes
 from tautline.tracking.path import MotorPath, knots
 from tautline.tracking.projection import AngleEstimate, Projection
-from tautline.tracking.scatter import Scatter
+from tautline.tracking.scatter import Lean, Scatter
+from tautline.tracking.strokes import Strokes
+from tautline.tracking.taken_up import TakenUp
 from tautline.tracking.visit import Visit
 from tautline.tracking.window import Window, WindowKnots
 
@@ -35,21 +38,13 @@ Array = npt.NDArray[np.float64]
 _APART, _APART_SIGMAS = 1 / 40, 4.0  # tolerance: of B, of a frame's noise: nearer frames tell the same
 _TURN_COUNTS, _TURN_SHARE = 8.0, 0.02  # prior: of the encoder, of B: a motor that goes back by more has turned
 _PACE = 0.08  # prior: of the running mean of what a model in doubt is off
-_OFF_PACE, _OFF_TRACK = 0.04, 2.0  # prior: of the running mean of squares off the marker's track, where it is disturbed
-_WANDER_PACE, _WANDERS = 0.15, 5.0  # prior: of that of squares of the tip's motion while the motor rests
-_CLIP = 36.0  # prior: of squares of it: a jump is one of them
 _WELL_STROKES = 3  # loss: that a law must foretell until it holds again
-_QUIET_S = 15.0  # loss: without a disturbance, before anything is learnt after one
-_FORETELLS = 2  # loss: strokes that a proposal is tried on before another replaces it
 _STALE_STROKES = 5  # prior: that a change is looked for in by themselves
 _MOVED = 0.25  # prior: of B, by which the offset is another posture's
 _FEW_STROKES = 3  # prior: since a law began to be learnt: the last two may refine it by themselves
 _POSTURE = 1.5  # limit: of B: an offset that one stroke may tell where a recording begins, more than a width can be
 _ELSEWHERE, _STRANGE_FRAMES = 2.0, 5  # limit: of B, that so many first frames are off: another posture
-_FRAME_WORK = 360  # limit: us, about, of work in one frame; no piece of it costs more
-_NEWS = 10  # tolerance: frames between two judgements
 _SETTLED_TURNS = 5  # loss: reversals since the change after which the law is settled
-_LEAN_PACE, _LEANS = 0.1, 0.5  # prior: of those means; the mean's share of squares from which it goes on
 _MOST_LEVEL = 5.0  # loss: of the calibration's residual, that a law may leave and be trusted
 _SCATTERS = 1.5  # loss: times the calibration's noise: worth a word
 _UNKNOWN = 1.0  # prior: of B: what a width's sigma is at most taken for
@@ -109,7 +104,6 @@ class LawTracker:
         sigma = np.minimum(model.width_sigma[inside] if inside.any() else model.width_sigma, _UNKNOWN * self._width)
         self._own = (0.5 * float(np.sqrt(np.mean(sigma**2))), float(np.sqrt(np.mean(sigma**2))) / self._width)
         count = model.rig.actuator.encoder_resolution
-        self._turn = max(_TURN_COUNTS * count, _TURN_SHARE * self._width)
         self._window = Window(max(_APART * self._width, _APART_SIGMAS * self._noise(), count))
         self._path = MotorPath()
         self.recording = -1
@@ -119,9 +113,8 @@ class LawTracker:
         self._theta, self._sigma = unchanged(), self._own
         self._law = self._calibrated = self.nominal.law(self._theta)
         self._passes = Passes(model, self._width)
-        self._offset, self._scale = 0.0, 1.0
-        self._allowed = np.ones(len(self.nominal.model.q))  # share of the calibrated B that may be taken up there
-        self._dialled = ""  # why less is taken up than the law in use has
+        self._offset = 0.0
+        self._taken_up = TakenUp(self.nominal.model)
         self._misfit = 1.0  # what _level is where frames scatter as in the calibration
         self._scatter = Scatter()
         self._play = _native.TrackState(0.0)
@@ -129,46 +122,35 @@ class LawTracker:
         self._start_q = np.nan  # inf once every element was carried since
         self._placed = False  # where the tip was seen, as long as nothing has carried it
         self._pending: tuple[float, tuple[float, ...] | None] | None = None
-        self._way, self._far, self._stroke = 0, np.nan, 0
-        self._begins: deque[tuple[int, int]] = deque(maxlen=64)  # stroke, its first entry
+        self._strokes = Strokes(max(_TURN_COUNTS * count, _TURN_SHARE * self._width))
         self._doubts = Doubt(), Doubt()  # that the law changed; that its onsets did
         self._doubted_in, self._off = 0, 0.0  # the last stroke in which it was in doubt
-        self._off_track, self._wanders = 1.0, 1.0  # running mean squares
-        self._rested = (np.nan, np.nan, np.nan)  # the frame before: motor, tip, its sigma
-        self._turned_at = np.inf
+        self._disturbance = Disturbance(count)
         self._recording_entry = 0  # the recording's first
         self._since = 0  # from which on the evidence is judged
         self._anchor: int | None = None  # since when the law in use was learnt
         self._origin = self._theta  # the law before that
         self._offset_before = 0.0  # where the recording began
-        self._news = 0
+        self._judgement = Judgement()
         self._fresh_until = -1  # stroke up to which a recording may turn out to be another posture
-        self._work: Work[Inference] | None = None
-        self._due = 0  # what its next piece costs, us
-        self._proposal: Inference | None = None
-        self._stuck, self._stuck_in = 0, -1  # strokes without a law that explains them, and the last of them
         self._strange = 0  # frames at a recording's begin in which the tip was far off
         self._visit: Visit | None = None
-        self._quiet_s = -np.inf
-        self._leans = [0.0, 0.0]  # running mean of what is left where a recording begins, and of its squares; deg
+        self._lean = Lean()  # of what is left where a recording begins
 
     def begin(self) -> None:
         """A new recording: its clock, where the tip is and the posture may be others; what was learnt stays."""
         self.recording += 1
         self._path, self._started, self._placed, self._pending = MotorPath(), False, False, None
-        self._way, self._far = 0, np.nan
-        self._rested, self._turned_at = (np.nan, np.nan, np.nan), np.inf
-        self._next_stroke()
-        self._next_stroke()  # nothing joins the motion before
-        self._fresh_until = self._stroke + 1
+        self._disturbance.begin_recording()
+        self._strokes.begin_recording(self._window.end)
+        self._fresh_until = self._strokes.number + 1
         self._window.cut()
         self._passes.clear()
         self._since = self._recording_entry = self._window.end
         self._clear_doubts(self._since)
-        self._anchor, self._work, self._proposal = None, None, None
-        self._strange, self._visit = 0, None
-        self._quiet_s = -np.inf
-        self._leans = [0.0, 0.0]
+        self._anchor, self._visit = None, None
+        self._judgement.drop()
+        self._strange, self._lean = 0, Lean()
         self._offset_before = self._offset
 
     def _noise(self) -> float:
@@ -216,7 +198,7 @@ class LawTracker:
         if self.state is State.STALE:
             offset_sigma = float(np.hypot(offset_sigma, self._off))
             scale_sigma = float(np.hypot(scale_sigma, 2.0 * self._off / self._width))
-        return Row(self.state, c, u, v, self._offset, offset_sigma, self._scale, scale_sigma, self.reason)
+        return Row(self.state, c, u, v, self._offset, offset_sigma, self._taken_up.scale, scale_sigma, self.reason)
 
     def see(self, u_px: float, v_px: float, sigma_px: float | None = None) -> None:
         """Takes the marker's position, px, in the frame that was predicted last."""
@@ -231,13 +213,14 @@ class LawTracker:
     @property
     def dialled_down(self) -> bool:
         """Whether less of B is taken up than the law in use has, as two passes of one place left less."""
-        return bool(self._dialled)
+        return bool(self._taken_up.dialled)
 
     @property
     def compensation(self) -> float:
         """The share of the calibrated B that may be taken up, the lower bound that the evidence allows: the scale, two
         of its standard deviations less unless it is 1."""
-        return min(self._scale, max(0.0, self._scale - (0.0 if self._scale == 1.0 else 2.0 * self._sigma[1])))
+        scale = self._taken_up.scale
+        return min(scale, max(0.0, scale - (0.0 if scale == 1.0 else 2.0 * self._sigma[1])))
 
     def _start(self, q: float) -> None:
         """Starts the play with the tip on the centre line of motor position q, unit of q."""
@@ -261,9 +244,9 @@ class LawTracker:
         path.forget(scene_s)
         self._follow_beyond(before, way, p, bool(moving[-1]))
         for knot in way.tolist():
-            self._detect_reversal(knot)
+            self._follow_motor(knot)
         seen = None if reading is None else self._angle_of(scene_s, reading, p)
-        self._window.move(way, self._stroke)
+        self._window.move(way, self._strokes.number)
         if seen is not None:
             self._learn_from(scene_s, seen, p)
 
@@ -278,37 +261,18 @@ class LawTracker:
             seen = self.projection.from_image(reading[0], reading[1], translation, rotation, near, reading[2])
         return None if seen is None or not np.isfinite(seen.c_deg) else seen
 
-    def _detect_reversal(self, q: float) -> None:
-        """Follows the motor's extreme; a return from it by more than _turn, unit of q, is a reversal and begins a
-        stroke. A stale model that has not been in doubt for _WELL_STROKES strokes is trusted again."""
-        if self._way == 0:
-            if np.isnan(self._far):
-                self._far = q
-            elif abs(q - self._far) > self._turn:
-                self._way, self._far = (1 if q > self._far else -1), q
-        elif self._way * (q - self._far) > 0.0:
-            self._far = q
-        elif self._way * (self._far - q) > self._turn:
-            self._turned_at = self._far
-            self._way, self._far = -self._way, q
-            self._next_stroke()
-            if self.state is State.STALE and self._stroke > self._doubted_in + _WELL_STROKES:
-                self._become_trusted("the model holds again as it was" + self._scatter_in_words())
+    def _follow_motor(self, q: float) -> None:
+        """Follows the motor to q, unit of q. Where it turns, a stale model that has not been in doubt for _WELL_STROKES
+        strokes is trusted again."""
+        if self._strokes.follow(q, self._window.end) and (
+            self.state is State.STALE and self._strokes.number > self._doubted_in + _WELL_STROKES
+        ):
+            self._become_trusted("the model holds again as it was" + self._scatter_in_words())
 
     def _scatter_in_words(self) -> str:
         """What the frames scatter by, if it is clearly more than when the model was calibrated; else ""."""
         times = self._scatter.times
         return f"; places scatter {times:.1f} times as much as in the calibration" if times > _SCATTERS else ""
-
-    def _next_stroke(self) -> None:
-        """Counts a new stroke and keeps the number of its first entry."""
-        self._stroke += 1
-        self._begins.append((self._stroke, self._window.end))
-
-    def _begin_of(self, stroke: int) -> int:
-        """Number of the first entry of a stroke, or of the first kept one after it; that of the next entry where there
-        is none."""
-        return next((entry for number, entry in self._begins if number >= stroke), self._window.end)
 
     def _learn_from(self, scene_s: float, seen: AngleEstimate, p: float) -> None:
         """Compares a frame with the predicted centre coordinate p, unit of q: keeps it as evidence, and updates passes,
@@ -324,7 +288,7 @@ class LawTracker:
                 if self._strange == _STRANGE_FRAMES:
                     self._begin_with_offset(y - within)
                     return
-        kept = self._window.frame(scene_s, seen.c_deg, seen.sigma, seen.off, self._stroke)
+        kept = self._window.frame(scene_s, seen.c_deg, seen.sigma, seen.off, self._strokes.number)
         if not kept:
             return
         off = y - p
@@ -334,24 +298,22 @@ class LawTracker:
             self._play.restart(y)
             self._placed = True
         place = self._calibrated.place(seen.c_deg)
-        q, travel = self._window.last_q, abs(self._window.last_q - self._turned_at) / self._law.most
-        self._passes.add(q, float(place), sigma, seen.off, self._stroke, travel, self._window.end - 1)
-        self._watch_for_disturbance(seen)
+        q, travel = self._window.last_q, abs(self._window.last_q - self._strokes.turned_at) / self._law.most
+        self._passes.add(q, float(place), sigma, seen.off, self._strokes.number, travel, self._window.end - 1)
+        self._disturbance.add(q, seen, self._level)
         if self.state is not State.TRUSTED:
             self._reduce_scale()
         self._learn_beyond(seen, p)
-        self._news += 1
-        if self._stroke <= self._fresh_until:
-            away = seen.c_deg - float(law.angle(p))
-            self._leans[0] += _LEAN_PACE * (away - self._leans[0])
-            self._leans[1] += _LEAN_PACE * (away**2 - self._leans[1])
+        self._judgement.add_frame()
+        if self._begun_lately:
+            self._lean.add(seen.c_deg - float(law.angle(p)))
         self._off += _PACE * (abs(off) - self._off)
         self._scatter.add(off / sigma)
-        onset = abs(self._window.last_q - self._turned_at) < ONSET * self._width
+        onset = abs(self._window.last_q - self._strokes.turned_at) < ONSET * self._width
         for doubt in self._doubts if onset else self._doubts[:1]:
-            doubt.add(off / (sigma * self._level), self._stroke, scene_s, self._window.end - 1)
+            doubt.add(off / (sigma * self._level), self._strokes.number, scene_s, self._window.end - 1)
             if doubt.here > 0.0:
-                self._doubted_in = self._stroke
+                self._doubted_in = self._strokes.number
         worst = max(self._doubts, key=lambda doubt: doubt.odds)
         if self.state is State.TRUSTED and worst.odds > JUMP:
             self._become_stale(worst.since)
@@ -360,20 +322,6 @@ class LawTracker:
         """Forgets both doubts: frames count from this entry of the window on."""
         for doubt in self._doubts:
             doubt.clear(entry)
-
-    def _watch_for_disturbance(self, seen: AngleEstimate) -> None:
-        """Running mean squares, in standard deviations, of the tip's distance from its track and of its motion while
-        the motor rests."""
-        self._off_track += _OFF_PACE * ((seen.off / self._level) ** 2 - self._off_track)
-        q, c_deg, sigma = self._rested
-        self._rested = (self._window.last_q, seen.c_deg, seen.sigma * self._level)
-        if abs(self._rested[0] - q) <= 2.0 * self.model.rig.actuator.encoder_resolution:
-            wander = (seen.c_deg - c_deg) / float(np.hypot(sigma, self._rested[2]))
-            self._wanders += _WANDER_PACE * (min(wander**2, _CLIP) - self._wanders)
-
-    def _is_disturbed(self) -> bool:
-        """Whether something that is no play moves the tip, or did a short time ago."""
-        return self._arrival_s < self._quiet_s or max(self._off_track / _OFF_TRACK, self._wanders / _WANDERS) > 1.0
 
     def _follow_beyond(self, before: Any, way: Array, p: float, moving: bool) -> None:
         """Begins, continues or ends a stay beyond the measured range, from which the law there is learnt as long as it
@@ -391,7 +339,7 @@ class LawTracker:
 
     def _learn_beyond(self, seen: AngleEstimate, p: float) -> None:
         """Updates the law beyond the measured range with a frame of the present stay."""
-        if self._visit is None or self._visit.full or self._is_disturbed():
+        if self._visit is None or self._visit.full or self._disturbance.there(self._arrival_s):
             return
         slope = float(self._law.slope(p))
         sigma = self._level * abs(slope) * float(self.nominal.sigma(p, seen.sigma / slope))
@@ -401,10 +349,12 @@ class LawTracker:
     def _persistent_error(self) -> float:
         """What is added to the predicted angle at a recording's begin, deg: the running mean of the residual, if it is
         steady. It most likely goes on until the other direction tells an offset from a width."""
-        if self.state is State.TRUSTED or self._stroke > self._fresh_until:
-            return 0.0
-        mean, square = self._leans
-        return mean if mean**2 > _LEANS * square else 0.0
+        return 0.0 if self.state is State.TRUSTED or not self._begun_lately else self._lean.steady_deg
+
+    @property
+    def _begun_lately(self) -> bool:
+        """Whether the recording may turn out to be of another posture, as it has only begun."""
+        return self._strokes.number <= self._fresh_until
 
     def _clipped_to_play(self, y: float) -> float:
         """The centre coordinate nearest to y, unit of q, that is within the play of the present motor position."""
@@ -435,15 +385,13 @@ class LawTracker:
     def _become_stale(self, since: int) -> None:
         """The model is stale from now on; evidence counts from the entry `since`."""
         self._since = since
-        self._news = _NEWS
-        self._stuck = 0
-        self._proposal = None
+        self._judgement.hurry()
         self._change_state(State.STALE, "the tip is not where the model says: more reversals will tell why")
 
     def _become_trusted(self, why: str) -> None:
         """Ends learning: the law in use is trusted."""
-        self._work, self._proposal = None, None
-        self._reset_scale()
+        self._judgement.drop()
+        self._taken_up.all_that_is_allowed(self._theta)
         self._clear_doubts(self._window.end)
         self._change_state(State.TRUSTED, why)
 
@@ -454,34 +402,24 @@ class LawTracker:
         self.state, self.reason = state, why
 
     def _work_on_verdict(self) -> None:
-        """Continues the judgement of hypotheses by as much work as a frame has time for, or begins one. Work is
-        counted, not timed, so that a replay repeats bit for bit."""
-        if self._work is None:
-            self._work, self._due = self._new_judgement(), 0
-        if self._work is None:
-            return
-        try:
-            spent = 0
-            while spent == 0 or spent + self._due <= _FRAME_WORK:
-                spent += self._due
-                self._due = next(self._work)
-        except StopIteration as end:
-            self._work = None
-            self._act_on(end.value)
+        """Continues the judgement of hypotheses by as much work as a frame has time for, or begins one unless the law
+        is trusted."""
+        if self.state is not State.TRUSTED and self._judgement.due:
+            self._judgement.begin(self._new_judgement())
+        verdict = self._judgement.advance()
+        if verdict is not None:
+            self._act_on(verdict)
 
     def _new_judgement(self) -> Work[Inference] | None:
-        """A judgement of the evidence so far, not begun yet. None while the law is trusted, or where too few frames
-        came since the last one."""
-        if self.state is State.TRUSTED or self._news < _NEWS:
-            return None
-        self._news = 0
+        """A judgement of the evidence so far, not begun yet; None of too few frames."""
         adapting, away = self.state is State.ADAPTING, abs(self._offset - self._offset_before)
         moved = adapting and self._anchor is not None and away > _MOVED * self._width
         evidence = self._stretches(moved)
         if not evidence:
             return None
-        posture = _POSTURE * self._width if self._stroke <= self._fresh_until else None
-        return judge(self._unseen, evidence, self._theta, adapting, posture, moved, self._level, self._proposal)
+        posture = _POSTURE * self._width if self._begun_lately else None
+        proposal = self._judgement.proposal
+        return judge(self._unseen, evidence, self._theta, adapting, posture, moved, self._level, proposal)
 
     def _stretches(self, moved: bool) -> list[tuple[WindowKnots, Array]]:
         """Evidence in the order in which it is judged, each with the law before anything was learnt of it: since the
@@ -490,33 +428,32 @@ class LawTracker:
         starts = {} if self._anchor is None else {self._anchor: self._origin}  # by the first entry: the law before it
         starts.setdefault(self._since, self._theta)
         if self.state is State.STALE:
-            starts.setdefault(max(self._since, self._begin_of(self._stroke - _STALE_STROKES)), self._theta)
-        elif moved and self._begin_of(self._stroke - _FEW_STROKES) <= self._since:
-            starts.setdefault(self._begin_of(self._stroke - 1), self._theta)
+            starts.setdefault(max(self._since, self._strokes_ago(_STALE_STROKES)), self._theta)
+        elif moved and self._strokes_ago(_FEW_STROKES) <= self._since:
+            starts.setdefault(self._strokes_ago(1), self._theta)
         noise = self._scatter.times
         stretches = [(self._window.since(since), origin) for since, origin in starts.items()]
         return [(replace(evidence, noise=noise), origin) for evidence, origin in stretches if evidence is not None]
 
+    def _strokes_ago(self, count: int) -> int:
+        """The first entry of the stroke so many before the present one."""
+        return self._strokes.begin_of(self._strokes.number - count, self._window.end)
+
     def _act_on(self, verdict: Inference) -> None:
         """Draws the consequences of a verdict: adopts its law and perhaps trusts it, stays, or discards what was learnt
         once it has not explained three strokes."""
-        if self._proposal is None or self._stroke > self._proposal.evidence.stroke[-1] + _FORETELLS:
-            self._proposal = verdict.proposal
+        self._judgement.keep_proposal(verdict, self._strokes.number)
         if verdict.disturbed:
-            self._quiet_s = self._arrival_s + _QUIET_S
-        if verdict.theta is None or self._arrival_s < self._quiet_s:
+            self._disturbance.judged(self._arrival_s)
+        if verdict.theta is None or self._disturbance.was_judged(self._arrival_s):
             if self.state is State.STALE:
-                self.reason = self._dialled or verdict.says
-            elif not verdict.early:
-                self._stuck += self._stuck_in != self._stroke
-                self._stuck_in = self._stroke
-                if self._stuck >= 3:  # what was learnt no longer explains what is seen
-                    self._anchor = None
-                    self._since = self._begin_of(self._stroke - 1)
-                    self._stuck = 0
-                    self._change_state(State.STALE, verdict.says)
+                self.reason = self._taken_up.dialled or verdict.says
+            elif not verdict.early and self._judgement.unexplained(self._strokes.number):
+                self._anchor = None
+                self._since = self._strokes_ago(1)
+                self._change_state(State.STALE, verdict.says)
             return
-        self._stuck = 0
+        self._judgement.explained()
         self._adopt(verdict)
         again = verdict.settled and np.array_equal(self._theta, unchanged())
         if again or (verdict.turns >= _SETTLED_TURNS and verdict.settled):
@@ -526,38 +463,16 @@ class LawTracker:
         else:
             self._change_state(State.ADAPTING, verdict.says)
 
-    def _allow_law(self, passed: tuple[float, float]) -> None:
-        """Sets the share of B that may be taken up to that of the law in use, but no more than before at places that
-        were not passed both ways. passed: the lowest and highest centre coordinate that were, unit of q."""
-        if np.any(self._theta[SHAPE]):
-            q, share = self.nominal.model.q, self.nominal.width_ratio(self._law)
-            seen = (q >= passed[0]) & (q <= passed[1])
-            self._allowed = np.where(seen, share, np.minimum(share, self._allowed))
-        else:
-            self._allowed = np.full(len(self._allowed), self._theta[SCALE])
-        self._reset_scale()
-
-    def _reset_scale(self) -> None:
-        """Sets the scale to the least allowed share of B over the measured range; ends a reduction by passes."""
-        self._dialled = ""
-        (low, high), q = self.model.measured, self.nominal.model.q
-        inside = (q >= low) & (q <= high)
-        self._scale = float(np.min(self._allowed[inside])) if inside.any() else float(self._theta[SCALE])
-
     def _reduce_scale(self) -> None:
         """Takes up less at once where two passes show a narrower B. The law in use goes on predicting, as it may hold
         elsewhere."""
-        if self._is_disturbed():
+        if self._disturbance.there(self._arrival_s):
             return
         narrow = self._passes.narrowing(self._law, self._theta, self._level, self._anchor or 0)
-        if narrow is not None and narrow.share < self._scale:
-            self._scale = narrow.share
+        if narrow is not None and narrow.share < self._taken_up.scale:
+            self._taken_up.dial_down(narrow.share)
             self._sigma = (self._sigma[0], float(np.hypot(self._own[1], narrow.sigma)))
-            self._dialled = (
-                f"transmission.backlash: {100 * narrow.share:.0f} % of the calibrated width "
-                f"where the tip passed both ways: no more is taken up"
-            )
-            self.reason = self._dialled
+            self.reason = self._taken_up.dialled
 
     def _adopt(self, verdict: Inference) -> None:
         """Takes a verdict's law into use, and follows the evidence again by it, so that the play is where it would
@@ -583,8 +498,7 @@ class LawTracker:
         self._law.followed.run(self._play, path + self._theta[OFFSET], True)
         self._clear_doubts(self._window.end)
         if verdict.narrower:
-            self._allowed = np.minimum(self._allowed, np.minimum(self._scale, self._theta[SCALE]))
-            self._reset_scale()
+            self._taken_up.no_more_than(self._theta)
         else:
-            self._allow_law(verdict.passed)
+            self._taken_up.as_law(self.nominal, self._law, self._theta, verdict.passed)
         self._reduce_scale()

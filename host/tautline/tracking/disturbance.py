@@ -1,0 +1,50 @@
+"""Whether something that is no play moves the tip: a hand, a breath, tissue."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tautline.tracking.projection import AngleEstimate
+
+_OFF_PACE, _OFF_TRACK = 0.04, 2.0  # prior: of the running mean of squares off the marker's track, where it is disturbed
+_WANDER_PACE, _WANDERS = 0.15, 5.0  # prior: of that of squares of the tip's motion while the motor rests
+_CLIP = 36.0  # prior: of squares of it: a jump is one of them
+_QUIET_S = 15.0  # loss: without a disturbance, before anything is learnt after one
+_REST_COUNTS = 2.0  # prior: of the encoder: a motor that moved by no more between two frames rests
+
+
+class Disturbance:
+    """Running mean squares, in standard deviations, of the tip's distance from its track in the image and of its motion
+    while the motor rests; and since when a judgement of the evidence saw none. resolution: of the encoder, unit of
+    q."""
+
+    def __init__(self, resolution: float) -> None:
+        self._resolution = resolution
+        self._off_track, self._wanders = 1.0, 1.0
+        self._before = (np.nan, np.nan, np.nan)  # the last frame: motor, tip (deg), its sigma
+        self._quiet_s = -np.inf  # when learning may go on
+
+    def begin_recording(self) -> None:
+        """The tip may be elsewhere, and what was judged is of another recording."""
+        self._before, self._quiet_s = (np.nan, np.nan, np.nan), -np.inf
+
+    def add(self, q: float, seen: AngleEstimate, level: float) -> None:
+        """Adds a frame, the motor being at q. level: rms of residuals over sigma that is known to be left."""
+        self._off_track += _OFF_PACE * ((seen.off / level) ** 2 - self._off_track)
+        q_before, c_deg, sigma = self._before
+        self._before = (q, seen.c_deg, seen.sigma * level)
+        if abs(q - q_before) <= _REST_COUNTS * self._resolution:
+            wander = (seen.c_deg - c_deg) / float(np.hypot(sigma, self._before[2]))
+            self._wanders += _WANDER_PACE * (min(wander**2, _CLIP) - self._wanders)
+
+    def judged(self, arrival_s: float) -> None:
+        """The evidence up to this time was judged to be disturbed."""
+        self._quiet_s = arrival_s + _QUIET_S
+
+    def was_judged(self, arrival_s: float) -> bool:
+        """Whether that was a short time ago."""
+        return arrival_s < self._quiet_s
+
+    def there(self, arrival_s: float) -> bool:
+        """Whether there is one, or was a short time ago."""
+        return self.was_judged(arrival_s) or max(self._off_track / _OFF_TRACK, self._wanders / _WANDERS) > 1.0

@@ -1,0 +1,52 @@
+"""The motor's strokes: where it turned, and at which frame each began."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+_KEPT = 64  # tolerance: strokes whose begin is known
+
+
+class Strokes:
+    """Numbered from the start of use. A motor that goes back from its extreme by more than `least`, unit of q, has
+    turned. Entries are numbers of frames in the window."""
+
+    def __init__(self, least: float) -> None:
+        self._least = least
+        self.number = 0  # of the present one
+        self.turned_at = np.inf  # motor position at which it began
+        self._way, self._far = 0, np.nan
+        self._begins: deque[tuple[int, int]] = deque(maxlen=_KEPT)  # stroke, its first entry
+
+    def begin_recording(self, entry: int) -> None:
+        """The motor may be elsewhere: its way is not known, and a stroke is left out, as nothing joins the motion
+        before. entry: the next one."""
+        self._way, self._far, self.turned_at = 0, np.nan, np.inf
+        self._next(entry)
+        self._next(entry)
+
+    def follow(self, q: float, entry: int) -> bool:
+        """Follows the motor to q, unit of q; whether that shows that it has turned. entry: the next one."""
+        if self._way == 0:
+            if np.isnan(self._far):
+                self._far = q
+            elif abs(q - self._far) > self._least:
+                self._way, self._far = (1 if q > self._far else -1), q
+        elif self._way * (q - self._far) > 0.0:
+            self._far = q
+        elif self._way * (self._far - q) > self._least:
+            self.turned_at = self._far
+            self._way, self._far = -self._way, q
+            self._next(entry)
+            return True
+        return False
+
+    def begin_of(self, stroke: int, otherwise: int) -> int:
+        """The first entry of a stroke, or of the first kept one after it; `otherwise` where there is none."""
+        return next((entry for number, entry in self._begins if number >= stroke), otherwise)
+
+    def _next(self, entry: int) -> None:
+        self.number += 1
+        self._begins.append((self.number, entry))
