@@ -174,7 +174,7 @@ def test_no_piece_of_work_is_more_than_a_frame_may_do(monkeypatch, kind):
     monkeypatch.setattr(tracker, "judge", listened)
     made = session(Instrument(1), kind, 1, 60.0)
     replay(ideal_model(made.instrument), [made.recording])
-    assert len(costs) > 100 and min(costs) > 0 and max(costs) <= tracker._FRAME_WORK
+    assert len(costs) > 100 and min(costs) > 0 and max(costs) <= judgement._FRAME_WORK
 
 
 # Doubt
