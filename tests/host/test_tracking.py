@@ -17,7 +17,7 @@ from tautline.elements import Play
 from tautline.model import Model
 from tautline.recording import Angle, Motor, Recording, save
 from tautline.rig import Actuator, Coarse, Rig
-from tautline.tracking import State, off_by, replay, tracker
+from tautline.tracking import State, judgement, off_by, replay, tracker
 from tautline.tracking.doubt import JUMP, MEMORY_S, Doubt
 from tautline.tracking.hypotheses import judge
 from tautline.tracking.replay import COLUMNS
