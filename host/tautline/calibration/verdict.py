@@ -51,31 +51,13 @@ def judged(found: Measured) -> Calibration:
     found = replace(found, sigma=_complete_sigma(found, extent))
     pass_width, pass_sigma = found.choice.opinion_of_passes(found.onsets, found.onset_curve, found.passes)
     characteristic = _characteristic(found, found.delay.delay_s)
-    if found.components is not None:
-        delay = found.delay
-        lag_s = found.components.tracker_lag_s
-        found = replace(found, delay=replace(delay, sigma_s=float(np.hypot(delay.sigma_s, lag_s))))
     delay_of_tracks_s = found.delay.delay_s
-    aligned, delay = found.aligned.with_delay(found.delay, found.nominal_s)
+    aligned, delay = found.aligned.with_delay(_delay_with_tracker_lag(found), found.nominal_s)
     found = replace(found, delay=delay)
     _doubt_clock(found, aligned, delay)
     model = _model(found, aligned, extent.measured)
-    joint_fit = found.joint_fit
-    apart = coverage.distance_to_both_ways(joint_fit, found.grid) if joint_fit is not None else 0.0 * found.grid
-    gaps = coverage.gaps(model, apart)
-    found.findings.notes += [f"{gap.says(found.unit)}, and is held there" for gap in gaps]
-    fit_of_remaining = None if found.remaining is None else found.remaining.fitted
-    tracks = [each.track for each in found.ended] or found.tracks
-    predictions = predictive_worth(model, tracks, joint_fit, fit_of_remaining)
-    if predictions is not None:
-        found.findings.reasons += predictions.doubts
-        found.findings.evidence |= {
-            "error": predictions.model,
-            "foretold_over_noise": predictions.over_noise,
-            "foretold_blocks": float(predictions.blocks),
-            "error_coarse": predictions.coarse,
-            "error_constant": predictions.constant,
-        }
+    gaps = _gaps(found, model)
+    predictions = _predictions(found, model)
     _judge(found, predictions, extent)
     notes = tuple(dict.fromkeys(found.findings.notes))
     extra = _extra(found, notes, characteristic, pass_width)
@@ -94,8 +76,40 @@ def judged(found: Measured) -> Calibration:
         offsets=aligned.offsets,
         predicted=tuple(foretold(model, track, delay_of_tracks_s) for track in found.tracks),
         gaps=gaps,
-        path=None if joint_fit is None else joint_fit.path(),
+        path=None if found.joint_fit is None else found.joint_fit.path(),
     )
+
+
+def _delay_with_tracker_lag(found: Measured) -> Delay:
+    """The delay, its sigma with what a tracker shows a moving tip late by."""
+    delay, lag_s = found.delay, 0.0 if found.components is None else found.components.tracker_lag_s
+    return replace(delay, sigma_s=float(np.hypot(delay.sigma_s, lag_s)))
+
+
+def _gaps(found: Measured, model: Model) -> tuple[coverage.Gap, ...]:
+    """Pieces of the range that were never passed both ways, which the notes tell."""
+    joint_fit = found.joint_fit
+    apart = coverage.distance_to_both_ways(joint_fit, found.grid) if joint_fit is not None else 0.0 * found.grid
+    gaps = coverage.gaps(model, apart)
+    found.findings.notes += [f"{gap.says(found.unit)}, and is held there" for gap in gaps]
+    return gaps
+
+
+def _predictions(found: Measured, model: Model) -> Worth | None:
+    """What the model predicts of its own recordings, which the evidence tells; None where nothing could be."""
+    fit_of_remaining = None if found.remaining is None else found.remaining.fitted
+    tracks = [each.track for each in found.ended] or found.tracks
+    worth = predictive_worth(model, tracks, found.joint_fit, fit_of_remaining)
+    if worth is not None:
+        found.findings.reasons += worth.doubts
+        found.findings.evidence |= {
+            "error": worth.model,
+            "foretold_over_noise": worth.over_noise,
+            "foretold_blocks": float(worth.blocks),
+            "error_coarse": worth.coarse,
+            "error_constant": worth.constant,
+        }
+    return worth
 
 
 def _judge(found: Measured, predictions: Worth | None, extent: _Extent) -> None:
