@@ -3,7 +3,7 @@ from tautline.effects.kind import Kind, Parameter
 EFFECTS = (
     Kind(
         "transmission.lag",
-        (Parameter("lag", "s", 0.02, low=0.0, high=5.0),),
+        (Parameter("lag", "s", 0.02, low=0.0, high=5.0),),  # prior: longer is creep
         (Parameter("lag_second", "", 0.2, (0.0, 0.5), low=0.0, high=0.5),),
         says="the tip lags, viscous, first order",
         material=True,
