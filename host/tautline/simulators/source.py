@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import re
 import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from tautline.core.motor import MotorPath
@@ -57,8 +58,18 @@ def opened(model: Model) -> Simulator:
 def path_of(model: Model, motor: Motor) -> MotorPath:
     """The coordinate that a model's tables are over: the motor's path, or where the simulator that the model begins
     with puts the tip."""
-    if SIMULATOR not in model.extra:
-        return MotorPath.of(motor, model.rig.actuator.encoder_resolution)
-    values = {name: value for effect in model.effects for name, value in effect.parameters.items()}
-    driven = Drive(opened(model), motor, model.rig).motor(values)
-    return MotorPath(driven, driven)
+    return next(paths_of([model], motor))
+
+
+def paths_of(models: Sequence[Model], motor: Motor) -> Iterator[MotorPath]:
+    """`path_of` for models that differ in their tables and effects alone: those whose simulator has the same values
+    share one simulation."""
+    if SIMULATOR not in models[0].extra:
+        path = MotorPath.of(motor, models[0].rig.actuator.encoder_resolution)
+        yield from (path for _ in models)
+        return
+    drive = Drive(opened(models[0]), motor, models[0].rig)
+    for model in models:
+        values = {name: value for effect in model.effects for name, value in effect.parameters.items()}
+        driven = drive.motor(values)
+        yield MotorPath(driven, driven)
