@@ -5,8 +5,10 @@ from __future__ import annotations
 import importlib
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from tautline.core.motor import MotorPath
 from tautline.errors import TautError
@@ -15,6 +17,7 @@ from tautline.recording import Motor
 from tautline.simulators import mjcf
 from tautline.simulators.drive import Drive
 from tautline.simulators.simulator import Simulator
+from tautline.simulators.stepless import STEP, stepless
 
 _PYTHON = "python"
 _NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")  # MODULE:NAME
@@ -38,12 +41,18 @@ def of_python(name: str) -> Simulator:
         raise TautError(f"--simulator {name}: {says}: expected MODULE:NAME, which Python can import") from error
     if not isinstance(found, Simulator):
         raise TautError(f"--simulator {name}: is no tautline.simulators.Simulator, but {type(found).__name__}")
-    return Simulator(found.simulate, found.parameters, {"kind": _PYTHON, "name": name})
+    return replace(found, source={"kind": _PYTHON, "name": name})
 
 
 def opened(model: Model) -> Simulator:
     """The simulator that a model remembers. TautError where it remembers none, or that has gone or changed since."""
     source = model.extra.get(SIMULATOR) or {}
+    simulator = _own(source, model)
+    return stepless(simulator, source[STEP]) if STEP in source else simulator
+
+
+def _own(source: Mapping[str, Any], model: Model) -> Simulator:
+    """The user's own simulator of a source."""
     if source.get("kind") == _PYTHON:
         return of_python(source["name"])
     if source.get("kind") != mjcf.KIND:
