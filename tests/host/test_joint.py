@@ -229,7 +229,7 @@ def test_all_that_is_unknown_is_in_a_predictions_sigma(answer, folder):
 def ratcheting(c, t_s):
     """Teeth that six degrees of the tip pass, and what is lost at speed; behind both a play of 1.5 deg."""
     speed = np.gradient(c, t_s)
-    return rubbing(c + 0.8 * np.sin(c / 6.0) + 1.5 * np.tanh(speed / 60.0) ** 3, t_s, 1.5, 1.5, 0.0)
+    return rubbing(c + 1.2 * np.sin(c / 6.0) + 1.5 * np.tanh(speed / 60.0) ** 3, t_s, 1.5, 1.5, 0.0)
 
 
 def test_detail_that_slow_motions_showed_is_sure_of_no_quick_one(folder):
@@ -247,7 +247,7 @@ def test_detail_that_slow_motions_showed_is_sure_of_no_quick_one(folder):
         covered.append(np.mean(np.abs(off[scene > 2.0]) < 1.645 * sigma[scene > 2.0]))
     scene, _, sigma = told_beside(model, robot(folder, 3, speed=15.0, seconds=40.0, **robots))
     quiet = np.median(sigma[scene > 2.0])
-    assert 0.85 < np.mean(covered) < 0.99
+    assert min(covered) > 0.8 and 0.85 < np.mean(covered) < 0.97
     assert quiet < 0.5 * np.median(told_beside(model, robot(folder, 8, **robots))[2])
 
 
