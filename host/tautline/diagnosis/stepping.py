@@ -53,11 +53,15 @@ def stepped(simulator: Simulator, robots: Sequence[Recording], rig: Rig) -> tupl
 
 def _limit(simulator: Simulator, own_s: float, robots: Sequence[Recording], rig: Rig, least: float) -> _Shown:
     """What it tends to as its steps get shorter, from the longest step from which that is off by no more than `least`,
-    px or deg: a third of what lies between it and that from twice the step."""
+    px or deg: of second order, from half of a step it is off by a third of what lies between it and that from the
+    whole one."""
     coarser = _Shown.by(stepless(simulator, own_s), robots, rig)
     for halving in range(1, _HALVINGS + 1):
         finer = _Shown.by(stepless(simulator, 0.5**halving * own_s), robots, rig)
-        if coarser.apart(finer) <= _SECOND * least:
+        off = coarser.apart(finer) / _SECOND
+        if 4.0 * off <= least:  # equation: of second order, half of the step
+            return coarser
+        if off <= least:
             break
         coarser = finer
     return finer
