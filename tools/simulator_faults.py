@@ -33,6 +33,7 @@ from tautline.prediction import foretold
 from tautline.recording import Angle, Motor, Recording
 from tautline.rig import Actuator, Coarse, Rig
 from tautline.simulators import Simulator, mjcf
+from tautline.simulators.nominal import nominal
 
 Array = npt.NDArray[np.float64]
 
@@ -195,6 +196,7 @@ def run(case: Case, folder: Path) -> dict[str, Any]:
     began = time.process_time()
     found = diagnose_simulator(simulator, [case.robot(arm, which) for which in (0, 1)], one.rig)
     document, unseen = found.document, case.robot(arm, 2)
+    own = nominal(simulator, [unseen], one.rig).model  # at the step of the file
     return {
         **{name: getattr(case, name) for name in ("seed", "mechanism", "fault", "size")},
         "verdict": document["verdict"],
@@ -203,7 +205,8 @@ def run(case: Case, folder: Path) -> dict[str, Any]:
         "named": [[effect["id"], *effect["ambiguous_with"]] for effect in document["effects"]],
         "gap": document["gap"]["before"] / document["noise_floor"],
         "left": document["gap"]["after"] / document["noise_floor"],
-        "worse": foretold(found.corrected, unseen, found.nominal) / foretold(found.nominal, unseen),
+        "worse": foretold(found.corrected, unseen, own) / foretold(own, unseen),
+        "step": document["simulator"].get("step", {}).get("error", 0.0) / document["noise_floor"],
         "core_s": time.process_time() - began,
         "evidence": found.evidence.to_json(),
     }
@@ -236,10 +239,10 @@ def stored(case: Case, out: Path, folder: Path) -> dict[str, Any]:
 
 
 def shown(cases: list[dict[str, Any]]) -> Table:
-    table = Table("seed", "mechanism", "fault", "gap", "left", "unseen", "verdict", "named", "right", box=None)
+    table = Table("seed", "mechanism", "fault", "gap", "left", "unseen", "step", "verdict", "named", "right", box=None)
     for case in cases:
         named = case.get("error") or ", ".join(" or ".join(names) for names in case["named"])
-        figures = [f"{case[name]:.2f}" if name in case else "" for name in ("gap", "left", "worse")]
+        figures = [f"{case[name]:.2f}" if name in case else "" for name in ("gap", "left", "worse", "step")]
         table.add_row(
             str(case["seed"]), case["mechanism"], case["fault"], *figures, case.get("verdict", "error"), named,
             "yes" if case["right"] else "no",

@@ -282,7 +282,8 @@ def diagnose_simulator(
 ) -> Diagnosis:
     """What a simulator of your own lacks, and which of its parameters are not the robot's, with their values.
 
-    Shapes: as diagnose's; `.document["simulator"]["parameters"]` has name, unit, nominal and value of what was named.
+    Shapes: as diagnose's; `.document["simulator"]["parameters"]` has name, unit, nominal and value of what was named,
+        `["step"]` what the simulator errs by at its own step of time, where that shows beside the noise.
     Units: those that the simulator declares; gaps in px or deg as diagnose's.
     Errors: TautError where a recording has nothing to compare, where nothing can be scored, and for what the simulator
         gives that is no angle.

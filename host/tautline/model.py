@@ -27,7 +27,9 @@ MODEL_FILE = "model.json"
 STEEPEST = 1.8  # limit: |B'| that tables may have: p_lo and p_hi are unique while it is below 2
 LOAD = "load_reference_mNm"  # format: of a model's extra
 SIMULATOR = "simulator"  # of a model's extra: what stands in the motor's place (tautline.simulators)
+DEVIATIONS = "deviations"  # format: of a model's extra: pairs of `Deviation`, one standard deviation either way
 _USUAL_NOISE = {MARKER: 0.05, ANGLE: 0.02}  # prior: px, deg
+_DIGITS = 6  # format: decimals of a deviation's tables
 _ARRAYS = ("q", "width", "width_sigma", "c_deg")
 
 
@@ -38,6 +40,37 @@ class Effect:
 
     id: str
     parameters: Mapping[str, Any]  # numbers; `column`: the name of one of motor.csv
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """What a model has instead where all that is unknown of it is otherwise together."""
+
+    width: Array  # (n,)
+    c_deg: Array  # (n,)
+    delay_s: float
+    effects: tuple[Effect, ...]
+
+    @classmethod
+    def of(cls, model: Model) -> Self:
+        """Of a model that is otherwise."""
+        return cls(model.width, model.c_deg, model.delay_s, model.effects)
+
+    def to_json(self) -> dict[str, Any]:
+        """As a model's extra has it, plain."""
+        return {
+            "width": np.round(self.width, _DIGITS).tolist(),
+            "c_deg": np.round(self.c_deg, _DIGITS).tolist(),
+            "delay_s": self.delay_s,
+            "effects": [{"id": effect.id, "parameters": dict(effect.parameters)} for effect in self.effects],
+        }
+
+    @classmethod
+    def from_json(cls, told: Mapping[str, Any]) -> Self:
+        """What `to_json` gave. KeyError, TypeError or ValueError where it is something else."""
+        width, c_deg = (np.array(told[name], dtype=float) for name in ("width", "c_deg"))
+        effects = tuple(Effect(item["id"], dict(item["parameters"])) for item in told["effects"])
+        return cls(width, c_deg, float(told["delay_s"]), effects)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -14,14 +14,15 @@ from tautline.columns import read_columns, read_times
 from tautline.core.chain import Chain, by_differences
 from tautline.core.motor import MotorPath
 from tautline.core.posterior import Posterior
+from tautline.discrepancy import DISCREPANCY, Discrepancy, states
 from tautline.encoder import between_counts
 from tautline.errors import TautError
 from tautline.folders import write_file
 from tautline.geometry import px_per_deg, tracked_deg
-from tautline.model import Model, allowed_width
+from tautline.model import DEVIATIONS, Deviation, Model, allowed_width
 from tautline.recording import Motor, Recording
 from tautline.rig import ANGLE, MARKER, Sensor
-from tautline.simulators.source import path_of
+from tautline.simulators.source import path_of, paths_of
 from tautline.value import Value
 
 Array = npt.NDArray[np.float64]
@@ -66,7 +67,8 @@ def predict_with_sigma(
 ) -> Prediction:
     """`predict` with one standard deviation of what the sensor would show: the uncertainty of B, f_remain, the delay,
     the motor's path and, unless start_deg is given, of the start within the backlash, propagated by differences through
-    the chain; and the noise."""
+    the chain; of a corrected simulator that of all its unknowns together, and more where the motion is unlike those
+    that it was fitted to; and the noise."""
     scene = np.asarray(scene_s, dtype=float)
     path = path_of(model, motor)
     told = Chain(model).at(path, scene, start_deg)
@@ -75,7 +77,9 @@ def predict_with_sigma(
     together = width_by_delay(model, float(known.sigma[2]))
     by_delay = together / known.sigma[2] if known.sigma[2] > 0.0 else together
     alone = np.sqrt(np.maximum(model.width_sigma**2 - together**2, 0.0))
-    fitted_deg = None if model.c_sigma is None else np.sqrt(np.maximum(model.c_sigma**2 - unseen_deg**2, 0.0))
+    apart = _deviations(model, motor, scene, start_deg)
+    c_sigma = model.c_sigma if apart is None else None  # else the law is off together with the rest
+    fitted_deg = None if c_sigma is None else np.sqrt(np.maximum(c_sigma**2 - unseen_deg**2, 0.0))
 
     def rows(off: Array) -> Array:
         """The prediction (n, 1 or 3) with these deviations: of B and f_remain in sigmas, delay, start and motor."""
@@ -94,14 +98,42 @@ def predict_with_sigma(
     slopes = by_differences(rows, known.mean, known.sigma)
     slopes[..., -1] *= path.sigma_at(scene)[:, None] / max(path.sigma, 1e-300)
     spread = known.spread(slopes)
-    noise = model.noise_of(model.sensor)
+    if apart is not None:
+        spread = np.hypot(spread, apart)
+    noise = np.hypot(model.noise_of(model.sensor), _discrepancy(model, path, motor, scene))
     if told.image_px is None:
         return Prediction(told.c_deg, None, np.hypot(spread[:, 0], noise))
     by_c = px_per_deg(model.rig, told.c_deg, *path.others_at(scene))
-    noise_px, noise_deg = (noise, noise / by_c) if model.sensor == MARKER else (noise * by_c[:, None], noise)
+    by_marker = model.sensor == MARKER
+    noise_px, noise_deg = (noise[:, None], noise / by_c) if by_marker else ((noise * by_c)[:, None], noise)
     unseen_deg = _unseen_deg(model, told.c_deg, *path.others_at(scene))
     angle = np.sqrt(spread[:, 0] ** 2 + noise_deg**2 + unseen_deg**2)
     return Prediction(told.c_deg, told.image_px, angle, np.hypot(spread[:, 1:], noise_px))
+
+
+def _deviations(model: Model, motor: Motor, scene_s: Array, start_deg: float | None) -> Array | None:
+    """(n, 1 or 3) One standard deviation of the prediction by what all of a corrected simulator's unknowns are off
+    together: half of what lies between the two models of each pair, in squares. None where the model tells of none."""
+    told = model.extra.get(DEVIATIONS)
+    if told is None:
+        return None
+    off = [Deviation.from_json(each) for pair in told for each in pair]
+    models = [replace(model, **vars(each)) for each in off]
+    rows = [
+        Chain(moved).at(path, scene_s - (moved.delay_s - model.delay_s), start_deg).rows
+        for moved, path in zip(models, paths_of(models, motor), strict=True)
+    ]
+    halves = [0.5 * (above - below) for below, above in zip(rows[::2], rows[1::2], strict=True)]
+    return np.asarray(np.sqrt(np.sum(np.square(halves), axis=0)))
+
+
+def _discrepancy(model: Model, path: MotorPath, motor: Motor, scene_s: Array) -> Array:
+    """(n,) One standard deviation, in the sensor's unit, of what a corrected simulator may miss beside its noise where
+    the motion is unlike those that it was fitted to; 0 of any other model."""
+    told = model.extra.get(DISCREPANCY)
+    if told is None:
+        return np.zeros(len(scene_s))
+    return Discrepancy.from_json(told).sigma_at(states(path.lines, motor, scene_s, model.rig.actuator.span))
 
 
 def width_by_delay(model: Model, delay_sigma_s: float) -> Array:

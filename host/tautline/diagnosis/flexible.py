@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import Bounds, minimize
-from scipy.spatial.distance import cdist
 from threadpoolctl import threadpool_limits
 
 from tautline.diagnosis import gap
 from tautline.diagnosis.segment import Segment
+from tautline.discrepancy import Discrepancy, kernel
 
 Array = npt.NDArray[np.float64]
 
@@ -30,6 +30,8 @@ _SHORTEST, _LONGEST = 0.05, 20.0  # prior: length scales, in standard deviations
 _SIZES = 1e-3, 1e2  # prior: the process' variance, in mean squares of the residuals
 _LEAST_NOISE, _MOST_NOISE = 1e-4, 10.0  # prior: the white noise's variance, in mean squares of the residuals
 _LONGEST_TRAVEL = 0.3  # prior: of the motor's range: beyond it the last reversal is forgotten
+_KEPT = 256  # tolerance: observations that a discrepancy remembers
+_CONSTANT = 1e-9  # tolerance: standard deviation below which an input does not vary
 _JITTER = 1e-10  # tolerance: added to the kernel's diagonal, so that it can be factored
 
 
@@ -95,6 +97,26 @@ def _gp_mean(inputs: Array, seen: Array, floor: float, test_inputs: Array) -> Ar
     """(m, k) Posterior mean at test_inputs (m, d) of a Gaussian process trained on `seen` (n, k) at `inputs` (n, d):
     squared-exponential kernel with a length scale for each input, and white noise of at least about `floor`, px or deg;
     these hyperparameters maximise the marginal likelihood of a subset."""
+    size, lengths, white = _likeliest(inputs, seen, floor)
+    own = size * kernel(inputs, inputs, lengths)
+    factor = cho_factor(own + (white + _JITTER) * np.eye(len(inputs)), lower=True)
+    predicted: Array = size * kernel(test_inputs, inputs, lengths) @ cho_solve(factor, seen)
+    return predicted
+
+
+def discrepancy(inputs: Array, seen: Array, floor: float, sigma: float) -> Discrepancy:
+    """The process of `seen` (n, k) at `inputs` (n, d) with its likeliest length scales and noise, and `sigma` as one
+    standard deviation a priori. floor: of the noise, px or deg."""
+    few = _thinned(np.arange(len(inputs)), _KEPT)
+    scale = np.maximum(inputs.std(axis=0), _CONSTANT)
+    with threadpool_limits(1):  # many small systems
+        _, lengths, white = _likeliest(inputs / scale, seen, floor)
+    return Discrepancy(sigma, inputs[few], scale * lengths, white / sigma**2)
+
+
+def _likeliest(inputs: Array, seen: Array, floor: float) -> tuple[float, Array, float]:
+    """(The process' variance, its length scales (d,), the white noise's variance) that maximise the marginal likelihood
+    of a subset of `seen` (n, k) at `inputs` (n, d), whose standard deviations are about 1."""
     scale = float(np.sqrt(np.mean(seen**2))) or 1.0
     noise = max((floor / scale) ** 2, _LEAST_NOISE)
     d = inputs.shape[1]
@@ -111,11 +133,7 @@ def _gp_mean(inputs: Array, seen: Array, floor: float, test_inputs: Array) -> Ar
         bounds=limits,
     )
     size, lengths, white = _hyper(minimum.x)
-    kernel = size * np.exp(-0.5 * cdist(inputs / lengths, inputs / lengths, "sqeuclidean"))
-    factor = cho_factor(kernel + (white + _JITTER) * np.eye(len(inputs)), lower=True)
-    to_test = size * np.exp(-0.5 * cdist(test_inputs / lengths, inputs / lengths, "sqeuclidean"))
-    predicted: Array = scale * (to_test @ cho_solve(factor, seen / scale))
-    return predicted
+    return size * scale**2, lengths, white * scale**2
 
 
 def _negative_log_marginal(logs: Array, squares: Array, seen: Array) -> tuple[float, Array]:

@@ -231,7 +231,7 @@ class Joint:
         parameters' ranges. residuals: at u (m,)."""
         steps = []
         for step in _DIFFERENCE * np.eye(len(u)):
-            steps.append(step if np.array_equal(self._clipped(u + step), u + step) else -step)
+            steps.append(step if np.array_equal(self.within(u + step), u + step) else -step)
         for step in steps:
             for segment in self.segments:
                 segment.ask(self.changes(u + step))
@@ -305,7 +305,7 @@ class Joint:
         covariance[np.ix_(free, free)] = np.linalg.inv(matrix[np.ix_(free, free)])
         return Fitted(Posterior(names, point.u, covariance), noise, point.residuals, slopes, free)
 
-    def _clipped(self, u: Array) -> Array:
+    def within(self, u: Array) -> Array:
         """u (m,) with every parameter within its range, and a width that is negative neither at rest nor at speed."""
         clipped = u.copy()
         clipped[: len(self.parameters)] = [
@@ -359,7 +359,7 @@ class _Descent:
 
     def moved(self, point: _Point, step: Array) -> _Point:
         """The point a step (m,) further, within the unknowns' ranges."""
-        u = self.joint._clipped(point.u + step)
+        u = self.joint.within(point.u + step)
         return _Point(u, self.joint.residuals(u))
 
     def cost(self, point: _Point) -> float:
@@ -390,7 +390,7 @@ def _normal_equations(noise: Noise, point: _Point, slopes: Sequence[Array]) -> t
 def _is_at_bound(joint: Joint, u: Array, gradient: Array) -> npt.NDArray[np.bool_]:
     """(m,) Whether each unknown is at an end of its range with the gradient pointing beyond it."""
     onward = u + np.sign(gradient) * _AT_BOUND
-    return np.asarray(joint._clipped(onward) != onward)
+    return np.asarray(joint.within(onward) != onward)
 
 
 def _positive(parameter: Declared) -> bool:

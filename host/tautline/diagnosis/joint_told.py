@@ -16,7 +16,8 @@ from tautline.diagnosis.diagnose import Diagnosis
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.joint import BENDS, DELAY, LAW, SPEED, WIDTH, Fitted, Joint
 from tautline.diagnosis.joint_sets import Sets
-from tautline.model import Model
+from tautline.discrepancy import DISCREPANCY, Discrepancy, states
+from tautline.model import DEVIATIONS, Deviation, Model
 
 Array = npt.NDArray[np.float64]
 
@@ -31,6 +32,7 @@ class Answer:
     fitted: Fitted
     sets: Sets
     held_out: list[Array]  # (scored, k) of each recording: residual of every block by the fit without that block
+    plainer: Answer | None = None  # of the fit with less detail that this one was found from
 
     @classmethod
     def of(cls, joint: Joint, fitted: Fitted) -> Answer:
@@ -38,22 +40,59 @@ class Answer:
         return cls(joint, fitted, Sets.of(joint.unknowns, fitted), held_out_residuals(joint, fitted))
 
     def corrected_model(self) -> Model:
-        """The model with all unknowns as fitted. Its c_sigma, deg, is the law's posterior standard deviation; its
-        width_sigma, unit of q, the standard deviation by which friction varies (_FRICTION_VARIES of the width, times
-        the root of the probability that it is friction and not slack); its evidence the standard deviation of a reading
-        of an unseen motion."""
+        """The model with all unknowns as fitted, and what they are off by together (DEVIATIONS). Its c_sigma, deg, is
+        the law's posterior standard deviation; its width_sigma, unit of q, the standard deviation by which friction
+        varies (_FRICTION_VARIES of the width, times the root of the probability that it is friction and not slack); its
+        evidence the standard deviation of a reading of an unseen motion, and beside it the discrepancy where an unseen
+        motion is unlike the recorded ones."""
         joint, fitted = self.joint, self.fitted
         names = [fitted.posterior.names[i] for i in joint.places[LAW]]
         c_sigma = fitted.posterior.marginal(names).spread(joint.law_slopes())
-        before = gap.rms(joint.residuals(np.zeros(joint.size)))
-        noise = gap.unseen(before, gap.rms(self.held_out), joint.floor, learnt().elsewhere)
-        model = joint.model_at(fitted.u)
+        model, found = joint.model_at(fitted.u), self._discrepancy()
         return replace(
             model,
             width_sigma=_FRICTION_VARIES * np.sqrt(self._is_friction) * model.width,
             c_sigma=c_sigma,
-            extra={**model.extra, "evidence": {"residual": noise}},
+            extra={
+                **model.extra,
+                "evidence": {"residual": self._unseen()},
+                DEVIATIONS: [[off.to_json() for off in pair] for pair in self._deviations()],
+                **({} if found is None else {DISCREPANCY: found.to_json()}),
+            },
         )
+
+    def _deviations(self) -> Iterator[tuple[Deviation, Deviation]]:
+        """What the model is one standard deviation either way along each column of the posterior covariance's Cholesky
+        factor. The simulator's parameters come first in u: the columns of the others need no simulation."""
+        free, joint = self.fitted.free, self.joint
+        factor = np.linalg.cholesky(self.fitted.posterior.covariance[np.ix_(free, free)])
+        for column in factor.T:
+            step = np.zeros(joint.size)
+            step[free] = column
+            below, above = (joint.model_at(joint.within(self.fitted.u + sign * step)) for sign in (-1.0, 1.0))
+            yield Deviation.of(below), Deviation.of(above)
+
+    def _unseen(self) -> float:
+        """One standard deviation of a reading of an unseen motion, in the observations' unit."""
+        before = gap.rms(self.joint.residuals(np.zeros(self.joint.size)))
+        return gap.unseen(before, gap.rms(self.held_out), self.joint.floor, learnt().elsewhere)
+
+    def _discrepancy(self) -> Discrepancy | None:
+        """What the plainer fit leaves of an unseen motion and this one does not, by place, speed and load: detail was
+        seen only where the recorded motions were, and elsewhere it is worth no more than the plainer fit."""
+        if self.plainer is None:
+            return None
+        power = self.plainer._unseen() ** 2 - self._unseen() ** 2
+        if power <= 0.0:
+            return None
+        joint, model = self.joint, self.joint.model_at(self.fitted.u)
+        inputs, changes = [], joint.changes(self.fitted.u)
+        for s in joint.segments:
+            assert s.drive is not None  # of a simulator
+            scene = s.arrival_s[s.scored] - model.delay_of(s.sensor)
+            inputs.append(states(s.drive.motor(changes), s.drive.log, scene, model.rig.actuator.span))
+        left = np.concatenate(self.plainer.fitted.residuals)
+        return flexible.discrepancy(np.concatenate(inputs), left, joint.floor, float(np.sqrt(power)))
 
     @property
     def _is_friction(self) -> float:
@@ -130,7 +169,7 @@ def foretelling(answer: Answer) -> Answer:
     left out; else `answer`. What is named is not asked of it: law and width of much detail stand for other causes."""
     detailed = Answer.of(*answer.joint.detailed(answer.fitted))
     sure = gap.probability_of_shrinking(answer.held_out, detailed.held_out, answer.joint.segments)
-    return detailed if sure >= gap.SURELY else answer
+    return replace(detailed, plainer=answer) if sure >= gap.SURELY else answer
 
 
 def _document(

@@ -220,7 +220,8 @@ class NextStep:
 def steps(document: Mapping[str, Any], folder: str) -> list[NextStep]:
     """What to do next, the most useful first. folder: where the diagnosis is kept, for the commands."""
     if document["verdict"] == "none" or _is_small(document):
-        return [NextStep("Use the model as it is: these motions show nothing large that it lacks.")]
+        as_it_is = NextStep("Use the model as it is: these motions show nothing large that it lacks.")
+        return [*map(NextStep, simulator_words.steps({**document, "effects": []})), as_it_is]
     effects = document["effects"]
     is_event = bool(effects) and effects[0]["id"] in EVENTS
     todo = [*_steps_to_look(document), *_steps_to_record(document, folder)]
@@ -348,8 +349,8 @@ def text(document: Mapping[str, Any], folder: str) -> str:
     if "simulator" not in document:  # that is not calibrated
         lines.append(f"  recalibrated    {digits(again):>8} {unit} rms (B, f_remain and registration refitted on all)")
     lines.append(f"  noise           {digits(document['noise_floor']):>8} {unit} rms")
-    if moved(document):
-        lines += ["", f"  {moved(document)}"]
+    for paragraph in (moved(document), simulator_words.step(document)):
+        lines += ["", f"  {paragraph}"] if paragraph else []
     lines.append("")
     for name, probability, closes in rows(document, 4):
         if probability < SHOWN:

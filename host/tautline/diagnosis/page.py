@@ -84,6 +84,7 @@ def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
             for row in _parameter_rows(document, effect, unit, width_now(diagnosis.nominal, diagnosis.corrected))
         ],
         "moved": narration.moved(document),
+        "step": simulator_words.step(document),
         "tip": narration.tip(document),
         "tracker": narration.left_out_frames(document),
         "conditions": _conditions(diagnosis, unit),

@@ -13,6 +13,7 @@ from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.joint import Joint, likeliest
 from tautline.diagnosis.joint_told import Answer, improved
 from tautline.diagnosis.segment import prepare
+from tautline.diagnosis.stepping import stepped
 from tautline.model import Model
 from tautline.recording import Recording
 from tautline.rig import Rig
@@ -32,13 +33,15 @@ def diagnose_simulator(
     workers: int = 1,
 ) -> Diagnosis:
     """Diagnoses what a simulator lacks: the gap between the robot's recordings and the simulator under the same
-    motions. Where single effects leave it open, all of the simulator's parameters are fitted together (joint.py).
-    progress: called with the share that is done, 0 to 1, and what is done now. workers: processes that simulate side by
-    side, with the same result. TautError where nothing can be compared or scored, or the simulator fails."""
+    motions, at a step of time at which it errs by less than the noise. Where single effects leave it open, all of the
+    simulator's parameters are fitted together (joint.py). progress: called with the share that is done, 0 to 1, and
+    what is done now. workers: processes that simulate side by side, with the same result. TautError where nothing can
+    be compared or scored, or the simulator fails."""
     progress(0.0, "simulating")
     seen = [with_marker(robot, rig, progress) for robot in robots]
+    simulator, step = stepped(simulator, seen, rig)
     with pool(simulator, workers) as processes:
-        found = nominal(simulator, seen, rig, processes)
+        found = replace(nominal(simulator, seen, rig, processes), step=step)
         progress(0.05, "simulated")
         diagnosis = diagnose(
             found.model,

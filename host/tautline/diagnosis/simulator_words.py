@@ -26,9 +26,23 @@ def values(document: Mapping[str, Any], name: str) -> tuple[str, str] | None:
     return None
 
 
+def step(document: Mapping[str, Any]) -> str:
+    """What the simulator errs by at its own step of time, in a sentence; "" where that is nothing."""
+    told = document.get("simulator", {}).get("step")
+    if told is None:
+        return ""
+    size = f"{told['error']:.2g} {told['unit']} rms, {told['error'] / told['noise']:.2g} times the noise"
+    return (
+        f"At its own step of {1e3 * told['own_s']:.3g} ms the simulator errs by {size}. That is no fault of the robot, "
+        "and not in the gap."
+    )
+
+
 def steps(document: Mapping[str, Any]) -> list[str]:
     """What to change in the simulator, in sentences."""
     todo = []
+    if told := document.get("simulator", {}).get("step"):
+        todo.append(f"Step the simulator at {1e3 * told['enough_s']:.2g} ms or less.")
     if named := [f"{parameter['name']} {_value(parameter)}" for parameter in _named(document)]:
         todo.append(f"Put into the simulator what the robot has: {', '.join(named)}.")
     of_simulator = {simulator_id(parameter["name"]) for parameter in _named(document)}

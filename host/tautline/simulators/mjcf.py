@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -43,15 +43,16 @@ class Mjcf:
     actuator: str
     tip: str  # joint:NAME, or site:NAME: the free hinges above it
     scale: float  # of the control, per unit of q
+    step_s: float | None = None  # instead of the file's own
 
     def simulate(self, motor: Motor, parameters: Mapping[str, float]) -> Array:
-        """(n,) deg at motor.t_s (n,): steps of the file's own time step, the log interpolated to them. It begins at
-        rest at the first control."""
+        """(n,) deg at motor.t_s (n,): steps of `step_s`, or of the file's own time step, the log interpolated to them.
+        It begins at rest at the first control."""
         import mujoco
         from mujoco import rollout
 
         model = self._set(parameters)
-        step = float(model.opt.timestep)
+        step = self.time_step
         begin = float(motor.t_s[0]) - _SETTLE_S
         steps = math.ceil((float(motor.t_s[-1]) - begin) / step) + 1
         t_s = begin + step * np.arange(steps)
@@ -68,6 +69,11 @@ class Mjcf:
         for name, sign in self._hinges:
             angle += sign * states[0, :, 1 + int(model.joint(name).qposadr[0])]
         return np.asarray(np.degrees(np.interp(motor.t_s, t_s + step, angle)))
+
+    @property
+    def time_step(self) -> float:
+        """s of a step of the simulation."""
+        return float(self._model.opt.timestep) if self.step_s is None else self.step_s
 
     @cached_property
     def parameters(self) -> tuple[Declared, ...]:
@@ -166,6 +172,7 @@ class Mjcf:
         import mujoco
 
         model = copy.copy(self._model)
+        model.opt.timestep = self.time_step
         for name in self._joints:
             at = int(model.joint(name).dofadr[0])
             model.dof_damping[at] = parameters[f"{name}.damping"]
@@ -198,15 +205,23 @@ class Mjcf:
         return data
 
 
-def simulator(path: str | Path, actuator: str, tip: str, unit: str = "deg", scale: float | None = None) -> Simulator:
+def simulator(
+    path: str | Path,
+    actuator: str,
+    tip: str,
+    unit: str = "deg",
+    scale: float | None = None,
+    step_s: float | None = None,
+) -> Simulator:
     """An MJCF or URDF file as a simulator. actuator: its control is the motor's position times `scale` (default: rad
     of a deg, m of a mm); in a file without any a joint, which a servo then holds. tip: joint:NAME, or site:NAME, the
-    sum of the free hinges above it. TautError names what is not in the file."""
+    sum of the free hinges above it. step_s: of time, by default the file's. TautError names what is not in the
+    file."""
     needed()
     scale = PER_UNIT[unit] if scale is None else scale
     if not (math.isfinite(scale) and scale != 0.0):
         raise TautError(f"--scale {scale:g}: expected what the control is per {unit} of q, not 0")
-    made = Mjcf(Path(path), actuator, tip, scale)
+    made = Mjcf(Path(path), actuator, tip, scale, step_s)
     source = {
         "kind": KIND,
         "path": str(Path(path).resolve()),
@@ -215,7 +230,8 @@ def simulator(path: str | Path, actuator: str, tip: str, unit: str = "deg", scal
         "tip": tip,
         "scale": scale,
     }
-    return Simulator(made.simulate, made.parameters, source)
+    at_step = partial(simulator, path, actuator, tip, unit, scale)
+    return Simulator(made.simulate, made.parameters, source, made.time_step, at_step)
 
 
 @contextmanager

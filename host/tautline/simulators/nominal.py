@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,21 @@ _POINTS = 257  # tolerance: of the model's tables
 
 
 @dataclass(frozen=True)
+class StepError:
+    """What a simulator errs by at its own step of time."""
+
+    own_s: float  # its own step
+    enough_s: float  # a step at which it would err by no more than what a sound calibration leaves
+    error: float  # rms at its own, px or deg, of the recording in which it is largest
+    noise: float  # of the sensor, in the same unit
+    unit: str
+
+    def to_json(self) -> dict[str, Any]:
+        """`simulator.step` of diagnosis.json."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
 class SimulatedNominal:
     """What a diagnosis takes in place of a calibrated model."""
 
@@ -29,6 +44,7 @@ class SimulatedNominal:
     tests: tuple[Recording, ...]  # the robot's, with the simulated tip's coordinate in the motor's place
     drives: tuple[Drive, ...]  # of the calibration, then of each test
     simulator: Simulator
+    step: StepError | None = None  # where the simulator is another one than the user's in its step of time
 
     @property
     def kinds(self) -> tuple[effects.Kind, ...]:
@@ -39,8 +55,8 @@ class SimulatedNominal:
         )
 
     def to_json(self, named: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """The simulator's source, and the parameters among the named effects with their values in the simulator and on
-        the robot."""
+        """The simulator's source, the parameters among the named effects with their values in the simulator and on the
+        robot, and what it errs by at its own step."""
         changes = {name: value for effect in named for name, value in effect["parameters"].items()}
         return {
             "source": dict(self.simulator.source),
@@ -49,6 +65,7 @@ class SimulatedNominal:
                 for p in self.simulator.parameters
                 if (key := effects.simulator_id(p.name)) in changes
             ],
+            **({} if self.step is None else {"step": self.step.to_json()}),
         }
 
 

@@ -44,6 +44,8 @@ class Simulator:
     simulate: Simulate
     parameters: tuple[Declared, ...]
     source: Mapping[str, Any] = field(default_factory=dict)  # plain: what `source.opened` finds it again by
+    step_s: float | None = None  # of its integration, where it can be made shorter
+    at_step: Callable[[float], Simulator] | None = None  # the same simulator at another step, s
 
     def __post_init__(self) -> None:
         names = [each.name for each in self.parameters]

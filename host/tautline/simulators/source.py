@@ -5,7 +5,10 @@ from __future__ import annotations
 import importlib
 import re
 import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from tautline.core.motor import MotorPath
 from tautline.errors import TautError
@@ -14,6 +17,7 @@ from tautline.recording import Motor
 from tautline.simulators import mjcf
 from tautline.simulators.drive import Drive
 from tautline.simulators.simulator import Simulator
+from tautline.simulators.stepless import STEP, stepless
 
 _PYTHON = "python"
 _NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")  # MODULE:NAME
@@ -37,12 +41,18 @@ def of_python(name: str) -> Simulator:
         raise TautError(f"--simulator {name}: {says}: expected MODULE:NAME, which Python can import") from error
     if not isinstance(found, Simulator):
         raise TautError(f"--simulator {name}: is no tautline.simulators.Simulator, but {type(found).__name__}")
-    return Simulator(found.simulate, found.parameters, {"kind": _PYTHON, "name": name})
+    return replace(found, source={"kind": _PYTHON, "name": name})
 
 
 def opened(model: Model) -> Simulator:
     """The simulator that a model remembers. TautError where it remembers none, or that has gone or changed since."""
     source = model.extra.get(SIMULATOR) or {}
+    simulator = _own(source, model)
+    return stepless(simulator, source[STEP]) if STEP in source else simulator
+
+
+def _own(source: Mapping[str, Any], model: Model) -> Simulator:
+    """The user's own simulator of a source."""
     if source.get("kind") == _PYTHON:
         return of_python(source["name"])
     if source.get("kind") != mjcf.KIND:
@@ -57,8 +67,18 @@ def opened(model: Model) -> Simulator:
 def path_of(model: Model, motor: Motor) -> MotorPath:
     """The coordinate that a model's tables are over: the motor's path, or where the simulator that the model begins
     with puts the tip."""
-    if SIMULATOR not in model.extra:
-        return MotorPath.of(motor, model.rig.actuator.encoder_resolution)
-    values = {name: value for effect in model.effects for name, value in effect.parameters.items()}
-    driven = Drive(opened(model), motor, model.rig).motor(values)
-    return MotorPath(driven, driven)
+    return next(paths_of([model], motor))
+
+
+def paths_of(models: Sequence[Model], motor: Motor) -> Iterator[MotorPath]:
+    """`path_of` for models that differ in their tables and effects alone: those whose simulator has the same values
+    share one simulation."""
+    if SIMULATOR not in models[0].extra:
+        path = MotorPath.of(motor, models[0].rig.actuator.encoder_resolution)
+        yield from (path for _ in models)
+        return
+    drive = Drive(opened(models[0]), motor, models[0].rig)
+    for model in models:
+        values = {name: value for effect in model.effects for name, value in effect.parameters.items()}
+        driven = drive.motor(values)
+        yield MotorPath(driven, driven)

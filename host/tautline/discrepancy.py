@@ -1,0 +1,72 @@
+"""How far a motion is from those that a corrected simulator was fitted to: a Gaussian process of the simulated joint's
+place, speed and load, whose variance is nothing where they were and back at the prior's where they never were."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial.distance import cdist
+
+from tautline.recording import Motor
+
+Array = npt.NDArray[np.float64]
+
+DISCREPANCY = "discrepancy"  # format: of a model's extra
+_JITTER = 1e-10  # tolerance: added to the kernel's diagonal, so that it can be factored
+
+
+@dataclass(frozen=True)
+class Discrepancy:
+    """A squared-exponential kernel; prior and white noise in shares of the prior's variance."""
+
+    sigma: float  # one standard deviation a priori, in the sensor's unit
+    inputs: Array  # (n, d) where it was seen
+    lengths: Array  # (d,) in the inputs' units
+    white: float  # variance of the white noise
+
+    def sigma_at(self, inputs: Array) -> Array:
+        """(m,) One standard deviation at inputs (m, d): sqrt(k(x, x) - k(x, X) (K + white)^-1 k(X, x))."""
+        to_seen = kernel(inputs, self.inputs, self.lengths)
+        known = np.sum(to_seen * cho_solve(self._factor, to_seen.T).T, axis=1)
+        return np.asarray(self.sigma * np.sqrt(np.clip(1.0 - known, 0.0, 1.0)))
+
+    @cached_property
+    def _factor(self) -> tuple[Array, bool]:
+        """The Cholesky factor of the seen values' covariance."""
+        own = kernel(self.inputs, self.inputs, self.lengths)
+        factor, lower = cho_factor(own + (self.white + _JITTER) * np.eye(len(self.inputs)), lower=True)
+        return factor, bool(lower)
+
+    def to_json(self) -> dict[str, Any]:
+        """As a model remembers it, plain."""
+        arrays = {"inputs": self.inputs.tolist(), "lengths": self.lengths.tolist()}
+        return {"sigma": self.sigma, "white": self.white, **arrays}
+
+    @classmethod
+    def from_json(cls, told: Mapping[str, Any]) -> Self:
+        """What `to_json` gave. KeyError, TypeError or ValueError where it is something else."""
+        inputs, lengths = (np.array(told[name], dtype=float) for name in ("inputs", "lengths"))
+        return cls(float(told["sigma"]), inputs, lengths, float(told["white"]))
+
+
+def kernel(a: Array, b: Array, lengths: Array) -> Array:
+    """(n, m) exp(-|a - b|^2 / 2) of inputs (n, d) and (m, d) in units of `lengths` (d,)."""
+    return np.exp(-0.5 * cdist(a / lengths, b / lengths, "sqeuclidean"))
+
+
+def states(simulated: Motor, command: Motor, scene_s: Array, span: float) -> Array:
+    """(n, 3) The simulated joint's place, its speed (1/s) and its load, which is how far it is from its command, at
+    scene times (n,), in shares of `span`, the motor's range. simulated: the motor's log with the simulated tip's
+    coordinate."""
+    t_s, place = simulated.t_s, simulated.q / span
+    speed = np.gradient(place, t_s)
+    commanded = command.q if command.q_cmd is None else command.q_cmd
+    q = np.interp(scene_s, t_s, place)
+    load = np.interp(scene_s, command.t_s, commanded) / span - q
+    return np.column_stack([q, np.interp(scene_s, t_s, speed), load])
