@@ -14,6 +14,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from itertools import chain
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -25,6 +27,17 @@ INCLUDES = tuple(folder.parent / "include" for folder in SOURCES)
 TESTS = ROOT / "tests" / "c"
 FLAGS = ["-std=c11", "-O1", "-DTL_APP_QUEUE=65536U", "-DUNITY_SUPPORT_64", "-DUNITY_INCLUDE_DOUBLE"]
 LONGEST_S = 600
+ONLY = "TAUTLINE_ONLY_TEST"  # environment: of a test's program that one alone
+ONE_TEST = f"""
+#include <stdlib.h>
+#include <string.h>
+#include "unity.h"
+#undef RUN_TEST
+#define RUN_TEST(test) \\
+    do {{ \\
+        if (strcmp(#test, getenv("{ONLY}")) == 0) UnityDefaultTestRun(test, #test, __LINE__); \\
+    }} while (0)
+"""
 # Modules of the copy win over the installed ones.
 FINDER = """
 import importlib.abc, importlib.util, pathlib, sys
@@ -54,28 +67,33 @@ def without(guard: Guard, root: Path = ROOT) -> dict[str, str]:
 
 
 class Portable:
-    """The C tests with all that they need, compiled once; a mutant compiles what it changes."""
+    """The C tests with all that they need, compiled once; a mutant compiles what it changes, and what includes that."""
 
-    def __init__(self, folder: Path, cc: str, unity: Path, monocypher: Path) -> None:
+    def __init__(
+        self, folder: Path, cc: str, unity: Path, monocypher: Path, tests: set[Path], workers: ThreadPoolExecutor
+    ) -> None:
         self.folder, self.cc, self.unity, self.monocypher = folder, cc, unity, monocypher
         self.sources = [file for place in SOURCES for file in sorted(place.glob("*.c")) if file.name != "tl_usb.c"]
         self.sources += [unity / "unity.c", monocypher / "monocypher.c"]
-        self.objects = dict(zip(self.sources, self._compile(self.sources, folder, []), strict=True))
+        (folder / "one_test.h").write_text(ONE_TEST, "utf-8")
+        every = [*self.sources, *sorted(tests)]
+        self.objects = dict(zip(every, workers.map(lambda source: self._compile(source, folder), every), strict=True))
 
     def _includes(self, before: list[Path]) -> list[str]:
         return [f"-I{path}" for path in (*before, *INCLUDES, *SOURCES, TESTS, self.unity, self.monocypher)]
 
-    def _compile(self, sources: list[Path], into: Path, before: list[Path]) -> list[Path]:
-        made = [into / f"{source.stem}.o" for source in sources]
-        for source, out in zip(sources, made, strict=True):
-            command = [self.cc, *FLAGS, *self._includes(before), "-c", str(source), "-o", str(out)]
-            subprocess.run(command, check=True)
+    def _compile(self, source: Path, into: Path, first: tuple[Path, ...] = ()) -> Path:
+        """The object; beside it the list of what was included."""
+        made = into / f"{source.stem}.o"
+        command = [self.cc, *FLAGS, *self._includes([*first]), "-MMD", "-c", str(source), "-o", str(made)]
+        command += ["-include", str(self.folder / "one_test.h")] if source.parent == TESTS else []
+        subprocess.run(command, check=True)
         return made
 
-    def _of_test(self, source: Path) -> Path:
-        if source not in self.objects:
-            self.objects[source] = self._compile([source], self.folder, [])[0]
-        return self.objects[source]
+    def _includes_one(self, source: Path, headers: list[str]) -> bool:
+        """Whether one of these headers went into the object."""
+        included = {Path(word).resolve() for word in self.objects[source].with_suffix(".d").read_text("utf-8").split()}
+        return any(ROOT / header in included for header in headers)
 
     def misses(self, test: str, texts: dict[str, str]) -> bool:
         """Whether the test fails with these texts in place of their files."""
@@ -101,15 +119,20 @@ class Portable:
                     str(source),
                 ]
                 return subprocess.run(command, capture_output=True, check=False).returncode == 0
-            objects = {key: self.objects[key] for key in self.sources} | {source: self._of_test(source)}
-            if headers:
-                again = [key for key in objects if key not in changed and key.name not in ("unity.c", "monocypher.c")]
-                objects |= dict(zip(again, self._compile(again, folder, [folder]), strict=True))
-            for key, target in changed.items():
-                objects[key] = self._compile([target], folder, [folder])[0]
+            objects = {key: self.objects[key] for key in (*self.sources, source)}
+            for key in objects:
+                if key in changed or self._includes_one(key, headers):
+                    objects[key] = self._compile(changed.get(key, key), folder, (folder,))
             program = folder / "mutant"
             subprocess.run([self.cc, *map(str, objects.values()), "-lm", "-o", str(program)], check=True)
-            done = subprocess.run([str(program)], capture_output=True, text=True, timeout=LONGEST_S, check=False)
+            done = subprocess.run(
+                [str(program)],
+                capture_output=True,
+                text=True,
+                timeout=LONGEST_S,
+                check=False,
+                env=os.environ | {ONLY: name},
+            )
             return done.returncode < 0 or f":{name}:FAIL" in done.stdout
 
 
@@ -202,17 +225,22 @@ def main() -> int:
     options = parser.parse_args()
     chosen = [each for each in GUARDS if options.only in each.name and (options.all or is_portable(each))]
     wrong = 0
-    with tempfile.TemporaryDirectory() as name:
-        portable = Portable(Path(name), options.cc, options.unity, options.monocypher)
-        copy = Copy(Path(name)) if not all(map(is_portable, chosen)) else None
-        for test, board in dict.fromkeys((each.test, each.board) for each in chosen):
-            if portable.misses(test, {}) if copy is None or test.startswith("tests/c/") else copy.fails(test, board):
-                wrong += 1
-                print(f"{test} fails with every guard in place", flush=True)
-        for guard in chosen:
-            missed = (
-                copy.misses(guard) if copy and not is_portable(guard) else portable.misses(guard.test, without(guard))
-            )
+    with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(os.cpu_count()) as workers:
+        here, others = ([each for each in chosen if is_portable(each) == is_here] for is_here in (True, False))
+        whole = list(dict.fromkeys(each.test for each in here))
+        tests = {ROOT / file for file, _, name in (test.partition("::") for test in whole) if name}
+        portable = Portable(Path(name), options.cc, options.unity, options.monocypher, tests, workers)
+        broken = workers.map(lambda test: portable.misses(test, {}), whole)
+        failed = [test for test, misses in zip(whole, broken, strict=True) if misses]
+        copy = Copy(Path(name)) if others else None
+        if copy:
+            boards = dict.fromkeys((each.test, each.board) for each in others)
+            failed += [test for test, board in boards if copy.fails(test, board)]
+        for test in failed:
+            wrong += 1
+            print(f"{test} fails with every guard in place", flush=True)
+        seen = zip(here, workers.map(lambda guard: portable.misses(guard.test, without(guard)), here), strict=True)
+        for guard, missed in chain(seen, ((guard, copy.misses(guard)) for guard in others if copy)):
             wrong += not missed
             print(f"{'seen' if missed else 'NOT SEEN':8s} without: {guard.name}", flush=True)
     return 1 if wrong else 0

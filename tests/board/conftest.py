@@ -10,6 +10,7 @@ import contextlib
 import os
 import threading
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -25,7 +26,8 @@ from tautline.simulated.simlink import LINE, PROGRAM, DesktopBoard, SimLink
 
 IN_QEMU = ("m4", "m33")  # cores of one port
 SIMULATED = ("desktop", "serial", "emulated", *IN_QEMU)  # boards that are started for each test
-_TOOLS = Path(__file__).resolve().parents[2] / "tools"
+_HERE = Path(__file__).resolve().parent
+_TOOLS = _HERE.parents[1] / "tools"
 _EMULATED = _TOOLS / "emulator" / "board.js"
 _QEMU = _TOOLS / "qemu" / "board.py"
 
@@ -35,6 +37,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     where += "usbip:HOST:PORT, serial:DEVICE or a number"
     parser.addoption("--board", default="desktop", help=where)
     parser.addoption("--sim", type=int, help="port of the sim link of a --board usbip:... (an emulated board)")
+    parser.addoption("--share", action="store_true", help="of these tests what falls to an emulated or m4 board alone")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -54,6 +57,8 @@ class Bench:
     where: str
     link: SimLink | None
     process: DesktopBoard | None = None
+    axes: int | None = None  # that a test is about: a board may have more; None: all of them
+    shared: bool = False  # with another board: what this one cannot, nobody runs
 
     def open(self) -> Board:
         return open_board(self.where)
@@ -61,7 +66,7 @@ class Bench:
     def address(self) -> str:
         """HOST:PORT of its USB/IP server."""
         if not self.where.startswith("usbip:"):
-            pytest.skip("needs a board on USB/IP")
+            self._skip("needs a board on USB/IP")
         return self.where.removeprefix("usbip:")
 
     @property
@@ -72,7 +77,10 @@ class Bench:
     def usb(self, board: Board) -> Any:
         """PyUSB's device of an open board."""
         device = getattr(board._link, "device", None)
-        return device if device is not None else pytest.skip("needs a board on USB")
+        return device if device is not None else self._skip("needs a board on USB")
+
+    def _skip(self, why: str) -> Any:
+        return pytest.fail(f"{why}: it falls_to that one") if self.shared else pytest.skip(why)
 
     @property
     def sim(self) -> SimLink:
@@ -90,14 +98,15 @@ class Bench:
 
     def ready(self, board: Board) -> None:
         """Every axis commissioned, checked and referenced, at position 0 and off."""
-        for axis in range(board.axes):
+        axes = range(min(board.axes, self.axes or board.axes))
+        for axis in axes:
             board.trust_motor(axis)
-        for axis in range(board.axes):
+        for axis in axes:
             board.ask("enable", axis=axis, on=1)  # all at the same time
-        for axis in range(board.axes):
+        for axis in axes:
             self.until(board, axis, "HOLD")
         board.ask("enable", axis=wire.wire.ALL_AXES, on=0)
-        for axis in range(board.axes):
+        for axis in axes:
             self.until(board, axis, "OFF")
             if self.link is not None:
                 self.link.ask(f"place {axis} 0")
@@ -192,10 +201,21 @@ def wall_clock(request: pytest.FixtureRequest) -> Iterator[ClockOf]:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     for item in items:
         if "wall_clock" in getattr(item, "fixturenames", ()):
             item.add_marker("wall_clock")
+    if config.getoption("--share"):
+        board = config.getoption("--board")
+        others = [item for item in items if item.path.parent == _HERE and shared_out_to(item) != board]
+        config.hook.pytest_deselected(items=others)
+        items[:] = [item for item in items if item not in others]
+
+
+def shared_out_to(item: pytest.Item) -> str:
+    """Which of the two emulated boards runs a test where each has a share of them: always the same."""
+    marked = item.get_closest_marker("falls_to")
+    return str(marked.args[0]) if marked else ("emulated", "m4")[zlib.crc32(item.name.encode()) % 2]
 
 
 @contextmanager
@@ -205,7 +225,7 @@ def bench_of(request: pytest.FixtureRequest, axes: int = 2, flash: Path | None =
         with DesktopBoard(axes=axes, flash=flash, serial="TEST-1") as desktop:
             link = desktop.link()
             with contextlib.closing(link):
-                yield Bench(desktop.where, link, desktop)
+                yield Bench(desktop.where, link, desktop, axes, request.config.getoption("--share"))
         return
     if not find(where):
         pytest.skip(f"no board {where}")

@@ -152,6 +152,7 @@ def test_a_host_that_is_lost_takes_it_along(bench: Bench, how: str, share: float
     is_calibrated_again(bench, calibrated)
 
 
+@pytest.mark.falls_to("emulated")
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
 def test_a_power_cut_leaves_the_calibrated_table(bench: Bench, share: float) -> None:
     with held(bench) as holder:

@@ -116,6 +116,7 @@ def test_a_table_is_refused_while_a_motor_is_on(board: Board, bench: Bench) -> N
     board.load_table(0, blob(0, 0.5))
 
 
+@pytest.mark.falls_to("emulated")
 def test_a_download_broken_off_leaves_the_old_table(bench: Bench) -> None:
     with bench.open() as board:
         board.load_table(0, blob())
@@ -161,6 +162,7 @@ def test_unplugged_during_a_download(bench: Bench) -> None:
         assert board.read_table(0) == blob()
 
 
+@pytest.mark.falls_to("emulated")
 def test_a_power_cut_at_any_write_leaves_the_old_or_the_new_table(
     request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:

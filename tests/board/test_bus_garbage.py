@@ -30,6 +30,9 @@ _SIM = (
 )  # fmt: skip
 
 
+pytestmark = pytest.mark.falls_to("emulated")
+
+
 @pytest.fixture
 def board(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[DesktopBoard]:
     where = request.config.getoption("--board")

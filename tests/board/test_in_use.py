@@ -105,7 +105,15 @@ def rms(followed: Followed, low_s: float, high_s: float = np.inf) -> float:
 
 
 @pytest.mark.minutes
-@pytest.mark.parametrize(("offset", "scale"), [(0.3, 1.0), (-0.2, 1.0), (0.0, 0.6), (0.15, 1.5)])
+@pytest.mark.parametrize(
+    ("offset", "scale"),
+    [
+        (0.3, 1.0),
+        pytest.param(-0.2, 1.0, marks=pytest.mark.long),
+        (0.0, 0.6),
+        pytest.param(0.15, 1.5, marks=pytest.mark.long),
+    ],
+)
 def test_the_tip_follows_again_after_the_instrument_changed(
     bench: Bench, tmp_path: Path, offset: float, scale: float
 ) -> None:

@@ -116,6 +116,7 @@ def test_unknown_short_and_refused_requests_are_named(board: Board) -> None:
     ]
 
 
+@pytest.mark.falls_to("emulated")
 def test_unplugged_at_any_moment(bench: Bench) -> None:
     for moment in ("idle", "moving", "reading"):
         with bench.open() as board:
@@ -145,6 +146,7 @@ def test_unplugged_at_any_moment(bench: Bench) -> None:
             bench.until(board, 0, "OFF")
 
 
+@pytest.mark.falls_to("emulated")
 def test_answers_that_fill_their_packets_exactly_are_not_lost(board: Board, bench: Bench) -> None:
     """16 pongs are 7 full packets and no short one: the read ends by its time-out, and gives what came."""
     device = bench.usb(board)
@@ -179,6 +181,7 @@ def test_a_half_frame_costs_no_later_request(board: Board, bench: Bench, share: 
     assert board.ask("ping", 0.5, host_us=1).host_us == 1
 
 
+@pytest.mark.falls_to("emulated")
 @pytest.mark.parametrize("seed", range(4))
 def test_well_formed_nonsense(bench: Bench, seed: int) -> None:
     """Every request, with values from all over their ranges: refused or done, and the board stays in order."""
@@ -225,6 +228,7 @@ def test_well_formed_nonsense(bench: Bench, seed: int) -> None:
         assert board.ask("hello", protocol_major=wire.wire.MAJOR).axes == board.axes
 
 
+@pytest.mark.falls_to("emulated")
 @pytest.mark.parametrize("endpoint", [0x01, 0x81])
 def test_a_halted_endpoint_answers_stall_until_it_is_cleared(board: Board, bench: Bench, endpoint: int) -> None:
     """SET_FEATURE(ENDPOINT_HALT) and CLEAR_FEATURE as any host may send them; nothing that is whole is lost later."""

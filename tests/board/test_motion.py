@@ -63,6 +63,7 @@ def test_a_move_arrives_within_limits(board: Board, bench: Bench) -> None:
     bench.until(board, 0, "OFF")
 
 
+@pytest.mark.falls_to("emulated")
 def test_every_move_arrives(board: Board, bench: Bench) -> None:
     board.ask("enable", axis=0, on=1)
     for target in (300.0, 301.0, 900.0, -20.0, 17.0, 17.5, 5000.0, 4999.5, 0.0):

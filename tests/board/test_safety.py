@@ -8,6 +8,8 @@ from conftest import Bench
 from tautline.device import wire
 from tautline.device.board import Board, BoardRefused
 
+pytestmark = pytest.mark.falls_to("emulated")  # the real board's image; QEMU's other core runs them all
+
 
 def fault_after(bench: Bench, board: Board, seconds: float) -> str:
     """The fault that axis 0 has by then; the host is heard from meanwhile."""

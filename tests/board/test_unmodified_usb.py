@@ -22,6 +22,8 @@ from tools.signing import update_file
 HERE = Path(__file__).parent
 SYSTEM_PYTHON = "/usr/bin/python3"
 
+pytestmark = pytest.mark.falls_to("emulated")
+
 
 def on_the_bus(bench: Bench, *command: str, check: bool = True) -> subprocess.CompletedProcess[str]:
     """Runs a program that sees the board as a USB device."""

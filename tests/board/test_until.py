@@ -53,8 +53,12 @@ def falling(seed: int) -> Instrument:
 
 @pytest.mark.parametrize(
     "instrument",
-    [preset("reference", seed=1), preset("davinci", seed=2), preset("random", seed=1), falling(3)],
-    ids=["reference", "davinci", "random", "falling"],
+    [
+        pytest.param(preset("reference", seed=1), id="reference"),
+        pytest.param(preset("davinci", seed=2), id="davinci", marks=pytest.mark.long),
+        pytest.param(preset("random", seed=1), id="random", marks=pytest.mark.long),
+        pytest.param(falling(3), id="falling"),
+    ],
 )
 def test_three_micrometres_in_half_a_minute_and_sigma_covers(
     bench: Bench, tmp_path: Path, instrument: Instrument

@@ -179,6 +179,7 @@ def test_a_power_cut_over_usb_leaves_one_that_runs(desktop: DesktopBoard, keys: 
     assert version == (1, 0, 0) and cut == 2 + -(-SIZE // 256) + 1 + 1
 
 
+@pytest.mark.falls_to("m4")
 def test_a_board_without_a_key_takes_none(tmp_path: Path, keys: Keys, request: pytest.FixtureRequest) -> None:
     if request.config.getoption("--board") not in ("desktop", "m4"):
         pytest.skip("boards that take updates")

@@ -49,7 +49,7 @@ def calibrated() -> tuple[Model, float]:
         plant = SimulatedAxis(link, instrument)
         marker_source = PointSource(plant, noise_px=0.005)  # so that two boards are compared, not two samples of noise
         live = Live(board, instrument.rig, 0, marker_source, plant)
-        options = MotionOptions(cycles=3, speeds=(0.7,))
+        options = MotionOptions(cycles=3, speeds=(1.4,))
         found, motion = calibrate_live(live, Path(folder) / "recording", options, video=False)
         link.close()
         assert all(onset["used"] for onset in motion.onsets) and len(motion.onsets) >= 12

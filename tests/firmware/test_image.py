@@ -93,7 +93,7 @@ def early_chip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Pat
 
 
 @pytest.mark.usefixtures("image")
-@pytest.mark.parametrize("axes", [1, 3])
+@pytest.mark.parametrize("axes", [pytest.param(1, marks=pytest.mark.long), 3])
 def test_an_image_of_fewer_axes_comes_up_on_an_early_chip(axes: int, early_chip: Callable[[Path], None]) -> None:
     build = ROOT / "build" / f"rp2040-{axes}"
     for command in (

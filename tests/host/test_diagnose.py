@@ -3,6 +3,7 @@
 import json
 import pickle
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -65,8 +66,14 @@ def recordings(parameters=None, seed=3, loads_mNm=None) -> list[Recording]:
     return made
 
 
-def diagnosed(parameters=None, seed=3):
-    made = recordings(parameters, seed)
+def diagnosed(parameters=None):
+    """Once for each effect: nothing of it is changed by who reads it."""
+    return _diagnosed(tuple((parameters or {}).items()))
+
+
+@cache
+def _diagnosed(parameters):
+    made = recordings(dict(parameters))
     return diagnose(true_model(), made[0], made[1:2]), made
 
 

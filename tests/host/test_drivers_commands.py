@@ -38,7 +38,7 @@ def stored(live: Live) -> dict[str, Any]:
     return dict(live.board.ask("get_settings", axis=0).values)
 
 
-@some_kinds("canopen", "ros")
+@some_kinds("canopen")
 @pytest.mark.parametrize("scale", [pytest.param(1.0, marks=pytest.mark.long), 0.7])
 def test_watch_tells_whether_the_model_still_holds(kind: str, scale: float) -> None:
     """The instrument has `scale` times the model's backlash."""

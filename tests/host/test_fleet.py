@@ -561,7 +561,9 @@ def test_a_fleet_on_a_cluster_says_the_same(made, tmp_path, taut):
 
 def test_an_interrupted_campaign_is_told_as_a_part_and_goes_on(made, tmp_path, monkeypatch):
     shutil.copytree(made[0] / "in", tmp_path / "4")
-    whole, out = cost.Cost(ROBOTS, 1, ROBOTS * SESSIONS, 8.0), tmp_path / "4-by-1"
+    for robot in range(ROBOTS):
+        shutil.rmtree(tmp_path / "4" / f"r{robot:04d}" / "01")
+    whole, out = cost.Cost(ROBOTS, 1, ROBOTS, 8.0), tmp_path / "4-by-1"
     run_all = cost.run
 
     def stopped(folder, result, workers, progress):
@@ -576,13 +578,13 @@ def test_an_interrupted_campaign_is_told_as_a_part_and_goes_on(made, tmp_path, m
     with pytest.raises(KeyboardInterrupt):
         cost.measure(tmp_path / "4", out, whole)
     assert not cost.Cost.read(out / cost.FILE).whole
-    assert "3 of 8 sessions in 1 calls" in cost.told(tmp_path)[0]
+    assert "2 of 4 sessions in 1 calls" in cost.told(tmp_path)[0]
     assert not (tmp_path / "cost.svg").exists()
     monkeypatch.setattr(cost, "run", run_all)
     cost.measure(tmp_path / "4", out, whole)
     known = cost.Cost.read(out / cost.FILE)
-    assert known.whole and [part.sessions for part in known.parts] == [3, 5]
+    assert known.whole and [part.sessions for part in known.parts] == [2, 2]
     assert known.cores_s == pytest.approx(sum(part.cores_s for part in known.parts))
     cost.measure(tmp_path / "4", out, whole)  # nothing is new
     assert cost.Cost.read(out / cost.FILE) == known
-    assert "8 sessions in 2 calls" in cost.told(tmp_path)[0] and (tmp_path / "cost.svg").exists()
+    assert "4 sessions in 2 calls" in cost.told(tmp_path)[0] and (tmp_path / "cost.svg").exists()

