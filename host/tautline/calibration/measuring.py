@@ -481,21 +481,11 @@ class Measuring(_Setting):
             if curves is not None:
                 return curves
             self.findings.notes.append("the characteristic shows no closed shape: f_remain was fitted directly instead")
-        tracks, spread = self.tracks, [each.spread for each in self.ended]
-        if self.ended:
-            tracks = [each.track for each in self.ended]
+        tracks, shared = [each.track for each in self.ended] or self.tracks, [each.spread for each in self.ended]
         return fit_remaining(
-            tracks,
-            self.rig,
-            self.domain,
-            self.grid,
-            width,
-            delay_s,
-            settled_only,
-            self.hysteresis,
-            self.effects,
-            spread,
-        )
+            tracks, self.rig, self.domain, self.grid, width, delay_s, settled_only, self.hysteresis, self.effects,
+            shared,
+        )  # fmt: skip
 
 
 def _probabilities(fits: Sequence[Fitted]) -> Array:

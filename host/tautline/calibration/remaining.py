@@ -164,22 +164,25 @@ def _moved_by(fitted: Fitted, errors: Sequence[Array]) -> Array:
 def _beside_the_path_px(fitted: Fitted) -> float:
     """rms over the places, px, by which the marker goes beside the path that the rig has for it, noise taken out: what
     camera, hand_eye and kinematics are wrong by. f_remain took that along the path, which is as much as far as anyone
-    knows. 0 for an angle sensor."""
-    fit, places, beside = fitted.fit, [], []
+    knows. Frames weigh as in the fit. 0 for an angle sensor."""
+    fit = fitted.fit
     if fit.view is None:
         return 0.0
-    for prepared, sim, off, mask in zip(fit.tracks, fit.simulated, fitted.residuals, fitted.masks, strict=True):
-        path = fit.slope_in_view(prepared.track, fitted.curves, sim.tip)[mask]
-        places.append(sim.tip[mask])
-        beside.append(across(off[mask] * prepared.track.sigma[mask, None], path))
-    part = np.digitize(np.concatenate(places), np.linspace(fit.follow.low, fit.follow.high, _PARTS + 1)[1:-1])
-    count = np.bincount(part, minlength=_PARTS)
-    sums, squares = (np.bincount(part, np.concatenate(beside) ** power, _PARTS) for power in (1, 2))
-    told = count >= _FEW
+    rows = []
+    for prepared, sim, off, weight in zip(fit.tracks, fit.simulated, fitted.residuals, fitted.weights, strict=True):
+        use = weight > 0.0
+        path = fit.slope_in_view(prepared.track, fitted.curves, sim.tip)[use]
+        beside = across(off[use] * prepared.track.sigma[use, None], path)
+        rows.append(np.column_stack([sim.tip[use], beside, weight[use]]))
+    place, beside, weight = np.concatenate(rows).T
+    part = np.digitize(place, np.linspace(fit.follow.low, fit.follow.high, _PARTS + 1)[1:-1])
+    moments = (weight, weight * beside, weight * beside**2, weight**2)
+    whole, first, second, squared = (np.bincount(part, moment, _PARTS) for moment in moments)
+    told = np.bincount(part, minlength=_PARTS) >= _FEW
     if not told.any():
         return 0.0
-    mean, number = sums[told] / count[told], count[told]
-    of_noise = np.maximum(squares[told] / number - mean**2, 0.0) / (number - 1)
+    mean, frames = first[told] / whole[told], whole[told] ** 2 / squared[told]
+    of_noise = np.maximum(second[told] / whole[told] - mean**2, 0.0) / np.maximum(frames - 1.0, 1.0)
     return float(np.sqrt(max(float(np.mean(mean**2 - of_noise)), 0.0)))
 
 
