@@ -224,13 +224,20 @@ def not_held(y: Array) -> Mask:
 
 def strays(y: Array, sigma: float) -> Mask:
     """Frames (n,) at which y (n, channels) is elsewhere for one or two frames only: far from the median of five frames,
-    by noise and by how the tip moves at that time. A jump that stays is none, nor is any motion that goes one way."""
-    if len(y) < 5:
-        return np.zeros(len(y), dtype=bool)
-    away = np.linalg.norm(y - _running_median(y, 5), axis=1)
-    step = np.linalg.norm(np.diff(y, axis=0), axis=1)
-    usual = _running_median(np.append(step, step[-1]), 9)
-    stray: Mask = away > _STRAY * sigma + 4.0 * usual
+    by noise and by how the tip moves at that time. A jump that stays is none, nor is any motion that goes one way. They
+    are looked for again among those that are left until there are none: several close together look like motion."""
+    stray = np.zeros(len(y), dtype=bool)
+    kept = np.arange(len(y))
+    while len(kept) >= 5:
+        left = y[kept]
+        away = np.linalg.norm(left - _running_median(left, 5), axis=1)
+        step = np.linalg.norm(np.diff(left, axis=0), axis=1)
+        usual = _running_median(np.append(step, step[-1]), 9)
+        further = away > _STRAY * sigma + 4.0 * usual
+        if not further.any():
+            break
+        stray[kept[further]] = True
+        kept = kept[~further]
     return stray
 
 
