@@ -515,7 +515,12 @@ def test_a_prior_of_other_robots_is_refused(fleet, taut):
     rig = robots.reference_rig()
     rows = fleet_of(np.random.default_rng(1), 5, np.zeros(5), sessions=1)
     prior.write(rows, fleet / "out")
-    assert prior.read(fleet / "out", rig).width.q[0] == -5.0
+    known = prior.read(fleet / "out", rig)
+    assert known.width.q[0] == -5.0
+    document = json.loads((fleet / "out" / prior.FILE).read_text())
+    del document["delay"]  # as it was written before a fleet told its delay
+    (fleet / "out" / prior.FILE).write_text(json.dumps({**document, "format": "prior/2"}))
+    assert prior.read(fleet / "out", rig) == replace(known, delay=None)
     with pytest.raises(TautError, match="from -5 to 5 mm, this one from -4 to 5 mm: use a fleet of its own make"):
         prior.read(fleet / "out", replace(rig, actuator=replace(rig.actuator, range=(-4.0, 5.0))))
     with pytest.raises(TautError, match="taut fleet FOLDER --out"):
