@@ -23,6 +23,7 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 MODES = {"off": _native.MODE_OFF, "backlash": _native.MODE_BACKLASH, "full": _native.MODE_FULL}
+BLEND_S = 0.5  # loss: over which tables in use are moved: an offset is no step of the motor
 RATES_HZ = 16.0, 100_000.0  # limit: that the compensator runs at
 MOST_ROWS = 10_000_000
 _FLAGS = _native.COMPENSATOR_FLAGS
@@ -77,12 +78,16 @@ class Compensator:
             raise TautError(f"--rate {rate_hz}: the compensator runs at {RATES_HZ[0]:.0f} to {RATES_HZ[1]:.0f} Hz")
         check_start(start_deg)
         self.rate_hz, self.mode = rate_hz, mode
-        self._table = _native.FixedTable(tables.encode(model, limits=_limits(model)))
+        limits = _limits(model)
+        assert limits.adapt is not None
+        self._farthest = limits.adapt
+        self._table = _native.FixedTable(tables.encode(model, limits=limits))
         self._start_deg = start_deg
         self._unit = model.rig.actuator.encoder_resolution / _native.COUNT_ONE
         speed = model.rig.actuator.speed_max
         self._most = None if speed is None else speed / rate_hz  # unit, of one tick
         self._native: Any = None  # from the first command on
+        self._moved = 0, _native.RATIO_ONE, 0  # offset and share of B that the tables in use have, ticks to get there
         self._begin_s = self._before_s = self._before_deg = 0.0
         self._ticks = 0
         self._q = 0.0
@@ -145,6 +150,22 @@ class Compensator:
         self._before_s, self._before_deg = float(t_s[-1]), float(c_deg[-1])
         return SetPoints(times, q, clipped)
 
+    def adapt(self, offset: float, share: float, within_s: float = BLEND_S) -> None:
+        """Moves the tables in use as a board does that is told what was learnt: by an offset of the transmission, the
+        rig's unit (`Row.offset` of a `Tracker`), and to a share of the calibrated backlash (`Tracker.compensation`), in
+        within_s, s. TautError for what a board's tables do not allow: more than a tenth of the range, a share that is
+        not 0 to 2; they stay as they were."""
+        farthest, least, most = self._farthest
+        if not (abs(offset) <= farthest and least <= share <= most and 0.0 <= within_s < np.inf):
+            raise TautError(
+                f"adapt to an offset of {offset:g} and a share of {share:g} in {within_s:g} s: tables in use move by "
+                f"{farthest:g} at most and to {least:g} to {most:g} of the backlash: calibrate again"
+            )
+        ticks = round(within_s * self.rate_hz)
+        self._moved = round(offset / self._unit), round(share * _native.RATIO_ONE), ticks
+        if self._native is not None:
+            self._native.adapt(*self._moved)
+
     def _start(self, t_s: float, c_deg: float) -> None:
         """Prepares the board's compensator for the first command."""
         start = _raw(np.array([c_deg if self._start_deg is None else self._start_deg]))
@@ -152,6 +173,8 @@ class Compensator:
         low, high = self._table.fields["q_min"], self._table.fields["q_max"]
         q0 = int(np.clip(inverse(start)[0][0], low, high))
         self._native = _native.FixedCompensator(self._table, self.rate_hz, MODES[self.mode], q0, int(start[0]))
+        offset, share, _ = self._moved
+        self._native.adapt(offset, share, 0)
         self._begin_s = t_s
 
 
@@ -166,7 +189,7 @@ def _limits(model: Model) -> tables.Limits:
     most = _native.TABLE_VALUE_MAX // _native.COUNT_ONE * resolution
     speed = min(most, model.rig.actuator.speed_max or most)
     accel = (2**31 - 1) * resolution
-    own = tables.Limits.of(model.rig)
+    own = tables.Limits.in_use(model.rig)
     return replace(own, speed_max=speed, takeup_speed=speed, takeup_accel=accel, slope_min=0.0)
 
 

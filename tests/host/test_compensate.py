@@ -159,6 +159,38 @@ def test_a_loop_that_gives_what_is_no_command_is_told_so_and_goes_on(c_deg, t_s,
     assert loop.step(1.0, 0.2) == before
 
 
+@pytest.mark.parametrize("elements", [SINGLE, GRADUAL], ids=["one", "gradual"])
+@pytest.mark.parametrize(("offset", "share"), [(0.3, 1.0), (-0.2, 0.6), (0.0, 1.4)])
+def test_what_was_learnt_in_use_is_compensated_in_a_loop_of_ones_own(elements, offset, share) -> None:
+    """The instrument is re-tensioned: its tip is where the motor at q + offset would put it, its plays are another
+    share of B. From when that is told on the tip is where it should be again."""
+    rate, t = 200, np.arange(0.0, 24.0, 1 / 200)
+    wanted = 30.0 * np.sin(2 * np.pi * t / 8.0)
+    loop, told_s = Compensator(model(0.5, elements), rate), 12.0
+    q = []
+    for at, c in zip(t.tolist(), wanted.tolist(), strict=True):
+        if at == told_s:
+            loop.adapt(offset, share)
+        q.append(loop.step(c, at))
+    widths = 0.5 * share * np.array(elements.width)
+    reached = law(prandtl_ishlinskii(np.array(q) + offset, widths, np.array(elements.weight)))
+    off = np.abs(reached - wanted)
+    before, after = (np.sqrt(np.mean(off[part] ** 2)) for part in ((t > 4.0) & (t < told_s), t > told_s + 4.0))
+    # Of a gradual onset the board moves the width and leaves its course over the motor's way as it is: a tenth stays.
+    assert before > 1.0 and after < before * (0.003 if elements is SINGLE or share == 1.0 else 0.12)
+
+
+def test_what_no_table_allows_is_refused_and_tables_stay() -> None:
+    loop, other = Compensator(model(0.5)), Compensator(model(0.5))
+    for each in (loop, other):
+        each.adapt(0.1, 0.8)
+        each.step(0.0, 0.0)
+    for offset, share in ((1.01, 1.0), (0.0, -0.1), (0.0, 2.1), (float("nan"), 1.0)):
+        with pytest.raises(TautError, match="calibrate again"):
+            loop.adapt(offset, share)
+    assert loop.step(5.0, 1.0) == other.step(5.0, 1.0)
+
+
 def write(path: Path, rows: str) -> Path:
     path.write_text("t_s,c_deg\n" + rows)
     return path

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from tautline import tables
+from tautline.compensation import BLEND_S
 from tautline.device import wire
 from tautline.device.board import Board, BoardRefused
 from tautline.errors import TautError
@@ -23,7 +24,6 @@ from tautline.tracking import LawTracker, Row, State
 
 Array = np.ndarray
 
-BLEND_S = 0.5  # over which the board moves its tables
 _NEWS_COUNTS, _NEWS_SCALE = 1.0, 0.002  # smaller changes are not worth a message
 _BATCHES = 100  # of telemetry that are kept: the delay's and more
 _AGAIN_S = 1.0  # a board that lost its host meanwhile has forgotten: it is told again
