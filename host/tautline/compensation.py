@@ -87,7 +87,7 @@ class Compensator:
         speed = model.rig.actuator.speed_max
         self._most = None if speed is None else speed / rate_hz  # unit, of one tick
         self._native: Any = None  # from the first command on
-        self._moved = 0, _native.RATIO_ONE, 0  # offset and share of B that the tables in use have, ticks to get there
+        self._moved = 0, _native.RATIO_ONE  # offset and share of B that the tables in use have or go to
         self._begin_s = self._before_s = self._before_deg = 0.0
         self._ticks = 0
         self._q = 0.0
@@ -161,10 +161,9 @@ class Compensator:
                 f"adapt to an offset of {offset:g} and a share of {share:g} in {within_s:g} s: tables in use move by "
                 f"{farthest:g} at most and to {least:g} to {most:g} of the backlash: calibrate again"
             )
-        ticks = round(within_s * self.rate_hz)
-        self._moved = round(offset / self._unit), round(share * _native.RATIO_ONE), ticks
+        self._moved = round(offset / self._unit), round(share * _native.RATIO_ONE)
         if self._native is not None:
-            self._native.adapt(*self._moved)
+            self._native.adapt(*self._moved, round(within_s * self.rate_hz))
 
     def _start(self, t_s: float, c_deg: float) -> None:
         """Prepares the board's compensator for the first command."""
@@ -173,8 +172,7 @@ class Compensator:
         low, high = self._table.fields["q_min"], self._table.fields["q_max"]
         q0 = int(np.clip(inverse(start)[0][0], low, high))
         self._native = _native.FixedCompensator(self._table, self.rate_hz, MODES[self.mode], q0, int(start[0]))
-        offset, share, _ = self._moved
-        self._native.adapt(offset, share, 0)
+        self._native.adapt(*self._moved, 0)
         self._begin_s = t_s
 
 

@@ -18,7 +18,7 @@ from tautline.recording import Motor
 Array = npt.NDArray[np.float64]
 
 DISCREPANCY = "discrepancy"  # format: of a model's extra
-_JITTER = 1e-10  # tolerance: added to the kernel's diagonal, so that it can be factored
+JITTER = 1e-10  # tolerance: added to the kernel's diagonal, so that it can be factored
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Discrepancy:
     def _factor(self) -> tuple[Array, bool]:
         """The Cholesky factor of the seen values' covariance."""
         own = kernel(self.inputs, self.inputs, self.lengths)
-        factor, lower = cho_factor(own + (self.white + _JITTER) * np.eye(len(self.inputs)), lower=True)
+        factor, lower = cho_factor(own + (self.white + JITTER) * np.eye(len(self.inputs)), lower=True)
         return factor, bool(lower)
 
     def to_json(self) -> dict[str, Any]:

@@ -41,6 +41,15 @@ class Effect:
     id: str
     parameters: Mapping[str, Any]  # numbers; `column`: the name of one of motor.csv
 
+    def to_json(self) -> dict[str, Any]:
+        """As model.json has it, plain."""
+        return {"id": self.id, "parameters": dict(self.parameters)}
+
+    @classmethod
+    def from_json(cls, told: Mapping[str, Any]) -> Self:
+        """What `to_json` gave. KeyError, TypeError or ValueError where it is something else."""
+        return cls(told["id"], dict(told["parameters"]))
+
 
 @dataclass(frozen=True)
 class Deviation:
@@ -62,14 +71,14 @@ class Deviation:
             "width": np.round(self.width, _DIGITS).tolist(),
             "c_deg": np.round(self.c_deg, _DIGITS).tolist(),
             "delay_s": self.delay_s,
-            "effects": [{"id": effect.id, "parameters": dict(effect.parameters)} for effect in self.effects],
+            "effects": [effect.to_json() for effect in self.effects],
         }
 
     @classmethod
     def from_json(cls, told: Mapping[str, Any]) -> Self:
         """What `to_json` gave. KeyError, TypeError or ValueError where it is something else."""
         width, c_deg = (np.array(told[name], dtype=float) for name in ("width", "c_deg"))
-        effects = tuple(Effect(item["id"], dict(item["parameters"])) for item in told["effects"])
+        effects = tuple(map(Effect.from_json, told["effects"]))
         return cls(width, c_deg, float(told["delay_s"]), effects)
 
 
@@ -156,7 +165,7 @@ class Model(Value):
             "measured": list(self.measured),
             "elements": self.elements.to_json(),
             "friction": None if self.friction is None else self.friction.to_json(),
-            "effects": [{"id": effect.id, "parameters": dict(effect.parameters)} for effect in self.effects],
+            "effects": [effect.to_json() for effect in self.effects],
             "c_sigma": None if self.c_sigma is None else [v if np.isfinite(v) else None for v in self.c_sigma.tolist()],
             "quality": self.quality.to_json(),
             "place": None if self.rig.place is None else asdict(self.rig.place),
@@ -196,7 +205,7 @@ class Model(Value):
             raise TautError(f"{path}: {', '.join(missing)} missing: make it again with taut calibrate")
         try:
             q, width, sigma, c_deg = arrays = [np.array(document[name], dtype=float) for name in _ARRAYS]
-            effects = tuple(Effect(item["id"], dict(item["parameters"])) for item in document["effects"])
+            effects = tuple(map(Effect.from_json, document["effects"]))
             delay_s = float(document["delay_s"])
             low, high = (float(value) for value in document["measured"])
             c_sigma = None if document.get("c_sigma") is None else np.array(document["c_sigma"], dtype=float)

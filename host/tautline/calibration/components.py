@@ -106,9 +106,9 @@ class Components:
         return float(np.sqrt(np.mean(np.concatenate(late) ** 2))) if late else 0.0
 
     def at_the_end(self, tracks: Sequence[Track]) -> list[EndedTrack]:
-        """The counted frames of the fit's tracks as if all had been seen with the state of the session's end; only
-        tracks that have any. Empty where nothing changed."""
-        kept = [track.only(change.frames) for track, change in zip(tracks, self.from_end, strict=bool(self.from_end))]
+        """The counted frames of the fit's tracks as if all had been seen with the state of the session's end,
+        where something changed; only tracks that have any."""
+        kept = [track.only(change.frames) for track, change in zip(tracks, self.from_end, strict=True)]
         return [
             EndedTrack(
                 replace(track, y=track.y - change.over_noise * change.sigma[:, None]),

@@ -169,11 +169,11 @@ def _beside_the_path_px(fitted: Fitted) -> float:
     if fit.view is None:
         return 0.0
     rows = []
-    for prepared, sim, off, weight in zip(fit.tracks, fit.simulated, fitted.residuals, fitted.weights, strict=True):
-        use = weight > 0.0
+    for prepared, sim, off, own in zip(fit.tracks, fit.simulated, fitted.residuals, fitted.weights, strict=True):
+        use = own > 0.0
         path = fit.slope_in_view(prepared.track, fitted.curves, sim.tip)[use]
         beside = across(off[use] * prepared.track.sigma[use, None], path)
-        rows.append(np.column_stack([sim.tip[use], beside, weight[use]]))
+        rows.append(np.column_stack([sim.tip[use], beside, own[use]]))
     place, beside, weight = np.concatenate(rows).T
     part = np.digitize(place, np.linspace(fit.follow.low, fit.follow.high, _PARTS + 1)[1:-1])
     moments = (weight, weight * beside, weight * beside**2, weight**2)

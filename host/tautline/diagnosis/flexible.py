@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from tautline.diagnosis import gap
 from tautline.diagnosis.segment import Segment
-from tautline.discrepancy import Discrepancy, kernel
+from tautline.discrepancy import JITTER, Discrepancy, kernel
 
 Array = npt.NDArray[np.float64]
 
@@ -32,7 +32,6 @@ _LEAST_NOISE, _MOST_NOISE = 1e-4, 10.0  # prior: the white noise's variance, in 
 _LONGEST_TRAVEL = 0.3  # prior: of the motor's range: beyond it the last reversal is forgotten
 _KEPT = 256  # tolerance: observations that a discrepancy remembers
 _CONSTANT = 1e-9  # tolerance: standard deviation below which an input does not vary
-_JITTER = 1e-10  # tolerance: added to the kernel's diagonal, so that it can be factored
 
 
 @dataclass(frozen=True)
@@ -99,7 +98,7 @@ def _gp_mean(inputs: Array, seen: Array, floor: float, test_inputs: Array) -> Ar
     these hyperparameters maximise the marginal likelihood of a subset."""
     size, lengths, white = _likeliest(inputs, seen, floor)
     own = size * kernel(inputs, inputs, lengths)
-    factor = cho_factor(own + (white + _JITTER) * np.eye(len(inputs)), lower=True)
+    factor = cho_factor(own + (white + JITTER) * np.eye(len(inputs)), lower=True)
     predicted: Array = size * kernel(test_inputs, inputs, lengths) @ cho_solve(factor, seen)
     return predicted
 
@@ -143,7 +142,7 @@ def _negative_log_marginal(logs: Array, squares: Array, seen: Array) -> tuple[fl
     and d of it = tr((k K^-1 - K^-1 seen seen' K^-1) dK) / 2."""
     size, lengths, white = _hyper(logs)
     smooth = size * np.exp(-0.5 * squares @ lengths**-2.0)
-    factor = cho_factor(smooth + (white + _JITTER) * np.eye(len(seen)), lower=True)
+    factor = cho_factor(smooth + (white + JITTER) * np.eye(len(seen)), lower=True)
     weights = cho_solve(factor, seen)
     k = seen.shape[1]
     value = 0.5 * np.sum(seen * weights) + k * np.sum(np.log(np.diag(factor[0])))

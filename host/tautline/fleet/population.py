@@ -102,10 +102,16 @@ class Population:
     def log_density(self, curves: Curves) -> Array:
         """(n,) Logarithm of each curve's density, without the constant that places without a word add, which is the
         same for all populations."""
-        size, free = curves.told, self.freedom
         half_log = 0.5 * np.linalg.slogdet(self.scale + curves.noise)[1]
-        top = gammaln(0.5 * (free + size)) - gammaln(0.5 * free) - 0.5 * size * np.log(free * np.pi)
-        return np.asarray(top - half_log - 0.5 * (free + size) * np.log1p(self.distance(curves) / free))
+        return np.asarray(_log_student(self.distance(curves), curves.told, self.freedom) - half_log)
+
+
+def _log_student(squares: Array, size: npt.ArrayLike, free: float) -> Array:
+    """Logarithm of a multivariate Student t's density at squared Mahalanobis distances, in so many dimensions, without
+    half that of its scale matrix's determinant. free: degrees of freedom."""
+    size = np.asarray(size)
+    top = gammaln(0.5 * (free + size)) - gammaln(0.5 * free) - 0.5 * size * np.log(free * np.pi)
+    return np.asarray(top - 0.5 * (free + size) * np.log1p(squares / free))
 
 
 def log_widths(rows: Sequence[Row]) -> Curves:
@@ -197,9 +203,8 @@ def single(curves: Curves) -> Population:
             pulls = weight * (free + 1.0) / (free + (value - mean[:, None]) ** 2 / total) / total
             mean = (pulls @ value) / pulls.sum(axis=1)
         means[i], mean2[i] = mean, 1.0 / (weight / total).sum(axis=1)
-        far = np.log1p((value - mean[:, None]) ** 2 / total / free)
-        top = gammaln(0.5 * (free + 1.0)) - gammaln(0.5 * free) - 0.5 * np.log(free)
-        told[i] = (top - 0.5 * np.log(total) - 0.5 * (free + 1.0) * far) @ weight + 0.5 * np.log(mean2[i])
+        density = _log_student((value - mean[:, None]) ** 2 / total, 1.0, free) - 0.5 * np.log(total)
+        told[i] = density @ weight + 0.5 * np.log(mean2[i])
     chance = np.exp(told - told.max())
     chance /= chance.sum()
     usual = float(np.sum(chance * means))
