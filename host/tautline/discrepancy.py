@@ -17,7 +17,6 @@ from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
 
-DISCREPANCY = "discrepancy"  # format: of a model's extra
 JITTER = 1e-10  # tolerance: added to the kernel's diagonal, so that it can be factored
 
 
@@ -52,7 +51,15 @@ class Discrepancy:
     def from_json(cls, told: Mapping[str, Any]) -> Self:
         """What `to_json` gave. KeyError, TypeError or ValueError where it is something else."""
         inputs, lengths = (np.array(told[name], dtype=float) for name in ("inputs", "lengths"))
-        return cls(float(told["sigma"]), inputs, lengths, float(told["white"]))
+        found = cls(float(told["sigma"]), inputs, lengths, float(told["white"]))
+        if inputs.ndim != 2 or lengths.shape != inputs.shape[1:] or not found._is_positive:
+            raise ValueError("a discrepancy's places, lengths or variances are none")
+        return found
+
+    @property
+    def _is_positive(self) -> bool:
+        finite = bool(np.isfinite(self.inputs).all() and np.isfinite([self.sigma, self.white, *self.lengths]).all())
+        return finite and bool(self.sigma >= 0.0 and self.white >= 0.0 and (self.lengths > 0.0).all())
 
 
 def kernel(a: Array, b: Array, lengths: Array) -> Array:

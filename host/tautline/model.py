@@ -12,6 +12,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from tautline.discrepancy import Discrepancy
 from tautline.elements import SINGLE, Elements, Play
 from tautline.encoder import straight_lines
 from tautline.errors import TautError, of_system
@@ -25,9 +26,6 @@ Array = np.ndarray
 FORMAT = "model/1"
 MODEL_FILE = "model.json"
 STEEPEST = 1.8  # limit: |B'| that tables may have: p_lo and p_hi are unique while it is below 2
-LOAD = "load_reference_mNm"  # format: of a model's extra
-SIMULATOR = "simulator"  # of a model's extra: what stands in the motor's place (tautline.simulators)
-DEVIATIONS = "deviations"  # format: of a model's extra: pairs of `Deviation`, one standard deviation either way
 _USUAL_NOISE = {MARKER: 0.05, ANGLE: 0.02}  # prior: px, deg
 _DIGITS = 6  # format: decimals of a deviation's tables
 _ARRAYS = ("q", "width", "width_sigma", "c_deg")
@@ -66,7 +64,7 @@ class Deviation:
         return cls(model.width, model.c_deg, model.delay_s, model.effects)
 
     def to_json(self) -> dict[str, Any]:
-        """As a model's extra has it, plain."""
+        """As model.json has it, plain."""
         return {
             "width": np.round(self.width, _DIGITS).tolist(),
             "c_deg": np.round(self.c_deg, _DIGITS).tolist(),
@@ -80,6 +78,52 @@ class Deviation:
         width, c_deg = (np.array(told[name], dtype=float) for name in ("width", "c_deg"))
         effects = tuple(map(Effect.from_json, told["effects"]))
         return cls(width, c_deg, float(told["delay_s"]), effects)
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """What a model is off by beside the sigmas of its tables; nothing where no calibration or diagnosis has told it."""
+
+    noise: float | None = None  # one standard deviation of a reading about its prediction, px a coordinate or deg
+    delay_sigma_s: float | None = None
+    width_by_delay: Array | None = None  # (n,) unit of q per s: by what B changes where the delay is later
+    tracked_px: float = 0.0  # rms of a tracker's constant error
+    deviations: tuple[tuple[Deviation, Deviation], ...] = ()  # one standard deviation either way, independent
+    discrepancy: Discrepancy | None = None  # of a corrected simulator
+
+    def to_json(self) -> dict[str, Any]:
+        """As model.json has it, plain."""
+        by_delay, apart = self.width_by_delay, self.discrepancy
+        return {
+            "noise": self.noise,
+            "delay_sigma_s": self.delay_sigma_s,
+            "width_by_delay": None if by_delay is None else by_delay.tolist(),
+            "tracked_px": self.tracked_px,
+            "deviations": [[each.to_json() for each in pair] for pair in self.deviations],
+            "discrepancy": None if apart is None else apart.to_json(),
+        }
+
+    @classmethod
+    def from_json(cls, told: Mapping[str, Any], nodes: int) -> Self:
+        """What `to_json` gave, of a model with tables of `nodes`. KeyError, TypeError or ValueError where it is
+        something else."""
+        by_delay = told.get("width_by_delay")
+        pairs = tuple(
+            (Deviation.from_json(below), Deviation.from_json(above)) for below, above in told.get("deviations", ())
+        )
+        found = cls(
+            noise=None if told.get("noise") is None else float(told["noise"]),
+            delay_sigma_s=None if told.get("delay_sigma_s") is None else float(told["delay_sigma_s"]),
+            width_by_delay=None if by_delay is None else np.array(by_delay, dtype=float),
+            tracked_px=float(told.get("tracked_px", 0.0)),
+            deviations=pairs,
+            discrepancy=None if told.get("discrepancy") is None else Discrepancy.from_json(told["discrepancy"]),
+        )
+        tables = [table for pair in pairs for each in pair for table in (each.width, each.c_deg)]
+        tables += [] if found.width_by_delay is None else [found.width_by_delay]
+        if any(table.shape != (nodes,) or not np.isfinite(table).all() for table in tables):
+            raise ValueError(f"tables of what is uncertain have other than {nodes} finite values")
+        return found
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,20 +146,18 @@ class Model(Value):
     elements: Elements = SINGLE  # of the play, in shares of B
     c_sigma: Array | None = None  # (n,) of c_deg, NaN where unknown; None: a model that was not calibrated
     quality: Quality = field(default_factory=Quality)
-    extra: Mapping[str, Any] = field(default_factory=dict)  # onsets, notes, figures' data: what the report shows
+    extra: Mapping[str, Any] = field(default_factory=dict)  # onsets, notes, figures' data: what the report shows alone
     sensor: Sensor = MARKER  # that was calibrated with: delay_s is its own
     offset_s: float | None = None  # of the calibration: the sensor's clock less the motor's beyond delay_s
     friction: Friction | None = None  # instead of plays; `elements` are then those that come nearest to it
+    uncertainty: Uncertainty = field(default_factory=Uncertainty)
+    load_reference_mNm: float = 0.0  # at which the tables hold, where an effect follows the load
+    simulator: Mapping[str, Any] | None = None  # the source of what stands in the motor's place (tautline.simulators)
 
     @property
     def alone(self) -> Self:
         """The same model without its effects."""
         return replace(self, effects=()) if self.effects else self
-
-    @property
-    def load_reference_mNm(self) -> float:
-        """The load, mNm, at which the tables hold, where an effect follows the load; 0 where none is stated."""
-        return float(self.extra.get(LOAD, 0.0))
 
     def delay_of(self, sensor: Sensor) -> float:
         """How much older, s, than its arrival a sensor's reading is: nominal for one that was not calibrated with."""
@@ -124,10 +166,8 @@ class Model(Value):
     def noise_of(self, sensor: Sensor) -> float:
         """One standard deviation of a sensor's noise, px a coordinate or deg: what the calibration left, or a usual
         value for a sensor that it had not."""
-        evidence = self.extra.get("evidence", {})
-        known = [evidence.get(name) for name in ("residual", "error")]
-        finite = [float(value) for value in known if value is not None and np.isfinite(value) and value > 0.0]
-        return max(finite) if finite and sensor == self.sensor else _USUAL_NOISE[sensor]
+        known = self.uncertainty.noise if sensor == self.sensor else None
+        return known or _USUAL_NOISE[sensor]
 
     @cached_property
     def play(self) -> Play:
@@ -169,6 +209,9 @@ class Model(Value):
             "c_sigma": None if self.c_sigma is None else [v if np.isfinite(v) else None for v in self.c_sigma.tolist()],
             "quality": self.quality.to_json(),
             "place": None if self.rig.place is None else asdict(self.rig.place),
+            "uncertainty": self.uncertainty.to_json(),
+            "load_reference_mNm": self.load_reference_mNm,
+            "simulator": None if self.simulator is None else dict(self.simulator),
             "extra": dict(self.extra),
         }
         try:
@@ -216,6 +259,11 @@ class Model(Value):
             friction = None if document.get("friction") is None else Friction.from_json(document["friction"])
             sensor = document.get("sensor")
             place = None if document.get("place") is None else Place.from_json(document["place"])
+            earlier = extra | {"noise": extra.get("evidence", {}).get("residual")}  # until 2026-11-27 all stood there
+            uncertainty = Uncertainty.from_json(document.get("uncertainty", earlier), len(q))
+            load_mNm = float(document.get("load_reference_mNm", extra.get("load_reference_mNm", 0.0)))
+            source = document.get("simulator", extra.get("simulator"))
+            simulator = None if source is None else dict(source)
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             what = f"a key {error} is missing" if isinstance(error, KeyError) else f"a value is wrong ({error})"
             raise TautError(f"{path}: damaged, {what}: make the model again with taut calibrate") from error
@@ -248,6 +296,9 @@ class Model(Value):
             sensor,
             offset_s,
             friction,
+            uncertainty,
+            load_mNm,
+            simulator,
         )
 
 

@@ -14,12 +14,12 @@ from tautline.columns import read_columns, read_times
 from tautline.core.chain import Chain, by_differences
 from tautline.core.motor import MotorPath
 from tautline.core.posterior import Posterior
-from tautline.discrepancy import DISCREPANCY, Discrepancy, states
+from tautline.discrepancy import states
 from tautline.encoder import between_counts
 from tautline.errors import TautError
 from tautline.folders import write_file
 from tautline.geometry import px_per_deg, tracked_deg
-from tautline.model import DEVIATIONS, Deviation, Model, allowed_width
+from tautline.model import Model, allowed_width
 from tautline.recording import Motor, Recording
 from tautline.rig import ANGLE, MARKER, Sensor
 from tautline.simulators.source import path_of, paths_of
@@ -114,11 +114,10 @@ def predict_with_sigma(
 def _deviations(model: Model, motor: Motor, scene_s: Array, start_deg: float | None) -> Array | None:
     """(n, 1 or 3) One standard deviation of the prediction by what all of a corrected simulator's unknowns are off
     together: half of what lies between the two models of each pair, in squares. None where the model tells of none."""
-    told = model.extra.get(DEVIATIONS)
-    if told is None:
+    pairs = model.uncertainty.deviations
+    if not pairs:
         return None
-    off = [Deviation.from_json(each) for pair in told for each in pair]
-    models = [replace(model, **vars(each)) for each in off]
+    models = [replace(model, **vars(each)) for pair in pairs for each in pair]
     rows = [
         Chain(moved).at(path, scene_s - (moved.delay_s - model.delay_s), start_deg).rows
         for moved, path in zip(models, paths_of(models, motor), strict=True)
@@ -130,26 +129,26 @@ def _deviations(model: Model, motor: Motor, scene_s: Array, start_deg: float | N
 def _discrepancy(model: Model, path: MotorPath, motor: Motor, scene_s: Array) -> Array:
     """(n,) One standard deviation, in the sensor's unit, of what a corrected simulator may miss beside its noise where
     the motion is unlike those that it was fitted to; 0 of any other model."""
-    told = model.extra.get(DISCREPANCY)
-    if told is None:
+    discrepancy = model.uncertainty.discrepancy
+    if discrepancy is None:
         return np.zeros(len(scene_s))
-    return Discrepancy.from_json(told).sigma_at(states(path.lines, motor, scene_s, model.rig.actuator.span))
+    return discrepancy.sigma_at(states(path.lines, motor, scene_s, model.rig.actuator.span))
 
 
 def width_by_delay(model: Model, delay_sigma_s: float) -> Array:
     """(grid,) unit of q: by how much the fitted B changes where the delay is later by delay_sigma_s, one sigma of its
     own: where the motor's speeds are few, their errors correlate. It is a part of `width_sigma` and cut to it; 0 where
     the model does not tell it."""
-    told = model.extra.get("width_by_delay")  # for each second of delay
-    if told is None or not 0.0 < delay_sigma_s < np.inf:
+    by_delay = model.uncertainty.width_by_delay
+    if by_delay is None or not 0.0 < delay_sigma_s < np.inf:
         return np.zeros_like(model.width)
-    return np.clip(np.array(told, dtype=float) * delay_sigma_s, -model.width_sigma, model.width_sigma)
+    return np.clip(by_delay * delay_sigma_s, -model.width_sigma, model.width_sigma)
 
 
 def _unseen_deg(model: Model, c_deg: Array, *others: Array) -> Array:
     """(n,) deg The part of f_remain's sigma that shifts the angle and leaves the image as it is: where the place of a
     bare instrument lies, and a tracker's constant error."""
-    of_tracker = tracked_deg(float(model.extra.get("tracked_px", 0.0)), model.rig, c_deg, *others)
+    of_tracker = tracked_deg(model.uncertainty.tracked_px, model.rig, c_deg, *others)
     place = model.rig.place
     return of_tracker if place is None else np.hypot(place.sigma_at(c_deg), of_tracker)
 
@@ -157,8 +156,8 @@ def _unseen_deg(model: Model, c_deg: Array, *others: Array) -> Array:
 def _input_uncertainty(model: Model, path: MotorPath, start_deg: float | None) -> Posterior:
     """Independent deviations: B and f_remain in their own sigmas (a row sees one place of the curve); the delay, s; the
     start within the backlash, in half widths, uniform; the motor, unit of q."""
-    delay_s = model.extra.get("delay_sigma_s")
-    sigma = [1.0, 1.0, delay_s or 0.0, 0.0 if start_deg is not None else _ANYWHERE, path.sigma]
+    delay_s = model.uncertainty.delay_sigma_s or 0.0
+    sigma = [1.0, 1.0, delay_s, 0.0 if start_deg is not None else _ANYWHERE, path.sigma]
     return Posterior(("width", "remaining", "delay", "start", "motor"), np.zeros(5), np.diag(np.square(sigma)))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from tautline import _native
 from tautline.elements import SINGLE, Elements, warp_of
 from tautline.errors import TautError
-from tautline.model import SIMULATOR, Array, Model
+from tautline.model import Array, Model
 from tautline.rig import MARKER, Rig
 from tautline.undone import Joint, Section, undone
 
@@ -118,7 +118,7 @@ def encode(
     node may lie beyond the range, and with several plays the first does: there B is held and f goes on with its last
     slope.
     """
-    if SIMULATOR in model.extra:
+    if model.simulator is not None:
         raise TautError("a model that begins with a simulator is over its tip, not the motor: calibrate for tables")
     identity = model_id(model, joints)
     model, sections = undone(model, joints)

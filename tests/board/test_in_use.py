@@ -20,7 +20,7 @@ from tautline.live import setup
 from tautline.live.following import Followed, follow_run
 from tautline.live.in_use import TableMover, load_tables
 from tautline.live.setup import Frame, Live, PointSource
-from tautline.model import Model
+from tautline.model import Model, Uncertainty
 from tautline.simulated.instrument import Instrument, reference_rig
 from tautline.simulated.simlink import DesktopBoard, SimulatedAxis
 from tautline.vision.colour import MarkerColour
@@ -59,9 +59,9 @@ def changing(offset: float = 0.0, scale: float = 1.0) -> Changing:
 
 def model_of(instrument: Instrument, residual_px: float = 0.05) -> Model:
     q = np.linspace(*RIG.actuator.range, 401)
-    evidence = {"evidence": {"residual": residual_px}}
+    errs = Uncertainty(noise=residual_px)
     own = RIG.actuator.range
-    return Model(RIG, q, 0.4 + 0 * q, 0.001 + 0 * q, instrument.bend(q), RIG.delay_s, own, extra=evidence)
+    return Model(RIG, q, 0.4 + 0 * q, 0.001 + 0 * q, instrument.bend(q), RIG.delay_s, own, uncertainty=errs)
 
 
 def path(folder: Path) -> str:

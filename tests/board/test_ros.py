@@ -27,7 +27,7 @@ from tautline.cli import taut
 from tautline.device import wire
 from tautline.device.board import open_board
 from tautline.drivers.ros_graph import Graph, library
-from tautline.model import Model
+from tautline.model import Model, Uncertainty
 from tautline.recording import load
 from tautline.simulated.instrument import reference_rig
 from tautline.simulated.simlink import DesktopBoard
@@ -43,9 +43,9 @@ TYPES = {"joint_states": "sensor_msgs/msg/JointState", "tracked_px": "geometry_m
 
 def saved_model(folder: Path) -> Path:
     q = np.linspace(*RIG.actuator.range, 401)
-    evidence = {"evidence": {"residual": 0.5}}  # times are as good as this machine keeps them
+    errs = Uncertainty(noise=0.5)  # times are as good as this machine keeps them
     own = RIG.actuator.range
-    Model(RIG, q, WIDTH_MM + 0 * q, 0.001 + 0 * q, instrument().bend(q), DELAY_S, own, extra=evidence).save(folder)
+    Model(RIG, q, WIDTH_MM + 0 * q, 0.001 + 0 * q, instrument().bend(q), DELAY_S, own, uncertainty=errs).save(folder)
     return folder
 
 

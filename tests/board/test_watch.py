@@ -12,7 +12,7 @@ from tautline.live.following import follow_run
 from tautline.live.recalling import recall
 from tautline.live.setup import open_live
 from tautline.live.tracking import watch
-from tautline.model import Model
+from tautline.model import Model, Uncertainty
 from tautline.shapes import Library
 from tautline.simulated.instrument import preset, reference_rig
 
@@ -23,9 +23,9 @@ def model_of_the_reference() -> Model:
     instrument = preset("reference", rig)
     width = instrument.backlash(instrument.grid)
     own = rig.actuator.range
-    evidence = {"evidence": {"residual": 0.05}}
+    errs = Uncertainty(noise=0.05)
     return Model(
-        rig, instrument.grid, width, 0.001 + 0 * width, instrument.c_deg, rig.delay_s, own, extra=evidence
+        rig, instrument.grid, width, 0.001 + 0 * width, instrument.c_deg, rig.delay_s, own, uncertainty=errs
     )  # fmt: skip
 
 

@@ -57,7 +57,7 @@ def corrected(kind) -> Model:
     state = ParameterState(MODEL, {}, values(kind))
     segment = Segment("last", LAST, T, np.zeros((len(T), 2)), T > 5.0, OFFSET, False)
     model = _corrected(Fit(Hypothesis((kind,), (True,)), state, []), segment)
-    return replace(model, extra={"load_reference_mNm": LOAD})
+    return replace(model, load_reference_mNm=LOAD)
 
 
 @pytest.mark.parametrize("kind", (*LIBRARY, OF_A_JOINT), ids=lambda kind: kind.column or kind.id)

@@ -25,6 +25,7 @@ from tautline.live.homing import home
 from tautline.live.session import driving, move_to
 from tautline.live.setup import Live
 from tautline.live.tracking import watch
+from tautline.model import Uncertainty
 from tautline.simulated.instrument import preset
 
 pytestmark = pytest.mark.usefixtures("patient_buses", "own_state")
@@ -44,7 +45,7 @@ def test_watch_tells_whether_the_model_still_holds(kind: str, scale: float) -> N
     """The instrument has `scale` times the model's backlash."""
     model = model_of(preset("reference"))
     with driven(kind) as setup:
-        wrong = replace(model, width=model.width / scale, extra={"evidence": {"residual": 0.05}})
+        wrong = replace(model, width=model.width / scale, uncertainty=Uncertainty(noise=0.05))
         result = watch(setup.live, wrong, "smooth", speed=2.5, duration_s=30.0)
         assert kind == "ros" or not setup.motor.on
     assert result["frames"] > 500

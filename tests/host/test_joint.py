@@ -218,7 +218,7 @@ def test_all_that_is_unknown_is_in_a_predictions_sigma(answer, folder):
     fitted, rng = answer.fitted, np.random.default_rng(4)
     draws = []
     for u in rng.multivariate_normal(fitted.u, 0.01 * fitted.posterior.covariance, 200):
-        drawn = replace(answer.joint.model_at(answer.joint.within(u)), extra=model.extra)
+        drawn = answer.joint.model_at(answer.joint.within(u))
         draws.append(predict(drawn, seen.motor, seen.angle.t_s - drawn.delay_s).c_deg)
     expected = 10.0 * np.std(draws, axis=0)
     told = np.sqrt(sigma**2 - model.noise_of(ANGLE) ** 2)

@@ -1,12 +1,16 @@
 """A model is a folder, and a simulation."""
 
+import json
+
 import numpy as np
 import pytest
 
+from tautline.discrepancy import Discrepancy
 from tautline.errors import TautError
-from tautline.model import Effect, Model
+from tautline.model import Deviation, Effect, Model, Uncertainty
 from tautline.recording import Motor
 from tautline.rig import Actuator, Coarse, Rig
+from tautline.value import same
 
 
 def make(falling: bool = False) -> Model:
@@ -15,8 +19,18 @@ def make(falling: bool = False) -> Model:
     gain = -2.0 if falling else 2.0
     rig = Rig(Actuator("deg", (-1.0, 11.0), 0.01), Coarse(gain, 0.0))
     return Model(
-        rig, q, width, 0.01 * np.ones(25), gain * q, 0.08, (0.0, 10.0), (Effect("transmission.lag", {"tau_s": 0.1}),)
-    )
+        rig, q, width, 0.01 * np.ones(25), gain * q, 0.08, (0.0, 10.0), (Effect("transmission.lag", {"tau_s": 0.1}),),
+        uncertainty=uncertain(width, gain * q), load_reference_mNm=40.0,
+    )  # fmt: skip
+
+
+def uncertain(width: np.ndarray, c_deg: np.ndarray) -> Uncertainty:
+    pair = [
+        Deviation(np.round(width * by, 6), np.round(c_deg + by, 6), 0.08 * by, (Effect("joint.gain", {"gain": by}),))
+        for by in (0.9, 1.1)
+    ]
+    apart = Discrepancy(0.3, np.array([[0.0, 1.0], [2.0, 3.0]]), np.array([0.5, 0.7]), 0.01)
+    return Uncertainty(0.05, 0.001, -4.0 * width, 0.02, (tuple(pair),), apart)
 
 
 @pytest.mark.parametrize("falling", [False, True])
@@ -28,6 +42,42 @@ def test_saved_and_loaded_it_is_the_same(tmp_path, falling):
         assert np.array_equal(getattr(again, name), getattr(model, name))
     assert (again.rig, again.delay_s, again.measured) == (model.rig, model.delay_s, model.measured)
     assert (again.effects, again.extra) == (model.effects, model.extra)
+    assert again == model
+
+
+def damaged(document: dict, key: str, value: object) -> dict:
+    return document | {"uncertainty": document["uncertainty"] | {key: value}}
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("noise", "much"), ("width_by_delay", [1.0]), ("deviations", [[{}]]), ("deviations", 3),
+        ("discrepancy", {"sigma": 1.0, "white": 0.1, "inputs": [1.0], "lengths": [1.0]}),
+        ("discrepancy", {"sigma": 1.0, "white": 0.1, "inputs": [[1.0]], "lengths": [0.0]}),
+    ],
+)  # fmt: skip
+def test_a_wrong_uncertainty_is_damage(tmp_path, key, value):
+    make().save(tmp_path)
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps(damaged(json.loads(path.read_text()), key, value)))
+    with pytest.raises(TautError, match=r"damaged, .*: make the model again"):
+        Model.load(tmp_path)
+
+
+def test_a_model_of_before_has_its_uncertainty(tmp_path):
+    """It stood among what the report shows."""
+    model = make()
+    model.save(tmp_path)
+    path = tmp_path / "model.json"
+    document = json.loads(path.read_text())
+    moved = {name: document.pop(name) for name in ("uncertainty", "load_reference_mNm", "simulator")}
+    told = moved.pop("uncertainty")
+    document["extra"] = moved | told | {"evidence": {"residual": told.pop("noise")}}
+    path.write_text(json.dumps(document))
+    again = Model.load(tmp_path)
+    assert same(again.uncertainty, model.uncertainty)
+    assert again.load_reference_mNm == model.load_reference_mNm
 
 
 @pytest.mark.parametrize(

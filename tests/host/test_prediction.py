@@ -10,6 +10,7 @@ from slices import some
 
 import tautline as tl
 from tautline import trajectory
+from tautline.model import Uncertainty
 from tautline.prediction import COLUMNS, predict_with_sigma, score, settled_from
 from tautline.recording import Angle, Motor, Recording, save
 from tautline.rig import ANGLE
@@ -59,9 +60,9 @@ def test_a_b_that_is_less_known_is_told_where_it_shows(calibrated):
 def test_a_late_image_and_a_wide_backlash_that_cancel_are_told_together():
     """At 2 mm/s a delay of 10 ms more is a width of 40 um more: what frames of one speed cannot tell apart does no harm
     to another motion at that speed, and at twice it as much as half of it alone."""
-    q = np.linspace(-5.0, 5.0, 101)
-    model = tl.Model(RIG, q, 0.4 + 0 * q, 0.04 + 0 * q, 12.0 * q, 0.08, (-4.5, 4.5), extra={"delay_sigma_s": 0.01})
-    together = replace(model, extra={**model.extra, "width_by_delay": [-4.0] * len(q)})
+    q, late = np.linspace(-5.0, 5.0, 101), Uncertainty(delay_sigma_s=0.01)
+    model = tl.Model(RIG, q, 0.4 + 0 * q, 0.04 + 0 * q, 12.0 * q, 0.08, (-4.5, 4.5), uncertainty=late)
+    together = replace(model, uncertainty=replace(late, width_by_delay=-4.0 + 0 * q))
 
     def spread(of: tl.Model, speed: float) -> float:
         """deg, while the motor goes to and fro at a speed, mm/s."""
@@ -69,8 +70,8 @@ def test_a_late_image_and_a_wide_backlash_that_cancel_are_told_together():
         path = Motor(t, 4.0 * np.arcsin(np.sin(2.0 * np.pi * t * speed / 16.0)) / (np.pi / 2.0))
         at = np.arange(8.3, 15.0, 0.05)
         moving = np.abs(np.interp(at, t, path.q)) < 3.0
-        sigma = predict_with_sigma(of, path, at).c_sigma_deg[moving]
-        bare = predict_with_sigma(replace(of, width_sigma=0 * q, extra={}), path, at).c_sigma_deg[moving]
+        known = replace(of, width_sigma=0 * q, uncertainty=Uncertainty())
+        sigma, bare = (predict_with_sigma(each, path, at).c_sigma_deg[moving] for each in (of, known))
         return float(np.sqrt(np.median(sigma**2 - bare**2)))
 
     assert spread(model, 2.0) == pytest.approx(0.24 * np.sqrt(2.0), rel=0.03)
@@ -93,7 +94,7 @@ def test_where_the_tip_began_matters_until_it_is_driven_unless_it_is_told(calibr
 def test_an_angle_sensor_has_its_own_noise(calibrated):
     model, unseen = calibrated
     blind = replace(model.rig, camera=None, hand_eye=None, kinematics=None)
-    own = replace(model, rig=blind, sensor=ANGLE, extra={"evidence": {"residual": 0.3}})
+    own = replace(model, rig=blind, sensor=ANGLE, uncertainty=Uncertainty(noise=0.3))
     scene = unseen.marker.t_s - own.delay_s
     told = tl.predict(own, unseen.motor, scene)
     assert told.image_sigma_px is None and 0.3 <= told.c_sigma_deg[-100:].min() < 0.32

@@ -20,7 +20,7 @@ from tautline import trajectory
 from tautline.cli.compare import command as compare
 from tautline.cli.report import command as rewrite
 from tautline.errors import TautError
-from tautline.model import Model
+from tautline.model import Model, Uncertainty
 from tautline.quality import Quality, Reason
 from tautline.recording import Recording
 from tautline.reports import evidence, figures, pages
@@ -39,6 +39,7 @@ def true_model(plant: instrument.Instrument, onsets: list[dict[str, Any]], **ext
         plant.rig.delay_s,
         (q[10], q[-10]),
         extra={"onsets": onsets, **extra},
+        uncertainty=Uncertainty(delay_sigma_s=0.0004),
     )
 
 
@@ -64,7 +65,7 @@ def measured() -> tuple[Model, Recording]:
     recording = simulate.simulate(rig, plant, trajectory.back_and_forth(rig.actuator, [2.0], 2.0, 10, 20.0))
     onsets = [an_onset(plant, 2.0, -3.0, 1), an_onset(plant, 4.0, 0.0, -1), an_onset(plant, 5.0, 2.0, 1, used=False)]
     notes = ["B was held at 0 & more"]
-    model = true_model(plant, onsets, notes=notes, pass_width=[None] * 80 + [0.5] * 121, delay_sigma_s=0.0004)
+    model = true_model(plant, onsets, notes=notes, pass_width=[None] * 80 + [0.5] * 121)
     return model, recording
 
 

@@ -14,7 +14,7 @@ from slices import some
 from tautline import _native
 from tautline.driven import white_noise
 from tautline.elements import Play
-from tautline.model import Model
+from tautline.model import Model, Uncertainty
 from tautline.recording import Angle, Motor, Recording, save
 from tautline.rig import Actuator, Coarse, Rig
 from tautline.tracking import State, judgement, off_by, replay, tracker
@@ -303,8 +303,8 @@ def test_a_width_that_is_narrower_from_the_first_frame_on_is_noticed(seed):
     scene = t[::10]
     c = instrument.of_place(instrument.law, p[::10])
     angle = Angle(scene, c + np.random.default_rng(seed).normal(0.0, noise, len(scene)))
-    calibrated = {"evidence": {"residual": noise}}
-    model = replace(ideal_model(instrument), sensor="angle", delay_s=0.0, extra=calibrated)
+    calibrated = Uncertainty(noise=noise)
+    model = replace(ideal_model(instrument), sensor="angle", delay_s=0.0, uncertainty=calibrated)
     tracked = replay(model, [Recording("smooth", Motor(t, sessions.COUNT * np.rint(q / sessions.COUNT)), angle=angle)])
     assert first(tracked, State.STALE, 0.0) < 5.0
     assert tracked.rows[-1].scale == pytest.approx(0.7, abs=0.02)
@@ -334,7 +334,7 @@ def test_an_angle_sensor_will_do():
     noise = 0.01
     angle = Angle(scene, c + np.random.default_rng(0).normal(0, noise, len(c)))
     ideal = ideal_model(instrument)
-    model = replace(ideal, sensor="angle", delay_s=0.0, extra={"evidence": {"residual": noise}})
+    model = replace(ideal, sensor="angle", delay_s=0.0, uncertainty=Uncertainty(noise=noise))
     recording = Recording("angles", motor, angle=angle)
     tracked = replay(model, [recording])
     late = tracked.t_s > reversals_since(made)[9]
@@ -359,8 +359,8 @@ def used(seed: int, seconds: int, c_of, scale_of=np.ones_like, noise_of=np.ones_
     frames = slice(3, None, 8)
     c = c_of(np.array(place), t_s)[frames]
     angle = Angle(t_s[frames], c + 0.01 * noise_of(t_s[frames]) * rng.normal(size=len(c)))
-    flat, evidence = 0.0 * GRID, {"evidence": {"residual": 0.01}}
-    model = Model(rig, GRID, flat + 0.5, flat + 0.001, 12.0 * GRID, 0.0, (-4.7, 4.7), sensor="angle", extra=evidence)
+    flat, errs = 0.0 * GRID, Uncertainty(noise=0.01)
+    model = Model(rig, GRID, flat + 0.5, flat + 0.001, 12.0 * GRID, 0.0, (-4.7, 4.7), sensor="angle", uncertainty=errs)
     return model, Recording("use", Motor(t_s, np.round(q[: len(t_s)], 3)), angle=angle, rig=rig)
 
 
@@ -442,8 +442,8 @@ def test_short_strokes_are_not_doubted_for_what_few_frames_leave_by_chance():
     motor, scene = Motor(t, q), np.arange(0.02, 59.9, 0.04)
     p = sessions.respond(instrument, t, q, made.change, made.change_s)
     c = instrument.of_place(instrument.law, np.interp(scene, t, p))
-    calibrated = {"evidence": {"residual": noise}}
-    model = replace(ideal_model(instrument), sensor="angle", delay_s=0.0, extra=calibrated)
+    calibrated = Uncertainty(noise=noise)
+    model = replace(ideal_model(instrument), sensor="angle", delay_s=0.0, uncertainty=calibrated)
     for seed in range(6):
         angle = Angle(scene, c + np.random.default_rng(seed).normal(0.0, noise, len(c)))
         tracked = replay(model, [Recording("short strokes", motor, angle=angle)])
@@ -461,8 +461,8 @@ def test_what_was_amiss_where_a_recording_begins_is_not_learnt(seed):
     second = motor.t_s[_native.turns(motor.q, 0.15)][1]
     c += np.where(scene < second, 3.5 * noise * np.exp(-2.0 * scene / second), 0.0)
     c += np.random.default_rng(0).normal(0.0, noise, len(c))
-    calibrated = {"evidence": {"residual": noise}}
-    model = replace(ideal_model(instrument), sensor="angle", delay_s=0.0, extra=calibrated)
+    calibrated = Uncertainty(noise=noise)
+    model = replace(ideal_model(instrument), sensor="angle", delay_s=0.0, uncertainty=calibrated)
     tracked = replay(model, [Recording("angles", motor, angle=Angle(scene, c))])
     assert "stale" in [change.state.value for change in tracked.changes]
     assert {(row.offset, row.scale) for row in tracked.rows} == {(0.0, 1.0)}

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tautline.model import Effect, Model
+from tautline.model import Effect, Model, Uncertainty
 from tautline.recording import Recording
 from tautline.simulated.instrument import Corrected, reference_rig
 from tautline.simulated.simulate import run
@@ -17,7 +17,7 @@ Q = np.linspace(*RIG.actuator.range, 257)
 LAG = Effect("transmission.lag", {"lag": 0.15, "lag_second": 0.2})
 MODEL = Model(
     RIG, Q, 0.5 + 0.05 * np.sin(Q), 0.01 + 0.0 * Q, 11.0 * Q, RIG.delay_s, RIG.actuator.range, (LAG,),
-    c_sigma=0.05 + 0.0 * Q, extra={"evidence": {"residual": NOISE_PX}},
+    c_sigma=0.05 + 0.0 * Q, uncertainty=Uncertainty(noise=NOISE_PX),
 )  # fmt: skip
 
 

@@ -180,7 +180,7 @@ def fig8_and_9(seed: int = 1, reversals: int = 24) -> list[Experiment]:
         ax.set(xlabel="q (mm)", ylabel="f_remain - truth (deg)")
         ax.set_title("Error of f_remain")
         ax.legend()
-    delay_sigma = float(ours.model.extra.get("delay_sigma_s") or np.nan)
+    delay_sigma = ours.model.uncertainty.delay_sigma_s or np.nan
     return [
         Experiment(
             "fig8",

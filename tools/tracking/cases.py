@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tautline.calibration.calibrate import calibrate
-from tautline.model import Model
+from tautline.model import Model, Uncertainty
 from tautline.prediction import predict
 from tautline.tracking import replay
 from tools.tracking.score import score
@@ -44,4 +44,4 @@ def single_play(instrument: Instrument) -> Model:
     model, made = ideal_model(instrument), session(instrument, "nothing", instrument.seed, 60.0)
     told = predict(model, made.recording.motor, made.recording.marker.t_s - model.delay_s).image_px
     assert told is not None
-    return replace(model, extra={"evidence": {"residual": float(np.sqrt(np.mean((told - made.true_px)[200:] ** 2)))}})
+    return replace(model, uncertainty=Uncertainty(noise=float(np.sqrt(np.mean((told - made.true_px)[200:] ** 2)))))

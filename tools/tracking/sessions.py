@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tautline.model import Model
+from tautline.model import Model, Uncertainty
 from tautline.recording import Marker, Motor, Recording
 from tautline.rig import Rig
 from tools.honesty import motion, optics
@@ -193,7 +193,7 @@ def ideal_model(instrument: Instrument) -> Model:
         instrument.camera.delay,
         (LOW + 0.3, HIGH - 0.3),
         c_sigma=np.full(len(grid), 0.005),
-        extra={"evidence": {"residual": NOISE_PX}},
+        uncertainty=Uncertainty(noise=NOISE_PX),
     )
 
 

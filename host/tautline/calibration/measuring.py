@@ -44,7 +44,7 @@ from tautline.calibration.worth import PREDICTS
 from tautline.diagnosis import start
 from tautline.elements import SINGLE, Elements, Hysteresis
 from tautline.errors import TautError
-from tautline.model import LOAD, Model
+from tautline.model import Model
 from tautline.quality import Reason
 from tautline.rig import Rig
 
@@ -206,7 +206,7 @@ class Measuring(_Setting):
             named = tuple(effect for effect in named if effect.id != _GRADUAL_START)
         nominal = told.fit.state.model
         self.load_mNm = told.fitter.load_reference
-        law = replace(nominal, extra={LOAD: self.load_mNm})
+        law = replace(nominal, load_reference_mNm=self.load_mNm)
         posed = all(track.posed for track in self._on_one_curve(before.delay.delay_s))
         effects, values = FittedEffects.of(named, law, others_rest=not posed)
         if not effects.kinds:

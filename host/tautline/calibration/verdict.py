@@ -23,7 +23,7 @@ from tautline.calibration.worth import PREDICTS, Worth, predictive_worth
 from tautline.elements import SINGLE, Elements
 from tautline.friction import Friction
 from tautline.geometry import coarse_range_deg
-from tautline.model import LOAD, Model
+from tautline.model import Model, Uncertainty
 from tautline.nearest import Nearest
 from tautline.quality import Quality, Reason
 from tautline.undone import stands_in
@@ -61,7 +61,8 @@ def judged(found: Measured) -> Calibration:
     _judge(found, predictions, extent)
     notes = tuple(dict.fromkeys(found.findings.notes))
     extra = _extra(found, notes, characteristic, pass_width)
-    model = replace(model, quality=Quality.of(found.findings.reasons), extra={**model.extra, **extra})
+    quality = Quality.of(found.findings.reasons)
+    model = replace(model, quality=quality, extra=extra, uncertainty=_uncertainty(found))
     return Calibration(
         model=model,
         onsets=tuple(found.onsets),
@@ -226,8 +227,8 @@ def _doubt_clock(found: Measured, aligned: clock.AlignedTracks, delay: Delay) ->
 
 
 def _model(found: Measured, aligned: clock.AlignedTracks, measured: tuple[float, float]) -> Model:
-    """The model, without verdict and extra. Where a board cannot hold its hysteresis it carries the plays that come
-    nearest to it, which is noted."""
+    """The model, without verdict, uncertainty and extra. Where a board cannot hold its hysteresis it carries the plays
+    that come nearest to it, which is noted."""
     coarse, remaining = found.rig.coarse, found.remaining
     c = remaining.c_deg if remaining is not None else coarse.gain * found.grid + coarse.offset
     c_sigma = remaining.sigma_deg if remaining is not None else np.full(len(c), np.nan)
@@ -239,7 +240,7 @@ def _model(found: Measured, aligned: clock.AlignedTracks, measured: tuple[float,
         effects=() if found.effects is None else found.effects[0].to_effects(found.effects[1]),
         elements=found.hysteresis if isinstance(found.hysteresis, Elements) else SINGLE,
         friction=found.hysteresis if isinstance(found.hysteresis, Friction) else None,
-        extra={LOAD: found.load_mNm} if found.load_mNm else {},
+        load_reference_mNm=found.load_mNm,
     )  # fmt: skip
     if (near := stands_in(model)) is not None:
         found.findings.notes.append(_note_of_plays(found, near))
@@ -250,24 +251,32 @@ def _model(found: Measured, aligned: clock.AlignedTracks, measured: tuple[float,
 def _extra(
     found: Measured, notes: Sequence[str], characteristic: dict[str, Any], pass_width: Array | None
 ) -> dict[str, Any]:
-    """What model.json keeps of a calibration beside the model itself (formats)."""
+    """What model.json keeps of a calibration for its report (formats)."""
     names = tuple(track.name for track in found.tracks)
-    joint_fit = found.joint_fit
     extra: dict[str, Any] = {
         "source": found.source,
-        "delay_sigma_s": finite(found.delay.sigma_s),
         "onsets": [onset_json(o, names) for o in found.onsets],
         "evidence": {key: finite(value) for key, value in found.findings.evidence.items()},
         "notes": list(notes),
         "characteristic": characteristic,
         "options": asdict(replace(found.options, beforehand=None)),
-        "tracked_px": max(track.tracked_px for track in found.tracks),
     }
-    if joint_fit is not None and joint_fit.width_by_delay is not None and found.source == JOINT:
-        extra["width_by_delay"] = [finite(v) for v in joint_fit.width_by_delay]
     if pass_width is not None:
         extra["pass_width"] = [finite(v) for v in pass_width]
     return extra
+
+
+def _uncertainty(found: Measured) -> Uncertainty:
+    """What the model errs by beside its tables' sigmas."""
+    evidence, joint_fit = found.findings.evidence, found.joint_fit
+    left = [value for name in ("residual", "error") if 0.0 < (value := evidence.get(name, np.nan)) < np.inf]
+    by_delay = joint_fit.width_by_delay if joint_fit is not None and found.source == JOINT else None
+    return Uncertainty(
+        noise=max(left, default=None),
+        delay_sigma_s=finite(found.delay.sigma_s),
+        width_by_delay=by_delay,
+        tracked_px=max(track.tracked_px for track in found.tracks),
+    )
 
 
 def _note_of_plays(found: Measured, near: Nearest) -> str:

@@ -23,7 +23,7 @@ from tautline.diagnosis.moved import Moved
 from tautline.diagnosis.segment import Segment, load_reference, prepare, with_noise
 from tautline.diagnosis.tracker import TrackerError
 from tautline.effects.library.registration import with_registration
-from tautline.model import LOAD, Model, monotone
+from tautline.model import Model, monotone
 from tautline.recording import Recording
 from tautline.simulators.nominal import SimulatedNominal
 from tautline.value import Value
@@ -87,7 +87,7 @@ def diagnose(
         found = _diagnosis(model.alone, calibration, tests, progress, left_out, simulated)
     if found.findings or not model.effects:
         return found
-    return replace(found, corrected=replace(model, extra=found.corrected.extra))
+    return replace(found, corrected=replace(model, load_reference_mNm=found.corrected.load_reference_mNm))
 
 
 def _diagnosis(
@@ -138,7 +138,7 @@ def _diagnosis(
     )
     progress(1.0, "done")
     corrected = _corrected(found.chosen.fit, max(found.tests, key=lambda test: test.end_s)) if found.named else model
-    corrected = replace(corrected, extra={**model.extra, LOAD: fitter.load_reference})
+    corrected = replace(corrected, extra=model.extra, load_reference_mNm=fitter.load_reference)
     # With the old tables, and with the new: a simulator's are for no board.
     document["tip"] = tip.simulated_error(model, corrected) if found.named and simulated is None else None
     if simulated is not None:

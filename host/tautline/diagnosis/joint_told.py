@@ -16,8 +16,8 @@ from tautline.diagnosis.diagnose import Diagnosis
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.joint import BENDS, DELAY, LAW, SPEED, WIDTH, Fitted, Joint
 from tautline.diagnosis.joint_sets import Sets
-from tautline.discrepancy import DISCREPANCY, Discrepancy, states
-from tautline.model import DEVIATIONS, Deviation, Model
+from tautline.discrepancy import Discrepancy, states
+from tautline.model import Deviation, Model, Uncertainty
 
 Array = npt.NDArray[np.float64]
 
@@ -40,25 +40,22 @@ class Answer:
         return cls(joint, fitted, Sets.of(joint.unknowns, fitted), held_out_residuals(joint, fitted))
 
     def corrected_model(self) -> Model:
-        """The model with all unknowns as fitted, and what they are off by together (DEVIATIONS). Its c_sigma, deg, is
+        """The model with all unknowns as fitted, and what they are off by together. Its c_sigma, deg, is
         the law's posterior standard deviation; its width_sigma, unit of q, the standard deviation by which friction
         varies (_FRICTION_VARIES of the width, times the root of the probability that it is friction and not slack); its
-        evidence the standard deviation of a reading of an unseen motion, and beside it the discrepancy where an unseen
+        noise the standard deviation of a reading of an unseen motion, and beside it the discrepancy where an unseen
         motion is unlike the recorded ones."""
         joint, fitted = self.joint, self.fitted
         names = [fitted.posterior.names[i] for i in joint.places[LAW]]
         c_sigma = fitted.posterior.marginal(names).spread(joint.law_slopes())
-        model, found = joint.model_at(fitted.u), self._discrepancy()
+        model = joint.model_at(fitted.u)
         return replace(
             model,
             width_sigma=_FRICTION_VARIES * np.sqrt(self._is_friction) * model.width,
             c_sigma=c_sigma,
-            extra={
-                **model.extra,
-                "evidence": {"residual": self._unseen()},
-                DEVIATIONS: [[off.to_json() for off in pair] for pair in self._deviations()],
-                **({} if found is None else {DISCREPANCY: found.to_json()}),
-            },
+            uncertainty=Uncertainty(
+                self._unseen(), deviations=tuple(self._deviations()), discrepancy=self._discrepancy()
+            ),
         )
 
     def _deviations(self) -> Iterator[tuple[Deviation, Deviation]]:

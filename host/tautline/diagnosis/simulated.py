@@ -65,8 +65,8 @@ def diagnose_simulator(
 
 
 def _corrected_with_noise(diagnosis: Diagnosis) -> Model:
-    """The corrected model with the standard deviation of a reading about its prediction as its evidence, from what it
+    """The corrected model with the standard deviation of a reading about its prediction, from what it
     leaves of held-out blocks: no calibration has given it one."""
     model, floor = diagnosis.corrected, diagnosis.document["noise_floor"]
     noise = gap.unseen(gap.rms(diagnosis.before), gap.rms(diagnosis.after), floor, learnt().elsewhere)
-    return replace(model, extra={**model.extra, "evidence": {"residual": noise}})
+    return replace(model, uncertainty=replace(model.uncertainty, noise=noise))

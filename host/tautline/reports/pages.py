@@ -360,7 +360,7 @@ def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence:
         ]
     numbers.append(Number("reversals used", str(len(used)), f"of {len(used) + len(unused)}"))
     if model.sensor == MARKER or model.delay_s:
-        sigma = model.extra.get("delay_sigma_s")
+        sigma = model.uncertainty.delay_sigma_s
         spread = f"± {_digits(2e3 * sigma, 1)} ms" if sigma else "nominal"
         what = "image" if model.sensor == MARKER else "sensor"
         numbers.append(Number(f"delay of the {what}", f"{1e3 * model.delay_s:.1f}\u00a0ms", spread))

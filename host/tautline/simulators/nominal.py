@@ -11,7 +11,7 @@ import numpy as np
 
 from tautline import effects
 from tautline.errors import TautError
-from tautline.model import SIMULATOR, Model
+from tautline.model import Model
 from tautline.recording import Angle, Marker, Recording
 from tautline.rig import ANGLE, MARKER, Rig
 from tautline.simulators.drive import Drive
@@ -101,8 +101,8 @@ def _model(simulator: Simulator, rig: Rig, by_marker: bool) -> Model:
         rig.coarse.gain * q + rig.coarse.offset,
         rig.nominal_delay_s(sensor),
         (low, high),
-        extra={SIMULATOR: dict(simulator.source)},
         sensor=sensor,
+        simulator=dict(simulator.source),
     )
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from tautline.core.motor import MotorPath
 from tautline.errors import TautError
-from tautline.model import SIMULATOR, Model
+from tautline.model import Model
 from tautline.recording import Motor
 from tautline.simulators import mjcf
 from tautline.simulators.drive import Drive
@@ -46,7 +46,7 @@ def of_python(name: str) -> Simulator:
 
 def opened(model: Model) -> Simulator:
     """The simulator that a model remembers. TautError where it remembers none, or that has gone or changed since."""
-    source = model.extra.get(SIMULATOR) or {}
+    source = model.simulator or {}
     simulator = _own(source, model)
     return stepless(simulator, source[STEP]) if STEP in source else simulator
 
@@ -73,7 +73,7 @@ def path_of(model: Model, motor: Motor) -> MotorPath:
 def paths_of(models: Sequence[Model], motor: Motor) -> Iterator[MotorPath]:
     """`path_of` for models that differ in their tables and effects alone: those whose simulator has the same values
     share one simulation."""
-    if SIMULATOR not in models[0].extra:
+    if models[0].simulator is None:
         path = MotorPath.of(motor, models[0].rig.actuator.encoder_resolution)
         yield from (path for _ in models)
         return

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from tautline import _native
 from tautline.errors import TautError
-from tautline.model import SIMULATOR, Model
+from tautline.model import Model
 from tautline.rig import MARKER, Sensor
 from tautline.tracking.beyond import Beyond
 from tautline.tracking.disturbance import Disturbance
@@ -89,7 +89,7 @@ class LawTracker:
         """sensor: MARKER or ANGLE. TautError where the model cannot be tracked with it."""
         if sensor == MARKER and not model.rig.has_camera:
             raise TautError("the model's rig has no camera: track an angle sensor's recordings, or calibrate with one")
-        if SIMULATOR in model.extra:
+        if model.simulator is not None:
             raise TautError(
                 "a model that begins with a simulator is over its tip, not the motor: calibrate, track that"
             )

@@ -12,7 +12,6 @@ from tautline.errors import TautError
 from tautline.io.exporting import constants, csv_files, linuxcnc, log
 from tautline.io.exporting.formats import BY_NAME, EXTRA, Format
 from tautline.io.exporting.source import Source
-from tautline.model import SIMULATOR
 
 Progress = Callable[[float, str], None]
 
@@ -80,7 +79,7 @@ def _check(form: Format, source: Source, mount: Mount | None, axis: str | None) 
     """TautError where the format does not take this source or these options."""
     if source.kind not in form.takes:
         raise TautError(f"{source.name}: is {source.kind}: --to {form.name} takes {' or '.join(form.takes)}")
-    if source.models and (form.axis or form.name == "mjcf") and SIMULATOR in source.model.extra:
+    if source.models and (form.axis or form.name == "mjcf") and source.model.simulator is not None:
         raise TautError(
             f"{source.name}: begins with a simulator, its B is over that one's tip and not the motor: calibrate, and "
             "export that model"
