@@ -39,6 +39,7 @@ JOINTS = ("rotation", "elbow")
 METHODS = ("tautline", "play", "prandtl", "polynomial")
 ORDER, PLAYS = 5, 30
 DELAYS_S = np.linspace(0.0, 0.25, 11)  # to start from
+_REWEIGHTED = 6  # rounds, of the weights that a motion's error gives it
 SLACK_DEG = 0.2  # a motion that reaches farther than the calibration's by less is still inside its range
 
 
@@ -68,6 +69,36 @@ def commanded(run: Recording, delay_s: float) -> Array:
 def measured(run: Recording) -> Array:
     assert run.angle is not None
     return run.angle.c_deg
+
+
+def play_of_all(runs: Sequence[Recording], rows: Sequence[npt.NDArray[np.bool_]]) -> Law:
+    """One play of constant width, a delay and a polynomial that leave the least of all these motions: the least sum of
+    the logarithms of what each leaves in its rows, so that a motion of small errors counts as one of large ones."""
+    low, high = min(float(run.motor.q.min()) for run in runs), max(float(run.motor.q.max()) for run in runs)
+    seen = [measured(run)[chosen] for run, chosen in zip(runs, rows, strict=True)]
+
+    def terms(run: Recording, delay_s: float, width: float) -> Array:
+        p = (2.0 * play(commanded(run, delay_s), abs(width)) - low - high) / (high - low)
+        return np.asarray(np.polynomial.chebyshev.chebvander(p, ORDER))
+
+    def fitted(x: npt.NDArray[Any]) -> tuple[float, Array]:
+        designs = [terms(run, *x)[chosen] for run, chosen in zip(runs, rows, strict=True)]
+        weights = np.ones(len(runs))
+        for _ in range(_REWEIGHTED):
+            scale = [w / np.sqrt(len(c)) for w, c in zip(weights, seen, strict=True)]
+            left = np.concatenate([s * design for s, design in zip(scale, designs, strict=True)])
+            right = np.concatenate([s * c for s, c in zip(scale, seen, strict=True)])
+            law = np.linalg.lstsq(left, right, rcond=None)[0]
+            rms = np.array([np.sqrt(np.mean((c - d @ law) ** 2)) for c, d in zip(seen, designs, strict=True)])
+            weights = 1.0 / rms
+        return float(np.sum(np.log(rms))), law
+
+    each = np.array([constant_play(run)[:2] for run in runs])
+    best = minimize(
+        lambda x: fitted(x)[0], np.median(each, axis=0), method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-6}
+    ).x
+    law = fitted(best)[1]
+    return lambda other: np.asarray(terms(other, *best) @ law)
 
 
 def constant_play(run: Recording, hysteresis: bool = True) -> tuple[float, float, Law]:
