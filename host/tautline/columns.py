@@ -249,7 +249,8 @@ def _header(path: Path, line: str, number: int, expected: str) -> list[str]:
 
 
 def _uneven_error(path: Path, text: str, header_line: int, count: int) -> TautError:
-    """The error that names the first line with more cells than the header has columns."""
+    """The error that names the first line with more cells than the header, on line header_line (from 1), has columns,
+    `count`; or, where no line has more, that it is no table. Empty cells at a line's end do not count."""
     for number, line in enumerate(_lines(text)[header_line:], header_line + 1):
         cells = line.rstrip(", \t").split(",")
         if len(cells) > count:

@@ -15,6 +15,7 @@ from tautline.driven import Driven, driven, third_differences, white_noise
 from tautline.encoder_steps import CHANGES, REST_S, Rest, Steps, rests_and_turns, steps_of, stopped
 from tautline.independence import stretches
 from tautline.recording import Motor
+from tautline.spread import of_rounding
 
 Array = npt.NDArray[np.float64]
 
@@ -99,7 +100,7 @@ def smoothed_away(motor: Motor, resolution: float) -> float:
     steps, noise = steps_of(motor, resolution), reading_noise(motor)
     count = resolution if steps is None else steps.count
     known = posterior_of(motor, resolution) is not None
-    return 0.0 if known or not _is_smoothed(motor, steps, noise / count) else max(noise, count / float(np.sqrt(12.0)))
+    return 0.0 if known or not _is_smoothed(motor, steps, noise / count) else max(noise, of_rounding(count))
 
 
 def swings(motor: Motor) -> bool:

@@ -148,7 +148,7 @@ def load(path: str | Path, rig: Rig | None = None) -> Recording:
         _check_overlap(folder / "motor.csv", motor.t_s, folder / "marker.csv", marker.t_s)
     if angle is not None:
         _check_overlap(folder / "motor.csv", motor.t_s, folder / "angle.csv", angle.t_s)
-    if video is not None and video.arrival_s is not None and marker is None:
+    if video is not None and video.arrival_s is not None and marker is None:  # else marker.csv has the frames' times
         _check_overlap(
             folder / "motor.csv", motor.t_s, folder / "frames.csv", video.arrival_s[np.isfinite(video.arrival_s)]
         )

@@ -208,3 +208,24 @@ def test_a_frames_csv_that_is_shorter_than_its_video_is_what_is_to_be_mended(mad
     assert (
         "start the camera first" in reason(quality(replace(made, marker=replace(seen, untimed=0))), "duration").remedy
     )
+
+
+@pytest.mark.parametrize("late_s", [0.0, 5.0])
+def test_where_the_marker_is_not_seen_is_told_part_by_part_on_any_clock(made: Recording, late_s: float) -> None:
+    marker, motor = made.marker, made.motor
+    q = np.interp(marker.t_s - RIG.delay_s, motor.t_s, motor.q)
+    low, high = np.quantile(motor.q, [0.25, 0.75])
+    hidden = replace(made, marker=replace(marker, t_s=marker.t_s + late_s, valid=marker.valid & (q > low) & (q < high)))
+    told = Quality.of(rig_contradictions([hidden], observe([made], RIG), [late_s], RIG))
+    says = reason(told, "lost").says
+    assert says.count("from") == 2 and " and from " in says, says
+    ends = [float(word) for word in says.replace(":", "").split() if word.replace(".", "").replace("-", "").isdigit()]
+    assert ends[1] < np.median(motor.q) < ends[2]
+
+
+def test_an_angle_sensor_without_a_value_is_no_marker(made: Recording) -> None:
+    bare = Rig(RIG.actuator, RIG.coarse)
+    t_s = np.arange(0.0, 20.0, 0.02)
+    dead = replace(made, marker=None, angle=recordings.Angle(t_s, np.full(len(t_s), np.nan)))
+    with pytest.raises(TautError, match=r"angle\.csv"):
+        calibrate([dead], bare)

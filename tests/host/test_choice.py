@@ -8,6 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from tautline.calibration import choice as choosing
 from tautline.calibration.backlash import WidthCurve
 from tautline.calibration.choice import Choice
 from tautline.calibration.components import Components
@@ -80,8 +81,26 @@ def test_where_no_onset_is_the_passes_are_as_far_off_as_they_are_elsewhere() -> 
     )
     curve = WidthCurve(GRID, true, 0.01 * flat, (-4.5, 4.5), 0.0)
     choice = Choice([], Domain(-5.0, 5.0), GRID, "deg", Findings())
-    width, sigma, _ = choice._onsets_filled_by_passes(onsets, curve, cast(Fitted, None), cast(Fitted, passes))
+    width, sigma, _ = choice._onsets_filled_by_passes(onsets, curve, cast(Fitted, passes))
     hole = (GRID > -1.2) & (GRID < 1.7)
     off = np.abs(width - true)[hole]
     assert (off < 2.0 * sigma[hole]).all() and (sigma[hole] < 0.06).all()  # the jump itself is 0.2
     assert width[hole] == pytest.approx(true[hole], abs=0.03)  # its lean over the hole
+
+
+@pytest.mark.parametrize("places", [(3.0, 4.0, 5.0), (2.003, 4.0, 5.0)])
+def test_an_onset_at_the_end_of_what_both_ways_passed_counts(
+    monkeypatch: pytest.MonkeyPatch, places: tuple[float, ...]
+) -> None:
+    grid = np.linspace(0.0, 10.0, 101)
+    monkeypatch.setattr(choosing, "overlap", lambda fitted: (2.003, 7.004))
+    fit = SimpleNamespace(width=lambda curves: np.ones(101))
+    passes = SimpleNamespace(fit=fit, curves=None, width_sigma=lambda at: np.full(len(at), 0.01))
+    findings = Findings()
+    onsets = [Onset(0, 0.0, 0.1, 1, p - 0.75, p + 0.75, 0.01, 0.0, 9.0, HINGE, True) for p in places]
+    curve = cast(WidthCurve, SimpleNamespace(excess=0.0))
+    width, _ = Choice([], Domain(0.0, 10.0), grid, "mm", findings).opinion_of_passes(
+        onsets, curve, cast(Fitted, passes)
+    )
+    assert findings.evidence["onsets_minus_passes"] == pytest.approx(0.5)
+    assert width is not None and np.isnan(width[:20]).all() and np.isfinite(width[21:70]).all()

@@ -169,10 +169,8 @@ def features(evidence: Comparison) -> Array:
     numbers.append(np.log(gap.residuals_per_independent(evidence.base.residuals[1:])))
     everything = np.concatenate([r.ravel() for r in evidence.base.residuals[1:]])
     numbers.append(float(np.log(np.mean(everything**4) / np.mean(everything**2) ** 2)))
-    fitter = evidence.fitter
-    paths = [s.follow(fitter.model, {}, fitter.load_reference) for s in evidence.tests]
     for residuals in (evidence.frozen[1:], evidence.base.residuals[1:]):
-        shares = {c.axis: c.share for c in where.conditions(evidence.tests, paths, residuals)}
+        shares = {c.axis: c.share for c in where.conditions(evidence.tests, residuals)}
         numbers += [shares.get(axis, -1.0) for axis in where.AXES]
     gains = {key: entry.gain for key, entry in evidence.screened.items()}
     numbers += [gains.get((kind.id, scope), -1.0) for kind in effects.LIBRARY for scope in Scope]

@@ -14,9 +14,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from tautline.calibration.observations import Track
 from tautline.geometry import coarse_range_deg, pose
+from tautline.independence import stretches
 from tautline.quality import Reason
 from tautline.recording import Marker, Recording
-from tautline.rig import Camera, Rig
+from tautline.rig import MARKER, Camera, Rig
 
 Array = npt.NDArray[np.float64]
 
@@ -52,7 +53,7 @@ def rig_contradictions(
     for recording, track, offset_s in zip(recordings, tracks, offsets_s, strict=True):
         reasons += _frames_beyond_motor(recording, track, rig.nominal_delay_s(track.sensor), offset_s)
         if recording.marker is not None and track.unit == "px":
-            reasons += _marker_not_seen(recording, recording.marker, rig)
+            reasons += _marker_not_seen(recording, recording.marker, rig, offset_s)
     return reasons
 
 
@@ -217,26 +218,27 @@ def _wrong_rate(recordings: Sequence[Recording], camera: Camera) -> list[Reason]
     return []
 
 
-def _marker_not_seen(recording: Recording, marker: Marker, rig: Rig) -> list[Reason]:
-    """A doubt, in a list, where the marker was mostly not seen in parts of the motor's range; empty where it was."""
+def _marker_not_seen(recording: Recording, marker: Marker, rig: Rig, offset_s: float) -> list[Reason]:
+    """A doubt, in a list, where the marker was mostly not seen in parts of the motor's range; empty where it was.
+    offset_s: the camera's clock less the motor's."""
     motor = recording.motor
-    scene = marker.t_s - rig.delay_s
+    scene = marker.t_s - offset_s - rig.nominal_delay_s(MARKER)
     inside = (scene >= motor.t_s[0]) & (scene <= motor.t_s[-1])
     q = np.interp(scene, motor.t_s, motor.q)
     edges = np.linspace(motor.q.min(), motor.q.max(), _PLACES + 1)
-    dark = []
+    dark = np.zeros(_PLACES, dtype=bool)
     for k, (low, high) in enumerate(pairwise(edges)):
         here = inside & (q >= low) & (q <= high)
-        if here.sum() >= _FEWEST and np.mean(marker.valid[here]) < _SEEN:
-            dark.append(k)
-    if not dark:
+        dark[k] = here.sum() >= _FEWEST and np.mean(marker.valid[here]) < _SEEN
+    if not dark.any():
         return []
+    where = " and ".join(f"from {edges[at.start]:.3g} to {edges[at.stop]:.3g}" for at in stretches(dark))
     seen = np.mean(marker.valid[inside])
     return [
         Reason(
             "lost",
-            f"{recording.name}: from {edges[dark[0]]:.3g} to {edges[dark[-1] + 1]:.3g} {rig.actuator.unit} the marker "
-            f"is mostly not seen ({100 * (1 - seen):.0f} % of all frames)",
+            f"{recording.name}: {where} {rig.actuator.unit} the marker is mostly not seen ({100 * (1 - seen):.0f} % of "
+            "all frames are without it)",
             "keep it in view and in light there, or pick its colour again (taut marker)",
         )
     ]

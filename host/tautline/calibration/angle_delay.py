@@ -15,6 +15,7 @@ from tautline.calibration.simulated_track import PreparedTrack
 from tautline.independence import first_order
 from tautline.rig import Rig
 from tautline.splines import Basis
+from tautline.spread import of_rounding
 
 _STATED_S = 0.05  # prior: standard deviation of an angle sensor's delay about what the rig states
 _UNSTATED_S = 0.05, 0.07  # prior: mean and standard deviation where the rig states none: of bus, filter or servo
@@ -132,7 +133,7 @@ class _DelayDeviance:
         weight = np.exp(-0.5 * np.clip(deviance - deviance.min(), 0.0, 200.0))
         weight /= weight.sum()
         mean = float(weight @ delays)
-        return mean, float(np.hypot(np.sqrt(weight @ (delays - mean) ** 2), pitch_s / np.sqrt(12.0)))
+        return mean, float(np.hypot(np.sqrt(weight @ (delays - mean) ** 2), of_rounding(pitch_s)))
 
     def _solved(self, delay_s: float) -> Fitted:
         """The fit with the delay held at this, s, started from the constant width that fits best and the first

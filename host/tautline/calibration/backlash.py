@@ -28,6 +28,7 @@ SPANS = 64  # tolerance: of the range
 _CLOSE = 1e-3  # tolerance: of the widths' standard deviation: B from brackets is solved to it
 _SMOOTHINGS = np.logspace(-4, 9, 27)  # tolerance: relative to the weight of one width
 _TAIL = 30.0  # tolerance: sigma
+_SOFTNESS = (1.0, 0.5, 0.25, 0.12, 0.06)  # tolerance: of the brackets' edges, from round to round
 _PAPER_UNIFORM, _PAPER_REPEATS = 8, 3  # format: 14 knots in all, 10 coefficients
 
 
@@ -85,17 +86,17 @@ def fit_paper(onsets: Sequence[Onset], grid: Array) -> WidthCurve | None:
     return WidthCurve(grid, lawful, spread, (float(p.min()), float(p.max())), excess, notes)
 
 
-def fit_widths(onsets: Sequence[Onset], grid: Array, smoothing: float | None = None) -> WidthCurve | None:
-    """Penalised spline through all used onsets: hinges by their sigma, brackets as intervals, bounds as inequalities.
-    smoothing: relative to the median weight of a width; None: by cross-validation or likelihood. Beyond what was
-    measured B is constant and its sigma grows by half the distance. None where no width was measured."""
+def fit_widths(onsets: Sequence[Onset], grid: Array) -> WidthCurve | None:
+    """Penalised spline through all used onsets: hinges by their sigma, brackets as intervals, a bound that the curve
+    violates as one more width. The smoothing is that of cross-validation or likelihood. Beyond what was measured B is
+    constant and its sigma grows by half the distance. None where no width was measured."""
     widths = [o for o in onsets if o.used and o.kind in (HINGE, BRACKET)]
     if not widths:
         return None
     fit = _WidthFit(
         widths, [o for o in onsets if o.used and o.kind == BOUND], Basis(float(grid[0]), float(grid[-1]), SPANS)
     )
-    fit.solve(smoothing)
+    fit.solve()
     low, high = float(fit.p.min()), float(fit.p.max())
     held = np.clip(grid, low, high)
     curve = fit.basis.value(fit.coefficients, held)
@@ -149,24 +150,23 @@ class _WidthFit:
                 self.low, self.high = np.append(self.low, onset.low), np.append(self.high, np.inf)
         self.design = self.basis.design(self.p).toarray()
 
-    def solve(self, smoothing: float | None) -> None:
+    def solve(self) -> None:
         """Fits the curve in at most four rounds, as weights, smoothing, excess scatter and bounds depend on it; then
-        anew with brackets as intervals, if there are any. smoothing: as in `fit_widths`."""
+        anew with brackets as intervals, if there are any."""
         for turn in range(4):
             if turn:
                 self._add_violated_bounds()
             self.spread = self._effective_sigma()
             weight = self.spread**-2
             unit = float(np.median(weight))
-            chosen = smoothing if smoothing is not None else self._cross_validated(weight, unit)
-            self.roughness = chosen * unit
+            self.roughness = self._cross_validated(weight, unit) * unit
             before = self.coefficients
             self._solve(weight)
             self.excess = self._excess(weight)
             if np.abs(self.coefficients - before).max() < 0.05 * float(np.median(self.spread)) and turn:
                 break
         if self.is_bracket.any():
-            self._solve_with_brackets(smoothing)
+            self._solve_with_brackets()
 
     def _cross_validated(self, weight: Array, unit: float) -> float:
         """The smoothing, relative to `unit`, with the least sum of squared weighted residuals of places left out one at
@@ -270,15 +270,14 @@ class _WidthFit:
 
     # ---- brackets: each says only between which two positions the onset was; many together say more
 
-    def _solve_with_brackets(self, smoothing: float | None) -> None:
+    def _solve_with_brackets(self) -> None:
         """Fits the curve anew with brackets as intervals: the smoothing by restricted likelihood, then the curve by
-        Newton's method. smoothing: as in `fit_widths`."""
+        Newton's method."""
         self.notes[:] = self.notes_of_bounds
         unit = float(np.median(self.spread**-2))
         start = np.full(self.basis.size, float(np.mean(self.w)))
-        best = smoothing if smoothing is not None else self._smoothing_of_brackets(unit)
-        self.roughness = best * unit
-        self.coefficients = self._newton_with_brackets(start, (1.0, 0.5, 0.25, 0.12, 0.06))
+        self.roughness = self._smoothing_of_brackets(unit) * unit
+        self.coefficients = self._newton_with_brackets(start)
         self.gram = self.design.T @ ((self.spread**-2)[:, None] * self.design) + self.roughness * self.basis.roughness
         self.notes.append(
             "the image jumps at the onset: each reversal brackets it between two frames, and B(q) is what all agree on"
@@ -321,7 +320,7 @@ class _WidthFit:
         """By how much the coefficients may still move when B from brackets counts as solved."""
         return _CLOSE * float(np.median(self.spread))
 
-    def _newton_with_brackets(self, start: Array, softness: Sequence[float]) -> Array:
+    def _newton_with_brackets(self, start: Array) -> Array:
         """Coefficients (m,) that maximise the penalised likelihood, by Newton's method with step halving, with brackets
         whose edges sharpen step by step: it ends near the middle of what they allow."""
         coefficients = start
@@ -332,7 +331,7 @@ class _WidthFit:
             """-log of the penalised likelihood at coefficients (m,)."""
             return float(self._likelihood_terms(at, soft)[0].sum()) + 0.5 * float(at @ rough @ at)
 
-        for soft in softness:
+        for soft in _SOFTNESS:
             for _ in range(25):
                 _, first, second = self._likelihood_terms(coefficients, soft)
                 system = cho_factor(

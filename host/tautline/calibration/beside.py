@@ -54,7 +54,9 @@ class FittedEffects:
         numbers = {name: float(v) for effect in known for name, v in effect.parameters.items() if name != COLUMN}
         held = {name: v for name, v in numbers.items() if name in fixed - SCATTERS}
         beside = cls(kinds, law.alone, held)
-        return beside, np.array([numbers.get(p.name, p.shape[0] if p.shape else 0.0) for p in beside.parameters])
+        span = law.rig.actuator.span
+        start = {p.name: p.shape[0] * p.share(span) if p.shape else 0.0 for p in beside.parameters}
+        return beside, np.array([numbers.get(name, value) for name, value in start.items()])
 
     @property
     def forms(self) -> tuple[Self, ...]:
@@ -79,7 +81,7 @@ class FittedEffects:
         """(m,) a noticeable change of each fitted parameter, in its own unit; for parameters in the motor's unit it is
         a share of the motor's range."""
         span = self.law.rig.actuator.span
-        return np.array([p.scale * (span if p.unit.startswith("unit") else 1.0) for p in self.parameters])
+        return np.array([p.scale * p.share(span) for p in self.parameters])
 
     @property
     def precision(self) -> Array:

@@ -45,7 +45,9 @@ def calibrate(
     every = observe(recordings, rig)
     tracks = [track for track in every if len(track.t_s)]
     if not tracks:
-        raise TautError("the marker was never seen: check the marker's colour (taut marker) and the camera's view")
+        if any(recording.marker is not None for recording in recordings):
+            raise TautError("the marker was never seen: check the marker's colour (taut marker) and the camera's view")
+        raise TautError("the angle sensor has no valid value: check angle.csv, or its sensor's wiring and power")
     frames = sum(len(track.t_s) for track in tracks)
     if frames < _LEAST_FRAMES:
         raise TautError(f"the tip was seen in {frames} frames only: record the calibration motion with it in view")

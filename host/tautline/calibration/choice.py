@@ -21,6 +21,7 @@ from tautline.calibration.onset import BRACKET, HINGE, Onset
 from tautline.calibration.playfit import EXPLAINED, NODES, Curves, Fitted
 from tautline.calibration.several import rms_over_noise
 from tautline.calibration.smooth import Domain, overlap
+from tautline.independence import stretches
 from tautline.model import allowed_width
 
 Array = npt.NDArray[np.float64]
@@ -115,7 +116,7 @@ class Choice:
                 width, sigma = both, spread
             return width, sigma, JOINT
         self.findings.notes.append("the passes contradict the onsets: B(q) is the onsets' alone")
-        return self._onsets_filled_by_passes(widths, curve, joint_fit, passes)
+        return self._onsets_filled_by_passes(widths, curve, passes)
 
     def _combined(self, curve: WidthCurve, width: Array, sigma: Array) -> tuple[Array, Array]:
         """B and its sigma, given the joint fit's. Onsets depend on no model: where model errors leave the joint fit
@@ -219,32 +220,26 @@ class Choice:
         low, high = overlap(passes)
         if not low < high:
             return None, None
-        told = (self.grid >= low) & (self.grid <= high)
-        width = np.where(told, passes.fit.width(passes.curves), np.nan)
-        sigma = np.where(told, passes.width_sigma(self.grid), np.nan)
-        widths = [o for o in onsets if o.used and o.kind in (HINGE, BRACKET) and low <= o.q_mean <= high]
+        width, sigma = passes.fit.width(passes.curves), passes.width_sigma(self.grid)
+        widths = [o for o in with_width(onsets) if low <= o.q_mean <= high]
         if curve is not None and len(widths) >= 2:
             p = np.array([o.q_mean for o in widths])
             difference = np.array([o.width for o in widths]) - np.interp(p, self.grid, width)
-            z = self._z_scores(widths, curve, passes.fit.width(passes.curves), passes.width_sigma(self.grid))
+            z = self._z_scores(widths, curve, width, sigma)
             mean = float(np.mean(difference))
             self.findings.evidence["onsets_minus_passes"] = mean
             self.findings.evidence["onsets_minus_passes_rms"] = float(np.sqrt(np.mean(difference**2)))
             self.findings.evidence["onsets_minus_passes_z2"] = float(np.mean(z**2))
             share = abs(mean) / max(float(np.median([o.width for o in widths])), 1e-9)
-            if (
-                float(np.mean(z**2)) > 2 * _AGREE
-                and share > _LITTLE
-                and passes.fit.hysteresis.single
-                and image_jumps(widths)
-            ):
+            if float(np.mean(z**2)) > 2 * _AGREE and share > _LITTLE and image_jumps(widths):
                 self.findings.notice(
                     "registration.direction_dependent",
                     f"the passes lie {abs(mean):.3g} {self.unit} {'less' if mean > 0 else 'more'} apart than the "
                     "onsets say",
                     "it depends on direction, starts smoothly or unevenly: taut diagnose tells which",
                 )
-        return width, sigma
+        told = (self.grid >= low) & (self.grid <= high)
+        return np.where(told, width, np.nan), np.where(told, sigma, np.nan)
 
     def tip_moves(self) -> bool:
         """Whether the tip was seen to move by more than noise."""
@@ -347,7 +342,7 @@ class Choice:
         return np.asarray((w - there) / spread)
 
     def _onsets_filled_by_passes(
-        self, widths: Sequence[Onset], curve: WidthCurve, joint_fit: Fitted, passes: Fitted | None
+        self, widths: Sequence[Onset], curve: WidthCurve, passes: Fitted | None
     ) -> tuple[Array, Array, str]:
         """B, its sigma and its source: the onsets' curve near onsets, and the passes' B farther off, shifted to meet
         that curve. The shift is the image's jump, which differs from place to place: by its standard deviation where
@@ -371,8 +366,6 @@ class Choice:
         width = allowed_width(self.grid, (1 - share) * curve.width + share * shifted)
         sigma = np.hypot((1 - share) * curve.sigma, share * np.hypot(passes.width_sigma(self.grid), sigma_of_shift))
         if share.max() > 0.5:
-            where = self.grid[share > 0.5]
-            self.findings.notes.append(
-                f"no onset from {where[0]:.3g} to {where[-1]:.3g} {self.unit}: there B(q) is the distance of the passes"
-            )
+            where = ", ".join(f"{self.grid[at][0]:.3g} to {self.grid[at][-1]:.3g}" for at in stretches(share > 0.5))
+            self.findings.notes.append(f"no onset from {where} {self.unit}: there B(q) is the distance of the passes")
         return width, sigma, ONSETS

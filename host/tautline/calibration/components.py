@@ -34,6 +34,7 @@ from tautline.calibration.playfit import Curves, Fitted
 from tautline.encoder import count_of
 from tautline.least_squares import inverse_of
 from tautline.rig import Rig
+from tautline.spread import of_rounding
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
@@ -41,7 +42,6 @@ Indices = npt.NDArray[np.intp]
 _LINEARISATIONS = 14  # tolerance: at most
 _STEP_SHARES = (1.0, 0.5, 0.2)  # tolerance: of a step, tried in turn
 WORSE = 1.02  # tolerance: ratio of what is left after and before, from which a step leads too far
-_COUNT_SIGMA = 0.29  # equation: of an encoder's step: the standard deviation of a place within it
 _SHOWS = 0.3  # tolerance: of the noise: an encoder's count that moves the image by more shows
 LAW = 0.5  # prior: of what speed adds to B: its uncertainty, as slower than what was seen it may follow another law
 CORRECTS = 0.3  # prior: of a component's correction of B: its standard deviation
@@ -183,7 +183,7 @@ class _Selection:
         """Makes `turn` a component at once where the standard deviation within an encoder's count moves the image by
         more than _SHOWS of its noise: then the motor's turns are known no better, whatever else departs."""
         fit, resolution = self.fitted.fit, self.rig.actuator.encoder_resolution
-        count = _COUNT_SIGMA * max(count_of(prepared.track.reading, resolution) for prepared in fit.tracks)
+        count = of_rounding(max(count_of(prepared.track.reading, resolution) for prepared in fit.tracks))
         steep = np.linalg.norm(fit.follow.slope(self.fitted.curves.follow, fit.grid).reshape(len(fit.grid), -1), axis=1)
         sigma = float(np.median(np.concatenate([prepared.track.sigma for prepared in fit.tracks])))
         if count * float(np.median(steep)) > _SHOWS * sigma:
@@ -204,7 +204,7 @@ class _Selection:
     def _ahead(self, model: MixedModel, searched: SearchedParameters) -> MixedModel | None:
         """The model linearised anew where its solution leads, or at a share of that step; None where the residuals grow
         by more than the factor WORSE all the same."""
-        penalties = dict(self.selected.penalties)
+        active, penalties = list(self.selected.active), dict(self.selected.penalties)
         for share in _STEP_SHARES:
             curves = interpolated(model.curves, model.solution, share)
             clock_error = model.clock_error + share * model.clock_step
@@ -212,7 +212,7 @@ class _Selection:
             there = None if counted is None else self._model(curves, counted, clock_error, searched)
             if there is not None and there.noise < WORSE * model.noise:
                 return there
-            self.selected.penalties = dict(penalties)
+            self.selected.active, self.selected.penalties = list(active), dict(penalties)
         return None
 
 

@@ -59,26 +59,27 @@ def distance_to_both_ways(joint_fit: Fitted, grid: Array) -> Array:
     )
 
 
-def gaps(model: Model, apart: Array) -> tuple[Gap, ...]:
+def gaps(model: Model, apart: Array | None) -> tuple[Gap, ...]:
     """The stretches in which B can be seen (`seeable`) and is not measured, the lowest first: not passed both ways
-    within HOLE of the range, or beyond all turns. apart: `distance_to_both_ways`
-    on the model's grid."""
+    within HOLE of the range, or beyond all turns. apart: `distance_to_both_ways` on the model's grid; None where
+    nothing tells it."""
     low, high = float(model.q[0]), float(model.q[-1])
     first, last = seeable(model, low, high)
-    passed = apart <= HOLE * (high - low)
+    passed = np.ones(len(model.q), dtype=bool) if apart is None else apart <= HOLE * (high - low)
     turned = (model.q >= model.measured[0]) & (model.q <= model.measured[1])
     missing = np.flatnonzero(~(passed & turned) & (model.q >= first) & (model.q <= last))
     runs = np.split(missing, np.flatnonzero(np.diff(missing) > 1) + 1) if len(missing) else []
-    return tuple(_gap(model.q, run, passed, first, last) for run in runs)
+    unturned = "no turn there gave a width" if apart is None else "passed both ways, but no turn there gave a width"
+    why = ["never passed both ways" if not passed[run].all() else unturned for run in runs]
+    return tuple(Gap(*_to_the_ends(model.q, run, first, last), each) for run, each in zip(runs, why, strict=True))
 
 
-def _gap(q: Array, run: npt.NDArray[np.intp], passed: npt.NDArray[np.bool_], first: float, last: float) -> Gap:
-    """The gap of one run of indices of the grid q (grid,). If it reaches an end of what can be seen, first or last, it
-    goes on to that end of the range. passed (grid,): whether passed both ways."""
+def _to_the_ends(q: Array, run: npt.NDArray[np.intp], first: float, last: float) -> Span:
+    """The ends of a run of indices of the grid q (grid,). If it reaches an end of what can be seen, first or last, it
+    goes on to that end of the range."""
     step = float(q[1] - q[0])
     low, high = float(q[run[0]]), float(q[run[-1]])
-    why = "passed both ways, but no turn there gave a width" if passed[run].all() else "never passed both ways"
-    return Gap(float(q[0]) if low < first + step else low, float(q[-1]) if high > last - step else high, why)
+    return float(q[0]) if low < first + step else low, float(q[-1]) if high > last - step else high
 
 
 def _neighbours(p: Array, at: Array) -> Array:

@@ -55,7 +55,7 @@ class Departure:
     columns: sparse.csr_matrix  # (channels * n, m)
     penalty: Array  # (m, m) P
     one_way: bool = False  # its only value cannot be negative
-    not_beside: frozenset[str] = frozenset()  # departures that it would stand in for: not if one of them is active
+    not_beside: frozenset[str] = frozenset()  # what it would stand in for: not if one of them is active or was refused
     price: float = 0.0  # of twice the log likelihood, for a parameter that was searched for
 
     @property
@@ -168,8 +168,9 @@ def _speed_departures(counted: CountedFrames) -> list[Departure]:
 
 
 def _lag_departures(counted: CountedFrames) -> list[Departure]:
-    """A first-order lag as its time constant in s times what that does for each second (lag), and a share of what a
-    slow first-order lag holds back (creep); of each one time constant of several."""
+    """A candidate for each time constant tau of a lag and of a creep; one each joins at most. lag: its value is tau, s,
+    its column what a first-order lag adds to p for each second of it. creep: its value is a share, its column what a
+    slow first-order lag adds to p."""
     behind = counted.lag_columns(_LAGS_S + _CREEPS_S)
     lags, creeps = behind[:, : len(_LAGS_S)] / np.array(_LAGS_S), behind[:, len(_LAGS_S) :]
     found = []

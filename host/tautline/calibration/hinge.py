@@ -27,6 +27,7 @@ _BENDS = 7  # tolerance: values of its standard deviation, evenly in its logarit
 _LEAST_BEND, _MOST_BEND = 0.3, 2.0  # over the window: of the noise, nothing is seen of it; of the whole swing
 _SPREAD = 0.5  # prior: of the logarithm of the start's slope over the path's mean slope
 _BACKWARDS = 1e-3  # tolerance: a start against the path counts as this share of it
+_CREDIBLE = 9.0  # prior: of the deviance, three standard deviations: what is no farther off may be the jump
 _FLAT = 1e-9  # tolerance: precision of what is fitted, in whitened units over the window
 
 
@@ -145,8 +146,8 @@ def fit_hinge(x: Array, y: Array, low: float, high: float) -> Hinge:
 
 def fit_jump(x: Array, y: Array, low: float, high: float) -> Jump:
     """The best jump, between neighbouring frames with x within [low, high] (and from `low` to the first of them),
-    followed by a free path. Its bracket is the union of neighbouring brackets whose deviance is within 9 of the best.
-    Deviance inf where no frames bracket it."""
+    followed by a free path. Its bracket reaches from the first to the last one whose deviance is within _CREDIBLE of
+    the best. x (n,), y (n, channels); deviance inf where no frames bracket it."""
     edges = np.unique(np.append(x, low))
     edges = edges[(edges >= low) & (edges <= high)]
     if len(edges) < 2:
@@ -154,6 +155,6 @@ def fit_jump(x: Array, y: Array, low: float, high: float) -> Jump:
     paths = _Window.of(x, y, jump=True).paths(0.5 * (edges[1:] + edges[:-1]))
     each = paths.deviance.min(axis=1)
     best = int(np.argmin(each))
-    near = np.flatnonzero(each < each[best] + 9.0)
+    near = np.flatnonzero(each < each[best] + _CREDIBLE)
     size = float(np.linalg.norm(paths.coefficients[best, int(np.argmin(paths.deviance[best])), -1]))
     return Jump(float(edges[near[0]]), float(edges[near[-1] + 1]), size, float(each[best]))

@@ -30,8 +30,12 @@ def without_held_places(
     if joint_fit is None:
         return list(tracks)
     kept = []
-    for track, places, rows in zip(tracks, runs, joint_fit.residuals, strict=True):
-        off = np.sqrt(np.mean(rows**2, axis=1)) > _OFF * max(joint_fit.scale, 1.0)
+    fitted = zip(joint_fit.fit.tracks, joint_fit.residuals, strict=True)
+    for track, places, (prepared, rows) in zip(tracks, runs, fitted, strict=True):
+        off = np.zeros(len(track.t_s), dtype=bool)  # of those without a pose nothing is known
+        off[np.isin(track.t_s, prepared.track.t_s)] = np.sqrt(np.mean(rows**2, axis=1)) > _OFF * max(
+            joint_fit.scale, 1.0
+        )
         held: Mask = np.zeros(len(track.t_s), dtype=bool)
         for run in places:
             held[run] = off[run].any()

@@ -47,6 +47,7 @@ from tautline.errors import TautError
 from tautline.model import Model
 from tautline.quality import Reason
 from tautline.rig import Rig
+from tautline.spread import of_rounding
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -312,7 +313,7 @@ class Measuring(_Setting):
         of time at the motor's speed. Where the delay was not fitted the sigma is that of the stops, for the nominal
         delay a frame's period at most."""
         speed = float(np.median(np.concatenate([np.abs(s.speed[s.moving]) for s in joint_fit.fit.simulated])))
-        counts = self.rig.actuator.encoder_resolution / np.sqrt(12.0) / max(speed, 1e-9) / np.sqrt(max(stops.stops, 1))
+        counts = of_rounding(self.rig.actuator.encoder_resolution) / max(speed, 1e-9) / np.sqrt(max(stops.stops, 1))
         own = joint_fit.delay_sigma
         if not joint_fit.fit.fit_delay:
             at_nominal = joint_fit.curves.delay_s == self.nominal_s

@@ -98,7 +98,7 @@ class MixedModel:
 
     def solve_with_variances(self) -> None:
         """Solves with the active components while their penalties move to the restricted likelihood's maximum, in at
-        most _VARIANCE_STEPS steps."""
+        most _VARIANCE_STEPS steps. Active components that are no candidates at these curves leave `selected`."""
         self.selected.active = [name for name in self.selected.active if name in self.candidates]
         self._solve()
         for _ in range(_VARIANCE_STEPS if self.selected.active else 0):
@@ -225,8 +225,8 @@ class MixedModel:
         return float(np.clip(np.sqrt(np.median(step[moves]) / max(float(np.median(step[rests])), 1e-30)), 1.0, 30.0))
 
     def moving_ratio(self, left: Array) -> float:
-        """rms of residuals (n, channels) while the tip moves over that while it rests, of all where few frames rest; 1
-        where it never moves."""
+        """rms of residuals (n, channels) while the tip moves over that while it rests (over that of all frames where at
+        most _FEW rest); 1 where it never moves."""
         power, moves = np.mean(left**2, axis=1), self.counted.moving
         rests = np.mean(power[~moves]) if (~moves).sum() > _FEW else np.mean(power)
         return float(np.sqrt(np.mean(power[moves]) / max(float(rests), 1e-30)) if moves.any() else 1.0)

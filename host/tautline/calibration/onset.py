@@ -19,6 +19,7 @@ from tautline import _native
 from tautline.calibration.hinge import Hinge, fit_hinge, fit_jump
 from tautline.calibration.observations import Track, turning_hysteresis
 from tautline.rig import Rig
+from tautline.spread import of_rounding
 
 Array = npt.NDArray[np.float64]
 
@@ -32,6 +33,7 @@ NOMINAL_S = 0.03  # standard deviation of a nominal delay
 _DELAY_REACH_S = 0.12  # the delay is looked for this far around the nominal one
 _AROUND_S = np.array([-0.5, 0.5])  # tolerance: of a stop: what the motor does in it, at any delay that is looked for
 _SETTLE_S = np.geomspace(0.2, 8.0, 16)  # prior: time constants of a tip that creeps; the first one is a lag's
+_STOPS_ANEW = 3  # tolerance: rounds
 _SETTLES = 0.9  # tolerance: share of the squares after a turn that creeping must explain
 
 
@@ -245,7 +247,7 @@ def _onset_of_stroke(number: int, track: Track, before: _Stroke, after: _Stroke)
 def _as_bracket(onset: Onset) -> Onset:
     """The onset as a width known only between `low` and `high`: their middle, with the sigma of a uniform density."""
     middle = 0.5 * (onset.low + onset.high)
-    spread = (onset.high - onset.low) / np.sqrt(12.0)
+    spread = of_rounding(onset.high - onset.low)
     return replace(onset, kind=BRACKET, q2=onset.q1 + onset.direction * middle, sigma=max(float(spread), 1e-9))
 
 
@@ -269,7 +271,7 @@ def _with_timing_errors(onset: Onset, track: Track, delay_sigma: float, resoluti
     if np.isfinite(delay_sigma):
         around = track.motor_at(np.array([onset.t_s - 0.02, onset.t_s + 0.02]))
         speed = abs(float(around[1] - around[0])) / 0.04
-    extra = np.hypot(speed * (delay_sigma if speed else 0.0), resolution / np.sqrt(12.0))
+    extra = np.hypot(speed * (delay_sigma if speed else 0.0), of_rounding(resolution))
     return replace(onset, sigma=float(np.hypot(onset.sigma, extra)))
 
 
@@ -317,14 +319,14 @@ class Delay:
     stops: int  # reversals that told it
 
 
-def find_delay(tracks: Sequence[Track], rig: Rig, nominal_s: float, passes: int = 3) -> Delay:
+def find_delay(tracks: Sequence[Track], rig: Rig, nominal_s: float) -> Delay:
     """Posterior mean and standard deviation of the delay at which the image stops when the motor turns, jointly over
     all reversals on an envelope, its prior normal about nominal_s with NOMINAL_S; the nominal one with sigma inf where
     there are none. It is negative where frames carry a clock that runs ahead, as a video's own times do that start with
-    its first frame. passes: how often the stops are found anew at the new delay."""
+    its first frame. The stops are found anew at each new delay."""
     delay = nominal_s
     result = Delay(nominal_s, np.inf, 0)
-    for _ in range(passes):
+    for _ in range(_STOPS_ANEW):
         stops = [stop for track in tracks for stop in _stops_of_track(track, rig, delay)]
         if not stops:
             return Delay(nominal_s, np.inf, 0)

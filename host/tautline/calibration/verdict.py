@@ -57,7 +57,7 @@ def judged(found: Measured) -> Calibration:
     _doubt_clock(found, aligned, delay)
     model = _model(found, aligned, extent.measured)
     gaps = _gaps(found, model)
-    predictions = _predictions(found, model)
+    predictions = _predictions(found, replace(model, delay_s=delay_of_tracks_s))
     _judge(found, predictions, extent)
     notes = tuple(dict.fromkeys(found.findings.notes))
     extra = _extra(found, notes, characteristic, pass_width)
@@ -88,16 +88,17 @@ def _delay_with_tracker_lag(found: Measured) -> Delay:
 
 
 def _gaps(found: Measured, model: Model) -> tuple[coverage.Gap, ...]:
-    """Pieces of the range that were never passed both ways, which the notes tell."""
+    """Pieces of the range that were never passed both ways, or beyond all turns, which the notes tell."""
     joint_fit = found.joint_fit
-    apart = coverage.distance_to_both_ways(joint_fit, found.grid) if joint_fit is not None else 0.0 * found.grid
+    apart = None if joint_fit is None else coverage.distance_to_both_ways(joint_fit, found.grid)
     gaps = coverage.gaps(model, apart)
     found.findings.notes += [f"{gap.says(found.unit)}, and is held there" for gap in gaps]
     return gaps
 
 
 def _predictions(found: Measured, model: Model) -> Worth | None:
-    """What the model predicts of its own recordings, which the evidence tells; None where nothing could be."""
+    """What the model predicts of its own recordings, which the evidence tells; None where nothing could be. model: at
+    the delay that the tracks have."""
     fit_of_remaining = None if found.remaining is None else found.remaining.fitted
     tracks = [each.track for each in found.ended] or found.tracks
     worth = predictive_worth(model, tracks, found.joint_fit, fit_of_remaining)
@@ -114,8 +115,9 @@ def _predictions(found: Measured, model: Model) -> Worth | None:
 
 
 def _judge(found: Measured, predictions: Worth | None, extent: _Extent) -> None:
-    """The verdict: good where the model predicts blocks that the fit has not seen to within the noise, B is known,
-    and nothing still changes. What departs, scatters or is hidden says why it is not, and else is worth knowing.
+    """The reasons for the verdict: good where the model predicts blocks that the fit has not seen to within the noise
+    and nothing still changes (`holds`), and B is known (judged last). What departs, scatters or is hidden says why it
+    is not, and else is worth knowing.
     predictions: None where nothing could be predicted; found.sigma: with all that is uncertain."""
     components, frames = found.components, sum(len(track.t_s) for track in found.tracks)
     predicts = predictions is None or predictions.predicts

@@ -87,8 +87,8 @@ class Worth:
 def predictive_worth(
     model: Model, tracks: Sequence[Track], joint_fit: Fitted | None, remaining: Fitted | None
 ) -> Worth | None:
-    """tracks: on the motor's clock. joint, remaining: the fits of B and of f_remain, whose smoothness is the prior of
-    both; where one is None nothing is left out. None where nothing was seen after the tip was driven both ways."""
+    """tracks: on the motor's clock. joint_fit, remaining: the fits of B and of f_remain, whose smoothness is the prior
+    of both; where one is None nothing is left out. None where nothing was seen after the tip was driven both ways."""
     fit, curves = _fit_of(model, tracks, joint_fit, remaining)
     residuals, masks = fit.residuals(curves)
     if not any(mask.any() for mask in masks):

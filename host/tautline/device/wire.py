@@ -100,19 +100,19 @@ class Decoder:
         return np.array(raw) / scale if isinstance(raw, tuple) else raw / scale
 
 
-def code(codes: str, name: str) -> int:
+def code(list_name: str, name: str) -> int:
     """The number of a name in one of tl_wire.h's lists, such as code("MODES", "HOLD")."""
-    return int(getattr(wire, codes)[name][0])
+    return int(getattr(wire, list_name)[name][0])
 
 
-def name(codes: str, number: int) -> str:
+def name(list_name: str, number: int) -> str:
     """The name of a number in one of tl_wire.h's lists, the number itself where this version does not know it."""
-    return next((name for name, (value, _) in getattr(wire, codes).items() if value == number), str(number))
+    return next((name for name, (value, _) in getattr(wire, list_name).items() if value == number), str(number))
 
 
-def text(codes: str, number: int) -> str:
-    """The text of a number in one of tl_wire.h's lists."""
-    for value, says in getattr(wire, codes).values():
+def text(list_name: str, number: int) -> str:
+    """The text of a number in one of tl_wire.h's lists, such as text("REASONS", 3)."""
+    for value, says in getattr(wire, list_name).values():
         if value == number:
             return str(says)
     return f"code {number}, unknown to this version of tautline"

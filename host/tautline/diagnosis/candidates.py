@@ -262,7 +262,7 @@ class Search:
                 hypothesis = hypothesis.plus(added, Scope.TESTS)
             values = {slot.key: 0.0 for slot in hypothesis.slots}
             values |= {p.name: self.fitter.scale(p) for p in kind.amplitudes} | {
-                p.name: p.shape[0] for p in kind.shapes
+                p.name: p.shape[0] * p.share(self.fitter.model.rig.actuator.span) for p in kind.shapes
             }
             fit = self.fitter.fit(hypothesis, values, self.base.fit.state)
             if fit.finite:

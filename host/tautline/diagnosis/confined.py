@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnosis.fit import STATIC_COLUMNS, Fitter, ScoredRows
+from tautline.diagnosis.fit import MOVE_COLUMNS, STATIC_COLUMNS, Fitter, ScoredRows
 from tautline.diagnosis.fitted import Fit
 from tautline.diagnosis.segment import Segment
 from tautline.effects import Kind
@@ -35,7 +35,7 @@ def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Ar
     """For each recording the residual, px, after fitting everything that the stages of a fit's effects could leave
     whatever their laws: (scored, 2), or, where the bending angle or the time is free at every frame, its component
     across the image motion that this causes, (scored, 1). None where these stages could leave anything (no camera, no
-    effect, angle and time both free). further: effects whose stages are free too, without being in the fit."""
+    effect, angle and time both free). further: effects beside the fit that may free the angle or the time too."""
     kinds = (*fit.hypothesis.kinds, *further)
     if not fitter.px or not kinds:
         return None
@@ -107,8 +107,8 @@ def _plane(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
     low, high = min(float(c.min()) for c in angles), max(float(c.max()) for c in angles)
     columns = []
     for segment, row, c in zip(fitter.segments, rows, angles, strict=True):
-        # px per mm that the registration is shifted along x, y and z, (n, 2) each
-        x, y, z = np.moveaxis(row.columns[:, :, STATIC_COLUMNS], 2, 0)[3:6]
+        x, y, z = np.moveaxis(row.columns[:, :, MOVE_COLUMNS], 2, 0)  # (scored, 2) each
+        # The tip bends in the x-z plane, turned about z by the roll.
         roll_deg = row.path.rotation_deg
         roll = np.zeros(len(c)) if roll_deg is None else np.radians(roll_deg[segment.scored])
         sideways = np.cos(roll)[:, None] * x + np.sin(roll)[:, None] * y

@@ -77,8 +77,7 @@ class Found:
     def conditions(self) -> list[where.Condition]:
         """How the gap goes with position, speed, time and so on, the largest share first; without time where what is
         named does not depend on it."""
-        paths = [s.predict(self.model, {}, self.fitter.load_reference)[0] for s in self.tests]
-        every = where.conditions(self.tests, paths, self.before)
+        every = where.conditions(self.tests, self.before)
         if self.verdict.name == "effect" and not _depends_on_time(self.chosen.fit, self.named):
             return [condition for condition in every if condition.axis != "time"]
         return every
@@ -294,14 +293,14 @@ def _brings(parts: Sequence[str], shares: Mapping[str, float]) -> dict[str, Any]
 
 def _values_by_recording(fit: Fit, name: str, segments: Sequence[Segment]) -> dict[str, Any]:
     """{"recordings": name and amplitudes of each test} of an effect that has its own in each; else {}."""
-    kind, scope = fit.hypothesis.find(name) or (effects.BY_ID[name], Scope.START)
-    if scope != Scope.EACH:
+    present = fit.hypothesis.find(name)
+    if present is None or present[1] != Scope.EACH:
         return {}
-    values = fit.state.values
+    kind, values = present[0], fit.state.values
     return {
         "recordings": [
             {"name": s.name, **{p.name: float(values[key(p.name, s.number)]) for p in kind.amplitudes}}
-            for s in segments[1:]
+            for s in segments[1:]  # the tests
         ]
     }
 

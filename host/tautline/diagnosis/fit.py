@@ -37,6 +37,7 @@ WIDTH_PIECES, _REMAINING_PIECES = (
 )
 _ROUGH = 0.001  # prior: one standard deviation of a spline's second differences, as a share of the curve's range
 STATIC_COLUMNS = slice(2, 8)  # format: the registration's six among ScoredRows.columns, with a camera
+MOVE_COLUMNS = slice(5, 8)  # format: the last three of them: px per mm along x, y and z
 WIDTH, REMAINING, STATIC, DELAY = PARTS = (
     "transmission.backlash",
     "configuration.remaining",
@@ -168,7 +169,7 @@ class Fitter:
     def scale(self, parameter: Parameter) -> float:
         """A change of a parameter that a user would notice, in its own unit: `Parameter.scale`, times the motor's range
         where that is declared as a share of it."""
-        return parameter.scale * (self.model.rig.actuator.span if parameter.unit.startswith("unit") else 1.0)
+        return parameter.scale * parameter.share(self.model.rig.actuator.span)
 
     def start(self) -> ParameterState:
         """The point from which fits start: the calibrated model without effects, its registration as it is."""

@@ -32,7 +32,7 @@ _TO_A_TURN = 0.25  # tolerance: share of a block by which its end moves: none is
 _MOST_PARTS = 12  # tolerance: equal parts of a recording whose motor turns too seldom
 _LONGEST_LAG, _UNCORRELATED = 199, 0.02  # tolerance: lags of an autocorrelation at most, value that ends the sum
 _EACH_WAY = 0.2  # tolerance: share of the motion that either direction must have
-_DRAWS = 400  # tolerance: of a bootstrap
+_DRAWS, _SEED = 400, 7  # tolerance: of a bootstrap
 _LEAST_EXCESS = 1e-12  # tolerance: px^2 or deg^2: keeps a division by the power above the noise finite
 _SIZE_SHARE, _SHRINK_SHARE = 0.95, 0.9  # format: shares of the draws that the interval of a size, a shrinkage holds
 SURELY = 0.95  # loss: a worse model that is handed out costs as much as 19 better ones that are kept back
@@ -264,9 +264,7 @@ def probability_of_shrinking(before: Sequence[Array], after: Sequence[Array], se
     return float(np.mean(drawn[1] < drawn[0]))
 
 
-def bootstrap(
-    before: Sequence[Array], after: Sequence[Array], labels: Sequence[npt.NDArray[np.int64]], seed: int = 7
-) -> Array:
+def bootstrap(before: Sequence[Array], after: Sequence[Array], labels: Sequence[npt.NDArray[np.int64]]) -> Array:
     """(2, _DRAWS) rms of `before` and of `after` in each bootstrap draw of the blocks, drawn with replacement, the same
     ones for both. A block is drawn in proportion to its length, so that a draw is like the recordings however unequal
     they were cut, and as many are drawn as equal blocks would tell the mean as well (Kish's effective number). labels:
@@ -279,6 +277,6 @@ def bootstrap(
     table = np.array(blocks_of)
     share = table[:, 2] / table[:, 2].sum()
     effective = round(1.0 / float(np.sum(share**2)))
-    drawn = np.random.default_rng(seed).choice(len(table), (_DRAWS, effective), p=share)
+    drawn = np.random.default_rng(_SEED).choice(len(table), (_DRAWS, effective), p=share)
     result: Array = np.sqrt(table[drawn, :2].mean(axis=1)).T
     return result

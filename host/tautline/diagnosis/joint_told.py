@@ -113,7 +113,8 @@ class Answer:
         return shapley.shares(names, worth)
 
     def parameter_values(self, name: str) -> dict[str, float]:
-        """The fitted parameters of one effect by name, in their own units, as diagnosis.json reports them."""
+        """The fitted parameters of one effect by name, in their own units, as diagnosis.json reports them. Of a width
+        that goes with the place, width_everywhere is the largest over the range."""
         added = {effect.id: dict(effect.parameters) for effect in self.joint.effects(self.fitted.u)}
         model = self.joint.model_at(self.fitted.u)
         in_tables = {

@@ -221,7 +221,8 @@ def steps(document: Mapping[str, Any], folder: str) -> list[NextStep]:
     """What to do next, the most useful first. folder: where the diagnosis is kept, for the commands."""
     if document["verdict"] == "none" or _is_small(document):
         as_it_is = NextStep("Use the model as it is: these motions show nothing large that it lacks.")
-        return [*map(NextStep, simulator_words.steps({**document, "effects": []})), as_it_is]
+        of_simulator = simulator_words.steps({**document, "effects": []})  # no effect is large enough to be added
+        return [*map(NextStep, of_simulator), as_it_is]
     effects = document["effects"]
     is_event = bool(effects) and effects[0]["id"] in EVENTS
     todo = [*_steps_to_look(document), *_steps_to_record(document, folder)]

@@ -181,10 +181,7 @@ def _unit(parameter: Parameter, unit: str) -> str:
 def _conditions(diagnosis: Diagnosis, unit: str) -> list[dict[str, Any]]:
     """A title and a picture for each of the first _AXES conditions, the most telling first. unit: of q."""
     if diagnosis.document["verdict"] == "effect":
-        reference = diagnosis.corrected.load_reference_mNm
-        tests = diagnosis.segments[1:]
-        paths = [segment.predict(diagnosis.nominal, {}, reference)[0] for segment in tests]
-        after = {c.axis: c for c in where.conditions(tests, paths, diagnosis.after)}
+        after = {c.axis: c for c in where.conditions(diagnosis.segments[1:], diagnosis.after)}
     else:
         after = {}
     shown = diagnosis.conditions[:_AXES]

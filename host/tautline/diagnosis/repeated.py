@@ -27,12 +27,12 @@ def add_repeats(document: dict[str, Any], model: Model, segments: Sequence[Segme
     """Adds to the content of a diagnosis.json what repeated samples add to the gap of `model`, and names them as an
     effect where they are most of it or beside other named effects. segments: the calibration first. load_reference: mNm
     at which the model's tables hold."""
-    power, without, added = _powers(model, segments[1:], load_reference)
+    power, fresh_power, surely_added = _powers(model, segments[1:], load_reference)
     floor2 = document["noise_floor"] ** 2
-    if added < _SEEN * floor2:
+    if surely_added < _SEEN * floor2:
         return
-    share_of_gap = (power - without) / max(power - floor2, 1e-300)
-    shrink = 1.0 - float(np.sqrt(without / power))
+    share_of_gap = (power - fresh_power) / max(power - floor2, 1e-300)  # by the best estimate
+    shrink = 1.0 - float(np.sqrt(fresh_power / power))
     alone = document["verdict"] == "none"
     probability = _add_candidate(document, _SURE if alone else min(share_of_gap, _SURE), shrink)
     leads = probability > 0.5

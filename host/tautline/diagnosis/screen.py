@@ -357,8 +357,8 @@ def _starting_shapes(fitter: Fitter, base: Fit, kind: Kind) -> list[dict[str, fl
         if parameter.reached:
             c = np.concatenate([s.follow(base.state.model, {}, 0.0).c_deg for s in fitter.segments])
             return [float(v) for v in np.quantile(c, _ANGLES)]
-        unit = fitter.model.rig.actuator.span if parameter.unit == "unit" else 1.0
-        return [v * unit for v in parameter.shape]
+        share = parameter.share(fitter.model.rig.actuator.span)
+        return [v * share for v in parameter.shape]
 
     choices = [[(parameter.name, value) for value in values(parameter)] for parameter in kind.shapes]
     return [dict(choice) for choice in itertools.product(*choices)]

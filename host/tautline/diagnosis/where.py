@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.diagnosis.segment import Segment
-from tautline.effects import Path
 
 Array = npt.NDArray[np.float64]
 
@@ -49,12 +48,12 @@ class Condition:
         return {"axis": self.axis, "share": self.share, "range": list(self.range), "says": self.says}
 
 
-def conditions(segments: Sequence[Segment], paths: Sequence[Path], residuals: Sequence[Array]) -> list[Condition]:
-    """How the residuals go with each axis that every recording has, the largest share first. paths: of each segment at
-    all observations; residuals: (scored, k) of each."""
+def conditions(segments: Sequence[Segment], residuals: Sequence[Array]) -> list[Condition]:
+    """How the residuals, (scored, k) of each segment, go with each axis that every recording has, the largest share
+    first."""
     columns: dict[str, list[Array]] = {}
-    for segment, path in zip(segments, paths, strict=True):
-        for name, values in axis_values(segment, path).items():
+    for segment in segments:
+        for name, values in axis_values(segment).items():
             columns.setdefault(name, []).append(values[segment.scored])
     residual = np.concatenate(residuals)
     result = []
@@ -94,7 +93,7 @@ def constant_share(residuals: Sequence[Array]) -> float:
     return sum(float(np.sum(r.mean(axis=0) ** 2)) * len(r) for r in residuals) / max(power, 1e-300)
 
 
-def axis_values(segment: Segment, path: Path) -> dict[str, Array]:
+def axis_values(segment: Segment) -> dict[str, Array]:
     """{axis: its values (n,) at the recording's observations, in its unit} of those AXES that were recorded. direction:
     -1 or 1, 0 at rest; phase: time since the last reversal."""
     motor, t = segment.motor, segment.arrival_s

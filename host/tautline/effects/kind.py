@@ -42,6 +42,10 @@ class Parameter:
     searched: bool = False  # found over its `shape` or by scatter; never differentiated
     reached: bool = False  # whether it is a bending angle, deg, kept within those that the recordings reach
 
+    def share(self, span: float) -> float:
+        """What `scale` and `shape` count in: the motor's range `span` where the unit begins with "unit", else 1."""
+        return span if self.unit.startswith("unit") else 1.0
+
 
 @dataclass(frozen=True)
 class Event:

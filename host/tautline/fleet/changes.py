@@ -62,7 +62,8 @@ def scatter_of(levels: Iterable[_Levels]) -> float:
 
 def _levels(robot: Sequence[Row]) -> _Levels | None:
     """The logarithm of the mean B of a robot's usable sessions, over the range that all have measured, with sigmas;
-    None where there is none."""
+    sessions on another grid than the first one's are left out. None where there is no usable session, no range in
+    common, or a B of 0."""
     usable = [(k, row) for k, row in enumerate(robot) if row.usable and row.q == _first(robot).q]
     if not usable:
         return None

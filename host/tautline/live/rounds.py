@@ -103,9 +103,9 @@ class Means:
         cls, low: float, high: float, frame_rate_hz: float, top_speed: float, top_acceleration: float,
         speeds: tuple[float, ...] | None = None,
     ) -> Means:  # fmt: skip
-        """The speeds and acceleration of calibration passes over a range: as fast as the frame rate, the motor and a
-        pass of at least some time allow, unless `speeds` are given. top_speed, top_acceleration: of the motor. All in
-        the unit of q."""
+        """The speeds and acceleration of calibration passes over a range, unless `speeds` are given: the fastest is the
+        least of a share of the range a frame, a share of it a second, and shares of the motor's top speed and of what
+        its top acceleration reaches in a ramp; the rounds take the shares _SPEEDS of it. All in the unit of q."""
         if speeds is None:
             fast = min(
                 _FRAME * frame_rate_hz * (high - low), _SECOND * (high - low), _OF_TOP_SPEED * top_speed,

@@ -12,6 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from tautline import _native
 from tautline.model import Model, allowed_width, interpolate
+from tautline.spread import of_rounding
 from tautline.tracking.beyond import PLACES, Beyond
 
 Array = npt.NDArray[np.float64]
@@ -131,7 +132,7 @@ class LawFamily:
     def _own_sigma(self) -> Array:
         """(nodes,) Standard deviation of the calibrated centre coordinate by B's sigma and the encoder's rounding."""
         model, count = self.model, self.model.rig.actuator.encoder_resolution
-        return np.asarray(np.hypot(0.5 * model.width_sigma, count / np.sqrt(12.0)))
+        return np.asarray(np.hypot(0.5 * model.width_sigma, of_rounding(count)))
 
     def sigma(self, p: npt.ArrayLike, sensor: npt.ArrayLike) -> Array:
         """Standard deviation, unit of q, of a frame's centre coordinate at p: the sensor's (`sensor`, the same unit)

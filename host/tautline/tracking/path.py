@@ -72,11 +72,16 @@ class MotorPath:
 
 
 def knots(before: float, q: Array, end: float) -> Array:
-    """The points of a path from `before` through q to `end` that a play depends on: the extremes that lie beyond both
-    ends, in order, then the end."""
-    if len(q) == 0:
-        return np.array([end])
-    low, high = int(q.argmin()), int(q.argmax())
-    beyond = [low] if q[low] < min(before, end) else []
-    beyond += [high] if q[high] > max(before, end) else []
-    return np.array([*(float(q[i]) for i in sorted(beyond)), end])
+    """The points of a path from `before` through q to `end` that a play depends on, whatever its width: the lowest and
+    the highest, as far as they lie beyond both ends, in order; likewise of what follows the later of them, from there
+    on, and so on; then the end. What lies before it was wiped out by them."""
+    kept: list[float] = []
+    while len(q):
+        low, high = int(q.argmin()), int(q.argmax())
+        beyond = [low] if q[low] < min(before, end) else []
+        beyond += [high] if q[high] > max(before, end) else []
+        if not beyond:
+            break
+        kept += [float(q[i]) for i in sorted(beyond)]
+        before, q = float(q[max(beyond)]), q[max(beyond) + 1 :]
+    return np.array([*kept, end])

@@ -185,7 +185,7 @@ class LawTracker:
         if not self._started:
             self._start(float(path.q[0]))
         q = path.ahead(scene_s)
-        ahead = knots(self._window.last_q, path.between(scene_s), q)
+        ahead = knots(self._window.last_q, path.between(scene_s), q)  # the motor's way since the last frame
         law = self._law
         p = float(law.followed.run(self._play.copy(), ahead + self._theta[OFFSET])[0][-1])
         c = float(law.angle(p)) + self._persistent_error()
@@ -195,7 +195,7 @@ class LawTracker:
             u, v = self.projection.image(c, translation, rotation)
         self._pending = (scene_s, None)
         offset_sigma, scale_sigma = self._sigma
-        if self.state is State.STALE:
+        if self.state is State.STALE:  # the law is off by _off at present: the offset by that, B by that at both ends
             offset_sigma = float(np.hypot(offset_sigma, self._off))
             scale_sigma = float(np.hypot(scale_sigma, 2.0 * self._off / self._width))
         return Row(self.state, c, u, v, self._offset, offset_sigma, self._taken_up.scale, scale_sigma, self.reason)

@@ -19,7 +19,8 @@ def _drifted(model: Model, values: Mapping[str, float], session_s: float) -> Mod
     T."""
     time_s = _effective_time(values, session_s)
     width = allowed_width(model.q, model.width * max(0.0, 1.0 + values["width_drift"] * time_s))
-    return replace(model, q=model.q - values["offset_drift"] * time_s, width=width)
+    offset, (low, high) = values["offset_drift"] * time_s, model.measured
+    return replace(model, q=model.q - offset, measured=(low - offset, high - offset), width=width)
 
 
 EFFECTS = (

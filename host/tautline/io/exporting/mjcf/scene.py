@@ -142,8 +142,8 @@ class Scene:
     def follow(self) -> None:
         """The tip follows the play by f_remain, delayed by the lag."""
         law, behind = self.law, CENTRE
-        if law.lag_s > 0.0:  # a spring to the play against a damper: a light one, so that nothing swings
-            damping = self.mass / self.nominal.timestep
+        if law.lag_s > 0.0:  # a spring to the play against a damper, that lag_s is the ratio of
+            damping = self.mass / self.nominal.timestep  # its own mass follows within a step, so that nothing swings
             late = self.slide(LAGGING, self.mass, law.middle)
             late.damping = [damping, 0.0, 0.0]
             spring = self.spec.add_tendon(
@@ -152,12 +152,12 @@ class Scene:
             spring.wrap_joint(LAGGING, 1.0)
             spring.wrap_joint(CENTRE, -1.0)
             behind = LAGGING
-        alone = len(law.angle.chains) == 1  # its last link is the tip's own equality
+        single = len(law.angle.chains) == 1  # its last link is the tip's own equality
         ends = [
-            self.chained(f"{LAW}{i}", behind, chain.links[:-1] if alone else chain.links, 0.0)
+            self.chained(f"{LAW}{i}", behind, chain.links[:-1] if single else chain.links, 0.0)
             for i, chain in enumerate(law.angle.chains)
         ]
-        last = law.angle.chains[0].links[-1] if alone else _SAME
+        last = law.angle.chains[0].links[-1] if single else _SAME
         self.lead_tip([joint for joint, _ in ends], last, sum(at for _, at in ends))
 
     def led(self) -> None:
