@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import _native
+from tautline.effects.library.rate_dependent_backlash import added_width
 from tautline.elements import Elements, Hysteresis
 from tautline.errors import TautError
 from tautline.model import Model
@@ -133,13 +134,10 @@ def _sides_section(v: Mapping[str, float], count: float) -> Section:
 
 def _speed_section(v: Mapping[str, float], model: Model, count: float) -> Section:
     """Section `speed`: the additional width over speed up to twice the range a second, in Q8 counts of `count`, unit of
-    q. width_per_speed is per a tenth of the table's grid a second, as in host/native/effects."""
-    usual = 0.1 * float(model.q[-1] - model.q[0])
+    q."""
     step_log2 = _step_log2(2.0 * model.rig.actuator.span / count)
     speed = _NODES * 2.0**step_log2 * count
-    relative, k = speed / usual, v.get("speed_saturation", 0.0)
-    share = np.expm1(-k * relative) / np.expm1(-k) if k > 0.0 else relative
-    extra = np.maximum(v["width_per_speed"] * usual * share, 0.0)
+    extra = added_width(v, float(model.q[-1] - model.q[0]), speed)
     return {
         "step_log2": step_log2,
         "time_us": round(1e6 * v.get("speed_time", 0.02)),

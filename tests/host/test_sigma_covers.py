@@ -16,7 +16,7 @@ from tautline.calibration.calibrate import calibrate
 from tautline.calibration.hinge import fit_jump
 from tautline.calibration.result import Calibration
 from tautline.prediction import predict_with_sigma
-from tautline.recording import Marker, Recording, Video
+from tautline.recording import Angle, Marker, Motor, Recording, Video
 from tautline.simulated import simulate
 from tautline.simulated.instrument import Instrument, preset, reference_rig
 
@@ -122,3 +122,30 @@ def test_an_offset_between_two_parts_of_one_recording_is_a_slip(seed: int, share
     assert off.max() < 0.06 and np.sqrt(np.mean((off / found.model.width_sigma[at]) ** 2)) < 2.0
     ended = np.abs(found.model.c_deg - angle_plant.bend(q) - 0.6)[at]  # what it is at the end
     assert ended.max() < 0.05 and np.max(ended / found.model.c_sigma[at]) < 3.0
+
+
+def wider_by_the_square_of_speed(share: float, speeds: tuple[float, float]) -> Recording:
+    """A joint whose width is 2 deg for slow strokes, and more by `share` at 10 deg/s, driven at two speeds."""
+    slow, fast = (angle_plant.Motion.through(speed=speed) for speed in speeds)
+    motion = slow.then(fast)
+    speed = np.convolve(np.abs(np.gradient(motion.q, motion.t_s)), np.ones(40) / 40.0, "same")
+    state, p = float(motion.q[0]), []
+    for q, half in zip(motion.q.tolist(), (1.0 + share * (speed / 10.0) ** 2).tolist(), strict=True):
+        state = min(max(state, q - half), q + half)
+        p.append(state)
+    at_s = np.arange(0.05, motion.t_s[-1] - 0.05, 0.01)
+    c = angle_plant.bend(np.interp(at_s, motion.t_s, p)) + 0.01 * np.random.default_rng(1).normal(size=len(at_s))
+    return Recording("squared", Motor(motion.t_s[::4], motion.q[::4]), None, Angle(at_s, c), rig=angle_plant.RIG)
+
+
+@pytest.mark.parametrize(
+    ("share", "speeds"), [(0.4, (6.0, 10.0)), pytest.param(0.1, (4.0, 10.0), marks=pytest.mark.long)]
+)
+def test_slower_than_what_was_seen_speed_may_follow_another_law(share: float, speeds: tuple[float, float]) -> None:
+    """A line through two speeds goes 0.5 deg too low at rest, 39 standard deviations of the line's own."""
+    model = calibrate([wider_by_the_square_of_speed(share, speeds)], angle_plant.RIG).model
+    assert [effect.id for effect in model.effects] == ["transmission.rate_dependent_backlash"]
+    middle = np.abs(model.q) < 20.0
+    off, sigma = np.abs(model.width - 2.0)[middle], model.width_sigma[middle]
+    print(f"{np.mean(off):.3f} deg off, {np.mean(off / sigma):.2f} sigma")
+    assert np.mean(off) > 0.05 and np.mean(off / sigma) < 2.0

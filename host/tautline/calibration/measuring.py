@@ -18,7 +18,7 @@ from tautline.calibration.angle_delay import at_credible_delay, delay_of_all
 from tautline.calibration.backlash import WidthCurve, fit_widths
 from tautline.calibration.beside import FittedEffects
 from tautline.calibration.choice import JOINT, Choice, image_jumps
-from tautline.calibration.components import WORSE, Components, EndedTrack, separate
+from tautline.calibration.components import LAW, WORSE, Components, EndedTrack, separate
 from tautline.calibration.departures import SPEED
 from tautline.calibration.findings import Findings
 from tautline.calibration.holding import without_held_places
@@ -42,6 +42,7 @@ from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, prepare
 from tautline.calibration.wandering import allowing_for_wander
 from tautline.calibration.worth import PREDICTS
 from tautline.diagnosis import start
+from tautline.effects.library.rate_dependent_backlash import added_width
 from tautline.elements import SINGLE, Elements, Hysteresis
 from tautline.errors import TautError
 from tautline.model import Model
@@ -58,6 +59,8 @@ _HELD = 0.5  # prior: of the power that one element leaves beyond noise: what se
 _OF_SENSORS = frozenset({"turn", "tracker"})  # departures that no effect of the library looks like
 _OF_ELEMENTS = frozenset({"phase.even", "image.side"})  # departures that several elements, or their number, stand for
 _GRADUAL_START = "transmission.smooth_onset"  # the effect that several elements are
+_RATE = "transmission.rate_dependent_backlash"
+_SLOWEST = 0.1  # tolerance: of the frames: slower than these nothing tells the law of the speed
 _BETWEEN_ELEMENTS = 0.003  # prior: of B: what elements of a few shares leave, alike on every stroke
 
 
@@ -221,19 +224,32 @@ class Measuring(_Setting):
         probability = _probabilities(fits)
         joint_fit = fits[int(np.argmax(probability))]
         self.effects = joint_fit.effects_and_values
-        # B and delay are as uncertain as the forms differ, by how probable each is.
+        # B and delay are as uncertain as the forms differ, by how probable each is, and B as another law of the speed.
         late_s = np.array([fit.curves.delay_s - joint_fit.curves.delay_s for fit in fits])
         apart = np.array([fit.fit.width(fit.curves) - joint_fit.fit.width(joint_fit.curves) for fit in fits])
         delay = self._delay_of_joint_fit(before.delay, joint_fit)
         delay = replace(delay, sigma_s=float(np.sqrt(delay.sigma_s**2 + probability @ late_s**2)))
         onsets, curve = self._onsets(delay)
         width = self.choice.held_beyond_measured(joint_fit, curve)
-        sigma = np.sqrt(joint_fit.width_sigma(self.grid) ** 2 + probability @ apart**2)
-        self.findings.evidence["residual_joint"] = joint_fit.scale
+        by_law = LAW * self._added_below_what_was_seen(joint_fit)
+        sigma = np.sqrt(joint_fit.width_sigma(self.grid) ** 2 + probability @ apart**2 + by_law**2)
+        self.findings.evidence |= {"residual_joint": joint_fit.scale, "width_by_law_of_speed": by_law}
         self.say(0.75, "fitting f_remain")
         self._find_place(joint_fit)
         remaining = self._remaining(width, delay.delay_s, joint_fit.fit.settled_only)
         return self._measured(onsets, delay, curve, joint_fit, None, width, sigma, JOINT, remaining)
+
+    def _added_below_what_was_seen(self, joint_fit: Fitted) -> float:
+        """What a fitted law of the speed adds to B, unit of q, at the slowest tenth of the moving frames that count: by
+        so much it goes beyond what was seen to B of slow strokes. 0 where B follows no speed."""
+        effects, values = joint_fit.effects_and_values
+        law = next((effect for effect in effects.to_effects(values) if effect.id == _RATE), None)
+        pairs = zip(joint_fit.fit.simulated, joint_fit.masks, strict=True)
+        speeds = np.concatenate([np.abs(s.speed[mask & s.moving]) for s, mask in pairs])
+        if law is None or not len(speeds):
+            return 0.0
+        slowest = np.quantile(speeds, [_SLOWEST])
+        return float(added_width(law.parameters, float(self.grid[-1] - self.grid[0]), slowest)[0])
 
     def _measured(
         self, onsets: Sequence[Onset], delay: Delay, curve: WidthCurve | None, joint_fit: Fitted | None,

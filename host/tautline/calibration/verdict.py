@@ -164,6 +164,8 @@ def _doubt_sigma(found: Measured, extent: _Extent, holds: bool) -> None:
     more = "move back and forth for longer, and turn at more places"
     if of_delay > 0.5 * all_of_it:
         more = "move at several speeds: at one a delay and a width look alike"
+    elif (found.findings.evidence.get("width_by_law_of_speed", 0.0) / usual) ** 2 > 0.5 * all_of_it:
+        more = "move slowly too: slower than what was seen, B may follow another law of the speed"
     mild = holds and all_of_it - of_delay <= KNOWN**2
     share = float(np.sqrt(all_of_it))
     says = f"B(q) is known to {share * usual:.2g} {found.unit} only ({share:.1%} of {usual:.2g} {found.unit})"

@@ -1,4 +1,24 @@
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
 from tautline.effects.kind import Kind, Parameter
+
+Array = npt.NDArray[np.float64]
+
+_USUAL = 0.1  # format: of the tables' grid, a second
+
+
+def added_width(values: Mapping[str, float], grid: float, speed: Array) -> Array:
+    """(n,) unit of q: what speeds (n,), unit of q per s, add to the width once it follows them, as
+    host/native/effects/rate_dependent_backlash.c does. values: the effect's parameters; grid: length of the model's
+    grid."""
+    usual = _USUAL * grid
+    relative, k = speed / usual, values.get("speed_saturation", 0.0)
+    share = np.expm1(-k * relative) / np.expm1(-k) if k > 0.0 else relative
+    return np.maximum(values["width_per_speed"] * usual * share, 0.0)
+
 
 EFFECTS = (
     Kind(
