@@ -14,7 +14,9 @@ import tautline as tl
 from tautline import trajectory
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.hinge import fit_jump
+from tautline.calibration.observations import Track, noise_over_usual
 from tautline.calibration.result import Calibration
+from tautline.core.motor import MotorPath
 from tautline.prediction import predict_with_sigma
 from tautline.recording import Angle, Marker, Motor, Recording, Video
 from tautline.simulated import simulate
@@ -149,3 +151,35 @@ def test_slower_than_what_was_seen_speed_may_follow_another_law(share: float, sp
     off, sigma = np.abs(model.width - 2.0)[middle], model.width_sigma[middle]
     print(f"{np.mean(off):.3f} deg off, {np.mean(off / sigma):.2f} sigma")
     assert np.mean(off) > 0.05 and np.mean(off / sigma) < 2.0
+
+
+@pytest.mark.parametrize("seed", [821, 822])
+def test_noise_that_is_another_one_in_a_part_of_the_range_is_learnt_there(seed: int) -> None:
+    """Glare: 20 times the noise above two thirds of the range."""
+    plant = preset("random", RIG, seed)
+    made = strokes(plant, seed)
+    marker, rng = made.recording.marker, np.random.default_rng(seed)
+    q = np.interp(marker.t_s - RIG.delay_s, made.recording.motor.t_s, made.recording.motor.q)
+    noise = np.where(q > 1.5, 1.0, 0.0)[:, None] * rng.normal(size=(len(q), 2))
+    noisy = replace(marker, u_px=marker.u_px + noise[:, 0], v_px=marker.v_px + noise[:, 1])
+    found = calibrate([replace(made.recording, marker=noisy)], RIG)
+    at = inside(found)
+    b = (found.model.width - plant.backlash(found.model.q))[at] / found.model.width_sigma[at]
+    f = (found.model.c_deg - plant.bend(found.model.q))[at] / found.model.c_sigma[at]
+    print(f"B {np.sqrt(np.mean(b**2)):.2f}, f_remain {np.sqrt(np.mean(f**2)):.2f} sigma")
+    assert np.sqrt(np.mean(b**2)) < 2.0 and np.sqrt(np.mean(f**2)) < 2.0
+
+
+def test_one_noise_stays_one_and_another_is_found() -> None:
+    rng = np.random.default_rng(5)
+    place = np.tile(np.concatenate([np.linspace(-4.0, 4.0, 400), np.linspace(4.0, -4.0, 400)]), 3)
+    plain = np.column_stack([20.0 * place, 3.0 * place]) + 0.05 * rng.normal(size=(len(place), 2))
+    glare = plain + 0.5 * np.where(place > 2.0, 1.0, 0.0)[:, None] * rng.normal(size=(len(place), 2))
+    t_s = 0.04 * np.arange(len(place))
+    motor = MotorPath.of(Motor(t_s, place), 1e-3)
+    for y, told in ((plain, 1.0), (glare, 10.0)):
+        track = Track("t", "px", motor, t_s, y, np.full(len(place), 0.05))
+        (times,) = noise_over_usual([track], [place])
+        usual = np.median(times[place < 1.0])
+        assert np.median(times[place > 3.0]) / usual == pytest.approx(told, rel=0.15)
+        assert told > 1.0 or np.all(times == 1.0)

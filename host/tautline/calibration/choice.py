@@ -200,11 +200,11 @@ class Choice:
         )
 
     def measured(self, curve: WidthCurve | None, joint_fit: Fitted | None, source: str) -> tuple[float, float]:
-        """The lowest and highest position at which B was measured: of onsets, or of the counted frames if B is from
-        passes; twice the range's middle where nowhere."""
-        if curve is not None:
+        """The lowest and highest position at which B was measured: of onsets; where none or one place showed any, of
+        the counted frames if B is from them; else that place, or the range's middle, twice."""
+        if curve is not None and (source == ONSETS or curve.measured[0] < curve.measured[1]):
             return curve.measured
-        if joint_fit is not None and source == PASSES:
+        if joint_fit is not None and source != ONSETS:
             p = np.concatenate([s.p[m] for s, m in zip(joint_fit.fit.simulated, joint_fit.masks, strict=True)])
             return float(p.min()), float(p.max())
         middle = 0.5 * (self.grid[0] + self.grid[-1])

@@ -31,6 +31,9 @@ _LEVELS = 0.5  # prior: different values for each frame, below which a sensor ro
 _CORNERS = 6.0  # prior: of usual third differences: more is a turn's or a stray's
 _EXACT = 1e-9  # tolerance: of the range: a difference of binary numbers
 _FEW = 20  # tolerance: frames below which nothing is told of a motion
+_PARTS = 12  # tolerance: of the range, in each of which noise may be another
+_DIFFERS = 2.0  # prior: times by which noise differs from part to part, where it does
+_ERROR_OF_LOG = 1.5  # equation: of the logarithm of a median of third differences, times the root of their number
 _WORLD_DEG = 8.0  # prior: of a wall that a tip sees breathe, as a square that is followed is in an endoscope's picture
 _STILL_MM, _STILL_DEG = 0.02, 0.05  # tolerance: other degrees of freedom that stay within this do not move
 
@@ -253,9 +256,7 @@ def noise_of(t: Array, y: Array, least: float) -> float:
     px, 0.01 deg) of fewer than 8 frames."""
     if len(t) < 8:
         return max(least, 0.05 if y.shape[1] == 2 else 0.01)
-    gaps = np.diff(t)
-    even = np.abs(gaps - np.median(gaps)) < 0.25 * np.median(gaps)
-    runs = even[:-2] & even[1:-1] & even[2:]
+    runs = _even_runs(t)
     third = np.diff(y, 3, axis=0)
     third = third[runs] if runs.sum() >= 8 else third
     step = rounding_step(y)
@@ -264,6 +265,46 @@ def noise_of(t: Array, y: Array, least: float) -> float:
         usual = float(np.sqrt(np.mean(np.minimum(np.abs(third), _CORNERS * max(usual, step)) ** 2)))
     of_one = usual / np.sqrt(20.0)  # equation: squares of 1, 3, 3, 1
     return float(max(of_one, spread.of_rounding(step), least))
+
+
+def _even_runs(t: Array) -> Mask:
+    """(n - 3,) whether the three gaps from each frame on are a usual one."""
+    gaps = np.diff(t)
+    even: Mask = np.abs(gaps - np.median(gaps)) < 0.25 * np.median(gaps)
+    return even[:-2] & even[1:-1] & even[2:]
+
+
+def noise_over_usual(tracks: Sequence[Track], places: Sequence[Array]) -> list[Array]:
+    """By track, (n,) by how many times the noise at each frame's place is more than its usual one, by third differences
+    in _PARTS parts of the range, linear in its logarithm between their middles. places: of each track's frames, unit
+    of q. 1 everywhere where one noise is likelier than one that differs by a factor of _DIFFERS from part to part."""
+    same = [np.ones(len(track.t_s)) for track in tracks]
+    rows = []
+    for track, place in zip(tracks, places, strict=True):
+        if len(track.t_s) >= 8 and track.step == 0.0:
+            runs, third = _even_runs(track.t_s), np.diff(track.y, 3, axis=0) / track.sigma[3:, None]
+            size = np.sqrt(np.mean(third**2, axis=1))
+            rows.append(np.column_stack([0.5 * (place[1:-2] + place[2:-1]), size])[runs])
+    if not rows:
+        return same
+    at, size = np.concatenate(rows).T
+    edges = np.linspace(at.min(), at.max(), _PARTS + 1)
+    part = np.digitize(at, edges[1:-1])
+    frames = np.bincount(part, minlength=_PARTS)
+    told = np.flatnonzero(frames >= _FEW)
+    if len(told) < 2:
+        return same
+    log = np.log([max(float(np.median(size[part == k])), 1e-12) for k in told])
+    error = _ERROR_OF_LOG / np.sqrt(frames[told])
+    weight = error**-2
+    log -= weight @ log / weight.sum()
+    spread_of = np.hypot(error, np.log(_DIFFERS))
+    gain = 0.5 * ((log / error) ** 2 - (log / spread_of) ** 2) - np.log(spread_of / error)
+    if gain.sum() <= 0.0:
+        return same
+    shrunk = log * np.log(_DIFFERS) ** 2 / spread_of**2
+    middles = 0.5 * (edges[1:] + edges[:-1])[told]
+    return [np.exp(np.interp(place, middles, shrunk)) for place in places]
 
 
 def rounding_step(y: Array) -> float:

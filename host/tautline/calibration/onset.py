@@ -263,16 +263,19 @@ def _as_brackets_if_most_jump(onsets: list[Onset]) -> list[Onset]:
 
 
 def _with_timing_errors(onset: Onset, track: Track, delay_sigma: float, resolution: float) -> Onset:
-    """The onset with sigma increased by the motor's travel during the delay's standard deviation, s, and by the
-    rounding of the turn to a count of the encoder (resolution, unit of q)."""
+    """The onset with sigma increased by the motor's travel during the delay's standard deviation, s (a nominal delay's
+    where none was found, inf), and by the rounding of the turn to a count of the encoder (resolution, unit of q)."""
     if not np.isfinite(onset.sigma):
         return onset
-    speed = 0.0
-    if np.isfinite(delay_sigma):
-        around = track.motor_at(np.array([onset.t_s - 0.02, onset.t_s + 0.02]))
-        speed = abs(float(around[1] - around[0])) / 0.04
-    extra = np.hypot(speed * (delay_sigma if speed else 0.0), of_rounding(resolution))
+    late = motor_speed(onset, track) * min(delay_sigma, NOMINAL_S)
+    extra = np.hypot(late, of_rounding(resolution))
     return replace(onset, sigma=float(np.hypot(onset.sigma, extra)))
+
+
+def motor_speed(onset: Onset, track: Track) -> float:
+    """The motor's speed at the onset, unit of q per s."""
+    around = track.motor_at(np.array([onset.t_s - 0.02, onset.t_s + 0.02]))
+    return abs(float(around[1] - around[0])) / 0.04
 
 
 def _fit_window(stroke: _Stroke) -> tuple[Array, Array, Hinge] | None:

@@ -12,7 +12,7 @@ from scipy.interpolate import make_smoothing_spline
 from scipy.optimize import isotonic_regression
 
 from tautline.calibration.beside import FittedEffects
-from tautline.calibration.observations import Track
+from tautline.calibration.observations import Track, noise_over_usual
 from tautline.calibration.place import as_many_as_independent
 from tautline.calibration.playfit import Curves, Fitted, PlayFit, View
 from tautline.calibration.simulated_track import PreparedTrack
@@ -96,6 +96,9 @@ def fit_remaining(
     prepared = [PreparedTrack.of(track) for track in tracks]
     effects, values = effects_and_values or (None, np.zeros(0))
     simulated = [f.simulate(grid, width, delay_s, hysteresis, effects, values) for f in prepared]
+    noisier = noise_over_usual(tracks, [s.tip for s in simulated])
+    tracks = [replace(track, sigma=track.sigma * times) for track, times in zip(tracks, noisier, strict=True)]
+    prepared = [PreparedTrack.of(track) for track in tracks]
     angles = [pose_of(track, rig, delay_s) for track in tracks]
     count = [s.settled if settled_only else s.known for s in simulated]
     p = np.concatenate([s.tip[k] for s, k in zip(simulated, count, strict=True)])

@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.calibration import clock, coverage
-from tautline.calibration.choice import JOINT, ONSETS, PASSES
+from tautline.calibration.choice import JOINT, ONSETS, PASSES, with_width
 from tautline.calibration.doubts import KNOWN, common_error, component_reasons, still_changing
 from tautline.calibration.measured_doubts import doubt_onsets_and_remaining, doubt_place
 from tautline.calibration.measuring import Measured
 from tautline.calibration.observations import usual_width
-from tautline.calibration.onset import Delay
+from tautline.calibration.onset import NOMINAL_S, Delay, motor_speed
 from tautline.calibration.remaining import pose_of
 from tautline.calibration.result import Calibration, finite, foretold, onset_json
 from tautline.calibration.smooth import overlap
@@ -154,6 +154,11 @@ def _doubt_sigma(found: Measured, extent: _Extent, holds: bool) -> None:
     """Doubts B where the rms of its sigma is more than KNOWN of it. Mild if the model holds and the rest is known
     that well once the delay's part is taken off: together B and delay predict as well as either that is known."""
     inside, usual, joint_fit = extent.inside, extent.usual, found.joint_fit
+    if not inside.any():
+        found.findings.doubt(
+            "coverage", "B(q) is measured at one place only", "drive more slowly, and turn at more places"
+        )
+        return
     unsure = found.sigma[inside] / usual
     by_delay = np.zeros_like(unsure)
     if joint_fit is not None and joint_fit.width_by_delay is not None:
@@ -209,7 +214,11 @@ def _complete_sigma(found: Measured, extent: _Extent) -> Array:
     known = found.options.beforehand is not None and found.source in (JOINT, PASSES)
     beyond = np.abs(found.grid - np.clip(found.grid, *extent.measured))
     sigma = np.hypot(np.hypot(found.sigma, floor), 0.0 if known else 0.5 * beyond)
-    if found.source != ONSETS and found.joint_fit is not None:
+    if found.source == ONSETS:  # which are late alike
+        speeds = [motor_speed(onset, found.tracks[onset.track]) for onset in with_width(found.onsets)]
+        late = float(np.median(speeds)) * min(found.delay.sigma_s, NOMINAL_S) if speeds else 0.0
+        sigma = np.hypot(sigma, late)
+    elif found.joint_fit is not None:
         one_way = found.choice.sigma_where_passed_one_way(found.joint_fit, found.width, inside)
         sigma = np.hypot(sigma, one_way)
     return np.asarray(sigma)
