@@ -85,6 +85,7 @@ class Uncertainty:
     """What a model is off by beside the sigmas of its tables; nothing where no calibration or diagnosis has told it."""
 
     noise: float | None = None  # one standard deviation of a reading about its prediction, px a coordinate or deg
+    noise_times: Array | None = None  # (n,) of it, where the tip is at a node: noise that differs from place to place
     delay_sigma_s: float | None = None
     width_by_delay: Array | None = None  # (n,) unit of q per s: by what B changes where the delay is later
     tracked_px: float = 0.0  # rms of a tracker's constant error
@@ -93,9 +94,10 @@ class Uncertainty:
 
     def to_json(self) -> dict[str, Any]:
         """As model.json has it, plain."""
-        by_delay, apart = self.width_by_delay, self.discrepancy
+        by_delay, times, apart = self.width_by_delay, self.noise_times, self.discrepancy
         return {
             "noise": self.noise,
+            "noise_times": None if times is None else times.tolist(),
             "delay_sigma_s": self.delay_sigma_s,
             "width_by_delay": None if by_delay is None else by_delay.tolist(),
             "tracked_px": self.tracked_px,
@@ -107,12 +109,13 @@ class Uncertainty:
     def from_json(cls, told: Mapping[str, Any], nodes: int) -> Self:
         """What `to_json` gave, of a model with tables of `nodes`. KeyError, TypeError or ValueError where it is
         something else."""
-        by_delay = told.get("width_by_delay")
+        by_delay, times = told.get("width_by_delay"), told.get("noise_times")
         pairs = tuple(
             (Deviation.from_json(below), Deviation.from_json(above)) for below, above in told.get("deviations", ())
         )
         found = cls(
             noise=None if told.get("noise") is None else float(told["noise"]),
+            noise_times=None if times is None else np.array(times, dtype=float),
             delay_sigma_s=None if told.get("delay_sigma_s") is None else float(told["delay_sigma_s"]),
             width_by_delay=None if by_delay is None else np.array(by_delay, dtype=float),
             tracked_px=float(told.get("tracked_px", 0.0)),
@@ -120,7 +123,7 @@ class Uncertainty:
             discrepancy=None if told.get("discrepancy") is None else Discrepancy.from_json(told["discrepancy"]),
         )
         tables = [table for pair in pairs for each in pair for table in (each.width, each.c_deg)]
-        tables += [] if found.width_by_delay is None else [found.width_by_delay]
+        tables += [table for table in (found.width_by_delay, found.noise_times) if table is not None]
         if any(table.shape != (nodes,) or not np.isfinite(table).all() for table in tables):
             raise ValueError(f"tables of what is uncertain have other than {nodes} finite values")
         return found

@@ -100,7 +100,7 @@ def predict_with_sigma(
     spread = known.spread(slopes)
     if apart is not None:
         spread = np.hypot(spread, apart)
-    noise = np.hypot(model.noise_of(model.sensor), _discrepancy(model, path, motor, scene))
+    noise = np.hypot(_noise_at(model, told.c_deg), _discrepancy(model, path, motor, scene))
     if told.image_px is None:
         return Prediction(told.c_deg, None, np.hypot(spread[:, 0], noise))
     by_c = px_per_deg(model.rig, told.c_deg, *path.others_at(scene))
@@ -109,6 +109,14 @@ def predict_with_sigma(
     unseen_deg = _unseen_deg(model, told.c_deg, *path.others_at(scene))
     angle = np.sqrt(spread[:, 0] ** 2 + noise_deg**2 + unseen_deg**2)
     return Prediction(told.c_deg, told.image_px, angle, np.hypot(spread[:, 1:], noise_px))
+
+
+def _noise_at(model: Model, c_deg: Array) -> Array:
+    """(n,) One standard deviation of the sensor's noise, its unit, where the tip is at angles (n,)."""
+    usual, times = model.noise_of(model.sensor), model.uncertainty.noise_times
+    if times is None:
+        return np.full(len(c_deg), usual)
+    return np.asarray(usual * np.interp(model.remaining_inverse(c_deg), model.q, times))
 
 
 def _deviations(model: Model, motor: Motor, scene_s: Array, start_deg: float | None) -> Array | None:

@@ -30,7 +30,7 @@ def uncertain(width: np.ndarray, c_deg: np.ndarray) -> Uncertainty:
         for by in (0.9, 1.1)
     ]
     apart = Discrepancy(0.3, np.array([[0.0, 1.0], [2.0, 3.0]]), np.array([0.5, 0.7]), 0.01)
-    return Uncertainty(0.05, 0.001, -4.0 * width, 0.02, (tuple(pair),), apart)
+    return Uncertainty(0.05, 1.0 + 0.1 * width, 0.001, -4.0 * width, 0.02, (tuple(pair),), apart)
 
 
 @pytest.mark.parametrize("falling", [False, True])
@@ -52,7 +52,7 @@ def damaged(document: dict, key: str, value: object) -> dict:
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("noise", "much"), ("width_by_delay", [1.0]), ("deviations", [[{}]]), ("deviations", 3),
+        ("noise", "much"), ("noise_times", [1.0]), ("width_by_delay", [1.0]), ("deviations", [[{}]]), ("deviations", 3),
         ("discrepancy", {"sigma": 1.0, "white": 0.1, "inputs": [1.0], "lengths": [1.0]}),
         ("discrepancy", {"sigma": 1.0, "white": 0.1, "inputs": [[1.0]], "lengths": [0.0]}),
     ],

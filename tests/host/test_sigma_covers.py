@@ -14,7 +14,7 @@ import tautline as tl
 from tautline import trajectory
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.hinge import fit_jump
-from tautline.calibration.observations import Track, noise_over_usual
+from tautline.calibration.observations import NoiseByPlace, Track
 from tautline.calibration.result import Calibration
 from tautline.core.motor import MotorPath
 from tautline.prediction import predict_with_sigma
@@ -168,6 +168,12 @@ def test_noise_that_is_another_one_in_a_part_of_the_range_is_learnt_there(seed: 
     f = (found.model.c_deg - plant.bend(found.model.q))[at] / found.model.c_sigma[at]
     print(f"B {np.sqrt(np.mean(b**2)):.2f}, f_remain {np.sqrt(np.mean(f**2)):.2f} sigma")
     assert np.sqrt(np.mean(b**2)) < 2.0 and np.sqrt(np.mean(f**2)) < 2.0
+    later = marker.t_s > 15.0
+    told = predict_with_sigma(found.model, made.recording.motor, marker.t_s[later] - found.model.delay_s)
+    seen = np.column_stack([noisy.u_px, noisy.v_px])[later]
+    z, quiet = (seen - told.image_px) / told.image_sigma_px, q[later] < 0.5
+    for here in (quiet, q[later] > 2.5):
+        assert np.sqrt(np.mean(z[here] ** 2)) == pytest.approx(1.0, abs=0.35)
 
 
 def test_one_noise_stays_one_and_another_is_found() -> None:
@@ -179,7 +185,7 @@ def test_one_noise_stays_one_and_another_is_found() -> None:
     motor = MotorPath.of(Motor(t_s, place), 1e-3)
     for y, told in ((plain, 1.0), (glare, 10.0)):
         track = Track("t", "px", motor, t_s, y, np.full(len(place), 0.05))
-        (times,) = noise_over_usual([track], [place])
+        times = NoiseByPlace.of([track], [place]).times(place)
         usual = np.median(times[place < 1.0])
         assert np.median(times[place > 3.0]) / usual == pytest.approx(told, rel=0.15)
         assert told > 1.0 or np.all(times == 1.0)

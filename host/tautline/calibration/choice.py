@@ -204,7 +204,7 @@ class Choice:
         the counted frames if B is from them; else that place, or the range's middle, twice."""
         if curve is not None and (source == ONSETS or curve.measured[0] < curve.measured[1]):
             return curve.measured
-        if joint_fit is not None and source != ONSETS:
+        if joint_fit is not None and source in (JOINT, PASSES):
             p = np.concatenate([s.p[m] for s, m in zip(joint_fit.fit.simulated, joint_fit.masks, strict=True)])
             return float(p.min()), float(p.max())
         middle = 0.5 * (self.grid[0] + self.grid[-1])

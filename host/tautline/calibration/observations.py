@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -274,37 +275,50 @@ def _even_runs(t: Array) -> Mask:
     return even[:-2] & even[1:-1] & even[2:]
 
 
-def noise_over_usual(tracks: Sequence[Track], places: Sequence[Array]) -> list[Array]:
-    """By track, (n,) by how many times the noise at each frame's place is more than its usual one, by third differences
-    in _PARTS parts of the range, linear in its logarithm between their middles. places: of each track's frames, unit
-    of q. 1 everywhere where one noise is likelier than one that differs by a factor of _DIFFERS from part to part."""
-    same = [np.ones(len(track.t_s)) for track in tracks]
-    rows = []
-    for track, place in zip(tracks, places, strict=True):
-        if len(track.t_s) >= 8 and track.step == 0.0:
-            runs, third = _even_runs(track.t_s), np.diff(track.y, 3, axis=0) / track.sigma[3:, None]
-            size = np.sqrt(np.mean(third**2, axis=1))
-            rows.append(np.column_stack([0.5 * (place[1:-2] + place[2:-1]), size])[runs])
-    if not rows:
-        return same
-    at, size = np.concatenate(rows).T
-    edges = np.linspace(at.min(), at.max(), _PARTS + 1)
-    part = np.digitize(at, edges[1:-1])
-    frames = np.bincount(part, minlength=_PARTS)
-    told = np.flatnonzero(frames >= _FEW)
-    if len(told) < 2:
-        return same
-    log = np.log([max(float(np.median(size[part == k])), 1e-12) for k in told])
-    error = _ERROR_OF_LOG / np.sqrt(frames[told])
-    weight = error**-2
-    log -= weight @ log / weight.sum()
-    spread_of = np.hypot(error, np.log(_DIFFERS))
-    gain = 0.5 * ((log / error) ** 2 - (log / spread_of) ** 2) - np.log(spread_of / error)
-    if gain.sum() <= 0.0:
-        return same
-    shrunk = log * np.log(_DIFFERS) ** 2 / spread_of**2
-    middles = 0.5 * (edges[1:] + edges[:-1])[told]
-    return [np.exp(np.interp(place, middles, shrunk)) for place in places]
+@dataclass(frozen=True)
+class NoiseByPlace:
+    """By how many times the noise is more than the usual one, linear in its logarithm between places."""
+
+    places: Array = field(default_factory=lambda: np.zeros(1))  # (m,) rising, unit of q
+    log_times: Array = field(default_factory=lambda: np.zeros(1))  # (m,)
+
+    def times(self, place: Array) -> Array:
+        """(n,) at places (n,); as at the last one beyond either end."""
+        return np.asarray(np.exp(np.interp(place, self.places, self.log_times)))
+
+    @classmethod
+    def of(cls, tracks: Sequence[Track], places: Sequence[Array]) -> Self:
+        """Of tracks whose frames are at places (n,) each, unit of q: by third differences in _PARTS parts of the range.
+        One noise where that is likelier than one which differs by a factor of _DIFFERS from part to part."""
+        rows = []
+        for track, place in zip(tracks, places, strict=True):
+            if len(track.t_s) >= 8 and track.step == 0.0:
+                third = np.diff(track.y, 3, axis=0) / track.sigma[3:, None]
+                size = np.sqrt(np.mean(third**2, axis=1))
+                rows.append(np.column_stack([0.5 * (place[1:-2] + place[2:-1]), size])[_even_runs(track.t_s)])
+        if not sum(map(len, rows)):
+            return cls()
+        at, size = np.concatenate(rows).T
+        edges = np.linspace(at.min(), at.max(), _PARTS + 1)
+        part = np.digitize(at, edges[1:-1])
+        frames = np.bincount(part, minlength=_PARTS)
+        told = np.flatnonzero(frames >= _FEW)
+        if len(told) < 2:
+            return cls()
+        log = np.log([max(float(np.median(size[part == k])), 1e-12) for k in told])
+        error = _ERROR_OF_LOG / np.sqrt(frames[told])
+        log -= np.sum(log / error**2) / np.sum(error**-2)
+        spread_of = np.hypot(error, np.log(_DIFFERS))
+        gain = 0.5 * ((log / error) ** 2 - (log / spread_of) ** 2) - np.log(spread_of / error)
+        if not gain.sum() > 0.0:
+            return cls()
+        middles = 0.5 * (edges[1:] + edges[:-1])[told]
+        return cls(middles, log * (np.log(_DIFFERS) / spread_of) ** 2)
+
+
+def with_noise(track: Track, noise: NoiseByPlace, place: Array) -> Track:
+    """The track with this noise at its frames' places (n,)."""
+    return replace(track, sigma=track.sigma * noise.times(place))
 
 
 def rounding_step(y: Array) -> float:

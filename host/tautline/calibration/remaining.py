@@ -12,7 +12,7 @@ from scipy.interpolate import make_smoothing_spline
 from scipy.optimize import isotonic_regression
 
 from tautline.calibration.beside import FittedEffects
-from tautline.calibration.observations import Track, noise_over_usual
+from tautline.calibration.observations import NoiseByPlace, Track, with_noise
 from tautline.calibration.place import as_many_as_independent
 from tautline.calibration.playfit import Curves, Fitted, PlayFit, View
 from tautline.calibration.simulated_track import PreparedTrack
@@ -41,6 +41,7 @@ class Remaining:
     scale: float  # the same over the stated noise
     notes: tuple[str, ...]
     fitted: Fitted | None = None  # where it was fitted directly
+    noise_times: Array | None = None  # (grid,) the noise where the tip is there over that of all frames, rms
 
 
 def view_of(rig: Rig) -> View:
@@ -96,8 +97,8 @@ def fit_remaining(
     prepared = [PreparedTrack.of(track) for track in tracks]
     effects, values = effects_and_values or (None, np.zeros(0))
     simulated = [f.simulate(grid, width, delay_s, hysteresis, effects, values) for f in prepared]
-    noisier = noise_over_usual(tracks, [s.tip for s in simulated])
-    tracks = [replace(track, sigma=track.sigma * times) for track, times in zip(tracks, noisier, strict=True)]
+    noise = NoiseByPlace.of(tracks, [s.tip for s in simulated])
+    tracks = [with_noise(track, noise, s.tip) for track, s in zip(tracks, simulated, strict=True)]
     prepared = [PreparedTrack.of(track) for track in tracks]
     angles = [pose_of(track, rig, delay_s) for track in tracks]
     count = [s.settled if settled_only else s.known for s in simulated]
@@ -139,7 +140,8 @@ def fit_remaining(
         variance += np.sum((design_on_grid @ _moved_by(fitted, shared)[: basis.size]) ** 2, axis=1)
     px = float(np.hypot(max(track.tracked_px for track in tracks), _beside_the_path_px(fitted)))
     sigma = np.hypot(np.sqrt(variance), tracked_deg(px, rig, lawful))
-    return Remaining(lawful, sigma, _rms(fitted, tracks), fitted.scale, tuple(notes), fitted)
+    times = noise.times(grid) / np.sqrt(np.mean(noise.times(counted) ** 2))
+    return Remaining(lawful, sigma, _rms(fitted, tracks), fitted.scale, tuple(notes), fitted, times)
 
 
 def carried_on(curve: Array, grid: Array, low: float, high: float) -> Array:
@@ -200,12 +202,14 @@ class _FixedWidth(PlayFit):
 
 
 def _rms(fitted: Fitted, tracks: Sequence[Track]) -> float:
-    """rms residual per coordinate, px or deg, outliers cut at _STRAY medians; 0 without frames."""
-    rows = zip(tracks, fitted.residuals, fitted.masks, strict=True)
-    off = np.concatenate([np.sqrt(np.mean((r[m] * track.sigma[m, None]) ** 2, axis=1)) for track, r, m in rows])
+    """rms residual per coordinate, px or deg, outliers over their noise cut at _STRAY medians; 0 without frames."""
+    off = np.concatenate(
+        [np.sqrt(np.mean(r[m] ** 2, axis=1)) for r, m in zip(fitted.residuals, fitted.masks, strict=True)]
+    )
+    sigma = np.concatenate([track.sigma[m] for track, m in zip(tracks, fitted.masks, strict=True)])
     if not len(off):
         return 0.0
-    return float(np.sqrt(np.mean(np.minimum(off, _STRAY * float(np.median(off))) ** 2)))
+    return float(np.sqrt(np.mean((np.minimum(off, _STRAY * float(np.median(off))) * sigma) ** 2)))
 
 
 def monotone(curve: Array, grid: Array, falling: bool, least_slope: float) -> Array:

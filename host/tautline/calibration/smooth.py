@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from tautline.calibration.backlash import WidthCurve
 from tautline.calibration.beforehand import Beforehand
-from tautline.calibration.observations import Mask, Track, noise_over_usual
+from tautline.calibration.observations import Mask, NoiseByPlace, Track, with_noise
 from tautline.calibration.playfit import Curves, Fitted, PlayFit
 from tautline.calibration.simulated_track import PreparedTrack
 from tautline.splines import Basis
@@ -51,9 +51,10 @@ def prepare_tracks(tracks: Sequence[Track], delay_s: float) -> list[PreparedTrac
     total = sum(len(track.t_s) for track in tracks)
     stride = max(1, -(-total // _MOST_FRAMES))
     prepared = []
-    noisier = noise_over_usual(tracks, [track.motor_at(track.scene_s(delay_s)) for track in tracks])
-    for track, times in zip(tracks, noisier, strict=True):
-        track = replace(track, sigma=track.sigma * times)
+    places = [track.motor_at(track.scene_s(delay_s)) for track in tracks]
+    noise = NoiseByPlace.of(tracks, places)
+    for track, place in zip(tracks, places, strict=True):
+        track = with_noise(track, noise, place)
         use: Mask = track.at_reference(track.scene_s(delay_s), reference)
         if stride > 1:
             use &= np.arange(len(use)) % stride == 0

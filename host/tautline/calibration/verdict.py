@@ -286,6 +286,7 @@ def _uncertainty(found: Measured) -> Uncertainty:
     by_delay = joint_fit.width_by_delay if joint_fit is not None and found.source == JOINT else None
     return Uncertainty(
         noise=max(left, default=None),
+        noise_times=None if found.remaining is None else found.remaining.noise_times,
         delay_sigma_s=finite(found.delay.sigma_s),
         width_by_delay=by_delay,
         tracked_px=max(track.tracked_px for track in found.tracks),
