@@ -29,13 +29,11 @@ def without_held_places(
     joint_fit = fit_jointly(prepare_tracks(on_one_curve(), delay_s), domain, delay_s, fit_delay=False)
     if joint_fit is None:
         return list(tracks)
-    kept = []
+    kept, limit = [], _OFF * max(joint_fit.scale, 1.0)
     fitted = zip(joint_fit.fit.tracks, joint_fit.residuals, strict=True)
     for track, places, (prepared, rows) in zip(tracks, runs, fitted, strict=True):
         off = np.zeros(len(track.t_s), dtype=bool)  # of those without a pose nothing is known
-        off[np.isin(track.t_s, prepared.track.t_s)] = np.sqrt(np.mean(rows**2, axis=1)) > _OFF * max(
-            joint_fit.scale, 1.0
-        )
+        off[np.isin(track.t_s, prepared.track.t_s)] = np.sqrt(np.mean(rows**2, axis=1)) > limit
         held: Mask = np.zeros(len(track.t_s), dtype=bool)
         for run in places:
             held[run] = off[run].any()

@@ -282,6 +282,11 @@ class NoiseByPlace:
     places: Array = field(default_factory=lambda: np.zeros(1))  # (m,) rising, unit of q
     log_times: Array = field(default_factory=lambda: np.zeros(1))  # (m,)
 
+    @property
+    def differs(self) -> bool:
+        """Whether it is another one from place to place."""
+        return len(self.places) > 1
+
     def times(self, place: Array) -> Array:
         """(n,) at places (n,); as at the last one beyond either end."""
         return np.asarray(np.exp(np.interp(place, self.places, self.log_times)))

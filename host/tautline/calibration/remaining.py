@@ -41,7 +41,7 @@ class Remaining:
     scale: float  # the same over the stated noise
     notes: tuple[str, ...]
     fitted: Fitted | None = None  # where it was fitted directly
-    noise_times: Array | None = None  # (grid,) the noise where the tip is there over that of all frames, rms
+    noise_times: Array | None = None  # (grid,) of the noise where the tip is there, over its rms; None: one noise
 
 
 def view_of(rig: Rig) -> View:
@@ -140,7 +140,7 @@ def fit_remaining(
         variance += np.sum((design_on_grid @ _moved_by(fitted, shared)[: basis.size]) ** 2, axis=1)
     px = float(np.hypot(max(track.tracked_px for track in tracks), _beside_the_path_px(fitted)))
     sigma = np.hypot(np.sqrt(variance), tracked_deg(px, rig, lawful))
-    times = noise.times(grid) / np.sqrt(np.mean(noise.times(counted) ** 2))
+    times = noise.times(grid) / np.sqrt(np.mean(noise.times(counted) ** 2)) if noise.differs else None
     return Remaining(lawful, sigma, _rms(fitted, tracks), fitted.scale, tuple(notes), fitted, times)
 
 
