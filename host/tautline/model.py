@@ -126,6 +126,9 @@ class Uncertainty:
         tables += [table for table in (found.width_by_delay, found.noise_times) if table is not None]
         if any(table.shape != (nodes,) or not np.isfinite(table).all() for table in tables):
             raise ValueError(f"tables of what is uncertain have other than {nodes} finite values")
+        numbers = [v for v in (found.noise, found.delay_sigma_s, found.tracked_px) if v is not None]
+        if not all(np.isfinite(v) and v >= 0.0 for v in numbers) or (times is not None and min(times) <= 0.0):
+            raise ValueError("what is uncertain is negative or infinite")
         return found
 
 
@@ -262,8 +265,7 @@ class Model(Value):
             friction = None if document.get("friction") is None else Friction.from_json(document["friction"])
             sensor = document.get("sensor")
             place = None if document.get("place") is None else Place.from_json(document["place"])
-            earlier = extra | {"noise": extra.get("evidence", {}).get("residual")}  # until 2026-11-27 all stood there
-            uncertainty = Uncertainty.from_json(document.get("uncertainty", earlier), len(q))
+            uncertainty = Uncertainty.from_json(document.get("uncertainty") or _of_before(extra), len(q))
             load_mNm = float(document.get("load_reference_mNm", extra.get("load_reference_mNm", 0.0)))
             source = document.get("simulator", extra.get("simulator"))
             simulator = None if source is None else dict(source)
@@ -303,6 +305,14 @@ class Model(Value):
             load_mNm,
             simulator,
         )
+
+
+def _of_before(extra: Mapping[str, Any]) -> dict[str, Any]:
+    """The uncertainty of a model that was written before 2026-11-27, when it stood among what the report shows."""
+    evidence, by_delay = extra.get("evidence", {}), extra.get("width_by_delay")
+    left = [value for name in ("residual", "error") if (value := evidence.get(name)) is not None and value > 0.0]
+    whole = by_delay if by_delay is not None and None not in by_delay else None
+    return {**extra, "noise": max(left, default=None), "width_by_delay": whole}
 
 
 def is_backlash_table(grid: Array, width: Array) -> bool:

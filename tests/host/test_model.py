@@ -1,6 +1,7 @@
 """A model is a folder, and a simulation."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -52,7 +53,8 @@ def damaged(document: dict, key: str, value: object) -> dict:
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("noise", "much"), ("noise_times", [1.0]), ("width_by_delay", [1.0]), ("deviations", [[{}]]), ("deviations", 3),
+        ("noise", "much"), ("noise", -1.0), ("tracked_px", float("inf")), ("noise_times", [0.0] * 25),
+        ("noise_times", [1.0]), ("width_by_delay", [1.0]), ("deviations", [[{}]]), ("deviations", 3),
         ("discrepancy", {"sigma": 1.0, "white": 0.1, "inputs": [1.0], "lengths": [1.0]}),
         ("discrepancy", {"sigma": 1.0, "white": 0.1, "inputs": [[1.0]], "lengths": [0.0]}),
     ],
@@ -73,10 +75,14 @@ def test_a_model_of_before_has_its_uncertainty(tmp_path):
     document = json.loads(path.read_text())
     moved = {name: document.pop(name) for name in ("uncertainty", "load_reference_mNm", "simulator")}
     told = moved.pop("uncertainty")
-    document["extra"] = moved | told | {"evidence": {"residual": told.pop("noise")}}
+    del told["noise_times"]  # it knew of none
+    document["extra"] = moved | told | {"evidence": {"residual": 0.03, "error": told.pop("noise")}}
     path.write_text(json.dumps(document))
     again = Model.load(tmp_path)
-    assert same(again.uncertainty, model.uncertainty)
+    assert same(again.uncertainty, replace(model.uncertainty, noise_times=None))
+    document["extra"]["width_by_delay"] = [None, *told["width_by_delay"][1:]]
+    path.write_text(json.dumps(document))
+    assert Model.load(tmp_path).uncertainty.width_by_delay is None
     assert again.load_reference_mNm == model.load_reference_mNm
 
 

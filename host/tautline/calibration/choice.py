@@ -201,7 +201,7 @@ class Choice:
 
     def measured(self, curve: WidthCurve | None, joint_fit: Fitted | None, source: str) -> tuple[float, float]:
         """The lowest and highest position at which B was measured: of onsets; where none or one place showed any, of
-        the counted frames if B is from them; else that place, or the range's middle, twice."""
+        the counted frames if B is from them; else the range's middle, twice."""
         if curve is not None and (source == ONSETS or curve.measured[0] < curve.measured[1]):
             return curve.measured
         if joint_fit is not None and source in (JOINT, PASSES):

@@ -34,7 +34,11 @@ _EXACT = 1e-9  # tolerance: of the range: a difference of binary numbers
 _FEW = 20  # tolerance: frames below which nothing is told of a motion
 _PARTS = 12  # tolerance: of the range, in each of which noise may be another
 _DIFFERS = 2.0  # prior: times by which noise differs from part to part, where it does
-_ERROR_OF_LOG = 1.5  # equation: of the logarithm of a median of third differences, times the root of their number
+_FIFTH = 252.0  # equation: squares of 1, 5, 10, 10, 5, 1
+# Of the rms over 1 or 2 coordinates of fifth differences of unit noise: its median (of chi square), and the standard
+# deviation of that median's logarithm, times the root of their number (by simulation: neighbours are alike).
+_MEDIAN = {1: 0.6745, 2: 0.8326}  # equation
+_ERROR_OF_LOG = {1: 1.65, 2: 1.06}  # equation
 _WORLD_DEG = 8.0  # prior: of a wall that a tip sees breathe, as a square that is followed is in an endoscope's picture
 _STILL_MM, _STILL_DEG = 0.02, 0.05  # tolerance: other degrees of freedom that stay within this do not move
 
@@ -257,7 +261,7 @@ def noise_of(t: Array, y: Array, least: float) -> float:
     px, 0.01 deg) of fewer than 8 frames."""
     if len(t) < 8:
         return max(least, 0.05 if y.shape[1] == 2 else 0.01)
-    runs = _even_runs(t)
+    runs = _even_runs(t, 3)
     third = np.diff(y, 3, axis=0)
     third = third[runs] if runs.sum() >= 8 else third
     step = rounding_step(y)
@@ -268,16 +272,17 @@ def noise_of(t: Array, y: Array, least: float) -> float:
     return float(max(of_one, spread.of_rounding(step), least))
 
 
-def _even_runs(t: Array) -> Mask:
-    """(n - 3,) whether the three gaps from each frame on are a usual one."""
+def _even_runs(t: Array, count: int) -> Mask:
+    """(n - count,) whether the `count` gaps from each frame on are a usual one each."""
     gaps = np.diff(t)
-    even: Mask = np.abs(gaps - np.median(gaps)) < 0.25 * np.median(gaps)
-    return even[:-2] & even[1:-1] & even[2:]
+    even = np.abs(gaps - np.median(gaps)) < 0.25 * np.median(gaps)
+    return np.asarray(sliding_window_view(even, count).all(axis=1))
 
 
 @dataclass(frozen=True)
 class NoiseByPlace:
-    """By how many times the noise is more than the usual one, linear in its logarithm between places."""
+    """How many times the noise that the tracks state it is, linear in its logarithm between places. One place: it is
+    as they state."""
 
     places: Array = field(default_factory=lambda: np.zeros(1))  # (m,) rising, unit of q
     log_times: Array = field(default_factory=lambda: np.zeros(1))  # (m,)
@@ -293,37 +298,40 @@ class NoiseByPlace:
 
     @classmethod
     def of(cls, tracks: Sequence[Track], places: Sequence[Array]) -> Self:
-        """Of tracks whose frames are at places (n,) each, unit of q: by third differences in _PARTS parts of the range.
-        One noise where that is likelier than one which differs by a factor of _DIFFERS from part to part."""
+        """Of tracks whose frames are at places (n,) each, unit of q: by fifth differences, in which a fast motion shows
+        less than in third ones, in _PARTS parts of the range. As stated where one noise is likelier than one which
+        differs by a factor of _DIFFERS from part to part."""
         rows = []
         for track, place in zip(tracks, places, strict=True):
             if len(track.t_s) >= 8 and track.step == 0.0:
-                third = np.diff(track.y, 3, axis=0) / track.sigma[3:, None]
-                size = np.sqrt(np.mean(third**2, axis=1))
-                rows.append(np.column_stack([0.5 * (place[1:-2] + place[2:-1]), size])[_even_runs(track.t_s)])
+                fifth = np.diff(track.y, 5, axis=0) / (np.sqrt(_FIFTH) * track.sigma[5:, None])
+                even = _even_runs(track.t_s, 5)
+                middle = 0.5 * (place[2:-3] + place[3:-2])
+                rows.append(np.column_stack([middle, np.sqrt(np.mean(fifth**2, axis=1))])[even])
         if not sum(map(len, rows)):
             return cls()
         at, size = np.concatenate(rows).T
+        channels = tracks[0].y.shape[1]
         edges = np.linspace(at.min(), at.max(), _PARTS + 1)
         part = np.digitize(at, edges[1:-1])
         frames = np.bincount(part, minlength=_PARTS)
         told = np.flatnonzero(frames >= _FEW)
         if len(told) < 2:
             return cls()
-        log = np.log([max(float(np.median(size[part == k])), 1e-12) for k in told])
-        error = _ERROR_OF_LOG / np.sqrt(frames[told])
-        log -= np.sum(log / error**2) / np.sum(error**-2)
-        spread_of = np.hypot(error, np.log(_DIFFERS))
-        gain = 0.5 * ((log / error) ** 2 - (log / spread_of) ** 2) - np.log(spread_of / error)
+        log = np.log([max(float(np.median(size[part == k])) / _MEDIAN[channels], 1e-12) for k in told])
+        error = _ERROR_OF_LOG[channels] / np.sqrt(frames[told])
+        mean = float(np.sum(log / error**2) / np.sum(error**-2))
+        off, spread_of = log - mean, np.hypot(error, np.log(_DIFFERS))
+        gain = 0.5 * ((off / error) ** 2 - (off / spread_of) ** 2) - np.log(spread_of / error)
         if not gain.sum() > 0.0:
             return cls()
         middles = 0.5 * (edges[1:] + edges[:-1])[told]
-        return cls(middles, log * (np.log(_DIFFERS) / spread_of) ** 2)
+        return cls(middles, mean + off * (np.log(_DIFFERS) / spread_of) ** 2)
 
 
 def with_noise(track: Track, noise: NoiseByPlace, place: Array) -> Track:
-    """The track with this noise at its frames' places (n,)."""
-    return replace(track, sigma=track.sigma * noise.times(place))
+    """The track with this noise at its frames' places (n,); one that rounds as it is."""
+    return track if track.step > 0.0 else replace(track, sigma=track.sigma * noise.times(place))
 
 
 def rounding_step(y: Array) -> float:

@@ -267,9 +267,14 @@ def _with_timing_errors(onset: Onset, track: Track, delay_sigma: float, resoluti
     where none was found, inf), and by the rounding of the turn to a count of the encoder (resolution, unit of q)."""
     if not np.isfinite(onset.sigma):
         return onset
-    late = motor_speed(onset, track) * min(delay_sigma, NOMINAL_S)
+    late = motor_speed(onset, track) * known_to(delay_sigma)
     extra = np.hypot(late, of_rounding(resolution))
     return replace(onset, sigma=float(np.hypot(onset.sigma, extra)))
+
+
+def known_to(delay_sigma: float) -> float:
+    """The standard deviation of a delay, s: a nominal one's where it is inf, as none was found."""
+    return delay_sigma if np.isfinite(delay_sigma) else NOMINAL_S
 
 
 def motor_speed(onset: Onset, track: Track) -> float:

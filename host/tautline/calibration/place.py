@@ -106,7 +106,7 @@ class _PathErrors:
     """The counted frames of one track, (n,) all; sensor's unit."""
 
     error: Array  # residual along the path of the tip's image
-    score: Array  # error times the path's slope: its part in the gradient by p
+    score: Array  # its part in the gradient by p: error times the path's slope over the noise's variance
     at: Array  # length of the path up to the frame
     stroke: npt.NDArray[np.int_]  # number of the half-cycle
     moving: npt.NDArray[np.bool_]
@@ -123,7 +123,8 @@ def _errors_along_path(fitted: Fitted, k: int) -> _PathErrors:
     error = np.sum(fitted.residuals[k] * prepared.track.sigma[:, None] * slope, axis=1) / steep * np.sqrt(weight)
     stroke = sim.half_cycle
     at = np.interp(sim.p, *_path_length(sim.p[mask], steep[mask])) if mask.any() else sim.p
-    return _PathErrors(error[mask], (error * steep)[mask], at[mask], stroke[mask], sim.moving[mask])
+    score = error * steep / prepared.track.sigma**2
+    return _PathErrors(error[mask], score[mask], at[mask], stroke[mask], sim.moving[mask])
 
 
 def _path_length(p: Array, steep: Array) -> tuple[Array, Array]:

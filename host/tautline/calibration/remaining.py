@@ -178,7 +178,7 @@ def _beside_the_path_px(fitted: Fitted) -> float:
         use = own > 0.0
         path = fit.slope_in_view(prepared.track, fitted.curves, sim.tip)[use]
         beside = across(off[use] * prepared.track.sigma[use, None], path)
-        rows.append(np.column_stack([sim.tip[use], beside, own[use]]))
+        rows.append(np.column_stack([sim.tip[use], beside, own[use] / prepared.track.sigma[use] ** 2]))
     place, beside, weight = np.concatenate(rows).T
     part = np.digitize(place, np.linspace(fit.follow.low, fit.follow.high, _PARTS + 1)[1:-1])
     moments = (weight, weight * beside, weight * beside**2, weight**2)

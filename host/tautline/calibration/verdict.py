@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.calibration import clock, coverage
-from tautline.calibration.choice import JOINT, ONSETS, PASSES, with_width
+from tautline.calibration.choice import JOINT, NOTHING, ONSETS, PASSES, with_width
 from tautline.calibration.doubts import KNOWN, common_error, component_reasons, still_changing
 from tautline.calibration.measured_doubts import doubt_onsets_and_remaining, doubt_place
 from tautline.calibration.measuring import Measured
 from tautline.calibration.observations import usual_width
-from tautline.calibration.onset import NOMINAL_S, Delay, motor_speed
+from tautline.calibration.onset import Delay, known_to, motor_speed
 from tautline.calibration.remaining import pose_of
 from tautline.calibration.result import Calibration, finite, foretold, onset_json
 from tautline.calibration.smooth import overlap
@@ -146,7 +146,7 @@ def _judge(found: Measured, predictions: Worth | None, extent: _Extent) -> None:
     found.findings.judge(holds)
     if not holds and found.camera:
         found.findings.reasons += clock.delay_jumps(found.tracks, found.rig)
-    if extent.inside.any():
+    if found.source != NOTHING:
         _doubt_sigma(found, extent, holds)
 
 
@@ -216,7 +216,7 @@ def _complete_sigma(found: Measured, extent: _Extent) -> Array:
     sigma = np.hypot(np.hypot(found.sigma, floor), 0.0 if known else 0.5 * beyond)
     if found.source == ONSETS:  # which are late alike
         speeds = [motor_speed(onset, found.tracks[onset.track]) for onset in with_width(found.onsets)]
-        late = float(np.median(speeds)) * min(found.delay.sigma_s, NOMINAL_S) if speeds else 0.0
+        late = float(np.median(speeds)) * known_to(found.delay.sigma_s) if speeds else 0.0
         sigma = np.hypot(sigma, late)
     elif found.joint_fit is not None:
         one_way = found.choice.sigma_where_passed_one_way(found.joint_fit, found.width, inside)
