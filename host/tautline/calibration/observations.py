@@ -305,21 +305,21 @@ class NoiseByPlace:
         for track, place in zip(tracks, places, strict=True):
             if len(track.t_s) >= 8 and track.step == 0.0:
                 fifth = np.diff(track.y, 5, axis=0) / (np.sqrt(_FIFTH) * track.sigma[5:, None])
-                even = _even_runs(track.t_s, 5)
-                middle = 0.5 * (place[2:-3] + place[3:-2])
-                rows.append(np.column_stack([middle, np.sqrt(np.mean(fifth**2, axis=1))])[even])
+                even, channels = _even_runs(track.t_s, 5), track.y.shape[1]
+                least = (_LEAST_PX if track.unit == "px" else _LEAST_DEG) / track.sigma[5:]
+                size = np.maximum(np.sqrt(np.mean(fifth**2, axis=1)) / _MEDIAN[channels], least)
+                rows.append(np.column_stack([0.5 * (place[2:-3] + place[3:-2]), size])[even])
         if not sum(map(len, rows)):
             return cls()
         at, size = np.concatenate(rows).T
-        channels = tracks[0].y.shape[1]
         edges = np.linspace(at.min(), at.max(), _PARTS + 1)
         part = np.digitize(at, edges[1:-1])
         frames = np.bincount(part, minlength=_PARTS)
         told = np.flatnonzero(frames >= _FEW)
         if len(told) < 2:
             return cls()
-        log = np.log([max(float(np.median(size[part == k])) / _MEDIAN[channels], 1e-12) for k in told])
-        error = _ERROR_OF_LOG[channels] / np.sqrt(frames[told])
+        log = np.log([float(np.median(size[part == k])) for k in told])
+        error = _ERROR_OF_LOG[tracks[0].y.shape[1]] / np.sqrt(frames[told])
         mean = float(np.sum(log / error**2) / np.sum(error**-2))
         off, spread_of = log - mean, np.hypot(error, np.log(_DIFFERS))
         gain = 0.5 * ((off / error) ** 2 - (off / spread_of) ** 2) - np.log(spread_of / error)
