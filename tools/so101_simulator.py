@@ -7,7 +7,7 @@ what a user writes in an afternoon (a delay, a play of constant width and a poly
 same motion) and, where its packages are installed, by `mujoco.sysid`'s fit of the same MJCF. All in deg rms; `covers`
 is the share of readings inside of a method's own 90 % interval. The floor is what two periods of one motion differ by;
 --every has beside each motion what the play leaves of it where it is fitted to that motion itself, and what one play
-leaves that is fitted to all unseen motions of the joint: hardly any that is the same in all does better on these.
+leaves that is fitted to all unseen motions of the joint: about what such a play can do at best.
 """
 
 from __future__ import annotations

@@ -127,7 +127,9 @@ class Uncertainty:
         if any(table.shape != (nodes,) or not np.isfinite(table).all() for table in tables):
             raise ValueError(f"tables of what is uncertain have other than {nodes} finite values")
         numbers = [v for v in (found.noise, found.delay_sigma_s, found.tracked_px) if v is not None]
-        if not all(np.isfinite(v) and v >= 0.0 for v in numbers) or (times is not None and min(times) <= 0.0):
+        if not all(np.isfinite(v) and v >= 0.0 for v in numbers) or (
+            found.noise_times is not None and (found.noise_times <= 0.0).any()
+        ):
             raise ValueError("what is uncertain is negative or infinite")
         return found
 

@@ -8,13 +8,13 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 NINE_OF_TEN = 1.645  # equation: standard deviations of a normal distribution, either way, that hold 90 %
-_MEDIAN = 0.6745  # equation: of a normal variable's size, in standard deviations
+MEDIAN = 0.6745  # equation: of a normal variable's size, in standard deviations
 _MEDIAN2 = 0.4549364  # equation: of a chi-squared variable's of one degree of freedom
 
 
 def deviation(values: Array) -> float:
     """One standard deviation of normal values about 0, (n,) or any shape, by the median of their sizes."""
-    return float(np.median(np.abs(values))) / _MEDIAN
+    return float(np.median(np.abs(values))) / MEDIAN
 
 
 def deviation_of_squares(squares: Array) -> float:

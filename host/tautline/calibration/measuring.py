@@ -42,6 +42,7 @@ from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, prepare
 from tautline.calibration.wandering import allowing_for_wander
 from tautline.calibration.worth import PREDICTS
 from tautline.diagnosis import start
+from tautline.effects import OWNER
 from tautline.effects.library.rate_dependent_backlash import added_width
 from tautline.elements import SINGLE, Elements, Hysteresis
 from tautline.errors import TautError
@@ -59,7 +60,7 @@ _HELD = 0.5  # prior: of the power that one element leaves beyond noise: what se
 _OF_SENSORS = frozenset({"turn", "tracker"})  # departures that no effect of the library looks like
 _OF_ELEMENTS = frozenset({"phase.even", "image.side"})  # departures that several elements, or their number, stand for
 _GRADUAL_START = "transmission.smooth_onset"  # the effect that several elements are
-_RATE = "transmission.rate_dependent_backlash"
+_RATE = OWNER["width_per_speed"].id
 _SLOWEST = 0.1  # tolerance: of the frames: slower than these nothing tells the law of the speed
 _BETWEEN_ELEMENTS = 0.003  # prior: of B: what elements of a few shares leave, alike on every stroke
 

@@ -37,7 +37,7 @@ _DIFFERS = 2.0  # prior: times by which noise differs from part to part, where i
 _FIFTH = 252.0  # equation: squares of 1, 5, 10, 10, 5, 1
 # Of the rms over 1 or 2 coordinates of fifth differences of unit noise: its median (of chi square), and the standard
 # deviation of that median's logarithm, times the root of their number (by simulation: neighbours are alike).
-_MEDIAN = {1: 0.6745, 2: 0.8326}  # equation
+_MEDIAN = {1: spread.MEDIAN, 2: 0.8326}  # equation
 _ERROR_OF_LOG = {1: 1.65, 2: 1.06}  # equation
 _WORLD_DEG = 8.0  # prior: of a wall that a tip sees breathe, as a square that is followed is in an endoscope's picture
 _STILL_MM, _STILL_DEG = 0.02, 0.05  # tolerance: other degrees of freedom that stay within this do not move
@@ -188,7 +188,7 @@ def _track(recording: Recording, path: MotorPath, unit: str, t: Array, y: Array,
     fresh = not_held(y)
     held = int(np.sum(~fresh))
     t, y, given = t[fresh], y[fresh], None if given is None else given[fresh]
-    noise = noise_of(t, y, _LEAST_PX if unit == "px" else _LEAST_DEG)
+    noise = noise_of(t, y, _least(unit))
     if given is not None and len(t) and (np.isfinite(given) & (given > 0)).any():
         good = np.isfinite(given) & (given > 0)
         stated = float(np.median(given[good]))
@@ -255,6 +255,11 @@ def _running_median(values: Array, size: int) -> Array:
     return np.asarray(np.median(sliding_window_view(np.pad(values, beyond, mode="edge"), size, axis=0), axis=-1))
 
 
+def _least(unit: str) -> float:
+    """The least noise that a sensor is taken to have, in its unit."""
+    return _LEAST_PX if unit == "px" else _LEAST_DEG
+
+
 def noise_of(t: Array, y: Array, least: float) -> float:
     """Standard deviation of white noise per coordinate, from third differences (a smooth motion has next to none)
     between frames at equal steps; never less than a quantised sensor's step / sqrt(12) or `least`. A usual one (0.05
@@ -306,7 +311,7 @@ class NoiseByPlace:
             if len(track.t_s) >= 8 and track.step == 0.0:
                 fifth = np.diff(track.y, 5, axis=0) / (np.sqrt(_FIFTH) * track.sigma[5:, None])
                 even, channels = _even_runs(track.t_s, 5), track.y.shape[1]
-                least = (_LEAST_PX if track.unit == "px" else _LEAST_DEG) / track.sigma[5:]
+                least = _least(track.unit) / track.sigma[5:]
                 size = np.maximum(np.sqrt(np.mean(fifth**2, axis=1)) / _MEDIAN[channels], least)
                 rows.append(np.column_stack([0.5 * (place[2:-3] + place[3:-2]), size])[even])
         if not sum(map(len, rows)):

@@ -117,8 +117,8 @@ def _predictions(found: Measured, model: Model) -> Worth | None:
 def _judge(found: Measured, predictions: Worth | None, extent: _Extent) -> None:
     """The reasons for the verdict: good where the model predicts blocks that the fit has not seen to within the noise
     and nothing still changes (`holds`), and B is known (judged last). What departs, scatters or is hidden says why it
-    is not, and else is worth knowing.
-    predictions: None where nothing could be predicted; found.sigma: with all that is uncertain."""
+    is not, and else is worth knowing. predictions: None where nothing could be predicted; found.sigma: with all that is
+    uncertain."""
     components, frames = found.components, sum(len(track.t_s) for track in found.tracks)
     predicts = predictions is None or predictions.predicts
     holds = predicts and (components is None or float(np.hypot(1.0, still_changing(components))) <= PREDICTS)
