@@ -88,6 +88,19 @@ def test_nothing_is_called_nothing():
     assert document["gap"]["after"] == document["gap"]["before"] and document["gap"]["shrink"] == 0.0
 
 
+def test_another_blob_that_is_followed_for_a_while_says_nothing_of_the_tip():
+    """Two reflections and the law of the whole: without them left out it is unknown."""
+    calibration, test = recordings({"lag": 0.08})[:2]
+    px = np.column_stack([test.marker.u_px, test.marker.v_px])
+    for begin, frames, away in ((150, 30, (60.0, -35.0)), (len(px) - 150, 12, (-25.0, -70.0))):
+        here = slice(begin, begin + frames)
+        px[here] = 0.6 * px[here] + 0.4 * px.mean(axis=0) + away
+    marker = replace(test.marker, u_px=px[:, 0], v_px=px[:, 1])
+    found = diagnose(true_model(), calibration, [replace(test, marker=marker)])
+    assert [finding.id for finding in found.findings] == ["transmission.lag"]
+    assert found.gap.after < 1.2 * NOISE
+
+
 @pytest.mark.parametrize(
     "parameters",
     some(

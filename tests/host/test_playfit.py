@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tautline.calibration.observations import noise_of, observe
+from tautline.calibration.observations import observe
 from tautline.calibration.playfit import Curves, PlayFit
 from tautline.calibration.remaining import monotone, view_of
 from tautline.calibration.simulated_track import PreparedTrack
+from tautline.core.samples import noise_of
 from tautline.encoder import between_counts
 from tautline.geometry import project
 from tautline.model import allowed_width, is_backlash_table

@@ -14,9 +14,10 @@ import tautline as tl
 from tautline import trajectory
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.hinge import fit_jump
-from tautline.calibration.observations import NoiseByPlace, Track, noise_of
+from tautline.calibration.observations import NoiseByPlace, Track
 from tautline.calibration.result import Calibration
 from tautline.core.motor import MotorPath
+from tautline.core.samples import noise_of
 from tautline.prediction import predict_with_sigma
 from tautline.recording import Angle, Marker, Motor, Recording, Video
 from tautline.simulated import simulate

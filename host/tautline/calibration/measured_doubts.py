@@ -30,7 +30,7 @@ def doubt_onsets_and_remaining(found: Measured) -> None:
     if found.options.beforehand is not None:
         found.findings.notes.append("B(q) was known beforehand, from other robots: these recordings add to it")
     if stray := sum(track.stray for track in found.tracks):
-        found.findings.notes.append(f"{stray} frames show the marker elsewhere for a moment: left out")
+        found.findings.notes.append(f"{stray} frames show the marker elsewhere for a while: left out")
     if not onsets:
         found.findings.doubt(
             "coverage", "the motor never turned back", "move back and forth by more than B", fatal=True

@@ -8,11 +8,11 @@ from typing import Self
 
 import numpy as np
 import numpy.typing as npt
-from numpy.lib.stride_tricks import sliding_window_view
 
 from tautline import _native, geometry, spread
 from tautline.calibration.sway import play_paths, probability_of_rest
 from tautline.core.motor import MotorPath
+from tautline.core.samples import even_runs, least_noise, least_step, noise_of, rounding_step, strays
 from tautline.core.session import SessionClock
 from tautline.encoder import reading_noise, smoothed_away
 from tautline.errors import TautError
@@ -22,15 +22,10 @@ from tautline.rig import ANGLE, MARKER, Rig, Sensor
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-_LEAST_PX, _LEAST_DEG = 1e-3, 1e-4  # tolerance: noise is never taken to be less
 _DOUBTFUL = 3.0  # prior: frames of so many times the usual stated noise do not count
-_STRAY = 12.0  # prior: sigma, beside four usual steps, from which a lone frame is a false sighting
 _RESOLVED = 4.0  # prior: times the least steps that a sensor shows: beyond, repeated values are no matter of resolution
 _HELD, _FEWEST_RUNS = 0.25, 8  # prior: share of values that are repeated then, and how many must be seen
 LITTLE = 1e-3  # tolerance: of the range: a motion or a width of less is next to none
-_LEVELS = 0.5  # prior: different values for each frame, below which a sensor rounds
-_CORNERS = 6.0  # prior: of usual third differences: more is a turn's or a stray's
-_EXACT = 1e-9  # tolerance: of the range: a difference of binary numbers
 _FEW = 20  # tolerance: frames below which nothing is told of a motion
 _PARTS = 12  # tolerance: of the range, in each of which noise may be another
 _DIFFERS = 2.0  # prior: times by which noise differs from part to part, where it does
@@ -54,7 +49,7 @@ class Track:
     y: Array  # (n, 2) px or (n, 1) deg
     sigma: Array  # (n,) noise of y, per coordinate
     motor_noise: float = 0.0  # of the motor's readings, unit of q, that was smoothed away
-    stray: int = 0  # frames left out because they show the marker elsewhere for a moment
+    stray: int = 0  # frames left out because they show the marker elsewhere for a while
     held: int = 0  # left out because the sensor repeated the value before
     session_s: float = 0.0  # added to its times to get the session's
     shown: Shown | None = None  # what was followed where it is no marker
@@ -188,7 +183,7 @@ def _track(recording: Recording, path: MotorPath, unit: str, t: Array, y: Array,
     fresh = not_held(y)
     held = int(np.sum(~fresh))
     t, y, given = t[fresh], y[fresh], None if given is None else given[fresh]
-    noise = noise_of(t, y, _least(unit))
+    noise = noise_of(t, y, least_noise(unit))
     if given is not None and len(t) and (np.isfinite(given) & (given > 0)).any():
         good = np.isfinite(given) & (given > 0)
         stated = float(np.median(given[good]))
@@ -197,7 +192,7 @@ def _track(recording: Recording, path: MotorPath, unit: str, t: Array, y: Array,
         t, y = t[keep], y[keep]
         noise = stated if 0.6 < noise / stated < 1.6 else noise
     noise = max(noise, 1e-9)
-    stray = strays(y, noise)
+    stray = strays(path, t, y, noise)
     t, y = t[~stray], y[~stray]
     sigma = np.full(len(t), noise)
     step = rounding_step(y)
@@ -217,7 +212,7 @@ def not_held(y: Array) -> Mask:
     step = np.linalg.norm(y[changes] - y[changes - 1], axis=1)
     runs = np.diff(changes)  # of the value that changes[i] began
     levels = np.unique(y[:, 0])
-    resolution = _least_step(levels) if len(levels) > 1 else np.inf
+    resolution = least_step(levels) if len(levels) > 1 else np.inf
     moves = np.minimum(step[:-1], step[1:]) > _RESOLVED * resolution
     if moves.sum() < _FEWEST_RUNS or np.mean(runs[moves] > 1) < _HELD:
         return fresh
@@ -228,60 +223,6 @@ def not_held(y: Array) -> Mask:
     since, left = row - edges[run], edges[run + 1] - row
     anew: Mask = (since == 0) | ((since % hold == 0) & (left >= hold))
     return anew
-
-
-def strays(y: Array, sigma: float) -> Mask:
-    """Frames (n,) at which y (n, channels) is elsewhere for one or two frames only: far from the median of five frames,
-    by noise and by how the tip moves at that time. A jump that stays is none, nor is any motion that goes one way. They
-    are looked for again among those that are left until there are none: several close together look like motion."""
-    stray = np.zeros(len(y), dtype=bool)
-    kept = np.arange(len(y))
-    while len(kept) >= 5:
-        left = y[kept]
-        away = np.linalg.norm(left - _running_median(left, 5), axis=1)
-        step = np.linalg.norm(np.diff(left, axis=0), axis=1)
-        usual = _running_median(np.append(step, step[-1]), 9)
-        further = away > _STRAY * sigma + 4.0 * usual
-        if not further.any():
-            break
-        stray[kept[further]] = True
-        kept = kept[~further]
-    return stray
-
-
-def _running_median(values: Array, size: int) -> Array:
-    """Medians of each `size` (odd) neighbours along the first axis, same shape; ends are continued by their value."""
-    beyond = [(size // 2, size // 2)] + [(0, 0)] * (values.ndim - 1)
-    return np.asarray(np.median(sliding_window_view(np.pad(values, beyond, mode="edge"), size, axis=0), axis=-1))
-
-
-def _least(unit: str) -> float:
-    """The least noise that a sensor is taken to have, in its unit."""
-    return _LEAST_PX if unit == "px" else _LEAST_DEG
-
-
-def noise_of(t: Array, y: Array, least: float) -> float:
-    """Standard deviation of white noise per coordinate, from third differences (a smooth motion has next to none)
-    between frames at equal steps; never less than a quantised sensor's step / sqrt(12) or `least`. A usual one (0.05
-    px, 0.01 deg) of fewer than 8 frames."""
-    if len(t) < 8:
-        return max(least, 0.05 if y.shape[1] == 2 else 0.01)
-    runs = _even_runs(t, 3)
-    third = np.diff(y, 3, axis=0)
-    third = third[runs] if runs.sum() >= 8 else third
-    step = rounding_step(y)
-    usual = spread.deviation(third)
-    if step > 0.0:  # third differences are whole steps as well, and so is their median
-        usual = float(np.sqrt(np.mean(np.minimum(np.abs(third), _CORNERS * max(usual, step)) ** 2)))
-    of_one = usual / np.sqrt(20.0)  # equation: squares of 1, 3, 3, 1
-    return float(max(of_one, spread.of_rounding(step), least))
-
-
-def _even_runs(t: Array, count: int) -> Mask:
-    """(n - count,) whether the `count` gaps from each frame on are a usual one each."""
-    gaps = np.diff(t)
-    even = np.abs(gaps - np.median(gaps)) < 0.25 * np.median(gaps)
-    return np.asarray(sliding_window_view(even, count).all(axis=1))
 
 
 @dataclass(frozen=True)
@@ -310,8 +251,8 @@ class NoiseByPlace:
         for track, place in zip(tracks, places, strict=True):
             if len(track.t_s) >= 8 and track.step == 0.0:
                 fifth = np.diff(track.y, 5, axis=0) / (np.sqrt(_FIFTH) * track.sigma[5:, None])
-                even, channels = _even_runs(track.t_s, 5), track.y.shape[1]
-                least = _least(track.unit) / track.sigma[5:]
+                even, channels = even_runs(track.t_s, 5), track.y.shape[1]
+                least = least_noise(track.unit) / track.sigma[5:]
                 size = np.maximum(np.sqrt(np.mean(fifth**2, axis=1)) / _MEDIAN[channels], least)
                 rows.append(np.column_stack([0.5 * (place[2:-3] + place[3:-2]), size])[even])
         if not sum(map(len, rows)):
@@ -337,20 +278,6 @@ class NoiseByPlace:
 def with_noise(track: Track, noise: NoiseByPlace, place: Array) -> Track:
     """The track with this noise at its frames' places (n,); one that rounds as it is."""
     return track if track.step > 0.0 else replace(track, sigma=track.sigma * noise.times(place))
-
-
-def rounding_step(y: Array) -> float:
-    """The step of y's first channel, (n, channels), if the sensor rounds: it takes fewer than _LEVELS different values
-    for each frame. Else 0."""
-    levels = np.unique(y[:, 0])
-    return _least_step(levels) if 1 < len(levels) < _LEVELS * len(y) else 0.0
-
-
-def _least_step(levels: Array) -> float:
-    """A low quantile of the steps between neighbouring values of rising levels (n,), 2 or more; not the least, since
-    binary rounding makes two of one value."""
-    apart = np.diff(levels)
-    return float(np.quantile(apart[apart > _EXACT * (levels[-1] - levels[0])], 0.05))
 
 
 def turning_hysteresis(path: MotorPath, resolution: float, span: float) -> float:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.core.motor import MotorPath
+from tautline.core.samples import least_noise, noise_of, strays
 from tautline.core.session import SessionClock
 from tautline.effects import Path
 from tautline.errors import TautError
@@ -123,9 +124,12 @@ def prepare(
     segments = []
     for i, (recording, offset) in enumerate(zip(recordings, SessionClock.of(recordings).offset_s, strict=True)):
         drive = drives[i] if drives else None
-        path = MotorPath.of(recording.motor, model.rig.actuator.encoder_resolution) if drive is None else None
-        motor = path.lines if path else recording.motor
-        times, observed, again = _marker_observations(recording) if by_marker else _angle_observations(recording)
+        if drive is None:
+            path = MotorPath.of(recording.motor, model.rig.actuator.encoder_resolution)
+        else:
+            path = MotorPath(recording.motor, recording.motor)
+        motor = path.lines
+        times, observed, again = (_marker_observations if by_marker else _angle_observations)(recording, path)
         scene = times - model.delay_of(MARKER if by_marker else ANGLE)
         from_s = settled_from(model, recording.motor)
         within = (scene >= from_s) & (scene <= motor.t_s[-1])
@@ -153,26 +157,35 @@ def prepare(
     return segments
 
 
-def _marker_observations(recording: Recording) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+def _marker_observations(recording: Recording, path: MotorPath) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
     """(Arrival times (n,), s; positions of the marker (n, 2), px; which repeat the one before (n,)) where it is
     seen."""
     marker = recording.marker
     assert marker is not None
     good = np.asarray(marker.valid, dtype=bool) & np.isfinite(marker.u_px) & np.isfinite(marker.v_px)
-    observed = np.column_stack([marker.u_px, marker.v_px])[good]
-    return marker.t_s[good], observed, repeated(observed)
+    return _of_tip(path, marker.t_s[good], np.column_stack([marker.u_px, marker.v_px])[good], "px")
 
 
-def _angle_observations(recording: Recording) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+def _angle_observations(recording: Recording, path: MotorPath) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
     """(Arrival times (n,), s; angles (n, 1), deg; which repeat the one before (n,)): at even strides, so that _ANGLES
     to 2 _ANGLES are left."""
     angle = recording.angle
     assert angle is not None
-    times, observed = angle.t_s[angle.seen], angle.c_deg[angle.seen, None]
-    again = repeated(observed)
+    times, observed, again = _of_tip(path, angle.t_s[angle.seen], angle.c_deg[angle.seen, None], "deg")
     stride = max(1, len(times) // _ANGLES)
     # Of those that repeat one and of the others as large a part: a link may repeat as regularly.
     kept = np.sort(np.concatenate([np.flatnonzero(again)[::stride], np.flatnonzero(~again)[::stride]]))
+    return times[kept], observed[kept], again[kept]
+
+
+def _of_tip(path: MotorPath, times: Array, observed: Array, unit: str) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    """(Times (n,), observations (n, k), which repeat the one before (n,)) without those of something else. path: of the
+    motor meanwhile."""
+    again = repeated(observed)
+    fresh = np.flatnonzero(~again)
+    noise = noise_of(times[fresh], observed[fresh], least_noise(unit))
+    kept = np.ones(len(times), dtype=bool)
+    kept[fresh[strays(path, times[fresh], observed[fresh], noise)]] = False
     return times[kept], observed[kept], again[kept]
 
 

@@ -1,0 +1,124 @@
+"""What a sensor's samples say of themselves: their noise, their steps, and which are of something else than the tip."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.spatial import KDTree
+
+from tautline import spread
+from tautline.core.motor import MotorPath
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+_LEAST_PX, _LEAST_DEG = 1e-3, 1e-4  # tolerance: noise is never taken to be less
+_STRAY = 12.0  # prior: sigma, beside usual steps, from which a lone frame is a false sighting
+_STEEP = 4.0  # prior: of these, so many: a law is not as steep everywhere
+_MOST_OF_RANGE = (0.05, 0.95)  # tolerance: quantiles, as some frames are strays
+_FEW = 20  # tolerance: frames below which nothing is told of a motion
+_LEVELS = 0.5  # prior: different values for each frame, below which a sensor rounds
+_CORNERS = 6.0  # prior: of usual third differences: more is a turn's or a stray's
+_EXACT = 1e-9  # tolerance: of the range: a difference of binary numbers
+
+
+def noise_of(t: Array, y: Array, least: float) -> float:
+    """Standard deviation of white noise per coordinate, from third differences (a smooth motion has next to none)
+    between frames at equal steps; never less than a quantised sensor's step / sqrt(12) or `least`. A usual one (0.05
+    px, 0.01 deg) of fewer than 8 frames."""
+    if len(t) < 8:
+        return max(least, 0.05 if y.shape[1] == 2 else 0.01)
+    runs = even_runs(t, 3)
+    third = np.diff(y, 3, axis=0)
+    third = third[runs] if runs.sum() >= 8 else third
+    step = rounding_step(y)
+    usual = spread.deviation(third)
+    if step > 0.0:  # third differences are whole steps as well, and so is their median
+        usual = float(np.sqrt(np.mean(np.minimum(np.abs(third), _CORNERS * max(usual, step)) ** 2)))
+    of_one = usual / np.sqrt(20.0)  # equation: squares of 1, 3, 3, 1
+    return float(max(of_one, spread.of_rounding(step), least))
+
+
+def least_noise(unit: str) -> float:
+    """The least noise that a sensor is taken to have, in its unit."""
+    return _LEAST_PX if unit == "px" else _LEAST_DEG
+
+
+def rounding_step(y: Array) -> float:
+    """The step of y's first channel, (n, channels), if the sensor rounds: it takes fewer than _LEVELS different values
+    for each frame. Else 0."""
+    levels = np.unique(y[:, 0])
+    return least_step(levels) if 1 < len(levels) < _LEVELS * len(y) else 0.0
+
+
+def least_step(levels: Array) -> float:
+    """A low quantile of the steps between neighbouring values of rising levels (n,), 2 or more; not the least, since
+    binary rounding makes two of one value."""
+    apart = np.diff(levels)
+    return float(np.quantile(apart[apart > _EXACT * (levels[-1] - levels[0])], 0.05))
+
+
+def even_runs(t: Array, count: int) -> Mask:
+    """(n - count,) whether the `count` gaps from each frame on are a usual one each."""
+    gaps = np.diff(t)
+    even = np.abs(gaps - np.median(gaps)) < 0.25 * np.median(gaps)
+    return np.asarray(sliding_window_view(even, count).all(axis=1))
+
+
+def strays(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
+    """Frames (n,), at times t (n,), s, at which y (n, channels) is elsewhere for one or two frames: far from the median
+    of five frames, by noise and by how the tip moves at that time. A jump that stays is none, nor is any motion that
+    goes one way. They are looked for again among those that are left until there are none: several close together look
+    like motion. And those at which it is for a while where the tip never is."""
+    stray = np.zeros(len(y), dtype=bool)
+    kept = np.arange(len(y))
+    while len(kept) >= 5:
+        left = y[kept]
+        away = np.linalg.norm(left - _running_median(left, 5), axis=1)
+        step = np.linalg.norm(np.diff(left, axis=0), axis=1)
+        usual = _running_median(np.append(step, step[-1]), 9)
+        further = away > _STRAY * sigma + _STEEP * usual
+        if not further.any():
+            break
+        stray[kept[further]] = True
+        kept = kept[~further]
+    stray[kept[_elsewhere(path, t[kept], y[kept], sigma)]] = True
+    return stray
+
+
+def _elsewhere(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
+    """Frames (n,) between two jumps at which y (n, channels) is where the tip never is: a tracker that was on another
+    blob for a while. A jump is more than the tip goes in a few frames then, and than the motor's quickest makes it go.
+    Most frames are of the tip: the longest runs between jumps that hold half of all. A tip that snaps goes along its
+    path, and is no stray."""
+    away = np.zeros(len(y), dtype=bool)
+    if len(y) < _FEW:
+        return away
+    step, driven = np.linalg.norm(np.diff(y, axis=0), axis=1), path.at(t)
+    usual = _running_median(step, 9)
+    low, high = np.quantile(np.column_stack([y, driven]), _MOST_OF_RANGE, axis=0)
+    if not high[-1] > low[-1]:
+        return away
+    in_a_frame = float(np.abs(path.at(t + np.median(np.diff(t))) - driven).max())
+    quickest = np.linalg.norm((high - low)[:-1]) / (high[-1] - low[-1]) * in_a_frame
+    jumps = np.flatnonzero(step > _STRAY * sigma + _STEEP * np.maximum(usual, quickest)) + 1
+    edges = np.concatenate([[0], jumps, [len(y)]])
+    if len(edges) < 4:
+        return away
+    longest = np.argsort(-np.diff(edges), kind="stable")
+    held = np.cumsum(np.diff(edges)[longest])
+    of_tip = set(longest[: 1 + int(np.searchsorted(held, 0.5 * len(y)))].tolist())
+    runs = [slice(*edges[i : i + 2]) for i in range(len(edges) - 1)]
+    tip = KDTree(np.concatenate([y[runs[i]] for i in sorted(of_tip)]))
+    between = _STRAY * sigma + float(usual.max())  # of its frames, at most
+    for i in range(1, len(runs) - 1):
+        if i not in of_tip:
+            away[runs[i]] = bool(np.median(tip.query(y[runs[i]])[0]) > between)
+    return away
+
+
+def _running_median(values: Array, size: int) -> Array:
+    """Medians of each `size` (odd) neighbours along the first axis, same shape; ends are continued by their value."""
+    beyond = [(size // 2, size // 2)] + [(0, 0)] * (values.ndim - 1)
+    return np.asarray(np.median(sliding_window_view(np.pad(values, beyond, mode="edge"), size, axis=0), axis=-1))
