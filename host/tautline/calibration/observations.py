@@ -12,7 +12,7 @@ import numpy.typing as npt
 from tautline import _native, geometry, spread
 from tautline.calibration.sway import play_paths, probability_of_rest
 from tautline.core.motor import MotorPath
-from tautline.core.samples import even_runs, least_noise, least_step, noise_of, rounding_step, strays
+from tautline.core.samples import FEW, even_runs, least_noise, least_step, noise_of, rounding_step, strays
 from tautline.core.session import SessionClock
 from tautline.encoder import reading_noise, smoothed_away
 from tautline.errors import TautError
@@ -26,7 +26,6 @@ _DOUBTFUL = 3.0  # prior: frames of so many times the usual stated noise do not 
 _RESOLVED = 4.0  # prior: times the least steps that a sensor shows: beyond, repeated values are no matter of resolution
 _HELD, _FEWEST_RUNS = 0.25, 8  # prior: share of values that are repeated then, and how many must be seen
 LITTLE = 1e-3  # tolerance: of the range: a motion or a width of less is next to none
-_FEW = 20  # tolerance: frames below which nothing is told of a motion
 _PARTS = 12  # tolerance: of the range, in each of which noise may be another
 _DIFFERS = 2.0  # prior: times by which noise differs from part to part, where it does
 _FIFTH = 252.0  # equation: squares of 1, 5, 10, 10, 5, 1
@@ -162,7 +161,7 @@ def without_sway(track: Track, rig: Rig, side: float) -> Track:
     """The track, its motion multiplied by the probability that the followed place follows the motor and does not only
     sway (sway.py): the expected motion of the tip. side: size of the followed square, y's unit."""
     low, high = float(track.motor.q.min()), float(track.motor.q.max())
-    if len(track.t_s) < _FEW or not high - low > turning_hysteresis(
+    if len(track.t_s) < FEW or not high - low > turning_hysteresis(
         track.path, rig.actuator.encoder_resolution, rig.actuator.span
     ):
         return track
@@ -261,7 +260,7 @@ class NoiseByPlace:
         edges = np.linspace(at.min(), at.max(), _PARTS + 1)
         part = np.digitize(at, edges[1:-1])
         frames = np.bincount(part, minlength=_PARTS)
-        told = np.flatnonzero(frames >= _FEW)
+        told = np.flatnonzero(frames >= FEW)
         if len(told) < 2:
             return cls()
         log = np.log([float(np.median(size[part == k])) for k in told])

@@ -17,7 +17,8 @@ _LEAST_PX, _LEAST_DEG = 1e-3, 1e-4  # tolerance: noise is never taken to be less
 _STRAY = 12.0  # prior: sigma, beside usual steps, from which a lone frame is a false sighting
 _STEEP = 4.0  # prior: of these, so many: a law is not as steep everywhere
 _MOST_OF_RANGE = (0.05, 0.95)  # tolerance: quantiles, as some frames are strays
-_FEW = 20  # tolerance: frames below which nothing is told of a motion
+_WHILE = 0.1  # prior: share of a recording for which a tracker may be on another blob, at once
+FEW = 20  # tolerance: frames below which nothing is told of a motion
 _LEVELS = 0.5  # prior: different values for each frame, below which a sensor rounds
 _CORNERS = 6.0  # prior: of usual third differences: more is a turn's or a stray's
 _EXACT = 1e-9  # tolerance: of the range: a difference of binary numbers
@@ -93,7 +94,7 @@ def _elsewhere(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
     Most frames are of the tip: the longest runs between jumps that hold half of all. A tip that snaps goes along its
     path, and is no stray."""
     away = np.zeros(len(y), dtype=bool)
-    if len(y) < _FEW:
+    if len(y) < FEW:
         return away
     step, driven = np.linalg.norm(np.diff(y, axis=0), axis=1), path.at(t)
     usual = _running_median(step, 9)
@@ -113,7 +114,7 @@ def _elsewhere(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
     tip = KDTree(np.concatenate([y[runs[i]] for i in sorted(of_tip)]))
     between = _STRAY * sigma + float(usual.max())  # of its frames, at most
     for i in range(1, len(runs) - 1):
-        if i not in of_tip:
+        if i not in of_tip and edges[i + 1] - edges[i] <= _WHILE * len(y):
             away[runs[i]] = bool(np.median(tip.query(y[runs[i]])[0]) > between)
     return away
 
