@@ -118,7 +118,7 @@ class Columns:
         if repeated.size > max(1.0, MAX_REPEATED_TIMES * len(t_s)):
             raise TautError(
                 f"{self.path}, line {self.line(int(repeated[0]))}: t_s repeats in {repeated.size} of {len(t_s)} rows: "
-                "write the times with more digits"
+                "write the times with more digits, or of each row when it was read where several arrive at once"
             )
         keep = np.ones(len(t_s), dtype=bool)
         keep[repeated] = False

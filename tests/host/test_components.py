@@ -120,9 +120,10 @@ def test_another_blob_that_is_followed_for_a_while_is_left_out(seed):
     assert any(note.startswith(f"{elsewhere.sum()} frames show the marker elsewhere") for note in found.notes)
 
 
-@pytest.mark.parametrize("event", ["snaps", "is knocked", "is knocked and put back", "steps"])
+@pytest.mark.parametrize("event", ["snaps", "is knocked", "is knocked and put back", "is lost", "steps"])
 def test_a_tip_that_jumps_is_no_other_blob(event):
-    """It snaps along its path and back, or the camera is knocked and stays so, there and back, or the motor steps."""
+    """It snaps along its path and back, the camera is knocked, or that and put back, frames are missing, or the motor
+    goes in steps."""
     rng, t = np.random.default_rng(5), 0.04 * np.arange(3000)
     q = 4.0 * np.sin(0.5 * t)
     if event == "steps":
@@ -134,6 +135,9 @@ def test_a_tip_that_jumps_is_no_other_blob(event):
     if "knocked" in event:
         px[2200 : 2700 if "back" in event else 3000] += (25.0, 30.0)
     path = MotorPath(Motor(t, q), Motor(t, q))
+    if event == "is lost":
+        seen = np.arange(3000) % 75 < 61
+        t, px = t[seen], px[seen]
     assert not strays(path, t, px, 0.05).any()
     px[510:530] += (10.0, 60.0)
     told = [] if event == "steps" else np.arange(510, 530)  # beside such steps nothing is told

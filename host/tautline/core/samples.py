@@ -91,31 +91,34 @@ def strays(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
 def _elsewhere(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
     """Frames (n,) between two jumps at which y (n, channels) is where the tip never is: a tracker that was on another
     blob for a while. A jump is more than the tip goes in a few frames then, and than the motor's quickest makes it go.
-    Most frames are of the tip: the longest runs between jumps that hold half of all. A tip that snaps goes along its
-    path, and is no stray."""
+    Of the tip are long runs between jumps, and the longest that hold half of all frames. A tip that snaps goes along
+    its path, and is no stray."""
     away = np.zeros(len(y), dtype=bool)
     if len(y) < FEW:
         return away
-    step, driven = np.linalg.norm(np.diff(y, axis=0), axis=1), path.at(t)
-    usual = _running_median(step, 9)
+    driven, gaps = path.at(t), np.diff(t)
     low, high = np.quantile(np.column_stack([y, driven]), _MOST_OF_RANGE, axis=0)
-    if not high[-1] > low[-1]:
+    usual_gap = float(np.median(gaps))
+    if not (high[-1] > low[-1] and usual_gap > 0.0):
         return away
-    in_a_frame = float(np.abs(path.at(t + np.median(np.diff(t))) - driven).max())
-    quickest = np.linalg.norm((high - low)[:-1]) / (high[-1] - low[-1]) * in_a_frame
-    jumps = np.flatnonzero(step > _STRAY * sigma + _STEEP * np.maximum(usual, quickest)) + 1
+    quickest = np.linalg.norm((high - low)[:-1]) / (high[-1] - low[-1]) * np.abs(path.at(t + usual_gap) - driven).max()
+    step = np.linalg.norm(np.diff(y, axis=0), axis=1)
+    usual = _running_median(step, 9)
+    frames = np.maximum(gaps / usual_gap, 1.0)  # that passed, some unseen
+    jumps = np.flatnonzero(step > _STRAY * sigma + _STEEP * frames * np.maximum(usual, quickest)) + 1
     edges = np.concatenate([[0], jumps, [len(y)]])
-    if len(edges) < 4:
+    length = np.diff(edges)
+    longest = np.argsort(-length, kind="stable")
+    most = longest[: 1 + int(np.searchsorted(np.cumsum(length[longest]), 0.5 * len(y)))]
+    unsure = length <= _WHILE * len(y)
+    unsure[most] = unsure[[0, -1]] = False
+    if not unsure.any():
         return away
-    longest = np.argsort(-np.diff(edges), kind="stable")
-    held = np.cumsum(np.diff(edges)[longest])
-    of_tip = set(longest[: 1 + int(np.searchsorted(held, 0.5 * len(y)))].tolist())
-    runs = [slice(*edges[i : i + 2]) for i in range(len(edges) - 1)]
-    tip = KDTree(np.concatenate([y[runs[i]] for i in sorted(of_tip)]))
+    of_tip = KDTree(y[np.repeat(~unsure, length)])
     between = _STRAY * sigma + float(usual.max())  # of its frames, at most
-    for i in range(1, len(runs) - 1):
-        if i not in of_tip and edges[i + 1] - edges[i] <= _WHILE * len(y):
-            away[runs[i]] = bool(np.median(tip.query(y[runs[i]])[0]) > between)
+    for i in np.flatnonzero(unsure):
+        run = slice(edges[i], edges[i + 1])
+        away[run] = bool(np.median(of_tip.query(y[run])[0]) > between)
     return away
 
 
