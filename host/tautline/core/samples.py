@@ -84,7 +84,10 @@ def strays(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
             break
         stray[kept[further]] = True
         kept = kept[~further]
-    stray[kept[_elsewhere(path, t[kept], y[kept], sigma)]] = True
+    t, y = t[kept], y[kept]
+    anew = np.ones(len(y), dtype=bool)  # a place that is held says nothing of what the tip does meanwhile
+    anew[1:] = (y[1:] != y[:-1]).any(axis=1)
+    stray[kept[_elsewhere(path, t[anew], y[anew], sigma)[np.cumsum(anew) - 1]]] = True
     return stray
 
 
