@@ -10,6 +10,7 @@ import numpy as np
 
 from tautline.calibration.observations import Mask, Track
 from tautline.calibration.smooth import Domain, fit_jointly, prepare_tracks
+from tautline.core.samples import repeats
 from tautline.independence import stretches
 
 _RUN = 4  # tolerance: frames at one place from which it may be held
@@ -44,7 +45,7 @@ def without_held_places(
 def _repeated_while_moving(track: Track) -> list[slice]:
     """Slices of frames that each show exactly the place of the frame before; only runs of at least _RUN frames (that
     first one counted) during which the motor moves by more than _MOVES of its span."""
-    same = np.concatenate([[False], (track.y[1:] == track.y[:-1]).all(axis=1)])
+    same = repeats(track.y)
     q, least = track.motor_at(track.t_s), _MOVES * float(np.ptp(track.motor.q))
     runs = [(run, slice(run.start - 1, run.stop)) for run in stretches(same)]  # and with the first of each
     return [run for run, whole in runs if whole.stop - whole.start >= _RUN and np.ptp(q[whole]) > least]

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from tautline import _native, geometry, spread
 from tautline.calibration.sway import play_paths, probability_of_rest
 from tautline.core.motor import MotorPath
-from tautline.core.samples import FEW, even_runs, least_noise, least_step, noise_of, rounding_step, strays
+from tautline.core.samples import FEW, even_runs, least_noise, least_step, noise_of, repeats, rounding_step, strays
 from tautline.core.session import SessionClock
 from tautline.encoder import reading_noise, smoothed_away
 from tautline.errors import TautError
@@ -205,7 +205,7 @@ def not_held(y: Array) -> Mask:
     fresh = np.ones(len(y), dtype=bool)
     if len(y) < 8:
         return fresh
-    changes = np.flatnonzero((y[1:] != y[:-1]).any(axis=1)) + 1
+    changes = np.flatnonzero(~repeats(y))[1:]
     if len(changes) == len(y) - 1 or len(changes) < 4:
         return fresh
     step = np.linalg.norm(y[changes] - y[changes - 1], axis=1)

@@ -60,6 +60,13 @@ def least_step(levels: Array) -> float:
     return float(np.quantile(apart[apart > _EXACT * (levels[-1] - levels[0])], 0.05))
 
 
+def repeats(y: Array) -> Mask:
+    """(n,) which samples of y (n, channels) are the one before to the last digit."""
+    same = np.zeros(len(y), dtype=bool)
+    same[1:] = (y[1:] == y[:-1]).all(axis=1)
+    return same
+
+
 def even_runs(t: Array, count: int) -> Mask:
     """(n - count,) whether the `count` gaps from each frame on are a usual one each."""
     gaps = np.diff(t)
@@ -71,7 +78,8 @@ def strays(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
     """Frames (n,), at times t (n,), s, at which y (n, channels) is elsewhere for one or two frames: far from the median
     of five frames, by noise and by how the tip moves at that time. A jump that stays is none, nor is any motion that
     goes one way. They are looked for again among those that are left until there are none: several close together look
-    like motion. And those at which it is for a while where the tip never is."""
+    like motion. And those at which it is for a while where the tip never is. path: of the motor; sigma: of the noise of
+    a coordinate."""
     stray = np.zeros(len(y), dtype=bool)
     kept = np.arange(len(y))
     while len(kept) >= 5:
@@ -85,8 +93,7 @@ def strays(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
         stray[kept[further]] = True
         kept = kept[~further]
     t, y = t[kept], y[kept]
-    anew = np.ones(len(y), dtype=bool)  # a place that is held says nothing of what the tip does meanwhile
-    anew[1:] = (y[1:] != y[:-1]).any(axis=1)
+    anew = ~repeats(y)  # a place that is held says nothing of what the tip does meanwhile
     stray[kept[_elsewhere(path, t[anew], y[anew], sigma)[np.cumsum(anew) - 1]]] = True
     return stray
 

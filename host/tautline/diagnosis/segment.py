@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.core.motor import MotorPath
-from tautline.core.samples import least_noise, noise_of, strays
+from tautline.core.samples import least_noise, noise_of, repeats, strays
 from tautline.core.session import SessionClock
 from tautline.effects import Path
 from tautline.errors import TautError
@@ -192,8 +192,7 @@ def _of_tip(path: MotorPath, times: Array, observed: Array, unit: str) -> tuple[
 def repeated(observed: Array) -> npt.NDArray[np.bool_]:
     """(n,) Whether each observation (n, k) of a continuous sensor equals the one before to the last digit, so that its
     link has sent it twice. All false for a sensor that counts in steps, which may rest within one."""
-    again = np.zeros(len(observed), dtype=bool)
-    again[1:] = (observed[1:] == observed[:-1]).all(axis=1)
+    again = repeats(observed)
     fresh = observed[~again]
     continuous = all(len(np.unique(column)) > _CONTINUOUS * len(fresh) for column in fresh.T)
     return again if continuous else np.zeros_like(again)
