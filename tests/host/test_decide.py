@@ -203,6 +203,18 @@ def test_what_a_path_follows_on_unseen_blocks_is_no_scatter():
     assert there.name == "effect" and there.named == ("transmission.backlash",)
 
 
+@pytest.mark.parametrize("before", (4.0, 5.0, 6.0))
+def test_what_an_effect_left_while_calibrating_is_no_misfit_of_the_model(before):
+    """One that was there from the start; a recalibration closes most of it, and an imitation half of the rest."""
+    gap = evidence({(LAG,): 0.5, (CREEP,): 0.9}, before=before, frozen=100.0)
+    gap = replace(gap, calibrated=100.0 * FLOOR**2)
+    none, *effects = gap.hypotheses
+    from_start = replace(gap, hypotheses=(none, *(replace(h, from_start=True) for h in effects)))
+    assert decide(gap).named == (LAG,) and decide(from_start).unknown > 0.5
+    exact = evidence({(LAG,): 0.002}, before=before).hypotheses[1]
+    assert decide(replace(from_start, hypotheses=(none, replace(exact, from_start=True)))).named == (LAG,)
+
+
 @pytest.mark.parametrize(("left", "says"), [(0.01, "effect"), (0.1, "unknown")])
 def test_a_path_that_leaves_next_to_nothing_is_one_though_frames_foretell_better(left, says):
     """Of a fast sensor's smooth misfit the frame before leaves less than an effect whose law is not exact."""
@@ -485,6 +497,20 @@ def helped(gains):
     evidence = CaseEvidence(0.1, np.full(count, 4.0), (base, lag), 5)
     named = Decision(0.0, 0.1, {"transmission.lag": 0.9}, np.array([0.0, 0.9]), ("transmission.lag",), (0.9,), 1)
     return that_help(evidence, named)
+
+
+def test_what_was_named_beside_an_effect_that_does_not_help_is_not_named_for_it():
+    """A scatter that is there given a tooth that slips, which blocks left out refute; alone it is no cause."""
+    slip, nothing = "transmission.slip", np.zeros(4)
+    base = Weighed((), np.full(4, 4.0), nothing, nothing, 0)
+    alone = Weighed((JITTER,), base.power, nothing, nothing, 1)
+    both = Weighed((slip, JITTER), np.array([3.0, 5.0, 3.0, 5.0]), nothing, nothing, 2)
+    evidence = CaseEvidence(0.1, base.power, (base, alone, both), 5)
+    for of_alone, of_both, named in ((0.0, 0.7, ()), (0.4, 0.3, (JITTER,))):
+        posterior = np.array([0.0, of_alone, of_both])
+        verdict = Decision(0.0, 0.3, {slip: of_both, JITTER: of_alone}, posterior, (slip, JITTER), (0.9, 0.9), 2)
+        helped = that_help(evidence, verdict)
+        assert helped.named == named and helped.name == ("effect" if named else "unknown")
 
 
 def test_what_lowers_the_power_of_one_block_or_of_all_helps():

@@ -98,7 +98,9 @@ def test_what_the_calibration_leaves_is_in_all_blocks_the_same(blocks, numbers, 
     most = calibrated - 1.0
     for beside in (-0.2, 0.0, 0.4 * most, most, 2.0 * most):
         seen = np.full(blocks, (alone + beside) * FLOOR**2)
-        predicted, once = stacked.with_calibration_misfit(np.full(blocks, alone * FLOOR**2), seen, 0.4, numbers - 0.4)
+        predicted, once = stacked.with_calibration_misfit(
+            np.full(blocks, alone * FLOOR**2), seen, 0.4, numbers - 0.4, stacked.own_misfit
+        )
         own = min(max(beside, 0.0), most)
         assert predicted == pytest.approx((alone + own) * FLOOR**2)
         same = np.kron(np.ones((blocks, blocks)), np.eye(numbers))

@@ -50,6 +50,11 @@ class Candidate:
         return Scope.EACH in self.fit.hypothesis.scopes
 
     @property
+    def from_start(self) -> bool:
+        """Whether an effect was there while calibrating."""
+        return Scope.START in self.fit.hypothesis.scopes
+
+    @property
     def ids(self) -> tuple[str, ...]:
         """Ids of the effects in the order in which they were added; () for the nominal model alone."""
         return tuple(kind.id for kind in self.fit.hypothesis.kinds)

@@ -192,7 +192,8 @@ def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]], learned: L
 def that_help(evidence: CaseEvidence, verdict: Decision) -> Decision:
     """The verdict without those named effects that do not lower the held-out power: from the last named to the first,
     one stays only if without it the mean over blocks rises by more than HELPS standard errors. Events stay, as their
-    path explains nothing. Where none stays the cause is unknown."""
+    path explains nothing. Where none stays the cause is unknown; so it is where the leading one does not and an unknown
+    cause is likelier than the others alone."""
     ids = [h.ids for h in evidence.hypotheses]
 
     def least_power(names: Sequence[str]) -> int:
@@ -213,6 +214,9 @@ def that_help(evidence: CaseEvidence, verdict: Decision) -> Decision:
             named, chosen, parts = rest, without, kept_parts
     if len(named) == len(verdict.named):
         return verdict
+    rest_alone = sum(float(p) for p, key in zip(verdict.posterior, ids, strict=True) if {*key} == {*named, *parts})
+    if verdict.named[0] not in named and rest_alone < verdict.unknown:
+        named = []  # further ones were named beside the leading one
     if named[-1:] != [*verdict.named[-1:]]:
         verdict = replace(verdict, alternatives=())
     if named:

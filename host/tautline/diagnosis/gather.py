@@ -122,6 +122,7 @@ class _Hypotheses:
                 beyond=candidate.beyond,
                 wanders=candidate.wanders,
                 each=candidate.differs_by_recording,
+                from_start=candidate.from_start,
             )
         )
 
@@ -261,7 +262,8 @@ class _Hypotheses:
         candidate, search = self.candidates[law], self.search
         if not exact.is_law(candidate.ids):
             return 1.0
-        noise = max(search.fitter.floor, float(np.sqrt(self._calibrated)))
+        own_misfit = 0.0 if candidate.from_start else self._calibrated  # else it is the effect's
+        noise = max(search.fitter.floor, float(np.sqrt(own_misfit)))
         others = [
             i
             for i, other in enumerate(self.candidates)

@@ -67,6 +67,7 @@ class Weighed:
     chance: float = 1.0  # of a law: probability that another effect leaves so much less by chance (exact.py)
     wanders: tuple[Wander, ...] = ()  # of its effects that have a path
     each: bool = False  # whether an effect has amplitudes of its own in each recording
+    from_start: bool = False  # whether an effect was there while calibrating
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Weighed:

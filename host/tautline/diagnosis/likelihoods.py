@@ -187,11 +187,12 @@ class Likelihoods:
         seen = np.minimum(case.frozen, recalibrated)
         taken = max(float(np.mean(case.frozen - recalibrated)), 0.0) / case.floor2
         noise = (1.0 + hyper.calibration_excess * _QUANTILES)[:, None] * np.full(len(n), case.floor2)
-        predicted, correction = case.with_calibration_misfit(noise, seen, hyper.misfit_tells, hyper.noise_tells)
+        predicted, correction = case.with_calibration_misfit(
+            noise, seen, hyper.misfit_tells, hyper.noise_tells, case.own_misfit
+        )
         by_quantile = correction - 0.5 * np.sum(constant + n * (np.log(predicted) + seen / predicted - 1.0), axis=1)
-        own_misfit = case.nominal2 / case.floor2 - 1.0
         mean = float(log_sum(by_quantile) - np.log(len(by_quantile)))
-        return mean - taken / (own_misfit + hyper.calibration_excess)
+        return mean - taken / (case.own_misfit / case.floor2 + hyper.calibration_excess)
 
     @property
     def _log_chance_of_misfit(self) -> Array:

@@ -89,8 +89,10 @@ class Stacked:
         self._doubt, self._unsteady = evidence.doubt, evidence.unsteady
         self.frozen = evidence.frozen  # (blocks,) power that the calibrated model leaves as it is
         self.applicable = evidence.applicable
-        # What a nominal model may leave of any recording: what it leaves of its own calibration, within limits.
-        self.nominal2 = float(np.clip(evidence.calibrated, self.floor2, INEXACT * self.floor2))
+        # What a nominal model may leave of any recording above the noise: what it leaves of its own calibration. Where an
+        # effect was there while calibrating, that is what the effect left, and says nothing of the model.
+        self.own_misfit = float(np.clip(evidence.calibrated / self.floor2, 1.0, INEXACT) - 1.0) * self.floor2
+        self._own_misfit = np.where([h.from_start for h in hypotheses], 0.0, self.own_misfit)  # (hypotheses,)
         self.power = np.array([h.power for h in hypotheses])  # (hypotheses, blocks)
         self.before = np.maximum(self.power[0] - self.floor2, 0.0)  # (blocks,) the gap's power above the floor
         self.mean = np.mean(self.power, axis=1)  # (hypotheses,)
@@ -203,20 +205,23 @@ class Stacked:
         n = self.independent_observations(misfit_tells, noise_tells)
         without_misfit = (1.0 + calibration_excess) * self.floor2 + SHARES[:, None] * self.before
         seen = self.power[:, None, :]
-        predicted, correction = self.with_calibration_misfit(without_misfit, seen, misfit_tells, noise_tells)
+        own_misfit = self._own_misfit[:, None, None]
+        predicted, correction = self.with_calibration_misfit(
+            without_misfit, seen, misfit_tells, noise_tells, own_misfit
+        )
         student = np.log1p(n / block_freedom * seen / predicted) @ (block_freedom + n)
         return np.asarray(correction - 0.5 * (np.log(predicted) @ n + student))
 
     def with_calibration_misfit(
-        self, predicted: Array, seen: Array, misfit_tells: float, noise_tells: float
+        self, predicted: Array, seen: Array, misfit_tells: float, noise_tells: float, own_misfit: Array | float
     ) -> tuple[Array, Array]:
         """(predicted powers with the nominal model's own misfit, a correction of the log-likelihood). Where a block
-        shows more power (`seen`) than a hypothesis predicts, up to what the calibrated model leaves of its own
-        calibration is added; both (..., blocks). As all blocks share this one misfit, log|I + J J'| replaces the sum of
+        shows more power (`seen`) than a hypothesis predicts, up to `own_misfit`, what the calibrated model leaves of
+        its own calibration above the noise, is added; all (..., blocks). As all blocks share this one misfit, log|I + J J'| replaces the sum of
         the blocks' log(1 + x), x the relative increase: the correction (...,) is (sum n log(1 + x) - k log(1 + sum(n x)
         / k)) / 2, n the blocks' observations and k the misfit's numbers."""
         n = self.independent_observations(misfit_tells, noise_tells)
-        total = predicted + np.clip(seen - predicted, 0.0, self.nominal2 - self.floor2)
+        total = predicted + np.clip(seen - predicted, 0.0, own_misfit)
         increase = total / predicted - 1.0
         k = min(misfit_tells + noise_tells, float(np.sum(n)))
         correction = 0.5 * (np.log1p(increase) @ n - k * np.log1p(increase @ n / k))
