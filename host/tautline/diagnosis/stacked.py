@@ -89,8 +89,8 @@ class Stacked:
         self._doubt, self._unsteady = evidence.doubt, evidence.unsteady
         self.frozen = evidence.frozen  # (blocks,) power that the calibrated model leaves as it is
         self.applicable = evidence.applicable
-        # What a nominal model may leave of any recording above the noise: what it leaves of its own calibration. Where an
-        # effect was there while calibrating, that is what the effect left, and says nothing of the model.
+        # What a nominal model may leave of any recording above the noise: what it leaves of its own calibration. Where
+        # an effect was there while calibrating, that is what the effect left, and says nothing of the model.
         self.own_misfit = float(np.clip(evidence.calibrated / self.floor2, 1.0, INEXACT) - 1.0) * self.floor2
         self._own_misfit = np.where([h.from_start for h in hypotheses], 0.0, self.own_misfit)  # (hypotheses,)
         self.power = np.array([h.power for h in hypotheses])  # (hypotheses, blocks)
@@ -217,9 +217,9 @@ class Stacked:
     ) -> tuple[Array, Array]:
         """(predicted powers with the nominal model's own misfit, a correction of the log-likelihood). Where a block
         shows more power (`seen`) than a hypothesis predicts, up to `own_misfit`, what the calibrated model leaves of
-        its own calibration above the noise, is added; all (..., blocks). As all blocks share this one misfit, log|I + J J'| replaces the sum of
-        the blocks' log(1 + x), x the relative increase: the correction (...,) is (sum n log(1 + x) - k log(1 + sum(n x)
-        / k)) / 2, n the blocks' observations and k the misfit's numbers."""
+        its own calibration above the noise, is added; all (..., blocks). As all blocks share this one misfit, log|I + J
+        J'| replaces the sum of the blocks' log(1 + x), x the relative increase: the correction (...,) is (sum n log(1 +
+        x) - k log(1 + sum(n x) / k)) / 2, n the blocks' observations and k the misfit's numbers."""
         n = self.independent_observations(misfit_tells, noise_tells)
         total = predicted + np.clip(seen - predicted, 0.0, own_misfit)
         increase = total / predicted - 1.0
