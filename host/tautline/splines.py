@@ -60,6 +60,16 @@ class Basis:
         """(n,) As `value`, at places that are asked for again and again: what each coefficient does there is kept."""
         return np.asarray(_dense(self.low, self.high, self.spans, x.tobytes()) @ coefficients)
 
+    def between(self, grid: Array, x: Array) -> Array:
+        """(n, size) What each coefficient does at x (n,) to a curve that is looked up linearly in a `table` on a rising
+        grid."""
+        last = len(grid) - 1
+        position = np.interp(x, grid, np.arange(last + 1.0))
+        before = np.minimum(position.astype(np.int64), last - 1)
+        share = (position - before)[:, None]
+        table = _dense(self.low, self.high, self.spans, grid.tobytes())
+        return np.asarray(table[before] * (1.0 - share) + table[before + 1] * share)
+
     def slope(self, coefficients: Array, x: Array) -> Array:
         """(n,) The curve's derivative at x (n,); beyond the ends that at the nearer one."""
         return np.asarray(BSpline(self.knots, coefficients, 3).derivative()(self.clip(x)))

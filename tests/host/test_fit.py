@@ -9,7 +9,7 @@ from tautline import effects, trajectory
 from tautline.core.session import SessionClock
 from tautline.diagnosis.candidates import applicable
 from tautline.diagnosis.fit import Fitter
-from tautline.diagnosis.fitted import Hypothesis
+from tautline.diagnosis.fitted import Hypothesis, Scope
 from tautline.diagnosis.moments import refined
 from tautline.diagnosis.screen import screen
 from tautline.diagnosis.segment import prepare
@@ -87,10 +87,26 @@ def test_a_probe_that_takes_the_marker_behind_the_camera_leaves_slopes_finite():
     assert any((c[:, 0, :] == 0.0).any() for c in columns[1:])  # that observation, which a turn takes there
 
 
-def test_the_gradient_is_the_cost_s():
+WIDTH = BY_ID["transmission.backlash"]
+CURVE = {name: 0.02 + 0.01 * np.cos(i) for i, name in enumerate(WIDTH.curve)}
+LAW = {name: 0.3 * np.sin(i / 2.0) for i, name in enumerate(BY_ID["configuration.remaining"].curve)}
+
+
+@pytest.mark.parametrize(
+    ("kinds", "values"),
+    [
+        ([BY_ID["transmission.lag"]], {"lag": 0.03, "lag_second": 0.2}),
+        ([WIDTH], {"width_scale": 0.0, **CURVE, "width_at_motor": 0.0}),
+        ([WIDTH.simple, BY_ID["configuration.remaining"]], {"width_everywhere": 0.05, **LAW}),
+    ],
+    ids=["lag", "width", "width and law"],
+)
+def test_the_gradient_is_the_cost_s(kinds, values):
     fitter = fitter_of(recordings({"c_per_translation": 0.2}))
-    hypothesis = Hypothesis().plus(BY_ID["transmission.lag"], True)
-    state = replace(fitter.start(), values={"lag": 0.03, "lag_second": 0.2})
+    hypothesis = Hypothesis()
+    for kind in kinds:
+        hypothesis = hypothesis.plus(kind, Scope.TESTS)
+    state = replace(fitter.start(), values=values)
     rows = fitter.rows(state, hypothesis)
     columns = fitter.effect_columns(state, hypothesis, rows)
     parts = [fitter.normal(row, extra) for row, extra in zip(rows, columns, strict=True)]

@@ -134,6 +134,7 @@ class Fitter:
         self._bending = block_diag(
             curves.width.bending / (_ROUGH * span) ** 2, curves.follow.bending / (_ROUGH * gain * span) ** 2
         )
+        self._linearised: tuple[Fit, list[ScoredRows]] | None = None
         self.floor = 1.0
         self.doubt = 0.0  # standard deviation of log(floor^2), where videos showed one
         self.unsteady = 0.0  # standard deviation between blocks of the logarithm of the noise's power
@@ -334,22 +335,26 @@ class Fitter:
         return np.asarray(Basis(*actuator.range, size - 3).bending / (deviation * by_unit) ** 2)
 
     def effect_columns(self, state: ParameterState, hypothesis: Hypothesis, rows: Sequence[ScoredRows]) -> list[Array]:
-        """Derivatives of the prediction by the effects' parameters, (scored, k, slots) for each recording, as
-        difference quotients of the simulation (of the tables, where an effect is a change of these). rows: at
-        `state`."""
+        """Derivatives of the prediction by the effects' parameters, (scored, k, slots) for each recording: exact where
+        an effect is a linear change of B or f_remain, else difference quotients of the simulation (of the tables, where
+        it is a change of these). rows: at `state`."""
         slots = hypothesis.slots
         steps = [_DIFFERENCE * self.scale(slot.parameter) for slot in slots]
         stepped = [
             replace(state, values={**state.values, slot.key: state.values[slot.key] + step})
             for slot, step in zip(slots, steps, strict=True)
         ]
-        for segment in self.segments:
+        for segment in (s for s in self.segments if s.drive is not None):
             for point in stepped:
                 segment.ask(point.at(segment, hypothesis))
         columns = [np.zeros((*row.residual.shape, len(slots))) for row in rows]
+        known = [
+            _columns_by_tables(segment, state, hypothesis, row, of_segment)
+            for segment, row, of_segment in zip(self.segments, rows, columns, strict=True)
+        ]
         for i, slot in enumerate(slots):  # the recordings one after the other: they share the tables of a slot
-            for segment, row, of_segment in zip(self.segments, rows, columns, strict=True):
-                if slot.holds_in(segment):
+            for segment, row, of_segment, by_tables in zip(self.segments, rows, columns, known, strict=True):
+                if slot.holds_in(segment) and i not in by_tables:
                     change = self.change_of_prediction(
                         segment, stepped[i], hypothesis, slot.parameter, row, row.residual
                     )
@@ -357,13 +362,17 @@ class Fitter:
         return columns
 
     def linearised(self, fit: Fit) -> list[ScoredRows]:
-        """The rows of each recording at a fit, the columns of its effects' parameters after the nominal's."""
-        of_nominal = self.rows(fit.state, fit.hypothesis)
-        of_effects = self.effect_columns(fit.state, fit.hypothesis, of_nominal)
-        return [
-            replace(row, columns=np.concatenate([row.columns, columns], axis=2))
-            for row, columns in zip(of_nominal, of_effects, strict=True)
-        ]
+        """The rows of each recording at a fit, the columns of its effects' parameters after the nominal's; those of the
+        last fit are kept, as several tests of one ask for them."""
+        if self._linearised is None or self._linearised[0] is not fit:
+            of_nominal = self.rows(fit.state, fit.hypothesis)
+            of_effects = self.effect_columns(fit.state, fit.hypothesis, of_nominal)
+            rows = [
+                replace(row, columns=np.concatenate([row.columns, columns], axis=2))
+                for row, columns in zip(of_nominal, of_effects, strict=True)
+            ]
+            self._linearised = fit, rows
+        return list(self._linearised[1])
 
     def change_of_prediction(
         self,
@@ -525,6 +534,29 @@ class _Descent:
     def enough(self, gained: float, cost: float) -> bool:
         """Whether a step that lowered `cost` by `gained` was the last."""
         return gained < self.small_gain * cost
+
+
+def _columns_by_tables(
+    segment: Segment, state: ParameterState, hypothesis: Hypothesis, row: ScoredRows, into: Array
+) -> set[int]:
+    """Puts into `into` (scored, k, slots) the derivatives of one recording's prediction by the parameters that change B
+    or f_remain linearly, at `state`, which has `row`; returns these slots' indices."""
+    values, slots = state.at(segment, hypothesis), hypothesis.slots
+    found: set[int] = set()
+    for kind in hypothesis.kinds:
+        names = {parameter.name for parameter in kind.amplitudes if kind.slopes}
+        mine = {i: slot for i, slot in enumerate(slots) if slot.parameter.name in names and slot.holds_in(segment)}
+        if not (kind.slopes and mine):
+            continue
+        of_width = kind.in_tables == "width"
+        slopes = kind.slopes(state.model, values, row.p if of_width else row.tip)
+        if slopes is None:
+            continue
+        by_curve = row.by_width if of_width else row.by_follow
+        change = np.column_stack([slopes[slot.parameter.name] for slot in mine.values()]) * by_curve[:, None]
+        into[:, :, list(mine)] = row.by_c[:, :, None] * change[:, None, :]
+        found |= mine.keys()
+    return found
 
 
 def _without_details(curves: Nominal, model: Model) -> Model:

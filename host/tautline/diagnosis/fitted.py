@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -71,7 +72,7 @@ class Hypothesis:
         """(The effect with this id, since when it is there); None where this hypothesis is without it."""
         return next(((k, s) for k, s in zip(self.kinds, self.scopes, strict=True) if k.id == name), None)
 
-    @property
+    @cached_property
     def slots(self) -> list[Slot]:
         """The fitted numbers in the order of the parameter vector: the effects' amplitudes and continuous shapes, once
         for each test where an effect has its own in each."""

@@ -9,10 +9,12 @@ in it only) would else be guessed, and says nothing about an effect.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from tautline.diagnosis.fit import Fitter, ScoredRows, huber_weight
 from tautline.diagnosis.fitted import Hypothesis
@@ -105,8 +107,12 @@ def _step(matrix: Array, gradient: Array, scale: Array) -> Array:
 
 def _scaled_solution(matrix: Array, scaled_gradient: Array, scale: Array) -> Array:
     """(m,) As `_step`, with gradient and solution in the scaled unknowns."""
-    solution = np.linalg.lstsq(matrix * np.outer(scale, scale), scaled_gradient, rcond=_RANK)[0]
-    return np.asarray(solution, dtype=np.float64)
+    scaled = matrix * np.outer(scale, scale)
+    with suppress(LinAlgError):
+        factored, lower = cho_factor(scaled, check_finite=False)
+        if float(np.min(np.diag(factored))) ** 2 > _RANK:
+            return np.asarray(cho_solve((factored, lower), scaled_gradient, check_finite=False))
+    return np.asarray(np.linalg.lstsq(scaled, scaled_gradient, rcond=_RANK)[0], dtype=np.float64)
 
 
 def _sum_of(normals: Sequence[Normal]) -> Normal:

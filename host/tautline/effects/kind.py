@@ -58,6 +58,11 @@ class Event:
     what: str = ""  # in words, what no model takes away
 
 
+# (The nominal model, values by name, places (n,)) -> {amplitude: (n,) the curve's change there by one unit of it}; None
+# where it is not linear in them.
+Slopes = Callable[[Model, Mapping[str, float], Array], Mapping[str, Array] | None]
+
+
 @dataclass(frozen=True)
 class Transform:
     """The law in Python of an effect of another distribution (tautline.effects.outside). It is called only where one of
@@ -85,7 +90,8 @@ class Kind:
     of_joint: Callable[[str], Kind] | None = None  # makes the same effect of a further joint's column, by its name
     holds: Holds | None = None  # puts it into a corrected model's tables, rig or delay; None: it is simulated beside
     undone: bool = False  # whether a section of the board's tables undoes it (tautline.undone)
-    in_tables: bool = False  # whether it is simulated by the model that `holds` makes
+    in_tables: Literal["", "width", "remaining"] = ""  # the model's curve that it changes: `holds` simulates it
+    slopes: Slopes | None = None  # of an effect in tables: what each amplitude adds to that curve
     course: Callable[[Mapping[str, float], float], float] | None = None  # its size at a time of the session, s
     event: Event | None = None  # None: it has a path that repeats
     law: bool = False  # whether it has one exact equation everywhere: rigid motion, time
