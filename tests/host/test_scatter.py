@@ -12,11 +12,13 @@ PX_PER_UNIT = np.array([40.0, 15.0])
 
 
 def told(rng: np.random.Generator, make) -> Scatter:
-    """Of 80 s of strokes with rests at two speeds; make(t, p, rng) gives where the tip is seen, in units of p."""
+    """Of 80 s of strokes with rests at two speeds; make(t, p, rng) gives where the tip is seen, in
+    units of p or (n, 2) px."""
     t = np.arange(0.0, 80.0, 1.0 / RATE_HZ)
     speed = np.where(t < 40.0, 0.4, 1.1)
     p = np.cumsum(speed * (np.sin(2 * np.pi * t / 9.0) > -0.2) * np.sign(np.sin(2 * np.pi * t / 18.0))) / RATE_HZ
-    seen = make(t, p, rng)[:, None] * PX_PER_UNIT + rng.normal(0.0, FLOOR, (len(t), 2))
+    seen = make(t, p, rng)
+    seen = (seen if seen.ndim > 1 else seen[:, None] * PX_PER_UNIT) + rng.normal(0.0, FLOOR, (len(t), 2))
     block = (t // 8.0).astype(np.int64)
     return compared([frames(t, seen, p[:, None] * PX_PER_UNIT, p, block)], FLOOR, int(block[-1]) + 1)
 
@@ -46,13 +48,22 @@ def wandering(t, p, rng):
     return p + np.cumsum(rng.normal(0.0, 0.004, len(p)))
 
 
+def blurred(t, p, rng):
+    px = p[:, None] * PX_PER_UNIT
+    speed = np.linalg.norm(np.gradient(px, t, axis=0), axis=1)
+    return px + 0.006 * speed[:, None] * rng.normal(size=px.shape)
+
+
 def swinging(t, p, rng):
     return p + 0.02 * np.sin(2 * np.pi * t / 3.3)
 
 
 @pytest.mark.parametrize(
     ("make", "name"),
-    [(unsteady, JITTER), (sticking, STICK), (repeating, HELD), (wandering, "memory"), (swinging, "memory")],
+    [
+        *[(unsteady, JITTER), (sticking, STICK), (repeating, HELD)],
+        *[(wandering, "memory"), (swinging, "memory"), (blurred, "blur")],
+    ],
 )
 def test_each_says_its_own_best(make, name):
     said = told(np.random.default_rng(5), make)

@@ -4,9 +4,10 @@ Each explanation is a density of a frame's observation given the frames before i
 likelihood, so that their likelihoods compare. Jitter: frame times are unsteady, and the image scatters along its motion
 in proportion to its speed. Stick-slip: the tip stays where it was while the motor drives on, the likelier the less it
 has driven since, and else is anywhere within a jump. Rivals stand for whatever else leaves a residual: noise whose
-level is another while the motor drives ("level"), noise that is correlated with the frames before ("memory"), a link
-that sends frames twice, and a tracker that errs with the position within a pixel ("pixels"). Every density is mixed
-with a broad one: no model is right for every frame.
+level is another while the motor drives ("level"), noise that grows with the speed both along the motion and across it,
+as of a marker that blurs ("blur"; of an angle that is jitter), noise that is correlated with the frames before
+("memory"), a link that sends frames twice, and a tracker that errs with the position within a pixel ("pixels"). Every
+density is mixed with a broad one: no model is right for every frame.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ Array = npt.NDArray[np.float64]
 
 STICK_SLIP, JITTER, HELD = "transmission.stick_slip", "acquisition.jitter", "acquisition.held_samples"
 _AS_IT_IS = "as it is"
-RIVALS = ("level", "memory", HELD, "pixels")
+RIVALS = ("level", "blur", "memory", HELD, "pixels")
 _MOVES = 0.02  # tolerance: share of the fastest drive from frame to frame: slower is at rest
 _REMEMBERED = 3  # tolerance: frames that the rival "memory" reaches back
 _BROAD = 0.03  # prior: share of frames that follow no model
@@ -136,17 +137,18 @@ def compared(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
     frames = _Joined(parts, floor)
     # s in which a fast image moves as far as the noise
     finest_s = floor / max(float(np.quantile(frames.speed, _FAST_IMAGE)), 1e-9)
-    jittered, jitter_s = frames.likeliest(
-        frames.jitter, np.geomspace(min(0.1 * finest_s, 0.1 * _LONGEST_S), _LONGEST_S, 41)
-    )
+    seconds = np.geomspace(min(0.1 * finest_s, 0.1 * _LONGEST_S), _LONGEST_S, 41)
+    jittered, jitter_s = frames.likeliest(frames.jitter, seconds)
     fast_drive = max(float(np.quantile(frames.driven, _FAST)), 1e-9)  # unit of q from frame to frame
     stuck, jump = frames.likeliest(frames.stick, np.geomspace(_JUMPS[0] * fast_drive, _JUMPS[1] * fast_drive, 61))
     repeated, held_share = frames.likeliest(frames.repeats, _HELD_SHARES)
+    level = frames.two_levels(frames.residual)
     log_densities = {
         JITTER: jittered,
         STICK_SLIP: stuck,
         _AS_IT_IS: frames.two_levels(frames.as_it_is),
-        "level": frames.two_levels(frames.residual),
+        "level": level,
+        "blur": frames.likeliest(frames.blur, seconds)[0] if frames.coordinates > 1 else level,
         "memory": frames.two_levels(frames.residual - frames.by_memory()),
         HELD: repeated,
         "pixels": frames.two_levels(frames.residual - _pixel_phase_part(frames.residual, frames.image)),
@@ -229,6 +231,11 @@ class _Joined:
         along, across2 = self._by_velocity
         variance = self._floor2 + (seconds * self.speed) ** 2
         return _gaussian_along(along, across2, variance, self._floor2, self.coordinates)
+
+    def blur(self, seconds: float) -> Array:
+        """(n,) Log-density of noise whose variance is floor^2 + (seconds speed)^2, along the motion and across it."""
+        squares = np.sum(self.residual**2, axis=1)
+        return _isotropic(squares, self._floor2 + (seconds * self.speed) ** 2, self.coordinates)
 
     def stick(self, jump: float) -> Array:
         """(n,) Log-density of a tip that stays at the position of the frame before with a probability 1 - driven /
