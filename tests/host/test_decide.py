@@ -143,6 +143,15 @@ def test_what_a_curve_does_that_a_simpler_effect_does_as_well_says_nothing_of_a_
     assert verdict.named[0] == contact and verdict.leading[contact] > 0.9
 
 
+@pytest.mark.parametrize(("left", "named"), [(4e-4, "configuration.contact"), (2e-2, "configuration.remaining")])
+def test_a_simpler_effect_takes_the_place_of_what_contains_it_beside_another_too(left, named):
+    """Of the eighth of a gap that a registration alone leaves an obstacle leaves as much as it may, or more."""
+    contact, curve = "configuration.contact", "configuration.remaining"
+    sets = {(STATIC,): 0.13, (curve, STATIC): 3e-4, (contact, STATIC): left, (LAG,): 0.9}
+    verdict = decide(evidence(sets, before=5000.0))
+    assert set(verdict.named) == {named, STATIC}
+
+
 def test_of_two_fits_of_an_effect_the_one_that_stays_is_weighed_by_its_own_prior():
     """Another offset in each recording leaves a little less, and is ten times as unlikely: the other one counts."""
     offset = "transmission.offset"

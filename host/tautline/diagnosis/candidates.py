@@ -185,13 +185,15 @@ class Search:
 
     def on_top_of(self, below: Candidate, refits: int, both_scopes: int) -> list[Candidate]:
         """Fits of one more effect on top of `below`, the smallest `_mean_log_power` first: the `refits` effects with
-        the largest linear score, each in the scope (since when it is there) that scores best; the best `both_scopes` of
-        them in their other scopes too."""
+        the largest linear score and what these contain (`Kind.contains`), each in the scope (since when it is there)
+        that scores best; the best `both_scopes` of them in their other scopes too."""
         screened: dict[str, dict[Scope, Screened]] = {}  # by id and scope, the largest score first
         for entry in screen(self.fitter, below.fit, self._with_path, self.limits, self.scopes):
             screened.setdefault(entry.kind.id, {}).setdefault(entry.scope, entry)
         candidates: list[Candidate] = []
         leading = list(screened)[:refits]
+        # What a flexible effect contains takes its place where it suffices, so it has to be there.
+        leading += [name for lead in leading for name in next(iter(screened[lead].values())).kind.contains]
         for name, scopes in screened.items():
             best, *others = scopes.values()
             # A linear step tells little of parts of the nominal model, as the recalibrated one has moved half way

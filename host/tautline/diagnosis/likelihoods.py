@@ -170,10 +170,9 @@ class Likelihoods:
     @property
     def _replaced_by_contained(self) -> npt.NDArray[np.bool_]:
         """(hypotheses,) Whether a more flexible effect gives way to a simpler one that it contains: the simpler one
-        alone leaves no more of the gap than a right effect may."""
-        before = max(float(np.mean(self._case.before)), 1e-300)
-        suffices = self._case.mean - self._case.floor2 < self._most * before
-        return np.asarray(self._case.does_as_well[:, suffices].any(axis=1))
+        leaves no more of what is left without either than a right effect may."""
+        left = self._case.mean - self._case.floor2
+        return np.asarray((left < self._most * self._case.contained).any(axis=1))
 
     @property
     def _log_likelihood_of_no_change(self) -> float:

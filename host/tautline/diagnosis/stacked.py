@@ -69,14 +69,20 @@ def brought_parts(ids: Collection[str]) -> frozenset[str]:
     return frozenset().union(*(BROUGHT.get(name, frozenset()) for name in ids)) & set(ids)
 
 
-def _gives_way(flexible: frozenset[str], single: frozenset[str]) -> bool:
-    """Whether the set of effects `flexible` is replaced by the set `single` of one effect if that suffices: one of the
-    flexible ones contains it (`Kind.contains`), and at most parts of the nominal model are beside it. Events of the
-    flexible set do not count: they would be seen beside `single` too."""
+def _beside(flexible: frozenset[str], simple: frozenset[str]) -> frozenset[str] | None:
+    """What is beside the flexible effect where the set of effects `flexible` is replaced by the set `simple` if that
+    suffices: an effect of the former contains one of the latter (`Kind.contains`), and the others are the same, or
+    parts of the nominal model that are beside the flexible effect alone. None where it is not replaced. Events of the
+    flexible set do not count: they would be seen beside the simple one too."""
     flexible = flexible - EVENTS
-    if len(single) != 1 or flexible == single or not any(single <= {*BY_ID[name].contains} for name in flexible):
-        return False
-    return len(flexible) == 1 or (not single <= CONSTANT and flexible - single <= CONSTANT)
+    others = flexible - simple
+    for inner in simple:
+        in_its_place = len(others) == 1 and inner not in flexible
+        of_the_nominal = others <= CONSTANT and inner not in CONSTANT
+        contained = any(inner in BY_ID[name].contains for name in others)
+        if contained and simple - {inner} <= flexible and (in_its_place or of_the_nominal):
+            return simple - {inner}
+    return None
 
 
 class Stacked:
@@ -146,7 +152,7 @@ class Stacked:
         # Parts of the nominal model move together and are one cause; with an effect that brings them they are none.
         self.causes = np.array([len(key - CONSTANT) + bool(own) for key, own in zip(self.sets, parts, strict=True)])
         self.brings = np.array([own != key & CONSTANT for key, own in zip(self.sets, parts, strict=True)])
-        self.does_as_well = np.array([[_gives_way(key, single) for single in self.sets] for key in self.sets])
+        self._set_contained()
         pairs = [
             (i, j)
             for i, less in enumerate(self.sets)
@@ -154,6 +160,15 @@ class Stacked:
             if less and len(more) == len(less) + 1 and less < more
         ]
         self.fewer, self.further = np.array(pairs, dtype=int).reshape(-1, 2).T
+
+    def _set_contained(self) -> None:
+        """`contained` (hypotheses, hypotheses): where a set is replaced by a simpler one, the power above the floor
+        that is left without the flexible effect and what stands for it; else -inf."""
+        least = {key: float(np.min(self.mean[same])) - self.floor2 for key, same in self.same.items()}
+        beside = [[_beside(key, simple) for simple in self.sets] for key in self.sets]
+        self.contained = np.array(
+            [[-np.inf if rest is None else least.get(rest, -np.inf) for rest in of] for of in beside]
+        )
 
     def _set_wander(self, hypotheses: Sequence[Weighed]) -> None:
         """Of every effect of every hypothesis with a path, a row each: the hypothesis' index (`wandering`), the
