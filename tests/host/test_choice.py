@@ -58,7 +58,7 @@ def test_onsets_confirm_no_departure_that_is_a_gradual_start(leads: str) -> None
         return SimpleNamespace(fit=fit, curves=None, width_sigma=lambda grid: 0.01 * np.ones_like(GRID))
 
     at = np.linspace(-4.0, 4.0, 8)
-    onsets: Any = [SimpleNamespace(used=True, kind=HINGE, q_mean=q, width=1.0, sigma=0.05, direction=1) for q in at]
+    onsets = [Onset(0, 0.0, 1.0, 1, q - 0.5, q + 0.5, 0.05, 0.0, np.inf, HINGE, True) for q in at]
     curve = WidthCurve(GRID, np.ones_like(GRID), 0.05 * np.ones_like(GRID), (-4.0, 4.0), 0.0, places=8)
     parts = tuple(SimpleNamespace(name=name) for name in (leads, "stroke"))
     first = cast(property, Components.mainly_start_of_strokes).fget

@@ -17,7 +17,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import brentq
 from scipy.special import log_ndtr
 
-from tautline.calibration.onset import BOUND, BRACKET, HINGE, Onset
+from tautline.calibration.onset import BOUND, BRACKET, Onset, with_width
 from tautline.least_squares import inverse_of
 from tautline.model import STEEPEST, allowed_width
 from tautline.splines import Basis
@@ -63,7 +63,7 @@ def paper_knots(low: float, high: float) -> Array:
 def fit_paper(onsets: Sequence[Onset], grid: Array) -> WidthCurve | None:
     """The paper's B-spline by weighted least squares through the widths, on the grid's range; its excess is the rms
     residual. None where no width was measured."""
-    widths = [o for o in onsets if o.used and o.kind in (HINGE, BRACKET)]
+    widths = with_width(onsets)
     if not widths:
         return None
     p, w, sigma = (np.array([getattr(o, name) for o in widths]) for name in ("q_mean", "width", "sigma"))
@@ -90,7 +90,7 @@ def fit_widths(onsets: Sequence[Onset], grid: Array) -> WidthCurve | None:
     """Penalised spline through all used onsets: hinges by their sigma, brackets as intervals, a bound that the curve
     violates as one more width. The smoothing is that of cross-validation or likelihood. Beyond what was measured B is
     constant and its sigma grows by half the distance. None where no width was measured."""
-    widths = [o for o in onsets if o.used and o.kind in (HINGE, BRACKET)]
+    widths = with_width(onsets)
     if not widths:
         return None
     fit = _WidthFit(

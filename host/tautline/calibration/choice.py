@@ -17,7 +17,7 @@ from tautline.calibration.components import Components
 from tautline.calibration.coverage import HOLE, distance_to_both_ways
 from tautline.calibration.findings import Findings
 from tautline.calibration.observations import Track
-from tautline.calibration.onset import BRACKET, HINGE, Onset
+from tautline.calibration.onset import BRACKET, Onset, with_width
 from tautline.calibration.playfit import EXPLAINED, NODES, Curves, Fitted
 from tautline.calibration.several import rms_over_noise
 from tautline.calibration.smooth import Domain, overlap
@@ -47,11 +47,6 @@ def image_jumps(onsets: Sequence[Onset]) -> bool:
     """Whether the image jumps at most onsets, which no joint fit contains: most of their widths are brackets."""
     widths = with_width(onsets)
     return 2 * sum(o.kind == BRACKET for o in widths) > len(widths)
-
-
-def with_width(onsets: Sequence[Onset]) -> list[Onset]:
-    """The used onsets that measure a width; others are bounds only."""
-    return [o for o in onsets if o.used and o.kind in (HINGE, BRACKET)]
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.calibration.acquisition import mistaken_unit
-from tautline.calibration.choice import JOINT, PASSES, with_width
+from tautline.calibration.choice import JOINT, PASSES
 from tautline.calibration.measuring import Measured
-from tautline.calibration.onset import BOUND
+from tautline.calibration.onset import BOUND, with_width
 from tautline.calibration.playfit import NODES
 from tautline.calibration.remaining import Remaining
 

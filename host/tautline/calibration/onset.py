@@ -62,9 +62,19 @@ class Onset:
         return abs(self.q2 - self.q1)
 
     @property
+    def tells_width(self) -> bool:
+        """Whether it is used and measures a width: others are bounds only."""
+        return self.used and self.kind in (HINGE, BRACKET)
+
+    @property
     def q_mean(self) -> float:
         """The middle between turn and onset, unit of q: the centre p at which B(p) is the width."""
         return 0.5 * (self.q1 + self.q2)
+
+
+def with_width(onsets: Sequence[Onset]) -> list[Onset]:
+    """The used onsets that measure a width; others are bounds only."""
+    return [onset for onset in onsets if onset.tells_width]
 
 
 # ---- strokes
@@ -254,7 +264,7 @@ def _as_bracket(onset: Onset) -> Onset:
 def _as_brackets_if_most_jump(onsets: list[Onset]) -> list[Onset]:
     """The onsets; all as brackets if most reversals show a jump, or all together do by their mean gain: a jump is the
     rig's then."""
-    fitted = [o for o in onsets if o.kind in (HINGE, BRACKET) and o.used]
+    fitted = with_width(onsets)
     jumping = sum(o.kind == BRACKET for o in fitted)
     together = len(fitted) >= 8 and float(np.mean([min(o.jump, 100.0) for o in fitted])) > _JUMPS_TOGETHER
     if 2 * jumping <= len(fitted) and not together:

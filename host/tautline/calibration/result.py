@@ -12,7 +12,7 @@ import numpy.typing as npt
 from tautline.calibration import coverage
 from tautline.calibration.backlash import WidthCurve
 from tautline.calibration.observations import Track
-from tautline.calibration.onset import BRACKET, HINGE, Delay, Onset
+from tautline.calibration.onset import Delay, Onset
 from tautline.model import Model
 from tautline.prediction import predict
 from tautline.value import Value
@@ -97,7 +97,7 @@ def onset_json(onset: Onset, names: Sequence[str]) -> dict[str, Any]:
         "q2": onset.q2,
         "width": onset.width,
         "sigma": finite(onset.sigma),
-        "used": onset.used and onset.kind in (HINGE, BRACKET),
+        "used": onset.tells_width,
         "kind": onset.kind,
         "low": onset.low,
         "high": finite(onset.high),

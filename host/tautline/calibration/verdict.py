@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.calibration import clock, coverage
-from tautline.calibration.choice import JOINT, NOTHING, ONSETS, PASSES, with_width
+from tautline.calibration.choice import JOINT, NOTHING, ONSETS, PASSES
 from tautline.calibration.doubts import KNOWN, common_error, component_reasons, still_changing
 from tautline.calibration.measured_doubts import doubt_onsets_and_remaining, doubt_place
 from tautline.calibration.measuring import Measured
 from tautline.calibration.observations import usual_width
-from tautline.calibration.onset import Delay, known_to, motor_speed
+from tautline.calibration.onset import Delay, known_to, motor_speed, with_width
 from tautline.calibration.remaining import pose_of
 from tautline.calibration.result import Calibration, finite, foretold, onset_json
 from tautline.calibration.smooth import overlap
