@@ -573,3 +573,15 @@ def test_evidence_that_was_written_gives_the_same_verdict():
     told = replace(told, hypotheses=tuple(replace(h, beyond=beyond) for h in told.hypotheses))
     read = CaseEvidence.from_json(json.loads(json.dumps(plain(told.to_json()))))
     np.testing.assert_array_equal(decide(read).posterior, decide(told).posterior)
+
+
+def test_what_an_event_gets_back_is_inherited_by_no_hypothesis_without_one():
+    """An effect that leaves two fifths of the gap, in which an event is far ahead of its rivals, beside a further
+    effect too."""
+    found = evidence({(LAG,): 0.4}, before=1000.0)
+    scatter, rival = np.full(BLOCKS, -2.0), np.full(BLOCKS, -1.0)
+    with_event = [Weighed(ids, power(0.4, 1000.0), scatter, rival, 3) for ids in ((LAG, JITTER), (LAG, DRIFT, JITTER))]
+    once = decide(replace(found, hypotheses=(*found.hypotheses, with_event[0])))
+    twice = decide(replace(found, hypotheses=(*found.hypotheses, *with_event)))
+    odds = [verdict.posterior[1] / verdict.posterior[2] for verdict in (once, twice)]
+    assert odds[1] == pytest.approx(odds[0], rel=0.5) and odds[0] < 1e-3

@@ -48,11 +48,11 @@ class Likelihoods:
         right = self._as_right_effects
         own, self.unknown_scatter, given_back = self._with_events(right)
         replaced = self._replaced_by_contained
-        reached = self._with_imitating_misfit(own, given_back, replaced)
+        reached, plainly = self._with_imitating_misfit(own, given_back, replaced)
         confined = case.confined_log_ratio(hyper.floor_known, hyper.floor_steady, hyper.disturbed)
-        self.log_likelihood: Array = np.maximum(own + given_back, reached) + confined + self.steady
+        self.log_likelihood: Array = reached + confined + self.steady
         self.log_likelihood[replaced | (case.repeats & ~(case.size > 1))] = -np.inf
-        self.unknown = self._log_likelihood_of_unknown(right, reached, replaced)
+        self.unknown = self._log_likelihood_of_unknown(right, plainly, replaced)
 
     def _with_events(self, right: Array) -> tuple[Array, Array, Array]:
         """Log-likelihoods, (hypotheses,) each: (of a hypothesis with its event's scatter; of the same with the scatter
@@ -135,18 +135,22 @@ class Likelihoods:
         observations = self.hyper.misfit_tells + self.hyper.noise_tells * self._case.forgets
         return np.asarray(-0.5 * observations * scatter)
 
-    def _with_imitating_misfit(self, own: Array, given_back: Array, replaced: npt.NDArray[np.bool_]) -> Array:
-        """(hypotheses,) The largest log-likelihood of a hypothesis with the misfit of its effects: its own, or that of
-        one with a further effect, where by chance the misfit looks like that further effect. own: log-likelihood of
-        each; given_back: what events far ahead of their rivals get back; replaced: which are excluded."""
-        case = self._case
-        reached, by_chance = np.where(replaced, -np.inf, own), self._log_chance_of_misfit
+    def _with_imitating_misfit(
+        self, own: Array, given_back: Array, replaced: npt.NDArray[np.bool_]
+    ) -> tuple[Array, Array]:
+        """(hypotheses,) twice: the largest log-likelihood of a hypothesis with the misfit of its effects, its own or
+        that of one with a further effect, where by chance the misfit looks like that further effect; and the same
+        without what events far ahead of their rivals get back, which no hypothesis without an event inherits. own:
+        log-likelihood of each; given_back: what it gets back; replaced: which are excluded."""
+        case, by_chance = self._case, self._log_chance_of_misfit
+        plainly, surely = np.where(replaced, -np.inf, own), np.where(replaced, -np.inf, own + given_back)
         for size in range(int(case.size.max()), 1, -1):  # the largest first: two further ones may imitate as well
-            pairs = case.size[case.further] == size
-            i, j = case.fewer[pairs], case.further[pairs]
-            np.maximum.at(reached, i, reached[j] + np.where(case.scatters[i], given_back[j], 0.0) + by_chance[pairs])
-            reached[replaced] = -np.inf
-        return reached
+            for reached, inherits in ((plainly, np.ones_like(replaced)), (surely, case.scatters)):
+                pairs = (case.size[case.further] == size) & inherits[case.fewer]
+                i, j = case.fewer[pairs], case.further[pairs]
+                np.maximum.at(reached, i, reached[j] + by_chance[pairs])
+                reached[replaced] = -np.inf
+        return np.maximum(plainly, surely), plainly
 
     def _log_likelihood_of_unknown(self, right: Array, reached: Array, replaced: npt.NDArray[np.bool_]) -> float:
         """Log-likelihood times prior of the best effects, one or two, if they stand in for an unknown cause: with
