@@ -127,12 +127,14 @@ def _half_count_time(t: Array, changes: npt.NDArray[np.intp], step: Array, lasts
 
 
 def _stop_by_parabola(at: Array, boundary: Array, step: Array, centre: float, period: float) -> _Vertex | None:
-    """The vertex of a parabola through as many changes of count as it fits. None for too few. at (n,), s, boundary,
-    counts, and step: of the changes, the nearest first; centre: the count stopped in; period, s: of the samples."""
+    """How the motor comes to its stop within a count: the vertex of a parabola through as many changes of count, the
+    nearest first, as it fits; halfway to the second change, and not sure, where the parabola has no vertex within a
+    count. None for too few changes. Of each of the n changes: at (n,), s; boundary (n,), counts; step (n,), its sign.
+    centre: the count stopped in; period: of the samples, s."""
     most, least = CHANGES
     way = np.sign(step[0])
-    one_way = np.flatnonzero((np.sign(step[:most]) != way) | (np.abs(np.diff(at[:most], prepend=at[0])) > REST_S))
-    n = min(len(at), most, int(one_way[0]) if len(one_way) else most)
+    breaks = np.flatnonzero((np.sign(step[:most]) != way) | (np.abs(np.diff(at[:most], prepend=at[0])) > REST_S))
+    n = min(len(at), most, int(breaks[0]) if len(breaks) else most)
     while n >= least:
         away, since = way * (centre - boundary[:n]), np.abs(at[:n] - at[0])
         # A change that comes after a while is known to a fraction of a count.

@@ -69,7 +69,8 @@ class CountedFrames:
         return sparse.csr_matrix(sparse.block_diag([sparse.csr_matrix(columns)] * self.slope.shape[1]))
 
     def at_the_end(self) -> CountedFrames:
-        """The same frames with the times and the recording of the session's last one."""
+        """Frames at the same places, each at the end of the session (`t` is 1/2) and in its last recording: of these is
+        told what a change during the session comes to in the end."""
         n = len(self.t)
         last = int(self.recording[np.argmax(self.time_s)]) if n else 0
         return replace(

@@ -101,8 +101,9 @@ class _Stroke:
 
 
 def _strokes(track: Track, rig: Rig, delay_s: float) -> list[_Stroke]:
-    """The track's strokes from turn to turn of the motor, with the frames of each at this delay, s. From the second on
-    without the frames, or the part of z, with which the tip still moves the old way after the turn."""
+    """The track's strokes from turn to turn of the motor, with the frames of each at this delay of the sensor, s. After
+    a turn the tip may still move the old way: a creep that is found is taken off z; where none is, the first frames,
+    which still move, are left out. (The first stroke follows no turn.)"""
     motor = track.motor
     q = np.ascontiguousarray(motor.q)
     hysteresis = turning_hysteresis(track.path, rig.actuator.encoder_resolution, rig.actuator.span)
@@ -111,7 +112,7 @@ def _strokes(track: Track, rig: Rig, delay_s: float) -> list[_Stroke]:
         return []
     edges = np.concatenate([[0], turns, [len(q) - 1]])
     scene = track.scene_s(delay_s)
-    at = track.motor_at(scene)
+    q_at = track.motor_at(scene)
     inside = track.within_motor(scene)
     strokes: list[_Stroke] = []
     for k in range(len(edges) - 1):
@@ -120,28 +121,27 @@ def _strokes(track: Track, rig: Rig, delay_s: float) -> list[_Stroke]:
         direction = 1 if q[b] >= q1 else -1
         start, end = float(motor.t_s[a]), float(motor.t_s[b])
         frames = np.flatnonzero((scene >= start) & (scene < end) & inside)
-        travel = np.maximum(direction * (at[frames] - q1), 0.0)
+        travel = np.maximum(direction * (q_at[frames] - q1), 0.0)
         z = track.y[frames] / track.sigma[frames, None]
         if k > 0:
             creep = _creep(scene[frames] - start, z, _last_direction(strokes[-1].z))
             z = z - creep
-            tail = 0 if creep.any() else _lagging_frames(z)
-            frames, travel, z = frames[tail:], travel[tail:], z[tail:]
-        strokes.append(
-            _Stroke(start, end, q1, direction, frames, travel, z, _native.still_until(np.ascontiguousarray(z)), k == 0)
-        )
+            lagging = 0 if creep.any() else _lagging_frames(z)
+            frames, travel, z = frames[lagging:], travel[lagging:], z[lagging:]
+        departure = _native.still_until(np.ascontiguousarray(z))
+        strokes.append(_Stroke(start, end, q1, direction, frames, travel, z, departure, first=k == 0))
     return strokes
 
 
 def _last_direction(z: Array) -> Array:
-    """(channels,) unit vector along which z (n, channels) moved in its last eight frames; 0 where that was by less than
-    10 sigma."""
+    """(channels,) Unit vector along which z (n, channels), in sigmas of a frame, moved in its last eight frames; zeros
+    where it moved by 10 sigmas or less, or there are fewer than four frames."""
     last = z[-8:]
     if len(last) < 4:
         return np.zeros(z.shape[1])
-    way: Array = last[-2:].mean(axis=0) - last[:2].mean(axis=0)
-    size = float(np.linalg.norm(way))
-    return way / size if size > 10.0 else np.zeros_like(way)
+    moved: Array = last[-2:].mean(axis=0) - last[:2].mean(axis=0)  # means of two: their difference has a sigma of 1
+    size = float(np.linalg.norm(moved))
+    return moved / size if size > 10.0 else np.zeros_like(moved)
 
 
 def _creep(since_s: Array, z: Array, heading: Array) -> Array:

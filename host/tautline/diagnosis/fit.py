@@ -282,11 +282,11 @@ class Fitter:
         return total
 
     def residuals_after_step(self, rows: Sequence[Rows]) -> list[Array]:
-        """The residual of each recording, (scored, k), after one linear least-squares step of all the rows' unknowns
-        without any prior."""
+        """The residual of each recording, (scored, k), after one linear least-squares step of the unknowns of all rows
+        without any prior: what nothing that these columns can do would take away."""
         parts = [self.normal(row) for row in rows]
         matrix = np.asarray(sum(part.matrix for part in parts))
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-12 * float(np.diag(matrix).max())))
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-12 * float(np.diag(matrix).max())))  # units differ
         inverse = np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-12, hermitian=True)
         step = scale * (inverse @ (scale * np.asarray(sum(part.gradient for part in parts))))
         return [row.residual - self.moved(row, step) for row in rows]
@@ -481,19 +481,20 @@ class _Descent:
     beyond it."""
 
     def __init__(self, fitter: Fitter, hypothesis: Hypothesis, small_gain: float, held: npt.NDArray[np.int64]) -> None:
-        """small_gain: share of the cost; a step that lowers it by less ends the descent. held: indices of unknowns that
-        stay fixed."""
+        """small_gain: share of the cost; a step that lowers it by less ends the descent. held: indices of unknowns, in
+        the order of this module's docstring, that stay fixed."""
         self.fitter, self.hypothesis, self.small_gain, self.held = fitter, hypothesis, small_gain, held
-        self.prior = fitter.floor**2 * fitter.prior_precision(hypothesis)
+        # Times the noise's power: the cost is in squares of px or deg.
+        self.prior_precision = fitter.floor**2 * fitter.prior_precision(hypothesis)
         self.curve_precision = fitter.floor**2 * fitter.curve_precision(hypothesis)
-        self.limits: list[float] = []
+        self.limits: list[float] = []  # of each recording, px or deg, at the last linearisation
 
     def linearised(self, point: _Point) -> tuple[Array, Array, float]:
         """(Normal matrix (m, m), gradient (m,): the direction that lowers the cost, cost) at a point."""
         fitter, hypothesis = self.fitter, self.hypothesis
         rows = fitter.rows_of(point.state, point.simulated)
         self.limits = [outlier_limit(row.residual) for row in rows]
-        matrix, gradient = self.prior.copy(), np.zeros(len(self.prior))
+        matrix, gradient = self.prior_precision.copy(), np.zeros(len(self.prior_precision))
         columns = fitter.effect_columns(point.state, hypothesis, rows)
         for row, extra, limit in zip(rows, columns, self.limits, strict=True):
             part = fitter.normal(row, extra, huber_weight(row.residual, limit))

@@ -280,7 +280,8 @@ def _steps_to_record(document: Mapping[str, Any], folder: str) -> list[NextStep]
 
 
 def _steps_with_tables(effects: Sequence[Mapping[str, Any]], folder: str) -> list[NextStep]:
-    """What to do with the corrected tables of named effects."""
+    """What to do with the corrected tables of named effects, the leading one first, in the order in which it is told.
+    folder: where the diagnosis wrote `corrected`."""
     todo = [
         NextStep(
             "Try the tables against an instrument that has this effect.",

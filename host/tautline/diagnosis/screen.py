@@ -306,8 +306,8 @@ class _FromEdges:
     sums from the last edge back to the first."""
 
     def __init__(self, scan: _Scan, columns: Sequence[Array], edges: Array) -> None:
-        """columns: (scored, k, count) of each recording, from the first frame on; edges: rising arrival times, s of the
-        session."""
+        """For each edge the sum over all frames from it to the session's end. columns: (scored, k, count) of each
+        recording, as if they held from the first frame on; edges: rising arrival times, s of the session."""
         self.shared, self.count = len(scan.gradient), columns[0].shape[2]
         zero, total = Normal.zeros(self.shared), Normal.zeros(self.shared + self.count)
         # Of each edge (count, shared + count + 1): the columns' rows of the normal matrix, and their gradient.

@@ -52,16 +52,16 @@ def stepped(simulator: Simulator, robots: Sequence[Recording], rig: Rig) -> tupl
 
 
 def _limit(simulator: Simulator, own_s: float, robots: Sequence[Recording], rig: Rig, least: float) -> _Shown:
-    """What it tends to as its steps get shorter, from the longest step from which that is off by no more than `least`,
-    px or deg: of second order, from half of a step it is off by a third of what lies between it and that from the
-    whole one."""
+    """What a simulator shows without its steps (`stepless`, of second order in the step), by the longest step at which
+    that is off by no more than `least`, px or deg; by the shortest of _HALVINGS where none is. own_s: the simulator's
+    own step, s."""
     coarser = _Shown.by(stepless(simulator, own_s), robots, rig)
     for halving in range(1, _HALVINGS + 1):
         finer = _Shown.by(stepless(simulator, 0.5**halving * own_s), robots, rig)
-        off = coarser.apart(finer) / _SECOND
-        if 4.0 * off <= least:  # equation: of second order, half of the step
+        finer_off = coarser.apart(finer) / _SECOND
+        if 4.0 * finer_off <= least:  # equation: twice the step is off by four times as much
             return coarser
-        if off <= least:
+        if finer_off <= least:
             break
         coarser = finer
     return finer

@@ -40,8 +40,8 @@ class Envelopes:
     way: Array  # +1 rising q, -1 falling
 
     def both(self, evidence: WindowKnots, law: Law) -> tuple[float, float] | None:
-        """The range (low, high) of centre coordinates, unit of q, that was passed in both directions; None where there
-        is none, or fewer than three frames one way."""
+        """The range (low, high) of centre coordinates p, unit of q, in which frames were seen on the way up and on the
+        way down; None where these do not overlap, or one of them has fewer than three frames."""
         y = law.place(evidence.c_deg[self.at])
         up, down = y[self.way > 0], y[self.way < 0]
         if len(up) < 3 or len(down) < 3:

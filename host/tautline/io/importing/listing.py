@@ -215,8 +215,9 @@ def _empty(source: Source, episode: int) -> TautError:
 
 
 def _joined(parts: list[tuple[Array, Array | None, dict[str, Array]]], names: Collection[str], by_log: bool) -> Rows:
-    """The parts (log times, stamps, values) of one group as one. by_log: sorted by log time, as batches may be out of
-    order; a table's rows are left as they are, so that a clock set back is seen."""
+    """The parts (log times, stamps, values) of one group as one; their values are taken out, as they need not be there
+    twice. A part without stamps has NaN; None where no part has any. by_log: sorted by log time, as batches may be out
+    of order; a table's rows are left as they are, so that a clock set back is seen."""
     values = {name: np.concatenate([part[2].pop(name) for part in parts]) for name in names}
     stamp_s = None
     if any(part[1] is not None for part in parts):

@@ -140,7 +140,8 @@ class Desk:
             return self._nearby == 0 and time.monotonic() - self._heard_s > self._unwatched_s
 
     def resting(self) -> bool:
-        """Whether the axis shall stand still: a rest was asked for, or no page is open, and with it no stop button."""
+        """False at once where the axis may move. Where it shall stand still, as a rest was asked for or no page is open
+        on which somebody could press Stop, True after a wait of at most _REST_S: whoever asks asks again."""
         with self._changed:
             if self.unwatched and self._state == RUNNING:
                 self._set_state(RESTING, "no page is open: it rests until Start")

@@ -138,8 +138,8 @@ def backlash(model: Model) -> dict[str, Any]:
 
 
 def diagnosis(document: Mapping[str, Any], answers: Sequence[Leading], why: str) -> dict[str, Any]:
-    """A diagnosis as a document: candidates, what led after each recording, and the next motion, or why there is
-    none."""
+    """A diagnosis as a document: candidates, what led after each recording (`answers`), and what the next motion is
+    for, or why there is none (`why`, else empty)."""
     following = document["next_motion"]
     probable = sorted(answers_of(document).items(), key=lambda item: -item[1])
     return {
