@@ -155,19 +155,17 @@ class _Scan:
                     segment.ask(state.at(segment, hypothesis))
 
     def _score(self, kind: Kind, shapes: Mapping[str, float], columns: Sequence[Array], sign: float) -> list[Screened]:
-        """Linear scores of an effect with these shapes and columns (of each recording), one for each scope in which it
-        may be. The gain is 0 where an amplitude ends at 0, or has another sign than the one it was simulated with
-        (`sign`) though its effect is not linear through 0."""
+        """Linear scores of an effect with these shapes and columns (of each recording, the calibration first), one for
+        each scope in which it may be. The gain is 0 where an amplitude cannot be what its linear step says
+        (`_start_value`): its columns hold for amplitudes of this `sign` alone."""
         parts = [
             self.fitter.normal(row, extra, known=known)
             for row, extra, known in zip(self.rows, columns, self.known, strict=True)
         ]
-        scored = []
         tests, count = len(parts) - 1, len(kind.amplitudes)
         precision = self.fitter.floor**2 * self.fitter.curve_precision(Hypothesis((kind,), (Scope.START,)))
-        for scope in self.scopes:
-            if not self._may_be(kind, scope, tests):
-                continue
+        scored = []
+        for scope in (scope for scope in self.scopes if self._may_be(kind, scope, tests)):
             present = parts if scope == Scope.START else parts[1:]
             if scope == Scope.EACH:
                 present = [self._normal_by_recording(part, i, tests, count) for i, part in enumerate(parts[1:])]
@@ -178,15 +176,25 @@ class _Scan:
             start = dict(shapes)
             for i, amplitude in enumerate(amplitudes):
                 parameter = kind.amplitudes[i % count]
-                scale = self.fitter.scale(parameter)
-                value = inside(parameter, float(np.clip(amplitude, -_FARTHEST * scale, _FARTHEST * scale)))
                 # An amplitude without any effect, as of an axis that never moved, does not count beside others.
                 without_effect = amplitude == 0.0 and bool(np.any(amplitudes))
-                if not without_effect and (value == 0.0 or (parameter.one_way and value * sign < 0.0)):
-                    gain, value = 0.0, _OTHER_WAY * sign * scale
-                start[key(parameter.name, 1 + i // count) if scope == Scope.EACH else parameter.name] = value
+                value, possible = self._start_value(parameter, float(amplitude), sign)
+                if not (possible or without_effect):
+                    gain = 0.0
+                name = key(parameter.name, 1 + i // count) if scope == Scope.EACH else parameter.name
+                start[name] = 0.0 if without_effect else value
             scored.append(Screened(gain, kind, scope, start))
         return scored
+
+    def _start_value(self, parameter: Parameter, amplitude: float, sign: float) -> tuple[float, bool]:
+        """(Where a fit of this amplitude starts, whether its linear step `amplitude` may be right): the step within the
+        parameter's range and _FARTHEST scales. It is not where that is 0, or where the effect of a one-way amplitude
+        was simulated on the other side of 0 (`sign`); a fit starts a little on that side then."""
+        scale = self.fitter.scale(parameter)
+        value = inside(parameter, float(np.clip(amplitude, -_FARTHEST * scale, _FARTHEST * scale)))
+        if value == 0.0 or (parameter.one_way and value * sign < 0.0):
+            return _OTHER_WAY * sign * scale, False
+        return value, True
 
     def _may_be(self, kind: Kind, scope: Scope, tests: int) -> bool:
         """Whether an effect may be there since `scope`: a part of the nominal model is not an effect from the start,
