@@ -14,8 +14,9 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.diagnosis import confined, gap, heldout, moments, wander
-from tautline.diagnosis.fit import Fitter, outlier_limit
+from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.fitted import Fit, ParameterState, Scope
+from tautline.diagnosis.huber import outlier_limit
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.hypotheses import Beyond, Wander
 from tautline.diagnosis.screen import Screened, screen

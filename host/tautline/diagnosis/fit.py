@@ -18,8 +18,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
-from tautline import effects, spread
+from tautline import effects
 from tautline.diagnosis.fitted import STATIC_NAMES, Fit, Hypothesis, ParameterState, Scope
+from tautline.diagnosis.huber import huber_cost, huber_weight, outlier_limit
 from tautline.diagnosis.segment import Segment
 from tautline.effects import Parameter, Path
 from tautline.elements import SINGLE
@@ -44,8 +45,6 @@ WIDTH, REMAINING, STATIC, DELAY = PARTS = (
     "registration.static",
     "acquisition.delay",
 )  # ids of the nominal model's parts, which a recalibration moves
-_OUTLIER = 6.0  # tolerance: robust standard deviations beyond which Huber's cost is linear
-_RARE, _ABOVE_RARE = 0.01, 1.2  # tolerance: share of residuals that may be outliers, factor over the largest other one
 _AHEAD_S = 5e-3  # tolerance: s over which the tip's velocity is taken as a difference
 _DIFFERENCE = 0.05  # tolerance: share of a parameter's scale: the step of its difference quotient
 _AT_BOUND = 1e-6  # tolerance: share of a parameter's scale: a value nearer to the end of its range is at it
@@ -60,7 +59,6 @@ _DELAY_PRIOR_S = 0.02  # prior: standard deviation of a step of the delay
 _FAR, _CURVES_FAR = 30.0, 2.0  # prior: standard deviations of an effect's parameter and of a curve's, in their scales
 _KNOWN = 1e-6  # prior: factor on the nominal's standard deviations where a simulator is the nominal: it does not move
 _INSET = 0.05  # prior: share of the reached angles, at either end, in which no effect begins
-_NO_DIVISOR = 1e-12  # tolerance: px or deg: keeps a division finite
 
 
 @dataclass(frozen=True)
@@ -526,7 +524,7 @@ class _Descent:
         """Huber's cost by the limits of the last linearisation, plus the prior of effects that are curves. The other
         priors only damp each step: they are about the point before it and no part of the cost."""
         values = self._values(point.state)
-        return _huber_cost(point.residuals, self.limits) + float(values @ self.curve_precision @ values)
+        return huber_cost(point.residuals, self.limits) + float(values @ self.curve_precision @ values)
 
     def _values(self, state: ParameterState) -> Array:
         """(slots,) The effects' fitted parameters in the order of the hypothesis' slots."""
@@ -593,29 +591,4 @@ def _best_fit(fits: Sequence[Fit]) -> Fit:
     residuals (marker behind the camera) only if all have them."""
     fits = [fit for fit in fits if fit.finite] or fits
     limits = [min(map(outlier_limit, of_segment)) for of_segment in zip(*(fit.residuals for fit in fits), strict=True)]
-    return min(fits, key=lambda fit: _huber_cost(fit.residuals, limits))
-
-
-def _huber_cost(residuals: Sequence[Array], limits: Sequence[float]) -> float:
-    """Twice Huber's cost: r^2 up to the limit L of each recording, 2 L |r| - L^2 beyond. With a limit of its own a
-    recording that fits badly throughout is no outlier beside those that fit."""
-    total = 0.0
-    for residual, limit in zip(residuals, limits, strict=True):
-        size = np.abs(residual)
-        total += float(np.sum(np.where(size < limit, size**2, 2 * limit * size - limit**2)))
-    return total
-
-
-def outlier_limit(residual: Array) -> float:
-    """The limit of Huber's cost for one recording's residuals, px or deg: _OUTLIER robust standard deviations, but at
-    least _ABOVE_RARE times what a share _RARE of them exceeds, so that a misfit after every reversal still counts in
-    full. 1 where there are none."""
-    if residual.size == 0:
-        return 1.0
-    largest = _ABOVE_RARE * float(np.quantile(np.abs(residual), 1.0 - _RARE))
-    return max(_OUTLIER * spread.deviation(residual), largest)
-
-
-def huber_weight(residual: Array, limit: float) -> Array:
-    """The weight, 0 to 1, of each residual in iteratively reweighted least squares: limit / |r| beyond the limit."""
-    return np.asarray(np.minimum(1.0, limit / np.maximum(np.abs(residual), _NO_DIVISOR)))
+    return min(fits, key=lambda fit: huber_cost(fit.residuals, limits))

@@ -16,8 +16,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from tautline.diagnosis.fit import Fitter, ScoredRows, huber_weight
+from tautline.diagnosis.fit import Fitter, ScoredRows
 from tautline.diagnosis.fitted import Hypothesis
+from tautline.diagnosis.huber import huber_weight
 from tautline.nominal import Normal, Rows
 
 Array = npt.NDArray[np.float64]

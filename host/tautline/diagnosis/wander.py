@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnosis.fit import Fitter, ScoredRows, huber_weight
+from tautline.diagnosis.fit import Fitter, ScoredRows
 from tautline.diagnosis.fitted import Fit
+from tautline.diagnosis.huber import huber_weight
 from tautline.diagnosis.hypotheses import Wander
 from tautline.diagnosis.segment import Segment
 
