@@ -79,15 +79,16 @@ class Chain:
 
     def at(self, path: MotorPath, scene_s: npt.ArrayLike, start_deg: float | None = None) -> Seen:
         """What is seen at scene times (n,) on the motor's clock, in any order. The tip starts on the centre line, or at
-        start_deg. TautError where that is no number."""
+        start_deg. TautError where start_deg is no number."""
         check_start(start_deg)
         scene = np.asarray(scene_s, dtype=float)
         if not self.outside:
             return Seen(_seen_rows(self.model, self._simulated(path, scene, start_deg)))
-        course = np.union1d(path.lines.t_s, scene)
+        course = np.union1d(path.lines.t_s, scene)  # blocks may remember: they see all of the motor's way
         q = self._through_blocks(Stage.INPUT, course, path.at(course))
         tip = self._simulated(_resampled(path, course, q), course, start_deg)
         if any(block.stage in (Stage.PLANT, Stage.STATE) for block in self.outside):
+            # A block that is the plant makes p of q in the play's place; one of the state changes p, wherever it is of.
             plant = any(block.stage is Stage.PLANT for block in self.outside)
             p = self._through_blocks(Stage.PLANT, course, q) if plant else tip.p
             p = self._through_blocks(Stage.STATE, course, p)

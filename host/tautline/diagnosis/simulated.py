@@ -53,12 +53,12 @@ def diagnose_simulator(
         diagnosis = replace(diagnosis, corrected=_corrected_with_noise(diagnosis))
         if not decide.is_open(diagnosis.evidence, gap.rms(diagnosis.after) ** 2):
             return diagnosis
-        segments = prepare(found.model, found.calibration, found.tests, found.drives)[1:]
-        joint = Joint(found.model, simulator.parameters, segments, diagnosis.document["noise_floor"])
+        tests = prepare(found.model, found.calibration, found.tests, found.drives)[1:]
+        joint = Joint(found.model, simulator.parameters, tests, diagnosis.document["noise_floor"])
         with threadpool_limits(1, "blas"):
             told = likeliest(joint, lambda share: progress(0.8 + 0.15 * share, "fitting all parameters together"))
             answer = improved(diagnosis, Answer.of(*told))
-        if answer is diagnosis:
+        if answer is diagnosis:  # the joint fit leaves no less
             return diagnosis
         of_simulator = found.to_json(answer.document["effects"])
         return replace(answer, document={**answer.document, "simulator": of_simulator})

@@ -268,24 +268,25 @@ class PatchTracker:
         return last.then(before.to(last))
 
     def _pose_by_nearest(self, light: EvenLight, expected: Pose) -> tuple[Pose, float] | None:
-        """The pose and its sigma, px, by the nearest keyframes, weighted so that it does not jump where one replaces
-        another; None where none finds it. While learning a keyframe is added where the nearest is far or fading."""
+        """The pose and its sigma, px, by the nearest keyframes that find it, weighted so that it does not jump where
+        one replaces another; None where none does. While learning what two of them differ by is noted, and a keyframe
+        is added where the nearest is far or fading."""
         ranked = sorted((key.pose.unlike(expected, self.side_px), i) for i, key in enumerate(self._keyframes))
         found: list[tuple[float, Pose, float]] = []  # weight, pose, sigma
-        told: list[int] = []  # by which keyframes
-        for unlike, i in ranked[: _NEAREST + 2]:
+        by: list[int] = []  # which keyframes
+        for unlike, i in ranked[: _NEAREST + 2]:  # two more, as a near one may not find it
             weight = max(_REACH - unlike, 0.0) ** 2
             if found and (not weight or len(found) == _NEAREST):
                 break
             seen = self._keyframes[i].seen_at(light, expected)
             if seen is not None:
                 found.append((max(weight, 1e-6), *seen))
-                told.append(i)
+                by.append(i)
         if not found:
             return None
         if self._learns and len(found) == 2:
             (_, one, _), (_, other, _) = found
-            self._differ.append((told[0], told[1], one.u - other.u, one.v - other.v))
+            self._differ.append((by[0], by[1], one.u - other.u, one.v - other.v))
         pose = Pose.mean([(weight, pose) for weight, pose, _ in found])
         fades = ranked[0][0] > _LEAST and self._keyframes[ranked[0][1]].together < _FADES
         if self._learns and (ranked[0][0] > 1.0 or fades) and len(self._keyframes) < _KEYFRAMES:

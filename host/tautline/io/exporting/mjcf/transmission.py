@@ -169,8 +169,8 @@ class Control:
 
 
 def rest(model: Any, data: Any, q: float, about: dict[str, Any] | None = None) -> None:
-    """Either scene at rest with the motor at q: every coordinate where the equalities put it. about: transmission.json,
-    by default the one beside this file."""
+    """Either scene at rest with the motor at q, mm or deg: every coordinate where the equalities put it, which are in
+    order from the motor to the tip. about: transmission.json, by default the one beside this file."""
     about = about or json.loads((HERE / "transmission.json").read_text(encoding="utf-8"))
     named = {str(model.joint(i).name): i for i in range(model.njnt)}
     for name in about["moves"]:
@@ -180,19 +180,16 @@ def rest(model: Any, data: Any, q: float, about: dict[str, Any] | None = None) -
     for i in range(model.neq):
         if not str(model.equality(i).name).startswith(about["own"]):
             continue
-        one, other, tip = (
-            int(model.eq_obj1id[i]),
-            int(model.eq_obj2id[i]),
-            str(model.equality(i).name) == about["leads"],
-        )
-        leads = [other]
-        if tip:  # tendons: over the tip's hinges, and over the joints that lead them
-            first = int(model.tendon_adr[other])
-            leads = [int(joint) for joint in model.wrap_objid[first : first + int(model.tendon_num[other])]]
-        from_rest = sum(data.qpos[place[joint]] - model.qpos0[place[joint]] for joint in leads)
-        moved = sum(float(a) * from_rest**k for k, a in enumerate(model.eq_data[i, :5]))
-        if not tip:
-            data.qpos[place[one]] = model.qpos0[place[one]] + moved
+        follower, leader = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
+        of_tip = str(model.equality(i).name) == about["leads"]
+        leaders = [leader]
+        if of_tip:  # tendons: over the tip's hinges, and over the joints that lead them
+            first = int(model.tendon_adr[leader])
+            leaders = [int(joint) for joint in model.wrap_objid[first : first + int(model.tendon_num[leader])]]
+        from_rest = sum(data.qpos[place[joint]] - model.qpos0[place[joint]] for joint in leaders)
+        moved = sum(float(a) * from_rest**k for k, a in enumerate(model.eq_data[i, :5]))  # MuJoCo's quartic
+        if not of_tip:
+            data.qpos[place[follower]] = model.qpos0[place[follower]] + moved
             continue
         hinges = [(place[named[name]], sign) for name, sign in about["tip"]]
         angle = sum(sign * model.qpos0[at] for at, sign in hinges) + moved
