@@ -42,7 +42,19 @@ def once(recording: Recording) -> Recording:
     return replace(recording, marker=Marker(marker.t_s, marker.u_px[at], marker.v_px[at], marker.valid))
 
 
-def diagnosed(spoilt=stalled) -> Diagnosis:
+def now_and_then(recording: Recording) -> Recording:
+    """Six stalls of half a second: one in mid-stroke and five where the tip hardly moves."""
+    marker = recording.marker
+    at, frames = np.arange(len(marker.t_s)), 13
+    moves = np.convolve(np.abs(np.diff(marker.u_px, prepend=marker.u_px[0])), np.ones(frames), "same")
+    rests = [i for i in range(100, len(at) - 100, 25) if moves[i] < 4.0 * frames * NOISE][:5]
+    for middle in (*rests, 100 + int(np.argmax(moves[100:-100]))):
+        at[middle - frames // 2 : middle + frames // 2 + 1] = middle - frames // 2
+    assert len(rests) == 5
+    return replace(recording, marker=Marker(marker.t_s, marker.u_px[at], marker.v_px[at], marker.valid))
+
+
+def diagnosed(spoilt=stalled, left_out=()) -> Diagnosis:
     instrument = preset("reference", RIG)
     model = Model(RIG, GRID, instrument.backlash(GRID), np.full(401, 0.003), instrument.bend(GRID), 0.08, (-4.0, 4.0))
     motions = [
@@ -59,7 +71,7 @@ def diagnosed(spoilt=stalled) -> Diagnosis:
         motor=replace(test.motor, t_s=test.motor.t_s + later),
         marker=replace(test.marker, t_s=test.marker.t_s + later),
     )
-    return diagnose(model, replace(calibration, rig=RIG), [spoilt(test)])
+    return diagnose(model, replace(calibration, rig=RIG), [spoilt(test)], left_out=left_out)
 
 
 def test_stalls_are_the_gap_and_not_friction():
@@ -71,6 +83,17 @@ def test_stalls_are_the_gap_and_not_friction():
     assert document["effects"][0]["since"] == "calibration"
     total = document["probability_none"] + document["probability_unknown"]
     assert total + sum(c["probability"] for c in document["candidates"]) == pytest.approx(1.0)
+
+
+def test_stalls_are_told_though_one_of_them_is_nearly_all_of_the_gap():
+    """Frames stand still at any moment; where the tip rests nobody sees it."""
+    found = diagnosed(now_and_then)
+    assert [finding.id for finding in found.findings] == [HELD] and found.gap.before > 5.0 * NOISE
+
+
+def test_who_knows_nothing_of_repeats_sees_a_gap_of_another_cause():
+    found = diagnosed(left_out=(HELD,))
+    assert found.verdict != "none" and found.gap.before > 20.0 * NOISE
 
 
 def test_one_frame_that_is_the_one_before_is_a_coincidence():

@@ -102,6 +102,8 @@ def _diagnosis(
     hypotheses fitted, the verdict, effects that the calibration has swallowed, the document."""
     progress(0.0, "preparing")
     segments = prepare(model, calibration, tests, simulated.drives if simulated else ())
+    if repeated.HELD in left_out:
+        segments = [segment.with_repeats() for segment in segments]
     tracked = tracker.of_videos(model, segments, load_reference(calibration), [calibration, *tests])
     fitter, frozen = _fitter_and_residuals(
         model, tracked.segments if tracked else segments, load_reference(calibration), simulated

@@ -62,6 +62,10 @@ class Segment:
         """What observed it: the marker's camera or an angle sensor."""
         return MARKER if self.unit == "px" else ANGLE
 
+    def with_repeats(self) -> Segment:
+        """The same recording as it is to whoever knows nothing of links that send a sample twice."""
+        return replace(self, scored=self.scored | self.held, repeats=None)
+
     def ask(self, parameters: Mapping[str, Any]) -> None:
         """Announces to a user's simulator, if there is one, that `follow` will be called with these parameters, so that
         it can run several at once."""
