@@ -45,7 +45,7 @@ def add_repeats(document: dict[str, Any], model: Model, segments: Sequence[Segme
 
 def _powers(model: Model, tests: Sequence[Segment], load_reference: float) -> tuple[float, float, float]:
     """Mean squares of the residuals of a coordinate, px^2 or deg^2: (of all frames, of those that repeat none, the
-    increase by the repeated ones if stalls came as seldom as in nine cases of ten they do not)."""
+    increase by the repeated ones if as few stalls are to be expected as nine in ten of such numbers allow)."""
     squares, fresh, frames, stalls = 0.0, 0.0, 0, 0
     for segment in tests:
         power = np.mean(np.square(segment.observed - segment.predict(model, {}, load_reference)[1]), axis=1)
