@@ -133,8 +133,7 @@ def _diagnosis(
         parts,
     )
     document = to_document(found, hidden)
-    if repeated.HELD not in left_out:
-        repeated.add_repeats(document, model, segments, fitter.load_reference)
+    repeated.add_repeats(document, model, segments, fitter.load_reference)
     document["resembles"] = (
         resembles.closest_effects(gathered, found.gap["before"]) if document["verdict"] == "unknown" else []
     )

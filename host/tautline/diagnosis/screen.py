@@ -188,8 +188,8 @@ class _Scan:
 
     def _start_value(self, parameter: Parameter, amplitude: float, sign: float) -> tuple[float, bool]:
         """(Where a fit of this amplitude starts, whether its linear step `amplitude` may be right): the step within the
-        parameter's range and _FARTHEST scales. It is not where that is 0, or where the effect of a one-way amplitude
-        was simulated on the other side of 0 (`sign`); a fit starts a little on that side then."""
+        parameter's range and _FARTHEST scales. It cannot be right where that is 0, or where a one-way amplitude was
+        simulated on the other side of 0 (`sign`); a fit starts a little on that side then."""
         scale = self.fitter.scale(parameter)
         value = inside(parameter, float(np.clip(amplitude, -_FARTHEST * scale, _FARTHEST * scale)))
         if value == 0.0 or (parameter.one_way and value * sign < 0.0):

@@ -98,7 +98,7 @@ class Stacked:
         # What a nominal model may leave of any recording above the noise: what it leaves of its own calibration. Where
         # an effect was there while calibrating, that is what the effect left, and says nothing of the model.
         self.own_misfit = float(np.clip(evidence.calibrated / self.floor2, 1.0, INEXACT) - 1.0) * self.floor2
-        self._own_misfit = np.where([h.from_start for h in hypotheses], 0.0, self.own_misfit)  # (hypotheses,)
+        self._own_misfit_of = np.where([h.from_start for h in hypotheses], 0.0, self.own_misfit)  # (hypotheses,)
         self.power = np.array([h.power for h in hypotheses])  # (hypotheses, blocks)
         self.before = np.maximum(self.power[0] - self.floor2, 0.0)  # (blocks,) the gap's power above the floor
         self.mean = np.mean(self.power, axis=1)  # (hypotheses,)
@@ -220,7 +220,7 @@ class Stacked:
         n = self.independent_observations(misfit_tells, noise_tells)
         without_misfit = (1.0 + calibration_excess) * self.floor2 + SHARES[:, None] * self.before
         seen = self.power[:, None, :]
-        own_misfit = self._own_misfit[:, None, None]
+        own_misfit = self._own_misfit_of[:, None, None]
         predicted, correction = self.with_calibration_misfit(
             without_misfit, seen, misfit_tells, noise_tells, own_misfit
         )
