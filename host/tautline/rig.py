@@ -314,7 +314,7 @@ class Rig:
         """rig.toml. Raises TautError with the key that is missing or wrong."""
         path = Path(path)
         try:
-            text = path.read_text(encoding="utf-8")
+            text = path.read_text(encoding="utf-8-sig")
         except OSError as error:
             raise TautError(
                 f"{path}: cannot be read as a rig file ({error.strerror or error}): name one with --rig"
