@@ -55,11 +55,12 @@ def replaced(folder: Path, key_file: str, stale: Sequence[str] = ()) -> Iterator
             for old in folder.iterdir():
                 if not (temporary / old.name).exists() and not any(old.match(each) for each in stale):
                     (shutil.copytree if old.is_dir() else shutil.copy2)(old, temporary / old.name)
-            folder.rename(retired)
         try:
+            if folder.exists():
+                folder.rename(retired)
             temporary.rename(folder)
-        except OSError:
-            if retired.exists():
+        except BaseException:  # Ctrl-C too
+            if retired.exists() and not folder.exists():
                 retired.rename(folder)
             raise
     except OSError as error:
