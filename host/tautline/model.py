@@ -46,7 +46,12 @@ class Effect:
     @classmethod
     def from_json(cls, told: Mapping[str, Any]) -> Self:
         """What `to_json` gave. KeyError, TypeError or ValueError where it is something else."""
-        return cls(told["id"], dict(told["parameters"]))
+        found = cls(told["id"], dict(told["parameters"]))
+        numbers = [value for value in found.parameters.values() if not isinstance(value, str)]
+        texts = [name for name, value in found.parameters.items() if isinstance(value, str)]
+        if not isinstance(found.id, str) or not set(texts) <= {"column"} or not np.isfinite(numbers).all():
+            raise ValueError(f"effect {found.id!r} is no text, or a parameter of it no finite number")
+        return found
 
 
 @dataclass(frozen=True)
@@ -271,6 +276,8 @@ class Model(Value):
             load_mNm = float(document.get("load_reference_mNm", extra.get("load_reference_mNm", 0.0)))
             source = document.get("simulator", extra.get("simulator"))
             simulator = None if source is None else dict(source)
+            if not np.isfinite([delay_s, low, high, load_mNm, offset_s or 0.0]).all():
+                raise ValueError("delay_s, offset_s, measured or load_reference_mNm is no finite number")
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             what = f"a key {error} is missing" if isinstance(error, KeyError) else f"a value is wrong ({error})"
             raise TautError(f"{path}: damaged, {what}: make the model again with taut calibrate") from error

@@ -105,6 +105,26 @@ def test_a_folder_that_is_no_model_is_refused_in_one_line(tmp_path, text, says):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("delay_s", np.nan),
+        ("measured", [0.0, np.inf]),
+        ("offset_s", np.nan),
+        ("load_reference_mNm", np.inf),
+        ("effects", [{"id": 5, "parameters": {}}]),
+        ("effects", [{"id": "transmission.lag", "parameters": {"lag": "long"}}]),
+        ("effects", [{"id": "transmission.lag", "parameters": {"lag": np.nan}}]),
+    ],
+)
+def test_a_value_that_is_no_finite_number_is_damage(tmp_path, key, value):
+    make().save(tmp_path)
+    document = json.loads((tmp_path / "model.json").read_text())
+    (tmp_path / "model.json").write_text(json.dumps(document | {key: value}))
+    with pytest.raises(TautError, match=r"damaged, a value is wrong .*no finite number"):
+        Model.load(tmp_path)
+
+
 @pytest.mark.parametrize("falling", [False, True])
 def test_simulation_starts_on_the_centre_or_where_it_is_told(falling):
     model = make(falling)
