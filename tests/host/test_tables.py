@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tautline import _native, tables
 from tautline.errors import TautError
-from tautline.model import Model
+from tautline.model import Effect, Model
 from tautline.rig import Actuator, Coarse, Rig
 
 
@@ -143,3 +143,17 @@ def test_the_rig_s_instrument_is_in_the_blob(tmp_path: Path) -> None:
         document["actuator"]["instrument"] = bad
         with pytest.raises(TautError, match=r"actuator\.instrument is"):
             Rig.from_document(document, "rig.toml")
+
+
+def test_what_does_not_fit_into_a_blob_is_said() -> None:
+    with pytest.raises(TautError, match="serial has 8 characters at most"):
+        tables.encode(model(), instrument="SN-1234567")
+    with pytest.raises(TautError, match="created_s"):
+        tables.encode(model(), created_s=2**32)
+    for effect in (
+        Effect("transmission.lag", {"lag": 1e6}),
+        Effect("transmission.load_dependence", {"width_per_load": 1e4}),
+        Effect("transmission.load_dependence", {"offset_per_load": 1e4}),
+    ):
+        with pytest.raises(TautError, match="too large for the board's numbers"):
+            tables.encode(replace(model(), effects=(effect,)))
