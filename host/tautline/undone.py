@@ -65,7 +65,8 @@ def stands_in(model: Model) -> Nearest | None:
     if model.friction is None and len(model.elements.width) <= _native.TABLE_PLAYS_MAX:
         return None
     low, high = model.rig.actuator.range
-    return _nearest(model.q.tobytes(), model.width.tobytes(), model.friction or model.elements, low, high)
+    q, width = (np.asarray(values, dtype=float).tobytes() for values in (model.q, model.width))
+    return _nearest(q, width, model.friction or model.elements, low, high)
 
 
 @lru_cache(maxsize=16)
