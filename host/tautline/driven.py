@@ -158,10 +158,11 @@ def white_noise(t_s: Array, q: Array) -> float:
 
 
 def _block_means(t_s: Array, q: Array) -> tuple[Array, Array]:
-    """Times and readings averaged over neighbours that come faster than the nodes of the grid."""
+    """Times and readings averaged over neighbours that come faster than the nodes of the grid, never across a pause."""
     many = int(_GRID_S / float(np.median(np.diff(t_s))) + 1e-6)
     if many < 2 or len(q) < 4 * many:
         return t_s, q
-    first = np.arange(0, len(q) - many + 1, many)
+    pauses = np.flatnonzero(np.diff(t_s) > _GRID_S) + 1
+    first = np.union1d(np.arange(0, len(q) - many + 1, many), pauses)
     count = np.diff(np.append(first, len(q)))
     return np.add.reduceat(t_s, first) / count, np.add.reduceat(q, first) / count
