@@ -205,10 +205,15 @@ def foretold(model: Model, recording: Recording, settled_by: Model | None = None
             f"{recording.name}: the motor does not go through the backlash both ways: record a longer motion"
         )
     sensor, arrival_s, valid, seen = _observed(model, recording)
-    counted = valid & (arrival_s - usual.delay_of(sensor) >= begin_s)
+    counted = valid & _counted(arrival_s - usual.delay_of(sensor), begin_s, motor)
     if not counted.any():
         raise TautError(f"{recording.name}: nothing was seen after the tip was driven both ways")
     return rms([residuals(model, motor, (arrival_s - model.delay_of(sensor))[counted], seen[counted])])
+
+
+def _counted(scene_s: Array, begin_s: float, motor: Motor) -> npt.NDArray[np.bool_]:
+    """Which scene times (n,) are from begin_s on and within the motor's log: nobody knows where it went after it."""
+    return np.asarray((scene_s >= begin_s) & (scene_s <= motor.t_s[-1]))
 
 
 def _observed(model: Model, recording: Recording) -> tuple[Sensor, Array, npt.NDArray[np.bool_], Array]:
@@ -237,7 +242,7 @@ def score(model: Model, recording: Recording, start_deg: float | None = None) ->
     driven."""
     sensor, arrival_s, valid, seen = _observed(model, recording)
     scene = arrival_s - model.delay_of(sensor)
-    counted = valid & (scene >= settled_from(model, recording.motor)) & (scene <= recording.motor.t_s[-1])
+    counted = valid & _counted(scene, settled_from(model, recording.motor), recording.motor)
     if not counted.any():
         raise TautError(f"{recording.name}: nothing was seen after the tip was driven both ways: there is no score")
     told = predict_with_sigma(model, recording.motor, scene[counted], start_deg)
