@@ -252,7 +252,7 @@ class Model(Value):
             raise TautError(of_system(error)) from error
         except UnicodeDecodeError as error:
             raise TautError(f"{path}: damaged, it is no text: make the model again with taut calibrate") from error
-        except (json.JSONDecodeError, RecursionError) as error:
+        except (ValueError, RecursionError) as error:
             raise TautError(f"{path}: not valid JSON ({error}): make the model again with taut calibrate") from error
         if not isinstance(document, dict) or document.get("format") != FORMAT:
             raise TautError(f'{path}: format is not "{FORMAT}": make the model again with taut calibrate')

@@ -326,7 +326,7 @@ class Rig:
             ) from error
         try:
             document = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
+        except (ValueError, RecursionError) as error:
             raise TautError(f"{path}: not valid TOML: {error}") from error
         return cls.from_document(document, str(path))
 

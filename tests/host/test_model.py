@@ -91,6 +91,7 @@ def test_a_model_of_before_has_its_uncertainty(tmp_path):
     [
         (None, "make it with taut calibrate"),
         ("{", "not valid JSON"),
+        ('{"delay_s": ' + 5000 * "1" + "}", "not valid JSON"),
         ("[]", "format"),
         ('{"format": "model/1"}', "q, width, .* missing"),
         ('{"format":"model/1","q":[0,1],"width":[0,3],"width_sigma":[0,0],"c_deg":[0,1],"delay_s":0,'
