@@ -262,6 +262,8 @@ def save(recording: Recording, folder: str | Path) -> None:
     it stay."""
     if recording.rig is None:
         raise TautError(f"{folder}: a recording is saved with its rig, which names the unit of q")
+    if (video := recording.video) is not None and f"video{video.path.suffix}" not in VIDEO_NAMES:
+        raise TautError(f"{video.path}: a recording's video is a {' or '.join(VIDEO_NAMES)}: convert it")
     with replaced(Path(folder), layouts.MOTOR.file, stale=FILES) as target:
         motor, unit = recording.motor, recording.rig.actuator.unit
         recording.rig.save(target / "rig.toml")
@@ -295,7 +297,7 @@ def save(recording: Recording, folder: str | Path) -> None:
             _write(target / "angle.csv", {"t_s": angle.t_s, "c_deg": angle.c_deg, "valid": valid, **angle.extra})
         if recording.picture is not None:
             shutil.copyfile(recording.picture, target / PICTURE_NAME)
-        if (video := recording.video) is not None:
+        if video is not None:
             shutil.copyfile(video.path, target / f"video{video.path.suffix}")
             for beside in (each for pattern in _FOLLOWED for each in video.path.parent.glob(pattern)):
                 shutil.copyfile(beside, target / beside.name)

@@ -497,7 +497,24 @@ def test_a_rig_that_begins_with_a_byte_order_mark(tmp_path: Path) -> None:
     assert Rig.load(tmp_path / "rig.toml") == RIG
 
 
+@pytest.mark.parametrize("line", ["depth = " + 100_000 * "[", "gain = " + 5000 * "1"])
+def test_a_rig_that_no_parser_gets_through(line: str, tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_text(f'format = "rig/1"\n{line}\n')
+    with pytest.raises(TautError, match="not valid TOML"):
+        Rig.load(tmp_path / "rig.toml")
+
+
 @pytest.mark.parametrize("name", ["actuator", "camera"])
 def test_a_key_in_a_sections_place_is_named(name: str) -> None:
     with pytest.raises(TautError, match=rf"{name} is no section: write \[{name}\]"):
         Rig.from_document({**RIG.to_document(), name: 5}, "rig.toml")
+
+
+def test_a_video_that_cannot_be_saved_is_named(tmp_path: Path) -> None:
+    with pytest.raises(TautError, match=r"gone\.mkv: No such file") as caught:
+        save(own(video=Video(tmp_path / "gone.mkv", None)), tmp_path / "out")
+    assert "out" not in str(caught.value).partition("gone.mkv")[2]
+    (tmp_path / "other.avi").write_bytes(b"1")
+    with pytest.raises(TautError, match=r"other\.avi: a recording's video is a video\.mkv or video\.mp4"):
+        save(own(video=Video(tmp_path / "other.avi", None)), tmp_path / "out")
+    assert [path.name for path in tmp_path.iterdir()] == ["other.avi"]
