@@ -74,10 +74,11 @@ class Compensator:
         centre line. TautError for an unknown mode or rate, and for a model that a board would refuse."""
         if mode not in MODES:
             raise TautError(f"mode {mode!r} is not there: choose one of {', '.join(MODES)}")
-        if not RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
-            raise TautError(f"--rate {rate_hz}: the compensator runs at {RATES_HZ[0]:.0f} to {RATES_HZ[1]:.0f} Hz")
+        if not (RATES_HZ[0] <= rate_hz <= RATES_HZ[1] and rate_hz == int(rate_hz)):
+            low, high = RATES_HZ
+            raise TautError(f"--rate {rate_hz}: the compensator runs at {low:.0f} to {high:.0f} Hz, a whole number")
         check_start(start_deg)
-        self.rate_hz, self.mode = rate_hz, mode
+        self.rate_hz, self.mode = int(rate_hz), mode
         limits = _limits(model)
         assert limits.adapt is not None
         self._farthest = limits.adapt

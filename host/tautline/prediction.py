@@ -57,7 +57,7 @@ class Prediction(Value):
 def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float | None = None) -> Prediction:
     """What is seen at scene times (n,) on the motor's clock, in any order. The tip starts on the centre line, c =
     f_remain(q[0]), or at start_deg; q is held before the first and after the last motor sample."""
-    scene = np.asarray(scene_s, dtype=float)
+    scene = _scene_times(scene_s)
     seen = Chain(model).at(path_of(model, motor), scene, start_deg)
     return Prediction(seen.c_deg, seen.image_px)
 
@@ -69,7 +69,7 @@ def predict_with_sigma(
     the motor's path and, unless start_deg is given, of the start within the backlash, propagated by differences through
     the chain; of a corrected simulator that of all its unknowns together, and more where the motion is unlike those
     that it was fitted to; and the noise."""
-    scene = np.asarray(scene_s, dtype=float)
+    scene = _scene_times(scene_s)
     path = path_of(model, motor)
     told = Chain(model).at(path, scene, start_deg)
     known = _input_uncertainty(model, path, start_deg)
@@ -109,6 +109,14 @@ def predict_with_sigma(
     unseen_deg = _unseen_deg(model, told.c_deg, *path.others_at(scene))
     angle = np.sqrt(spread[:, 0] ** 2 + noise_deg**2 + unseen_deg**2)
     return Prediction(told.c_deg, told.image_px, angle, np.hypot(spread[:, 1:], noise_px))
+
+
+def _scene_times(scene_s: npt.ArrayLike) -> Array:
+    """Scene times (n,), s. TautError where they are of another shape or no finite numbers."""
+    scene = np.asarray(scene_s, dtype=float)
+    if scene.ndim != 1 or not np.isfinite(scene).all():
+        raise TautError(f"scene_s, of shape {scene.shape}, is no row of finite times, s")
+    return scene
 
 
 def _noise_at(model: Model, c_deg: Array) -> Array:

@@ -10,6 +10,7 @@ from slices import some
 
 import tautline as tl
 from tautline import trajectory
+from tautline.errors import TautError
 from tautline.model import Model, Uncertainty
 from tautline.prediction import COLUMNS, foretold, predict_with_sigma, score, settled_from
 from tautline.recording import Angle, Motor, Recording, save
@@ -153,3 +154,12 @@ def test_what_is_seen_after_the_motors_log_ends_counts_nowhere():
     ended = Recording("ended", Motor(t_s[:1400], motor.q[:1400]), angle=angle, rig=model.rig)
     assert foretold(model, ended) == pytest.approx(0.01, rel=0.1)
     assert foretold(model, ended) == score(model, ended).rms
+
+
+@pytest.mark.parametrize("scene_s", [0.5, [0.1, np.nan], [[0.1], [0.2]]])
+def test_times_that_are_no_row_of_finite_ones_are_refused(scene_s):
+    q = np.linspace(-5.0, 5.0, 41)
+    rig = Rig(Actuator("mm", (-5.0, 5.0), 0.001), Coarse(12.0, 0.0))
+    model = Model(rig, q, 0.3 + 0 * q, 0.01 + 0 * q, 12 * q, 0.05, (-4, 4))
+    with pytest.raises(TautError, match="no row of finite times"):
+        tl.predict(model, Motor(np.arange(0.0, 1.0, 0.01), np.arange(0.0, 1.0, 0.01)), scene_s)
