@@ -227,15 +227,6 @@ def _warp_error(q: Array, width: Array, narrow: float, centre: Array) -> float:
     return float((off * here / np.maximum(counts * _COUNT, share * here))[wide].max(initial=0.0))
 
 
-def encode_identity(
-    rig: Rig, axis: int = 0, limits: Limits | None = None, kind: str = "bending", created_s: int | None = None
-) -> bytes:
-    """The blob of an axis that is not calibrated: no backlash, f the coarse kinematics."""
-    fields = _header_fields(rig, axis, limits or Limits.of(rig), kind, rig.delay_s, created_s)
-    empty = np.empty(0, np.int32)
-    return _checked(_native.table_encode(fields | {"q0": 0, "step_log2": 0}, empty, empty, bytes(8)), axis)
-
-
 def decode(blob: bytes, axis: int | None = None) -> Table:
     """A blob in physical units; TautError with the reason where a board would refuse it for `axis`."""
     try:

@@ -65,8 +65,10 @@ def test_the_last_node_lies_beyond_the_range_with_the_last_slope() -> None:
     assert table.width[-1] == pytest.approx(original.width[-1], abs=1e-3)
 
 
-def test_the_identity_is_the_coarse_kinematics() -> None:
-    table = tables.decode(tables.encode_identity(model().rig, 1, kind="translation"))
+def test_a_table_without_nodes_is_the_coarse_kinematics() -> None:
+    fields = _native.FixedTable(tables.encode(model(), 1, kind="translation")).fields | {"q0": 0, "step_log2": 0}
+    none = np.empty(0, np.int32)
+    table = tables.decode(_native.table_encode(fields, none, none, bytes(8)))
     assert len(table.q) == 0 and table.kind == "translation"
     assert (table.coarse_gain, table.coarse_offset) == pytest.approx((12.0, 0.5), abs=1e-4)
 
