@@ -18,11 +18,11 @@ Array = npt.NDArray[np.float64]
 
 _GRID_S = 0.004  # tolerance: between nodes at most: finer than a camera's frames by far
 _NO_NOISE = 1e-3  # tolerance: of a step: less is none
-_LEAST_NOISE = 0.2  # of a step, to begin with
-_RARER = 0.1  # times the square of the usual change, a sweep
+_LEAST_NOISE = 0.2  # tolerance: of a step, to begin with
+_RARER = 0.1  # tolerance: times the square of the usual change, a sweep
 _RAREST = 1e-9  # tolerance: square of the usual change in a node's time, of a step: what double precision carries
 _NONE = 1e-2  # tolerance: of the largest jump of speed between two readings: none
-_SWEEPS = 48  # at most
+_SWEEPS = 48  # tolerance: at most
 _SETTLED = 1e-3  # tolerance: log probability of a reading that one more sweep must bring
 
 

@@ -74,9 +74,9 @@ def predict_with_sigma(
     told = Chain(model).at(path, scene, start_deg)
     known = _input_uncertainty(model, path, start_deg)
     unseen_deg = _unseen_deg(model, model.c_deg)
-    together = width_by_delay(model, float(known.sigma[2]))
-    by_delay = together / known.sigma[2] if known.sigma[2] > 0.0 else together
-    alone = np.sqrt(np.maximum(model.width_sigma**2 - together**2, 0.0))
+    with_delay = width_by_delay(model, float(known.sigma[2]))  # of B's sigma the part that goes with the delay's
+    by_delay = with_delay / known.sigma[2] if known.sigma[2] > 0.0 else with_delay
+    without_delay = np.sqrt(np.maximum(model.width_sigma**2 - with_delay**2, 0.0))
     apart = _deviations(model, motor, scene, start_deg)
     c_sigma = model.c_sigma if apart is None else None  # else the law is off together with the rest
     fitted_deg = None if c_sigma is None else np.sqrt(np.maximum(c_sigma**2 - unseen_deg**2, 0.0))
@@ -86,7 +86,7 @@ def predict_with_sigma(
         width, remaining, delay_s, start, q = off
         moved = replace(
             model,
-            width=allowed_width(model.q, model.width + width * alone + delay_s * by_delay),
+            width=allowed_width(model.q, model.width + width * without_delay + delay_s * by_delay),
             c_deg=model.c_deg if fitted_deg is None or not remaining else model.c_deg + remaining * fitted_deg,
         )
         lines = replace(path.lines, q=path.lines.q + q)
@@ -97,18 +97,18 @@ def predict_with_sigma(
 
     slopes = by_differences(rows, known.mean, known.sigma)
     slopes[..., -1] *= path.sigma_at(scene)[:, None] / max(path.sigma, 1e-300)
-    spread = known.spread(slopes)
+    model_sigma = known.spread(slopes)
     if apart is not None:
-        spread = np.hypot(spread, apart)
+        model_sigma = np.hypot(model_sigma, apart)
     noise = np.hypot(_noise_at(model, told.c_deg), _discrepancy(model, path, motor, scene))
     if told.image_px is None:
-        return Prediction(told.c_deg, None, np.hypot(spread[:, 0], noise))
+        return Prediction(told.c_deg, None, np.hypot(model_sigma[:, 0], noise))
     by_c = px_per_deg(model.rig, told.c_deg, *path.others_at(scene))
     by_marker = model.sensor == MARKER
     noise_px, noise_deg = (noise[:, None], noise / by_c) if by_marker else ((noise * by_c)[:, None], noise)
     unseen_deg = _unseen_deg(model, told.c_deg, *path.others_at(scene))
-    angle = np.sqrt(spread[:, 0] ** 2 + noise_deg**2 + unseen_deg**2)
-    return Prediction(told.c_deg, told.image_px, angle, np.hypot(spread[:, 1:], noise_px))
+    angle = np.sqrt(model_sigma[:, 0] ** 2 + noise_deg**2 + unseen_deg**2)
+    return Prediction(told.c_deg, told.image_px, angle, np.hypot(model_sigma[:, 1:], noise_px))
 
 
 def _scene_times(scene_s: npt.ArrayLike) -> Array:

@@ -266,7 +266,7 @@ def save(recording: Recording, folder: str | Path) -> None:
         raise TautError(f"{video.path}: a recording's video is a {' or '.join(VIDEO_NAMES)}: convert it")
     with replaced(Path(folder), layouts.MOTOR.file, stale=FILES) as target:
         motor, unit = recording.motor, recording.rig.actuator.unit
-        recording.rig.save(target / "rig.toml")
+        recording.rig.save(target / RIG_FILE)
         _write(
             target / "motor.csv",
             {
@@ -390,7 +390,7 @@ def _check_reach(columns: Columns, name: str, rig: Rig) -> None:
 
 def _own_rig(folder: Path, rig: Rig | None, warnings: list[str]) -> Rig | None:
     """The rig.toml of the folder; None where there is none, or where it is damaged and another rig was named."""
-    path = folder / "rig.toml"
+    path = folder / RIG_FILE
     if not path.exists():
         return None
     try:

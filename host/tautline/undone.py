@@ -24,7 +24,7 @@ _DEG = float(_native.DEG_ONE)
 _LEAD = 2e-3, 0.125  # tolerance: s, share of a lag's stage: the filter within which it is made up for
 _APART = 1.5  # tolerance: times: the two stages' filters
 _CREEP_MOST = 0.9  # limit: of the motion: more of it is not made up for at once
-_GAIN_MOST = 1000.0
+_GAIN_MOST = 1000.0  # tolerance: of a follower
 _STEP_LOG2_MAX = 22
 # Of a section's small table, in its steps.
 _NODES = np.array([0, 1, 2, 3, *(2**k * half for k in range(1, 7) for half in (2, 3)), _native.TABLE_STEPS], float)
