@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -227,7 +228,7 @@ def _numbers(column: Array, words: Mapping[str, str] = MappingProxyType({})) -> 
     return numbers
 
 
-def _shown(cell: object) -> str:
+def _shown(cell: Any) -> str:
     """A cell in an error's words."""
     return "empty" if pd.isna(cell) else repr(str(cell)[:24])
 

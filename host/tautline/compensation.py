@@ -183,7 +183,8 @@ def _raw(c_deg: Array) -> npt.NDArray[np.int32]:
 
 
 def _limits(model: Model) -> tables.Limits:
-    """The board's default limits, reduced to the speed of the rig's motor."""
+    """The limits of tables in use, as fast as the rig's motor may be; where the rig names no speed, as fast as a board
+    computes with."""
     resolution = model.rig.actuator.encoder_resolution
     most = _native.TABLE_VALUE_MAX // _native.COUNT_ONE * resolution
     speed = min(most, model.rig.actuator.speed_max or most)

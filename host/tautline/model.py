@@ -246,7 +246,7 @@ class Model(Value):
             low, high = (float(value) for value in document["measured"])
             c_sigma = None if document.get("c_sigma") is None else np.array(document["c_sigma"], dtype=float)
             quality = Quality.from_json(document.get("quality", {"reasons": []}))
-            extra = dict(document["extra"])
+            extra: dict[str, Any] = dict(document["extra"])
             elements = Elements.from_json(document["elements"]) if "elements" in document else SINGLE
             offset_s = None if document.get("offset_s") is None else float(document["offset_s"])
             friction = None if document.get("friction") is None else Friction.from_json(document["friction"])

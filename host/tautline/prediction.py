@@ -255,9 +255,11 @@ def score(model: Model, recording: Recording, start_deg: float | None = None) ->
         raise TautError(f"{recording.name}: nothing was seen after the tip was driven both ways: there is no score")
     told = predict_with_sigma(model, recording.motor, scene[counted], start_deg)
     by_image = sensor == MARKER
-    off = seen[counted] - (told.image_px if by_image else told.c_deg)
+    predicted, sigma = (told.image_px, told.image_sigma_px) if by_image else (told.c_deg, told.c_sigma_deg)
+    assert predicted is not None and sigma is not None  # a marker counts with a camera alone
+    off = seen[counted] - predicted
     with np.errstate(invalid="ignore"):
-        z = off / (told.image_sigma_px if by_image else told.c_sigma_deg)
+        z = off / sigma
     known = z[np.isfinite(z)]
     return Score(
         int(counted.sum()),

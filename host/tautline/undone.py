@@ -149,8 +149,8 @@ def _speed_section(v: Mapping[str, float], model: Model, count: float) -> Sectio
 
 def _late_section(v: Mapping[str, float]) -> Section:
     """Section `late`: the inverse of lag and creep as a sum of first-order followers, y + sum a (y - y_T), by partial
-    fractions; gains a in Q16, times T in us. Lags are undone but for a short filter, creep up to _CREEP_MOST. {} where
-    there are none."""
+    fractions; gains a in Q16, times T in us. Lags are undone but for a short filter, creep up to _CREEP_MOST, its slow
+    part five times slower (effects/creep.c). {} where there are none."""
     lag, second = v.get("lag", 0.0), v.get("lag_second", 0.0)
     above, below = np.poly1d([1.0]), np.poly1d([1.0])
     filtered = 0.0
