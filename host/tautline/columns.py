@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -52,10 +53,11 @@ class Columns:
         """(n,) float64, NaN where the cell is empty or NaN; an error where it is not a number."""
         column = self.cells[name]
         numbers = _numbers(column)
-        bad = np.flatnonzero(np.isnan(numbers) & pd.notna(column))
-        if bad.size:
-            cell = str(column[bad[0]])[:24]
-            raise TautError(f"{self.path}, line {self.line(bad[0])}: {name} is {cell!r}, expected a number")
+        for row in np.flatnonzero(np.isnan(numbers) & pd.notna(column)):
+            if str(column[row]).strip().lower() not in ("", "nan"):
+                raise TautError(
+                    f"{self.path}, line {self.line(row)}: {name} is {_shown(column[row])}, expected a number"
+                )
         return numbers
 
     def finite(self, name: str) -> Array:
@@ -78,8 +80,8 @@ class Columns:
         values = _numbers(column, {"true": "1", "false": "0"})
         bad = np.flatnonzero(~np.isin(values, [0, 1]))
         if bad.size:
-            cell = str(column[bad[0]])[:24]
-            raise TautError(f"{self.path}, line {self.line(bad[0])}: {name} is {cell!r}, expected 0 or 1")
+            cell = _shown(column[bad[0]])
+            raise TautError(f"{self.path}, line {self.line(bad[0])}: {name} is {cell}, expected 0 or 1")
         return values.astype(bool)
 
     def drop_truncated(self, required: Sequence[str]) -> None:
@@ -87,7 +89,8 @@ class Columns:
         decimals than the dozen lines before it agree on, or without a later time and finite `required` cells."""
         if self.terminated or len(self) < 2:
             return
-        *earlier, last = [line.split(",") for line in _lines(self.text[-4096:]) if line.strip()][-12:]
+        line_end = "\n" if "\n" in self.text else "\r"
+        *earlier, last = [line.split(",") for line in self.text.rsplit(line_end, 24) if line.strip()][-12:]
         decimals = {_decimals(cells[-1]) for cells in earlier[1:]}  # one number of them: a fixed format
         cut = len(last) < len(self.names) or (len(decimals) == 1 and _decimals(last[-1]) < min(decimals))
         if not cut:
@@ -141,7 +144,7 @@ def read_columns(path: Path, required: Iterable[str], expected: str, mend: bool 
     if not body.strip():
         raise TautError(f"{path}: has a header line but no rows")
     try:
-        table = _table(body)
+        table = _table(_with_whole_first_row(body, len(names)))
     except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError, OverflowError, csv.Error) as error:
         raise _uneven_error(path, text, header_line, len(names)) from error
     if any(pd.notna(column).any() for column in table[len(names) :]):
@@ -162,7 +165,10 @@ def read_times(path: Path, warnings: list[str] | None = None) -> tuple[list[str]
     A last line without its end counts if its time is whole."""
     columns = read_columns(path, ["t_s"], "a column t_s", mend=False)
     index = columns.names.index("t_s")
-    rows = list(csv.reader(line for line in _lines(columns.text) if line.strip()))[1 : len(columns) + 1]
+    try:
+        rows = list(csv.reader(line for line in _lines(columns.text) if line.strip()))[1 : len(columns) + 1]
+    except csv.Error as error:
+        raise TautError(f"{path}: cannot be read as comma-separated numbers ({error})") from error
     if not columns.terminated and len(rows) > 1 and len(rows[-1]) <= min(index + 1, len(columns.names) - 1):
         columns.keep(slice(-1))
         rows = rows[:-1]
@@ -170,6 +176,13 @@ def read_times(path: Path, warnings: list[str] | None = None) -> tuple[list[str]
             warnings.append(f"{path}: the last line is cut short and was left out")
     times = columns.finite("t_s")
     return [row[index].strip() for row in rows], times
+
+
+def _with_whole_first_row(body: str, count: int) -> str:
+    """The rows with empty cells at the end of the first one up to `count`: pandas takes no row that is longer."""
+    first = re.search(r"[^\r\n]*\S[^\r\n]*", body)
+    missing = 0 if first is None else count - 1 - first[0].count(",")
+    return body if first is None or missing <= 0 else body[: first.end()] + "," * missing + body[first.end() :]
 
 
 def _table(body: str) -> list[Array]:
@@ -213,6 +226,11 @@ def _numbers(column: Array, words: Mapping[str, str] = MappingProxyType({})) -> 
     numbers = np.full(len(column), np.nan)
     numbers[filled] = pd.to_numeric(np.array([words.get(t.lower(), t) for t in text], dtype=object), errors="coerce")
     return numbers
+
+
+def _shown(cell: Any) -> str:
+    """A cell in an error's words."""
+    return "empty" if pd.isna(cell) else repr(str(cell)[:24])
 
 
 def _decimals(cell: str) -> int:

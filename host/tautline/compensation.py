@@ -74,10 +74,11 @@ class Compensator:
         centre line. TautError for an unknown mode or rate, and for a model that a board would refuse."""
         if mode not in MODES:
             raise TautError(f"mode {mode!r} is not there: choose one of {', '.join(MODES)}")
-        if not RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
-            raise TautError(f"--rate {rate_hz}: the compensator runs at {RATES_HZ[0]:.0f} to {RATES_HZ[1]:.0f} Hz")
+        if not (RATES_HZ[0] <= rate_hz <= RATES_HZ[1] and rate_hz == int(rate_hz)):
+            low, high = RATES_HZ
+            raise TautError(f"--rate {rate_hz}: the compensator runs at {low:.0f} to {high:.0f} Hz, a whole number")
         check_start(start_deg)
-        self.rate_hz, self.mode = rate_hz, mode
+        self.rate_hz, self.mode = int(rate_hz), mode
         limits = _limits(model)
         assert limits.adapt is not None
         self._farthest = limits.adapt
@@ -182,7 +183,8 @@ def _raw(c_deg: Array) -> npt.NDArray[np.int32]:
 
 
 def _limits(model: Model) -> tables.Limits:
-    """The board's default limits, reduced to the speed of the rig's motor."""
+    """The limits of tables in use, as fast as the rig's motor may be; where the rig names no speed, as fast as a board
+    computes with."""
     resolution = model.rig.actuator.encoder_resolution
     most = _native.TABLE_VALUE_MAX // _native.COUNT_ONE * resolution
     speed = min(most, model.rig.actuator.speed_max or most)

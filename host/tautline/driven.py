@@ -18,11 +18,11 @@ Array = npt.NDArray[np.float64]
 
 _GRID_S = 0.004  # tolerance: between nodes at most: finer than a camera's frames by far
 _NO_NOISE = 1e-3  # tolerance: of a step: less is none
-_LEAST_NOISE = 0.2  # of a step, to begin with
-_RARER = 0.1  # times the square of the usual change, a sweep
+_LEAST_NOISE = 0.2  # tolerance: of a step, to begin with
+_RARER = 0.1  # tolerance: times the square of the usual change, a sweep
 _RAREST = 1e-9  # tolerance: square of the usual change in a node's time, of a step: what double precision carries
 _NONE = 1e-2  # tolerance: of the largest jump of speed between two readings: none
-_SWEEPS = 48  # at most
+_SWEEPS = 48  # tolerance: at most
 _SETTLED = 1e-3  # tolerance: log probability of a reading that one more sweep must bring
 
 
@@ -158,10 +158,11 @@ def white_noise(t_s: Array, q: Array) -> float:
 
 
 def _block_means(t_s: Array, q: Array) -> tuple[Array, Array]:
-    """Times and readings averaged over neighbours that come faster than the nodes of the grid."""
+    """Times and readings averaged over neighbours that come faster than the nodes of the grid, never across a pause."""
     many = int(_GRID_S / float(np.median(np.diff(t_s))) + 1e-6)
     if many < 2 or len(q) < 4 * many:
         return t_s, q
-    first = np.arange(0, len(q) - many + 1, many)
+    pauses = np.flatnonzero(np.diff(t_s) > _GRID_S) + 1
+    first = np.union1d(np.arange(0, len(q) - many + 1, many), pauses)
     count = np.diff(np.append(first, len(q)))
     return np.add.reduceat(t_s, first) / count, np.add.reduceat(q, first) / count

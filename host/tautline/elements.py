@@ -28,9 +28,9 @@ _MESH = 32  # tolerance: nodes of a period on which the warp's smoothness is mea
 _FINE = 64  # tolerance: and at least so many that it is sampled at
 _AT_LEAST = 0.05  # tolerance: of the mean rise: the warp's least, between two nodes of the mesh
 _PAST = 8  # tolerance: periods beyond the table's ends in which it is still exact
-_BEYOND = 1e3  # and to which it goes on
-_RIDGE = 1e-15
-_SAME = 1e-12  # of a period: knots that are nearer to each other are one
+_BEYOND = 1e3  # tolerance: and to which it goes on
+_RIDGE = 1e-15  # tolerance: of the normal matrix' trace
+_SAME = 1e-12  # tolerance: of a period: knots that are nearer to each other are one
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,11 @@ from tautline.spread import of_rounding
 Array = npt.NDArray[np.float64]
 
 # How far the lines between a motor's knots may be from its samples: less than a camera sees.
-_TOLERANCE_COUNTS, _TOLERANCE_MM, _TOLERANCE_DEG, _TOLERANCE_LOAD = 0.5, 5e-4, 5e-3, 1e-3
+_TOLERANCE_COUNTS, _TOLERANCE_MM, _TOLERANCE_DEG, _TOLERANCE_LOAD = 0.5, 5e-4, 5e-3, 1e-3  # tolerance
 _STEPS = 0.5  # tolerance: counts more for an encoder's own steps
 _COARSE = 5e-4  # tolerance: of the motor's travel: finer counts are seen nowhere
 _COARSE_LINES = 2e-4  # tolerance: of the travel, instead of a coarse count: how far lines may be from its path
-_LEAPS = 12.0  # times the usual step between readings: a motor that jumps
+_LEAPS = 12.0  # tolerance: times the usual step between readings: a motor that jumps
 _SKIPS = 3.5  # tolerance: of five neighbouring readings, that changed
 _OWN_STEPS = 0.6  # tolerance: counts of noise: no more than an encoder's own steps
 _SCATTERS = 1.0  # tolerance: counts of noise from which readings are smoothed
@@ -33,7 +33,10 @@ _FEWEST, _CLEARLY = 100, 5.0  # tolerance: readings that tell whether a motor tr
 _UNEVEN = 10.0  # tolerance: times a gap's shorter neighbour: beyond it noise is all that is seen
 _LAST = 2.0  # samples: within so many of a stop no knot tells a speed
 _EXACTLY = 1e-6  # tolerance: of the motor's travel: readings with finer noise or steps are what they say
-_AGREES, _STRAYS = 2.5, 5.0  # counts, and standard deviations of their noise, that readings are from a motor's path
+_AGREES, _STRAYS = (
+    2.5,
+    5.0,
+)  # tolerance: counts, and standard deviations of their noise, that readings are from a motor's path
 
 
 def between_counts(motor: Motor, resolution: float) -> Motor:
@@ -129,17 +132,17 @@ def count_of(motor: Motor, resolution: float) -> float:
     return min(resolution, float(np.sqrt(12.0)) * reading_noise(motor)) if steps is None else steps.count
 
 
-def _skips_counts(motor: Motor, encoder: Steps | None) -> bool:
+def _skips_counts(motor: Motor, steps: Steps | None) -> bool:
     """Whether a moving motor changes its (coarse) count at most readings, so that no time of a change is seen. False
     where it hardly moves, has fine counts, or jumps."""
-    steps = np.abs(np.diff(motor.q))
-    moves = steps[steps > 0]
-    if len(moves) < 10 or encoder is None or encoder.count < _COARSE * float(np.ptp(motor.q)):
+    moved = np.abs(np.diff(motor.q))
+    moves = moved[moved > 0]
+    if len(moves) < 10 or steps is None or steps.count < _COARSE * float(np.ptp(motor.q)):
         return False
     if moves.max() > _LEAPS * float(np.median(moves)):
         return False  # it steps: a smooth path through that is none
-    rested = np.convolve(steps > 0, np.ones(5), mode="same")  # a slow motor changes its count now and then
-    return bool(np.mean(rested[steps > 0]) > _SKIPS)
+    changes = np.convolve(moved > 0, np.ones(5), mode="same")  # a slow motor changes its count now and then
+    return bool(np.mean(changes[moved > 0]) > _SKIPS)
 
 
 def between_samples(motor: Motor) -> float:

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from tautline.errors import TautError
+from tautline.errors import TautError, of_system
 
 
 def check_replaceable(folder: Path, key_file: str) -> None:
@@ -55,15 +55,16 @@ def replaced(folder: Path, key_file: str, stale: Sequence[str] = ()) -> Iterator
             for old in folder.iterdir():
                 if not (temporary / old.name).exists() and not any(old.match(each) for each in stale):
                     (shutil.copytree if old.is_dir() else shutil.copy2)(old, temporary / old.name)
-            folder.rename(retired)
         try:
+            if folder.exists():
+                folder.rename(retired)
             temporary.rename(folder)
-        except OSError:
-            if retired.exists():
+        except BaseException:  # Ctrl-C too
+            if retired.exists() and not folder.exists():
                 retired.rename(folder)
             raise
     except OSError as error:
-        raise TautError(f"{folder}: cannot be written ({error.strerror or error}): name another folder") from error
+        raise _not_written(folder, "folder", error, beside, retired) from error
     finally:
         for leftover in (beside, retired):
             shutil.rmtree(leftover, ignore_errors=True)
@@ -89,7 +90,7 @@ def whole(path: Path) -> Iterator[Path]:
         yield temporary
         temporary.replace(place)
     except OSError as error:
-        raise TautError(f"{path}: cannot be written ({error.strerror or error}): name another file") from error
+        raise _not_written(path, "file", error, place, temporary) from error
     finally:
         with suppress(OSError):
             temporary.unlink()
@@ -104,7 +105,18 @@ def write_file(path: Path, text: str) -> None:
     try:
         path.write_text(text, encoding="utf-8", newline="")
     except OSError as error:
-        raise TautError(f"{path}: cannot be written ({error.strerror or error}): name another file") from error
+        raise _not_written(path, "file", error) from error
+
+
+def _not_written(place: Path, kind: str, error: OSError, *others: Path) -> TautError:
+    """The error where the system refused something while `place`, a file or a folder by `kind`, was written: of it, of
+    what holds it, or of `others`, which are written for it; else the file that is refused is named, as one that is
+    copied and not there."""
+    refused = Path(error.filename).resolve() if isinstance(error.filename, str) else None
+    own = [each.resolve() for each in (place, *others)]
+    if refused is None or any(refused.is_relative_to(each) or each.is_relative_to(refused) for each in own):
+        return TautError(f"{place}: cannot be written ({error.strerror or error}): name another {kind}")
+    return TautError(of_system(error))
 
 
 @contextmanager

@@ -62,5 +62,5 @@ class Friction:
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Self:
-        values = [float(document[name]) for name in VALUES if name in document]
+        values = [float(document[name]) for name in VALUES if name != "beta" or name in document]
         return cls(str(document["kind"]), *values)

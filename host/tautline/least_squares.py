@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 Point = TypeVar("Point")  # the unknowns and all that is known of them there: they are simulated once
 
 _DAMPING = 1e-4  # tolerance: at first, of the diagonal
-_LEAST, _MOST = 1e-9, 1e6
+_LEAST, _MOST = 1e-9, 1e6  # tolerance: of it
 _TRIES = 8  # tolerance: of a step, ever shorter
 _RIDGE, _FLOOR = 1e-9, 1e-12  # tolerance: of a factor: of the diagonal, and beside it
 

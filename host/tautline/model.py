@@ -46,7 +46,12 @@ class Effect:
     @classmethod
     def from_json(cls, told: Mapping[str, Any]) -> Self:
         """What `to_json` gave. KeyError, TypeError or ValueError where it is something else."""
-        return cls(told["id"], dict(told["parameters"]))
+        found = cls(told["id"], dict(told["parameters"]))
+        numbers = [value for value in found.parameters.values() if not isinstance(value, str)]
+        texts = [name for name, value in found.parameters.items() if isinstance(value, str)]
+        if not isinstance(found.id, str) or not set(texts) <= {"column"} or not np.isfinite(numbers).all():
+            raise ValueError(f"effect {found.id!r} is no text, or a parameter of it no finite number")
+        return found
 
 
 @dataclass(frozen=True)
@@ -233,27 +238,7 @@ class Model(Value):
     def load(cls, folder: str | Path) -> Self:
         """What `save` wrote. Raises TautError where a file is missing, damaged or no model's."""
         folder = Path(folder)
-        path = folder / MODEL_FILE
-        try:
-            document = json.loads(path.read_text(encoding="utf-8"))
-        except (FileNotFoundError, NotADirectoryError) as error:
-            if (folder / "motor.csv").exists():
-                raise TautError(
-                    f"{folder}: is a recording, not a model: 'taut calibrate {folder} --out MODEL' makes one of it"
-                ) from error
-            what = f"holds no {MODEL_FILE}" if folder.is_dir() else "is a file" if folder.exists() else "is not there"
-            raise TautError(f"{folder}: {what}, a model is a folder: make it with taut calibrate") from error
-        except OSError as error:
-            raise TautError(of_system(error)) from error
-        except UnicodeDecodeError as error:
-            raise TautError(f"{path}: damaged, it is no text: make the model again with taut calibrate") from error
-        except (json.JSONDecodeError, RecursionError) as error:
-            raise TautError(f"{path}: not valid JSON ({error}): make the model again with taut calibrate") from error
-        if not isinstance(document, dict) or document.get("format") != FORMAT:
-            raise TautError(f'{path}: format is not "{FORMAT}": make the model again with taut calibrate')
-        missing = [name for name in (*_ARRAYS, "effects", "delay_s", "measured", "extra") if name not in document]
-        if missing:
-            raise TautError(f"{path}: {', '.join(missing)} missing: make it again with taut calibrate")
+        path, document = folder / MODEL_FILE, _document(folder)
         try:
             q, width, sigma, c_deg = arrays = [np.array(document[name], dtype=float) for name in _ARRAYS]
             effects = tuple(map(Effect.from_json, document["effects"]))
@@ -261,7 +246,7 @@ class Model(Value):
             low, high = (float(value) for value in document["measured"])
             c_sigma = None if document.get("c_sigma") is None else np.array(document["c_sigma"], dtype=float)
             quality = Quality.from_json(document.get("quality", {"reasons": []}))
-            extra = dict(document["extra"])
+            extra: dict[str, Any] = dict(document["extra"])
             elements = Elements.from_json(document["elements"]) if "elements" in document else SINGLE
             offset_s = None if document.get("offset_s") is None else float(document["offset_s"])
             friction = None if document.get("friction") is None else Friction.from_json(document["friction"])
@@ -271,6 +256,8 @@ class Model(Value):
             load_mNm = float(document.get("load_reference_mNm", extra.get("load_reference_mNm", 0.0)))
             source = document.get("simulator", extra.get("simulator"))
             simulator = None if source is None else dict(source)
+            if not np.isfinite([delay_s, low, high, load_mNm, offset_s or 0.0]).all():
+                raise ValueError("delay_s, offset_s, measured or load_reference_mNm is no finite number")
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             what = f"a key {error} is missing" if isinstance(error, KeyError) else f"a value is wrong ({error})"
             raise TautError(f"{path}: damaged, {what}: make the model again with taut calibrate") from error
@@ -288,25 +275,51 @@ class Model(Value):
         if sensor not in (MARKER, ANGLE):
             sensor = MARKER if rig.has_camera else ANGLE
         return cls(
-            rig,
-            q,
-            width,
-            sigma,
-            c_deg,
-            delay_s,
-            (low, high),
-            effects,
-            elements,
-            c_sigma,
-            quality,
-            extra,
-            sensor,
-            offset_s,
-            friction,
-            uncertainty,
-            load_mNm,
-            simulator,
+            rig=rig,
+            q=q,
+            width=width,
+            width_sigma=sigma,
+            c_deg=c_deg,
+            delay_s=delay_s,
+            measured=(low, high),
+            effects=effects,
+            elements=elements,
+            c_sigma=c_sigma,
+            quality=quality,
+            extra=extra,
+            sensor=sensor,
+            offset_s=offset_s,
+            friction=friction,
+            uncertainty=uncertainty,
+            load_reference_mNm=load_mNm,
+            simulator=simulator,
         )
+
+
+def _document(folder: Path) -> dict[str, Any]:
+    """A model's JSON, as it is written, with all the keys that it must have. TautError as of `Model.load`."""
+    path = folder / MODEL_FILE
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError) as error:
+        if (folder / "motor.csv").exists():
+            raise TautError(
+                f"{folder}: is a recording, not a model: 'taut calibrate {folder} --out MODEL' makes one of it"
+            ) from error
+        what = f"holds no {MODEL_FILE}" if folder.is_dir() else "is a file" if folder.exists() else "is not there"
+        raise TautError(f"{folder}: {what}, a model is a folder: make it with taut calibrate") from error
+    except OSError as error:
+        raise TautError(of_system(error)) from error
+    except UnicodeDecodeError as error:
+        raise TautError(f"{path}: damaged, it is no text: make the model again with taut calibrate") from error
+    except (ValueError, RecursionError) as error:
+        raise TautError(f"{path}: not valid JSON ({error}): make the model again with taut calibrate") from error
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise TautError(f'{path}: format is not "{FORMAT}": make the model again with taut calibrate')
+    missing = [name for name in (*_ARRAYS, "effects", "delay_s", "measured", "extra") if name not in document]
+    if missing:
+        raise TautError(f"{path}: {', '.join(missing)} missing: make it again with taut calibrate")
+    return document
 
 
 def _of_before(extra: Mapping[str, Any]) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares, nnls
 from scipy.special import softmax
 
 from tautline import _native
-from tautline.elements import Elements, Hysteresis, Play, warp_of
+from tautline.elements import SINGLE, Elements, Hysteresis, Play, warp_of
 
 Array = npt.NDArray[np.float64]
 
@@ -41,7 +41,9 @@ class Nearest:
 
 def nearest_plays(grid: Array, width: Array, hysteresis: Hysteresis, reached: tuple[float, float]) -> Nearest:
     """The plays nearest to a hysteresis on loops of all sizes within `reached`, and their error: least squares, first
-    of weights at fixed widths, then of both."""
+    of weights at fixed widths, then of both. One play where there is no backlash."""
+    if not np.any(width > 0.0):
+        return Nearest(SINGLE, 0.0, 0.0)
     q = _test_motion(grid, width, reached)
     p = Play(grid, width, hysteresis).forward(q)
     warp = warp_of(grid, width, Play(grid, width).narrow)

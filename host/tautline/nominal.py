@@ -16,7 +16,7 @@ from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
 
-_STEEP = 0.05  # limit: least dq/dp: allowed widths have a slope of at most 1.9
+_STEEP = 0.05  # tolerance: least dq/dp: half of what an allowed B, |B'| <= 1.8, comes down to
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,7 @@ class Prediction(Value):
 def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float | None = None) -> Prediction:
     """What is seen at scene times (n,) on the motor's clock, in any order. The tip starts on the centre line, c =
     f_remain(q[0]), or at start_deg; q is held before the first and after the last motor sample."""
-    scene = np.asarray(scene_s, dtype=float)
+    scene = _scene_times(scene_s)
     seen = Chain(model).at(path_of(model, motor), scene, start_deg)
     return Prediction(seen.c_deg, seen.image_px)
 
@@ -69,14 +69,14 @@ def predict_with_sigma(
     the motor's path and, unless start_deg is given, of the start within the backlash, propagated by differences through
     the chain; of a corrected simulator that of all its unknowns together, and more where the motion is unlike those
     that it was fitted to; and the noise."""
-    scene = np.asarray(scene_s, dtype=float)
+    scene = _scene_times(scene_s)
     path = path_of(model, motor)
     told = Chain(model).at(path, scene, start_deg)
     known = _input_uncertainty(model, path, start_deg)
     unseen_deg = _unseen_deg(model, model.c_deg)
-    together = width_by_delay(model, float(known.sigma[2]))
-    by_delay = together / known.sigma[2] if known.sigma[2] > 0.0 else together
-    alone = np.sqrt(np.maximum(model.width_sigma**2 - together**2, 0.0))
+    with_delay = width_by_delay(model, float(known.sigma[2]))  # of B's sigma the part that goes with the delay's
+    by_delay = with_delay / known.sigma[2] if known.sigma[2] > 0.0 else with_delay
+    without_delay = np.sqrt(np.maximum(model.width_sigma**2 - with_delay**2, 0.0))
     apart = _deviations(model, motor, scene, start_deg)
     c_sigma = model.c_sigma if apart is None else None  # else the law is off together with the rest
     fitted_deg = None if c_sigma is None else np.sqrt(np.maximum(c_sigma**2 - unseen_deg**2, 0.0))
@@ -86,7 +86,7 @@ def predict_with_sigma(
         width, remaining, delay_s, start, q = off
         moved = replace(
             model,
-            width=allowed_width(model.q, model.width + width * alone + delay_s * by_delay),
+            width=allowed_width(model.q, model.width + width * without_delay + delay_s * by_delay),
             c_deg=model.c_deg if fitted_deg is None or not remaining else model.c_deg + remaining * fitted_deg,
         )
         lines = replace(path.lines, q=path.lines.q + q)
@@ -97,18 +97,26 @@ def predict_with_sigma(
 
     slopes = by_differences(rows, known.mean, known.sigma)
     slopes[..., -1] *= path.sigma_at(scene)[:, None] / max(path.sigma, 1e-300)
-    spread = known.spread(slopes)
+    model_sigma = known.spread(slopes)
     if apart is not None:
-        spread = np.hypot(spread, apart)
+        model_sigma = np.hypot(model_sigma, apart)
     noise = np.hypot(_noise_at(model, told.c_deg), _discrepancy(model, path, motor, scene))
     if told.image_px is None:
-        return Prediction(told.c_deg, None, np.hypot(spread[:, 0], noise))
+        return Prediction(told.c_deg, None, np.hypot(model_sigma[:, 0], noise))
     by_c = px_per_deg(model.rig, told.c_deg, *path.others_at(scene))
     by_marker = model.sensor == MARKER
     noise_px, noise_deg = (noise[:, None], noise / by_c) if by_marker else ((noise * by_c)[:, None], noise)
     unseen_deg = _unseen_deg(model, told.c_deg, *path.others_at(scene))
-    angle = np.sqrt(spread[:, 0] ** 2 + noise_deg**2 + unseen_deg**2)
-    return Prediction(told.c_deg, told.image_px, angle, np.hypot(spread[:, 1:], noise_px))
+    angle = np.sqrt(model_sigma[:, 0] ** 2 + noise_deg**2 + unseen_deg**2)
+    return Prediction(told.c_deg, told.image_px, angle, np.hypot(model_sigma[:, 1:], noise_px))
+
+
+def _scene_times(scene_s: npt.ArrayLike) -> Array:
+    """Scene times (n,), s. TautError where they are of another shape or no finite numbers."""
+    scene = np.asarray(scene_s, dtype=float)
+    if scene.ndim != 1 or not np.isfinite(scene).all():
+        raise TautError(f"scene_s, of shape {scene.shape}, is no row of finite times, s")
+    return scene
 
 
 def _noise_at(model: Model, c_deg: Array) -> Array:
@@ -205,10 +213,15 @@ def foretold(model: Model, recording: Recording, settled_by: Model | None = None
             f"{recording.name}: the motor does not go through the backlash both ways: record a longer motion"
         )
     sensor, arrival_s, valid, seen = _observed(model, recording)
-    counted = valid & (arrival_s - usual.delay_of(sensor) >= begin_s)
+    counted = valid & _counted(arrival_s - usual.delay_of(sensor), begin_s, motor)
     if not counted.any():
         raise TautError(f"{recording.name}: nothing was seen after the tip was driven both ways")
     return rms([residuals(model, motor, (arrival_s - model.delay_of(sensor))[counted], seen[counted])])
+
+
+def _counted(scene_s: Array, begin_s: float, motor: Motor) -> npt.NDArray[np.bool_]:
+    """Which scene times (n,) are from begin_s on and within the motor's log: nobody knows where it went after it."""
+    return np.asarray((scene_s >= begin_s) & (scene_s <= motor.t_s[-1]))
 
 
 def _observed(model: Model, recording: Recording) -> tuple[Sensor, Array, npt.NDArray[np.bool_], Array]:
@@ -237,14 +250,16 @@ def score(model: Model, recording: Recording, start_deg: float | None = None) ->
     driven."""
     sensor, arrival_s, valid, seen = _observed(model, recording)
     scene = arrival_s - model.delay_of(sensor)
-    counted = valid & (scene >= settled_from(model, recording.motor)) & (scene <= recording.motor.t_s[-1])
+    counted = valid & _counted(scene, settled_from(model, recording.motor), recording.motor)
     if not counted.any():
         raise TautError(f"{recording.name}: nothing was seen after the tip was driven both ways: there is no score")
     told = predict_with_sigma(model, recording.motor, scene[counted], start_deg)
     by_image = sensor == MARKER
-    off = seen[counted] - (told.image_px if by_image else told.c_deg)
+    predicted, sigma = (told.image_px, told.image_sigma_px) if by_image else (told.c_deg, told.c_sigma_deg)
+    assert predicted is not None and sigma is not None  # a marker counts with a camera alone
+    off = seen[counted] - predicted
     with np.errstate(invalid="ignore"):
-        z = off / (told.image_sigma_px if by_image else told.c_sigma_deg)
+        z = off / sigma
     known = z[np.isfinite(z)]
     return Score(
         int(counted.sum()),

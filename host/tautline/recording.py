@@ -61,11 +61,14 @@ class Motor(Value):
 
     @property
     def joints(self) -> dict[str, Array]:
-        """Further joints that move, NAME_deg or NAME_mm, (n,) each. At most MOST_JOINTS."""
-        moving = {
+        """Further joints that move, NAME_deg or NAME_mm, (n,) each, numbers in all rows. At most MOST_JOINTS."""
+        numbers = {
             name: values
             for name, values in self.extra.items()
-            if name.endswith(("_deg", "_mm")) and np.isfinite(values).all() and np.ptp(values) > 0.0
+            if name.endswith(("_deg", "_mm")) and np.asarray(values).dtype.kind in "iuf"
+        }
+        moving = {
+            name: values for name, values in numbers.items() if np.isfinite(values).all() and np.ptp(values) > 0.0
         }
         return dict(list(moving.items())[:MOST_JOINTS])
 
@@ -162,8 +165,12 @@ def load_all(paths: Sequence[str | Path], rig: Rig | None = None) -> list[Record
     recordings: list[Recording] = []
     for path in paths:
         recording = load(path, rig)
-        same = sum(Path(other).resolve().name == recording.name for other in paths[: len(recordings)])
-        recordings.append(replace(recording, name=f"{recording.name} ({same + 1})") if same else recording)
+        taken = {other.name for other in recordings}
+        name, number = recording.name, 1
+        while name in taken:
+            number += 1
+            name = f"{recording.name} ({number})"
+        recordings.append(replace(recording, name=name))
     return recordings
 
 
@@ -195,11 +202,12 @@ def read_motor(file: Path, rig: Rig, warnings: list[str] | None = None) -> Motor
     unit = rig.actuator.unit
     q_name, other = f"q_{unit}", "q_deg" if unit == "mm" else "q_mm"
     expected = layouts.MOTOR.header(unit)
-    columns = read_columns(file, ["t_s"], expected)
+    columns = read_columns(file, ["t_s"], expected, mend=False)
     if q_name not in columns.names:
         if other in columns.names:
             raise TautError(f'{file}: has column {other}, but the rig\'s actuator.unit is "{unit}": expected {q_name}')
         raise columns.missing(q_name, expected)
+    columns.drop_truncated(["t_s", q_name])
     t_s = columns.rising_times()
     _check_motor_times(t_s, str(file), lambda row: f"line {columns.line(row)}")
     _check_reach(columns, q_name, rig)
@@ -225,7 +233,7 @@ def read_motor(file: Path, rig: Rig, warnings: list[str] | None = None) -> Motor
 def check_motor(motor: Motor, name: str = "motor") -> None:
     """TautError for a motor that was not read from a file and that no file could hold."""
     columns = {each: getattr(motor, each) for each in ("t_s", "q", *_OTHERS) if getattr(motor, each) is not None}
-    _check_columns(columns, name, tuple(columns))
+    _check_columns({**columns, **motor.extra}, name, tuple(columns))
     _check_motor_times(motor.t_s, name, _row)
 
 
@@ -234,9 +242,11 @@ def check(recording: Recording) -> None:
     check_motor(recording.motor, f"{recording.name}: motor")
     if (marker := recording.marker) is not None:
         columns = {"t_s": marker.t_s, "u_px": marker.u_px, "v_px": marker.v_px, "valid": marker.valid}
-        _check_columns(columns, f"{recording.name}: marker")
+        sigma = {} if marker.sigma_px is None else {"sigma_px": marker.sigma_px}
+        _check_columns({**columns, **sigma, **marker.extra}, f"{recording.name}: marker")
     if (angle := recording.angle) is not None:
-        _check_columns({"t_s": angle.t_s, "c_deg": angle.c_deg}, f"{recording.name}: angle")
+        valid = {} if angle.valid is None else {"valid": angle.valid}
+        _check_columns({"t_s": angle.t_s, "c_deg": angle.c_deg, **valid, **angle.extra}, f"{recording.name}: angle")
 
 
 def check_distinct(recordings: Sequence[Recording]) -> None:
@@ -252,9 +262,11 @@ def save(recording: Recording, folder: str | Path) -> None:
     it stay."""
     if recording.rig is None:
         raise TautError(f"{folder}: a recording is saved with its rig, which names the unit of q")
+    if (video := recording.video) is not None and f"video{video.path.suffix}" not in VIDEO_NAMES:
+        raise TautError(f"{video.path}: a recording's video is a {' or '.join(VIDEO_NAMES)}: convert it")
     with replaced(Path(folder), layouts.MOTOR.file, stale=FILES) as target:
         motor, unit = recording.motor, recording.rig.actuator.unit
-        recording.rig.save(target / "rig.toml")
+        recording.rig.save(target / RIG_FILE)
         _write(
             target / "motor.csv",
             {
@@ -285,7 +297,7 @@ def save(recording: Recording, folder: str | Path) -> None:
             _write(target / "angle.csv", {"t_s": angle.t_s, "c_deg": angle.c_deg, "valid": valid, **angle.extra})
         if recording.picture is not None:
             shutil.copyfile(recording.picture, target / PICTURE_NAME)
-        if (video := recording.video) is not None:
+        if video is not None:
             shutil.copyfile(video.path, target / f"video{video.path.suffix}")
             for beside in (each for pattern in _FOLLOWED for each in video.path.parent.glob(pattern)):
                 shutil.copyfile(beside, target / beside.name)
@@ -325,7 +337,8 @@ def _check_columns(columns: Mapping[str, Array], name: str, finite: Sequence[str
 def _check_motor_times(t_s: Array, name: str, at: Callable[[int], str]) -> None:
     """TautError where rising times (n,) are too few or too far apart for a motor's. at: words for a row's place."""
     if len(t_s) < 2:
-        raise TautError(f"{name}: has a single row: expected encoder samples over some time")
+        rows = "a single row" if len(t_s) else "no rows"
+        raise TautError(f"{name}: has {rows}: expected encoder samples over some time")
     step = np.diff(t_s)
     if np.median(step) >= MAX_MOTOR_STEP_S:
         raise TautError(f"{name}: rows are {np.median(step):.4g} s apart: expected 10 Hz or more, t_s in seconds")
@@ -377,7 +390,7 @@ def _check_reach(columns: Columns, name: str, rig: Rig) -> None:
 
 def _own_rig(folder: Path, rig: Rig | None, warnings: list[str]) -> Rig | None:
     """The rig.toml of the folder; None where there is none, or where it is damaged and another rig was named."""
-    path = folder / "rig.toml"
+    path = folder / RIG_FILE
     if not path.exists():
         return None
     try:

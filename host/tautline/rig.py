@@ -314,7 +314,7 @@ class Rig:
         """rig.toml. Raises TautError with the key that is missing or wrong."""
         path = Path(path)
         try:
-            text = path.read_text(encoding="utf-8")
+            text = path.read_text(encoding="utf-8-sig")
         except OSError as error:
             raise TautError(
                 f"{path}: cannot be read as a rig file ({error.strerror or error}): name one with --rig"
@@ -326,7 +326,7 @@ class Rig:
             ) from error
         try:
             document = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
+        except (ValueError, RecursionError) as error:
             raise TautError(f"{path}: not valid TOML: {error}") from error
         return cls.from_document(document, str(path))
 

@@ -82,11 +82,14 @@ class Section:
     def read(self, document: Mapping[str, Any], where: str) -> dict[str, Any]:
         """The section's keys that are there, checked, by name; TautError for a missing section or key."""
         table = document.get(self.name)
-        if not isinstance(table, Mapping):
+        topic = f"{self.file}.{self.name}"
+        if table is not None and not isinstance(table, Mapping):
+            raise _error(where, f"{self.name} is no section: write [{self.name}] and its keys below it", topic)
+        if table is None:
             names = ", ".join(key.name for key in self.keys)
             meant = next((name for name in document if nearest(name, [self.name])), None)
             hint = f"[{meant}] is there, did you mean it?" if meant else f"it holds {names}"
-            raise _error(where, f"section [{self.name}] is missing: {hint}", f"{self.file}.{self.name}")
+            raise _error(where, f"section [{self.name}] is missing: {hint}", topic)
         values = {}
         for key in self.keys:
             name = f"{self.name}.{key.name}"

@@ -27,7 +27,14 @@ SHAPE = Section(
     "shape",
     "One shape of the shaft, with its model in the folder of its name.",
     (
-        Key("name", "the shape's name, and its model's folder", "straight", "text", pattern=r"[\w-]{1,40}"),
+        Key(
+            "name",
+            "the shape's name, and its model's folder",
+            "straight",
+            "text",
+            pattern=r"[\w-]{1,40}",
+            described="1 to 40 letters, digits, - or _",
+        ),
         Key("offset", "of the transmission beside the first shape's, unit of q", 0.0),
         Key("scale", "of B beside the first shape's", 1.0, above=0.0),
         Key("current_mA", "mean motor current in use; without it current does not count", 150.0, needed=False),
@@ -72,7 +79,7 @@ class Library:
             document = tomllib.loads(index.read_text(encoding="utf-8"))
         except OSError:
             raise TautError(f"{folder}: no library of shapes: begin one with 'taut shapes add'") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        except (ValueError, RecursionError) as error:
             raise TautError(f"{index}: is no TOML ({error}): mend it, or add the shapes again") from error
         if document.get("format") != FORMAT:
             raise TautError(f'{index}: format is {document.get("format")!r}, expected "{FORMAT}"')
@@ -101,17 +108,19 @@ class Library:
 
     def add(self, name: str, model: Model, current_mA: float | None = None) -> Library:
         """The library with a model's shape, which replaces one of that name; written to its folder."""
-        SHAPE.keys[0].read(name, "shape.name", str(self.folder / INDEX), SHAPE.file)
+        index = self.folder / INDEX
+        SHAPE.keys[0].read(name, "shape.name", str(index), SHAPE.file)
         others = tuple(shape for shape in self.shapes if shape.name != name)
         first = next((shape for shape in self.shapes[:1] if shape.name != name), None)
         if first is None and others:
             raise TautError(f"{self.folder}: {name} is the shape that the others are told by: begin another library")
         offset, scale = (0.0, 1.0) if first is None else offset_and_scale(self.model(first.name), model)
-        model.save(self.folder / name)
         made = Library(self.folder, (*others, Shape(name, offset, scale, current_mA)))
         listed = [{k: v for k, v in asdict(shape).items() if v is not None} for shape in made.shapes]
+        SHAPE.read({"shape": listed[-1]}, str(index))  # what is written can be read
+        model.save(self.folder / name)
         document: dict[str, Any] = {"format": FORMAT, "shape": listed}
-        write_file(self.folder / INDEX, tomli_w.dumps(document))
+        write_file(index, tomli_w.dumps(document))
         return made
 
     def own(self, model: Model) -> Shape | None:

@@ -13,7 +13,7 @@ import numpy as np
 from tautline import _native
 from tautline.elements import SINGLE, Elements, warp_of
 from tautline.errors import TautError
-from tautline.model import Array, Model
+from tautline.model import Array, Model, interpolate
 from tautline.rig import MARKER, Rig
 from tautline.undone import Joint, Section, undone
 
@@ -24,6 +24,7 @@ _COUNT = float(_native.COUNT_ONE)  # Q8
 _DEG = float(_native.DEG_ONE)  # Q16
 _SLOPE = 2.0**28  # format: deg per count, Q28
 _NANO = 1e-9
+_SERIAL = 8  # format: bytes of an instrument's serial
 _SHARE, _WEIGHT = 2.0**28, 2**16  # format: of an element's width, and of its share of the motion
 _PERIOD_LOG2 = 26  # format: of the warp, at most
 _HALF_LOG2 = 26  # format: and of half the widest element
@@ -138,20 +139,33 @@ def encode(
     q_raw = q_min - below + (np.arange(-(-span >> step_log2) + 1, dtype=np.int64) << step_log2)
     q = q_raw * (rig.actuator.encoder_resolution / _COUNT)
     width = np.interp(q, model.q, model.width)
-    c_deg = _extrapolated(q, np.asarray(model.q, float), np.asarray(model.c_deg, float))
+    c_deg = interpolate(q, np.asarray(model.q, float), np.asarray(model.c_deg, float))
     fields = _header_fields(rig, axis, limits, kind, model.delay_of(MARKER), created_s)
     fields |= {"q0": int(q_raw[0]), "step_log2": step_log2}
     raw_width = _raw(width / rig.actuator.encoder_resolution * _COUNT, "a backlash width")
+    serial = instrument if instrument is not None else rig.actuator.instrument or ""
+    if len(serial.encode()) > _SERIAL:
+        raise TautError(f"instrument {serial!r}: its serial has {_SERIAL} characters at most")
+    _check_sections(sections)
     blob: bytes = _native.table_encode(
         fields,
         raw_width,
         _raw(c_deg * _DEG, "f_remain"),
         identity,
-        instrument if instrument is not None else rig.actuator.instrument or "",
+        serial,
         _plays_section(model, q_raw.astype(float), raw_width.astype(float)),
         sections,
     )
     return _checked(blob, axis)
+
+
+def _check_sections(sections: Mapping[str, Section]) -> None:
+    """TautError where a number of a section has more than 32 bits."""
+    for name, section in sections.items():
+        if any(abs(value) >= 2**31 for values in section.values() for value in np.ravel(values).tolist()):
+            raise TautError(
+                f"section {name}, which undoes an effect, is too large for the board's numbers: diagnose again"
+            )
 
 
 def _adapt_section(adapt: tuple[float, float, float], rig: Rig) -> Section:
@@ -211,15 +225,6 @@ def _warp_error(q: Array, width: Array, narrow: float, centre: Array) -> float:
     counts, share = _WARP_OFF
     off = np.abs(np.interp(p_high, q, centre) - np.interp(p_low, q, centre) - 1.0)
     return float((off * here / np.maximum(counts * _COUNT, share * here))[wide].max(initial=0.0))
-
-
-def encode_identity(
-    rig: Rig, axis: int = 0, limits: Limits | None = None, kind: str = "bending", created_s: int | None = None
-) -> bytes:
-    """The blob of an axis that is not calibrated: no backlash, f the coarse kinematics."""
-    fields = _header_fields(rig, axis, limits or Limits.of(rig), kind, rig.delay_s, created_s)
-    empty = np.empty(0, np.int32)
-    return _checked(_native.table_encode(fields | {"q0": 0, "step_log2": 0}, empty, empty, bytes(8)), axis)
 
 
 def decode(blob: bytes, axis: int | None = None) -> Table:
@@ -309,19 +314,8 @@ def _header_fields(
         "flat_speed_q8": _counts(limits.flat_speed, rig, "limits.flat_speed"),
         # a recording's clock may run ahead of its camera; a live camera's cannot
         "delay_us": _whole(max(delay_s, 0.0) * 1e6, "delay_s", 0, 2**32 - 1),
-        "created_s": int(time.time()) if created_s is None else created_s,
+        "created_s": _whole(int(time.time()) if created_s is None else created_s, "created_s", 0, 2**32 - 1),
     }
-
-
-def _extrapolated(x: Array, grid: Array, values: Array) -> Array:
-    """Linear between the grid's points, and beyond them with the outermost slopes."""
-    inside: Array = np.interp(x, grid, values)
-    if len(grid) < 2:
-        return inside
-    first = (values[1] - values[0]) / (grid[1] - grid[0])
-    last = (values[-1] - values[-2]) / (grid[-1] - grid[-2])
-    result: Array = inside + first * np.minimum(x - grid[0], 0.0) + last * np.maximum(x - grid[-1], 0.0)
-    return result
 
 
 def _range(rig: Rig) -> tuple[int, int]:

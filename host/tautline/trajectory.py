@@ -15,6 +15,7 @@ from tautline.rig import Actuator
 Array = np.ndarray
 
 RATE_HZ = 1000.0
+_LONGEST_S = 86_400.0  # limit: of one motion: all of its samples are in memory
 
 
 @dataclass(frozen=True)
@@ -41,13 +42,26 @@ class Trajectory:
         )
 
 
+def _samples(duration_s: float) -> Array:
+    """(n,) The times, s, of a motion's samples from 0 to its end. TautError for a duration that none can have."""
+    if not 0.0 <= duration_s <= _LONGEST_S:
+        raise TautError(f"a motion lasts {duration_s:.6g} s: expected {_LONGEST_S:.0f} s at most")
+    return np.arange(int(duration_s * RATE_HZ) + 1) / RATE_HZ
+
+
+def _check_speed(speed: float) -> None:
+    if not 0.0 < speed < np.inf:
+        raise TautError(f"a motion's speed is {speed:g}: expected one above 0")
+
+
 def through(
     points: Sequence[float] | Array, speed: float | Sequence[float], acceleration: float, dwell_s: float = 0.0
 ) -> Trajectory:
     """Rest to rest through `points` with trapezoidal speed, waiting `dwell_s` at each. speed: unit/s, one or one for
     each stroke; acceleration: unit/s^2."""
     points = np.asarray(points, dtype=np.float64)
-    if len(points) < 2 or acceleration <= 0 or np.any(np.asarray(speed) <= 0) or dwell_s < 0:
+    moves = len(points) >= 2 and np.isfinite(points).all() and np.all(np.asarray(speed) > 0.0)
+    if not (moves and 0.0 < acceleration < np.inf and dwell_s >= 0.0):
         raise TautError("a motion needs two points or more, speed and acceleration above 0 and a dwell of 0 or more")
     stroke = np.diff(points)
     reach = np.abs(stroke)
@@ -60,7 +74,7 @@ def through(
     start = np.concatenate([[0.0], np.cumsum(duration)])
     velocity = np.concatenate([[0.0], np.cumsum(pull * duration)])[:-1]
     position = points[0] + np.concatenate([[0.0], np.cumsum((velocity + 0.5 * pull * duration) * duration)])[:-1]
-    t = np.arange(int(start[-1] * RATE_HZ) + 1) / RATE_HZ
+    t = _samples(float(start[-1]))
     phase = np.clip(np.searchsorted(start, t, side="right") - 1, 0, len(duration) - 1)
     since = t - start[phase]
     return Trajectory(t, position[phase] + (velocity[phase] + 0.5 * pull[phase] * since) * since)
@@ -120,15 +134,17 @@ def trapezoids(
 
 def sines(actuator: Actuator, speed: float, duration_s: float) -> Trajectory:
     """Two sines that never repeat together (periods 1 : 1.618, 60 and 35 % of half the range); top speed `speed`."""
+    _check_speed(speed)
     low, high = actuator.range
     half = 0.5 * (high - low)
     rate = speed / (half * (0.60 + 0.35 / 1.618))
-    t = np.arange(int(duration_s * RATE_HZ) + 1) / RATE_HZ
+    t = _samples(duration_s)
     return Trajectory(t, 0.5 * (low + high) + half * (0.60 * np.sin(rate * t) + 0.35 * np.sin(rate * t / 1.618)))
 
 
 def random_smooth(actuator: Actuator, speed: float, duration_s: float, seed: int) -> Trajectory:
     """A smooth random motion over the range with reversals anywhere; `speed` is its greatest, within some 20 %."""
+    _check_speed(speed)
     low, high = actuator.range
     rng = np.random.default_rng([seed, 0x7247])
     rates = np.exp(rng.uniform(np.log(0.4), np.log(2.5), 9))  # rad per unit of the wander's own time
@@ -144,5 +160,5 @@ def random_smooth(actuator: Actuator, speed: float, duration_s: float, seed: int
 
     sample = np.linspace(0.0, 200.0, 20001)
     fastest = np.abs(np.gradient(wander(sample), sample)).max()
-    t = np.arange(int(duration_s * RATE_HZ) + 1) / RATE_HZ
+    t = _samples(duration_s)
     return Trajectory(t, wander(t * speed / fastest))

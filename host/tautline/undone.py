@@ -24,7 +24,7 @@ _DEG = float(_native.DEG_ONE)
 _LEAD = 2e-3, 0.125  # tolerance: s, share of a lag's stage: the filter within which it is made up for
 _APART = 1.5  # tolerance: times: the two stages' filters
 _CREEP_MOST = 0.9  # limit: of the motion: more of it is not made up for at once
-_GAIN_MOST = 1000.0
+_GAIN_MOST = 1000.0  # tolerance: of a follower
 _STEP_LOG2_MAX = 22
 # Of a section's small table, in its steps.
 _NODES = np.array([0, 1, 2, 3, *(2**k * half for k in range(1, 7) for half in (2, 3)), _native.TABLE_STEPS], float)
@@ -65,7 +65,8 @@ def stands_in(model: Model) -> Nearest | None:
     if model.friction is None and len(model.elements.width) <= _native.TABLE_PLAYS_MAX:
         return None
     low, high = model.rig.actuator.range
-    return _nearest(model.q.tobytes(), model.width.tobytes(), model.friction or model.elements, low, high)
+    q, width = (np.asarray(values, dtype=float).tobytes() for values in (model.q, model.width))
+    return _nearest(q, width, model.friction or model.elements, low, high)
 
 
 @lru_cache(maxsize=16)
@@ -148,8 +149,8 @@ def _speed_section(v: Mapping[str, float], model: Model, count: float) -> Sectio
 
 def _late_section(v: Mapping[str, float]) -> Section:
     """Section `late`: the inverse of lag and creep as a sum of first-order followers, y + sum a (y - y_T), by partial
-    fractions; gains a in Q16, times T in us. Lags are undone but for a short filter, creep up to _CREEP_MOST. {} where
-    there are none."""
+    fractions; gains a in Q16, times T in us. Lags are undone but for a short filter, creep up to _CREEP_MOST, its slow
+    part five times slower (effects/creep.c). {} where there are none."""
     lag, second = v.get("lag", 0.0), v.get("lag_second", 0.0)
     above, below = np.poly1d([1.0]), np.poly1d([1.0])
     filtered = 0.0

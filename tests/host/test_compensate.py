@@ -231,3 +231,10 @@ def test_what_it_says_where_it_cannot(taut: Taut, tmp_path: Path) -> None:
     Model(**{**own.__dict__, "effects": (contact,)}).save(tmp_path / "held")
     done = taut("compensate", tmp_path / "held", "--trajectory", good, *out)
     assert done.code == 0 and "configuration.contact" in done.err
+
+
+def test_a_rate_is_a_whole_number() -> None:
+    assert Compensator(model(0.5), 1000.0).run([0.0, 0.1], [0.0, 1.0]) == compensate(model(0.5), [0.0, 0.1], [0.0, 1.0])
+    for rate in (1000.5, np.nan, 5):
+        with pytest.raises(TautError, match="16 to 100000 Hz, a whole number"):
+            Compensator(model(0.5), rate)

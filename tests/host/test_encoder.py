@@ -211,3 +211,13 @@ def test_a_motor_that_swings_is_taken_at_its_word_and_noisy_readings_are_not(see
     if readings * remembers**2 > 1000:  # fewer, or weaker ones, could be chance
         assert swings(trembling)
         assert np.abs(between_counts(trembling, COUNT).q - trembling.q).max() < COUNT
+
+
+@pytest.mark.parametrize(("readings", "step_s"), [(10, 2e-4), (5, 5e-4)])
+def test_readings_that_come_in_bursts_are_not_averaged_across_the_pauses(readings, step_s):
+    t_s = np.repeat(np.arange(0.0, 20.0, 0.05), readings) + np.tile(step_s * np.arange(readings), 400)
+    q = 3.0 * (1.37 - np.abs(t_s % 2.74 - 1.37))
+    motor = Motor(t_s, np.round(q / COUNT) * COUNT)
+    assert posterior_of(motor, COUNT) is not None
+    lines = straight_lines(motor, COUNT)
+    assert np.abs(np.interp(t_s, lines.t_s, lines.q) - q).max() < 3.0 * COUNT

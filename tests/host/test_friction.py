@@ -214,3 +214,20 @@ def test_a_calibration_finds_dahls_predicts_with_it_and_knows_how_well():
     error, sigma = width - own.width[inside], own.width_sigma[inside]
     assert np.sqrt(np.mean((error / sigma) ** 2)) < 2.5
     assert np.sqrt(np.mean(sigma**2)) < 0.01
+
+
+def test_a_board_has_plays_for_a_model_without_backlash_and_for_whole_numbers():
+    own = model()
+    free = replace(own, friction=Friction("dahl", 0.1, 0.1, 1.0), width=np.zeros_like(own.width))
+    assert stands_in(free).share == 0.0 and tables.decode(tables.encode(free)).elements.single
+    q = np.arange(-5, 6)
+    whole = replace(free, q=q, width=np.full(11, 0.3), width_sigma=np.full(11, 0.01), c_deg=12.0 * q)
+    assert stands_in(whole).elements == stands_in(replace(whole, q=q.astype(float))).elements
+
+
+def test_a_law_without_its_share_is_damaged():
+    document = Friction("bouc-wen", 0.1, 0.5, 2.0, 0.5).to_json()
+    assert Friction.from_json(document).beta == 0.5
+    del document["share"]
+    with pytest.raises(KeyError, match="share"):
+        Friction.from_json(document)

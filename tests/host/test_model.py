@@ -91,6 +91,7 @@ def test_a_model_of_before_has_its_uncertainty(tmp_path):
     [
         (None, "make it with taut calibrate"),
         ("{", "not valid JSON"),
+        ('{"delay_s": ' + 5000 * "1" + "}", "not valid JSON"),
         ("[]", "format"),
         ('{"format": "model/1"}', "q, width, .* missing"),
         ('{"format":"model/1","q":[0,1],"width":[0,3],"width_sigma":[0,0],"c_deg":[0,1],"delay_s":0,'
@@ -103,6 +104,26 @@ def test_a_folder_that_is_no_model_is_refused_in_one_line(tmp_path, text, says):
     with pytest.raises(TautError, match=says) as error:
         Model.load(tmp_path)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("delay_s", np.nan),
+        ("measured", [0.0, np.inf]),
+        ("offset_s", np.nan),
+        ("load_reference_mNm", np.inf),
+        ("effects", [{"id": 5, "parameters": {}}]),
+        ("effects", [{"id": "transmission.lag", "parameters": {"lag": "long"}}]),
+        ("effects", [{"id": "transmission.lag", "parameters": {"lag": np.nan}}]),
+    ],
+)
+def test_a_value_that_is_no_finite_number_is_damage(tmp_path, key, value):
+    make().save(tmp_path)
+    document = json.loads((tmp_path / "model.json").read_text())
+    (tmp_path / "model.json").write_text(json.dumps(document | {key: value}))
+    with pytest.raises(TautError, match=r"damaged, a value is wrong .*no finite number"):
+        Model.load(tmp_path)
 
 
 @pytest.mark.parametrize("falling", [False, True])

@@ -12,6 +12,7 @@ from reference_instrument import RIG, saved_model, saved_recording
 
 import tautline as tl
 from tautline.errors import TautError
+from tautline.folders import replaced
 from tautline.recording import save
 from tautline.reports import figures
 from tautline.rig import Actuator, Coarse, Rig
@@ -147,3 +148,21 @@ def test_a_picture_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: p
     with pytest.raises(TautError, match="No space left"):
         figures.save(Figure(), path)
     assert path.read_bytes() == before and names(tmp_path) == {"picture.png"}
+
+
+def test_a_result_that_is_stopped_while_it_takes_its_place_leaves_the_one_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, rename = tmp_path / "out", Path.rename
+    out.mkdir()
+    (out / "key").write_text("before")
+
+    def stopped(self: Path, target: Path) -> Path:
+        if target == out and self.name == out.name and self.parent != tmp_path:
+            raise KeyboardInterrupt
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", stopped)
+    with pytest.raises(KeyboardInterrupt), replaced(out, "key") as folder:
+        (folder / "key").write_text("after")
+    assert names(tmp_path) == {"out"} and (out / "key").read_text() == "before"

@@ -10,10 +10,11 @@ from slices import some
 
 import tautline as tl
 from tautline import trajectory
-from tautline.model import Uncertainty
-from tautline.prediction import COLUMNS, predict_with_sigma, score, settled_from
+from tautline.errors import TautError
+from tautline.model import Model, Uncertainty
+from tautline.prediction import COLUMNS, foretold, predict_with_sigma, score, settled_from
 from tautline.recording import Angle, Motor, Recording, save
-from tautline.rig import ANGLE
+from tautline.rig import ANGLE, Actuator, Coarse, Rig
 from tautline.simulated import simulate
 from tautline.simulated.instrument import preset, reference_rig
 
@@ -139,3 +140,26 @@ def test_the_command_writes_the_sigmas_and_the_score(calibrated, tmp_path, monke
     assert "% within what 90 % should be" in done.out
     (tmp_path / "unseen" / "marker.csv").unlink()
     assert taut(*words, "--score").code == 1
+
+
+def test_what_is_seen_after_the_motors_log_ends_counts_nowhere():
+    t_s = np.arange(0.0, 10.0, 0.005)
+    motor = Motor(t_s, np.round(3.0 * np.sin(2.0 * t_s), 3))
+    q = np.linspace(-5.0, 5.0, 41)
+    model = Model(
+        Rig(Actuator("mm", (-5.0, 5.0), 0.001), Coarse(12.0, 0.0)), q, 0.3 + 0 * q, 0.01 + 0 * q, 12 * q, 0.05, (-4, 4)
+    )
+    angle = Angle(t_s[::8] + 0.05, model.simulate(motor, t_s[::8]) + 0.01)
+    model = replace(model, sensor=ANGLE)
+    ended = Recording("ended", Motor(t_s[:1400], motor.q[:1400]), angle=angle, rig=model.rig)
+    assert foretold(model, ended) == pytest.approx(0.01, rel=0.1)
+    assert foretold(model, ended) == score(model, ended).rms
+
+
+@pytest.mark.parametrize("scene_s", [0.5, [0.1, np.nan], [[0.1], [0.2]]])
+def test_times_that_are_no_row_of_finite_ones_are_refused(scene_s):
+    q = np.linspace(-5.0, 5.0, 41)
+    rig = Rig(Actuator("mm", (-5.0, 5.0), 0.001), Coarse(12.0, 0.0))
+    model = Model(rig, q, 0.3 + 0 * q, 0.01 + 0 * q, 12 * q, 0.05, (-4, 4))
+    with pytest.raises(TautError, match="no row of finite times"):
+        tl.predict(model, Motor(np.arange(0.0, 1.0, 0.01), np.arange(0.0, 1.0, 0.01)), scene_s)

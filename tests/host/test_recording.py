@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from tautline.recording import (
     Video,
     check_distinct,
     load,
+    load_all,
     load_motor,
     save,
 )
@@ -125,9 +127,11 @@ def lines_of(text: str, **changes: str) -> str:
         ("motor.csv", ("t_s,q_mm\n" + "".join(f"{i * 10},{i}\n" for i in range(50))).encode(), "in seconds"),
         ("motor.csv", lines_of(MOTOR, line_201="1e9,0.1").encode(), "line 201: t_s jumps"),
         ("motor.csv", b't_s,q_mm\n0.0,1.0\n0.1,"1.0\n0.2,1.0\n', "quotation mark"),
+        ("motor.csv", b"t_s,q_mm,load_mNm\n0,1\n0.1,2,3\n0.2,3,4\n", "line 2: load_mNm is empty"),
         ("marker.csv", b"t_s,x,y\n0,1,2\n", "column u_px is missing"),
         ("marker.csv", b"t_s,u_px,v_px\n100,1,2\n101,1,2\n", "do not overlap"),
         ("marker.csv", b"t_s,u_px,v_px,valid\n0.1,1,2,1\n0.2,1,2,maybe\n", "valid is 'maybe'"),
+        ("marker.csv", b"t_s,u_px,v_px,valid\n0.1,1,2,1\n0.2,1,2,\n", "valid is empty"),
         ("angle.csv", b"t_s,c_deg\n0.1,nan\n0.2,nan\n", "no number"),
         ("frames.csv", b"frame,t_s\n0,0.1\n0.5,0.2\n", "whole numbers"),
     ],
@@ -423,7 +427,10 @@ def test_a_sensor_that_no_file_could_hold_is_refused() -> None:
     for changed, says in (
         ({"marker": replace(marker, t_s=marker.t_s[::-1])}, "own: marker, row 1: t_s goes from 3.96 to 3.92"),
         ({"marker": replace(marker, valid=marker.valid[1:])}, "own: marker: its columns have not one length"),
+        ({"marker": replace(marker, sigma_px=np.ones(3))}, "own: marker: its columns have not one length .*sigma_px 3"),
         ({"angle": Angle(np.array([0.0, np.nan]), np.zeros(2))}, "own: angle, row 1: t_s is nan"),
+        ({"angle": Angle(np.arange(9.0), np.zeros(9), np.ones(3, bool))}, "own: angle: its .* one length .*valid 3"),
+        ({"motor": replace(own().motor, extra={"j_deg": np.zeros(3)})}, "own: motor: its .* one length .*j_deg 3"),
     ):
         with pytest.raises(TautError, match=says):
             tl.calibrate(own(**changed))
@@ -441,3 +448,73 @@ def test_one_recording_is_not_evidence_twice(tmp_path: Path) -> None:
     check_distinct([a, c])
     with pytest.raises(TautError, match="b: is the same recording as a"):
         check_distinct([a, c, b])
+
+
+def test_a_column_that_holds_no_numbers_is_no_joint(folder: Path) -> None:
+    header, *rows = MOTOR.splitlines()
+    more = (f"{row},{'on' if i % 2 else 'off'},{i % 2 == 0},{i / 10}" for i, row in enumerate(rows))
+    (folder / "motor.csv").write_text("\n".join([f"{header},tool_mm,locked_deg,arm_deg", *more]) + "\n")
+    assert list(load(folder, RIG).motor.joints) == ["arm_deg"]
+
+
+def test_blanks_around_a_cell_are_none_of_it(folder: Path) -> None:
+    (folder / "marker.csv").write_text(lines_of(MARKER, line_3="0.04 , nan , nan "))
+    recording = load(folder, RIG)
+    assert recording.marker is not None and not recording.marker.valid[1] and recording.marker.valid.sum() == 49
+
+
+def test_a_motor_that_is_cut_before_its_position_loses_that_row(folder: Path) -> None:
+    rows = "".join(f"{i / 100},{i * 0.013}\n" for i in range(50))
+    (folder / "motor.csv").write_text(f"t_s,q_mm\n{rows}0.5,")
+    recording = load(folder, RIG)
+    assert len(recording.motor.t_s) == 50 and "cut short" in recording.warnings[0]
+
+
+def test_a_whole_last_line_of_many_columns_stays(folder: Path) -> None:
+    names = ",".join(f"joint_{i}_deg" for i in range(600))
+    rows = [f"{i / 100:.2f},{i / 50:.4f}" + ",1.23456" * 600 for i in range(200)]
+    (folder / "motor.csv").write_text("\n".join([f"t_s,q_mm,{names}", *rows]))
+    recording = load(folder, RIG)
+    assert len(recording.motor.t_s) == 200 and recording.warnings == ()
+
+
+def test_times_beside_a_cell_without_end(tmp_path: Path) -> None:
+    (tmp_path / "times.csv").write_text(f"t_s,note\n0.0,{'9' * 200_000}\n")
+    with pytest.raises(TautError, match=r"times\.csv: cannot be read as comma-separated numbers"):
+        read_times(tmp_path / "times.csv")
+
+
+def test_recordings_of_one_name_get_names_that_no_other_has(folder: Path, tmp_path: Path) -> None:
+    paths = [tmp_path / name for name in ("x/run", "y/run", "z/run (2)", "w/run")]
+    for path in paths:
+        shutil.copytree(folder, path)
+    assert [each.name for each in load_all(paths, RIG)] == ["run", "run (2)", "run (2) (2)", "run (3)"]
+
+
+def test_a_rig_that_begins_with_a_byte_order_mark(tmp_path: Path) -> None:
+    RIG.save(tmp_path / "rig.toml")
+    (tmp_path / "rig.toml").write_bytes(b"\xef\xbb\xbf" + (tmp_path / "rig.toml").read_bytes())
+    assert Rig.load(tmp_path / "rig.toml") == RIG
+
+
+@pytest.mark.parametrize("line", ["depth = " + 100_000 * "[", "gain = " + 5000 * "1"])
+def test_a_rig_that_no_parser_gets_through(line: str, tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_text(f'format = "rig/1"\n{line}\n')
+    with pytest.raises(TautError, match="not valid TOML"):
+        Rig.load(tmp_path / "rig.toml")
+
+
+@pytest.mark.parametrize("name", ["actuator", "camera"])
+def test_a_key_in_a_sections_place_is_named(name: str) -> None:
+    with pytest.raises(TautError, match=rf"{name} is no section: write \[{name}\]"):
+        Rig.from_document({**RIG.to_document(), name: 5}, "rig.toml")
+
+
+def test_a_video_that_cannot_be_saved_is_named(tmp_path: Path) -> None:
+    with pytest.raises(TautError, match=r"gone\.mkv: No such file") as caught:
+        save(own(video=Video(tmp_path / "gone.mkv", None)), tmp_path / "out")
+    assert "out" not in str(caught.value).partition("gone.mkv")[2]
+    (tmp_path / "other.avi").write_bytes(b"1")
+    with pytest.raises(TautError, match=r"other\.avi: a recording's video is a video\.mkv or video\.mp4"):
+        save(own(video=Video(tmp_path / "other.avi", None)), tmp_path / "out")
+    assert [path.name for path in tmp_path.iterdir()] == ["other.avi"]

@@ -88,6 +88,8 @@ def test_two_that_are_alike_are_not_told_apart():
         ('format = "shapes/1"\n[[shape]]\nname = "x"\noffset = 0.0\n', "shape.scale"),
         ('format = "shapes/1"\n[[shape]]\nname = "x"\noffset = 0.0\nscale = -1.0\n', "above 0"),
         ('format = "shapes/2"\n', "shapes/1"),
+        ('format = "shapes/1"\nshape = ' + 100_000 * "[", "no TOML"),
+        ('format = "shapes/1"\nscale = ' + 5000 * "1", "no TOML"),
         ('format = "shapes/1"\nshape = 3\n', "[[shape]]"),
         ("no toml", "no TOML"),
     ],
@@ -118,3 +120,11 @@ def test_the_commands_add_list_and_recall(taut, tmp_path):
         assert done.code == 0, done.err
         assert done.out.startswith(name) and f"taut flash {shapes / name}" in done.out
     assert "no library" in taut.refuses("shapes", "list", tmp_path)
+
+
+def test_what_could_not_be_read_back_is_not_added(tmp_path):
+    library = Library(tmp_path).add("straight", FIRST)
+    for name, current, says in (("..", None, "1 to 40 letters"), ("bent", np.nan, "shape.current_mA is nan")):
+        with pytest.raises(TautError, match=says):
+            library.add(name, FIRST, current)
+    assert Library.load(tmp_path) == library and not (tmp_path / "bent").exists()

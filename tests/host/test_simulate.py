@@ -255,3 +255,19 @@ def test_the_command_says_what_does_not_fit_together(tmp_path: Path) -> None:
     assert result.exit_code != 0 and "[camera]" in str(result.exception)
     result = taut("--out", tmp_path / "a", "--motion", "trapezoids", "--amplitude", 11)
     assert "does not fit the range" in str(result.exception)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--speed", "nan"),
+        ("--speed", "1e-9"),
+        ("--dwell", "nan"),
+        ("--motion", "sines", "--speed", "nan"),
+        ("--motion", "sines", "--duration", "nan"),
+        ("--motion", "random", "--speed", "inf"),
+    ],
+)
+def test_a_motion_that_cannot_be_is_refused(words: tuple[str, ...], tmp_path: Path) -> None:
+    result = taut("--out", tmp_path / "a", *words)
+    assert isinstance(result.exception, TautError) and "motion" in str(result.exception)

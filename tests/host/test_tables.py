@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tautline import _native, tables
 from tautline.errors import TautError
-from tautline.model import Model
+from tautline.model import Effect, Model
 from tautline.rig import Actuator, Coarse, Rig
 
 
@@ -65,8 +65,10 @@ def test_the_last_node_lies_beyond_the_range_with_the_last_slope() -> None:
     assert table.width[-1] == pytest.approx(original.width[-1], abs=1e-3)
 
 
-def test_the_identity_is_the_coarse_kinematics() -> None:
-    table = tables.decode(tables.encode_identity(model().rig, 1, kind="translation"))
+def test_a_table_without_nodes_is_the_coarse_kinematics() -> None:
+    fields = _native.FixedTable(tables.encode(model(), 1, kind="translation")).fields | {"q0": 0, "step_log2": 0}
+    none = np.empty(0, np.int32)
+    table = tables.decode(_native.table_encode(fields, none, none, bytes(8)))
     assert len(table.q) == 0 and table.kind == "translation"
     assert (table.coarse_gain, table.coarse_offset) == pytest.approx((12.0, 0.5), abs=1e-4)
 
@@ -143,3 +145,17 @@ def test_the_rig_s_instrument_is_in_the_blob(tmp_path: Path) -> None:
         document["actuator"]["instrument"] = bad
         with pytest.raises(TautError, match=r"actuator\.instrument is"):
             Rig.from_document(document, "rig.toml")
+
+
+def test_what_does_not_fit_into_a_blob_is_said() -> None:
+    with pytest.raises(TautError, match="serial has 8 characters at most"):
+        tables.encode(model(), instrument="SN-1234567")
+    with pytest.raises(TautError, match="created_s"):
+        tables.encode(model(), created_s=2**32)
+    for effect in (
+        Effect("transmission.lag", {"lag": 1e6}),
+        Effect("transmission.load_dependence", {"width_per_load": 1e4}),
+        Effect("transmission.load_dependence", {"offset_per_load": 1e4}),
+    ):
+        with pytest.raises(TautError, match="too large for the board's numbers"):
+            tables.encode(replace(model(), effects=(effect,)))
