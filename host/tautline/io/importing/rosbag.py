@@ -63,7 +63,10 @@ class Rosbag:
     def pictures(self, episode: int, video: str) -> Iterator[Picture]:
         """The pictures of an image topic."""
         with self._opened() as reader:
-            for connection, log_ns, raw in reader.messages([c for c in reader.connections if c.topic == video]):
+            chosen = [c for c in reader.connections if c.topic == video]
+            if not chosen:  # to the library no connections are all
+                raise TautError(f"{self.path}: has no video {video}")
+            for connection, log_ns, raw in reader.messages(chosen):
                 message = reader.deserialize(raw, connection.msgtype)
                 found = picture(message, self._s(log_ns), self._s(stamp_ns(message)))
                 if found is None:

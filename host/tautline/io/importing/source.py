@@ -78,12 +78,6 @@ class Source(Protocol):
         """The frames of a channel of pictures."""
 
 
-def group_of(channel: str, groups: Collection[str]) -> str:
-    """The group that a channel is of: the longest name that it begins with; "" is the table that has no name."""
-    fitting = [group for group in groups if channel == group or channel.startswith(f"{group}.") or not group]
-    return max(fitting, key=len, default="")
-
-
 def origin_of(first_s: float) -> float:
     """What is taken off times: nothing where they count from a start of their own."""
     return first_s if abs(first_s) > EPOCH_S else 0.0
