@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from base64 import b64encode
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 import tautline as tl
 from tautline.calibration.calibrate import calibrate
+from tautline.io.importing import open_source, scan
 from tautline.io.importing.tip import bending_deg
 from tautline.recording import Angle, Motor, Recording, load
 from tautline.rig import Rig
@@ -292,6 +294,51 @@ def test_pictures_of_a_bag_are_copied_into_a_video(taut: Taut, tmp_path: Path) -
     with VideoCamera(made.video.path) as camera:
         seen = [read[0].mean() for _ in coded if (read := camera.read())]
     np.testing.assert_allclose(seen, [files.level(k) for k in range(len(coded))], atol=2.5)
+
+
+def test_pictures_of_json_messages_are_base64(taut: Taut, tmp_path: Path) -> None:
+    """As Foxglove's and the package's own MCAP files have them; two were written in the other order."""
+    t_s = np.arange(0.0, 4.0, 0.02)
+    coded = files.jpegs(8, 48)
+    frames = [(0.4 * k, {"data": b64encode(each).decode(), "format": "jpeg"}) for k, each in enumerate(coded)]
+    frames[3], frames[4] = frames[4], frames[3]
+    motor = [(t, {"q": 20.0 * np.sin(t)}) for t in t_s.tolist()]
+    path = files.mcap_messages(tmp_path / "log.mcap", {"/motor": motor, "/camera": frames}, ["/camera"])
+    assert taut("import", path, "--out", tmp_path / "out", "--motor", "/motor.q", "--video", "/camera").code == 0
+    made = load(tmp_path / "out", RIG)
+    assert made.video is not None and made.video.arrival_s is not None
+    seen = made.video.arrival_s[np.isfinite(made.video.arrival_s)]
+    np.testing.assert_allclose(seen, [0.0, 0.4, 0.8, 1.6, 2.0, 2.4, 2.8], atol=1e-6)  # 1.2 s came too late
+    with VideoCamera(made.video.path) as camera:
+        shown = [read[0].mean() for _ in coded if (read := camera.read())]
+    np.testing.assert_allclose(shown, [files.level(k) for k in (0, 1, 2, 4, 3, 5, 6, 7)], atol=2.5)
+
+
+def test_publishers_of_one_topic_have_channels_of_their_own(tmp_path: Path) -> None:
+    t_s = np.arange(0.0, 4.0, 0.02).tolist()
+    arm = [(t, {"name": ["a", "b"], "position": [t, 2.0 * t]}) for t in t_s]
+    jaw = [(t + 0.01, {"name": ["jaw"], "position": [-t]}) for t in t_s]
+    path = files.mcap_messages(tmp_path / "log.mcap", {"/joints": arm, "/joints ": jaw})
+    found = scan(open_source(path), None, lambda share, what: None).channels
+    assert {c.fact.label: (c.low, c.high) for c in found.values()} == {
+        "a": (0.0, 3.98), "b": (0.0, 7.96), "jaw": (-3.98, 0.0)
+    }  # fmt: skip
+
+
+def test_a_video_without_stamps_is_on_the_clock_of_the_motor(taut: Taut, tmp_path: Path) -> None:
+    """The motor's stamps are 0.3 s before they are logged; the frames have no stamps."""
+    t_s = np.arange(0.0, 4.0, 0.02)
+    coded = files.jpegs(8, 48)
+    frame_s = 0.4 * np.arange(8) + 0.3
+    path = files.rosbag(
+        tmp_path / "bag", {"/joints": (t_s, {"jaw": np.sin(t_s)})}, pictures={"/cam": (frame_s, coded)},
+        late_s=0.3, stamped=("/joints",),
+    )  # fmt: skip
+    done = taut("import", path, "--out", tmp_path / "out", "--motor", "/joints.position[0]", "--video", "/cam")
+    assert done.code == 0 and "/cam has no header stamps" in done.err and "by the log times" in done.out
+    made = load(tmp_path / "out", RIG)
+    assert made.video is not None and made.video.arrival_s is not None
+    assert made.video.arrival_s[0] == pytest.approx(made.motor.t_s[0], abs=1e-6)
 
 
 def test_a_place_in_the_image_becomes_a_marker(taut: Taut, tmp_path: Path) -> None:

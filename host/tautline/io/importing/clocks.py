@@ -99,6 +99,8 @@ def tidy(t_s: Array, what: str, warnings: list[str]) -> Array:
             )
         warnings.append(f"{what}: {count} rows that repeat the time before them were left out")
         kept = kept[np.concatenate([[True], ~repeated])]
+        if len(kept) < 2:
+            raise TautError(f"{what}: all of its rows have one time: expected a motion")
         step = np.diff(t_s[kept])
     gaps = np.flatnonzero(step > max(_GAP_S, _GAP_STEPS * float(np.median(step))))
     if gaps.size:

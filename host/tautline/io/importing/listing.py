@@ -107,11 +107,12 @@ class _Group:
 
 def scan(source: Source, episode: int | None, progress: Progress) -> Listing:
     """One pass over an episode (None: the first): at most 8192 rows of each channel, (k,), t_s in s. TautError where it
-    has no rows."""
+    has no rows or no such episode."""
     episodes = source.episodes()
     if not episodes:
         raise TautError(f"{source.path}: is empty: it holds no messages")
     episode = episodes[0] if episode is None else episode
+    check_episode(source, episode)
     groups: dict[str, _Group] = {}
     rows = 0
     for batch in source.batches(episode):
@@ -138,6 +139,13 @@ def scan(source: Source, episode: int | None, progress: Progress) -> Listing:
     if not channels and not source.videos:
         raise TautError(f"{source.path}: holds no {source.numbers} with numbers: is it the right file?")
     return Listing(episode, channels, list(source.videos), clocks)
+
+
+def check_episode(source: Source, episode: int) -> None:
+    """TautError where a source that is not empty has no such episode."""
+    listed = source.episodes()
+    if episode not in listed:
+        raise TautError(f"{source.path}: has no episode {episode}: its episodes are {listed[0]} to {listed[-1]}")
 
 
 QUATERNION_TYPE = "orientation"

@@ -15,6 +15,7 @@ from tautline.rig import UNITS as RIG_UNITS
 
 _MOST = 96  # channels that are compared: the ones that change most often
 _GRID = 4096  # times at which they are compared
+_LEAST_CHANGES = 4  # limit: of those times, that leave a lag to look for: a shorter recording tells no change
 _CHANGE_S = 0.2  # over which a change is taken: a few samples of a slow sensor, less than a reversal
 _LAG_S = 0.5  # that a tip or a servo may be late by
 _MOVES = 0.5  # correlation of changes from which on two channels move together
@@ -96,25 +97,29 @@ def propose(listing: Listing, hold: Proposal | None = None) -> Proposal:
 
 def _compare(listing: Listing) -> _Compared:
     """How the channels that change most often, at most _MOST, move together: correlations and lags of their changes
-    over _CHANGE_S, spans, and their values at _GRID common times."""
+    over _CHANGE_S, spans, and their values at _GRID common times. All are unrelated where there are not two, or they
+    are shorter than that."""
     channels = [c for c in listing.channels.values() if c.moves and not _is_part_of_orientation(c.name, listing)]
     channels = [c for c in channels if np.isfinite(c.values).sum() > 8]
     changes = [float(np.mean(np.diff(c.values[np.isfinite(c.values)]) != 0)) for c in channels]
     channels = [channels[k] for k in np.argsort(changes, kind="stable")[::-1][:_MOST]]
     channels.sort(key=lambda c: list(listing.channels).index(c.name))
     n = len(channels)
+    unrelated = _Compared(
+        [c.name for c in channels], np.eye(n), np.zeros((n, n)), np.ones(n), np.zeros((n, n)), np.zeros((n, 1))
+    )
     if n < 2:
-        return _Compared(
-            [c.name for c in channels], np.eye(n), np.zeros((n, n)), np.ones(n), np.zeros((n, n)), np.zeros((n, 1))
-        )
+        return unrelated
     first = max(float(c.t_s[0]) for c in channels)
     last = min(float(c.t_s[-1]) for c in channels)
     if not last > first:
         first, last = min(float(c.t_s[0]) for c in channels), max(float(c.t_s[-1]) for c in channels)
     times = np.linspace(first, last, _GRID)
-    grid = np.array([_on(times, c) for c in channels])
     step = times[1] - times[0]
     over = max(1, round(_CHANGE_S / step))
+    if over > _GRID - _LEAST_CHANGES:
+        return unrelated
+    grid = np.array([_on(times, c) for c in channels])
     change = grid[:, over:] - grid[:, :-over]
     change = change - change.mean(axis=1, keepdims=True)
     scale = np.linalg.norm(change, axis=1, keepdims=True)

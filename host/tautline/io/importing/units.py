@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from math import log, pi
+from math import isfinite, log, pi
 
 import numpy as np
 
@@ -84,13 +84,16 @@ def split_unit(text: str, names: Iterable[str], of: Iterable[str] | None = None)
 
 
 def named(text: str, names: Iterable[str]) -> Named:
-    """NAME, NAME:UNIT or NAME:FACTOR. TautError for a unit that there is not."""
+    """NAME, NAME:UNIT or NAME:FACTOR. TautError for a unit that there is not, or a factor that leaves nothing."""
     if text not in names and ":" in text:
         name, _, last = text.rpartition(":")
         try:
-            return Named(name, factor=float(last))
+            times = float(last)
         except ValueError:
-            pass
+            return Named(*split_unit(text, names))
+        if not isfinite(times) or times == 0.0:
+            raise TautError(f"{text}: a factor is a finite number and not 0")
+        return Named(name, factor=times)
     return Named(*split_unit(text, names))
 
 
