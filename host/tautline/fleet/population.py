@@ -125,7 +125,8 @@ def log_widths(rows: Sequence[Row]) -> Curves:
     q = np.array(usable[0].q)
     ends = np.array([(row.measured_low, row.measured_high) for row in usable], dtype=float)
     told = (ends[:, :1] <= q) & (q <= ends[:, 1:])  # beyond the reversals sigma is the distance to them, not B's size
-    width = np.maximum(width, np.where(told, stated, _LEAST * width.max(axis=1, keepdims=True)))  # a B of 0 is small
+    width = np.maximum(width, np.where(told, stated, 0.0))  # a B of 0 is small
+    width = np.where(told, width, np.maximum(width, _LEAST * width.max(axis=1, keepdims=True)))
     sigma = np.where(told, np.minimum(stated / width, _UNKNOWN), _UNTOLD)
     by_delay = np.array([row.width_by_delay or (0.0,) * len(q) for row in usable])
     together = np.where(told, np.clip(by_delay / width, -sigma, sigma), 0.0)
