@@ -124,7 +124,7 @@ def write_klipper(model: Model, out: Path, axis: str) -> list[Path]:
 def _axis(name: str) -> str:
     """The axis' letter in lower case. TautError where it is none."""
     letter = name.lower()
-    if len(letter) != 1 or letter not in _AXES:
+    if letter not in [*_AXES]:
         raise TautError(f"--axis {name}: name one of {', '.join(_AXES)}")
     return letter
 

@@ -48,6 +48,15 @@ class Log:
     facts: dict[str, Any]  # as JSON has them: name, units, verdicts
     video: Video | None = None
 
+    @property
+    def first_frame_s(self) -> float:
+        """When the video's first frame arrived; infinity where there is none."""
+        if self.video is None:
+            return np.inf
+        if self.video.arrival_s is None:
+            return 0.0  # as containers count
+        return float(np.min(self.video.arrival_s, initial=np.inf, where=np.isfinite(self.video.arrival_s)))
+
     def frames(self) -> Iterator[tuple[float, npt.NDArray[np.uint8]]]:
         """Arrival time and BGR picture (height, width, 3) of each frame that has a time."""
         if self.video is None:
@@ -120,8 +129,9 @@ def _foretold(recording: Recording, name: str, model: Model, unit: str) -> list[
     """Series of a model's prediction at the sensor's arrival times, or at the motor's where there is no sensor, and of
     its residual at each of STAGES. name: the model's; unit: of q."""
     marker, angle, motor = recording.marker, recording.angle, recording.motor
-    sensor = ANGLE if marker is None and (angle is not None or not model.rig.has_camera) else MARKER
-    rows = marker if marker is not None else angle
+    by_marker = marker is not None and (model.rig.has_camera or angle is None)
+    rows = marker if by_marker else angle
+    sensor = MARKER if by_marker or (rows is None and model.rig.has_camera) else ANGLE
     t_s = motor.t_s + model.delay_of(sensor) if rows is None else rows.t_s
     scene = t_s - model.delay_of(sensor)
     told = predict(model, motor, scene)
@@ -139,9 +149,9 @@ def _foretold(recording: Recording, name: str, model: Model, unit: str) -> list[
         return found
     for stage, staged in _stages(model):
         off = told if stage == STAGES[-1] else predict(staged, motor, scene)
-        if marker is not None and off.image_px is not None:
+        if by_marker and marker is not None and off.image_px is not None:
             left = {"u_px": marker.u_px - off.image_px[:, 0], "v_px": marker.v_px - off.image_px[:, 1]}
-        elif angle is not None and marker is None:
+        elif angle is not None and not by_marker:
             left = {"c_deg": angle.c_deg - off.c_deg}
         else:
             continue
