@@ -88,12 +88,13 @@ def mcap_json(path: Path, topics: Mapping[str, tuple[Array, Mapping[str, Array]]
 
 
 def mcap_messages(
-    path: Path, topics: Mapping[str, Sequence[tuple[float, Mapping[str, object]]]], pictures: Sequence[str] = ()
-) -> Path:
+    path: Path, topics: Mapping[str, Sequence[tuple[float, Mapping[str, object]]]], pictures: Sequence[str] = (),
+    summary: bool = True,
+) -> Path:  # fmt: skip
     """JSON messages (t, message) of each topic in the order given, without chunks; a topic's name with a blank behind
     it is another channel of that topic."""
     with path.open("wb") as stream:
-        writer = Writer(stream, use_chunking=False)
+        writer = Writer(stream, use_chunking=False, use_statistics=summary)
         writer.start()
         for topic, messages in topics.items():
             kind = "foxglove.CompressedImage" if topic in pictures else "message"

@@ -156,6 +156,7 @@ CASES: dict[str, tuple[Callable[[Path], Path], tuple[str, ...], tuple[str, ...]]
     ),
     "a time of messages": (mcap, (*FIELDS, "--time", "t"), ("--time t: goes with a CSV",)),
     "a video that a bag has not": (bag, (*JOINT[:2], "--video", "/cam"), ("has no video /cam",)),
+    "a video that is none": (mcap, (*FIELDS, "--video", "/motor"), ("has no video /motor",)),
     "a video that a data set has not": (dataset, (*FEATURES[:2], "--video", "wrist"), ("has no video wrist",)),
     "a table of episodes without its files": (lambda f: without_files(f), FEATURES, ("data/file_index", "meta whole")),
     "a list of other things": (lambda f: other_list(f), FEATURES, ("list of episodes", "copy it again")),

@@ -325,6 +325,25 @@ def test_publishers_of_one_topic_have_channels_of_their_own(tmp_path: Path) -> N
     }  # fmt: skip
 
 
+@pytest.mark.parametrize("first_s, summary", [(100.0, True), (1.7e9, False)])
+def test_stamps_of_another_epoch_than_the_logs_begin_at_0(
+    taut: Taut, tmp_path: Path, first_s: float, summary: bool
+) -> None:
+    """Stamps since the robot was switched on; and since 1970 in a log without a summary, whose first time is not known
+    beforehand."""
+    t_s = np.arange(0.0, 4.0, 0.02)
+    rows = []
+    for t in t_s.tolist():
+        sec = int(first_s + t)
+        rows.append((t, {"header": {"stamp": {"sec": sec, "nanosec": round(1e9 * (first_s + t - sec))}}, "q": t}))
+    path = files.mcap_messages(tmp_path / "log.mcap", {"/motor": rows, "/tip": rows}, summary=summary)
+    done = taut("import", path, "--out", tmp_path / "out", "--motor", "/motor.q:deg", "--tip", "/tip.q:deg")
+    assert done.code == 0 and "by the header times" in done.out
+    np.testing.assert_allclose(load(tmp_path / "out").motor.t_s, t_s, atol=1e-6)
+    document = tomllib.loads((tmp_path / "out/import.toml").read_text())
+    assert document["clock"]["origin_s"] == pytest.approx(first_s)
+
+
 def test_a_video_without_stamps_is_on_the_clock_of_the_motor(taut: Taut, tmp_path: Path) -> None:
     """The motor's stamps are 0.3 s before they are logged; the frames have no stamps."""
     t_s = np.arange(0.0, 4.0, 0.02)

@@ -13,7 +13,7 @@ import numpy as np
 from tautline.errors import TautError
 from tautline.io.importing import clocks, video
 from tautline.io.importing.listing import Progress, Rows, find, read
-from tautline.io.importing.source import Array, Clip, Source
+from tautline.io.importing.source import Array, Clip, Source, origin_of
 from tautline.io.importing.tip import QUATERNION, bending_deg
 from tautline.io.importing.units import ANGLES, SPOKEN, Named, factor, named, suspected, unit_in
 from tautline.layouts import MOTOR
@@ -49,6 +49,7 @@ class Assembled:
     rig_known: bool  # by the user; else what the recording shows of it
     channels: list[dict[str, Any]] = field(default_factory=list)  # what became of each, for import.toml
     clock: str = clocks.LOG
+    origin_s: float = 0.0  # what was taken off all times of the file
     warnings: list[str] = field(default_factory=list)
 
 
@@ -68,7 +69,8 @@ def assemble(
         times[roles.video] = (frames[0], frames[1])
     clock = clocks.choose(times)
     warnings = list(clock.warnings)
-    made = _Maker(chosen, rows, clock.used, warnings)
+    origin_s = origin_of(clocks.first_s(times, clock.used))
+    made = _Maker(chosen, rows, clock.used, origin_s, warnings)
     target = rig.actuator.unit if rig else unit or made.dimension(chosen.motor)
     motor = made.motor(target)
     marker = angle = None
@@ -90,7 +92,7 @@ def assemble(
     _check_units(chosen, motor, angle, target, rig, warnings)
     own = rig or _rig(motor, angle, target)
     recording = Recording(source.path.stem, motor, marker, angle, seen, own)
-    return Assembled(recording, rig is not None, made.told, clock.used, warnings)
+    return Assembled(recording, rig is not None, made.told, clock.used, source.origin_s + origin_s, warnings)
 
 
 class _Chosen:
@@ -167,8 +169,13 @@ class _Chosen:
 class _Maker:
     """Turns rows into a recording's arrays; `told` says what became of each channel."""
 
-    def __init__(self, chosen: _Chosen, rows: dict[str, Rows], clock: str, warnings: list[str]) -> None:
-        self._chosen, self._rows, self._clock, self._warnings = chosen, rows, clock, warnings
+    def __init__(
+        self, chosen: _Chosen, rows: dict[str, Rows], clock: str, origin_s: float, warnings: list[str]
+    ) -> None:
+        """clock: which times are used (of `clocks`); origin_s: what is taken off them. What is found goes to
+        `warnings`."""
+        self._chosen, self._rows, self._warnings = chosen, rows, warnings
+        self._clock, self._origin_s = clock, origin_s
         self.told: list[dict[str, Any]] = []
         self._kept: dict[
             str, tuple[Array, Array | None]
@@ -238,8 +245,7 @@ class _Maker:
         if frames is None:
             return None
         log_s, stamp_s, path = frames
-        t_s = stamp_s if self._clock == clocks.STAMP and stamp_s is not None else log_s
-        t_s = t_s.copy()
+        t_s = clocks.in_use(log_s, stamp_s, self._clock) - self._origin_s
         highest = np.maximum.accumulate(np.where(np.isfinite(t_s), t_s, -np.inf))
         late = np.concatenate([[False], t_s[1:] <= highest[:-1]])
         if late.any():
@@ -283,7 +289,7 @@ class _Maker:
 
     def _tidied(self, group: str, rows: Rows) -> tuple[Array, Array | None]:
         """A group's times by the clock in use, s, rising; and the indices of the rows that are kept, None for all."""
-        t_s = rows.stamp_s if self._clock == clocks.STAMP and rows.stamp_s is not None else rows.log_s
+        t_s = clocks.in_use(rows.log_s, rows.stamp_s, self._clock) - self._origin_s
         kept = clocks.tidy(t_s, group or str(self._chosen.source.path), self._warnings)
         whole = len(kept) == len(t_s) and bool(np.all(kept[1:] > kept[:-1]))
         return np.round(t_s if whole else t_s[kept], _TIME_DIGITS), None if whole else kept
@@ -310,10 +316,6 @@ def factor_fits(channel: Named, stated: str, target: str) -> bool:
 def _frames(source: Source, episode: int, name: str, scratch: Path) -> tuple[Array, Array | None, Path]:
     """Writes the video into scratch: its frames' log times (n,) s, their stamps (n,) s, None where no sender set one,
     and its path."""
-    if name not in source.videos:
-        list(source.batches(episode, [name]))  # some name their videos while they are read
-    if name not in source.videos and source.videos:
-        raise TautError(f"{source.path}: has no video {name}: it has {', '.join(source.videos)}")
     found = source.pictures(episode, name)
     if isinstance(found, Clip):
         path = scratch / f"video{'.mkv' if found.path.suffix == '.mkv' else '.mp4'}"

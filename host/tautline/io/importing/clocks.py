@@ -71,6 +71,17 @@ def choose(times: Mapping[str, tuple[Array, Array | None]]) -> Clock:
     return Clock(STAMP)
 
 
+def in_use(log_s: Array, stamp_s: Array | None, used: str) -> Array:
+    """A group's times (n,) by the clock that is used, s: its stamps or when it was logged."""
+    return stamp_s if used == STAMP and stamp_s is not None else log_s
+
+
+def first_s(times: Mapping[str, tuple[Array, Array | None]], used: str) -> float:
+    """The earliest time of all groups by the clock that is used; infinity where there is none. times: as in `choose`."""
+    return min(float(np.min(t_s, initial=np.inf, where=np.isfinite(t_s)))
+               for t_s in (in_use(log_s, stamp_s, used) for log_s, stamp_s in times.values()))  # fmt: skip
+
+
 def tidy(t_s: Array, what: str, warnings: list[str]) -> Array:
     """Indices (m,) of the rows to keep, rising in time; of rows with the same time the first. TautError where times go
     back or repeat too often for one clock."""

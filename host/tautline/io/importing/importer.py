@@ -173,7 +173,7 @@ def _provenance(source: Source, origin: dict[str, Any], episode: int, made: Asse
     return {
         "format": FORMAT,
         "source": origin | {"episode": episode},
-        "clock": {"used": made.clock, "origin_s": source.origin_s},
+        "clock": {"used": made.clock, "origin_s": made.origin_s},
         "rig": {"from": "named" if made.rig_known else "the recording"},
         "channels": made.channels,
         "warnings": [*source.notes, *made.warnings],

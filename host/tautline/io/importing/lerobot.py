@@ -11,7 +11,7 @@ import numpy as np
 
 from tautline.errors import TautError
 from tautline.io.importing.libraries import library
-from tautline.io.importing.source import BATCH_ROWS, Array, Batch, Clip, Fact
+from tautline.io.importing.source import BATCH_ROWS, Array, Batch, Clip, Fact, no_video
 
 INFO = "meta/info.json"
 _EPISODES = {"v2": "meta/episodes.jsonl", "v3": "meta/episodes"}
@@ -93,7 +93,7 @@ class LeRobot:
     def pictures(self, episode: int, video: str) -> Clip:
         """The episode's clip of one video."""
         if video not in self.videos:
-            raise TautError(f"{self.path}: has no video {video}")
+            raise no_video(self.path, video, self.videos)
         key = f"videos/{video}"
         path = self._format("video_path", video_key=video, **self._placed(episode, key))
         if self._layout == "v2":

@@ -12,7 +12,7 @@ import numpy as np
 from tautline.errors import TautError
 from tautline.io.importing.libraries import library
 from tautline.io.importing.messages import Flattener, Gathered, is_picture, picture, stamp_ns
-from tautline.io.importing.source import Batch, Fact, Picture, origin_of
+from tautline.io.importing.source import Batch, Fact, Picture, no_video, origin_of
 
 
 class Mcap:
@@ -76,7 +76,9 @@ class Mcap:
 
     def pictures(self, episode: int, video: str) -> Iterator[Picture]:
         """The pictures of an image topic."""
-        for _, _, message, decode in self._messages([video]):
+        for schema, _, message, decode in self._messages([video]):
+            if schema is None or not is_picture(schema.name):
+                raise no_video(self.path, video, self.videos)
             decoded = decode(message.data)
             found = picture(decoded, self._s(message.log_time), self._s(stamp_ns(decoded)))
             if found is None:

@@ -9,6 +9,8 @@ from typing import Protocol
 
 import numpy as np
 
+from tautline.errors import TautError
+
 Array = np.ndarray
 
 BATCH_ROWS = 8192  # rows that are held at once while a file is read
@@ -75,7 +77,12 @@ class Source(Protocol):
         """All rows of an episode, of the groups named (None: all). TautError for a file that is cut or unreadable."""
 
     def pictures(self, episode: int, video: str) -> Iterator[Picture] | Clip:
-        """The frames of a channel of pictures."""
+        """The frames of a channel of pictures. TautError where there is no such one."""
+
+
+def no_video(path: Path, video: str, known: Collection[str] = ()) -> TautError:
+    """The error for a source that has no such channel of pictures. known: those that it has."""
+    return TautError(f"{path}: has no video {video}" + (f": it has {', '.join(known)}" if known else ""))
 
 
 def origin_of(first_s: float) -> float:
