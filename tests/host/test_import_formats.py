@@ -314,7 +314,8 @@ def test_pictures_of_json_messages_are_base64(taut: Taut, tmp_path: Path) -> Non
     np.testing.assert_allclose(shown, [files.level(k) for k in (0, 1, 2, 4, 3, 5, 6, 7)], atol=2.5)
 
 
-def test_publishers_of_one_topic_have_channels_of_their_own(tmp_path: Path) -> None:
+def test_publishers_of_one_topic_have_channels_of_their_own(taut: Taut, tmp_path: Path) -> None:
+    """And rows: what one of them sends is no gap of the other's."""
     t_s = np.arange(0.0, 4.0, 0.02).tolist()
     arm = [(t, {"name": ["a", "b"], "position": [t, 2.0 * t]}) for t in t_s]
     jaw = [(t + 0.01, {"name": ["jaw"], "position": [-t]}) for t in t_s]
@@ -323,6 +324,13 @@ def test_publishers_of_one_topic_have_channels_of_their_own(tmp_path: Path) -> N
     assert {c.fact.label: (c.low, c.high) for c in found.values()} == {
         "a": (0.0, 3.98), "b": (0.0, 7.96), "jaw": (-3.98, 0.0)
     }  # fmt: skip
+    words = ("--motor", "/joints.position[b]:deg", "--tip", "/joints.position[jaw]:deg")
+    done = taut("import", path, "--out", tmp_path / "out", *words)
+    assert done.code == 0 and "without a number" not in done.err
+    made = load(tmp_path / "out")
+    assert made.angle is not None and made.angle.valid is None
+    np.testing.assert_allclose(made.motor.q, 2.0 * np.array(t_s))
+    np.testing.assert_allclose(made.angle.t_s - made.motor.t_s, 0.01, atol=1e-9)
 
 
 @pytest.mark.parametrize("first_s, summary", [(100.0, True), (1.7e9, False)])

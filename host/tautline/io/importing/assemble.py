@@ -278,8 +278,8 @@ class _Maker:
 
     def _times(self, channel: Named, names: tuple[str, ...]) -> tuple[Array, list[Array]]:
         """The rising times of a channel's group, s, and the values of `names` (channels of it) at them, (n,) each."""
-        group = self._chosen.groups[channel.name]
-        if group not in self._rows:
+        group = next((group for group, rows in self._rows.items() if rows.values.keys() >= set(names)), None)
+        if group is None:
             raise TautError(f"{self._chosen.source.path}: {channel.name} has no rows: choose another --episode")
         rows = self._rows[group]
         if group not in self._kept:
