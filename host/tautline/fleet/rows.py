@@ -62,11 +62,8 @@ class Row:
         return self.verdict in ("good", "doubtful")
 
 
-_LISTS = frozenset({"q", "width", "width_sigma", "width_by_delay", "c_deg", "c_sigma_deg", "path", "path_sigma"})
-_NUMBERS = frozenset(
-    {"measured_low", "measured_high", "delay_s", "delay_sigma_s", "residual", "motion_s", "seconds", "width_change",
-     "width_change_sigma", "offset_change", "wear", "wear_sigma"}
-)  # fmt: skip
+_LISTS = frozenset(field.name for field in fields(Row) if field.type == "tuple[float, ...]")
+_NUMBERS = frozenset(field.name for field in fields(Row) if field.type == "float | None")
 
 
 class DataSet:

@@ -13,8 +13,8 @@ from tautline.model import Model
 
 Array = npt.NDArray[np.float64]
 
-MOST = 256  # triplets that LinuxCNC takes for a joint
-_DIGITS = 6  # after the point: a millionth of the unit
+MOST = 256  # format: triplets that LinuxCNC takes for a joint
+_DIGITS = 6  # format: after the point: a millionth of the unit
 
 
 def write(model: Model, out: Path, joint: str) -> list[Path]:

@@ -20,15 +20,15 @@ from tautline.layouts import MOTOR
 from tautline.recording import FARTHEST, MAX_MOTOR_GAP_S, MAX_MOTOR_STEP_S, Angle, Marker, Motor, Recording, Video
 from tautline.rig import Actuator, AngleSensor, Coarse, Rig
 
-_MOST_LOST = 0.05  # share of a motor's rows without a number that may be left out
-_TIME_DIGITS = 9  # of seconds: what clocks and bags count in
-_RANGE_DIGITS = 4  # of a rig's range, rounded outwards
+_MOST_LOST = 0.05  # tolerance: share of a motor's rows without a number that may be left out
+_TIME_DIGITS = 9  # format: of seconds: what clocks and bags count in
+_RANGE_DIGITS = 4  # format: of a rig's range, rounded outwards
 # By how much a ratio may be off from a unit's: a command goes where the motor goes, less a servo's error; a rig's gain
 # is nominal; where none is given a tip may move half or twice as much as its motor.
-_SURE, _BY_RIG, _ANY_GAIN = 0.1, 0.25, 1.0
-_ONE_AXIS = 0.9  # share of a tip's turning that is about one axis, below which it is told
-_SAMPLED = 20_000  # values that a rig's count and coarse law are taken from
-_RESOLUTION_LEAST = 1e-6  # of the span: a finer count is none, it is a float's rounding
+_SURE, _BY_RIG, _ANY_GAIN = 0.1, 0.25, 1.0  # prior
+_ONE_AXIS = 0.9  # tolerance: share of a tip's turning that is about one axis, below which it is told
+_SAMPLED = 20_000  # tolerance: values that a rig's count and coarse law are taken from
+_RESOLUTION_LEAST = 1e-6  # tolerance: of the span: a finer count is none, it is a float's rounding
 
 
 @dataclass(frozen=True)

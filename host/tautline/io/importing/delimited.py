@@ -14,10 +14,10 @@ from tautline.io.importing.layout import Layout, is_date
 from tautline.io.importing.source import EPOCH_S, Array, Batch, Clip, Fact
 from tautline.io.importing.units import TIMES, split_unit, unit_in
 
-_CHUNK_ROWS = 65536
-_RISES = 0.99  # share of steps that may not go back, of a column of times: what is left is mended or refused later
+_CHUNK_ROWS = 65536  # limit: of memory: rows that are held at once
+_RISES = 0.99  # tolerance: share of a column of times' steps that may not go back: what is left is mended or refused
 _TIME_WORDS = re.compile(r"(t|time|zeit\w*|timestamp|stamp|uhrzeit|temps|tiempo|epoch|date|datum|datetime)([^a-z]|$)")
-SLOWEST_S, FASTEST_S = 0.2, 5e-5  # between a motor's rows (10 Hz to 10 kHz), and as much again to either side
+SLOWEST_S, FASTEST_S = 0.2, 5e-5  # prior: between a motor's rows (10 Hz to 10 kHz), and as much again to either side
 
 
 class Delimited:

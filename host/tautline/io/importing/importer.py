@@ -29,7 +29,7 @@ from tautline.recording import IMPORT_FILE
 from tautline.rig import Rig
 
 FORMAT = "import/1"
-_HASHED_BYTES = 1 << 20  # at once
+_HASHED_BYTES = 1 << 20  # limit: of memory: at once
 _BAG = "metadata.yaml"
 
 

@@ -12,8 +12,8 @@ from pathlib import Path
 from tautline.errors import TautError
 from tautline.io.importing.units import TIMES, known_unit, unit_in
 
-_LOOKED_AT = 200  # lines from which the layout is told
-_LOOKED_AT_BYTES = 1 << 18
+_LOOKED_AT = 200  # tolerance: lines from which the layout is told
+_LOOKED_AT_BYTES = 1 << 18  # tolerance: that hold so many lines of 1 kB
 _SEPARATORS = (";", "\t", "|", ",", " ")  # in the order in which they are believed where several fit
 _NUMBER = re.compile(r"[+-]?(\d[\d.]*([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
 _DATE = re.compile(r"\d{4}[-/.]\d\d?[-/.]\d\d?(?!\d)|\d\d?[-/.]\d\d?[-/.]\d{4}(?!\d)|\d\d?:\d\d:\d\d")

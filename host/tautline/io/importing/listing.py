@@ -14,8 +14,8 @@ from tautline.io.importing.tip import QUATERNION, bending_deg
 
 Progress = Callable[[float, str], None]
 
-_KEPT = 4096  # rows of a group, at least, that a proposal is made from
-_NEAR = 3  # names that an error offers
+_KEPT = 4096  # tolerance: rows of a group, at least, that a proposal is made from
+_NEAR = 3  # display: names that an error offers
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,11 @@ import numpy as np
 
 from tautline.io.importing.source import BATCH_ROWS, Batch, Fact, Picture
 
-LONGEST_ARRAY = 64  # numbers of one field that are channels of their own: more is a map, a cloud or a picture
+LONGEST_ARRAY = 64  # prior: numbers of one field that are channels of their own: more is a map, a cloud or a picture
 _NAMES = ("name", "joint_names", "names")  # of the numbers in the arrays beside it
 _KEYS = ("child_frame_id", "name", "joint_name", "id")  # which one of several alike a part of a message is
 _NS_PER_S = 10**9
-_MOST_HELD = 4 * BATCH_ROWS  # of all topics together
+_MOST_HELD = 4 * BATCH_ROWS  # limit: of memory: of all topics together
 _NUMBER = (float, int, np.number)  # a bool is an int
 _NO_NUMBERS = (str, bytes, bytearray, memoryview)
 

@@ -13,21 +13,20 @@ from tautline.io.importing.source import Array
 from tautline.io.importing.units import ANGLES, DEG_PER_RAD, LENGTHS, Named, dimension, suspected, unit_in
 from tautline.rig import UNITS as RIG_UNITS
 
-_MOST = 96  # channels that are compared: the ones that change most often
-_GRID = 4096  # times at which they are compared
-_LEAST_CHANGES = 4  # limit: of those times, that leave a lag to look for: a shorter recording tells no change
-_CHANGE_S = 0.2  # over which a change is taken: a few samples of a slow sensor, less than a reversal
-_LAG_S = 0.5  # that a tip or a servo may be late by
-_MOVES = 0.5  # correlation of changes from which on two channels move together
-_ALIKE = 1.25  # a command moves as much as its motor, but for the servo's error
-_CHAINED = 0.8  # correlation of command, motor and tip with one another
-_SIMULTANEOUS_S = 0.002  # lags below it have no sign
-_PI_TURN = 6.3  # rad: a joint's whole turn; what stays within it and moves by more than _SMALL may be radians
-_SMALL = 0.2
-_PIXELS = 20.0  # that a marker moves by, at least
+_MOST = 96  # tolerance: channels that are compared: the ones that change most often
+_GRID = 4096  # tolerance: times at which they are compared
+_LEAST_CHANGES = 4  # tolerance: at so many of them, at least: a quarter of them is the longest lag
+_CHANGE_S = 0.2  # prior: over which a change is taken: a few samples of a slow sensor, less than a reversal
+_LAG_S = 0.5  # prior: that a tip or a servo may be late by
+_MOVES = 0.5  # prior: correlation of changes from which on two channels move together
+_ALIKE = 1.25  # prior: a command moves as much as its motor, but for the servo's error
+_CHAINED = 0.8  # prior: correlation of command, motor and tip with one another
+_SIMULTANEOUS_S = 0.002  # tolerance: lags below it have no sign
+_WHOLE_TURN, _SMALL = 6.3, 0.2  # prior: rad: what stays within a joint's turn and moves by more may be radians
+_PIXELS = 20.0  # prior: that a marker moves by, at least
 
-# How much a name counts beside a correlation of 0 to 1: it decides between equals.
-_HINT, _AGAINST, _LATE, _SPAN, _CHAIN = 0.15, 1.0, 0.1, 0.05, 0.15
+# How much a name, what is no place, a lag's sign, a wide motion and a place in a chain count beside a correlation.
+_HINT, _AGAINST, _LATE, _SPAN, _CHAIN = 0.15, 1.0, 0.1, 0.05, 0.15  # prior: they decide between equals
 _WORDS: Mapping[str, re.Pattern[str]] = {
     role: re.compile(words)
     for role, words in {
@@ -331,7 +330,7 @@ def _by_range(channels: Sequence[Channel], listing: Listing) -> dict[str, str]:
     spans = [c.high - c.low for c in channels]
     ends = [abs(end) for c in channels for end in (*_ends(c), _usual_end(c, listing))]
     none = any(c.fact.usual == "deg" or _full_scale(c) for c in channels)
-    radians = not none and max(ends) <= _PI_TURN and max(spans) > _SMALL
+    radians = not none and max(ends) <= _WHOLE_TURN and max(spans) > _SMALL
     return {c.name: "rad" if radians else "deg" for c in channels}
 
 

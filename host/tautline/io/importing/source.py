@@ -13,8 +13,8 @@ from tautline.errors import TautError
 
 Array = np.ndarray
 
-BATCH_ROWS = 8192  # rows that are held at once while a file is read
-EPOCH_S = 1e8  # times beyond it (three years) count from an epoch: a recording's then start at 0
+BATCH_ROWS = 8192  # limit: of memory: rows that are held at once while a file is read
+EPOCH_S = 1e8  # prior: times beyond it (three years) count from an epoch: a recording's then start at 0
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from tautline.errors import TautError
 
 Array = np.ndarray
 DEG_PER_RAD = 180.0 / pi
-TICKS_PER_TURN = 4096  # of Dynamixel X and Feetech STS servos
+TICKS_PER_TURN = 4096  # format: of Dynamixel X and Feetech STS servos
 ANGLES = {"deg": 1.0, "rad": DEG_PER_RAD, "mrad": 1e-3 * DEG_PER_RAD, "turn": 360.0, "tick": 360.0 / TICKS_PER_TURN}
 LENGTHS = {"mm": 1.0, "m": 1000.0, "cm": 10.0, "um": 1e-3, "in": 25.4}
 TORQUES = {"mNm": 1.0, "Nm": 1000.0, "Ncm": 10.0}
@@ -28,8 +28,8 @@ _SPELT = {
 }  # fmt: skip
 _BRACKETED = re.compile(r"[\[(]\s*([^\])]+?)\s*[\])]\s*$")
 _SUFFIXED = re.compile(r"[_ .]([A-Za-zµμ°]+)$")
-_MOST_RAD = 4.0 * pi  # that a joint turns to
-_MOST_M = 2.0  # that a cable moves by
+_MOST_RAD = 4.0 * pi  # prior: that a joint turns to
+_MOST_M = 2.0  # prior: that a cable moves by
 SPOKEN = {"rad": "radians", "m": "metres", "in": "inches", "tick": f"counts of {TICKS_PER_TURN} a turn"}
 
 

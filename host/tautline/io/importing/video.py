@@ -16,8 +16,8 @@ from tautline.io.importing.source import Clip, Picture
 
 Array = np.ndarray
 
-_TICK = Fraction(1, 1000)  # s: Matroska's own
-_ROUNDED_S = 1e-3  # by which a container's times, in its ticks, may be early
+_TICK = Fraction(1, 1000)  # format: s: Matroska's own
+_ROUNDED_S = 1e-3  # format: by which a container's times, in its ticks, may be early
 
 
 def from_pictures(pictures: Iterable[Picture], path: Path, name: str) -> tuple[Array, Array]:
