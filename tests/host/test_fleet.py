@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import warnings
 from dataclasses import replace
 from functools import partial
 
@@ -326,6 +327,28 @@ def test_a_robot_without_backlash_makes_no_others_unknown():
     curves = log_widths([*rows[:7], none, *rows[8:]])
     assert np.isfinite(curves.value).all() and np.isfinite(curves.noise).all()
     assert np.isfinite(population(curves).scale).all()
+
+
+def test_a_session_that_measured_next_to_nothing_has_no_mean(tmp_path):
+    rows = fleet_of(np.random.default_rng(8), 2, np.zeros(2), sessions=1)
+    rows[1] = replace(rows[1], measured_low=-4.0, measured_high=-3.9)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        page.write(rows, findings(rows), tmp_path)
+    assert "nan mm" not in (tmp_path / page.FILE).read_text()
+
+
+def test_a_batch_of_one_robot_is_known_no_better_than_the_robot():
+    rng = np.random.default_rng(2)
+    growth = np.where(np.arange(30) == 7, 0.08, 0.006) * rng.lognormal(0.0, 0.2, 30)
+    found = findings(fleet_of(rng, 30, growth, batches=["A"] * 7 + ["B"] + ["A"] * 22))
+    (batch,), (robot,) = found.worn_batches, found.worn
+    assert batch.name == "B" and batch.sigma == pytest.approx(robot.sigma) and robot.sigma > 0.0
+
+
+def test_a_fleet_whose_backlash_shrinks_is_said_to_shrink():
+    said = findings(fleet_of(np.random.default_rng(2), 6, np.full(6, -0.01))).sentences()
+    assert said[1].startswith("B shrinks by 1 % a session")
 
 
 def test_two_robots_are_no_fleet_and_nothing_is_said():

@@ -59,9 +59,9 @@ class Findings:
         made, of = counted(self.sessions, "session"), counted(self.robots, "robot")
         said = [f"{made} of {of}, {self.failed} without a calibration."]
         if np.isfinite(self.wear):
-            said.append(
-                f"B grows by {100 * self.wear:.2g} % a session, by {100 * self.wear_spread:.0f} % more or less of that."
-            )
+            goes = "grows" if self.wear >= 0.0 else "shrinks"
+            more = f"by {100 * self.wear_spread:.0f} % more or less of that"
+            said.append(f"B {goes} by {100 * abs(self.wear):.2g} % a session, {more}.")
         for names, words in (
             (self.drifting, "B changes for certain in {}"),
             (self.worn, "Worn sooner than the others: {}"),
@@ -184,7 +184,8 @@ def _batches(growth: _Growth, odds: Array, prior: float) -> list[Named]:
     of = [np.array([batch == name for batch in growth.batch]) for name in names]
     probability = np.array([expit(prior + float(odds[own].sum())) for own in of])
     rate = np.array([growth.rate[own].mean() for own in of])
-    sigma = np.array([growth.rate[own].std() / np.sqrt(own.sum()) for own in of])
+    scatter = [max(growth.rate[own].std(), np.sqrt(np.mean(growth.sigma[own] ** 2))) for own in of]  # 0 of one robot
+    sigma = np.array([each / np.sqrt(own.sum()) for each, own in zip(scatter, of, strict=True)])
     return _named(names, probability, rate, sigma)
 
 
