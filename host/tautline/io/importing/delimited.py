@@ -29,7 +29,6 @@ class Delimited:
         self.path = path
         self.notes: list[str] = []
         self.videos: list[str] = []
-        self.origin_s = 0.0
         self._layout = Layout.of(path)
         first = next(self._frames(_CHUNK_ROWS), None)
         if first is None or len(first) < 2:
@@ -42,7 +41,8 @@ class Delimited:
         begins = _first_text(first[self._time])
         self._dated = bool(begins) and (is_date(begins) or not self._holds_numbers(first[self._time]))
         self._day_first = not re.match(r"\d{4}", begins)
-        self._unit, self._origin = self._told_by(first[self._time], unit)
+        self._unit, self._origin = self._unit_and_origin(first[self._time], unit)
+        self.origin_s = self._origin * TIMES[self._unit]
         others = [each for each in zip(names, self._layout.units, strict=True) if each[0] != self._time]
         self.facts = {name: Fact("number", unit=unit) for name, unit in others}
 
@@ -115,17 +115,20 @@ class Delimited:
             return whole
         return (self._numbers(column) - self._origin) * TIMES[self._unit]
 
-    def _told_by(self, column: pd.Series, unit: str) -> tuple[str, float | int]:
+    def _first_moment(self, column: pd.Series) -> int:
+        """ns of a column's first date. TautError where one of the first few is none."""
+        head = column.dropna().head()
+        moments = self._moments(head)
+        if moments.min() == np.iinfo(np.int64).min:
+            cell = str(head.iloc[moments.argmin()])[:24]
+            raise TautError(f"{self.path}: column {self._time} holds {cell!r}, expected times")
+        return int(moments[0])
+
+    def _unit_and_origin(self, column: pd.Series, unit: str) -> tuple[str, float | int]:
         """The unit of the times and the origin, in that unit, that is taken off them: 0 where they count from no epoch.
-        Also sets origin_s. unit: what the user gave, "" without."""
+        A guessed unit is noted. unit: what the user gave, "" without."""
         if self._dated:
-            head = column.dropna().head()
-            moments = self._moments(head)
-            if moments.min() == np.iinfo(np.int64).min:
-                cell = str(head.iloc[moments.argmin()])[:24]
-                raise TautError(f"{self.path}: column {self._time} holds {cell!r}, expected times")
-            self.origin_s = float(moments[0]) * 1e-9
-            return "ns", int(moments[0])
+            return "ns", self._first_moment(column)
         numbers = self._numbers(column)
         told = np.flatnonzero(np.isfinite(numbers))
         if not len(told):
@@ -146,10 +149,7 @@ class Delimited:
             )
         whole = pd.api.types.is_integer_dtype(column)  # an epoch's nanoseconds are more than a float holds
         start = column.iloc[told[0]].item() if whole else float(numbers[told[0]])
-        if abs(start) * TIMES[unit] <= EPOCH_S:
-            return unit, 0
-        self.origin_s = start * TIMES[unit]
-        return unit, start
+        return unit, start if abs(start) * TIMES[unit] > EPOCH_S else 0
 
     def _rising(self, first: pd.DataFrame) -> str:
         """The column that rises as times do; of several the one with a time's name."""
