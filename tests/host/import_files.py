@@ -87,6 +87,25 @@ def mcap_json(path: Path, topics: Mapping[str, tuple[Array, Mapping[str, Array]]
     return path
 
 
+def mcap_messages(
+    path: Path, topics: Mapping[str, Sequence[tuple[float, Mapping[str, object]]]], pictures: Sequence[str] = (),
+    summary: bool = True,
+) -> Path:  # fmt: skip
+    """JSON messages (t, message) of each topic in the order given, without chunks; a topic's name with a blank behind
+    it is another channel of that topic."""
+    with path.open("wb") as stream:
+        writer = Writer(stream, use_chunking=False, use_statistics=summary)
+        writer.start()
+        for topic, messages in topics.items():
+            kind = "foxglove.CompressedImage" if topic in pictures else "message"
+            schema = writer.register_schema(kind, "jsonschema", b'{"type": "object"}')
+            channel = writer.register_channel(topic.strip(), "json", schema)
+            for t, message in messages:
+                writer.add_message(channel, ns(t), json.dumps(message).encode(), ns(t))
+        writer.finish()
+    return path
+
+
 def mcap_protobuf(path: Path, topics: Mapping[str, tuple[Array, Mapping[str, Array]]]) -> Path:
     file = FileDescriptorProto(name="robot.proto", package="robot", syntax="proto3")
     for k, (_, columns) in enumerate(topics.values()):
@@ -180,16 +199,20 @@ def rosbag(
     topics: Mapping[str, tuple[Array, Mapping[str, Array]]],
     storage: rosbag2.StoragePlugin | None = rosbag2.StoragePlugin.SQLITE3,
     pictures: Mapping[str, tuple[Array, Sequence[bytes]]] | None = None,
+    late_s: float = 0.0,
+    stamped: Sequence[str] | None = None,
 ) -> Path:
-    """JointState messages of any joints, and CompressedImage; storage None writes a ROS 1 bag."""
+    """JointState messages of any joints, and CompressedImage; storage None writes a ROS 1 bag. late_s: from a joint's
+    stamp to its log. stamped: topics whose headers have a stamp; None: all."""
     store = get_typestore(Stores.ROS1_NOETIC if storage is None else Stores.ROS2_HUMBLE)
     types = store.types
     header, time = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
     state, image = types["sensor_msgs/msg/JointState"], types["sensor_msgs/msg/CompressedImage"]
     writer = rosbag1.Writer(path) if storage is None else rosbag2.Writer(path, version=9, storage_plugin=storage)
 
-    def head(k: int, t: float) -> object:
-        at = time(sec=ns(t) // 10**9, nanosec=ns(t) % 10**9)
+    def head(k: int, topic: str, t: float) -> object:
+        set_ns = ns(t) if stamped is None or topic in stamped else 0
+        at = time(sec=set_ns // 10**9, nanosec=set_ns % 10**9)
         return header(seq=k, stamp=at, frame_id="") if storage is None else header(stamp=at, frame_id="")
 
     empty = np.zeros(0)
@@ -197,10 +220,10 @@ def rosbag(
     for topic, (t_s, joints) in topics.items():
         for k, t in enumerate(t_s):
             position = np.array([values[k] for values in joints.values()])
-            rows.append((t, topic, state(head(k, t), list(joints), position, empty, empty)))
+            rows.append((t + late_s, topic, state(head(k, topic, t), list(joints), position, empty, empty)))
     for topic, (t_s, frames) in (pictures or {}).items():
         for k, t in enumerate(t_s):
-            rows.append((t, topic, image(head(k, t), "jpeg", np.frombuffer(frames[k], np.uint8))))
+            rows.append((t, topic, image(head(k, topic, t), "jpeg", np.frombuffer(frames[k], np.uint8))))
     with writer as opened:
         connections = {}
         for topic in {row[1] for row in rows}:

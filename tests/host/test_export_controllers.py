@@ -70,6 +70,13 @@ def test_linuxcnc_leads_the_tip_where_it_is_asked_to(tmp_path: Path, falling: bo
     assert np.median(off) < 0.02 and np.quantile(off, 0.98) < 0.1 < 1.0 < np.sqrt(np.mean(before**2))
 
 
+def test_linuxcncs_files_may_be_called_anything(tmp_path: Path) -> None:
+    out = tmp_path / "Drehgelenk_ü.comp"
+    table, section = export(of_model(exported.model()), "linuxcnc", out).files
+    assert len(ScrewCompensation(table).nominal) > 2
+    assert "COMP_FILE = Drehgelenk_ü.comp\n" in section.read_text(encoding="utf-8")
+
+
 def test_linuxcnc_says_what_it_loses_where_it_is_not_read(tmp_path: Path, taut: Taut) -> None:
     folder, out = tmp_path / "model", tmp_path / "x.comp"
     creep = Effect("transmission.creep", {"creep_share": 0.05, "creep_time": 1.0, "creep_slow": 0.0})
@@ -146,6 +153,7 @@ def test_the_number_costs_least_where_too_much_costs_ten_times_too_little() -> N
 def test_bad_input_is_one_line_and_writes_nothing(tmp_path: Path, taut: Taut) -> None:
     folder, out = tmp_path / "model", tmp_path / "out"
     exported.model().save(folder)
+    exported.model().rig.save(tmp_path / "rig.toml")
     for words, said in (
         (("--to", "siemens"), "no such format"),
         (("--to", "marlin", "--axis", "a"), "x, y and z"),
@@ -161,6 +169,9 @@ def test_bad_input_is_one_line_and_writes_nothing(tmp_path: Path, taut: Taut) ->
         ),
         (("--to", "csv", "--into", "a.xml", "--actuator", "a", "--tip", "joint:j"), "go with --to mjcf"),
         (("--to", "csv", "--model", folder), "is no recording"),
+        (("--to", "csv", "--rig", tmp_path / "rig.toml"), "--rig goes with a recording"),
+        (("--to", "marlin", "--axis", ""), "name one of"),
+        (("--to", "linuxcnc", "--axis", "²"), "numbers its joints"),
     ):
         assert said in taut.refuses("export", folder, *words, "--out", out)
         assert not out.exists()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,9 @@ from tautline.errors import TautError
 from tautline.geometry import project
 from tautline.io.exporting import csv_files, export, formats, mcap_file, rerun_file
 from tautline.io.exporting.log import of_source
-from tautline.io.exporting.source import Source, read
+from tautline.io.exporting.source import Source, of, read
 from tautline.model import Effect
-from tautline.recording import Marker, Motor, Recording, Video, save
+from tautline.recording import Angle, Marker, Motor, Recording, Video, save
 
 FRAMES, SIZE = 40, (64, 48)
 CREEP = Effect("transmission.creep", {"creep_share": 0.05, "creep_time": 1.0, "creep_slow": 0.0})
@@ -246,6 +247,31 @@ def test_a_missing_package_is_a_line_with_the_command(
     )
     line = taut.refuses("export", folders["model"], "--to", form.name, "--out", tmp_path / "x")
     assert f"pip install {form.needs[0][1]}" in line and "tautline-robotics[export]" in line
+
+
+def test_frames_before_all_else_are_in_the_mcap(folders: dict[str, Path], tmp_path: Path) -> None:
+    """A camera that began 0.1 s before the motor's clock did, and no track of it."""
+    monday = read(folders["monday"]).recording
+    assert monday is not None and monday.video is not None
+    motor = Motor(monday.motor.t_s + 0.5, monday.motor.q)
+    alone = replace(monday, motor=motor, marker=None, video=Video(monday.video.path, -0.1 + 0.04 * np.arange(FRAMES)))
+    export(of(alone), "mcap", tmp_path / "x.mcap")
+    found, facts = messages(tmp_path / "x.mcap")
+    assert float(facts["shift_s"]) == pytest.approx(0.1)
+    np.testing.assert_allclose([t for t, _ in found["/camera"]], 0.04 * np.arange(FRAMES), atol=1e-9)
+    assert found["/motor"][0][0] == pytest.approx(0.1)
+
+
+def test_a_model_without_a_camera_is_compared_with_the_angle_beside_a_marker() -> None:
+    model = exported.model(camera=False)
+    t_s = np.arange(0.0, 3.0, 1e-2)
+    q = 2.0 * np.sin(3.0 * t_s)
+    marker = Marker(t_s[::4], q[::4], q[::4], np.ones(75, bool))
+    run = Recording("both", Motor(t_s, q), marker, Angle(t_s[::2], exported.law(exported.play(q))[::2]), rig=model.rig)
+    series = {each.name: each for each in of_source(of(run, model)).series}
+    left = series["residual/model/f_remain_and_B"]
+    np.testing.assert_array_equal(left.t_s, t_s[::2])
+    assert np.abs(left.columns["c_deg"][20:]).max() < 0.05 < np.abs(series["angle"].columns["c_deg"]).max()
 
 
 def test_a_recording_is_no_model(taut: Taut, folders: dict[str, Path], tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import warnings
 from dataclasses import replace
 from functools import partial
 
@@ -24,7 +25,7 @@ from tautline.fleet import page, prior, sessions
 from tautline.fleet.changes import compared
 from tautline.fleet.findings import findings
 from tautline.fleet.population import _UNTOLD as UNTOLD
-from tautline.fleet.population import Curves, population, single
+from tautline.fleet.population import Curves, log_widths, population, single
 from tautline.fleet.rows import DATA_SET, DataSet, Row
 from tautline.fleet.run import run
 from tautline.geometry import project
@@ -109,6 +110,8 @@ def test_sessions_robots_batches_and_dates(tmp_path):
         ("b/2026-02-01 noon", "B7", "2026-02-01"),
         ("c/nothing", None, None),
     ]
+    (tmp_path / "robots.csv").write_text("robot, batch\nb, B7\n")
+    assert [each.batch for each in sessions.sessions_in(tmp_path)] == [None, "B7", "B7", None]
     with pytest.raises(TautError, match=r"holds no motor.csv"):
         found[3].files()
     assert found[0].files() == {"rig.toml": b"of all", "one/motor.csv": b"t_s,q_mm\n", "two/motor.csv": b"t_s,q_mm\n"}
@@ -116,6 +119,18 @@ def test_sessions_robots_batches_and_dates(tmp_path):
     assert found[2].files()["rig.toml"] == b"its own"
     (tmp_path / "a" / "first" / "one" / "rig.toml").write_text("the recording's")
     assert sessions.sessions_in(tmp_path)[0].files()["rig.toml"] == b"the recording's"
+
+
+def test_what_is_followed_in_a_video_goes_with_it(tmp_path):
+    names = ("motor.csv", "video.mkv", "region.png", "region.toml")
+    folder = tmp_path / "a/one"
+    folder.mkdir(parents=True)
+    for name in (*names, "notes.txt"):
+        (folder / name).write_bytes(b"as it was")
+    (session,) = sessions.sessions_in(tmp_path)
+    assert sorted(session.files()) == [f"one/{name}" for name in sorted(names)]
+    (folder / "marker.csv").write_bytes(b"tracked")
+    assert sorted(session.files()) == ["one/marker.csv", "one/motor.csv"]
 
 
 @pytest.mark.parametrize("folder", ["absent", "."])
@@ -142,6 +157,13 @@ def test_every_session_is_a_row_of_the_data_set(made):
     assert [(line["robot"], line["session"]) for line in table] == [(row.robot, row.session) for row in done.rows]
     assert all(line["verdict"] in ("good", "doubtful") and line["error"] is None for line in table)
     assert list(DataSet(folder / "out").read().values()) == list(done.rows)
+
+
+def test_a_copy_of_a_part_that_something_else_made_is_no_part(fleet):
+    (part,) = (fleet / "out" / DATA_SET).iterdir()
+    before = DataSet(fleet / "out").read()
+    shutil.copy(part, part.with_name(f"{part.stem} (1).parquet"))
+    assert DataSet(fleet / "out").read() == before
 
 
 def test_a_file_in_the_data_sets_place_is_one_line(made, tmp_path):
@@ -297,6 +319,36 @@ def test_a_robot_of_another_shape_is_unlike():
     strange = replace(rows[7], width=tuple((0.5 + 0.2 * np.sin(4.0 * PLACES)).tolist()))
     found = findings([*rows[:7], strange, *rows[8:]])
     assert [each.name for each in found.unlike] == ["r0007"]
+
+
+def test_a_robot_without_backlash_makes_no_others_unknown():
+    rows = fleet_of(np.random.default_rng(8), 12, np.zeros(12), sessions=1)
+    none = replace(rows[7], width=(0.0,) * 33)
+    curves = log_widths([*rows[:7], none, *rows[8:]])
+    assert np.isfinite(curves.value).all() and np.isfinite(curves.noise).all()
+    assert np.isfinite(population(curves).scale).all()
+
+
+def test_a_session_that_measured_next_to_nothing_has_no_mean(tmp_path):
+    rows = fleet_of(np.random.default_rng(8), 2, np.zeros(2), sessions=1)
+    rows[1] = replace(rows[1], measured_low=-4.0, measured_high=-3.9)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        page.write(rows, findings(rows), tmp_path)
+    assert "nan mm" not in (tmp_path / page.FILE).read_text()
+
+
+def test_a_batch_of_one_robot_is_known_no_better_than_the_robot():
+    rng = np.random.default_rng(2)
+    growth = np.where(np.arange(30) == 7, 0.08, 0.006) * rng.lognormal(0.0, 0.2, 30)
+    found = findings(fleet_of(rng, 30, growth, batches=["A"] * 7 + ["B"] + ["A"] * 22))
+    (batch,), (robot,) = found.worn_batches, found.worn
+    assert batch.name == "B" and batch.sigma == pytest.approx(robot.sigma) and robot.sigma > 0.0
+
+
+def test_a_fleet_whose_backlash_shrinks_is_said_to_shrink():
+    said = findings(fleet_of(np.random.default_rng(2), 6, np.full(6, -0.01))).sentences()
+    assert said[1].startswith("B shrinks by 1 % a session")
 
 
 def test_two_robots_are_no_fleet_and_nothing_is_said():

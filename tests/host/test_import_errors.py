@@ -5,17 +5,20 @@ from __future__ import annotations
 import builtins
 import json
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import import_files as files
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from cli_runner import Taut
 
 import tautline as tl
 from tautline.recording import load
+from tautline.rig import Actuator, Coarse, Rig
 
 T_S = np.arange(0.0, 20.0, 0.02)
 Q = 30.0 * np.sin(0.8 * T_S)  # deg
@@ -79,6 +82,29 @@ def without_info(folder: Path) -> Path:
     return path
 
 
+def pose(folder: Path) -> Path:
+    return files.mcap_ros2(folder / "pose.mcap", T_S, {"jaw": np.radians(Q)}, (T_S, np.radians(C)))
+
+
+def without_files(folder: Path) -> Path:
+    path = dataset(folder)
+    table = inner(path, "meta/episodes/*/*.parquet")
+    pq.write_table(pq.read_table(table).drop_columns(["data/file_index"]), table)
+    return path
+
+
+def other_list(folder: Path) -> Path:
+    path = dataset(folder, "v2.1")
+    (path / "meta/episodes.jsonl").write_text("[1]\n")
+    return path
+
+
+def pictures(folder: Path, cut_at: int) -> Path:
+    coded = files.jpegs(6, 32)
+    coded[cut_at] = coded[cut_at][:-50]
+    return files.rosbag(folder / "bag", {"/joint_states": (T_S, {"jaw": Q})}, pictures={"/cam": (T_S[:60:10], coded)})
+
+
 def swapped(values: np.ndarray) -> np.ndarray:
     """Times of a clock that was set back by 4 s in the middle."""
     return np.where(np.arange(len(values)) < len(values) // 2, values, values - 4.0)
@@ -121,6 +147,22 @@ CASES: dict[str, tuple[Callable[[Path], Path], tuple[str, ...], tuple[str, ...]]
     "a picture": (lambda f: binary(f), COLUMNS, ("not a text file",)),
     "a folder of something": (lambda f: folder_of(f), COLUMNS, ("no LeRobot data set", "no ROS 2 bag")),
     "three tips": (csv, (*COLUMNS, "--tip", "q", "--tip", "c"), ("u, then v",)),
+    "one time": (lambda f: csv(f, t=0 * T_S[:2], q=Q[:2], c=C[:2]), COLUMNS, ("one time", "expected a motion")),
+    "a factor of 0": (csv, ("--motor", "q", "--tip", "c:0"), ("c:0", "finite number")),
+    "a factor that is no number": (csv, ("--motor", "q:nan", "--tip", "c"), ("q:nan", "finite number")),
+    "a factor of a place in the image": (csv, ("--motor", "q", "--tip", "c:2", "--tip", "q"), ("c:2", "in px")),
+    "an orientation in radians": (
+        pose, ("--motor", "/joint_states.position[0]", "--tip", "/tip_pose.pose.orientation:rad"), ("in deg",)
+    ),
+    "a time of messages": (mcap, (*FIELDS, "--time", "t"), ("--time t: goes with a CSV",)),
+    "a video that a bag has not": (bag, (*JOINT[:2], "--video", "/cam"), ("has no video /cam",)),
+    "a video that is none": (mcap, (*FIELDS, "--video", "/motor"), ("has no video /motor",)),
+    "a video that a data set has not": (dataset, (*FEATURES[:2], "--video", "wrist"), ("has no video wrist",)),
+    "a table of episodes without its files": (lambda f: without_files(f), FEATURES, ("data/file_index", "meta whole")),
+    "a list of other things": (lambda f: other_list(f), FEATURES, ("list of episodes", "copy it again")),
+    "a picture that is cut": (
+        lambda f: pictures(f, cut_at=3), (*JOINT[:2], "--video", "/cam"), ("picture 3 cannot be decoded",)
+    ),
 }  # fmt: skip
 
 
@@ -156,6 +198,107 @@ def test_a_first_row_without_a_time_is_left_out(taut: Taut, tmp_path: Path) -> N
     recording = load(tmp_path / "out")
     assert recording.motor.t_s[0] == pytest.approx(0.02) and len(recording.motor.q) == len(Q) - 1
     np.testing.assert_allclose(np.diff(recording.motor.t_s), 0.02, atol=1e-6)
+
+
+@pytest.mark.parametrize("ends", ["\n", "\r"])
+def test_a_row_that_is_longer_than_the_others_takes_none_away(taut: Taut, tmp_path: Path, ends: str) -> None:
+    path = csv(tmp_path)
+    lines = path.read_text().splitlines()
+    lines[100] += ",a word"
+    path.write_bytes(ends.join([*lines, ""]).encode())
+    assert taut("import", path, "--out", tmp_path / "out", *COLUMNS).code == 0
+    np.testing.assert_allclose(load(tmp_path / "out").motor.q, Q, atol=1e-6)
+
+
+def test_a_word_among_times_is_a_row_without_one(taut: Taut, tmp_path: Path) -> None:
+    path = csv(tmp_path)
+    lines = path.read_text().splitlines()
+    lines[100] = "paused,,"
+    path.write_text("\n".join([*lines, ""]))
+    done = taut("import", path, "--out", tmp_path / "out", *COLUMNS)
+    assert done.code == 0 and "1 rows without a time" in done.err
+    np.testing.assert_allclose(load(tmp_path / "out").motor.t_s, np.delete(T_S, 99), atol=1e-9)
+
+
+@pytest.mark.parametrize("empty", [None, 0, 65536])
+def test_dates_are_read_alike_whichever_cell_is_empty(taut: Taut, tmp_path: Path, empty: int | None) -> None:
+    """March 4th in the file's first part and in its second one, which begins with row 65536."""
+    t_s = np.arange(65600) * 1e-3
+    cells = [f"2026-03-04 10:{int(t) // 60:02d}:{t % 60:06.3f}" for t in t_s]
+    if empty is not None:
+        cells[empty] = ""
+    q = 30.0 * np.sin(t_s)
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["time,q,c", *(f"{d},{a:.6f},{a:.6f}" for d, a in zip(cells, q, strict=True)), ""]))
+    assert taut("import", path, "--out", tmp_path / "out", *COLUMNS).code == 0
+    made = load(tmp_path / "out").motor.t_s
+    kept = np.arange(len(t_s)) != (-1 if empty is None else empty)
+    np.testing.assert_allclose(made, t_s[kept] - t_s[kept][0], atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["Time", "elapsed"])
+def test_a_column_of_days_is_not_taken_for_the_times(taut: Taut, tmp_path: Path, name: str) -> None:
+    clock = [f"10:00:{t:06.3f}" if name == "Time" else f"{t:.3f}" for t in T_S]
+    rows = [f"2026-03-04,{x},{a:.6f},{b:.6f}" for x, a, b in zip(clock, Q, C, strict=True)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([f"Date,{name},q,c", *rows, ""]))
+    assert taut("import", path, "--out", tmp_path / "out", *COLUMNS).code == 0
+    np.testing.assert_allclose(load(tmp_path / "out").motor.t_s, T_S, atol=1e-6)
+
+
+def test_a_joint_takes_no_other_columns_place(taut: Taut, tmp_path: Path) -> None:
+    """One that is called as the recording's q, and two whose names are one where only letters count."""
+    path = tmp_path / "log.csv"
+    others = (0.1 * Q, 0.2 * Q, 0.3 * Q)
+    np.savetxt(path, np.c_[T_S, Q, C, *others], delimiter=",", header="t_s,m,c,q,a b,a_b", comments="")
+    words = ("--motor", "m", "--tip", "c", *(each for name in ("q", "a b", "a_b") for each in ("--joint", name)))
+    assert taut("import", path, "--out", tmp_path / "out", *words).code == 0
+    made = load(tmp_path / "out").motor
+    np.testing.assert_allclose(made.q, Q, atol=1e-9)
+    assert list(made.joints) == ["q_2_deg", "a_b_deg", "a_b_2_deg"]
+    for values, truth in zip(made.joints.values(), others, strict=True):
+        np.testing.assert_allclose(values, truth, atol=1e-9)
+
+
+def test_a_motor_that_rests_nearly_always_is_imported(taut: Taut, tmp_path: Path) -> None:
+    q = np.where(np.arange(len(T_S)) < 970, 0.0, Q)
+    assert taut("import", csv(tmp_path, q=q, c=0.9 * q), "--out", tmp_path / "out", *COLUMNS).code == 0
+    np.testing.assert_allclose(load(tmp_path / "out").motor.q, q, atol=1e-6)
+
+
+def test_a_tip_that_is_seen_once_tells_no_slope(taut: Taut, tmp_path: Path) -> None:
+    c = np.where(np.arange(len(T_S)) == 4, C, np.nan)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        done = taut("import", csv(tmp_path, c=c), "--out", tmp_path / "out", *COLUMNS)
+    assert done.code == 0 and "999 rows have no number" in done.err
+
+
+def test_a_factor_of_an_orientation_counts(taut: Taut, tmp_path: Path) -> None:
+    path = pose(tmp_path)
+    made = []
+    for end in ("", ":-2"):
+        words = ("--motor", "/joint_states.position[0]", "--tip", f"/tip_pose.pose.orientation{end}")
+        assert taut("import", path, "--out", tmp_path / "out", *words).code == 0
+        made.append(load(tmp_path / "out").angle)
+    np.testing.assert_allclose(made[1].c_deg, -2.0 * made[0].c_deg)
+
+
+def test_a_unit_that_is_not_the_rigs_is_refused(taut: Taut, tmp_path: Path) -> None:
+    rig = tmp_path / "rig.toml"
+    Rig(Actuator("mm", (-5.0, 5.0), 0.001), Coarse(10.0, 0.0)).save(rig)
+    words = ("--out", tmp_path / "out", *COLUMNS, "--rig", rig)
+    assert "--unit deg" in taut.refuses("import", csv(tmp_path, q=0.1 * Q), *words, "--unit", "deg")
+    assert "as in q:um" in taut.refuses("import", csv(tmp_path, q=1e5 * Q), *words)
+
+
+def test_an_episode_that_is_not_there_is_no_proposal(taut: Taut, tmp_path: Path) -> None:
+    assert "has no episode 5" in taut.refuses("import", csv(tmp_path), "--episode", 5)
+
+
+def test_a_motion_too_short_to_compare_is_listed(taut: Taut, tmp_path: Path) -> None:
+    done = taut("import", csv(tmp_path, T_S[:10], Q[:10], C[:10]))
+    assert done.code == 0 and "nothing is proposed" in done.out
 
 
 def test_a_recording_that_was_there_stays_when_an_import_fails(taut: Taut, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from base64 import b64encode
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 import tautline as tl
 from tautline.calibration.calibrate import calibrate
+from tautline.io.importing import open_source, scan
 from tautline.io.importing.tip import bending_deg
 from tautline.recording import Angle, Motor, Recording, load
 from tautline.rig import Rig
@@ -292,6 +294,78 @@ def test_pictures_of_a_bag_are_copied_into_a_video(taut: Taut, tmp_path: Path) -
     with VideoCamera(made.video.path) as camera:
         seen = [read[0].mean() for _ in coded if (read := camera.read())]
     np.testing.assert_allclose(seen, [files.level(k) for k in range(len(coded))], atol=2.5)
+
+
+def test_pictures_of_json_messages_are_base64(taut: Taut, tmp_path: Path) -> None:
+    """As Foxglove's and the package's own MCAP files have them; two were written in the other order."""
+    t_s = np.arange(0.0, 4.0, 0.02)
+    coded = files.jpegs(8, 48)
+    frames = [(0.4 * k, {"data": b64encode(each).decode(), "format": "jpeg"}) for k, each in enumerate(coded)]
+    frames[3], frames[4] = frames[4], frames[3]
+    motor = [(t, {"q": 20.0 * np.sin(t)}) for t in t_s.tolist()]
+    path = files.mcap_messages(tmp_path / "log.mcap", {"/motor": motor, "/camera": frames}, ["/camera"])
+    assert taut("import", path, "--out", tmp_path / "out", "--motor", "/motor.q", "--video", "/camera").code == 0
+    made = load(tmp_path / "out", RIG)
+    assert made.video is not None and made.video.arrival_s is not None
+    seen = made.video.arrival_s[np.isfinite(made.video.arrival_s)]
+    np.testing.assert_allclose(seen, [0.0, 0.4, 0.8, 1.6, 2.0, 2.4, 2.8], atol=1e-6)  # 1.2 s came too late
+    with VideoCamera(made.video.path) as camera:
+        shown = [read[0].mean() for _ in coded if (read := camera.read())]
+    np.testing.assert_allclose(shown, [files.level(k) for k in (0, 1, 2, 4, 3, 5, 6, 7)], atol=2.5)
+
+
+def test_publishers_of_one_topic_have_channels_of_their_own(taut: Taut, tmp_path: Path) -> None:
+    """And rows: what one of them sends is no gap of the other's."""
+    t_s = np.arange(0.0, 4.0, 0.02).tolist()
+    arm = [(t, {"name": ["a", "b"], "position": [t, 2.0 * t]}) for t in t_s]
+    jaw = [(t + 0.01, {"name": ["jaw"], "position": [-t]}) for t in t_s]
+    path = files.mcap_messages(tmp_path / "log.mcap", {"/joints": arm, "/joints ": jaw})
+    found = scan(open_source(path), None, lambda share, what: None).channels
+    assert {c.fact.label: (c.low, c.high) for c in found.values()} == {
+        "a": (0.0, 3.98), "b": (0.0, 7.96), "jaw": (-3.98, 0.0)
+    }  # fmt: skip
+    words = ("--motor", "/joints.position[b]:deg", "--tip", "/joints.position[jaw]:deg")
+    done = taut("import", path, "--out", tmp_path / "out", *words)
+    assert done.code == 0 and "without a number" not in done.err
+    made = load(tmp_path / "out")
+    assert made.angle is not None and made.angle.valid is None
+    np.testing.assert_allclose(made.motor.q, 2.0 * np.array(t_s))
+    np.testing.assert_allclose(made.angle.t_s - made.motor.t_s, 0.01, atol=1e-9)
+
+
+@pytest.mark.parametrize("first_s, summary", [(100.0, True), (1.7e9, False)])
+def test_stamps_of_another_epoch_than_the_logs_begin_at_0(
+    taut: Taut, tmp_path: Path, first_s: float, summary: bool
+) -> None:
+    """Stamps since the robot was switched on; and since 1970 in a log without a summary, whose first time is not known
+    beforehand."""
+    t_s = np.arange(0.0, 4.0, 0.02)
+    rows = []
+    for t in t_s.tolist():
+        sec = int(first_s + t)
+        rows.append((t, {"header": {"stamp": {"sec": sec, "nanosec": round(1e9 * (first_s + t - sec))}}, "q": t}))
+    path = files.mcap_messages(tmp_path / "log.mcap", {"/motor": rows, "/tip": rows}, summary=summary)
+    done = taut("import", path, "--out", tmp_path / "out", "--motor", "/motor.q:deg", "--tip", "/tip.q:deg")
+    assert done.code == 0 and "by the header times" in done.out
+    np.testing.assert_allclose(load(tmp_path / "out").motor.t_s, t_s, atol=1e-6)
+    document = tomllib.loads((tmp_path / "out/import.toml").read_text())
+    assert document["clock"]["origin_s"] == pytest.approx(first_s)
+
+
+def test_a_video_without_stamps_is_on_the_clock_of_the_motor(taut: Taut, tmp_path: Path) -> None:
+    """The motor's stamps are 0.3 s before they are logged; the frames have no stamps."""
+    t_s = np.arange(0.0, 4.0, 0.02)
+    coded = files.jpegs(8, 48)
+    frame_s = 0.4 * np.arange(8) + 0.3
+    path = files.rosbag(
+        tmp_path / "bag", {"/joints": (t_s, {"jaw": np.sin(t_s)})}, pictures={"/cam": (frame_s, coded)},
+        late_s=0.3, stamped=("/joints",),
+    )  # fmt: skip
+    done = taut("import", path, "--out", tmp_path / "out", "--motor", "/joints.position[0]", "--video", "/cam")
+    assert done.code == 0 and "/cam has no header stamps" in done.err and "by the log times" in done.out
+    made = load(tmp_path / "out", RIG)
+    assert made.video is not None and made.video.arrival_s is not None
+    assert made.video.arrival_s[0] == pytest.approx(made.motor.t_s[0], abs=1e-6)
 
 
 def test_a_place_in_the_image_becomes_a_marker(taut: Taut, tmp_path: Path) -> None:

@@ -23,8 +23,8 @@ from tautline.fleet.rows import FAILED, Row
 
 Array = npt.NDArray[np.float64]
 
-_FALSE = 0.5  # expected among all that are named
-_APART = 2.0  # spreads: nearer together, two normal distributions of one spread have one mode
+_FALSE = 0.5  # loss: expected among all that are named
+_APART = 2.0  # equation: spreads: nearer together, two normal distributions of one spread have one mode
 _FEWEST = 4  # tolerance: robots of whom growth is known, to speak of groups
 _SHOWN = 8  # display: names in a sentence
 
@@ -59,9 +59,9 @@ class Findings:
         made, of = counted(self.sessions, "session"), counted(self.robots, "robot")
         said = [f"{made} of {of}, {self.failed} without a calibration."]
         if np.isfinite(self.wear):
-            said.append(
-                f"B grows by {100 * self.wear:.2g} % a session, by {100 * self.wear_spread:.0f} % more or less of that."
-            )
+            goes = "grows" if self.wear >= 0.0 else "shrinks"
+            more = f"by {100 * self.wear_spread:.0f} % more or less of that"
+            said.append(f"B {goes} by {100 * abs(self.wear):.2g} % a session, {more}.")
         for names, words in (
             (self.drifting, "B changes for certain in {}"),
             (self.worn, "Worn sooner than the others: {}"),
@@ -103,7 +103,7 @@ class _Growth:
 
     @property
     def log(self) -> Array:
-        """(n,) arcsinh(growth / `told`): a logarithm where growth is large, straight about 0, where it may be
+        """(n,) arcsinh(growth / usual_sigma): a logarithm where growth is large, straight about 0, where it may be
         negative."""
         return np.asarray(np.arcsinh(self.rate / self.usual_sigma))
 
@@ -184,7 +184,8 @@ def _batches(growth: _Growth, odds: Array, prior: float) -> list[Named]:
     of = [np.array([batch == name for batch in growth.batch]) for name in names]
     probability = np.array([expit(prior + float(odds[own].sum())) for own in of])
     rate = np.array([growth.rate[own].mean() for own in of])
-    sigma = np.array([growth.rate[own].std() / np.sqrt(own.sum()) for own in of])
+    scatter = [max(growth.rate[own].std(), np.sqrt(np.mean(growth.sigma[own] ** 2))) for own in of]  # 0 of one robot
+    sigma = np.array([each / np.sqrt(own.sum()) for each, own in zip(scatter, of, strict=True)])
     return _named(names, probability, rate, sigma)
 
 
@@ -199,8 +200,8 @@ def _groups(growth: _Growth) -> _Groups | None:
     def read(x: Array) -> _Groups:
         """The groups by x (4,), lengths over `apart`: usual log growth less the median, log of the spread, log of how
         much later than _APART spreads the second group is; log odds."""
-        spread = apart * np.exp(x[1])
-        return _Groups(middle + apart * x[0], spread, _APART * spread + apart * np.exp(x[2]), float(x[3]))
+        own = apart * np.exp(x[1])
+        return _Groups(middle + apart * x[0], own, _APART * own + apart * np.exp(x[2]), float(x[3]))
 
     def one(x: Array) -> float:  # the spread is about what the median deviation says, within a factor of e
         """Minus the log posterior of one group, x (2,) as in `read`."""

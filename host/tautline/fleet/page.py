@@ -81,11 +81,15 @@ def _robots(rows: Sequence[Row], last: dict[str, Row]) -> list[list[str]]:
     for robot, sessions in Counter(row.robot for row in rows).items():
         row = last.get(robot)
         batch = next((each.batch or "" for each in rows if each.robot == robot), "")
-        told = (
-            ["", "", ""] if row is None else [row.session, row.verdict, f"{np.mean(_measured(row)[1]):.3g} {row.unit}"]
-        )
+        told = ["", "", ""] if row is None else [row.session, row.verdict, _mean_width(row)]
         lines.append([robot, batch, str(sessions), *told])
     return lines
+
+
+def _mean_width(row: Row) -> str:
+    """B in the mean over where it was measured; "" where that is narrower than the row's places are apart."""
+    _, width = _measured(row)
+    return f"{np.mean(width):.3g} {row.unit}" if len(width) else ""
 
 
 def _measured(row: Row) -> tuple[np.ndarray, np.ndarray]:

@@ -26,16 +26,16 @@ Array = npt.NDArray[np.float64]
 LEAST_ROBOTS = 4  # tolerance: that a spread can be told of
 _STEPS = 40  # tolerance: of expectation and maximisation
 _SPREADS, _WIDEST = 200, 3.0  # tolerance: spreads of a single value that are tried, up to so many of what is seen
-_PARTS = 3  # in which robots are left out
+_PARTS = 3  # tolerance: in which robots are left out
 _LENGTHS = (0.08, 0.16, 0.32)  # prior: of the range, over which a kernel's values go together
 _WORTH = (0.1, 0.5, 2.0, 8.0, 32.0)  # prior: robots that the kernel counts as
 _WORTH_OF_NEXT = 0.5  # prior: at least, of the next robot: wear is of shapes that no sound robot has
-_TAILS = (4.0, 12.0, 1e6)  # degrees of freedom; the last is a normal distribution. prior: the first, of the next robot
-_MOST = 600  # sessions, evenly taken, that S is found from
-_UNKNOWN = 1.0  # of log B: a sigma that says nothing
-_UNTOLD = 1e3  # of log B, where no reversal was
+_TAILS = (4.0, 12.0, 1e6)  # prior: degrees of freedom: the last is a normal distribution, the first the next robot's
+_MOST = 600  # tolerance: sessions, evenly taken, that S is found from
+_UNKNOWN = 1.0  # prior: of log B: a sigma that says nothing
+_UNTOLD = 1e3  # tolerance: of log B, where no reversal was
 _OWN = 0.1  # tolerance: of a sigma, at least, that each place has alone: else a curve of no dimension is left
-_LEAST = 1e-3  # of a session's largest B
+_LEAST = 1e-3  # tolerance: of a session's largest B
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,8 @@ def log_widths(rows: Sequence[Row]) -> Curves:
     q = np.array(usable[0].q)
     ends = np.array([(row.measured_low, row.measured_high) for row in usable], dtype=float)
     told = (ends[:, :1] <= q) & (q <= ends[:, 1:])  # beyond the reversals sigma is the distance to them, not B's size
-    width = np.maximum(width, np.where(told, stated, _LEAST * width.max(axis=1, keepdims=True)))  # a B of 0 is small
+    width = np.maximum(width, np.where(told, stated, 0.0))  # a B of 0 is small
+    width = np.where(told, width, np.maximum(width, _LEAST * width.max(axis=1, keepdims=True)))
     sigma = np.where(told, np.minimum(stated / width, _UNKNOWN), _UNTOLD)
     by_delay = np.array([row.width_by_delay or (0.0,) * len(q) for row in usable])
     together = np.where(told, np.clip(by_delay / width, -sigma, sigma), 0.0)

@@ -19,7 +19,7 @@ from tautline.folders import write_file
 from tautline.rig import Rig
 
 FILE, FORMAT, _WITHOUT_DELAY = "prior.json", "prior/3", "prior/2"
-_SAME = 0.01  # of the range, by which a robot's may differ
+_SAME = 0.01  # tolerance: of the range, by which a robot's may differ
 
 
 def write(rows: Sequence[Row], out: Path) -> None:

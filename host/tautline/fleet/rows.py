@@ -14,6 +14,7 @@ from tautline.errors import TautError, of_system
 
 DATA_SET = "sessions"  # a folder of Parquet files in the output folder
 FAILED = "failed"  # a verdict beside a calibration's own: there is no calibration
+_DIGITS = 6  # format: of a part's number
 _EXTRA = "pip install 'tautline-robotics[fleet]'"
 
 
@@ -61,11 +62,8 @@ class Row:
         return self.verdict in ("good", "doubtful")
 
 
-_LISTS = frozenset({"q", "width", "width_sigma", "width_by_delay", "c_deg", "c_sigma_deg", "path", "path_sigma"})
-_NUMBERS = frozenset(
-    {"measured_low", "measured_high", "delay_s", "delay_sigma_s", "residual", "motion_s", "seconds", "width_change",
-     "width_change_sigma", "offset_change", "wear", "wear_sigma"}
-)  # fmt: skip
+_LISTS = frozenset(field.name for field in fields(Row) if field.type == "tuple[float, ...]")
+_NUMBERS = frozenset(field.name for field in fields(Row) if field.type == "float | None")
 
 
 class DataSet:
@@ -106,12 +104,12 @@ class DataSet:
             path.unlink()
 
     def _parts(self) -> list[Path]:
-        return sorted(self.folder.glob("part-*.parquet"))
+        return sorted(self.folder.glob(f"part-{'[0-9]' * _DIGITS}.parquet"))
 
     def _write(self, rows: list[Row]) -> None:
         """Writes the rows as the next part, whole or not at all. TautError where it cannot be written."""
         table = self._arrow.Table.from_pylist([asdict(row) for row in rows], schema=self._schema())
-        path = self.folder / f"part-{self._next:06d}.parquet"
+        path = self.folder / f"part-{self._next:0{_DIGITS}d}.parquet"
         temporary = self.folder / f".{path.name}.{os.getpid()}"
         try:
             self.folder.mkdir(parents=True, exist_ok=True)

@@ -20,7 +20,7 @@ Progress = Callable[[float, str], None]
 
 _ROWS = 3  # format: of what a row holds
 MADE_BY = f"{__version__} {PLACES} {_ROWS}"  # a row by another version is made anew
-_KEPT, _KEPT_S = 64, 10.0  # rows, and seconds, after which what is done is written
+_KEPT, _KEPT_S = 64, 10.0  # tolerance: rows, and seconds, after which what is done is written
 
 
 @dataclass(frozen=True)

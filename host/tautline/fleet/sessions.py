@@ -24,7 +24,7 @@ from tautline.rig import RIG_FILE
 MANIFEST = "robots.csv"
 MOTOR = MOTOR_LAYOUT.file
 _TABLES = (MOTOR, MARKER.file, ANGLE.file, RIG_FILE)
-_OF_VIDEO = (*VIDEO_NAMES, FRAMES.file, COLOUR_FILE, REGION_FILE)
+_OF_VIDEO = (*VIDEO_NAMES, FRAMES.file, COLOUR_FILE, f"{Path(REGION_FILE).stem}.*")  # a region has a picture, too
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
 
 
@@ -58,9 +58,10 @@ class Session:
                 raise TautError(f"holds no {MOTOR}, and no folder with one: it is no session, or was not copied whole")
             for recording in recordings:
                 tracked = (recording / MARKER.file).exists()
-                for name in _TABLES if tracked else (*_TABLES, *_OF_VIDEO):
-                    if (recording / name).is_file():
-                        found[f"{recording.name}/{name}"] = (recording / name).read_bytes()
+                wanted = _TABLES if tracked else (*_TABLES, *_OF_VIDEO)
+                for path in (each for pattern in wanted for each in sorted(recording.glob(pattern))):
+                    if path.is_file():
+                        found[f"{recording.name}/{path.name}"] = path.read_bytes()
         except OSError as error:
             raise TautError(of_system(error)) from error
         return found
@@ -110,7 +111,7 @@ def _batches(manifest: Path) -> dict[str, str]:
     if not manifest.exists():
         return {}
     try:
-        table = pd.read_csv(manifest, dtype=str)
+        table = pd.read_csv(manifest, dtype=str, skipinitialspace=True)
     except (OSError, ValueError) as error:
         raise TautError(f"{manifest}: cannot be read ({error}): it is a CSV with the columns robot, batch") from error
     if "robot" not in table:

@@ -12,11 +12,10 @@ from tautline.errors import TautError
 from tautline.folders import whole
 from tautline.model import Model
 
-# Too much of it is ten times as bad as too little, per unit of width: the least expected loss is at this quantile.
-_QUANTILE = 1.0 / 11.0
-_BISECTIONS = 60  # to the last bit of a width
+_QUANTILE = 1.0 / 11.0  # loss: too much is ten times as bad as too little: the least expected loss is at this one
+_BISECTIONS = 60  # tolerance: to the last bit of a width
 _AXES = "xyzabc"
-_SMOOTH_S = 0.005  # Klipper's own example of smooth_time
+_SMOOTH_S = 0.005  # format: Klipper's own example of smooth_time
 
 
 @dataclass(frozen=True)
@@ -124,7 +123,7 @@ def write_klipper(model: Model, out: Path, axis: str) -> list[Path]:
 def _axis(name: str) -> str:
     """The axis' letter in lower case. TautError where it is none."""
     letter = name.lower()
-    if len(letter) != 1 or letter not in _AXES:
+    if letter not in [*_AXES]:
         raise TautError(f"--axis {name}: name one of {', '.join(_AXES)}")
     return letter
 

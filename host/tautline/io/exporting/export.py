@@ -60,7 +60,8 @@ def export(
             "klipper": (constants.write_klipper, constants.loses),
         }
         write, loses = writers[to]
-        return Exported(tuple(write(source.model, out, axis or form.axis)), tuple(loses(source.model)))
+        files = write(source.model, out, form.axis if axis is None else axis)
+        return Exported(tuple(files), tuple(loses(source.model)))
     seen = log.of_source(source)
     if to == "csv":
         files = csv_files.write(seen, out)

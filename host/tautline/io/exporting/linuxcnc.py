@@ -13,8 +13,8 @@ from tautline.model import Model
 
 Array = npt.NDArray[np.float64]
 
-MOST = 256  # triplets that LinuxCNC takes for a joint
-_DIGITS = 6  # after the point: a millionth of the unit
+MOST = 256  # format: triplets that LinuxCNC takes for a joint
+_DIGITS = 6  # format: after the point: a millionth of the unit
 
 
 def write(model: Model, out: Path, joint: str) -> list[Path]:
@@ -22,7 +22,7 @@ def write(model: Model, out: Path, joint: str) -> list[Path]:
     - forward) while the joint rises and to nominal + (nominal - reverse) while it falls. The nominal joint is where
     f_coarse has the motor for an angle, so the columns carry f_remain and B at once. Comments stand behind the
     triplets, as LinuxCNC stops reading at the first other line."""
-    if not joint.isdigit():
+    if not (joint.isascii() and joint.isdigit()):
         raise TautError(f"--axis {joint}: LinuxCNC numbers its joints: name 0, 1, 2, ...")
     nominal, rising, falling = targets(model)
     digits = [
@@ -46,7 +46,7 @@ def write(model: Model, out: Path, joint: str) -> list[Path]:
     beside = out.with_name(out.name + ".ini")
     with whole(out) as file, whole(beside) as section:
         file.write_text("\n".join([*digits, *says]) + "\n", encoding="ascii")
-        section.write_text("\n".join(ini) + "\n", encoding="ascii")
+        section.write_text("\n".join(ini) + "\n", encoding="utf-8")  # a file's name may be of any letters
     return [out, beside]
 
 

@@ -21,6 +21,8 @@ from tautline.simulators.source import path_of
 
 Array = npt.NDArray[np.float64]
 
+_QUALITY = 90  # loss: of the frames' JPEG: next to no loss, a fifth of PNG's size
+
 
 @dataclass(frozen=True)
 class Series:
@@ -48,10 +50,21 @@ class Log:
     facts: dict[str, Any]  # as JSON has them: name, units, verdicts
     video: Video | None = None
 
-    def frames(self) -> Iterator[tuple[float, npt.NDArray[np.uint8]]]:
-        """Arrival time and BGR picture (height, width, 3) of each frame that has a time."""
+    @property
+    def first_frame_s(self) -> float:
+        """When the video's first frame arrived; infinity where there is none."""
+        if self.video is None:
+            return np.inf
+        if self.video.arrival_s is None:
+            return 0.0  # as containers count
+        return float(np.min(self.video.arrival_s, initial=np.inf, where=np.isfinite(self.video.arrival_s)))
+
+    def frames(self) -> Iterator[tuple[float, bytes]]:
+        """Arrival time, s, and JPEG of each frame that has a time."""
         if self.video is None:
             return
+        import cv2
+
         from tautline.vision.camera import VideoCamera
 
         arrival = self.video.arrival_s
@@ -62,7 +75,7 @@ class Log:
                 t_s = own_s if arrival is None else float(arrival[k]) if k < len(arrival) else np.nan
                 k += 1
                 if np.isfinite(t_s):
-                    yield t_s, picture
+                    yield t_s, cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
 
 
 def of_source(source: Source) -> Log:
@@ -120,8 +133,9 @@ def _foretold(recording: Recording, name: str, model: Model, unit: str) -> list[
     """Series of a model's prediction at the sensor's arrival times, or at the motor's where there is no sensor, and of
     its residual at each of STAGES. name: the model's; unit: of q."""
     marker, angle, motor = recording.marker, recording.angle, recording.motor
-    sensor = ANGLE if marker is None and (angle is not None or not model.rig.has_camera) else MARKER
-    rows = marker if marker is not None else angle
+    by_marker = marker is not None and (model.rig.has_camera or angle is None)
+    rows = marker if by_marker else angle
+    sensor = MARKER if by_marker or (rows is None and model.rig.has_camera) else ANGLE
     t_s = motor.t_s + model.delay_of(sensor) if rows is None else rows.t_s
     scene = t_s - model.delay_of(sensor)
     told = predict(model, motor, scene)
@@ -139,9 +153,9 @@ def _foretold(recording: Recording, name: str, model: Model, unit: str) -> list[
         return found
     for stage, staged in _stages(model):
         off = told if stage == STAGES[-1] else predict(staged, motor, scene)
-        if marker is not None and off.image_px is not None:
+        if by_marker and marker is not None and off.image_px is not None:
             left = {"u_px": marker.u_px - off.image_px[:, 0], "v_px": marker.v_px - off.image_px[:, 1]}
-        elif angle is not None and marker is None:
+        elif angle is not None and not by_marker:
             left = {"c_deg": angle.c_deg - off.c_deg}
         else:
             continue

@@ -17,9 +17,8 @@ from tautline.plain import plain
 
 LAYOUT_SUFFIX = ".layout.json"
 CAMERA = "/camera"
-_QUALITY = 90  # of the frames' JPEG: next to no loss, a fifth of PNG's size
-_NS = 1_000_000_000
-_LATEST_S = 2**63 / _NS  # that 64 bits of nanoseconds hold
+_NS = 1_000_000_000  # format: in a second
+_LATEST_S = 2**63 / _NS  # format: that 64 bits of nanoseconds hold
 # Foxglove's own schema of a picture: its Image panel shows no other.
 _IMAGE = {
     "type": "object",
@@ -39,11 +38,10 @@ _IMAGE = {
 def write(log: Log, out: Path, progress: Callable[[float, str], None]) -> list[Path]:
     """Writes the MCAP file and its layout. Messages have the recording's own times, shifted to begin at 0 where they
     are negative."""
-    import cv2
     from mcap.writer import Writer
 
     first = min((float(series.t_s[0]) for series in log.series if len(series.t_s)), default=0.0)
-    shift_s = max(0.0, -first)
+    shift_s = max(0.0, -min(first, log.first_frame_s))
     last = max((float(series.t_s[-1]) for series in log.series if len(series.t_s)), default=0.0)
     if last + shift_s >= _LATEST_S:
         raise TautError(f"{log.facts['name']}: its times end at {last:.4g} s: MCAP counts nanoseconds in 64 bits")
@@ -59,17 +57,15 @@ def write(log: Log, out: Path, progress: Callable[[float, str], None]) -> list[P
             schema = writer.register_schema("foxglove.CompressedImage", "jsonschema", json.dumps(_IMAGE).encode())
             channel = writer.register_channel(CAMERA, "json", schema)
             span = max(last - first, 1e-9)
-            for t_s, picture in log.frames():
+            for t_s, jpeg in log.frames():
                 when = _ns(t_s + shift_s)
-                good, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-                if good:
-                    message = {
-                        "timestamp": {"sec": when // _NS, "nsec": when % _NS},
-                        "frame_id": "camera",
-                        "data": base64.b64encode(jpeg.tobytes()).decode("ascii"),
-                        "format": "jpeg",
-                    }
-                    writer.add_message(channel, when, json.dumps(message).encode(), when)
+                message = {
+                    "timestamp": {"sec": when // _NS, "nsec": when % _NS},
+                    "frame_id": "camera",
+                    "data": base64.b64encode(jpeg).decode("ascii"),
+                    "format": "jpeg",
+                }
+                writer.add_message(channel, when, json.dumps(message).encode(), when)
                 progress(0.3 + 0.7 * min(max((t_s - first) / span, 0.0), 1.0), "frames")
         writer.add_metadata("tautline", {"facts": json.dumps(plain(log.facts)), "shift_s": repr(shift_s)})
         writer.finish()  # type: ignore[no-untyped-call]

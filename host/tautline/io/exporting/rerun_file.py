@@ -11,13 +11,11 @@ from tautline.folders import whole
 from tautline.io.exporting.log import Log
 
 TIME, PLACE = "t_s", "q"
-_QUALITY = 90  # of the frames' JPEG: next to no loss, a fifth of PNG's size
-_PLACES = 1e6  # steps of the timeline "q" in a unit of q: it counts in whole numbers
+_PLACES = 1e6  # format: steps of the timeline "q" in a unit of q: it counts in whole numbers
 
 
 def write(log: Log, out: Path, progress: Callable[[float, str], None]) -> list[Path]:
     """The file. Times are the recording's own, as durations; a curve lies on a timeline of its own, q in millionths."""
-    import cv2
     import rerun as rr
 
     with whole(out) as file:
@@ -47,11 +45,9 @@ def write(log: Log, out: Path, progress: Callable[[float, str], None]) -> list[P
                     where = rr.TimeColumn(PLACE, sequence=np.rint(q[kept] * _PLACES).astype(np.int64))
                     recording.send_columns(f"{curve.name}/{name}", [where], rr.Scalars.columns(scalars=values[kept]))
         last = max((float(series.t_s[-1]) for series in log.series if len(series.t_s)), default=1.0)
-        for t_s, picture in log.frames():
-            good, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-            if good:
-                recording.set_time(TIME, duration=t_s)
-                recording.log("camera", rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"))
+        for t_s, jpeg in log.frames():
+            recording.set_time(TIME, duration=t_s)
+            recording.log("camera", rr.EncodedImage(contents=jpeg, media_type="image/jpeg"))
             progress(0.3 + 0.7 * min(max(t_s / (last or 1.0), 0.0), 1.0), "frames")
         recording.reset_time()
         recording.log(

@@ -41,15 +41,17 @@ class Source:
 
 
 def read(path: Path, rig: Rig | None = None, beside: Path | None = None) -> Source:
-    """The source in a folder. `beside`: for a recording, the MODEL or DIAGNOSIS whose predictions go along."""
+    """The source in a folder. For a recording: `rig` wins over its own, `beside` is the MODEL or DIAGNOSIS whose
+    predictions go along."""
     if not path.exists():
         raise TautError(f"{path}: there is no such folder: name a recording, a model or a diagnosis")
     if not path.is_dir():
         raise TautError(f"{path}: is a file: name the folder of a recording, a model or a diagnosis")
     if (path / MOTOR_FILE).exists():
         return of_recording(load_recording(path, rig), rig, read(beside) if beside else None)
-    if beside is not None:
-        raise TautError(f"{path}: is no recording (it has no {MOTOR_FILE}): --model goes with a recording only")
+    for option, given in (("--model", beside), ("--rig", rig)):
+        if given is not None:
+            raise TautError(f"{path}: is no recording (it has no {MOTOR_FILE}): {option} goes with a recording only")
     if (path / DIAGNOSIS_FILE).exists():
         return _diagnosis(path)
     if (path / MODEL_FILE).exists():

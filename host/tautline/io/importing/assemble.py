@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -11,21 +13,22 @@ import numpy as np
 from tautline.errors import TautError
 from tautline.io.importing import clocks, video
 from tautline.io.importing.listing import Progress, Rows, find, read
-from tautline.io.importing.source import Array, Clip, Source
+from tautline.io.importing.source import Array, Clip, Source, origin_of
 from tautline.io.importing.tip import QUATERNION, bending_deg
 from tautline.io.importing.units import ANGLES, SPOKEN, Named, factor, named, suspected, unit_in
+from tautline.layouts import MOTOR
 from tautline.recording import FARTHEST, MAX_MOTOR_GAP_S, MAX_MOTOR_STEP_S, Angle, Marker, Motor, Recording, Video
 from tautline.rig import Actuator, AngleSensor, Coarse, Rig
 
-_MOST_LOST = 0.05  # share of a motor's rows without a number that may be left out
-_TIME_DIGITS = 9  # of seconds: what clocks and bags count in
-_RANGE_DIGITS = 4  # of a rig's range, rounded outwards
+_MOST_LOST = 0.05  # tolerance: share of a motor's rows without a number that may be left out
+_TIME_DIGITS = 9  # format: of seconds: what clocks and bags count in
+_RANGE_DIGITS = 4  # format: of a rig's range, rounded outwards
 # By how much a ratio may be off from a unit's: a command goes where the motor goes, less a servo's error; a rig's gain
 # is nominal; where none is given a tip may move half or twice as much as its motor.
-_SURE, _BY_RIG, _ANY_GAIN = 0.1, 0.25, 1.0
-_ONE_AXIS = 0.9  # share of a tip's turning that is about one axis, below which it is told
-_SAMPLED = 20_000  # values that a rig's count and coarse law are taken from
-_RESOLUTION_LEAST = 1e-6  # of the span: a finer count is none, it is a float's rounding
+_SURE, _BY_RIG, _ANY_GAIN = 0.1, 0.25, 1.0  # prior
+_ONE_AXIS = 0.9  # tolerance: share of a tip's turning that is about one axis, below which it is told
+_SAMPLED = 20_000  # tolerance: values that a rig's count and coarse law are taken from
+_RESOLUTION_LEAST = 1e-6  # tolerance: of the span: a finer count is none, it is a float's rounding
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,7 @@ class Assembled:
     rig_known: bool  # by the user; else what the recording shows of it
     channels: list[dict[str, Any]] = field(default_factory=list)  # what became of each, for import.toml
     clock: str = clocks.LOG
+    origin_s: float = 0.0  # what was taken off all times of the file
     warnings: list[str] = field(default_factory=list)
 
 
@@ -55,15 +59,18 @@ def assemble(
     """Reads the named channels of an episode as a recording. q in the rig's unit, else in `unit`, else in the motor's
     own. scratch: a folder for a video. TautError where a channel is missing or empty, or units or times contradict each
     other."""
+    if rig is not None and unit is not None and unit != rig.actuator.unit:
+        raise TautError(f"--unit {unit}: the rig's actuator.unit is {rig.actuator.unit}: leave --unit out")
     chosen = _Chosen(source, episode, roles)
     rows = read(source, episode, chosen.by_group(), progress)
     frames = _frames(source, episode, roles.video, scratch) if roles.video else None
     times = {group: (each.log_s, each.stamp_s) for group, each in rows.items()}
-    if frames is not None and frames[1] is not None and roles.video is not None:
+    if frames is not None and roles.video is not None and "" not in rows:  # a table's clip is on the table's times
         times[roles.video] = (frames[0], frames[1])
     clock = clocks.choose(times)
     warnings = list(clock.warnings)
-    made = _Maker(chosen, rows, clock.used, warnings)
+    origin_s = origin_of(clocks.first_s(times, clock.used))
+    made = _Maker(chosen, rows, clock.used, origin_s, warnings)
     target = rig.actuator.unit if rig else unit or made.dimension(chosen.motor)
     motor = made.motor(target)
     marker = angle = None
@@ -85,7 +92,7 @@ def assemble(
     _check_units(chosen, motor, angle, target, rig, warnings)
     own = rig or _rig(motor, angle, target)
     recording = Recording(source.path.stem, motor, marker, angle, seen, own)
-    return Assembled(recording, rig is not None, made.told, clock.used, warnings)
+    return Assembled(recording, rig is not None, made.told, clock.used, source.origin_s + origin_s, warnings)
 
 
 class _Chosen:
@@ -115,23 +122,28 @@ class _Chosen:
                 raise self._several(each)
         self.parts: dict[str, tuple[str, ...]] = {}  # of a name that stands for several channels
         self._expand_tip()
-        if len(self.tip) > 2:
-            raise TautError("--tip is one angle or orientation, or twice a place in the image: u, then v, in px")
 
     def _expand_tip(self) -> None:
-        """Replaces the name of an orientation or a point by its channels. TautError for any other group of channels."""
+        """Replaces the name of an orientation or a point by its channels. TautError for any other group of channels,
+        more than u and v, or a unit that an orientation or a place in the image cannot have."""
         known = set(self.source.facts)
         for each in list(self.tip):
             inner = {axis: f"{each.name}.{axis}" for axis in QUATERNION if f"{each.name}.{axis}" in known}
             if each.name in known:
                 continue
             if len(inner) == 4:
+                if each.unit not in ("", "deg"):
+                    raise TautError(f"{each.text}: the angle of an orientation is in deg: leave {each.unit} out")
                 self.parts[each.name] = tuple(inner[axis] for axis in QUATERNION)
             elif {"x", "y"} <= set(inner) and len(self.tip) == 1:
-                self.tip = [Named(inner[axis]) for axis in ("x", "y")]
+                self.tip = [replace(each, name=inner[axis]) for axis in ("x", "y")]
                 self.groups.update({inner[axis]: self.groups[each.name] for axis in ("x", "y")})
             else:
                 raise self._several(each)
+        if len(self.tip) > 2:
+            raise TautError("--tip is one angle or orientation, or twice a place in the image: u, then v, in px")
+        if len(self.tip) == 2 and (scaled := [each for each in self.tip if each.text != each.name]):
+            raise TautError(f"--tip {scaled[0].text}: a place in the image is in px: name {scaled[0].name} alone")
 
     def _several(self, each: Named) -> TautError:
         held = sorted(name for name in self.source.facts if name.startswith(f"{each.name}."))
@@ -157,8 +169,13 @@ class _Chosen:
 class _Maker:
     """Turns rows into a recording's arrays; `told` says what became of each channel."""
 
-    def __init__(self, chosen: _Chosen, rows: dict[str, Rows], clock: str, warnings: list[str]) -> None:
-        self._chosen, self._rows, self._clock, self._warnings = chosen, rows, clock, warnings
+    def __init__(
+        self, chosen: _Chosen, rows: dict[str, Rows], clock: str, origin_s: float, warnings: list[str]
+    ) -> None:
+        """clock: which times are used (of `clocks`); origin_s: what is taken off them. What is found goes to
+        `warnings`."""
+        self._chosen, self._rows, self._warnings = chosen, rows, warnings
+        self._clock, self._origin_s = clock, origin_s
         self.told: list[dict[str, Any]] = []
         self._kept: dict[
             str, tuple[Array, Array | None]
@@ -184,7 +201,7 @@ class _Maker:
         for joint in self._chosen.joints:
             own = self.dimension(joint)
             at, value = self._series(joint, own, "joint")
-            joints[_column(joint, self._chosen.source, own)] = np.interp(t_s, at, value)
+            joints[_column(joint, self._chosen.source, own, {*joints, *_taken(target)})] = np.interp(t_s, at, value)
         return Motor(t_s=t_s, q=q, q_cmd=q_cmd, load_mNm=load, extra=joints)
 
     def angle(self) -> Angle:
@@ -193,13 +210,15 @@ class _Maker:
         if tip.name in self._chosen.parts:
             t_s, parts = self._times(tip, self._chosen.parts[tip.name])
             c_deg, share = bending_deg(np.column_stack(parts))
+            times = 1.0 if tip.factor is None else tip.factor
             if not np.isfinite(c_deg).any():
                 raise TautError(f"{tip.name}: holds no orientation: its x, y, z, w have not length 1")
             if share < _ONE_AXIS:
                 self._warnings.append(
                     f"{tip.name}: {100 * share:.0f} % of its turning is about one axis, the angle is about that one"
                 )
-            self._tell("tip", tip, len(t_s), "quaternion", None)
+            c_deg = c_deg * times
+            self._tell("tip", tip, len(t_s), "quaternion", tip.factor)
         else:
             t_s, c_deg = self._series(tip, "deg", "tip", keep_lost=True)
         lost = ~np.isfinite(c_deg)
@@ -226,8 +245,7 @@ class _Maker:
         if frames is None:
             return None
         log_s, stamp_s, path = frames
-        t_s = stamp_s if self._clock == clocks.STAMP and stamp_s is not None else log_s
-        t_s = t_s.copy()
+        t_s = clocks.in_use(log_s, stamp_s, self._clock) - self._origin_s
         highest = np.maximum.accumulate(np.where(np.isfinite(t_s), t_s, -np.inf))
         late = np.concatenate([[False], t_s[1:] <= highest[:-1]])
         if late.any():
@@ -260,8 +278,8 @@ class _Maker:
 
     def _times(self, channel: Named, names: tuple[str, ...]) -> tuple[Array, list[Array]]:
         """The rising times of a channel's group, s, and the values of `names` (channels of it) at them, (n,) each."""
-        group = self._chosen.groups[channel.name]
-        if group not in self._rows:
+        group = next((group for group, rows in self._rows.items() if rows.values.keys() >= set(names)), None)
+        if group is None:
             raise TautError(f"{self._chosen.source.path}: {channel.name} has no rows: choose another --episode")
         rows = self._rows[group]
         if group not in self._kept:
@@ -271,7 +289,7 @@ class _Maker:
 
     def _tidied(self, group: str, rows: Rows) -> tuple[Array, Array | None]:
         """A group's times by the clock in use, s, rising; and the indices of the rows that are kept, None for all."""
-        t_s = rows.stamp_s if self._clock == clocks.STAMP and rows.stamp_s is not None else rows.log_s
+        t_s = clocks.in_use(rows.log_s, rows.stamp_s, self._clock) - self._origin_s
         kept = clocks.tidy(t_s, group or str(self._chosen.source.path), self._warnings)
         whole = len(kept) == len(t_s) and bool(np.all(kept[1:] > kept[:-1]))
         return np.round(t_s if whole else t_s[kept], _TIME_DIGITS), None if whole else kept
@@ -298,10 +316,6 @@ def factor_fits(channel: Named, stated: str, target: str) -> bool:
 def _frames(source: Source, episode: int, name: str, scratch: Path) -> tuple[Array, Array | None, Path]:
     """Writes the video into scratch: its frames' log times (n,) s, their stamps (n,) s, None where no sender set one,
     and its path."""
-    if name not in source.videos:
-        list(source.batches(episode, [name]))  # some name their videos while they are read
-    if name not in source.videos and source.videos:
-        raise TautError(f"{source.path}: has no video {name}: it has {', '.join(source.videos)}")
     found = source.pictures(episode, name)
     if isinstance(found, Clip):
         path = scratch / f"video{'.mkv' if found.path.suffix == '.mkv' else '.mp4'}"
@@ -316,9 +330,10 @@ def _check_units(
 ) -> None:
     """Compares motion ratios with what units would make of them: 57.3 is radians, 1000 metres. TautError where nobody
     stated the unit, else a warning."""
-    span = _span(motor.q)
-    if span <= 0.0:
+    if np.ptp(motor.q) <= 0.0:
         raise TautError(f"{chosen.motor.name}: does not move: name another --motor")
+    if (span := _span(motor.q)) <= 0.0:
+        return  # it rests nearly always: no ratio tells anything
     pairs: list[tuple[str, Named, Array, str, float, float]] = []  # beside the motor; its span, how sure that is
     if motor.q_cmd is not None and chosen.command is not None:
         pairs.append(("--command", chosen.command, motor.q_cmd, target, span, _SURE))
@@ -362,7 +377,8 @@ def _check_motor(motor: Motor, name: str, rig: Rig | None, warnings: list[str]) 
         beyond = max(low - float(motor.q.min()), float(motor.q.max()) - high)
         says = f"{name} goes from {motor.q.min():.6g} to {motor.q.max():.6g} {rig.actuator.unit}, the rig's range is "
         if beyond > FARTHEST * rig.actuator.span:
-            raise TautError(f"{says}[{low:g}, {high:g}]: say its unit, as in {name}:rad")
+            other = {"deg": "tick", "mm": "um"}[rig.actuator.unit]  # what has so large numbers
+            raise TautError(f"{says}[{low:g}, {high:g}]: say its unit, as in {name}:{other}")
         if beyond > rig.actuator.span:
             warnings.append(f"{says}[{low:g}, {high:g}]")
 
@@ -377,11 +393,13 @@ def _rig(motor: Motor, angle: Angle | None, unit: str) -> Rig:
         seen = angle.seen
         every = max(1, int(seen.sum()) // _SAMPLED)
         t_s, c_deg = angle.t_s[seen][::every], angle.c_deg[seen][::every]
-        line = np.polyfit(np.interp(t_s, motor.t_s, motor.q), c_deg, 1)
+        q = np.interp(t_s, motor.t_s, motor.q)
+        line = np.polyfit(q, c_deg, 1) if np.ptp(q) > 0.0 else np.zeros(2)
         if np.isfinite(line).all() and line[0] != 0.0:
             gain, offset = (float(f"{value:.4g}") for value in line)
-    count = _count(motor.q)
-    return Rig(Actuator(unit, (low, high), count), Coarse(gain, offset), angle=AngleSensor() if angle else None)
+    return Rig(
+        Actuator(unit, (low, high), _count(motor.q)), Coarse(gain, offset), angle=AngleSensor() if angle else None
+    )
 
 
 def _count(q: Array) -> float:
@@ -400,8 +418,17 @@ def _span(values: Array) -> float:
     return float(high - low)
 
 
-def _column(channel: Named, source: Source, unit: str) -> str:
-    """The name of a joint's column in motor.csv: its label, else its channel, and its unit."""
+def _taken(unit: str) -> set[str]:
+    """Columns of motor.csv that no joint may have, as the motor's own would be lost. unit: of q. The instrument's
+    translation_mm and rotation_deg are joints."""
+    return set(MOTOR.names(unit)) - {"translation_mm", "rotation_deg"}
+
+
+def _column(channel: Named, source: Source, unit: str, taken: Collection[str]) -> str:
+    """The name of a joint's column in motor.csv: its label, else its channel, and its unit; with a number where another
+    column has that name."""
     label = source.facts[channel.name].label if channel.name in source.facts else ""
     plain = "".join(c if c.isalnum() else "_" for c in (label or channel.name)).strip("_")
-    return plain if plain.endswith(f"_{unit}") else f"{plain}_{unit}"
+    plain = plain.removesuffix(f"_{unit}")
+    names = (f"{plain}_{unit}" if k == 1 else f"{plain}_{k}_{unit}" for k in count(1))
+    return next(name for name in names if name not in taken)

@@ -12,14 +12,13 @@ from tautline.errors import TautError
 
 Array = np.ndarray
 
-_UNSET = 1e-3  # share of messages without a stamp from which on stamps are not used
-_APART_S = 0.5  # between the clocks of two senders: no message is under way for as long
-_DRIFT = 1e-4  # rate of one clock against another: ten times what quartz is off by
-_LONG_ENOUGH_S = 30.0  # of a recording, that a rate is told from
-_MOST_BACK = 0.01  # share of rows that may be out of order, as two threads write them
-_FARTHEST_BACK_S = 1.0  # that one of them may go back
-_GAP_S = 0.5  # without rows, and so many usual steps, that is told
-_GAP_STEPS = 10.0
+_UNSET = 1e-3  # tolerance: share of messages without a stamp from which on stamps are not used
+_APART_S = 0.5  # prior: between the clocks of two senders: no message is under way for as long
+_DRIFT = 1e-4  # prior: rate of one clock against another: ten times what quartz is off by
+_LONG_ENOUGH_S = 30.0  # tolerance: of a recording, that a rate is told from: 3 ms, what messages take, at that one
+_MOST_BACK = 0.01  # tolerance: share of rows that may be out of order, as two threads write them
+_FARTHEST_BACK_S = 1.0  # tolerance: that one of them may go back
+_GAP_S, _GAP_STEPS = 0.5, 10.0  # display: without rows, and so many usual steps: that is told
 LOG, STAMP, FILE = "log", "header", "file"  # when messages were written, when their senders made them, a table's own
 
 
@@ -71,6 +70,17 @@ def choose(times: Mapping[str, tuple[Array, Array | None]]) -> Clock:
     return Clock(STAMP)
 
 
+def in_use(log_s: Array, stamp_s: Array | None, used: str) -> Array:
+    """A group's times (n,) by the clock that is used, s: its stamps or when it was logged."""
+    return stamp_s if used == STAMP and stamp_s is not None else log_s
+
+
+def first_s(times: Mapping[str, tuple[Array, Array | None]], used: str) -> float:
+    """The earliest time of all groups by the clock that is used; infinity without any. times: as in `choose`."""
+    own = [in_use(log_s, stamp_s, used) for log_s, stamp_s in times.values()]
+    return min(float(np.min(t_s, initial=np.inf, where=np.isfinite(t_s))) for t_s in own)
+
+
 def tidy(t_s: Array, what: str, warnings: list[str]) -> Array:
     """Indices (m,) of the rows to keep, rising in time; of rows with the same time the first. TautError where times go
     back or repeat too often for one clock."""
@@ -99,6 +109,8 @@ def tidy(t_s: Array, what: str, warnings: list[str]) -> Array:
             )
         warnings.append(f"{what}: {count} rows that repeat the time before them were left out")
         kept = kept[np.concatenate([[True], ~repeated])]
+        if len(kept) < 2:
+            raise TautError(f"{what}: all of its rows have one time: expected a motion")
         step = np.diff(t_s[kept])
     gaps = np.flatnonzero(step > max(_GAP_S, _GAP_STEPS * float(np.median(step))))
     if gaps.size:

@@ -14,10 +14,10 @@ from tautline.io.importing.layout import Layout, is_date
 from tautline.io.importing.source import EPOCH_S, Array, Batch, Clip, Fact
 from tautline.io.importing.units import TIMES, split_unit, unit_in
 
-_CHUNK_ROWS = 65536
-_RISES = 0.99  # share of steps that may not go back, of a column of times: what is left is mended or refused later
+_CHUNK_ROWS = 65536  # limit: of memory: rows that are held at once
+_RISES = 0.99  # tolerance: share of a column of times' steps that may not go back: what is left is mended or refused
 _TIME_WORDS = re.compile(r"(t|time|zeit\w*|timestamp|stamp|uhrzeit|temps|tiempo|epoch|date|datum|datetime)([^a-z]|$)")
-SLOWEST_S, FASTEST_S = 0.2, 5e-5  # between a motor's rows (10 Hz to 10 kHz), and as much again to either side
+SLOWEST_S, FASTEST_S = 0.2, 5e-5  # prior: between a motor's rows (10 Hz to 10 kHz), and as much again to either side
 
 
 class Delimited:
@@ -29,7 +29,6 @@ class Delimited:
         self.path = path
         self.notes: list[str] = []
         self.videos: list[str] = []
-        self.origin_s = 0.0
         self._layout = Layout.of(path)
         first = next(self._frames(_CHUNK_ROWS), None)
         if first is None or len(first) < 2:
@@ -39,8 +38,11 @@ class Delimited:
         if time and name not in names:
             raise TautError(f"{path}: has no column {name}: it has {', '.join(names)}")
         self._time = name or self._rising(first)
-        self._dated = not pd.api.types.is_numeric_dtype(first[self._time])
-        self._unit, self._origin = self._told_by(first[self._time], unit)
+        begins = _first_text(first[self._time])
+        self._dated = bool(begins) and (is_date(begins) or not self._holds_numbers(first[self._time]))
+        self._day_first = not re.match(r"\d{4}", begins)
+        self._unit, self._origin = self._unit_and_origin(first[self._time], unit)
+        self.origin_s = self._origin * TIMES[self._unit]
         others = [each for each in zip(names, self._layout.units, strict=True) if each[0] != self._time]
         self.facts = {name: Fact("number", unit=unit) for name, unit in others}
 
@@ -91,10 +93,21 @@ class Delimited:
             column = pd.to_numeric(text.str.replace(self._layout.decimal, ".", regex=False), errors="coerce")
         return column.to_numpy(dtype=np.float64, na_value=np.nan)
 
+    def _holds_numbers(self, column: pd.Series) -> bool:
+        """Whether at least half of the column's cells are numbers: what is left is a recorder's word."""
+        return bool(np.mean(np.isfinite(self._numbers(column))) >= 0.5)
+
+    def _moments(self, column: pd.Series) -> Array:
+        """(n,) int64 ns of dates: 2026-11-23 15:13:47.5, or day first with the year last; the least int64 for no
+        date. Which of both is told by the file's first one."""
+        text = column.astype("string").str.replace(",", ".", regex=False)
+        moments = pd.to_datetime(text, errors="coerce", dayfirst=self._day_first, format="mixed")
+        return moments.to_numpy("datetime64[ns]").astype(np.int64)
+
     def _seconds(self, column: pd.Series) -> Array:
         """The column's times, s since the origin; NaN where a cell holds none."""
         if self._dated:
-            moments = _moments(column)
+            moments = self._moments(column)
             since = (moments - self._origin) * 1e-9
             return np.where(moments == np.iinfo(np.int64).min, np.nan, since)  # what is no date is NaT, the least
         if pd.api.types.is_integer_dtype(column):  # an epoch's nanoseconds are more than a float holds
@@ -102,16 +115,25 @@ class Delimited:
             return whole
         return (self._numbers(column) - self._origin) * TIMES[self._unit]
 
-    def _told_by(self, column: pd.Series, unit: str) -> tuple[str, float | int]:
+    def _first_moment(self, column: pd.Series) -> int:
+        """ns of a column's first date. TautError where one of the first few is none."""
+        head = column.dropna().head()
+        moments = self._moments(head)
+        if moments.min() == np.iinfo(np.int64).min:
+            cell = str(head.iloc[moments.argmin()])[:24]
+            raise TautError(f"{self.path}: column {self._time} holds {cell!r}, expected times")
+        return int(moments[0])
+
+    def _unit_and_origin(self, column: pd.Series, unit: str) -> tuple[str, float | int]:
         """The unit of the times and the origin, in that unit, that is taken off them: 0 where they count from no epoch.
-        Also sets origin_s. unit: what the user gave, "" without."""
+        A guessed unit is noted. unit: what the user gave, "" without."""
         if self._dated:
-            moments = _moments(column.head())
-            if moments.min() == np.iinfo(np.int64).min:
-                raise TautError(f"{self.path}: column {self._time} holds {str(column.iloc[0])[:24]!r}, expected times")
-            self.origin_s = float(moments[0]) * 1e-9
-            return "ns", int(moments[0])
-        step = float(np.nanmedian(np.diff(column.to_numpy(dtype=np.float64, na_value=np.nan))))
+            return "ns", self._first_moment(column)
+        numbers = self._numbers(column)
+        told = np.flatnonzero(np.isfinite(numbers))
+        if not len(told):
+            raise TautError(f"{self.path}: column {self._time} holds no times: name another with --time NAME")
+        step = float(np.median(np.diff(numbers[told]))) if len(told) > 1 else 0.0
         stated = self._layout.units[self._layout.names.index(self._time)]
         unit = unit or unit_in(self._time, TIMES) or (stated if stated in TIMES else "")
         if not unit:
@@ -125,19 +147,15 @@ class Delimited:
                 f"{self.path}: {self._time} has no unit: its steps of {step:.6g} are taken as {unit}, "
                 f"{1.0 / (step * TIMES[unit]):.4g} rows/s; --time '{self._time}:UNIT' says another"
             )
-        told = column.dropna()
-        if not len(told):
-            raise TautError(f"{self.path}: column {self._time} holds no times: name another with --time NAME")
-        start = told.iloc[0].item()
-        if abs(start) * TIMES[unit] <= EPOCH_S:
-            return unit, 0
-        self.origin_s = start * TIMES[unit]
-        return unit, start
+        whole = pd.api.types.is_integer_dtype(column)  # an epoch's nanoseconds are more than a float holds
+        start = column.iloc[told[0]].item() if whole else float(numbers[told[0]])
+        return unit, start if abs(start) * TIMES[unit] > EPOCH_S else 0
 
     def _rising(self, first: pd.DataFrame) -> str:
         """The column that rises as times do; of several the one with a time's name."""
         rising = [name for name in self._layout.names if _rises(first[name])]
         called = [name for name in self._layout.names if _TIME_WORDS.match(name.strip().lower())]
+        called = [name for name in called if not (_first_text(first[name]) and first[name].nunique() == 1)]  # a day
         found = [name for name in called if name in rising] or called or rising
         if not found:
             raise TautError(
@@ -148,19 +166,18 @@ class Delimited:
 
 
 def _rises(column: pd.Series) -> bool:
-    """Whether a column may be times: dates, or numbers that rise but for a few steps back."""
-    if not pd.api.types.is_numeric_dtype(column):
-        return is_date(str(column.iloc[0]))
+    """Whether a column may be times: dates that differ in most neighbouring rows (a day alone is none), or numbers that
+    rise but for a few steps back."""
+    if begins := _first_text(column):
+        return is_date(begins) and bool(np.mean(column.iloc[1:].to_numpy() != column.iloc[:-1].to_numpy()) > 0.5)
     step = np.diff(column.to_numpy(dtype=np.float64, na_value=np.nan))
     return bool(np.mean(step >= 0) > _RISES and np.nanmedian(step) > 0)
 
 
-def _moments(column: pd.Series) -> Array:
-    """(n,) int64 ns of dates: 2026-11-23 15:13:47.5, or day first with the year last; the least int64 for no date."""
-    text = column.astype("string").str.replace(",", ".", regex=False)
-    day_first = not re.match(r"\d{4}", str(text.iloc[0]))
-    moments = pd.to_datetime(text, errors="coerce", dayfirst=day_first, format="mixed")
-    return moments.to_numpy("datetime64[ns]").astype(np.int64)
+def _first_text(column: pd.Series) -> str:
+    """The column's first cell that holds anything; "" where its cells are numbers."""
+    filled = column.dropna()
+    return "" if pd.api.types.is_numeric_dtype(column) or not len(filled) else str(filled.iloc[0])
 
 
 def _time_unit(step: float) -> str:

@@ -18,7 +18,7 @@ from tautline.folders import check_replaceable, replaced
 from tautline.io.importing.assemble import Assembled, Roles, assemble
 from tautline.io.importing.delimited import Delimited
 from tautline.io.importing.lerobot import LeRobot, is_dataset
-from tautline.io.importing.listing import Listing, Progress, resolve
+from tautline.io.importing.listing import Listing, Progress, check_episode, resolve
 from tautline.io.importing.mcap import Mcap
 from tautline.io.importing.propose import Proposal
 from tautline.io.importing.rosbag import Rosbag
@@ -29,7 +29,7 @@ from tautline.recording import IMPORT_FILE
 from tautline.rig import Rig
 
 FORMAT = "import/1"
-_HASHED_BYTES = 1 << 20  # at once
+_HASHED_BYTES = 1 << 20  # limit: of memory: at once
 _BAG = "metadata.yaml"
 
 
@@ -45,8 +45,18 @@ class Imported:
 
 def open_source(path: str | Path, time: str = "") -> Source:
     """The reader for what is at a path, by its content. time: a CSV's column of times. TautError where it is none of
-    these."""
+    these, or has times of its own."""
     path = Path(path)
+    source = _by_content(path)
+    if source is None:
+        return Delimited(path, time)
+    if time:
+        raise TautError(f"--time {time}: goes with a CSV, {path} has times of its own: leave it out")
+    return source
+
+
+def _by_content(path: Path) -> Source | None:
+    """The reader for what says by its files or first bytes what it is; None for what may be a CSV."""
     if not path.exists():
         raise TautError(f"{path}: there is no such file or folder")
     if path.is_dir():
@@ -75,7 +85,7 @@ def open_source(path: str | Path, time: str = "") -> Source:
         raise TautError(f"{path}: is one file of a data set: name the folder that holds meta/info.json")
     if path.suffix in (".mcap", ".bag"):
         raise TautError(f"{path}: is cut short or no {path.suffix[1:]} file: its first bytes are {start[:8]!r}")
-    return Delimited(path, time)
+    return None
 
 
 def import_episodes(
@@ -87,8 +97,8 @@ def import_episodes(
     listed = list(source.episodes())
     if not listed:
         raise TautError(f"{source.path}: is empty: it holds no messages")
-    if episode is not None and episode not in listed:
-        raise TautError(f"{source.path}: has no episode {episode}: its episodes are {listed[0]} to {listed[-1]}")
+    if episode is not None:
+        check_episode(source, episode)
     read = source.path.resolve()
     if read.parent == out.resolve() and any(map(read.match, recording.FILES)):
         raise TautError(f"{out}: its {read.name} would be overwritten, and is read here: name another --out")
@@ -163,7 +173,7 @@ def _provenance(source: Source, origin: dict[str, Any], episode: int, made: Asse
     return {
         "format": FORMAT,
         "source": origin | {"episode": episode},
-        "clock": {"used": made.clock, "origin_s": source.origin_s},
+        "clock": {"used": made.clock, "origin_s": made.origin_s},
         "rig": {"from": "named" if made.rig_known else "the recording"},
         "channels": made.channels,
         "warnings": [*source.notes, *made.warnings],

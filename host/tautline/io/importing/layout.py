@@ -12,8 +12,8 @@ from pathlib import Path
 from tautline.errors import TautError
 from tautline.io.importing.units import TIMES, known_unit, unit_in
 
-_LOOKED_AT = 200  # lines from which the layout is told
-_LOOKED_AT_BYTES = 1 << 18
+_LOOKED_AT = 200  # tolerance: lines from which the layout is told
+_LOOKED_AT_BYTES = 1 << 18  # tolerance: that hold so many lines of 1 kB
 _SEPARATORS = (";", "\t", "|", ",", " ")  # in the order in which they are believed where several fit
 _NUMBER = re.compile(r"[+-]?(\d[\d.]*([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
 _DATE = re.compile(r"\d{4}[-/.]\d\d?[-/.]\d\d?(?!\d)|\d\d?[-/.]\d\d?[-/.]\d{4}(?!\d)|\d\d?:\d\d:\d\d")
@@ -38,7 +38,8 @@ class Layout:
         lines, encoding = _head(path)
         separator, rows = _separated(path, lines)
         numeric = [k for k, row in enumerate(rows) if _is_numeric(row)]
-        count = max(len(rows[k]) for k in numeric)
+        lengths = [len(rows[k]) for k in numeric]
+        count = max(sorted(set(lengths), reverse=True), key=lengths.count)  # a stray separator makes one row longer
         first = next(k for k in numeric if len(rows[k]) == count)
         above = [k for k in range(first) if sum(bool(cell) for cell in rows[k]) >= max(2, count - 1)]
         if not above:
@@ -85,9 +86,9 @@ def _head(path: Path) -> tuple[list[str], str]:
             text = codecs.getincrementaldecoder(encoding)().decode(data)  # a letter may be cut at the end
         except UnicodeDecodeError:
             continue
-        lines = text.split("\n")
+        lines = re.split(r"\r\n|\n|\r", text)
         whole = lines[:-1] if len(data) == _LOOKED_AT_BYTES else lines
-        return [line.rstrip("\r") for line in whole][:_LOOKED_AT], encoding
+        return whole[:_LOOKED_AT], encoding
     raise TautError(f"{path}: is no text in UTF-8, UTF-16 or Windows-1252: save it as UTF-8")
 
 
@@ -106,9 +107,13 @@ def _separated(path: Path, lines: Sequence[str]) -> tuple[str, list[list[str]]]:
 
 
 def _split(line: str, separator: str) -> list[str]:
+    """The line's cells; none where it is too long to be a row."""
     if separator == " ":
         return line.split()
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+    except csv.Error:
+        return []
 
 
 def _is_numeric(row: Sequence[str]) -> bool:

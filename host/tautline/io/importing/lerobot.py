@@ -11,7 +11,7 @@ import numpy as np
 
 from tautline.errors import TautError
 from tautline.io.importing.libraries import library
-from tautline.io.importing.source import BATCH_ROWS, Array, Batch, Clip, Fact
+from tautline.io.importing.source import BATCH_ROWS, Array, Batch, Clip, Fact, no_video
 
 INFO = "meta/info.json"
 _EPISODES = {"v2": "meta/episodes.jsonl", "v3": "meta/episodes"}
@@ -67,9 +67,8 @@ class LeRobot:
 
     def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
         """The episode's rows in batches of the one group "", which `groups` does not restrict."""
-        row, file = self._row(episode), self._file(episode)
+        file = self._format("data_path", **self._placed(episode, "data"))
         columns = [*self._numeric, "timestamp"]
-        filters = [("episode_index", "=", episode)] if self._layout == "v3" else None
         if not file.is_file():
             raise TautError(f"{file}: is not there, {INFO} says that episode {episode} is in it: copy it too")
         count = 0
@@ -80,7 +79,7 @@ class LeRobot:
                 raise TautError(f"{file}: column {min(missing)} is missing, {INFO} names it")
             own = ["episode_index", *({_FRAME} & set(opened.schema_arrow.names) - set(columns))]
             for batch in opened.iter_batches(BATCH_ROWS, columns=[*columns, *own]):
-                if filters is not None:
+                if self._layout == "v3":  # others may be in the file
                     batch = batch.filter(np.asarray(batch.column("episode_index")) == episode)
                 if batch.num_rows:
                     count += batch.num_rows
@@ -88,24 +87,18 @@ class LeRobot:
         except (self._arrow_error, OSError) as error:
             what = " ".join(str(error).split())[:120]
             raise TautError(f"{file}: is cut short or no Parquet file ({what}): copy it again") from error
-        if count != row.get("length", count):
-            self.notes.append(f"{file}: episode {episode} has {count} rows, its list says {row['length']}")
+        if count != (length := self._rows[episode].get("length", count)):
+            self.notes.append(f"{file}: episode {episode} has {count} rows, its list says {length}")
 
     def pictures(self, episode: int, video: str) -> Clip:
         """The episode's clip of one video."""
-        row = self._row(episode)
+        if video not in self.videos:
+            raise no_video(self.path, video, self.videos)
+        key = f"videos/{video}"
+        path = self._format("video_path", video_key=video, **self._placed(episode, key))
         if self._layout == "v2":
-            chunk = episode // int(self._info.get("chunks_size") or 1000)
-            path = self._format("video_path", episode_chunk=chunk, video_key=video, episode_index=episode)
             return Clip(path)
-        start = f"videos/{video}"
-        path = self._format(
-            "video_path",
-            video_key=video,
-            chunk_index=int(row[f"{start}/chunk_index"]),
-            file_index=int(row[f"{start}/file_index"]),
-        )
-        return Clip(path, float(row[f"{start}/from_timestamp"]), float(row[f"{start}/to_timestamp"]))
+        return Clip(path, self._told(episode, f"{key}/from_timestamp"), self._told(episode, f"{key}/to_timestamp"))
 
     def _batch(self, batch: Any, file: Path) -> Batch:
         """A Parquet batch with a channel for each number of the features. file: for errors."""
@@ -131,23 +124,20 @@ class LeRobot:
         nominal = batch.column(_FRAME).cast("float64").to_numpy(zero_copy_only=False) / rate
         return np.where(nominal.astype(np.float32) == written, nominal, written)
 
-    def _file(self, episode: int) -> Path:
-        """The Parquet file that the episode is in."""
+    def _placed(self, episode: int, what: str) -> dict[str, int]:
+        """The numbers by which the path templates of info.json find an episode's file. what: its table's key for them,
+        `data` or `videos/NAME`; version 2.1 counts the episodes alone."""
         if self._layout == "v2":
-            chunk = episode // int(self._info.get("chunks_size") or 1000)
-            return self._format("data_path", episode_chunk=chunk, episode_index=episode)
-        row = self._row(episode)
-        return self._format(
-            "data_path", chunk_index=int(row["data/chunk_index"]), file_index=int(row["data/file_index"])
-        )
+            return {"episode_chunk": episode // int(self._info.get("chunks_size") or 1000), "episode_index": episode}
+        return {name: int(self._told(episode, f"{what}/{name}")) for name in ("chunk_index", "file_index")}
 
-    def _row(self, episode: int) -> Mapping[str, Any]:
-        """The episode's row of the table of episodes. TautError where there is no such episode."""
-        if episode not in self._rows:
-            known = sorted(self._rows)
-            told = f"{known[0]} to {known[-1]}" if known else "none"
-            raise TautError(f"{self.path}: has no episode {episode}: its episodes are {told}")
-        return self._rows[episode]
+    def _told(self, episode: int, key: str) -> float:
+        """A number of the table of episodes. TautError where it is missing."""
+        value = self._rows[episode].get(key)
+        if not isinstance(value, int | float):
+            listed = self.path / _EPISODES[self._layout]
+            raise TautError(f"{listed}: says no {key} of episode {episode}: copy the folder meta whole")
+        return value
 
     def _episode_rows(self) -> dict[int, dict[str, Any]]:
         """The table of episodes, by their numbers. TautError where it is missing or unreadable."""
@@ -156,7 +146,7 @@ class LeRobot:
             try:
                 lines = [json.loads(line) for line in listed.read_text(encoding="utf-8").splitlines() if line.strip()]
                 return {int(line["episode_index"]): line for line in lines}
-            except (OSError, ValueError, KeyError) as error:
+            except (OSError, ValueError, KeyError, TypeError) as error:
                 raise TautError(f"{listed}: cannot be read as a list of episodes ({error}): copy it again") from error
         rows: dict[int, dict[str, Any]] = {}
         for file in sorted(listed.glob("*/*.parquet")):
@@ -164,7 +154,7 @@ class LeRobot:
                 names = [name for name in self._parquet.read_schema(file).names if not name.startswith("stats/")]
                 for row in self._parquet.read_table(file, columns=names).to_pylist():
                     rows[int(row["episode_index"])] = row
-            except (self._arrow_error, OSError, KeyError) as error:
+            except (self._arrow_error, OSError, KeyError, TypeError) as error:
                 raise TautError(f"{file}: cannot be read as a list of episodes ({error}): copy it again") from error
         if not rows:
             raise TautError(f"{listed}: holds no list of episodes (*/*.parquet): copy the folder meta whole")

@@ -14,8 +14,8 @@ from tautline.io.importing.tip import QUATERNION, bending_deg
 
 Progress = Callable[[float, str], None]
 
-_KEPT = 4096  # rows of a group, at least, that a proposal is made from
-_NEAR = 3  # names that an error offers
+_KEPT = 4096  # tolerance: rows of a group, at least, that a proposal is made from
+_NEAR = 3  # display: names that an error offers
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,9 @@ class Listing:
     channels: Mapping[str, Channel]
     videos: Sequence[str]
     clocks: Mapping[str, tuple[Array, Array | None]]  # by group: log and stamps, thinned
+
+
+_Part = tuple[Array, Array | None, dict[str, Array]]  # of a group: log times, stamps, values by channel; (n,) each
 
 
 @dataclass
@@ -107,11 +110,12 @@ class _Group:
 
 def scan(source: Source, episode: int | None, progress: Progress) -> Listing:
     """One pass over an episode (None: the first): at most 8192 rows of each channel, (k,), t_s in s. TautError where it
-    has no rows."""
+    has no rows or no such episode."""
     episodes = source.episodes()
     if not episodes:
         raise TautError(f"{source.path}: is empty: it holds no messages")
     episode = episodes[0] if episode is None else episode
+    check_episode(source, episode)
     groups: dict[str, _Group] = {}
     rows = 0
     for batch in source.batches(episode):
@@ -138,6 +142,13 @@ def scan(source: Source, episode: int | None, progress: Progress) -> Listing:
     if not channels and not source.videos:
         raise TautError(f"{source.path}: holds no {source.numbers} with numbers: is it the right file?")
     return Listing(episode, channels, list(source.videos), clocks)
+
+
+def check_episode(source: Source, episode: int) -> None:
+    """TautError where a source that is not empty has no such episode."""
+    listed = source.episodes()
+    if episode not in listed:
+        raise TautError(f"{source.path}: has no episode {episode}: its episodes are {listed[0]} to {listed[-1]}")
 
 
 QUATERNION_TYPE = "orientation"
@@ -194,31 +205,51 @@ def _group(name: str, known: Mapping[str, str]) -> str:
 
 
 def read(source: Source, episode: int, wanted: Mapping[str, Collection[str]], progress: Progress) -> dict[str, Rows]:
-    """All rows of the channels wanted, by group. Memory: 8 bytes a number and time, and once more for one of them."""
-    parts: dict[str, list[tuple[Array, Array | None, dict[str, Array]]]] = {group: [] for group in wanted}
+    """All rows of the channels wanted (by group), by group; channels of one group that no message holds together, as
+    those of two publishers, have rows of their own, by the first of them. Memory: 8 bytes a number and time, and once
+    more for one of them."""
+    parts: dict[str, dict[frozenset[str], list[_Part]]] = {group: {} for group in wanted}
     rows = 0
     for batch in source.batches(episode, list(wanted)):
-        if batch.group not in wanted or not any(name in batch.values for name in wanted[batch.group]):
+        chosen = {name: batch.values[name].copy() for name in wanted.get(batch.group, ()) if name in batch.values}
+        if not chosen:
             continue
-        empty = np.full(len(batch.log_s), np.nan)
-        chosen = {name: batch.values.get(name, empty).copy() for name in wanted[batch.group]}  # views hold others
-        parts[batch.group].append((batch.log_s, batch.stamp_s, chosen))
+        parts[batch.group].setdefault(frozenset(chosen), []).append((batch.log_s, batch.stamp_s, chosen))  # no views
         rows += len(batch.log_s)
         progress(0.5, f"{rows} rows read")
     if not rows:
         raise _empty(source, episode)
-    return {group: _joined(each, wanted[group], bool(group)) for group, each in parts.items() if each}
+    found: dict[str, Rows] = {}
+    for group, by_names in parts.items():
+        for names in _together(by_names, wanted[group]):
+            own = [part for held, each in by_names.items() if held <= set(names) for part in each]
+            found[names[0] if group in found else group] = _joined(own, names, bool(group))
+    return found
+
+
+def _together(held: Collection[frozenset[str]], wanted: Collection[str]) -> list[list[str]]:
+    """The channels of a group that messages hold together, also by way of others; as `wanted` orders them. held: which
+    ones there are in one message."""
+    sets: list[frozenset[str]] = []
+    for each in held:
+        touching = [known for known in sets if known & each]
+        sets = [known for known in sets if not known & each] + [each.union(*touching)]
+    return [[name for name in wanted if name in each] for each in sets]
 
 
 def _empty(source: Source, episode: int) -> TautError:
     return TautError(f"{source.path}: episode {episode} is empty: choose another one with --episode")
 
 
-def _joined(parts: list[tuple[Array, Array | None, dict[str, Array]]], names: Collection[str], by_log: bool) -> Rows:
-    """The parts (log times, stamps, values) of one group as one; their values are taken out, as they need not be there
-    twice. A part without stamps has NaN; None where no part has any. by_log: sorted by log time, as batches may be out
-    of order; a table's rows are left as they are, so that a clock set back is seen."""
-    values = {name: np.concatenate([part[2].pop(name) for part in parts]) for name in names}
+def _joined(parts: list[_Part], names: Collection[str], by_log: bool) -> Rows:
+    """The parts of one group as one; their values are taken out, as they need not be there twice. A part without stamps
+    or a channel has NaN; None where no part has any stamps. by_log: sorted by log time, as batches may be out of order;
+    a table's rows are left as they are, so that a clock set back is seen."""
+
+    def taken(part: _Part, name: str) -> Array:
+        return part[2].pop(name) if name in part[2] else np.full(len(part[0]), np.nan)
+
+    values = {name: np.concatenate([taken(part, name) for part in parts]) for name in names}
     stamp_s = None
     if any(part[1] is not None for part in parts):
         stamp_s = np.concatenate([np.full(len(part[0]), np.nan) if part[1] is None else part[1] for part in parts])

@@ -12,7 +12,7 @@ import numpy as np
 from tautline.errors import TautError
 from tautline.io.importing.libraries import library
 from tautline.io.importing.messages import Flattener, Gathered, is_picture, picture, stamp_ns
-from tautline.io.importing.source import Batch, Fact, Picture, origin_of
+from tautline.io.importing.source import Batch, Fact, Picture, no_video, origin_of
 
 
 class Mcap:
@@ -51,7 +51,7 @@ class Mcap:
     def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
         """The file's messages of these groups as numbers, in batches."""
         gathered = Gathered()
-        flatteners: dict[int, Flattener] = {}
+        flatteners: dict[str, Flattener] = {}  # by topic, which several channels may share: one for each publisher
         for schema, channel, message, decode in self._messages(groups):
             type_name = schema.name if schema is not None else ""
             if is_picture(type_name):
@@ -59,12 +59,12 @@ class Mcap:
                     self.videos.append(channel.topic)
                     self.facts[channel.topic] = Fact(type_name)
                 continue
-            if channel.id not in flatteners:
-                flatteners[channel.id] = Flattener(channel.topic, type_name, self.facts)
+            if channel.topic not in flatteners:
+                flatteners[channel.topic] = Flattener(channel.topic, type_name, self.facts)
             decoded = decode(message.data)
             stamp = stamp_ns(decoded)
             batch = gathered.add(
-                channel.topic, self._s(message.log_time), self._s(stamp), flatteners[channel.id].values(decoded)
+                channel.topic, self._s(message.log_time), self._s(stamp), flatteners[channel.topic].values(decoded)
             )
             if batch is not None:
                 yield batch
@@ -76,7 +76,9 @@ class Mcap:
 
     def pictures(self, episode: int, video: str) -> Iterator[Picture]:
         """The pictures of an image topic."""
-        for _, _, message, decode in self._messages([video]):
+        for schema, _, message, decode in self._messages([video]):
+            if schema is None or not is_picture(schema.name):
+                raise no_video(self.path, video, self.videos)
             decoded = decode(message.data)
             found = picture(decoded, self._s(message.log_time), self._s(stamp_ns(decoded)))
             if found is None:

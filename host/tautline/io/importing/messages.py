@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from base64 import b64decode
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -9,11 +10,11 @@ import numpy as np
 
 from tautline.io.importing.source import BATCH_ROWS, Batch, Fact, Picture
 
-LONGEST_ARRAY = 64  # numbers of one field that are channels of their own: more is a map, a cloud or a picture
+LONGEST_ARRAY = 64  # prior: numbers of one field that are channels of their own: more is a map, a cloud or a picture
 _NAMES = ("name", "joint_names", "names")  # of the numbers in the arrays beside it
 _KEYS = ("child_frame_id", "name", "joint_name", "id")  # which one of several alike a part of a message is
 _NS_PER_S = 10**9
-_MOST_HELD = 4 * BATCH_ROWS  # of all topics together
+_MOST_HELD = 4 * BATCH_ROWS  # limit: of memory: of all topics together
 _NUMBER = (float, int, np.number)  # a bool is an int
 _NO_NUMBERS = (str, bytes, bytearray, memoryview)
 
@@ -159,7 +160,7 @@ def picture(message: Any, log_s: float, stamp_s: float) -> Picture | None:
     """A frame of an image topic, the padding behind its rows taken off; None where its encoding is none that can be
     taken into a video, or its data is cut. log_s, stamp_s: as in Picture."""
     data = part(message, "data")
-    raw = bytes(data) if isinstance(data, bytes | bytearray | memoryview | list) else np.asarray(data).tobytes()
+    raw = _bytes(data)
     width, height = part(message, "width"), part(message, "height")
     if width is None:
         codec = _ENCODED.get(raw[:2])
@@ -175,6 +176,18 @@ def picture(message: Any, log_s: float, stamp_s: float) -> Picture | None:
     if layout == "gray16le" and part(message, "is_bigendian"):
         rows = np.ascontiguousarray(rows).view(np.uint16).byteswap().view(np.uint8)
     return Picture(log_s, stamp_s, rows.tobytes(), layout, int(width), int(height))
+
+
+def _bytes(data: Any) -> bytes:
+    """A picture's data, whichever way its message holds it: JSON has it as base64. None of it where it is no data."""
+    if isinstance(data, str):
+        try:
+            return b64decode(data, validate=True)
+        except ValueError:
+            return b""
+    if data is None or isinstance(data, bytes | bytearray | memoryview | list):
+        return bytes(data or b"")
+    return np.asarray(data).tobytes()
 
 
 def _unit(type_name: str, path: str) -> str:

@@ -13,20 +13,20 @@ from tautline.io.importing.source import Array
 from tautline.io.importing.units import ANGLES, DEG_PER_RAD, LENGTHS, Named, dimension, suspected, unit_in
 from tautline.rig import UNITS as RIG_UNITS
 
-_MOST = 96  # channels that are compared: the ones that change most often
-_GRID = 4096  # times at which they are compared
-_CHANGE_S = 0.2  # over which a change is taken: a few samples of a slow sensor, less than a reversal
-_LAG_S = 0.5  # that a tip or a servo may be late by
-_MOVES = 0.5  # correlation of changes from which on two channels move together
-_ALIKE = 1.25  # a command moves as much as its motor, but for the servo's error
-_CHAINED = 0.8  # correlation of command, motor and tip with one another
-_SIMULTANEOUS_S = 0.002  # lags below it have no sign
-_PI_TURN = 6.3  # rad: a joint's whole turn; what stays within it and moves by more than _SMALL may be radians
-_SMALL = 0.2
-_PIXELS = 20.0  # that a marker moves by, at least
+_MOST = 96  # tolerance: channels that are compared: the ones that change most often
+_GRID = 4096  # tolerance: times at which they are compared
+_LEAST_CHANGES = 4  # tolerance: at so many of them, at least: a quarter of them is the longest lag
+_CHANGE_S = 0.2  # prior: over which a change is taken: a few samples of a slow sensor, less than a reversal
+_LAG_S = 0.5  # prior: that a tip or a servo may be late by
+_MOVES = 0.5  # prior: correlation of changes from which on two channels move together
+_ALIKE = 1.25  # prior: a command moves as much as its motor, but for the servo's error
+_CHAINED = 0.8  # prior: correlation of command, motor and tip with one another
+_SIMULTANEOUS_S = 0.002  # tolerance: lags below it have no sign
+_WHOLE_TURN, _SMALL = 6.3, 0.2  # prior: rad: what stays within a joint's turn and moves by more may be radians
+_PIXELS = 20.0  # prior: that a marker moves by, at least
 
-# How much a name counts beside a correlation of 0 to 1: it decides between equals.
-_HINT, _AGAINST, _LATE, _SPAN, _CHAIN = 0.15, 1.0, 0.1, 0.05, 0.15
+# How much a name, what is no place, a lag's sign, a wide motion and a place in a chain count beside a correlation.
+_HINT, _AGAINST, _LATE, _SPAN, _CHAIN = 0.15, 1.0, 0.1, 0.05, 0.15  # prior: they decide between equals
 _WORDS: Mapping[str, re.Pattern[str]] = {
     role: re.compile(words)
     for role, words in {
@@ -96,25 +96,29 @@ def propose(listing: Listing, hold: Proposal | None = None) -> Proposal:
 
 def _compare(listing: Listing) -> _Compared:
     """How the channels that change most often, at most _MOST, move together: correlations and lags of their changes
-    over _CHANGE_S, spans, and their values at _GRID common times."""
+    over _CHANGE_S, spans, and their values at _GRID common times. All are unrelated where there are not two, or they
+    are shorter than that."""
     channels = [c for c in listing.channels.values() if c.moves and not _is_part_of_orientation(c.name, listing)]
     channels = [c for c in channels if np.isfinite(c.values).sum() > 8]
     changes = [float(np.mean(np.diff(c.values[np.isfinite(c.values)]) != 0)) for c in channels]
     channels = [channels[k] for k in np.argsort(changes, kind="stable")[::-1][:_MOST]]
     channels.sort(key=lambda c: list(listing.channels).index(c.name))
     n = len(channels)
+    unrelated = _Compared(
+        [c.name for c in channels], np.eye(n), np.zeros((n, n)), np.ones(n), np.zeros((n, n)), np.zeros((n, 1))
+    )
     if n < 2:
-        return _Compared(
-            [c.name for c in channels], np.eye(n), np.zeros((n, n)), np.ones(n), np.zeros((n, n)), np.zeros((n, 1))
-        )
+        return unrelated
     first = max(float(c.t_s[0]) for c in channels)
     last = min(float(c.t_s[-1]) for c in channels)
     if not last > first:
         first, last = min(float(c.t_s[0]) for c in channels), max(float(c.t_s[-1]) for c in channels)
     times = np.linspace(first, last, _GRID)
-    grid = np.array([_on(times, c) for c in channels])
     step = times[1] - times[0]
     over = max(1, round(_CHANGE_S / step))
+    if over > _GRID - _LEAST_CHANGES:
+        return unrelated
+    grid = np.array([_on(times, c) for c in channels])
     change = grid[:, over:] - grid[:, :-over]
     change = change - change.mean(axis=1, keepdims=True)
     scale = np.linalg.norm(change, axis=1, keepdims=True)
@@ -326,7 +330,7 @@ def _by_range(channels: Sequence[Channel], listing: Listing) -> dict[str, str]:
     spans = [c.high - c.low for c in channels]
     ends = [abs(end) for c in channels for end in (*_ends(c), _usual_end(c, listing))]
     none = any(c.fact.usual == "deg" or _full_scale(c) for c in channels)
-    radians = not none and max(ends) <= _PI_TURN and max(spans) > _SMALL
+    radians = not none and max(ends) <= _WHOLE_TURN and max(spans) > _SMALL
     return {c.name: "rad" if radians else "deg" for c in channels}
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from tautline.errors import TautError
 from tautline.io.importing.libraries import library
 from tautline.io.importing.messages import Flattener, Gathered, is_picture, picture, stamp_ns
-from tautline.io.importing.source import Batch, Fact, Picture, origin_of
+from tautline.io.importing.source import Batch, Fact, Picture, no_video, origin_of
 
 
 class Rosbag:
@@ -63,7 +63,10 @@ class Rosbag:
     def pictures(self, episode: int, video: str) -> Iterator[Picture]:
         """The pictures of an image topic."""
         with self._opened() as reader:
-            for connection, log_ns, raw in reader.messages([c for c in reader.connections if c.topic == video]):
+            chosen = [c for c in reader.connections if c.topic == video and is_picture(c.msgtype)]
+            if not chosen:  # to the library no connections are all
+                raise no_video(self.path, video, self.videos)
+            for connection, log_ns, raw in reader.messages(chosen):
                 message = reader.deserialize(raw, connection.msgtype)
                 found = picture(message, self._s(log_ns), self._s(stamp_ns(message)))
                 if found is None:

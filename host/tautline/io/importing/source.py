@@ -9,10 +9,12 @@ from typing import Protocol
 
 import numpy as np
 
+from tautline.errors import TautError
+
 Array = np.ndarray
 
-BATCH_ROWS = 8192  # rows that are held at once while a file is read
-EPOCH_S = 1e8  # times beyond it (three years) count from an epoch: a recording's then start at 0
+BATCH_ROWS = 8192  # limit: of memory: rows that are held at once while a file is read
+EPOCH_S = 1e8  # prior: times beyond it (three years) count from an epoch: a recording's then start at 0
 
 
 @dataclass(frozen=True)
@@ -75,13 +77,12 @@ class Source(Protocol):
         """All rows of an episode, of the groups named (None: all). TautError for a file that is cut or unreadable."""
 
     def pictures(self, episode: int, video: str) -> Iterator[Picture] | Clip:
-        """The frames of a channel of pictures."""
+        """The frames of a channel of pictures. TautError where there is no such one."""
 
 
-def group_of(channel: str, groups: Collection[str]) -> str:
-    """The group that a channel is of: the longest name that it begins with; "" is the table that has no name."""
-    fitting = [group for group in groups if channel == group or channel.startswith(f"{group}.") or not group]
-    return max(fitting, key=len, default="")
+def no_video(path: Path, video: str, known: Collection[str] = ()) -> TautError:
+    """The error for a source that has no such channel of pictures. known: those that it has."""
+    return TautError(f"{path}: has no video {video}" + (f": it has {', '.join(known)}" if known else ""))
 
 
 def origin_of(first_s: float) -> float:

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 Array = np.ndarray
 QUATERNION = ("x", "y", "z", "w")
-_UNIT_LENGTH = 0.01  # by which a quaternion's length may be off from 1: float32, rounded text
+_UNIT_LENGTH = 0.01  # tolerance: by which a quaternion's length may be off from 1: float32, rounded text
 
 
 def bending_deg(quaternions: Array) -> tuple[Array, float]:

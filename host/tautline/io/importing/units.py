@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from math import log, pi
+from math import isfinite, log, pi
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from tautline.errors import TautError
 
 Array = np.ndarray
 DEG_PER_RAD = 180.0 / pi
-TICKS_PER_TURN = 4096  # of Dynamixel X and Feetech STS servos
+TICKS_PER_TURN = 4096  # format: of Dynamixel X and Feetech STS servos
 ANGLES = {"deg": 1.0, "rad": DEG_PER_RAD, "mrad": 1e-3 * DEG_PER_RAD, "turn": 360.0, "tick": 360.0 / TICKS_PER_TURN}
 LENGTHS = {"mm": 1.0, "m": 1000.0, "cm": 10.0, "um": 1e-3, "in": 25.4}
 TORQUES = {"mNm": 1.0, "Nm": 1000.0, "Ncm": 10.0}
@@ -28,8 +28,8 @@ _SPELT = {
 }  # fmt: skip
 _BRACKETED = re.compile(r"[\[(]\s*([^\])]+?)\s*[\])]\s*$")
 _SUFFIXED = re.compile(r"[_ .]([A-Za-zµμ°]+)$")
-_MOST_RAD = 4.0 * pi  # that a joint turns to
-_MOST_M = 2.0  # that a cable moves by
+_MOST_RAD = 4.0 * pi  # prior: that a joint turns to
+_MOST_M = 2.0  # prior: that a cable moves by
 SPOKEN = {"rad": "radians", "m": "metres", "in": "inches", "tick": f"counts of {TICKS_PER_TURN} a turn"}
 
 
@@ -84,13 +84,16 @@ def split_unit(text: str, names: Iterable[str], of: Iterable[str] | None = None)
 
 
 def named(text: str, names: Iterable[str]) -> Named:
-    """NAME, NAME:UNIT or NAME:FACTOR. TautError for a unit that there is not."""
+    """NAME, NAME:UNIT or NAME:FACTOR. TautError for a unit that there is not, or a factor that leaves nothing."""
     if text not in names and ":" in text:
         name, _, last = text.rpartition(":")
         try:
-            return Named(name, factor=float(last))
+            times = float(last)
         except ValueError:
-            pass
+            return Named(*split_unit(text, names))
+        if not isfinite(times) or times == 0.0:
+            raise TautError(f"{text}: a factor is a finite number and not 0")
+        return Named(name, factor=times)
     return Named(*split_unit(text, names))
 
 

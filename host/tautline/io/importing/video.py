@@ -16,8 +16,8 @@ from tautline.io.importing.source import Clip, Picture
 
 Array = np.ndarray
 
-_TICK = Fraction(1, 1000)  # s: Matroska's own
-_ROUNDED_S = 1e-3  # by which a container's times, in its ticks, may be early
+_TICK = Fraction(1, 1000)  # format: s: Matroska's own
+_ROUNDED_S = 1e-3  # format: by which a container's times, in its ticks, may be early
 
 
 def from_pictures(pictures: Iterable[Picture], path: Path, name: str) -> tuple[Array, Array]:
@@ -29,8 +29,13 @@ def from_pictures(pictures: Iterable[Picture], path: Path, name: str) -> tuple[A
     stream: Any = None
     kind: tuple[str, int, int] | None = None
     with av.open(str(path), "w", format="matroska") as output:
+        last = -1
         for k, each in enumerate(pictures):
-            size = (each.width, each.height) if each.width else _size(av, each)
+            try:
+                size = (each.width, each.height) if each.width else _size(av, each)
+            except (av.FFmpegError, StopIteration) as error:
+                raise TautError(f"{name}: picture {k} cannot be decoded ({error or 'it is cut'}): cut the recording "
+                                "before it") from error  # fmt: skip
             if kind is None:
                 kind = (each.codec, *size)
                 stream = _stream(av, output, each, size)
@@ -38,9 +43,10 @@ def from_pictures(pictures: Iterable[Picture], path: Path, name: str) -> tuple[A
                 raise TautError(f"{name}: picture {k} is {each.codec} {size[0]}x{size[1]}, the first {kind[0]} "
                                 f"{kind[1]}x{kind[2]}: record pictures of one kind and size")  # fmt: skip
             tick = round(max(each.log_s - (log[0] if log else each.log_s), 0.0) / _TICK)
+            last = max(tick, last + 1)  # a container's times rise; the frames' own are those that are returned
             for packet in _packets(av, stream, each, size):
                 packet.stream, packet.time_base = stream, _TICK
-                packet.pts = packet.dts = max(tick, k)
+                packet.pts = packet.dts = last
                 output.mux(packet)
             log.append(each.log_s)
             stamps.append(each.stamp_s)

@@ -14,12 +14,12 @@ from scipy.optimize import least_squares
 
 Array = npt.NDArray[np.float64]
 
-ORDER = 4  # of MuJoCo's polycoef
-MOST_LINKS, MOST_CHAINS = 4, 2
-_STARTS, _EVALUATIONS = 5, 40  # of the search for the links before the last one
-_NODES = 101  # of the curve that the search looks at: 20 to each coefficient's own
-_SPREAD = 0.3  # of the starting coefficients: a curve of [-1, 1] that stays monotone in most draws
-_STIFF = 1e-3  # of a coefficient, in shares of the curve's spread: none grows without a gain
+ORDER = 4  # format: of MuJoCo's polycoef
+MOST_LINKS, MOST_CHAINS = 4, 2  # tolerance: further ones cost seconds each
+_STARTS, _EVALUATIONS = 5, 40  # tolerance: of the search for the links before the last one
+_NODES = 101  # tolerance: of the curve that the search looks at: 20 to each coefficient's own
+_SPREAD = 0.3  # prior: of the starting coefficients: a curve of [-1, 1] that stays monotone in most draws
+_STIFF = 1e-3  # prior: of a coefficient, in shares of the curve's spread: none grows without a gain
 
 
 @dataclass(frozen=True)

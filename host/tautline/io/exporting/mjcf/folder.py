@@ -40,7 +40,7 @@ _BY_CALLBACK = frozenset(
 )  # transmission.py has their equations
 _SEEN = frozenset(("kinematics", "registration", "camera", "acquisition"))  # stages: these change how the tip is seen
 # Of the range of B and of f_remain: polynomials that are so near (0.5 um, 0.02 deg) get no further ones.
-_ENOUGH, _ENOUGH_LAW = 1e-3, 2e-4
+_ENOUGH, _ENOUGH_LAW = 1e-3, 2e-4  # tolerance
 
 
 def write(model: Model, out: Path, mount: Mount, progress: Callable[[float, str], None]) -> Exported:

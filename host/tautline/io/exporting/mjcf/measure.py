@@ -20,9 +20,9 @@ from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
 
-MOTION_S = 20.0
-_SPEED = 0.5  # of the range, 1/s: faster than a usual motion in use, whose largest error is then within what is said
-_SEED = 24  # of the motion: any will do
+MOTION_S = 20.0  # tolerance: ten ranges at that speed
+_SPEED = 0.5  # prior: of the range, 1/s: faster than a motion in use, whose largest error is then within what is said
+_SEED = 24  # tolerance: of the motion: any will do
 
 
 def motion(model: Model, step_s: float) -> Motor:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 
 OWN = "taut_"  # how the names of what is added begin
-_POSES = 9  # of the tip, over its range, in which its inertia and load are looked at
+_POSES = 9  # tolerance: of the tip, over its range, in which its inertia and load are looked at
 
 
 @dataclass(frozen=True)

@@ -26,15 +26,15 @@ Array = npt.NDArray[np.float64]
 
 MOTOR, CENTRE, HALF, LAGGING, LAW, LEAD, TIP = (OWN + n for n in ("q", "p", "half", "late", "law", "c", "tip"))
 SEEN = f"{TIP}_seen"
-_HEAVY = 100.0  # the play's mass, in shares of the tip's that goes with it: the tip does not move it
-_MOTOR_HEAVY = 1000.0  # the motor's, in shares of the play's: its friction moves the motor by 1e-5 of the range
-_STOPS = 5e3  # of the range, 1/s^2: friction stops the play within 1e-4 of the range at a speed of one range a second
-_FRICTION = 10.0  # times what acts on the tip
-_SERVO, _DAMPING = 0.8, 0.4  # of the motor's position loop: its rate times the step, and its share of critical
-_STEPS = 2.0  # of the simulation: MuJoCo's shortest time constant of a constraint
-_IMPEDANCE = (0.9999, 0.9999, 1e-3, 0.5, 2.0)  # of every constraint: as stiff as MuJoCo takes it
-_BEYOND = 1e9  # an end that no tendon reaches
-_LIGHTEST = 1e-9  # kg
+_HEAVY = 100.0  # tolerance: the play's mass, in shares of the tip's that goes with it: the tip does not move it
+_MOTOR_HEAVY = 1000.0  # tolerance: the motor's, in the play's: friction moves the motor by 1e-5 of the range
+_STOPS = 5e3  # tolerance: of the range, 1/s^2: friction stops the play, at one range a second, within 1e-4 of the range
+_FRICTION = 10.0  # tolerance: times what acts on the tip
+_SERVO, _DAMPING = 0.8, 0.4  # tolerance: of the motor's position loop: its rate times the step; share of critical
+_STEPS = 2.0  # limit: of the simulation: MuJoCo's shortest time constant of a constraint
+_IMPEDANCE = (0.9999, 0.9999, 1e-3, 0.5, 2.0)  # limit: of every constraint: as stiff as MuJoCo takes it
+_BEYOND = 1e9  # tolerance: an end that no tendon reaches
+_LIGHTEST = 1e-9  # tolerance: kg, of what weighs nothing
 _SAME = np.array([0.0, 1.0, 0.0, 0.0, 0.0])  # the polynomial that changes nothing
 
 
