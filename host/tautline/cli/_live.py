@@ -13,7 +13,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tautline.cli._common import log, progress_bar, read_rig, warn
+from tautline.cli._common import (
+    SEED,
+    Number,
+    NumberRange,
+    log,
+    progress_bar,
+    read_rig,
+    warn,
+)
 from tautline.errors import TautError
 from tautline.model import MODEL_FILE, Model
 from tautline.simulated.instrument import PRESETS
@@ -52,15 +60,15 @@ simulate_option = click.option(
 )
 
 end_option = click.option(
-    "--end", type=float, help="Position there, the rig's unit. Default: that end of the rig's range."
+    "--end", type=Number(), help="Position there, the rig's unit. Default: that end of the rig's range."
 )
 way_option = click.option(
     "--to", "way", type=click.Choice(["low", "high"]), default="low", show_default=True, help="Which end to find."
 )
 speed_option = click.option(
-    "--speed", type=click.FloatRange(min=0.0, min_open=True), help="Of a shape, the rig's unit per second."
+    "--speed", type=NumberRange(min=0.0, min_open=True), help="Of a shape, the rig's unit per second."
 )
-seed_option = click.option("--seed", type=int, default=0, help="Of the shape 'smooth', and of the simulation.")
+seed_option = click.option("--seed", type=SEED, default=0, help="Of the shape 'smooth', and of the simulation.")
 
 
 until_option = click.option(
@@ -96,7 +104,7 @@ def shapes_option(without_model: str = "") -> Callable[..., Any]:
 RECALLS = " Without MODEL the motor first goes out and back twice, and the shape whose model foretells that is used."
 at_option = click.option(
     "--at",
-    type=float,
+    type=Number(),
     help="Where the motor is now, the rig's unit. Default: as the board counts, 0 where it was switched on.",
 )
 

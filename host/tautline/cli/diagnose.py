@@ -10,6 +10,8 @@ import click
 
 from tautline.calibration.result import Calibration
 from tautline.cli._common import (
+    SEED,
+    Number,
     emit,
     json_option,
     log,
@@ -57,7 +59,9 @@ Progress = Callable[[float, str], None]
 @click.option("--actuator", help="With --simulator: its actuator whose control is q (or q_cmd, where it was recorded).")
 @click.option("--tip", help="With --simulator: what bends, joint:NAME or site:NAME.")
 @click.option(
-    "--scale", type=float, help="With --simulator: of the control, per unit of q; default 0.001 for mm, pi/180 for deg."
+    "--scale",
+    type=Number(),
+    help="With --simulator: of the control, per unit of q; default 0.001 for mm, pi/180 for deg.",
 )
 @click.option(
     "--workers",
@@ -71,7 +75,7 @@ Progress = Callable[[float, str], None]
     "--most", type=click.IntRange(min=1), default=5, show_default=True, help="Live: recordings, after which it ends."
 )
 @click.option("--recordings", "kept", type=Output(), help="Live: kept here. Default: OUT-recordings.")
-@click.option("--seed", type=int, default=0, help="Of a simulation.")
+@click.option("--seed", type=SEED, default=0, help="Of a simulation.")
 @json_option
 def command(
     calibration_path: Path | None,

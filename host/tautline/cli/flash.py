@@ -7,7 +7,14 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import emit, json_option, progress_bar, refuse_unusable, warn
+from tautline.cli._common import (
+    Number,
+    emit,
+    json_option,
+    progress_bar,
+    refuse_unusable,
+    warn,
+)
 from tautline.cli._live import axis_option, board_option
 
 _FIXED = (0.0, 1.0, 1.0)  # of --adapt
@@ -33,7 +40,7 @@ _MUCH = 0.1  # loss: of what there is to undo; plays that leave more are warned 
 )
 @click.option(
     "--adapt",
-    type=(float, float, float),
+    type=(Number(), Number(), Number()),
     metavar="OFFSET LEAST MOST",
     help="How far a host may move the tables in use: the offset, the rig's unit, and the least and the most of B. "
     "Default: a tenth of the range, 0 and 2. 0 1 1: not at all.",

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from tautline.cli._common import (
+    NumberRange,
     compensation_option,
     emit,
     force_option,
@@ -26,6 +27,7 @@ from tautline.cli._live import (
     live_options,
     opened,
     recalled,
+    seed_option,
     shape_text,
     shapes_option,
     tracking_text,
@@ -38,9 +40,7 @@ from tautline.cli._outputs import folder_option
 @live_options
 @rig_option
 @compensation_option
-@click.option(
-    "--strength", type=click.FloatRange(0.0, 1.0), default=1.0, help="Share of the lost motion that is taken up."
-)
+@click.option("--strength", type=NumberRange(0.0, 1.0), default=1.0, help="Share of the lost motion that is taken up.")
 @click.option(
     "--trajectory",
     metavar="FILE|SHAPE",
@@ -48,8 +48,8 @@ from tautline.cli._outputs import folder_option
     show_default=True,
     help="A CSV with columns t_s,c_deg, or a shape: trapezoids, smooth.",
 )
-@click.option("--speed", type=click.FloatRange(min=0.1), default=15.0, show_default=True, help="deg/s of a shape.")
-@click.option("--seed", type=int, default=0, help="Of the shape 'smooth', and of the simulation.")
+@click.option("--speed", type=NumberRange(min=0.1), default=15.0, show_default=True, help="deg/s of a shape.")
+@seed_option
 @click.option(
     "--track/--no-track",
     "track",

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from tautline.cli._common import (
+    NumberRange,
     emit,
     json_option,
     log,
@@ -45,7 +46,7 @@ from tautline.model import MODEL_FILE, Model
 @until_option
 @click.option(
     "--pace",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=NumberRange(min=0.0, min_open=True),
     default=1.0,
     show_default=True,
     help="Of a recording: times its own speed.",

@@ -9,7 +9,14 @@ from typing import Any
 
 import click
 
-from tautline.cli._common import emit, json_option, log, progress_bar, warn
+from tautline.cli._common import (
+    NumberRange,
+    emit,
+    json_option,
+    log,
+    progress_bar,
+    warn,
+)
 from tautline.cli._outputs import Output
 from tautline.errors import TautError
 from tautline.recording import load
@@ -61,8 +68,8 @@ class _Squares(click.ParamType):  # type: ignore[type-arg]
 @click.option("--sensor", type=click.Choice([MARKER, ANGLE]), help="What sees the tip: a camera, or an angle sensor.")
 @click.option("--board", multiple=True, type=click.Path(path_type=Path), help="A video or pictures of a ChArUco board.")
 @click.option("--squares", type=_Squares(), help="Of the board, across and down.")
-@click.option("--square-mm", type=click.FloatRange(0.0, min_open=True), help="A square's side, measured on the print.")
-@click.option("--marker-mm", type=click.FloatRange(0.0, min_open=True), help="The side of a marker in a square.")
+@click.option("--square-mm", type=NumberRange(0.0, min_open=True), help="A square's side, measured on the print.")
+@click.option("--marker-mm", type=NumberRange(0.0, min_open=True), help="The side of a marker in a square.")
 @click.option("--dictionary", type=click.Choice(sorted(DICTIONARIES)), default="4X4_50", show_default=True)
 @click.option("--motion", type=click.Path(path_type=Path), help="A recording in which the tip rests at known angles.")
 @click.option(
@@ -72,7 +79,7 @@ class _Squares(click.ParamType):  # type: ignore[type-arg]
 )
 @click.option(
     "--angle-sigma",
-    type=click.FloatRange(0.0),
+    type=NumberRange(0.0),
     default=0.5,
     show_default=True,
     help="How exactly the angles are known, deg.",

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tautline.cli._common import emit, json_option, log, progress_bar, refuse_unusable, rig_option
+from tautline.cli._common import (
+    Number,
+    emit,
+    json_option,
+    log,
+    progress_bar,
+    refuse_unusable,
+    rig_option,
+)
 from tautline.cli._live import LiveOptions, live_options, opened, seed_option
 
 if TYPE_CHECKING:
@@ -27,7 +35,7 @@ def command() -> None:
 @click.argument("library", type=click.Path(path_type=Path))
 @click.argument("name")
 @click.argument("model_path", metavar="MODEL", type=click.Path(path_type=Path))
-@click.option("--current", type=float, help="mA: the motor's mean current in this shape.")
+@click.option("--current", type=Number(), help="mA: the motor's mean current in this shape.")
 @json_option
 def add(library: Path, name: str, model_path: Path, current: float | None, as_json: bool) -> None:
     """Remember MODEL as the shape NAME; one of that name is replaced."""

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING
 import click
 
 from tautline.cli._common import (
+    Number,
+    NumberRange,
     emit,
     force_option,
     json_option,
@@ -52,16 +54,15 @@ if TYPE_CHECKING:
 @colour_option
 @rig_option
 @shapes_option(RECALLS)
+@click.option("--rate", type=NumberRange(50.0, 1000.0), default=250.0, show_default=True, help="Set-points per second.")
+@click.option("--silence", type=NumberRange(0.01, 2.0), default=0.1, show_default=True, help="s after which it rests.")
 @click.option(
-    "--rate", type=click.FloatRange(50.0, 1000.0), default=250.0, show_default=True, help="Set-points per second."
+    "--sine",
+    type=(Number(), NumberRange(min=0.0, min_open=True)),
+    metavar="DEG SECONDS",
+    help="Instead of stdin: a sine, amplitude and period.",
 )
-@click.option(
-    "--silence", type=click.FloatRange(0.01, 2.0), default=0.1, show_default=True, help="s after which it rests."
-)
-@click.option(
-    "--sine", type=(float, float), metavar="DEG SECONDS", help="Instead of stdin: a sine, amplitude and period."
-)
-@click.option("--duration", type=click.FloatRange(min=0.1), help="s; default until stdin or Ctrl-C ends it.")
+@click.option("--duration", type=NumberRange(min=0.1), help="s; default until stdin or Ctrl-C ends it.")
 @force_option
 @json_option
 def command(

@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tautline.cli._common import emit, json_option, log, rig_option, warn_tracked_alone, warn_unusable
+from tautline.cli._common import (
+    NumberRange,
+    emit,
+    json_option,
+    log,
+    rig_option,
+    warn_tracked_alone,
+    warn_unusable,
+)
 from tautline.cli._live import (
     LiveOptions,
     live_options,
@@ -37,7 +45,7 @@ _FRAME_S = 0.2  # between two pictures, wall clock
 @rig_option
 @motion_option("whatever drives it")
 @speed_option
-@click.option("--duration", type=click.FloatRange(min=0.1), help="s. Default: until Ctrl-C, or the motion's end.")
+@click.option("--duration", type=NumberRange(min=0.1), help="s. Default: until Ctrl-C, or the motion's end.")
 @seed_option
 @shapes_option()
 @json_option
