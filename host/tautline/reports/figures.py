@@ -95,6 +95,16 @@ def finer(unit: str) -> tuple[str, float]:
     return ("µm", 1e3) if unit == "mm" else (unit, 1.0)
 
 
+def common_unit(models: Mapping[str, Model]) -> str:
+    """The unit of q of models that are compared. TautError where there is none, or more than one."""
+    units = {model.rig.actuator.unit for model in models.values()}
+    if not units:
+        raise TautError("no model to compare: name two or more")
+    if len(units) > 1:
+        raise TautError("the models' motors have different units, mm and deg: they are not of one instrument")
+    return units.pop()
+
+
 def split_onsets(onsets: Sequence[Onset]) -> tuple[list[Onset], list[Onset]]:
     """The onsets that B(q) was fitted to, and those that were left out."""
     return [o for o in onsets if o["used"]], [o for o in onsets if not o["used"]]
@@ -168,7 +178,7 @@ def draw_characteristic(axes: Axes, model: Model, evidence: Evidence | None) -> 
     """Both passes, f_coarse and f_remain over the motor position (the paper's Fig. 9)."""
     unit = model.rig.actuator.unit
     if evidence is not None and len(evidence.q):
-        rising = np.gradient(evidence.q) >= 0
+        rising = np.gradient(evidence.q) >= 0 if len(evidence.q) > 1 else np.ones(1, dtype=bool)
         for chosen, colour, name in ((rising, UP, "q rising"), (~rising, DOWN, "q falling")):
             axes.plot(
                 evidence.q[chosen],
@@ -225,7 +235,8 @@ def main_axis(evidence: Evidence) -> tuple[Array, str]:
     if evidence.seen.shape[1] == 1:
         return evidence.seen[:, 0], "c (deg)"
     centred = evidence.seen - evidence.seen.mean(axis=0)
-    along = np.linalg.svd(np.cov(centred.T))[0][:, 0]
+    spread = np.cov(centred.T) if len(centred) > 1 else np.eye(2)
+    along = np.linalg.svd(spread)[0][:, 0]
     along = along * np.sign(along[np.argmax(np.abs(along))])
     return centred @ along, "marker along its path (px)"
 
@@ -383,8 +394,8 @@ def followed(runs: Mapping[str, Run]) -> Figure:
 def compared(models: Mapping[str, Model]) -> Figure:
     """B and f_remain of several models (the paper's Fig. 2), and each less the first's: equal curves hide each other,
     their differences do not."""
+    unit = common_unit(models)
     first = next(iter(models.values()))
-    unit = first.rig.actuator.unit
     made, axes = figure(11, 7.4, 2, 2, sharex="col")
     for k, ((name, model), colour) in enumerate(zip(models.items(), _colours(len(models)), strict=True)):
         line: Any = {
@@ -414,7 +425,8 @@ def compared(models: Mapping[str, Model]) -> Figure:
     axes[1, 1].set_title(f"f_remain less that of {name}, its mean taken off")
     for ax in axes[1]:
         ax.axhline(0.0, color=GREY, lw=0.8)
-        ax.legend(loc="best")
+        if ax.get_legend_handles_labels()[0]:  # none where no two have measured the same q
+            ax.legend(loc="best")
     return made
 
 

@@ -47,10 +47,12 @@ class Number:
 
 
 def save_model(model: Model, recordings: Sequence[Recording], folder: Path) -> list[str]:
-    """The whole MODEL folder with its report, or nothing; without recordings a report of the tables alone. Returns the
-    result in sentences."""
+    """The whole MODEL folder with its report, or nothing; without recordings, or where none saw the tip within the
+    motor's times, a report of the tables alone. Returns the result in sentences."""
     with replaced(folder, MODEL_FILE, stale=("follow-*.csv", EVIDENCE_FILE, CAMERA_FILE, "next_motion.csv")) as target:
         evidence = collect(model, recordings) if recordings else None
+        if evidence is not None and len(evidence.t_s) == 0:
+            evidence = None
         model.save(target)
         _keep_picture(recordings, target)
         if evidence is not None:
@@ -409,9 +411,9 @@ def _onset_row(onset: figures.Onset) -> list[str]:
 
 
 def _run_sentences(runs: Mapping[str, Run]) -> list[str]:
-    """A sentence that compares the runs of `taut follow` without and with compensation; none unless both are there."""
+    """A sentence that compares the runs of `taut follow` without and with compensation; none unless both are scored."""
     off, full = runs.get("off"), runs.get("full")
-    if off is None or full is None:
+    if off is None or full is None or not np.isfinite(off.rms_deg + full.rms_deg):
         return []
     return [
         f"Followed open loop, the tip was off by {_digits(off.rms_deg, 2)} deg without compensation and by "
