@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from tautline.cli._common import (
     SEED,
@@ -171,6 +172,22 @@ def _takes(option: str) -> bool:
     """Whether the command that runs has this option."""
     context = click.get_current_context(silent=True)
     return context is not None and any(each.name == option for each in context.command.params)
+
+
+def given(*names: str) -> list[str]:
+    """Which of these parameters of the command that runs stand in the command line, as they are written there."""
+    context = click.get_current_context()
+    return [
+        each.opts[0]
+        for each in context.command.params
+        if each.name in names and context.get_parameter_source(each.name) is ParameterSource.COMMANDLINE
+    ]
+
+
+def refuse_live_options(*more: str, because: str) -> None:
+    """UsageError where an option of a live set-up, or one of `more`, was given to a command that is not live."""
+    if unused := given(*(field.name for field in fields(LiveOptions)), *more):
+        raise click.UsageError(f"only a live run uses {', '.join(unused)}: {because}")
 
 
 @contextmanager

@@ -23,7 +23,15 @@ from tautline.cli._common import (
     rig_option,
     warn,
 )
-from tautline.cli._live import LiveOptions, free_recording, live_options, opened, sigma_of, until_option
+from tautline.cli._live import (
+    LiveOptions,
+    free_recording,
+    live_options,
+    opened,
+    refuse_live_options,
+    sigma_of,
+    until_option,
+)
 from tautline.cli._outputs import Output, folder_option
 from tautline.errors import UnusableError
 from tautline.live import closing
@@ -100,6 +108,7 @@ def command(
     """
     options = Options(knots=knots, remaining=remaining)
     if recording_paths:
+        refuse_live_options("kept", *(name for name in live if name != "live"), because="leave them out, or RECORDING")
         calibration, lines, proposed = _from_recordings(recording_paths, rig_path, out, options, fleet)
     else:
         if fleet is not None:

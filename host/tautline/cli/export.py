@@ -68,6 +68,8 @@ def command(
     missing = [name for name, value in named.items() if value is None]
     if 0 < len(missing) < len(named):
         raise click.UsageError(f"{', '.join(missing)} missing: --into, --actuator and --tip go together")
+    if scale is not None and into is None:
+        raise click.UsageError("--scale goes with --into, --actuator and --tip")
     mount = None
     if into is not None and actuator is not None and tip is not None:
         mount = Mount(into, actuator, tip, scale)

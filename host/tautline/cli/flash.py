@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -127,6 +128,9 @@ def _joint(text: str) -> tuple[str, int, float]:
     column, _, rest = text.partition("=")
     axis, _, resolution = rest.partition(":")
     try:
-        return column, int(axis), float(resolution)
+        number, each = int(axis), float(resolution)
     except ValueError:
-        raise click.UsageError(f"--joint {text}: say it as translation_mm=1:0.001") from None
+        number, each = 0, math.nan
+    if not math.isfinite(each):
+        raise click.UsageError(f"--joint {text}: say it as translation_mm=1:0.001")
+    return column, number, each

@@ -17,7 +17,7 @@ from tautline.cli._common import (
     progress_bar,
     warn,
 )
-from tautline.cli._outputs import Output
+from tautline.cli._outputs import Output, check_no_input
 from tautline.errors import TautError
 from tautline.recording import load
 from tautline.rig import ANGLE, FORMAT, MARKER, Coarse, Rig, Sensor
@@ -48,6 +48,8 @@ class _Squares(click.ParamType):  # type: ignore[type-arg]
         """How many squares a board has across and down."""
         try:
             across, down = (int(part) for part in str(value).lower().split("x"))
+            if min(across, down) < 1:
+                raise ValueError
         except ValueError:
             self.fail(f"'{value}' are no squares: write how many across and down, as in 8x6", param, ctx)
         return across, down
@@ -99,6 +101,9 @@ def command(
         raise TautError(f"{out}: is there already: go on from it with --from {out}, or name another with --out")
     if motion is None and angles is not None:
         raise click.UsageError("--angles says how the tip was bent in --motion: name the recording")
+    shown = out.with_suffix(".png")
+    if motion is not None:
+        check_no_input(shown, motion, *board)
     if not board and (squares or square_mm is not None or marker_mm is not None):
         raise click.UsageError("--squares, --square-mm and --marker-mm are of a --board: name its pictures or video")
     document: rig_keys.Document = Rig.load(start).to_document() if start is not None else {"format": FORMAT}
@@ -144,7 +149,7 @@ def command(
     rig = Rig.from_document(document, str(out))
     rig.save(out)
     if motion is not None:
-        result["picture"] = shown = out.with_suffix(".png")
+        result["picture"] = shown
         picture(rig, places).savefig(shown, dpi=120)
         told.append(f"look at {shown}: the curve passes through the marker's places, angles rise where they should")
     emit(result, as_json, "\n".join([*told, f"{out} is whole: taut calibrate RECORDING --rig {out}"]))

@@ -16,7 +16,7 @@ from tautline.cli._common import (
     refuse_unusable,
     rig_option,
 )
-from tautline.cli._live import LiveOptions, live_options, opened, seed_option
+from tautline.cli._live import LiveOptions, live_options, opened, refuse_live_options, seed_option
 
 if TYPE_CHECKING:
     from tautline.shapes import Library, Shape
@@ -89,11 +89,12 @@ def recall(
     from tautline.shapes import Library
 
     known = Library.load(library)
-    if recording_path is None:
+    if recording_path is not None:
+        refuse_live_options("rig_path", "seed", because="leave them out, or RECORDING")
+        nearest, rms = _recall_from_recording(known, recording_path)
+    else:
         with opened(live, rig_path, seed, model=known.first()) as setup, progress_bar("recall") as progress:
             nearest, rms = of_live(setup, known, progress)
-    else:
-        nearest, rms = _recall_from_recording(known, recording_path)
     for name, off in rms.items():
         log(f"taut: {name}: off by {off:.3g} rms")
     folder = library / nearest.name

@@ -191,13 +191,15 @@ class _Lines:
         self.ended = False  # whether nothing will come any more
 
     def newest(self) -> str | None:
-        """The last whole line that is not blank and has come since the last call; None where there is none."""
+        """The last line that is not blank and has come whole since the last call; None where there is none. What stands
+        at the end of the input is whole without a line's end, too."""
         last = None
         while not self.ended and self._inputs.select(0):
             data = os.read(sys.stdin.fileno(), 1 << 16)
             self.ended = not data
-            *whole, self._rest = (self._rest + data).split(b"\n")
-            last = next((line for line in reversed(whole) if line.strip()), last)
+            lines = (self._rest + data).split(b"\n")
+            self._rest = b"" if self.ended else lines.pop()
+            last = next((line for line in reversed(lines) if line.strip()), last)
         return last.decode("utf-8", "replace") if last is not None else None
 
 
