@@ -84,6 +84,7 @@ def warn_tracked_alone(model: Model) -> None:
         warn(f"what the model holds beside its play ({named}) is not simulated while tracking live")
 
 
+STATE_COLOURS = {"trusted": "green", "stale": "yellow", "adapting": "cyan"}  # of a tracker
 _COLOURS = {Verdict.GOOD: "green", Verdict.DOUBTFUL: "yellow", Verdict.UNUSABLE: "red"}
 
 

@@ -5,13 +5,17 @@ from __future__ import annotations
 import textwrap
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from tautline.cli._common import emit, json_option
 from tautline.cli._outputs import Output
 
-_WIDTH = 100
+if TYPE_CHECKING:
+    from tautline.explain import Topic
+
+_WIDTH = 100  # format: characters of a line
 
 
 @click.command("explain")
@@ -54,11 +58,8 @@ def _first(text: str) -> str:
     return textwrap.shorten(text, 78, placeholder=" ...")
 
 
-def _topic_in_words(topic: object) -> str:
+def _topic_in_words(topic: Topic) -> str:
     """A topic as text for a terminal."""
-    from tautline.explain import Topic
-
-    assert isinstance(topic, Topic)
     lines = [click.style(topic.code, bold=True), *textwrap.wrap(topic.what, _WIDTH)]
     for title, text in (("How to tell it", topic.tell), ("What to do", topic.mend)):
         if text:

@@ -22,10 +22,10 @@ from tautline.vision.region import Region
 from tautline.vision.ros_camera import RosCamera, is_topic
 from tautline.vision.sighting import Sighting
 
-_STILL_FRAMES = 60  # that are tracked to say how well the marker can be seen
-_SPREAD = 12  # frames from all over a video in which the marker is looked for
-_SEARCHED_LINES = 480  # of a picture, at least, in which it is looked for
-_WARM_UP = 15  # frames of a device that pass while it finds its exposure
+_STILL_FRAMES = 60  # tolerance: that are tracked to say how well the marker can be seen
+_SPREAD = 12  # tolerance: frames from all over a video in which the marker is looked for
+_SEARCHED_LINES = 480  # tolerance: of a picture, at least, in which it is looked for
+_WARM_UP = 15  # prior: frames of a device that pass while it finds its exposure
 
 
 class _Square(click.ParamType):  # type: ignore[type-arg]

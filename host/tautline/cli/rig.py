@@ -38,7 +38,7 @@ from tautline.rigging.picture import picture
 from tautline.vision.camera import read_picture, sample_video
 from tautline.vision.marker import with_marker
 
-_VIEWS = 60  # of a video
+_VIEWS = 60  # tolerance: of a video; a board that is moved slowly is then seen from everywhere
 
 
 class _Squares(click.ParamType):  # type: ignore[type-arg]

@@ -28,7 +28,7 @@ from tautline.simulated.simulate import TRUTH, run
 from tautline.trajectory import Trajectory, back_and_forth, random_smooth, sines, trapezoids
 from tautline.vision.timing import FrameTiming
 
-_WAY_BACK = 0.105  # of the range, longer than any backlash
+_WAY_BACK = 0.105  # prior: of the range, longer than any backlash
 
 
 @dataclass(frozen=True)
@@ -193,9 +193,8 @@ def command(
     if any(sway):
         trajectory = trajectory.with_sway(*sway, period_s=20.0)
     jitter = jitter or made.jitter_s
-    timing = FrameTiming.of(rig, jitter_s=jitter, lost=lost, seed=seed)
-    if delay is not None:
-        timing = FrameTiming.of(rig, delay_s=delay, jitter_s=jitter, lost=lost, seed=seed)
+    delay_s = rig.delay_s if delay is None else delay
+    timing = FrameTiming.of(rig, delay_s=delay_s, jitter_s=jitter, lost=lost, seed=seed)
     simulation = run(
         rig, made, trajectory, noise_px=noise, timing=timing, angle_noise_deg=angle_noise, seed=seed, name=out.name
     )

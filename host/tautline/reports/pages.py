@@ -25,8 +25,6 @@ from tautline.reports.evidence import STAGES, Evidence, Run, collect
 from tautline.rig import MARKER
 from tautline.vision.snapshot import snapshot
 
-Array = np.ndarray
-
 FILE = "report.html"
 CAMERA_FILE = "camera.jpg"  # in a model's folder: what the camera saw, with the marker's way
 _COARSE_IS_WRONG = frozenset({"coarse", "registration.static", "range", "predicts"})
@@ -279,11 +277,6 @@ def _with(value: float, unit: str, digits: int = 3) -> str:
     return f"{_digits(value, digits)}\u00a0{unit}"
 
 
-def _inside(model: Model) -> Array:
-    """(n,) bool: the nodes of the model's grid over which B was measured."""
-    return (model.q >= model.measured[0]) & (model.q <= model.measured[1])
-
-
 def _source(model: Model, evidence: Evidence | None) -> str:
     """The page's line on what it is made from: recordings, their length and the motor's range."""
     made = f"from {', '.join(evidence.names)}; " if evidence else ""
@@ -299,7 +292,7 @@ def _shown(evidence: Evidence) -> str:
 
 def sentences(model: Model, evidence: Evidence | None) -> list[str]:
     """The result for a person, in one line each."""
-    unit, inside = model.rig.actuator.unit, _inside(model)
+    unit, inside = model.rig.actuator.unit, figures.inside(model)
     lines = []
     if inside.any():
         width, sigma = model.width[inside], model.width_sigma[inside]
@@ -349,7 +342,7 @@ def _times(worse: float, better: float) -> str:
 
 def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence: Evidence | None) -> list[Number]:
     """The rows of the page's table of numbers. used, unused: the model's onsets."""
-    unit, inside = model.rig.actuator.unit, _inside(model)
+    unit, inside = model.rig.actuator.unit, figures.inside(model)
     numbers = []
     if inside.any():
         width, at = model.width[inside], model.q[inside]
