@@ -128,9 +128,9 @@ def _joint(text: str) -> tuple[str, int, float]:
     column, _, rest = text.partition("=")
     axis, _, resolution = rest.partition(":")
     try:
-        number, each = int(axis), float(resolution)
+        number, per_count = int(axis), float(resolution)
+        if not math.isfinite(per_count):
+            raise ValueError
     except ValueError:
-        number, each = 0, math.nan
-    if not math.isfinite(each):
-        raise click.UsageError(f"--joint {text}: say it as translation_mm=1:0.001")
-    return column, number, each
+        raise click.UsageError(f"--joint {text}: say it as translation_mm=1:0.001") from None
+    return column, number, per_count
