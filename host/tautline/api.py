@@ -13,6 +13,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -230,7 +231,7 @@ def track(model: Model, recordings: Recording | Sequence[Recording], progress: P
 
     Shapes: `.rows` has one row for each frame (or angle), `.t_s`, `.column(name)` and `.recording` are (n,).
     Units: t_s in s, arrival times; offset in the rig's unit, scale in shares of B, c in deg, u and v in px.
-    Errors: TautError where not all recordings have a marker, or all an angle.
+    Errors: TautError where there is no recording, or not all have a marker, or all an angle.
     Source: docs/tracking.md: laws nested from nothing to a new shape of B, the simplest that leaves no more than noise.
 
     A row is predicted from the motor up to its time and the frames before it, so a recording cut short gives the same
@@ -238,7 +239,10 @@ def track(model: Model, recordings: Recording | Sequence[Recording], progress: P
     """
     from tautline.tracking import replay
 
-    return replay(model, _several(recordings), progress)
+    several = _several(recordings)
+    if not several:
+        raise TautError("no recording: give one or more")
+    return replay(model, several, progress)
 
 
 def diagnose(
@@ -251,8 +255,8 @@ def diagnose(
 
     Shapes: `.before` and `.after` hold for each test the residuals (frames, 2) in px, or (samples, 1) in deg.
     Units: of every gap px where a marker was recorded, else deg; probabilities and shares 0 to 1.
-    Errors: TautError where the calibration measures nothing or no test can be scored. An unusable calibration is not
-        refused: look at `.nominal.quality`.
+    Errors: TautError where the calibration measures nothing, or no test is given or can be scored. An unusable
+        calibration is not refused: look at `.nominal.quality`.
     Source: docs/diagnosis.md: the nominal model and one effect after the other fitted together, judged on blocks that
         the fit did not see. `.document` is diagnosis.json (docs/files.md).
 
@@ -263,7 +267,10 @@ def diagnose(
     from tautline.diagnosis.diagnose import diagnose as diagnosed
     from tautline.diagnosis.recorded import calibrated
 
-    several, used = _evidence([calibration, *_several(tests)], rig)
+    tests = _listed(tests)
+    if not tests:
+        raise TautError("no test: give one recording or more that the calibration was not made from")
+    several, used = _evidence([calibration, *tests], rig)
     calibrated_on, on_one_clock = calibrated(several, used, lambda share, what: progress(0.3 * share, what))
     found = diagnosed(
         calibrated_on.model, on_one_clock[0], on_one_clock[1:], lambda share, what: progress(0.3 + 0.7 * share, what)
@@ -346,7 +353,7 @@ def plot(
 
     Shapes: none; recordings: those that a calibration was made from, to draw what was seen behind the curves.
     Units: as in the result.
-    Errors: TautError where a recording cannot be read.
+    Errors: TautError where a recording cannot be read, and for models by name that are none or of two units.
     Source: B(q), its widths and the characteristic as in the paper's Figs. 7 to 9; of a diagnosis what both models
         leave over the session's time; of several models by name how they differ.
     """
@@ -400,11 +407,24 @@ def export(
     return exported(of(what, model), to, Path(out), mount=mount, axis=axis, progress=progress)
 
 
+def _listed(recordings: Recording | Sequence[Recording]) -> list[Recording]:
+    return [recordings] if isinstance(recordings, Recording) else list(recordings)
+
+
 def _several(recordings: Recording | Sequence[Recording]) -> list[Recording]:
-    """The recordings as a list. TautError for what no file could hold."""
-    several = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    for recording in several:
+    """The recordings as a list. Names that are there already get a number, as the commands do it: onsets, offsets and
+    reports tell recordings by them. TautError for what no file could hold."""
+    several: list[Recording] = []
+    names: set[str] = set()
+    for recording in _listed(recordings):
         recordings_room.check(recording)
+        name = recording.name
+        for number in count(2):
+            if name not in names:
+                break
+            name = f"{recording.name} ({number})"
+        names.add(name)
+        several.append(recording if name == recording.name else replace(recording, name=name))
     return several
 
 

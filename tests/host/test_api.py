@@ -200,3 +200,20 @@ def test_a_plot_is_a_figure_to_show_or_save(recording: tl.Recording, found: tl.C
     both.savefig(tmp_path / "both.png")
     with pytest.raises(AttributeError):
         tl.plot("monday")  # type: ignore[arg-type]
+
+
+def test_recordings_of_one_name_are_told_apart(recording: tl.Recording) -> None:
+    """Two folders may have one name: as the commands do it, the second gets a number."""
+    from tautline import api
+
+    names = [each.name for each in api._several([recording, recording, recording])]
+    assert names == [recording.name, f"{recording.name} (2)", f"{recording.name} (3)"]
+
+
+def test_no_recording_is_refused_in_words(recording: tl.Recording, found: tl.Calibration) -> None:
+    with pytest.raises(tl.TautError, match="no recording"):
+        tl.track(found.model, [])
+    with pytest.raises(tl.TautError, match="no test"):
+        tl.diagnose(recording, [])
+    with pytest.raises(tl.TautError, match="no model"):
+        tl.plot({})

@@ -74,3 +74,11 @@ def test_what_goes_wrong_is_said_in_one_line(picture: Path, tmp_path: Path) -> N
     assert "stands out at (600, 300)" in failure(taut(picture, "--at", "600,300", *out))
     assert "camera 97" in failure(taut("97", *out))
     assert not (tmp_path / "marker.toml").exists()
+
+
+def test_the_picture_that_is_read_is_not_written_over(picture: Path, tmp_path: Path) -> None:
+    before = picture.read_bytes()
+    for words in ((), ("--region", "300,300")):
+        for out in (picture, picture.with_suffix(".toml")):
+            assert "would be overwritten" in failure(taut(picture, "--out", out, *words))
+    assert picture.read_bytes() == before

@@ -393,3 +393,69 @@ def test_a_change_of_b_is_told_in_micrometres(measured: tuple[Model, Recording],
     pages.write_comparison(models, tmp_path / "c.html")
     text = read(tmp_path / "c.html").text
     assert "B changed by +2.0 µm on average" in text and "change of B (µm)" in text
+
+
+def damaged(folder: Path, **columns: Any) -> None:
+    """Puts other columns into the evidence that lies in a folder."""
+    with np.load(folder / evidence.FILE) as data:
+        whole = dict(data)
+    np.savez_compressed(folder / evidence.FILE, **whole | columns)
+
+
+@pytest.mark.parametrize("column", ["recording", "t_s", "q", "path", "seen", "c_deg", "error", "settled", "names"])
+def test_evidence_of_which_a_part_is_short_is_refused(
+    measured: tuple[Model, Recording], tmp_path: Path, column: str
+) -> None:
+    seen = evidence.collect(measured[0], [measured[1]])
+    seen.save(tmp_path)
+    assert evidence.Evidence.load(tmp_path) is not None
+    damaged(tmp_path, **{column: getattr(seen, column)[:-1]})
+    with pytest.raises(TautError, match="do not fit each other"):
+        evidence.Evidence.load(tmp_path)
+
+
+def test_the_times_of_a_board_that_is_on_for_days_are_kept(tmp_path: Path) -> None:
+    t_s = 5e5 + np.arange(0.0, 1.0, 0.01)
+    evidence.Run(t_s, t_s, t_s, t_s > 0).save(tmp_path, "full")
+    assert np.abs(evidence.Run.load_all(tmp_path)["full"].t_s - t_s).max() < 1e-3
+
+
+def test_a_run_in_which_nothing_is_scored_is_compared_with_none() -> None:
+    t_s = np.arange(3.0)
+    never, always = (evidence.Run(t_s, t_s, t_s + 1.0, np.full(3, counted)) for counted in (False, True))
+    assert pages._run_sentences({"off": always, "full": never}) == []
+    assert len(pages._run_sentences({"off": always, "full": always})) == 1
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("late_s", [0.0, 1000.0])
+def test_a_recording_in_which_the_tip_is_hardly_seen_has_a_report(
+    measured: tuple[Model, Recording], tmp_path: Path, late_s: float
+) -> None:
+    model, recording = measured
+    marker = recording.marker
+    assert marker is not None
+    keep = np.arange(len(marker.t_s)) == 100  # one frame, within the motor's times or beyond them
+    few = replace(
+        recording,
+        marker=replace(
+            marker,
+            t_s=marker.t_s[keep] + late_s,
+            u_px=marker.u_px[keep],
+            v_px=marker.v_px[keep],
+            valid=marker.valid[keep],
+            sigma_px=None if marker.sigma_px is None else marker.sigma_px[keep],
+        ),
+    )
+    pages.save_model(model, [few], tmp_path / "model")
+    assert (tmp_path / "model" / pages.FILE).exists()
+    assert (tmp_path / "model" / evidence.FILE).exists() == (late_s == 0.0)
+
+
+def test_models_of_two_units_or_of_none_are_not_compared(measured: tuple[Model, Recording]) -> None:
+    model = measured[0]
+    other = replace(model, rig=replace(model.rig, actuator=replace(model.rig.actuator, unit="deg")))
+    with pytest.raises(TautError, match="different units"):
+        figures.compared({"one": model, "other": other})
+    with pytest.raises(TautError, match="no model"):
+        figures.compared({})

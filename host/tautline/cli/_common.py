@@ -6,6 +6,7 @@ A command ends with `emit(result, as_json, text)`. The core's `progress(fraction
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -23,6 +24,23 @@ from tautline.recording import Recording, check_distinct, load_all
 from tautline.rig import Rig
 
 Progress = Callable[[float, str], None]
+
+
+class Number(click.types.FloatParamType):
+    """An option's finite number: click's own lets nan and inf through, also through a range."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is no finite number.", param, ctx)
+        return number
+
+
+class NumberRange(click.FloatRange, Number):
+    """A finite number within a range."""
+
+
+SEED = click.IntRange(min=0)  # numpy's generators take no other
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object on stdout.")
 rig_option = click.option(
@@ -66,6 +84,7 @@ def warn_tracked_alone(model: Model) -> None:
         warn(f"what the model holds beside its play ({named}) is not simulated while tracking live")
 
 
+STATE_COLOURS = {"trusted": "green", "stale": "yellow", "adapting": "cyan"}  # of a tracker
 _COLOURS = {Verdict.GOOD: "green", Verdict.DOUBTFUL: "yellow", Verdict.UNUSABLE: "red"}
 
 

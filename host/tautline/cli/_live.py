@@ -12,8 +12,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
-from tautline.cli._common import log, progress_bar, read_rig, warn
+from tautline.cli._common import (
+    SEED,
+    Number,
+    NumberRange,
+    log,
+    progress_bar,
+    read_rig,
+    warn,
+)
 from tautline.errors import TautError
 from tautline.model import MODEL_FILE, Model
 from tautline.simulated.instrument import PRESETS
@@ -52,15 +61,15 @@ simulate_option = click.option(
 )
 
 end_option = click.option(
-    "--end", type=float, help="Position there, the rig's unit. Default: that end of the rig's range."
+    "--end", type=Number(), help="Position there, the rig's unit. Default: that end of the rig's range."
 )
 way_option = click.option(
     "--to", "way", type=click.Choice(["low", "high"]), default="low", show_default=True, help="Which end to find."
 )
 speed_option = click.option(
-    "--speed", type=click.FloatRange(min=0.0, min_open=True), help="Of a shape, the rig's unit per second."
+    "--speed", type=NumberRange(min=0.0, min_open=True), help="Of a shape, the rig's unit per second."
 )
-seed_option = click.option("--seed", type=int, default=0, help="Of the shape 'smooth', and of the simulation.")
+seed_option = click.option("--seed", type=SEED, default=0, help="Of the shape 'smooth', and of the simulation.")
 
 
 until_option = click.option(
@@ -96,7 +105,7 @@ def shapes_option(without_model: str = "") -> Callable[..., Any]:
 RECALLS = " Without MODEL the motor first goes out and back twice, and the shape whose model foretells that is used."
 at_option = click.option(
     "--at",
-    type=float,
+    type=Number(),
     help="Where the motor is now, the rig's unit. Default: as the board counts, 0 where it was switched on.",
 )
 
@@ -163,6 +172,22 @@ def _takes(option: str) -> bool:
     """Whether the command that runs has this option."""
     context = click.get_current_context(silent=True)
     return context is not None and any(each.name == option for each in context.command.params)
+
+
+def given(*names: str) -> list[str]:
+    """Which of these parameters of the command that runs stand in the command line, as they are written there."""
+    context = click.get_current_context()
+    return [
+        each.opts[0]
+        for each in context.command.params
+        if each.name in names and context.get_parameter_source(each.name) is ParameterSource.COMMANDLINE
+    ]
+
+
+def refuse_live_options(*more: str, because: str) -> None:
+    """UsageError where an option of a live set-up, or one of `more`, was given to a command that is not live."""
+    if unused := given(*(field.name for field in fields(LiveOptions)), *more):
+        raise click.UsageError(f"only a live run uses {', '.join(unused)}: {because}")
 
 
 @contextmanager

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 Array = np.ndarray
 
-_HEIGHT = 6  # lines of the picture of B
+_HEIGHT = 6  # format: lines of the picture of B
 _EIGHTHS = " ▁▂▃▄▅▆▇█"
-_LABEL = 14
-_FRAME_S = 0.1  # between two pictures, wall clock
+_LABEL = 14  # format: characters before a line of the picture
+_FRAME_S = 0.1  # format: between two pictures, wall clock
 
 
 def picture(view: View) -> list[Text]:

@@ -19,9 +19,9 @@ from tautline.reports import figures, pages
 from tautline.simulated import instrument
 
 INDEX = "index.html"
-_TIMES = 4.0  # of the change that a user would notice, so that it is seen in a picture
-_CONTACT_DEG = 25.0
-_FEW = 5  # amplitudes that are shown together
+_TIMES = 4.0  # format: of the change that a user would notice, so that it is seen in a picture
+_CONTACT_DEG = 25.0  # format: where a contact is drawn, within the motion's bending
+_FEW = 5  # format: amplitudes that are shown together
 
 
 def write_all(folder: Path) -> Path:

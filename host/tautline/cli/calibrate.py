@@ -12,6 +12,8 @@ from tautline.calibration.calibrate import calibrate
 from tautline.calibration.options import Options
 from tautline.calibration.result import Calibration
 from tautline.cli._common import (
+    SEED,
+    NumberRange,
     emit,
     json_option,
     log,
@@ -21,7 +23,15 @@ from tautline.cli._common import (
     rig_option,
     warn,
 )
-from tautline.cli._live import LiveOptions, free_recording, live_options, opened, sigma_of, until_option
+from tautline.cli._live import (
+    LiveOptions,
+    free_recording,
+    live_options,
+    opened,
+    refuse_live_options,
+    sigma_of,
+    until_option,
+)
 from tautline.cli._outputs import Output, folder_option
 from tautline.errors import UnusableError
 from tautline.live import closing
@@ -62,7 +72,7 @@ from tautline.vision.marker import with_marker
 @click.option(
     "--at-most",
     "at_most_s",
-    type=click.FloatRange(min=1.0),
+    type=NumberRange(min=1.0),
     default=120.0,
     show_default=True,
     help="Live: s, after which it says why B(q) is not known so well.",
@@ -71,14 +81,14 @@ from tautline.vision.marker import with_marker
 @click.option(
     "--speed",
     "speeds",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=NumberRange(min=0.0, min_open=True),
     multiple=True,
     help="Live: of the motion's rounds (with --thorough of its passes) in turn, the rig's unit per second; up to four "
     "times.",
 )
 @click.option("--recording", "kept", type=Output(), help="Live: kept here. Default: OUT-recording.")
 @click.option("--video", is_flag=True, help="Live: keep the frames too.")
-@click.option("--seed", type=int, default=0, help="Of a simulation.")
+@click.option("--seed", type=SEED, default=0, help="Of a simulation.")
 @json_option
 def command(
     recording_paths: tuple[Path, ...],
@@ -98,6 +108,7 @@ def command(
     """
     options = Options(knots=knots, remaining=remaining)
     if recording_paths:
+        refuse_live_options("kept", *(name for name in live if name != "live"), because="leave them out, or RECORDING")
         calibration, lines, proposed = _from_recordings(recording_paths, rig_path, out, options, fleet)
     else:
         if fleet is not None:

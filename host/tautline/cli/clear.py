@@ -83,7 +83,8 @@ def log_text(log: list[dict[str, Any]] | None) -> list[str]:
     if log is None:
         return ["no log: the board's firmware keeps none; 'taut update' brings one that does"]
     shown = log[:_SHOWN]
-    lines = ["", f"the last {len(shown)} faults, newest first:"] if shown else []
+    title = "the last fault:" if len(shown) == 1 else f"the last {len(shown)} faults, newest first:"
+    lines = ["", title] if shown else []
     for row in shown:
         ago = row["starts_ago"]
         start = "this start" if ago == 0 else "the start before" if ago == 1 else f"the start {ago} before"

@@ -8,6 +8,7 @@ import click
 
 from tautline.cli._common import emit, json_option, log, rig_option
 from tautline.cli._live import LiveOptions, axis_option, board_option, end_option, opened, simulate_option, way_option
+from tautline.cli._outputs import Output
 from tautline.errors import TautError
 
 
@@ -30,7 +31,7 @@ from tautline.errors import TautError
 )
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=Output(file=True),
     default=Path("commission.png"),
     show_default=True,
     help="Picture of the step response.",
@@ -66,6 +67,7 @@ def command(
     stops = None if estop is None else wire.code("ESTOPS", estop.upper())
     if len(instrument.encode()) > 8:
         raise click.UsageError("--instrument takes 8 letters at most")
+    figures.check_ending(out)
     with opened(LiveOptions(board, axis, None, Path(), simulate, None), rig_path) as live:
         if live.plant is not None:
             live.plant.end_at(*live.rig.actuator.range)
@@ -79,8 +81,8 @@ def command(
         serial, bus = live.board.identity.serial, live.board.bus()
     try:
         figures.save(figures.servo_steps(commissioned.steps, commissioned.factor), out)
-    except OSError as error:
-        raise TautError(f"{out}: cannot be written ({error.strerror}): all is stored on the board") from error
+    except TautError as error:
+        raise TautError(f"{error}; all is stored on the board") from error
     step = commissioned.steps[commissioned.factor]
     changed = {name: value for name, value in commissioned.settings.items() if commissioned.before[name] != value}
     result = {

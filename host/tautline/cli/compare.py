@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tautline.cli._common import emit, json_option
-from tautline.cli._outputs import Output
+from tautline.cli._outputs import Output, check_no_input
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.reports import figures, pages
@@ -24,14 +24,13 @@ def command(model_paths: tuple[Path, ...], html_path: Path | None, as_json: bool
     """How B and f_remain changed: each model against the first."""
     if len(model_paths) < 2:
         raise click.UsageError("name two models or more")
+    check_no_input(html_path, *model_paths)
     models = {name: Model.load(path) for name, path in zip(_names(model_paths), model_paths, strict=True)}
-    units = {model.rig.actuator.unit for model in models.values()}
-    if len(units) > 1:
-        raise TautError("the models' motors have different units, mm and deg: they are not of one instrument")
+    unit = figures.common_unit(models)
     rows = pages.comparison(models)
     if html_path is not None:
         pages.write_comparison(models, html_path)
-    emit({"unit": units.pop(), "models": rows, "html": html_path}, as_json, _table(rows, next(iter(models.values()))))
+    emit({"unit": unit, "models": rows, "html": html_path}, as_json, _table(rows, next(iter(models.values()))))
 
 
 def _names(paths: tuple[Path, ...]) -> list[str]:
@@ -69,5 +68,7 @@ def _table(rows: list[dict[str, object]], first: Model) -> str:
 
 
 def _cell(value: object, factor: float) -> str:
-    """A number times the factor that takes it to its column's unit, else the text as it is."""
-    return f"{factor * value:.4g}" if isinstance(value, int | float | np.number) else str(value)
+    """A number times the factor that takes it to its column's unit, a dash for NaN, else the text as it is."""
+    if not isinstance(value, int | float | np.number):
+        return str(value)
+    return f"{factor * value:.4g}" if np.isfinite(value) else "-"

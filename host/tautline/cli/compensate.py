@@ -6,7 +6,15 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import compensation_option, emit, json_option, progress_bar, warn, warn_unusable
+from tautline.cli._common import (
+    Number,
+    compensation_option,
+    emit,
+    json_option,
+    progress_bar,
+    warn,
+    warn_unusable,
+)
 from tautline.cli._outputs import Output, check_no_input
 from tautline.compensation import RATES_HZ, compensate, read_trajectory, write_csv
 from tautline.model import Model
@@ -32,7 +40,7 @@ from tautline.undone import not_undone
     help="Set-points per second.",
 )
 @compensation_option
-@click.option("--start-deg", type=float, help="Where the tip starts, on the centre line; default: the first c_deg.")
+@click.option("--start-deg", type=Number(), help="Where the tip starts, on the centre line; default: the first c_deg.")
 @json_option
 def command(
     model_path: Path,

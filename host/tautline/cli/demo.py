@@ -8,7 +8,13 @@ from typing import Any
 
 import click
 
-from tautline.cli._common import emit, json_option, log, progress_bar
+from tautline.cli._common import (
+    SEED,
+    emit,
+    json_option,
+    log,
+    progress_bar,
+)
 from tautline.cli._outputs import folder_option
 from tautline.simulated.instrument import PRESETS
 
@@ -16,7 +22,7 @@ from tautline.simulated.instrument import PRESETS
 @click.command("demo")
 @folder_option("--out", "Folder for the recording, the model and the report.  [default: tautline-demo]", required=False)
 @click.option("--instrument", type=click.Choice(PRESETS), default="reference", show_default=True)
-@click.option("--seed", type=int, default=0, help="Of the instrument 'random', the background and the noise.")
+@click.option("--seed", type=SEED, default=0, help="Of the instrument 'random', the background and the noise.")
 @json_option
 def command(out: Path | None, instrument: str, seed: int, as_json: bool) -> None:
     """The whole job without hardware: calibrate a simulated instrument through its endoscope, flash its tables into a

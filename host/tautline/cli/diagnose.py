@@ -10,6 +10,8 @@ import click
 
 from tautline.calibration.result import Calibration
 from tautline.cli._common import (
+    SEED,
+    Number,
     emit,
     json_option,
     log,
@@ -18,7 +20,7 @@ from tautline.cli._common import (
     rig_option,
     warn_unusable,
 )
-from tautline.cli._live import LiveOptions, live_options, opened
+from tautline.cli._live import LiveOptions, given, live_options, opened, refuse_live_options
 from tautline.cli._outputs import Output, folder_option
 from tautline.diagnosis import narration
 from tautline.diagnosis.diagnose import diagnose
@@ -57,7 +59,9 @@ Progress = Callable[[float, str], None]
 @click.option("--actuator", help="With --simulator: its actuator whose control is q (or q_cmd, where it was recorded).")
 @click.option("--tip", help="With --simulator: what bends, joint:NAME or site:NAME.")
 @click.option(
-    "--scale", type=float, help="With --simulator: of the control, per unit of q; default 0.001 for mm, pi/180 for deg."
+    "--scale",
+    type=Number(),
+    help="With --simulator: of the control, per unit of q; default 0.001 for mm, pi/180 for deg.",
 )
 @click.option(
     "--workers",
@@ -71,7 +75,7 @@ Progress = Callable[[float, str], None]
     "--most", type=click.IntRange(min=1), default=5, show_default=True, help="Live: recordings, after which it ends."
 )
 @click.option("--recordings", "kept", type=Output(), help="Live: kept here. Default: OUT-recordings.")
-@click.option("--seed", type=int, default=0, help="Of a simulation.")
+@click.option("--seed", type=SEED, default=0, help="Of a simulation.")
 @json_option
 def command(
     calibration_path: Path | None,
@@ -106,8 +110,8 @@ def command(
             as_json,
         )
         return
-    if actuator is not None or tip is not None or scale is not None:
-        raise click.UsageError("--actuator, --tip and --scale go with --simulator")
+    if any(given("actuator", "tip", "scale", "workers")):
+        raise click.UsageError("--actuator, --tip, --scale and --workers go with --simulator")
     if is_live:
         if live.camera is None and live.simulate is None:
             raise click.UsageError("--live needs --camera SOURCE (and a board), or --simulate")
@@ -119,6 +123,7 @@ def command(
         emit({**asked.diagnosis.document, "live": more}, as_json, said)
         _topics_of(asked.diagnosis.document)
         return
+    refuse_live_options("most", "kept", "seed", because="name --live with them, or leave them out")
     if calibration_path is None or not test_paths:
         raise click.UsageError("name CALIBRATION and at least one TEST, or record them with --live")
     recordings, rig = read_recordings([calibration_path, *test_paths], rig_path)

@@ -5,13 +5,17 @@ from __future__ import annotations
 import textwrap
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from tautline.cli._common import emit, json_option
 from tautline.cli._outputs import Output
 
-_WIDTH = 100
+if TYPE_CHECKING:
+    from tautline.explain import Topic
+
+_WIDTH = 100  # format: characters of a line
 
 
 @click.command("explain")
@@ -20,7 +24,9 @@ _WIDTH = 100
 @json_option
 def command(code: str | None, folder: Path | None, as_json: bool) -> None:
     """What a message means: an effect (transmission.creep), a reason of a verdict (clock.offset), a fault (STALL), a
-    key of rig.toml (actuator.range), a file (motor.csv) or a term (f_remain). Without CODE: the list of all.
+    key of rig.toml (actuator.range), a file (motor.csv) or a term (f_remain).
+
+    Without CODE: the list of all. With effect, reason, fault, refusal, rig, shapes, file, format or term: of those.
 
     It is in the package: no network is needed.
     """
@@ -32,15 +38,19 @@ def command(code: str | None, folder: Path | None, as_json: bool) -> None:
         index = write_all(folder)
         emit({"index": index, "pages": len(topics())}, as_json, f"{len(topics())} pages: open {index}")
         return
-    if code is not None:
+    if code is not None and code.casefold() not in KINDS:
         topic = find(code)
         emit(asdict(topic), as_json, _topic_in_words(topic))
         return
-    lines = []
+    lines, listed = [], []
     for kind, title in KINDS.items():
+        if code is not None and code.casefold() != kind:
+            continue
+        of_kind = [topic for topic in topics().values() if topic.kind == kind]
+        listed += [topic.code for topic in of_kind]
         lines += ["", click.style(title, bold=True)]
-        lines += [f"  {topic.code:<40} {_first(topic.what)}" for topic in topics().values() if topic.kind == kind]
-    emit({"topics": list(topics())}, as_json, "\n".join(lines[1:]))
+        lines += [f"  {topic.code:<40} {_first(topic.what)}" for topic in of_kind]
+    emit({"topics": listed}, as_json, "\n".join(lines[1:]))
 
 
 def _first(text: str) -> str:
@@ -48,11 +58,8 @@ def _first(text: str) -> str:
     return textwrap.shorten(text, 78, placeholder=" ...")
 
 
-def _topic_in_words(topic: object) -> str:
+def _topic_in_words(topic: Topic) -> str:
     """A topic as text for a terminal."""
-    from tautline.explain import Topic
-
-    assert isinstance(topic, Topic)
     lines = [click.style(topic.code, bold=True), *textwrap.wrap(topic.what, _WIDTH)]
     for title, text in (("How to tell it", topic.tell), ("What to do", topic.mend)):
         if text:

@@ -6,7 +6,17 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import emit, json_option, log, progress_bar, read_rig, rig_option, warn, warn_unusable
+from tautline.cli._common import (
+    Number,
+    emit,
+    json_option,
+    log,
+    progress_bar,
+    read_rig,
+    rig_option,
+    warn,
+    warn_unusable,
+)
 from tautline.cli._outputs import Output, check_no_input
 from tautline.io.exporting import FORMATS, Mount, export
 from tautline.io.exporting.source import read
@@ -26,7 +36,9 @@ from tautline.io.exporting.source import read
 @click.option("--into", type=click.Path(path_type=Path), help="mjcf: the MJCF that the model goes into.")
 @click.option("--actuator", help="mjcf: its actuator whose control is q.")
 @click.option("--tip", help="mjcf: what bends, joint:NAME or site:NAME.")
-@click.option("--scale", type=float, help="mjcf: of the control, per unit of q; default 0.001 for mm, pi/180 for deg.")
+@click.option(
+    "--scale", type=Number(), help="mjcf: of the control, per unit of q; default 0.001 for mm, pi/180 for deg."
+)
 @click.option("--axis", help="linuxcnc: the joint's number; marlin, fluidnc, klipper: the axis' letter.")
 @json_option
 def command(
@@ -56,6 +68,8 @@ def command(
     missing = [name for name, value in named.items() if value is None]
     if 0 < len(missing) < len(named):
         raise click.UsageError(f"{', '.join(missing)} missing: --into, --actuator and --tip go together")
+    if scale is not None and into is None:
+        raise click.UsageError("--scale goes with --into, --actuator and --tip")
     mount = None
     if into is not None and actuator is not None and tip is not None:
         mount = Mount(into, actuator, tip, scale)

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
 import click
 
-from tautline.cli._common import emit, json_option, progress_bar, refuse_unusable, warn
+from tautline.cli._common import (
+    Number,
+    emit,
+    json_option,
+    progress_bar,
+    refuse_unusable,
+    warn,
+)
 from tautline.cli._live import axis_option, board_option
 
 _FIXED = (0.0, 1.0, 1.0)  # of --adapt
@@ -33,7 +41,7 @@ _MUCH = 0.1  # loss: of what there is to undo; plays that leave more are warned 
 )
 @click.option(
     "--adapt",
-    type=(float, float, float),
+    type=(Number(), Number(), Number()),
     metavar="OFFSET LEAST MOST",
     help="How far a host may move the tables in use: the offset, the rig's unit, and the least and the most of B. "
     "Default: a tenth of the range, 0 and 2. 0 1 1: not at all.",
@@ -120,6 +128,9 @@ def _joint(text: str) -> tuple[str, int, float]:
     column, _, rest = text.partition("=")
     axis, _, resolution = rest.partition(":")
     try:
-        return column, int(axis), float(resolution)
+        number, per_count = int(axis), float(resolution)
+        if not math.isfinite(per_count):
+            raise ValueError
     except ValueError:
         raise click.UsageError(f"--joint {text}: say it as translation_mm=1:0.001") from None
+    return column, number, per_count

@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 
 from tautline.cli._common import (
+    NumberRange,
     compensation_option,
     emit,
     force_option,
@@ -26,6 +28,7 @@ from tautline.cli._live import (
     live_options,
     opened,
     recalled,
+    seed_option,
     shape_text,
     shapes_option,
     tracking_text,
@@ -38,9 +41,7 @@ from tautline.cli._outputs import folder_option
 @live_options
 @rig_option
 @compensation_option
-@click.option(
-    "--strength", type=click.FloatRange(0.0, 1.0), default=1.0, help="Share of the lost motion that is taken up."
-)
+@click.option("--strength", type=NumberRange(0.0, 1.0), default=1.0, help="Share of the lost motion that is taken up.")
 @click.option(
     "--trajectory",
     metavar="FILE|SHAPE",
@@ -48,8 +49,8 @@ from tautline.cli._outputs import folder_option
     show_default=True,
     help="A CSV with columns t_s,c_deg, or a shape: trapezoids, smooth.",
 )
-@click.option("--speed", type=click.FloatRange(min=0.1), default=15.0, show_default=True, help="deg/s of a shape.")
-@click.option("--seed", type=int, default=0, help="Of the shape 'smooth', and of the simulation.")
+@click.option("--speed", type=NumberRange(min=0.1), default=15.0, show_default=True, help="deg/s of a shape.")
+@seed_option
 @click.option(
     "--track/--no-track",
     "track",
@@ -89,7 +90,9 @@ def command(
 
     model = Model.load(model_path) if model_path is not None else None
     library = None if library_path is None else Library.load(library_path)
-    if library is not None and (track is False or (live.camera is None and live.simulate is None)):
+    if track is None:
+        track = library is not None or (model is not None and live.camera is not None)
+    if library is not None and (not track or (live.camera is None and live.simulate is None)):
         raise click.UsageError("a shape is told by what the camera sees: name --camera, and leave --no-track out")
     if model is None and library is None and live.simulate is not None and compensation != "off":
         raise click.UsageError("a simulated board starts without tables: name MODEL, or --compensation off")
@@ -111,11 +114,11 @@ def command(
                 speed_deg_s=speed,
                 seed=seed,
                 folder=out,
-                track=track or library is not None or (track is None and model is not None and live.camera is not None),
+                track=track,
                 library=library,
                 progress=progress,
             )
-    if model is not None and model_path is not None and result.scored_by:
+    if model is not None and model_path is not None and len(result.error_deg):
         _add_to_report(model, model_path, result, compensation)
     emit(_report(result, compensation, out), as_json, _text(result, compensation, out, library))
     if result.clipped:
@@ -143,7 +146,7 @@ def _report(result: Any, compensation: str, out: Path | None) -> dict[str, Any]:
     """The run's result as JSON."""
     return {
         "compensation": compensation,
-        "seconds": float(result.t_s[-1] - result.t_s[0]),
+        "seconds": _seconds(result),
         "error_rms_deg": result.rms_deg,
         "error_max_deg": result.max_deg,
         "scored_by": result.scored_by,
@@ -156,11 +159,18 @@ def _report(result: Any, compensation: str, out: Path | None) -> dict[str, Any]:
     }
 
 
+def _seconds(result: Any) -> float:
+    """How long the run was seen, s."""
+    return float(np.ptp(result.t_s)) if len(result.t_s) else 0.0
+
+
 def _text(result: Any, compensation: str, out: Path | None, library: Any) -> str:
     """The run's result in words."""
-    text = f"followed {result.t_s[-1] - result.t_s[0]:.1f} s, compensation {compensation}"
-    if result.scored_by:
+    text = f"followed {_seconds(result):.1f} s, compensation {compensation}"
+    if len(result.error_deg):
         text += f": tip off by {result.rms_deg:.3f} deg rms, {result.max_deg:.3f} at most (by {result.scored_by})"
+    elif result.scored_by:
+        text += " (nothing is scored: the tip was not seen on its way, or its backlash not taken up both ways)"
     else:
         text += " (no camera: how far off the tip was is not known)"
     text += bus_text(result.bus)

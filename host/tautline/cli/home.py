@@ -6,7 +6,12 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import emit, json_option, rig_option
+from tautline.cli._common import (
+    NumberRange,
+    emit,
+    json_option,
+    rig_option,
+)
 from tautline.cli._live import LiveOptions, axis_option, board_option, end_option, opened, simulate_option, way_option
 
 
@@ -17,20 +22,20 @@ from tautline.cli._live import LiveOptions, axis_option, board_option, end_optio
 @rig_option
 @way_option
 @end_option
-@click.option("--retreat", type=click.FloatRange(min=0.0), help="The way back from it. Default: 2 % of the range.")
+@click.option("--retreat", type=NumberRange(min=0.0), help="The way back from it. Default: 2 % of the range.")
 @click.option(
     "--reach",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=NumberRange(min=0.0, min_open=True),
     help="The end must be within it, else the motor stops. Default: 1.5 times the range.",
 )
 @click.option(
     "--speed",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=NumberRange(min=0.0, min_open=True),
     help="The rig's unit per second. Default: a tenth of the range.",
 )
 @click.option(
     "--drive",
-    type=click.FloatRange(0.0, 1.0, min_open=True),
+    type=NumberRange(0.0, 1.0, min_open=True),
     help="Share of full drive that may press. Default, and most: the low drive in the board's settings.",
 )
 @json_option

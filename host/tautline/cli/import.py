@@ -21,7 +21,7 @@ from tautline.io.importing import (
 )
 from tautline.rig import UNITS
 
-_LISTED = 60  # channels that a person is shown
+_LISTED = 60  # format: channels that a person is shown
 
 
 @click.command("import")

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from tautline.cli._common import (
+    NumberRange,
     emit,
     json_option,
     log,
@@ -24,6 +25,7 @@ from tautline.cli._live import (
     live_options,
     motion_option,
     opened,
+    refuse_live_options,
     seed_option,
     sigma_of,
     speed_option,
@@ -45,7 +47,7 @@ from tautline.model import MODEL_FILE, Model
 @until_option
 @click.option(
     "--pace",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=NumberRange(min=0.0, min_open=True),
     default=1.0,
     show_default=True,
     help="Of a recording: times its own speed.",
@@ -88,8 +90,10 @@ def command(
     where nothing does. --watch shows whether a model still holds instead, --diagnose which effect is missing in it.
     """
     if recording_path is not None:
-        if live.simulate is not None or live.camera is not None:
-            raise click.UsageError("a RECORDING is played again, --camera and --simulate are live: choose one of them")
+        refuse_live_options(
+            "out", "until", "watched", "diagnosed", "motion", "speed", "seed",
+            because="a RECORDING is played again, choose one of them",
+        )  # fmt: skip
         result = _replay(recording_path, rig_path, pace)
     else:
         if live.camera is None and live.simulate is None:

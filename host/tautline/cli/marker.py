@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from tautline.cli._common import emit, json_option, progress_bar
-from tautline.cli._outputs import Output
+from tautline.cli._outputs import Output, check_no_input
 from tautline.errors import TautError
 from tautline.recording import COLOUR_FILE, REGION_FILE
 from tautline.vision.camera import VideoCamera, read_picture, sample_video
@@ -22,10 +22,10 @@ from tautline.vision.region import Region
 from tautline.vision.ros_camera import RosCamera, is_topic
 from tautline.vision.sighting import Sighting
 
-_STILL_FRAMES = 60  # that are tracked to say how well the marker can be seen
-_SPREAD = 12  # frames from all over a video in which the marker is looked for
-_SEARCHED_LINES = 480  # of a picture, at least, in which it is looked for
-_WARM_UP = 15  # frames of a device that pass while it finds its exposure
+_STILL_FRAMES = 60  # tolerance: that are tracked to say how well the marker can be seen
+_SPREAD = 12  # tolerance: frames from all over a video in which the marker is looked for
+_SEARCHED_LINES = 480  # tolerance: of a picture, at least, in which it is looked for
+_WARM_UP = 15  # prior: frames of a device that pass while it finds its exposure
 
 
 class _Square(click.ParamType):  # type: ignore[type-arg]
@@ -93,6 +93,9 @@ def command(
         _pick_region(source, region, out or _file_beside(source, REGION_FILE), as_json)
         return
     out = out or _file_beside(source, COLOUR_FILE)
+    shown = out.with_suffix(".png")
+    for written in (out, shown):
+        check_no_input(written, Path(source))
     pictures, spread = _pictures(source)
     colour = pick(pictures[0], at) if at or len(spread) == 1 else _find_colour(spread)
     if colour is None:
@@ -110,7 +113,6 @@ def command(
         raise TautError(f"{source}: a colour was found at {_where(colour)} but no marker: {seen[0].lost}; try --at U,V")
     first = seen.index(valid[0])
     _save(colour, out)
-    shown = out.with_suffix(".png")
     cv2.imwrite(str(shown), _marker_picture(pictures[first], colour, seen[first]))
     sigma = float(np.median([s.sigma_px for s in valid]))
     result = {
@@ -135,6 +137,9 @@ def command(
 
 def _pick_region(source: str, square: tuple[float, float, float], out: Path, as_json: bool) -> None:
     """Shows a region to follow on an instrument without a marker, and keeps it as region.toml."""
+    shown = out.with_suffix(".look.png")
+    for written in (out, out.with_suffix(".png"), shown):  # the second is the region's own
+        check_no_input(written, Path(source))
     pictures, _ = _pictures(source)
     region = Region(square[:2], square[2], np.asarray(pictures[0], dtype=np.uint8))
     tracker = region.tracker()
@@ -149,7 +154,6 @@ def _pick_region(source: str, square: tuple[float, float, float], out: Path, as_
             f"{source}: the place cannot be followed from its first picture on: show another, or a larger one"
         )
     _save(region, out)
-    shown = out.with_suffix(".look.png")
     cv2.imwrite(str(shown), _region_picture(pictures[0], region))
     sigma = float(np.median([s.sigma_px for s in valid]))
     result = {

@@ -8,7 +8,13 @@ from typing import Any
 
 import click
 
-from tautline.cli._common import emit, json_option, warn, warn_unusable
+from tautline.cli._common import (
+    Number,
+    emit,
+    json_option,
+    warn,
+    warn_unusable,
+)
 from tautline.cli._outputs import Output, check_no_input
 from tautline.errors import TautError
 from tautline.model import Model
@@ -30,7 +36,7 @@ from tautline.vision.marker import with_marker
 @click.argument("recording_path", metavar="RECORDING", type=click.Path(path_type=Path))
 @click.option("--csv", "csv_path", type=Output(file=True), required=True, help=f"Written: {COLUMNS}.")
 @click.option("--times", "times_path", type=click.Path(path_type=Path), help="Predict at this file's column t_s.")
-@click.option("--start-deg", type=float, help="Where the tip starts; default: on the centre line, f_remain(q[0]).")
+@click.option("--start-deg", type=Number(), help="Where the tip starts; default: on the centre line, f_remain(q[0]).")
 @click.option("--score", "scores", is_flag=True, help="Say as well how far off what the recording's sensor saw is.")
 @json_option
 def command(

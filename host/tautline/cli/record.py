@@ -6,7 +6,14 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import emit, json_option, progress_bar, rig_option, warn
+from tautline.cli._common import (
+    NumberRange,
+    emit,
+    json_option,
+    progress_bar,
+    rig_option,
+    warn,
+)
 from tautline.cli._live import LiveOptions, bus_text, live_options, motion_option, opened, seed_option, speed_option
 from tautline.cli._outputs import folder_option
 
@@ -17,9 +24,7 @@ from tautline.cli._outputs import folder_option
 @rig_option
 @motion_option("off: move it yourself")
 @speed_option
-@click.option(
-    "--duration", type=click.FloatRange(min=0.1), default=60.0, show_default=True, help="s, where nothing moves."
-)
+@click.option("--duration", type=NumberRange(min=0.1), default=60.0, show_default=True, help="s, where nothing moves.")
 @click.option("--video/--no-video", default=False, help="Keep the frames too.")
 @seed_option
 @json_option

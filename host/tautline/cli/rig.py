@@ -9,8 +9,15 @@ from typing import Any
 
 import click
 
-from tautline.cli._common import emit, json_option, log, progress_bar, warn
-from tautline.cli._outputs import Output
+from tautline.cli._common import (
+    NumberRange,
+    emit,
+    json_option,
+    log,
+    progress_bar,
+    warn,
+)
+from tautline.cli._outputs import Output, check_no_input
 from tautline.errors import TautError
 from tautline.recording import load
 from tautline.rig import ANGLE, FORMAT, MARKER, Coarse, Rig, Sensor
@@ -31,7 +38,7 @@ from tautline.rigging.picture import picture
 from tautline.vision.camera import read_picture, sample_video
 from tautline.vision.marker import with_marker
 
-_VIEWS = 60  # of a video
+_VIEWS = 60  # tolerance: of a video; a board that is moved slowly is then seen from everywhere
 
 
 class _Squares(click.ParamType):  # type: ignore[type-arg]
@@ -41,6 +48,8 @@ class _Squares(click.ParamType):  # type: ignore[type-arg]
         """How many squares a board has across and down."""
         try:
             across, down = (int(part) for part in str(value).lower().split("x"))
+            if min(across, down) < 1:
+                raise ValueError
         except ValueError:
             self.fail(f"'{value}' are no squares: write how many across and down, as in 8x6", param, ctx)
         return across, down
@@ -61,8 +70,8 @@ class _Squares(click.ParamType):  # type: ignore[type-arg]
 @click.option("--sensor", type=click.Choice([MARKER, ANGLE]), help="What sees the tip: a camera, or an angle sensor.")
 @click.option("--board", multiple=True, type=click.Path(path_type=Path), help="A video or pictures of a ChArUco board.")
 @click.option("--squares", type=_Squares(), help="Of the board, across and down.")
-@click.option("--square-mm", type=click.FloatRange(0.0, min_open=True), help="A square's side, measured on the print.")
-@click.option("--marker-mm", type=click.FloatRange(0.0, min_open=True), help="The side of a marker in a square.")
+@click.option("--square-mm", type=NumberRange(0.0, min_open=True), help="A square's side, measured on the print.")
+@click.option("--marker-mm", type=NumberRange(0.0, min_open=True), help="The side of a marker in a square.")
 @click.option("--dictionary", type=click.Choice(sorted(DICTIONARIES)), default="4X4_50", show_default=True)
 @click.option("--motion", type=click.Path(path_type=Path), help="A recording in which the tip rests at known angles.")
 @click.option(
@@ -72,7 +81,7 @@ class _Squares(click.ParamType):  # type: ignore[type-arg]
 )
 @click.option(
     "--angle-sigma",
-    type=click.FloatRange(0.0),
+    type=NumberRange(0.0),
     default=0.5,
     show_default=True,
     help="How exactly the angles are known, deg.",
@@ -92,6 +101,9 @@ def command(
         raise TautError(f"{out}: is there already: go on from it with --from {out}, or name another with --out")
     if motion is None and angles is not None:
         raise click.UsageError("--angles says how the tip was bent in --motion: name the recording")
+    shown = out.with_suffix(".png")
+    if motion is not None:
+        check_no_input(shown, motion, *board)
     if not board and (squares or square_mm is not None or marker_mm is not None):
         raise click.UsageError("--squares, --square-mm and --marker-mm are of a --board: name its pictures or video")
     document: rig_keys.Document = Rig.load(start).to_document() if start is not None else {"format": FORMAT}
@@ -137,7 +149,7 @@ def command(
     rig = Rig.from_document(document, str(out))
     rig.save(out)
     if motion is not None:
-        result["picture"] = shown = out.with_suffix(".png")
+        result["picture"] = shown
         picture(rig, places).savefig(shown, dpi=120)
         told.append(f"look at {shown}: the curve passes through the marker's places, angles rise where they should")
     emit(result, as_json, "\n".join([*told, f"{out} is whole: taut calibrate RECORDING --rig {out}"]))

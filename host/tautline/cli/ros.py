@@ -12,6 +12,7 @@ from typing import Any
 import click
 
 from tautline.cli._common import (
+    NumberRange,
     emit,
     force_option,
     json_option,
@@ -43,7 +44,7 @@ from tautline.model import Model
 @colour_option
 @rig_option
 @at_option
-@click.option("--duration", type=click.FloatRange(min=0.1), help="s; default until Ctrl-C ends it.")
+@click.option("--duration", type=NumberRange(min=0.1), help="s; default until Ctrl-C ends it.")
 @click.option(
     "--ros-args", "of_ros", is_flag=True, help="Behind it stand ROS' own arguments, -r NAME:=NAME, -p NAME:=VALUE."
 )

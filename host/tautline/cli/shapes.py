@@ -7,8 +7,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tautline.cli._common import emit, json_option, log, progress_bar, refuse_unusable, rig_option
-from tautline.cli._live import LiveOptions, live_options, opened, seed_option
+from tautline.cli._common import (
+    Number,
+    emit,
+    json_option,
+    log,
+    progress_bar,
+    refuse_unusable,
+    rig_option,
+)
+from tautline.cli._live import LiveOptions, live_options, opened, refuse_live_options, seed_option
 
 if TYPE_CHECKING:
     from tautline.shapes import Library, Shape
@@ -27,7 +35,7 @@ def command() -> None:
 @click.argument("library", type=click.Path(path_type=Path))
 @click.argument("name")
 @click.argument("model_path", metavar="MODEL", type=click.Path(path_type=Path))
-@click.option("--current", type=float, help="mA: the motor's mean current in this shape.")
+@click.option("--current", type=Number(), help="mA: the motor's mean current in this shape.")
 @json_option
 def add(library: Path, name: str, model_path: Path, current: float | None, as_json: bool) -> None:
     """Remember MODEL as the shape NAME; one of that name is replaced."""
@@ -81,11 +89,12 @@ def recall(
     from tautline.shapes import Library
 
     known = Library.load(library)
-    if recording_path is None:
+    if recording_path is not None:
+        refuse_live_options("rig_path", "seed", because="leave them out, or RECORDING")
+        nearest, rms = _recall_from_recording(known, recording_path)
+    else:
         with opened(live, rig_path, seed, model=known.first()) as setup, progress_bar("recall") as progress:
             nearest, rms = of_live(setup, known, progress)
-    else:
-        nearest, rms = _recall_from_recording(known, recording_path)
     for name, off in rms.items():
         log(f"taut: {name}: off by {off:.3g} rms")
     folder = library / nearest.name

@@ -9,7 +9,16 @@ from pathlib import Path
 import click
 import numpy as np
 
-from tautline.cli._common import emit, json_option, progress_bar, read_rig, warn
+from tautline.cli._common import (
+    SEED,
+    Number,
+    NumberRange,
+    emit,
+    json_option,
+    progress_bar,
+    read_rig,
+    warn,
+)
 from tautline.cli._outputs import folder_option
 from tautline.errors import TautError
 from tautline.rig import Actuator
@@ -19,7 +28,7 @@ from tautline.simulated.simulate import TRUTH, run
 from tautline.trajectory import Trajectory, back_and_forth, random_smooth, sines, trapezoids
 from tautline.vision.timing import FrameTiming
 
-_WAY_BACK = 0.105  # of the range, longer than any backlash
+_WAY_BACK = 0.105  # prior: of the range, longer than any backlash
 
 
 @dataclass(frozen=True)
@@ -114,29 +123,29 @@ MOTIONS = tuple(_MOTIONS)
 @click.option(
     "--speed",
     "speeds",
-    type=click.FloatRange(min=0, min_open=True),
+    type=NumberRange(min=0, min_open=True),
     multiple=True,
     help="Top speed, rig unit/s; back-and-forth takes several. Default: 5 and 10 % of the range a second, else 10 %.",
 )
 @click.option(
     "--amplitude",
-    type=click.FloatRange(min=0, min_open=True),
+    type=NumberRange(min=0, min_open=True),
     help="Stroke of back-and-forth (default 15 % of the range, more below 40 reversals) and trapezoids (30 %).",
 )
 @click.option("--reversals", type=click.IntRange(2, 2000), default=40, show_default=True, help="On one way up or down.")
-@click.option("--dwell", type=click.FloatRange(min=0), default=0.2, show_default=True, help="Rest at a reversal, s.")
+@click.option("--dwell", type=NumberRange(min=0), default=0.2, show_default=True, help="Rest at a reversal, s.")
 @click.option(
-    "--duration", type=click.FloatRange(0.1, 7200), default=60.0, show_default=True, help="Of sines and random, s."
+    "--duration", type=NumberRange(0.1, 7200), default=60.0, show_default=True, help="Of sines and random, s."
 )
-@click.option("--sway", type=(float, float), default=(0.0, 0.0), help="Translation (mm) and rotation (deg) that sway.")
-@click.option("--noise", type=click.FloatRange(min=0), default=0.05, show_default=True, help="Of marker.csv, px rms.")
 @click.option(
-    "--delay", type=click.FloatRange(min=0), help="True delay of the frames, s. Default: the rig's nominal one."
+    "--sway", type=(Number(), Number()), default=(0.0, 0.0), help="Translation (mm) and rotation (deg) that sway."
 )
-@click.option("--jitter", type=click.FloatRange(min=0), default=0.0, help="Of the frames' arrival, s rms.")
-@click.option("--lost", type=click.FloatRange(0, 0.9), default=0.0, help="Share of the frames that never arrive.")
-@click.option("--angle-noise", type=click.FloatRange(min=0), help="Record an external angle sensor too, deg rms.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--noise", type=NumberRange(min=0), default=0.05, show_default=True, help="Of marker.csv, px rms.")
+@click.option("--delay", type=NumberRange(min=0), help="True delay of the frames, s. Default: the rig's nominal one.")
+@click.option("--jitter", type=NumberRange(min=0), default=0.0, help="Of the frames' arrival, s rms.")
+@click.option("--lost", type=NumberRange(0, 0.9), default=0.0, help="Share of the frames that never arrive.")
+@click.option("--angle-noise", type=NumberRange(min=0), help="Record an external angle sensor too, deg rms.")
+@click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option("--video", is_flag=True, help="Draw the frames (MJPEG) instead of writing marker.csv.")
 @click.option("--lossless", is_flag=True, help="Draw them without loss, 0.6 MB a frame.")
 @click.option("--background", type=click.Path(path_type=Path), help="A picture to draw the instrument over.")
@@ -184,9 +193,8 @@ def command(
     if any(sway):
         trajectory = trajectory.with_sway(*sway, period_s=20.0)
     jitter = jitter or made.jitter_s
-    timing = FrameTiming.of(rig, jitter_s=jitter, lost=lost, seed=seed)
-    if delay is not None:
-        timing = FrameTiming.of(rig, delay_s=delay, jitter_s=jitter, lost=lost, seed=seed)
+    delay_s = rig.delay_s if delay is None else delay
+    timing = FrameTiming.of(rig, delay_s=delay_s, jitter_s=jitter, lost=lost, seed=seed)
     simulation = run(
         rig, made, trajectory, noise_px=noise, timing=timing, angle_noise_deg=angle_noise, seed=seed, name=out.name
     )

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING
 import click
 
 from tautline.cli._common import (
+    Number,
+    NumberRange,
     emit,
     force_option,
     json_option,
@@ -52,16 +54,15 @@ if TYPE_CHECKING:
 @colour_option
 @rig_option
 @shapes_option(RECALLS)
+@click.option("--rate", type=NumberRange(50.0, 1000.0), default=250.0, show_default=True, help="Set-points per second.")
+@click.option("--silence", type=NumberRange(0.01, 2.0), default=0.1, show_default=True, help="s after which it rests.")
 @click.option(
-    "--rate", type=click.FloatRange(50.0, 1000.0), default=250.0, show_default=True, help="Set-points per second."
+    "--sine",
+    type=(Number(), NumberRange(min=0.0, min_open=True)),
+    metavar="DEG SECONDS",
+    help="Instead of stdin: a sine, amplitude and period.",
 )
-@click.option(
-    "--silence", type=click.FloatRange(0.01, 2.0), default=0.1, show_default=True, help="s after which it rests."
-)
-@click.option(
-    "--sine", type=(float, float), metavar="DEG SECONDS", help="Instead of stdin: a sine, amplitude and period."
-)
-@click.option("--duration", type=click.FloatRange(min=0.1), help="s; default until stdin or Ctrl-C ends it.")
+@click.option("--duration", type=NumberRange(min=0.1), help="s; default until stdin or Ctrl-C ends it.")
 @force_option
 @json_option
 def command(
@@ -190,13 +191,15 @@ class _Lines:
         self.ended = False  # whether nothing will come any more
 
     def newest(self) -> str | None:
-        """The last whole line that is not blank and has come since the last call; None where there is none."""
+        """The last line that is not blank and has come whole since the last call; None where there is none. What stands
+        at the end of the input is whole without a line's end, too."""
         last = None
         while not self.ended and self._inputs.select(0):
             data = os.read(sys.stdin.fileno(), 1 << 16)
             self.ended = not data
-            *whole, self._rest = (self._rest + data).split(b"\n")
-            last = next((line for line in reversed(whole) if line.strip()), last)
+            lines = (self._rest + data).split(b"\n")
+            self._rest = b"" if self.ended else lines.pop()
+            last = next((line for line in reversed(lines) if line.strip()), last)
         return last.decode("utf-8", "replace") if last is not None else None
 
 

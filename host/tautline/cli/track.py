@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tautline.cli._common import emit, json_option, log, progress_bar, read_recordings, warn_unusable
+from tautline.cli._common import STATE_COLOURS, emit, json_option, log, progress_bar, read_recordings, warn_unusable
 from tautline.cli._outputs import Output, check_no_input
 from tautline.model import Model
 from tautline.rig import MARKER, RIG_FILE
@@ -16,8 +16,7 @@ from tautline.vision.marker import with_marker
 if TYPE_CHECKING:
     from tautline.tracking import Tracked
 
-_COLOURS = {"trusted": "green", "stale": "yellow", "adapting": "cyan"}
-_MOST_CHANGES = 12  # that are told one by one
+_MOST_CHANGES = 12  # format: that are told one by one
 
 
 @click.command("track")
@@ -99,7 +98,7 @@ def _summary(result: Tracked, recordings: list[Any]) -> list[dict[str, Any]]:
                 "offset_sigma": last.offset_sigma,
                 "scale": last.scale,
                 "scale_sigma": last.scale_sigma,
-                "frames": {state: states.count(state) for state in _COLOURS},
+                "frames": {state: states.count(state) for state in STATE_COLOURS},
             }
         )
     return table
@@ -109,7 +108,7 @@ def _log_result(result: Tracked, summary: list[dict[str, Any]]) -> None:
     """Logs the changes of state and, for each recording, its residual and the law at its end."""
     unit, shown = ("px", "frames") if result.sensor == MARKER else ("deg", "readings")
     for change in result.changes[:_MOST_CHANGES]:
-        state = click.style(change.state.value, fg=_COLOURS[change.state.value], bold=True)
+        state = click.style(change.state.value, fg=STATE_COLOURS[change.state.value], bold=True)
         log(f"taut: {summary[change.recording]['name']}, {change.t_s:.2f} s: {state}, {change.says}")
     if len(result.changes) > _MOST_CHANGES:
         log(f"taut: and {len(result.changes) - _MOST_CHANGES} changes more (--json lists them)")

@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tautline.cli._common import emit, json_option, log, rig_option, warn_tracked_alone, warn_unusable
+from tautline.cli._common import (
+    STATE_COLOURS,
+    NumberRange,
+    emit,
+    json_option,
+    log,
+    rig_option,
+    warn_tracked_alone,
+    warn_unusable,
+)
 from tautline.cli._live import (
     LiveOptions,
     live_options,
@@ -27,8 +36,7 @@ from tautline.model import Model
 if TYPE_CHECKING:
     from tautline.tracking import Row
 
-_COLOURS = {"trusted": "green", "stale": "yellow", "adapting": "cyan"}
-_FRAME_S = 0.2  # between two pictures, wall clock
+_FRAME_S = 0.2  # format: between two pictures, wall clock
 
 
 @click.command("watch")
@@ -37,7 +45,7 @@ _FRAME_S = 0.2  # between two pictures, wall clock
 @rig_option
 @motion_option("whatever drives it")
 @speed_option
-@click.option("--duration", type=click.FloatRange(min=0.1), help="s. Default: until Ctrl-C, or the motion's end.")
+@click.option("--duration", type=NumberRange(min=0.1), help="s. Default: until Ctrl-C, or the motion's end.")
 @seed_option
 @shapes_option()
 @json_option
@@ -83,7 +91,7 @@ def _progress_display(unit: str, as_json: bool) -> Iterator[Callable[[Row, float
     def changed(row: Row, t_s: float) -> None:
         if row.state is not last[0]:
             if last[0] is not None:
-                state = click.style(row.state.value, fg=_COLOURS[row.state.value], bold=True)
+                state = click.style(row.state.value, fg=STATE_COLOURS[row.state.value], bold=True)
                 log(f"taut: {t_s:.2f} s: {state}, {row.reason}")
             last[0] = row.state
 
@@ -110,7 +118,7 @@ def _row_line(row: Row, t_s: float, unit: str) -> Any:
     from rich.text import Text
 
     line = Text(f"{t_s:8.1f} s  ")
-    line.append(f"{row.state.value:9s}", style=f"bold {_COLOURS[row.state.value]}")
+    line.append(f"{row.state.value:9s}", style=f"bold {STATE_COLOURS[row.state.value]}")
     line.append(f" offset {row.offset:+.4f} ± {row.offset_sigma:.4f} {unit}")
     line.append(f", scale {row.scale:.3f} ± {row.scale_sigma:.3f}")
     line.append(f"  {row.reason}", style="dim")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterator, Mapping
 from functools import cache
 from itertools import chain
@@ -110,8 +111,17 @@ def _faults() -> Iterator[Topic]:
         if not number:
             continue
         says, _, mend = text.partition(": ")
+        says, measured = _without_measure(says)
         mended = f"{mend[:1].upper()}{mend[1:]}. {AFTER}" if mend else AFTER
-        yield Topic(name, "fault", f"{says[:1].upper()}{says[1:]}.", LOOK.get(name, ""), mended)
+        yield Topic(name, "fault", f"{says[:1].upper()}{says[1:]}.{measured}", LOOK.get(name, ""), mended)
+
+
+def _without_measure(says: str) -> tuple[str, str]:
+    """A fault's text without the brackets in which a message has the measured value, and a sentence on its unit."""
+    found = re.search(r" \((?:by |at )?([^)]+)\)", says)
+    if found is None:
+        return says, ""
+    return says.replace(found[0], ""), f" The number in its message: {found[1]}."
 
 
 def _refusals() -> Iterator[Topic]:

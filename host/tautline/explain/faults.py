@@ -4,11 +4,9 @@ from __future__ import annotations
 
 LOOK = {
     "FOLLOWING": "The motor was sent somewhere and stayed behind. It happens at once where something blocks it, and "
-    "at speed "
-    "where supply or gains are too weak.",
+    "at speed where supply or gains are too weak.",
     "CURRENT": "The mean current over 20 ms was above the limit. A blocked instrument, a short in the motor, or a "
-    "limit "
-    "that is too low.",
+    "limit that is too low.",
     "HOST_LOST": "The program that moved the axis went away or was too slow. The axis came to rest by itself.",
     "TABLE": "Both slots hold damaged tables, as after two cuts of power while writing.",
     "OVERRUN": "The control loop was late. It never is on a sound board: note what it did, and the counters.",
@@ -23,14 +21,13 @@ LOOK = {
     "OSCILLATION": "The servo excited itself. Commissioning tunes it again: taut commission.",
     "REVERSED": "At low drive, before the loop was closed, the encoder counted the other way.",
     "SCALE": "The motor turned three times faster or slower than the gains say: another motor, gear or encoder than "
-    "they "
-    "are for.",
+    "they are for.",
     "UNMOVED": "The check at low drive saw nothing: plug, supply, or something that blocks.",
     "NO_END": "Homing went its whole reach and nothing stopped it.",
     "GROUP": "The axes of a group hold one instrument between them, as antagonists do: none is driven while another "
     "has a fault. That one's own fault says what happened.",
-    "ESTOP": "Somebody pressed the stop button, or its wire is broken where it is one that opens. The settings say how "
-    "it is wired: 'taut commission --estop'.",
+    "ESTOP": "Somebody pressed the stop button, or its wire is broken where it is one that opens. The settings say "
+    "how it is wired: 'taut commission --estop'.",
     "SETTINGS": "Both copies of the settings are damaged: the axis works with none.",
 }
 AFTER = "Then 'taut clear' and run the command again; 'taut home' where the position is not known any more."

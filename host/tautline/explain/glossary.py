@@ -21,8 +21,7 @@ TERMS = (
     _term(
         "backlash",
         "Motion that is lost between motor and tip after every change of direction: the motor turns, nothing moves. "
-        "Its "
-        "width is B.",
+        "Its width is B.",
         "B",
         "play",
         "reversal",
@@ -31,24 +30,22 @@ TERMS = (
     _term(
         "B",
         "The backlash's width, in the unit of q: how far the motor turns after a reversal before the tip moves. It "
-        "depends "
-        "on where that happens, so it is a curve B(q), q the middle of the way.",
+        "depends on where that happens, so it is a curve B(q), q the middle of the way.",
         "backlash",
         "onset",
         aliases=("B(q)", "width", "q_mean"),
     ),
     _term(
         "f_coarse",
-        "The law from q to c that the instrument's kinematics says, before anything is measured: c = gain * q + offset "
-        "([coarse] of rig.toml).",
+        "The law from q to c that the instrument's kinematics says, before anything is measured: c = gain * q + "
+        "offset ([coarse] of rig.toml).",
         "f_remain",
         "rig.coarse.gain",
     ),
     _term(
         "f_remain",
         "The law from q to c that is left once the backlash is taken out: the middle line between the way up and the "
-        "way "
-        "down. Measured from the camera's pose; f_coarse is what it would be on a perfect instrument.",
+        "way down. Measured from the camera's pose; f_coarse is what it would be on a perfect instrument.",
         "f_coarse",
         "play",
         "envelope",
@@ -56,9 +53,8 @@ TERMS = (
     ),
     _term(
         "play",
-        "The model of backlash: a tip that lies between two walls which the motor moves. p is its place, q - B/2 <= "
-        "p <= "
-        "q + B/2, and c = f_remain(p).",
+        "The model of backlash: a tip that lies between two walls which the motor moves. p is its place, q - B/2 <= p "
+        "<= q + B/2, and c = f_remain(p).",
         "B",
         "envelope",
         "play element",
@@ -67,9 +63,8 @@ TERMS = (
     _term(
         "play element",
         "One of several plays whose mean is the tip: together they make an onset gradual (Prandtl-Ishlinskii). Their "
-        "widths "
-        "are shares of one B(q). Where friction builds up instead (Bouc-Wen's, Dahl's) a model has one state between "
-        "the envelopes, and a board's tables the plays nearest to it.",
+        "widths are shares of one B(q). Where friction builds up instead (Bouc-Wen's, Dahl's) a model has one state "
+        "between the envelopes, and a board's tables the plays nearest to it.",
         "play",
         "transmission.smooth_onset",
         aliases=("elements", "Prandtl-Ishlinskii", "Bouc-Wen", "Dahl"),
@@ -77,8 +72,8 @@ TERMS = (
     _term(
         "envelope",
         "The two curves of c over q on which the tip is once the backlash is taken up: one for rising q, one for "
-        "falling. "
-        "They lie B apart; between them the tip rests. A reversal counts only if the tip was on an envelope before it.",
+        "falling. They lie B apart; between them the tip rests. A reversal counts only if the tip was on an envelope "
+        "before it.",
         "play",
         "reversal",
         "branch",
@@ -91,17 +86,15 @@ TERMS = (
     ),
     _term(
         "onset",
-        "The moment at which the image begins to move after a reversal. The motor's way from the reversal until "
-        "then, less "
-        "the delay's share, is B.",
+        "The moment at which the image begins to move after a reversal. The motor's way from the reversal until then, "
+        "less the delay's share, is B.",
         "B",
         "delay",
     ),
     _term(
         "hand-eye",
         "Where the camera is to the instrument's base: a rotation and a translation ([hand_eye] of rig.toml). B does "
-        "not "
-        "need it; f_remain does.",
+        "not need it; f_remain does.",
         "registration.static",
         "rig.hand_eye.rotation_deg",
         aliases=("hand-eye transform", "registration"),
@@ -109,8 +102,7 @@ TERMS = (
     _term(
         "delay",
         "How old a frame is when it arrives, s: exposure, transfer, decoding. It is measured at the moments at which "
-        "the "
-        "image stops.",
+        "the image stops.",
         "onset",
         "rig.camera.delay_s",
         aliases=("t_delay",),
@@ -161,8 +153,7 @@ TERMS = (
     _term(
         "verdict",
         "How far a calibration may be trusted. good: what it states covers the error. doubtful: something is there "
-        "that the "
-        "model does not hold. unusable: nothing should be driven with it.",
+        "that the model does not hold. unusable: nothing should be driven with it.",
         "sigma",
         "residual",
     ),

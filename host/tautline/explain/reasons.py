@@ -13,13 +13,11 @@ REASONS = (
     _reason(
         "coverage",
         "Too little of the range was driven in a way that shows B: no reversal with an onset, or positions that the "
-        "tip "
-        "passed one way only.",
-        "In report.html the grey parts of B(q) are those that no reversal reached; every reversal says why it was "
-        "not used.",
-        "Move back and forth over the whole range, by more than the backlash each time, and run on for a while "
-        "before each "
-        "turn so that the tip is on an envelope.",
+        "tip passed one way only.",
+        "In report.html the grey parts of B(q) are those that no reversal reached; every reversal says why it was not "
+        "used.",
+        "Move back and forth over the whole range, by more than the backlash each time, and run on for a while before "
+        "each turn so that the tip is on an envelope.",
         "envelope",
         "B",
     ),
@@ -28,8 +26,7 @@ REASONS = (
         "The tip bends by another amount per unit of q than f_coarse says, or the other way round.",
         "The sentence has both gains: a ratio of -1 is a sign, 25.4 an inch, 57.3 a radian.",
         "Check the encoder's direction and scale, coarse.gain, actuator.unit, camera.fx_px and hand_eye; a mirrored "
-        "image "
-        "turns the sign too.",
+        "image turns the sign too.",
         "rig.coarse.gain",
         "f_coarse",
     ),
@@ -77,8 +74,8 @@ REASONS = (
     _reason(
         "scene",
         "The camera sees the world from the tip: that tells when the tip moves, and not by how much it bends.",
-        "What lies near turns by more than the tip does, as the tip goes sideways as well; how far it is nothing says. "
-        "B, the onsets and the delay do not need it.",
+        "What lies near turns by more than the tip does, as the tip goes sideways as well; how far it is nothing "
+        "says. B, the onsets and the delay do not need it.",
         "Measure f_remain with a camera that sees the instrument, or an angle sensor.",
         "rig.camera.mount",
     ),
@@ -128,8 +125,8 @@ REASONS = (
     _reason(
         "clock.offset",
         "The sensor's clock is off from the motor's by more than any delay.",
-        "Calibration tries every offset within 10 s and takes off the one that fits; where two fit alike, or none, "
-        "it says so.",
+        "Calibration tries every offset within 10 s and takes off the one that fits; where two fit alike, or none, it "
+        "says so.",
         "Put both on one clock; where it cannot be told, make a motion that does not repeat.",
         "delay",
     ),
@@ -150,8 +147,7 @@ REASONS = (
     _reason(
         "encoder",
         "The motor's own readings are too coarse or too noisy for this backlash, or the tip does not rest where the "
-        "counts "
-        "say that the motor turned.",
+        "counts say that the motor turned.",
         "motor.csv scatters at rest, or moves in steps that are seen beside B.",
         "Shield the encoder's lines or take one with finer counts; look for stick-slip.",
         "rig.actuator.encoder_resolution",

@@ -79,17 +79,22 @@ class Evidence:
                 f"{path}: cannot be read, {why}: make it again with taut calibrate, or delete it for a report without "
                 "the recording"
             ) from error
-        n = len(evidence.t_s)
-        if not (
-            len(evidence.q) == len(evidence.seen) == len(evidence.settled) == n
-            and evidence.error.shape[:2] == (len(STAGES), n)
+        n, d = evidence.seen.shape if evidence.seen.ndim == 2 else (-1, -1)
+        columns = (getattr(evidence, name) for name in ("recording", "t_s", "q", "path", "c_deg", "settled"))
+        if (
+            n < 1
+            or any(column.shape != (n,) for column in columns)
+            or evidence.error.shape != (len(STAGES), n, d)
+            or evidence.offset_s.shape != evidence.names.shape
+            or evidence.names.ndim != 1
         ):
             raise TautError(f"{path}: its parts do not fit each other: make it again with taut calibrate")
         return evidence
 
 
 def collect(model: Model, recordings: Sequence[Recording]) -> Evidence:
-    """The evidence for a report from recordings with a marker (without a camera: an angle); others are left out."""
+    """The evidence for a report from recordings with a marker (without a camera: an angle); others are left out. It has
+    no row where the tip was never seen within the motor's times, as when their clocks are not one."""
     clock = SessionClock.of(recordings)
     parts = [
         _collect_one(model, recording, index, clock.offset_s[index])
@@ -177,10 +182,10 @@ class Run:
         return float(np.sqrt(np.mean(error**2))) if len(error) else float("nan")
 
     def save(self, folder: Path, compensation: str) -> None:
-        """Writes the run beside a model, for its report."""
+        """Writes the run beside a model, for its report. Nine digits: a board's clock counts for days."""
         columns = {"t_s": self.t_s, "goal_deg": self.goal_deg, "tip_deg": self.tip_deg, "counted": self.counted}
         table = pd.DataFrame({name: values.astype(float) for name, values in columns.items()})
-        write_file(folder / f"follow-{compensation}.csv", table.to_csv(index=False, float_format="%.6g"))
+        write_file(folder / f"follow-{compensation}.csv", table.to_csv(index=False, float_format="%.9g"))
 
     @classmethod
     def load_all(cls, folder: Path) -> dict[str, Self]:

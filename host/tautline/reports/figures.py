@@ -47,7 +47,7 @@ STYLE: Any = {  # matplotlib's own names
     "legend.fontsize": 8,
     "svg.hashsalt": "tautline",
 }
-MANY = 3000  # samples from which a scatter is drawn as pixels inside the vector picture
+MANY = 3000  # format: samples from which a scatter is drawn as pixels inside the vector picture
 
 
 def figure(width: float, height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Figure, Array]:
@@ -95,6 +95,21 @@ def finer(unit: str) -> tuple[str, float]:
     return ("µm", 1e3) if unit == "mm" else (unit, 1.0)
 
 
+def common_unit(models: Mapping[str, Model]) -> str:
+    """The unit of q of models that are compared. TautError where there is none, or more than one."""
+    units = {model.rig.actuator.unit for model in models.values()}
+    if not units:
+        raise TautError("no model to compare: name two or more")
+    if len(units) > 1:
+        raise TautError("the models' motors have different units, mm and deg: they are not of one instrument")
+    return units.pop()
+
+
+def inside(model: Model) -> Array:
+    """(n,) bool: the nodes of the model's grid over which B was measured."""
+    return np.asarray((model.q >= model.measured[0]) & (model.q <= model.measured[1]))
+
+
 def split_onsets(onsets: Sequence[Onset]) -> tuple[list[Onset], list[Onset]]:
     """The onsets that B(q) was fitted to, and those that were left out."""
     return [o for o in onsets if o["used"]], [o for o in onsets if not o["used"]]
@@ -116,25 +131,25 @@ def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Arra
     """B(q) with its band and every width that was measured (the paper's Fig. 8): hollow and without a bar where 2 sigma
     exceeds the width. Grey: not measured. knots: drawn as lines."""
     unit, (low, high) = model.rig.actuator.unit, model.measured
-    inside = (model.q >= low) & (model.q <= high)
+    measured = inside(model)
     used, _ = split_onsets(onsets)
     told = [o for o in used if 2 * o["sigma"] <= o["width"]]  # a wider bar over the picture says nothing
     reaches = [o["width"] + 2 * o["sigma"] for o in told]
     highest = max([o["width"] for o in used], default=0.0)
-    level = max(highest, float(model.width[inside].max()) if inside.any() else 0.0, 1e-9)
+    level = max(highest, float(model.width[measured].max()) if measured.any() else 0.0, 1e-9)
     top = max(1.25 * level, min(1.05 * max(reaches, default=0.0), 3.0 * level))  # every bar, but for wild ones
     at = [q_mean(o) for o in used]
     ends = min([float(model.q[0]), *at]), max([float(model.q[-1]), *at])  # a motor may have gone beyond the range
     axes.fill_between(
-        model.q[inside],
-        np.maximum(model.width - 2 * model.width_sigma, 0)[inside],
-        np.minimum(model.width + 2 * model.width_sigma, 2 * top)[inside],
+        model.q[measured],
+        np.maximum(model.width - 2 * model.width_sigma, 0)[measured],
+        np.minimum(model.width + 2 * model.width_sigma, 2 * top)[measured],
         color=BAND,
         lw=0,
         label="± 2 sigma",
     )
     axes.plot(model.q, model.width, color=MODEL, lw=1.0, ls=":")
-    axes.plot(model.q[inside], model.width[inside], color=MODEL, lw=1.8, label="B(q)")
+    axes.plot(model.q[measured], model.width[measured], color=MODEL, lw=1.8, label="B(q)")
     for direction, colour, marker, name in ((1, UP, "^", "rising"), (-1, DOWN, "v", "falling")):
         mine = [o for o in used if np.sign(o["direction"]) == direction]
         chosen, vague = [o for o in mine if o in told], [o for o in mine if o not in told]
@@ -168,7 +183,7 @@ def draw_characteristic(axes: Axes, model: Model, evidence: Evidence | None) -> 
     """Both passes, f_coarse and f_remain over the motor position (the paper's Fig. 9)."""
     unit = model.rig.actuator.unit
     if evidence is not None and len(evidence.q):
-        rising = np.gradient(evidence.q) >= 0
+        rising = np.gradient(evidence.q) >= 0 if len(evidence.q) > 1 else np.ones(1, dtype=bool)
         for chosen, colour, name in ((rising, UP, "q rising"), (~rising, DOWN, "q falling")):
             axes.plot(
                 evidence.q[chosen],
@@ -225,7 +240,8 @@ def main_axis(evidence: Evidence) -> tuple[Array, str]:
     if evidence.seen.shape[1] == 1:
         return evidence.seen[:, 0], "c (deg)"
     centred = evidence.seen - evidence.seen.mean(axis=0)
-    along = np.linalg.svd(np.cov(centred.T))[0][:, 0]
+    spread = np.cov(centred.T) if len(centred) > 1 else np.eye(2)
+    along = np.linalg.svd(spread)[0][:, 0]
     along = along * np.sign(along[np.argmax(np.abs(along))])
     return centred @ along, "marker along its path (px)"
 
@@ -349,8 +365,8 @@ def cross_check(model: Model, pass_width: Array) -> Figure:
     difference = pass_width - model.width
     right.plot(model.q, difference, color=UP, lw=1.2)
     worst = np.nanmax(np.abs(difference)) if np.isfinite(difference).any() else 1.0
-    inside = (model.q >= model.measured[0]) & (model.q <= model.measured[1])
-    band = 3 * float(np.median(model.width_sigma[inside])) if inside.any() else 0.0
+    measured = inside(model)
+    band = 3 * float(np.median(model.width_sigma[measured])) if measured.any() else 0.0
     right.set(xlabel=f"q ({unit})", ylabel=f"difference ({unit})", ylim=np.array([-1.2, 1.2]) * max(worst, band, 1e-9))
     right.set_title("Passes minus model")
     right.legend(loc="upper right")
@@ -383,8 +399,8 @@ def followed(runs: Mapping[str, Run]) -> Figure:
 def compared(models: Mapping[str, Model]) -> Figure:
     """B and f_remain of several models (the paper's Fig. 2), and each less the first's: equal curves hide each other,
     their differences do not."""
+    unit = common_unit(models)
     first = next(iter(models.values()))
-    unit = first.rig.actuator.unit
     made, axes = figure(11, 7.4, 2, 2, sharex="col")
     for k, ((name, model), colour) in enumerate(zip(models.items(), _colours(len(models)), strict=True)):
         line: Any = {
@@ -393,10 +409,10 @@ def compared(models: Mapping[str, Model]) -> Figure:
             "ls": "-" if k == 0 else (0, (5, 1 + k)),
             "label": name,
         }
-        inside = _inside(model)
+        measured = inside(model)
         low, high = np.maximum(model.width - 2 * model.width_sigma, 0), model.width + 2 * model.width_sigma
-        axes[0, 0].fill_between(model.q[inside], low[inside], high[inside], color=colour, alpha=0.15, lw=0)
-        axes[0, 0].plot(model.q[inside], model.width[inside], **line)
+        axes[0, 0].fill_between(model.q[measured], low[measured], high[measured], color=colour, alpha=0.15, lw=0)
+        axes[0, 0].plot(model.q[measured], model.width[measured], **line)
         for side in (-0.5, 0.5):
             axes[0, 1].plot(model.q + side * model.width, model.c_deg, color=colour, lw=0.8, alpha=0.7)
         axes[0, 1].plot(model.q, model.c_deg, **line)
@@ -414,7 +430,8 @@ def compared(models: Mapping[str, Model]) -> Figure:
     axes[1, 1].set_title(f"f_remain less that of {name}, its mean taken off")
     for ax in axes[1]:
         ax.axhline(0.0, color=GREY, lw=0.8)
-        ax.legend(loc="best")
+        if ax.get_legend_handles_labels()[0]:  # none where no two have measured the same q
+            ax.legend(loc="best")
     return made
 
 
@@ -437,11 +454,6 @@ def _draw_change(width: Axes, angle: Axes, first: Model, model: Model, line: Map
         spread = np.hypot(np.interp(q, model.q, model.c_sigma), np.interp(q, first.q, first.c_sigma))
         centre = moved - moved.mean()
         angle.fill_between(q, centre - 2 * spread, centre + 2 * spread, color=line["color"], alpha=0.15, lw=0)
-
-
-def _inside(model: Model) -> Array:
-    """(n,) bool: the nodes of the model's grid over which B was measured."""
-    return np.asarray((model.q >= model.measured[0]) & (model.q <= model.measured[1]))
 
 
 @mpl.rc_context(STYLE)

@@ -25,8 +25,6 @@ from tautline.reports.evidence import STAGES, Evidence, Run, collect
 from tautline.rig import MARKER
 from tautline.vision.snapshot import snapshot
 
-Array = np.ndarray
-
 FILE = "report.html"
 CAMERA_FILE = "camera.jpg"  # in a model's folder: what the camera saw, with the marker's way
 _COARSE_IS_WRONG = frozenset({"coarse", "registration.static", "range", "predicts"})
@@ -47,10 +45,12 @@ class Number:
 
 
 def save_model(model: Model, recordings: Sequence[Recording], folder: Path) -> list[str]:
-    """The whole MODEL folder with its report, or nothing; without recordings a report of the tables alone. Returns the
-    result in sentences."""
+    """The whole MODEL folder with its report, or nothing; without recordings, or where none saw the tip within the
+    motor's times, a report of the tables alone. Returns the result in sentences."""
     with replaced(folder, MODEL_FILE, stale=("follow-*.csv", EVIDENCE_FILE, CAMERA_FILE, "next_motion.csv")) as target:
         evidence = collect(model, recordings) if recordings else None
+        if evidence is not None and len(evidence.t_s) == 0:
+            evidence = None
         model.save(target)
         _keep_picture(recordings, target)
         if evidence is not None:
@@ -277,11 +277,6 @@ def _with(value: float, unit: str, digits: int = 3) -> str:
     return f"{_digits(value, digits)}\u00a0{unit}"
 
 
-def _inside(model: Model) -> Array:
-    """(n,) bool: the nodes of the model's grid over which B was measured."""
-    return (model.q >= model.measured[0]) & (model.q <= model.measured[1])
-
-
 def _source(model: Model, evidence: Evidence | None) -> str:
     """The page's line on what it is made from: recordings, their length and the motor's range."""
     made = f"from {', '.join(evidence.names)}; " if evidence else ""
@@ -297,7 +292,7 @@ def _shown(evidence: Evidence) -> str:
 
 def sentences(model: Model, evidence: Evidence | None) -> list[str]:
     """The result for a person, in one line each."""
-    unit, inside = model.rig.actuator.unit, _inside(model)
+    unit, inside = model.rig.actuator.unit, figures.inside(model)
     lines = []
     if inside.any():
         width, sigma = model.width[inside], model.width_sigma[inside]
@@ -347,7 +342,7 @@ def _times(worse: float, better: float) -> str:
 
 def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence: Evidence | None) -> list[Number]:
     """The rows of the page's table of numbers. used, unused: the model's onsets."""
-    unit, inside = model.rig.actuator.unit, _inside(model)
+    unit, inside = model.rig.actuator.unit, figures.inside(model)
     numbers = []
     if inside.any():
         width, at = model.width[inside], model.q[inside]
@@ -409,9 +404,9 @@ def _onset_row(onset: figures.Onset) -> list[str]:
 
 
 def _run_sentences(runs: Mapping[str, Run]) -> list[str]:
-    """A sentence that compares the runs of `taut follow` without and with compensation; none unless both are there."""
+    """A sentence that compares the runs of `taut follow` without and with compensation; none unless both are scored."""
     off, full = runs.get("off"), runs.get("full")
-    if off is None or full is None:
+    if off is None or full is None or not np.isfinite(off.rms_deg + full.rms_deg):
         return []
     return [
         f"Followed open loop, the tip was off by {_digits(off.rms_deg, 2)} deg without compensation and by "
