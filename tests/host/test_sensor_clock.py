@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from slices import some
 
 from tautline.calibration import clock
+from tautline.calibration.angle_delay import delay_of_all
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.components import Components
 from tautline.calibration.measuring import Measuring
@@ -30,6 +31,7 @@ from tautline.simulated.simulate import run
 from tautline.trajectory import back_and_forth
 
 CAMERA_RIG = reference_rig()
+TIP_CAMERA = replace(CAMERA_RIG.camera, mount="tip", delay_s=0.3)
 PLAIN = record(Motion.through(), delay_s=0.03)
 
 
@@ -158,6 +160,17 @@ def test_what_a_diagnosis_is_to_explain_is_no_clock():
     before, behind, off = clock.on_motor_clock(made, CAMERA_RIG)
     assert before is made[0] and np.array_equal(behind.marker.t_s, made[1].marker.t_s)
     assert np.median(made[2].marker.t_s - off.marker.t_s) == pytest.approx(2.0, abs=5e-3)
+
+
+def test_recordings_of_one_name_keep_a_clock_each():
+    right, off = clock.on_motor_clock([PLAIN, late(PLAIN, 2.0)], RIG)
+    assert right is PLAIN and off.angle.t_s == pytest.approx(PLAIN.angle.t_s, abs=0.05)
+
+
+@pytest.mark.parametrize("rig", [stated(0.3), Rig(RIG.actuator, RIG.coarse, camera=TIP_CAMERA)], ids=["sensor", "tip"])
+def test_frames_that_tell_little_keep_the_delay_that_the_rig_states(rig):
+    noisy = record(Motion.through((-35, 35, -35), speed=14.0), delay_s=0.3, noise=1.5)
+    assert abs(delay_of_all(observe([noisy], RIG), rig).delay_s - 0.3) < 0.05
 
 
 def test_a_delay_out_of_find_delays_reach_is_found():

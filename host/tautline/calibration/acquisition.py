@@ -47,8 +47,9 @@ def rig_contradictions(
     """The reasons of what contradicts the rig, and of motion that was not seen. tracks: of the recordings, on the
     motor's clock, from which their sensors' clocks differ by offsets_s."""
     reasons = _range_in_another_unit(tracks, rig)
-    if rig.camera is not None and tracks[0].unit == "px":
-        reasons += _wrong_frame_size(recordings, tracks, rig, rig.camera)
+    images = [track for track in tracks if track.unit == "px"]
+    if rig.camera is not None and images:
+        reasons += _wrong_frame_size(recordings, images, rig, rig.camera)
         reasons += _wrong_rate(recordings, rig.camera)
     for recording, track, offset_s in zip(recordings, tracks, offsets_s, strict=True):
         reasons += _frames_beyond_motor(recording, track, rig.nominal_delay_s(track.sensor), offset_s)
@@ -114,10 +115,10 @@ def _range_in_another_unit(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
 
 
 def _wrong_frame_size(
-    recordings: Sequence[Recording], tracks: Sequence[Track], rig: Rig, camera: Camera
+    recordings: Sequence[Recording], images: Sequence[Track], rig: Rig, camera: Camera
 ) -> list[Reason]:
-    """A fatal reason, in a list, where frames or marker positions are not of the rig's frame size; empty where none
-    contradicts it."""
+    """A fatal reason, in a list, where frames of the recordings or marker positions of the images, their tracks in px,
+    are not of the rig's frame size; empty where none contradicts it."""
     nominal = (camera.width_px, camera.height_px)
     for recording in recordings:
         size = recording.marker.frame_px if recording.marker is not None else None
@@ -133,7 +134,7 @@ def _wrong_frame_size(
                 fatal=True,
             )
         ]
-    for track in tracks:
+    for track in images:
         if reason := _frame_size_by_places(track, rig, camera):
             return [reason]
     return []
@@ -263,7 +264,7 @@ def _frames_beyond_motor(recording: Recording, track: Track, delay_s: float, off
     if not len(off_start) or not len(off_end):
         return []
     begin, end = float(motor.t_s[off_start[0]]), float(motor.t_s[off_end[-1]])  # of the motion
-    missing = max(first - begin, 0.0) + max(end - last, 0.0)  # s of the motion without frames
+    missing = min(max(first - begin, 0.0) + max(end - last, 0.0), end - begin)  # s of the motion without frames
     if missing <= slack and frames_last - motor_lasts <= slack:
         return []
     says = f"{recording.name}: its frames last {frames_last:.4g} s, its motor {motor_lasts:.4g}"

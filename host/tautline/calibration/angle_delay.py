@@ -47,7 +47,8 @@ def delay_of_all(tracks: Sequence[Track], rig: Rig) -> Delay:
     lags = nominal_s + np.linspace(-DELAY_REACH_S, DELAY_REACH_S, 21)
     start = float(lags[int(np.argmin(np.sum([scan.least_misfits(lags) for scan in scans], axis=0)))])
     try:
-        prior_mean_s, prior_sigma_s = _UNSTATED_S if rig.angle is None else (nominal_s, _STATED_S)
+        stated = rig.angle is not None or rig.sees_from_tip
+        prior_mean_s, prior_sigma_s = (nominal_s, _STATED_S) if stated else _UNSTATED_S
         return _delay_posterior(scans, prior_mean_s, start, prior_sigma_s)
     except np.linalg.LinAlgError:  # the tip is seen at too few places
         return Delay(nominal_s, np.inf, 0)

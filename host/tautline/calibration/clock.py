@@ -80,6 +80,13 @@ class AlignedTracks:
         pairs = zip(self.tracks, self.offsets_s, strict=True)
         return {track.name: offset for track, offset in pairs if offset}
 
+    def among(self, every: Sequence[Track]) -> tuple[list[Track], list[float]]:
+        """`every` track and the offset of its clock, s, where these are those of them that have frames: the others are
+        as they were, with 0."""
+        own = iter(zip(self.tracks, self.offsets_s, strict=True))
+        pairs = [next(own) if len(track.t_s) else (track, 0.0) for track in every]
+        return [track for track, _ in pairs], [offset_s for _, offset_s in pairs]
+
     def with_delay(self, delay: Delay, nominal_s: float) -> tuple[AlignedTracks, Delay]:
         """These tracks and a delay that was found on them. If every clock was off, delay and offsets cannot be told
         apart: the delay is set to the nominal one then, and the offsets take the difference."""
@@ -92,8 +99,11 @@ class AlignedTracks:
 def on_motor_clock(recordings: Sequence[Recording], rig: Rig) -> list[Recording]:
     """Recordings with the offsets of their sensors' clocks taken off. Differences between recordings that are no larger
     than a delay may be are left: an effect that is not known yet may make one motion's stops later than another's."""
-    tracks = [track for track in observe(recordings, rig) if len(track.t_s)]
-    return shifted(recordings, align(tracks, rig, late_are_off=False).offsets)
+    every = observe(recordings, rig)
+    aligned = align([track for track in every if len(track.t_s)], rig, late_are_off=False)
+    _, offsets_s = aligned.among(every)
+    pairs = zip(recordings, offsets_s, strict=True)
+    return [shifted([one], {one.name: offset_s})[0] for one, offset_s in pairs]  # several may have one name
 
 
 def align(tracks: Sequence[Track], rig: Rig, *, late_are_off: bool = True) -> AlignedTracks:
