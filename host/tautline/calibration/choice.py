@@ -343,9 +343,9 @@ class Choice:
         that curve. The shift is the image's jump, which differs from place to place: by its standard deviation where
         onsets tell it, which is in sigma."""
         p = np.sort([o.q_mean for o in widths])
-        reach = max(
-            1.5 * float(np.median(np.diff(p))) if len(p) > 2 else 0.0, float(np.median([o.width for o in widths]))
-        )
+        # How far from an onset its curve counts alone: at least to the nearest place of the grid.
+        between = 1.5 * float(np.median(np.diff(p))) if len(p) > 2 else 0.0
+        reach = max(between, float(np.median([o.width for o in widths])), float(self.grid[1] - self.grid[0]))
         distance = np.min(np.abs(self.grid[:, None] - p[None, :]), axis=1)
         far = np.clip(distance / reach - 1.0, 0.0, 1.0)
         if not (far > 0).any() or passes is None:
