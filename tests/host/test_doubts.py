@@ -10,7 +10,7 @@ import pytest
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.choice import JOINT
 from tautline.calibration.components import Component, Components, DifferenceFromEnd
-from tautline.calibration.doubts import _ripple, component_reasons, still_changing
+from tautline.calibration.doubts import _faster_hz, _ripple, component_reasons, still_changing
 from tautline.calibration.holding import without_held_places
 from tautline.calibration.observations import observe
 from tautline.calibration.playfit import Curves
@@ -242,3 +242,12 @@ def test_a_ripple_is_a_wave_that_goes_on_and_no_shape_of_b(shape: str, sigma: fl
     assert _ripple(q, b, stated, usual)[0] == 0.0
     rms, period = _ripple(q, b + 0.03 * np.sin(2 * np.pi * q / 0.9 + 1.0), stated, usual)
     assert rms == pytest.approx(0.03 / np.sqrt(2.0), rel=0.35) and period == pytest.approx(0.9, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("period_s", "off", "hz"), [(0.1, 2.0, 20), (10.0, 2.0, 0.2), (5.0, 1.5, 0.5), (60.0, 1.1, 0.02)]
+)
+def test_a_motor_that_is_logged_too_seldom_is_told_a_rate_that_is_enough(
+    period_s: float, off: float, hz: float
+) -> None:
+    assert _faster_hz(period_s, off, 1.0) == pytest.approx(hz)

@@ -29,6 +29,7 @@ _TIMES, _STROKES_A_SPAN = 10, 3  # tolerance: spans of slow drifts, at most, and
 _LAGS_S, _CREEPS_S = (0.02, 0.05, 0.1, 0.2), (0.6, 2.0)  # prior: time constants that are tried, s
 _SATURATES = (0.1, 0.3, 1.0, 10.0)  # prior: of the usual speed, at which a width has grown by most of what speed adds
 _BREATHS_HZ = 0.08, 1.0  # prior: 5 to 60 breaths or heartbeats a minute
+_A_CYCLE, _MOST_SAMPLES = 4, 1_000_000  # tolerance: samples of the fastest of them; and in all: three days
 _SCAN = 12.0  # prior: what looking for a moment or a rhythm costs, of twice the log likelihood
 _LASTS, _CONSTANT = (
     0.2,
@@ -381,13 +382,17 @@ def _slip_time(counted: CountedFrames, left: Array) -> float | None:
 
 def _sway_frequency(t: Array, left: Array) -> float | None:
     """The frequency, Hz, of the largest peak of the periodogram of residuals left (n, channels) at times t (n,), s,
-    within _BREATHS_HZ and of four cycles or more; None where frames are few or the session is too short."""
+    within _BREATHS_HZ and of four cycles or more; None where frames are few or the session is too short. It is taken of
+    as many even samples as there are frames, or more where these are apart by long gaps: _A_CYCLE of the fastest sway,
+    none closer than frames mostly are."""
     if len(t) < 100:
         return None
-    even = np.linspace(t[0], t[-1], len(t))
+    lasts = t[-1] - t[0]
+    closest = max(float(np.median(np.diff(t))), 1.0 / (_A_CYCLE * _BREATHS_HZ[1]))
+    even = np.linspace(t[0], t[-1], max(len(t), min(int(lasts / closest), _MOST_SAMPLES)))
     step = even[1] - even[0]
     waves = [np.interp(even, t, channel) for channel in left.T]
     power = sum(np.abs(np.fft.rfft(wave - wave.mean(), 4 * len(even))) ** 2 for wave in waves)
     rates = np.fft.rfftfreq(4 * len(even), step)
-    inside = (rates > max(_BREATHS_HZ[0], 4.0 / (t[-1] - t[0]))) & (rates < _BREATHS_HZ[1])
+    inside = (rates > max(_BREATHS_HZ[0], 4.0 / lasts)) & (rates < _BREATHS_HZ[1])
     return float(rates[inside][int(np.argmax(np.asarray(power)[inside]))]) if inside.any() else None

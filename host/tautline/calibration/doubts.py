@@ -29,6 +29,7 @@ _CYCLES = 4.0, 40.0  # prior: of a ripple over what was measured
 _PLACES, _RATES = 160, 145  # tolerance: at which B is looked at; of a ripple that are tried
 _SMOOTHED = 0.4  # prior: of the readings' noise: what smoothing leaves at a turn
 _COARSE = 0.015  # tolerance: of B: a motor's path between its samples is known no better
+_FINEST = 1e-3  # tolerance: of what is seen: no rate is told that would mend more
 
 DRIVE = "calibrate again once it is mended, or let taut diagnose add it to the model"
 # Component: code, what it looks like, what to do.
@@ -201,7 +202,7 @@ def common_error(
         findings.notice(
             "rate",
             f"the motor's samples are {period * 1e3:.0f} ms apart, its turns are known to {between:.2g} {unit}",
-            f"log the motor at {_faster_hz(period, between, _COARSE * usual)} Hz or more",
+            f"log the motor at {_faster_hz(period, between, _COARSE * usual):.10g} Hz or more",
         )
     scatter = _SMOOTHED * max(track.motor_noise for track in tracks)
     if scatter > _COARSE * usual:
@@ -220,16 +221,13 @@ def common_error(
     return float(np.sqrt(between**2 + scatter**2 + rippled**2))
 
 
-_FINEST = 1e-3  # tolerance: of what is seen: no rate is told that would mend more
-
-
-def _faster_hz(period_s: float, between: float, allowed: float) -> int:
+def _faster_hz(period_s: float, between: float, allowed: float) -> float:
     """The rate, Hz, a round number (1, 2 or 5 times a power of ten), at which straight lines between motor samples come
     within `allowed` of its path, where they are off by `between` at samples period_s apart, both in the unit of q: the
     error is taken to fall with the period, as at a sharp turn."""
     least = between / max(allowed, _FINEST * between) / period_s
     decade = 10.0 ** math.floor(math.log10(least))
-    return round(decade * next(step for step in (1, 2, 5, 10) if step * decade >= least * (1.0 - 1e-9)))
+    return decade * next(step for step in (1, 2, 5, 10) if step * decade >= least * (1.0 - 1e-9))
 
 
 def _ripple(grid: Array, width: Array, sigma: Array, usual: float) -> tuple[float, float]:
