@@ -21,10 +21,11 @@ from tautline.calibration.onset import Delay
 from tautline.calibration.smooth import Domain, fit_jointly, prepare_tracks
 from tautline.calibration.steps import motor_jumps
 from tautline.encoder import between_counts
+from tautline.errors import TautError
 from tautline.model import Model
 from tautline.prediction import predict, times_of
 from tautline.quality import Verdict
-from tautline.recording import Angle, Motor, load, save, shifted
+from tautline.recording import Angle, Motor, Recording, load, save, shifted
 from tautline.rig import ANGLE, MARKER, Rig
 from tautline.simulated.instrument import preset, reference_rig
 from tautline.simulated.simulate import run
@@ -251,6 +252,18 @@ def test_a_motor_that_only_steps_is_refused():
         found = calibrate([record(Motion.steps(levels, 3.0), sensor_hz=50.0, motor_hz=motor_hz)], RIG)
         reason = found.model.quality.reasons[0]
         assert reason.code == "steps" and reason.fatal
+
+
+def test_a_recording_that_shows_a_step_and_nothing_else_is_left_out():
+    t_s = np.arange(0.0, 60.0, 0.5)
+    motor = Motor(t_s, 20.0 * np.sin(0.1 * np.pi * t_s) + 8.0 * (t_s >= 25.0))
+    seen_s = np.linspace(24.52, 24.98, 12)  # between the two samples of the step
+    step = Recording("step", motor, angle=Angle(seen_s, np.interp(seen_s, t_s, motor.q)), rig=RIG)
+    with pytest.raises(TautError, match="only where the motor steps"):
+        calibrate([step], RIG)
+    with_it, alone = calibrate([PLAIN, step], RIG, naming=False), calibrate([PLAIN], RIG, naming=False)
+    assert np.array_equal(with_it.model.width, alone.model.width) and with_it.names == ("joint",)
+    assert any("12 frames at which the tip follows" in note for note in with_it.notes)
 
 
 def test_a_few_steps_between_strokes_are_left_out():

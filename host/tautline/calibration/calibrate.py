@@ -55,6 +55,9 @@ def calibrate(
         aligned = clock.align(tracks, rig) if options.delay_s is None else clock.AlignedTracks.as_it_is(tracks)
         on_clock, offsets_s = aligned.among(every)
         reasons = rig_contradictions(recordings, on_clock, offsets_s, rig)
+        aligned = aligned.seen
+        if not aligned.tracks:
+            raise TautError("the tip was seen only where the motor steps: move it at a speed, with the tip in view")
         measured = Measuring(aligned, rig, options, say, reasons).run()
         say(0.8, "naming what departs")
         found = judged(measured)
@@ -76,7 +79,7 @@ def _aligned_for_naming(
 ) -> tuple[clock.AlignedTracks, Mapping[str, float]]:
     """The aligned tracks and the sensors' offsets, s by recording, with which an effect is named. A recording whose
     image stops later than another's is not put on another clock here, since an effect makes it stop later, too."""
-    own = clock.align(tracks, rig, late_are_off=False) if found.offsets else aligned
+    own = clock.align(tracks, rig, late_are_off=False).seen if found.offsets else aligned
     return (own, own.offsets) if own.offsets != aligned.offsets else (aligned, found.offsets)
 
 

@@ -87,6 +87,12 @@ class AlignedTracks:
         pairs = [next(own) if len(track.t_s) else (track, 0.0) for track in every]
         return [track for track, _ in pairs], [offset_s for _, offset_s in pairs]
 
+    @property
+    def seen(self) -> AlignedTracks:
+        """These without the tracks of which no frame was left: the tip followed a step of the motor in all."""
+        kept = [pair for pair in zip(self.tracks, self.offsets_s, strict=True) if len(pair[0].t_s)]
+        return replace(self, tracks=[track for track, _ in kept], offsets_s=tuple(offset_s for _, offset_s in kept))
+
     def with_delay(self, delay: Delay, nominal_s: float) -> tuple[AlignedTracks, Delay]:
         """These tracks and a delay that was found on them. If every clock was off, delay and offsets cannot be told
         apart: the delay is set to the nominal one then, and the offsets take the difference."""
