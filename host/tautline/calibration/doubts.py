@@ -196,9 +196,12 @@ def common_error(
     findings. grid, width, sigma (k,): B where it was measured; usual: typical B there; unit: of q."""
     if len(grid) < 2:
         return 0.0
-    between = max(between_samples(track.path.sampled) for track in tracks)
+    each = [between_samples(track.path.sampled) for track in tracks]
+    told = [value if np.isfinite(value) else 0.0 for value in each]  # of too few readings for a turn nothing is
+    worst = int(np.argmax(told))
+    between = told[worst]
     if between > _COARSE * usual:
-        period = max(float(np.median(np.diff(track.reading.t_s))) for track in tracks)
+        period = float(np.median(np.diff(tracks[worst].reading.t_s)))
         findings.notice(
             "rate",
             f"the motor's samples are {period * 1e3:.0f} ms apart, its turns are known to {between:.2g} {unit}",
