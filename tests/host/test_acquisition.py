@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from dataclasses import replace
 
 import angle_plant
@@ -260,3 +261,11 @@ def test_no_more_of_the_motion_is_without_frames_than_there_is(made: Recording, 
     says = reason(quality(replace(made, marker=replace(made.marker, t_s=made.marker.t_s + late_s))), "duration").says
     missing = float(says.split(": ")[-1].split(" s of the motion")[0])
     assert 0.9 < missing / np.ptp(made.motor.t_s) < 1.0, says
+
+
+def test_of_a_single_frame_no_size_is_told(made: Recording) -> None:
+    names = ("t_s", "u_px", "v_px", "valid", "sigma_px")
+    one = replace(made.marker, **{name: getattr(made.marker, name)[100:101] for name in names})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert "frame_size" not in {r.code for r in quality(scaled(replace(made, marker=one), 0.5)).reasons}
