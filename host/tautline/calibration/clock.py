@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -46,13 +45,11 @@ _STRETCHED = 0.2  # prior: of the misfit that a stretched clock may leave at mos
 
 @dataclass(frozen=True)
 class Offset:
-    """The offset of a track's clock: its lag less the nominal delay. `rivals`: other offsets, s, that fit about as
-    well."""
+    """The offset of a track's clock: its lag less the nominal delay."""
 
     offset_s: float
-    sigma_s: float  # its standard deviation; inf where no lag could be tried
-    misfit: float  # 0 to 1
-    rivals: tuple[float, ...] = ()
+    misfit: float  # 0 to 1; 1 where no lag could be tried
+    rivals: tuple[float, ...] = ()  # other offsets, s, that fit about as well
 
 
 @dataclass(frozen=True)
@@ -215,22 +212,21 @@ def delay_jumps(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
 
 def find_offset(track: Track, rig: Rig) -> Offset | None:
     """The offset of the track's clock within REACH_S: 0 if the nominal delay fits (or a lag within DELAY_REACH_S of it
-    does), with infinite sigma if no lag can be tried. None if the track shows no motion to tell it by."""
+    does), with a misfit of 1 if no lag can be tried. None if the track shows no motion to tell it by."""
     scan = LagScan.of(track, rig, FRAMES[0])
     if scan is None:
         return None
     nominal_s = rig.nominal_delay_s(track.sensor)
-    near = nominal_s + np.arange(-round(_NEAR_S / PITCH_S), round(_NEAR_S / PITCH_S) + 1) * PITCH_S
+    near = _lags_around(nominal_s, _NEAR_S)
     least_misfits = scan.least_misfits(near)
     delays = np.abs(near - nominal_s) <= DELAY_REACH_S
     least = float(least_misfits[delays].min())
     at_nominal = least <= max(FITS, 4.0 * scan.noise_share) and least <= _BEATEN * least_misfits.min()
     if at_nominal and scan.moves_as_coarse(float(near[delays][int(least_misfits[delays].argmin())])):
-        return Offset(0.0, 0.0, least)
-    lags = nominal_s + np.arange(-round(REACH_S / PITCH_S), round(REACH_S / PITCH_S) + 1) * PITCH_S
-    rivals = _minima(scan, LagScan.of(track, rig, FRAMES[1]) or scan, lags)
+        return Offset(0.0, least)
+    rivals = _minima(scan, LagScan.of(track, rig, FRAMES[1]) or scan, _lags_around(nominal_s, REACH_S))
     if not rivals:
-        return Offset(0.0, np.inf, 1.0)
+        return Offset(0.0, 1.0)
     nominal = [r for r in rivals if abs(r.lag_s - nominal_s) <= DELAY_REACH_S]
     if nominal:
         # It may be another half turn of the motion, with the wrong sign, that fits here.
@@ -239,13 +235,19 @@ def find_offset(track: Track, rig: Rig) -> Offset | None:
             if scan.moves_as_coarse(nominal[0].lag_s)
             else tuple(r.lag_s for r in rivals if scan.moves_as_coarse(r.lag_s))
         )
-        return Offset(0.0, nominal[0].sigma_s, nominal[0].misfit, tuple(lag - nominal_s for lag in others))
+        return Offset(0.0, nominal[0].misfit, tuple(lag - nominal_s for lag in others))
     rivals = [r for r in rivals if scan.moves_as_coarse(r.lag_s)] or rivals
     others = tuple(r.lag_s - nominal_s for r in rivals[1:])
-    return Offset(rivals[0].lag_s - nominal_s, rivals[0].sigma_s, rivals[0].misfit, others)
+    return Offset(rivals[0].lag_s - nominal_s, rivals[0].misfit, others)
 
 
-def _minima(scan: LagScan, fine: LagScan, lags: npt.NDArray[Any]) -> list[Minimum]:
+def _lags_around(lag_s: float, reach_s: float) -> Array:
+    """Lags (n,), s, PITCH_S apart, within reach_s of this one."""
+    steps = round(reach_s / PITCH_S)
+    return np.asarray(lag_s + np.arange(-steps, steps + 1) * PITCH_S)
+
+
+def _minima(scan: LagScan, fine: LagScan, lags: Array) -> list[Minimum]:
     """The minima of the misfit over lags (n,), s, that are within _RIVAL of the least, best first. Two with no ridge of
     _RIDGE times the misfit between them, or within _APART_S, are one. scan: few frames, to search with; fine: more, to
     refine with."""
@@ -254,10 +256,10 @@ def _minima(scan: LagScan, fine: LagScan, lags: npt.NDArray[Any]) -> list[Minimu
     padded = np.concatenate([[np.inf], finite, [np.inf]])
     lowest = (finite <= padded[:-2]) & (finite <= padded[2:]) & (finite <= 3.0 * _RIVAL * finite.min() + 1e-12)
     at = np.flatnonzero(lowest & np.isfinite(least_misfits))
-    lags_by_misfit = sorted((fine.minimum_near(float(lags[i])) for i in at), key=lambda one: one.misfit)
+    minima = sorted((fine.minimum_near(float(lags[i])) for i in at), key=lambda one: one.misfit)
     rivals: list[Minimum] = []
-    for one in lags_by_misfit:
-        if one.misfit > _RIVAL * lags_by_misfit[0].misfit:
+    for one in minima:
+        if one.misfit > _RIVAL * minima[0].misfit:
             break
         between = (finite[(lags > min(one.lag_s, r.lag_s)) & (lags < max(one.lag_s, r.lag_s))] for r in rivals)
         apart = all(abs(one.lag_s - r.lag_s) > _APART_S for r in rivals)
@@ -292,7 +294,7 @@ def _stretched(track: Track, rig: Rig, misfit: float) -> Reason | None:
         return None
     times = track.motor.t_s[0] + (track.t_s - track.t_s[0]) * motor_s / seen_s
     scan = LagScan.of(replace(track, t_s=times), rig, FRAMES[0])
-    lags = rig.nominal_delay_s(track.sensor) + np.arange(-round(1.0 / PITCH_S), round(1.0 / PITCH_S) + 1) * PITCH_S
+    lags = _lags_around(rig.nominal_delay_s(track.sensor), _NEAR_S)
     if scan is None or float(scan.least_misfits(lags).min()) > _STRETCHED * misfit:
         return None
     return Reason(
