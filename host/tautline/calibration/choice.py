@@ -18,7 +18,7 @@ from tautline.calibration.coverage import HOLE, distance_to_both_ways
 from tautline.calibration.findings import Findings
 from tautline.calibration.observations import Track
 from tautline.calibration.onset import BRACKET, Onset, with_width
-from tautline.calibration.playfit import EXPLAINED, NODES, Curves, Fitted
+from tautline.calibration.playfit import EXPLAINED, Curves, Fitted
 from tautline.calibration.several import rms_over_noise
 from tautline.calibration.smooth import Domain, overlap
 from tautline.independence import stretches
@@ -36,10 +36,8 @@ _LITTLE = 0.03  # tolerance: of the width: a smaller difference is no contradict
 _WORSE = 1.25  # tolerance: times the best fit's residual: a B that leaves more does not predict as well
 _FEW_ONSETS = 6  # tolerance: onsets that are needed to contradict the joint fit
 _NEARER = 0.5  # prior: ratio of their mean squared z for two curves of B, below which they favour one
-_ONE_WAY, _OTHER_WAY = (
-    4.0,
-    0.3,
-)  # prior: standard errors by which onsets of one direction are late; of that, what the other's may be
+_ONE_WAY = 4.0  # prior: standard errors by which onsets of one direction are late
+_OTHER_WAY = 0.3  # prior: of that: what those of the other may be
 _BENDS = 2.0  # prior: times its own size by which B may change over the range
 
 
@@ -87,7 +85,7 @@ class Choice:
                 "move back and forth by more than the backlash",
                 fatal=True,
             )
-            return np.zeros(NODES), np.full(NODES, self.domain.span / 4), NOTHING
+            return np.zeros_like(self.grid), np.full_like(self.grid, self.domain.span / 4), NOTHING
         if joint_fit is None:
             assert curve is not None
             self.findings.notes += curve.notes

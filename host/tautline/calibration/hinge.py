@@ -22,9 +22,9 @@ from tautline import _native
 Array = npt.NDArray[np.float64]
 
 _KNOTS = 33  # tolerance: candidates at once
-_PIECES = 10  # of the path, in each of which its second derivative is constant
+_PIECES = 10  # tolerance: of the path, in each of which its second derivative is constant
 _BENDS = 7  # tolerance: values of its standard deviation, evenly in its logarithm
-_LEAST_BEND, _MOST_BEND = 0.3, 2.0  # over the window: of the noise, nothing is seen of it; of the whole swing
+_LEAST_BEND, _MOST_BEND = 0.3, 2.0  # prior: over the window: of the noise, nothing is seen of it; of the whole swing
 _SPREAD = 0.5  # prior: of the logarithm of the start's slope over the path's mean slope
 _BACKWARDS = 1e-3  # tolerance: a start against the path counts as this share of it
 _CREDIBLE = 9.0  # prior: of the deviance, three standard deviations: what is no farther off may be the jump
