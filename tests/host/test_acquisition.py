@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import warnings
 from dataclasses import replace
 
@@ -132,6 +133,27 @@ def test_a_camera_that_was_stopped_early_is_only_said(made: Recording) -> None:
     found = quality(replace(made, marker=short))
     assert not reason(found, "duration").fatal
     assert "clock" not in {r.code for r in found.reasons}
+
+
+@pytest.mark.parametrize(("before_s", "after_s"), [(0.0, 9.0), (9.0, 0.0), (5.0, 4.0)])
+def test_a_camera_that_runs_for_longer_than_the_motors_log_is_not_told_to(
+    made: Recording, before_s: float, after_s: float
+) -> None:
+    """The tip rests meanwhile."""
+    t_s = made.marker.t_s
+    early, behind = np.arange(t_s[0] - before_s, t_s[0] - 0.01, 0.04), np.arange(t_s[-1], t_s[-1] + after_s, 0.04)[1:]
+    ends = (len(early), len(behind))
+    u_px, v_px, valid = (np.pad(getattr(made.marker, name), ends, "edge") for name in ("u_px", "v_px", "valid"))
+    long = Marker(np.concatenate([early, t_s, behind]), u_px, v_px, valid)
+    told = reason(quality(replace(made, marker=long)), "duration")
+    assert re.search(r": 8\.9\d? s of them are without the motor$", told.says), told
+    assert "log the motor" in told.remedy and "camera first" not in told.remedy
+
+
+def test_a_sensor_that_was_started_late_is_no_camera() -> None:
+    whole = angle_plant.record(angle_plant.Motion.through((-35, 35, -35, 35), speed=14.0))
+    late = replace(whole, angle=recordings.Angle(whole.angle.t_s[600:], whole.angle.c_deg[600:]))
+    assert "start the sensor first" in reason(quality(late, angle_plant.RIG), "duration").remedy
 
 
 def test_lost_frames_leave_the_rate_alone_and_a_dark_part_is_named(made: Recording) -> None:

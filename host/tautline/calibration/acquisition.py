@@ -281,8 +281,12 @@ def _frames_beyond_motor(recording: Recording, track: Track, delay_s: float, off
                 fatal=True,
             )
         ]
-    what = f"{missing:.3g} s of the motion have no frames" if missing > slack else "the motor's record ends first"
-    remedy = "start the camera first and stop it last"
+    camera = "camera" if track.unit == "px" else "sensor"
+    if missing > slack:
+        what, remedy = f"{missing:.3g} s of the motion have no frames", f"start the {camera} first and stop it last"
+    else:
+        what = f"{frames_last - motor_lasts:.3g} s of them are without the motor"
+        remedy = f"log the motor for as long as the {camera} runs, on the same clock"
     if track.unit == "px" and recording.marker is not None and (untimed := recording.marker.untimed):
         timed = len(recording.marker.t_s)
         remedy = f"frames.csv lists {timed} of the video's {timed + untimed} frames: list every one"
