@@ -277,3 +277,12 @@ def test_readings_that_are_too_few_for_a_turn_leave_the_others_error() -> None:
     t_s = np.linspace(100.0, 100.8, 3)
     few = replace(whole, motor=Motor(t_s, np.array([0.0, 1.0, 2.0])), angle=Angle(t_s, np.zeros(3)))
     assert told_of_rate([whole, few]) == told_of_rate([whole])
+
+
+def test_what_is_said_of_an_angle_sensors_clock_is_of_no_camera() -> None:
+    joint = angle_plant.record(angle_plant.Motion.through((-35, 35, -30, 25, -35, 0, -20, 30, -35), speed=14.0))
+    assert joint.angle is not None
+    fast = replace(joint, angle=Angle(joint.angle.t_s * 1.003, joint.angle.c_deg))
+    reasons = calibrate([fast], angle_plant.RIG, naming=False).model.quality.reasons
+    assert any(reason.code == "clock.rate" for reason in reasons)
+    assert not any("camera" in reason.says for reason in reasons)

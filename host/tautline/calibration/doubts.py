@@ -87,13 +87,13 @@ _MEANS: dict[str, tuple[str, str, str]] = {
     "width.speed": ("transmission.rate_dependent_backlash", "the width depends on the motor's speed", DRIVE),
     "clock.rate": (
         "clock.rate",
-        "the camera's clock runs at another rate than the motor's",
+        "the sensor's clock runs at another rate than the motor's",
         "take both times from one clock; the rate is taken out here, not in a prediction",
     ),
     "clock.drift": (
         "clock.drift",
-        "the delay of the images changes during the session",
-        "fix exposure and frame rate of the camera",
+        "the sensor's delay changes during the session",
+        "fix the sensor's rate, of a camera exposure and frame rate",
     ),
     "lag": ("transmission.lag", "the tip follows late, as through something viscous", DRIVE),
     "creep": ("transmission.creep", "the tip goes on moving after the motor has stopped", DRIVE),
@@ -176,15 +176,21 @@ def _scatter(components: Components, good: bool) -> Reason:
     times = f"{components.unexplained:.1f} times the noise of a tip at rest is left"
     if good:  # of most frames
         says = f"some frames are far off ({components.unexplained:.1f} times the noise with them)"
-        return Reason("outliers", says, "look for a second blob of the marker's colour", mild=True)
+        return Reason(
+            "outliers", says, "look for a second blob of the marker's colour, or what disturbs the sensor", mild=True
+        )
     if components.frames_per_independent < _WHITE and components.moving_ratio > _SPEEDS:
         return Reason(
             "acquisition.jitter",
             f"{times}, from frame to frame, while the tip moves",
-            "take the frames' hardware times",
+            "take the hardware's times of frames or values",
         )
     if components.frames_per_independent < _WHITE:
-        return Reason("noise", f"{times}, from frame to frame", "check light, focus and the marker's colour")
+        return Reason(
+            "noise",
+            f"{times}, from frame to frame",
+            "check light, focus and the marker's colour, or the sensor's wiring",
+        )
     return Reason("residual", f"{times}, which no known departure explains", "taut diagnose says where it is")
 
 
