@@ -126,7 +126,7 @@ class _DelayDeviance:
         own rounding is in the latter."""
         delays = centre_s + pitch_s * np.arange(-3, 4)
         deviance = np.array([self.deviance(float(delay)) for delay in delays])
-        weight = np.exp(-0.5 * np.clip(deviance - deviance.min(), 0.0, 200.0))
+        weight = np.exp(-0.5 * (deviance - deviance.min()))
         weight /= weight.sum()
         mean = float(weight @ delays)
         return mean, float(np.hypot(np.sqrt(weight @ (delays - mean) ** 2), of_rounding(pitch_s)))

@@ -25,6 +25,9 @@ from tautline.splines import Basis
 Array = npt.NDArray[np.float64]
 
 SPANS = 64  # tolerance: of the range
+_ROUNDS, _STAYS = 4, 0.05  # tolerance: at most; of the widths' standard deviation: a curve that moves less is done
+_STIFF = 1e3  # tolerance: weights of the heaviest width: what an inequality that is violated weighs
+_ALIKE = 1e-3  # tolerance: of a score, or of the largest B: a difference that is none
 _CLOSE = 1e-3  # tolerance: of the widths' standard deviation: B from brackets is solved to it
 _SMOOTHINGS = np.logspace(-4, 9, 27)  # tolerance: relative to the weight of one width
 _TAIL = 30.0  # tolerance: sigma
@@ -98,7 +101,7 @@ def fit_widths(onsets: Sequence[Onset], grid: Array) -> WidthCurve | None:
     held = np.clip(grid, low, high)
     curve = fit.basis.value(fit.coefficients, held)
     lawful = allowed_width(grid, curve)
-    if np.abs(lawful - curve).max() > 1e-3 * max(curve.max(), 1e-9):
+    if np.abs(lawful - curve).max() > _ALIKE * max(curve.max(), 1e-9):
         fit.notes.append(f"B(q) is limited by B >= 0 or |B'| <= {STEEPEST:g}")
     beyond = np.abs(grid - held)
     sigma = np.hypot(fit.sigma(held), 0.5 * beyond)
@@ -148,9 +151,9 @@ class _WidthFit:
         self.design = self.basis.design(self.p).toarray()
 
     def solve(self) -> None:
-        """Fits the curve in at most four rounds, as weights, smoothing, excess scatter and bounds depend on it; then
+        """Fits the curve in some rounds, as weights, smoothing, excess scatter and bounds depend on it; then
         anew with brackets as intervals, if there are any."""
-        for turn in range(4):
+        for turn in range(_ROUNDS):
             if turn:
                 self._add_violated_bounds()
             self.spread = self._effective_sigma()
@@ -160,7 +163,7 @@ class _WidthFit:
             before = self.coefficients
             self._solve(weight)
             self.excess = self._excess(weight)
-            if np.abs(self.coefficients - before).max() < 0.05 * float(np.median(self.spread)) and turn:
+            if np.abs(self.coefficients - before).max() < _STAYS * float(np.median(self.spread)) and turn:
                 break
         if self.is_bracket.any():
             self._solve_with_brackets()
@@ -185,7 +188,7 @@ class _WidthFit:
                 system = np.eye(place.shape[1]) - within * (1 - 1e-6)
                 out[place] = np.linalg.solve(system, left[place][:, :, None])[:, :, 0]
             score = float(np.sum(weight * out**2))
-            if score < best * 0.999:
+            if score < best * (1.0 - _ALIKE):  # the smoother of two that are alike
                 best, chosen = score, float(smoothing)
         return chosen
 
@@ -212,7 +215,7 @@ class _WidthFit:
             rows, values = self._violated(coefficients)
             if not len(rows):
                 break
-            stiff = 1e3 * float(np.max(weight))
+            stiff = _STIFF * float(np.max(weight))
             again = self._inverse(gram + stiff * rows.T @ rows) @ (right + stiff * rows.T @ values)
             if np.abs(again - coefficients).max() < 1e-7 * max(np.abs(again).max(), 1e-9):
                 break

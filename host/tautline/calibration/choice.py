@@ -38,6 +38,7 @@ _FEW_ONSETS = 6  # tolerance: onsets that are needed to contradict the joint fit
 _NEARER = 0.5  # prior: ratio of their mean squared z for two curves of B, below which they favour one
 _ONE_WAY = 4.0  # prior: standard errors by which onsets of one direction are late
 _OTHER_WAY = 0.3  # prior: of that: what those of the other may be
+_BETWEEN = 1.5  # tolerance: of the usual distance of onsets: as far the onsets' curve counts alone
 _BENDS = 2.0  # prior: times its own size by which B may change over the range
 
 
@@ -342,7 +343,7 @@ class Choice:
         onsets tell it, which is in sigma."""
         p = np.sort([o.q_mean for o in widths])
         # How far from an onset its curve counts alone: at least to the nearest place of the grid.
-        between = 1.5 * float(np.median(np.diff(p))) if len(p) > 2 else 0.0
+        between = _BETWEEN * float(np.median(np.diff(p))) if len(p) > 2 else 0.0
         reach = max(between, float(np.median([o.width for o in widths])), float(self.grid[1] - self.grid[0]))
         distance = np.min(np.abs(self.grid[:, None] - p[None, :]), axis=1)
         far = np.clip(distance / reach - 1.0, 0.0, 1.0)

@@ -29,6 +29,8 @@ REACH_S = 10.0  # prior: an offset is looked for this far around the nominal del
 FITS = 0.003  # tolerance: misfit up to which the nominal delay is as right as a search could say
 _FOLLOWS = 0.25  # prior: misfit above which the sensor does not follow this motor at any offset
 _RIVAL = 2.0  # prior: times the least misfit: other offsets that leave less are rivals of the best
+_COARSELY = 3.0  # tolerance: times that before a minimum is refined
+_NOISE = 4.0  # prior: times the share of noise: a misfit that a search could not improve on either
 _EDGE_S = 0.09  # tolerance: a delay this far from the nominal one is at the edge of what find_delay looks through
 _CLEARLY_LESS = 0.7  # prior: of the nominal delay's misfit: another lag fits
 _BY_ITSELF_S = 0.06  # tolerance: as far as a search from the nominal delay surely comes, below _EDGE_S
@@ -221,7 +223,7 @@ def find_offset(track: Track, rig: Rig) -> Offset | None:
     least_misfits = scan.least_misfits(near)
     delays = np.abs(near - nominal_s) <= DELAY_REACH_S
     least = float(least_misfits[delays].min())
-    at_nominal = least <= max(FITS, 4.0 * scan.noise_share) and least <= _BEATEN * least_misfits.min()
+    at_nominal = least <= max(FITS, _NOISE * scan.noise_share) and least <= _BEATEN * least_misfits.min()
     if at_nominal and scan.moves_as_coarse(float(near[delays][int(least_misfits[delays].argmin())])):
         return Offset(0.0, least)
     rivals = _minima(scan, LagScan.of(track, rig, FRAMES[1]) or scan, _lags_around(nominal_s, REACH_S))
@@ -254,7 +256,7 @@ def _minima(scan: LagScan, fine: LagScan, lags: Array) -> list[Minimum]:
     least_misfits = scan.least_misfits(lags)
     finite = np.where(np.isfinite(least_misfits), least_misfits, 1.0)
     padded = np.concatenate([[np.inf], finite, [np.inf]])
-    lowest = (finite <= padded[:-2]) & (finite <= padded[2:]) & (finite <= 3.0 * _RIVAL * finite.min() + 1e-12)
+    lowest = (finite <= padded[:-2]) & (finite <= padded[2:]) & (finite <= _COARSELY * _RIVAL * finite.min() + 1e-12)
     at = np.flatnonzero(lowest & np.isfinite(least_misfits))
     minima = sorted((fine.minimum_near(float(lags[i])) for i in at), key=lambda one: one.misfit)
     rivals: list[Minimum] = []
