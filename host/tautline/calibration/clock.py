@@ -151,7 +151,8 @@ def _at_one_delay(
     tracks: list[Track], offsets: list[float], rig: Rig, late_are_off: bool
 ) -> tuple[list[Track], list[float]]:
     """Tracks and their offsets, s, with all images at one delay, as a camera has one. It is that of a track whose clock
-    was right; tracks whose images stop at a clearly different delay are shifted to it."""
+    was right; tracks whose images stop at a clearly different delay are shifted to it, without late_are_off only those
+    that have an offset already."""
     if len(tracks) < 2 or any(track.sensor != MARKER for track in tracks):
         return tracks, offsets
     delays = [delay_of_stops([track], rig) for track in tracks]
@@ -161,16 +162,15 @@ def _at_one_delay(
     nominal_s = rig.nominal_delay_s(MARKER)
     # The recording whose delay has the highest posterior density, by its stops and the rig's nominal delay.
     best = min(right, key=lambda d: np.log(d.sigma_s) + 0.5 * ((d.delay_s - nominal_s) / NOMINAL_S) ** 2)
-    shifts = [
-        delay.delay_s - best.delay_s
-        if abs(delay.delay_s - best.delay_s) > max(_CLEAR * np.hypot(delay.sigma_s, best.sigma_s), _SAME_S)
-        and (late_are_off or offset_s)
-        and _fits_at_own_delay(track, rig, delay.delay_s, best.delay_s)
-        else 0.0
-        for track, delay, offset_s in zip(tracks, delays, offsets, strict=True)
-    ]
-    moved = [replace(t, t_s=t.t_s - shift) if shift else t for t, shift in zip(tracks, shifts, strict=True)]
-    return moved, [offset_s + shift for offset_s, shift in zip(offsets, shifts, strict=True)]
+    at_one, own_offsets = [], []
+    for track, delay, offset_s in zip(tracks, delays, offsets, strict=True):
+        later_s = delay.delay_s - best.delay_s
+        clearly = abs(later_s) > max(_CLEAR * np.hypot(delay.sigma_s, best.sigma_s), _SAME_S)
+        if clearly and (late_are_off or offset_s) and _fits_at_own_delay(track, rig, delay.delay_s, best.delay_s):
+            track, offset_s = replace(track, t_s=track.t_s - later_s), offset_s + later_s
+        at_one.append(track)
+        own_offsets.append(offset_s)
+    return at_one, own_offsets
 
 
 def _fits_at_own_delay(track: Track, rig: Rig, own_s: float, best_s: float) -> bool:

@@ -109,17 +109,16 @@ class LagScan:
         half of the frames count: those that the motor's record covers, once the play has forgotten its start."""
         track = self.track
         scene = track.scene_s(lag_s)
-        n = len(self.turn_t)
+        turns = len(self.turn_t)
         times = np.concatenate([self.turn_t, scene])
         order = np.argsort(times, kind="stable")
         q = np.concatenate([self.turn_q, track.motor_at(scene)])[order]
         grid = np.array([self.low - self.span, self.low + 2.0 * self.span])
         plays = _native.Plays(grid, np.full(2, width))
         far = 10.0 * (self.span + float(np.abs(grid).max()))
-        p, other = (plays.forward(q, start)[0] for start in (-far, far))
-        counted = order >= n
-        counted &= np.abs(p - other) < 1e-9 * self.span
-        frames = order[counted] - n
+        p, from_above = (plays.forward(q, start)[0] for start in (-far, far))
+        counted = (order >= turns) & (np.abs(p - from_above) < 1e-9 * self.span)
+        frames = order[counted] - turns
         inside = track.within_motor(scene)[frames]
         if self.reference is not None:
             inside &= track.at_reference(scene, self.reference)[frames]
