@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import warnings
 from dataclasses import replace
 
 import angle_plant
@@ -133,6 +135,27 @@ def test_a_camera_that_was_stopped_early_is_only_said(made: Recording) -> None:
     assert "clock" not in {r.code for r in found.reasons}
 
 
+@pytest.mark.parametrize(("before_s", "after_s"), [(0.0, 9.0), (9.0, 0.0), (5.0, 4.0)])
+def test_a_camera_that_runs_for_longer_than_the_motors_log_is_not_told_to(
+    made: Recording, before_s: float, after_s: float
+) -> None:
+    """The tip rests meanwhile."""
+    t_s = made.marker.t_s
+    early, behind = np.arange(t_s[0] - before_s, t_s[0] - 0.01, 0.04), np.arange(t_s[-1], t_s[-1] + after_s, 0.04)[1:]
+    ends = (len(early), len(behind))
+    u_px, v_px, valid = (np.pad(getattr(made.marker, name), ends, "edge") for name in ("u_px", "v_px", "valid"))
+    long = Marker(np.concatenate([early, t_s, behind]), u_px, v_px, valid)
+    told = reason(quality(replace(made, marker=long)), "duration")
+    assert re.search(r": 8\.9\d? s of them are without the motor$", told.says), told
+    assert "log the motor" in told.remedy and "camera first" not in told.remedy
+
+
+def test_a_sensor_that_was_started_late_is_no_camera() -> None:
+    whole = angle_plant.record(angle_plant.Motion.through((-35, 35, -35, 35), speed=14.0))
+    late = replace(whole, angle=recordings.Angle(whole.angle.t_s[600:], whole.angle.c_deg[600:]))
+    assert "start the sensor first" in reason(quality(late, angle_plant.RIG), "duration").remedy
+
+
 def test_lost_frames_leave_the_rate_alone_and_a_dark_part_is_named(made: Recording) -> None:
     marker = made.marker
     some = np.arange(len(marker.t_s)) % 2 == 0
@@ -229,3 +252,42 @@ def test_an_angle_sensor_without_a_value_is_no_marker(made: Recording) -> None:
     dead = replace(made, marker=None, angle=recordings.Angle(t_s, np.full(len(t_s), np.nan)))
     with pytest.raises(TautError, match=r"angle\.csv"):
         calibrate([dead], bare)
+
+
+def test_a_marker_that_no_camera_of_the_rig_could_see_is_not_what_is_missing(made: Recording) -> None:
+    t_s = np.arange(0.0, 20.0, 0.02)
+    dead = replace(made, angle=recordings.Angle(t_s, np.full(len(t_s), np.nan)))
+    with pytest.raises(TautError, match=r"angle\.csv"):
+        calibrate([dead], Rig(RIG.actuator, RIG.coarse))
+
+
+@pytest.mark.parametrize("marker_first", [True, False])
+def test_what_is_seen_of_an_image_is_checked_wherever_it_stands(made: Recording, marker_first: bool) -> None:
+    t_s = made.marker.t_s
+    angles = RIG.coarse.gain * np.interp(t_s - RIG.delay_s, made.motor.t_s, made.motor.q) + RIG.coarse.offset
+    hidden = replace(made, name="hidden", marker=replace(made.marker, valid=np.zeros(len(t_s), dtype=bool)))
+    joint = replace(made, name="joint", marker=None, angle=recordings.Angle(t_s, angles))
+    dead = replace(joint, name="dead", angle=recordings.Angle(t_s, np.full(len(t_s), np.nan)))
+
+    def told(*several: Recording) -> set[str]:
+        both = several if marker_first else several[::-1]
+        return {r.code for r in rig_contradictions(both, observe(both, RIG), [0.0, 0.0], RIG)}
+
+    assert told(hidden, joint) == {"lost"}
+    assert told(scaled(made, 0.5), dead) == {"frame_size"}
+
+
+@pytest.mark.parametrize("late_s", [-90.0, 90.0])
+def test_no_more_of_the_motion_is_without_frames_than_there_is(made: Recording, late_s: float) -> None:
+    """Frames of another time altogether."""
+    says = reason(quality(replace(made, marker=replace(made.marker, t_s=made.marker.t_s + late_s))), "duration").says
+    missing = float(says.split(": ")[-1].split(" s of the motion")[0])
+    assert 0.9 < missing / np.ptp(made.motor.t_s) < 1.0, says
+
+
+def test_of_a_single_frame_no_size_is_told(made: Recording) -> None:
+    names = ("t_s", "u_px", "v_px", "valid", "sigma_px")
+    one = replace(made.marker, **{name: getattr(made.marker, name)[100:101] for name in names})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert "frame_size" not in {r.code for r in quality(scaled(replace(made, marker=one), 0.5)).reasons}

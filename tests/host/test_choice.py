@@ -104,3 +104,16 @@ def test_an_onset_at_the_end_of_what_both_ways_passed_counts(
     )
     assert findings.evidence["onsets_minus_passes"] == pytest.approx(0.5)
     assert width is not None and np.isnan(width[:20]).all() and np.isfinite(width[21:70]).all()
+
+
+def test_onsets_narrower_than_the_grid_is_fine_are_near_the_nearest_place_of_it() -> None:
+    """A stroke that always turns at the same two places, with hardly any backlash: no place of the grid is within a
+    width of an onset."""
+    at = [p + off for p in (-3.05, 3.05) for off in (-0.001, 0.0, 0.001)]
+    onsets = [Onset(0, p, p, 1, p - 0.003, p + 0.003, 0.001, 0.0, 9.0, HINGE, True) for p in at]
+    curve = WidthCurve(GRID, np.full(101, 0.006), np.full(101, 0.001), (-3.051, 3.051), 0.0, places=2)
+    fit = SimpleNamespace(width=lambda curves: np.full(101, 0.009))
+    passes = cast(Fitted, SimpleNamespace(fit=fit, curves=None, width_sigma=lambda grid: np.full(101, 0.002)))
+    choice = Choice([], Domain(-5.0, 5.0), GRID, "mm", Findings())
+    width, sigma, _ = choice._onsets_filled_by_passes(onsets, curve, passes)
+    assert width == pytest.approx(0.006) and np.isfinite(sigma).all()

@@ -10,6 +10,7 @@ import pytest
 from tautline import _native
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.components import separate
+from tautline.calibration.departures import _sway_frequency
 from tautline.calibration.mixed_model import frames_per_independent
 from tautline.calibration.result import Calibration
 from tautline.core.motor import MotorPath
@@ -210,6 +211,16 @@ def dragged(px: np.ndarray, rng: np.random.Generator, length_px: float) -> np.nd
     gone = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(px, axis=0), axis=1))]) / length_px
     nodes = rng.normal(0.0, 0.15, (int(gone[-1]) + 2, 2))
     return np.column_stack([np.interp(gone, np.arange(len(nodes)), each) for each in nodes.T])
+
+
+@pytest.mark.parametrize("apart_s", [0.0, 3600.0])
+@pytest.mark.parametrize("rate_hz", [0.2, 0.6, 0.9])
+def test_a_sway_is_found_in_recordings_far_apart(apart_s, rate_hz):
+    one = np.arange(0.0, 60.0, 0.04)
+    t_s = np.concatenate([one, one + 60.0 + apart_s])
+    angle = 2.0 * np.pi * rate_hz * t_s
+    left = np.column_stack([np.sin(angle), np.cos(angle)])
+    assert _sway_frequency(t_s, left) == pytest.approx(rate_hz, abs=0.25 / 60.0)
 
 
 def test_what_a_codec_holds_back_is_the_trackers_error():

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 
+import angle_plant
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -10,7 +11,8 @@ import pytest
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.choice import JOINT
 from tautline.calibration.components import Component, Components, DifferenceFromEnd
-from tautline.calibration.doubts import _ripple, component_reasons, still_changing
+from tautline.calibration.doubts import _faster_hz, _ripple, common_error, component_reasons, still_changing
+from tautline.calibration.findings import Findings
 from tautline.calibration.holding import without_held_places
 from tautline.calibration.observations import observe
 from tautline.calibration.playfit import Curves
@@ -18,7 +20,7 @@ from tautline.calibration.result import Calibration
 from tautline.calibration.smooth import Domain
 from tautline.geometry import project
 from tautline.quality import Quality, Reason, Verdict
-from tautline.recording import Recording
+from tautline.recording import Angle, Motor, Recording
 from tautline.simulated.instrument import Instrument, preset, reference_rig
 from tautline.simulated.simulate import Simulation, run
 from tautline.trajectory import Trajectory, back_and_forth, through
@@ -242,3 +244,45 @@ def test_a_ripple_is_a_wave_that_goes_on_and_no_shape_of_b(shape: str, sigma: fl
     assert _ripple(q, b, stated, usual)[0] == 0.0
     rms, period = _ripple(q, b + 0.03 * np.sin(2 * np.pi * q / 0.9 + 1.0), stated, usual)
     assert rms == pytest.approx(0.03 / np.sqrt(2.0), rel=0.35) and period == pytest.approx(0.9, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("period_s", "off", "hz"), [(0.1, 2.0, 20), (10.0, 2.0, 0.2), (5.0, 1.5, 0.5), (60.0, 1.1, 0.02)]
+)
+def test_a_motor_that_is_logged_too_seldom_is_told_a_rate_that_is_enough(
+    period_s: float, off: float, hz: float
+) -> None:
+    assert _faster_hz(period_s, off, 1.0) == pytest.approx(hz)
+
+
+def told_of_rate(recordings: list[Recording]) -> tuple[float, list[str]]:
+    """The error that all strokes share, deg, and what is to be done about it. B is 2 deg."""
+    grid, findings = np.linspace(-30.0, 30.0, 100), Findings()
+    flat, tracks = np.ones_like(grid), observe(recordings, angle_plant.RIG)
+    error = common_error(tracks, grid, 2.0 * flat, 0.05 * flat, 2.0, "deg", findings)
+    return error, [reason.remedy for reason in findings.noticed if reason.code == "rate"]
+
+
+def test_the_recording_whose_motor_is_logged_too_seldom_is_the_one_whose_rate_is_told() -> None:
+    """Another one has fewer samples still, but hardly moves."""
+    motion = angle_plant.Motion.through
+    fast = angle_plant.record(motion((-35, 35, -35), speed=60.0), motor_hz=20.0)
+    slow = angle_plant.record(motion((-3, 3, -3), speed=0.1), motor_hz=2.0, sensor_hz=20.0)
+    assert told_of_rate([slow, fast]) == told_of_rate([fast])
+    assert told_of_rate([fast])[1] == ["log the motor at 500 Hz or more"]
+
+
+def test_readings_that_are_too_few_for_a_turn_leave_the_others_error() -> None:
+    whole = angle_plant.record(angle_plant.Motion.through((-35, 35, -35), speed=14.0))
+    t_s = np.linspace(100.0, 100.8, 3)
+    few = replace(whole, motor=Motor(t_s, np.array([0.0, 1.0, 2.0])), angle=Angle(t_s, np.zeros(3)))
+    assert told_of_rate([whole, few]) == told_of_rate([whole])
+
+
+def test_what_is_said_of_an_angle_sensors_clock_is_of_no_camera() -> None:
+    joint = angle_plant.record(angle_plant.Motion.through((-35, 35, -30, 25, -35, 0, -20, 30, -35), speed=14.0))
+    assert joint.angle is not None
+    fast = replace(joint, angle=Angle(joint.angle.t_s * 1.003, joint.angle.c_deg))
+    reasons = calibrate([fast], angle_plant.RIG, naming=False).model.quality.reasons
+    assert any(reason.code == "clock.rate" for reason in reasons)
+    assert not any("camera" in reason.says for reason in reasons)

@@ -117,6 +117,13 @@ def test_a_place_is_measured_or_in_a_gap(edges: list[float], measured: tuple[flo
         assert not inside or passed or inside[0].why == "never passed both ways"
 
 
+def test_where_nothing_is_measured_there_is_one_gap() -> None:
+    """The middle of the range stands for no place at all then, and is one of the grid's."""
+    middle = 0.5 * (LOW + HIGH)
+    (gap,) = gaps(model((middle, middle)), apart((LOW, HIGH)))
+    assert (gap.low, gap.high) == (LOW, HIGH)
+
+
 def test_a_hole_between_two_places_and_a_missing_turn_are_told_apart() -> None:
     hole, end = gaps(model((-4.8, 2.0)), apart((-4.8, -1.0), (1.0, 4.8)))
     assert hole.low == pytest.approx(-0.7, abs=0.03) and hole.high == pytest.approx(0.7, abs=0.03)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from slices import some
 
 from tautline.calibration import clock
+from tautline.calibration.angle_delay import delay_of_all
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.components import Components
 from tautline.calibration.measuring import Measuring
@@ -20,16 +21,18 @@ from tautline.calibration.onset import Delay
 from tautline.calibration.smooth import Domain, fit_jointly, prepare_tracks
 from tautline.calibration.steps import motor_jumps
 from tautline.encoder import between_counts
+from tautline.errors import TautError
 from tautline.model import Model
 from tautline.prediction import predict, times_of
 from tautline.quality import Verdict
-from tautline.recording import Angle, Motor, load, save, shifted
+from tautline.recording import Angle, Motor, Recording, load, save, shifted
 from tautline.rig import ANGLE, MARKER, Rig
 from tautline.simulated.instrument import preset, reference_rig
 from tautline.simulated.simulate import run
 from tautline.trajectory import back_and_forth
 
 CAMERA_RIG = reference_rig()
+TIP_CAMERA = replace(CAMERA_RIG.camera, mount="tip", delay_s=0.3)
 PLAIN = record(Motion.through(), delay_s=0.03)
 
 
@@ -160,6 +163,17 @@ def test_what_a_diagnosis_is_to_explain_is_no_clock():
     assert np.median(made[2].marker.t_s - off.marker.t_s) == pytest.approx(2.0, abs=5e-3)
 
 
+def test_recordings_of_one_name_keep_a_clock_each():
+    right, off = clock.on_motor_clock([PLAIN, late(PLAIN, 2.0)], RIG)
+    assert right is PLAIN and off.angle.t_s == pytest.approx(PLAIN.angle.t_s, abs=0.05)
+
+
+@pytest.mark.parametrize("rig", [stated(0.3), Rig(RIG.actuator, RIG.coarse, camera=TIP_CAMERA)], ids=["sensor", "tip"])
+def test_frames_that_tell_little_keep_the_delay_that_the_rig_states(rig):
+    noisy = record(Motion.through((-35, 35, -35), speed=14.0), delay_s=0.3, noise=1.5)
+    assert abs(delay_of_all(observe([noisy], RIG), rig).delay_s - 0.3) < 0.05
+
+
 def test_a_delay_out_of_find_delays_reach_is_found():
     found = calibrate([late(endoscope(), 0.18)], CAMERA_RIG)
     assert abs(found.model.delay_s - CAMERA_RIG.delay_s - 0.18) < 2e-3 and found.model.offset_s is None
@@ -238,6 +252,18 @@ def test_a_motor_that_only_steps_is_refused():
         found = calibrate([record(Motion.steps(levels, 3.0), sensor_hz=50.0, motor_hz=motor_hz)], RIG)
         reason = found.model.quality.reasons[0]
         assert reason.code == "steps" and reason.fatal
+
+
+def test_a_recording_that_shows_a_step_and_nothing_else_is_left_out():
+    t_s = np.arange(0.0, 60.0, 0.5)
+    motor = Motor(t_s, 20.0 * np.sin(0.1 * np.pi * t_s) + 8.0 * (t_s >= 25.0))
+    seen_s = np.linspace(24.52, 24.98, 12)  # between the two samples of the step
+    step = Recording("step", motor, angle=Angle(seen_s, np.interp(seen_s, t_s, motor.q)), rig=RIG)
+    with pytest.raises(TautError, match="only where the motor steps"):
+        calibrate([step], RIG)
+    with_it, alone = calibrate([PLAIN, step], RIG, naming=False), calibrate([PLAIN], RIG, naming=False)
+    assert np.array_equal(with_it.model.width, alone.model.width) and with_it.names == ("joint",)
+    assert any("12 frames at which the tip follows" in note for note in with_it.notes)
 
 
 def test_a_few_steps_between_strokes_are_left_out():

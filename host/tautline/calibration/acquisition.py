@@ -21,24 +21,30 @@ from tautline.rig import MARKER, Camera, Rig
 
 Array = npt.NDArray[np.float64]
 
-# prior: sizes that a camera or a converter makes of a picture, as factors of the rig's.
-_SCALES = (1 / 4, 1 / 3, 3 / 8, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 8 / 3, 3.0, 4.0)
+# Sizes that a camera or a converter makes of a picture, as factors of the rig's.
+_SCALES = (1 / 4, 1 / 3, 3 / 8, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 8 / 3, 3.0, 4.0)  # prior: above
 _EVEN = 0.01  # tolerance: by which the two sides may be scaled differently: a rounded number of pixels
 _OFF = 0.02  # prior: of the picture's width: farther from the tip's path the marker is not where the rig puts it
 _FITS = 0.1  # prior: of that distance is left where another scale is right
 _MARGIN_PX, _IN_A_ROW = 2.0, 3  # tolerance: a marker outside of the picture, and frames in a row that show it there
-# unit: how many of the rig's units one of another is, and what that one is called.
-_MISTAKEN = {"mm": ((1000.0, "metres"), (25.4, "inches"), (1e-3, "micrometres")), "deg": ((57.3, "radians"),)}
+_LOOKED_AT = 60  # tolerance: frames of a track, evenly spread, whose places are compared with the tip's path
+# How many of the rig's units one of another is, and what that one is called.
+_MM = (1000.0, "metres"), (25.4, "inches"), (1e-3, "micrometres")  # equation: mm of each
+_DEG = ((57.3, "radians"),)  # equation: deg of each
+_MISTAKEN = {"mm": _MM, "deg": _DEG}
 _REACH_SLACK = 10.0  # prior: of such a factor: a motion covers a part of the range
 _LEAST_REACH, _MOST_REACH = 0.02, 5.0  # prior: of the range: beyond, the two are in different units
 _LEAST_BEND_DEG, _MOST_BEND_DEG = 1.0, 1000.0  # prior: three turns: no bending section's
 _LOST_ENDS_S, _LOST_ENDS = 3.0, 0.05  # tolerance: of motion without frames, as a camera starts late
 _SCATTERED = 0.15  # prior: of the image's motion that the motor's position leaves unexplained: more is no backlash
 _RATE = 0.05  # tolerance: by which a steady frame rate may differ from the rig's
-_STEADY = 0.1  # of the frame period: what varies more is no rate
+_STEADY = 0.1  # tolerance: of the frame period: what varies more is no rate
 _PLACES = 12  # tolerance: of the motor's range, in each of which the marker has to be seen
 _SEEN = 0.3  # tolerance: of the frames there
-_FEWEST = 20  # frames from which a share is one
+_FEWEST = 20  # tolerance: frames from which a share is one
+_LEAVES = 0.01  # tolerance: of the motor's range: so far from its first place its motion has begun
+_AROUND_S = 0.05  # tolerance: of a frame: within it the motor's direction is taken
+_BINS = 24  # tolerance: edges of the bins of the motor's range in each of which the image has one mean
 
 
 def rig_contradictions(
@@ -47,8 +53,9 @@ def rig_contradictions(
     """The reasons of what contradicts the rig, and of motion that was not seen. tracks: of the recordings, on the
     motor's clock, from which their sensors' clocks differ by offsets_s."""
     reasons = _range_in_another_unit(tracks, rig)
-    if rig.camera is not None and tracks[0].unit == "px":
-        reasons += _wrong_frame_size(recordings, tracks, rig, rig.camera)
+    images = [track for track in tracks if track.unit == "px"]
+    if rig.camera is not None and images:
+        reasons += _wrong_frame_size(recordings, images, rig, rig.camera)
         reasons += _wrong_rate(recordings, rig.camera)
     for recording, track, offset_s in zip(recordings, tracks, offsets_s, strict=True):
         reasons += _frames_beyond_motor(recording, track, rig.nominal_delay_s(track.sensor), offset_s)
@@ -78,12 +85,11 @@ def mistaken_unit(factor: float, unit: str, slack: float) -> str:
 def _range_in_another_unit(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
     """A fatal reason, in a list, where the motor's positions, the rig's range and coarse.gain cannot be in one unit;
     empty where they can."""
-    actuator = rig.actuator
+    actuator, bend_deg = rig.actuator, float(np.ptp(coarse_range_deg(rig)))
     low, high = min(float(t.motor.q.min()) for t in tracks), max(float(t.motor.q.max()) for t in tracks)
     if in_another_unit((low, high), rig):
-        bends = _LEAST_BEND_DEG < float(np.ptp(coarse_range_deg(rig))) < _MOST_BEND_DEG
         wrong, ratio = f"q_{actuator.unit} of motor.csv", actuator.span / max(high - low, 1e-12)
-        if not bends:  # the range is not in the unit that coarse.gain is per
+        if not _LEAST_BEND_DEG < bend_deg < _MOST_BEND_DEG:  # the range is not in the unit that coarse.gain is per
             wrong, ratio = "actuator.range", 1.0 / ratio
         name = mistaken_unit(ratio, actuator.unit, _REACH_SLACK)
         return [
@@ -97,12 +103,11 @@ def _range_in_another_unit(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
                 fatal=True,
             )
         ]
-    bend = coarse_range_deg(rig)
-    if bend[1] - bend[0] > _MOST_BEND_DEG:
+    if bend_deg > _MOST_BEND_DEG:
         return [
             Reason(
                 "range",
-                f"f_coarse bends the tip by {bend[1] - bend[0]:.3g} deg over the rig's range",
+                f"f_coarse bends the tip by {bend_deg:.3g} deg over the rig's range",
                 f"coarse.gain is in deg per {actuator.unit}, actuator.range in {actuator.unit}: check both",
                 fatal=True,
             )
@@ -114,10 +119,10 @@ def _range_in_another_unit(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
 
 
 def _wrong_frame_size(
-    recordings: Sequence[Recording], tracks: Sequence[Track], rig: Rig, camera: Camera
+    recordings: Sequence[Recording], images: Sequence[Track], rig: Rig, camera: Camera
 ) -> list[Reason]:
-    """A fatal reason, in a list, where frames or marker positions are not of the rig's frame size; empty where none
-    contradicts it."""
+    """A fatal reason, in a list, where frames of the recordings or marker positions of the images, their tracks in px,
+    are not of the rig's frame size; empty where none contradicts it."""
     nominal = (camera.width_px, camera.height_px)
     for recording in recordings:
         size = recording.marker.frame_px if recording.marker is not None else None
@@ -133,7 +138,7 @@ def _wrong_frame_size(
                 fatal=True,
             )
         ]
-    for track in tracks:
+    for track in images:
         if reason := _frame_size_by_places(track, rig, camera):
             return [reason]
     return []
@@ -149,17 +154,16 @@ def _remedy_of_scale(scale: float) -> str:
 
 def _frame_size_by_places(track: Track, rig: Rig, camera: Camera) -> Reason | None:
     """A fatal reason where marker positions lie outside of the rig's frame, or on the tip's path only if they are
-    scaled. None where neither is so."""
-    if not len(track.t_s):
+    scaled. None where neither is so, or with a single frame."""
+    if len(track.t_s) < 2:
         return None
     size = np.array([camera.width_px, camera.height_px])
-    away = np.any((track.y < -_MARGIN_PX) | (track.y > size - 1 + _MARGIN_PX), axis=1)
+    outside = np.any((track.y < -_MARGIN_PX) | (track.y > size - 1 + _MARGIN_PX), axis=1)
     # The tip's path leaves for many frames in a row, a false sighting for one.
-    outside = len(track.y) >= _IN_A_ROW and bool(sliding_window_view(away, _IN_A_ROW).all(axis=1).any())
-    some = np.linspace(0, len(track.t_s) - 1, min(60, len(track.t_s))).astype(int)
-    others = [x[some] for x in track.others_at(track.scene_s(rig.delay_s))]
-
-    q = track.motor_at(track.scene_s(rig.delay_s))[some]
+    leaves = len(track.y) >= _IN_A_ROW and bool(sliding_window_view(outside, _IN_A_ROW).all(axis=1).any())
+    some = np.linspace(0, len(track.t_s) - 1, min(_LOOKED_AT, len(track.t_s))).astype(int)
+    scene_s = track.scene_s(rig.delay_s)[some]
+    q, others = track.motor_at(scene_s), track.others_at(scene_s)
 
     def path_error(scale: float) -> float:
         """rms distance, px of the rig's size, of the marker from the tip's path if frames are `scale` times the rig's
@@ -183,8 +187,8 @@ def _frame_size_by_places(track: Track, rig: Rig, camera: Camera) -> Reason | No
             _remedy_of_scale(best),
             fatal=True,
         )
-    if outside:
-        low, high = track.y[away].min(axis=0), track.y[away].max(axis=0)
+    if leaves:
+        low, high = track.y[outside].min(axis=0), track.y[outside].max(axis=0)
         return Reason(
             "frame_size",
             f"{track.name}: marker positions from ({low[0]:.4g}, {low[1]:.4g}) to ({high[0]:.4g}, {high[1]:.4g}) px "
@@ -258,12 +262,12 @@ def _frames_beyond_motor(recording: Recording, track: Track, delay_s: float, off
     first, last = float(frames_s[0]) - delay_s, float(frames_s[-1]) - delay_s
     frames_last, motor_lasts = last - first, float(motor.t_s[-1] - motor.t_s[0])  # s
     slack = max(_LOST_ENDS_S, _LOST_ENDS * motor_lasts)
-    off_start = np.flatnonzero(np.abs(motor.q - motor.q[0]) > 0.01 * np.ptp(motor.q))
-    off_end = np.flatnonzero(np.abs(motor.q - motor.q[-1]) > 0.01 * np.ptp(motor.q))
+    off_start = np.flatnonzero(np.abs(motor.q - motor.q[0]) > _LEAVES * np.ptp(motor.q))
+    off_end = np.flatnonzero(np.abs(motor.q - motor.q[-1]) > _LEAVES * np.ptp(motor.q))
     if not len(off_start) or not len(off_end):
         return []
     begin, end = float(motor.t_s[off_start[0]]), float(motor.t_s[off_end[-1]])  # of the motion
-    missing = max(first - begin, 0.0) + max(end - last, 0.0)  # s of the motion without frames
+    missing = min(max(first - begin, 0.0) + max(end - last, 0.0), end - begin)  # s of the motion without frames
     if missing <= slack and frames_last - motor_lasts <= slack:
         return []
     says = f"{recording.name}: its frames last {frames_last:.4g} s, its motor {motor_lasts:.4g}"
@@ -277,8 +281,12 @@ def _frames_beyond_motor(recording: Recording, track: Track, delay_s: float, off
                 fatal=True,
             )
         ]
-    what = f"{missing:.3g} s of the motion have no frames" if missing > slack else "the motor's record ends first"
-    remedy = "start the camera first and stop it last"
+    camera = "camera" if track.unit == "px" else "sensor"
+    if missing > slack:
+        what, remedy = f"{missing:.3g} s of the motion have no frames", f"start the {camera} first and stop it last"
+    else:
+        what = f"{frames_last - motor_lasts:.3g} s of them are without the motor"
+        remedy = f"log the motor for as long as the {camera} runs, on the same clock"
     if track.unit == "px" and recording.marker is not None and (untimed := recording.marker.untimed):
         timed = len(recording.marker.t_s)
         remedy = f"frames.csv lists {timed} of the video's {timed + untimed} frames: list every one"
@@ -286,17 +294,17 @@ def _frames_beyond_motor(recording: Recording, track: Track, delay_s: float, off
 
 
 def _unexplained_share(track: Track, delay_s: float) -> float:
-    """Share (0 to 1) of the image's variance that the mean in each of 24 bins of the motor's position leaves, for the
-    better of either direction of motion taken alone, so that backlash is no part of it. 0 where too few frames move."""
+    """Share (0 to 1) of the image's variance that the means in bins of the motor's position leave, for the better of
+    either direction of motion taken alone, so that backlash is no part of it. 0 where too few frames move."""
     scene = track.scene_s(delay_s)
     inside = track.within_motor(scene)
-    q, way = track.motor_at(scene), track.motor_at(scene + 0.05) - track.motor_at(scene - 0.05)
+    q, way = track.motor_at(scene), track.motor_at(scene + _AROUND_S) - track.motor_at(scene - _AROUND_S)
     shares = []
     for sign in (1, -1):
         going = inside & (sign * way > 0)
         if going.sum() < _FEWEST:
             continue
-        place = np.digitize(q[going], np.linspace(q[going].min(), q[going].max(), 24))
+        place = np.digitize(q[going], np.linspace(q[going].min(), q[going].max(), _BINS))
         y = track.y[going]
         total = float(np.sum((y - y.mean(axis=0)) ** 2))
         left = sum(float(np.sum((y[place == k] - y[place == k].mean(axis=0)) ** 2)) for k in np.unique(place))

@@ -19,21 +19,16 @@ from tautline.spread import of_rounding
 
 _STATED_S = 0.05  # prior: standard deviation of an angle sensor's delay about what the rig states
 _UNSTATED_S = 0.05, 0.07  # prior: mean and standard deviation where the rig states none: of bus, filter or servo
-_SPANS = (
-    (8, 16),
-    (1, 6),
-)  # prior: spans of B and of the path; the second, stiffer pair where the first does not tell the delay
+_SPANS = (8, 16), (1, 6)  # prior: of B and of the path; the stiffer pair where the first does not tell the delay
 _TOLD_S = 0.025  # tolerance: standard deviation up to which a delay counts as told
 _COARSE_S = 0.02  # tolerance: between delays of the first search
+_GRIDS = (2.0, 1.0, 0.4, 0.12)  # tolerance: of that: between delays of the posterior's grids, from the coarsest
 _PER_STROKE = 4.0  # prior: independent residuals of a model with errors within a stroke, at most
 _STROKES = 10  # prior: strokes that count for that at most: model errors repeat in further ones
 _WHITE = 1.05  # tolerance: residual over noise up to which nothing but noise is in it
 _CLEARLY = 1.03  # prior: ratio of residuals from which one fit is clearly worse
 _LIKELY = 3.0  # prior: standard deviations within which a delay is likely
-_SAMPLES, _LITTLE_S = (
-    1.5,
-    0.01,
-)  # prior: frame periods, and s: a delay that differs by less may be an error of the model
+_SAMPLES, _LITTLE_S = 1.5, 0.01  # prior: frame periods, and s: a delay that is off by less may be a model error's
 
 
 def delay_of_all(tracks: Sequence[Track], rig: Rig) -> Delay:
@@ -47,7 +42,8 @@ def delay_of_all(tracks: Sequence[Track], rig: Rig) -> Delay:
     lags = nominal_s + np.linspace(-DELAY_REACH_S, DELAY_REACH_S, 21)
     start = float(lags[int(np.argmin(np.sum([scan.least_misfits(lags) for scan in scans], axis=0)))])
     try:
-        prior_mean_s, prior_sigma_s = _UNSTATED_S if rig.angle is None else (nominal_s, _STATED_S)
+        stated = rig.angle is not None or rig.sees_from_tip
+        prior_mean_s, prior_sigma_s = (nominal_s, _STATED_S) if stated else _UNSTATED_S
         return _delay_posterior(scans, prior_mean_s, start, prior_sigma_s)
     except np.linalg.LinAlgError:  # the tip is seen at too few places
         return Delay(nominal_s, np.inf, 0)
@@ -62,7 +58,7 @@ def _delay_posterior(scans: Sequence[LagScan], prior_mean_s: float, start: float
         best = min((prior_mean_s, 0.5 * (start + prior_mean_s), start), key=profile.deviance)
         while (better := min((best, best - _COARSE_S, best + _COARSE_S), key=profile.deviance)) != best:
             best = better
-        for pitch_s in (2.0 * _COARSE_S, _COARSE_S, 0.4 * _COARSE_S, 0.12 * _COARSE_S):
+        for pitch_s in (share * _COARSE_S for share in _GRIDS):
             best, spread = profile.posterior(best, pitch_s)
             if spread > pitch_s:
                 break
@@ -130,7 +126,7 @@ class _DelayDeviance:
         own rounding is in the latter."""
         delays = centre_s + pitch_s * np.arange(-3, 4)
         deviance = np.array([self.deviance(float(delay)) for delay in delays])
-        weight = np.exp(-0.5 * np.clip(deviance - deviance.min(), 0.0, 200.0))
+        weight = np.exp(-0.5 * (deviance - deviance.min()))
         weight /= weight.sum()
         mean = float(weight @ delays)
         return mean, float(np.hypot(np.sqrt(weight @ (delays - mean) ** 2), of_rounding(pitch_s)))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,9 @@ from tautline.splines import Basis
 Array = npt.NDArray[np.float64]
 
 SPANS = 64  # tolerance: of the range
+_ROUNDS, _STAYS = 4, 0.05  # tolerance: at most; of the widths' standard deviation: a curve that moves less is done
+_STIFF = 1e3  # tolerance: weights of the heaviest width: what an inequality that is violated weighs
+_ALIKE = 1e-3  # tolerance: of a score, or of the largest B: a difference that is none
 _CLOSE = 1e-3  # tolerance: of the widths' standard deviation: B from brackets is solved to it
 _SMOOTHINGS = np.logspace(-4, 9, 27)  # tolerance: relative to the weight of one width
 _TAIL = 30.0  # tolerance: sigma
@@ -41,16 +44,12 @@ class WidthCurve:
     sigma: Array  # (grid,) its standard deviation
     measured: tuple[float, float]  # lowest and highest position of a width
     excess: float  # scatter of the widths about the curve beyond their stated sigma, unit of q
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
     places: int = 1  # number of the spline's spans in which widths were measured
 
     def at(self, p: Array) -> Array:
         """B (n,) at positions p (n,), both in the unit of q."""
         return np.asarray(np.interp(p, self.q, self.width))
-
-    def sigma_at(self, p: Array) -> Array:
-        """Standard deviation of B (n,) at positions p (n,), both in the unit of q."""
-        return np.asarray(np.interp(p, self.q, self.sigma))
 
 
 def paper_knots(low: float, high: float) -> Array:
@@ -82,7 +81,8 @@ def fit_paper(onsets: Sequence[Onset], grid: Array) -> WidthCurve | None:
     spread = np.sqrt(np.maximum(np.sum((on_grid @ np.linalg.inv(system)) * on_grid, axis=1), 0.0))
     excess = float(np.sqrt(np.mean((w - design @ coefficients) ** 2)))
     lawful = allowed_width(grid, curve)
-    notes = ("the spline was limited to B >= 0 and |B'| <= 1.8",) if np.abs(lawful - curve).max() > 1e-9 else ()
+    limited = f"the spline was limited to B >= 0 and |B'| <= {STEEPEST:g}"
+    notes = (limited,) if np.abs(lawful - curve).max() > 1e-9 else ()
     return WidthCurve(grid, lawful, spread, (float(p.min()), float(p.max())), excess, notes)
 
 
@@ -101,8 +101,8 @@ def fit_widths(onsets: Sequence[Onset], grid: Array) -> WidthCurve | None:
     held = np.clip(grid, low, high)
     curve = fit.basis.value(fit.coefficients, held)
     lawful = allowed_width(grid, curve)
-    if np.abs(lawful - curve).max() > 1e-3 * max(curve.max(), 1e-9):
-        fit.notes.append("B(q) is limited by B >= 0 or |B'| <= 1.8")
+    if np.abs(lawful - curve).max() > _ALIKE * max(curve.max(), 1e-9):
+        fit.notes.append(f"B(q) is limited by B >= 0 or |B'| <= {STEEPEST:g}")
     beyond = np.abs(grid - held)
     sigma = np.hypot(fit.sigma(held), 0.5 * beyond)
     return WidthCurve(grid, lawful, sigma, (low, high), fit.excess, tuple(dict.fromkeys(fit.notes)), len(fit.places()))
@@ -151,9 +151,9 @@ class _WidthFit:
         self.design = self.basis.design(self.p).toarray()
 
     def solve(self) -> None:
-        """Fits the curve in at most four rounds, as weights, smoothing, excess scatter and bounds depend on it; then
+        """Fits the curve in some rounds, as weights, smoothing, excess scatter and bounds depend on it; then
         anew with brackets as intervals, if there are any."""
-        for turn in range(4):
+        for turn in range(_ROUNDS):
             if turn:
                 self._add_violated_bounds()
             self.spread = self._effective_sigma()
@@ -163,7 +163,7 @@ class _WidthFit:
             before = self.coefficients
             self._solve(weight)
             self.excess = self._excess(weight)
-            if np.abs(self.coefficients - before).max() < 0.05 * float(np.median(self.spread)) and turn:
+            if np.abs(self.coefficients - before).max() < _STAYS * float(np.median(self.spread)) and turn:
                 break
         if self.is_bracket.any():
             self._solve_with_brackets()
@@ -188,7 +188,7 @@ class _WidthFit:
                 system = np.eye(place.shape[1]) - within * (1 - 1e-6)
                 out[place] = np.linalg.solve(system, left[place][:, :, None])[:, :, 0]
             score = float(np.sum(weight * out**2))
-            if score < best * 0.999:
+            if score < best * (1.0 - _ALIKE):  # the smoother of two that are alike
                 best, chosen = score, float(smoothing)
         return chosen
 
@@ -201,7 +201,7 @@ class _WidthFit:
     @staticmethod
     def _inverse(system: Array) -> Array:
         """Inverse of a symmetric system (m, m), with a ridge that is too small to pull a curve of few widths to 0."""
-        ridge = 1e-14 * float(np.trace(system)) / len(system)  # more would pull a curve of few widths to 0
+        ridge = 1e-14 * float(np.trace(system)) / len(system)
         return inverse_of(system + ridge * np.eye(len(system)))
 
     def _solve(self, weight: Array) -> None:
@@ -215,7 +215,7 @@ class _WidthFit:
             rows, values = self._violated(coefficients)
             if not len(rows):
                 break
-            stiff = 1e3 * float(np.max(weight))
+            stiff = _STIFF * float(np.max(weight))
             again = self._inverse(gram + stiff * rows.T @ rows) @ (right + stiff * rows.T @ values)
             if np.abs(again - coefficients).max() < 1e-7 * max(np.abs(again).max(), 1e-9):
                 break
@@ -224,8 +224,8 @@ class _WidthFit:
         self.gram = gram
 
     def _violated(self, coefficients: Array) -> tuple[Array, Array]:
-        """The limits B >= 0 and |B'| <= 1.8 where the coefficients break them near what was measured, as equations rows
-        (k, m) @ coefficients = values (k,). Notes which limit acts."""
+        """The limits B >= 0 and |B'| <= STEEPEST where the coefficients break them near what was measured, as equations
+        rows (k, m) @ coefficients = values (k,). Notes which limit acts."""
         rows: list[Array] = []
         values: list[float] = []
         identity = np.eye(self.basis.size)
@@ -240,7 +240,7 @@ class _WidthFit:
         for i in np.flatnonzero((np.abs(np.diff(coefficients)) > limit) & near[1:]):
             rows.append(identity[i + 1] - identity[i])
             values.append(float(np.sign(coefficients[i + 1] - coefficients[i])) * limit)
-            self.notes.append("|B'| <= 1.8 limits the curve")
+            self.notes.append(f"|B'| <= {STEEPEST:g} limits the curve")
         return np.array(rows).reshape(-1, self.basis.size), np.array(values)
 
     def _excess(self, weight: Array) -> float:

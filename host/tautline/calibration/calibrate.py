@@ -24,7 +24,7 @@ from tautline.diagnosis import start
 from tautline.errors import TautError
 from tautline.quality import Quality
 from tautline.recording import Recording, shifted
-from tautline.rig import Rig
+from tautline.rig import MARKER, Rig
 
 _LEAST_FRAMES = 10  # tolerance: frames from which anything is said
 
@@ -45,7 +45,7 @@ def calibrate(
     every = observe(recordings, rig)
     tracks = [track for track in every if len(track.t_s)]
     if not tracks:
-        if any(recording.marker is not None for recording in recordings):
+        if any(track.sensor == MARKER for track in every):
             raise TautError("the marker was never seen: check the marker's colour (taut marker) and the camera's view")
         raise TautError("the angle sensor has no valid value: check angle.csv, or its sensor's wiring and power")
     frames = sum(len(track.t_s) for track in tracks)
@@ -53,9 +53,11 @@ def calibrate(
         raise TautError(f"the tip was seen in {frames} frames only: record the calibration motion with it in view")
     with threadpool_limits(1, "blas"):  # its systems are small: threads that wait for each other cost 10 times more
         aligned = clock.align(tracks, rig) if options.delay_s is None else clock.AlignedTracks.as_it_is(tracks)
-        moved = iter(zip(aligned.tracks, aligned.offsets_s, strict=True))
-        pairs = [next(moved) if len(track.t_s) else (track, 0.0) for track in every]
-        reasons = rig_contradictions(recordings, [track for track, _ in pairs], [offset for _, offset in pairs], rig)
+        on_clock, offsets_s = aligned.among(every)
+        reasons = rig_contradictions(recordings, on_clock, offsets_s, rig)
+        aligned = aligned.seen
+        if not aligned.tracks:
+            raise TautError("the tip was seen only where the motor steps: move it at a speed, with the tip in view")
         measured = Measuring(aligned, rig, options, say, reasons).run()
         say(0.8, "naming what departs")
         found = judged(measured)
@@ -77,7 +79,7 @@ def _aligned_for_naming(
 ) -> tuple[clock.AlignedTracks, Mapping[str, float]]:
     """The aligned tracks and the sensors' offsets, s by recording, with which an effect is named. A recording whose
     image stops later than another's is not put on another clock here, since an effect makes it stop later, too."""
-    own = clock.align(tracks, rig, late_are_off=False) if found.offsets else aligned
+    own = clock.align(tracks, rig, late_are_off=False).seen if found.offsets else aligned
     return (own, own.offsets) if own.offsets != aligned.offsets else (aligned, found.offsets)
 
 

@@ -18,7 +18,7 @@ from tautline.calibration.coverage import HOLE, distance_to_both_ways
 from tautline.calibration.findings import Findings
 from tautline.calibration.observations import Track
 from tautline.calibration.onset import BRACKET, Onset, with_width
-from tautline.calibration.playfit import EXPLAINED, NODES, Curves, Fitted
+from tautline.calibration.playfit import EXPLAINED, Curves, Fitted
 from tautline.calibration.several import rms_over_noise
 from tautline.calibration.smooth import Domain, overlap
 from tautline.independence import stretches
@@ -36,10 +36,9 @@ _LITTLE = 0.03  # tolerance: of the width: a smaller difference is no contradict
 _WORSE = 1.25  # tolerance: times the best fit's residual: a B that leaves more does not predict as well
 _FEW_ONSETS = 6  # tolerance: onsets that are needed to contradict the joint fit
 _NEARER = 0.5  # prior: ratio of their mean squared z for two curves of B, below which they favour one
-_ONE_WAY, _OTHER_WAY = (
-    4.0,
-    0.3,
-)  # prior: standard errors by which onsets of one direction are late; of that, what the other's may be
+_ONE_WAY = 4.0  # prior: standard errors by which onsets of one direction are late
+_OTHER_WAY = 0.3  # prior: of that: what those of the other may be
+_BETWEEN = 1.5  # tolerance: of the usual distance of onsets: as far the onsets' curve counts alone
 _BENDS = 2.0  # prior: times its own size by which B may change over the range
 
 
@@ -87,7 +86,7 @@ class Choice:
                 "move back and forth by more than the backlash",
                 fatal=True,
             )
-            return np.zeros(NODES), np.full(NODES, self.domain.span / 4), NOTHING
+            return np.zeros_like(self.grid), np.full_like(self.grid, self.domain.span / 4), NOTHING
         if joint_fit is None:
             assert curve is not None
             self.findings.notes += curve.notes
@@ -343,9 +342,9 @@ class Choice:
         that curve. The shift is the image's jump, which differs from place to place: by its standard deviation where
         onsets tell it, which is in sigma."""
         p = np.sort([o.q_mean for o in widths])
-        reach = max(
-            1.5 * float(np.median(np.diff(p))) if len(p) > 2 else 0.0, float(np.median([o.width for o in widths]))
-        )
+        # How far from an onset its curve counts alone: at least to the nearest place of the grid.
+        between = _BETWEEN * float(np.median(np.diff(p))) if len(p) > 2 else 0.0
+        reach = max(between, float(np.median([o.width for o in widths])), float(self.grid[1] - self.grid[0]))
         distance = np.min(np.abs(self.grid[:, None] - p[None, :]), axis=1)
         far = np.clip(distance / reach - 1.0, 0.0, 1.0)
         if not (far > 0).any() or passes is None:

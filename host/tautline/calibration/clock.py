@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +29,8 @@ REACH_S = 10.0  # prior: an offset is looked for this far around the nominal del
 FITS = 0.003  # tolerance: misfit up to which the nominal delay is as right as a search could say
 _FOLLOWS = 0.25  # prior: misfit above which the sensor does not follow this motor at any offset
 _RIVAL = 2.0  # prior: times the least misfit: other offsets that leave less are rivals of the best
+_COARSELY = 3.0  # tolerance: times that before a minimum is refined
+_NOISE = 4.0  # prior: times the share of noise: a misfit that a search could not improve on either
 _EDGE_S = 0.09  # tolerance: a delay this far from the nominal one is at the edge of what find_delay looks through
 _CLEARLY_LESS = 0.7  # prior: of the nominal delay's misfit: another lag fits
 _BY_ITSELF_S = 0.06  # tolerance: as far as a search from the nominal delay surely comes, below _EDGE_S
@@ -46,13 +47,11 @@ _STRETCHED = 0.2  # prior: of the misfit that a stretched clock may leave at mos
 
 @dataclass(frozen=True)
 class Offset:
-    """The offset of a track's clock: its lag less the nominal delay. `rivals`: other offsets, s, that fit about as
-    well."""
+    """The offset of a track's clock: its lag less the nominal delay."""
 
     offset_s: float
-    sigma_s: float  # its standard deviation; inf where no lag could be tried
-    misfit: float  # 0 to 1
-    rivals: tuple[float, ...] = ()
+    misfit: float  # 0 to 1; 1 where no lag could be tried
+    rivals: tuple[float, ...] = ()  # other offsets, s, that fit about as well
 
 
 @dataclass(frozen=True)
@@ -80,6 +79,19 @@ class AlignedTracks:
         pairs = zip(self.tracks, self.offsets_s, strict=True)
         return {track.name: offset for track, offset in pairs if offset}
 
+    def among(self, every: Sequence[Track]) -> tuple[list[Track], list[float]]:
+        """`every` track and the offset of its clock, s, where these are those of them that have frames: the others are
+        as they were, with 0."""
+        own = iter(zip(self.tracks, self.offsets_s, strict=True))
+        pairs = [next(own) if len(track.t_s) else (track, 0.0) for track in every]
+        return [track for track, _ in pairs], [offset_s for _, offset_s in pairs]
+
+    @property
+    def seen(self) -> AlignedTracks:
+        """These without the tracks of which no frame was left: the tip followed a step of the motor in all."""
+        kept = [pair for pair in zip(self.tracks, self.offsets_s, strict=True) if len(pair[0].t_s)]
+        return replace(self, tracks=[track for track, _ in kept], offsets_s=tuple(offset_s for _, offset_s in kept))
+
     def with_delay(self, delay: Delay, nominal_s: float) -> tuple[AlignedTracks, Delay]:
         """These tracks and a delay that was found on them. If every clock was off, delay and offsets cannot be told
         apart: the delay is set to the nominal one then, and the offsets take the difference."""
@@ -92,8 +104,11 @@ class AlignedTracks:
 def on_motor_clock(recordings: Sequence[Recording], rig: Rig) -> list[Recording]:
     """Recordings with the offsets of their sensors' clocks taken off. Differences between recordings that are no larger
     than a delay may be are left: an effect that is not known yet may make one motion's stops later than another's."""
-    tracks = [track for track in observe(recordings, rig) if len(track.t_s)]
-    return shifted(recordings, align(tracks, rig, late_are_off=False).offsets)
+    every = observe(recordings, rig)
+    aligned = align([track for track in every if len(track.t_s)], rig, late_are_off=False)
+    _, offsets_s = aligned.among(every)
+    pairs = zip(recordings, offsets_s, strict=True)
+    return [shifted([one], {one.name: offset_s})[0] for one, offset_s in pairs]  # several may have one name
 
 
 def align(tracks: Sequence[Track], rig: Rig, *, late_are_off: bool = True) -> AlignedTracks:
@@ -136,7 +151,8 @@ def _at_one_delay(
     tracks: list[Track], offsets: list[float], rig: Rig, late_are_off: bool
 ) -> tuple[list[Track], list[float]]:
     """Tracks and their offsets, s, with all images at one delay, as a camera has one. It is that of a track whose clock
-    was right; tracks whose images stop at a clearly different delay are shifted to it."""
+    was right; tracks whose images stop at a clearly different delay are shifted to it, without late_are_off only those
+    that have an offset already."""
     if len(tracks) < 2 or any(track.sensor != MARKER for track in tracks):
         return tracks, offsets
     delays = [delay_of_stops([track], rig) for track in tracks]
@@ -146,16 +162,15 @@ def _at_one_delay(
     nominal_s = rig.nominal_delay_s(MARKER)
     # The recording whose delay has the highest posterior density, by its stops and the rig's nominal delay.
     best = min(right, key=lambda d: np.log(d.sigma_s) + 0.5 * ((d.delay_s - nominal_s) / NOMINAL_S) ** 2)
-    shifts = [
-        delay.delay_s - best.delay_s
-        if abs(delay.delay_s - best.delay_s) > max(_CLEAR * np.hypot(delay.sigma_s, best.sigma_s), _SAME_S)
-        and (late_are_off or offset_s)
-        and _fits_at_own_delay(track, rig, delay.delay_s, best.delay_s)
-        else 0.0
-        for track, delay, offset_s in zip(tracks, delays, offsets, strict=True)
-    ]
-    moved = [replace(t, t_s=t.t_s - shift) if shift else t for t, shift in zip(tracks, shifts, strict=True)]
-    return moved, [offset_s + shift for offset_s, shift in zip(offsets, shifts, strict=True)]
+    at_one, own_offsets = [], []
+    for track, delay, offset_s in zip(tracks, delays, offsets, strict=True):
+        later_s = delay.delay_s - best.delay_s
+        clearly = abs(later_s) > max(_CLEAR * np.hypot(delay.sigma_s, best.sigma_s), _SAME_S)
+        if clearly and (late_are_off or offset_s) and _fits_at_own_delay(track, rig, delay.delay_s, best.delay_s):
+            track, offset_s = replace(track, t_s=track.t_s - later_s), offset_s + later_s
+        at_one.append(track)
+        own_offsets.append(offset_s)
+    return at_one, own_offsets
 
 
 def _fits_at_own_delay(track: Track, rig: Rig, own_s: float, best_s: float) -> bool:
@@ -199,22 +214,21 @@ def delay_jumps(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
 
 def find_offset(track: Track, rig: Rig) -> Offset | None:
     """The offset of the track's clock within REACH_S: 0 if the nominal delay fits (or a lag within DELAY_REACH_S of it
-    does), with infinite sigma if no lag can be tried. None if the track shows no motion to tell it by."""
+    does), with a misfit of 1 if no lag can be tried. None if the track shows no motion to tell it by."""
     scan = LagScan.of(track, rig, FRAMES[0])
     if scan is None:
         return None
     nominal_s = rig.nominal_delay_s(track.sensor)
-    near = nominal_s + np.arange(-round(_NEAR_S / PITCH_S), round(_NEAR_S / PITCH_S) + 1) * PITCH_S
+    near = _lags_around(nominal_s, _NEAR_S)
     least_misfits = scan.least_misfits(near)
     delays = np.abs(near - nominal_s) <= DELAY_REACH_S
     least = float(least_misfits[delays].min())
-    at_nominal = least <= max(FITS, 4.0 * scan.noise_share) and least <= _BEATEN * least_misfits.min()
+    at_nominal = least <= max(FITS, _NOISE * scan.noise_share) and least <= _BEATEN * least_misfits.min()
     if at_nominal and scan.moves_as_coarse(float(near[delays][int(least_misfits[delays].argmin())])):
-        return Offset(0.0, 0.0, least)
-    lags = nominal_s + np.arange(-round(REACH_S / PITCH_S), round(REACH_S / PITCH_S) + 1) * PITCH_S
-    rivals = _minima(scan, LagScan.of(track, rig, FRAMES[1]) or scan, lags)
+        return Offset(0.0, least)
+    rivals = _minima(scan, LagScan.of(track, rig, FRAMES[1]) or scan, _lags_around(nominal_s, REACH_S))
     if not rivals:
-        return Offset(0.0, np.inf, 1.0)
+        return Offset(0.0, 1.0)
     nominal = [r for r in rivals if abs(r.lag_s - nominal_s) <= DELAY_REACH_S]
     if nominal:
         # It may be another half turn of the motion, with the wrong sign, that fits here.
@@ -223,25 +237,31 @@ def find_offset(track: Track, rig: Rig) -> Offset | None:
             if scan.moves_as_coarse(nominal[0].lag_s)
             else tuple(r.lag_s for r in rivals if scan.moves_as_coarse(r.lag_s))
         )
-        return Offset(0.0, nominal[0].sigma_s, nominal[0].misfit, tuple(lag - nominal_s for lag in others))
+        return Offset(0.0, nominal[0].misfit, tuple(lag - nominal_s for lag in others))
     rivals = [r for r in rivals if scan.moves_as_coarse(r.lag_s)] or rivals
     others = tuple(r.lag_s - nominal_s for r in rivals[1:])
-    return Offset(rivals[0].lag_s - nominal_s, rivals[0].sigma_s, rivals[0].misfit, others)
+    return Offset(rivals[0].lag_s - nominal_s, rivals[0].misfit, others)
 
 
-def _minima(scan: LagScan, fine: LagScan, lags: npt.NDArray[Any]) -> list[Minimum]:
+def _lags_around(lag_s: float, reach_s: float) -> Array:
+    """Lags (n,), s, PITCH_S apart, within reach_s of this one."""
+    steps = round(reach_s / PITCH_S)
+    return np.asarray(lag_s + np.arange(-steps, steps + 1) * PITCH_S)
+
+
+def _minima(scan: LagScan, fine: LagScan, lags: Array) -> list[Minimum]:
     """The minima of the misfit over lags (n,), s, that are within _RIVAL of the least, best first. Two with no ridge of
     _RIDGE times the misfit between them, or within _APART_S, are one. scan: few frames, to search with; fine: more, to
     refine with."""
     least_misfits = scan.least_misfits(lags)
     finite = np.where(np.isfinite(least_misfits), least_misfits, 1.0)
     padded = np.concatenate([[np.inf], finite, [np.inf]])
-    lowest = (finite <= padded[:-2]) & (finite <= padded[2:]) & (finite <= 3.0 * _RIVAL * finite.min() + 1e-12)
+    lowest = (finite <= padded[:-2]) & (finite <= padded[2:]) & (finite <= _COARSELY * _RIVAL * finite.min() + 1e-12)
     at = np.flatnonzero(lowest & np.isfinite(least_misfits))
-    lags_by_misfit = sorted((fine.minimum_near(float(lags[i])) for i in at), key=lambda one: one.misfit)
+    minima = sorted((fine.minimum_near(float(lags[i])) for i in at), key=lambda one: one.misfit)
     rivals: list[Minimum] = []
-    for one in lags_by_misfit:
-        if one.misfit > _RIVAL * lags_by_misfit[0].misfit:
+    for one in minima:
+        if one.misfit > _RIVAL * minima[0].misfit:
             break
         between = (finite[(lags > min(one.lag_s, r.lag_s)) & (lags < max(one.lag_s, r.lag_s))] for r in rivals)
         apart = all(abs(one.lag_s - r.lag_s) > _APART_S for r in rivals)
@@ -276,7 +296,7 @@ def _stretched(track: Track, rig: Rig, misfit: float) -> Reason | None:
         return None
     times = track.motor.t_s[0] + (track.t_s - track.t_s[0]) * motor_s / seen_s
     scan = LagScan.of(replace(track, t_s=times), rig, FRAMES[0])
-    lags = rig.nominal_delay_s(track.sensor) + np.arange(-round(1.0 / PITCH_S), round(1.0 / PITCH_S) + 1) * PITCH_S
+    lags = _lags_around(rig.nominal_delay_s(track.sensor), _NEAR_S)
     if scan is None or float(scan.least_misfits(lags).min()) > _STRETCHED * misfit:
         return None
     return Reason(

@@ -353,19 +353,19 @@ class _Estimated:
         counted = self.model.counted
         ended = {part.name: part for part in departures(counted.at_the_end(), self.model.searched, apart=True)}
         columns = sparse.hstack([self.model.candidates[name].columns - ended[name].columns for name, _ in changed])
-        at_all, shape = np.concatenate([at for _, at in changed]), (counted.residuals.shape[1], -1)
-        by_frame = (columns @ self.model.values[at_all]).reshape(shape).T
-        variance, ways = np.linalg.eigh(
-            self.model.inverse[np.ix_(at_all, at_all)] * self.model.frames_per_independent()
-        )
-        spread = columns @ (ways * (self.model.noise * np.sqrt(np.maximum(variance, 0.0))))
-        spread = spread.reshape(*shape, len(at_all)).transpose(1, 0, 2)
-        own = [counted.recording == k for k in range(len(self.model.fit.tracks))]
-        sigma = [each.track.sigma for each in self.model.fit.tracks]
-        return tuple(
-            DifferenceFromEnd(counted.frame[k], by_frame[k], counted.t[k] > _LATE, spread[k], noise[counted.frame[k]])
-            for k, noise in zip(own, sigma, strict=True)
-        )
+        places, shape = np.concatenate([at for _, at in changed]), (counted.residuals.shape[1], -1)
+        by_frame = (columns @ self.model.values[places]).reshape(shape).T
+        covariance = self.model.inverse[np.ix_(places, places)] * self.model.frames_per_independent()
+        variance, directions = np.linalg.eigh(covariance)
+        spread = columns @ (directions * (self.model.noise * np.sqrt(np.maximum(variance, 0.0))))
+        spread = spread.reshape(*shape, len(places)).transpose(1, 0, 2)
+        differences = []
+        for number, prepared in enumerate(self.model.fit.tracks):
+            own = counted.recording == number
+            frames, late = counted.frame[own], counted.t[own] > _LATE
+            sigma = prepared.track.sigma[frames]
+            differences.append(DifferenceFromEnd(frames, by_frame[own], late, spread[own], sigma))
+        return tuple(differences)
 
     def _offset_at_the_end(self) -> float:
         """Offset of the motor's positions at the session's end against its mean, unit of q: the tip at q is where it

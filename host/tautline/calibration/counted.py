@@ -26,6 +26,9 @@ Array = npt.NDArray[np.float64]
 Sparse = Any  # a scipy.sparse matrix, or an array
 
 _FINE_S = 0.005  # tolerance: of the path that lags
+_OUTLIER = 4.0  # prior: usual residuals beyond which a frame weighs less
+_USUAL = 1.4826  # equation: of a median without its sign, of normal values of unit variance: one over it
+_NARROW = 0.2  # tolerance: of the usual B: the least width in which travel since a turn is counted
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,7 @@ class CountedFrames:
     by_delay: Array  # dp/d(delay), per s
     speed: Array  # of the motor, per s, where the tip moves; else 0
     moving: Mask  # the tip moves
-    phase: Array  # travel since the motor turned, in widths B(p)
+    phase: Array  # travel since the motor turned, in widths B(p), of _NARROW of the usual one at least
     direction: Array  # of the motor since then, +1 or -1
     stroke: npt.NDArray[np.intp]  # number of the tip's half-cycle, in all tracks
     recording: npt.NDArray[np.intp]  # number of the track
@@ -155,7 +158,7 @@ def _of_track(
         by_delay=by_delay,
         speed=sim.speed[keep] * moving,
         moving=moving,
-        phase=travel / np.maximum(width, 0.2 * usual),
+        phase=travel / np.maximum(width, _NARROW * usual),
         direction=direction,
         stroke=sim.half_cycle[keep],
         recording=np.full(len(p), number),
@@ -182,7 +185,7 @@ def _joined(pieces: Sequence[CountedFrames], session: tuple[float, float]) -> Co
         if field.name not in ("lag_columns", "load", "stroke")
     }
     norm = np.sqrt(np.mean(arrays["residuals"] ** 2, axis=1))
-    limit = 4.0 * max(1.4826 * float(np.median(norm)), 1e-9)
+    limit = _OUTLIER * max(_USUAL * float(np.median(norm)), 1e-9)
     arrays["weight"] = np.minimum(arrays["weight"], (limit / np.maximum(norm, limit)) ** 2)
     arrays["t"] = (arrays["time_s"] - first) / length - 0.5
     loads = [piece.load for piece in pieces if piece.load is not None]

@@ -66,7 +66,8 @@ def gaps(model: Model, apart: Array | None) -> tuple[Gap, ...]:
     low, high = float(model.q[0]), float(model.q[-1])
     first, last = seeable(model, low, high)
     passed = np.ones(len(model.q), dtype=bool) if apart is None else apart <= HOLE * (high - low)
-    turned = (model.q >= model.measured[0]) & (model.q <= model.measured[1])
+    from_turn, to_turn = model.measured  # one place, twice: none that counts
+    turned = (model.q >= from_turn) & (model.q <= to_turn) & (from_turn < to_turn)
     missing = np.flatnonzero(~(passed & turned) & (model.q >= first) & (model.q <= last))
     runs = np.split(missing, np.flatnonzero(np.diff(missing) > 1) + 1) if len(missing) else []
     unturned = "no turn there gave a width" if apart is None else "passed both ways, but no turn there gave a width"

@@ -29,15 +29,15 @@ _TIMES, _STROKES_A_SPAN = 10, 3  # tolerance: spans of slow drifts, at most, and
 _LAGS_S, _CREEPS_S = (0.02, 0.05, 0.1, 0.2), (0.6, 2.0)  # prior: time constants that are tried, s
 _SATURATES = (0.1, 0.3, 1.0, 10.0)  # prior: of the usual speed, at which a width has grown by most of what speed adds
 _BREATHS_HZ = 0.08, 1.0  # prior: 5 to 60 breaths or heartbeats a minute
+_CYCLES = 4.0  # prior: of a sway, at least: what is slower is a drift
+_A_CYCLE, _MOST_SAMPLES = 4, 1_000_000  # tolerance: samples of the fastest of them; and in all: three days
+_PULL = 0.05  # prior: of a smooth departure: what its values cost of what their steps do
 _SCAN = 12.0  # prior: what looking for a moment or a rhythm costs, of twice the log likelihood
-_LASTS, _CONSTANT = (
-    0.2,
-    0.5,
-)  # prior: of a tracker's error: least share of the residual power that neighbours share; most of that in halves
-_ACROSS, _SWAYS = (
-    0.25,
-    0.5,
-)  # prior: of it: least share across the path of that along it; most of all that one sine explains
+# Of a tracker's error: the share of the residuals' power that neighbours share, at least; of that what is alike in
+# both halves of a stroke, at most; what lies across the path of what lies along it, at least; what of the residuals
+# one sine explains, at most.
+_LASTS, _CONSTANT, _ACROSS, _SWAYS = 0.2, 0.5, 0.25, 0.5  # prior: above
+_MUCH = 0.7  # prior: of the positions of any recording: what all have to show so that what differs is not the place
 _PIECES, _LAGS = 100, 60  # tolerance: of all strokes, at most; frames over which neighbours share something
 
 SPEED, SHARE = "width.speed", "%"  # names of departures that add to B begin so; of those that add a share of B end so
@@ -316,7 +316,7 @@ def _same_places(counted: CountedFrames, recordings: int) -> bool:
     if any(len(span) == 0 for span in spans):
         return False
     shared = min(float(span.max()) for span in spans) - max(float(span.min()) for span in spans)
-    return shared > 0.7 * max(float(np.ptp(span)) for span in spans)
+    return shared > _MUCH * max(float(np.ptp(span)) for span in spans)
 
 
 def _places(counted: CountedFrames) -> Array:
@@ -348,7 +348,7 @@ def _smooth(size: int, channels: int = 1) -> Array:
     """(channels * size, channels * size) penalty on first differences of neighbours, and a little on the values, for
     each channel alike."""
     step = np.diff(np.eye(size), 1, axis=0)
-    rough = step.T @ step + 0.05 * np.eye(size)
+    rough = step.T @ step + _PULL * np.eye(size)
     return np.asarray(np.kron(np.eye(channels), rough), dtype=float)
 
 
@@ -381,13 +381,17 @@ def _slip_time(counted: CountedFrames, left: Array) -> float | None:
 
 def _sway_frequency(t: Array, left: Array) -> float | None:
     """The frequency, Hz, of the largest peak of the periodogram of residuals left (n, channels) at times t (n,), s,
-    within _BREATHS_HZ and of four cycles or more; None where frames are few or the session is too short."""
+    within _BREATHS_HZ and of four cycles or more; None where frames are few or the session is too short. It is taken of
+    as many even samples as there are frames, or more where these are apart by long gaps: _A_CYCLE of the fastest sway,
+    none closer than frames mostly are."""
     if len(t) < 100:
         return None
-    even = np.linspace(t[0], t[-1], len(t))
+    lasts = t[-1] - t[0]
+    closest = max(float(np.median(np.diff(t))), 1.0 / (_A_CYCLE * _BREATHS_HZ[1]))
+    even = np.linspace(t[0], t[-1], max(len(t), min(int(lasts / closest), _MOST_SAMPLES)))
     step = even[1] - even[0]
     waves = [np.interp(even, t, channel) for channel in left.T]
     power = sum(np.abs(np.fft.rfft(wave - wave.mean(), 4 * len(even))) ** 2 for wave in waves)
     rates = np.fft.rfftfreq(4 * len(even), step)
-    inside = (rates > max(_BREATHS_HZ[0], 4.0 / (t[-1] - t[0]))) & (rates < _BREATHS_HZ[1])
+    inside = (rates > max(_BREATHS_HZ[0], _CYCLES / lasts)) & (rates < _BREATHS_HZ[1])
     return float(rates[inside][int(np.argmax(np.asarray(power)[inside]))]) if inside.any() else None

@@ -29,6 +29,7 @@ _CYCLES = 4.0, 40.0  # prior: of a ripple over what was measured
 _PLACES, _RATES = 160, 145  # tolerance: at which B is looked at; of a ripple that are tried
 _SMOOTHED = 0.4  # prior: of the readings' noise: what smoothing leaves at a turn
 _COARSE = 0.015  # tolerance: of B: a motor's path between its samples is known no better
+_FINEST = 1e-3  # tolerance: of what is seen: no rate is told that would mend more
 
 DRIVE = "calibrate again once it is mended, or let taut diagnose add it to the model"
 # Component: code, what it looks like, what to do.
@@ -86,13 +87,13 @@ _MEANS: dict[str, tuple[str, str, str]] = {
     "width.speed": ("transmission.rate_dependent_backlash", "the width depends on the motor's speed", DRIVE),
     "clock.rate": (
         "clock.rate",
-        "the camera's clock runs at another rate than the motor's",
+        "the sensor's clock runs at another rate than the motor's",
         "take both times from one clock; the rate is taken out here, not in a prediction",
     ),
     "clock.drift": (
         "clock.drift",
-        "the delay of the images changes during the session",
-        "fix exposure and frame rate of the camera",
+        "the sensor's delay changes during the session",
+        "fix the sensor's rate, of a camera exposure and frame rate",
     ),
     "lag": ("transmission.lag", "the tip follows late, as through something viscous", DRIVE),
     "creep": ("transmission.creep", "the tip goes on moving after the motor has stopped", DRIVE),
@@ -175,15 +176,21 @@ def _scatter(components: Components, good: bool) -> Reason:
     times = f"{components.unexplained:.1f} times the noise of a tip at rest is left"
     if good:  # of most frames
         says = f"some frames are far off ({components.unexplained:.1f} times the noise with them)"
-        return Reason("outliers", says, "look for a second blob of the marker's colour", mild=True)
+        return Reason(
+            "outliers", says, "look for a second blob of the marker's colour, or what disturbs the sensor", mild=True
+        )
     if components.frames_per_independent < _WHITE and components.moving_ratio > _SPEEDS:
         return Reason(
             "acquisition.jitter",
             f"{times}, from frame to frame, while the tip moves",
-            "take the frames' hardware times",
+            "take the hardware's times of frames or values",
         )
     if components.frames_per_independent < _WHITE:
-        return Reason("noise", f"{times}, from frame to frame", "check light, focus and the marker's colour")
+        return Reason(
+            "noise",
+            f"{times}, from frame to frame",
+            "check light, focus and the marker's colour, or the sensor's wiring",
+        )
     return Reason("residual", f"{times}, which no known departure explains", "taut diagnose says where it is")
 
 
@@ -195,13 +202,16 @@ def common_error(
     findings. grid, width, sigma (k,): B where it was measured; usual: typical B there; unit: of q."""
     if len(grid) < 2:
         return 0.0
-    between = max(between_samples(track.path.sampled) for track in tracks)
+    each = [between_samples(track.path.sampled) for track in tracks]
+    told = [value if np.isfinite(value) else 0.0 for value in each]  # of too few readings for a turn nothing is
+    worst = int(np.argmax(told))
+    between = told[worst]
     if between > _COARSE * usual:
-        period = max(float(np.median(np.diff(track.reading.t_s))) for track in tracks)
+        period = float(np.median(np.diff(tracks[worst].reading.t_s)))
         findings.notice(
             "rate",
             f"the motor's samples are {period * 1e3:.0f} ms apart, its turns are known to {between:.2g} {unit}",
-            f"log the motor at {_faster_hz(period, between, _COARSE * usual)} Hz or more",
+            f"log the motor at {_faster_hz(period, between, _COARSE * usual):.10g} Hz or more",
         )
     scatter = _SMOOTHED * max(track.motor_noise for track in tracks)
     if scatter > _COARSE * usual:
@@ -220,16 +230,13 @@ def common_error(
     return float(np.sqrt(between**2 + scatter**2 + rippled**2))
 
 
-_FINEST = 1e-3  # tolerance: of what is seen: no rate is told that would mend more
-
-
-def _faster_hz(period_s: float, between: float, allowed: float) -> int:
+def _faster_hz(period_s: float, between: float, allowed: float) -> float:
     """The rate, Hz, a round number (1, 2 or 5 times a power of ten), at which straight lines between motor samples come
     within `allowed` of its path, where they are off by `between` at samples period_s apart, both in the unit of q: the
     error is taken to fall with the period, as at a sharp turn."""
     least = between / max(allowed, _FINEST * between) / period_s
     decade = 10.0 ** math.floor(math.log10(least))
-    return round(decade * next(step for step in (1, 2, 5, 10) if step * decade >= least * (1.0 - 1e-9)))
+    return decade * next(step for step in (1, 2, 5, 10) if step * decade >= least * (1.0 - 1e-9))
 
 
 def _ripple(grid: Array, width: Array, sigma: Array, usual: float) -> tuple[float, float]:

@@ -21,10 +21,11 @@ from tautline import _native
 
 Array = npt.NDArray[np.float64]
 
-_KNOTS = 33  # tolerance: candidates at once
-_PIECES = 10  # of the path, in each of which its second derivative is constant
+_KNOTS, _NARROWED = 33, 6  # tolerance: candidates at once; how often these come closer together, at most
+_REACH = 6.0  # tolerance: standard deviations of the knot, as far as the next candidates reach
+_PIECES = 10  # tolerance: of the path, in each of which its second derivative is constant
 _BENDS = 7  # tolerance: values of its standard deviation, evenly in its logarithm
-_LEAST_BEND, _MOST_BEND = 0.3, 2.0  # over the window: of the noise, nothing is seen of it; of the whole swing
+_LEAST_BEND, _MOST_BEND = 0.3, 2.0  # prior: over the window: of the noise, nothing is seen of it; of the whole swing
 _SPREAD = 0.5  # prior: of the logarithm of the start's slope over the path's mean slope
 _BACKWARDS = 1e-3  # tolerance: a start against the path counts as this share of it
 _CREDIBLE = 9.0  # prior: of the deviance, three standard deviations: what is no farther off may be the jump
@@ -118,7 +119,7 @@ def _start_deviance(slope: Array, mean: Array) -> Array:
 def _moments(knots: Array, deviance: Array) -> tuple[float, float]:
     """Posterior mean and standard deviation of the knot on the grid knots (K,), summed over the bending priors;
     deviance (K, bends)."""
-    weight = np.exp(-0.5 * np.clip(deviance - deviance.min(), 0.0, 200.0)).sum(axis=1)
+    weight = np.exp(-0.5 * (deviance - deviance.min())).sum(axis=1)
     mean = float(weight @ knots / weight.sum())
     return mean, float(np.sqrt(weight @ (knots - mean) ** 2 / weight.sum()))
 
@@ -130,9 +131,9 @@ def fit_hinge(x: Array, y: Array, low: float, high: float) -> Hinge:
     window = _Window.of(x, y)
     paths = window.paths(knots)
     mean, spread = _moments(knots, paths.deviance)
-    for _ in range(6):  # towards the likelihood's bulk, whatever its width
+    for _ in range(_NARROWED):  # towards the likelihood's bulk, whatever its width
         pitch = knots[1] - knots[0]
-        reach = max(6.0 * spread, 3.0 * pitch)
+        reach = max(_REACH * spread, 3.0 * pitch)
         closer = np.linspace(max(low, mean - reach), min(high, mean + reach), _KNOTS)
         if spread > 2.0 * pitch or closer[-1] - closer[0] < 1e-9 * (high - low + 1e-12):
             break

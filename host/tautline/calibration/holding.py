@@ -14,7 +14,7 @@ from tautline.core.samples import repeats
 from tautline.independence import stretches
 
 _RUN = 4  # tolerance: frames at one place from which it may be held
-_MOVES = 0.02  # of the motor's span, by which it moves meanwhile
+_MOVES = 0.02  # tolerance: of the motor's span, by which it moves meanwhile
 _OFF = 6.0  # tolerance: scales of what is left, by which the tip is elsewhere then
 
 

@@ -20,25 +20,17 @@ from tautline.rig import MARKER, Rig
 
 Array = npt.NDArray[np.float64]
 
-DELAY_REACH_S = 0.25  # prior: what is farther from the nominal delay is no delay but another clock
+DELAY_REACH_S = 0.25  # prior: a lag that is farther from the nominal delay is no delay but another clock
 PITCH_S = 0.05  # tolerance: between lags of the search; a stroke lasts ten times longer
 FRAMES = 400, 1500  # tolerance: frames, at most: to search with, to refine with
 _NOISY = 0.05  # tolerance: share of noise in the variance of y above which there is no motion to compare
 _ANEW = 8  # tolerance: lags after which all widths are tried again
 _ORDER = 5  # prior: of the polynomial that stands for the path
 FEWEST = 8 * _ORDER  # tolerance: frames that such a fit needs
-WIDTHS = (
-    0.0,
-    0.01,
-    0.022,
-    0.04,
-    0.065,
-    0.1,
-    0.16,
-    0.26,
-    0.4,
-)  # tolerance: of the plays that are tried, in shares of the motor's span
-_AROUND_S = 0.5  # prior: s: a tip follows its motor within it
+WIDTHS = (0.0, 0.01, 0.022, 0.04, 0.065, 0.1, 0.16, 0.26, 0.4)  # tolerance: of plays that are tried, of the span
+_AROUND_S = 0.5  # prior: a tip follows its motor within it
+_RESTS = 0.9  # tolerance: share of the frames at which the other axes have to rest
+_INSIDE = np.array([0.25, 0.75])  # tolerance: of the motor's span: between which f_coarse tells the way of the image
 _DITHER = 2e-3  # tolerance: of the motor's span: turns within it do not matter here
 
 
@@ -47,7 +39,6 @@ class Minimum:
     """A local minimum of the misfit over lags."""
 
     lag_s: float
-    sigma_s: float
     misfit: float
 
 
@@ -77,14 +68,14 @@ class LagScan:
         reference = None if motor.translation_mm is None and motor.rotation_deg is None else track.others_reference
         if share > _NOISY:
             return None
-        if reference is not None and np.mean(track.at_reference(track.t_s, reference)) < 0.9:
+        if reference is not None and np.mean(track.at_reference(track.t_s, reference)) < _RESTS:
             return None
         stride = -(-len(track.t_s) // most)
         few = track.only(slice(None, None, stride))
         turns = _native.turns(np.ascontiguousarray(motor.q), _DITHER * span)
         keep = np.unique(np.concatenate([[0], turns, [len(motor.q) - 1]])).astype(np.intp)
         low = float(motor.q.min())
-        ends = rig.coarse.gain * (low + np.array([0.25, 0.75]) * span) + rig.coarse.offset
+        ends = rig.coarse.gain * (low + _INSIDE * span) + rig.coarse.offset
         if track.sensor == MARKER:
             coarse_direction = np.diff(project(rig, ends, *track.others_reference), axis=0)[0]
         else:
@@ -118,17 +109,16 @@ class LagScan:
         half of the frames count: those that the motor's record covers, once the play has forgotten its start."""
         track = self.track
         scene = track.scene_s(lag_s)
-        n = len(self.turn_t)
+        turns = len(self.turn_t)
         times = np.concatenate([self.turn_t, scene])
         order = np.argsort(times, kind="stable")
         q = np.concatenate([self.turn_q, track.motor_at(scene)])[order]
         grid = np.array([self.low - self.span, self.low + 2.0 * self.span])
         plays = _native.Plays(grid, np.full(2, width))
         far = 10.0 * (self.span + float(np.abs(grid).max()))
-        p, other = (plays.forward(q, start)[0] for start in (-far, far))
-        counted = order >= n
-        counted &= np.abs(p - other) < 1e-9 * self.span
-        frames = order[counted] - n
+        p, from_above = (plays.forward(q, start)[0] for start in (-far, far))
+        counted = (order >= turns) & (np.abs(p - from_above) < 1e-9 * self.span)
+        frames = order[counted] - turns
         inside = track.within_motor(scene)[frames]
         if self.reference is not None:
             inside &= track.at_reference(scene, self.reference)[frames]
@@ -152,8 +142,7 @@ class LagScan:
         return moves
 
     def minimum_near(self, lag_s: float) -> Minimum:
-        """The minimum of the misfit over lag and width near lag_s, by a pattern search; its sigma is that of white
-        residuals, from the curvature over the lag."""
+        """The minimum of the misfit over lag and width near lag_s, by a pattern search."""
         width = self.span * min(WIDTHS, key=lambda share: self.misfit(lag_s, share * self.span))
         step_s, step = PITCH_S, 0.3 * width + 0.005 * self.span
         best = self.misfit(lag_s, width)
@@ -165,12 +154,7 @@ class LagScan:
                 if (trial := self.misfit(lag_s, other)) < best:
                     best, width = trial, other
             step_s, step = 0.6 * step_s, 0.6 * step
-        h = 0.02
-        curvature = (self.misfit(lag_s - h, width) + self.misfit(lag_s + h, width) - 2.0 * best) / h**2
-        if not np.isfinite(curvature):  # at the end of what can be tried: the other side is not known
-            return Minimum(lag_s, np.inf, best)
-        sigma = np.sqrt(2.0 * best / max(curvature, 1e-12) / len(self.track.t_s))
-        return Minimum(lag_s, float(sigma), best)
+        return Minimum(lag_s, best)
 
 
 def period_s(tracks: Sequence[Track]) -> float:
