@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import random
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tautline.device import board as boards
 from tautline.device import dfu, wire
-from tautline.device.board import Board, BoardAddress
+from tautline.device.board import Board, BoardAddress, BoardRefused, open_board
 from tautline.errors import TautError
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "fuzz"))
@@ -48,6 +50,70 @@ def test_a_table_without_end_is_given_up() -> None:
     link = Answers("table_part", count=wire.wire.PART)
     with opened(link) as board, pytest.raises(TautError, match="does not end"):
         board.read_table(0)
+
+
+class Refuses(readers.Link):
+    """An ack for every request but get_limits, and a progress message at every reading."""
+
+    def __init__(self) -> None:
+        super().__init__(random.Random(1))
+
+    def read(self, timeout_s: float) -> bytes:
+        time.sleep(min(timeout_s, 0.005))
+        asked, self.asked = self.asked, b""
+        said = wire.encode("progress", 1)
+        for name, _type, sequence, _fields in wire.wire.Parser().feed(asked):
+            if name == "hello":
+                said += wire.encode("identity", sequence, protocol_major=wire.wire.MAJOR, axes=1)
+            elif name == "get_limits":
+                said += wire.encode("error", sequence, reason=wire.code("REASONS", "AXIS"))
+            elif name != "set_point":
+                said += wire.encode("ack", sequence)
+        return said
+
+
+def test_a_refusal_is_of_who_asked_though_the_number_was_once_told() -> None:
+    with opened(Refuses()) as board:
+        board.tell("set_point", axis=0)
+        told = board._sequence
+        board.ask("home", axis=0)
+        board._sequence = told - 1  # as 65535 messages later
+        with pytest.raises(BoardRefused, match="get_limits"):
+            board.ask("get_limits", 0.2, axis=0)
+        assert not board.refused
+
+
+def test_what_a_listener_raises_reaches_who_asks_and_the_motor_can_still_be_stopped() -> None:
+    calls: list[str] = []
+
+    def full(message: wire.Message) -> None:
+        calls.append(message.name)
+        raise OSError(28, "No space left on device", "motor.csv")
+
+    with opened(Refuses()) as board:
+        board.listen("progress", full)
+        with board.reading():
+            with pytest.raises(OSError, match="No space left"):
+                board.ask("home", 2.0, axis=0)
+            board.ask("home", 2.0, axis=0)
+        board.listen("progress", full)
+        with pytest.raises(OSError, match="No space left"):  # without a reader too
+            board.ask("home", 2.0, axis=0)
+        board.ask("home", 2.0, axis=0)
+    assert calls == ["progress"] * 2
+
+
+def test_a_board_that_cannot_be_asked_for_its_name_opens_by_what_is_shown_of_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    protocol = (wire.wire.MAJOR, wire.wire.MINOR)
+    found = [BoardAddress(f"usb:1-{k}", None, True, protocol, lambda: Answers("ack")) for k in (5, 6)]
+    monkeypatch.setattr(boards, "find_usb", lambda: list(found))
+    monkeypatch.delenv("TAUTLINE_BOARD", raising=False)
+    with pytest.raises(TautError, match="say which with --board usb:1-5"):
+        open_board()
+    with open_board("usb:1-5") as board:
+        assert board.where == "usb:1-5"
 
 
 class Device:
