@@ -261,7 +261,7 @@ class Connection:
             return list(self._parse())
 
     def _parse(self) -> Iterator[Urb]:
-        """Transfers that the received bytes end; incomplete replies stay in the buffer. A reply of unknown kind, or with
+        """Transfers that the received bytes end; incomplete replies stay in the buffer. A reply of unknown kind, or of
         more bytes than were asked for, ends the connection."""
         while len(self._input) >= _URB.size:
             command, seqnum, _, _, _, status, actual, _, _, _, _ = _URB.unpack_from(self._input)

@@ -25,8 +25,8 @@ class _Descriptor:
     """The fields of a standard descriptor under their names in the USB specification."""
 
     def __init__(self, names: str, layout: str, raw: bytes) -> None:
-        """names: the fields in order; layout: their types as `struct` names them, little-endian. USBError where `raw` is
-        shorter."""
+        """names: the fields in order; layout: their types as `struct` names them, little-endian. USBError where `raw`
+        is shorter."""
         if len(raw) < struct.calcsize("<" + layout):
             raise usb.core.USBError("the device's descriptors are cut short", None, errno.EPROTO)
         for name, value in zip(names.split(), struct.unpack_from("<" + layout, raw), strict=True):

@@ -278,7 +278,7 @@ class Motions:
 def moving(live: Live, folder: Path, low: float, high: float, video: bool) -> Iterator[Motions]:
     """Inside, the motor is on within these limits and everything is recorded. Whatever happens, the axis comes to rest
     and what was recorded stays."""
-    made = Motion(folder)
+    made, missed_before = Motion(folder), live.board.missed
     began = live.now_us()
     with Recorder(live, folder, video) as recorder, driving(live):
         set_range(live, low, high)
@@ -296,7 +296,7 @@ def moving(live: Live, folder: Path, low: float, high: float, video: bool) -> It
                 ) from None
             raise
     made.seconds = (live.now_us() - began) * 1e-6
-    made.telemetry_missed = live.board.missed
+    made.telemetry_missed = live.board.missed - missed_before
 
 
 def check_rig(live: Live) -> None:

@@ -300,6 +300,7 @@ class Recorder:
         self._count = 0
         self._last_us = -1
         self._paused = False
+        self._writing = threading.Lock()  # telemetry: a board's reader is another thread
         self._rows: dict[str, list[tuple[float, ...]]] = {"motor": [], "marker": []}
         live.board.listen("batch", self._write_telemetry)
 
@@ -308,7 +309,8 @@ class Recorder:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._paused = True
+        with self._writing:
+            self._paused = True
         self._live.board.forget("batch", self._write_telemetry)
         for file in (self._motor, self._marker, self._frames):
             if file is not None:
@@ -318,15 +320,18 @@ class Recorder:
 
     def _write_telemetry(self, batch: wire.Message) -> None:
         """Writes a telemetry message of this axis to motor.csv."""
-        if batch.axis != self._live.axis or self._paused:
+        if batch.axis != self._live.axis:
             return
         resolution = self._live.resolution
-        for i in range(batch.count):
-            t_us = batch.t_us + i * batch.period_us
-            if t_us > self._last_us:
-                row = f"{t_us * 1e-6:.6f},{batch.q[i] * resolution:.7g},{batch.q_ref[i] * resolution:.7g}"
-                self._write(self._motor, "motor", row)
-                self._last_us = t_us
+        with self._writing:
+            if self._paused:
+                return
+            for i in range(batch.count):
+                t_us = batch.t_us + i * batch.period_us
+                if t_us > self._last_us:
+                    row = f"{t_us * 1e-6:.6f},{batch.q[i] * resolution:.7g},{batch.q_ref[i] * resolution:.7g}"
+                    self._write(self._motor, "motor", row)
+                    self._last_us = t_us
 
     def _write(self, file: IO[str], name: str, row: str) -> None:
         """Writes a row to a file and keeps its numbers under `name`, NaN where a field is empty."""
