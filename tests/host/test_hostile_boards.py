@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import sys
 import time
@@ -13,6 +14,7 @@ import pytest
 from tautline.device import board as boards
 from tautline.device import dfu, wire
 from tautline.device.board import Board, BoardAddress, BoardRefused, open_board
+from tautline.device.serial_link import find_serial
 from tautline.errors import TautError
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "fuzz"))
@@ -114,6 +116,15 @@ def test_a_board_that_cannot_be_asked_for_its_name_opens_by_what_is_shown_of_it(
         open_board()
     with open_board("usb:1-5") as board:
         assert board.where == "usb:1-5"
+
+
+@pytest.mark.parametrize("where", ["serial:{}@99999999999", "serial:tcp:host", "serial:tcp:", "serial:", "serial:a@b"])
+def test_what_is_no_line_is_told_how_one_is_named(where: str) -> None:
+    ours, theirs = os.openpty()
+    with pytest.raises(TautError, match="expected serial:DEVICE"):
+        find_serial(where.format(os.ttyname(theirs)))
+    os.close(ours)
+    os.close(theirs)
 
 
 class Device:

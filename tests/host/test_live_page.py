@@ -318,6 +318,27 @@ def test_what_was_played_is_never_ahead_of_its_frame(recording: Recording) -> No
     assert played.so_far() is recording
 
 
+def test_a_recording_whose_motor_comes_later_is_played_too(recording: Recording) -> None:
+    motor = recording.motor
+    late = replace(recording, motor=replace(motor, t_s=motor.t_s[5000:], q=motor.q[5000:], q_cmd=None))
+    view = replay(late, RIG, lambda view: None, lambda: False, PACE)
+    assert view.calibration is not None and view.frames == len(late.marker.t_s if late.marker else ())
+
+
+def test_the_last_calibration_is_shown_though_it_is_of_no_more_seconds(recording: Recording) -> None:
+    first, last = calibrate([recording], RIG), calibrate([recording], RIG, naming=True)
+    desk, view = Desk(RIG, {}), View(-5.0, 5.0, "mm", calibration=first, calibrated_s=9.0)
+    desk.start()
+    with desk.running(lambda: None):
+        desk.show(view)
+        at, _ = desk.events.newer(0, 0.0)
+        desk.show(view)
+        assert "fit" not in desk.events.newer(at, 0.0)[1]
+        view.calibration = last
+        desk.show(view)
+        assert {"fit", "progress"} <= desk.events.newer(at, 0.0)[1].keys()
+
+
 def test_pictures_are_those_of_their_frames(tmp_path: Path) -> None:
     """A video whose frames are numbered by their brightness, some of which have no time."""
     cv2 = pytest.importorskip("cv2")
