@@ -164,6 +164,18 @@ def test_a_board_that_wants_hours_has_ten_seconds(slept: list[float]) -> None:
     assert sum(slept) <= 40.0
 
 
+@pytest.mark.parametrize(("why", "said"), [("the flash failed", "the flash failed"), ("", "does not come to rest")])
+def test_why_a_table_was_refused_is_told_though_the_board_does_not_come_to_rest_either(
+    why: str, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dfu.usb.util, "release_interface", lambda *_: None)
+    made = route(Device(2, 0))  # at rest
+    with pytest.raises(dfu.DfuError, match=said), made:
+        made._device = Device(10, 0)
+        if why:
+            raise dfu.DfuError(why)
+
+
 class Waiting(Device):
     """It asks for ten seconds after every answer, and then has done what it was asked for."""
 
