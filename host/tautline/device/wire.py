@@ -74,23 +74,15 @@ def encode(name: str, sequence: int, **values: Any) -> bytes:
 
 
 class Decoder:
-    """Messages out of a stream of bytes. What is no message, or of a newer version, is skipped and counted."""
+    """Messages out of a stream of bytes. What is no message, or of a newer version, is skipped."""
 
     def __init__(self) -> None:
         self._parser = wire.Parser()
-        self.unknown = 0
-
-    @property
-    def bytes_bad(self) -> int:
-        """Bytes so far that belong to no whole frame."""
-        return int(self._parser.bytes_bad)
 
     def feed(self, data: bytes) -> Iterator[Message]:
         """The messages that these bytes complete; an incomplete frame waits for the next ones."""
         for name, _, sequence, fields in self._parser.feed(data):
-            if name is None or fields is None:
-                self.unknown += 1
-            else:
+            if name is not None and fields is not None:
                 yield Message(name, sequence, {f.name: self._value(fields[f.raw], f.scale) for f in _FIELDS[name]})
 
     @staticmethod

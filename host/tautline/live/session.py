@@ -247,16 +247,17 @@ class Motions:
     def stroke(self, wanted: Strokes, enough: Callable[[Frame], bool]) -> None:
         """Makes the strokes one place after the other until all are done or `enough(frame)` is true; then the axis is
         at rest."""
-        done = [False]
+        done = False
 
         def seen(frame: Frame) -> None:
+            nonlocal done
             self._add(frame)
-            done[0] = enough(frame) or done[0]
+            done = enough(frame) or done
 
         for place in wanted.places:
             move_to(self.live, place.low, wanted.transit, seen)
             for end in (place.high, place.low) * place.times:
-                if done[0]:
+                if done:
                     return
                 move_to(self.live, end, place.speed, seen)
                 self.made.reversals += 1
