@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import http.client
 import json
+import re
+import shutil
+import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -20,6 +23,7 @@ from reference_instrument import RIG, moved, saved_recording
 from tautline.calibration.calibrate import calibrate
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg, pose, project
+from tautline.live import page as page_package
 from tautline.live.page import shown
 from tautline.live.page.desk import READY, RESTING, RUNNING, Desk, Stopped
 from tautline.live.page.replay import Played, replay
@@ -438,3 +442,24 @@ def test_what_cannot_be_shown_is_told_before_a_page_is_served(taut: Taut, tmp_pa
     ):
         done = taut(*words)
         assert done.code == 2 and says in done.err
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="JavaScript runs in a browser or in node")
+@pytest.mark.parametrize(("status", "least", "most"), [(404, 1, 1), (204, 10, 1000)])
+def test_a_page_that_is_refused_asks_once_a_second_and_one_that_waits_asks_again(
+    status: int, least: int, most: int
+) -> None:
+    source = (Path(page_package.__file__).parent / "assets" / "page.js").read_text()
+    pictures = re.search(r"^async function pictures\(\) \{.*?^\}", source, re.DOTALL | re.MULTILINE)
+    assert pictures is not None
+    script = f"""let asked = 0;
+    globalThis.fetch = async () => {{
+      asked++;
+      await new Promise((resolve) => setTimeout(resolve, 1));
+      return {{ status: {status}, ok: {status} < 300 }};
+    }};
+    {pictures[0]}
+    pictures();
+    setTimeout(() => {{ console.log(asked); process.exit(); }}, 300);"""
+    done = subprocess.run(["node", "-e", script], capture_output=True, text=True, timeout=WAIT_S, check=True)
+    assert least <= int(done.stdout) <= most
