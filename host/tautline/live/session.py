@@ -26,6 +26,7 @@ Progress = Callable[[float, str], None] | None
 
 _PROBE_SHARES = (0.06, 0.2)  # of the range to either side: first carefully, then beyond backlash and dead zone
 _STILL_FRAMES = 8
+_OFF_PX = 0.02  # of a marker's place, however many frames
 _ACCELERATION = 20.0  # of the calibration motion: from rest to its fastest pass in 1/20 s
 _HOST_TIMEOUT_S = 1.0
 # The board's onset detector, in shares of the range: an onset good enough to turn round, one too vague to use, a turn,
@@ -115,22 +116,6 @@ def probe(live: Live, seen: Callable[[Frame], object], speed: float) -> None:
     motor's, before a motion is blamed for it."""
     rig, unit = live.rig, live.rig.actuator.unit
     low, high = rig.actuator.range
-
-    def marker(frames: int) -> tuple[Array, float]:
-        """Mean marker position of these frames and its standard error, px."""
-        places = []
-        for _ in range(frames + round(rig.delay_s * (rig.camera.frame_rate_hz if rig.camera else 25.0)) + 1):
-            frame = live.look()
-            seen(frame)
-            if frame.sighting.valid:
-                places.append((frame.sighting.u_px, frame.sighting.v_px))
-        places = places[-frames:]
-        if len(places) < frames / 2:
-            raise TautError(
-                "the marker is not seen while all is at rest: check the camera, or pick its colour: taut marker"
-            )
-        return np.mean(places, axis=0), float(np.std(places, axis=0).mean() / np.sqrt(len(places)) + 0.02)
-
     start = float(live.board.status(live.axis).q) * live.resolution
     if not low <= start <= high:
         raise TautError(
@@ -143,7 +128,7 @@ def probe(live: Live, seen: Callable[[Frame], object], speed: float) -> None:
         spots = []
         for q in (centre - reach, centre + reach, centre - reach):
             move_to(live, q, speed, seen)
-            spots.append((marker(_STILL_FRAMES), live.board.status(live.axis).q * live.resolution))
+            spots.append((_marker_at_rest(live, seen), live.board.status(live.axis).q * live.resolution))
         (first, sigma), q_first = spots[1]
         (second, _), q_second = spots[2]
         if abs(q_second - q_first) < reach:
@@ -173,6 +158,24 @@ def probe(live: Live, seen: Callable[[Frame], object], speed: float) -> None:
         f"the motor moved {2 * reach:.3g} {unit}, the marker {distance:.2g} px of {length:.3g}: is this camera looking "
         f"at the instrument of axis {live.axis}? Else a scale in rig.toml is too small, or the backlash larger"
     )
+
+
+def _marker_at_rest(live: Live, seen: Callable[[Frame], object]) -> tuple[Array, float]:
+    """Mean marker position (2,) of _STILL_FRAMES that show the axis as it rests, and its standard error, px. Frames,
+    also those that are still on their way from before, go to `seen`. TautError where it is lost in most of them."""
+    late = round(live.rig.delay_s * (live.rig.camera.frame_rate_hz if live.rig.camera else 25.0)) + 1
+    places = []
+    for _ in range(_STILL_FRAMES + late):
+        frame = live.look()
+        seen(frame)
+        if frame.sighting.valid:
+            places.append((frame.sighting.u_px, frame.sighting.v_px))
+    places = places[-_STILL_FRAMES:]
+    if len(places) < _STILL_FRAMES / 2:
+        raise TautError(
+            "the marker is not seen while all is at rest: check the camera, or pick its colour: taut marker"
+        )
+    return np.mean(places, axis=0), float(np.std(places, axis=0).mean() / np.sqrt(len(places)) + _OFF_PX)
 
 
 # -- calibration motion -----------------------------------------------------------------------------------------------

@@ -42,6 +42,8 @@ class Picture:
 
 
 class Desk:
+    """The state of one session (READY, RUNNING, RESTING, STOPPING), what was asked of it, and what it publishes."""
+
     def __init__(self, rig: Rig, about: dict[str, Any], unwatched_s: float = _UNWATCHED_S) -> None:
         """about: what the page says of the session. unwatched_s: time without a page after which it rests."""
         self.events, self.pictures = Stream(), Stream()
