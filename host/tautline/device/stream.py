@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from types import TracebackType
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 from tautline.compensation import MODES
 from tautline.device import wire
 from tautline.device.board import Board
+from tautline.errors import TautError
 
 _LEAD_US = 8_000  # a set-point holds so long after it was sent: the board moves there in a straight line
 _ALIGN_S = 0.25
@@ -38,7 +40,8 @@ class SetPointStream:
             self._follow()
             self.start_deg = float(self._board.status(self._axis).c_ref)
         except BaseException:
-            self._board.ask("enable", axis=self._axis, on=0)
+            with contextlib.suppress(TautError):  # gone: what failed says so
+                self._board.ask("enable", axis=self._axis, on=0)
             raise
         self._began = self._next = self._last = time.monotonic()
         return self
