@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import http.client
 import json
+import re
+import shutil
+import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -20,6 +23,7 @@ from reference_instrument import RIG, moved, saved_recording
 from tautline.calibration.calibrate import calibrate
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg, pose, project
+from tautline.live import page as page_package
 from tautline.live.page import shown
 from tautline.live.page.desk import READY, RESTING, RUNNING, Desk, Stopped
 from tautline.live.page.replay import Played, replay
@@ -318,6 +322,27 @@ def test_what_was_played_is_never_ahead_of_its_frame(recording: Recording) -> No
     assert played.so_far() is recording
 
 
+def test_a_recording_whose_motor_comes_later_is_played_too(recording: Recording) -> None:
+    motor = recording.motor
+    late = replace(recording, motor=replace(motor, t_s=motor.t_s[5000:], q=motor.q[5000:], q_cmd=None))
+    view = replay(late, RIG, lambda view: None, lambda: False, PACE)
+    assert view.calibration is not None and view.frames == len(late.marker.t_s if late.marker else ())
+
+
+def test_the_last_calibration_is_shown_though_it_is_of_no_more_seconds(recording: Recording) -> None:
+    first, last = calibrate([recording], RIG), calibrate([recording], RIG, naming=True)
+    desk, view = Desk(RIG, {}), View(-5.0, 5.0, "mm", calibration=first, calibrated_s=9.0)
+    desk.start()
+    with desk.running(lambda: None):
+        desk.show(view)
+        at, _ = desk.events.newer(0, 0.0)
+        desk.show(view)
+        assert "fit" not in desk.events.newer(at, 0.0)[1]
+        view.calibration = last
+        desk.show(view)
+        assert {"fit", "progress"} <= desk.events.newer(at, 0.0)[1].keys()
+
+
 def test_pictures_are_those_of_their_frames(tmp_path: Path) -> None:
     """A video whose frames are numbered by their brightness, some of which have no time."""
     cv2 = pytest.importorskip("cv2")
@@ -417,3 +442,24 @@ def test_what_cannot_be_shown_is_told_before_a_page_is_served(taut: Taut, tmp_pa
     ):
         done = taut(*words)
         assert done.code == 2 and says in done.err
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="JavaScript runs in a browser or in node")
+@pytest.mark.parametrize(("status", "least", "most"), [(404, 1, 1), (204, 10, 1000)])
+def test_a_page_that_is_refused_asks_once_a_second_and_one_that_waits_asks_again(
+    status: int, least: int, most: int
+) -> None:
+    source = (Path(page_package.__file__).parent / "assets" / "page.js").read_text()
+    pictures = re.search(r"^async function pictures\(\) \{.*?^\}", source, re.DOTALL | re.MULTILINE)
+    assert pictures is not None
+    script = f"""let asked = 0;
+    globalThis.fetch = async () => {{
+      asked++;
+      await new Promise((resolve) => setTimeout(resolve, 1));
+      return {{ status: {status}, ok: {status} < 300 }};
+    }};
+    {pictures[0]}
+    pictures();
+    setTimeout(() => {{ console.log(asked); process.exit(); }}, 300);"""
+    done = subprocess.run(["node", "-e", script], capture_output=True, text=True, timeout=WAIT_S, check=True)
+    assert least <= int(done.stdout) <= most

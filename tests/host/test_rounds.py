@@ -37,7 +37,7 @@ from tautline.live.rounds import (
 )
 from tautline.live.setup import Frame
 from tautline.live.until import _rounds
-from tautline.live.watch import BINS, View
+from tautline.live.watch import BINS, View, Watch
 from tautline.model import Model
 from tautline.quality import Quality, Reason
 from tautline.rig import Actuator
@@ -190,6 +190,31 @@ def test_why_not_names_what_is_not_seen_and_what_is_doubted() -> None:
     doubt = Reason("transmission.lag", "the tip follows late", "mend it")
     slow = of(found(sigma_with((-4.8, 4.8, 0.03)), reasons=(doubt,)))
     assert "the tip follows late: mend it" in why_not(slow, UNTIL, "mm", CLEAR, 20.0, 120.0, FEWEST)
+
+
+def test_what_is_not_known_is_not_told_as_a_number() -> None:
+    noisy = of(found(sigma_with((-4.8, 4.8, 30e-3))))
+    said = why_not(noisy, UNTIL, "mm", CameraView(float("nan"), (0.0, 0.0)), 20.0, 120.0, FEWEST)
+    assert said.startswith("sigma is 30 µm at -4.8 mm, and 2000 s would be needed: steady")
+    unknown = of(found(sigma_with((1.0, 1.0, np.nan))))
+    said = why_not(unknown, UNTIL, "mm", CLEAR, 121.0, 120.0, FEWEST)
+    assert said.startswith("sigma is unknown at 1 mm with 0.05 px of noise in the marker: steady")
+    assert why_another(unknown, UNTIL, "mm", [first_round(MEANS)]) == "sigma is unknown at 1 mm where 3 µm is wanted"
+
+
+@pytest.mark.parametrize(
+    ("q", "bins"),
+    [((-9.0, -7.0), range(0)), ((-5.1, -5.05), range(0)), ((7.0, 9.0), range(0)), ((-9.0, -4.9), range(1)),
+     ((4.9, 9.0), range(BINS - 1, BINS)), ((-9.0, 9.0), range(BINS)), ((0.01, 0.05), range(24, 25))],
+)  # fmt: skip
+def test_what_is_seen_beyond_the_range_covers_nothing_of_it(q: tuple[float, float], bins: range) -> None:
+    ways = iter(q)
+    recorder = SimpleNamespace(motor_at=lambda t_s: next(ways))
+    watch = Watch(cast(Any, SimpleNamespace(virtual=True, now_us=lambda: 0, rig=reference_rig())), cast(Any, recorder),
+                  View(-5.0, 5.0, "mm"))  # fmt: skip
+    for k in range(2):
+        watch.frame(Frame(40_000 * k, Sighting(1.0, 1.0, 0.1, 16.0, ""), None), 0)
+    assert np.flatnonzero(watch.view.rising[:, 0]).tolist() == list(bins) and not watch.view.falling.any()
 
 
 @pytest.mark.parametrize(

@@ -8,13 +8,15 @@ import struct
 import threading
 import time
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import pytest
 import usb.core
 import usb.util
 
-from tautline.device import usbip
+from tautline.device import usb_link, usbip
 from tautline.device.usbip_backend import Backend
+from tautline.errors import TautError
 
 DEVICE = struct.pack("<BBHBBBBHHHBBBB", 18, 1, 0x0210, 0, 0, 0, 64, 0xCAFE, 0x4011, 0x0107, 0, 0, 3, 1)
 ENDPOINTS = [0x01, 0x81, 0x02, 0x82, 0x83]
@@ -240,3 +242,40 @@ def test_no_server_and_a_server_of_something_else() -> None:
             usbip.devices("127.0.0.1", other.getsockname()[1])
         assert foreign.value.errno == errno.EPROTO
         thread.join()
+
+
+class Damaged(Server):
+    """Its control transfers are damaged in one way, or it is unplugged when it is asked for its name."""
+
+    def __init__(self, damage: str) -> None:
+        super().__init__()
+        self.damage = damage
+
+    def _control(self, setup: bytes) -> tuple[int, bytes]:
+        if self.damage == "gone" and setup[3] == 3:  # a string
+            self.unplug()
+        status, answer = super()._control(setup)
+        if self.damage == "short":
+            answer = answer[:5]
+        elif self.damage == "long" and answer:
+            answer += bytes(100)
+        elif self.damage == "bare" and answer[:2] == DEVICE[:2]:
+            answer = answer[:-1] + bytes(1)
+        return status, answer
+
+
+@pytest.mark.parametrize("damage", ["gone", "short", "long", "bare"])
+def test_a_board_that_goes_or_is_damaged_while_it_is_looked_for_is_no_traceback(
+    damage: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ids = SimpleNamespace(USB_VENDOR=0xCAFE, USB_PRODUCT=0x4011, USB_MANUFACTURER="")
+    monkeypatch.setattr(usb_link, "wire", SimpleNamespace(wire=ids))
+    server = Damaged(damage)
+    where = f"usbip:127.0.0.1:{server.port}"
+    if damage == "gone":
+        (board,) = usb_link.find_usbip(where)
+        assert board.serial is None and board.busy
+    else:
+        with pytest.raises(TautError, match=where):
+            usb_link.find_usbip(where)
+    server.listener.close()

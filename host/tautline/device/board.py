@@ -45,14 +45,14 @@ class BoardRefused(TautError):
 
 
 def find(where: str | None = None) -> list[BoardAddress]:
-    """Boards by name: usbip:HOST:PORT, serial:DEVICE, motors as in drivers/addresses, a serial number or usb:SERIAL;
-    None means every board on USB and the one that TAUTLINE_BOARD names."""
+    """Boards by name: usbip:HOST:PORT, serial:DEVICE, motors as in drivers/addresses, a serial number or usb:SERIAL
+    (usb:BUS-DEVICE where it cannot be asked for one); None means every board on USB and the one that TAUTLINE_BOARD
+    names."""
     if where is not None and _is_address(where):
         return _find_named(where)
     boards = find_usb()
     if where is not None:
-        serial = where.removeprefix("usb:")
-        return [board for board in boards if board.serial == serial]
+        return [board for board in boards if where in (board.where, board.serial)]
     other = named()
     if other and _is_address(other):
         boards += _find_named(other)
@@ -111,7 +111,7 @@ class Board:
     """An open board. Messages take and give physical values (wire.py): counts, counts/s, deg, px.
 
     One thread may use it alone (`poll` takes in what came); with `reading()` a thread of its own does, and listeners
-    are then called on that thread.
+    are then called on that thread. What a listener raises ends its listening, and whoever asks next gets it.
     """
 
     def __init__(self, description: BoardAddress) -> None:
@@ -135,6 +135,7 @@ class Board:
         self._unasked: int | None = None
         self._reader: threading.Thread | None = None
         self._lost: TautError | None = None
+        self._failed: Exception | None = None  # of a listener, in the reading thread
         self._stop = threading.Event()
         try:
             self.identity = self._hello()
@@ -229,7 +230,6 @@ class Board:
         for values in rows:
             sequence = self._next_sequence()
             self._told[sequence] = name
-            self._told.pop((sequence - 1000) & 0xFFFF, None)  # a refusal would have come
             frames.append(wire.encode(name, sequence, **values))
         if frames:
             self._write(b"".join(frames))
@@ -242,7 +242,6 @@ class Board:
         sequence = self._next_sequence()
         frame = wire.encode(name, sequence, **values)
         deadline = time.monotonic() + timeout_s
-        self._answers.pop(sequence, None)  # a late one, from before the sequence wrapped
         self._write(frame)
         while (answer := self._answers.pop(sequence, None)) is None:
             left = deadline - time.monotonic()
@@ -252,7 +251,10 @@ class Board:
                 self.poll(left)
                 continue
             with self._arrived:
-                self._arrived.wait_for(lambda: sequence in self._answers or self._lost is not None, left)
+                self._arrived.wait_for(lambda: sequence in self._answers or self._lost or self._failed, left)
+                failed, self._failed = self._failed, None
+            if failed is not None:
+                raise failed
             if self._lost is not None and sequence not in self._answers:
                 raise self._lost
         if answer.name == "error":
@@ -301,7 +303,7 @@ class Board:
                 self.missed += (message.sequence - self._unasked - 1) & 0xFFFF
             self._unasked = message.sequence
             for listener in self._listeners[message.name]:
-                listener(message)
+                self._hand(message, listener)
         elif message.name == "error" and message.sequence in self._told:
             self.refused.append(BoardRefused(self._told.pop(message.sequence), message.reason))
         else:
@@ -309,10 +311,25 @@ class Board:
                 self._answers[message.sequence] = message
                 self._arrived.notify_all()
 
+    def _hand(self, message: wire.Message, listener: Listener) -> None:
+        """Calls a listener. One that fails (a full disk) is not called again, so that the motor can still be told to
+        rest."""
+        try:
+            listener(message)
+        except Exception as error:
+            self.forget(message.name, listener)
+            if self._reader is not threading.current_thread():
+                raise
+            with self._arrived:
+                self._failed = error
+                self._arrived.notify_all()
+
     def _next_sequence(self) -> int:
-        """The number of the next message: 1 to 65535, then 1 again."""
+        """The number of the next message: 1 to 65535, then 1 again. What it stood for before is forgotten."""
         with self._asking:
             self._sequence = self._sequence % 0xFFFF + 1
+            self._told.pop(self._sequence, None)
+            self._answers.pop(self._sequence, None)
             return self._sequence
 
     def _write(self, frame: bytes) -> None:

@@ -72,11 +72,3 @@ class BoardClock:
     def board_us(self, host_s: float) -> int:
         """Board time, us, at a host time, s; never below 0."""
         return max(round((host_s + self.offset(host_s)[0]) * 1e6), 0)
-
-    def host_s(self, board_us: int) -> float:
-        """Host time, s, of a board time, us."""
-        board = board_us * 1e-6
-        host = board - (self._trips[-1][1] if self._trips else 0.0)
-        for _ in range(3):  # the offset changes by less than STEADY of the step
-            host = board - self.offset(host)[0]
-        return host

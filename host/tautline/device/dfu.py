@@ -68,11 +68,14 @@ class Dfu:
         self._make_idle()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
             self._make_idle()
         except usb.core.USBError:
             pass  # gone: nothing to leave in order
+        except DfuError:
+            if kind is None:  # else the reason is what failed before
+                raise
         finally:
             usb.util.release_interface(self._device, self._interface)
 

@@ -99,14 +99,17 @@ class SerialLink:
         return BoardGone(f"{self._where}: the board is gone: check plug and power, then run the command again")
 
 
-def _busy(where: str) -> TautError:
-    return TautError(busy(where))
+class _Busy(TautError):
+    """Another program has the line."""
 
 
 def _open(where: str) -> Any:
     """The open line of serial:DEVICE[@BAUD] or of a socket of a simulated board. TautError with a remedy."""
     name = where.removeprefix("serial:")
-    if match := re.fullmatch(r"tcp:(.+):(\d+)", name):
+    if name.startswith("tcp:"):
+        match = re.fullmatch(r"tcp:(.+):(\d+)", name)
+        if not match:
+            raise TautError(f"--board {where}: {_EXPECTED}")
         if not _is_here(match[1]):
             raise TautError(f"--board {where}: a line over a socket is for simulated boards on this machine: 127.0.0.1")
         try:
@@ -119,11 +122,11 @@ def _open(where: str) -> Any:
     baud = int(match[2] or wire.wire.SERIAL_BAUD)
     try:
         return serial.Serial(match[1], baud, timeout=0.0, write_timeout=_WRITE_S, exclusive=True)
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:  # a baud rate that no line has
         raise TautError(f"--board {where}: {error}: {_EXPECTED}") from error
     except OSError as error:  # pyserial's own is one
         if error.errno in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error):
-            raise _busy(where) from error
+            raise _Busy(busy(where)) from error
         if error.errno == errno.EACCES:
             mend = "sudo usermod -a -G dialout $USER"
             raise TautError(f"{where}: no permission: run '{mend}' and log in again") from error
@@ -143,13 +146,11 @@ def _is_here(host: str) -> bool:
 def find_serial(where: str) -> list[BoardAddress]:
     """The board on a serial line, marked busy where another program has it. TautError where the line cannot be opened,
     or nothing on it answers a hello."""
-    busy = BoardAddress(where, None, True, (wire.wire.MAJOR, wire.wire.MINOR), lambda: _refuse(where))
+    taken = BoardAddress(where, None, True, (wire.wire.MAJOR, wire.wire.MINOR), lambda: _refuse(where))
     try:
         link = SerialLink(where)
-    except TautError as error:
-        if str(error) == str(_busy(where)):
-            return [busy]
-        raise
+    except _Busy:
+        return [taken]
     with contextlib.closing(link):
         try:
             for _ in range(link.hello_tries):
@@ -159,14 +160,14 @@ def find_serial(where: str) -> list[BoardAddress]:
                     return [BoardAddress(where, identity.serial, False, protocol, lambda: SerialLink(where))]
         except BoardGone:
             if where.startswith("serial:tcp:"):  # a simulated board closes a second connection at once
-                return [busy]
+                return [taken]
             raise
     raise TautError(f"{where}: nothing that answers is a tautline board: check plug, power and baud rate")
 
 
 def _refuse(where: str) -> SerialLink:
     """In place of opening a board that is in use: raises the error that says so."""
-    raise _busy(where)
+    raise _Busy(busy(where))
 
 
 def _identity(link: SerialLink) -> wire.Message | None:

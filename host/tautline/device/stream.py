@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from types import TracebackType
 from typing import Any
 
+from tautline.compensation import MODES
 from tautline.device import wire
 from tautline.device.board import Board
-from tautline.live.following import FULL
+from tautline.errors import TautError
 
 _LEAD_US = 8_000  # a set-point holds so long after it was sent: the board moves there in a straight line
 _ALIGN_S = 0.25
-_DEG = 65536.0  # of set_point's value, 1/65536 deg
 
 
 class SetPointStream:
@@ -34,16 +35,21 @@ class SetPointStream:
         """Aligns the clocks, switches the motor on and makes the axis follow; time for `pace` begins."""
         self._board.align(16)
         self._board.refused.clear()
-        self._board.switch_on(self._axis)
-        self._follow()
-        self.start_deg = float(self._board.status(self._axis).c_ref)
+        try:
+            self._board.switch_on(self._axis)
+            self._follow()
+            self.start_deg = float(self._board.status(self._axis).c_ref)
+        except BaseException:
+            with contextlib.suppress(TautError):  # gone: what failed says so
+                self._board.ask("enable", axis=self._axis, on=0)
+            raise
         self._began = self._next = self._last = time.monotonic()
         return self
 
     def _follow(self) -> None:
         """Makes the axis follow set-points of the tip, fully compensated."""
         silence_us = round(self._silence_s * 1e6)
-        self._board.ask("follow", axis=self._axis, target=1, compensation=FULL, silence_us=silence_us)
+        self._board.ask("follow", axis=self._axis, target=1, compensation=MODES["full"], silence_us=silence_us)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -59,13 +65,14 @@ class SetPointStream:
 
     def send(self, c_deg: float) -> bool:
         """Sends a set-point, deg. False where nothing was sent, as the axis is still coming to rest after a silence:
-        send again."""
+        send again. TautError for an angle that a board cannot be told."""
+        value = int(wire.set_point_values(c_deg, wire.DEG))
         now = time.monotonic()
         # 0.9: by the time it arrives the board may have come to rest.
         if now - self._last > 0.9 * self._silence_s and not self._resume():
             return False
         at_us = self._board.clock.board_us(now) + _LEAD_US
-        self._board.tell("set_point", axis=self._axis, value=round(c_deg * _DEG), at_us=at_us)
+        self._board.tell("set_point", axis=self._axis, value=value, at_us=at_us)
         self.sent += 1
         self._last = now
         return True
@@ -111,7 +118,7 @@ class SetPointStream:
 
     @property
     def refused(self) -> int:
-        """How many messages the board has refused."""
+        """How many messages the board has refused, but for those after a silence."""
         return len(self._board.refused)
 
     def summary(self) -> dict[str, Any]:

@@ -85,10 +85,22 @@ class UsbLink:
         return TautError(f"{self._where}: USB failed ({error}): unplug the board and plug it in again")
 
 
-def _found(device: usb.core.Device, where: str, serial: str | None, busy: bool) -> BoardAddress:
-    """The address of a device that was found; its bcdDevice is the protocol it speaks, major and minor."""
+def _found(device: usb.core.Device, where: str, serial: str | None) -> BoardAddress:
+    """The address of a device that was found, busy where it told no serial number; its bcdDevice is the protocol it
+    speaks, major and minor."""
     protocol = (device.bcdDevice >> 8, device.bcdDevice & 0xFF)
-    return BoardAddress(where, serial, busy, protocol, lambda: UsbLink(device, where))
+    return BoardAddress(where, serial, serial is None, protocol, lambda: UsbLink(device, where))
+
+
+def _serial_number(device: usb.core.Device) -> str | None:
+    """A device's serial number; None where it is in use, may not be asked, or is gone. Leaves it closed."""
+    try:
+        serial: str | None = device.serial_number
+        return serial
+    except (usb.core.USBError, ValueError):
+        return None
+    finally:
+        usb.util.dispose_resources(device)
 
 
 def find_usb() -> list[BoardAddress]:
@@ -98,13 +110,8 @@ def find_usb() -> list[BoardAddress]:
         return []
     boards = []
     for device in _ours(backend):
-        try:
-            serial, busy = device.serial_number, False
-        except (usb.core.USBError, ValueError):  # not allowed to open it
-            serial, busy = None, True
-        finally:
-            usb.util.dispose_resources(device)
-        boards.append(_found(device, f"usb:{serial or f'{device.bus}-{device.address}'}", serial, busy))
+        serial = _serial_number(device)
+        boards.append(_found(device, f"usb:{serial or f'{device.bus}-{device.address}'}", serial))
     return boards
 
 
@@ -117,12 +124,8 @@ def find_usbip(where: str) -> list[BoardAddress]:
         devices = list(_ours(usbip_backend.Backend(address[1], int(address[2]))))
     except usb.core.USBError as error:
         raise TautError(f"{where}: {error.strerror}: start the board, or name another with --board") from error
-    boards = []
-    for device in devices:
-        busy = device.iSerialNumber == 0  # one that is in use is not asked: the server's list has no names
-        boards.append(_found(device, where, None if busy else device.serial_number, busy))
-        usb.util.dispose_resources(device)
-    return boards
+    # The serial number of one that is in use is 0: the server's list has no names, and it is not asked.
+    return [_found(device, where, _serial_number(device)) for device in devices]
 
 
 def named() -> str | None:

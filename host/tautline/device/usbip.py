@@ -21,9 +21,7 @@ _OP_DEVLIST, _OP_IMPORT = 0x8005, 0x8003
 _CMD_SUBMIT, _CMD_UNLINK, _RET_SUBMIT, _RET_UNLINK = 1, 2, 3, 4
 _OP = struct.Struct(">HHI")
 _DEVICE = struct.Struct(">256s32sIIIHHHBBBBBB")  # path, busid, bus, device, speed, ids, bcdDevice, class, configuration
-_URB = struct.Struct(
-    ">IIIIIiiiii8s"
-)  # basic header, then the five integers and the set-up packet of SUBMIT and RET_SUBMIT
+_URB = struct.Struct(">IIIIIiiiii8s")  # basic header; five integers and set-up packet of SUBMIT and RET_SUBMIT
 _CONNECT_S = 3.0
 _UNLINK_S = 1.0
 
@@ -263,12 +261,15 @@ class Connection:
             return list(self._parse())
 
     def _parse(self) -> Iterator[Urb]:
-        """Transfers that the received bytes end; incomplete replies stay in the buffer. A reply of unknown kind ends
-        the connection."""
+        """Transfers that the received bytes end; incomplete replies stay in the buffer. A reply of unknown kind, or of
+        more bytes than were asked for, ends the connection."""
         while len(self._input) >= _URB.size:
             command, seqnum, _, _, _, status, actual, _, _, _, _ = _URB.unpack_from(self._input)
             if command == _RET_SUBMIT:
                 urb = self._pending.get(seqnum)
+                if urb is not None and not 0 <= actual <= urb.length:
+                    yield from self._lose()
+                    return
                 size = actual if urb is not None and urb.reading else 0
                 if len(self._input) < _URB.size + size:
                     return

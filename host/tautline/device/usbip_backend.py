@@ -25,7 +25,10 @@ class _Descriptor:
     """The fields of a standard descriptor under their names in the USB specification."""
 
     def __init__(self, names: str, layout: str, raw: bytes) -> None:
-        """names: the fields in order; layout: their types as `struct` names them, little-endian."""
+        """names: the fields in order; layout: their types as `struct` names them, little-endian. USBError where `raw`
+        is shorter."""
+        if len(raw) < struct.calcsize("<" + layout):
+            raise usb.core.USBError("the device's descriptors are cut short", None, errno.EPROTO)
         for name, value in zip(names.split(), struct.unpack_from("<" + layout, raw), strict=True):
             setattr(self, name, value)
         self.extra_descriptors = b""
@@ -155,8 +158,10 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
 
         dev.descriptor = self._located(_device(descriptor(_DEVICE_TYPE, 0, 18)), dev.exported)
         for index in range(dev.descriptor.bNumConfigurations):
-            total = struct.unpack_from("<H", descriptor(_CONFIGURATION_TYPE, index, 9), 2)[0]
+            total = _configuration(descriptor(_CONFIGURATION_TYPE, index, 9)).wTotalLength
             dev.configurations[index] = _configuration(descriptor(_CONFIGURATION_TYPE, index, total))
+        if not dev.configurations:
+            raise usb.core.USBError("the device has no configuration", None, errno.EPROTO)
 
     @staticmethod
     def _located(descriptor: _Descriptor, exported: usbip.Exported) -> _Descriptor:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from tautline import _native
+from tautline.errors import TautError
 
 wire = _native.wire
 _SCALE = re.compile(r"_q(\d+)(?=_|$)")
@@ -36,6 +37,7 @@ class _Field:
 
 
 _FIELDS = {name: tuple(_Field.of(*field[:3]) for field in message["fields"]) for name, message in wire.MESSAGES.items()}
+DEG, COUNT = float(_native.DEG_ONE), float(_native.COUNT_ONE)  # of set_point's value: in 1 deg of the tip, in 1 count
 # By what a request is answered, as tl_wire.h says: "-> status".
 ANSWERS = {name: found[1] for name, m in wire.MESSAGES.items() if (found := re.match(r"-> (\w+)", m["doc"]))}
 
@@ -72,23 +74,15 @@ def encode(name: str, sequence: int, **values: Any) -> bytes:
 
 
 class Decoder:
-    """Messages out of a stream of bytes. What is no message, or of a newer version, is skipped and counted."""
+    """Messages out of a stream of bytes. What is no message, or of a newer version, is skipped."""
 
     def __init__(self) -> None:
         self._parser = wire.Parser()
-        self.unknown = 0
-
-    @property
-    def bytes_bad(self) -> int:
-        """Bytes so far that belong to no whole frame."""
-        return int(self._parser.bytes_bad)
 
     def feed(self, data: bytes) -> Iterator[Message]:
         """The messages that these bytes complete; an incomplete frame waits for the next ones."""
         for name, _, sequence, fields in self._parser.feed(data):
-            if name is None or fields is None:
-                self.unknown += 1
-            else:
+            if name is not None and fields is not None:
                 yield Message(name, sequence, {f.name: self._value(fields[f.raw], f.scale) for f in _FIELDS[name]})
 
     @staticmethod
@@ -98,6 +92,19 @@ class Decoder:
         if not scale:
             return np.array(raw) if isinstance(raw, tuple) else raw
         return np.array(raw) / scale if isinstance(raw, tuple) else raw / scale
+
+
+def set_point_values(positions: Any, one: float) -> np.ndarray:
+    """Positions as set_point's value, which has no scale of its own. one: the value of a position of 1, DEG or COUNT by
+    what `follow` says. TautError where one is no number or needs more than 32 bits."""
+    values: np.ndarray = np.rint(np.asarray(positions, dtype=np.float64) * one)
+    most = 2**31 - 1
+    if not (worst := float(np.max(np.abs(values), initial=0.0))) <= most:
+        raise TautError(
+            f"a set-point is {worst / one:g} in size, and {most / one:g} is the most that a board can be told: check "
+            "its unit"
+        )
+    return values
 
 
 def code(list_name: str, name: str) -> int:

@@ -104,7 +104,7 @@ def _noticed(live: Live, says: str, injected_s: float) -> Noticed:
     fault, noticed_s = None, None
     try:
         status = live.board.status(live.axis)
-        fault = next(name for name, (code, _) in wire.wire.FAULTS.items() if code == status.fault)
+        fault = wire.name("FAULTS", status.fault)
         noticed_s = status.fault_us * 1e-6 - injected_s
     except TautError:
         pass  # the board is gone

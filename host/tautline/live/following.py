@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tautline import trajectory
+from tautline import tables, trajectory
 from tautline.columns import read_columns
+from tautline.compensation import MODES
 from tautline.device import wire
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg, pose
@@ -26,8 +28,7 @@ from tautline.shapes import Library
 Array = np.ndarray
 Progress = Callable[[float, str], None] | None
 
-COMPENSATIONS = {"off": 0, "backlash": 1, "full": 2}  # follow's `compensation`
-FULL = COMPENSATIONS["full"]
+SHAPES = ("trapezoids", "smooth")
 SET_POINT_HZ = 250.0
 _AHEAD_S = 0.1  # set-points are sent so long before they hold
 _SILENCE_S = 0.5
@@ -36,7 +37,6 @@ _SETTLE_S = 0.25
 _LEAD_SHARE = 0.15  # of the range per second: the move to where a trajectory begins
 _MARGIN = 0.06  # of the range of c, left free at either end by the built-in shapes
 _COUNTS_AS_BEYOND, _LOOKS = 0.05, 4001  # deg: less is the table's own rounding; places along a trajectory to look at
-_DEG, _COUNT = 65536.0, 256.0  # set_point's value has no scale of its own: it is what `follow` says
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Followed:
 def tip_trajectory(live: Live, what: str, speed_deg_s: float, seed: int, seconds: float = 60.0) -> tuple[Array, Array]:
     """t_s and c*(t) in deg, both (n,): a CSV with t_s,c_deg, or a shape (trapezoids, smooth) over the instrument's
     range. speed_deg_s: a shape's top speed, held below 0.3 of the motor's; seconds, seed: of the smooth one."""
-    if what not in ("trapezoids", "smooth"):
+    if what not in SHAPES:
         if not Path(what).is_file():
             raise TautError(f"--trajectory {what}: neither a file nor a shape (trapezoids, smooth)")
         columns = read_columns(Path(what), TRAJECTORY.required(), TRAJECTORY.header())
@@ -82,19 +82,22 @@ def tip_trajectory(live: Live, what: str, speed_deg_s: float, seed: int, seconds
     speed_deg_s = min(speed_deg_s, 0.3 * live.top_speed * abs(live.rig.coarse.gain))  # f may be flatter than f_coarse
     low, high = _reachable_deg(live)
     free = _MARGIN * (high - low)
-    tip = Actuator("deg", (low + free, high - free), 1e-3)
+    return _shape(what, Actuator("deg", (low + free, high - free), 1e-3), speed_deg_s, seconds, seed)
+
+
+def _shape(what: str, actuator: Actuator, speed: float, seconds: float, seed: int) -> tuple[Array, Array]:
+    """Times, s, and positions, both (n,), of one of SHAPES over the range. speed: unit/s; seconds, seed: of the smooth
+    one."""
     if what == "smooth":
-        planned = trajectory.random_smooth(tip, speed_deg_s, seconds, seed)
+        planned = trajectory.random_smooth(actuator, speed, seconds, seed)
     else:
         # 6 trapezoids as high as 0.35 of the range; 1/8 s to full speed, 0.3 s of rest at each end.
-        planned = trajectory.trapezoids(tip, speed_deg_s, 0.35 * tip.span, 6, 8.0 * speed_deg_s, 0.3)
+        planned = trajectory.trapezoids(actuator, speed, 0.35 * actuator.span, 6, 8.0 * speed, 0.3)
     return planned.t_s, planned.q
 
 
 def _reachable_deg(live: Live) -> tuple[float, float]:
     """The lowest and the highest angle that the instrument can take, deg, by the tables in use, else by f_coarse."""
-    from tautline import tables
-
     blob = live.board.read_table(live.axis)
     if blob:
         table = tables.decode(blob)
@@ -110,22 +113,24 @@ def follow(
     value: Array,
     *,
     tip: bool,
-    compensation: int = FULL,
+    compensation: str = "full",
     strength: float = 1.0,
     seen: Callable[[Frame], None] | None = None,
     progress: Progress = None,
 ) -> tuple[float, Array, Array]:
     """Sends set-points of value(t): deg of the tip through the tables, or the rig's unit of the motor. It begins with a
-    straight move to the first value and ends at rest, motor off. Returns the board time, s, at which the trajectory
-    proper begins, and times (board, s) and values of all set-points."""
+    straight move to the first value and ends at rest, motor off. compensation: one of MODES. Returns the board time,
+    s, at which the trajectory proper begins, and times (board, s) and values of all set-points."""
     board, axis = live.board, live.axis
-    scale = _DEG if tip else _COUNT / live.resolution
+    scale = wire.DEG if tip else wire.COUNT / live.resolution
+    wire.set_point_values(value, scale)  # before anything moves
     board.refused.clear()
     with driving(live):
         set_range(live, *live.rig.actuator.range)
         board.ask("strength", axis=axis, strength=strength)
         silence_us = round(_SILENCE_S * 1e6)
-        board.ask("follow", axis=axis, target=int(tip), compensation=compensation, silence_us=silence_us)
+        mode = MODES[compensation]
+        board.ask("follow", axis=axis, target=int(tip), compensation=mode, silence_us=silence_us)
         status = board.status(axis)
         here = status.c_ref if tip else status.q_ref * live.resolution
         span = np.ptp(coarse_range_deg(live.rig)) if tip else live.rig.actuator.span
@@ -133,6 +138,7 @@ def follow(
         plan_t = np.concatenate([[0.0, lead], lead + _SETTLE_S + (t_s - t_s[0])])
         grid = np.arange(0.0, plan_t[-1] + _SETTLE_S, 1.0 / SET_POINT_HZ)
         plan = np.interp(grid, plan_t, np.concatenate([[here, value[0]], value]))
+        told = wire.set_point_values(plan, scale)
         # An emulated board may have run ahead of the time that was granted, by what loading a table took.
         start_us = max(live.now_us(), board.sync()) + round(_AHEAD_S * 1e6)
         sent = 0
@@ -140,7 +146,7 @@ def follow(
             now = (live.now_us() - start_us) * 1e-6
             due = int(np.searchsorted(grid, now + _AHEAD_S, side="right"))
             sent = max(sent, min(int(np.searchsorted(grid, now)), due - 1))  # what a stall made too late is left out
-            points = zip(np.rint(plan[sent:due] * scale), np.rint(start_us + grid[sent:due] * 1e6), strict=True)
+            points = zip(told[sent:due], np.rint(start_us + grid[sent:due] * 1e6), strict=True)
             board.tell_all("set_point", [{"axis": axis, "value": int(v), "at_us": int(t)} for v, t in points])
             sent = max(due, sent)
             step(live, seen)
@@ -193,7 +199,6 @@ def follow_run(
     calibrated meanwhile and moves the board's tables; the shapes of `library` are recognised then."""
     if track and model is None:
         raise TautError("nothing to track: name the MODEL whose tables are in the board")
-
     board, axis, coarse = live.board, live.axis, live.rig.coarse
     if model is not None:
         load_tables(board, axis, model)
@@ -204,39 +209,33 @@ def follow_run(
     low, high = _reachable_deg(live)
     asked = np.interp(np.linspace(t_s[0], t_s[-1], _LOOKS), t_s, c_deg)
     clipped = float(np.mean((asked < low - _COUNTS_AS_BEYOND) | (asked > high + _COUNTS_AS_BEYOND)))
-    following = None
-    if track and model is not None:
-        following = Following(live, model, mover=TableMover(live), library=library)
-    recorder = Recorder(live, folder) if folder is not None else None
     frames: list[Frame] = []
+    with ExitStack() as stack:
+        following: Following | None = None
+        if track and model is not None:
+            made = Following(live, model, mover=TableMover(live), library=library)
+            following = stack.enter_context(closing(made))
+        board.counters(clear=True)
+        recorder = None if folder is None else stack.enter_context(Recorder(live, folder))
 
-    def seen(frame: Frame) -> None:
-        frames.append(frame)
-        if recorder is not None:
-            recorder.add(frame)
-        if following is not None:
-            following.seen(frame)
+        def seen(frame: Frame) -> None:
+            frames.append(replace(frame, picture=None))  # pictures of a whole run would fill the memory
+            if recorder is not None:
+                recorder.add(frame)
+            if following is not None:
+                following.seen(frame)
 
-    counters = board.counters(clear=True)
-    try:
-        if recorder is not None:
-            recorder.__enter__()
         begin_s, sent_s, sent = follow(
             live,
             t_s,
             c_deg if has_tables else (c_deg - coarse.offset) / coarse.gain,
             tip=has_tables,
-            compensation=COMPENSATIONS[compensation],
+            compensation=compensation,
             strength=strength,
             seen=seen if recorder is not None or following is not None or live.plant is None else None,
             progress=progress,
         )
-        plan = sent if has_tables else coarse.gain * sent + coarse.offset
-    finally:
-        if recorder is not None:
-            recorder.__exit__()
-        if following is not None:
-            following.close()
+    plan = sent if has_tables else coarse.gain * sent + coarse.offset
     counters = board.counters()
     if folder is not None:
         rows = np.column_stack([sent_s, plan])
@@ -259,10 +258,10 @@ def _compared_with_plan(live: Live, begin_s: float, t_s: Array, plan: Array, fra
         counted = taken_up(q[keep], p[keep], half[keep])
         return Followed(when[keep], np.interp(when[keep], t_s, plan), c[keep], counted, "the simulated instrument")
     good = [frame for frame in frames if frame.sighting.valid]
-    if good:
-        when = np.array([frame.t_us for frame in good]) * 1e-6 - live.rig.delay_s
+    when = np.array([frame.t_us for frame in good]) * 1e-6 - live.rig.delay_s
+    inside = (when >= begin_s) & (when <= t_s[-1])
+    if inside.any():
         c, _ = pose(live.rig, [(frame.sighting.u_px, frame.sighting.v_px) for frame in good])
-        inside = (when >= begin_s) & (when <= t_s[-1])
         ref = np.interp(when, t_s, plan)
         return Followed(when[inside], ref[inside], c[inside], np.ones(int(inside.sum()), dtype=bool), "the camera")
     return Followed(t_s, plan, np.full(len(t_s), np.nan), np.ones(len(t_s), dtype=bool))
@@ -290,8 +289,7 @@ def record(
 ) -> dict[str, Any]:
     """Records motor and marker while the motor follows `motion`, or is off. Ctrl-C, which may also come from `seen`,
     ends it and is no failure. Returns the command's result."""
-    counts = {"frames": 0, "lost_frames": 0}
-    samples = [0]
+    counts = {"motor_samples": 0, "frames": 0, "lost_frames": 0}
 
     def taken(frame: Frame) -> None:
         recorder.add(frame)
@@ -300,10 +298,12 @@ def record(
         seen(frame)
 
     def batch(message: wire.Message) -> None:
-        samples[0] += message.count if message.axis == live.axis else 0
+        counts["motor_samples"] += message.count if message.axis == live.axis else 0
 
+    missed_before = live.board.missed
     live.board.counters(clear=True)
     plan = None if motion == "none" else motor_trajectory(live, motion, speed, duration_s, seed)
+    left_out = other_axes(motion)
     began = live.now_us()
     with live.board.listening(batch=batch), Recorder(live, folder, video) as recorder, live.interruptible():
         try:
@@ -318,21 +318,20 @@ def record(
     return {
         "recording": folder,
         "seconds": (live.now_us() - began) * 1e-6,
-        "motor_samples": samples[0],
-        "other_axes": other_axes(motion),
+        "other_axes": left_out,
         **counts,
         "telemetry_dropped": int(live.board.counters().telemetry_dropped),
-        "messages_missed": live.board.missed,
+        "messages_missed": live.board.missed - missed_before,
         "bus": live.board.bus(),
     }
 
 
 def other_axes(motion: str) -> list[str]:
-    """The columns of a motion's file that this board's axis does not move."""
-    if not Path(motion).is_file():
+    """The columns of a motion's file that this board's axis does not move; none of a shape."""
+    if motion == "none" or motion in SHAPES:
         return []
-    header = Path(motion).read_text(encoding="utf-8").split("\n", 1)[0].split(",")
-    return [name for name in ("translation_mm", "rotation_deg") if name in header]
+    names = read_columns(Path(motion), (), "").names
+    return [name for name in ("translation_mm", "rotation_deg") if name in names]
 
 
 def motor_trajectory(live: Live, what: str, speed: float | None, seconds: float, seed: int) -> tuple[Array, Array]:
@@ -340,7 +339,7 @@ def motor_trajectory(live: Live, what: str, speed: float | None, seconds: float,
     shape's, unit/s; None: 15 deg/s of the tip, or half the motor's top speed if less. seconds, seed: of the smooth
     one."""
     actuator = live.rig.actuator
-    if what not in ("trapezoids", "smooth"):
+    if what not in SHAPES:
         if not Path(what).is_file():
             raise TautError(f"--motion {what}: neither a file nor a shape (none, trapezoids, smooth)")
         motor = read_motor(Path(what), live.rig)
@@ -349,9 +348,4 @@ def motor_trajectory(live: Live, what: str, speed: float | None, seconds: float,
             raise TautError(f"{what}: goes beyond the rig's range, {low:g} to {high:g} {actuator.unit}")
         return motor.t_s, motor.q
     speed = speed or min(15.0 / abs(live.rig.coarse.gain), 0.5 * live.top_speed)
-    if what == "smooth":
-        planned = trajectory.random_smooth(actuator, speed, seconds, seed)
-    else:
-        # 6 trapezoids as high as 0.35 of the range; 1/8 s to full speed, 0.3 s of rest at each end.
-        planned = trajectory.trapezoids(actuator, speed, 0.35 * actuator.span, 6, 8.0 * speed, 0.3)
-    return planned.t_s, planned.q
+    return _shape(what, actuator, speed, seconds, seed)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 from tautline.device import wire
@@ -29,14 +27,6 @@ class Homing:
     drive: float = 0.0  # share of full drive that may press; 0: the settings' low one
 
 
-@contextmanager
-def weakly(live: Live) -> Iterator[None]:
-    """Inside, the motor is on, referenced or not; afterwards it is off."""
-    live.board.check_fault(live.axis)
-    with live.powered():
-        yield
-
-
 def home(live: Live, homing: Homing | None = None) -> float:
     """Drives to the end stop and backs off a little; returns the position then, the rig's unit. Leaves the motor
     off. TautError for a drive with a position loop of its own, which cannot press weakly."""
@@ -59,7 +49,8 @@ def home(live: Live, homing: Homing | None = None) -> float:
             f"axis {live.axis} would rest at {rests:g} {unit}, beyond the board's limits "
             f"[{limits.q_low * live.resolution:g}, {limits.q_high * live.resolution:g}]: choose another --end"
         )
-    with weakly(live):
+    live.board.check_fault(live.axis)
+    with live.powered():
         live.board.ask(
             "home",
             axis=live.axis,

@@ -145,7 +145,7 @@ class Following:
             if batch.axis != self.live.axis:
                 continue
             t_s = (batch.t_us + np.arange(batch.count) * batch.period_us) * 1e-6
-            q = np.array([batch.q[i] for i in range(batch.count)]) * self.live.resolution
+            q = np.asarray(batch.q[: batch.count]) * self.live.resolution
             fresh = t_s > self._newest_s
             if fresh.any():
                 self._path.append((t_s[fresh], q[fresh]))

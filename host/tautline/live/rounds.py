@@ -212,7 +212,9 @@ def default_until(actuator: Actuator) -> float:
 
 
 def in_words(sigma: float, unit: str) -> str:
-    """A sigma of q as a person reads it."""
+    """A sigma of q as a person reads it; "unknown" where it is not finite."""
+    if not np.isfinite(sigma):
+        return "unknown"
     return f"{1e3 * sigma:.2g} µm" if unit == "mm" else f"{sigma:.2g} {unit}"
 
 
@@ -227,7 +229,7 @@ def both_made(done: Sequence[Round | Strokes]) -> bool:
 
 def first_round(means: Means) -> Round:
     """Passes over all of the range, out and back."""
-    return _round_over(means, means.low, means.high, means.speeds[:1], _CYCLES, _STROKE * means.span)
+    return _round_over(means, means.speeds[:1])
 
 
 def next_round(
@@ -237,11 +239,10 @@ def next_round(
     are there for a frame or two only); passes over the whole range where that is much of it, as many as will take, or
     where something is not measured at all. seconds: that the rounds so far took."""
     if slower_tells(means, standing, until, done):
-        return _round_over(means, means.low, means.high, (min(means.speeds),), _CYCLES, _STROKE * means.span)
+        return _round_over(means, (min(means.speeds),))
     speed = means.speeds[len(done) % len(means.speeds)]
     if not standing.covered:
-        stroke = _LONGEST_STROKE if standing.strokes > 0 else _STROKE
-        return _round_over(means, means.low, means.high, (speed,), _CYCLES, stroke * means.span)
+        return _round_over(means, (speed,), _LONGEST_STROKE if standing.strokes > 0 else _STROKE)
     more = (standing.worst / until) ** 2
     need = standing.need if both_made(done) else _with_ends(standing, until)
     if sum(place.high - place.low for place in need) <= _WHOLE * means.span:
@@ -252,7 +253,7 @@ def next_round(
     approach = _APPROACH * means.span
     pass_s = (2 * means.span + 4 * _CYCLES * (standing.widest + approach + _LATENCY_S * speed)) / speed
     passes = int(np.clip(np.ceil(seconds * (more - 1.0) / pass_s), 1, _MOST_PASSES))
-    return _round_over(means, means.low, means.high, (speed,) * passes, _CYCLES, _STROKE * means.span)
+    return _round_over(means, (speed,) * passes)
 
 
 def slower_tells(means: Means, standing: Standing, until: float, done: Sequence[Round | Strokes]) -> bool:
@@ -312,14 +313,13 @@ def _stroke_for(means: Means, place: Place, widest: float, until: float, seconds
     return Stroke(low, high, speed, times)
 
 
-def _round_over(means: Means, low: float, high: float, speeds: tuple[float, ...], cycles: int, stroke: float) -> Round:
-    """A round of passes from low to high at these speeds with `cycles` calibration strokes of length `stroke` at each
-    turn."""
-    approach = min(_APPROACH * means.span, 0.4 * stroke)
+def _round_over(means: Means, speeds: tuple[float, ...], stroke: float = _STROKE) -> Round:
+    """A round of passes over all of the range at these speeds, unit/s. stroke: share of the range at which a reversal
+    without an onset ends."""
     span = means.span
     return Round(
-        low, high, speeds, cycles, max(means.speeds[0], *speeds), means.acceleration, approach, stroke,
-        _SIGMA_WANTED * span, _SIGMA_USABLE * span,
+        means.low, means.high, speeds, _CYCLES, max(means.speeds[0], *speeds), means.acceleration, _APPROACH * span,
+        stroke * span, _SIGMA_WANTED * span, _SIGMA_USABLE * span,
     )  # fmt: skip
 
 
@@ -353,9 +353,11 @@ def why_not(
         return f"{here}: {_marker_not_seen(camera, unit)}"
     if standing.doubt:
         return f"{here}, and more frames of the same do not help: {standing.doubt}"
+    noise = f" with {camera.noise_px:.2g} px of noise in the marker" if np.isfinite(camera.noise_px) else ""
+    time = f", and {needed:.0f} s would be needed" if np.isfinite(needed) else ""
     return (
-        f"{here} with {camera.noise_px:.2g} px of noise in the marker, and {needed:.0f} s would be needed: steady the "
-        "camera, light or enlarge the marker, name a larger --until, or give it time with --at-most"
+        f"{here}{noise}{time}: steady the camera, light or enlarge the marker, name a larger --until, or give it time "
+        "with --at-most"
     )
 
 

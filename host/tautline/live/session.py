@@ -26,6 +26,7 @@ Progress = Callable[[float, str], None] | None
 
 _PROBE_SHARES = (0.06, 0.2)  # of the range to either side: first carefully, then beyond backlash and dead zone
 _STILL_FRAMES = 8
+_OFF_PX = 0.02  # of a marker's place, however many frames
 _ACCELERATION = 20.0  # of the calibration motion: from rest to its fastest pass in 1/20 s
 _HOST_TIMEOUT_S = 1.0
 # The board's onset detector, in shares of the range: an onset good enough to turn round, one too vague to use, a turn,
@@ -115,22 +116,6 @@ def probe(live: Live, seen: Callable[[Frame], object], speed: float) -> None:
     motor's, before a motion is blamed for it."""
     rig, unit = live.rig, live.rig.actuator.unit
     low, high = rig.actuator.range
-
-    def marker(frames: int) -> tuple[Array, float]:
-        """Mean marker position of these frames and its standard error, px."""
-        places = []
-        for _ in range(frames + round(rig.delay_s * (rig.camera.frame_rate_hz if rig.camera else 25.0)) + 1):
-            frame = live.look()
-            seen(frame)
-            if frame.sighting.valid:
-                places.append((frame.sighting.u_px, frame.sighting.v_px))
-        places = places[-frames:]
-        if len(places) < frames / 2:
-            raise TautError(
-                "the marker is not seen while all is at rest: check the camera, or pick its colour: taut marker"
-            )
-        return np.mean(places, axis=0), float(np.std(places, axis=0).mean() / np.sqrt(len(places)) + 0.02)
-
     start = float(live.board.status(live.axis).q) * live.resolution
     if not low <= start <= high:
         raise TautError(
@@ -143,7 +128,7 @@ def probe(live: Live, seen: Callable[[Frame], object], speed: float) -> None:
         spots = []
         for q in (centre - reach, centre + reach, centre - reach):
             move_to(live, q, speed, seen)
-            spots.append((marker(_STILL_FRAMES), live.board.status(live.axis).q * live.resolution))
+            spots.append((_marker_at_rest(live, seen), live.board.status(live.axis).q * live.resolution))
         (first, sigma), q_first = spots[1]
         (second, _), q_second = spots[2]
         if abs(q_second - q_first) < reach:
@@ -173,6 +158,24 @@ def probe(live: Live, seen: Callable[[Frame], object], speed: float) -> None:
         f"the motor moved {2 * reach:.3g} {unit}, the marker {distance:.2g} px of {length:.3g}: is this camera looking "
         f"at the instrument of axis {live.axis}? Else a scale in rig.toml is too small, or the backlash larger"
     )
+
+
+def _marker_at_rest(live: Live, seen: Callable[[Frame], object]) -> tuple[Array, float]:
+    """Mean marker position (2,) of _STILL_FRAMES that show the axis as it rests, and its standard error, px. Frames,
+    also those that are still on their way from before, go to `seen`. TautError where it is lost in most of them."""
+    late = round(live.rig.delay_s * (live.rig.camera.frame_rate_hz if live.rig.camera else 25.0)) + 1
+    places = []
+    for _ in range(_STILL_FRAMES + late):
+        frame = live.look()
+        seen(frame)
+        if frame.sighting.valid:
+            places.append((frame.sighting.u_px, frame.sighting.v_px))
+    places = places[-_STILL_FRAMES:]
+    if len(places) < _STILL_FRAMES / 2:
+        raise TautError(
+            "the marker is not seen while all is at rest: check the camera, or pick its colour: taut marker"
+        )
+    return np.mean(places, axis=0), float(np.std(places, axis=0).mean() / np.sqrt(len(places)) + _OFF_PX)
 
 
 # -- calibration motion -----------------------------------------------------------------------------------------------
@@ -247,16 +250,17 @@ class Motions:
     def stroke(self, wanted: Strokes, enough: Callable[[Frame], bool]) -> None:
         """Makes the strokes one place after the other until all are done or `enough(frame)` is true; then the axis is
         at rest."""
-        done = [False]
+        done = False
 
         def seen(frame: Frame) -> None:
+            nonlocal done
             self._add(frame)
-            done[0] = enough(frame) or done[0]
+            done = enough(frame) or done
 
         for place in wanted.places:
             move_to(self.live, place.low, wanted.transit, seen)
             for end in (place.high, place.low) * place.times:
-                if done[0]:
+                if done:
                     return
                 move_to(self.live, end, place.speed, seen)
                 self.made.reversals += 1
@@ -278,7 +282,7 @@ class Motions:
 def moving(live: Live, folder: Path, low: float, high: float, video: bool) -> Iterator[Motions]:
     """Inside, the motor is on within these limits and everything is recorded. Whatever happens, the axis comes to rest
     and what was recorded stays."""
-    made = Motion(folder)
+    made, missed_before = Motion(folder), live.board.missed
     began = live.now_us()
     with Recorder(live, folder, video) as recorder, driving(live):
         set_range(live, low, high)
@@ -296,7 +300,7 @@ def moving(live: Live, folder: Path, low: float, high: float, video: bool) -> It
                 ) from None
             raise
     made.seconds = (live.now_us() - began) * 1e-6
-    made.telemetry_missed = live.board.missed
+    made.telemetry_missed = live.board.missed - missed_before
 
 
 def check_rig(live: Live) -> None:

@@ -25,7 +25,7 @@ from tautline.geometry import coarse_range_deg, project
 from tautline.recording import FRAME_COLUMNS, PICTURE_NAME, Marker, Motor, Recording
 from tautline.rig import Rig
 from tautline.simulated.endoscope import Endoscope
-from tautline.simulated.instrument import of_name
+from tautline.simulated.instrument import Instrument, of_name
 from tautline.simulated.simlink import DesktopBoard, SimLink, SimulatedAxis
 from tautline.vision.camera import FrameSource, SimulatedCamera, VideoCamera
 from tautline.vision.colour import MarkerColour, pick
@@ -300,6 +300,7 @@ class Recorder:
         self._count = 0
         self._last_us = -1
         self._paused = False
+        self._writing = threading.Lock()  # telemetry: a board's reader is another thread
         self._rows: dict[str, list[tuple[float, ...]]] = {"motor": [], "marker": []}
         live.board.listen("batch", self._write_telemetry)
 
@@ -308,7 +309,8 @@ class Recorder:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._paused = True
+        with self._writing:
+            self._paused = True
         self._live.board.forget("batch", self._write_telemetry)
         for file in (self._motor, self._marker, self._frames):
             if file is not None:
@@ -318,15 +320,18 @@ class Recorder:
 
     def _write_telemetry(self, batch: wire.Message) -> None:
         """Writes a telemetry message of this axis to motor.csv."""
-        if batch.axis != self._live.axis or self._paused:
+        if batch.axis != self._live.axis:
             return
         resolution = self._live.resolution
-        for i in range(batch.count):
-            t_us = batch.t_us + i * batch.period_us
-            if t_us > self._last_us:
-                row = f"{t_us * 1e-6:.6f},{batch.q[i] * resolution:.7g},{batch.q_ref[i] * resolution:.7g}"
-                self._write(self._motor, "motor", row)
-                self._last_us = t_us
+        with self._writing:
+            if self._paused:
+                return
+            for i in range(batch.count):
+                t_us = batch.t_us + i * batch.period_us
+                if t_us > self._last_us:
+                    row = f"{t_us * 1e-6:.6f},{batch.q[i] * resolution:.7g},{batch.q_ref[i] * resolution:.7g}"
+                    self._write(self._motor, "motor", row)
+                    self._last_us = t_us
 
     def _write(self, file: IO[str], name: str, row: str) -> None:
         """Writes a row to a file and keeps its numbers under `name`, NaN where a field is empty."""
@@ -442,56 +447,58 @@ def open_live(
     """
     with ExitStack() as stack:
         if simulate is not None:
-            instrument = of_name(simulate, rig, seed)
-            desktop = stack.enter_context(DesktopBoard(axes=max(axis + 1, 1)))
-            opened = stack.enter_context(open_board(desktop.where))
-            link = desktop.link()
-            stack.callback(link.close)
-            # What a user does with a real one: commissioning, the check, and a reference, here where the simulation is
-            # put.
-            opened.trust_motor(axis)
-            opened.switch_on(axis, lambda seconds: _pass(link, seconds))
-            opened.ask("enable", axis=axis, on=0)
-            _pass(link, _SLICE_S)
-            place = (at or 0.0) / instrument.rig.actuator.encoder_resolution
-            link.ask(f"place {axis} {round(place * 256)}")
-            opened.ask("set_position", axis=axis, q=place)
-            plant = SimulatedAxis(link, instrument, axis)
-            live = Live(opened, instrument.rig, axis, None, plant)
-            if pictures and instrument.drawn and instrument.rig.has_camera:
-                endoscope = Endoscope(instrument.rig, seed=seed)
-                middle = 0.5 * sum(coarse_range_deg(instrument.rig))
-                spot = project(instrument.rig, middle)[0]
-                seen_as = pick(endoscope.frame(middle, 0.0, 0.0), (float(spot[0]), float(spot[1])))
-                marker_source: MarkerSource = LockstepSource(
-                    plant, SimulatedCamera(endoscope, plant.scene), MarkerTracker(seen_as)
-                )
-            elif instrument.rig.has_camera:
-                marker_source = PointSource(plant, seed=seed)
-            else:
-                yield live
-                return
-            live.marker_source = marker_source
-            stack.callback(marker_source.close)
-            yield live
-            return
-        if rig is None:
+            live = _simulated(stack, of_name(simulate, rig, seed), axis, at or 0.0, pictures, seed)
+        elif rig is None:
             raise TautError("no rig: name the set-up's file with --rig")
-        opened = stack.enter_context(open_board(board or rig.actuator.board, otherwise))
-        opened.check_axis(axis)
-        opened.align(16)
-        stack.enter_context(opened.reading())
-        live = Live(opened, _with_board_instrument(rig, opened, axis), axis)
-        if at is not None:
-            opened.ask("set_position", axis=axis, q=at / live.resolution)
-        if camera is not None:
-            if colour is None and not picks:
-                raise TautError("the marker's colour is not known: pick it once with 'taut marker'")
-            source = int(camera) if isinstance(camera, str) and camera.isdigit() else camera
-            size = None if rig.camera is None else (rig.camera.width_px, rig.camera.height_px)
-            rate_hz = None if rig.camera is None else rig.camera.frame_rate_hz
-            camera_of = _camera(source, size, rate_hz)
-            tracker = None if colour is None else MarkerTracker(colour)
-            live.marker_source = CameraSource(opened, camera_of, tracker, size)
+        else:
+            opened = stack.enter_context(open_board(board or rig.actuator.board, otherwise))
+            opened.check_axis(axis)
+            opened.align(16)
+            stack.enter_context(opened.reading())
+            live = Live(opened, _with_board_instrument(rig, opened, axis), axis)
+            if at is not None:
+                opened.ask("set_position", axis=axis, q=at / live.resolution)
+            if camera is not None:
+                if colour is None and not picks:
+                    raise TautError("the marker's colour is not known: pick it once with 'taut marker'")
+                live.marker_source = _camera_source(opened, camera, rig, colour)
+        if live.marker_source is not None:
             stack.callback(live.marker_source.close)
         yield live
+
+
+def _simulated(stack: ExitStack, instrument: Instrument, axis: int, at: float, pictures: bool, seed: int) -> Live:
+    """A desktop board, closed by the stack, with the instrument on its axis, at `at` in the rig's unit: commissioned,
+    checked and referenced, as a user does with a real one. pictures: the endoscope's are drawn, where it can be."""
+    rig = instrument.rig
+    desktop = stack.enter_context(DesktopBoard(axes=axis + 1))
+    board = stack.enter_context(open_board(desktop.where))
+    link = desktop.link()
+    stack.callback(link.close)
+    board.trust_motor(axis)
+    board.switch_on(axis, lambda seconds: _pass(link, seconds))
+    board.ask("enable", axis=axis, on=0)
+    _pass(link, _SLICE_S)
+    place = at / rig.actuator.encoder_resolution
+    link.ask(f"place {axis} {round(place * 256)}")
+    board.ask("set_position", axis=axis, q=place)
+    plant = SimulatedAxis(link, instrument, axis)
+    source: MarkerSource | None = None
+    if pictures and instrument.drawn and rig.has_camera:
+        endoscope = Endoscope(rig, seed=seed)
+        middle = 0.5 * sum(coarse_range_deg(rig))
+        spot = project(rig, middle)[0]
+        seen_as = pick(endoscope.frame(middle, 0.0, 0.0), (float(spot[0]), float(spot[1])))
+        source = LockstepSource(plant, SimulatedCamera(endoscope, plant.scene), MarkerTracker(seen_as))
+    elif rig.has_camera:
+        source = PointSource(plant, seed=seed)
+    return Live(board, rig, axis, source, plant)
+
+
+def _camera_source(board: Board, camera: str | int, rig: Rig, colour: MarkerColour | None) -> CameraSource:
+    """A camera asked for the rig's size and rate, with its times on the board's clock. colour: None finds no marker."""
+    source = int(camera) if isinstance(camera, str) and camera.isdigit() else camera
+    size = None if rig.camera is None else (rig.camera.width_px, rig.camera.height_px)
+    rate_hz = None if rig.camera is None else rig.camera.frame_rate_hz
+    tracker = None if colour is None else MarkerTracker(colour)
+    return CameraSource(board, _camera(source, size, rate_hz), tracker, size)

@@ -119,29 +119,29 @@ def _rounds(
 ) -> tuple[list[Round | Strokes], str]:
     """Makes rounds until the goal is reached: those made, and why it was not reached ("" if it was)."""
     view = watch.view
-    lost_since: list[float] = []  # when the marker was last seen, where it is not now
+    rounds: list[Round | Strokes] = []
+    best = float("inf")  # of the sigmas after each round
+    lost_since: float | None = None  # view.seconds when the marker was lost, None where it is seen
     halted = False  # the round was broken off for a rest, which may be over before its stroke is
 
     def enough(frame: Frame) -> bool:
         """Whether the present round may end: the goal is reached, the time is up, or a rest was asked for."""
+        nonlocal lost_since, halted
         fresh = watch.frame(frame, motions.made.reversals)
         if frame.sighting.valid:
-            lost_since.clear()
-        elif not lost_since:
-            lost_since.append(view.seconds)
-        elif view.seconds - lost_since[0] > _LOST_S:
+            lost_since = None
+        elif lost_since is None:
+            lost_since = view.seconds
+        elif view.seconds - lost_since > _LOST_S:
             raise TautError(
-                f"the marker was last seen {view.seconds - lost_since[0]:.0f} s ago: bring it into view, or pick its "
+                f"the marker was last seen {view.seconds - lost_since:.0f} s ago: bring it into view, or pick its "
                 f"colour again with 'taut marker'; what was recorded is in {motions.made.folder}"
             )
-        nonlocal halted
         halted = resting() or halted
         if view.seconds > at_most_s or halted:
             return True
         return both_made(rounds[:-1]) and fresh and view.standing is not None and view.standing.reached(until)
 
-    rounds: list[Round | Strokes] = []
-    best = float("inf")  # of the sigmas after each round
     while True:
         standing = view.standing
         if standing is None or not rounds:
@@ -153,7 +153,7 @@ def _rounds(
             best = min(best, standing.worst if standing.covered else best)
         rounds.append(wanted)
         view.doing = f"round {len(rounds)}: {wanted.says(view.unit)}{because}"
-        while True:
+        while True:  # until no rest breaks it off
             halted = False
             if isinstance(wanted, Strokes):
                 motions.stroke(wanted, enough)

@@ -236,7 +236,7 @@ class Watch:
         place = np.array([before, q] if before < q else [q, before])
         if not np.isfinite(place).all():
             return
-        first, last = (place - view.low) / (view.high - view.low) * BINS
+        first, last = (place - view.low) / (view.high - view.low) * BINS  # beyond the range too
         seen = frame.sighting
         rested, self._rested = self._rested, None
         if last - first < _STILL:
@@ -244,6 +244,6 @@ class Watch:
             if rested is not None and self._rested is not None:
                 self._steps.append((self._rested[0] - rested[0], self._rested[1] - rested[1]))
             return
-        bins = slice(max(int(first), 0), min(int(last) + 1, BINS))
+        bins = slice(*np.clip(np.floor([first, last + 1.0]), 0, BINS).astype(int))
         way = view.rising if q > before else view.falling
         way[bins, int(not seen.valid)] += 1

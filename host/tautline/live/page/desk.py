@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from tautline.calibration.result import Calibration
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg
 from tautline.live.page import shown
@@ -41,6 +42,8 @@ class Picture:
 
 
 class Desk:
+    """The state of one session (READY, RUNNING, RESTING, STOPPING), what was asked of it, and what it publishes."""
+
     def __init__(self, rig: Rig, about: dict[str, Any], unwatched_s: float = _UNWATCHED_S) -> None:
         """about: what the page says of the session. unwatched_s: time without a page after which it rests."""
         self.events, self.pictures = Stream(), Stream()
@@ -53,7 +56,7 @@ class Desk:
         self._heard_s = time.monotonic()
         self._let_go: Callable[[], None] = lambda: None
         self._shown_s = float("-inf")
-        self._calibrated_s = 0.0
+        self._calibration: Calibration | None = None  # that the page shows
         self._frames = 0
         self._picture: Any = None
         ranges = {"range": list(rig.actuator.range), "c_range": list(coarse_range_deg(rig))}
@@ -124,7 +127,7 @@ class Desk:
     def running(self, let_go: Callable[[], None]) -> Iterator[None]:
         """Inside, what was started runs. let_go: brings the board to rest, from another thread."""
         with self._changed:
-            self._let_go, self._calibrated_s, self._shown_s = let_go, 0.0, float("-inf")
+            self._let_go, self._calibration, self._shown_s = let_go, None, float("-inf")
         self.events.publish("fit", None)  # what was found before is not of this
         try:
             yield
@@ -167,11 +170,12 @@ class Desk:
         if view.frame is not None:
             self.show_frame(view.frame, view.q)
         now = time.monotonic()
-        if now - self._shown_s >= _PROGRESS_S or view.calibrated_s != self._calibrated_s:
+        fresh = view.calibration is not self._calibration
+        if now - self._shown_s >= _PROGRESS_S or fresh:
             self._shown_s = now
             self.events.publish("progress", shown.progress(view))
-        if view.calibration is not None and view.calibrated_s != self._calibrated_s:
-            self._calibrated_s = view.calibrated_s
+        if view.calibration is not None and fresh:
+            self._calibration = view.calibration
             self.events.publish("fit", shown.fit(view.calibration, view.calibrated_s))
         self.check_stop()
 

@@ -89,13 +89,13 @@ class Played:
         return float(np.interp(t_s, motor.t_s, motor.q, left=np.nan))
 
     def so_far(self) -> Recording:
-        """The part of the recording that was played."""
+        """The part of the recording that was played, with one sample of the motor at least."""
         if self._at + 1 >= self.frames:
             return self._whole
-        now_s = self._t_s[self._at]
+        now_s, motor = self._t_s[self._at], self._whole.motor
         return replace(
             self._whole,
-            motor=_rows_of(self._whole.motor, self._whole.motor.t_s <= now_s),
+            motor=_rows_of(motor, motor.t_s <= max(now_s, motor.t_s[0])),
             marker=_rows_of(self._marker, self._t_s <= now_s),
             angle=self._whole.angle and _rows_of(self._whole.angle, self._whole.angle.t_s <= now_s),
         )

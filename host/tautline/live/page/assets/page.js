@@ -281,7 +281,8 @@ async function pictures() {
   for (let after = 0; ; ) {
     try {
       const answer = await fetch(`picture?after=${after}`);
-      if (answer.status !== 200) continue;
+      if (answer.status === 204) continue; // none came yet
+      if (!answer.ok) throw new Error("another server's");
       after = Number(answer.headers.get("Taut-Number"));
       const seen = JSON.parse(answer.headers.get("Taut-Seen"));
       const bitmap = await createImageBitmap(await answer.blob());
@@ -290,7 +291,7 @@ async function pictures() {
       $("nothing").hidden = true;
       drawPicture();
     } catch {
-      await new Promise((resolve) => setTimeout(resolve, 1000)); // the server is away
+      await new Promise((resolve) => setTimeout(resolve, 1000)); // the server is away, or knows this page no more
     }
   }
 }
