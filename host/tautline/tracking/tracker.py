@@ -378,6 +378,7 @@ class LawTracker:
         """Takes the law of theta into use."""
         self._theta, self._visit, before = theta, None, self._law
         self._law = self.nominal.law(theta)
+        self._lean = Lean()  # the one before leaves no more
         if self._law.most > before.most:  # what lay on its envelope need not any more
             self._passes.clear()
         self._offset = self.nominal.offset(theta)
