@@ -20,21 +20,25 @@ class Disturbance:
 
     def __init__(self, resolution: float) -> None:
         self._resolution = resolution
+        self.begin_recording()
+
+    def begin_recording(self) -> None:
+        """The tip and its clock may be elsewhere, and what was seen or judged is of another recording."""
         self._off_track, self._wanders = 1.0, 1.0
+        self._rested_s = -np.inf  # the last frame at rest
         self._before = (np.nan, np.nan, np.nan)  # the last frame: motor, tip (deg), its sigma
         self._quiet_s = -np.inf  # when learning may go on
 
-    def begin_recording(self) -> None:
-        """The tip may be elsewhere, and what was judged is of another recording."""
-        self._before, self._quiet_s = (np.nan, np.nan, np.nan), -np.inf
-
-    def add(self, q: float, seen: AngleEstimate, level: float) -> None:
+    def add(self, q: float, seen: AngleEstimate, level: float, arrival_s: float) -> None:
         """Adds a frame, the motor being at q. level: rms of residuals over sigma that is known to be left."""
         self._off_track += _OFF_PACE * ((seen.off / level) ** 2 - self._off_track)
         q_before, c_deg, sigma = self._before
         self._before = (q, seen.c_deg, seen.sigma * level)
         if abs(q - q_before) <= _REST_COUNTS * self._resolution:
             wander = (seen.c_deg - c_deg) / float(np.hypot(sigma, self._before[2]))
+            if not self._rested_lately(arrival_s):
+                self._wanders = 1.0
+            self._rested_s = arrival_s
             self._wanders += _WANDER_PACE * (min(wander**2, _CLIP) - self._wanders)
 
     def judged(self, arrival_s: float) -> None:
@@ -47,4 +51,9 @@ class Disturbance:
 
     def there(self, arrival_s: float) -> bool:
         """Whether there is one, or was a short time ago."""
-        return self.was_judged(arrival_s) or max(self._off_track / _OFF_TRACK, self._wanders / _WANDERS) > 1.0
+        wanders = self._wanders > _WANDERS and self._rested_lately(arrival_s)
+        return self.was_judged(arrival_s) or self._off_track > _OFF_TRACK or wanders
+
+    def _rested_lately(self, arrival_s: float) -> bool:
+        """Whether a motor at rest showed a short time ago how the tip wanders: while it moves nothing does."""
+        return arrival_s < self._rested_s + _QUIET_S

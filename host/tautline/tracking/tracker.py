@@ -283,10 +283,11 @@ class LawTracker:
         loose = self._play.driven == 0.0
         if loose:  # nothing has carried the tip yet: it is where it is seen
             within = self._clipped_to_play(y)
-            if abs(y - within) > _ELSEWHERE * self._width:
+            strange = abs(y - within) > _ELSEWHERE * self._width
+            if strange and not self._disturbance.there(self._arrival_s):
                 self._strange += 1
                 if self._strange == _STRANGE_FRAMES:
-                    self._begin_with_offset(y - within)
+                    self._begin_with_offset(y - within, within)
                     return
         kept = self._window.frame(scene_s, seen.c_deg, seen.sigma, seen.off, self._strokes.number)
         if not kept:
@@ -295,12 +296,13 @@ class LawTracker:
         if loose:  # where it was seen last, too, unless it moves with a motor that does not carry it
             since = (y - p) / np.sqrt(2.0) if self._placed else 0.0
             off = max(y - within, since, key=abs)
-            self._play.restart(y)
-            self._placed = True
+            if not strange:  # else the motor would carry it from there
+                self._play.restart(y)
+                self._placed = True
         place = self._calibrated.place(seen.c_deg)
         q, travel = self._window.last_q, abs(self._window.last_q - self._strokes.turned_at) / self._law.most
         self._passes.add(q, float(place), sigma, seen.off, self._strokes.number, travel, self._window.end - 1)
-        self._disturbance.add(q, seen, self._level)
+        self._disturbance.add(q, seen, self._level, self._arrival_s)
         if self.state is not State.TRUSTED:
             self._reduce_scale()
         self._learn_beyond(seen, p)
@@ -362,14 +364,14 @@ class LawTracker:
         q = self._window.last_q + float(self._theta[OFFSET])
         return min(max(y, q - half), q + half)
 
-    def _begin_with_offset(self, off: float) -> None:
-        """Takes a rough offset into use where a recording begins so far off (unit of q) that no play can be the
-        cause."""
+    def _begin_with_offset(self, off: float, within: float) -> None:
+        """Takes a rough offset into use where a recording begins so far off (unit of q) that no play can be the cause.
+        within: the centre coordinate that is left of it."""
         theta = self._theta.copy()
         theta[TIP.start] += off * self.nominal.tip_slope
         self._use_law(theta)
         self._sigma = (float(np.hypot(self._width, 0.5 * abs(off) / _ELSEWHERE)), self._sigma[1])
-        self._play.restart(float(self._law.place(self._law.angle(self._clipped_to_play(0.0)))))
+        self._play.restart(within)
         self._since = self._recording_entry
         self._clear_doubts(self._since)
         self._change_state(State.ADAPTING, f"transmission.offset: {self._offset:+.4g} or so, another posture")
