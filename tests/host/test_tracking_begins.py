@@ -10,7 +10,7 @@ import pytest
 from tautline.model import Model, Uncertainty
 from tautline.recording import Angle, Motor, Recording
 from tautline.rig import Actuator, Coarse, Rig
-from tautline.tracking import Row, State, Tracker, replay
+from tautline.tracking import Row, State, replay
 from tools.tracking.sessions import Instrument, ideal_model, session
 
 GRID = np.linspace(-5.0, 5.0, 201)
@@ -67,7 +67,9 @@ def test_an_offset_of_more_than_two_widths_is_taken_from_five_frames(offset: flo
     recording = used(at + np.concatenate([np.zeros(200), 0.5 * there_and_back(20.0)]), offset=offset)
     rows = replay(MODEL, [recording]).rows
     assert [row.state for row in rows[:6]].count(State.ADAPTING) == 1
-    assert off_deg(rows, recording)[5:60].max() < 0.5 * WIDTH * 12.0 + 6.0 * NOISE  # it may lie on either side of the play
+    assert (
+        off_deg(rows, recording)[5:60].max() < 0.5 * WIDTH * 12.0 + 6.0 * NOISE
+    )  # it may lie on either side of the play
     assert rows[-1].offset == pytest.approx(offset, abs=0.01)
 
 
@@ -75,7 +77,9 @@ def test_a_blob_that_is_off_the_markers_track_is_no_posture() -> None:
     instrument = Instrument(1)
     recording = session(instrument, "nothing", 1, 6.0).recording
     marker = recording.marker
-    blob = replace(marker, u_px=marker.u_px[0] + 80.0 + 0.0 * marker.u_px, v_px=marker.v_px[0] + 60.0 + 0.0 * marker.v_px)
+    blob = replace(
+        marker, u_px=marker.u_px[0] + 80.0 + 0.0 * marker.u_px, v_px=marker.v_px[0] + 60.0 + 0.0 * marker.v_px
+    )
     rows = replay(ideal_model(instrument), [replace(recording, marker=blob)]).rows
     assert {row.offset for row in rows} == {0.0}
 
