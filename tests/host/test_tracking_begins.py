@@ -112,3 +112,12 @@ def test_a_hand_on_a_resting_tip_is_over_once_the_motor_moved_for_long(in_anothe
         began = tracked.t_s
     down = next(t for t, row in zip(began.tolist(), tracked.rows, strict=True) if row.scale < 0.9)
     assert narrow < down < narrow + 2.5
+
+
+def test_a_width_that_is_less_than_the_noise_makes_no_posture_of_noise() -> None:
+    recording = used(np.concatenate([np.zeros(400), there_and_back(8.0)]), 0.002)
+    noisy = 0.3 * np.random.default_rng(1).normal(size=len(recording.angle.c_deg))  # deg: 0.025 mm
+    recording = replace(recording, angle=replace(recording.angle, c_deg=recording.angle.c_deg + noisy))
+    model = replace(MODEL, width=np.full(len(GRID), 0.002), uncertainty=Uncertainty(noise=0.3))
+    rows = replay(model, [recording]).rows
+    assert {row.offset for row in rows} == {0.0}

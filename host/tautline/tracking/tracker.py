@@ -20,7 +20,7 @@ from tautline.rig import MARKER, Sensor
 from tautline.tracking.beyond import Beyond
 from tautline.tracking.disturbance import Disturbance
 from tautline.tracking.doubt import JUMP, ONSET, Doubt
-from tautline.tracking.fit import REACH, Work
+from tautline.tracking.fit import REACH, SURE, Work
 from tautline.tracking.hypotheses import Inference, judge
 from tautline.tracking.judgement import Judgement
 from tautline.tracking.law import OFFSET, TIP, LawFamily, unchanged
@@ -283,7 +283,7 @@ class LawTracker:
         loose = self._play.driven == 0.0
         if loose:  # nothing has carried the tip yet: it is where it is seen
             within = self._clipped_to_play(y)
-            strange = abs(y - within) > _ELSEWHERE * self._width
+            strange = abs(y - within) > _ELSEWHERE * self._width + SURE * sigma * self._level
             if strange and not self._disturbance.there(self._arrival_s):
                 self._strange += 1
                 if self._strange == _STRANGE_FRAMES:
