@@ -114,10 +114,10 @@ def test_a_hand_on_a_resting_tip_is_over_once_the_motor_moved_for_long(in_anothe
     assert narrow < down < narrow + 2.5
 
 
-def test_a_width_that_is_less_than_the_noise_makes_no_posture_of_noise() -> None:
-    recording = used(np.concatenate([np.zeros(400), there_and_back(8.0)]), 0.002)
-    noisy = 0.3 * np.random.default_rng(1).normal(size=len(recording.angle.c_deg))  # deg: 0.025 mm
+@pytest.mark.parametrize("seed", range(6))
+def test_a_width_that_is_less_than_the_noise_makes_no_posture_of_noise(seed: int) -> None:
+    recording = used(np.zeros(400), 0.002)
+    noisy = 0.3 * np.random.default_rng(seed).normal(size=len(recording.angle.c_deg))  # deg: 0.025 mm
     recording = replace(recording, angle=replace(recording.angle, c_deg=recording.angle.c_deg + noisy))
     model = replace(MODEL, width=np.full(len(GRID), 0.002), uncertainty=Uncertainty(noise=0.3))
-    rows = replay(model, [recording]).rows
-    assert {row.offset for row in rows} == {0.0}
+    assert {row.offset for row in replay(model, [recording]).rows} == {0.0}
