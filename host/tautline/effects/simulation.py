@@ -105,14 +105,16 @@ def follow(
     start_deg: float | None = None,
     load_reference: float = 0.0,
     clock_offset_s: float = 0.0,
+    clock_begin_s: float | None = None,
 ) -> Path:
     """The path alone, with the arguments of `simulate`. The effects "delay" and "clock_rate" shift the scene times.
-    TautError where a law of another distribution gives no numbers."""
+    clock_begin_s: when the sensor's clock and the motor's agree, by default at the motor's first knot. TautError where a
+    law of another distribution gives no numbers."""
     model = tabled(model, parameters)
     outside = [kind for kind in _TRANSFORMED if any(parameters.get(p.name) for p in kind.amplitudes)]
     scene = np.asarray(scene_s, dtype=float) - parameters.get("delay", 0.0)
     if rate := parameters.get("clock_rate", 0.0):
-        scene = scene - rate * (scene - motor.t_s[0])
+        scene = scene - rate * (scene - (motor.t_s[0] if clock_begin_s is None else clock_begin_s))
     order = np.argsort(scene, kind="stable") if len(scene) > 1 and (np.diff(scene) < 0).any() else None
     rising = scene if order is None else scene[order]
     if outside:
