@@ -117,8 +117,8 @@ class Chain:
         return x
 
     def _simulated(self, lines: Motor, scene: Array, start_deg: float | None, begin_s: float) -> effects.Path:
-        """The tip at scene times (n,), s, by the model and its own effects, without blocks from outside. begin_s: of the
-        motor's path, of which the lines may have further knots before."""
+        """The tip at scene times (n,), s, by the model and its own effects, without blocks from outside. begin_s: of
+        the motor's path, of which the lines may have further knots before."""
         own, reference = effects.of_model(self.model), self.model.load_reference_mNm
         return effects.follow(self.model, lines, scene, own, start_deg, reference, clock_begin_s=begin_s)
 

@@ -108,8 +108,8 @@ def follow(
     clock_begin_s: float | None = None,
 ) -> Path:
     """The path alone, with the arguments of `simulate`. The effects "delay" and "clock_rate" shift the scene times.
-    clock_begin_s: when the sensor's clock and the motor's agree, by default at the motor's first knot. TautError where a
-    law of another distribution gives no numbers."""
+    clock_begin_s: when the sensor's clock and the motor's agree, by default at the motor's first knot. TautError where
+    a law of another distribution gives no numbers."""
     model = tabled(model, parameters)
     outside = [kind for kind in _TRANSFORMED if any(parameters.get(p.name) for p in kind.amplitudes)]
     scene = np.asarray(scene_s, dtype=float) - parameters.get("delay", 0.0)

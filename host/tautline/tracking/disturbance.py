@@ -10,7 +10,7 @@ _OFF_PACE, _OFF_TRACK = 0.04, 2.0  # prior: of the running mean of squares off t
 _WANDER_PACE, _WANDERS = 0.15, 5.0  # prior: of that of squares of the tip's motion while the motor rests
 _CLIP = 36.0  # prior: of squares of it: a jump is one of them
 _QUIET_S = 15.0  # loss: without a disturbance, before anything is learnt after one
-_REST_COUNTS = 2.0  # prior: of the encoder: a motor that moved by no more between two frames rests
+REST_COUNTS = 2.0  # prior: of the encoder: a motor that moved by no more between two frames rests
 
 
 class Disturbance:
@@ -34,7 +34,7 @@ class Disturbance:
         self._off_track += _OFF_PACE * ((seen.off / level) ** 2 - self._off_track)
         q_before, c_deg, sigma = self._before
         self._before = (q, seen.c_deg, seen.sigma * level)
-        if abs(q - q_before) <= _REST_COUNTS * self._resolution:
+        if abs(q - q_before) <= REST_COUNTS * self._resolution:
             wander = (seen.c_deg - c_deg) / float(np.hypot(sigma, self._before[2]))
             if not self._rested_lately(arrival_s):
                 self._wanders = 1.0

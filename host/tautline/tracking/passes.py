@@ -24,12 +24,10 @@ _LATE, _SIGMA, _OFF_SQUARE, _SPACING, _ENTRY = range(5)  # format: of a row
 
 @dataclass(frozen=True)
 class Narrowing:
-    """The least share of the calibrated B that two passes leave, its standard deviation, and the centre coordinate
-    where, unit of q."""
+    """The least share of the calibrated B that two passes leave, and its standard deviation."""
 
     share: float
     sigma: float
-    place: float
 
 
 class Passes:
@@ -116,7 +114,7 @@ class Passes:
         least = max(float(share[at]), 0.0)
         if least > (1.0 - _LEAST) * 2.0 * half[at] / self._b[at]:
             return None
-        return Narrowing(least, float(np.hypot(*sigma[:, at]) / self._b[at]), float(self._by_law[at]))
+        return Narrowing(least, float(np.hypot(*sigma[:, at]) / self._b[at]))
 
 
 def _means(rows: Array) -> Array:

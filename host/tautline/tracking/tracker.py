@@ -25,7 +25,7 @@ from tautline.tracking.hypotheses import Inference, judge
 from tautline.tracking.judgement import Judgement
 from tautline.tracking.law import OFFSET, TIP, LawFamily, unchanged
 from tautline.tracking.passes import Passes
-from tautline.tracking.path import MotorPath, knots
+from tautline.tracking.path import CausalPath, knots
 from tautline.tracking.projection import AngleEstimate, Projection
 from tautline.tracking.scatter import Lean, Scatter
 from tautline.tracking.strokes import Strokes
@@ -105,7 +105,7 @@ class LawTracker:
         self._own = (0.5 * float(np.sqrt(np.mean(sigma**2))), float(np.sqrt(np.mean(sigma**2))) / self._width)
         count = model.rig.actuator.encoder_resolution
         self._window = Window(max(_APART * self._width, _APART_SIGMAS * self._noise(), count))
-        self._path = MotorPath()
+        self._path = CausalPath()
         self.recording = -1
         self.state, self.reason = State.TRUSTED, ""
         self.changes: list[Change] = []
@@ -140,7 +140,7 @@ class LawTracker:
     def begin(self) -> None:
         """A new recording: its clock, where the tip is and the posture may be others; what was learnt stays."""
         self.recording += 1
-        self._path, self._started, self._placed, self._pending = MotorPath(), False, False, None
+        self._path, self._started, self._placed, self._pending = CausalPath(), False, False, None
         self._disturbance.begin_recording()
         self._strokes.begin_recording(self._window.end)
         self._fresh_until = self._strokes.number + 1
@@ -172,8 +172,8 @@ class LawTracker:
         return float(np.sqrt(self._misfit**2 + self._scatter.times**2 - 1.0))
 
     def motor(self, t_s: Array, q: Array, others: Array | None = None) -> None:
-        """Samples that came, in order of time. others (n, 3): translation (mm), rotation (deg), load (mNm)."""
-        self._path.add(t_s, q, np.zeros((len(t_s), 3)) if others is None else others)
+        """Samples that came, in order of time. others (n, 2): translation (mm), rotation (deg)."""
+        self._path.add(t_s, q, np.zeros((len(t_s), 2)) if others is None else others)
 
     def predict(self, scene_s: float, arrival_s: float | None = None) -> Row:
         """The tip at a scene time, s, on the motor's clock, later than all before. arrival_s: when its frame arrived,
@@ -191,7 +191,7 @@ class LawTracker:
         c = float(law.angle(p)) + self._persistent_error()
         u = v = np.nan
         if self.model.rig.has_camera:
-            translation, rotation, _ = path.others_at(scene_s)
+            translation, rotation = path.others_at(scene_s)
             u, v = self.projection.image(c, translation, rotation)
         self._pending = (scene_s, None)
         offset_sigma, scale_sigma = self._sigma
@@ -256,7 +256,7 @@ class LawTracker:
         if len(reading) == 1:
             seen: AngleEstimate | None = self.projection.from_angle(reading[0])
         else:
-            translation, rotation, _ = self._path.others_at(scene_s)
+            translation, rotation = self._path.others_at(scene_s)
             near = float(self._law.angle(p))
             seen = self.projection.from_image(reading[0], reading[1], translation, rotation, near, reading[2])
         return None if seen is None or not np.isfinite(seen.c_deg) else seen
@@ -311,9 +311,14 @@ class LawTracker:
             self._lean.add(seen.c_deg - float(law.angle(p)))
         self._off += _PACE * (abs(off) - self._off)
         self._scatter.add(off / sigma)
+        self._doubt(off / (sigma * self._level), scene_s)
+
+    def _doubt(self, z: float, scene_s: float) -> None:
+        """Adds a residual, z standard deviations, to the doubts, the second one's only near a turn. A trusted law
+        becomes stale where the odds of either are above JUMP."""
         onset = abs(self._window.last_q - self._strokes.turned_at) < ONSET * self._width
         for doubt in self._doubts if onset else self._doubts[:1]:
-            doubt.add(off / (sigma * self._level), self._strokes.number, scene_s, self._window.end - 1)
+            doubt.add(z, self._strokes.number, scene_s, self._window.end - 1)
             if doubt.here > 0.0:
                 self._doubted_in = self._strokes.number
         worst = max(self._doubts, key=lambda doubt: doubt.odds)
