@@ -84,6 +84,23 @@ def test_a_blob_that_is_off_the_markers_track_is_no_posture() -> None:
     assert {row.offset for row in rows} == {0.0}
 
 
+@pytest.mark.parametrize("held", [False, True])
+@pytest.mark.parametrize("seconds", [0.5, 4.0])
+def test_after_another_blob_the_model_holds_as_soon_as_it_foretells_again(held: bool, seconds: float) -> None:
+    """As far as one that moves along, or one that stays."""
+    instrument = Instrument(4)
+    recording = session(instrument, "nothing", 4, 20.0).recording
+    marker = recording.marker
+    blob = (marker.t_s > 10.0) & (marker.t_s < 10.0 + seconds)
+    u_px, v_px = (np.where(blob, 300.0, of) if held else of + 50.0 * blob for of in (marker.u_px, marker.v_px))
+    tracked = replay(ideal_model(instrument), [replace(recording, marker=replace(marker, u_px=u_px, v_px=v_px))])
+    trusted = np.array([row.state is State.TRUSTED for row in tracked.rows])
+    during = blob & (tracked.t_s > 10.3)
+    assert not trusted[during].any()
+    assert trusted[(tracked.t_s < 10.0) | (tracked.t_s > 11.5 + seconds)].all()
+    assert {(row.offset, row.scale) for row in tracked.rows} == {(0.0, 1.0)}
+
+
 @pytest.mark.parametrize("in_another_recording", [False, True])
 def test_a_hand_on_a_resting_tip_is_over_once_the_motor_moved_for_long(in_another_recording: bool) -> None:
     """Then a narrower B is dialled down as soon as without."""

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from tautline.tracking.beyond import OUTLYING
+from tautline.tracking.fit import AHEAD
 from tautline.tracking.projection import AngleEstimate
 
 _OFF_PACE, _OFF_TRACK = 0.04, 2.0  # prior: of the running mean of squares off the marker's track, where it is disturbed
 _WANDER_PACE, _WANDERS = 0.15, 5.0  # prior: of that of squares of the tip's motion while the motor rests
 _CLIP = 36.0  # prior: of squares of it: a jump is one of them
 _QUIET_S = 15.0  # loss: without a disturbance, before anything is learnt after one
+_JUMPS = 12.0  # prior: standard deviations beside the motor's way, from which no play moves the tip between two frames
+_BACK = 10  # loss: frames in a row that the law must foretell after such a jump
 REST_COUNTS = 2.0  # prior: of the encoder: a motor that moved by no more between two frames rests
 
 
@@ -57,3 +61,28 @@ class Disturbance:
     def _rested_lately(self, arrival_s: float) -> bool:
         """Whether a motor at rest showed a short time ago how the tip wanders: while it moves nothing does."""
         return arrival_s < self._rested_s + _QUIET_S
+
+
+class Aside:
+    """Whether the image jumped away from where a law that held puts the tip, as a tracker that follows another blob
+    does, and is back: what it showed meanwhile says nothing of the law."""
+
+    def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        """Another recording or law: what comes is no jump away from the frame before."""
+        self._before = (np.nan, np.nan)  # the last frame: motor, residual
+        self._away, self._foretold = False, 0
+
+    def add(self, q: float, off: float, sigma: float, trusted: bool) -> bool:
+        """Adds a frame, the motor being at q: off by so much, sigma its standard deviation, all in the unit of q.
+        trusted: whether the law held until now. Whether the image is back with this frame."""
+        q_before, off_before = self._before
+        self._before = (q, off)
+        if trusted and abs(off - off_before) > _JUMPS * sigma + AHEAD * abs(q - q_before):
+            self._away = True
+        self._foretold = self._foretold + 1 if abs(off) < OUTLYING * sigma else 0
+        back = self._away and self._foretold == _BACK
+        self._away &= not back
+        return back

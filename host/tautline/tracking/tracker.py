@@ -18,7 +18,7 @@ from tautline.errors import TautError
 from tautline.model import Model
 from tautline.rig import MARKER, Sensor
 from tautline.tracking.beyond import Beyond
-from tautline.tracking.disturbance import Disturbance
+from tautline.tracking.disturbance import Aside, Disturbance
 from tautline.tracking.doubt import JUMP, ONSET, Doubt
 from tautline.tracking.fit import REACH, SURE, Work
 from tautline.tracking.hypotheses import Inference, judge
@@ -125,7 +125,7 @@ class LawTracker:
         self._strokes = Strokes(max(_TURN_COUNTS * count, _TURN_SHARE * self._width))
         self._doubts = Doubt(), Doubt()  # that the law changed; that its onsets did
         self._doubted_in, self._off = 0, 0.0  # the last stroke in which it was in doubt
-        self._disturbance = Disturbance(count)
+        self._disturbance, self._aside = Disturbance(count), Aside()
         self._recording_entry = 0  # the recording's first
         self._since = 0  # from which on the evidence is judged
         self._anchor: int | None = None  # since when the law in use was learnt
@@ -142,6 +142,7 @@ class LawTracker:
         self.recording += 1
         self._path, self._started, self._placed, self._pending = CausalPath(), False, False, None
         self._disturbance.begin_recording()
+        self._aside.clear()
         self._strokes.begin_recording(self._window.end)
         self._fresh_until = self._strokes.number + 1
         self._window.cut()
@@ -311,7 +312,10 @@ class LawTracker:
             self._lean.add(seen.c_deg - float(law.angle(p)))
         self._off += _PACE * (abs(off) - self._off)
         self._scatter.add(off / sigma)
+        back = self._aside.add(q, off, sigma * self._level, self.state is State.TRUSTED)
         self._doubt(off / (sigma * self._level), scene_s)
+        if back and self.state is State.STALE:
+            self._become_trusted("the image is back from something else, and the model holds")
 
     def _doubt(self, z: float, scene_s: float) -> None:
         """Adds a residual, z standard deviations, to the doubts, the second one's only near a turn. A trusted law
@@ -386,6 +390,7 @@ class LawTracker:
         self._theta, self._visit, before = theta, None, self._law
         self._law = self.nominal.law(theta)
         self._lean = Lean()  # the one before leaves no more
+        self._aside.clear()
         if self._law.most > before.most:  # what lay on its envelope need not any more
             self._passes.clear()
         self._offset = self.nominal.offset(theta)
