@@ -54,6 +54,16 @@ def test_a_stage_that_does_nothing_new_changes_nothing(outside):
     np.testing.assert_allclose(seen.image_px, told.image_px, atol=1e-6)
 
 
+def test_a_sensors_clock_begins_with_the_motor_whatever_stands_in_the_chain():
+    """Its rate counts from the motor's first sample, with scene times before that too."""
+    model = replace(MODEL, effects=(Effect("acquisition.clock_rate", {"clock_rate": 1e-3}),))
+    same = OutsideBlock("same", Stage.OUTPUT, lambda t, c, x: c)
+    scene = np.append(SCENE, MOTOR.t_s[0] - 100.0)
+    np.testing.assert_allclose(
+        Chain(model, [same]).at(PATH, scene).c_deg, Chain(model).at(PATH, scene).c_deg, atol=1e-7
+    )
+
+
 def test_a_lag_from_outside_is_the_librarys():
     tau_s = 0.08
 

@@ -490,6 +490,11 @@ def test_a_width_in_its_simple_form_is_wider_everywhere_by_as_much():
     np.testing.assert_allclose(held.width, MODEL.width + 0.25, atol=1e-12)
 
 
+def test_a_width_by_parameters_of_both_its_forms_is_changed_once():
+    both = effects.tabled(MODEL, {"width_scale": 0.1, "width_everywhere": 0.25})
+    np.testing.assert_allclose(both.width, 1.1 * MODEL.width + 0.25, atol=1e-12)
+
+
 def test_a_clock_of_another_rate_is_late_the_longer_it_runs():
     t = np.array([5.0, 15.0, 25.0])
     late = simulate(MODEL, STROKES, t, {"clock_rate": 1e-3}).c_deg

@@ -1,5 +1,6 @@
 """A posterior is the normal distribution that it says: against draws, closed forms and itself."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -65,7 +66,11 @@ def test_it_is_a_value_and_is_kept_without_loss(tmp_path: Path):
     unknown = Posterior(("a",), np.zeros(1), np.eye(1))
     unknown.save(tmp_path / "posterior.json")
     assert Posterior.load(tmp_path / "posterior.json") == unknown
-    for text in ("", "{}", '{"format": "model/1"}', '{"format": "posterior/1", "names": ["a"], "mean": [1, 2]}'):
+    huge = json.dumps(
+        {"format": "posterior/1", "names": ["a"], "mean": [10**400], "covariance": [[1]], "log_evidence": 0}
+    )
+    short = '{"format": "posterior/1", "names": ["a"], "mean": [1, 2]}'
+    for text in ("", "{}", '{"format": "model/1"}', short, huge, "[" * 100_000):
         (tmp_path / "posterior.json").write_text(text)
         with pytest.raises(TautError, match="no posterior"):
             Posterior.load(tmp_path / "posterior.json")

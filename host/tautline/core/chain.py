@@ -81,12 +81,12 @@ class Chain:
         """What is seen at scene times (n,) on the motor's clock, in any order. The tip starts on the centre line, or at
         start_deg. TautError where start_deg is no number."""
         check_start(start_deg)
-        scene = np.asarray(scene_s, dtype=float)
+        scene, begin_s = np.asarray(scene_s, dtype=float), float(path.lines.t_s[0])
         if not self.outside:
-            return Seen(_seen_rows(self.model, self._simulated(path, scene, start_deg)))
+            return Seen(_seen_rows(self.model, self._simulated(path.lines, scene, start_deg, begin_s)))
         course = np.union1d(path.lines.t_s, scene)  # blocks may remember: they see all of the motor's way
         q = self._through_blocks(Stage.INPUT, course, path.at(course))
-        tip = self._simulated(_resampled(path, course, q), course, start_deg)
+        tip = self._simulated(_resampled(path.lines, course, q), course, start_deg, begin_s)
         if any(block.stage in (Stage.PLANT, Stage.STATE) for block in self.outside):
             # A block that is the plant makes p of q in the play's place; one of the state changes p, wherever it is of.
             plant = any(block.stage is Stage.PLANT for block in self.outside)
@@ -116,10 +116,11 @@ class Chain:
                     raise TautError(f"{block.name}: gave {x.shape} for {t_s.shape} times")
         return x
 
-    def _simulated(self, path: MotorPath, scene: Array, start_deg: float | None) -> effects.Path:
-        """The tip at scene times (n,), s, by the model and its own effects, without blocks from outside."""
+    def _simulated(self, lines: Motor, scene: Array, start_deg: float | None, begin_s: float) -> effects.Path:
+        """The tip at scene times (n,), s, by the model and its own effects, without blocks from outside. begin_s: of
+        the motor's path, of which the lines may have further knots before."""
         own, reference = effects.of_model(self.model), self.model.load_reference_mNm
-        return effects.follow(self.model, path.lines, scene, own, start_deg, reference)
+        return effects.follow(self.model, lines, scene, own, start_deg, reference, clock_begin_s=begin_s)
 
 
 def by_differences(rows: Callable[[Array], Array], at: Array, steps: Array) -> Array:
@@ -141,13 +142,12 @@ def _seen_rows(model: Model, tip: effects.Path) -> Array:
     return np.column_stack([c, effects.image(model, tip, effects.of_model(model))])
 
 
-def _resampled(path: MotorPath, at: Array, q: Array) -> MotorPath:
-    """The path with knots at times (n,), s: its motor at q (n,) there, the other axes interpolated."""
-    lines = path.lines
+def _resampled(lines: Motor, at: Array, q: Array) -> Motor:
+    """A motor's lines with knots at times (n,), s: the motor at q (n,) there, the other axes interpolated."""
 
     def taken(values: Array | None) -> Array | None:
         return None if values is None else np.interp(at, lines.t_s, values)
 
     translation, rotation, load = map(taken, (lines.translation_mm, lines.rotation_deg, lines.load_mNm))
     joints = {name: np.interp(at, lines.t_s, values) for name, values in lines.extra.items()}
-    return replace(path, lines=Motor(at, q, None, translation, rotation, load, joints))
+    return Motor(at, q, None, translation, rotation, load, joints)

@@ -12,7 +12,7 @@ import numpy as np
 from tautline.recording import Recording
 from tautline.value import Value
 
-GAP_S = 1.0  # that an unknown gap is taken for
+GAP_S = 1.0  # prior: that an unknown gap is taken for
 
 
 @dataclass(frozen=True)

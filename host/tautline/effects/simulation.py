@@ -23,8 +23,8 @@ Array = npt.NDArray[np.float64]
 # Names of parameters: of effects that move the tip in C; that change where it is seen; that are simulated by tables.
 NATIVE = frozenset(name for name, *_ in _native.effect_parameters)
 PROJECTION = frozenset(name for name, *_ in _native.projection_parameters)
-_TABLED = tuple(form for kind in LIBRARY if kind.in_tables for form in kind.forms)  # descriptors of the latter
-IN_TABLES = frozenset(p.name for form in _TABLED for p in form.parameters)
+_TABLED = tuple(kind for kind in LIBRARY if kind.in_tables)  # descriptors of the latter
+IN_TABLES = frozenset(p.name for kind in _TABLED for form in kind.forms for p in form.parameters)
 _TRANSFORMED = tuple(kind for kind in LIBRARY if kind.transform)  # effects with a law in Python
 _MEANS = frozenset(kind.event.mean for kind in LIBRARY if kind.event)  # names of events' mean effects
 
@@ -105,14 +105,16 @@ def follow(
     start_deg: float | None = None,
     load_reference: float = 0.0,
     clock_offset_s: float = 0.0,
+    clock_begin_s: float | None = None,
 ) -> Path:
     """The path alone, with the arguments of `simulate`. The effects "delay" and "clock_rate" shift the scene times.
-    TautError where a law of another distribution gives no numbers."""
+    clock_begin_s: when the sensor's clock and the motor's agree, by default at the motor's first knot. TautError where
+    a law of another distribution gives no numbers."""
     model = tabled(model, parameters)
     outside = [kind for kind in _TRANSFORMED if any(parameters.get(p.name) for p in kind.amplitudes)]
     scene = np.asarray(scene_s, dtype=float) - parameters.get("delay", 0.0)
     if rate := parameters.get("clock_rate", 0.0):
-        scene = scene - rate * (scene - motor.t_s[0])
+        scene = scene - rate * (scene - (motor.t_s[0] if clock_begin_s is None else clock_begin_s))
     order = np.argsort(scene, kind="stable") if len(scene) > 1 and (np.diff(scene) < 0).any() else None
     rising = scene if order is None else scene[order]
     if outside:
@@ -203,7 +205,7 @@ _recent: tuple[tuple[Model, dict[str, Any], Model], ...] = ()
 def tabled(model: Model, parameters: Mapping[str, Any]) -> Model:
     """The model with the effects that are simulated by tables (IN_TABLES) put into its B and f_remain; the last few
     results are kept. parameters: of all effects, by name."""
-    present = [kind for kind in _TABLED if any(parameter.name in parameters for parameter in kind.amplitudes)]
+    present = [kind for kind in _TABLED if any(p.name in parameters for form in kind.forms for p in form.amplitudes)]
     if not present:
         return model
     values = {name: parameters[name] for name in IN_TABLES if name in parameters}

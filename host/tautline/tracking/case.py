@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from tautline.tracking.disturbance import REST_COUNTS
 from tautline.tracking.fit import Envelopes, LawFit, Prior, Work, envelopes, simulated, trimmed
 from tautline.tracking.law import OFFSET, SCALE, SHAPE, SKEW, SPREAD, TIP, LawFamily, unchanged
 from tautline.tracking.window import WindowKnots
@@ -23,6 +24,10 @@ _OFF_TRACK = 3.0  # prior: standard deviations off the marker's track (rms), or
 _OFF_SHARE = 0.3  # prior: of the residual along it: then it is no motion of the play
 _WANDERS = 4.0  # prior: standard deviations of the tip's motion while the motor rests
 _DEPARTS = 3.0  # prior: standard deviations that each of three frames is off where a change shows
+_REST_FRAMES = 5  # tolerance: frames at rest that tell whether the tip moves there
+_LAST = 30  # prior: frames in which a tip that does not follow shows it,
+_STUCK, _FURTHER = 0.1, 2.0  # prior: by less of the motor's way, which is so many B
+_PART = 0.2, 0.8  # prior: quantiles of where frames are not far off: beyond them is another part of the way
 _WORTH = 0.5  # loss: times the level known so far, in quadrature: what a new law must take away
 STROKE_FRAMES = 8  # loss: frames that a stroke has at least
 EASY = 120  # tolerance: us, at most, of an easy look at a case
@@ -165,8 +170,8 @@ def disturbance_in_words(case: Case) -> str:
         return "registration.shift or breathing: the marker leaves the track that the joint can give it"
     q = evidence.q[evidence.seen]
     count = case.nominal.model.rig.actuator.encoder_resolution
-    rests = np.abs(np.diff(q)) <= 2.0 * count
-    if rests.sum() >= 5:
+    rests = np.abs(np.diff(q)) <= REST_COUNTS * count
+    if rests.sum() >= _REST_FRAMES:
         wander = np.diff(evidence.c_deg)[rests] / np.hypot(evidence.sigma[1:], evidence.sigma[:-1])[rests]
         if trimmed(np.sort(np.abs(wander))[:-1]) > _WANDERS * case.level:  # a change that comes at once is one of them
             return "the tip moves while the motor rests: breathing or a hand on the shaft"
@@ -174,18 +179,18 @@ def disturbance_in_words(case: Case) -> str:
 
 
 def likely_obstacle(case: Case) -> str:
-    """What may stand in the way where no law explains the tip, in words: in the last 30 frames it moved by less than a
-    tenth of the motor's way, or it is far off in one part of its range alone; else that it is unknown."""
+    """What may stand in the way where no law explains the tip, in words: in the last frames it hardly moved with the
+    motor, or it is far off in one part of its range alone; else that it is unknown."""
     evidence = case.evidence
     q, y = evidence.q[evidence.seen], case.places(case.theta)
-    late = slice(-min(len(y), 30), None)
+    late = slice(-_LAST, None)
     moved = float(np.ptp(q[late]))
     width = float(np.interp(y[-1], case.nominal.model.q, case.nominal.model.width))
-    if moved > 2.0 * width and float(np.ptp(y[late])) < 0.1 * moved:
+    if moved > _FURTHER * width and float(np.ptp(y[late])) < _STUCK * moved:
         return "configuration.contact or a hand: the tip does not follow the motor"
     far = np.abs(case.z) > EXPLAINED * 3.0 * case.level
     if far.any() and not far.all():
         inner, outer = y[~far], y[far]
-        if outer.min() > np.quantile(inner, 0.8) or outer.max() < np.quantile(inner, 0.2):
+        if outer.min() > np.quantile(inner, _PART[1]) or outer.max() < np.quantile(inner, _PART[0]):
             return "configuration.contact: the tip is held back in one part of its way"
     return "unknown: no change of offset or backlash explains where the tip is"

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from tautline.tracking.beyond import OUTLYING
+from tautline.tracking.fit import AHEAD
 from tautline.tracking.projection import AngleEstimate
 
 _OFF_PACE, _OFF_TRACK = 0.04, 2.0  # prior: of the running mean of squares off the marker's track, where it is disturbed
 _WANDER_PACE, _WANDERS = 0.15, 5.0  # prior: of that of squares of the tip's motion while the motor rests
 _CLIP = 36.0  # prior: of squares of it: a jump is one of them
 _QUIET_S = 15.0  # loss: without a disturbance, before anything is learnt after one
-_REST_COUNTS = 2.0  # prior: of the encoder: a motor that moved by no more between two frames rests
+_JUMPS = 12.0  # prior: standard deviations beside the motor's way, from which no play moves the tip between two frames
+_BACK = 10  # loss: frames in a row that the law must foretell after such a jump
+REST_COUNTS = 2.0  # prior: of the encoder: a motor that moved by no more between two frames rests
 
 
 class Disturbance:
@@ -20,21 +24,25 @@ class Disturbance:
 
     def __init__(self, resolution: float) -> None:
         self._resolution = resolution
+        self.begin_recording()
+
+    def begin_recording(self) -> None:
+        """The tip and its clock may be elsewhere, and what was seen or judged is of another recording."""
         self._off_track, self._wanders = 1.0, 1.0
+        self._rested_s = -np.inf  # the last frame at rest
         self._before = (np.nan, np.nan, np.nan)  # the last frame: motor, tip (deg), its sigma
         self._quiet_s = -np.inf  # when learning may go on
 
-    def begin_recording(self) -> None:
-        """The tip may be elsewhere, and what was judged is of another recording."""
-        self._before, self._quiet_s = (np.nan, np.nan, np.nan), -np.inf
-
-    def add(self, q: float, seen: AngleEstimate, level: float) -> None:
+    def add(self, q: float, seen: AngleEstimate, level: float, arrival_s: float) -> None:
         """Adds a frame, the motor being at q. level: rms of residuals over sigma that is known to be left."""
         self._off_track += _OFF_PACE * ((seen.off / level) ** 2 - self._off_track)
         q_before, c_deg, sigma = self._before
         self._before = (q, seen.c_deg, seen.sigma * level)
-        if abs(q - q_before) <= _REST_COUNTS * self._resolution:
+        if abs(q - q_before) <= REST_COUNTS * self._resolution:
             wander = (seen.c_deg - c_deg) / float(np.hypot(sigma, self._before[2]))
+            if not self._rested_lately(arrival_s):
+                self._wanders = 1.0
+            self._rested_s = arrival_s
             self._wanders += _WANDER_PACE * (min(wander**2, _CLIP) - self._wanders)
 
     def judged(self, arrival_s: float) -> None:
@@ -47,4 +55,34 @@ class Disturbance:
 
     def there(self, arrival_s: float) -> bool:
         """Whether there is one, or was a short time ago."""
-        return self.was_judged(arrival_s) or max(self._off_track / _OFF_TRACK, self._wanders / _WANDERS) > 1.0
+        wanders = self._wanders > _WANDERS and self._rested_lately(arrival_s)
+        return self.was_judged(arrival_s) or self._off_track > _OFF_TRACK or wanders
+
+    def _rested_lately(self, arrival_s: float) -> bool:
+        """Whether a motor at rest showed a short time ago how the tip wanders: while it moves nothing does."""
+        return arrival_s < self._rested_s + _QUIET_S
+
+
+class Aside:
+    """Whether the image jumped away from where a law that held puts the tip, as a tracker that follows another blob
+    does, and is back: what it showed meanwhile says nothing of the law."""
+
+    def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        """Another recording or law: what comes is no jump away from the frame before."""
+        self._before = (np.nan, np.nan)  # the last frame: motor, residual
+        self._away, self._foretold = False, 0
+
+    def add(self, q: float, off: float, sigma: float, trusted: bool) -> bool:
+        """Adds a frame, the motor being at q: off by so much, sigma its standard deviation, all in the unit of q.
+        trusted: whether the law held until now. Whether the image is back with this frame."""
+        q_before, off_before = self._before
+        self._before = (q, off)
+        if trusted and abs(off - off_before) > _JUMPS * sigma + AHEAD * abs(q - q_before):
+            self._away = True
+        self._foretold = self._foretold + 1 if abs(off) < OUTLYING * sigma else 0
+        back = self._away and self._foretold == _BACK
+        self._away &= not back
+        return back

@@ -52,8 +52,6 @@ _SHORT = 10  # loss: frames on an envelope from which a recording's posture is t
 _ALONG = 2.0  # loss: of B, that they must cover
 _NARROWER = 3.0  # loss: standard deviations by which B is narrower, that one reversal may tell
 _LEAST_NARROWER = 0.01  # loss: of B, that is worth a step of the tables
-
-
 _TOLD_APART = 0.6  # loss: of what a law changes in B: so much must have been passed before another law replaces it
 _HARD, _GUESS = 200, 320  # tolerance: us, at most, of looks at a case
 DECISION = 350  # tolerance: and of taking a law into use
@@ -156,33 +154,9 @@ def _judged(
     if moved and not _richness(fit) and case.better(fit):
         return replace(_adopting(case, fit), refines=True)
     if case.explained(fit, OF_BEFORE[0]):
-        learnt = _adopting(case, fit)
-        now, before = (_least_share(case, theta, learnt.passed) for theta in (fit.theta, case.theta))
-        share = now / before if before > 0.0 else 1.0
-        sigma = _least_share_sigma(case, fit, learnt.passed)
-        sure = SHAPE.start not in fit.free or case.explained(fit)
-        if (
-            (SCALE in fit.free or SHAPE.start in fit.free)
-            and sure
-            and 1.0 - share > max(_NARROWER * sigma, _LEAST_NARROWER)
-        ):
-            only = case.theta.copy()
-            only[SCALE] *= share
-            left = (yield from simulated(case.nominal, case.evidence, only, False))[0]
-            if not case.clear(fit) and not case.worth_adopting(left, 1, fit):
-                return Inference(_NONE_BETTER, case.evidence, proposed=fit.theta)
-            return Inference(
-                f"transmission.backlash: {100 * share:.0f} % of the width as it was: no more is taken up",
-                case.evidence,
-                only,
-                learnt.offset_sigma + abs(float(fit.theta[OFFSET] - case.theta[OFFSET])),
-                sigma,
-                (0.0, 0.0),
-                case.turns,
-                fit.level,
-                proposed=fit.theta,
-                narrower=True,
-            )
+        narrower = yield from _judged_by_width(case, fit)
+        if narrower is not None:
+            return narrower
         if posture is not None and case.clear(fit):
             return _adopting(case, fit)
         return Inference(
@@ -190,6 +164,35 @@ def _judged(
         )
     says = likely_obstacle(case)
     return Inference(says, case.evidence, proposed=fit.theta if case.explained(fit, OF_BEFORE[1]) else None)
+
+
+def _judged_by_width(case: Case, fit: LawFit) -> Work[Inference | None]:
+    """The verdict on a fit that too few reversals agree with, by its width alone: a narrower B is taken at once, if it
+    leaves less by itself. None where the fit tells of no clearly narrower B."""
+    shaped = SHAPE.start in fit.free
+    told = case.explained(fit) if shaped else SCALE in fit.free
+    learnt = _adopting(case, fit)
+    now, before = (_least_share(case, theta, learnt.passed) for theta in (fit.theta, case.theta))
+    share = now / before if before > 0.0 else 1.0
+    sigma = _least_share_sigma(case, fit, learnt.passed)
+    if not (told and 1.0 - share > max(_NARROWER * sigma, _LEAST_NARROWER)):
+        return None
+    only = case.theta.copy()
+    only[SCALE] *= share
+    left = (yield from simulated(case.nominal, case.evidence, only, False))[0]
+    if not case.clear(fit) and not case.worth_adopting(left, 1, fit):
+        return Inference(_NONE_BETTER, case.evidence, proposed=fit.theta)
+    return Inference(
+        f"transmission.backlash: {100 * share:.0f} % of the width as it was: no more is taken up",
+        case.evidence,
+        only,
+        offset_sigma=learnt.offset_sigma + abs(float(fit.theta[OFFSET] - case.theta[OFFSET])),
+        scale_sigma=sigma,
+        turns=case.turns,
+        level=fit.level,
+        proposed=fit.theta,
+        narrower=True,
+    )
 
 
 def _simplest_sufficient(case: Case) -> Work[LawFit]:
@@ -355,12 +358,12 @@ def _adopting(case: Case, fit: LawFit) -> Inference:
         changes_in_words(case, fit.theta),
         case.evidence,
         fit.theta,
-        max(fit.sigma(OFFSET), fit.sigma(TIP.start) / abs(case.nominal.tip_slope)),
-        _least_share_sigma(case, fit, case.nominal.model.measured),
-        passed,
-        case.turns,
-        fit.level,
-        case.explained(fit, OF_BEFORE[1]),
+        offset_sigma=max(fit.sigma(OFFSET), fit.sigma(TIP.start) / abs(case.nominal.tip_slope)),
+        scale_sigma=_least_share_sigma(case, fit, case.nominal.model.measured),
+        passed=passed,
+        turns=case.turns,
+        level=fit.level,
+        settled=case.explained(fit, OF_BEFORE[1]),
         proposed=fit.theta,
     )
 

@@ -34,7 +34,7 @@ class Tracker:
         self._laws.begin()
         self._frame_s = -np.inf  # the last frame's arrival
         self._t_s = np.empty(0)  # of samples; those after the last frame wait for the next one
-        self._moved = np.empty((0, 4))  # q, translation, rotation, load
+        self._moved = np.empty((0, 3))  # q, translation, rotation
         self._taken = 0  # of them
 
     def motor(
@@ -45,32 +45,31 @@ class Tracker:
         rotation_deg: npt.ArrayLike | None = None,
         load_mNm: npt.ArrayLike | None = None,
     ) -> None:
-        """Samples (n,) or one, in order of time; q in the rig's unit, what is None at rest. TautError for times that do
-        not rise, or values that are not finite."""
+        """Samples (n,) or one, in order of time; q in the rig's unit, what is None at rest; the load is not used.
+        TautError for times that do not rise, or values that are not finite."""
         times = np.atleast_1d(np.asarray(t_s, dtype=float))
         columns = [times, np.atleast_1d(np.asarray(q, dtype=float))]
-        for values, absent in ((translation_mm, 0.0), (rotation_deg, 0.0), (load_mNm, np.nan)):
-            given = np.full(len(times), absent) if values is None else np.atleast_1d(np.asarray(values, dtype=float))
-            columns.append(given)
+        for values in (translation_mm, rotation_deg, load_mNm):
+            columns.append(np.zeros(len(times)) if values is None else np.atleast_1d(np.asarray(values, dtype=float)))
         if any(column.shape != times.shape for column in columns):
             raise TautError("the motor's samples and their times differ in number")
         if not (np.diff(times, prepend=self._t_s[-1:]) > 0.0).all() or not np.isfinite(columns[:4]).all():
             raise TautError("the motor's times must rise, and its positions be finite: begin() starts another clock")
         done = max(self._taken - 1, 0)  # the last stays: its time is the least that may come
         self._t_s = np.concatenate([self._t_s[done:], times])
-        self._moved = np.concatenate([self._moved[done:], np.column_stack(columns[1:])])
+        self._moved = np.concatenate([self._moved[done:], np.column_stack(columns[1:4])])
         self._taken -= done
 
     def see(self, t_s: float, *seen: float) -> Row:
         """Returns what was predicted for the frame that arrived at t_s, s, and then learns from what it shows: u, v
         (px) and, if known, their sigma; c (deg) of an angle sensor; nothing where the tip was not seen. TautError for a
         frame before the last one, or before any motor sample."""
+        if not self._frame_s < t_s < np.inf:
+            raise TautError(f"a frame at {t_s:g} s after one at {self._frame_s:g} s: give frames in order of time")
+        if seen and len(seen) not in ((2, 3) if self.sensor == MARKER else (1,)):
+            raise TautError("a marker is seen at u, v (and sigma) px, an angle sensor's reading is one c in deg")
         scene_s = t_s - self._delay_s
         self._hand_over(scene_s)
-        if not t_s > self._frame_s:
-            raise TautError(f"a frame at {t_s:g} s after one at {self._frame_s:g} s: give frames in order of time")
-        if seen and (self.sensor == MARKER) != (len(seen) > 1):
-            raise TautError("a marker is seen at u, v (and sigma) px, an angle sensor's reading is one c in deg")
         self._frame_s = t_s
         row = self._laws.predict(scene_s, t_s)
         if seen:

@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-_SPEED_S, _SPEED_SAMPLES = 0.02, 8  # from which a speed is taken
+_SPEED_S, _SPEED_SAMPLES = 0.02, 8  # tolerance: from which a speed is taken
+_KEPT = 256  # tolerance: samples that are done with, before they are dropped
 
 
 def _none() -> Array:
@@ -18,26 +19,26 @@ def _none() -> Array:
 
 
 @dataclass
-class MotorPath:
-    """Samples after `done_s` and a few before. Others (translation, rotation, load) ride along as columns."""
+class CausalPath:
+    """Samples after `done_s` and a few before. `others` (translation, mm; rotation, deg) ride along as columns."""
 
     t_s: Array = field(default_factory=_none)
     q: Array = field(default_factory=_none)
-    others: Array = field(default_factory=lambda: np.empty((0, 3)))
+    others: Array = field(default_factory=lambda: np.empty((0, 2)))
     done_s: float = -np.inf
 
     def add(self, t_s: Array, q: Array, others: Array) -> None:
-        """Samples in order of time. others (n, 3): translation, rotation, load (NaN: not recorded)."""
+        """Samples in order of time. others (n, 2): translation, rotation."""
         self.t_s = np.concatenate([self.t_s, t_s])
         self.q = np.concatenate([self.q, q])
         self.others = np.concatenate([self.others, others])
 
     def forget(self, done_s: float) -> None:
-        """Marks the motion up to done_s as used; samples before it are dropped once they are more than 256, but for the
-        few that tell a speed."""
+        """Marks the motion up to done_s as used; samples before it, but for the few that tell a speed, are dropped once
+        they are more than _KEPT."""
         self.done_s = done_s
         first = int(np.searchsorted(self.t_s, done_s, side="right")) - _SPEED_SAMPLES
-        if first > 256:
+        if first > _KEPT:
             self.t_s, self.q, self.others = self.t_s[first:], self.q[first:], self.others[first:]
 
     def between(self, until_s: float) -> Array:
@@ -64,11 +65,11 @@ class MotorPath:
         speed = float(middle @ q) / float(middle @ middle)
         return float(q[-1]) + speed * min(t_s - float(t[-1]), float(t[-1] - t[-2]))
 
-    def others_at(self, t_s: float) -> tuple[float, float, float]:
-        """Translation (mm), rotation (deg) and load (mNm) of the last sample up to t_s."""
+    def others_at(self, t_s: float) -> tuple[float, float]:
+        """Translation (mm) and rotation (deg) of the last sample up to t_s."""
         last = max(int(np.searchsorted(self.t_s, t_s, side="right")) - 1, 0)
-        translation, rotation, load = self.others[last].tolist()
-        return translation, rotation, load
+        translation, rotation = self.others[last].tolist()
+        return translation, rotation
 
 
 def knots(before: float, q: Array, end: float) -> Array:

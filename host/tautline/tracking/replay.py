@@ -18,7 +18,7 @@ from tautline.model import Model
 from tautline.recording import Angle, Marker, Recording
 from tautline.rig import ANGLE, MARKER, Sensor
 from tautline.tracking.loop import Tracker
-from tautline.tracking.tracker import Change, Row, State
+from tautline.tracking.tracker import Change, Row
 from tautline.value import Value
 
 Array = npt.NDArray[np.float64]
@@ -123,7 +123,9 @@ def residuals(tracked: Tracked, recordings: Sequence[Recording]) -> list[float |
 
 
 def _sensor(recordings: Sequence[Recording]) -> Sensor:
-    """MARKER or ANGLE: what all recordings have. TautError where they have neither in common."""
+    """MARKER or ANGLE: what all recordings have. TautError where they have neither in common, or there are none."""
+    if not recordings:
+        raise TautError("track needs a recording of use, or several")
     for sensor, name in ((MARKER, "marker"), (ANGLE, "angle")):
         if all(getattr(recording, name) is not None for recording in recordings):
             return sensor
@@ -157,5 +159,5 @@ def write_csv(path: Path, tracked: Tracked) -> None:
     for recording, t_s, row in zip(tracked.recording.tolist(), tracked.t_s.tolist(), tracked.rows, strict=True):
         image = [f"{value:.4f}" if np.isfinite(value) else "" for value in (row.u_px, row.v_px)]
         law = [f"{value:.7g}" for value in (row.offset, row.offset_sigma, row.scale, row.scale_sigma)]
-        writer.writerow([recording, repr(t_s), State(row.state).value, f"{row.c_deg:.6f}", *image, *law, row.reason])
+        writer.writerow([recording, repr(t_s), row.state.value, f"{row.c_deg:.6f}", *image, *law, row.reason])
     write_file(path, out.getvalue())

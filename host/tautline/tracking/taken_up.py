@@ -22,8 +22,9 @@ class TakenUp:
         self.scale, self.dialled = 1.0, ""
 
     def as_law(self, family: LawFamily, law: Law, theta: Array, passed: tuple[float, float]) -> None:
-        """The share is that of the law of theta, which is in use; at places that were not passed both ways no more
-        than before. passed: the lowest and highest centre coordinate that were, unit of q."""
+        """The share is that of the law of theta, which is in use; of one with a shape no more than before at places
+        that were not passed both ways (one without holds everywhere). passed: the lowest and highest centre coordinate
+        that were, unit of q."""
         if np.any(theta[SHAPE]):
             share = family.width_ratio(law)
             seen = (self._q >= passed[0]) & (self._q <= passed[1])

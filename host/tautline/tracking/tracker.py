@@ -18,14 +18,14 @@ from tautline.errors import TautError
 from tautline.model import Model
 from tautline.rig import MARKER, Sensor
 from tautline.tracking.beyond import Beyond
-from tautline.tracking.disturbance import Disturbance
+from tautline.tracking.disturbance import Aside, Disturbance
 from tautline.tracking.doubt import JUMP, ONSET, Doubt
-from tautline.tracking.fit import REACH, Work
+from tautline.tracking.fit import REACH, SURE, Work
 from tautline.tracking.hypotheses import Inference, judge
 from tautline.tracking.judgement import Judgement
 from tautline.tracking.law import OFFSET, TIP, LawFamily, unchanged
 from tautline.tracking.passes import Passes
-from tautline.tracking.path import MotorPath, knots
+from tautline.tracking.path import CausalPath, knots
 from tautline.tracking.projection import AngleEstimate, Projection
 from tautline.tracking.scatter import Lean, Scatter
 from tautline.tracking.strokes import Strokes
@@ -105,7 +105,7 @@ class LawTracker:
         self._own = (0.5 * float(np.sqrt(np.mean(sigma**2))), float(np.sqrt(np.mean(sigma**2))) / self._width)
         count = model.rig.actuator.encoder_resolution
         self._window = Window(max(_APART * self._width, _APART_SIGMAS * self._noise(), count))
-        self._path = MotorPath()
+        self._path = CausalPath()
         self.recording = -1
         self.state, self.reason = State.TRUSTED, ""
         self.changes: list[Change] = []
@@ -125,7 +125,7 @@ class LawTracker:
         self._strokes = Strokes(max(_TURN_COUNTS * count, _TURN_SHARE * self._width))
         self._doubts = Doubt(), Doubt()  # that the law changed; that its onsets did
         self._doubted_in, self._off = 0, 0.0  # the last stroke in which it was in doubt
-        self._disturbance = Disturbance(count)
+        self._disturbance, self._aside = Disturbance(count), Aside()
         self._recording_entry = 0  # the recording's first
         self._since = 0  # from which on the evidence is judged
         self._anchor: int | None = None  # since when the law in use was learnt
@@ -140,8 +140,9 @@ class LawTracker:
     def begin(self) -> None:
         """A new recording: its clock, where the tip is and the posture may be others; what was learnt stays."""
         self.recording += 1
-        self._path, self._started, self._placed, self._pending = MotorPath(), False, False, None
+        self._path, self._started, self._placed, self._pending = CausalPath(), False, False, None
         self._disturbance.begin_recording()
+        self._aside.clear()
         self._strokes.begin_recording(self._window.end)
         self._fresh_until = self._strokes.number + 1
         self._window.cut()
@@ -172,8 +173,8 @@ class LawTracker:
         return float(np.sqrt(self._misfit**2 + self._scatter.times**2 - 1.0))
 
     def motor(self, t_s: Array, q: Array, others: Array | None = None) -> None:
-        """Samples that came, in order of time. others (n, 3): translation (mm), rotation (deg), load (mNm)."""
-        self._path.add(t_s, q, np.zeros((len(t_s), 3)) if others is None else others)
+        """Samples that came, in order of time. others (n, 2): translation (mm), rotation (deg)."""
+        self._path.add(t_s, q, np.zeros((len(t_s), 2)) if others is None else others)
 
     def predict(self, scene_s: float, arrival_s: float | None = None) -> Row:
         """The tip at a scene time, s, on the motor's clock, later than all before. arrival_s: when its frame arrived,
@@ -191,7 +192,7 @@ class LawTracker:
         c = float(law.angle(p)) + self._persistent_error()
         u = v = np.nan
         if self.model.rig.has_camera:
-            translation, rotation, _ = path.others_at(scene_s)
+            translation, rotation = path.others_at(scene_s)
             u, v = self.projection.image(c, translation, rotation)
         self._pending = (scene_s, None)
         offset_sigma, scale_sigma = self._sigma
@@ -256,7 +257,7 @@ class LawTracker:
         if len(reading) == 1:
             seen: AngleEstimate | None = self.projection.from_angle(reading[0])
         else:
-            translation, rotation, _ = self._path.others_at(scene_s)
+            translation, rotation = self._path.others_at(scene_s)
             near = float(self._law.angle(p))
             seen = self.projection.from_image(reading[0], reading[1], translation, rotation, near, reading[2])
         return None if seen is None or not np.isfinite(seen.c_deg) else seen
@@ -283,10 +284,11 @@ class LawTracker:
         loose = self._play.driven == 0.0
         if loose:  # nothing has carried the tip yet: it is where it is seen
             within = self._clipped_to_play(y)
-            if abs(y - within) > _ELSEWHERE * self._width:
+            strange = abs(y - within) > _ELSEWHERE * self._width + SURE * sigma * self._level
+            if strange and not self._disturbance.there(self._arrival_s):
                 self._strange += 1
                 if self._strange == _STRANGE_FRAMES:
-                    self._begin_with_offset(y - within)
+                    self._begin_with_offset(y - within, within)
                     return
         kept = self._window.frame(scene_s, seen.c_deg, seen.sigma, seen.off, self._strokes.number)
         if not kept:
@@ -295,12 +297,13 @@ class LawTracker:
         if loose:  # where it was seen last, too, unless it moves with a motor that does not carry it
             since = (y - p) / np.sqrt(2.0) if self._placed else 0.0
             off = max(y - within, since, key=abs)
-            self._play.restart(y)
-            self._placed = True
+            if not strange:  # else the motor would carry it from there
+                self._play.restart(y)
+                self._placed = True
         place = self._calibrated.place(seen.c_deg)
         q, travel = self._window.last_q, abs(self._window.last_q - self._strokes.turned_at) / self._law.most
         self._passes.add(q, float(place), sigma, seen.off, self._strokes.number, travel, self._window.end - 1)
-        self._disturbance.add(q, seen, self._level)
+        self._disturbance.add(q, seen, self._level, self._arrival_s)
         if self.state is not State.TRUSTED:
             self._reduce_scale()
         self._learn_beyond(seen, p)
@@ -309,9 +312,17 @@ class LawTracker:
             self._lean.add(seen.c_deg - float(law.angle(p)))
         self._off += _PACE * (abs(off) - self._off)
         self._scatter.add(off / sigma)
+        back = self._aside.add(q, off, sigma * self._level, self.state is State.TRUSTED)
+        self._doubt(off / (sigma * self._level), scene_s)
+        if back and self.state is State.STALE:
+            self._become_trusted("the image is back from something else, and the model holds")
+
+    def _doubt(self, z: float, scene_s: float) -> None:
+        """Adds a residual, z standard deviations, to the doubts, the second one's only near a turn. A trusted law
+        becomes stale where the odds of either are above JUMP."""
         onset = abs(self._window.last_q - self._strokes.turned_at) < ONSET * self._width
         for doubt in self._doubts if onset else self._doubts[:1]:
-            doubt.add(off / (sigma * self._level), self._strokes.number, scene_s, self._window.end - 1)
+            doubt.add(z, self._strokes.number, scene_s, self._window.end - 1)
             if doubt.here > 0.0:
                 self._doubted_in = self._strokes.number
         worst = max(self._doubts, key=lambda doubt: doubt.odds)
@@ -362,14 +373,14 @@ class LawTracker:
         q = self._window.last_q + float(self._theta[OFFSET])
         return min(max(y, q - half), q + half)
 
-    def _begin_with_offset(self, off: float) -> None:
-        """Takes a rough offset into use where a recording begins so far off (unit of q) that no play can be the
-        cause."""
+    def _begin_with_offset(self, off: float, within: float) -> None:
+        """Takes a rough offset into use where a recording begins so far off (unit of q) that no play can be the cause.
+        within: the centre coordinate that is left of it."""
         theta = self._theta.copy()
         theta[TIP.start] += off * self.nominal.tip_slope
         self._use_law(theta)
         self._sigma = (float(np.hypot(self._width, 0.5 * abs(off) / _ELSEWHERE)), self._sigma[1])
-        self._play.restart(float(self._law.place(self._law.angle(self._clipped_to_play(0.0)))))
+        self._play.restart(within)
         self._since = self._recording_entry
         self._clear_doubts(self._since)
         self._change_state(State.ADAPTING, f"transmission.offset: {self._offset:+.4g} or so, another posture")
@@ -378,6 +389,8 @@ class LawTracker:
         """Takes the law of theta into use."""
         self._theta, self._visit, before = theta, None, self._law
         self._law = self.nominal.law(theta)
+        self._lean = Lean()  # the one before leaves no more
+        self._aside.clear()
         if self._law.most > before.most:  # what lay on its envelope need not any more
             self._passes.clear()
         self._offset = self.nominal.offset(theta)

@@ -5,9 +5,8 @@ EFFECTS = (
         "transmission.creep",
         (Parameter("creep_share", "", 0.05, low=-1.0, high=1.0),),
         (
-            Parameter(
-                "creep_time", "s", 1.0, (0.5, 1.5, 5.0), low=0.5, high=60.0
-            ),  # prior: longer is a drift, in use too
+            # prior: longer is a drift, in use too
+            Parameter("creep_time", "s", 1.0, (0.5, 1.5, 5.0), low=0.5, high=60.0),
             Parameter("creep_slow", "", 0.3, (0.0, 0.5), low=0.0, high=1.0),
         ),
         says="the tip goes on moving after the motor stops",

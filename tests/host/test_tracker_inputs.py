@@ -1,0 +1,62 @@
+"""What `tl.Tracker` takes: readings that are no numbers, more or fewer of them than there are, next to no B."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import tautline as tl
+from tautline.errors import TautError
+from tautline.model import Model
+from tautline.tracking import State, Tracker
+from tautline.tracking.passes import Passes
+from tools.tracking.sessions import Change, Instrument, Session, ideal_model, session
+
+
+@pytest.fixture(scope="module")
+def narrowing() -> Session:
+    return session(Instrument(1), "scale", 1, 22.0, change=Change("scale", scale=0.6), start_s=10.0)
+
+
+def started(made: Session) -> Tracker:
+    tracker = Tracker(ideal_model(made.instrument))
+    tracker.motor(made.recording.motor.t_s, made.recording.motor.q)
+    return tracker
+
+
+def test_a_sigma_that_is_no_number_is_not_known(narrowing: Session) -> None:
+    """And leaves the tracker as watchful as before."""
+    tracker, marker = started(narrowing), narrowing.recording.marker
+    seen = np.flatnonzero(marker.valid)
+    for k in seen.tolist():
+        sigma = (np.nan,) if k == seen[80] else ()
+        row = tracker.see(marker.t_s[k], marker.u_px[k], marker.v_px[k], *sigma)
+        assert np.isfinite([row.c_deg, row.offset_sigma, row.scale_sigma]).all()
+    assert State.STALE in [change.state for change in tracker.changes]
+    assert row.scale == pytest.approx(0.6, abs=0.02)
+
+
+def test_what_is_no_frame_is_refused_and_the_next_one_taken(narrowing: Session) -> None:
+    tracker = started(narrowing)
+    for t_s in (np.inf, np.nan, -np.inf):
+        with pytest.raises(TautError, match="in order of time"):
+            tracker.see(t_s)
+    for seen in ((300.0,), (300.0, 300.0, 0.1, 0.1)):
+        with pytest.raises(TautError, match=r"u, v \(and sigma\) px"):
+            tracker.see(1.0, *seen)
+    assert tracker.see(1.0).state is State.TRUSTED
+
+
+def test_no_recording_is_told_in_a_line(narrowing: Session) -> None:
+    with pytest.raises(TautError, match="a recording"):
+        tl.track(ideal_model(narrowing.instrument), [])
+
+
+def test_a_model_of_next_to_no_width_has_no_more_cells_than_a_frame_has_time_for(narrowing: Session) -> None:
+    model: Model = ideal_model(narrowing.instrument)
+    for width in (1e-5, 1e-3, 0.1, 0.5):
+        passes = Passes(replace(model, width=np.full(len(model.q), width)), width)
+        assert len(passes.place) <= 4097
+        assert width < 0.1 or np.diff(passes.place)[0] == pytest.approx(width / 16)
