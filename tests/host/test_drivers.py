@@ -7,6 +7,7 @@ instrument, with the same counts, log rate and limits of the motor.
 from __future__ import annotations
 
 import json
+import os
 import struct
 import threading
 import time
@@ -542,6 +543,40 @@ def test_a_register_that_a_servo_refuses_is_one_line() -> None:
         emulator._write = tripping
         with pytest.raises(TautError, match="register 116 refused 0"):
             drives.enable(0, True)
+
+
+def test_a_register_that_a_servo_does_not_tell_has_no_number() -> None:
+    with opened("dynamixel", motors_of("dynamixel", 0.0)) as (emulator, drives):
+        status = emulator._status
+        emulator._status = lambda number, data: status(number, b"", 7)
+        with pytest.raises(TautError, match=r"dynamixel 1: register 44 cannot be read: .*not available"):
+            drives.read(1, (44, 4))
+        assert drives.glance(1, (70, 2)) is None  # of two bytes, as its checksum
+
+
+@pytest.mark.parametrize("kind", ["dynamixel", "feetech"])
+def test_a_damaged_answer_is_asked_for_again(kind: str) -> None:
+    with opened(kind, motors_of(kind, 0.0)) as (_, drives):
+        read, damaged = drives._packets.readTxRx, iter([True])
+
+        def once_damaged(*asked: Any) -> Any:
+            if next(damaged, False):
+                raise IndexError("as the SDK does on a packet that is too short")
+            return read(*asked)
+
+        drives._packets.readTxRx = once_damaged
+        assert drives.glance(1, (6, 1)) is None
+        assert drives.glance(1, (6, 1)) is not None
+        damaged = iter([True])
+        assert drives.read(1, (6, 1)) == drives.glance(1, (6, 1))
+
+
+def test_a_port_that_another_program_holds_is_left_alone() -> None:
+    with opened("dynamixel", motors_of("dynamixel", 0.0)) as (emulator, _):
+        address, open_files = addresses.parse(where("dynamixel", emulator, "rate=100")), len(os.listdir("/dev/fd"))
+        with pytest.raises(TautError) as refused:
+            addresses.open_drives(address)
+        assert "who uses it" in str(refused.value) and len(os.listdir("/dev/fd")) == open_files  # though it is kept
 
 
 @every_kind
