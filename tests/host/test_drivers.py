@@ -676,11 +676,38 @@ def test_by_the_wall_clock_from_the_command_line(
         ("moteus:socketcan/can0:1?speed=5", "rate=HZ and baud=BAUD"),
         ("ros:/joint_states,/commands:elbow?baud=5", "takes rate=HZ,"),
         ("ros:/joint_states,/commands:a,b,c,d,e", "1 to 4"),
+        ("dynamixel:/dev/ttyUSB0:1,254", "names motor 254, and 0 to 252 may be"),
+        ("canopen:socketcan/can0:0", "names motor 0, and 1 to 126 may be"),
+        ("canopen:socketcan/can0:1,2000", "names motor 2000"),
     ],
 )
 def test_an_address_that_is_none_says_so(where: str, says: str) -> None:
     with pytest.raises(TautError, match=says):
         find(where)
+
+
+@NO_ROS
+def test_a_joint_is_called_as_it_is_written() -> None:
+    assert addresses.parse("ros:/joint_states,/commands:01,1").numbers == ("01", "1")
+
+
+def test_drives_whose_bus_is_gone_are_closed_all_the_same() -> None:
+    def gone(*_: Any) -> None:
+        raise can.CanOperationError("the adapter was pulled out")
+
+    with opened("canopen", motors_of("canopen", 0.0)) as (_, drives):
+        link = HostedLink(drives, "canopen:emulated:1", RATE_HZ, paced=False)
+        drives._network.bus.send = gone
+        with pytest.raises(TautError, match="pulled out"):
+            drives.stop()
+        link.close()
+    with (
+        closing(Cia402Emulator([Motor()])) as emulator,
+        pytest.MonkeyPatch.context() as patch,
+        pytest.raises(TautError, match="pulled out"),
+    ):
+        patch.setattr(can.interfaces.virtual.VirtualBus, "send", gone)
+        addresses.open_drives(addresses.parse(where("canopen", emulator, "rate=100")))
 
 
 def test_a_library_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,6 +24,7 @@ _ANSWER_S = 0.01
 _SDO_S = 0.3
 _STATE_S = 1.0
 _HOST, _HEARTBEAT_S, _LOST_MS = 0x7F, 0.02, 100  # the host as a node, what it says so often, and is missed after
+_PRE_OPERATIONAL, _START = 0x80, 0x01  # of network management
 _CSP, _HOMING = 8, 6
 _QUICK_STOP = 3  # of the option for a lost connection
 _FAULT, _VOLTAGE_OFF, _SHUT_DOWN, _SWITCH_ON, _OPERATE = 0x80, 0x00, 0x06, 0x07, 0x0F
@@ -116,7 +117,7 @@ class Cia402:
 
     def _describe(self, number: int, period_s: float) -> Drive:
         """Reads a drive's limits, counts and state, and maps its process data at this period."""
-        self._nodes[number].nmt.send_command(0x80)  # pre-operational: its process data may be set
+        self._command(number, _PRE_OPERATIONAL)  # its process data may be set then
         turn = self._number(number, _INCREMENTS) / max(self._number(number, _REVOLUTIONS, 1.0), 1.0)
         speed = self._number(number, _MOTOR_RPM) / 60.0 * turn
         acceleration = self._number(number, _ACCELERATION_MOST, 0.0) or _ACCELERATION * speed
@@ -144,7 +145,7 @@ class Cia402:
         self._write(number, _MODE, _CSP, 1)
         self._network.subscribe(0x180 + number, self._on_position)
         self._network.subscribe(0x280 + number, self._hear_speed)
-        self._nodes[number].nmt.send_command(0x01)  # operational
+        self._command(number, _START)
         versions = " ".join(filter(None, (self._text(number, _HARDWARE), self._text(number, _SOFTWARE))))
         return Drive(number, self._text(number, _DEVICE) or "CiA 402", versions or "-", round(turn), limits, homed)
 
@@ -193,6 +194,10 @@ class Cia402:
             self._network.send_message(cob, data)
         except (can.CanError, OSError) as error:
             raise Missed(f"the bus takes nothing ({error})") from error
+
+    def _command(self, number: int, state: int) -> None:
+        """Sends a node to one of network management's states."""
+        self._send(0x000, bytes((state, number)))
 
     def _sync(self) -> None:
         """Sends the host's heartbeat if one is due; drives that miss it stop. It is not the SYNC, which `measure`
@@ -263,8 +268,9 @@ class Cia402:
         try:
             all_off(len(self._numbers), self.enable)
         finally:
-            for node in self._nodes.values():
-                node.nmt.send_command(0x80)
+            for number in self._numbers:
+                with contextlib.suppress(Missed):
+                    self._command(number, _PRE_OPERATIONAL)
 
     def close(self) -> None:
         self._network.disconnect()
