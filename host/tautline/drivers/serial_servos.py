@@ -136,8 +136,8 @@ class SerialServos:
         raise TautError(f"{self.kind} {number} does not answer ({why}): check power, ID, baud rate and the plug")
 
     def _sdk_answer(self, ask: Callable[[], Any]) -> Any:
-        """What the SDK answers. TautError where the port is lost, Missed where a packet is so damaged that the SDK fails
-        on it."""
+        """What the SDK answers. TautError where the port is lost, Missed where a packet is so damaged that the SDK
+        fails on it."""
         try:
             return ask()
         except (serial.SerialException, OSError) as error:
