@@ -15,6 +15,7 @@ from reference_instrument import PLANT, RIG
 
 from tautline import trajectory
 from tautline.calibration.calibrate import calibrate
+from tautline.errors import TautError
 from tautline.geometry import project
 from tautline.recording import save
 from tautline.rig import Rig
@@ -232,6 +233,8 @@ def test_every_key_is_read_as_it_is_typed():
         name, _, value = text.partition("=")
         rig_keys.put(document, *rig_keys.named(name), value)
     assert document["actuator"] == {"unit": "mm", "range": [-5.0, 5.0], "encoder_resolution": 0.001}
+    with pytest.raises(TautError, match=r"coarse\.gain is '9+', expected"):
+        rig_keys.put(document, *rig_keys.named("coarse.gain"), 5000 * "9")
     asked = {key: value for key, value in asdict(RIG.camera).items() if value is not None}
     assert {**document["camera"], "distortion": tuple(document["camera"]["distortion"])} == asked
 

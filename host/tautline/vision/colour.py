@@ -57,7 +57,7 @@ class MarkerColour:
         path = Path(path)
         try:
             document = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        except (OSError, ValueError) as error:  # no UTF-8, no TOML, or a number of too many digits
             raise TautError(
                 f"{path}: cannot be read as a marker's colour ({error}): make one with 'taut marker'"
             ) from error
@@ -77,7 +77,10 @@ def _number(document: dict[str, Any], key: str, path: Path) -> float:
     value = document.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TautError(f"{path}: {key} is {value!r}, expected a number: run 'taut marker' again")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError:
+        return float("inf")
 
 
 def _three(document: dict[str, Any], key: str, path: Path) -> tuple[float, float, float]:
