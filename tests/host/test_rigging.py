@@ -85,6 +85,21 @@ def test_a_camera_may_look_from_anywhere(rotation):
     assert np.abs(again).max() < 0.3
 
 
+@pytest.mark.parametrize(
+    "c_deg", [np.full(8, 10.0), np.array(4 * [10.0, 20.0]), 1e-8 * np.arange(6.0), np.array([0.0, 20.0, 40.0])]
+)
+def test_angles_at_too_few_places_give_no_pose(c_deg: np.ndarray) -> None:
+    seen = Places(c_deg, project(RIG, c_deg), np.full(len(c_deg), 0.02), c_deg / 12.0)
+    with pytest.raises(TautError, match="do not tell where the camera is"):
+        hand_eye(seen, RIG.kinematics, RIG.camera, 0.1)
+
+
+def test_a_marker_that_is_always_seen_at_one_place_gives_no_pose() -> None:
+    seen = Places(ANGLES, np.full((9, 2), 300.0), np.full(9, 0.02), ANGLES / 12.0)
+    with pytest.raises(TautError, match="do not tell where the camera is"):
+        hand_eye(seen, RIG.kinematics, RIG.camera, 0.1)
+
+
 def known_motion(folder: Path) -> None:
     motion, when = rests(RIG, 9)
     made = run(RIG, PLANT, motion, noise_px=0.05, seed=4)

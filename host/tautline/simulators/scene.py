@@ -41,12 +41,13 @@ def read(path: Path) -> mujoco.MjModel:
 
 def with_servo(path: Path, joint: str) -> mujoco.MjModel:
     """A file without actuators, as a URDF is, with a position servo of the joint's name on it: critically damped, at
-    _SERVO_HZ with what the joint carries in the file's own pose. TautError where there is no such joint."""
+    _SERVO_HZ with what the joint carries in the file's own pose. TautError where there is no such hinge or slide."""
     import mujoco
 
     bare = read(path)
-    if joint not in joints_of(bare):
-        names = ", ".join(filter(None, joints_of(bare)))
+    held = [each for each in filter(None, joints_of(bare)) if _has_one_axis(bare, each)]
+    if joint not in held:
+        names = ", ".join(held) or "but it has no hinge or slide with a name"
         raise TautError(f"{path}: has no actuators: name a joint that a servo shall hold with --actuator, {names}")
     data = mujoco.MjData(bare)
     mujoco.mj_forward(bare, data)
@@ -65,6 +66,13 @@ def with_servo(path: Path, joint: str) -> mujoco.MjModel:
 def joints_of(model: mujoco.MjModel) -> list[str]:
     """The names of all joints, empty for one without a name."""
     return [str(model.joint(i).name) for i in range(model.njnt)]
+
+
+def _has_one_axis(model: mujoco.MjModel, joint: str) -> bool:
+    """Whether a joint turns or slides about one axis: no ball, and no free body."""
+    import mujoco
+
+    return int(model.joint(joint).type[0]) in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 def carried_by(model: mujoco.MjModel, joint: str) -> npt.NDArray[np.int64]:
