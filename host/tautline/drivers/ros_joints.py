@@ -233,17 +233,19 @@ def _drive(name: str, said: dict[str, str]) -> Drive:
     unit = counts if slides else counts / math.tau
 
     def limit(key: str) -> float:
+        """In counts or counts/s; 0 where the description has none."""
         try:
-            return float(said.get(key, 0.0)) * unit
+            value = float(said.get(key, 0.0))
         except ValueError:
-            raise TautError(
-                f"joint {name}: its description's limit {key} is {said[key]!r}, expected a number"
-            ) from None
+            value = math.nan
+        if not math.isfinite(value):
+            raise TautError(f"joint {name}: its description's limit {key} is {said[key]!r}, expected a number")
+        return value * unit
 
     speed = limit("velocity") or (_METRES_S if slides else _TURNS_S) * counts
     low, high = -RANGE, RANGE
     if said.get("type") in ("prismatic", "revolute"):
-        low, high = limit("lower"), limit("upper")
+        low, high = max(limit("lower"), -RANGE), min(limit("upper"), RANGE)
     limits = DriveLimits(low, high, speed, STARTS * speed)
     kind = said.get("type") or "joint without a description"
     return Drive(name, kind, "-", counts, limits, referenced=True, per=per)
