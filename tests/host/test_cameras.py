@@ -53,6 +53,14 @@ def test_what_never_came_is_counted(rate_hz: float, jitter: float, lost: float, 
     assert abs(drops.count - counted.sum()) <= 1 + 0.05 * counted.sum()
 
 
+@pytest.mark.parametrize("every", [3, 10])
+def test_a_frame_that_comes_together_with_the_next_is_not_lost(every: int) -> None:
+    drops = Drops()
+    for k in range(1000):
+        drops.add(0.04 * (k + 1 if k % every == 0 else k))  # read a period late
+    assert drops.count == 0
+
+
 def test_a_steady_camera_drops_nothing_whatever_its_rate_is_by_this_clock() -> None:
     drops = Drops()
     for k in range(3000):
