@@ -30,7 +30,7 @@ class Sight:
     """The site's track in the image, pixels (0, 0 is the middle of the first), by the hinge's angle."""
 
     hinge: str
-    c_deg: Array  # (n,) rising
+    c_deg: Array  # (n,) rising by _STEP_DEG, by more where the camera does not see the site between
     px: Array  # (n, 2) finite
 
     def seen(self, recording: Recording, late_s: float = 0.0) -> Recording:
@@ -56,10 +56,12 @@ class Sight:
         places = np.column_stack([marker.u_px, marker.v_px])
         ahead = np.diff(self.px, axis=0)
         length2 = np.maximum(np.sum(ahead**2, axis=1), 1e-12)
+        unseen = np.diff(self.c_deg) > 1.5 * _STEP_DEG  # the track leaves the image there, and comes back elsewhere
         angle, off = np.full(len(places), np.nan), np.full(len(places), np.nan)
         for i in np.flatnonzero(np.asarray(marker.valid, dtype=bool) & np.isfinite(places).all(axis=1)):
             share = np.clip(np.sum((places[i] - self.px[:-1]) * ahead, axis=1) / length2, 0.0, 1.0)
             away = np.linalg.norm(self.px[:-1] + share[:, None] * ahead - places[i], axis=1)
+            away[unseen] = np.inf
             k = int(np.argmin(away))
             angle[i], off[i] = self.c_deg[k] + share[k] * (self.c_deg[k + 1] - self.c_deg[k]), away[k]
         return angle, off
