@@ -600,6 +600,22 @@ def test_a_moteus_goes_on_at_the_speed_that_it_was_told() -> None:
         assert motor.position == pytest.approx(-400.0 * (0.05 - motor.lag_s), abs=1.0)
 
 
+@pytest.mark.parametrize("lost", [0x000, 0x002, 0x004, 0x00C])  # mode, velocity, current, home state
+def test_an_answer_of_a_moteus_without_a_register_is_none(lost: int) -> None:
+    with opened("moteus", motors_of("moteus", 0.0)) as (_, drives):
+        cycle = drives._transport.cycle
+
+        async def shortened(commands: list[Any]) -> list[Any]:
+            answers = list(await cycle(commands))
+            for answer in answers:
+                answer.values.pop(lost, None)
+            return answers
+
+        drives._transport.cycle = shortened
+        with pytest.raises(Missed, match="missing, or damaged"):
+            drives.measure()
+
+
 def test_a_moteus_that_does_not_see_its_encoder_gives_no_position() -> None:
     with opened("moteus", motors_of("moteus", 700.0)) as (emulator, drives):
         emulator.sees = False

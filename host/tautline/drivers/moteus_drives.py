@@ -25,6 +25,9 @@ _ANSWER_S, _FIRST_S, _TRIES = 0.015, 0.2, 5  # tolerance: of a cycle; of each tr
 _WATCHDOG_S = 0.1
 _FAULT_MODE, _OUTPUT_IS_KNOWN = 1, 2  # format: of the registers mode and home state
 _Register = moteus.Register
+_ASKED = {  # by every query
+    _Register.MODE, _Register.POSITION, _Register.VELOCITY, _Register.Q_CURRENT, _Register.HOME_STATE, _Register.FAULT
+}  # fmt: skip
 
 
 class Moteus:
@@ -92,7 +95,7 @@ class Moteus:
         whole."""
         answers = self._cycle([controller.make_query() for controller in self._controllers], within_s)
         values = {answer.id: answer.values for answer in answers}
-        if any(_Register.POSITION not in values.get(number, {}) for number in self._numbers):
+        if any(not _ASKED <= values.get(number, {}).keys() for number in self._numbers):
             raise Missed("an answer is missing, or damaged")
         return [values[number] for number in self._numbers]
 
