@@ -142,7 +142,8 @@ def test_a_urdf_has_a_servo_on_the_joint_that_is_named(folder):
 
 
 FREE = """<mujoco><worldbody><body><joint name="base" type="free"/><geom size="0.1"/>
-  <body><joint {named} axis="0 1 0"/><geom size="0.05" pos="0.1 0 0"/><site name="tip"/></body></body></worldbody></mujoco>"""
+  <body><joint {named} axis="0 1 0"/><geom size="0.05" pos="0.1 0 0"/><site name="tip"/></body></body>
+</worldbody></mujoco>"""
 
 
 @pytest.mark.parametrize(("named", "actuator", "there"), [('name="elbow"', "base", "elbow"), ("", "", "no hinge or")])

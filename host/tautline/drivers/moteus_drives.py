@@ -95,7 +95,7 @@ class Moteus:
         whole."""
         answers = self._cycle([controller.make_query() for controller in self._controllers], within_s)
         values = {answer.id: answer.values for answer in answers}
-        if any(not _ASKED <= values.get(number, {}).keys() for number in self._numbers):
+        if any(_ASKED - values.get(number, {}).keys() for number in self._numbers):
             raise Missed("an answer is missing, or damaged")
         return [values[number] for number in self._numbers]
 

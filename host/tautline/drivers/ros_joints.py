@@ -144,8 +144,7 @@ class RosJoints:
         if not set(self._names) <= set(message.name[: len(message.position)]):
             self._others |= set(message.name)
             return
-        at = message.header.stamp
-        age_s = 1e-9 * self._graph.node.get_clock().now().nanoseconds - (at.sec + 1e-9 * at.nanosec)
+        age_s = self._graph.age_s(message.header.stamp)
         with self._came:
             self._newest = self._clock() - (age_s if 0.0 <= age_s < _OLDEST_S else 0.0), message
             self._came.notify()

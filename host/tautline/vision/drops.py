@@ -8,7 +8,7 @@ import numpy as np
 
 _INTERVALS, _FIRST = 51, 10  # tolerance: of which the camera's period is told, at most and at least
 _PAUSE_S, _PAUSE = 0.4, 5.0  # tolerance: longer, and so many periods: nobody read; a camera loses single frames
-_KEPT = 0.9  # tolerance: a frame, of what the last one came too late: jitter is made up for, a period that is a little off is not
+_KEPT = 0.9  # tolerance: a frame, of its lateness: jitter is made up for, a period that is a little off is not
 
 
 class Drops:
@@ -35,7 +35,7 @@ class Drops:
         usual = float(np.median(intervals))
         if len(intervals) < _FIRST or usual <= 0.0:
             return
-        # Whole periods, 0 of a frame that came together with the one before; the median is one of 1, so the sum is not 0.
+        # Whole periods, 0 of a frame that came together with the one before; the median is one, so there is a sum.
         period = float(intervals.sum() / np.rint(intervals / usual).sum())
         self._behind = _KEPT * self._behind + (t_s - before) / period - 1.0
         missing = round(self._behind)

@@ -20,7 +20,7 @@ from tautline.vision.colour import MarkerColour, candidates, pick
 from tautline.vision.frames import Progress, every_frame, half
 from tautline.vision.region import Region
 from tautline.vision.scene import bending_by_scene
-from tautline.vision.sighting import Sighting
+from tautline.vision.sighting import SURE_PX, Sighting
 from tautline.vision.sighting import lost as _lost
 
 Array = np.ndarray
@@ -42,7 +42,6 @@ _WHOLE, _AROUND = 0.04, 12  # of its diameter in so many frames to either side: 
 _PALE = 0.8  # of its usual purity, below which a picked colour is not the marker's own
 _AS_OFTEN = 0.9  # as the colour that was picked first, another one has to find the marker
 _ALIKE_LIT = 1.5  # prior, diameters: over which light changes little
-_SURE_PX = 1e-3  # no position is said to be known better
 _SAMPLES = 24  # frames of a video that are looked at for its marker's colour
 _MARGIN_PX = 8.0  # of the region around the marker: edges are compared with what lies 5.5 px beyond them
 
@@ -147,7 +146,7 @@ class MarkerTracker:
             return _lost("nothing of its size")
         self._cut, self._expected = 0.5 * (outline.within + outline.around), outline.after
         lit_px = outline.lit_u, outline.lit_v
-        return Sighting(outline.u, outline.v, max(outline.sigma, _SURE_PX), outline.diameter, lit_px=lit_px)
+        return Sighting(outline.u, outline.v, max(outline.sigma, SURE_PX), outline.diameter, lit_px=lit_px)
 
     def _search(self, picture: Array) -> Sighting:
         """The marker anywhere in the frame: the most marker-like blob, weighted by its distance from where the marker

@@ -21,7 +21,7 @@ from scipy.sparse import coo_array
 
 from tautline.errors import TautError
 from tautline.vision.flow import EvenLight, Picture, found_again
-from tautline.vision.sighting import Sighting, lost
+from tautline.vision.sighting import SURE_PX, Sighting, lost
 
 Array = npt.NDArray[np.floating[Any]]
 
@@ -45,7 +45,6 @@ _SHRINK = 2  # of pictures in which a lost region is looked for
 _TURNS_DEG = 60.0  # prior: either way, that a region may be turned by in the first picture of another video
 _LIKE = 0.6  # correlation from which a place is tried
 _HELD = 1e-3  # prior: pictures' worth that a keyframe is where it was taken
-_SURE_PX = 1e-3  # no position is said to be known better
 
 
 @dataclass(frozen=True)
@@ -169,7 +168,7 @@ class _Keyframe:
         away, lever = here - here.mean(axis=0), (self.pose.u, self.pose.v) - here.mean(axis=0)
         spread = away.T @ away + 1e-9 * np.eye(2)
         sigma = float(np.sqrt(scatter * (1.0 / len(here) + lever @ np.linalg.solve(spread, lever))))
-        return pose, max(float(np.hypot(sigma, self.off_px)), _SURE_PX)
+        return pose, max(float(np.hypot(sigma, self.off_px)), SURE_PX)
 
     def settle(self) -> bool:
         """Drops the corners that stayed behind when the region moved (background); returns whether enough are left to

@@ -39,7 +39,6 @@ class RosCamera:
     is of this machine's clock, else when it came. Use it as a context manager."""
 
     exposure = ""
-
     frames = None  # how many there are: a topic does not end
 
     def __init__(self, source: str) -> None:
@@ -84,8 +83,7 @@ class RosCamera:
         """Queues a message with its arrival, s of the monotonic clock: by its stamp, where that says 0 to 1 s ago on
         this machine's clock, else when it came."""
         now = time.monotonic()
-        at = message.header.stamp
-        age_s = 1e-9 * self._graph.node.get_clock().now().nanoseconds - (at.sec + 1e-9 * at.nanosec)
+        age_s = self._graph.age_s(message.header.stamp)
         stamped = 0.0 <= age_s < _OLDEST_S
         self.clock = "the messages' stamps" if stamped else "the host's monotonic clock when the message came"
         with self._came:
