@@ -54,6 +54,11 @@ def process(motor, parameters):  # type: ignore[no-untyped-def]
     return np.full(len(motor.t_s), float(os.getpid()))
 
 
+def ends(motor, parameters):  # type: ignore[no-untyped-def]
+    """A simulator that ends the process in which it is run."""
+    os._exit(1)
+
+
 def robot(folder: Path, seed: int, seconds: float, delay_s: float = 0.0, **fault: float) -> Recording:
     """The arm with a fault, stepped eight times as finely by another integrator, seen with noise. Seed 0 is strokes
     with rests, others wander smoothly."""

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 from uuid import uuid4
 
 import cv2
@@ -24,7 +25,7 @@ from tautline.drivers.ros_graph import Graph, library
 from tautline.errors import TautError
 from tautline.live import setup
 from tautline.live.setup import CameraSource, Live
-from tautline.vision import ros_camera
+from tautline.vision import exposure, ros_camera
 from tautline.vision.camera import VideoCamera
 from tautline.vision.drops import Drops
 from tautline.vision.ros_camera import RosCamera, is_topic
@@ -50,6 +51,14 @@ def test_what_never_came_is_counted(rate_hz: float, jitter: float, lost: float, 
         came.append(scene_s * rate_hz)
     counted = np.rint(np.diff(came)).astype(int)[9:] - 1  # the first ten tell the rate
     assert abs(drops.count - counted.sum()) <= 1 + 0.05 * counted.sum()
+
+
+@pytest.mark.parametrize("every", [3, 10])
+def test_a_frame_that_comes_together_with_the_next_is_not_lost(every: int) -> None:
+    drops = Drops()
+    for k in range(1000):
+        drops.add(0.04 * (k + 1 if k % every == 0 else k))  # read a period late
+    assert drops.count == 0
 
 
 def test_a_steady_camera_drops_nothing_whatever_its_rate_is_by_this_clock() -> None:
@@ -196,6 +205,22 @@ def test_exposure_is_locked_where_it_settled_and_what_is_refused_is_said(
     assert webcam.released is not None and webcam.released[cv2.CAP_PROP_AUTO_EXPOSURE] == before
 
 
+class Switch(Webcam):
+    """One that takes a manual exposure and shows another number for it, as DirectShow's drivers do."""
+
+    def get(self, key: int) -> float:
+        if key == cv2.CAP_PROP_AUTO_EXPOSURE:
+            return float(self.values[key] >= 0.5)
+        return super().get(key)
+
+
+def test_what_is_said_to_stay_automatic_does() -> None:
+    webcam = Switch(backend="DSHOW", auto=0.75)
+    said = exposure.lock(webcam)  # type: ignore[arg-type]
+    assert not said.locked and "stays automatic" in said.says
+    assert webcam.values[cv2.CAP_PROP_AUTO_EXPOSURE] >= 0.5
+
+
 def picture(level: int) -> np.ndarray:
     made = np.zeros((48, 64, 3), np.uint8)
     made[:] = (level, 2 * level % 256, 60)
@@ -335,6 +360,22 @@ def test_images_of_a_topic_are_a_cameras(encoding: str, stamped: bool) -> None:
         assert np.all(np.diff(times) > 0.0)
         assert before - age_s - 0.1 < times[0] and times[-1] <= time.monotonic() - age_s + 1e-3
         assert ("stamps" in camera.clock) is stamped
+
+
+@pytest.mark.parametrize(
+    ("message", "says"),
+    [
+        (SimpleNamespace(encoding="bgr8", height=4, width=4, step=12, data=bytes(10)), "10 bytes for 4 rows of 12"),
+        (SimpleNamespace(encoding="bgr8", height=4, width=8, step=12, data=bytes(48)), "no 8 x 4 px of bgr8"),
+        (SimpleNamespace(encoding="mono8", height=0, width=0, step=0, data=b""), "no 0 x 0 px of mono8"),
+        (SimpleNamespace(format="jpeg", data=b""), r"cannot be decoded \(format 'jpeg'\)"),
+    ],
+)
+def test_an_image_that_is_not_whole_is_one_line(message: SimpleNamespace, says: str) -> None:
+    camera = RosCamera.__new__(RosCamera)  # without a graph
+    camera.name = "ros:/eye"
+    with pytest.raises(TautError, match=says):
+        camera._picture(message)
 
 
 @NO_ROS

@@ -544,6 +544,43 @@ def test_a_register_that_a_servo_refuses_is_one_line() -> None:
             drives.enable(0, True)
 
 
+def test_a_register_that_a_servo_does_not_tell_has_no_number() -> None:
+    with opened("dynamixel", motors_of("dynamixel", 0.0)) as (emulator, drives):
+        status = emulator._status
+        emulator._status = lambda number, data: status(number, b"", 7)
+        with pytest.raises(TautError, match=r"dynamixel 1: register 44 cannot be read: .*not available"):
+            drives.read(1, (44, 4))
+        assert drives.glance(1, (70, 2)) is None  # of two bytes, as its checksum
+
+
+@pytest.mark.parametrize("kind", ["dynamixel", "feetech"])
+def test_a_damaged_answer_is_asked_for_again(kind: str) -> None:
+    with opened(kind, motors_of(kind, 0.0)) as (_, drives):
+        read, damaged = drives._packets.readTxRx, iter([True])
+
+        def once_damaged(*asked: Any) -> Any:
+            if next(damaged, False):
+                raise IndexError("as the SDK does on a packet that is too short")
+            return read(*asked)
+
+        drives._packets.readTxRx = once_damaged
+        assert drives.glance(1, (6, 1)) is None
+        assert drives.glance(1, (6, 1)) is not None
+        damaged = iter([True])
+        assert drives.read(1, (6, 1)) == drives.glance(1, (6, 1))
+
+
+def test_a_port_that_another_program_holds_is_left_alone() -> None:
+    def open_files() -> int:
+        return len(list(Path("/dev/fd").iterdir()))
+
+    with opened("dynamixel", motors_of("dynamixel", 0.0)) as (emulator, _):
+        address, before = addresses.parse(where("dynamixel", emulator, "rate=100")), open_files()
+        with pytest.raises(TautError) as refused:
+            addresses.open_drives(address)
+        assert "who uses it" in str(refused.value) and open_files() == before  # though the error is kept
+
+
 @every_kind
 def test_a_drive_with_a_fault_stops_its_axis(kind: str) -> None:
     with driven(kind) as setup, pytest.raises(TautError, match="the motor driver reports"), driving(setup.live):
@@ -561,6 +598,22 @@ def test_a_moteus_goes_on_at_the_speed_that_it_was_told() -> None:
         emulator.bus.settle()
         move(emulator, 50)
         assert motor.position == pytest.approx(-400.0 * (0.05 - motor.lag_s), abs=1.0)
+
+
+@pytest.mark.parametrize("lost", [0x000, 0x002, 0x004, 0x00C])  # mode, velocity, current, home state
+def test_an_answer_of_a_moteus_without_a_register_is_none(lost: int) -> None:
+    with opened("moteus", motors_of("moteus", 0.0)) as (_, drives):
+        cycle = drives._transport.cycle
+
+        async def shortened(commands: list[Any]) -> list[Any]:
+            answers = list(await cycle(commands))
+            for answer in answers:
+                answer.values.pop(lost, None)
+            return answers
+
+        drives._transport.cycle = shortened
+        with pytest.raises(Missed, match="missing, or damaged"):
+            drives.measure()
 
 
 def test_a_moteus_that_does_not_see_its_encoder_gives_no_position() -> None:
@@ -641,11 +694,38 @@ def test_by_the_wall_clock_from_the_command_line(
         ("moteus:socketcan/can0:1?speed=5", "rate=HZ and baud=BAUD"),
         ("ros:/joint_states,/commands:elbow?baud=5", "takes rate=HZ,"),
         ("ros:/joint_states,/commands:a,b,c,d,e", "1 to 4"),
+        ("dynamixel:/dev/ttyUSB0:1,254", "names motor 254, and 0 to 252 may be"),
+        ("canopen:socketcan/can0:0", "names motor 0, and 1 to 126 may be"),
+        ("canopen:socketcan/can0:1,2000", "names motor 2000"),
     ],
 )
 def test_an_address_that_is_none_says_so(where: str, says: str) -> None:
     with pytest.raises(TautError, match=says):
         find(where)
+
+
+@NO_ROS
+def test_a_joint_is_called_as_it_is_written() -> None:
+    assert addresses.parse("ros:/joint_states,/commands:01,1").numbers == ("01", "1")
+
+
+def test_drives_whose_bus_is_gone_are_closed_all_the_same() -> None:
+    def gone(*_: Any) -> None:
+        raise can.CanOperationError("the adapter was pulled out")
+
+    with opened("canopen", motors_of("canopen", 0.0)) as (_, drives):
+        link = HostedLink(drives, "canopen:emulated:1", RATE_HZ, paced=False)
+        drives._network.bus.send = gone
+        with pytest.raises(TautError, match="pulled out"):
+            drives.stop()
+        link.close()
+    with (
+        closing(Cia402Emulator([Motor()])) as emulator,
+        pytest.MonkeyPatch.context() as patch,
+        pytest.raises(TautError, match="pulled out"),
+    ):
+        patch.setattr(can.interfaces.virtual.VirtualBus, "send", gone)
+        addresses.open_drives(addresses.parse(where("canopen", emulator, "rate=100")))
 
 
 def test_a_library_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -822,6 +902,17 @@ def test_a_limit_that_is_no_number_is_one_line() -> None:
 
     with pytest.raises(TautError, match=r"joint elbow: its description's limit upper is '\$\{pi\}', expected a number"):
         _drive("elbow", {"type": "revolute", "lower": "0", "upper": "${pi}"})
+    for none in ("nan", "-inf"):
+        with pytest.raises(TautError, match=f"limit lower is '{none}', expected a number"):
+            _drive("elbow", {"type": "revolute", "lower": none, "upper": "1"})
+
+
+@NO_ROS
+def test_a_limit_farther_than_can_be_counted_is_as_far_as_can() -> None:
+    from tautline.drivers.ros_joints import _drive
+
+    limits = _drive("elbow", {"type": "revolute", "lower": "-1e16", "upper": "1"}).limits
+    assert limits.q_low == -3.9e6 and limits.q_high == pytest.approx(4096 / 6.2832, rel=1e-4)
 
 
 @NO_ROS

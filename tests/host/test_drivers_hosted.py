@@ -8,11 +8,13 @@ from typing import Any
 
 import can
 import pytest
-from emulated_drives import Setup, driven, where
+from emulated_drives import RATE_HZ, Setup, driven, where
 from motor_emulators import DynamixelEmulator, Motor
 
 from tautline import _native
 from tautline.device import wire
+from tautline.device.board import Board
+from tautline.device.link import BoardAddress
 from tautline.drivers import addresses
 from tautline.drivers.hosted import HostedLink
 from tautline.errors import TautError
@@ -110,6 +112,27 @@ def test_a_drive_that_may_speed_up_faster_than_is_planned_is_driven_all_the_same
         drives.drives = [replace(drive, limits=replace(drive.limits, acceleration=1e9))]
         with closing(HostedLink(drives, address.where, address.rate_hz, paced=False)) as link:
             assert link._request("get_limits", axis=0).acceleration_s2 == _native.HOSTED_ACCELERATION_MAX
+
+
+@pytest.mark.parametrize("at", [1e7, -1e9])
+def test_a_drive_too_far_from_its_zero_to_be_counted_says_so(at: float) -> None:
+    with pytest.raises(TautError, match=r"motor 1 is at -?1\d+ counts.*set its zero nearer"), driven("canopen", at=at):
+        pass
+
+
+def test_a_drive_that_goes_too_far_to_be_counted_says_so() -> None:
+    with driven("canopen") as setup:
+        setup.motor.position = 1e7
+        with pytest.raises(TautError, match="set its zero nearer"):
+            setup.link.cycle()
+
+
+def test_a_serial_number_is_whole_whatever_a_joint_is_called() -> None:
+    with closing(DynamixelEmulator([Motor()])) as emulator:
+        drives = addresses.open_drives(addresses.parse(where("dynamixel", emulator, f"rate={RATE_HZ:g}")))
+        link = HostedLink(drives, "ros:/a,/b:" + 40 * "\N{LATIN SMALL LETTER E WITH ACUTE}", RATE_HZ, paced=False)
+        with Board(BoardAddress(link.where, None, False, (wire.wire.MAJOR, 0), lambda: link)) as board:
+            assert str(board.identity.serial).isascii()
 
 
 def test_a_first_answer_may_be_lost() -> None:

@@ -101,6 +101,20 @@ def test_a_far_world_turns_as_the_camera_does() -> None:
     assert tracker.track(np.full((208, 256, 3), 90, np.uint8)) is None
 
 
+@pytest.mark.parametrize("noise", [0.0, 2.0])
+def test_a_video_may_begin_in_the_dark(noise: float) -> None:
+    rng, tracker = np.random.default_rng(1), SceneTracker(CAMERA)
+    dark = [np.clip(rng.normal(0.0, noise, (208, 256, 3)), 0.0, 255.0).astype(np.uint8) for _ in range(2)]
+    seen = [*dark, *(looking(np.array([0.0, turn, 0.0]), rng) for turn in np.linspace(0.0, 10.0, 8))]
+    for picture in seen:
+        tracker.track(picture)
+    tracker.settle()
+    found = [tracker.track(picture) for picture in seen]
+    assert found[0] is None and found[1] is None
+    turns = np.array([turn for turn in found if turn is not None])
+    assert np.degrees(np.linalg.norm(turns[-1] - turns[0])) == pytest.approx(10.0, abs=0.1) and len(turns) == 8
+
+
 def test_a_rig_says_where_its_camera_sits(tmp_path: Path) -> None:
     inside.make(tmp_path / "short", inside.Inside("short"), 1, (3.0, 4.0))
     path = tmp_path / "short" / "rig.toml"

@@ -264,6 +264,8 @@ def test_the_colour_file_holds_it_and_bad_ones_are_refused(tmp_path: Path) -> No
         (good.replace("marker/1", "marker/9"), "expected 'marker/1'"),
         (good.replace("diameter_px = ", "diameter_px = 9e9 #"), "out of range"),
         (good.replace("offset = ", "offset = true #"), "expected a number"),
+        (good.replace("offset = ", f"offset = {'9' * 400} #"), "out of range"),
+        (good.replace("offset = ", f"offset = {'9' * 5000} #"), "cannot be read as a marker's colour"),
         ("format = [", "taut marker"),
     ]:
         file.write_text(bad)

@@ -224,9 +224,18 @@ def test_a_region_is_shown_once_and_used_for_its_video(video: Path, taut: Taut) 
     with pytest.raises(TautError, match="is there a marker or not"):
         track_video(Video(video, None))
     (video.parent / "marker.toml").unlink()
+    file = video.parent / REGION_FILE
+    good = file.read_text(encoding="utf-8")
+    file.write_text(good.replace("side_px = ", f"side_px = {'9' * 400} #"), encoding="utf-8")
+    with pytest.raises(TautError, match="cannot be read as a place to follow"):
+        Region.load(file)
+    file.write_text(good, encoding="utf-8")
     (video.parent / "region.png").unlink()
     with pytest.raises(TautError, match=r"region\.png is not beside it"):
         track_video(Video(video, None))
+    (video.parent / "region.png").mkdir()
+    with pytest.raises(TautError, match=r"region\.png: cannot be written"):
+        region.save(file)
 
 
 def test_a_wrong_region_is_a_usage_error(video: Path, taut: Taut) -> None:

@@ -15,6 +15,7 @@ from reference_instrument import PLANT, RIG
 
 from tautline import trajectory
 from tautline.calibration.calibrate import calibrate
+from tautline.errors import TautError
 from tautline.geometry import project
 from tautline.recording import save
 from tautline.rig import Rig
@@ -82,6 +83,21 @@ def test_a_camera_may_look_from_anywhere(rotation):
     found = hand_eye(places(0.02, 1, rig=rig), rig.kinematics, rig.camera, 0.02)
     again = project(replace(rig, hand_eye=found.hand_eye), ANGLES) - project(rig, ANGLES)
     assert np.abs(again).max() < 0.3
+
+
+@pytest.mark.parametrize(
+    "c_deg", [np.full(8, 10.0), np.array(4 * [10.0, 20.0]), 1e-8 * np.arange(6.0), np.array([0.0, 20.0, 40.0])]
+)
+def test_angles_at_too_few_places_give_no_pose(c_deg: np.ndarray) -> None:
+    seen = Places(c_deg, project(RIG, c_deg), np.full(len(c_deg), 0.02), c_deg / 12.0)
+    with pytest.raises(TautError, match="do not tell where the camera is"):
+        hand_eye(seen, RIG.kinematics, RIG.camera, 0.1)
+
+
+def test_a_marker_that_is_always_seen_at_one_place_gives_no_pose() -> None:
+    seen = Places(ANGLES, np.full((9, 2), 300.0), np.full(9, 0.02), ANGLES / 12.0)
+    with pytest.raises(TautError, match="do not tell where the camera is"):
+        hand_eye(seen, RIG.kinematics, RIG.camera, 0.1)
 
 
 def known_motion(folder: Path) -> None:
@@ -232,6 +248,8 @@ def test_every_key_is_read_as_it_is_typed():
         name, _, value = text.partition("=")
         rig_keys.put(document, *rig_keys.named(name), value)
     assert document["actuator"] == {"unit": "mm", "range": [-5.0, 5.0], "encoder_resolution": 0.001}
+    with pytest.raises(TautError, match=r"coarse\.gain is '9+', expected"):
+        rig_keys.put(document, *rig_keys.named("coarse.gain"), 5000 * "9")
     asked = {key: value for key, value in asdict(RIG.camera).items() if value is not None}
     assert {**document["camera"], "distortion": tuple(document["camera"]["distortion"])} == asked
 

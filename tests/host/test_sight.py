@@ -124,6 +124,17 @@ def test_a_track_that_passes_the_camera_s_plane_still_refuses_what_lies_off_it(t
         near.seen(replace(robot, marker=marker(np.tile(far, (50, 1)))))
 
 
+def test_where_a_track_leaves_the_image_it_has_no_line(tmp_path):
+    """The camera sits on the hinge's axis: the site goes out to one side and comes back from the other."""
+    (tmp_path / "inside.xml").write_text("""<mujoco><worldbody>
+      <camera name="side" xyaxes="0 -1 0 0 0 1" resolution="640 480" fovy="60"/>
+      <body><joint name="elbow" type="hinge" axis="0 0 1" range="5 355"/><geom size="0.01" pos="0.2 0 0"/>
+      <site name="tip" pos="0.2 0 0"/></body></worldbody></mujoco>""")
+    track = sight(tmp_path / "inside.xml", "tip", "side")
+    angle, _ = track.angle(marker(track.px))
+    np.testing.assert_allclose(angle, track.c_deg, atol=1e-6)
+
+
 def test_frames_are_as_old_as_the_rig_says(seen, tmp_path):
     robot = replace(arms.robot(tmp_path, 3, 2.0), marker=marker(place(np.linspace(-20.0, 20.0, 50))))
     assert np.array_equal(seen.seen(robot, 0.08).angle.t_s, robot.marker.t_s - 0.08)

@@ -253,6 +253,9 @@ def test_the_command_says_what_does_not_fit_together(tmp_path: Path) -> None:
     Rig(ACTUATOR, RIG.coarse).save(tmp_path / "rig.toml")
     result = taut("--rig", tmp_path / "rig.toml", "--out", tmp_path / "a", "--video")
     assert result.exit_code != 0 and "[camera]" in str(result.exception)
+    short = ("--motion", "sines", "--duration", 0.1, "--lost", 0.9, "--seed", 1, "--video")
+    result = taut("--out", tmp_path / "a", *short)
+    assert isinstance(result.exception, TautError) and "no frame" in str(result.exception)
     result = taut("--out", tmp_path / "a", "--motion", "trapezoids", "--amplitude", 11)
     assert "does not fit the range" in str(result.exception)
 

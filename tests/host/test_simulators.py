@@ -5,6 +5,7 @@ import math
 import os
 import sys
 from dataclasses import replace
+from types import ModuleType
 
 import arms
 import numpy as np
@@ -138,6 +139,18 @@ def test_a_urdf_has_a_servo_on_the_joint_that_is_named(folder):
     assert kp * (math.radians(30.0) - c) == pytest.approx(0.1 * 9.81 * 0.1 * math.sin(c), abs=1e-4)
     with pytest.raises(TautError, match="name a joint that a servo shall hold"):
         mjcf.simulator(folder / "arm.urdf", "servo", "joint:elbow")
+
+
+FREE = """<mujoco><worldbody><body><joint name="base" type="free"/><geom size="0.1"/>
+  <body><joint {named} axis="0 1 0"/><geom size="0.05" pos="0.1 0 0"/><site name="tip"/></body></body>
+</worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(("named", "actuator", "there"), [('name="elbow"', "base", "elbow"), ("", "", "no hinge or")])
+def test_a_servo_holds_a_hinge_or_a_slide_that_has_a_name(folder, named, actuator, there):
+    (folder / "free.xml").write_text(FREE.format(named=named))
+    with pytest.raises(TautError, match=f"with --actuator, .*{there}"):
+        mjcf.simulator(folder / "free.xml", actuator, "joint:elbow")
 
 
 @pytest.mark.parametrize(
@@ -305,6 +318,18 @@ def test_what_is_asked_for_is_simulated_elsewhere_and_the_same(folder, nominal):
         pass
 
 
+def test_a_simulator_that_another_process_cannot_run_is_one_line(folder, monkeypatch):
+    notebook = ModuleType("of_a_notebook")
+    exec("def simulate(motor, parameters): return motor.q", notebook.__dict__)
+    monkeypatch.setitem(sys.modules, "of_a_notebook", notebook)
+    for simulate, says in ((notebook.simulate, "is not there for another process"), (arms.ends, "has ended")):
+        told = Simulator(simulate, ())
+        with pytest.raises(TautError, match=f"{says}.*use 1 worker"), side_by_side.pool(told, 2) as processes:
+            drive = Drive(told, still(1.0), arms.rig(folder), processes)
+            drive.ask({})
+            drive.motor({})
+
+
 @pytest.mark.long
 def test_workers_change_nothing(folder, nominal):
     robots = [arms.robot(folder, seed, 6.0, kp=1.5) for seed in (0, 3)]
@@ -375,6 +400,21 @@ def test_a_model_whose_simulator_was_a_function_of_the_session_says_so(folder):
     model = simulated_nominal(anonymous, [followed(folder, 0.05)], arms.rig(folder)).model
     with pytest.raises(TautError, match="function of a session"):
         predict(model, still(1.0), np.array([0.5]))
+
+
+@pytest.mark.parametrize(
+    ("damaged", "says"),
+    [
+        ({"path": None}, "its path is None, expected a text"),
+        ({"kind": "python", "name": 5}, "its name is 5, expected a text"),
+        ({"scale": "x"}, "its scale is 'x', expected a number"),
+        ({"stepless_from_s": 0}, "its stepless_from_s is 0, expected a number"),
+    ],
+)
+def test_a_model_whose_simulator_is_damaged_says_so(folder, nominal, damaged, says):
+    model = simulated_nominal(nominal, [arms.robot(folder, 0, 2.0)], arms.rig(folder)).model
+    with pytest.raises(TautError, match=says):
+        source.opened(replace(model, simulator={**model.simulator, **damaged}))
 
 
 def test_an_unstable_trial_writes_nothing_where_the_user_works(folder, tmp_path, monkeypatch):

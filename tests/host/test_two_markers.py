@@ -114,3 +114,9 @@ def test_a_marker_of_which_a_part_is_hidden_is_left_out() -> None:
     assert not valid[29] and valid[31] and valid.sum() == 58
     path[40] = sighting(230.0, 18.0)  # nothing was lost there: light that changes
     assert of_one_marker(path)[40]
+
+
+def test_the_first_frame_is_not_beside_the_last() -> None:
+    path = [sighting(150.0, 21.5), *(sighting(150.0 + 2.0 * k) for k in range(1, 60))]
+    path[59] = sighting(np.nan)
+    assert of_one_marker(path)[0]

@@ -25,7 +25,7 @@ class Kind:
     package: str  # what is imported of the extra
     says: str
     example: str
-    ids: str = r"\d+"  # how a motor is called on the bus
+    ids: range | None  # of a motor on the bus; None where it has a name
     extra: str = "drivers"
 
     @property
@@ -41,24 +41,34 @@ class Kind:
 
 KINDS = {
     "dynamixel": Kind(
-        "dynamixel", "Dynamixel", "dynamixel_sdk", "Dynamixel X series, protocol 2", "dynamixel:/dev/ttyUSB0:1"
+        "dynamixel",
+        "Dynamixel",
+        "dynamixel_sdk",
+        "Dynamixel X series, protocol 2",
+        "dynamixel:/dev/ttyUSB0:1",
+        range(253),
     ),
-    "feetech": Kind("feetech", "Feetech", "scservo_sdk", "Feetech STS and SMS", "feetech:/dev/ttyUSB0:1"),
+    "feetech": Kind("feetech", "Feetech", "scservo_sdk", "Feetech STS and SMS", "feetech:/dev/ttyUSB0:1", range(254)),
     "canopen": Kind(
-        "cia402", "Cia402", "canopen", "CANopen drives, CiA 402 cyclic synchronous position", "canopen:socketcan/can0:1"
+        "cia402",
+        "Cia402",
+        "canopen",
+        "CANopen drives, CiA 402 cyclic synchronous position",
+        "canopen:socketcan/can0:1",
+        range(1, 127),  # 0 is all of them, 127 the host
     ),
-    "moteus": Kind("moteus_drives", "Moteus", "moteus", "moteus controllers", "moteus:socketcan/can0:1"),
+    "moteus": Kind("moteus_drives", "Moteus", "moteus", "moteus controllers", "moteus:socketcan/can0:1", range(127)),
     "ros": Kind(
         "ros_joints",
         "RosJoints",
         "rclpy",
         "joints of a ROS 2 robot, by topics",
         "ros:/joint_states,/position_controller/commands:elbow",
-        r"[^:,?]+",
+        None,
         "ros",
     ),
 }
-_RATES_HZ = (20.0, 1000.0)
+_RATES_HZ = (20.0, 1000.0)  # limit: a drive is lost after 0.1 s; no bus here has shorter cycles
 
 
 @dataclass(frozen=True)
@@ -87,10 +97,14 @@ def parse(where: str) -> Address:
     kind, _, rest = name.partition(":")
     module = _module(kind)
     ids = KINDS[kind].ids
-    match = re.fullmatch(rf"(.+?)(?::({ids}(?:,{ids})*))?", rest)
+    one = r"[^:,?]+" if ids is None else r"\d+"
+    match = re.fullmatch(rf"(.+?)(?::({one}(?:,{one})*))?", rest)
     if not match:
         raise _wrong(where, kind, "names no bus")
-    numbers = tuple(int(n) if n.isdecimal() else n for n in (match[2] or "1").split(","))
+    named = (match[2] or "1").split(",")
+    numbers: tuple[int | str, ...] = tuple(named) if ids is None else tuple(map(int, named))
+    if ids is not None and (other := next((n for n in numbers if n not in ids), None)) is not None:
+        raise _wrong(where, kind, f"names motor {other}, and {ids[0]} to {ids[-1]} may be")
     if len(set(numbers)) != len(numbers) or not 1 <= len(numbers) <= wire.wire.AXES_MAX:
         raise _wrong(where, kind, f"names {len(numbers)} motors, and 1 to {wire.wire.AXES_MAX} different ones may be")
     values: dict[str, float] = {"rate": module.RATE_HZ} | ({"baud": module.BAUD} if module.BAUD else {})

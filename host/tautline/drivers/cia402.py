@@ -16,21 +16,21 @@ import can
 import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
-from tautline.drivers.drives import Clock, Drive, DriveLimits, Goal, Measured, Missed, all_off
+from tautline.drivers.drives import RANGE, STARTS, Clock, Drive, DriveLimits, Goal, Measured, Missed, all_off
 from tautline.errors import TautError
 
 BAUD, RATE_HZ = 1_000_000, 250.0
-_ANSWER_S = 0.01
-_SDO_S = 0.3
-_STATE_S = 1.0
+_ANSWER_S = 0.01  # tolerance: of all drives to a SYNC
+_SDO_S = 0.3  # tolerance: of a drive, about an object
+_STATE_S = 1.0  # tolerance: of a drive, to change its state or mode
 _HOST, _HEARTBEAT_S, _LOST_MS = 0x7F, 0.02, 100  # the host as a node, what it says so often, and is missed after
+_PRE_OPERATIONAL, _START = 0x80, 0x01  # of network management
 _CSP, _HOMING = 8, 6
 _QUICK_STOP = 3  # of the option for a lost connection
 _FAULT, _VOLTAGE_OFF, _SHUT_DOWN, _SWITCH_ON, _OPERATE = 0x80, 0x00, 0x06, 0x07, 0x0F
 _READY, _ON, _OPERATIONAL = 0x21, 0x23, 0x27
-_ACCELERATION = 20.0  # where the drive limits none: from rest to its top speed in so much of a second, inverse
-_PERIOD_MOST = 255  # of a cycle, ms or 0.1 ms: in one byte
-_RANGE = 3_900_000.0  # where the drive limits none: what the application counts
+_PERIOD_MOST = 255  # format: of a cycle, ms or 0.1 ms: in one byte
+_STARTS_MOST = 40.0  # tolerance: of accelerations none is used that reaches top speed within less than 25 ms
 
 # Objects of CiA 301 and 402.
 _DEVICE, _HARDWARE, _SOFTWARE = (0x1008, 0), (0x1009, 0), (0x100A, 0)
@@ -116,17 +116,17 @@ class Cia402:
 
     def _describe(self, number: int, period_s: float) -> Drive:
         """Reads a drive's limits, counts and state, and maps its process data at this period."""
-        self._nodes[number].nmt.send_command(0x80)  # pre-operational: its process data may be set
+        self._command(number, _PRE_OPERATIONAL)  # its process data may be set then
         turn = self._number(number, _INCREMENTS) / max(self._number(number, _REVOLUTIONS, 1.0), 1.0)
         speed = self._number(number, _MOTOR_RPM) / 60.0 * turn
-        acceleration = self._number(number, _ACCELERATION_MOST, 0.0) or _ACCELERATION * speed
+        acceleration = self._number(number, _ACCELERATION_MOST, 0.0) or STARTS * speed
         low, high = self._number(number, _LOW, 0.0), self._number(number, _HIGH, 0.0)
         if low >= high:
-            low, high = -_RANGE, _RANGE
+            low, high = -RANGE, RANGE
         self._rated_ma[number] = self._number(number, _RATED_MA, 0.0)
         current = self._rated_ma[number] * self._number(number, _CURRENT_MOST, 0.0) / 1000.0
-        # Of accelerations none is used that reaches top speed within less than 25 ms.
-        limits = DriveLimits(max(low, -_RANGE), min(high, _RANGE), speed, min(acceleration, 40.0 * speed), current)
+        acceleration = min(acceleration, _STARTS_MOST * speed)
+        limits = DriveLimits(max(low, -RANGE), min(high, RANGE), speed, acceleration, current)
         self._map(number, 0x1A00, 0x1800, 0x180, [(*_STATUS, 16), (*_POSITION, 32)])  # TPDO 1
         with contextlib.suppress(_Refused):  # a drive that lacks one of them tells neither
             self._map(number, 0x1A01, 0x1801, 0x280, [(*_VELOCITY, 32), (*_CURRENT, 16)])  # TPDO 2
@@ -144,7 +144,7 @@ class Cia402:
         self._write(number, _MODE, _CSP, 1)
         self._network.subscribe(0x180 + number, self._on_position)
         self._network.subscribe(0x280 + number, self._hear_speed)
-        self._nodes[number].nmt.send_command(0x01)  # operational
+        self._command(number, _START)
         versions = " ".join(filter(None, (self._text(number, _HARDWARE), self._text(number, _SOFTWARE))))
         return Drive(number, self._text(number, _DEVICE) or "CiA 402", versions or "-", round(turn), limits, homed)
 
@@ -193,6 +193,10 @@ class Cia402:
             self._network.send_message(cob, data)
         except (can.CanError, OSError) as error:
             raise Missed(f"the bus takes nothing ({error})") from error
+
+    def _command(self, number: int, state: int) -> None:
+        """Sends a node to one of network management's states."""
+        self._send(0x000, bytes((state, number)))
 
     def _sync(self) -> None:
         """Sends the host's heartbeat if one is due; drives that miss it stop. It is not the SYNC, which `measure`
@@ -263,8 +267,9 @@ class Cia402:
         try:
             all_off(len(self._numbers), self.enable)
         finally:
-            for node in self._nodes.values():
-                node.nmt.send_command(0x80)
+            for number in self._numbers:
+                with contextlib.suppress(Missed):
+                    self._command(number, _PRE_OPERATIONAL)
 
     def close(self) -> None:
         self._network.disconnect()

@@ -13,6 +13,9 @@ from tautline.errors import TautError
 
 Clock = Callable[[], float]
 
+RANGE = 3_900_000.0  # limit: counts either way of a drive that limits none: just within TL_AXIS_RANGE_MAX
+STARTS = 20.0  # prior: from rest to top speed in so much of a second, inverse, where a drive limits no acceleration
+
 
 class Missed(TautError):
     """No answer, or none that is whole, came in this cycle. The next one may."""

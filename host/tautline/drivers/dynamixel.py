@@ -13,17 +13,17 @@ from collections.abc import Sequence
 import dynamixel_sdk
 import numpy as np
 
-from tautline.drivers.drives import Clock, Drive, DriveLimits, Measured
+from tautline.drivers.drives import STARTS, Clock, Drive, DriveLimits, Measured
 from tautline.drivers.serial_servos import SerialServos
 from tautline.errors import TautError
 
 BAUD, RATE_HZ = 57600, 50.0  # as they come; a cycle of one servo takes 12 ms then
-_WATCHDOG, _WATCHDOG_S = 5, 0.1  # the register counts 20 ms
+_WATCHDOG_S = 0.1
+_WATCHDOG = round(_WATCHDOG_S / 0.02)  # format: the register counts 20 ms
 _COUNTS_PER_TURN = 4096
 _COUNTS_PER_SPEED = 0.229 / 60.0 * _COUNTS_PER_TURN  # its unit is 0.229 rev/min
 _COUNTS_PER_ACCELERATION = 214.577 / 3600.0 * _COUNTS_PER_TURN  # rev/min2
-_ACCELERATION = 20.0  # where the servo limits none: from rest to its top speed in so much of a second, inverse
-_MA = {1190: 1.0, 1200: 1.0, 1210: 1.0, 1220: 1.0, 1230: 1.0, 1240: 1.0}  # X330
+_MA = dict.fromkeys((1190, 1200, 1210, 1220, 1230, 1240), 1.0)  # format: mA of a unit, by model: X330
 _MA_OTHERS = 2.69
 _NO_CURRENT = (1060, 1070, 1080, 1090, 1160)  # XL430, XC430: they report a load, no current
 _EXTENDED = (1 << 20) - 1  # extended position mode goes to +-256 turns
@@ -67,8 +67,7 @@ class Dynamixel(SerialServos):
         acceleration = self.read(number, _ACCELERATION_LIMIT) * _COUNTS_PER_ACCELERATION
         unit = self._unit_ma[number] = 0.0 if model in _NO_CURRENT else _MA.get(model, _MA_OTHERS)
         current = self.read(number, _CURRENT_LIMIT) * unit if unit else 0.0
-        least = min(acceleration or np.inf, _ACCELERATION * speed)
-        limits = DriveLimits(low, high, speed, least, current)
+        limits = DriveLimits(low, high, speed, min(acceleration or np.inf, STARTS * speed), current)
         return Drive(number, f"model {model}", str(self.read(number, _FIRMWARE)), _COUNTS_PER_TURN, limits, True)
 
     def measure(self) -> list[Measured]:

@@ -11,17 +11,16 @@ from collections.abc import Sequence
 
 import scservo_sdk
 
-from tautline.drivers.drives import Clock, Drive, DriveLimits, Measured
+from tautline.drivers.drives import STARTS, Clock, Drive, DriveLimits, Measured
 from tautline.drivers.serial_servos import SerialServos
 from tautline.errors import TautError
 
 BAUD, RATE_HZ = 1_000_000, 100.0
 _COUNTS_PER_TURN = 4096
-_SPEED = 3000.0  # counts/s: no register says a servo's own; what an STS3215 reaches at 7.4 V
+_SPEED = 3000.0  # prior: counts/s: no register says a servo's own; what an STS3215 reaches at 7.4 V
 _OWN = 1.2  # tolerance: times the planned speed that a servo may go, to catch up with its set-points
-_ACCELERATION = 20.0  # from rest to that speed in so much of a second, inverse
-_MA = 6.5  # of a unit of current
-_MANY_TURNS = 30719  # of a servo without angle limits
+_MA = 6.5  # format: of a unit of current
+_MANY_TURNS = 30719  # format: counts either way, of a servo without angle limits
 _ERRORS = {0: "voltage", 1: "encoder", 2: "heat", 3: "current", 5: "overload"}
 
 # The memory table: address, size.
@@ -53,7 +52,7 @@ class Feetech(SerialServos):
         if low == high == 0:
             low, high = -_MANY_TURNS, _MANY_TURNS
         firmware = self.read(number, _FIRMWARE)
-        limits = DriveLimits(low, high, _SPEED, _ACCELERATION * _SPEED)
+        limits = DriveLimits(low, high, _SPEED, STARTS * _SPEED)
         version = f"{firmware & 0xFF}.{firmware >> 8}"
         return Drive(number, f"model {self.read(number, _MODEL)}", version, _COUNTS_PER_TURN, limits, True)
 

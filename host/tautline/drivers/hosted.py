@@ -25,6 +25,7 @@ from tautline.drivers.drives import Clock, Drives, Goal, Measured, Missed
 from tautline.errors import TautError
 
 _Q8 = 256.0
+_FARTHEST = 0x7FFFFF  # format: counts, of the application's 32 bits in Q8
 _LOST_S = 0.1  # without an answer a drive is lost: the application's own longest pause, and most drives' watchdog
 _FORGET = 0.998  # per cycle in motion, of what is known of the lag
 _SLOW = 0.02  # of the speed limit: below it a lag is not seen
@@ -111,8 +112,14 @@ class HostedLink:
 
     def _rows(self, measured: list[Measured], whole: bool = False) -> list[tuple[int, int, bool]]:
         """Measurements as the application takes them: counts Q8, current in mA, and whether there is a fault. whole:
-        rounded to counts, so that its positions are the drives' own."""
+        rounded to counts, so that its positions are the drives' own. TautError where one is too far to be counted."""
         counts = [m.q * scale for m, scale in zip(measured, self._scales, strict=True)]
+        for drive, q in zip(self.drives.drives, counts, strict=True):
+            if not abs(q) <= _FARTHEST:
+                raise TautError(
+                    f"{self.where}: motor {drive.number} is at {q:.0f} counts, and up to {_FARTHEST} can be counted: "
+                    "set its zero nearer with its maker's tools"
+                )
         places = [round(q) * round(_Q8) if whole else round(q * _Q8) for q in counts]
         return [(q, round(m.current_ma), bool(m.fault)) for q, m in zip(places, measured, strict=True)]
 
@@ -386,5 +393,5 @@ def _scale(speed: float) -> float:
 
 
 def _serial(text: str) -> str:
-    """A serial number of at most 31 letters, digits and dashes from the end of an address."""
-    return "".join(c if c.isalnum() else "-" for c in text)[-31:].strip("-")
+    """A serial number of at most 31 letters, digits and dashes, all ASCII, from the end of an address."""
+    return "".join(c if c.isascii() and c.isalnum() else "-" for c in text)[-31:].strip("-")

@@ -15,17 +15,19 @@ from typing import Any
 import can
 import moteus
 
-from tautline.drivers.drives import Clock, Drive, DriveLimits, Goal, Measured, Missed, all_off
+from tautline.drivers.drives import RANGE, STARTS, Clock, Drive, DriveLimits, Goal, Measured, Missed, all_off
 from tautline.errors import TautError
 
 BAUD, RATE_HZ = 1_000_000, 250.0
 _COUNTS_PER_TURN = 4096
-_SPEED, _ACCELERATION = 4.0 * _COUNTS_PER_TURN, 80.0 * _COUNTS_PER_TURN  # no register says a controller's own
-_RANGE = 3_900_000.0  # what the application counts
-_ANSWER_S, _FIRST_S, _TRIES = 0.015, 0.2, 5
+_SPEED = 4.0 * _COUNTS_PER_TURN  # prior: counts/s: no register says a controller's own
+_ANSWER_S, _FIRST_S, _TRIES = 0.015, 0.2, 5  # tolerance: of a cycle; of each try before the first
 _WATCHDOG_S = 0.1
-_FAULT_MODE, _OUTPUT_IS_KNOWN = 1, 2
+_FAULT_MODE, _OUTPUT_IS_KNOWN = 1, 2  # format: of the registers mode and home state
 _Register = moteus.Register
+_ASKED = {  # by every query
+    _Register.MODE, _Register.POSITION, _Register.VELOCITY, _Register.Q_CURRENT, _Register.HOME_STATE, _Register.FAULT
+}  # fmt: skip
 
 
 class Moteus:
@@ -56,7 +58,7 @@ class Moteus:
         except BaseException:
             self.close()
             raise
-        limits = DriveLimits(-_RANGE, _RANGE, _SPEED, _ACCELERATION)
+        limits = DriveLimits(-RANGE, RANGE, _SPEED, STARTS * _SPEED)
         self.drives = [
             Drive(number, "moteus", "-", _COUNTS_PER_TURN, limits, referenced)
             for number, referenced in zip(numbers, known, strict=True)
@@ -93,7 +95,7 @@ class Moteus:
         whole."""
         answers = self._cycle([controller.make_query() for controller in self._controllers], within_s)
         values = {answer.id: answer.values for answer in answers}
-        if any(_Register.POSITION not in values.get(number, {}) for number in self._numbers):
+        if any(_ASKED - values.get(number, {}).keys() for number in self._numbers):
             raise Missed("an answer is missing, or damaged")
         return [values[number] for number in self._numbers]
 

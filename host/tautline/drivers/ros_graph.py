@@ -70,6 +70,11 @@ class Graph:
         """A name as it is on the graph."""
         return str(self.node.resolve_topic_name(name))
 
+    def age_s(self, stamp: Any) -> float:
+        """How long ago a message's stamp (sec, nanosec) was, s of this machine's clock; anything where it is of
+        another clock."""
+        return float(1e-9 * self.node.get_clock().now().nanoseconds - (stamp.sec + 1e-9 * stamp.nanosec))
+
     def begin(self) -> None:
         """Starts the callbacks, after all subscriptions were made."""
         spin = self._executor.spin_until_future_complete

@@ -14,16 +14,15 @@ from collections.abc import Callable, Sequence
 from typing import Any
 from xml.etree import ElementTree
 
-from tautline.drivers.drives import Clock, Drive, DriveLimits, Goal, Measured, Missed, all_off
+from tautline.drivers.drives import RANGE, STARTS, Clock, Drive, DriveLimits, Goal, Measured, Missed, all_off
 from tautline.drivers.ros_graph import Graph, library, sensor_qos
 from tautline.errors import TautError
 
 BAUD, RATE_HZ = 0, 100.0
 _DESCRIPTION = "robot_description"  # beside the states
 _TURN, _METRE = 4096, 1_000_000  # counts
-_SPEED_S = 1.0  # turns or tenths of a metre a second, where no description says it
-_STARTS_S = 0.05  # to full speed: no description has an acceleration
-_RANGE = 3_900_000.0  # what the application counts
+_TURNS_S, _METRES_S = 1.0, 0.1  # prior: a joint's speed, where no description says it
+# tolerance: the waits for topics, a description and a state; a stamp that is older is of another clock.
 _FIRST_S, _DESCRIBED_S, _ANSWER_S, _OLDEST_S = 5.0, 1.0, 0.05, 0.1
 _ARRAY, _STATE = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState"
 
@@ -145,8 +144,7 @@ class RosJoints:
         if not set(self._names) <= set(message.name[: len(message.position)]):
             self._others |= set(message.name)
             return
-        at = message.header.stamp
-        age_s = 1e-9 * self._graph.node.get_clock().now().nanoseconds - (at.sec + 1e-9 * at.nanosec)
+        age_s = self._graph.age_s(message.header.stamp)
         with self._came:
             self._newest = self._clock() - (age_s if 0.0 <= age_s < _OLDEST_S else 0.0), message
             self._came.notify()
@@ -234,17 +232,19 @@ def _drive(name: str, said: dict[str, str]) -> Drive:
     unit = counts if slides else counts / math.tau
 
     def limit(key: str) -> float:
+        """In counts or counts/s; 0 where the description has none."""
         try:
-            return float(said.get(key, 0.0)) * unit
+            value = float(said.get(key, 0.0))
         except ValueError:
-            raise TautError(
-                f"joint {name}: its description's limit {key} is {said[key]!r}, expected a number"
-            ) from None
+            value = math.nan
+        if not math.isfinite(value):
+            raise TautError(f"joint {name}: its description's limit {key} is {said[key]!r}, expected a number")
+        return value * unit
 
-    speed = limit("velocity") or (0.1 if slides else 1.0) * _SPEED_S * counts
-    low, high = -_RANGE, _RANGE
+    speed = limit("velocity") or (_METRES_S if slides else _TURNS_S) * counts
+    low, high = -RANGE, RANGE
     if said.get("type") in ("prismatic", "revolute"):
-        low, high = limit("lower"), limit("upper")
-    limits = DriveLimits(low, high, speed, speed / _STARTS_S)
+        low, high = max(limit("lower"), -RANGE), min(limit("upper"), RANGE)
+    limits = DriveLimits(low, high, speed, STARTS * speed)
     kind = said.get("type") or "joint without a description"
     return Drive(name, kind, "-", counts, limits, referenced=True, per=per)

@@ -17,9 +17,9 @@ from tautline.errors import TautError
 
 Register = tuple[int, int]  # address, size
 
-_ANSWER_MS = 15.0  # a USB adapter's latency timer may be 16 ms: lower it to 1 (docs/drivers.md)
-_WAIT_S = 2e-3
-_SETUP_TRIES = 5
+_ANSWER_MS = 15.0  # limit: a USB adapter's latency timer may be 16 ms: lower it to 1 (docs/drivers.md)
+_WAIT_S = 2e-3  # tolerance: of one look for bytes, of which an answer takes some
+_SETUP_TRIES = 5  # tolerance: of a register, before its servo is not there
 
 
 class SerialServos:
@@ -85,14 +85,29 @@ class SerialServos:
     # -- registers, while nothing moves ---------------------------------------------------------------------------
 
     def read(self, number: int, register: Register) -> int:
-        """A register's number, without sign; with retries. TautError where the servo does not answer."""
-        data: list[int] = self._retry(number, lambda: self._packets.readTxRx(self._port, number, *register))[0]
-        return int.from_bytes(bytes(data), "little")
+        """A register's number, without sign; with retries. TautError where the servo does not answer, or not with its
+        number."""
+        answer = self._retry(number, lambda: self._packets.readTxRx(self._port, number, *register))
+        value = self._number(register, answer)
+        if value is None:
+            why = self._packets.getRxPacketError(answer[-1] & self.refusal) or "its answer is too short"
+            raise TautError(f"{self.kind} {number}: register {register[0]} cannot be read: {why}")
+        return value
 
     def glance(self, number: int, register: Register) -> int | None:
         """One try to read a register between two cycles; None where its number did not come whole."""
-        data, result, _ = self._sdk_answer(lambda: self._packets.readTxRx(self._port, number, *register))
-        whole = result == self._sdk.COMM_SUCCESS and len(data) == register[1]
+        try:
+            return self._number(
+                register, self._sdk_answer(lambda: self._packets.readTxRx(self._port, number, *register))
+            )
+        except Missed:
+            return None
+
+    def _number(self, register: Register, answer: tuple[list[int], int, int]) -> int | None:
+        """The register's number in the SDK's answer (data, result, error); None where it did not come whole. An answer
+        that refuses has no number: the SDK then hands out its checksum as data."""
+        data, result, error = answer
+        whole = result == self._sdk.COMM_SUCCESS and len(data) == register[1] and not error & self.refusal
         return int.from_bytes(bytes(data), "little") if whole else None
 
     def write(self, number: int, register: Register, value: int) -> None:
@@ -108,20 +123,21 @@ class SerialServos:
     def _retry(self, number: int, ask: Callable[[], Any]) -> Any:
         """`ask` with retries: the SDK's answer, whose last but one element is its communication result. TautError where
         the servo does not answer."""
-        for left in reversed(range(_SETUP_TRIES)):
-            answer = self._sdk_answer(ask)
-            result = answer[-2]
-            if result == self._sdk.COMM_SUCCESS:
+        why = ""
+        for _ in range(_SETUP_TRIES):
+            try:
+                answer = self._sdk_answer(ask)
+            except Missed as missed:
+                why = str(missed)
+                continue
+            if answer[-2] == self._sdk.COMM_SUCCESS:
                 return answer
-            if left == 0:
-                why = self._packets.getTxRxResult(result)
-                raise TautError(
-                    f"{self.kind} {number} does not answer ({why}): check power, ID, baud rate and the plug"
-                )
-        raise AssertionError("one try at least")
+            why = self._packets.getTxRxResult(answer[-2])
+        raise TautError(f"{self.kind} {number} does not answer ({why}): check power, ID, baud rate and the plug")
 
     def _sdk_answer(self, ask: Callable[[], Any]) -> Any:
-        """What the SDK answers; a lost port and a packet so damaged that the SDK fails on it become one error."""
+        """What the SDK answers. TautError where the port is lost, Missed where a packet is so damaged that the SDK
+        fails on it."""
         try:
             return ask()
         except (serial.SerialException, OSError) as error:
@@ -166,7 +182,11 @@ def _port(sdk: ModuleType, bus: str) -> Any:
         def setupPort(self, baud: int) -> bool:
             if not super().setupPort(baud):
                 return False
-            self.ser.timeout, self.ser.exclusive = _WAIT_S, True
+            try:
+                self.ser.timeout, self.ser.exclusive = _WAIT_S, True
+            except serial.SerialException:
+                self.closePort()
+                raise
             return True
 
         def setPacketTimeout(self, length: int) -> None:

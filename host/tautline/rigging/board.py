@@ -87,9 +87,9 @@ class Intrinsics:
 
 
 def intrinsics(pictures: Sequence[npt.NDArray[Any]], board: Board, progress: Progress | None = None) -> Intrinsics:
-    """A camera's intrinsics from BGR or grey pictures of one size. k3 is fitted only where the corners ask for it by
-    the Bayesian information criterion, as over a moderate view it is hardly told from k1 and k2. TautError where too
-    few pictures show the board."""
+    """A camera's intrinsics from at least one BGR or grey picture, all of one size. k3 is fitted only where the corners
+    ask for it by the Bayesian information criterion, as over a moderate view it is hardly told from k1 and k2.
+    TautError where too few pictures show the board."""
     opencv = board.opencv()
     detector = cv2.aruco.CharucoDetector(opencv)
     objects, images = [], []

@@ -28,7 +28,7 @@ def put(document: Document, section: Section, key: Key, text: str) -> None:
     name = f"{section.name}.{key.name}"
     try:
         value = tomllib.loads(f"value = {bare}")["value"]
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # no TOML, or a number of too many digits
         raise TautError(f"{name} is {text!r}, expected {key.expected}, as in {example(key)}") from error
     document.setdefault(section.name, {})[key.name] = _kept(key.read(value, name, "as given"))
 

@@ -17,10 +17,10 @@ from tautline.rig import Actuator, Camera, Coarse, HandEye, Kinematics, Rig
 from tautline.rigging.places import Places
 
 Array = npt.NDArray[np.float64]
-_LEAST_DEG = 1e-6
+_LEAST_DEG = 1e-6  # tolerance: of a stated sigma of 0, which a residual is divided by
 _RIVAL = 9.0  # tolerance: of its sum of squares: a pose that is as far off is left at 3 sigma
-_STRAYS = 2.0  # times what was stated
-_SINGULAR = 1e12  # condition of the scaled information: double precision has no pose left beyond it
+_STRAYS = 2.0  # tolerance: times what was stated
+_SINGULAR = 1e12  # tolerance: condition of the scaled information: double precision has no pose left beyond it
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,9 @@ def hand_eye(places: Places, kinematics: Kinematics, camera: Camera, angle_sigma
     slopes = np.asarray(best.jac, dtype=float)
     information: Array = slopes.T @ slopes
     scale = np.sqrt(np.diag(information))
-    if not np.isfinite(best.cost) or np.linalg.cond(information / np.outer(scale, scale)) > _SINGULAR:
-        raise TautError("these angles do not tell where the camera is: spread 8 or more over the range")
+    told = np.isfinite(best.cost) and (scale > 0.0).all()
+    if not told or np.linalg.cond(information / np.outer(scale, scale)) > _SINGULAR:
+        raise _not_told()
     strays = float(np.sqrt(2.0 * best.cost / (2 * len(places.c_deg) - 6)))
     spread = max(strays, 1.0) ** 2
     covariance: Array = np.linalg.inv(information)[:6, :6].astype(np.float64) * spread
@@ -116,19 +117,30 @@ def _rig(kinematics: Kinematics, camera: Camera, pose: Array) -> Rig:
 
 
 def _planar_poses(places: Places, kinematics: Kinematics, camera: Camera) -> list[Array]:
-    """(6,) rx ry rz, deg, x y z, mm, of each pose that the planar curve of places allows."""
+    """(6,) rx ry rz, deg, x y z, mm, of each pose that the planar curve of places allows. TautError where it allows
+    none: places on a line, in one pixel, or fewer than the four that IPPE takes."""
     turned = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # the bending plane becomes z = 0
     flat = tip_bend(kinematics, places.c_deg) @ turned.T
     middle = flat.mean(axis=0)
+    if len(flat) < 4 or np.linalg.matrix_rank(flat - middle) < 2:
+        raise _not_told()
     _, turns, shifts, _ = cv2.solvePnPGeneric(
         flat - middle, places.image_px, camera.matrix, np.array(camera.distortion), flags=cv2.SOLVEPNP_IPPE
     )
     starts = []
     for turn, shift in zip(turns, shifts, strict=True):
+        if not (np.isfinite(turn).all() and np.isfinite(shift).all()):
+            continue
         matrix = cv2.Rodrigues(turn)[0]
         angles = Rotation.from_matrix(matrix @ turned).as_euler("xyz", degrees=True)  # Rz Ry Rx, as in rig.toml
         starts.append(np.concatenate([angles, shift.ravel() - matrix @ middle]))
+    if not starts:
+        raise _not_told()
     return starts
+
+
+def _not_told() -> TautError:
+    return TautError("these angles do not tell where the camera is: spread 8 or more over the range")
 
 
 def _angle_sigma(
@@ -138,10 +150,10 @@ def _angle_sigma(
     moves the image by h_p dp, which is read as an angle dc = -(h_c . h_p dp) / |h_c|^2."""
     grid = np.linspace(c_deg.min(), c_deg.max(), 25)
     slope = seen(pose, grid)[1]
-    step = 1e-4
+    step = 1e-4  # deg or mm, of central differences
     reads = []
     for one in np.eye(6) * step:
-        moved = (seen(pose + one, grid)[0] - seen(pose - one, grid)[0]) / (2.0 * step)
+        moved = (seen(pose + one, grid)[0] - seen(pose - one, grid)[0]) / (2.0 * step)  # h_p
         reads.append(-(slope * moved).sum(axis=1) / (slope * slope).sum(axis=1))
     spread: Array = np.sqrt(np.einsum("kn,kl,ln->n", reads, covariance, reads))
     return spread

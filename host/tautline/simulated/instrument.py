@@ -126,9 +126,9 @@ class Corrected(Instrument):
         super().__init__(rig, grid, width, model.remaining(grid), name)
         self._model, self._effects = model, effects.of_model(model, scatter=True)
         self.jitter_s = self._effects.pop("jitter", 0.0)
-        for name in ("held_share", "clock_rate"):  # its camera repeats nothing and has the motor's clock
-            self._effects.pop(name, None)
-        self.drawn = not any(name in effects.PROJECTION for name in self._effects)
+        for of_camera in ("held_share", "clock_rate"):  # its camera repeats nothing and has the motor's clock
+            self._effects.pop(of_camera, None)
+        self.drawn = effects.PROJECTION.isdisjoint(self._effects)
         self.reset()
 
     def reset(self, p: float = float("nan")) -> None:

@@ -60,7 +60,9 @@ class Simulation:
             self._save(target, endoscope, lossless, progress)
 
     def _save(self, folder: Path, endoscope: Endoscope | None, lossless: bool, progress: Progress | None) -> None:
-        """Writes `save`'s files into an empty folder."""
+        """Writes `save`'s files into an empty folder. TautError where there is no frame to draw."""
+        if endoscope is not None and not len(self.scene_s):
+            raise TautError("no frame of this motion arrives: let it last longer, or lose fewer frames")
         recording = self.recording if endoscope is None else replace(self.recording, marker=None)
         recordings.save(recording, folder)
         table = pd.DataFrame({"t_s": self.t_s, "c_deg": self.c_deg, "p": self.p})

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from tautline.errors import TautError
 from tautline.recording import Motor
-from tautline.simulators.scene import carried_by, lifts, needed, read, tip_of, with_servo
+from tautline.simulators.scene import carried_by, check_named, lifts, needed, read, tip_of, with_servo
 from tautline.simulators.simulator import Declared, Simulator
 
 if TYPE_CHECKING:
@@ -28,11 +28,11 @@ Array = npt.NDArray[np.float64]
 KIND = "mjcf"
 PER_UNIT = {"mm": 1e-3, "deg": math.radians(1.0)}  # equation: m or rad of a control, per unit of q
 _UNITS = {True: ("Nm", "rad"), False: ("N", "m")}  # of a hinge, of a slide or a tendon
-_SETTLE_S = 2.0  # at the first control, before the log begins
+_SETTLE_S = 2.0  # tolerance: at the first control, before the log begins
 _DELAY_S = 0.02  # prior: a change that a user would notice
 _DAMPED = 0.2  # prior: share of critical damping: the same, where a joint has none
 _STUCK_RAD = 5e-3  # prior: by which the servo is off where friction that the file does not have holds the joint
-_DELAY_MOST_S = 0.5
+_DELAY_MOST_S = 0.5  # prior: no command takes longer
 
 
 @dataclass(frozen=True)
@@ -87,9 +87,7 @@ class Mjcf:
         model = read(self.path)
         if not model.nu:
             return with_servo(self.path, self.actuator)
-        names = [model.actuator(i).name for i in range(model.nu)]
-        if self.actuator not in names:
-            raise TautError(f"{self.path}: has no actuator {self.actuator}, but {', '.join(names) or 'none at all'}")
+        check_named(self.path, "actuator", self.actuator, [str(model.actuator(i).name) for i in range(model.nu)])
         return model
 
     @cached_property
@@ -160,12 +158,13 @@ class Mjcf:
     def _is_lifted(self, data: mujoco.MjData, name: str) -> bool:
         """Whether another joint's load is this one's as well: a mass is declared once."""
         model, own = self._model, int(self._model.joint(name).bodyid[0])
-        below = [other for other in self._joints if other != name and own in carried_by(model, other)]
-        same = [other for other in below if int(model.joint(other).bodyid[0]) == own]
-        first = self._joints.index(name)
-        return any(
-            lifts(model, data, other) for other in below if other not in same or self._joints.index(other) < first
-        )
+        before = self._joints[: self._joints.index(name)]
+        for other in self._joints:
+            carries = other != name and own in carried_by(model, other)
+            on_the_same_body = int(model.joint(other).bodyid[0]) == own  # of these the first one has it
+            if carries and (not on_the_same_body or other in before) and lifts(model, data, other):
+                return True
+        return False
 
     def _set(self, parameters: Mapping[str, float]) -> mujoco.MjModel:
         """A model with these values, and what follows from them."""

@@ -41,12 +41,13 @@ def read(path: Path) -> mujoco.MjModel:
 
 def with_servo(path: Path, joint: str) -> mujoco.MjModel:
     """A file without actuators, as a URDF is, with a position servo of the joint's name on it: critically damped, at
-    _SERVO_HZ with what the joint carries in the file's own pose. TautError where there is no such joint."""
+    _SERVO_HZ with what the joint carries in the file's own pose. TautError where there is no such hinge or slide."""
     import mujoco
 
     bare = read(path)
-    if joint not in joints_of(bare):
-        names = ", ".join(filter(None, joints_of(bare)))
+    held = [each for each in filter(None, joints_of(bare)) if _has_one_axis(bare, each)]
+    if joint not in held:
+        names = ", ".join(held) or "but it has no hinge or slide with a name"
         raise TautError(f"{path}: has no actuators: name a joint that a servo shall hold with --actuator, {names}")
     data = mujoco.MjData(bare)
     mujoco.mj_forward(bare, data)
@@ -65,6 +66,30 @@ def with_servo(path: Path, joint: str) -> mujoco.MjModel:
 def joints_of(model: mujoco.MjModel) -> list[str]:
     """The names of all joints, empty for one without a name."""
     return [str(model.joint(i).name) for i in range(model.njnt)]
+
+
+def _has_one_axis(model: mujoco.MjModel, joint: str) -> bool:
+    """Whether a joint turns or slides about one axis: no ball, and no free body."""
+    import mujoco
+
+    return int(model.joint(joint).type[0]) in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+
+
+def joints_above(model: mujoco.MjModel, site: str) -> list[int]:
+    """Numbers of the joints that move a site, from the root on."""
+    above: list[int] = []
+    body = int(model.site(site).bodyid[0])
+    while body:
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        above[:0] = range(first, first + count)
+        body = int(model.body_parentid[body])
+    return above
+
+
+def check_named(path: Path, kind: str, name: str, names: list[str]) -> None:
+    """TautError where `name` is none of the file's names of this kind."""
+    if name not in names:
+        raise TautError(f"{path}: has no {kind} {name}, but {', '.join(filter(None, names)) or 'none at all'}")
 
 
 def carried_by(model: mujoco.MjModel, joint: str) -> npt.NDArray[np.int64]:
@@ -100,24 +125,16 @@ def tip_of(model: mujoco.MjModel, path: Path, named: str) -> tuple[tuple[str, fl
         raise TautError(f"--tip {named}: expected joint:NAME or site:NAME")
     hinge = mujoco.mjtJoint.mjJNT_HINGE
     if kind == "joint":
-        hinges = [each for each in joints_of(model) if model.joint(each).type[0] == hinge]
-        if name not in hinges:
-            raise TautError(f"{path}: has no hinge {name}, but {', '.join(filter(None, hinges)) or 'none at all'}")
+        joints = [model.joint(i) for i in range(model.njnt)]
+        check_named(path, "hinge", name, [str(joint.name) for joint in joints if joint.type[0] == hinge])
         return ((name, 1.0),)
-    sites = [str(model.site(i).name) for i in range(model.nsite)]
-    if name not in sites:
-        raise TautError(f"{path}: has no site {name}, but {', '.join(filter(None, sites)) or 'none at all'}")
+    check_named(path, "site", name, [str(model.site(i).name) for i in range(model.nsite)])
     driven = {
         int(model.actuator_trnid[i, 0])
         for i in range(model.nu)
         if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
     }
-    above: list[int] = []
-    body = int(model.site(name).bodyid[0])
-    while body:
-        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-        above[:0] = [i for i in range(first, first + count) if model.jnt_type[i] == hinge and i not in driven]
-        body = int(model.body_parentid[body])
+    above = [i for i in joints_above(model, name) if model.jnt_type[i] == hinge and i not in driven]
     if not above:
         raise TautError(f"{path}: no free hinge is above the site {name}: name what bends with --tip joint:NAME")
     if unnamed := [i for i in above if not model.joint(i).name]:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from tautline.errors import TautError
 from tautline.recording import Angle, Marker, Recording
-from tautline.simulators.scene import needed, read
+from tautline.simulators.scene import check_named, joints_above, needed, read
 
 if TYPE_CHECKING:
     import mujoco
@@ -30,7 +30,7 @@ class Sight:
     """The site's track in the image, pixels (0, 0 is the middle of the first), by the hinge's angle."""
 
     hinge: str
-    c_deg: Array  # (n,) rising
+    c_deg: Array  # (n,) rising by _STEP_DEG, by more where the camera does not see the site between
     px: Array  # (n, 2) finite
 
     def seen(self, recording: Recording, late_s: float = 0.0) -> Recording:
@@ -56,10 +56,12 @@ class Sight:
         places = np.column_stack([marker.u_px, marker.v_px])
         ahead = np.diff(self.px, axis=0)
         length2 = np.maximum(np.sum(ahead**2, axis=1), 1e-12)
+        unseen = np.diff(self.c_deg) > 1.5 * _STEP_DEG  # the track leaves the image there, and comes back elsewhere
         angle, off = np.full(len(places), np.nan), np.full(len(places), np.nan)
         for i in np.flatnonzero(np.asarray(marker.valid, dtype=bool) & np.isfinite(places).all(axis=1)):
             share = np.clip(np.sum((places[i] - self.px[:-1]) * ahead, axis=1) / length2, 0.0, 1.0)
             away = np.linalg.norm(self.px[:-1] + share[:, None] * ahead - places[i], axis=1)
+            away[unseen] = np.inf
             k = int(np.argmin(away))
             angle[i], off[i] = self.c_deg[k] + share[k] * (self.c_deg[k + 1] - self.c_deg[k]), away[k]
         return angle, off
@@ -73,8 +75,8 @@ def sight(path: Path, site: str, camera: str) -> Sight:
     import mujoco
 
     model = read(path)
-    _named(path, "site", site, [str(model.site(i).name) for i in range(model.nsite)])
-    _named(path, "camera", camera, [str(model.camera(i).name) for i in range(model.ncam)])
+    check_named(path, "site", site, [str(model.site(i).name) for i in range(model.nsite)])
+    check_named(path, "camera", camera, [str(model.camera(i).name) for i in range(model.ncam)])
     at = model.camera(camera).id
     if model.cam_resolution[at].min() < 2 or model.cam_intrinsic[at][2:].any():
         raise TautError(
@@ -112,12 +114,7 @@ def _hinge_above(model: mujoco.MjModel, path: Path, site: str) -> str:
     """The name of the only joint that moves the site, a hinge. TautError where there is none, or another."""
     import mujoco
 
-    above: list[int] = []
-    body = int(model.site(site).bodyid[0])
-    while body:
-        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-        above += range(first, first + count)
-        body = int(model.body_parentid[body])
+    above = joints_above(model, site)
     if len(above) != 1 or model.jnt_type[above[0]] != mujoco.mjtJoint.mjJNT_HINGE:
         raise TautError(f"{path}: {len(above)} joints move the site {site}: with --camera weld all but one hinge")
     if not model.joint(above[0]).name:
@@ -140,9 +137,3 @@ def _image(model: mujoco.MjModel, data: mujoco.MjData, camera: str, place: Array
         focal = np.full(2, 0.5 * height / math.tan(0.5 * math.radians(float(model.cam_fovy[at]))))
     middle = 0.5 * np.array([width, height]) - 0.5
     return np.asarray(middle + focal * np.array([x, -y]) / -z)
-
-
-def _named(path: Path, kind: str, name: str, names: list[str]) -> None:
-    """TautError where `name` is none of the file's names of this kind."""
-    if name not in names:
-        raise TautError(f"{path}: has no {kind} {name}, but {', '.join(filter(None, names)) or 'none at all'}")

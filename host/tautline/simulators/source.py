@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -48,20 +49,40 @@ def opened(model: Model) -> Simulator:
     """The simulator that a model remembers. TautError where it remembers none, or that has gone or changed since."""
     source = model.simulator or {}
     simulator = _own(source, model)
-    return stepless(simulator, source[STEP]) if STEP in source else simulator
+    return stepless(simulator, _number(source, STEP)) if STEP in source else simulator
 
 
 def _own(source: Mapping[str, Any], model: Model) -> Simulator:
     """The user's own simulator of a source."""
     if source.get("kind") == _PYTHON:
-        return of_python(source["name"])
+        return of_python(_text(source, "name"))
     if source.get("kind") != mjcf.KIND:
         raise TautError("the model's simulator was a function of a session: give its Simulator a source to find it by")
-    path = Path(source["path"])
-    if mjcf.digest(path) != source["sha256"]:
+    path = Path(_text(source, "path"))
+    if mjcf.digest(path) != _text(source, "sha256"):
         raise TautError(f"{path}: is not the file that was diagnosed: diagnose again, or put that back")
     unit = model.rig.actuator.unit
-    return mjcf.simulator(path, source["actuator"], source["tip"], unit, source["scale"])
+    return mjcf.simulator(path, _text(source, "actuator"), _text(source, "tip"), unit, _number(source, "scale"))
+
+
+def _text(source: Mapping[str, Any], key: str) -> str:
+    """A text of a model's source, as its file has it. TautError where there is none."""
+    value = source.get(key)
+    if not isinstance(value, str):
+        raise _damaged(key, value, "a text")
+    return value
+
+
+def _number(source: Mapping[str, Any], key: str) -> float:
+    """A number of a model's source, above or below 0. TautError where there is none."""
+    value = source.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not value or not math.isfinite(value):
+        raise _damaged(key, value, "a number")
+    return float(value)
+
+
+def _damaged(key: str, value: object, expected: str) -> TautError:
+    return TautError(f"the model's simulator is damaged, its {key} is {value!r}, expected {expected}: diagnose again")
 
 
 def path_of(model: Model, motor: Motor) -> MotorPath:

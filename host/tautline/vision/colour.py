@@ -4,7 +4,7 @@ around it, and tissue's own colours, its brightness and white glare differ least
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -19,9 +19,9 @@ Array = np.ndarray
 FORMAT = "marker/1"
 SMALLEST_PX, LARGEST_PX = 5.0, 200.0  # diameters that can be tracked
 
-_GLARE = 60.0  # rms of the grey light that may lie on anything, levels
-_NOISE = 5.0  # rms that each channel is trusted to, levels
-_DISTINCT = 6.0  # squared Mahalanobis distance from its surroundings by which a picked marker stands out at least
+_GLARE = 60.0  # prior: rms of the grey light that may lie on anything, levels
+_NOISE = 5.0  # prior: rms that each channel is trusted to, levels
+_DISTINCT = 6.0  # tolerance: squared Mahalanobis distance from its surroundings, of a picked marker at least
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class MarkerColour:
         path = Path(path)
         try:
             document = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        except (OSError, ValueError) as error:  # no UTF-8, no TOML, or a number of too many digits
             raise TautError(
                 f"{path}: cannot be read as a marker's colour ({error}): make one with 'taut marker'"
             ) from error
@@ -77,7 +77,10 @@ def _number(document: dict[str, Any], key: str, path: Path) -> float:
     value = document.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TautError(f"{path}: {key} is {value!r}, expected a number: run 'taut marker' again")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError:
+        return float("inf")
 
 
 def _three(document: dict[str, Any], key: str, path: Path) -> tuple[float, float, float]:
@@ -160,7 +163,7 @@ def _pick_at(picture: Array, at: tuple[float, float], around: tuple[Array, Array
     patch = picture[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3].reshape(-1, 3)
     colour = np.median(patch, axis=0)
     mean, covariance = around
-    largest = None
+    picked = None
     for _ in range(3):
         weights = np.linalg.solve(covariance, colour - mean)
         separation = float(weights @ (colour - mean))
@@ -185,14 +188,6 @@ def _pick_at(picture: Array, at: tuple[float, float], around: tuple[Array, Array
         compact = min(1.0, 1.3 * area / (0.785 * box * box))  # pi / 4; 1 where 1 / 1.3 of the disc around it is filled
         alone = area / np.count_nonzero(inside)
         score = np.sqrt(separation) * compact * alone * min(1.0, diameter / 15.0)
-        largest = (
-            MarkerColour(
-                _triple(weights),
-                float(-weights @ mean),
-                _triple(colour),
-                diameter,
-                (float(centroids[label, 0]), float(centroids[label, 1])),
-            ),
-            float(score),
-        )
-    return largest
+        u, v = centroids[label].tolist()
+        picked = replace(candidate, colour=_triple(colour), diameter_px=diameter, at=(u, v)), float(score)
+    return picked

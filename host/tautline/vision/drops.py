@@ -6,9 +6,9 @@ from collections import deque
 
 import numpy as np
 
-_INTERVALS, _FIRST = 51, 10  # of which the camera's period is told, at most and at least
-_PAUSE_S, _PAUSE = 0.4, 5.0  # longer, and so many periods: nobody read; a camera loses single frames
-_KEPT = 0.9  # a frame, of what the last one came too late: jitter is made up for, a period that is a little off is not
+_INTERVALS, _FIRST = 51, 10  # tolerance: of which the camera's period is told, at most and at least
+_PAUSE_S, _PAUSE = 0.4, 5.0  # tolerance: longer, and so many periods: nobody read; a camera loses single frames
+_KEPT = 0.9  # tolerance: a frame, of its lateness: jitter is made up for, a period that is a little off is not
 
 
 class Drops:
@@ -17,7 +17,7 @@ class Drops:
     def __init__(self) -> None:
         self._last_s: float | None = None
         self._intervals: deque[float] = deque(maxlen=_INTERVALS)
-        self._behind = 0.0  # periods
+        self._behind = 0.0  # periods by which the last frame was late, beyond those counted as lost
         self._missing = 0
 
     def add(self, t_s: float) -> None:
@@ -35,7 +35,8 @@ class Drops:
         usual = float(np.median(intervals))
         if len(intervals) < _FIRST or usual <= 0.0:
             return
-        period = float(intervals.sum() / np.maximum(np.rint(intervals / usual), 1.0).sum())
+        # Whole periods, 0 of a frame that came together with the one before; the median is one, so there is a sum.
+        period = float(intervals.sum() / np.rint(intervals / usual).sum())
         self._behind = _KEPT * self._behind + (t_s - before) / period - 1.0
         missing = round(self._behind)
         self._behind -= missing

@@ -37,6 +37,7 @@ def lock(capture: cv2.VideoCapture) -> Exposure:
     if before == manual:
         return Exposure(True, f"exposure is manual, {shown}")
     if not capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, manual) or capture.get(cv2.CAP_PROP_AUTO_EXPOSURE) != manual:
+        capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, before)  # it may have obeyed, and say otherwise
         return Exposure(False, "exposure stays automatic, the camera refuses a manual one: keep the light as it is")
     capture.set(cv2.CAP_PROP_EXPOSURE, value)
     now = capture.get(cv2.CAP_PROP_EXPOSURE)

@@ -20,7 +20,7 @@ from tautline.vision.colour import MarkerColour, candidates, pick
 from tautline.vision.frames import Progress, every_frame, half
 from tautline.vision.region import Region
 from tautline.vision.scene import bending_by_scene
-from tautline.vision.sighting import Sighting
+from tautline.vision.sighting import SURE_PX, Sighting
 from tautline.vision.sighting import lost as _lost
 
 Array = np.ndarray
@@ -35,16 +35,13 @@ _UNSURE = 0.2  # limit: sigma against the radius: a place that is known worse is
 _RAGGED = 0.15  # scatter of the edges against the radius: more is no marker but a stain
 _SAME_PLACE = 0.4  # of the diameter, within which two things are at one place
 _NEAR = 4.0  # diameters from where the marker was last, at which another blob is half as likely
-_STAYS, _ELSEWHERE = (
-    0.6,
-    0.4,
-)  # of the pictures in which a thing that is not the marker stays, and the marker is not there
+# Of the pictures in which a thing that is not the marker stays, and the marker is not there.
+_STAYS, _ELSEWHERE = 0.6, 0.4
 _LEAP, _FASTER = 0.5, 3.0  # diameters at once, and times its usual speed, that the marker may go while it is not seen
 _WHOLE, _AROUND = 0.04, 12  # of its diameter in so many frames to either side: a marker of which nothing is hidden
 _PALE = 0.8  # of its usual purity, below which a picked colour is not the marker's own
 _AS_OFTEN = 0.9  # as the colour that was picked first, another one has to find the marker
 _ALIKE_LIT = 1.5  # prior, diameters: over which light changes little
-_SURE_PX = 1e-3  # no position is said to be known better
 _SAMPLES = 24  # frames of a video that are looked at for its marker's colour
 _MARGIN_PX = 8.0  # of the region around the marker: edges are compared with what lies 5.5 px beyond them
 
@@ -149,7 +146,7 @@ class MarkerTracker:
             return _lost("nothing of its size")
         self._cut, self._expected = 0.5 * (outline.within + outline.around), outline.after
         lit_px = outline.lit_u, outline.lit_v
-        return Sighting(outline.u, outline.v, max(outline.sigma, _SURE_PX), outline.diameter, lit_px=lit_px)
+        return Sighting(outline.u, outline.v, max(outline.sigma, SURE_PX), outline.diameter, lit_px=lit_px)
 
     def _search(self, picture: Array) -> Sighting:
         """The marker anywhere in the frame: the most marker-like blob, weighted by its distance from where the marker
@@ -259,18 +256,13 @@ def alike_but_still(colour: MarkerColour, pictures: Sequence[Array]) -> list[tup
     """Places (u, v) px where things of the marker's colour and size rest in pictures taken some time apart, while
     another one, the marker, moves. Empty where all of them move, or none does."""
     tracker = MarkerTracker(colour)
-    seen = [[(b.seen.u_px, b.seen.v_px) for b in tracker.blobs(picture)] for picture in pictures]
-    places = np.array([place for one in seen for place in one]).reshape(-1, 2)
-    owner = np.array([k for k, one in enumerate(seen) for _ in one], dtype=int)
+    seen = [(k, b.seen.u_px, b.seen.v_px) for k, picture in enumerate(pictures) for b in tracker.blobs(picture)]
+    owner, *places_uv = np.array(seen).reshape(-1, 3).T  # owner: of which picture
+    places = np.column_stack(places_uv)
     still: list[tuple[float, float]] = []
     left = np.ones(len(places), dtype=bool)
     while left.any():
-        near = [
-            left & (np.hypot(*(places - place).T) < _SAME_PLACE * colour.diameter_px)
-            if left[k]
-            else np.zeros_like(left)
-            for k, place in enumerate(places)
-        ]
+        near = [left & (np.hypot(*(places - place).T) < _SAME_PLACE * colour.diameter_px) for place in places[left]]
         most = max(near, key=np.count_nonzero)
         if len(np.unique(owner[most])) < _STAYS * len(pictures):
             break
@@ -397,17 +389,22 @@ def of_one_marker(seen: Sequence[Sighting]) -> npt.NDArray[np.bool_]:
         return valid
     step = np.hypot(*np.diff(place[at], axis=0).T)
     gap = np.diff(at)
-    speed = float(np.percentile(step[gap == 1], 95)) if (gap == 1).any() else 0.0
+    speed = float(np.percentile(step[gap == 1], 95)) if (gap == 1).any() else 0.0  # px per frame
     usual = float(np.median(size[at]))
-    jumps = step > _LEAP * usual + _FASTER * speed * gap
-    stretches = np.split(at, np.flatnonzero(jumps) + 1)
-    for k in _not_in_chain(stretches, place, lambda frames: _LEAP * usual + _FASTER * speed * frames):
+
+    def reach(frames: Array | int) -> Array | float:
+        """How far the marker may go in so many frames, px."""
+        return _LEAP * usual + _FASTER * speed * frames
+
+    stretches = np.split(at, np.flatnonzero(step > reach(gap)) + 1)
+    for k in _not_in_chain(stretches, place, reach):
         valid[stretches[k]] = False
-    lost = ~valid
-    beside = valid & (np.roll(lost, 1) | np.roll(lost, -1))
-    for k in np.flatnonzero(beside):
-        around = size[max(0, k - _AROUND) : k + _AROUND + 1][valid[max(0, k - _AROUND) : k + _AROUND + 1]]
-        valid[k] = abs(size[k] / np.median(around) - 1.0) < _WHOLE
+    beside_lost = np.zeros_like(valid)
+    beside_lost[1:] |= ~valid[:-1]
+    beside_lost[:-1] |= ~valid[1:]
+    for k in np.flatnonzero(valid & beside_lost):
+        near = slice(max(0, k - _AROUND), k + _AROUND + 1)
+        valid[k] = abs(size[k] / np.median(size[near][valid[near]]) - 1.0) < _WHOLE
     return valid
 
 
@@ -443,7 +440,7 @@ def lit_by_place(seen: Sequence[Sighting], sure: npt.NDArray[np.bool_]) -> list[
     ]
 
 
-def _not_in_chain(stretches: Sequence[Array], place: Array, reach: Callable[[int], float]) -> list[int]:
+def _not_in_chain(stretches: Sequence[Array], place: Array, reach: Callable[[int], Array | float]) -> list[int]:
     """Indices of the stretches (each indices of frames) outside of the chain with most frames in which each stretch
     begins within reach(frames) px of the end of the one before. place (frames, 2) px."""
     best = np.array([len(stretch) for stretch in stretches])

@@ -21,31 +21,30 @@ from scipy.sparse import coo_array
 
 from tautline.errors import TautError
 from tautline.vision.flow import EvenLight, Picture, found_again
-from tautline.vision.sighting import Sighting, lost
+from tautline.vision.sighting import SURE_PX, Sighting, lost
 
 Array = npt.NDArray[np.floating[Any]]
 
 SMALLEST_PX, LARGEST_PX, USUAL_PX = 16.0, 400.0, 36.0  # side of the region
 
+# tolerance of all, but for what is said to be a prior or memory.
 _CORNERS, _CORNER_QUALITY, _APART = 80, 0.01, 3.0  # of a keyframe; px between them
 _FEWEST = 8  # corners that go together: three give the six parameters
 _MARGIN_PX = 24.0  # around a region, which has not gone further than that from where it is expected
 _TOGETHER_PX = 1.0  # from the common motion
-_TURNED_DEG, _SCALED = 5.0, 0.06  # from the nearest keyframe, from which a new one is taken
+_TURNED_DEG, _SCALED, _AWAY = 5.0, 0.06, 0.3  # (of the region's side) from the nearest keyframe: a new one is taken
 _LEAST = 0.5  # times that, before a new one is taken for any reason
 _REACH = 2.0  # times that, within which a keyframe says something
-_KEYFRAMES = 128
+_KEYFRAMES = 128  # memory
 _SHARE = 0.25  # of a keyframe's corners that have to go together
 _FADES = 20  # of them that go together: with fewer a new keyframe is taken
 _APART_PX = 3.0  # that a region has to go for what stays behind to be told from it
 _OWN = 0.5  # of the pictures in which a corner of the region's own goes along
-_AWAY = 0.3  # of the region's side, the same
 _NEAREST = 2  # keyframes that say together where the region is
 _SHRINK = 2  # of pictures in which a lost region is looked for
-_TURNS_DEG = 60.0  # either way, that a region may be turned by in the first picture of another video
+_TURNS_DEG = 60.0  # prior: either way, that a region may be turned by in the first picture of another video
 _LIKE = 0.6  # correlation from which a place is tried
-_HELD = 1e-3  # pictures' worth that a keyframe is where it was taken
-_SURE_PX = 1e-3  # no position is said to be known better
+_HELD = 1e-3  # prior: pictures' worth that a keyframe is where it was taken
 
 
 @dataclass(frozen=True)
@@ -110,10 +109,9 @@ class _Keyframe:
         found = cv2.goodFeaturesToTrack(cut, _CORNERS, _CORNER_QUALITY, _APART, mask=mask)
         self.corners = np.empty((0, 2)) if found is None else found.reshape(-1, 2) + corner
         self.together = len(self.corners)  # in the last picture
-        self.off_px = (
-            0.0  # by which its place of the region's middle scatters a coordinate, beside what its corners say
-        )
-        self._tried, self._met = np.zeros((2, len(self.corners)))  # away from here: and how often it went along
+        self.off_px = 0.0  # scatter of its place of the region's middle, a coordinate, beside what its corners say
+        # Of each corner: pictures in which the region was elsewhere, and in how many of them it went along.
+        self._tried, self._met = np.zeros((2, len(self.corners)))
 
     @classmethod
     def of(cls, light: EvenLight, pose: Pose, side_px: float) -> Self:
@@ -170,7 +168,7 @@ class _Keyframe:
         away, lever = here - here.mean(axis=0), (self.pose.u, self.pose.v) - here.mean(axis=0)
         spread = away.T @ away + 1e-9 * np.eye(2)
         sigma = float(np.sqrt(scatter * (1.0 / len(here) + lever @ np.linalg.solve(spread, lever))))
-        return pose, max(float(np.hypot(sigma, self.off_px)), _SURE_PX)
+        return pose, max(float(np.hypot(sigma, self.off_px)), SURE_PX)
 
     def settle(self) -> bool:
         """Drops the corners that stayed behind when the region moved (background); returns whether enough are left to
@@ -202,14 +200,10 @@ class PatchTracker:
                 f"around {at[0]:g}, {at[1]:g} px there is hardly anything to follow: show a place with structure, or a "
                 "larger one"
             )
-        self.reset()
-
-    def reset(self) -> None:
-        """Forgets the region's place and all keyframes but the first."""
         self._keyframes = [self._first]
         self._learns = True
-        self._differ: list[tuple[int, int, float, float]] = []  # by how much two keyframes differ of one picture, px
-        self._poses: deque[Pose] = deque(maxlen=2)
+        self._differ: list[tuple[int, int, float, float]] = []  # two keyframes, and by how much they differ (u, v), px
+        self._poses: deque[Pose] = deque(maxlen=2)  # in the last frames; empty where it was lost
 
     def settle(self) -> None:
         """Ends learning, after a motion: keyframes are adjusted to each other and corners of the background dropped.
@@ -224,19 +218,19 @@ class PatchTracker:
         (least squares): errors do not add up from keyframe to keyframe. What they still differ by is their `off_px`."""
         if not self._differ:
             return
-        i, j, off_u, off_v = np.array(self._differ).T
+        one, other, off_u, off_v = np.array(self._differ).T
+        off = np.column_stack([off_u, off_v])
+        i, j = one.astype(int), other.astype(int)
         n, m = len(self._keyframes), len(i)
-        rows = np.arange(m)
-        told = coo_array((np.ones(m), (rows, i.astype(int))), (m, n)) - coo_array(
-            (np.ones(m), (rows, j.astype(int))), (m, n)
-        )
+        ones, rows = np.ones(m), np.arange(m)
+        told = coo_array((ones, (rows, i)), (m, n)) - coo_array((ones, (rows, j)), (m, n))  # shifts to differences
         normal = (told.T @ told).toarray() + _HELD * np.eye(n)
         normal[0, 0] += m  # the first one is where it was shown
-        by = -np.linalg.solve(normal, told.T @ np.column_stack([off_u, off_v]))
+        by = -np.linalg.solve(normal, told.T @ off)
         for keyframe, (u, v) in zip(self._keyframes, by, strict=True):
             keyframe.pose = replace(keyframe.pose, u=keyframe.pose.u + float(u), v=keyframe.pose.v + float(v))
         # What they differ by all the same is of both, in two coordinates.
-        left2 = np.sum((np.column_stack([off_u, off_v]) + told @ by) ** 2, axis=1) / 4.0
+        left2 = np.sum((off + told @ by) ** 2, axis=1) / 4.0
         for k, keyframe in enumerate(self._keyframes):
             own = left2[(i == k) | (j == k)]
             keyframe.off_px = float(np.sqrt(own.mean())) if len(own) else 0.0

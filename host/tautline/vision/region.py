@@ -45,7 +45,8 @@ class Region:
     def save(self, path: Path) -> None:
         """Writes the region, and its picture as a PNG of the same name."""
         shown = path.with_suffix(".png")
-        cv2.imwrite(str(shown), self.picture)
+        if not cv2.imwrite(str(shown), self.picture):
+            raise TautError(f"{shown}: cannot be written: is there room, and may you write there?")
         document = {"format": FORMAT, "at_px": list(self.at), "side_px": self.side_px, "picture": shown.name}
         path.write_text(tomli_w.dumps(document), encoding="utf-8")
 
@@ -57,7 +58,7 @@ class Region:
             document = tomllib.loads(path.read_text(encoding="utf-8"))
             u, v = (float(x) for x in document["at_px"])
             side, name = float(document["side_px"]), str(document["picture"])
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, KeyError, TypeError, ValueError) as error:
+        except (OSError, KeyError, TypeError, ValueError, OverflowError) as error:
             raise TautError(f"{path}: cannot be read as a place to follow ({error}): {again}") from error
         if document.get("format") != FORMAT:
             raise TautError(f"{path}: format is {document.get('format')!r}, expected '{FORMAT}': {again}")

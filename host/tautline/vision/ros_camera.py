@@ -16,6 +16,7 @@ from tautline.vision.drops import Drops
 
 Array = np.ndarray
 _PREFIX = "ros:"
+# tolerance: the waits for a publisher and for a frame; a stamp that is older is of another clock.
 _FIRST_S, _NEXT_S, _OLDEST_S = 10.0, 5.0, 1.0
 _KEPT = 4  # frames that wait for who reads them
 _KINDS = {"sensor_msgs/msg/Image": "Image", "sensor_msgs/msg/CompressedImage": "CompressedImage"}
@@ -38,7 +39,6 @@ class RosCamera:
     is of this machine's clock, else when it came. Use it as a context manager."""
 
     exposure = ""
-
     frames = None  # how many there are: a topic does not end
 
     def __init__(self, source: str) -> None:
@@ -83,8 +83,7 @@ class RosCamera:
         """Queues a message with its arrival, s of the monotonic clock: by its stamp, where that says 0 to 1 s ago on
         this machine's clock, else when it came."""
         now = time.monotonic()
-        at = message.header.stamp
-        age_s = 1e-9 * self._graph.node.get_clock().now().nanoseconds - (at.sec + 1e-9 * at.nanosec)
+        age_s = self._graph.age_s(message.header.stamp)
         stamped = 0.0 <= age_s < _OLDEST_S
         self.clock = "the messages' stamps" if stamped else "the host's monotonic clock when the message came"
         with self._came:
@@ -106,13 +105,18 @@ class RosCamera:
         TautError where it cannot be."""
         data = np.frombuffer(message.data, np.uint8)
         if not hasattr(message, "encoding"):
-            decoded = cv2.imdecode(data, cv2.IMREAD_COLOR)
+            decoded = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
             if decoded is None:
                 raise TautError(f"{self.name}: an image cannot be decoded (format '{message.format}')")
             return np.asarray(decoded)
         if message.encoding not in _TO_BGR:
             raise TautError(f"{self.name}: images are {message.encoding}: one of {', '.join(_TO_BGR)} is wanted")
         channels, code = _TO_BGR[message.encoding]
+        if not 0 < message.width * channels <= message.step or not 0 < message.height * message.step <= len(data):
+            raise TautError(
+                f"{self.name}: an image holds {len(data)} bytes for {message.height} rows of {message.step}, which are "
+                f"no {message.width} x {message.height} px of {message.encoding}: is its publisher sound?"
+            )
         rows = data[: message.height * message.step].reshape(message.height, message.step)
         pixels = rows[:, : message.width * channels].reshape(message.height, message.width, channels)
         return np.ascontiguousarray(pixels) if code is None else np.asarray(cv2.cvtColor(pixels, code))

@@ -25,9 +25,7 @@ Array = npt.NDArray[np.floating[Any]]
 
 _CORNERS, _CORNER_QUALITY, _APART = 250, 0.01, 5.0  # tolerance: of a keyframe; px between them
 _FEWEST = 20  # tolerance: corners that go together: eight numbers make a homography, four corners
-_BORDER_PX = (
-    12.0  # tolerance: nothing is looked for nearer to the picture's edge: a window of Lucas-Kanade is cut there
-)
+_BORDER_PX = 12  # tolerance: nothing is looked for nearer to the edge: a window of Lucas-Kanade is cut there
 _TOGETHER_PX = 0.5  # tolerance: from the common motion
 _OWN = 0.8  # tolerance: of the pictures in which a corner of the world that stays goes along
 _STEP = 0.08  # tolerance: of the field of view, diagonal: from the nearest keyframe, from which a new one is taken
@@ -59,7 +57,8 @@ class _Keyframe:
 
 @dataclass
 class SceneTracker:
-    """`track` gives the world's turn since the first picture; after a motion `settle` makes the keyframes agree."""
+    """`track` gives the world's turn since the first picture that others show something of; after a motion `settle`
+    makes the keyframes agree."""
 
     camera: Camera
     _keyframes: list[_Keyframe] = field(default_factory=list)
@@ -73,20 +72,26 @@ class SceneTracker:
         self._step = _STEP * 2.0 * float(np.arctan(0.5 * across))
 
     def track(self, picture: Picture) -> Array | None:
-        """(3,) rad Rotation vector of the camera since the first frame; None where the scene is not found again."""
+        """(3,) rad Rotation vector of the camera since the first frame; None where the scene is not found again. While
+        no frame shows the first one again (it was dark, or covered), turns begin anew at each."""
         grey = even_light(picture)
         if not self._keyframes:
-            self._keyframes.append(self._keyframe(grey, np.zeros(3)))
-            return np.zeros(3)
+            return self._begin(grey)
         expected = self._turns[-1] if self._turns else np.zeros(3)
         if len(self._turns) == 2:  # the motion goes on as it went
             expected = _vector(_matrix(self._turns[1]) @ _matrix(self._turns[0]).T @ _matrix(self._turns[1]))
         turn = self._turn_by_nearest(grey, expected)
         if turn is None and (turn := self._turn_by_best(grey)) is None:
             self._turns.clear()
-            return None
+            alone = len(self._keyframes) == 1 and not self._keyframes[0].met.any()
+            return self._begin(grey) if self._learns and alone else None
         self._turns = [*self._turns[-1:], turn]
         return turn
+
+    def _begin(self, grey: Picture) -> Array:
+        """Makes this grey picture the first keyframe, where turns begin: (3,) rad, 0."""
+        self._keyframes = [self._keyframe(grey, np.zeros(3))]
+        return np.zeros(3)
 
     def settle(self) -> None:
         """Ends learning: turns the keyframes so that they differ least in the pictures that two of them saw (least
@@ -108,9 +113,8 @@ class SceneTracker:
     def _keyframe(self, grey: Picture, turn: Array) -> _Keyframe:
         """A keyframe of this grey picture, which the camera took at this turn (3,) rad; corners near the border are
         left out."""
-        edge = int(_BORDER_PX)
         mask = np.zeros_like(grey)
-        mask[edge:-edge, edge:-edge] = 255
+        mask[_BORDER_PX:-_BORDER_PX, _BORDER_PX:-_BORDER_PX] = 255
         found = cv2.goodFeaturesToTrack(grey, _CORNERS, _CORNER_QUALITY, _APART, mask=mask)
         corners = np.empty((0, 2)) if found is None else found.reshape(-1, 2).astype(float)
         return _Keyframe(grey, corners, self._directions(corners), turn, *np.zeros((2, len(corners))))

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+SURE_PX = 1e-3  # tolerance: no place is said to be known better
+
 
 @dataclass(frozen=True)
 class Sighting:
