@@ -48,8 +48,7 @@ def prepare_tracks(tracks: Sequence[Track], delay_s: float) -> list[PreparedTrac
     """Tracks prepared for a fit without poses: frames at which translation and rotation are where they mostly are may
     count, thinned out evenly to _MOST_FRAMES in all."""
     reference = tracks[0].others_reference
-    total = sum(len(track.t_s) for track in tracks)
-    stride = max(1, -(-total // _MOST_FRAMES))
+    stride = _counted_stride(sum(len(track.t_s) for track in tracks))
     prepared = []
     places = [track.motor_at(track.scene_s(delay_s)) for track in tracks]
     noise = NoiseByPlace.of(tracks, places)
@@ -60,6 +59,11 @@ def prepare_tracks(tracks: Sequence[Track], delay_s: float) -> list[PreparedTrac
             use &= np.arange(len(use)) % stride == 0
         prepared.append(PreparedTrack.of(track, use))
     return prepared
+
+
+def _counted_stride(frames: int) -> int:
+    """Every how manyth of so many frames may count, so that _MOST_FRAMES at most do."""
+    return max(1, -(-frames // _MOST_FRAMES))
 
 
 def fit_jointly(
@@ -130,8 +134,10 @@ def _fit_in_steps(
 
 
 def _thinned(prepared: Sequence[PreparedTrack]) -> list[PreparedTrack]:
-    """The tracks with about _SCANNED frames in all, evenly spread."""
-    stride = max(1, sum(len(each.track.t_s) for each in prepared) // _SCANNED)
+    """The tracks with about _SCANNED of the frames that `prepare_tracks` left to count, evenly spread."""
+    frames = sum(len(each.track.t_s) for each in prepared)
+    counted = _counted_stride(frames)
+    stride = counted * max(1, frames // counted // _SCANNED)
     if stride == 1:
         return list(prepared)
     every = slice(None, None, stride)
