@@ -6,6 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from angle_plant import RIG as JOINT_RIG
+from angle_plant import Motion
+from angle_plant import record as record_joint
 from slices import some
 
 from tautline.calibration.calibrate import calibrate
@@ -347,3 +350,12 @@ def test_a_tip_that_creeps_on_after_the_motor_turned_hides_no_onset(share, tau_s
     width, delay = width_error(found.model, plant), abs(found.model.delay_s - 0.0873)
     print(f"creep of {share:.2f} over {tau_s} s: B(q) {1e3 * width:.1f} um rms, delay {1e3 * delay:.1f} ms off")
     assert width < 0.02 * plant.width.mean() and delay < 0.012
+
+
+def test_a_sensor_that_saw_the_first_rest_alone_ends_in_a_verdict():
+    """No frame moves, so none tells at what speed a count of the motor is how late: the delay's sigma was NaN, and no
+    eigenvalue was found in what it went into."""
+    whole = record_joint(Motion.through((-35, 35, -30, 30, -35), speed=15.0), noise=0.03)
+    angle = Angle(whole.angle.t_s[:40], whole.angle.c_deg[:40])
+    found = calibrate([replace(whole, angle=angle)], JOINT_RIG, naming=False)
+    assert found.delay.sigma_s == np.inf and not found.model.quality.usable

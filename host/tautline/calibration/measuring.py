@@ -328,8 +328,11 @@ class Measuring(_Setting):
     def _delay_of_joint_fit(self, stops: Delay, joint_fit: Fitted) -> Delay:
         """The joint fit's delay and its sigma, s, to which the rounding of the motor's counts at turns adds: an error
         of time at the motor's speed. Where the delay was not fitted the sigma is that of the stops, for the nominal
-        delay a frame's period at most."""
-        speed = float(np.median(np.concatenate([np.abs(s.speed[s.moving]) for s in joint_fit.fit.simulated])))
+        delay a frame's period at most. It is infinite where the tip moves at no frame."""
+        speeds = np.concatenate([np.abs(s.speed[s.moving]) for s in joint_fit.fit.simulated])
+        if not len(speeds):
+            return Delay(joint_fit.curves.delay_s, np.inf, stops.stops)
+        speed = float(np.median(speeds))
         counts = of_rounding(self.rig.actuator.encoder_resolution) / max(speed, 1e-9) / np.sqrt(max(stops.stops, 1))
         own = joint_fit.delay_sigma
         if not joint_fit.fit.fit_delay:
