@@ -224,6 +224,20 @@ def test_the_papers_modes():
     assert any("14 knots" in note for note in paper.notes)
 
 
+def test_what_the_papers_median_line_leaves_is_not_the_rigs_fault():
+    """It leaves more than the noise with the right rig. Of a wrong one the marker's pixels tell, as of a direct fit:
+    degrees were compared with them."""
+    made, away = record(RIG, preset("random", RIG, 3), motion(RIG), 72).recording, RIG.camera
+    away = replace(away, fx_px=1.5 * away.fx_px, fy_px=1.5 * away.fy_px)
+    paper = Options(remaining="morphological")
+    right = calibrate([made], RIG, paper, naming=False)
+    assert [reason.code for reason in right.model.quality.reasons] == ["residual"]
+    wrong = [calibrate([made], replace(RIG, camera=away), how, naming=False) for how in (Options(), paper)]
+    told = [next(r for r in each.model.quality.reasons if r.code == "registration.static") for each in wrong]
+    assert all("px (rms) off" in reason.says for reason in told)
+    assert wrong[1].evidence["residual"] == pytest.approx(wrong[0].evidence["residual"], rel=0.05)
+
+
 def test_a_given_delay_is_kept():
     made = record(RIG, preset("random", RIG, 12), motion(RIG, reversals=8), 12).recording
     assert calibrate([made], RIG, Options(delay_s=0.0873)).model.delay_s == 0.0873
@@ -259,6 +273,9 @@ def test_what_shows_nothing_is_refused():
     blind = np.full(len(made.marker.t_s), np.nan)
     with pytest.raises(TautError, match="never seen"):
         calibrate([replace(made, marker=Marker(made.marker.t_s, blind, blind, np.isfinite(blind)))], RIG)
+    joint = replace(made, name="joint", marker=None, angle=Angle(made.marker.t_s, np.sin(made.marker.t_s)))
+    with pytest.raises(TautError, match="calibrate with one kind"):
+        calibrate([replace(made, marker=Marker(made.marker.t_s, blind, blind, np.isfinite(blind))), joint], RIG)
     with pytest.raises(TautError, match="motor does not move"):
         calibrate([replace(made, motor=Motor(made.motor.t_s, np.zeros(len(made.motor.t_s))))], RIG)
     with pytest.raises(TautError, match="camera"):

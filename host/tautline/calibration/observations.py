@@ -151,8 +151,7 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
         else:
             raise TautError(f"{recording.name}: holds no marker positions and no angles: track its video first")
         tracks[-1] = replace(tracks[-1], session_s=session_s, motor_noise=noise)
-    units = {track.unit for track in tracks if len(track.t_s)}
-    if len(units) > 1:
+    if len({track.unit for track in tracks}) > 1:
         raise TautError("some recordings hold a marker and some an angle only: calibrate with one kind")
     return tracks
 

@@ -37,7 +37,7 @@ class Remaining:
 
     c_deg: Array
     sigma_deg: Array
-    residual: float  # rms per coordinate of the fit, px or deg; strays count as six medians
+    residual: float  # rms per coordinate, px or deg, strays cut: of the fit; of a median line in px beside the rig's path
     scale: float  # the same over the stated noise
     notes: tuple[str, ...]
     fitted: Fitted | None = None  # where it was fitted directly
@@ -282,9 +282,18 @@ def morphological(tracks: Sequence[Track], rig: Rig, grid: Array, delay_s: float
     curve = spline(inside) if spline is not None else np.interp(inside, centre, c)
     slope = np.polyfit(centre, c, 1)[0]
     lawful = monotone(curve + slope * (grid - inside), grid, falling, _LEAST_SLOPE * abs(rig.coarse.gain))
-    residual = float(np.sqrt(np.mean((np.interp(centre, grid, lawful) - c) ** 2)))
-    sigma = np.hypot(residual, tracked_deg(max(track.tracked_px for track in tracks), rig, lawful))
+    off_deg = float(np.sqrt(np.mean((np.interp(centre, grid, lawful) - c) ** 2)))
+    sigma = np.hypot(off_deg, tracked_deg(max(track.tracked_px for track in tracks), rig, lawful))
+    residual = _beside_rig_px(tracks, rig, delay_s) if tracks[0].unit == "px" else off_deg
     return Remaining(lawful, sigma, residual, np.nan, ("f_remain is the paper's median line",))
+
+
+def _beside_rig_px(tracks: Sequence[Track], rig: Rig, delay_s: float) -> float:
+    """rms per coordinate, px, by which markers are beside every place that the rig has for them, cut at _STRAY
+    medians."""
+    beside = np.concatenate([pose(rig, each.y, *each.others_at(each.scene_s(delay_s)))[1] for each in tracks])
+    off = beside[np.isfinite(beside)] / np.sqrt(2.0)
+    return float(np.sqrt(np.mean(np.minimum(off, _STRAY * float(np.median(off))) ** 2)))
 
 
 def characteristic_of_tracks(tracks: Sequence[Track], rig: Rig, delay_s: float) -> Characteristic | None:
