@@ -37,7 +37,7 @@ class Remaining:
 
     c_deg: Array
     sigma_deg: Array
-    residual: float  # rms per coordinate, px or deg, strays cut: of the fit; of a median line in px beside the rig's path
+    residual: float  # rms per coordinate, px or deg, strays cut; of a median line in px: beside the rig's path
     scale: float  # the same over the stated noise
     notes: tuple[str, ...]
     fitted: Fitted | None = None  # where it was fitted directly
