@@ -376,3 +376,19 @@ def test_a_sensor_that_saw_the_first_rest_alone_ends_in_a_verdict():
     angle = Angle(whole.angle.t_s[:40], whole.angle.c_deg[:40])
     found = calibrate([replace(whole, angle=angle)], JOINT_RIG, naming=False)
     assert found.delay.sigma_s == np.inf and not found.model.quality.usable
+
+
+def test_who_has_an_angle_sensor_is_told_of_no_camera():
+    """Not of hand_eye, a marker or frames, but of what such a rig has."""
+    made = record_joint(Motion.through((-35, 35, -30, 30, -35), speed=15.0), noise=0.03)
+    spiked = made.angle.c_deg.copy()
+    spiked[[300, 500]] += 30.0
+    still = np.full(len(spiked), 3.0)
+    told = []
+    for c_deg in (-spiked, still):
+        angle = replace(made.angle, c_deg=c_deg)
+        found = calibrate([replace(made, angle=angle)], JOINT_RIG, Options(delay_s=0.0), naming=False)
+        told += [*found.notes, *map(str, found.model.quality.reasons)]
+    assert any("a sign is wrong" in said for said in told) and any("nothing fits the rig" in said for said in told)
+    assert any(said.startswith("2 values are elsewhere") for said in told)
+    assert not any(word in said for said in told for word in ("camera", "hand_eye", "marker", "mirrored"))
