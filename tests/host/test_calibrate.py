@@ -13,7 +13,9 @@ from slices import some
 
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.choice import JOINT, ONSETS
+from tautline.calibration.observations import observe
 from tautline.calibration.options import Options
+from tautline.calibration.remaining import morphological
 from tautline.calibration.simulated_track import PreparedTrack
 from tautline.effects import simulate as simulate_effects
 from tautline.errors import TautError
@@ -392,3 +394,15 @@ def test_who_has_an_angle_sensor_is_told_of_no_camera():
     assert any("a sign is wrong" in said for said in told) and any("nothing fits the rig" in said for said in told)
     assert any(said.startswith("2 values are elsewhere") for said in told)
     assert not any(word in said for said in told for word in ("camera", "hand_eye", "marker", "mirrored"))
+
+
+def test_the_papers_picture_joins_no_recording_to_the_next():
+    """The first ends where the second does not begin: a line between them was the envelope's, f_remain 3.3 deg off."""
+    grid = np.linspace(*JOINT_RIG.actuator.range, 257)
+    motion = Motion.through((-35, 35, -35, 35), speed=15.0)
+    made = [record_joint(motion, noise=0.03, seed=seed) for seed in (1, 2)]
+    bent = [
+        replace(r, angle=replace(r.angle, c_deg=0.1 * r.angle.c_deg + 40.0 * (r.angle.c_deg / 40.0) ** 3)) for r in made
+    ]
+    one, two = (morphological(observe(some_of, JOINT_RIG), JOINT_RIG, grid, 0.0) for some_of in (bent[:1], bent))
+    assert np.abs(one.c_deg - two.c_deg)[np.abs(grid) < 32.0].max() < 0.1
