@@ -212,8 +212,8 @@ class Measuring(_Setting):
         nominal = told.fit.state.model
         self.load_mNm = told.fitter.load_reference
         law = replace(nominal, load_reference_mNm=self.load_mNm)
-        posed = all(track.posed for track in self._on_one_curve(before.delay.delay_s))
-        effects, values = FittedEffects.of(named, law, others_rest=not posed)
+        by_pose = all(track.posed for track in self._on_one_curve(before.delay.delay_s))
+        effects, values = FittedEffects.of(named, law, others_rest=not by_pose)
         if not effects.kinds:
             return None
         self._leave_out_held_places()
@@ -470,11 +470,11 @@ class Measuring(_Setting):
         gradual = next((part for part in components.parts if part.name == "phase.even"), None)
         if gradual is None or gradual.rms < max(_GRADUAL, 0.5 * max(part.rms for part in components.parts)):
             return None
-        start, fit_delay = components.applied(joint_fit), self.options.delay_s is None
-        plays = fit_elements(start, self.rig, fit_delay=fit_delay)
+        apart, fit_delay = components.applied(joint_fit), self.options.delay_s is None
+        plays = fit_elements(apart, self.rig, fit_delay=fit_delay)
         assert isinstance(plays.fit.hysteresis, Elements)
         candidates = [HysteresisFit(plays, len(plays.fit.hysteresis.width) - 1)]
-        friction = (fit_friction([joint_fit, start], self.rig, kind, fit_delay) for kind in PRIORS)
+        friction = (fit_friction([joint_fit, apart], self.rig, kind, fit_delay) for kind in PRIORS)
         candidates += [each for each in friction if each is not None]
         best = most_evidence(candidates, components.frames_per_independent)
         several = best.fitted

@@ -80,7 +80,7 @@ class Layout:
     @property
     def delay(self) -> int:
         """The delay."""
-        return self.channels * self.follow_size + self.backlash_size + self.effects_size
+        return self.effects.stop
 
     @property
     def total(self) -> int:

@@ -84,8 +84,9 @@ class Worth:
 def predictive_worth(
     model: Model, tracks: Sequence[Track], joint_fit: Fitted | None, remaining: Fitted | None
 ) -> Worth | None:
-    """tracks: on the motor's clock. joint_fit, remaining: the fits of B and of f_remain, whose smoothness is the prior
-    of both; where one is None nothing is left out. None where nothing was seen after the tip was driven both ways."""
+    """What the model is worth on these tracks, which are on the motor's clock. joint_fit, remaining: the fits of B and
+    of f_remain, whose smoothness is the prior of both; where one is None nothing is left out. None where nothing was
+    seen after the tip was driven both ways."""
     if remaining is not None:
         tracks = [prepared.track for prepared in remaining.fit.tracks]  # with the noise that each place has
     fit, curves = _fit_of(model, tracks, joint_fit, remaining)
