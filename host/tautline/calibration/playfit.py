@@ -80,7 +80,7 @@ class Layout:
     @property
     def delay(self) -> int:
         """The delay."""
-        return self.effects.stop
+        return self.channels * self.follow_size + self.backlash_size + self.effects_size
 
     @property
     def total(self) -> int:
