@@ -234,7 +234,8 @@ def _doubt_clock(found: Measured, aligned: clock.AlignedTracks, delay: Delay) ->
         found.findings.doubt(
             "clock.offset",
             f"the sensor's clock was off, and its offset is known to {2e3 * delay.sigma_s:.2g} ms only (2 sigma)",
-            "put both on one clock: what a codec or glare holds back of the marker looks like a delay",
+            "put both on one clock"
+            + (": what a codec or glare holds back of the marker looks like a delay" if found.camera else ""),
             fatal=True,
         )
     if not np.isfinite(delay.sigma_s):

@@ -95,7 +95,7 @@ class Posterior(Value):
             return cls(tuple(document["names"]), mean, covariance, np.nan if told is None else float(told))
         except OSError as error:
             raise TautError(of_system(error)) from error
-        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        except (ValueError, KeyError, TypeError) as error:
             raise TautError(f"{path}: no posterior, or a damaged one: write it again") from error
 
     def _indices(self, names: Sequence[str]) -> npt.NDArray[np.intp]:

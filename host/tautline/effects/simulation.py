@@ -23,8 +23,8 @@ Array = npt.NDArray[np.float64]
 # Names of parameters: of effects that move the tip in C; that change where it is seen; that are simulated by tables.
 NATIVE = frozenset(name for name, *_ in _native.effect_parameters)
 PROJECTION = frozenset(name for name, *_ in _native.projection_parameters)
-_TABLED = tuple(kind for kind in LIBRARY if kind.in_tables)  # descriptors of the latter
-IN_TABLES = frozenset(p.name for kind in _TABLED for form in kind.forms for p in form.parameters)
+_TABLED = tuple(form for kind in LIBRARY if kind.in_tables for form in kind.forms)  # descriptors of the latter
+IN_TABLES = frozenset(p.name for form in _TABLED for p in form.parameters)
 _TRANSFORMED = tuple(kind for kind in LIBRARY if kind.transform)  # effects with a law in Python
 _MEANS = frozenset(kind.event.mean for kind in LIBRARY if kind.event)  # names of events' mean effects
 
@@ -203,7 +203,7 @@ _recent: tuple[tuple[Model, dict[str, Any], Model], ...] = ()
 def tabled(model: Model, parameters: Mapping[str, Any]) -> Model:
     """The model with the effects that are simulated by tables (IN_TABLES) put into its B and f_remain; the last few
     results are kept. parameters: of all effects, by name."""
-    present = [kind for kind in _TABLED if any(p.name in parameters for form in kind.forms for p in form.amplitudes)]
+    present = [kind for kind in _TABLED if any(parameter.name in parameters for parameter in kind.amplitudes)]
     if not present:
         return model
     values = {name: parameters[name] for name in IN_TABLES if name in parameters}

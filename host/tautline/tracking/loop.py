@@ -65,12 +65,12 @@ class Tracker:
         """Returns what was predicted for the frame that arrived at t_s, s, and then learns from what it shows: u, v
         (px) and, if known, their sigma; c (deg) of an angle sensor; nothing where the tip was not seen. TautError for a
         frame before the last one, or before any motor sample."""
-        if not self._frame_s < t_s < np.inf:
-            raise TautError(f"a frame at {t_s:g} s after one at {self._frame_s:g} s: give frames in order of time")
-        if seen and len(seen) not in ((2, 3) if self.sensor == MARKER else (1,)):
-            raise TautError("a marker is seen at u, v (and sigma) px, an angle sensor's reading is one c in deg")
         scene_s = t_s - self._delay_s
         self._hand_over(scene_s)
+        if not t_s > self._frame_s:
+            raise TautError(f"a frame at {t_s:g} s after one at {self._frame_s:g} s: give frames in order of time")
+        if seen and (self.sensor == MARKER) != (len(seen) > 1):
+            raise TautError("a marker is seen at u, v (and sigma) px, an angle sensor's reading is one c in deg")
         self._frame_s = t_s
         row = self._laws.predict(scene_s, t_s)
         if seen:

@@ -14,7 +14,6 @@ from tautline.tracking.law import OFFSET, Law
 Array = npt.NDArray[np.float64]
 
 _CELLS = 16  # tolerance: in a mean B
-_MOST_CELLS = 4096  # tolerance: wider ones where B is narrow: a question is asked within a frame's time
 _WINDOW = 12  # loss: cells that are judged together
 _GAP = 1.0  # limit: of B: frames of a pass that are farther apart leave a hole
 _OFF = 1.5  # prior: standard deviations off the marker's track (rms): then it is no motion of the play
@@ -36,10 +35,10 @@ class Passes:
     """The last pass of each place, each way. O(1) a frame, O(places) a question."""
 
     def __init__(self, model: Model, width: float) -> None:
-        """width: the mean B, unit of q; a cell is 1/_CELLS of it, or 1/_MOST_CELLS of the grid where that is more."""
+        """width: the mean B, unit of q; a cell is 1/_CELLS of it."""
+        self._model, self._cell = model, width / _CELLS
         grid = model.q
         self._low = float(grid[0])
-        self._model, self._cell = model, max(width / _CELLS, (float(grid[-1]) - self._low) / _MOST_CELLS)
         count = int((float(grid[-1]) - self._low) / self._cell) + 1
         self.place = self._low + self._cell * np.arange(count)  # by the calibrated f_remain: where it is in the image
         self._b = np.interp(self.place, grid, model.width)

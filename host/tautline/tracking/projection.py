@@ -58,8 +58,8 @@ class Projection:
         self, u: float, v: float, translation: float, rotation: float, near: float, sigma: float = 0.0
     ) -> AngleEstimate | None:
         """The angle whose image is nearest to (u, v), by Newton's method from the angle `near`, deg; sigma: of the
-        marker, px, NaN where it is not known. None where the tip would be behind the camera or no angle is found."""
-        sigma = max(self.noise, sigma)  # in this order: it is not NaN
+        marker, px. None where the tip would be behind the camera or no angle is found."""
+        sigma = max(sigma, self.noise)
         c, off_u, off_v, by_u, by_v, squares = near, 0.0, 0.0, 0.0, 0.0, 0.0
         moved, turned = np.array([translation]), np.array([rotation])
         for _ in range(_TURNS):

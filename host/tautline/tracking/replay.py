@@ -123,9 +123,7 @@ def residuals(tracked: Tracked, recordings: Sequence[Recording]) -> list[float |
 
 
 def _sensor(recordings: Sequence[Recording]) -> Sensor:
-    """MARKER or ANGLE: what all recordings have. TautError where they have neither in common, or there are none."""
-    if not recordings:
-        raise TautError("track needs a recording of use, or several")
+    """MARKER or ANGLE: what all recordings have. TautError where they have neither in common."""
     for sensor, name in ((MARKER, "marker"), (ANGLE, "angle")):
         if all(getattr(recording, name) is not None for recording in recordings):
             return sensor
