@@ -70,13 +70,13 @@ class Worth:
         """A fatal reason where the model is useless, else none."""
         if not self.useless:
             return []
-        given = "camera, hand_eye, actuator.unit" if self.unit == "px" else "coarse.gain, actuator.unit, angle.csv's unit"
+        of_sensor = "camera, hand_eye" if self.unit == "px" else "coarse.gain, the unit of angle.csv"
         return [
             Reason(
                 "predicts",
                 f"it predicts its own recordings to {self.model:.3g} {self.unit}, f_coarse to {self.coarse:.3g}, "
                 f"a tip that never moves to {self.constant:.3g}",
-                f"nothing fits the rig: check {given} and the clock of the frames",
+                f"nothing fits the rig: check {of_sensor}, actuator.unit and the clock of the frames",
                 fatal=True,
             )
         ]
