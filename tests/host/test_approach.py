@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from angle_plant import RIG, Motion, record
 
+from tautline.calibration import smooth
 from tautline.calibration.observations import observe
 from tautline.calibration.playfit import NODES
 from tautline.calibration.simulated_track import PreparedTrack
@@ -43,3 +44,12 @@ def test_a_width_of_nothing_at_the_start_is_not_driven_through_at_once() -> None
     settled = PreparedTrack.of(track).simulate(grid, width, 0.0).settled
     turned = motion.t_s[int(np.argmax(motion.q))]
     assert settled.any() and track.t_s[settled][0] == pytest.approx(turned + 2.0 / 8.0, abs=0.02)
+
+
+@pytest.mark.parametrize("frames", [5_900, 13_000, 130_000])
+def test_a_fit_begins_with_thousands_of_frames_however_many_there_are(frames: int) -> None:
+    """Of 130,000 that count one in eleven, and one in 43 of all were 275."""
+    motion = Motion.through()
+    tracks = observe([record(motion, sensor_hz=frames / motion.t_s[-1])], RIG)
+    begin = smooth._thinned(prepare_tracks(tracks, 0.0))
+    assert 2_900 < sum(np.count_nonzero(each.use) for each in begin) < 6_000

@@ -6,11 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from angle_plant import RIG as JOINT_RIG
+from angle_plant import Motion
+from angle_plant import record as record_joint
 from slices import some
 
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.choice import JOINT, ONSETS
+from tautline.calibration.observations import observe
 from tautline.calibration.options import Options
+from tautline.calibration.remaining import morphological
 from tautline.calibration.simulated_track import PreparedTrack
 from tautline.effects import simulate as simulate_effects
 from tautline.errors import TautError
@@ -221,6 +226,20 @@ def test_the_papers_modes():
     assert any("14 knots" in note for note in paper.notes)
 
 
+def test_what_the_papers_median_line_leaves_is_not_the_rigs_fault():
+    """It leaves more than the noise with the right rig. Of a wrong one the marker's pixels tell, as of a direct fit:
+    degrees were compared with them."""
+    made, away = record(RIG, preset("random", RIG, 3), motion(RIG), 72).recording, RIG.camera
+    away = replace(away, fx_px=1.5 * away.fx_px, fy_px=1.5 * away.fy_px)
+    paper = Options(remaining="morphological")
+    right = calibrate([made], RIG, paper, naming=False)
+    assert [reason.code for reason in right.model.quality.reasons] == ["residual"]
+    wrong = [calibrate([made], replace(RIG, camera=away), how, naming=False) for how in (Options(), paper)]
+    told = [next(r for r in each.model.quality.reasons if r.code == "registration.static") for each in wrong]
+    assert all("px (rms) off" in reason.says for reason in told)
+    assert wrong[1].evidence["residual"] == pytest.approx(wrong[0].evidence["residual"], rel=0.05)
+
+
 def test_a_given_delay_is_kept():
     made = record(RIG, preset("random", RIG, 12), motion(RIG, reversals=8), 12).recording
     assert calibrate([made], RIG, Options(delay_s=0.0873)).model.delay_s == 0.0873
@@ -256,6 +275,9 @@ def test_what_shows_nothing_is_refused():
     blind = np.full(len(made.marker.t_s), np.nan)
     with pytest.raises(TautError, match="never seen"):
         calibrate([replace(made, marker=Marker(made.marker.t_s, blind, blind, np.isfinite(blind)))], RIG)
+    joint = replace(made, name="joint", marker=None, angle=Angle(made.marker.t_s, np.sin(made.marker.t_s)))
+    with pytest.raises(TautError, match="calibrate with one kind"):
+        calibrate([replace(made, marker=Marker(made.marker.t_s, blind, blind, np.isfinite(blind))), joint], RIG)
     with pytest.raises(TautError, match="motor does not move"):
         calibrate([replace(made, motor=Motor(made.motor.t_s, np.zeros(len(made.motor.t_s))))], RIG)
     with pytest.raises(TautError, match="camera"):
@@ -347,3 +369,40 @@ def test_a_tip_that_creeps_on_after_the_motor_turned_hides_no_onset(share, tau_s
     width, delay = width_error(found.model, plant), abs(found.model.delay_s - 0.0873)
     print(f"creep of {share:.2f} over {tau_s} s: B(q) {1e3 * width:.1f} um rms, delay {1e3 * delay:.1f} ms off")
     assert width < 0.02 * plant.width.mean() and delay < 0.012
+
+
+def test_a_sensor_that_saw_the_first_rest_alone_ends_in_a_verdict():
+    """No frame moves, so none tells at what speed a count of the motor is how late: the delay's sigma was NaN, and no
+    eigenvalue was found in what it went into."""
+    whole = record_joint(Motion.through((-35, 35, -30, 30, -35), speed=15.0), noise=0.03)
+    angle = Angle(whole.angle.t_s[:40], whole.angle.c_deg[:40])
+    found = calibrate([replace(whole, angle=angle)], JOINT_RIG, naming=False)
+    assert found.delay.sigma_s == np.inf and not found.model.quality.usable
+
+
+def test_who_has_an_angle_sensor_is_told_of_no_camera():
+    """Not of hand_eye, a marker or frames, but of what such a rig has."""
+    made = record_joint(Motion.through((-35, 35, -30, 30, -35), speed=15.0), noise=0.03)
+    spiked = made.angle.c_deg.copy()
+    spiked[[300, 500]] += 30.0
+    still = np.full(len(spiked), 3.0)
+    told = []
+    for c_deg in (-spiked, still):
+        angle = replace(made.angle, c_deg=c_deg)
+        found = calibrate([replace(made, angle=angle)], JOINT_RIG, Options(delay_s=0.0), naming=False)
+        told += [*found.notes, *map(str, found.model.quality.reasons)]
+    assert any("a sign is wrong" in said for said in told) and any("nothing fits the rig" in said for said in told)
+    assert any(said.startswith("2 values are elsewhere") for said in told)
+    assert not any(word in said for said in told for word in ("camera", "hand_eye", "marker", "mirrored"))
+
+
+def test_the_papers_picture_joins_no_recording_to_the_next():
+    """The first ends where the second does not begin: a line between them was the envelope's, f_remain 3.3 deg off."""
+    grid = np.linspace(*JOINT_RIG.actuator.range, 257)
+    motion = Motion.through((-35, 35, -35, 35), speed=15.0)
+    made = [record_joint(motion, noise=0.03, seed=seed) for seed in (1, 2)]
+    bent = [
+        replace(r, angle=replace(r.angle, c_deg=0.1 * r.angle.c_deg + 40.0 * (r.angle.c_deg / 40.0) ** 3)) for r in made
+    ]
+    one, two = (morphological(observe(some_of, JOINT_RIG), JOINT_RIG, grid, 0.0) for some_of in (bent[:1], bent))
+    assert np.abs(one.c_deg - two.c_deg)[np.abs(grid) < 32.0].max() < 0.1

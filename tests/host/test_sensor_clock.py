@@ -280,6 +280,20 @@ def test_a_few_steps_between_strokes_are_left_out():
     assert width_error(found.model) < 0.02
 
 
+@pytest.mark.parametrize("delay_s", [0.0, 0.033])
+@pytest.mark.parametrize("dwell_s", [0.5, 0.507])
+def test_a_frame_beside_a_step_does_not_tell_the_delay(delay_s, dwell_s):
+    """The tip rests there, but the motor's speed over some milliseconds is the step's: one such frame held the delay to
+    microseconds wherever it was, and B was up to five sigma off."""
+    motion = Motion.through((-35, 35, -30, 30, -35), 15.0).then(Motion.steps((-35, 10, -20, 25), dwell_s))
+    found = calibrate([record(motion, noise=0.03, delay_s=delay_s, seed=1)], RIG, naming=False)
+    model = found.model
+    q = np.linspace(-25.0, 25.0, 101)
+    off = np.interp(q, model.q, model.width) - width(q)
+    assert np.sqrt(np.mean((off / np.interp(q, model.q, model.width_sigma)) ** 2)) < 2.0
+    assert abs(model.delay_s - delay_s) < 3.0 * found.delay.sigma_s
+
+
 @settings(max_examples=60, deadline=None)
 @given(rate=st.sampled_from([10.0, 50.0, 1000.0]), speed=st.floats(0.5, 60.0), seed=st.integers(0, 100))
 def test_no_motion_at_a_speed_is_a_step(rate, speed, seed):

@@ -19,8 +19,8 @@ from scipy.special import expit
 from tautline.calibration.components import interpolated
 from tautline.calibration.counted import CountedFrames, counted_frames
 from tautline.calibration.mixed_model import normal_with_columns
-from tautline.calibration.playfit import Curves, Fitted
-from tautline.calibration.several import frame_powers, rms_of_frame_powers, rms_over_noise
+from tautline.calibration.playfit import Curves, Fitted, rms_of_frame_powers
+from tautline.calibration.several import frame_powers, rms_over_noise
 from tautline.elements import Play
 from tautline.friction import BOUC_WEN, DAHL, VALUES, Friction
 from tautline.rig import Rig

@@ -30,7 +30,8 @@ def doubt_onsets_and_remaining(found: Measured) -> None:
     if found.options.beforehand is not None:
         found.findings.notes.append("B(q) was known beforehand, from other robots: these recordings add to it")
     if stray := sum(track.stray for track in found.tracks):
-        found.findings.notes.append(f"{stray} frames show the marker elsewhere for a while: left out")
+        elsewhere = "frames show the marker" if found.camera else "values are"
+        found.findings.notes.append(f"{stray} {elsewhere} elsewhere for a while: left out")
     if not onsets:
         found.findings.doubt(
             "coverage", "the motor never turned back", "move back and forth by more than B", fatal=True
@@ -39,7 +40,8 @@ def doubt_onsets_and_remaining(found: Measured) -> None:
     bounds = [o for o in onsets if o.used and o.kind == BOUND]
     if onsets and not counted:
         longest = max((o.low for o in bounds), default=0.0)
-        moved = f", {len(bounds)} strokes up to {longest:.3g} {found.unit} moved nothing, so B is wider"
+        strokes = "1 stroke" if len(bounds) == 1 else f"{len(bounds)} strokes"
+        moved = f", {strokes} up to {longest:.3g} {found.unit} moved nothing, so B is wider"
         found.findings.doubt(
             "coverage",
             f"none of {len(onsets)} reversals showed an onset" + (moved if bounds else ""),
@@ -105,10 +107,11 @@ def _doubt_rig(found: Measured, remaining: Remaining) -> None:
     found.findings.evidence["gain"] = gain
     ratio = gain / found.rig.coarse.gain
     if ratio < 0:
+        image = "hand_eye, a mirrored image" if found.framed else "which way the sensor counts"
         found.findings.doubt(
             "coarse",
             f"the tip bends {gain:.3g} deg/{found.unit} where f_coarse says {found.rig.coarse.gain:.3g}",
-            "a sign is wrong: check encoder direction, coarse.gain, hand_eye, a mirrored image",
+            f"a sign is wrong: check encoder direction, coarse.gain, {image}",
         )
     elif not _LIKELY_GAIN[0] < ratio < _LIKELY_GAIN[1]:
         found.findings.doubt(

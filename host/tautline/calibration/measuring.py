@@ -212,8 +212,8 @@ class Measuring(_Setting):
         nominal = told.fit.state.model
         self.load_mNm = told.fitter.load_reference
         law = replace(nominal, load_reference_mNm=self.load_mNm)
-        posed = all(track.posed for track in self._on_one_curve(before.delay.delay_s))
-        effects, values = FittedEffects.of(named, law, others_rest=not posed)
+        by_pose = all(track.posed for track in self._on_one_curve(before.delay.delay_s))
+        effects, values = FittedEffects.of(named, law, others_rest=not by_pose)
         if not effects.kinds:
             return None
         self._leave_out_held_places()
@@ -328,8 +328,11 @@ class Measuring(_Setting):
     def _delay_of_joint_fit(self, stops: Delay, joint_fit: Fitted) -> Delay:
         """The joint fit's delay and its sigma, s, to which the rounding of the motor's counts at turns adds: an error
         of time at the motor's speed. Where the delay was not fitted the sigma is that of the stops, for the nominal
-        delay a frame's period at most."""
-        speed = float(np.median(np.concatenate([np.abs(s.speed[s.moving]) for s in joint_fit.fit.simulated])))
+        delay a frame's period at most. It is infinite where the tip moves at no frame."""
+        speeds = np.concatenate([np.abs(s.speed[s.moving]) for s in joint_fit.fit.simulated])
+        if not len(speeds):
+            return Delay(joint_fit.curves.delay_s, np.inf, stops.stops)
+        speed = float(np.median(speeds))
         counts = of_rounding(self.rig.actuator.encoder_resolution) / max(speed, 1e-9) / np.sqrt(max(stops.stops, 1))
         own = joint_fit.delay_sigma
         if not joint_fit.fit.fit_delay:
@@ -467,11 +470,11 @@ class Measuring(_Setting):
         gradual = next((part for part in components.parts if part.name == "phase.even"), None)
         if gradual is None or gradual.rms < max(_GRADUAL, 0.5 * max(part.rms for part in components.parts)):
             return None
-        start, fit_delay = components.applied(joint_fit), self.options.delay_s is None
-        plays = fit_elements(start, self.rig, fit_delay=fit_delay)
+        apart, fit_delay = components.applied(joint_fit), self.options.delay_s is None
+        plays = fit_elements(apart, self.rig, fit_delay=fit_delay)
         assert isinstance(plays.fit.hysteresis, Elements)
         candidates = [HysteresisFit(plays, len(plays.fit.hysteresis.width) - 1)]
-        friction = (fit_friction([joint_fit, start], self.rig, kind, fit_delay) for kind in PRIORS)
+        friction = (fit_friction([joint_fit, apart], self.rig, kind, fit_delay) for kind in PRIORS)
         candidates += [each for each in friction if each is not None]
         best = most_evidence(candidates, components.frames_per_independent)
         several = best.fitted

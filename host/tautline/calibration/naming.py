@@ -18,8 +18,12 @@ LOOKS = start.NAMES | {"residual", "repeatability"}  # what departs, by how it l
 # What is not weighed, and what effects that are may look like: they may as well stand in for it.
 _UNWEIGHED = frozenset(
     {
-        *("transmission.offset", "transmission.backlash", "clock.drift"),
-        *("registration.drift", "registration.breathing", "registration.repeatability"),
+        "transmission.offset",
+        "transmission.backlash",
+        "clock.drift",
+        "registration.drift",
+        "registration.breathing",
+        "registration.repeatability",
     }
 )
 

@@ -22,6 +22,7 @@ from tautline.rig import ANGLE, MARKER, Rig, Sensor
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
+_AS_STATED = (0.6, 1.6)  # prior: ratio of the noise that y shows to the stated one, in which the stated one counts
 _DOUBTFUL = 3.0  # prior: frames of so many times the usual stated noise do not count
 _RESOLVED = 4.0  # prior: times the least steps that a sensor shows: beyond, repeated values are no matter of resolution
 _HELD, _FEWEST_RUNS = 0.25, 8  # prior: share of values that are repeated then, and how many must be seen
@@ -151,8 +152,7 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
         else:
             raise TautError(f"{recording.name}: holds no marker positions and no angles: track its video first")
         tracks[-1] = replace(tracks[-1], session_s=session_s, motor_noise=noise)
-    units = {track.unit for track in tracks if len(track.t_s)}
-    if len(units) > 1:
+    if len({track.unit for track in tracks}) > 1:
         raise TautError("some recordings hold a marker and some an angle only: calibrate with one kind")
     return tracks
 
@@ -189,7 +189,7 @@ def _track(recording: Recording, path: MotorPath, unit: str, t: Array, y: Array,
         # One noise for all frames, so that a still marker stays level when it is divided by it.
         keep = ~(good & (given > _DOUBTFUL * stated))
         t, y = t[keep], y[keep]
-        noise = stated if 0.6 < noise / stated < 1.6 else noise
+        noise = stated if _AS_STATED[0] < noise / stated < _AS_STATED[1] else noise
     noise = max(noise, 1e-9)
     stray = strays(path, t, y, noise)
     t, y = t[~stray], y[~stray]

@@ -23,14 +23,14 @@ from tautline.rig import PLACES, Camera, HandEye, Kinematics, Place, Rig
 
 Array = npt.NDArray[np.float64]
 
-_NODES = PLACES  # motor positions at which angle and place are unknown
+_NODES = PLACES  # tolerance: motor positions at which angle and place are unknown
 _SHOWN = 0.25  # prior: of the square's side: standard deviation of its middle from that of a tube as wide
 _ROAMS = 0.25  # prior: of it, half a tube's radius: how far the place goes over to the side that the camera sees
 _ANYWAY = 0.5  # prior: turns of that side, in radii, that it goes on by where the side is the one that was shown
-_TURN_DEG = 20.0  # of bending over which that stays alike
+_TURN_DEG = 20.0  # prior: of bending, over which that stays alike
 _JITTER = 1e-4  # tolerance: of it, that keeps its covariance regular
 _STEP = 1e-4  # tolerance: deg or mm, of a derivative by differences
-_MOST_STEPS = 100
+_MOST_STEPS = 100  # tolerance
 _ENOUGH = 1e-3  # tolerance: of the cost, sigma^2
 
 

@@ -27,10 +27,12 @@ Array = npt.NDArray[np.float64]
 HINGE, BRACKET, BOUND, NONE = "hinge", "bracket", "bound", "none"
 _LONGEST = 160  # tolerance: frames after the onset that one hinge takes in
 _BEFORE = 24  # tolerance: frames before the turn that tell when the image stopped
+_JUMP_GAINS = 40.0  # prior: of twice the log likelihood, over a hinge, from which an onset is a jump
+_UNCERTAIN = 0.25  # tolerance: of the width or the stroke: an onset with a larger sigma does not count
 _JUMP = 8.0  # tolerance: sigma: a quantised sensor's steps are no jumps
 _JUMPS_TOGETHER = 8.0  # prior: mean chi-square that jumps explain; 1 to 3 where there are none
-NOMINAL_S = 0.03  # standard deviation of a nominal delay
-_DELAY_REACH_S = 0.12  # the delay is looked for this far around the nominal one
+NOMINAL_S = 0.03  # prior: standard deviation of a nominal delay
+_DELAY_REACH_S = 0.12  # tolerance: the delay is looked for this far around the nominal one
 _AROUND_S = np.array([-0.5, 0.5])  # tolerance: of a stop: what the motor does in it, at any delay that is looked for
 _SETTLE_S = np.geomspace(0.2, 8.0, 16)  # prior: time constants of a tip that creeps; the first one is a lag's
 _STOPS_ANEW = 3  # tolerance: rounds
@@ -215,9 +217,9 @@ def delayed(onsets: Sequence[Onset], tracks: Sequence[Track], by_s: float) -> li
 
 
 def _onset_of_stroke(number: int, track: Track, before: _Stroke, after: _Stroke) -> Onset:
-    """The onset in the stroke `after` a turn; number: of the track. A bracket where a jump gains more than 40 of twice
-    the log likelihood over a hinge, else a hinge; a bound where nothing moved; not used, with a reason, where the
-    frames do not tell it."""
+    """The onset in the stroke `after` a turn; number: of the track. A bracket where a jump gains more than _JUMP_GAINS
+    over a hinge, else a hinge; a bound where nothing moved; not used, with a reason, where the frames do not tell
+    it."""
     not_told = Onset(
         number, after.start_s, np.nan, after.direction, after.q1, after.q1 + after.direction * after.reach, np.inf,
         0.0, np.inf, NONE, False,
@@ -239,7 +241,7 @@ def _onset_of_stroke(number: int, track: Track, before: _Stroke, after: _Stroke)
     jump = fit_jump(x, y, 0.0, max(hinge.knot * 1.5, after.travel[min(after.departure + 3, len(after.travel) - 1)]))
     gain = hinge.deviance - jump.deviance
     width, sigma = hinge.knot, max(hinge.sigma, 1e-9)
-    kind = BRACKET if gain > 40.0 and jump.size > _JUMP else HINGE
+    kind = BRACKET if gain > _JUMP_GAINS and jump.size > _JUMP else HINGE
     at = _time_of_travel(track, after, width)
     onset = Onset(
         number, after.start_s, at, after.direction, after.q1, after.q1 + after.direction * width, sigma,
@@ -249,7 +251,7 @@ def _onset_of_stroke(number: int, track: Track, before: _Stroke, after: _Stroke)
     )  # fmt: skip
     if kind == BRACKET:
         onset = _as_bracket(onset)
-    if onset.sigma > 0.25 * max(width, after.reach):
+    if onset.sigma > _UNCERTAIN * max(width, after.reach):
         onset = replace(onset, used=False, reason="the tip hardly moves here: the onset is too uncertain")
     return onset
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from tautline.calibration.observations import Mask
 from tautline.calibration.playfit import Fitted
 from tautline.calibration.simulated_track import PreparedTrack
 from tautline.independence import frames_each
@@ -109,7 +110,7 @@ class _PathErrors:
     score: Array  # its part in the gradient by p: error times the path's slope over the noise's variance
     at: Array  # length of the path up to the frame
     stroke: npt.NDArray[np.int_]  # number of the half-cycle
-    moving: npt.NDArray[np.bool_]
+    moving: Mask
 
 
 def _errors_along_path(fitted: Fitted, k: int) -> _PathErrors:
@@ -136,7 +137,7 @@ def _path_length(p: Array, steep: Array) -> tuple[Array, Array]:
     return p, length
 
 
-def _variance_at_rest(error: Array, stroke: npt.NDArray[np.int_], moving: npt.NDArray[np.bool_]) -> float:
+def _variance_at_rest(error: Array, stroke: npt.NDArray[np.int_], moving: Mask) -> float:
     """Half the mean squared difference of neighbouring frames of one stroke: the noise's variance, at rest where enough
     frames do, else anywhere; 0 where there are no two such frames."""
     pair = stroke[1:] == stroke[:-1]

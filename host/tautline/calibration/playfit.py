@@ -32,10 +32,11 @@ Array = npt.NDArray[np.float64]
 # (s (n,), translation (n,), rotation (n,)) -> y (n, k) and dy/ds (n, k)
 View = Callable[[Array, Array, Array], tuple[Array, Array]]
 
+STRAY = 4.0  # tolerance: times the usual residual, from which a frame is an outlier
 EXPLAINED = 1.5  # tolerance: residual over noise up to which a model explains its data
-_STIFF = 1e4  # cost, in sigma^2, of a neighbour difference that is off its limit by the whole limit
-_GAIN = 0.2  # sigma^2: an iteration that gains less is the last but one
-NODES = 1025  # of the tables that fits and models use
+_STIFF = 1e4  # tolerance: cost, in sigma^2, of a neighbour difference that is off its limit by the whole limit
+_GAIN = 0.2  # tolerance: sigma^2: an iteration that gains less is the last but one
+NODES = 1025  # tolerance: of the tables that fits and models use
 
 
 @dataclass(frozen=True)
@@ -526,14 +527,19 @@ class Fitted:
         return float(np.sqrt(self.covariance[-1, -1])) if self.fit.fit_delay else 0.0
 
 
+def rms_of_frame_powers(power: Array, scale: float) -> float:
+    """Root of the mean of frames' mean squared residuals (frames,), cut at (STRAY scale)^2; infinite of none."""
+    return float(np.sqrt(np.mean(np.minimum(power, (STRAY * scale) ** 2)))) if len(power) else np.inf
+
+
 def _ones_where_uncounted(weights: list[Array], masks: list[Mask]) -> list[Array]:
     """Weights (n,) by track, 1 where the mask does not hold."""
     return [np.where(m, w, 1.0) for w, m in zip(weights, masks, strict=True)]
 
 
 def _huber_weights(residuals: list[Array], masks: list[Mask], robust: bool) -> tuple[float, list[Array]]:
-    """Scale of the residuals (rms over noise, outliers cut at four scales; 1 without frames) and each frame's Huber
-    weight, min(1, 4 scale / its rms), 0 where it does not count. Not robust: the plain rms, and 1."""
+    """Scale of the residuals (rms over noise, outliers cut at STRAY scales; 1 without frames) and each frame's Huber
+    weight, min(1, STRAY scale / its rms), 0 where it does not count. Not robust: the plain rms, and 1."""
     used = [np.sqrt(np.mean(r[m] ** 2, axis=1)) for r, m in zip(residuals, masks, strict=True)]
     norm = np.concatenate(used) if used else np.zeros(0)
     if len(norm) == 0:
@@ -542,9 +548,9 @@ def _huber_weights(residuals: list[Array], masks: list[Mask], robust: bool) -> t
         return max(float(np.sqrt(np.mean(norm**2))), 1e-6), [m.astype(float) for m in masks]
     # The median of one or of two coordinates' rms as a standard deviation.
     middle = float(np.sqrt(np.median(norm**2))) * (1.4826 if residuals[0].shape[1] == 1 else 1.2)
-    limit = 4.0 * max(middle, 1e-9)
+    limit = STRAY * max(middle, 1e-9)
     scale = max(float(np.sqrt(np.mean(np.minimum(norm, limit) ** 2))), 1e-6)
-    limit = 4.0 * scale
+    limit = STRAY * scale
     weights = []
     for r, m in zip(residuals, masks, strict=True):
         size = np.sqrt(np.mean(np.where(m[:, None], r, 0.0) ** 2, axis=1))

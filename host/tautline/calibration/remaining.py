@@ -28,7 +28,7 @@ Array = npt.NDArray[np.float64]
 _STRAY = 6.0  # tolerance: medians of what is left
 _LEAST_SLOPE = 2e-3  # limit: of f_coarse's: f_remain has an inverse everywhere
 _PARTS, _FEW = 8, 4  # tolerance: of the range, in which a path is looked at; frames that tell of one
-_PICTURE = (720, 1440)  # rows (c) and columns (q) of the characteristic as an image
+_PICTURE = (720, 1440)  # tolerance: rows (c) and columns (q) of the characteristic as an image
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Remaining:
 
     c_deg: Array
     sigma_deg: Array
-    residual: float  # rms per coordinate of the fit, px or deg; strays count as six medians
+    residual: float  # rms per coordinate, px or deg, strays cut; of a median line in px: beside the rig's path
     scale: float  # the same over the stated noise
     notes: tuple[str, ...]
     fitted: Fitted | None = None  # where it was fitted directly
@@ -225,37 +225,21 @@ def monotone(curve: Array, grid: Array, falling: bool, least_slope: float) -> Ar
 # ---- the paper's way: the characteristic as an image
 
 
-@dataclass(frozen=True)
-class Characteristic:
-    """The hysteresis as an image shows it: at each angle its leftmost and rightmost motor position."""
-
-    c_deg: Array
-    left: Array
-    right: Array
-
-    @property
-    def centre(self) -> Array:
-        """(n,) motor position, unit of q, of the median line at each angle."""
-        return 0.5 * (self.left + self.right)
-
-    @property
-    def width(self) -> Array:
-        """(n,) how far apart both edges are at each angle, unit of q."""
-        return self.right - self.left
-
-
-def characteristic(q: Array, c_deg: Array) -> Characteristic | None:
-    """Draws (q, c), fills the holes, and reads each row's extremes (paper, section IV). None where nothing is drawn."""
-    good = np.isfinite(q) & np.isfinite(c_deg)
-    q, c = q[good], c_deg[good]
+def _median_line(courses: Sequence[Array]) -> tuple[Array, Array]:
+    """(m,) motor positions, unit of q, and angles, deg: draws each recording's course (n, 2) of both, fills the holes,
+    and takes the middle between the leftmost and the rightmost of each row (paper, section IV). Empty where nothing is
+    drawn."""
+    courses = [course[np.isfinite(course).all(axis=1)] for course in courses]
+    q, c = np.concatenate(courses).T
     if len(q) < 3 or np.ptp(q) == 0 or np.ptp(c) == 0:
-        return None
+        return np.zeros(0), np.zeros(0)
     rows, columns = _PICTURE
-    at_c = (c - c.min()) / np.ptp(c) * (rows - 1)
-    at_q = (q - q.min()) / np.ptp(q) * (columns - 1)
+    low, span = np.array([q.min(), c.min()]), np.array([np.ptp(q), np.ptp(c)])
     picture = np.zeros(_PICTURE, dtype=np.uint8)
-    points = np.rint(np.column_stack([at_q, at_c]) * 16).astype(np.int32)
-    cv2.polylines(picture, [points.reshape(-1, 1, 2)], False, 255, 1, cv2.LINE_8, 4)
+    lines = [np.rint((course - low) / span * (columns - 1, rows - 1) * 16) for course in courses]
+    cv2.polylines(
+        picture, [line.astype(np.int32).reshape(-1, 1, 2) for line in lines if len(line)], False, 255, 1, cv2.LINE_8, 4
+    )
     closed = cv2.morphologyEx(np.pad(picture, 4), cv2.MORPH_CLOSE, np.ones((3, 3), dtype=np.uint8))
     filled = closed[4:-4, 4:-4] > 0  # at its rows' ends: what is inside does not matter
     some = filled.any(axis=1)
@@ -263,33 +247,37 @@ def characteristic(q: Array, c_deg: Array) -> Characteristic | None:
     index = np.flatnonzero(some)[2:-2]
     left = filled[index].argmax(axis=1)
     right = columns - 1 - filled[index, ::-1].argmax(axis=1)
-    scale = np.ptp(q) / (columns - 1)
-    return Characteristic(c.min() + index * np.ptp(c) / (rows - 1), q.min() + left * scale, q.min() + right * scale)
+    pitch = np.ptp(q) / (columns - 1)
+    middle = 0.5 * ((q.min() + left * pitch) + (q.min() + right * pitch))
+    return middle, c.min() + index * np.ptp(c) / (rows - 1)
 
 
 def morphological(tracks: Sequence[Track], rig: Rig, grid: Array, delay_s: float) -> Remaining | None:
-    """f_remain as the median line of the filled characteristic, smoothed by a spline. None where that has fewer than 10
-    rows."""
-    shape = characteristic_of_tracks(tracks, rig, delay_s)
-    if shape is None or len(shape.c_deg) < 10:
+    """f_remain as the median line of the filled characteristic of all frames by pose, smoothed by a spline, as the
+    paper does it: what registration gets wrong bends it (paper, Fig. 7). None where that has fewer than 10 rows."""
+    line, c_of_line = _median_line(
+        [np.column_stack([each.motor_at(each.scene_s(delay_s)), pose_of(each, rig, delay_s)]) for each in tracks]
+    )
+    if len(line) < 10:
         return None
-    falling = bool(np.polyfit(shape.centre, shape.c_deg, 1)[0] < 0)
-    order = np.argsort(shape.centre, kind="stable")
-    centre, first = np.unique(np.round(shape.centre[order], 9), return_index=True)
-    c = shape.c_deg[order][first]
+    falling = bool(np.polyfit(line, c_of_line, 1)[0] < 0)
+    order = np.argsort(line, kind="stable")
+    centre, first = np.unique(np.round(line[order], 9), return_index=True)
+    c = c_of_line[order][first]
     spline = make_smoothing_spline(centre, c) if len(centre) >= 5 else None
     inside = np.clip(grid, centre[0], centre[-1])
     curve = spline(inside) if spline is not None else np.interp(inside, centre, c)
     slope = np.polyfit(centre, c, 1)[0]
     lawful = monotone(curve + slope * (grid - inside), grid, falling, _LEAST_SLOPE * abs(rig.coarse.gain))
-    residual = float(np.sqrt(np.mean((np.interp(centre, grid, lawful) - c) ** 2)))
-    sigma = np.hypot(residual, tracked_deg(max(track.tracked_px for track in tracks), rig, lawful))
+    off_deg = float(np.sqrt(np.mean((np.interp(centre, grid, lawful) - c) ** 2)))
+    sigma = np.hypot(off_deg, tracked_deg(max(track.tracked_px for track in tracks), rig, lawful))
+    residual = _beside_rig_px(tracks, rig, delay_s) if tracks[0].unit == "px" else off_deg
     return Remaining(lawful, sigma, residual, np.nan, ("f_remain is the paper's median line",))
 
 
-def characteristic_of_tracks(tracks: Sequence[Track], rig: Rig, delay_s: float) -> Characteristic | None:
-    """The characteristic of all frames by pose: B and f_remain in a single step, as the paper does it. What
-    registration gets wrong becomes backlash (paper, Fig. 7)."""
-    q = np.concatenate([track.motor_at(track.scene_s(delay_s)) for track in tracks])
-    c = np.concatenate([pose_of(track, rig, delay_s) for track in tracks])
-    return characteristic(q, c)
+def _beside_rig_px(tracks: Sequence[Track], rig: Rig, delay_s: float) -> float:
+    """rms per coordinate, px, by which markers are beside every place that the rig has for them, cut at _STRAY
+    medians."""
+    beside = np.concatenate([pose(rig, each.y, *each.others_at(each.scene_s(delay_s)))[1] for each in tracks])
+    off = beside[np.isfinite(beside)] / np.sqrt(2.0)
+    return float(np.sqrt(np.mean(np.minimum(off, _STRAY * float(np.median(off))) ** 2)))

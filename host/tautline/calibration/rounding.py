@@ -7,11 +7,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from tautline.calibration.observations import Track
+from tautline.calibration.observations import Mask, Track
 from tautline.independence import stretches
 
 Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 _STEADY = 0.1  # tolerance: of a step: rounding's errors of two values so near to each other are alike by half and more
 _FEW = 30  # tolerance: neighbours that tell a scatter

@@ -18,7 +18,7 @@ from tautline import _native
 from tautline.calibration.components import interpolated
 from tautline.calibration.counted import counted_frames
 from tautline.calibration.mixed_model import normal_with_columns
-from tautline.calibration.playfit import Curves, Fitted
+from tautline.calibration.playfit import Curves, Fitted, rms_of_frame_powers
 from tautline.elements import SINGLE, Elements, Play, warp_of
 from tautline.rig import Rig
 
@@ -28,7 +28,7 @@ Array = npt.NDArray[np.float64]
 SHARES = np.array([0.07, 0.2, 0.4, 0.6, 0.8, 0.95, 1.1, 1.4, 1.9, 2.6, 3.6, 5.0])  # tolerance: what lies between
 _FIRST = 0.05  # limit: least weight of the first element: the inverse's slope is one over it (1 / 0.05 = 20)
 _LEAST = 0.01  # tolerance: of a weight that is kept
-_STEPS = 12
+_STEPS = 12  # tolerance: of one descent
 _STRICT = 10.0  # tolerance: how much more than the data the two sums weigh
 _ENOUGH = 2e-3  # tolerance: of the squares: a step that gains less is the last
 
@@ -93,7 +93,7 @@ def _lawful(weights: Array) -> Array:
 
 
 def rms_over_noise(fitted: Fitted) -> float:
-    """rms residual over noise of the counted frames, outliers cut at four of the fit's scales; infinite where no frame
+    """rms residual over noise of the counted frames, outliers cut at STRAY of the fit's scales; infinite where no frame
     counts, as where the tip was never driven through the widest element."""
     return rms_of_frame_powers(frame_powers(fitted), fitted.scale)
 
@@ -102,11 +102,6 @@ def frame_powers(fitted: Fitted) -> Array:
     """(counted frames of all tracks,) each one's mean squared residual over noise."""
     residuals, masks = fitted.fit.residuals(fitted.curves)
     return np.concatenate([np.mean(r[m] ** 2, axis=1) for r, m in zip(residuals, masks, strict=True)])
-
-
-def rms_of_frame_powers(power: Array, scale: float) -> float:
-    """Root of the mean of frame powers (frames,), cut at (4 scale)^2; infinite of none."""
-    return float(np.sqrt(np.mean(np.minimum(power, (4.0 * scale) ** 2)))) if len(power) else np.inf
 
 
 def _step(fitted: Fitted, weights: Array, rig: Rig) -> tuple[Curves, Array]:

@@ -15,6 +15,7 @@ from tautline.calibration.beside import FittedEffects
 from tautline.calibration.observations import Mask, Track, corners
 from tautline.elements import SINGLE, Hysteresis, Play
 from tautline.nominal import by_width, steepness
+from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
 
@@ -52,6 +53,11 @@ class Simulated:
         return by_width(lean, slope), -self.speed[keep] * self.share[keep] / steepness(lean, slope)
 
 
+def half_slope_s(readings: Motor) -> float:
+    """Half the interval, s, over which a motor's speed is taken: a sample's period at least."""
+    return max(_SLOPE_S, float(np.median(np.diff(readings.t_s)))) if len(readings.t_s) > 1 else _SLOPE_S
+
+
 @dataclass(frozen=True)
 class MotorAtFrames:
     """The motor as the frames of one track saw it at one delay."""
@@ -77,9 +83,8 @@ class PreparedTrack:
     def of(cls, track: Track, use: Mask | None = None) -> PreparedTrack:
         """The track with its motor's extremes; use (n,): frames that may count, all by default."""
         times, positions = corners(track.motor)
-        samples_s = track.reading.t_s
-        half_s = max(_SLOPE_S, float(np.median(np.diff(samples_s)))) if len(samples_s) > 1 else _SLOPE_S
-        return cls(track, times, positions, np.ones(len(track.t_s), bool) if use is None else use, half_s)
+        use = np.ones(len(track.t_s), bool) if use is None else use
+        return cls(track, times, positions, use, half_slope_s(track.reading))
 
     def course(self, scene_s: Array) -> tuple[Array, npt.NDArray[np.intp]]:
         """The motor's positions (m,) that a play needs, extremes and those at scene_s (n,), in order of time; and which

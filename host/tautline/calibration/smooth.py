@@ -7,7 +7,7 @@ play's unknown start there.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy.typing as npt
 from tautline.calibration.backlash import WidthCurve
 from tautline.calibration.beforehand import Beforehand
 from tautline.calibration.observations import Mask, NoiseByPlace, Track, with_noise
-from tautline.calibration.playfit import Curves, Fitted, PlayFit
+from tautline.calibration.playfit import STRAY, Curves, Fitted, PlayFit, rms_of_frame_powers
 from tautline.calibration.simulated_track import PreparedTrack
 from tautline.splines import Basis
 
@@ -48,8 +48,7 @@ def prepare_tracks(tracks: Sequence[Track], delay_s: float) -> list[PreparedTrac
     """Tracks prepared for a fit without poses: frames at which translation and rotation are where they mostly are may
     count, thinned out evenly to _MOST_FRAMES in all."""
     reference = tracks[0].others_reference
-    total = sum(len(track.t_s) for track in tracks)
-    stride = max(1, -(-total // _MOST_FRAMES))
+    stride = _counted_stride(sum(len(track.t_s) for track in tracks))
     prepared = []
     places = [track.motor_at(track.scene_s(delay_s)) for track in tracks]
     noise = NoiseByPlace.of(tracks, places)
@@ -60,6 +59,11 @@ def prepare_tracks(tracks: Sequence[Track], delay_s: float) -> list[PreparedTrac
             use &= np.arange(len(use)) % stride == 0
         prepared.append(PreparedTrack.of(track, use))
     return prepared
+
+
+def _counted_stride(frames: int) -> int:
+    """Every how manyth of so many frames may count, so that _MOST_FRAMES at most do."""
+    return max(1, -(-frames // _MOST_FRAMES))
 
 
 def fit_jointly(
@@ -130,8 +134,10 @@ def _fit_in_steps(
 
 
 def _thinned(prepared: Sequence[PreparedTrack]) -> list[PreparedTrack]:
-    """The tracks with about _SCANNED frames in all, evenly spread."""
-    stride = max(1, sum(len(each.track.t_s) for each in prepared) // _SCANNED)
+    """The tracks with about _SCANNED of the frames that `prepare_tracks` left to count, evenly spread."""
+    frames = sum(len(each.track.t_s) for each in prepared)
+    counted = _counted_stride(frames)
+    stride = counted * max(1, frames // counted // _SCANNED)
     if stride == 1:
         return list(prepared)
     every = slice(None, None, stride)
@@ -147,11 +153,11 @@ def _reaches_further(fitted: Fitted, domain: Domain) -> bool:
 
 
 def _settled_scale(fitted: Fitted) -> float:
-    """rms residual over noise of the frames after the first approach, outliers cut at four scales; infinite where there
-    are none."""
+    """rms residual over noise of the frames after the first approach, outliers cut at STRAY scales; infinite where
+    there are none."""
     seen = zip(fitted.residuals, fitted.masks, fitted.fit.simulated, strict=True)
     squares = np.concatenate([np.mean(r[m & s.settled] ** 2, axis=1) for r, m, s in seen])
-    return float(np.sqrt(np.mean(np.minimum(squares, (4.0 * fitted.scale) ** 2)))) if len(squares) else np.inf
+    return rms_of_frame_powers(squares, fitted.scale)
 
 
 def _predicts_no_worse(whole: Fitted, alone: Fitted) -> bool:
@@ -171,8 +177,8 @@ def _predicts_no_worse(whole: Fitted, alone: Fitted) -> bool:
 
 def _held_out_power(fitted: Fitted, strokes: Sequence[npt.NDArray[np.intp]], scale: float) -> float:
     """Mean square over the noise of strokes that the fit did not see: every _PARTS-th stroke is left out in turn and
-    the fit goes on for _AGAIN steps. Outliers are cut at four times `scale`. strokes: by track, (n,) the number of each
-    frame's stroke, -1 where it does not count."""
+    the fit goes on for _AGAIN steps. Outliers are cut at STRAY times `scale`. strokes: by track, (n,) the number of
+    each frame's stroke, -1 where it does not count."""
     total, frames = 0.0, 0
     for part in range(_PARTS):
         out = [(each >= 0) & (each % _PARTS == part) for each in strokes]
@@ -184,7 +190,7 @@ def _held_out_power(fitted: Fitted, strokes: Sequence[npt.NDArray[np.intp]], sca
         fit = replace(fitted.fit, tracks=kept, smoothing=dict(fitted.fit.smoothing))
         curves = fit.solve(fitted.curves, iterations=_AGAIN, adapt=False).curves
         for row, each in zip(fit.residuals(curves)[0], out, strict=True):
-            total += float(np.sum(np.minimum(np.mean(row[each] ** 2, axis=1), (4.0 * scale) ** 2)))
+            total += float(np.sum(np.minimum(np.mean(row[each] ** 2, axis=1), (STRAY * scale) ** 2)))
             frames += int(each.sum())
     return total / max(frames, 1)
 
@@ -299,11 +305,11 @@ def _covers_both_ways(fit: PlayFit, masks: Sequence[Mask]) -> bool:
     return bool(high - low > 0.8 * np.ptp(known))
 
 
-def _coefficients_of(basis: Basis, curve: object) -> Array:
+def _coefficients_of(basis: Basis, curve: Callable[[Array], Array]) -> Array:
     """Spline coefficients (size,) or (size, channels) nearest to a curve in least squares: a function of positions x
     (n,) with values (n,) or (n, channels)."""
     x = np.linspace(basis.low, basis.high, 4 * basis.size)
-    values = np.asarray(curve(x))  # type: ignore[operator]
+    values = curve(x)
     design = basis.design(x).toarray()
     flat = values.reshape(len(x), -1)
     rows = np.vstack([design, 1e-6 * np.diff(np.eye(basis.size), 2, axis=0)])

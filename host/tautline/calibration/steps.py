@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from tautline import _native
 from tautline.calibration.observations import Mask, Track, turning_hysteresis
+from tautline.calibration.simulated_track import half_slope_s
 from tautline.quality import Reason
 from tautline.recording import Motor
 from tautline.rig import Rig
@@ -66,19 +67,20 @@ def without_steps(tracks: Sequence[Track], rig: Rig) -> tuple[list[Track], list[
 
 def _following_a_step(track: Track, at: npt.NDArray[np.intp], nominal_s: float) -> Mask:
     """(n,) frames at which the tip may follow one of the jumps after the samples `at`: from each on until y stays near
-    its median at the end of the time before the next jump (_MOST_S at most). nominal_s: the nominal delay."""
+    its median at the end of the time before the next jump (_MOST_S at most). Beside both ends the motor's speed, as a
+    fit takes it, is the jump's though the tip rests: these frames are among them. nominal_s: the nominal delay."""
     settling = np.zeros(len(track.t_s), dtype=bool)
-    begins = track.reading.t_s[at] + min(nominal_s, 0.0)
-    ends = np.append(track.reading.t_s[at[1:]], np.inf)
-    for begin, sample_s, end in zip(begins, track.reading.t_s[at + 1], ends, strict=True):
+    samples_s, beside_s = track.reading.t_s, half_slope_s(track.reading)
+    begins = samples_s[at] + min(nominal_s, 0.0) - beside_s
+    ends = np.append(samples_s[at[1:]], np.inf)
+    for begin, sample_s, end in zip(begins, samples_s[at + 1], ends, strict=True):
         inside = np.flatnonzero((track.t_s > begin) & (track.t_s < min(end, sample_s + nominal_s + _MOST_S)))
         if not len(inside):
             continue
-        y = track.y[inside]
+        y, arrival_s = track.y[inside], track.t_s[inside]
         last = np.median(y[-max(1, len(y) // 4) :], axis=0)
         away = np.linalg.norm(y - last, axis=1)
         moving = np.flatnonzero(away > max(_SIGMAS * float(track.sigma[0]), _LEFT * float(away[0])))
-        settled = int(moving[-1]) + 1 if len(moving) else 0
-        settling[inside[:settled]] = True
-        settling[inside[track.t_s[inside] <= sample_s + nominal_s]] = True
+        settled = min(int(moving[-1]) + 1 if len(moving) else 0, len(inside) - 1)
+        settling[inside[arrival_s <= max(arrival_s[settled], sample_s + nominal_s) + beside_s]] = True
     return settling

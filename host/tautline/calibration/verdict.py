@@ -178,9 +178,13 @@ def _doubt_sigma(found: Measured, extent: _Extent, holds: bool) -> None:
 
 
 def _unexplained(found: Measured, predictions: Worth) -> Reason:
-    """Why a model does not predict although nothing departs from it: the rig's path, or something else."""
+    """Why a model does not predict although nothing departs from it: the paper's f_remain, which leaves more than the
+    noise, the rig's path, or something else."""
     times = f"{predictions.over_noise:.1f} times the noise"
-    joint_fit = found.joint_fit
+    joint_fit, remaining = found.joint_fit, found.remaining
+    if remaining is not None and remaining.fitted is None:
+        says = f"what was seen is foretold to {times} by the paper's median line"
+        return Reason("residual", says, "fit f_remain directly, without --remaining morphological")
     if found.camera and joint_fit is not None and found.choice.residual_with_width(joint_fit, found.width) <= PREDICTS:
         says = f"the tip's path in the image is not the rig's: {times} is left"
         return Reason("registration.static", says, "check hand_eye, kinematics and the camera's calibration")
@@ -230,7 +234,8 @@ def _doubt_clock(found: Measured, aligned: clock.AlignedTracks, delay: Delay) ->
         found.findings.doubt(
             "clock.offset",
             f"the sensor's clock was off, and its offset is known to {2e3 * delay.sigma_s:.2g} ms only (2 sigma)",
-            "put both on one clock: what a codec or glare holds back of the marker looks like a delay",
+            "put both on one clock"
+            + (": what a codec or glare holds back of the marker looks like a delay" if found.camera else ""),
             fatal=True,
         )
     if not np.isfinite(delay.sigma_s):

@@ -19,8 +19,8 @@ import numpy.typing as npt
 from scipy.linalg import cho_solve
 
 from tautline.calibration.beside import FittedEffects
-from tautline.calibration.observations import Track
-from tautline.calibration.playfit import Curves, Fitted, PlayFit
+from tautline.calibration.observations import Mask, Track
+from tautline.calibration.playfit import STRAY, Curves, Fitted, PlayFit
 from tautline.calibration.remaining import view_of
 from tautline.calibration.rounding import resting, shared_variance
 from tautline.calibration.simulated_track import PreparedTrack, Simulated
@@ -35,16 +35,13 @@ from tautline.splines import Basis
 Array = npt.NDArray[np.float64]
 Labels = npt.NDArray[np.intp]
 
-PREDICTS = 1.3  # format: of the noise, within which a good model predicts (formats.md)
+PREDICTS = 1.3  # format: of the noise, within which a good model predicts (docs/calibration.md)
 HALF_CYCLES = 2  # equation: half-cycles of a block at least, one of each direction
 BLOCKS = 8  # tolerance: of which one is a small share of all; with fewer half-cycles nothing is left out
-STAYS = (
-    0.1  # tolerance: of a block that stays in the fit: what it alone shows (the ends of a range) no other can predict
-)
+STAYS = 0.1  # tolerance: of a block that stays in the fit: what it alone shows (a range's ends) no other can predict
 _FEW = 30  # tolerance: frames that are needed to tell a scatter
 _SLOW = 3  # tolerance: order of the trend within a rest: sway or breath, which is no noise
 _RIDGE = 1e-10  # tolerance: of the diagonal, for rounding
-_STRAY = 4.0  # tolerance: times the usual error from which a frame is an outlier, as in every fit (playfit)
 
 
 @dataclass(frozen=True)
@@ -73,12 +70,13 @@ class Worth:
         """A fatal reason where the model is useless, else none."""
         if not self.useless:
             return []
+        of_sensor = "camera, hand_eye" if self.unit == "px" else "coarse.gain, the unit of angle.csv"
         return [
             Reason(
                 "predicts",
                 f"it predicts its own recordings to {self.model:.3g} {self.unit}, f_coarse to {self.coarse:.3g}, "
                 f"a tip that never moves to {self.constant:.3g}",
-                "nothing fits the rig: check camera, hand_eye, actuator.unit and the clock of the frames",
+                f"nothing fits the rig: check {of_sensor}, actuator.unit and the clock of the frames",
                 fatal=True,
             )
         ]
@@ -87,8 +85,9 @@ class Worth:
 def predictive_worth(
     model: Model, tracks: Sequence[Track], joint_fit: Fitted | None, remaining: Fitted | None
 ) -> Worth | None:
-    """tracks: on the motor's clock. joint_fit, remaining: the fits of B and of f_remain, whose smoothness is the prior
-    of both; where one is None nothing is left out. None where nothing was seen after the tip was driven both ways."""
+    """What the model is worth on these tracks, which are on the motor's clock. joint_fit, remaining: the fits of B and
+    of f_remain, whose smoothness is the prior of both; where one is None nothing is left out. None where nothing was
+    seen after the tip was driven both ways."""
     if remaining is not None:
         tracks = [prepared.track for prepared in remaining.fit.tracks]  # with the noise that each place has
     fit, curves = _fit_of(model, tracks, joint_fit, remaining)
@@ -114,20 +113,18 @@ def predictive_worth(
 
 
 def bounded_rms(off: Array) -> float:
-    """rms per coordinate of errors (n, k), outliers cut at _STRAY times the usual one; infinite where an error is, as
+    """rms per coordinate of errors (n, k), outliers cut at STRAY times the usual one; infinite where an error is, as
     of a prediction that is behind the camera."""
     norm = np.sqrt(np.mean(off**2, axis=1))
-    usual = float(np.sqrt(np.mean(np.minimum(norm, _STRAY * float(np.median(norm))) ** 2)))
-    return float(np.sqrt(np.mean(np.minimum(norm, _STRAY * usual) ** 2))) if np.isfinite(usual) else float("inf")
+    usual = float(np.sqrt(np.mean(np.minimum(norm, STRAY * float(np.median(norm))) ** 2)))
+    return float(np.sqrt(np.mean(np.minimum(norm, STRAY * usual) ** 2))) if np.isfinite(usual) else float("inf")
 
 
-def _frames_of_tip(
-    fit: PlayFit, curves: Curves, errors: Sequence[Array], masks: Sequence[npt.NDArray[np.bool_]]
-) -> list[npt.NDArray[np.bool_]]:
-    """The masks without frames whose error is larger than both all of B would move the tip in the image and _STRAY
+def _frames_of_tip(fit: PlayFit, curves: Curves, errors: Sequence[Array], masks: Sequence[Mask]) -> list[Mask]:
+    """The masks without frames whose error is larger than both all of B would move the tip in the image and STRAY
     times the usual error: these show something else than the tip (another blob, a lost count). The tip moves as it does
     on average (rms): where a model has it rest it may be what is wrong."""
-    usual, widest = _STRAY * bounded_rms(_counted(errors, masks)), float(fit.width(curves).max())
+    usual, widest = STRAY * bounded_rms(_counted(errors, masks)), float(fit.width(curves).max())
     kept = []
     for prepared, sim, off, mask in zip(fit.tracks, fit.simulated, errors, masks, strict=True):
         steep = np.linalg.norm(fit.slope_in_view(prepared.track, curves, sim.tip), axis=1)
@@ -137,14 +134,14 @@ def _frames_of_tip(
     return kept
 
 
-def _over_noise(fit: PlayFit, curves: Curves, errors: Sequence[Array], masks: Sequence[npt.NDArray[np.bool_]]) -> float:
+def _over_noise(fit: PlayFit, curves: Curves, errors: Sequence[Array], masks: Sequence[Mask]) -> float:
     """sqrt(1 + (model^2 + jitter^2) / noise^2), in squares per coordinate over the stated noise. model^2: the product
     of neighbouring frames' errors, which they share, less what the sensor's noise remembers or a rounding sensor
     repeats. noise^2: half the squared difference of neighbours while the tip rests, or across its path in the image,
     where nothing moves it, or 1, whichever is largest, plus a tracker's error at each place. jitter^2: by how much that
     is larger along the path while the tip moves: an error of frame times, and so of predictions. Infinite where no two
     neighbours count."""
-    limit = _STRAY * bounded_rms(_counted(errors, masks))
+    limit = STRAY * bounded_rms(_counted(errors, masks))
     tracks = [
         _neighbour_squares(fit, curves, prepared, sim, off, mask, limit)
         for prepared, sim, off, mask in zip(fit.tracks, fit.simulated, errors, masks, strict=True)
@@ -177,7 +174,7 @@ class _NeighbourSquares:
 
 
 def _neighbour_squares(
-    fit: PlayFit, curves: Curves, prepared: PreparedTrack, sim: Simulated, off: Array, mask: npt.NDArray[np.bool_],
+    fit: PlayFit, curves: Curves, prepared: PreparedTrack, sim: Simulated, off: Array, mask: Mask,
     limit: float,
 ) -> _NeighbourSquares:  # fmt: skip
     """The squares of one track, from errors off (n, k) over the noise; errors of more than `limit` (rms per coordinate)
@@ -211,7 +208,7 @@ def _neighbour_squares(
     )
 
 
-def _at_rest(t: Array, off: Array, resting: npt.NDArray[np.bool_]) -> list[Array]:
+def _at_rest(t: Array, off: Array, resting: Mask) -> list[Array]:
     """The errors (n, 1) at times (n,), s, of each rest that is long enough, less their trend of order _SLOW: what its
     place or a slow sway makes is no noise. resting (n,): frames at which the tip rests."""
     rests = [rest for rest in stretches(resting) if rest.stop - rest.start >= 2 * _SLOW]
@@ -224,7 +221,7 @@ def _mean(squares: Sequence[Array]) -> float:
     return float(every.mean()) if len(every) >= _FEW else 0.0
 
 
-def _counted(off: Sequence[Array], masks: Sequence[npt.NDArray[np.bool_]]) -> Array:
+def _counted(off: Sequence[Array], masks: Sequence[Mask]) -> Array:
     """(counted, k) the rows of the counted frames, of all tracks."""
     return np.concatenate([each[mask] for each, mask in zip(off, masks, strict=True)])
 
@@ -258,7 +255,7 @@ def _fit_of(
     return fit, Curves(width, c[:, None], model.delay_s, values)
 
 
-def _blocks(fit: PlayFit, masks: Sequence[npt.NDArray[np.bool_]]) -> list[Labels] | None:
+def _blocks(fit: PlayFit, masks: Sequence[Mask]) -> list[Labels] | None:
     """By track, (n,) the number of each frame's block, 0 to BLOCKS - 1, -1 where it does not count. A block is a run of
     whole half-cycles of the tip. None with fewer than HALF_CYCLES half-cycles a block."""
     strokes, before = [], 0
@@ -277,13 +274,13 @@ def _held_out_errors(
     fit: PlayFit,
     curves: Curves,
     residuals: Sequence[Array],
-    masks: Sequence[npt.NDArray[np.bool_]],
+    masks: Sequence[Mask],
     labels: Sequence[Labels],
 ) -> list[Array]:
     """By track, (n, k) the errors of each frame by the fit without its block, over the noise (module docstring). The
     share STAYS of a block stays in its fit. labels: as `_blocks` gives them."""
     scale = bounded_rms(_counted(residuals, masks))
-    limit = _STRAY * scale
+    limit = STRAY * scale
     norms = [np.sqrt(np.mean(row**2, axis=1)) for row in residuals]
     weights = fit.weights_with_rounding([limit / np.maximum(norm, limit) for norm in norms], curves, scale)
 
