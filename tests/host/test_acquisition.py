@@ -261,22 +261,6 @@ def test_a_marker_that_no_camera_of_the_rig_could_see_is_not_what_is_missing(mad
         calibrate([dead], Rig(RIG.actuator, RIG.coarse))
 
 
-@pytest.mark.parametrize("marker_first", [True, False])
-def test_what_is_seen_of_an_image_is_checked_wherever_it_stands(made: Recording, marker_first: bool) -> None:
-    t_s = made.marker.t_s
-    angles = RIG.coarse.gain * np.interp(t_s - RIG.delay_s, made.motor.t_s, made.motor.q) + RIG.coarse.offset
-    hidden = replace(made, name="hidden", marker=replace(made.marker, valid=np.zeros(len(t_s), dtype=bool)))
-    joint = replace(made, name="joint", marker=None, angle=recordings.Angle(t_s, angles))
-    dead = replace(joint, name="dead", angle=recordings.Angle(t_s, np.full(len(t_s), np.nan)))
-
-    def told(*several: Recording) -> set[str]:
-        both = several if marker_first else several[::-1]
-        return {r.code for r in rig_contradictions(both, observe(both, RIG), [0.0, 0.0], RIG)}
-
-    assert told(hidden, joint) == {"lost"}
-    assert told(scaled(made, 0.5), dead) == {"frame_size"}
-
-
 @pytest.mark.parametrize("late_s", [-90.0, 90.0])
 def test_no_more_of_the_motion_is_without_frames_than_there_is(made: Recording, late_s: float) -> None:
     """Frames of another time altogether."""

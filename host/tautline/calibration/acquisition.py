@@ -53,9 +53,8 @@ def rig_contradictions(
     """The reasons of what contradicts the rig, and of motion that was not seen. tracks: of the recordings, on the
     motor's clock, from which their sensors' clocks differ by offsets_s."""
     reasons = _range_in_another_unit(tracks, rig)
-    images = [track for track in tracks if track.unit == "px"]
-    if rig.camera is not None and images:
-        reasons += _wrong_frame_size(recordings, images, rig, rig.camera)
+    if rig.camera is not None and tracks[0].unit == "px":  # observations are of one kind
+        reasons += _wrong_frame_size(recordings, tracks, rig, rig.camera)
         reasons += _wrong_rate(recordings, rig.camera)
     for recording, track, offset_s in zip(recordings, tracks, offsets_s, strict=True):
         reasons += _frames_beyond_motor(recording, track, rig.nominal_delay_s(track.sensor), offset_s)
@@ -119,10 +118,10 @@ def _range_in_another_unit(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
 
 
 def _wrong_frame_size(
-    recordings: Sequence[Recording], images: Sequence[Track], rig: Rig, camera: Camera
+    recordings: Sequence[Recording], tracks: Sequence[Track], rig: Rig, camera: Camera
 ) -> list[Reason]:
-    """A fatal reason, in a list, where frames of the recordings or marker positions of the images, their tracks in px,
-    are not of the rig's frame size; empty where none contradicts it."""
+    """A fatal reason, in a list, where frames of the recordings or marker positions of their tracks are not of the
+    rig's frame size; empty where none contradicts it."""
     nominal = (camera.width_px, camera.height_px)
     for recording in recordings:
         size = recording.marker.frame_px if recording.marker is not None else None
@@ -138,7 +137,7 @@ def _wrong_frame_size(
                 fatal=True,
             )
         ]
-    for track in images:
+    for track in tracks:
         if reason := _frame_size_by_places(track, rig, camera):
             return [reason]
     return []
