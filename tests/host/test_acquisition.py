@@ -145,7 +145,9 @@ def test_a_camera_that_runs_for_longer_than_the_motors_log_is_not_told_to(
     ends = (len(early), len(behind))
     u_px, v_px, valid = (np.pad(getattr(made.marker, name), ends, "edge") for name in ("u_px", "v_px", "valid"))
     long = Marker(np.concatenate([early, t_s, behind]), u_px, v_px, valid)
-    told = reason(quality(replace(made, marker=long)), "duration")
+    found = quality(replace(made, marker=long))
+    told = reason(found, "duration")
+    assert told.mild and found.verdict == Verdict.GOOD, found
     assert re.search(r": 8\.9\d? s of them are without the motor$", told.says), told
     assert "log the motor" in told.remedy and "camera first" not in told.remedy
 

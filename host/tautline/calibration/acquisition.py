@@ -280,16 +280,16 @@ def _frames_beyond_motor(recording: Recording, track: Track, delay_s: float, off
                 fatal=True,
             )
         ]
-    camera = "camera" if track.unit == "px" else "sensor"
-    if missing > slack:
+    camera, mild = "camera" if track.unit == "px" else "sensor", missing <= slack  # all that counts was seen
+    if not mild:
         what, remedy = f"{missing:.3g} s of the motion have no frames", f"start the {camera} first and stop it last"
     else:
         what = f"{frames_last - motor_lasts:.3g} s of them are without the motor"
         remedy = f"log the motor for as long as the {camera} runs, on the same clock"
     if track.unit == "px" and recording.marker is not None and (untimed := recording.marker.untimed):
-        timed = len(recording.marker.t_s)
+        timed, mild = len(recording.marker.t_s), False
         remedy = f"frames.csv lists {timed} of the video's {timed + untimed} frames: list every one"
-    return [Reason("duration", f"{says}: {what}", remedy)]
+    return [Reason("duration", f"{says}: {what}", remedy, mild=mild)]
 
 
 def _unexplained_share(track: Track, delay_s: float) -> float:

@@ -104,7 +104,8 @@ REASONS = (
         "duration",
         "The frames last longer or shorter than the motor's log, or fit it only when stretched.",
         "The sentence has both durations.",
-        "Start the camera first and stop it last; give the frames' arrival times in frames.csv.",
+        "Start the camera first and stop it last, and log the motor for as long as it runs; give the frames' arrival "
+        "times in frames.csv.",
         "frames.csv",
     ),
     _reason(
