@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import effects
+from tautline.core import samples
 from tautline.diagnosis import confined, gap, heldout, moments, wander
 from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.fitted import Fit, ParameterState, Scope
@@ -177,11 +178,12 @@ class Search:
         return self._block_powers(residuals, self.limits)
 
     def _block_powers(self, residuals: Sequence[Array], limits: Sequence[float]) -> Array:
-        """As `power`, with the residuals of each recording cut to its own one of `limits`."""
-        parts = []
+        """As `power`, with the residuals of each recording cut to its own one of `limits`; never less than the power of
+        the least noise that a sensor is taken to have, so that what leaves next to nothing leaves noise."""
+        least, parts = samples.least_noise("px" if self.fitter.px else "deg") ** 2, []
         for r, label, limit in zip(residuals, self.labels, limits, strict=True):
             squares = np.mean(np.minimum(np.abs(r), limit) ** 2, axis=1)
-            parts.append(np.bincount(label, squares) / np.bincount(label))
+            parts.append(np.maximum(np.bincount(label, squares) / np.bincount(label), least))
         return np.concatenate(parts)
 
     def on_top_of(self, below: Candidate, refits: int, both_scopes: int) -> list[Candidate]:

@@ -80,27 +80,26 @@ def diagnose(
     simulated: SimulatedNominal | None = None,
 ) -> Diagnosis:
     """Which effect explains the gap between a calibrated model and later recordings. model: what `calibration` gave;
-    the search begins without the effects that it carries, and `corrected` keeps them where nothing is named. progress:
+    the search begins without the effects that it carries, and `corrected` keeps them where none is named that a model
+    holds. progress:
     called with the share that is done, 0 to 1, and what is done now. left_out: ids of effects not to try. simulated:
     if a user's simulator stands in the motor's place. Raises TautError where no observation can be scored."""
     with threadpool_limits(1, "blas"):  # the systems are small: threads that wait for each other cost 10 times more
-        found = _diagnosis(model.alone, calibration, tests, progress, left_out, simulated)
-    if found.findings or not model.effects:
-        return found
-    return replace(found, corrected=replace(model, load_reference_mNm=found.corrected.load_reference_mNm))
+        return _diagnosis(model, calibration, tests, progress, left_out, simulated)
 
 
 def _diagnosis(
-    model: Model,
+    calibrated: Model,
     calibration: Recording,
     tests: Sequence[Recording],
     progress: Progress,
     left_out: Collection[str],
     simulated: SimulatedNominal | None,
 ) -> Diagnosis:
-    """As `diagnose`, of a model without effects. In this order: recordings prepared, the tracker's error taken off,
-    hypotheses fitted, the verdict, effects that the calibration has swallowed, the document."""
+    """As `diagnose`. In this order: recordings prepared, the tracker's error taken off, hypotheses fitted, the verdict,
+    effects that the calibration has swallowed, the document."""
     progress(0.0, "preparing")
+    model = calibrated.alone
     segments = prepare(model, calibration, tests, simulated.drives if simulated else ())
     if repeated.HELD in left_out:
         segments = [segment.with_repeats() for segment in segments]
@@ -138,7 +137,8 @@ def _diagnosis(
         resembles.closest_effects(gathered, found.gap["before"]) if document["verdict"] == "unknown" else []
     )
     progress(1.0, "done")
-    corrected = _corrected(found.chosen.fit, max(found.tests, key=lambda test: test.end_s)) if found.named else model
+    last = max(found.tests, key=lambda test: test.end_s)
+    corrected = _corrected(found.chosen.fit, last) if found.named else calibrated
     corrected = replace(corrected, extra=model.extra, load_reference_mNm=fitter.load_reference)
     # With the old tables, and with the new: a simulator's are for no board.
     document["tip"] = tip.simulated_error(model, corrected) if found.named and simulated is None else None
@@ -176,9 +176,9 @@ def _recalibrate_and_set_noise(fitter: Fitter, frozen: Sequence[Array], tracked:
         fitter.doubt, fitter.unsteady = tracked.doubt, tracked.unsteady
     base = fitter.nominal()
     # A rest in which the tip goes on moving overestimates the noise: what the calibration leaves of itself bounds it.
-    # A simulator's calibration leaves nothing, so the rounding and the tests' own white noise stay a lower bound.
+    # A simulator's calibration leaves nothing, so the least noise and the tests' own white noise stay a lower bound.
     at_rest = gap.noise_floor(segments, base.residuals, fitter.across(base))
-    bound = max(gap.rms(frozen[:1]), gap.rounding_noise(segments), gap.second_difference_noise(base.residuals[1:]))
+    bound = max(gap.rms(frozen[:1]), gap.least_noise(segments), gap.second_difference_noise(base.residuals[1:]))
     fitter.floor = max(bound if bound < _NO_NOISE * at_rest else at_rest, moving)
     return base
 

@@ -76,7 +76,9 @@ class Found:
     @cached_property
     def conditions(self) -> list[where.Condition]:
         """How the gap goes with position, speed, time and so on, the largest share first; without time where what is
-        named does not depend on it."""
+        named does not depend on it. [] where the model foretells every reading to the last digit."""
+        if gap.rms(self.before) == 0.0:
+            return []
         every = where.conditions(self.tests, self.before)
         if self.verdict.name == "effect" and not _depends_on_time(self.chosen.fit, self.named):
             return [condition for condition in every if condition.axis != "time"]
@@ -180,7 +182,7 @@ def _candidates(found: Found) -> list[dict[str, Any]]:
         {
             "id": name,
             "probability": verdict.leading.get(name, 0.0),
-            "shrink": 1.0 - gap.rms(best[name].held_out[1:]) / before if name in best else 0.0,
+            "shrink": gap.shrinkage(before, gap.rms(best[name].held_out[1:])) if name in best else 0.0,
             "identifiable": name not in ambiguous or len(ambiguous) == 1,
         }
         for name in names
@@ -234,9 +236,9 @@ def _shapley(found: Found, named: Sequence[str]) -> list[float]:
     known: dict[frozenset[str], float] = {frozenset(): 0.0}
     for candidate in found.gathered.candidates:
         if candidate.ids:
-            key, value = frozenset(candidate.ids), 1.0 - gap.rms(candidate.held_out[1:]) / before
+            key, value = frozenset(candidate.ids), gap.shrinkage(before, gap.rms(candidate.held_out[1:]))
             known[key] = max(known.get(key, -np.inf), value)
-    known[frozenset(named)] = 1.0 - gap.rms(chosen.held_out[1:]) / before
+    known[frozenset(named)] = gap.shrinkage(before, gap.rms(chosen.held_out[1:]))
 
     def worth(names: frozenset[str]) -> float:
         """Shrinkage of the rms, 1 - after / before, with these effects alone."""
@@ -245,7 +247,7 @@ def _shapley(found: Found, named: Sequence[str]) -> list[float]:
         off = {p.name for name in named if name not in names for p in effects.BY_ID[name].amplitudes} | effects.SCATTERS
         values = {k: (0.0 if k.split("@")[0] in off else v) for k, v in chosen.fit.state.values.items()}
         residuals = found.fitter.residuals(replace(chosen.fit.state, values=values), chosen.fit.hypothesis)
-        return 1.0 - gap.rms(residuals[1:]) / before
+        return gap.shrinkage(before, gap.rms(residuals[1:]))
 
     return shapley.shares(named, worth)
 

@@ -108,7 +108,7 @@ class Answer:
                 is_present[self.joint.places[name]] = True
             absent = np.where(is_present, 0.0, self.fitted.u)
             pairs = zip(self.fitted.residuals, self.fitted.slopes, strict=True)
-            return 1.0 - gap.rms([residual + slope @ absent for residual, slope in pairs]) / before
+            return gap.shrinkage(before, gap.rms([residual + slope @ absent for residual, slope in pairs]))
 
         return shapley.shares(names, worth)
 
@@ -204,7 +204,7 @@ def _effects(
     handed out (`best`). before, after: rms of the gap without and with that. A simulator was never calibrated with
     them, and its model is loaded on no board."""
     shares = answer.shares([group[0] for group in groups], before)
-    total, shrink = max(sum(shares), 1e-12), 1.0 - after / before
+    total, shrink = max(sum(shares), 1e-12), gap.shrinkage(before, after)
     for group, share in zip(groups, shares, strict=True):
         yield {
             "id": group[0],
