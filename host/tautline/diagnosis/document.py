@@ -218,8 +218,8 @@ def _alternatives(verdict: decide.Decision, name: str, ambiguous: Sequence[str])
 
 
 def _stage(verdict: decide.Decision) -> str | None:
-    """The stage whose effects together are likeliest to lead; None where nothing is there."""
-    if verdict.name == "none" or not verdict.leading:
+    """The stage whose effects together are likeliest to lead; None where nothing is there, or none of them leads."""
+    if verdict.name == "none" or not any(verdict.leading.values()):
         return None
     stages: dict[str, float] = {}
     for name, probability in verdict.leading.items():
@@ -236,8 +236,8 @@ def _shapley(found: Found, named: Sequence[str]) -> list[float]:
     known: dict[frozenset[str], float] = {frozenset(): 0.0}
     for candidate in found.gathered.candidates:
         if candidate.ids:
-            key, value = frozenset(candidate.ids), gap.shrinkage(before, gap.rms(candidate.held_out[1:]))
-            known[key] = max(known.get(key, -np.inf), value)
+            ids, value = frozenset(candidate.ids), gap.shrinkage(before, gap.rms(candidate.held_out[1:]))
+            known[ids] = max(known.get(ids, -np.inf), value)
     known[frozenset(named)] = gap.shrinkage(before, gap.rms(chosen.held_out[1:]))
 
     def worth(names: frozenset[str]) -> float:
