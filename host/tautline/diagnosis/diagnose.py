@@ -118,7 +118,10 @@ def _diagnosis(
     if verdict.name != "effect" and simulated is None and start.concerns(model):
         # Nothing that came later is the cause: what was there while calibrating, which the calibration has swallowed.
         from_start = start.of_segments(
-            *(model, segments, fitter.load_reference, tracked),
+            model,
+            segments,
+            fitter.load_reference,
+            tracked,
             lambda done, text: progress(0.9 + 0.02 * done, text),
             left_out,
         )
@@ -127,9 +130,17 @@ def _diagnosis(
     progress(0.92, "attributing")
     verdict, parts = _with_moved_parts(fitter, frozen, base, gathered, verdict)
     found = Found(
-        *(model, segments, fitter, tracked, frozen, gap.rms(base.residuals[1:]), kinds, gathered, verdict),
-        _chosen_candidate(fitter, frozen, gathered, verdict),
-        parts,
+        model=model,
+        segments=segments,
+        fitter=fitter,
+        tracked=tracked,
+        frozen=frozen,
+        recalibrated=gap.rms(base.residuals[1:]),
+        kinds=kinds,
+        gathered=gathered,
+        verdict=verdict,
+        chosen=_chosen_candidate(fitter, frozen, gathered, verdict),
+        parts=parts,
     )
     document = to_document(found, hidden)
     repeated.add_repeats(document, model, segments, fitter.load_reference)
@@ -145,9 +156,15 @@ def _diagnosis(
     if simulated is not None:
         document["simulator"] = simulated.to_json(document["effects"])
     return Diagnosis(
-        *(document, model, corrected, found.next_motion),
-        [replace(segment, drive=None) for segment in segments],  # what was simulated is in motor and residuals
-        *(list(found.before), list(found.after), found.conditions, gathered.evidence),
+        document=document,
+        nominal=model,
+        corrected=corrected,
+        next_motion=found.next_motion,
+        segments=[replace(segment, drive=None) for segment in segments],  # what was simulated is in motor and residuals
+        before=list(found.before),
+        after=list(found.after),
+        conditions=found.conditions,
+        evidence=gathered.evidence,
     )
 
 

@@ -49,7 +49,7 @@ class Flexible:
     @property
     def shrink(self) -> float:
         """Share of the residuals' rms that the process closes, 0 to 1."""
-        return max(0.0, 1.0 - self.after / max(self.before, 1e-300))
+        return max(0.0, gap.shrinkage(self.before, self.after))
 
     @property
     def closable_shrink(self) -> float:

@@ -21,10 +21,10 @@ from tautline.effects import EVENTS, Kind
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-MOST_EFFECTS = 3
 _REFITS, _BOTH_SCOPES = 8, 3  # tolerance: single effects fitted in full, and those of them in every scope
 _FURTHER_REFITS = 3  # tolerance: effects fitted in full on top of others
 _EXTENDED = (2, 1)  # tolerance: hypotheses of one and of two effects on top of which a further one is fitted
+_MOST_EFFECTS = 1 + len(_EXTENDED)
 
 
 @dataclass(frozen=True)
@@ -213,7 +213,7 @@ class _Hypotheses:
             if set(candidate.ids) & EVENTS:
                 self._add_with_mean_effect(candidate)
             else:
-                self.add(candidate, events=i == 0 and len(candidate.ids) < MOST_EFFECTS)
+                self.add(candidate, events=i == 0 and len(candidate.ids) < _MOST_EFFECTS)
 
     def best_single_is_open(self) -> bool:
         """Whether the single effect with the least power leaves more than noise."""
