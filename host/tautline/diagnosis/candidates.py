@@ -196,16 +196,18 @@ class Search:
         candidates: list[Candidate] = []
         leading = list(screened)[:refits]
         # What a flexible effect contains takes its place where it suffices, so it has to be there.
-        leading += [name for lead in leading for name in next(iter(screened[lead].values())).kind.contains]
-        for name, scopes in screened.items():
-            best, *others = scopes.values()
+        contains = {kind.id: kind.contains for kind in self._with_path}
+        leading += [contained for name in leading for contained in contains[name]]
+        for name, by_scope in screened.items():
+            best, *others = by_scope.values()
             # A linear step tells little of parts of the nominal model, as the recalibrated one has moved half way
             # towards them, and of a simulator's parameters, in which the simulation need not be linear.
             step_tells_little = best.kind.nominal or best.kind.stage == SIMULATOR
             if name in leading or (both_scopes and step_tells_little):
                 candidates += self._refitted_while_it_helps(below, best)
-            for other in others if both_scopes and best.kind.each else []:
-                candidates += self._refitted(below, other)
+            if both_scopes and best.kind.each:
+                for other in others:
+                    candidates += self._refitted(below, other)
         candidates.sort(key=_mean_log_power)
         for candidate in candidates[:both_scopes]:
             kind, tried = candidate.fit.hypothesis.kinds[-1], candidate.fit.hypothesis.scopes[-1]

@@ -39,7 +39,7 @@ class Diagnosis(Value):
     """The result of a diagnosis. Residuals are (scored, k) of each test: scored observations, k = 2 px or 1 deg."""
 
     document: dict[str, Any]  # the content of diagnosis.json
-    nominal: Model  # as calibrated
+    nominal: Model  # as calibrated, without the effects that it carries
     corrected: Model  # with what is named
     next_motion: motion.NextMotion | None  # that tells the likeliest effects apart; None where fewer than two are left
     segments: list[Segment]  # the recordings as they were fitted, the calibration first

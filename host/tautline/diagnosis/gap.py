@@ -157,7 +157,7 @@ def blocks(segment: Segment) -> npt.NDArray[np.int64]:
     """(scored,) For each scored observation the number of its block of manoeuvres, from 0. A recording is cut into as
     many equal parts as last BLOCK_S each, but into _FEWEST_BLOCKS at least: a fit without a block is to know nearly as
     much as the fit of all, and a block as much as any other. A part ends where the motor turns, if it does within a
-    share _TO_A_TURN of a part. Every other block has to hold both directions, as one direction alone does not tell a
+    share _TO_A_TURN of a part (it turns where it stops and starts too). Every other block has to hold both directions, as one direction alone does not tell a
     width from an offset: if these do not, the cuts are where equal parts meet, and the parts as many more as it takes,
     up to _MOST_PARTS; where none do the recording is one block."""
     t = segment.arrival_s[segment.scored]
@@ -168,9 +168,8 @@ def blocks(segment: Segment) -> npt.NDArray[np.int64]:
     direction = np.sign(np.gradient(q))
     turns_s = t[1:-1][np.diff(np.sign(np.diff(q))) != 0]
     count = max(int((t[-1] - t[0]) / BLOCK_S), _FEWEST_BLOCKS)
-    equal = [_equal_parts(t, n) for n in (count, *range(count, max(count, _MOST_PARTS) + 1))]
-    equal[0] = _moved_to_turns(equal[0], turns_s, _TO_A_TURN * (t[-1] - t[0]) / count)
-    for cuts in equal:
+    at_turns = _moved_to_turns(_equal_parts(t, count), turns_s, _TO_A_TURN * (t[-1] - t[0]) / count)
+    for cuts in (at_turns, *(_equal_parts(t, n) for n in range(count, max(count, _MOST_PARTS) + 1))):
         number[:] = np.searchsorted(cuts, t, side="right")
         if all(_goes_both_ways(direction[number % 2 == half]) for half in (0, 1)):
             return number
