@@ -156,10 +156,10 @@ def _moves(motor: Motor) -> tuple[Array, Array]:
 def blocks(segment: Segment) -> npt.NDArray[np.int64]:
     """(scored,) For each scored observation the number of its block of manoeuvres, from 0. A recording is cut into as
     many equal parts as last BLOCK_S each, but into _FEWEST_BLOCKS at least: a fit without a block is to know nearly as
-    much as the fit of all, and a block as much as any other. A part ends where the motor turns, if it does within a
-    share _TO_A_TURN of a part (it turns where it stops and starts too). Every other block has to hold both directions, as one direction alone does not tell a
-    width from an offset: if these do not, the cuts are where equal parts meet, and the parts as many more as it takes,
-    up to _MOST_PARTS; where none do the recording is one block."""
+    much as the fit of all, and a block as much as any other. A part ends where the motor turns, stops or starts, if it
+    does within a share _TO_A_TURN of a part. Every other block has to hold both directions, as one direction alone does
+    not tell a width from an offset: if these do not, the cuts are where equal parts meet, and the parts as many more as
+    it takes, up to _MOST_PARTS; where none do the recording is one block."""
     t = segment.arrival_s[segment.scored]
     number = np.zeros(len(t), dtype=np.int64)
     if len(t) < 3:
