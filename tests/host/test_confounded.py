@@ -71,6 +71,11 @@ def test_a_load_varies_as_much_beside_a_motor_that_counts():
     assert counts == pytest.approx(fine) and fine > 0.0
 
 
+def test_loads_are_compared_in_the_order_of_time():
+    first, second, third = runs(12.0, 12.0, 24.0)
+    assert load_goes_with_time([first, third, second])
+
+
 def test_what_stands_for_another_shares_its_probability():
     document = {
         "effects": [{"id": LOAD, "ambiguous_with": []}],

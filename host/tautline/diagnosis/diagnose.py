@@ -148,8 +148,7 @@ def _diagnosis(
         resembles.closest_effects(gathered, found.gap["before"]) if document["verdict"] == "unknown" else []
     )
     progress(1.0, "done")
-    last = max(found.tests, key=lambda test: test.end_s)
-    corrected = _corrected(found.chosen.fit, last) if found.named else calibrated
+    corrected = _corrected(found.chosen.fit, found.latest) if found.named else calibrated
     corrected = replace(corrected, extra=model.extra, load_reference_mNm=fitter.load_reference)
     # With the old tables, and with the new: a simulator's are for no board.
     document["tip"] = tip.simulated_error(model, corrected) if found.named and simulated is None else None

@@ -54,6 +54,11 @@ class Found:
         return self.segments[1:]
 
     @property
+    def latest(self) -> Segment:
+        """The test that ends last, in whatever order they were given: what is handed out holds at its end."""
+        return max(self.tests, key=lambda test: test.end_s)
+
+    @property
     def before(self) -> Sequence[Array]:
         """Residuals of the tests by the calibrated model as it is, (scored, k) each."""
         return self.frozen[1:]
@@ -160,7 +165,7 @@ def _effects(found: Found, shares: Mapping[str, float]) -> list[dict[str, Any]]:
             "id": name,
             "probability": probability,
             "since": _since(found, name).since,
-            "parameters": _parameter_values(fit, name),
+            "parameters": _parameter_values(fit, name, found.latest),
             **_values_by_recording(fit, name, found.segments),
             **_brings(brought[name], shares),
             "shrink": shares[name] + sum(shares[part] for part in brought[name]),
@@ -275,13 +280,13 @@ def _depends_on_time(fit: Fit, named: Sequence[str]) -> bool:
     return any(k.course or k.scan == "moment" or _scope(fit, k.id) == Scope.EACH for k in kinds)
 
 
-def _parameter_values(fit: Fit, name: str) -> dict[str, Any]:
+def _parameter_values(fit: Fit, name: str, latest: Segment) -> dict[str, Any]:
     """The object `parameters` of a named effect in diagnosis.json: its fitted values by name, in their own units (where
-    each recording has its own, those of the last test), and since_calibration, 0 or 1."""
+    each recording has its own, those of the `latest`), and since_calibration, 0 or 1."""
     kind, scope = fit.hypothesis.find(name) or (effects.BY_ID[name], Scope.START)
     values = fit.state.values if fit.hypothesis.find(name) else fit.state.static
-    last = fit.hypothesis.tests
-    keys = {p.name: key(p.name, last) if scope == Scope.EACH and not p.searched else p.name for p in kind.parameters}
+    own = {p.name for p in kind.parameters if scope == Scope.EACH and not p.searched}
+    keys = {p.name: key(p.name, latest.number) if p.name in own else p.name for p in kind.parameters}
     reported = {parameter: float(values[at]) for parameter, at in keys.items() if at in values}
     column = {effects.COLUMN: kind.column} if kind.column else {}
     return {**reported, **column, "since_calibration": float(bool(scope))}
