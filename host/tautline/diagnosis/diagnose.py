@@ -214,8 +214,9 @@ def _with_moved_parts(
 
 
 def _chosen_candidate(fitter: Fitter, frozen: list[Array], gathered: Gathered, verdict: decide.Decision) -> Candidate:
-    """The hypothesis of what is named. If these are events only (no path explains them) and its recalibrated nominal
-    model does not surely leave less than the calibrated one, the events are put on the calibrated one instead."""
+    """The hypothesis of what is named. Where its path has none of it (events only, or parts of the nominal model) and
+    its recalibrated nominal model does not surely leave less than the calibrated one, it is put on the calibrated one
+    instead."""
     chosen = gathered.candidates[verdict.chosen]
     if verdict.name != "effect" or not verdict.named or chosen.predicts_an_effect:
         return chosen

@@ -149,18 +149,19 @@ class _Hypotheses:
         """Adds fits of single effects, given the best first. Where the best leaves more than a right effect does, an
         event or another posture may hide which one it is: then also events on top of each, all that another posture
         changes, and the mean effects of events."""
-        best = candidates[0] if candidates else None
-        is_open = best is not None and self._is_open(best)
+        if not candidates:
+            return
+        best = candidates[0]
+        best_kind, is_open = best.fit.hypothesis.kinds[0], self._is_open(best)
         floor2 = self.search.fitter.floor**2
         gap2 = float(np.mean(self.search.base.power)) - floor2
         most = learnt().center.unexplained * gap2  # that a right effect may well leave
-        hidden = best is not None and is_open and float(np.mean(best.power)) - floor2 > most
-        contained = best.fit.hypothesis.kinds[0].contains if best else ()
-        for i, candidate in enumerate(candidates):
-            self.add(candidate, events=i == 0 or hidden or candidate.ids[0] in contained)
+        hidden = is_open and float(np.mean(best.power)) - floor2 > most
+        for candidate in candidates:
+            self.add(candidate, events=candidate is best or hidden or candidate.ids[0] in best_kind.contains)
         if not self.search.allows_later_effects:
             return
-        if hidden or (best and is_open and best.fit.hypothesis.kinds[0].posture):
+        if hidden or (is_open and best_kind.posture):
             self._add_posture(candidates)
         for candidate in self.search.with_nominal_parts() if is_open else []:
             self.add(candidate)
