@@ -180,7 +180,7 @@ class Joint:
         found = [Effect(name, {name: value}) for name, value in changes.items() if value]
         speed = float(u[self.places[SPEED]][0])
         if speed:
-            # So that at great speeds the width changes by `speed` times _WIDTH; the motor's range is in both and cancels.
+            # So that at great speeds the width changes by `speed` times _WIDTH: the motor's range cancels.
             per_speed = _WIDTH * speed / _USUAL * -float(np.expm1(-_SATURATION))
             parameters = {
                 "width_per_speed": per_speed,
