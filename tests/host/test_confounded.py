@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from tautline.diagnosis.confounded import DRIFT, LOAD, add_hidden, hidden, load_goes_with_time, load_tells_apart
+from tautline.diagnosis.confounded import (
+    DRIFT,
+    LOAD,
+    _load_variation_beside_motion,
+    add_hidden,
+    hidden,
+    load_goes_with_time,
+    load_tells_apart,
+)
 from tautline.diagnosis.segment import Segment
 from tautline.effects import BY_ID
 from tautline.recording import Motor
@@ -52,6 +60,20 @@ def test_a_load_that_changes_once_goes_with_time(loads, expected):
 )
 def test_a_load_tells_recordings_apart_where_its_levels_differ_by_more_than_it_scatters(loads, expected):
     assert load_tells_apart(runs(*loads)) is expected
+
+
+def test_a_load_varies_as_much_beside_a_motor_that_counts():
+    """More where the motor is at its last count: no place of its own."""
+    q = np.round(1e4 * np.clip(1.3 * Q, -4.0, 4.0))
+    load = 10.0 + 2.0 * (q == q.max())
+    in_units = [Segment("r", Motor(T, c, None), T, c[:, None], T > 3.0, 0.0, False) for c in (q, 1e-4 * q)]
+    counts, fine = (_load_variation_beside_motion(segment, load[T > 3.0]) for segment in in_units)
+    assert counts == pytest.approx(fine) and fine > 0.0
+
+
+def test_loads_are_compared_in_the_order_of_time():
+    first, second, third = runs(12.0, 12.0, 24.0)
+    assert load_goes_with_time([first, third, second])
 
 
 def test_what_stands_for_another_shares_its_probability():

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tautline.diagnosis.decide import Decision, _next_to_name, decide, that_help
+from tautline.diagnosis.document import _stage
 from tautline.diagnosis.hypotheses import Beyond, CaseEvidence, Wander, Weighed
 from tautline.plain import plain
 
@@ -532,6 +533,7 @@ def test_what_gains_less_than_blocks_scatter_is_not_named():
         verdict = helped(gains)
         assert verdict.named == () and verdict.name == "unknown"
         assert verdict.unknown == pytest.approx(1.0) and verdict.chosen == 0
+        assert _stage(verdict) is None  # no effect leads, so no stage does
 
 
 def test_an_offset_that_leaves_what_a_right_effect_may_is_no_other_static_law():

@@ -88,6 +88,27 @@ def test_nothing_is_called_nothing():
     assert document["gap"]["after"] == document["gap"]["before"] and document["gap"]["shrink"] == 0.0
 
 
+def shifted(recording: Recording, later_s: float) -> Recording:
+    """The same recording, begun later on its clock."""
+    motor, marker = recording.motor, recording.marker
+    return replace(
+        recording,
+        motor=replace(motor, t_s=motor.t_s + later_s),
+        marker=replace(marker, t_s=marker.t_s + later_s),
+    )
+
+
+def test_what_differs_by_recording_is_told_of_the_latest_in_whatever_order_they_are_given():
+    calibration, first = recordings({"offset": 0.15})[:2]
+    second = recordings({"offset": -0.25})[2]
+    first = shifted(first, calibration.motor.t_s[-1] + 1.0)
+    second = shifted(second, first.motor.t_s[-1] + 1.0)
+    found = diagnose(true_model(), calibration, [second, first])
+    assert [(f.id, f.since) for f in found.findings] == [("transmission.offset", "recording")]
+    assert found.findings[0].parameters["offset"] == pytest.approx(-0.25, abs=0.02)
+    assert np.mean(found.corrected.q - GRID) == pytest.approx(0.25, abs=0.02)  # in the model that is handed out too
+
+
 def test_another_blob_that_is_followed_for_a_while_says_nothing_of_the_tip():
     """Two reflections and the law of the whole: without them left out it is unknown."""
     calibration, test = recordings({"lag": 0.08})[:2]

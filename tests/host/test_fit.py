@@ -10,6 +10,7 @@ from tautline.core.session import SessionClock
 from tautline.diagnosis.candidates import applicable
 from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.fitted import Hypothesis, Scope
+from tautline.diagnosis.huber import huber_weight
 from tautline.diagnosis.moments import refined
 from tautline.diagnosis.screen import screen
 from tautline.diagnosis.segment import prepare
@@ -26,6 +27,11 @@ GRID = np.linspace(-5.0, 5.0, 401)
 INSTRUMENT = preset("reference", RIG)
 MODEL = Model(RIG, GRID, INSTRUMENT.backlash(GRID), np.full(401, 0.003), INSTRUMENT.bend(GRID), 0.08, (-4.0, 4.0))
 NOISE = 0.03
+
+
+@pytest.mark.parametrize("limit", [1.0, 0.0])
+def test_what_is_foretold_to_the_last_digit_counts_in_full(limit):
+    assert huber_weight(np.array([0.0, 1.0, 2.0]), limit) == pytest.approx([1.0, limit, 0.5 * limit], abs=1e-11)
 
 
 def recordings(parameters, throughout=False, turned_deg=20.0) -> list[Recording]:

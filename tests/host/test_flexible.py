@@ -82,6 +82,20 @@ def test_a_swing_of_its_own_period_is_found_and_closed():
     assert found.closable_shrink > 0.9
 
 
+@pytest.mark.parametrize("period_s", [3.1, 0.9, 0.6])
+def test_a_swing_of_twenty_minutes_is_no_slower_one(period_s):
+    """Thinned evenly to 1500 frames a fast one looks slow, and between two rates 0.003 Hz apart it turns three times
+    against either."""
+    long = segment(1, 1200.0)
+    swing = 0.5 * np.sin(2 * np.pi * long.arrival_s[long.scored] / period_s)[:, None]
+    scatter = np.random.default_rng(2).normal(0.0, NOISE, (len(swing), 2))
+    assert flexible._swing_period([long], [swing + scatter]) == pytest.approx(period_s, rel=0.02)
+
+
+def test_what_is_the_same_throughout_does_not_swing():
+    assert flexible._swing_period(SEGMENTS, [np.ones((int(s.scored.sum()), 2)) for s in SEGMENTS]) is None
+
+
 def test_what_the_motor_makes_is_no_swing():
     for made in (lambda q: 0.1 * q, lambda q: 0.03 * q**2):
         residuals = [r + made(motor(s))[:, None] for s, r in zip(SEGMENTS, noise(7), strict=True)]

@@ -28,7 +28,7 @@ def test_it_is_what_a_refit_leaves(fitter, effect, at, monkeypatch):
     start = {p.name: at.get(p.name, 1e-3 if p in kind.amplitudes else 0.0) for p in (*kind.amplitudes, *kind.shapes)}
     fit = fitter.fit(Hypothesis().plus(kind, True), start, fitter.nominal().state)
     labels = [gap.blocks(s) for s in fitter.segments]
-    left = heldout.residuals(fitter, fit.hypothesis, fitter.linearised(fit), labels, [1e3, 1e3])
+    left = heldout.residuals_and_surprise(fitter, fit.hypothesis, fitter.linearised(fit), labels, [1e3, 1e3])[0]
     calibration = fitter.segments[0]
     for number in (1, 3):  # the last alone shows one end of the range
         without = calibration.scored.copy()
@@ -47,12 +47,12 @@ def test_it_is_what_a_refit_leaves(fitter, effect, at, monkeypatch):
 def test_an_outlier_pulls_no_block(fitter):
     fit = fitter.nominal()
     labels = [gap.blocks(s) for s in fitter.segments]
-    plain = heldout.residuals(fitter, fit.hypothesis, fitter.linearised(fit), labels, [1.0, 1.0])
+    plain = heldout.residuals_and_surprise(fitter, fit.hypothesis, fitter.linearised(fit), labels, [1.0, 1.0])[0]
     lost = fitter.segments[1].observed.copy()
     lost[np.flatnonzero(fitter.segments[1].scored)[40]] += 200.0
     broken = Fitter(fitter.model, [fitter.segments[0], replace(fitter.segments[1], observed=lost)])
     broken.floor = fitter.floor
-    again = heldout.residuals(broken, fit.hypothesis, broken.linearised(fit), labels, [1.0, 1.0])
+    again = heldout.residuals_and_surprise(broken, fit.hypothesis, broken.linearised(fit), labels, [1.0, 1.0])[0]
     other = labels[1] != labels[1][40]
     assert rms(again[1][other] - plain[1][other]) < 0.1 * rms(plain[1][other])
 

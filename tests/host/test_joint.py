@@ -12,10 +12,13 @@ from scipy.stats import multivariate_normal
 from tautline.core.posterior import Posterior
 from tautline.diagnosis import gap, heldout
 from tautline.diagnosis.diagnose import diagnose
+from tautline.diagnosis.folder import save
 from tautline.diagnosis.joint import BENDS, LAW, SPEED, WIDTH, Fitted, Joint, Noise, Unknown, likeliest
 from tautline.diagnosis.joint_sets import Sets
 from tautline.diagnosis.joint_told import Answer, foretelling, held_out_residuals, improved
+from tautline.diagnosis.repeated import HELD
 from tautline.diagnosis.segment import prepare
+from tautline.diagnosis.simulated import diagnose_simulator
 from tautline.effects import LIBRARY, simulator_id
 from tautline.prediction import predict, predict_with_sigma
 from tautline.recording import Angle, Motor, Recording
@@ -327,6 +330,33 @@ def test_what_is_surely_there_is_named_however_many_may_be():
     )
     assert sorted(sets.ids) == sorted(f"x{i}" for i in range(15))
     assert set(sets.groups[:2]) == {("x4",), ("x9",)} and sets.count[2] + sets.count[3] > 0.99
+
+
+def test_a_simulator_that_is_the_robot_to_the_last_digit_lacks_nothing(folder, tmp_path):
+    course = random_smooth(arms.rig(folder).actuator, 60.0, 12.0, 3)
+    t_s = np.arange(0.0, course.duration_s, STEP_S)
+    q = np.interp(t_s, course.t_s, course.q)
+    motor = Motor(t_s, q, q)
+    own = Recording("own", motor, angle=Angle(t_s[20::4], SERVO.tip(motor, {})[20::4]))
+    found = diagnose_simulator(SERVO, [own], arms.rig(folder))
+    assert found.verdict == "none" and found.gap.before == found.gap.after == found.gap.shrink == 0.0
+    assert sum(found.probabilities.values()) == pytest.approx(1.0)
+    save(found, tmp_path / "told")
+
+
+def test_repeated_samples_are_of_the_gap_and_the_others_shrink_the_rest(folder):
+    """A fifth of the readings repeats one."""
+    robots = []
+    for seed in (3, 5):
+        seen = robot(folder, seed, tau=0.12, gain=4.0)
+        at = np.arange(len(seen.angle.t_s))
+        at -= np.where(at % 75 < 15, at % 75, 0)
+        robots.append(replace(seen, angle=Angle(seen.angle.t_s, seen.angle.c_deg[at])))
+    found = diagnose_simulator(SERVO, robots, arms.rig(folder))
+    shrinks = {finding.id: finding.shrink for finding in found.findings}
+    assert HELD in shrinks and simulator_id("tau") in shrinks
+    assert sum(shrinks.values()) == pytest.approx(found.gap.shrink)
+    assert found.gap.shrink == pytest.approx(1.0 - found.gap.after / found.gap.before)
 
 
 def test_a_block_that_is_left_out_is_foretold_by_a_fit_without_it(answer, monkeypatch):

@@ -14,7 +14,7 @@ from tautline.diagnosis import repeated as room
 from tautline.diagnosis.diagnose import Diagnosis, diagnose
 from tautline.diagnosis.repeated import HELD
 from tautline.diagnosis.segment import prepare, repeated
-from tautline.model import Model
+from tautline.model import Effect, Model
 from tautline.recording import Marker, Recording
 from tautline.simulated import simulate
 from tautline.simulated.instrument import preset, reference_rig
@@ -54,9 +54,10 @@ def now_and_then(recording: Recording) -> Recording:
     return replace(recording, marker=Marker(marker.t_s, marker.u_px[at], marker.v_px[at], marker.valid))
 
 
-def diagnosed(spoilt=stalled, left_out=()) -> Diagnosis:
+def diagnosed(spoilt=stalled, left_out=(), carried=()) -> Diagnosis:
     instrument = preset("reference", RIG)
     model = Model(RIG, GRID, instrument.backlash(GRID), np.full(401, 0.003), instrument.bend(GRID), 0.08, (-4.0, 4.0))
+    model = replace(model, effects=carried)
     motions = [
         trajectory.back_and_forth(RIG.actuator, [0.8], 2.0, 12, 6.0),
         trajectory.trapezoids(RIG.actuator, 0.9, 2.6, 5, 8.0, 0.8),
@@ -72,6 +73,13 @@ def diagnosed(spoilt=stalled, left_out=()) -> Diagnosis:
         marker=replace(test.marker, t_s=test.marker.t_s + later),
     )
     return diagnose(model, replace(calibration, rig=RIG), [spoilt(test)], left_out=left_out)
+
+
+def test_the_model_keeps_the_effects_that_it_carries_where_only_stalls_are_named():
+    carried = (Effect("transmission.lag", {"lag": 0.001}),)
+    found = diagnosed(carried=carried)
+    assert [finding.id for finding in found.findings] == [HELD]
+    assert found.corrected.effects == carried
 
 
 def test_stalls_are_the_gap_and_not_friction():

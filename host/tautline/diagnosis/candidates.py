@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import effects
+from tautline.core import samples
 from tautline.diagnosis import confined, gap, heldout, moments, wander
 from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.fitted import Fit, ParameterState, Scope
@@ -177,11 +178,12 @@ class Search:
         return self._block_powers(residuals, self.limits)
 
     def _block_powers(self, residuals: Sequence[Array], limits: Sequence[float]) -> Array:
-        """As `power`, with the residuals of each recording cut to its own one of `limits`."""
-        parts = []
+        """As `power`, with the residuals of each recording cut to its own one of `limits`; never less than the power of
+        the least noise that a sensor is taken to have, so that what leaves next to nothing leaves noise."""
+        least, parts = samples.least_noise("px" if self.fitter.px else "deg") ** 2, []
         for r, label, limit in zip(residuals, self.labels, limits, strict=True):
             squares = np.mean(np.minimum(np.abs(r), limit) ** 2, axis=1)
-            parts.append(np.bincount(label, squares) / np.bincount(label))
+            parts.append(np.maximum(np.bincount(label, squares) / np.bincount(label), least))
         return np.concatenate(parts)
 
     def on_top_of(self, below: Candidate, refits: int, both_scopes: int) -> list[Candidate]:
@@ -194,16 +196,18 @@ class Search:
         candidates: list[Candidate] = []
         leading = list(screened)[:refits]
         # What a flexible effect contains takes its place where it suffices, so it has to be there.
-        leading += [name for lead in leading for name in next(iter(screened[lead].values())).kind.contains]
-        for name, scopes in screened.items():
-            best, *others = scopes.values()
+        contains = {kind.id: kind.contains for kind in self._with_path}
+        leading += [contained for name in leading for contained in contains[name]]
+        for name, by_scope in screened.items():
+            best, *others = by_scope.values()
             # A linear step tells little of parts of the nominal model, as the recalibrated one has moved half way
             # towards them, and of a simulator's parameters, in which the simulation need not be linear.
             step_tells_little = best.kind.nominal or best.kind.stage == SIMULATOR
             if name in leading or (both_scopes and step_tells_little):
                 candidates += self._refitted_while_it_helps(below, best)
-            for other in others if both_scopes and best.kind.each else []:
-                candidates += self._refitted(below, other)
+            if both_scopes and best.kind.each:
+                for other in others:
+                    candidates += self._refitted(below, other)
         candidates.sort(key=_mean_log_power)
         for candidate in candidates[:both_scopes]:
             kind, tried = candidate.fit.hypothesis.kinds[-1], candidate.fit.hypothesis.scopes[-1]

@@ -65,7 +65,7 @@ def load_goes_with_time(segments: Sequence[Segment]) -> bool:
     load and time are confounded. A load that varies in step with the motor's motion counts as constant. False where a
     recording has no load."""
     levels, variation = [], []
-    for segment in segments:
+    for segment in sorted(segments, key=lambda recording: recording.end_s):
         load = segment.motor.load_mNm
         if load is None:
             return False
@@ -88,10 +88,10 @@ def _load_variation_beside_motion(segment: Segment, load: np.ndarray) -> float:
     t = segment.arrival_s[segment.scored]
     q = np.interp(t, segment.motor.t_s, segment.motor.q)
     direction = np.sign(np.gradient(q)) if len(q) > 1 else np.zeros_like(q)
-    edges = np.linspace(q.min(), q.max() + 1e-12, _PLACES + 1)
+    inner_edges = np.linspace(q.min(), q.max(), _PLACES + 1)[1:-1]
     # A number for each of _PLACES places and three directions: -1, 0, 1.
-    cell = (np.searchsorted(edges, q, side="right") - 1) * 3 + direction.astype(int) + 1
+    cell = np.searchsorted(inner_edges, q, side="right") * 3 + direction.astype(int) + 1
     mean = np.bincount(cell, load) / np.maximum(np.bincount(cell), 1)
     unexplained = load - mean[cell]
-    frames = max(1, int(_SLOW_S / max(float(np.median(np.diff(t))), 1e-3))) if len(t) > 2 else 1  # in _SLOW_S
+    frames = max(1, int(_SLOW_S / float(np.median(np.diff(t))))) if len(t) > 1 else 1  # in _SLOW_S
     return float(np.std(np.convolve(unexplained, np.ones(frames) / frames, mode="same")))

@@ -194,6 +194,8 @@ def that_help(evidence: CaseEvidence, verdict: Decision) -> Decision:
     one stays only if without it the mean over blocks rises by more than HELPS standard errors. Events stay, as their
     path explains nothing. Where none stays the cause is unknown; so it is where the leading one does not and an unknown
     cause is likelier than the others alone."""
+    if verdict.name != "effect":
+        return verdict
     ids = [h.ids for h in evidence.hypotheses]
 
     def least_power(names: Sequence[str]) -> int:
@@ -202,12 +204,12 @@ def that_help(evidence: CaseEvidence, verdict: Decision) -> Decision:
         return min(same, key=lambda i: float(np.mean(evidence.hypotheses[i].power)), default=0)
 
     named, parts, chosen = list(verdict.named), list(verdict.brought), verdict.chosen
-    probability = dict(zip(verdict.named, verdict.probability, strict=False))
-    for name in reversed(verdict.named if verdict.name == "effect" else ()):
+    for name in reversed(verdict.named):
         rest = [other for other in named if other != name]
         kept_parts = [other for other in parts if other in brought_parts([*rest, other])]
         without = least_power([*rest, *kept_parts])
-        if name in EVENTS or (rest and not ids[without]):
+        never_fitted = rest and not ids[without]
+        if name in EVENTS or never_fitted:
             continue
         gained = evidence.hypotheses[without].power - evidence.hypotheses[chosen].power
         if float(np.mean(gained)) <= HELPS * float(np.std(gained)) / np.sqrt(len(gained)):
@@ -215,22 +217,31 @@ def that_help(evidence: CaseEvidence, verdict: Decision) -> Decision:
     if len(named) == len(verdict.named):
         return verdict
     rest_alone = sum(float(p) for p, key in zip(verdict.posterior, ids, strict=True) if {*key} == {*named, *parts})
-    if verdict.named[0] not in named and rest_alone < verdict.unknown:
-        named = []  # further ones were named beside the leading one
-    if named[-1:] != [*verdict.named[-1:]]:
-        verdict = replace(verdict, alternatives=())
-    if named:
-        sure = tuple(probability[name] for name in named)
-        return replace(verdict, named=tuple(named), probability=sure, chosen=chosen, brought=tuple(parts))
-    of_all_effects = sum(verdict.leading.values())
+    others_for_the_leading_one = verdict.named[0] not in named and rest_alone < verdict.unknown
+    if not named or others_for_the_leading_one:
+        return _unknown_instead(verdict)
+    probability = dict(zip(verdict.named, verdict.probability, strict=False))
     return replace(
         verdict,
-        unknown=verdict.unknown + of_all_effects,
+        named=tuple(named),
+        probability=tuple(probability[name] for name in named),
+        chosen=chosen,
+        brought=tuple(parts),
+        alternatives=verdict.alternatives if named[-1] == verdict.named[-1] else (),
+    )
+
+
+def _unknown_instead(verdict: Decision) -> Decision:
+    """The verdict with nothing named, and an unknown cause as likely as all effects were with it."""
+    return replace(
+        verdict,
+        unknown=verdict.unknown + sum(verdict.leading.values()),
         leading=dict.fromkeys(verdict.leading, 0.0),
         named=(),
         probability=(),
         chosen=0,
         brought=(),
+        alternatives=(),
     )
 
 

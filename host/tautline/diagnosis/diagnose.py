@@ -39,7 +39,7 @@ class Diagnosis(Value):
     """The result of a diagnosis. Residuals are (scored, k) of each test: scored observations, k = 2 px or 1 deg."""
 
     document: dict[str, Any]  # the content of diagnosis.json
-    nominal: Model  # as calibrated
+    nominal: Model  # as calibrated, without the effects that it carries
     corrected: Model  # with what is named
     next_motion: motion.NextMotion | None  # that tells the likeliest effects apart; None where fewer than two are left
     segments: list[Segment]  # the recordings as they were fitted, the calibration first
@@ -80,27 +80,26 @@ def diagnose(
     simulated: SimulatedNominal | None = None,
 ) -> Diagnosis:
     """Which effect explains the gap between a calibrated model and later recordings. model: what `calibration` gave;
-    the search begins without the effects that it carries, and `corrected` keeps them where nothing is named. progress:
+    the search begins without the effects that it carries, and `corrected` keeps them where none is named that a model
+    holds. progress:
     called with the share that is done, 0 to 1, and what is done now. left_out: ids of effects not to try. simulated:
     if a user's simulator stands in the motor's place. Raises TautError where no observation can be scored."""
     with threadpool_limits(1, "blas"):  # the systems are small: threads that wait for each other cost 10 times more
-        found = _diagnosis(model.alone, calibration, tests, progress, left_out, simulated)
-    if found.findings or not model.effects:
-        return found
-    return replace(found, corrected=replace(model, load_reference_mNm=found.corrected.load_reference_mNm))
+        return _diagnosis(model, calibration, tests, progress, left_out, simulated)
 
 
 def _diagnosis(
-    model: Model,
+    calibrated: Model,
     calibration: Recording,
     tests: Sequence[Recording],
     progress: Progress,
     left_out: Collection[str],
     simulated: SimulatedNominal | None,
 ) -> Diagnosis:
-    """As `diagnose`, of a model without effects. In this order: recordings prepared, the tracker's error taken off,
-    hypotheses fitted, the verdict, effects that the calibration has swallowed, the document."""
+    """As `diagnose`. In this order: recordings prepared, the tracker's error taken off, hypotheses fitted, the verdict,
+    effects that the calibration has swallowed, the document."""
     progress(0.0, "preparing")
+    model = calibrated.alone
     segments = prepare(model, calibration, tests, simulated.drives if simulated else ())
     if repeated.HELD in left_out:
         segments = [segment.with_repeats() for segment in segments]
@@ -119,7 +118,10 @@ def _diagnosis(
     if verdict.name != "effect" and simulated is None and start.concerns(model):
         # Nothing that came later is the cause: what was there while calibrating, which the calibration has swallowed.
         from_start = start.of_segments(
-            *(model, segments, fitter.load_reference, tracked),
+            model,
+            segments,
+            fitter.load_reference,
+            tracked,
             lambda done, text: progress(0.9 + 0.02 * done, text),
             left_out,
         )
@@ -128,9 +130,17 @@ def _diagnosis(
     progress(0.92, "attributing")
     verdict, parts = _with_moved_parts(fitter, frozen, base, gathered, verdict)
     found = Found(
-        *(model, segments, fitter, tracked, frozen, gap.rms(base.residuals[1:]), kinds, gathered, verdict),
-        _chosen_candidate(fitter, frozen, gathered, verdict),
-        parts,
+        model=model,
+        segments=segments,
+        fitter=fitter,
+        tracked=tracked,
+        frozen=frozen,
+        recalibrated=gap.rms(base.residuals[1:]),
+        kinds=kinds,
+        gathered=gathered,
+        verdict=verdict,
+        chosen=_chosen_candidate(fitter, frozen, gathered, verdict),
+        parts=parts,
     )
     document = to_document(found, hidden)
     repeated.add_repeats(document, model, segments, fitter.load_reference)
@@ -138,16 +148,22 @@ def _diagnosis(
         resembles.closest_effects(gathered, found.gap["before"]) if document["verdict"] == "unknown" else []
     )
     progress(1.0, "done")
-    corrected = _corrected(found.chosen.fit, max(found.tests, key=lambda test: test.end_s)) if found.named else model
+    corrected = _corrected(found.chosen.fit, found.latest) if found.named else calibrated
     corrected = replace(corrected, extra=model.extra, load_reference_mNm=fitter.load_reference)
     # With the old tables, and with the new: a simulator's are for no board.
     document["tip"] = tip.simulated_error(model, corrected) if found.named and simulated is None else None
     if simulated is not None:
         document["simulator"] = simulated.to_json(document["effects"])
     return Diagnosis(
-        *(document, model, corrected, found.next_motion),
-        [replace(segment, drive=None) for segment in segments],  # what was simulated is in motor and residuals
-        *(list(found.before), list(found.after), found.conditions, gathered.evidence),
+        document=document,
+        nominal=model,
+        corrected=corrected,
+        next_motion=found.next_motion,
+        segments=[replace(segment, drive=None) for segment in segments],  # what was simulated is in motor and residuals
+        before=list(found.before),
+        after=list(found.after),
+        conditions=found.conditions,
+        evidence=gathered.evidence,
     )
 
 
@@ -176,9 +192,9 @@ def _recalibrate_and_set_noise(fitter: Fitter, frozen: Sequence[Array], tracked:
         fitter.doubt, fitter.unsteady = tracked.doubt, tracked.unsteady
     base = fitter.nominal()
     # A rest in which the tip goes on moving overestimates the noise: what the calibration leaves of itself bounds it.
-    # A simulator's calibration leaves nothing, so the rounding and the tests' own white noise stay a lower bound.
+    # A simulator's calibration leaves nothing, so the least noise and the tests' own white noise stay a lower bound.
     at_rest = gap.noise_floor(segments, base.residuals, fitter.across(base))
-    bound = max(gap.rms(frozen[:1]), gap.rounding_noise(segments), gap.second_difference_noise(base.residuals[1:]))
+    bound = max(gap.rms(frozen[:1]), gap.least_noise(segments), gap.second_difference_noise(base.residuals[1:]))
     fitter.floor = max(bound if bound < _NO_NOISE * at_rest else at_rest, moving)
     return base
 
@@ -198,8 +214,9 @@ def _with_moved_parts(
 
 
 def _chosen_candidate(fitter: Fitter, frozen: list[Array], gathered: Gathered, verdict: decide.Decision) -> Candidate:
-    """The hypothesis of what is named. If these are events only (no path explains them) and its recalibrated nominal
-    model does not surely leave less than the calibrated one, the events are put on the calibrated one instead."""
+    """The hypothesis of what is named. Where its path has none of it (events only, or parts of the nominal model) and
+    its recalibrated nominal model does not surely leave less than the calibrated one, it is put on the calibrated one
+    instead."""
     chosen = gathered.candidates[verdict.chosen]
     if verdict.name != "effect" or not verdict.named or chosen.predicts_an_effect:
         return chosen

@@ -54,6 +54,11 @@ class Found:
         return self.segments[1:]
 
     @property
+    def latest(self) -> Segment:
+        """The test that ends last, in whatever order they were given: what is handed out holds at its end."""
+        return max(self.tests, key=lambda test: test.end_s)
+
+    @property
     def before(self) -> Sequence[Array]:
         """Residuals of the tests by the calibrated model as it is, (scored, k) each."""
         return self.frozen[1:]
@@ -76,7 +81,9 @@ class Found:
     @cached_property
     def conditions(self) -> list[where.Condition]:
         """How the gap goes with position, speed, time and so on, the largest share first; without time where what is
-        named does not depend on it."""
+        named does not depend on it. [] where the model foretells every reading to the last digit."""
+        if gap.rms(self.before) == 0.0:
+            return []
         every = where.conditions(self.tests, self.before)
         if self.verdict.name == "effect" and not _depends_on_time(self.chosen.fit, self.named):
             return [condition for condition in every if condition.axis != "time"]
@@ -158,7 +165,7 @@ def _effects(found: Found, shares: Mapping[str, float]) -> list[dict[str, Any]]:
             "id": name,
             "probability": probability,
             "since": _since(found, name).since,
-            "parameters": _parameter_values(fit, name),
+            "parameters": _parameter_values(fit, name, found.latest),
             **_values_by_recording(fit, name, found.segments),
             **_brings(brought[name], shares),
             "shrink": shares[name] + sum(shares[part] for part in brought[name]),
@@ -180,7 +187,7 @@ def _candidates(found: Found) -> list[dict[str, Any]]:
         {
             "id": name,
             "probability": verdict.leading.get(name, 0.0),
-            "shrink": 1.0 - gap.rms(best[name].held_out[1:]) / before if name in best else 0.0,
+            "shrink": gap.shrinkage(before, gap.rms(best[name].held_out[1:])) if name in best else 0.0,
             "identifiable": name not in ambiguous or len(ambiguous) == 1,
         }
         for name in names
@@ -216,8 +223,8 @@ def _alternatives(verdict: decide.Decision, name: str, ambiguous: Sequence[str])
 
 
 def _stage(verdict: decide.Decision) -> str | None:
-    """The stage whose effects together are likeliest to lead; None where nothing is there."""
-    if verdict.name == "none" or not verdict.leading:
+    """The stage whose effects together are likeliest to lead; None where nothing is there, or none of them leads."""
+    if verdict.name == "none" or not any(verdict.leading.values()):
         return None
     stages: dict[str, float] = {}
     for name, probability in verdict.leading.items():
@@ -234,9 +241,9 @@ def _shapley(found: Found, named: Sequence[str]) -> list[float]:
     known: dict[frozenset[str], float] = {frozenset(): 0.0}
     for candidate in found.gathered.candidates:
         if candidate.ids:
-            key, value = frozenset(candidate.ids), 1.0 - gap.rms(candidate.held_out[1:]) / before
-            known[key] = max(known.get(key, -np.inf), value)
-    known[frozenset(named)] = 1.0 - gap.rms(chosen.held_out[1:]) / before
+            ids, value = frozenset(candidate.ids), gap.shrinkage(before, gap.rms(candidate.held_out[1:]))
+            known[ids] = max(known.get(ids, -np.inf), value)
+    known[frozenset(named)] = gap.shrinkage(before, gap.rms(chosen.held_out[1:]))
 
     def worth(names: frozenset[str]) -> float:
         """Shrinkage of the rms, 1 - after / before, with these effects alone."""
@@ -245,7 +252,7 @@ def _shapley(found: Found, named: Sequence[str]) -> list[float]:
         off = {p.name for name in named if name not in names for p in effects.BY_ID[name].amplitudes} | effects.SCATTERS
         values = {k: (0.0 if k.split("@")[0] in off else v) for k, v in chosen.fit.state.values.items()}
         residuals = found.fitter.residuals(replace(chosen.fit.state, values=values), chosen.fit.hypothesis)
-        return 1.0 - gap.rms(residuals[1:]) / before
+        return gap.shrinkage(before, gap.rms(residuals[1:]))
 
     return shapley.shares(named, worth)
 
@@ -273,13 +280,13 @@ def _depends_on_time(fit: Fit, named: Sequence[str]) -> bool:
     return any(k.course or k.scan == "moment" or _scope(fit, k.id) == Scope.EACH for k in kinds)
 
 
-def _parameter_values(fit: Fit, name: str) -> dict[str, Any]:
+def _parameter_values(fit: Fit, name: str, latest: Segment) -> dict[str, Any]:
     """The object `parameters` of a named effect in diagnosis.json: its fitted values by name, in their own units (where
-    each recording has its own, those of the last test), and since_calibration, 0 or 1."""
+    each recording has its own, those of the `latest`), and since_calibration, 0 or 1."""
     kind, scope = fit.hypothesis.find(name) or (effects.BY_ID[name], Scope.START)
     values = fit.state.values if fit.hypothesis.find(name) else fit.state.static
-    last = fit.hypothesis.tests
-    keys = {p.name: key(p.name, last) if scope == Scope.EACH and not p.searched else p.name for p in kind.parameters}
+    own = {p.name for p in kind.parameters if scope == Scope.EACH and not p.searched}
+    keys = {p.name: key(p.name, latest.number) if p.name in own else p.name for p in kind.parameters}
     reported = {parameter: float(values[at]) for parameter, at in keys.items() if at in values}
     column = {effects.COLUMN: kind.column} if kind.column else {}
     return {**reported, **column, "since_calibration": float(bool(scope))}

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from tautline.diagnosis import gap
 from tautline.diagnosis.segment import Segment
 from tautline.discrepancy import JITTER, Discrepancy, kernel
+from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
 
@@ -23,6 +24,8 @@ _TRAINED_ON = 700  # tolerance: observations of either half that the process is 
 _SCORED_ON = 3000  # tolerance: observations of both halves that are predicted
 _FEWEST = 50  # tolerance: observations of either half
 _RATES = np.arange(0.05, 2.0, 0.003)  # prior: Hz, of an oscillation: breathing, a heart, a loose mount
+_COHERENT_S = 160.0  # tolerance: s over which the rates' step of 0.003 Hz puts no oscillation half a period off
+_FEWEST_OF_SWING = 10  # tolerance: observations that tell of an oscillation
 _HARMONICS = 6  # prior: harmonics of a motion that may drive the tip
 _SWINGS = 0.25  # tolerance: share of the residual's power that makes an oscillation
 _DRIVEN, _DRIVES = 0.05, 0.4  # tolerance: share of a motion's power at the oscillation's rate, at a subharmonic of it
@@ -31,7 +34,7 @@ _SIZES = 1e-3, 1e2  # prior: the process' variance, in mean squares of the resid
 _LEAST_NOISE, _MOST_NOISE = 1e-4, 10.0  # prior: the white noise's variance, in mean squares of the residuals
 _LONGEST_TRAVEL = 0.3  # prior: of the motor's range: beyond it the last reversal is forgotten
 _KEPT = 256  # tolerance: observations that a discrepancy remembers
-_CONSTANT = 1e-9  # tolerance: standard deviation below which an input does not vary
+_CONSTANT = 1e-9  # tolerance: range or standard deviation below which an input does not vary
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,7 @@ class Flexible:
     @property
     def shrink(self) -> float:
         """Share of the residuals' rms that the process closes, 0 to 1."""
-        return max(0.0, 1.0 - self.after / max(self.before, 1e-300))
+        return max(0.0, gap.shrinkage(self.before, self.after))
 
     @property
     def closable_shrink(self) -> float:
@@ -176,7 +179,7 @@ def _inputs(segments: Sequence[Segment], swing_s: float | None) -> Array:
             columns = (*columns, np.sin(phase), np.cos(phase))
         parts.append(np.column_stack(columns)[segment.scored])
     inputs = np.concatenate(parts)
-    varies: Array = inputs[:, np.ptp(inputs, axis=0) > 1e-9]
+    varies: Array = inputs[:, np.ptp(inputs, axis=0) > _CONSTANT]
     return varies
 
 
@@ -204,29 +207,53 @@ def _features(segment: Segment, span: float) -> Array:
 def _swing_period(segments: Sequence[Segment], residuals: Sequence[Array]) -> float | None:
     """The period, s, of the sinusoid that explains most of the residuals' power, if that is at least a share _SWINGS
     and nothing drives it: in some recording neither the motor nor another axis moves at its rate, nor the motor at a
-    subharmonic of it. None where there is none."""
+    subharmonic of it. None where there is none. Powers are summed over parts of each recording, over which neighbouring
+    rates stay in step and enough observations are kept to tell a fast oscillation from a slow one."""
     explained, driven, total = np.zeros(len(_RATES)), np.ones(len(_RATES), dtype=bool), 0.0
     for segment, residual in zip(segments, residuals, strict=True):
-        kept = _thinned(np.arange(len(residual)), _SCORED_ON // 2)
-        t, motor = segment.arrival_s[segment.scored][kept], segment.motor
-        if len(t) < 10:
-            continue
-        axes = [np.interp(t, motor.t_s, x) for x in (motor.translation_mm, motor.rotation_deg) if x is not None]
-        q = np.interp(t, motor.t_s, motor.q)
-        q_and_speed = np.column_stack([q, np.gradient(q)])
-        waves = np.exp(2j * np.pi * _RATES[:, None] * t)
-        variance = np.var(residual[kept], axis=0)
-        explained += np.sum(_sinusoid_shares(waves, residual[kept]) * variance * len(residual), axis=1)
-        driven_here = np.max(_sinusoid_shares(waves, np.column_stack([q_and_speed, *axes])), axis=1) > _DRIVEN
-        for k in range(2, _HARMONICS + 1):  # what depends on the motor's direction oscillates at harmonics of its rate
-            subharmonic = np.exp(2j * np.pi * _RATES[:, None] / k * t)
-            driven_here |= np.max(_sinusoid_shares(subharmonic, q_and_speed), axis=1) > _DRIVES
-        driven &= driven_here
-        total += float(np.sum(variance)) * len(residual)
+        scored_s = segment.arrival_s[segment.scored]
+        parts = [part for part in _coherent_parts(scored_s) if len(part) >= _FEWEST_OF_SWING]
+        driven_here = np.zeros_like(driven)
+        for part in parts:
+            kept = _thinned(part, _SCORED_ON // 2)
+            variance = np.var(residual[kept], axis=0)
+            shares = _sinusoid_shares(_waves(scored_s[kept]), residual[kept])
+            explained += np.sum(shares * variance * len(part), axis=1)
+            total += float(np.sum(variance)) * len(part)
+            driven_here |= _driven(segment.motor, scored_s[kept])
+        if parts:
+            driven &= driven_here
     best = int(np.argmax(explained))
-    if explained[best] < _SWINGS * total or driven[best]:
+    if total <= 0.0 or explained[best] < _SWINGS * total or driven[best]:
         return None
     return float(1.0 / _RATES[best])
+
+
+def _coherent_parts(t_s: Array) -> list[npt.NDArray[np.int64]]:
+    """Indices of the times t_s (n,), rising, in equal parts of _COHERENT_S at most."""
+    if len(t_s) == 0:
+        return []
+    count = int(np.ceil((t_s[-1] - t_s[0]) / _COHERENT_S)) or 1
+    ends = np.searchsorted(t_s, np.linspace(t_s[0], t_s[-1], count + 1)[1:-1])
+    return np.split(np.arange(len(t_s)), ends)
+
+
+def _driven(motor: Motor, t_s: Array) -> npt.NDArray[np.bool_]:
+    """(rates,) Whether the motor or another axis moves at each of _RATES at the times t_s (n,), or the motor at a
+    subharmonic of it."""
+    axes = [np.interp(t_s, motor.t_s, x) for x in (motor.translation_mm, motor.rotation_deg) if x is not None]
+    q = np.interp(t_s, motor.t_s, motor.q)
+    q_and_speed = np.column_stack([q, np.gradient(q)])
+    moved = np.column_stack([q_and_speed, *axes])
+    driven: npt.NDArray[np.bool_] = np.max(_sinusoid_shares(_waves(t_s), moved), axis=1) > _DRIVEN
+    for k in range(2, _HARMONICS + 1):  # what depends on the motor's direction oscillates at harmonics of its rate
+        driven |= np.max(_sinusoid_shares(_waves(t_s, k), q_and_speed), axis=1) > _DRIVES
+    return driven
+
+
+def _waves(t_s: Array, subharmonic: int = 1) -> npt.NDArray[np.complex128]:
+    """(rates, n) exp(2 pi i rate t) at the times t_s (n,), of each of _RATES over `subharmonic`."""
+    return np.asarray(np.exp(2j * np.pi * _RATES[:, None] / subharmonic * t_s))
 
 
 def _sinusoid_shares(waves: npt.NDArray[np.complex128], values: Array) -> Array:

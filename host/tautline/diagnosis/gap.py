@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import spread
+from tautline.core import samples
 from tautline.diagnosis.segment import Segment
 from tautline.independence import frames_each, less_its_trend, remembered, stretches
 from tautline.recording import Motor
@@ -44,6 +45,11 @@ def rms(residuals: Sequence[Array]) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
+def shrinkage(before: float, after: float) -> float:
+    """1 - after / before of the rms of a gap; 0 where there is none. Below 0 where it grows."""
+    return 1.0 - after / before if before > 0.0 else 0.0
+
+
 def noise_floor(
     segments: Sequence[Segment], residuals: Sequence[Array], across: Sequence[Array] | None = None
 ) -> float:
@@ -51,11 +57,9 @@ def noise_floor(
     the observations while the motor rests, each rest less its straight line. Where it hardly ever rests from `across`
     (scored, 1 of each recording, px), the residuals across the image's path, in short pieces less a cubic: no motion of
     the tip is there, and what else moves the image is smooth. Without an image from the residuals' second differences,
-    in which a smooth misfit vanishes. Never below the rounding to the sensor's step, within which a resting sensor
-    shows no noise."""
-    least = rounding_noise(segments)
+    in which a smooth misfit vanishes. Never below `least_noise`."""
     series, order = _noise_series(segments, across)
-    return max(remembered(series, order)[1] if series else second_difference_noise(residuals), least)
+    return max(remembered(series, order)[1] if series else second_difference_noise(residuals), least_noise(segments))
 
 
 def noise_samples_per_independent(
@@ -102,9 +106,12 @@ def _without_outliers(series: Sequence[Array]) -> list[Array]:
     return [np.clip(values, -limit, limit) for values, p in zip(series, power, strict=True) if p <= _NO_NOISE * usual]
 
 
-def rounding_noise(segments: Sequence[Segment]) -> float:
-    """One standard deviation of the rounding to the sensor's step, the coarsest of all recordings, px or deg."""
-    return spread.of_rounding(max(_step(s.observed) for s in segments))
+def least_noise(segments: Sequence[Segment]) -> float:
+    """One standard deviation, px or deg, of the noise that is there even where none is seen: of the rounding to the
+    sensor's step, the coarsest of all recordings, within which a resting sensor shows none; where that is fine, as in a
+    recording that another simulator made, the least that any sensor is taken to have."""
+    step = max(_step(segment.observed) for segment in segments)
+    return max(spread.of_rounding(step), samples.least_noise(segments[0].unit))
 
 
 def second_difference_noise(residuals: Sequence[Array]) -> float:
@@ -149,10 +156,10 @@ def _moves(motor: Motor) -> tuple[Array, Array]:
 def blocks(segment: Segment) -> npt.NDArray[np.int64]:
     """(scored,) For each scored observation the number of its block of manoeuvres, from 0. A recording is cut into as
     many equal parts as last BLOCK_S each, but into _FEWEST_BLOCKS at least: a fit without a block is to know nearly as
-    much as the fit of all, and a block as much as any other. A part ends where the motor turns, if it does within a
-    share _TO_A_TURN of a part. Every other block has to hold both directions, as one direction alone does not tell a
-    width from an offset: if these do not, the cuts are where equal parts meet, and the parts as many more as it takes,
-    up to _MOST_PARTS; where none do the recording is one block."""
+    much as the fit of all, and a block as much as any other. A part ends where the motor turns, stops or starts, if it
+    does within a share _TO_A_TURN of a part. Every other block has to hold both directions, as one direction alone does
+    not tell a width from an offset: if these do not, the cuts are where equal parts meet, and the parts as many more as
+    it takes, up to _MOST_PARTS; where none do the recording is one block."""
     t = segment.arrival_s[segment.scored]
     number = np.zeros(len(t), dtype=np.int64)
     if len(t) < 3:
@@ -161,9 +168,8 @@ def blocks(segment: Segment) -> npt.NDArray[np.int64]:
     direction = np.sign(np.gradient(q))
     turns_s = t[1:-1][np.diff(np.sign(np.diff(q))) != 0]
     count = max(int((t[-1] - t[0]) / BLOCK_S), _FEWEST_BLOCKS)
-    equal = [_equal_parts(t, n) for n in (count, *range(count, max(count, _MOST_PARTS) + 1))]
-    equal[0] = _moved_to_turns(equal[0], turns_s, _TO_A_TURN * (t[-1] - t[0]) / count)
-    for cuts in equal:
+    at_turns = _moved_to_turns(_equal_parts(t, count), turns_s, _TO_A_TURN * (t[-1] - t[0]) / count)
+    for cuts in (at_turns, *(_equal_parts(t, n) for n in range(count, max(count, _MOST_PARTS) + 1))):
         number[:] = np.searchsorted(cuts, t, side="right")
         if all(_goes_both_ways(direction[number % 2 == half]) for half in (0, 1)):
             return number
@@ -244,7 +250,7 @@ def with_intervals(
     motions (bootstrap) and motions that were not recorded."""
     rms_before, rms_after = rms(before), rms(after)
     drawn = bootstrap(before, after, [blocks(segment) for segment in segments])
-    other_blocks = spread.interval(1.0 - drawn[1] / drawn[0], _SHRINK_SHARE)
+    other_blocks = spread.interval(np.array([shrinkage(*rms_of_both) for rms_of_both in drawn.T]), _SHRINK_SHARE)
     other_motions = shrink_interval_elsewhere(rms_after / rms_before, excess) if rms_before > 0.0 else (0.0, 0.0)
     open_before = max(rms_before**2 - floor**2, _LEAST_EXCESS)
     return {
@@ -252,7 +258,7 @@ def with_intervals(
         "after": rms_after,
         "before_ci": spread.interval(drawn[0], _SIZE_SHARE),
         "after_ci": spread.interval(drawn[1], _SIZE_SHARE),
-        "shrink": 1.0 - rms_after / rms_before if rms_before > 0.0 else 0.0,
+        "shrink": shrinkage(rms_before, rms_after),
         "shrink_ci": [min(other_blocks[0], float(other_motions[0])), max(other_blocks[1], float(other_motions[1]))],
         "closable_shrink": float(np.clip(1.0 - (rms_after**2 - floor**2) / open_before, 0.0, 1.0)),
     }

@@ -21,10 +21,10 @@ from tautline.effects import EVENTS, Kind
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-MOST_EFFECTS = 3
 _REFITS, _BOTH_SCOPES = 8, 3  # tolerance: single effects fitted in full, and those of them in every scope
 _FURTHER_REFITS = 3  # tolerance: effects fitted in full on top of others
 _EXTENDED = (2, 1)  # tolerance: hypotheses of one and of two effects on top of which a further one is fitted
+_MOST_EFFECTS = 1 + len(_EXTENDED)
 
 
 @dataclass(frozen=True)
@@ -149,18 +149,19 @@ class _Hypotheses:
         """Adds fits of single effects, given the best first. Where the best leaves more than a right effect does, an
         event or another posture may hide which one it is: then also events on top of each, all that another posture
         changes, and the mean effects of events."""
-        best = candidates[0] if candidates else None
-        is_open = best is not None and self._is_open(best)
+        if not candidates:
+            return
+        best = candidates[0]
+        best_kind, is_open = best.fit.hypothesis.kinds[0], self._is_open(best)
         floor2 = self.search.fitter.floor**2
         gap2 = float(np.mean(self.search.base.power)) - floor2
         most = learnt().center.unexplained * gap2  # that a right effect may well leave
-        hidden = best is not None and is_open and float(np.mean(best.power)) - floor2 > most
-        contained = best.fit.hypothesis.kinds[0].contains if best else ()
-        for i, candidate in enumerate(candidates):
-            self.add(candidate, events=i == 0 or hidden or candidate.ids[0] in contained)
+        hidden = is_open and float(np.mean(best.power)) - floor2 > most
+        for candidate in candidates:
+            self.add(candidate, events=candidate is best or hidden or candidate.ids[0] in best_kind.contains)
         if not self.search.allows_later_effects:
             return
-        if hidden or (best and is_open and best.fit.hypothesis.kinds[0].posture):
+        if hidden or (is_open and best_kind.posture):
             self._add_posture(candidates)
         for candidate in self.search.with_nominal_parts() if is_open else []:
             self.add(candidate)
@@ -213,7 +214,7 @@ class _Hypotheses:
             if set(candidate.ids) & EVENTS:
                 self._add_with_mean_effect(candidate)
             else:
-                self.add(candidate, events=i == 0 and len(candidate.ids) < MOST_EFFECTS)
+                self.add(candidate, events=i == 0 and len(candidate.ids) < _MOST_EFFECTS)
 
     def best_single_is_open(self) -> bool:
         """Whether the single effect with the least power leaves more than noise."""

@@ -28,21 +28,13 @@ _PER_OBSERVATION = ("p", "tip", "by_width", "by_follow", "by_c", "columns", "res
 Labels = Sequence[npt.NDArray[np.int64]]  # (scored,) of each recording: the number of each observation's block
 
 
-def residuals(
-    fitter: Fitter, hypothesis: Hypothesis, rows: Sequence[ScoredRows], labels: Labels, limits: Sequence[float]
-) -> list[Array]:
-    """(scored, k) for each recording: the residual of every block of manoeuvres by the fit without that block. rows: of
-    the fit (Fitter.linearised). limits: of each recording, px or deg, beyond which an observation counts linearly
-    (Huber)."""
-    return residuals_and_surprise(fitter, hypothesis, rows, labels, limits)[0]
-
-
 def residuals_and_surprise(
     fitter: Fitter, hypothesis: Hypothesis, rows: Sequence[ScoredRows], labels: Labels, limits: Sequence[float]
 ) -> tuple[list[Array], list[Array]]:
-    """As `residuals`; and (scored,) for each recording, px^2 or deg^2 a coordinate, by how much the recording as a
-    whole contradicts the fit of the others (`_surprise`); 0 of a recording of one block, whose held-out residuals are
-    by the others already."""
+    """(scored, k) for each recording: the residual of every block of manoeuvres by the fit without that block; and
+    (scored,) px^2 or deg^2 a coordinate, by how much the recording as a whole contradicts the fit of the others
+    (`_surprise`); 0 of a recording of one block, whose held-out residuals are by the others already. rows: of the fit
+    (Fitter.linearised). limits: of each recording, px or deg, beyond which an observation counts linearly (Huber)."""
     matrix = fitter.floor**2 * fitter.prior_precision(hypothesis)
     blocks_of = [_blocks(fitter, *recording) for recording in zip(rows, labels, limits, strict=True)]
     for blocks in blocks_of:

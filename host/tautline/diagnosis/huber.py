@@ -38,4 +38,5 @@ def outlier_limit(residual: Array) -> float:
 
 def huber_weight(residual: Array, limit: float) -> Array:
     """The weight, 0 to 1, of each residual in iteratively reweighted least squares: limit / |r| beyond the limit."""
-    return np.asarray(np.minimum(1.0, limit / np.maximum(np.abs(residual), _NO_DIVISOR)))
+    limit = max(limit, _NO_DIVISOR)
+    return np.asarray(limit / np.maximum(np.abs(residual), limit))

@@ -41,8 +41,8 @@ _SPREADS = 3.0  # prior: standard deviation of any other parameter, in its decla
 _WIDTH = 0.02  # prior: standard deviation of the width, and of what speed adds to it, in shares of the motor's range
 _PULL, _DRAG = 70.0, 5.0  # prior: 1/s^2, 1/s: a rod of 20 cm that hangs; its bearing stops it in a fifth of a second
 _PLACE = 0.3  # prior: standard deviation of where a load changes sides, in shares of the motor's range
-# tolerance: starts of the second mode: unknowns of width and pull, of place and of drag
-_WIDTHS, _PULLS, _PLACES, _DRAGS = (0.5, 1.0, 2.0), (1.0, -1.0), (-1.0, 0.0, 1.0), (0.0, 3.0)
+_WIDTHS, _PULLS = (0.5, 1.0, 2.0), (1.0, -1.0)  # tolerance: starts of the second mode: unknowns of width, of pull
+_PLACES, _DRAGS = (-1.0, 0.0, 1.0), (0.0, 3.0)  # tolerance: the same of place, of drag
 PRESENT = 0.2  # prior: probability of an unknown to be present, and of a joint to be loose
 _PROMISING = 2.0  # tolerance: of the squares that the other maximum leaves
 _USUAL = 0.1  # equation: the library's unit of speed, motor's ranges per second
@@ -180,7 +180,7 @@ class Joint:
         found = [Effect(name, {name: value}) for name, value in changes.items() if value]
         speed = float(u[self.places[SPEED]][0])
         if speed:
-            # So that at great speeds the width changes by `speed` times _WIDTH.
+            # So that at great speeds the width changes by `speed` times _WIDTH: the motor's range cancels.
             per_speed = _WIDTH * speed / _USUAL * -float(np.expm1(-_SATURATION))
             parameters = {
                 "width_per_speed": per_speed,

@@ -108,7 +108,7 @@ class Answer:
                 is_present[self.joint.places[name]] = True
             absent = np.where(is_present, 0.0, self.fitted.u)
             pairs = zip(self.fitted.residuals, self.fitted.slopes, strict=True)
-            return 1.0 - gap.rms([residual + slope @ absent for residual, slope in pairs]) / before
+            return gap.shrinkage(before, gap.rms([residual + slope @ absent for residual, slope in pairs]))
 
         return shapley.shares(names, worth)
 
@@ -176,16 +176,19 @@ def _document(
     """The content of diagnosis.json with the joint fit's answer. best: what is handed out; groups: what `answer`
     names; sure: probability that it leaves less than the diagnosis' own answer."""
     was, floor, after = diagnosis.document, diagnosis.document["noise_floor"], gap.rms(best.held_out)
+    sizes = gap.with_intervals(diagnosis.before, best.held_out, answer.joint.segments, floor, learnt().elsewhere)
+    named = list(_effects(answer, best, groups, gap.rms(diagnosis.before), after))
+    held = next((effect for effect in was["effects"] if effect["id"] == repeated.HELD), None)
+    if held is not None:  # of the sensor's link: what the others shrink is of the rest
+        repeated._count_repeats_in_gap(sizes, was["gap"]["before"], floor**2, named=True)
+        named = [*({**effect, "shrink": effect["shrink"] * (1.0 - held["shrink"])} for effect in named), held]
     is_open = decide.is_open(diagnosis.evidence, after**2)
     closed = flexible.close(diagnosis.segments[1:], best.held_out, floor) if is_open else None
     return {
         **was,
         "verdict": "effect",
-        "gap": gap.with_intervals(diagnosis.before, best.held_out, answer.joint.segments, floor, learnt().elsewhere),
-        "effects": [
-            *_effects(answer, best, groups, gap.rms(diagnosis.before), after),
-            *(effect for effect in was["effects"] if effect["id"] == repeated.HELD),  # of the sensor's link
-        ],
+        "gap": sizes,
+        "effects": named,
         "count": [sure * new + (1.0 - sure) * old for new, old in zip(answer.sets.count, was["count"], strict=True)],
         **_mixed_probabilities(was, groups[0], answer.sets.by_id, sure),
         "where": {**was["where"], "stage": effects.BY_ID[groups[0][0]].stage},
@@ -204,7 +207,7 @@ def _effects(
     handed out (`best`). before, after: rms of the gap without and with that. A simulator was never calibrated with
     them, and its model is loaded on no board."""
     shares = answer.shares([group[0] for group in groups], before)
-    total, shrink = max(sum(shares), 1e-12), 1.0 - after / before
+    total, shrink = max(sum(shares), 1e-12), gap.shrinkage(before, after)
     for group, share in zip(groups, shares, strict=True):
         yield {
             "id": group[0],
