@@ -49,14 +49,22 @@ template <typename Field> void read_field(const nb::dict &fields, const char *na
     if (!fields.contains(name)) {
         throw nb::key_error(name);
     }
-    field = nb::cast<Field>(fields[name]);
+    if (!nb::try_cast(fields[name], field)) {
+        throw nb::value_error((std::string(name) + " is not of the kind or in the range that a table holds").c_str());
+    }
+}
+
+template <typename Field> Field field_of(const nb::dict &fields, const char *name) {
+    Field field;
+    read_field(fields, name, field);
+    return field;
 }
 
 // Section 1: the elements of the play.
 void read_plays(const nb::dict &plays, tl_table_t &table) {
-    const auto widths = nb::cast<std::vector<uint32_t>>(plays["width_q28"]);
-    const auto weights = nb::cast<std::vector<uint32_t>>(plays["weight_q16"]);
-    const auto centre = nb::cast<ArrayIn<int32_t>>(plays["centre"]);
+    const auto widths = field_of<std::vector<uint32_t>>(plays, "width_q28");
+    const auto weights = field_of<std::vector<uint32_t>>(plays, "weight_q16");
+    const auto centre = field_of<ArrayIn<int32_t>>(plays, "centre");
     if (widths.size() != weights.size() || widths.size() > TL_TABLE_PLAYS_MAX || centre.shape(0) != table.nodes) {
         throw nb::value_error("plays need at most 7 widths, as many weights, and a centre at each node");
     }
@@ -85,7 +93,7 @@ nb::object plays_of(const tl_table_t &table) {
 
 // Sections 2 on, each a dict of its fields' names: {"encoder": {"period_q12": .., ..}, ..}.
 void read_words(const nb::dict &from, const char *name, int32_t *to, size_t count) {
-    const auto values = nb::cast<std::vector<int32_t>>(from[name]);
+    const auto values = field_of<std::vector<int32_t>>(from, name);
     if (values.size() != count) {
         throw nb::value_error((std::string(name) + " of a section has another length").c_str());
     }
@@ -98,7 +106,7 @@ void read_sections(const nb::dict &sections, tl_table_t &table) {
 #define READ_ARRAY(field, count) read_words(from, #field, into.field, count);
 #define READ(number, name, FIELDS)                                                                                     \
     if (sections.contains(#name)) {                                                                                    \
-        const auto from = nb::cast<nb::dict>(sections[#name]);                                                         \
+        const auto from = field_of<nb::dict>(sections, #name);                                                         \
         auto &into = table.name;                                                                                       \
         FIELDS(READ_FIELD, READ_ARRAY)                                                                                 \
         table.has |= static_cast<uint32_t>(TL_TABLE_HAS_##name);                                                       \

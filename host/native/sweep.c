@@ -232,6 +232,6 @@ int sweep(sweep_t *path, double *work) {
             readings++;
         }
     }
-    path->noise = sqrt(errors / (double)readings);
+    path->noise = readings > 0 ? sqrt(errors / (double)readings) : path->noise;
     return 1;
 }
