@@ -2,6 +2,8 @@
 #include "arrays.h"
 #include "fixed_table.h"
 
+#include <algorithm>
+#include <cstring>
 #include <memory>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
@@ -252,15 +254,11 @@ void bind_tables(nb::module_ &m) {
     units["deg"] = static_cast<int>(TL_UNIT_DEG);
     m.attr("AXIS_KINDS") = kinds;
     m.attr("AXIS_UNITS") = units;
-    m.attr("TABLE_FORMAT") = TL_TABLE_FORMAT;
     m.attr("TABLE_PLAYS_MAX") = TL_TABLE_PLAYS_MAX;
     m.attr("TABLE_CENTRE_MAX") = TL_TABLE_CENTRE_MAX;
-    m.attr("TABLE_LAST") = TL_TABLE_LAST;
     m.attr("TABLE_STEPS") = TL_TABLE_STEPS;
     m.attr("TABLE_LATE_MAX") = TL_TABLE_LATE_MAX;
     m.attr("TABLE_JOINTS") = TL_TABLE_JOINTS;
-    m.attr("TABLE_ENCODER_MAX") = TL_TABLE_ENCODER_MAX;
-    m.attr("TABLE_ADAPT_OFFSET_MAX") = TL_TABLE_ADAPT_OFFSET_MAX;
     m.attr("TABLE_AXES") = TL_TABLE_AXES;
     m.attr("TABLE_ANY_AXIS") = TL_TABLE_ANY_AXIS;
     m.attr("TABLE_NODES_MAX") = TL_TABLE_NODES_MAX;
@@ -269,7 +267,6 @@ void bind_tables(nb::module_ &m) {
     m.attr("TABLE_VALUE_MAX") = TL_TABLE_VALUE_MAX;
     m.attr("TABLE_POSITION_MAX") = TL_TABLE_POSITION_MAX;
     m.attr("TABLE_WIDTH_MAX") = TL_TABLE_WIDTH_MAX;
-    m.attr("TABLE_DELAY_MAX_US") = TL_TABLE_DELAY_MAX_US;
     m.attr("COUNT_ONE") = TL_COUNT_ONE;
     m.attr("DEG_ONE") = TL_DEG_ONE;
     m.attr("RATIO_ONE") = TL_RATIO_ONE;
@@ -288,8 +285,6 @@ void bind_tables(nb::module_ &m) {
             },
             nb::arg("blob"), nb::arg("axis") = TL_TABLE_ANY_AXIS)
         .def_prop_ro("fields", &fields_of, "what the blob holds, raw")
-        .def_prop_ro("c_low", [](const FixedTable &self) { return self.lookup.c_low; })
-        .def_prop_ro("c_high", [](const FixedTable &self) { return self.lookup.c_high; })
         .def_prop_ro("has_flat", [](const FixedTable &self) { return self.lookup.has_flat != 0; })
         .def("width", &batch<tl_lookup_width>, nb::arg("p"), "B(p) and flags")
         .def("angle", &batch<tl_lookup_angle>, nb::arg("p"), "f(p) and flags")

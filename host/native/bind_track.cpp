@@ -82,6 +82,4 @@ void bind_track(nb::module_ &m) {
             "state"_a, "q"_a, "slopes"_a = false,
             "Moves the motor along q: (p (n,), moving (n,)), with slopes also dp/dtheta (n, parameters). The state "
             "goes along.");
-    m.attr("TRACK_PARAMETERS") = static_cast<int>(TRACK_PARAMETERS);
-    m.attr("TRACK_ELEMENTS") = static_cast<int>(TRACK_ELEMENTS);
 }

@@ -6,7 +6,7 @@
 extern const struct effect *const effects_library[];
 extern const size_t effects_library_count;
 
-enum { MOST = 24 }; // effects that are present at once
+enum { MOST = 24 }; // limit: effects that are present at once
 
 // An effect that is present.
 struct active {

@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { LONGEST = 32 };
+enum { LONGEST = 32 };              // tolerance: frames of a mean
 static const double LEAVES = 5.5;   // tolerance: sigma
 static const double WOBBLE = 0.02;  // tolerance: of the swing
 static const double RIDGE = 1e-11;  // tolerance: of a Gram matrix, a frame
