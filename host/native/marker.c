@@ -14,8 +14,7 @@
 #define CERTAIN   -3.5 /* tolerance: log odds that a part is hidden, below which it is not asked for */
 #define RISES     0.1  /* tolerance: of the contrast within 2 px: what is around is mixed in, by lens or motion */
 #define FINEST    1e-3 /* limit: membership: no pixel is known better */
-#define PIXELS_TOGETHER 3.0 /* prior: neighbouring pixels say so much less than independent ones, in MJPEG; measured   \
-                             */
+#define PIXELS_TOGETHER 3.0 /* prior: of so many neighbouring pixels one is independent, in MJPEG; measured */
 
 typedef struct {
     int x, y; /* first row's first pixel that the flood reached: where to flood again */

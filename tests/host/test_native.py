@@ -186,3 +186,10 @@ def test_a_table_s_field_out_of_range_is_named() -> None:
         _native.table_encode({"axis": 300}, empty, empty, model)
     with pytest.raises(KeyError, match="axis"):
         _native.table_encode({}, empty, empty, model)
+
+
+def test_a_picture_of_shares_is_not_taken_for_levels() -> None:
+    """Converted, all of it below 1 would be black."""
+    lit, expected = np.full((40, 40, 3), 0.9), _native.MarkerExpected(10.0)
+    with pytest.raises(TypeError, match="incompatible function arguments"):
+        _native.marker_measure(lit, np.ones(4, np.float32), 0.5, 20.0, 20.0, 10.0, 15, expected)
