@@ -5,16 +5,24 @@
 #include <cstddef>
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <vector>
 
-template <typename T>
-using ArrayIn = nanobind::ndarray<const T, nanobind::ndim<1>, nanobind::c_contig, nanobind::device::cpu>;
-template <typename T> using ArrayOut = nanobind::ndarray<nanobind::numpy, T, nanobind::ndim<1>>;
+template <typename T, std::size_t N = 1>
+using ArrayIn = nanobind::ndarray<const T, nanobind::ndim<N>, nanobind::c_contig, nanobind::device::cpu>;
+// Written to: its argument is `.noconvert()`, else what is written goes to a converted copy and is lost.
+template <typename T, std::size_t N = 1>
+using ArrayInOut = nanobind::ndarray<T, nanobind::ndim<N>, nanobind::c_contig, nanobind::device::cpu>;
+template <typename T, std::size_t N = 1> using ArrayOut = nanobind::ndarray<nanobind::numpy, T, nanobind::ndim<N>>;
 
-// A new numpy array of `size` elements, not initialised; write through .data().
-template <typename T> ArrayOut<T> new_array(std::size_t size) {
-    T *data = new T[size];
+// A new numpy array of this shape, not initialised; write through .data().
+template <typename T, typename... Sizes> ArrayOut<T, sizeof...(Sizes)> new_array(Sizes... shape) {
+    T *data = new T[(std::size_t{1} * ... * static_cast<std::size_t>(shape))];
     nanobind::capsule owner(data, [](void *p) noexcept { delete[] static_cast<T *>(p); });
-    return ArrayOut<T>(data, {size}, owner);
+    return ArrayOut<T, sizeof...(Sizes)>(data, {static_cast<std::size_t>(shape)...}, owner);
+}
+
+inline std::vector<double> copied(const ArrayIn<double> &values) {
+    return {values.data(), values.data() + values.size()};
 }
 
 #endif

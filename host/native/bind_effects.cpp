@@ -5,9 +5,8 @@
 #include "thin.h"
 
 #include <algorithm>
+#include <cmath>
 #include <cstring>
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <optional>
@@ -103,6 +102,9 @@ nb::object simulate(const nb::dict &parameters, const Plays &plays, Values c_deg
     if (knots < 1 || q.shape(0) != knots) {
         throw std::invalid_argument("q must be as long as t_s, 1 or more");
     }
+    if (std::any_of(at_s.data(), at_s.data() + n, [](double t) { return std::isinf(t); })) {
+        throw std::invalid_argument("at_s must not be infinite");
+    }
     const elements view = plays.view();
     const effect_tables tables = {&view, c_deg.data()};
     const effect_motion motion = {t_s.data(), q.data(), column(load, knots, "load"), column(other, knots, "other"),
@@ -131,13 +133,6 @@ ArrayOut<unsigned char> thin(Values t_s, Values values, Values tolerance, double
     return keep;
 }
 
-using Table = nb::ndarray<nb::numpy, double>;
-
-Table table(double *data, std::initializer_list<size_t> shape) {
-    nb::capsule owner(data, [](void *p) noexcept { delete[] static_cast<double *>(p); });
-    return Table(data, shape, owner);
-}
-
 nb::object see(const nb::dict &parameters, Values rig, Values c_deg, std::optional<Values> translation,
                std::optional<Values> rotation, std::optional<Values> way, std::optional<Marks> shifted, bool slopes) {
     projection_parameters e = {};
@@ -151,17 +146,18 @@ nb::object see(const nb::dict &parameters, Values rig, Values c_deg, std::option
     const projection_pose pose = {
         c_deg.data(),          column(translation, n, "translation"), column(rotation, n, "rotation"),
         column(way, n, "way"), column(shifted, n, "shifted"),         n};
-    auto *image = new double[2 * n];
-    auto *by_c = slopes ? new double[2 * n] : nullptr;
-    auto *by_static = slopes ? new double[2 * n * PROJECTION_STATIC] : nullptr;
+    const size_t sloped = slopes ? n : 0;
+    auto image = new_array<double>(n, 2), by_c = new_array<double>(sloped, 2);
+    auto by_static = new_array<double>(sloped, 2, PROJECTION_STATIC);
     {
         nb::gil_scoped_release unlocked;
-        projection_image(&e, &r, &pose, image, by_c, by_static);
+        projection_image(&e, &r, &pose, image.data(), slopes ? by_c.data() : nullptr,
+                         slopes ? by_static.data() : nullptr);
     }
     if (!slopes) {
-        return nb::cast(table(image, {n, 2}));
+        return nb::cast(image);
     }
-    return nb::make_tuple(table(image, {n, 2}), table(by_c, {n, 2}), table(by_static, {n, 2, PROJECTION_STATIC}));
+    return nb::make_tuple(image, by_c, by_static);
 }
 
 } // namespace

@@ -14,10 +14,6 @@ namespace {
 
 using Values = ArrayIn<double>;
 
-std::vector<double> copied(const Values &values) {
-    return {values.data(), values.data() + values.shape(0)};
-}
-
 void refuse_friction(const struct friction &of) {
     const bool known = of.kind == FRICTION_BOUC_WEN || of.kind == FRICTION_DAHL;
     const double *v = of.value;
@@ -37,13 +33,14 @@ bool rises(const std::vector<double> &values) {
                values.end();
 }
 
-void check(const Plays &self) {
+// As given, or refused before there is an object that would own it.
+Plays checked(Plays self) {
     const struct play_table table = self.view().table;
     if (self.grid.size() != self.width.size() || !play_table_valid(&table)) {
         refuse("play: not a backlash table (grid rising, width >= 0, |width'| < 2, all finite)");
     }
     if (self.warp_q.empty() && self.warp_x.empty() && self.r.empty() && self.w.empty()) {
-        return;
+        return self;
     }
     if (self.warp_q.size() < 2 || self.warp_q.size() != self.warp_x.size() || !rises(self.warp_q) ||
         !rises(self.warp_x)) {
@@ -61,6 +58,7 @@ void check(const Plays &self) {
     if (!(self.narrow >= 0.0)) {
         refuse("elements: narrow is negative");
     }
+    return self;
 }
 
 } // namespace
@@ -73,8 +71,7 @@ void bind_elements(nb::module_ &m) {
         .def(
             "__init__",
             [](Plays *self, Values grid, Values width) {
-                new (self) Plays{copied(grid), copied(width), {}, {}, {}, {}, 0.0, {}, {}};
-                check(*self);
+                new (self) Plays(checked({copied(grid), copied(width), {}, {}, {}, {}, 0.0, {}, {}}));
             },
             "grid"_a, "width"_a, "A single play.")
         .def(
@@ -82,22 +79,28 @@ void bind_elements(nb::module_ &m) {
             [](Plays *self, Values grid, Values width, int kind, double length, double share, double exponent,
                double beta) {
                 struct friction of = {kind, {length, share, exponent, beta}, 0.0, nullptr};
-                new (self) Plays{copied(grid), copied(width), {}, {}, {}, {}, 0.0, of, {}};
-                check(*self);
                 refuse_friction(of);
-                const struct play_table table = self->view().table;
-                self->friction.least = of.least = friction_least(&of, &table);
-                self->travel.resize(3 * table.n);
-                friction_travel(&of, &table, self->travel.data());
+                Plays plays = checked({copied(grid), copied(width), {}, {}, {}, {}, 0.0, of, {}});
+                const struct play_table table = plays.view().table;
+                plays.friction.least = of.least = friction_least(&of, &table);
+                plays.travel.resize(3 * table.n);
+                friction_travel(&of, &table, plays.travel.data());
+                new (self) Plays(std::move(plays));
             },
             "grid"_a, "width"_a, "kind"_a, "length"_a, "share"_a, "exponent"_a, "beta"_a, "Friction. See friction.h.")
         .def(
             "__init__",
             [](Plays *self, Values grid, Values width, Values warp_q, Values warp_x, Values r, Values w,
                double narrow) {
-                new (self) Plays{
-                    copied(grid), copied(width), copied(warp_q), copied(warp_x), copied(r), copied(w), narrow, {}, {}};
-                check(*self);
+                new (self) Plays(checked({copied(grid),
+                                          copied(width),
+                                          copied(warp_q),
+                                          copied(warp_x),
+                                          copied(r),
+                                          copied(w),
+                                          narrow,
+                                          {},
+                                          {}}));
             },
             "grid"_a, "width"_a, "warp_q"_a, "warp_x"_a, "r"_a, "w"_a, "narrow"_a)
         .def(

@@ -1,9 +1,6 @@
 #include "arrays.h"
 #include "hinge.h"
 
-#include <initializer_list>
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <stdexcept>
 
 namespace nb = nanobind;
@@ -11,15 +8,7 @@ using namespace nb::literals;
 
 namespace {
 
-using Rows = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-
-nb::object shaped(const ArrayOut<double> &values, std::initializer_list<size_t> shape) {
-    nb::list sizes;
-    for (size_t size : shape) {
-        sizes.append(size);
-    }
-    return nb::cast(values).attr("reshape")(nb::tuple(sizes));
-}
+using Rows = ArrayIn<double, 2>;
 
 nb::tuple fit(ArrayIn<double> x, Rows y, ArrayIn<double> knots, Rows precision, bool jump, bool used_too) {
     const size_t columns = precision.shape(1), least = jump ? 4 : 3, seen = y.shape(1);
@@ -28,10 +17,11 @@ nb::tuple fit(ArrayIn<double> x, Rows y, ArrayIn<double> knots, Rows precision, 
     }
     const hinge_t hinge = {x.shape(0),   seen,     knots.shape(0), precision.shape(0), columns - least + 1,
                            jump ? 1 : 0, x.data(), y.data(),       knots.data(),       precision.data()};
-    const size_t each = hinge.knots * hinge.bends;
-    auto squares = new_array<double>(each), residual = new_array<double>(each), volume = new_array<double>(each),
-         used = new_array<double>(used_too ? each : 0), way = new_array<double>(each * seen),
-         coefficients = new_array<double>(each * columns * seen);
+    const size_t k = hinge.knots, v = hinge.bends;
+    auto squares = new_array<double>(k, v), residual = new_array<double>(k, v), volume = new_array<double>(k, v),
+         used = new_array<double>(used_too ? k : 0, v);
+    auto way = new_array<double>(k, v, seen);
+    auto coefficients = new_array<double>(k, v, columns, seen);
     const hinge_fit_t fit = {squares.data(), residual.data(),    volume.data(), used_too ? used.data() : nullptr,
                              way.data(),     coefficients.data()};
     int holds = 0;
@@ -42,11 +32,8 @@ nb::tuple fit(ArrayIn<double> x, Rows y, ArrayIn<double> knots, Rows precision, 
     if (!holds) {
         throw std::invalid_argument("a hinge's values are finite and its precisions above 0");
     }
-    const auto of = {hinge.knots, hinge.bends};
-    const nb::object columns_used = used_too ? shaped(used, of) : nb::none();
-    return nb::make_tuple(shaped(squares, of), shaped(residual, of), shaped(volume, of), columns_used,
-                          shaped(way, {hinge.knots, hinge.bends, seen}),
-                          shaped(coefficients, {hinge.knots, hinge.bends, columns, seen}));
+    const nb::object columns_used = used_too ? nb::cast(used) : nb::none();
+    return nb::make_tuple(squares, residual, volume, columns_used, way, coefficients);
 }
 
 } // namespace

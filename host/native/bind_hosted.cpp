@@ -82,7 +82,6 @@ struct HostedBoard {
 } // namespace
 
 void bind_hosted(nb::module_ &m) {
-    m.attr("HOSTED_LATE_US") = HOSTED_LATE_US;
     m.attr("HOSTED_SPEED_MAX") = hosted_speed_max;
     m.attr("HOSTED_ACCELERATION_MAX") = hosted_acceleration_max;
     nb::class_<HostedBoard>(m, "HostedBoard", "The board's application over drives on a bus; positions are counts Q8.")

@@ -72,7 +72,7 @@ void bind_marker(nb::module_ &m) {
                 marker_measure(&view, weights.data(), cut, u, v, diameter, &before, scratch.data(), &outline);
             return nb::make_tuple(status, outline);
         },
-        nb::arg("picture"), nb::arg("weights"), nb::arg("cut"), nb::arg("u"), nb::arg("v"), nb::arg("diameter"),
-        nb::arg("half"), nb::arg("before"),
+        nb::arg("picture").noconvert(), nb::arg("weights"), nb::arg("cut"), nb::arg("u"), nb::arg("v"),
+        nb::arg("diameter"), nb::arg("half"), nb::arg("before"),
         "(status, MarkerOutline) of the blob near (u, v) px, `half` px around it to every side: see native/marker.h.");
 }

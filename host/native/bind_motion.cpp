@@ -1,6 +1,7 @@
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
+#include "arrays.h"
 
+#include <algorithm>
+#include <nanobind/stl/vector.h>
 #include <stdexcept>
 #include <string>
 
@@ -9,31 +10,22 @@
 namespace nb = nanobind;
 using namespace nb::literals;
 
-template <typename T> static nb::ndarray<nb::numpy, T, nb::ndim<1>> column(size_t n, T **data) {
-    *data = new T[n];
-    nb::capsule owner(*data, [](void *p) noexcept { delete[] static_cast<T *>(p); });
-    return {*data, {n}, owner};
-}
-
 namespace {
 struct Motion {
     tl_motion_t motion{};
 
     /// Ticks on, a frame every `frame_ticks` (0: none).
     nb::tuple tick(size_t n, size_t frame_ticks) {
-        int32_t *q;
-        int32_t *velocity;
-        auto q_column = column<int32_t>(n, &q);
-        auto velocity_column = column<int32_t>(n, &velocity);
+        auto q = new_array<int32_t>(n), velocity = new_array<int32_t>(n);
         for (size_t i = 0; i < n; i++) {
             if (frame_ticks > 0 && i % frame_ticks == 0) {
                 tl_motion_frame(&motion);
             }
             const tl_motion_reference_t reference = tl_motion_tick(&motion);
-            q[i] = reference.q;
-            velocity[i] = reference.velocity;
+            q.data()[i] = reference.q;
+            velocity.data()[i] = reference.velocity;
         }
-        return nb::make_tuple(q_column, velocity_column);
+        return nb::make_tuple(q, velocity);
     }
 };
 } // namespace
@@ -44,22 +36,13 @@ void bind_motion(nb::module_ &m) {
         .def_rw("low", &tl_motion_config_t::low)
         .def_rw("high", &tl_motion_config_t::high)
         .def_prop_rw(
-            "speed",
-            [](const tl_motion_config_t &c) {
-                nb::list speeds;
-                for (size_t i = 0; i < c.speed_count; i++) {
-                    speeds.append(c.speed[i]);
-                }
-                return speeds;
-            },
-            [](tl_motion_config_t &c, nb::list speeds) {
+            "speed", [](const tl_motion_config_t &c) { return std::vector<int32_t>(c.speed, c.speed + c.speed_count); },
+            [](tl_motion_config_t &c, const std::vector<int32_t> &speeds) {
                 if (speeds.size() > TL_MOTION_SPEEDS) {
                     throw std::invalid_argument("MotionConfig.speed: at most " + std::to_string(TL_MOTION_SPEEDS));
                 }
                 c.speed_count = static_cast<uint8_t>(speeds.size());
-                for (size_t i = 0; i < speeds.size(); i++) {
-                    c.speed[i] = nb::cast<int32_t>(speeds[i]);
-                }
+                std::copy(speeds.begin(), speeds.end(), c.speed);
             })
         .def_rw("cycles", &tl_motion_config_t::cycles)
         .def_rw("transit", &tl_motion_config_t::transit)
@@ -97,7 +80,7 @@ void bind_motion(nb::module_ &m) {
             "config"_a, "q"_a, "Begins at rest at q; returns one of MOTION_ERRORS.")
         .def("tick", &Motion::tick, "n"_a, "frame_ticks"_a = 0,
              "n ticks, a frame from the host every frame_ticks: (q, velocity), each (n,) int32.")
-        .def("onset", [](Motion &s, int direction) { tl_motion_onset(&s.motion, static_cast<int8_t>(direction)); })
+        .def("onset", [](Motion &s, int8_t direction) { tl_motion_onset(&s.motion, direction); })
         .def("stop", [](Motion &s) { tl_motion_stop(&s.motion); })
         .def_prop_ro("state", [](const Motion &s) { return static_cast<int>(tl_motion_state(&s.motion)); })
         .def_prop_ro("progress", [](const Motion &s) { return tl_motion_progress(&s.motion); });

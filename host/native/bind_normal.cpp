@@ -1,8 +1,6 @@
 #include "arrays.h"
 #include "normal.h"
 
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
 #include <optional>
 #include <stdexcept>
@@ -13,10 +11,10 @@ using namespace nb::literals;
 namespace {
 
 using Values = ArrayIn<double>;
-using Rows = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-using Columns = nb::ndarray<const double, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
-using Square = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-using Vector = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Rows = ArrayIn<double, 2>;
+using Columns = ArrayIn<double, 3>;
+using Square = ArrayInOut<double, 2>;
+using Vector = ArrayInOut<double>;
 
 void add(Values p, Values tip, Values by_width, Values by_follow, Rows by_c, Columns columns, Rows residual,
          std::optional<Rows> weight, nb::tuple width, nb::tuple follow, Square matrix, Vector gradient, size_t first) {
@@ -54,7 +52,7 @@ void add_sparse(ArrayIn<int> first, ArrayIn<int> column, Values value, Values we
                  matrix.shape(0) == size && matrix.shape(1) == size && first.data()[0] == 0 &&
                  static_cast<size_t>(first.data()[rows]) == entries;
     for (size_t r = 0; right && r < rows; r++) {
-        right = first.data()[r] <= first.data()[r + 1];
+        right = first.data()[r] <= first.data()[r + 1] && static_cast<size_t>(first.data()[r + 1]) <= entries;
         for (int j = first.data()[r]; right && j < first.data()[r + 1]; j++) {
             const int at = column.data()[j];
             right = at >= 0 && static_cast<size_t>(at) < size && (j == first.data()[r] || at > column.data()[j - 1]);
@@ -72,8 +70,9 @@ void add_sparse(ArrayIn<int> first, ArrayIn<int> column, Values value, Values we
 
 void bind_normal(nb::module_ &m) {
     m.def("normal_add", add, "p"_a, "tip"_a, "by_width"_a, "by_follow"_a, "by_c"_a, "columns"_a, "residual"_a,
-          "weight"_a.none(), "width"_a, "follow"_a, "matrix"_a, "gradient"_a, "first"_a = 0,
+          "weight"_a.none(), "width"_a, "follow"_a, "matrix"_a.noconvert(), "gradient"_a.noconvert(), "first"_a = 0,
           "Adds J'WJ and J'Wr to matrix and gradient. width, follow: (low, step, size) of the splines. See normal.h.");
-    m.def("normal_add_sparse", add_sparse, "first"_a, "column"_a, "value"_a, "weight"_a, "residual"_a, "matrix"_a,
-          "gradient"_a, "Adds J'WJ and J'Wr of sparse rows to matrix and gradient. See normal.h.");
+    m.def("normal_add_sparse", add_sparse, "first"_a, "column"_a, "value"_a, "weight"_a, "residual"_a,
+          "matrix"_a.noconvert(), "gradient"_a.noconvert(),
+          "Adds J'WJ and J'Wr of sparse rows to matrix and gradient. See normal.h.");
 }

@@ -1,9 +1,7 @@
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
+#include "arrays.h"
 
 #include <algorithm>
 #include <cmath>
-#include <memory>
 #include <stdexcept>
 #include <vector>
 
@@ -12,22 +10,12 @@
 namespace nb = nanobind;
 using namespace nb::literals;
 
-template <typename T> using Input = nb::ndarray<const T, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-
-template <typename T> static nb::object column(const std::vector<T> &values) {
-    T *raw = new T[values.size()];
-    std::copy(values.begin(), values.end(), raw);
-    nb::capsule owner(raw, [](void *p) noexcept { delete[] static_cast<T *>(p); });
-    return nb::cast(nb::ndarray<nb::numpy, T, nb::ndim<1>>(raw, {values.size()}, owner));
-}
-
-template <typename T, typename Member> static nb::object field(const std::vector<tl_onset_t> &onsets, Member member) {
-    std::vector<T> values;
-    values.reserve(onsets.size());
-    for (const tl_onset_t &onset : onsets) {
-        values.push_back(static_cast<T>(onset.*member));
+template <typename T, typename Member> static ArrayOut<T> field(const std::vector<tl_onset_t> &onsets, Member member) {
+    auto values = new_array<T>(onsets.size());
+    for (size_t i = 0; i < onsets.size(); i++) {
+        values.data()[i] = static_cast<T>(onsets[i].*member);
     }
-    return column(values);
+    return values;
 }
 
 static nb::dict columns(const std::vector<tl_onset_t> &o) {
@@ -66,8 +54,8 @@ struct OnsetDetector {
     }
 
     /// Motor samples and frames in order of time; polls every 100 ms of motor time.
-    nb::dict run(Input<uint64_t> t_us, Input<int32_t> q, Input<uint64_t> arrival_us, Input<int32_t> u, Input<int32_t> v,
-                 Input<int32_t> sigma, Input<bool> valid, Input<bool> other) {
+    nb::dict run(ArrayIn<uint64_t> t_us, ArrayIn<int32_t> q, ArrayIn<uint64_t> arrival_us, ArrayIn<int32_t> u,
+                 ArrayIn<int32_t> v, ArrayIn<int32_t> sigma, ArrayIn<bool> valid, ArrayIn<bool> other) {
         const size_t frames = arrival_us.size();
         if (t_us.size() != q.size() || u.size() != frames || v.size() != frames || sigma.size() != frames ||
             valid.size() != frames || other.size() != frames) {
@@ -101,7 +89,7 @@ struct History {
     tl_history_t history;
     History() { tl_history_init(&history); }
 
-    void push(Input<uint64_t> t_us, Input<int32_t> q) {
+    void push(ArrayIn<uint64_t> t_us, ArrayIn<int32_t> q) {
         if (t_us.size() != q.size()) {
             throw std::invalid_argument("History.push: t_us and q differ in length");
         }
@@ -110,13 +98,14 @@ struct History {
         }
     }
 
-    nb::tuple at(Input<uint64_t> t_us) const {
-        std::vector<int32_t> q(t_us.size(), 0);
-        std::vector<uint8_t> status(t_us.size());
+    nb::tuple at(ArrayIn<uint64_t> t_us) const {
+        auto q = new_array<int32_t>(t_us.size());
+        auto status = new_array<uint8_t>(t_us.size());
         for (size_t i = 0; i < t_us.size(); i++) {
-            status[i] = static_cast<uint8_t>(tl_history_at(&history, t_us(i), &q[i]));
+            q.data()[i] = 0;
+            status.data()[i] = static_cast<uint8_t>(tl_history_at(&history, t_us(i), &q.data()[i]));
         }
-        return nb::make_tuple(column(q), column(status));
+        return nb::make_tuple(q, status);
     }
 };
 } // namespace

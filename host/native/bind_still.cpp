@@ -1,8 +1,6 @@
 #include "arrays.h"
 #include "still.h"
 
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <stdexcept>
 #include <vector>
 
@@ -11,7 +9,7 @@ using namespace nb::literals;
 
 namespace {
 
-using Rows = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Rows = ArrayIn<double, 2>;
 
 nb::object until(Rows z) {
     const size_t n = z.shape(0), seen = z.shape(1);

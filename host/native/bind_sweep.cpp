@@ -1,8 +1,6 @@
 #include "arrays.h"
 #include "sweep.h"
 
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <stdexcept>
 #include <vector>
 
@@ -11,7 +9,7 @@ using namespace nb::literals;
 
 namespace {
 
-using Values = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Values = ArrayInOut<double>;
 
 nb::tuple once(size_t order, ArrayIn<double> step, ArrayIn<double> reading, ArrayIn<unsigned char> read, double half,
                double noise, double jump, Values state, Values precision, Values force, Values jumped,
@@ -37,7 +35,8 @@ nb::tuple once(size_t order, ArrayIn<double> step, ArrayIn<double> reading, Arra
 } // namespace
 
 void bind_sweep(nb::module_ &m) {
-    m.def("sweep", once, "order"_a, "step"_a, "reading"_a, "read"_a, "half"_a, "noise"_a, "jump"_a, "state"_a,
-          "precision"_a, "force"_a, "jumped"_a, "variance"_a,
+    m.def("sweep", once, "order"_a, "step"_a, "reading"_a, "read"_a, "half"_a, "noise"_a, "jump"_a,
+          "state"_a.noconvert(), "precision"_a.noconvert(), "force"_a.noconvert(), "jumped"_a.noconvert(),
+          "variance"_a.noconvert(),
           "(holds, noise, told) of one sweep; the arrays behind `jump` are changed in place. See sweep.h.");
 }

@@ -2,6 +2,8 @@
 #include "arrays.h"
 #include "fixed_table.h"
 
+#include <algorithm>
+#include <cstring>
 #include <memory>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
@@ -49,14 +51,22 @@ template <typename Field> void read_field(const nb::dict &fields, const char *na
     if (!fields.contains(name)) {
         throw nb::key_error(name);
     }
-    field = nb::cast<Field>(fields[name]);
+    if (!nb::try_cast(fields[name], field)) {
+        throw nb::value_error((std::string(name) + " is not of the kind or in the range that a table holds").c_str());
+    }
+}
+
+template <typename Field> Field field_of(const nb::dict &fields, const char *name) {
+    Field field;
+    read_field(fields, name, field);
+    return field;
 }
 
 // Section 1: the elements of the play.
 void read_plays(const nb::dict &plays, tl_table_t &table) {
-    const auto widths = nb::cast<std::vector<uint32_t>>(plays["width_q28"]);
-    const auto weights = nb::cast<std::vector<uint32_t>>(plays["weight_q16"]);
-    const auto centre = nb::cast<ArrayIn<int32_t>>(plays["centre"]);
+    const auto widths = field_of<std::vector<uint32_t>>(plays, "width_q28");
+    const auto weights = field_of<std::vector<uint32_t>>(plays, "weight_q16");
+    const auto centre = field_of<ArrayIn<int32_t>>(plays, "centre");
     if (widths.size() != weights.size() || widths.size() > TL_TABLE_PLAYS_MAX || centre.shape(0) != table.nodes) {
         throw nb::value_error("plays need at most 7 widths, as many weights, and a centre at each node");
     }
@@ -85,7 +95,7 @@ nb::object plays_of(const tl_table_t &table) {
 
 // Sections 2 on, each a dict of its fields' names: {"encoder": {"period_q12": .., ..}, ..}.
 void read_words(const nb::dict &from, const char *name, int32_t *to, size_t count) {
-    const auto values = nb::cast<std::vector<int32_t>>(from[name]);
+    const auto values = field_of<std::vector<int32_t>>(from, name);
     if (values.size() != count) {
         throw nb::value_error((std::string(name) + " of a section has another length").c_str());
     }
@@ -98,7 +108,7 @@ void read_sections(const nb::dict &sections, tl_table_t &table) {
 #define READ_ARRAY(field, count) read_words(from, #field, into.field, count);
 #define READ(number, name, FIELDS)                                                                                     \
     if (sections.contains(#name)) {                                                                                    \
-        const auto from = nb::cast<nb::dict>(sections[#name]);                                                         \
+        const auto from = field_of<nb::dict>(sections, #name);                                                         \
         auto &into = table.name;                                                                                       \
         FIELDS(READ_FIELD, READ_ARRAY)                                                                                 \
         table.has |= static_cast<uint32_t>(TL_TABLE_HAS_##name);                                                       \
@@ -244,15 +254,11 @@ void bind_tables(nb::module_ &m) {
     units["deg"] = static_cast<int>(TL_UNIT_DEG);
     m.attr("AXIS_KINDS") = kinds;
     m.attr("AXIS_UNITS") = units;
-    m.attr("TABLE_FORMAT") = TL_TABLE_FORMAT;
     m.attr("TABLE_PLAYS_MAX") = TL_TABLE_PLAYS_MAX;
     m.attr("TABLE_CENTRE_MAX") = TL_TABLE_CENTRE_MAX;
-    m.attr("TABLE_LAST") = TL_TABLE_LAST;
     m.attr("TABLE_STEPS") = TL_TABLE_STEPS;
     m.attr("TABLE_LATE_MAX") = TL_TABLE_LATE_MAX;
     m.attr("TABLE_JOINTS") = TL_TABLE_JOINTS;
-    m.attr("TABLE_ENCODER_MAX") = TL_TABLE_ENCODER_MAX;
-    m.attr("TABLE_ADAPT_OFFSET_MAX") = TL_TABLE_ADAPT_OFFSET_MAX;
     m.attr("TABLE_AXES") = TL_TABLE_AXES;
     m.attr("TABLE_ANY_AXIS") = TL_TABLE_ANY_AXIS;
     m.attr("TABLE_NODES_MAX") = TL_TABLE_NODES_MAX;
@@ -261,7 +267,6 @@ void bind_tables(nb::module_ &m) {
     m.attr("TABLE_VALUE_MAX") = TL_TABLE_VALUE_MAX;
     m.attr("TABLE_POSITION_MAX") = TL_TABLE_POSITION_MAX;
     m.attr("TABLE_WIDTH_MAX") = TL_TABLE_WIDTH_MAX;
-    m.attr("TABLE_DELAY_MAX_US") = TL_TABLE_DELAY_MAX_US;
     m.attr("COUNT_ONE") = TL_COUNT_ONE;
     m.attr("DEG_ONE") = TL_DEG_ONE;
     m.attr("RATIO_ONE") = TL_RATIO_ONE;
@@ -280,8 +285,6 @@ void bind_tables(nb::module_ &m) {
             },
             nb::arg("blob"), nb::arg("axis") = TL_TABLE_ANY_AXIS)
         .def_prop_ro("fields", &fields_of, "what the blob holds, raw")
-        .def_prop_ro("c_low", [](const FixedTable &self) { return self.lookup.c_low; })
-        .def_prop_ro("c_high", [](const FixedTable &self) { return self.lookup.c_high; })
         .def_prop_ro("has_flat", [](const FixedTable &self) { return self.lookup.has_flat != 0; })
         .def("width", &batch<tl_lookup_width>, nb::arg("p"), "B(p) and flags")
         .def("angle", &batch<tl_lookup_angle>, nb::arg("p"), "f(p) and flags")

@@ -1,6 +1,3 @@
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
-
 #include <stdexcept>
 #include <vector>
 
@@ -13,11 +10,7 @@ using namespace nb::literals;
 namespace {
 
 using Values = ArrayIn<double>;
-using Rows = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-
-std::vector<double> copied(const Values &values) {
-    return {values.data(), values.data() + values.size()};
-}
+using Rows = ArrayIn<double, 2>;
 
 struct TrackModel {
     std::vector<double> grid, width, share, weight, basis, shape;
@@ -75,21 +68,18 @@ void bind_track(nb::module_ &m) {
             [](const TrackModel &self, track_state &state, Values q, bool slopes) -> nb::object {
                 const size_t n = q.size(), columns = 1 + self.bases + self.shapes;
                 auto p = new_array<double>(n), moving = new_array<double>(n);
-                double *by = slopes ? new double[n * columns] : nullptr;
+                auto by = new_array<double>(slopes ? n : 0, columns);
                 const struct track_model view = self.view();
                 {
                     nb::gil_scoped_release unlocked;
-                    track_run(&view, &state, q.data(), n, p.data(), moving.data(), by);
+                    track_run(&view, &state, q.data(), n, p.data(), moving.data(), slopes ? by.data() : nullptr);
                 }
                 if (!slopes) {
                     return nb::make_tuple(p, moving);
                 }
-                nb::capsule owner(by, [](void *data) noexcept { delete[] static_cast<double *>(data); });
-                return nb::make_tuple(p, moving, nb::ndarray<nb::numpy, double, nb::ndim<2>>(by, {n, columns}, owner));
+                return nb::make_tuple(p, moving, by);
             },
             "state"_a, "q"_a, "slopes"_a = false,
             "Moves the motor along q: (p (n,), moving (n,)), with slopes also dp/dtheta (n, parameters). The state "
             "goes along.");
-    m.attr("TRACK_PARAMETERS") = static_cast<int>(TRACK_PARAMETERS);
-    m.attr("TRACK_ELEMENTS") = static_cast<int>(TRACK_ELEMENTS);
 }

@@ -40,13 +40,16 @@ template <typename T> void from_python(const char *field, nb::handle value, T &o
 
 template <typename T, size_t N> void from_python(const char *field, nb::handle value, T (&out)[N]) {
     if constexpr (std::is_same_v<T, char>) {
-        const std::string text = nb::cast<std::string>(value);
+        std::string text;
+        if (!nb::try_cast(value, text, false)) {
+            refuse(field, "expected text");
+        }
         if (text.size() > N) {
             refuse(field, "longer than " + std::to_string(N) + " bytes");
         }
         std::memcpy(out, text.data(), text.size());
     } else {
-        if (nb::len(value) != N) {
+        if (!nb::isinstance<nb::sequence>(value) || nb::len(value) != N) {
             refuse(field, "expected " + std::to_string(N) + " values");
         }
         for (size_t i = 0; i < N; i++) {

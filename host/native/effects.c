@@ -6,7 +6,7 @@
 extern const struct effect *const effects_library[];
 extern const size_t effects_library_count;
 
-enum { MOST = 24 }; // effects that are present at once
+enum { MOST = 24 }; // limit: effects that are present at once
 
 // An effect that is present.
 struct active {
@@ -340,8 +340,9 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
         // The next moment: a knot, a time that is asked for, or one that an effect asked for.
         int at_knot = knot <= last && motion->t_s[knot] <= times->t_s[asked];
         double t = at_knot ? motion->t_s[knot] : times->t_s[asked];
-        if (t > before_t + again_s) {
-            t = before_t + again_s;
+        const double again_t = before_t + again_s;
+        if (t > again_t && again_t > before_t) { // not where a double cannot hold so small a step
+            t = again_t;
             at_knot = 0;
         }
         const double rest = at(motion, knot, at_knot, t, motion->q);

@@ -10,8 +10,8 @@ static const double UNSEEN[] = {0.30, 0.12, 0.01, 0.03};     /* of the radius, a
 static const double SLOPE[] = {0.02, 0.02, 0.002, 0.005};    /* by which it changes a px of the way ... */
 static const double BENDS[] = {0.005, 0.005, 0.0005, 0.001}; /* ... and by how much that does in a diameter */
 static const double STRETCH[] = {0.0, 0.02, 0.0, 0.01};      /* by which motion blurs it, of the way in a frame */
-#define AGES           5e-4                                  /* of the radius, from frame to frame, where it is */
-#define BENEATH_PX     0.03  /* by which tissue beneath the rim, and compression, change a term */
+#define AGES           5e-4  /* prior: of the radius, from frame to frame, where it is */
+#define BENEATH_PX     0.03  /* prior: by which tissue beneath the rim, and compression, change a term */
 #define SMALLEST_PX    1.0   /* limit: of a radius */
 #define UNSEEN_SCATTER 0.015 /* prior: of the radius: of edges */
 #define UNSEEN_STEP    0.5   /* prior: of their variance: between a picture's without compression and MJPEG's ... */
@@ -19,12 +19,12 @@ static const double STRETCH[] = {0.0, 0.02, 0.0, 0.01};      /* by which motion 
 #define MOST_ALIKE     0.98  /* tolerance: of a correlation */
 #define SHADED         0.5   /* prior: that a marker is lit from one side */
 #define SHIFTED        3.0   /* prior: by how much more than expected what is in front changes the outline */
-#define FREEDOM        3.0   /* numbers that say what is in front: from which side, how deep, how wide */
-#define LEARNS         0.05  /* a frame: how soon it is known how little the outline wanders ... */
-#define LARGEST        4.0   /* ... which no frame contradicts by more than so many variances */
+#define FREEDOM        3.0   /* equation: numbers that say what is in front: from which side, how deep, how wide */
+#define LEARNS         0.05  /* prior: a frame: how soon it is known how little the outline wanders ... */
+#define LARGEST        4.0   /* tolerance: ... which no frame contradicts by more than so many variances */
 #define STEADIEST      0.03  /* prior: share of the wandering that is never ruled out */
-#define UNSURE         0.1 /* of the radius, times the share that is hidden: by which what is in front bends the rest */
-#define STEADY         0.1 /* prior: least weight of a frame's noise beside that of the frames before */
+#define UNSURE         0.1   /* prior: of the radius, times the share that is hidden: what is in front bends the rest */
+#define STEADY         0.1   /* prior: least weight of a frame's noise beside that of the frames before */
 
 static int order(int term) {
     return (term + 1) / 2;

@@ -2,15 +2,15 @@
 
 #include <math.h>
 
-#define STEP     0.015625 /* of a length: Runge and Kutta's error is then below 1e-8 of B */
-#define PIECES   32768    /* of one move, at most: a longer one ends on the envelope */
-#define HELD     1e-13    /* of 1 - u: nothing is left to rise */
-#define NEAR     0.9      /* of z, from which p counts as on an envelope */
-#define TINY     1e-300
-#define LEAST    1e-6 /* of L where it is longest */
-#define BLUNT    1e-3 /* of u, about 0: an exponent below 1 is infinitely steep there */
-#define SEEK     60
-#define FURTHEST 4.0 /* of the distance of the envelopes: no motor has to go further to bring p to a place */
+#define STEP     0.015625 /* tolerance: of a length: Runge and Kutta's error is then below 1e-8 of B */
+#define PIECES   32768    /* limit: of one move, at most: a longer one ends on the envelope */
+#define HELD     1e-13    /* tolerance: of 1 - u: nothing is left to rise */
+#define NEAR     0.9      /* tolerance: of z, from which p counts as on an envelope */
+#define TINY     1e-300   /* tolerance: no logarithm of 0 */
+#define LEAST    1e-6     /* tolerance: of L where it is longest */
+#define BLUNT    1e-3     /* tolerance: of u, about 0: an exponent below 1 is infinitely steep there */
+#define SEEK     60       /* tolerance: halvings, more than a double has digits */
+#define FURTHEST 4.0 /* limit: of the distance of the envelopes: no motor has to go further to bring p to a place */
 
 static double power(double base, double exponent) {
     return exponent == 1.0 ? base : pow(base, exponent);

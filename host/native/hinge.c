@@ -153,10 +153,16 @@ static int fit_one(const hinge_t *hinge, const double *precision, square_t gram,
 int hinge_fit(const hinge_t *hinge, const hinge_fit_t *fit) {
     double reach = 1e-12, all = 0.0;
     for (size_t n = 0; n < hinge->frames; n++) {
+        if (!isfinite(hinge->x[n])) {
+            return 0;
+        }
         reach = fmax(reach, hinge->x[n]);
     }
     for (size_t n = 0; n < hinge->frames * hinge->seen; n++) {
         all += hinge->y[n] * hinge->y[n];
+    }
+    if (!isfinite(all)) { // else what is left of it would be 0, a perfect fit
+        return 0;
     }
     for (size_t k = 0; k < hinge->knots; k++) {
         square_t gram;

@@ -36,7 +36,8 @@ static inline size_t hinge_columns(const hinge_t *hinge) {
     return 2 + hinge->pieces + (hinge->jump ? 1 : 0);
 }
 
-// Returns 0 where a system is not positive definite: then nothing of it is to be used. About 2 us a knot and bend.
+// Returns 0 where a value is not finite or a system not positive definite: then nothing of it is to be used. About 2 us
+// a knot and bend.
 int hinge_fit(const hinge_t *hinge, const hinge_fit_t *fit);
 
 #ifdef __cplusplus

@@ -7,14 +7,14 @@
 #include "partly.h"
 #include "rays.h"
 
-#define SMALLEST        12   /* px, area */
-#define SHADE           0.3  /* prior, sigma: of the contrast, from the middle to the rim */
-#define OFTEN           1e-3 /* prior: that from a frame to the next the light is another one; less is no reason */
-#define ELSEWHERE       0.6  /* of the radius: where it was is looked at, too, when it should be farther away */
-#define CERTAIN         -3.5 /* log odds that a part is hidden, below which it is not asked for */
-#define RISES           0.1  /* of the contrast within 2 px: what is around is mixed in, by lens or motion */
-#define FINEST          1e-3 /* membership: no pixel is known better */
-#define PIXELS_TOGETHER 3.0  /* by which neighbouring pixels say less than independent ones, in MJPEG; measured */
+#define SMALLEST  12   /* limit: px, area */
+#define SHADE     0.3  /* prior, sigma: of the contrast, from the middle to the rim */
+#define OFTEN     1e-3 /* prior: that from a frame to the next the light is another one; less is no reason */
+#define ELSEWHERE 0.6  /* tolerance: of the radius: where it was is looked at, too, when it should be farther away */
+#define CERTAIN   -3.5 /* tolerance: log odds that a part is hidden, below which it is not asked for */
+#define RISES     0.1  /* tolerance: of the contrast within 2 px: what is around is mixed in, by lens or motion */
+#define FINEST    1e-3 /* limit: membership: no pixel is known better */
+#define PIXELS_TOGETHER 3.0 /* prior: of so many neighbouring pixels one is independent, in MJPEG; measured */
 
 typedef struct {
     int x, y; /* first row's first pixel that the flood reached: where to flood again */

@@ -5,13 +5,13 @@
 
 #include "expected.h"
 
-#define UNKNOWNS   (MARKER_SHAPE + 2) /* the outline's terms, then its middle */
-#define COARSE     0.15 /* of the radius: as wide as edges scatter when the search for the middle begins ... */
-#define NARROWER   0.6  /* ... and by how much less each time */
-#define PASSES     24   /* tolerance: at most */
+#define UNKNOWNS (MARKER_SHAPE + 2) /* the outline's terms, then its middle */
+#define COARSE   0.15 /* tolerance: of the radius: as wide as edges scatter when the search for the middle begins ... */
+#define NARROWER 0.6  /* ... and by how much less each time */
+#define PASSES   24   /* tolerance: at most */
 #define SETTLED_PX 2e-3 /* tolerance */
 #define SQUARE_PX  0.3  /* tolerance: of the rays' middle, up to which they meet the outline squarely */
-#define REACH      3.0  /* px beyond where the outline may be: no farther are edges looked for */
+#define REACH      3.0  /* tolerance: px beyond where the outline may be: no farther are edges looked for */
 /* Priors of what is in front. */
 #define BEGINS      0.002 /* that it begins, and ends, from a ray to the next, a pixel farther on the rim */
 #define ENDS        0.1

@@ -22,7 +22,6 @@ int play_table_valid(const struct play_table *table) {
     return 1;
 }
 
-/* The span of `rising` (n >= 2) that x belongs to, from `at` on; the outermost ones reach beyond the ends. */
 size_t play_span(const double *rising, size_t n, size_t at, double x) {
     size_t low = at;
     size_t high = at + 1;
@@ -51,7 +50,7 @@ struct play_place play_find(const struct play_table *table, double p, size_t fro
     if (p <= grid[0]) {
         return (struct play_place){0, 0.0, 0.0};
     }
-    if (p >= grid[last]) {
+    if (p >= grid[last] || last == 0) { /* one node is all there is for NaN, too */
         return (struct play_place){last, 0.0, 0.0};
     }
     const size_t i = play_span(grid, table->n, from, p);
@@ -79,7 +78,7 @@ double play_end_far(const struct play_table *table, double q, double by, size_t 
         *half = 0.5 * width[0];
         return q - by * width[0];
     }
-    if (q >= grid[last] + by * width[last]) {
+    if (q >= grid[last] + by * width[last] || last == 0) {
         *half = 0.5 * width[last];
         return q - by * width[last];
     }

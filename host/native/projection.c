@@ -10,8 +10,8 @@ static const double WEIGHT[NODES] = {
     0.033335672154344069, 0.074725674575290296, 0.109543181257991022, 0.134633359654998178, 0.147762112357376435,
     0.147762112357376435, 0.134633359654998178, 0.109543181257991022, 0.074725674575290296, 0.033335672154344069};
 static const double RADIANS = 0.017453292519943295;
-static const double SMALL = 1e-3;   // rad: below it the arc's quotients are taken from their series
-static const double NEAREST = 1e-6; // mm in front of the camera
+static const double SMALL = 1e-3;   // tolerance: rad: below it the arc's quotients are taken from their series
+static const double NEAREST = 1e-6; // limit: mm in front of the camera
 
 struct turn {
     double m[9];

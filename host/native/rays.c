@@ -2,11 +2,11 @@
 
 #include <math.h>
 
-#define WINDOW         3.0 /* px to either side of the half-way crossing in which an edge is measured */
+#define WINDOW         3.0 /* tolerance: px to either side of the half-way crossing in which an edge is measured */
 #define WINDOW_SAMPLES 13  /* 2 WINDOW / STEP + 1 */
-#define BEYOND         3.0 /* px beyond the crossing where the surroundings begin ... */
+#define BEYOND         3.0 /* tolerance: px beyond the crossing where the surroundings begin ... */
 #define BEYOND_SAMPLES 6   /* ... and how far they are averaged */
-#define LOW            0.2 /* share of the contrast below which a sample is all surroundings */
+#define LOW            0.2 /* tolerance: share of the contrast below which a sample is all surroundings */
 #define HIGH           0.8 /* and above which it is all marker */
 
 float rays_kth(float *x, int n, int k) {

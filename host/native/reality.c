@@ -50,6 +50,9 @@ static double pin_at(const struct reality_tables *t, double q, double z, double 
 void reality_transmission(const struct reality *r, const struct reality_tables *tables, const double *t_s,
                           const double *q, const double *width_factor, size_t n, double start, uint64_t seed, double *p,
                           double *way) {
+    if (n == 0) {
+        return;
+    }
     double pin = isnan(start) ? q[0] : start;
     double speed = 0.0, first = pin, second = pin, kelvin_fast = pin, kelvin_slow = pin, grip = pin;
     double threshold = r->static_grip, ring = pin, ring_speed = 0.0, bent = 0.0, carried = 0.0, held = 0.0, since = 0.0;

@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { LONGEST = 32 };
+enum { LONGEST = 32 };              // tolerance: frames of a mean
 static const double LEAVES = 5.5;   // tolerance: sigma
 static const double WOBBLE = 0.02;  // tolerance: of the swing
 static const double RIDGE = 1e-11;  // tolerance: of a Gram matrix, a frame
@@ -60,7 +60,7 @@ static double motor_at(const struct still_stop *stop, double t, size_t *from) {
     if (t <= s[0]) {
         return q[0];
     }
-    if (t >= s[last]) {
+    if (t >= s[last] || last == 0) { // the second: NaN
         return q[last];
     }
     const size_t i = *from = play_span(s, stop->readings, *from, t);
@@ -120,7 +120,7 @@ static double squares_of(const struct still_stop *stop, const double *ramp, doub
         }
         sum -= taken_off(gram, right, size);
     }
-    return fmax(sum, 0.0);
+    return sum < 0.0 ? 0.0 : sum; // NaN stays: a place that is none is no perfect stop
 }
 
 void still_squares(const struct still_stop *stop, const double *delays, size_t count, double *ramp, double *squares) {

@@ -6,9 +6,9 @@
 enum { WIDTH = SWEEP_ROW - 1 };
 
 static const double ROOT_TWO_PI = 2.5066282746310002, ROOT_HALF = 0.70710678118654752;
-static const double FAR = -6.0;       // sigma: beyond, the tail is an exponential
-static const double LEAST = 1e-12;    // of a precision or a variance
-static const double UNLIKELY = 1e-12; // a reading is never less likely: a stray one decides nothing
+static const double FAR = -6.0;       // tolerance: sigma: beyond, the tail is an exponential
+static const double LEAST = 1e-12;    // tolerance: of a precision or a variance
+static const double UNLIKELY = 1e-12; // loss: a reading is never less likely: a stray one decides nothing
 
 typedef double band_t[SWEEP_ROW];
 
@@ -212,7 +212,7 @@ int sweep(sweep_t *path, double *work) {
     for (size_t k = 1; k + path->order <= size; k++) {
         path->jumped[k] = mean_square(path, k, s);
     }
-    const double kept = 0.3; // of what a reading said before: all are matched at once
+    const double kept = 0.3; // tolerance: of what a reading said before: all are matched at once
     double errors = 0.0;
     size_t readings = 0;
     path->told = 0.0;
@@ -232,6 +232,6 @@ int sweep(sweep_t *path, double *work) {
             readings++;
         }
     }
-    path->noise = sqrt(errors / (double)readings);
+    path->noise = readings > 0 ? sqrt(errors / (double)readings) : path->noise;
     return 1;
 }

@@ -18,7 +18,7 @@ typedef struct {
     const double *reading;     // (nodes)
     const unsigned char *read; // (nodes) 0 where a node has no reading
     double half;               // a reading is at most so far from path and noise
-    double noise;              // standard deviation of white noise on readings; on return as estimated
+    double noise;              // standard deviation of white noise on readings; on return as estimated, if any is read
     double jump;               // square of the Cauchy scale of a change (of order `order`) in a unit of time
     double *state;             // (nodes) positions
     double *precision, *force; // (nodes) of each reading's Gaussian: what it says of the path

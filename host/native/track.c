@@ -2,7 +2,7 @@
 
 #include <math.h>
 
-enum { TURNS = 60 }; /* more than Newton's method ever takes on a table */
+enum { TURNS = 60 }; /* limit: more than Newton's method ever takes on a table */
 
 void track_start(struct track_state *state, size_t n, double p) {
     *state = (struct track_state){.p = p};

@@ -6,8 +6,8 @@ static const struct effect_parameter PARAMETERS[COUNT] = {
     {"creep_time", 1, "s", "its time constant"},
     {"creep_slow", 0, "", "share of it that is five times slower; 0 to 1"},
 };
-enum { FAST, SLOWLY, OUT }; // state
-static const double SLOWER = 5.0;
+enum { FAST, SLOWLY, OUT };       // state
+static const double SLOWER = 5.0; // equation: as creep_slow says
 
 static int present(const double *v) {
     return v[SHARE] != 0.0;

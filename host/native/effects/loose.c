@@ -9,7 +9,7 @@ static const struct effect_parameter PARAMETERS[COUNT] = {
     {"loose_place", 0, "unit", "where its load pulls to neither side"},
     {"loose_drag", 5, "1/s", "deceleration over its speed"},
 };
-static const double LONGEST_S = 2e-3; // step of what falls: a hundredth of its swing at 900 / s^2
+static const double LONGEST_S = 2e-3; // tolerance: step of what falls: a hundredth of its swing at 900 / s^2
 
 static int present(const double *v) {
     return v[PULL] != 0.0;

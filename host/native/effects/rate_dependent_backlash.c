@@ -11,7 +11,7 @@ static const struct effect_parameter PARAMETERS[COUNT] = {
     {"width_held", 0, "", "1 if a motor that rests or turns moves nothing, 0 if closing"},
 };
 enum { SPEED, UNSETTLED };             // state
-static const double SHORTEST_S = 2e-3; // least step while the width follows the speed
+static const double SHORTEST_S = 2e-3; // tolerance: least step while the width follows the speed
 
 // Of the width that a tenth of the grid a second adds: (1 - exp(-k r)) / (1 - exp(-k)), which is r for k = 0.
 static double share(const double *v, double relative) {

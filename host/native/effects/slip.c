@@ -13,7 +13,7 @@ static const struct effect_parameter PARAMETERS[COUNT] = {
     {"slip_time_3", 0, "s", ""},
     {"slip_time_4", 0, "s", ""},
 };
-static const double AT_ONCE_S = 1e-9; // far below a frame, far above a double's last digit
+static const double AT_ONCE_S = 1e-9; // tolerance: far below a frame, far above the last digit of a session's seconds
 
 static int present(const double *v) {
     return v[0] != 0.0 || v[1] != 0.0 || v[2] != 0.0 || v[3] != 0.0;
