@@ -252,7 +252,7 @@ def residuals(diagnosis: Diagnosis) -> Figure:
     every = max(1, sum(int(segment.scored.sum()) for segment in tests) // _MANY_POINTS)
     for values, colour, label in series:
         for i, (segment, residual) in enumerate(zip(tests, values, strict=True)):
-            t = segment.arrival_s[segment.scored] + segment.offset_s
+            t = segment.session_s[segment.scored]
             size = np.sqrt(np.mean(residual**2, axis=1))
             ax.plot(
                 t[::every],
