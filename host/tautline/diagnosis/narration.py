@@ -3,6 +3,7 @@ text that a terminal shows."""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -24,7 +25,7 @@ SHOWN = 0.005  # format: probability from which on a candidate is shown
 _NO_PATH = "It has no path that repeats, so no model can predict it away."
 _IN_WORDS = 2  # format: named effects that have a sentence each; of more only the first has
 _NEAR = 0.1  # format: share of a gap that an effect or a refit must close to be mentioned
-_REMOVES = 0.995  # format: shrinkage from which a gap is said to be removed
+_CLOSED = 0.995  # format: shrinkage from which a gap is said to close
 LEAST_TOLD = 0.005  # format: share of a gap below which nothing is said of what an effect closes
 _HARDLY = 0.15  # format: share of a gap that a flexible model closes: below it, hardly any
 SINCE = {
@@ -115,7 +116,7 @@ def _effect_sentences(document: Mapping[str, Any]) -> str:
     elif effects[0]["id"] in EVENTS:
         text = f"{_capital(named)}: a gap of {before}, {times}. {_NO_PATH}"
     else:
-        shrinks = "removes" if gap["shrink"] > _REMOVES else f"shrinks by {percent(gap['shrink'])}"
+        shrinks = "closes" if gap["shrink"] > _CLOSED else f"shrinks by {percent(gap['shrink'])}"
         text = (
             f"{_capital(named)}: with {'it' if len(effects) == 1 else 'them'} in the model the gap {shrinks}, "
             f"from {before} to {digits(gap['after'])}{_closed_above_noise(gap)}; on another motion expect "
@@ -223,16 +224,16 @@ def steps(document: Mapping[str, Any], folder: str) -> list[NextStep]:
         as_it_is = NextStep("Use the model as it is: these motions show nothing large that it lacks.")
         of_simulator = simulator_words.steps({**document, "effects": []})  # no effect is large enough to be added
         return [*map(NextStep, of_simulator), as_it_is]
-    effects = document["effects"]
+    effects, kept = document["effects"], shlex.quote(folder)
     is_event = bool(effects) and effects[0]["id"] in EVENTS
-    todo = [*_steps_to_look(document), *_steps_to_record(document, folder)]
+    todo = [*_steps_to_look(document), *_steps_to_record(document, kept)]
     if is_event:
         event = BY_ID[effects[0]["id"]].event
         assert event
         todo.append(NextStep(f"Mend the cause, {event.cause}: no table and no model takes its {event.what} away."))
     if effects and (not is_event or document["gap"]["shrink"] > _SHRINKS):
         todo.append(
-            NextStep("Predict with the corrected model.", f"taut predict {folder}/corrected RECORDING --csv OUT.csv")
+            NextStep("Predict with the corrected model.", f"taut predict {kept}/corrected RECORDING --csv OUT.csv")
         )
     if any(p["since"] == "start" and p["id"] == "registration.static" for p in document["moved"]):
         todo.append(
@@ -243,7 +244,7 @@ def steps(document: Mapping[str, Any], folder: str) -> list[NextStep]:
         )
     if "simulator" in document:
         return [*todo, *map(NextStep, simulator_words.steps(document))]
-    return todo + (_steps_with_tables(effects, folder) if effects and not is_event else [])
+    return todo + (_steps_with_tables(effects, kept) if effects and not is_event else [])
 
 
 def _steps_to_look(document: Mapping[str, Any]) -> list[NextStep]:
@@ -258,7 +259,7 @@ def _steps_to_look(document: Mapping[str, Any]) -> list[NextStep]:
 
 
 def _steps_to_record(document: Mapping[str, Any], folder: str) -> list[NextStep]:
-    """What to record where the recordings cannot tell effects apart."""
+    """What to record where the recordings cannot tell effects apart. folder: as a shell takes it."""
     effects, following = document["effects"], document["next_motion"]
     ambiguous = {name for e in effects for name in (e["id"], *e["ambiguous_with"])}
     if {LOAD, DRIFT} <= ambiguous:
@@ -281,7 +282,7 @@ def _steps_to_record(document: Mapping[str, Any], folder: str) -> list[NextStep]
 
 def _steps_with_tables(effects: Sequence[Mapping[str, Any]], folder: str) -> list[NextStep]:
     """What to do with the corrected tables of named effects, the leading one first, in the order in which it is told.
-    folder: where the diagnosis wrote `corrected`."""
+    folder: where the diagnosis wrote `corrected`, as a shell takes it."""
     todo = [
         NextStep(
             "Try the tables against an instrument that has this effect.",
@@ -300,20 +301,25 @@ def _steps_with_tables(effects: Sequence[Mapping[str, Any]], folder: str) -> lis
 
 
 def board(effects: Sequence[Mapping[str, Any]], folder: str) -> NextStep:
-    """The next step at the board: what `taut flash` can load of the named effects (entries of diagnosis.json)."""
+    """The next step at the board: what `taut flash` can load of the named effects (entries of diagnosis.json). folder:
+    as a shell takes it."""
+    command = f"taut flash {folder}/corrected"
+    coupled = any(e["id"] == COUPLED for e in effects)
+    if coupled:
+        command += " --joint COLUMN=AXIS:RESOLUTION"
     left = [e["id"] for e in effects if not e["loads_on_board"]]
     if left:
-        why = [f"{name} ({_REMAINS[name]})" if name in _REMAINS else name for name in left]
-        return NextStep(
-            f"No table can undo {listed(why)}; the rest of what was named they do.",
-            f"taut flash {folder}/corrected --without-effects",
+        why = listed([f"{name} ({_REMAINS[name]})" if name in _REMAINS else name for name in left])
+        rest = (
+            "the rest of what was named they do"
+            if len(left) < len(effects)
+            else "what they hold is B and f_remain as fitted beside it"
         )
-    if any(e["id"] == COUPLED for e in effects):
-        return NextStep(
-            "Load the corrected tables into the board, and say which of its axes moves the column that couples in.",
-            f"taut flash {folder}/corrected --joint COLUMN=AXIS:RESOLUTION",
-        )
-    return NextStep("Load the corrected tables into the board.", f"taut flash {folder}/corrected")
+        return NextStep(f"No table can undo {why}; {rest}.", f"{command} --without-effects")
+    if coupled:
+        says = "Load the corrected tables into the board, and say which of its axes moves the column that couples in."
+        return NextStep(says, command)
+    return NextStep("Load the corrected tables into the board.", command)
 
 
 def tip(document: Mapping[str, Any]) -> str:
