@@ -12,6 +12,8 @@ from tautline import trajectory
 from tautline.calibration.calibrate import calibrate
 from tautline.diagnosis import repeated as room
 from tautline.diagnosis.diagnose import Diagnosis, diagnose
+from tautline.diagnosis.gap import shrink_interval_elsewhere
+from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.repeated import HELD
 from tautline.diagnosis.segment import prepare, repeated
 from tautline.model import Model
@@ -124,6 +126,9 @@ def test_what_is_named_is_taken_off_the_gap(monkeypatch: pytest.MonkeyPatch, bef
     segment = SimpleNamespace(held=np.array([True, False]), scored=np.array([False, True]))
     room.add_repeats(document, None, [segment, segment], 0.0)
     assert (document["verdict"] == "effect") == (before > 0.0) == (gap["shrink"] > 0.0)
+    if before:  # another motion shrinks by another share, as of every effect
+        low, high = shrink_interval_elsewhere(gap["after"] / gap["before"], learnt().elsewhere)
+        assert gap["shrink_ci"][0] <= low < gap["shrink"] < high <= gap["shrink_ci"][1]
 
 
 def test_a_link_that_repeats_a_fast_log_is_seen_before_it_is_thinned() -> None:
