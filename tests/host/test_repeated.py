@@ -122,10 +122,12 @@ def test_what_is_named_is_taken_off_the_gap(monkeypatch: pytest.MonkeyPatch, bef
         "noise_floor": 0.1, "verdict": "unknown", "gap": gap, "count": [1.0, 0.0, 0.0, 0.0], "effects": [],
         "where": {"stage": None}, "probability_none": 0.0, "probability_unknown": 1.0 - before,
         "candidates": [{"id": HELD, "probability": before, "shrink": 0.1}],
+        "gap_recalibrated": {"before": np.sqrt(2.8)},
     }  # fmt: skip
     segment = SimpleNamespace(held=np.array([True, False]), scored=np.array([False, True]))
     room.add_repeats(document, None, [segment, segment], 0.0)
     assert (document["verdict"] == "effect") == (before > 0.0) == (gap["shrink"] > 0.0)
+    assert document["gap_recalibrated"]["before"] == pytest.approx(2.0)  # no recalibration takes repeats away
     if before:  # another motion shrinks by another share, as of every effect
         low, high = shrink_interval_elsewhere(gap["after"] / gap["before"], learnt().elsewhere)
         assert gap["shrink_ci"][0] <= low < gap["shrink"] < high <= gap["shrink_ci"][1]

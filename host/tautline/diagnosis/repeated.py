@@ -39,7 +39,7 @@ def add_repeats(document: dict[str, Any], model: Model, segments: Sequence[Segme
     probability = _add_candidate(document, _SURE if alone else min(share_of_gap, _SURE), shrink)
     leads = probability > 0.5
     named = leads or document["verdict"] == "effect"  # else most of the gap has another, unknown cause
-    _count_repeats_in_gap(document["gap"], float(np.sqrt(power)))
+    _count_repeats_in_gap(document, power, power - fresh_power)
     if named:
         _shrink_by_repeats(document, floor2)
     document["count"] = _with_one_more(document["count"], _SURE if named else probability)
@@ -113,11 +113,15 @@ def _with_one_more(count: Sequence[float], probability: float) -> list[float]:
     return [probability * new + (1.0 - probability) * old for new, old in zip(shifted, count, strict=True)]
 
 
-def _count_repeats_in_gap(sizes: dict[str, Any], before: float) -> None:
-    """Changes the object `gap` of diagnosis.json so that its rms before is `before`, with the repeated samples; after,
-    each is as far off as the sample that it repeats."""
+def _count_repeats_in_gap(document: dict[str, Any], power: float, added: float) -> None:
+    """Changes the sizes of the gap in a diagnosis.json so that its mean square before is `power`, of which the repeated
+    samples have `added`. A recalibration leaves what they added; after, each is as far off as the sample that it
+    repeats."""
+    sizes, recalibrated = document["gap"], document["gap_recalibrated"]
+    before = float(np.sqrt(power))
     factor = before / sizes["before"]
     sizes["before"], sizes["before_ci"] = before, [factor * end for end in sizes["before_ci"]]
+    recalibrated["before"] = float(np.sqrt(recalibrated["before"] ** 2 + added))
 
 
 def _shrink_by_repeats(document: dict[str, Any], floor2: float) -> None:
