@@ -25,7 +25,7 @@ def test_a_progress_only_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     def calibrate(recordings: object, rig: object, progress: recorded.Progress, naming: bool) -> SimpleNamespace:
         progress(0.0, "calibrating")
         progress(1.0, "calibrating")
-        return SimpleNamespace(offsets=(0.0,))
+        return SimpleNamespace(offsets={})
 
     monkeypatch.setattr(recorded, "with_marker", tracked)
     monkeypatch.setattr(recorded, "calibrate", calibrate)
