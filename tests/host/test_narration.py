@@ -140,3 +140,19 @@ def test_of_what_no_table_undoes_a_rest_is_told_only_if_there_is_one():
 def test_an_axis_that_couples_in_is_asked_for_beside_what_no_table_undoes():
     said = board_of(("configuration.axis_coupling", True), ("configuration.contact", False))
     assert said.command == "taut flash out/corrected --joint COLUMN=AXIS:RESOLUTION --without-effects"
+
+
+def test_no_share_is_less_than_nothing():
+    assert narration.percent(-0.001) == "0 %" and narration.percent(0.125) == "12 %"
+    made = explained(0.88, 1.0)
+    made["gap"]["shrink_ci"] = [-0.002, 0.9]
+    assert "expect 0 to 90 %" in narration.sentence(made)
+
+
+def test_of_a_simulator_nothing_is_another_since_its_calibration():
+    made = explained(0.88, 1.0)
+    made["effects"][0]["since"] = "calibration"
+    simulated = {**made, "simulator": {"parameters": []}}
+    assert "since the calibration" in narration.sentence(made)
+    assert "since the calibration" not in narration.sentence(simulated)
+    assert page._parameter_rows(simulated, made["effects"][0], "mm", "")[0]["since"] == ""

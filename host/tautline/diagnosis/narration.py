@@ -28,7 +28,7 @@ _NEAR = 0.1  # format: share of a gap that an effect or a refit must close to be
 _CLOSED = 0.995  # format: shrinkage from which a gap is said to close
 LEAST_TOLD = 0.005  # format: share of a gap below which nothing is said of what an effect closes
 _HARDLY = 0.15  # format: share of a gap that a flexible model closes: below it, hardly any
-SINCE = {
+_SINCE = {
     "start": " from the start",
     "calibration": " since the calibration",
     "recording": ", another in each recording",
@@ -94,7 +94,7 @@ def _named_effects(document: Mapping[str, Any]) -> str:
     """The named effects in words, each with its id and probability."""
     effects = document["effects"]
     said = [
-        f"{simulator_words.says(document, e['id'])}{_since(e)} "
+        f"{simulator_words.says(document, e['id'])}{_since_of_part(document, e)} "
         f"({e['id']}, {percent(e['probability'])} sure{_brings(e)}{_or_else(e) if i else ''})"
         for i, e in enumerate(effects)
     ]
@@ -158,9 +158,16 @@ def _or_else(effect: Mapping[str, Any]) -> str:
     return f", or else {listed(others, 'or')}" if others else ""
 
 
-def _since(effect: Mapping[str, Any]) -> str:
+def since(document: Mapping[str, Any], part: Mapping[str, Any]) -> str:
+    """Since when an effect or a part of the nominal model (an entry of diagnosis.json) is there, to follow a sentence;
+    "" where that is all of the robot's recordings, beside a simulator, which was never calibrated."""
+    in_robot = "simulator" in document and part["since"] == "calibration"
+    return "" if in_robot else _SINCE[part["since"]]
+
+
+def _since_of_part(document: Mapping[str, Any], effect: Mapping[str, Any]) -> str:
     """Since when a part of the nominal model is another; "" for other effects."""
-    return SINCE[effect["since"]] if BY_ID[effect["id"]].nominal else ""
+    return since(document, effect) if BY_ID[effect["id"]].nominal else ""
 
 
 def moved(document: Mapping[str, Any]) -> str:
@@ -168,19 +175,19 @@ def moved(document: Mapping[str, Any]) -> str:
     parts = document["moved"]
     if len(parts) < 2:
         return ""
-    said = [p["id"] + SINCE[p["since"]] + f" ({percent(p['share'])})" for p in parts]
+    said = [p["id"] + since(document, p) + f" ({percent(p['share'])})" for p in parts]
     return f"What had to move: {listed(said)}."
 
 
 def percent(share: float) -> str:
     """A share, 0 to 1, as "12 %"."""
-    return f"{100 * share:.0f} %"
+    return f"{round(100 * share)} %"
 
 
 def _between(interval: Sequence[float]) -> str:
     """An interval of shares as "12 to 34 %"."""
     low, high = interval
-    return f"{100 * low:.0f} to {percent(high)}"
+    return f"{round(100 * low)} to {percent(high)}"
 
 
 def flexible(document: Mapping[str, Any]) -> str:
