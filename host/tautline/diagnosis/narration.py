@@ -368,8 +368,6 @@ def text(document: Mapping[str, Any], folder: str) -> str:
         lines += ["", f"  {paragraph}"] if paragraph else []
     lines.append("")
     for name, probability, closes in rows(document, 4):
-        if probability < SHOWN:
-            continue
         lines.append(f"  {name:<40} {percent(probability):>6}  {closes}".rstrip())
     closed = flexible(document)
     if closed:
@@ -385,19 +383,17 @@ def text(document: Mapping[str, Any], folder: str) -> str:
 
 def rows(document: Mapping[str, Any], most: int) -> list[tuple[str, float, str]]:
     """[(id or words, probability to lead, what it closes in words)], the likeliest first, of up to `most` candidates,
-    of an unknown cause and of none; "" where it closes next to nothing."""
+    of an unknown cause and of none, those with a probability of SHOWN or more; "" where it closes next to nothing."""
     least = least_told(document)
-    candidates = [
+    said = [
         (c["id"], c["probability"], f"closes {percent(c['shrink'])}" if c["shrink"] > least else "")
         for c in document["candidates"][:most]
     ]
-    for name, probability in (
-        ("none of these (unknown)", document["probability_unknown"]),
-        ("no gap", document["probability_none"]),
-    ):
-        if probability >= SHOWN:
-            candidates.append((name, probability, ""))
-    return sorted(candidates, key=lambda row: -row[1])
+    said += [
+        ("none of these (unknown)", document["probability_unknown"], ""),
+        ("no gap", document["probability_none"], ""),
+    ]
+    return sorted((row for row in said if row[1] >= SHOWN), key=lambda row: -row[1])
 
 
 def least_told(document: Mapping[str, Any]) -> float:

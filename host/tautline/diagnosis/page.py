@@ -75,7 +75,6 @@ def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
                 "closes": closes,
             }
             for name, p, closes in narration.rows(document, _CANDIDATES)
-            if p >= narration.SHOWN
         ],
         "topics": [of_effect(effect["id"]) for effect in document["effects"]],
         "parameters": [

@@ -14,13 +14,13 @@ from tautline import spread
 from tautline.diagnosis import gap
 from tautline.diagnosis.fitted import Scope
 from tautline.diagnosis.hyperparameters import learnt
+from tautline.diagnosis.scatter import HELD
 from tautline.diagnosis.segment import Segment
 from tautline.effects import BY_ID
 from tautline.model import Model
 
 Array = npt.NDArray[np.float64]
 
-HELD = "acquisition.held_samples"
 _SEEN = 0.1  # loss: share of the noise power by which repeats must raise the gap's to be reported
 _SURE = 0.98  # format: the probability of what is certain
 
@@ -115,13 +115,16 @@ def _with_one_more(count: Sequence[float], probability: float) -> list[float]:
 
 def _count_repeats_in_gap(document: dict[str, Any], power: float, added: float) -> None:
     """Changes the sizes of the gap in a diagnosis.json so that its mean square before is `power`, of which the repeated
-    samples have `added`. A recalibration leaves what they added; after, each is as far off as the sample that it
-    repeats."""
+    samples have `added`. A recalibration and any other effect alone leave what they added; with what is named beside
+    them each is as far off as the sample that it repeats."""
     sizes, recalibrated = document["gap"], document["gap_recalibrated"]
-    before = float(np.sqrt(power))
-    factor = before / sizes["before"]
-    sizes["before"], sizes["before_ci"] = before, [factor * end for end in sizes["before_ci"]]
+    fresh, before = sizes["before"], float(np.sqrt(power))
+    sizes["before"], sizes["before_ci"] = before, [before / fresh * end for end in sizes["before_ci"]]
     recalibrated["before"] = float(np.sqrt(recalibrated["before"] ** 2 + added))
+    for candidate in document["candidates"]:
+        if candidate["id"] != HELD:
+            left = (1.0 - candidate["shrink"]) * fresh
+            candidate["shrink"] = 1.0 - float(np.sqrt(left**2 + added)) / before
 
 
 def _shrink_by_repeats(document: dict[str, Any], floor2: float) -> None:
