@@ -14,13 +14,13 @@ from tautline import spread
 from tautline.diagnosis import gap
 from tautline.diagnosis.fitted import Scope
 from tautline.diagnosis.hyperparameters import learnt
-from tautline.diagnosis.scatter import HELD
 from tautline.diagnosis.segment import Segment
 from tautline.effects import BY_ID
 from tautline.model import Model
 
 Array = npt.NDArray[np.float64]
 
+HELD = "acquisition.held_samples"
 _SEEN = 0.1  # loss: share of the noise power by which repeats must raise the gap's to be reported
 _SURE = 0.98  # format: the probability of what is certain
 

@@ -20,10 +20,11 @@ import numpy.typing as npt
 
 from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.fitted import Fit
+from tautline.diagnosis.repeated import HELD
 
 Array = npt.NDArray[np.float64]
 
-STICK_SLIP, JITTER, HELD = "transmission.stick_slip", "acquisition.jitter", "acquisition.held_samples"
+STICK_SLIP, JITTER = "transmission.stick_slip", "acquisition.jitter"
 _AS_IT_IS = "as it is"
 RIVALS = ("level", "blur", "memory", HELD, "pixels")
 _MOVES = 0.02  # tolerance: share of the fastest drive from frame to frame: slower is at rest
