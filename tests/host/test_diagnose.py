@@ -18,6 +18,7 @@ from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.fitted import Fit, Hypothesis
 from tautline.diagnosis.segment import prepare
 from tautline.effects import LIBRARY, STAGES
+from tautline.errors import TautError
 from tautline.model import Model
 from tautline.prediction import foretold, predict
 from tautline.recording import Marker, Recording, save
@@ -348,6 +349,26 @@ def test_the_report_says_it_all_and_shows_the_axes_that_tell_most(tmp_path):
     assert "taut flash out/corrected\n" in said and "--without-effects" not in said
     tip = found.document["tip"]
     assert tip["after_deg"] < 0.1 * tip["before_deg"] and narration.tip(found.document) in said
+
+
+@pytest.mark.parametrize("frames", [1, 2, 7])
+def test_of_a_few_frames_nothing_is_said(frames):
+    calibration, test, _ = recordings()
+    marker = Marker(
+        *(column[-50 : -50 + frames] for column in (test.marker.t_s, test.marker.u_px, test.marker.v_px)),
+        np.ones(frames, bool),
+    )
+    with pytest.raises(TautError, match=f"{test.name}: only {frames} new readings of the sensor"):
+        prepare(true_model(), calibration, [replace(test, marker=marker)])
+
+
+def test_a_sensor_that_stands_still_is_told():
+    calibration, test, _ = recordings()
+    marker = replace(
+        test.marker, u_px=np.full_like(test.marker.u_px, 200.0), v_px=np.full_like(test.marker.v_px, 300.0)
+    )
+    with pytest.raises(TautError, match="whether the sensor stands still"):
+        prepare(true_model(), calibration, [replace(test, marker=marker)])
 
 
 def test_a_drift_that_wears_off_is_folded_in_as_far_as_it_went():

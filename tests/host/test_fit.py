@@ -9,9 +9,9 @@ from tautline import effects, trajectory
 from tautline.core.session import SessionClock
 from tautline.diagnosis.candidates import applicable
 from tautline.diagnosis.fit import Fitter
-from tautline.diagnosis.fitted import Hypothesis, Scope
+from tautline.diagnosis.fitted import Fit, Hypothesis, Scope
 from tautline.diagnosis.huber import huber_weight
-from tautline.diagnosis.moments import refined
+from tautline.diagnosis.moments import refined, seen_to_happen
 from tautline.diagnosis.screen import screen
 from tautline.diagnosis.segment import prepare
 from tautline.effects import BY_ID
@@ -262,3 +262,39 @@ def test_a_sensor_that_the_model_was_not_calibrated_with_has_no_delay_to_find():
     assert "acquisition.delay" not in {kind.id for kind in applicable(other)}
     rows = other.rows(other.start(), other.no_effect)
     assert all(np.all(row.columns[:, :, -1] == 0.0) for row in rows)
+
+
+@pytest.mark.parametrize(("before_s", "after_s", "seen"), [(1.2, 1.2, True), (1.2, 0.9, False), (0.9, 1.2, False)])
+def test_a_moment_is_seen_by_the_frames_that_show_it_however_late_they_arrive(before_s, after_s, seen):
+    """A recording shows a moment if it has a second on either side of it, here of a sensor with 0.7 s of delay."""
+    model, at_s = replace(MODEL, delay_s=0.7), 104.03
+    made = recordings({"shift_rx": 0.3, "shift_y": 0.15, "shift_time": at_s})
+    made = [replace(r, marker=replace(r.marker, t_s=r.marker.t_s + 0.62)) for r in made]
+    calibration, test = prepare(model, made[0], made[1:])
+    scene_s = test.session_s - 0.7
+    fitter = Fitter(model, [calibration, test.part((scene_s > at_s - before_s) & (scene_s < at_s + after_s))])
+    values = {p.name: 0.0 for p in BY_ID["registration.shift"].parameters}
+    state = replace(fitter.start(), values=values | {"shift_rx": 0.3, "shift_y": 0.15, "shift_time": at_s})
+    hypothesis = Hypothesis().plus(BY_ID["registration.shift"], Scope.START)
+    fit = Fit(hypothesis, state, fitter.residuals(state, hypothesis))
+    assert rms(fit.residuals) < 1.1 * NOISE
+    assert seen_to_happen(fitter, fit, [1e3, 1e3]) == seen
+
+
+def test_a_moment_is_found_by_a_sensor_that_the_model_was_not_calibrated_with():
+    """Its delay is the nominal one, and not the calibrated sensor's 0.7 s."""
+    truth = {"slip_1": -0.06, "slip_time_1": 102.53}
+    model = replace(MODEL, delay_s=0.7)
+    made = []
+    for recording in recordings({}):
+        values = truth if made else {}
+        clock = SessionClock.of([*made, recording]).offset_s[len(made)]
+        t = recording.motor.t_s[::20]
+        seen = effects.simulate(MODEL, recording.motor, t, values, clock_offset_s=clock).c_deg
+        made.append(
+            replace(recording, marker=None, angle=Angle(t, seen + np.random.default_rng(1).normal(0, 0.03, len(t))))
+        )
+    fitter = Fitter(model, prepare(model, made[0], made[1:]))
+    fitter.floor = NOISE
+    once, *_ = screen(fitter, fitter.nominal(), [BY_ID["transmission.slip"]], [1e3, 1e3])
+    assert once.values["slip_time_1"] == pytest.approx(102.53, abs=0.1)

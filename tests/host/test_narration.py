@@ -114,3 +114,45 @@ def test_why_an_unknown_cause_is_not_what_it_resembles():
 )
 def test_a_number_has_no_exponent(value: float, said: str) -> None:
     assert narration.digits(value) == said
+
+
+def test_a_gap_that_is_gone_is_said_to_close():
+    assert "with it in the model the gap closes, from 1 deg rms to 0.001" in narration.sentence(explained(0.999, 1.0))
+
+
+def test_a_command_takes_a_folder_with_a_space():
+    commands = [step.command for step in narration.steps(explained(0.88, 1.0), "my robot")]
+    assert "taut flash 'my robot'/corrected" in commands and not any(" my robot/" in c for c in commands)
+
+
+def board_of(*effects: tuple[str, bool]) -> narration.NextStep:
+    """Of effects (id, whether a board loads it)."""
+    return narration.board([{"id": name, "loads_on_board": loads} for name, loads in effects], "out")
+
+
+def test_of_what_no_table_undoes_a_rest_is_told_only_if_there_is_one():
+    contact, lag = ("configuration.contact", False), ("transmission.lag", True)
+    assert "the rest of what was named they do" in board_of(lag, contact).says
+    assert "rest of what was named" not in board_of(contact).says
+    assert board_of(contact).command == "taut flash out/corrected --without-effects"
+
+
+def test_an_axis_that_couples_in_is_asked_for_beside_what_no_table_undoes():
+    said = board_of(("configuration.axis_coupling", True), ("configuration.contact", False))
+    assert said.command == "taut flash out/corrected --joint COLUMN=AXIS:RESOLUTION --without-effects"
+
+
+def test_no_share_is_less_than_nothing():
+    assert narration.percent(-0.001) == "0 %" and narration.percent(0.125) == "12 %"
+    made = explained(0.88, 1.0)
+    made["gap"]["shrink_ci"] = [-0.002, 0.9]
+    assert "expect 0 to 90 %" in narration.sentence(made)
+
+
+def test_of_a_simulator_nothing_is_another_since_its_calibration():
+    made = explained(0.88, 1.0)
+    made["effects"][0]["since"] = "calibration"
+    simulated = {**made, "simulator": {"parameters": []}}
+    assert "since the calibration" in narration.sentence(made)
+    assert "since the calibration" not in narration.sentence(simulated)
+    assert page._parameter_rows(simulated, made["effects"][0], "mm", "")[0]["since"] == ""

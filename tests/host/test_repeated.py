@@ -12,6 +12,8 @@ from tautline import trajectory
 from tautline.calibration.calibrate import calibrate
 from tautline.diagnosis import repeated as room
 from tautline.diagnosis.diagnose import Diagnosis, diagnose
+from tautline.diagnosis.gap import shrink_interval_elsewhere
+from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.repeated import HELD
 from tautline.diagnosis.segment import prepare, repeated
 from tautline.model import Effect, Model
@@ -127,11 +129,21 @@ def test_what_is_named_is_taken_off_the_gap(monkeypatch: pytest.MonkeyPatch, bef
     document = {
         "noise_floor": 0.1, "verdict": "unknown", "gap": gap, "count": [1.0, 0.0, 0.0, 0.0], "effects": [],
         "where": {"stage": None}, "probability_none": 0.0, "probability_unknown": 1.0 - before,
-        "candidates": [{"id": HELD, "probability": before, "shrink": 0.1}],
+        "candidates": [
+            {"id": HELD, "probability": before, "shrink": 0.1},
+            {"id": "transmission.lag", "probability": 0.0, "shrink": 1.0},
+        ],
+        "gap_recalibrated": {"before": np.sqrt(2.8)},
     }  # fmt: skip
     segment = SimpleNamespace(held=np.array([True, False]), scored=np.array([False, True]))
     room.add_repeats(document, None, [segment, segment], 0.0)
     assert (document["verdict"] == "effect") == (before > 0.0) == (gap["shrink"] > 0.0)
+    assert document["gap_recalibrated"]["before"] == pytest.approx(2.0)  # no recalibration takes repeats away
+    lag = next(c for c in document["candidates"] if c["id"] == "transmission.lag")
+    assert lag["shrink"] == pytest.approx(1.0 - np.sqrt(1.2) / 2.0)  # nor does a lag, whatever it closes beside them
+    if before:  # another motion shrinks by another share, as of every effect
+        low, high = shrink_interval_elsewhere(gap["after"] / gap["before"], learnt().elsewhere)
+        assert gap["shrink_ci"][0] <= low < gap["shrink"] < high <= gap["shrink_ci"][1]
 
 
 def test_a_link_that_repeats_a_fast_log_is_seen_before_it_is_thinned() -> None:

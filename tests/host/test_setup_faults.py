@@ -104,9 +104,9 @@ def test_a_lag_that_calibration_took_for_several_plays_is_found():
 
 def test_a_gap_of_a_hundred_times_the_noise_that_recalibrating_closes_is_what_it_moved():
     """A little more than the noise is left where a calibration is not exact."""
-    assert moved.is_all(4.07, 0.0387, 0.0361, still_open=True, unexplained_by_law=1e-4)
-    assert not moved.is_all(
+    assert moved.closes_all(4.07, 0.0387, 0.0361, still_open=True, unexplained_by_law=1e-4)
+    assert not moved.closes_all(
         0.40, 0.0387, 0.0361, still_open=True, unexplained_by_law=1e-4
     )  # that may be another effect
-    assert moved.is_all(0.40, 0.0362, 0.0361, still_open=False, unexplained_by_law=1e-4)
-    assert not moved.is_all(0.40, 0.20, 0.0361, still_open=False, unexplained_by_law=1e-4)
+    assert moved.closes_all(0.40, 0.0362, 0.0361, still_open=False, unexplained_by_law=1e-4)
+    assert not moved.closes_all(0.40, 0.20, 0.0361, still_open=False, unexplained_by_law=1e-4)

@@ -126,3 +126,19 @@ def test_a_lag_of_less_than_a_frame_is_told_from_a_delay(effect, id) -> None:
     made = recordings(effect={effect: 0.03})
     document = diagnose(model(), made[0], made[1:]).document
     assert document["effects"][0]["id"] == id
+
+
+def test_a_calibration_that_rests_for_long_before_it_moves_is_no_less() -> None:
+    """All that counts is then in one of the parts that foretell each other."""
+    calibration, *tests = segments(recordings())
+    n = len(calibration.scored)
+    rest_s = np.linspace(calibration.arrival_s[0] - 1.0, calibration.arrival_s[0] - 1e-3, 9 * n)
+    waited = replace(
+        calibration,
+        arrival_s=np.concatenate([rest_s, calibration.arrival_s]),
+        observed=np.concatenate([np.repeat(calibration.observed[:1], 9 * n, axis=0), calibration.observed]),
+        scored=np.concatenate([np.zeros(9 * n, dtype=bool), calibration.scored]),
+        repeats=None,
+    )
+    found = tracker.without_tracker_error(model(), [waited, *tests], 0.0)
+    assert found is not None and found.noise == pytest.approx(NOISE, rel=0.1)

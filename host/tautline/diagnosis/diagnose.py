@@ -206,10 +206,10 @@ def _with_moved_parts(
     the parts that it moved are named; else the verdict as it is, and no parts."""
     before, recalibrated = gap.rms(frozen[1:]), gap.rms(base.residuals[1:])
     still_open = decide.is_open(gathered.evidence, recalibrated**2)
-    swallowed = moved.is_all(before, recalibrated, fitter.floor, still_open, learnt().center.unexplained_by_law)
+    swallowed = moved.closes_all(before, recalibrated, fitter.floor, still_open, learnt().center.unexplained_by_law)
     if verdict.name != "unknown" or not swallowed:
         return verdict, []
-    parts = moved.from_the_start(fitter, frozen, base)
+    parts = moved.by_freeing(fitter, frozen, base)
     return (decide.with_moved(verdict, [(part.id, part.share) for part in parts]) if parts else verdict), parts
 
 

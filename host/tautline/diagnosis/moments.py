@@ -56,7 +56,7 @@ def _is_seen(fitter: Fitter, fit: Fit, moment: str, limits: Sequence[float]) -> 
     better without the change, frames after it with the change. False where none holds it."""
     moment_s = fit.state.values[moment]
     for segment, limit in zip(fitter.segments, limits, strict=True):
-        frames_s = _session_times(segment)
+        frames_s = _scene_times(fit, segment)
         if frames_s[0] + _MARGIN_S < moment_s < frames_s[-1] - _MARGIN_S:
             never, always = (
                 _squares(fitter, fit, segment, {**fit.state.values, moment: at_s}, limit) for at_s in (np.inf, -np.inf)
@@ -85,8 +85,7 @@ def _best_moment(fitter: Fitter, fit: Fit, values: Mapping[str, float], moment: 
 
 def _moments_near(fitter: Fitter, fit: Fit, moment_s: float) -> list[float]:
     """Moments, s, rising, just before the scene time of each frame within _NEAR_S of `moment_s`."""
-    delay = fit.state.model.delay_s + fit.state.values.get("delay", 0.0)
-    scene_s = np.concatenate([_session_times(segment) for segment in fitter.segments]) - delay
+    scene_s = np.concatenate([_scene_times(fit, segment) for segment in fitter.segments])
     return [float(at_s) for at_s in np.unique(scene_s[np.abs(scene_s - moment_s) < _NEAR_S] - _BEFORE_S)]
 
 
@@ -95,16 +94,17 @@ def _sum_of_squares(
 ) -> float:
     """Sum of squared residuals, px^2 or deg^2, with the parameter `moment` at moment_s and all others as in `values`,
     over the recordings that are within _NEAR_S of it."""
-    return sum(
-        float(_squares(fitter, fit, segment, {**values, moment: moment_s}, limit).sum())
-        for segment, limit in zip(fitter.segments, limits, strict=True)
-        if _session_times(segment)[0] - _NEAR_S < moment_s < _session_times(segment)[-1] + _NEAR_S
-    )
+    total = 0.0
+    for segment, limit in zip(fitter.segments, limits, strict=True):
+        frames_s = _scene_times(fit, segment)
+        if frames_s[0] - _NEAR_S < moment_s < frames_s[-1] + _NEAR_S:
+            total += float(_squares(fitter, fit, segment, {**values, moment: moment_s}, limit).sum())
+    return total
 
 
-def _session_times(segment: Segment) -> Array:
-    """(scored,) Arrival times, s, of the scored frames on the session's clock."""
-    return np.asarray(segment.arrival_s[segment.scored] + segment.offset_s)
+def _scene_times(fit: Fit, segment: Segment) -> Array:
+    """(scored,) Scene times, s, of the scored frames on the session's clock, by the fit's delay."""
+    return segment.scene_s(fit.state.model, fit.state.at(segment, fit.hypothesis))[segment.scored]
 
 
 def _squares(fitter: Fitter, fit: Fit, segment: Segment, values: Mapping[str, float], limit: float) -> Array:

@@ -35,17 +35,18 @@ def closes(before: float, after: float, floor: float, most: float = CLOSES) -> b
     return open_before > 0.0 and after**2 - floor**2 < most * open_before
 
 
-def is_all(before: float, after: float, floor: float, still_open: bool, unexplained_by_law: float) -> bool:
+def closes_all(before: float, after: float, floor: float, still_open: bool, unexplained_by_law: float) -> bool:
     """Whether a recalibration closes the whole gap: it leaves less than a share CLOSES, and if that is more than noise
     (`still_open`), less than the share that a law may leave. before, after, floor: rms; unexplained_by_law: that
     share."""
     return closes(before, after, floor) and (not still_open or closes(before, after, floor, unexplained_by_law))
 
 
-def from_the_start(fitter: Fitter, frozen: Sequence[Array], base: Fit) -> list[Moved]:
-    """The parts of the nominal model that moved, the largest share first, where the recalibrated model `base` closes
-    the gap. frozen: residuals (scored, k) of each recording by the calibrated model. If the gap stays open without the
-    registration, that was wrong from the start, and f_remain, which had been bent by it, is counted with it."""
+def by_freeing(fitter: Fitter, frozen: Sequence[Array], base: Fit) -> list[Moved]:
+    """The parts of the nominal model that moved, the largest share first, by what fits with each set of them free
+    close, where that of all of them, `base`, closes the gap. frozen: residuals (scored, k) of each recording by the
+    calibrated model. If the gap stays open without the registration, that was wrong from the start, and f_remain, which
+    had been bent by it, is counted with it."""
     coarse, floor = fitter.coarse, fitter.floor
     before = gap.rms(frozen[1:])
     excess = max(before**2 - floor**2, 1e-300)

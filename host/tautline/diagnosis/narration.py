@@ -3,6 +3,7 @@ text that a terminal shows."""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -24,10 +25,10 @@ SHOWN = 0.005  # format: probability from which on a candidate is shown
 _NO_PATH = "It has no path that repeats, so no model can predict it away."
 _IN_WORDS = 2  # format: named effects that have a sentence each; of more only the first has
 _NEAR = 0.1  # format: share of a gap that an effect or a refit must close to be mentioned
-_REMOVES = 0.995  # format: shrinkage from which a gap is said to be removed
+_CLOSED = 0.995  # format: shrinkage from which a gap is said to close
 LEAST_TOLD = 0.005  # format: share of a gap below which nothing is said of what an effect closes
 _HARDLY = 0.15  # format: share of a gap that a flexible model closes: below it, hardly any
-SINCE = {
+_SINCE = {
     "start": " from the start",
     "calibration": " since the calibration",
     "recording": ", another in each recording",
@@ -93,7 +94,7 @@ def _named_effects(document: Mapping[str, Any]) -> str:
     """The named effects in words, each with its id and probability."""
     effects = document["effects"]
     said = [
-        f"{simulator_words.says(document, e['id'])}{_since(e)} "
+        f"{simulator_words.says(document, e['id'])}{_since_of_part(document, e)} "
         f"({e['id']}, {percent(e['probability'])} sure{_brings(e)}{_or_else(e) if i else ''})"
         for i, e in enumerate(effects)
     ]
@@ -115,7 +116,7 @@ def _effect_sentences(document: Mapping[str, Any]) -> str:
     elif effects[0]["id"] in EVENTS:
         text = f"{_capital(named)}: a gap of {before}, {times}. {_NO_PATH}"
     else:
-        shrinks = "removes" if gap["shrink"] > _REMOVES else f"shrinks by {percent(gap['shrink'])}"
+        shrinks = "closes" if gap["shrink"] > _CLOSED else f"shrinks by {percent(gap['shrink'])}"
         text = (
             f"{_capital(named)}: with {'it' if len(effects) == 1 else 'them'} in the model the gap {shrinks}, "
             f"from {before} to {digits(gap['after'])}{_closed_above_noise(gap)}; on another motion expect "
@@ -157,9 +158,16 @@ def _or_else(effect: Mapping[str, Any]) -> str:
     return f", or else {listed(others, 'or')}" if others else ""
 
 
-def _since(effect: Mapping[str, Any]) -> str:
+def since(document: Mapping[str, Any], part: Mapping[str, Any]) -> str:
+    """Since when an effect or a part of the nominal model (an entry of diagnosis.json) is there, to follow a sentence;
+    "" where that is all of the robot's recordings, beside a simulator, which was never calibrated."""
+    in_robot = "simulator" in document and part["since"] == "calibration"
+    return "" if in_robot else _SINCE[part["since"]]
+
+
+def _since_of_part(document: Mapping[str, Any], effect: Mapping[str, Any]) -> str:
     """Since when a part of the nominal model is another; "" for other effects."""
-    return SINCE[effect["since"]] if BY_ID[effect["id"]].nominal else ""
+    return since(document, effect) if BY_ID[effect["id"]].nominal else ""
 
 
 def moved(document: Mapping[str, Any]) -> str:
@@ -167,19 +175,19 @@ def moved(document: Mapping[str, Any]) -> str:
     parts = document["moved"]
     if len(parts) < 2:
         return ""
-    said = [p["id"] + SINCE[p["since"]] + f" ({percent(p['share'])})" for p in parts]
+    said = [p["id"] + since(document, p) + f" ({percent(p['share'])})" for p in parts]
     return f"What had to move: {listed(said)}."
 
 
 def percent(share: float) -> str:
     """A share, 0 to 1, as "12 %"."""
-    return f"{100 * share:.0f} %"
+    return f"{round(100 * share)} %"
 
 
 def _between(interval: Sequence[float]) -> str:
     """An interval of shares as "12 to 34 %"."""
     low, high = interval
-    return f"{100 * low:.0f} to {percent(high)}"
+    return f"{round(100 * low)} to {percent(high)}"
 
 
 def flexible(document: Mapping[str, Any]) -> str:
@@ -223,16 +231,16 @@ def steps(document: Mapping[str, Any], folder: str) -> list[NextStep]:
         as_it_is = NextStep("Use the model as it is: these motions show nothing large that it lacks.")
         of_simulator = simulator_words.steps({**document, "effects": []})  # no effect is large enough to be added
         return [*map(NextStep, of_simulator), as_it_is]
-    effects = document["effects"]
+    effects, kept = document["effects"], shlex.quote(folder)
     is_event = bool(effects) and effects[0]["id"] in EVENTS
-    todo = [*_steps_to_look(document), *_steps_to_record(document, folder)]
+    todo = [*_steps_to_look(document), *_steps_to_record(document, kept)]
     if is_event:
         event = BY_ID[effects[0]["id"]].event
         assert event
         todo.append(NextStep(f"Mend the cause, {event.cause}: no table and no model takes its {event.what} away."))
     if effects and (not is_event or document["gap"]["shrink"] > _SHRINKS):
         todo.append(
-            NextStep("Predict with the corrected model.", f"taut predict {folder}/corrected RECORDING --csv OUT.csv")
+            NextStep("Predict with the corrected model.", f"taut predict {kept}/corrected RECORDING --csv OUT.csv")
         )
     if any(p["since"] == "start" and p["id"] == "registration.static" for p in document["moved"]):
         todo.append(
@@ -243,7 +251,7 @@ def steps(document: Mapping[str, Any], folder: str) -> list[NextStep]:
         )
     if "simulator" in document:
         return [*todo, *map(NextStep, simulator_words.steps(document))]
-    return todo + (_steps_with_tables(effects, folder) if effects and not is_event else [])
+    return todo + (_steps_with_tables(effects, kept) if effects and not is_event else [])
 
 
 def _steps_to_look(document: Mapping[str, Any]) -> list[NextStep]:
@@ -258,7 +266,7 @@ def _steps_to_look(document: Mapping[str, Any]) -> list[NextStep]:
 
 
 def _steps_to_record(document: Mapping[str, Any], folder: str) -> list[NextStep]:
-    """What to record where the recordings cannot tell effects apart."""
+    """What to record where the recordings cannot tell effects apart. folder: as a shell takes it."""
     effects, following = document["effects"], document["next_motion"]
     ambiguous = {name for e in effects for name in (e["id"], *e["ambiguous_with"])}
     if {LOAD, DRIFT} <= ambiguous:
@@ -281,7 +289,7 @@ def _steps_to_record(document: Mapping[str, Any], folder: str) -> list[NextStep]
 
 def _steps_with_tables(effects: Sequence[Mapping[str, Any]], folder: str) -> list[NextStep]:
     """What to do with the corrected tables of named effects, the leading one first, in the order in which it is told.
-    folder: where the diagnosis wrote `corrected`."""
+    folder: where the diagnosis wrote `corrected`, as a shell takes it."""
     todo = [
         NextStep(
             "Try the tables against an instrument that has this effect.",
@@ -300,20 +308,25 @@ def _steps_with_tables(effects: Sequence[Mapping[str, Any]], folder: str) -> lis
 
 
 def board(effects: Sequence[Mapping[str, Any]], folder: str) -> NextStep:
-    """The next step at the board: what `taut flash` can load of the named effects (entries of diagnosis.json)."""
+    """The next step at the board: what `taut flash` can load of the named effects (entries of diagnosis.json). folder:
+    as a shell takes it."""
+    command = f"taut flash {folder}/corrected"
+    coupled = any(e["id"] == COUPLED for e in effects)
+    if coupled:
+        command += " --joint COLUMN=AXIS:RESOLUTION"
     left = [e["id"] for e in effects if not e["loads_on_board"]]
     if left:
-        why = [f"{name} ({_REMAINS[name]})" if name in _REMAINS else name for name in left]
-        return NextStep(
-            f"No table can undo {listed(why)}; the rest of what was named they do.",
-            f"taut flash {folder}/corrected --without-effects",
+        why = listed([f"{name} ({_REMAINS[name]})" if name in _REMAINS else name for name in left])
+        rest = (
+            "the rest of what was named they do"
+            if len(left) < len(effects)
+            else "what they hold is B and f_remain as fitted beside it"
         )
-    if any(e["id"] == COUPLED for e in effects):
-        return NextStep(
-            "Load the corrected tables into the board, and say which of its axes moves the column that couples in.",
-            f"taut flash {folder}/corrected --joint COLUMN=AXIS:RESOLUTION",
-        )
-    return NextStep("Load the corrected tables into the board.", f"taut flash {folder}/corrected")
+        return NextStep(f"No table can undo {why}; {rest}.", f"{command} --without-effects")
+    if coupled:
+        says = "Load the corrected tables into the board, and say which of its axes moves the column that couples in."
+        return NextStep(says, command)
+    return NextStep("Load the corrected tables into the board.", command)
 
 
 def tip(document: Mapping[str, Any]) -> str:
@@ -355,8 +368,6 @@ def text(document: Mapping[str, Any], folder: str) -> str:
         lines += ["", f"  {paragraph}"] if paragraph else []
     lines.append("")
     for name, probability, closes in rows(document, 4):
-        if probability < SHOWN:
-            continue
         lines.append(f"  {name:<40} {percent(probability):>6}  {closes}".rstrip())
     closed = flexible(document)
     if closed:
@@ -372,19 +383,17 @@ def text(document: Mapping[str, Any], folder: str) -> str:
 
 def rows(document: Mapping[str, Any], most: int) -> list[tuple[str, float, str]]:
     """[(id or words, probability to lead, what it closes in words)], the likeliest first, of up to `most` candidates,
-    of an unknown cause and of none; "" where it closes next to nothing."""
+    of an unknown cause and of none, those with a probability of SHOWN or more; "" where it closes next to nothing."""
     least = least_told(document)
-    candidates = [
+    said = [
         (c["id"], c["probability"], f"closes {percent(c['shrink'])}" if c["shrink"] > least else "")
         for c in document["candidates"][:most]
     ]
-    for name, probability in (
-        ("none of these (unknown)", document["probability_unknown"]),
-        ("no gap", document["probability_none"]),
-    ):
-        if probability >= SHOWN:
-            candidates.append((name, probability, ""))
-    return sorted(candidates, key=lambda row: -row[1])
+    said += [
+        ("none of these (unknown)", document["probability_unknown"], ""),
+        ("no gap", document["probability_none"], ""),
+    ]
+    return sorted((row for row in said if row[1] >= SHOWN), key=lambda row: -row[1])
 
 
 def least_told(document: Mapping[str, Any]) -> float:

@@ -75,7 +75,6 @@ def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
                 "closes": closes,
             }
             for name, p, closes in narration.rows(document, _CANDIDATES)
-            if p >= narration.SHOWN
         ],
         "topics": [of_effect(effect["id"]) for effect in document["effects"]],
         "parameters": [
@@ -139,18 +138,19 @@ def _parameter_rows(
     """The rows of one named effect in the table of parameters: its values, and the parts of the nominal model that it
     brings. unit: of q; width: what `width_now` says."""
     if of_simulator := simulator_words.values(document, effect["id"]):
-        return [_table_row(effect, *of_simulator, True)]
+        return [_table_row(document, effect, *of_simulator, True)]
     kind = kind_of(Effect(effect["id"], effect["parameters"]))
     known = {p.name: p for p in kind.parameters if p.name in effect["parameters"]}
     known = dict([item for item in known.items() if item[0] not in kind.curve][:_PARAMETERS])
-    brought = [_table_row(effect, "brings", part["id"], False) for part in effect.get("brings", ())]
+    brought = [_table_row(document, effect, "brings", part["id"], False) for part in effect.get("brings", ())]
     if effect["id"] == "transmission.backlash":
-        return [_table_row(effect, "B is now", width, True), *brought]
+        return [_table_row(document, effect, "B is now", width, True), *brought]
     if not known and COLUMN not in effect["parameters"]:
-        return [_table_row(effect, "a curve", "", True)]
+        return [_table_row(document, effect, "a curve", "", True)]
     shown = {name: value for name, value in effect["parameters"].items() if name in known or name == COLUMN}
     return [
         _table_row(
+            document,
             effect,
             name.replace("_", " "),
             f"{narration.digits(value)} {_unit(known[name], unit)}".strip() if name in known else value,
@@ -160,13 +160,15 @@ def _parameter_rows(
     ] + brought
 
 
-def _table_row(effect: Mapping[str, Any], name: str, value: str, first: bool) -> dict[str, Any]:
+def _table_row(
+    document: Mapping[str, Any], effect: Mapping[str, Any], name: str, value: str, first: bool
+) -> dict[str, Any]:
     """One row of the table of parameters. first: whether it is the effect's first, which shows the effect too."""
     return {
         "effect": effect["id"],
         "name": name,
         "value": value,
-        "since": narration.SINCE[effect["since"]].strip(" ,"),
+        "since": narration.since(document, effect).strip(" ,"),
         "share": narration.percent(effect["shrink"]),
         "with": ", ".join(effect["ambiguous_with"]),
         "first": first,
@@ -252,7 +254,7 @@ def residuals(diagnosis: Diagnosis) -> Figure:
     every = max(1, sum(int(segment.scored.sum()) for segment in tests) // _MANY_POINTS)
     for values, colour, label in series:
         for i, (segment, residual) in enumerate(zip(tests, values, strict=True)):
-            t = segment.arrival_s[segment.scored] + segment.offset_s
+            t = segment.session_s[segment.scored]
             size = np.sqrt(np.mean(residual**2, axis=1))
             ax.plot(
                 t[::every],

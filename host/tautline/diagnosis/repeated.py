@@ -11,7 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import spread
+from tautline.diagnosis import gap
 from tautline.diagnosis.fitted import Scope
+from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.segment import Segment
 from tautline.effects import BY_ID
 from tautline.model import Model
@@ -37,7 +39,9 @@ def add_repeats(document: dict[str, Any], model: Model, segments: Sequence[Segme
     probability = _add_candidate(document, _SURE if alone else min(share_of_gap, _SURE), shrink)
     leads = probability > 0.5
     named = leads or document["verdict"] == "effect"  # else most of the gap has another, unknown cause
-    _count_repeats_in_gap(document["gap"], float(np.sqrt(power)), floor2, named)
+    count_repeats_in_gap(document, power, power - fresh_power)
+    if named:
+        _shrink_by_repeats(document, floor2)
     document["count"] = _with_one_more(document["count"], _SURE if named else probability)
     if named:
         _name_repeats(document, segments, shrink, leads)
@@ -109,15 +113,30 @@ def _with_one_more(count: Sequence[float], probability: float) -> list[float]:
     return [probability * new + (1.0 - probability) * old for new, old in zip(shifted, count, strict=True)]
 
 
-def _count_repeats_in_gap(gap: dict[str, Any], before: float, floor2: float, named: bool) -> None:
-    """Changes the object `gap` of diagnosis.json so that its rms before is `before`, with the repeated samples; after,
-    each is as far off as the sample that it repeats. named: whether they are, so that the shrinkage changes too, its
-    interval from the worst ends of both. floor2: noise power."""
-    factor = before / gap["before"]
-    gap["before"], gap["before_ci"] = before, [factor * end for end in gap["before_ci"]]
-    if named:
-        (before_low, before_high), (after_low, after_high) = gap["before_ci"], gap["after_ci"]
-        gap["shrink"] = 1.0 - gap["after"] / before
-        gap["shrink_ci"] = [1.0 - after_high / before_low, 1.0 - after_low / before_high]
-        left = (gap["after"] ** 2 - floor2) / max(before**2 - floor2, 1e-12)
-        gap["closable_shrink"] = float(np.clip(1.0 - left, 0.0, 1.0))
+def count_repeats_in_gap(document: dict[str, Any], power: float, added: float) -> None:
+    """Changes the sizes of the gap in a diagnosis.json so that its mean square before is `power`, of which the repeated
+    samples have `added`. A recalibration and any other effect alone leave what they added; with what is named beside
+    them each is as far off as the sample that it repeats."""
+    sizes, recalibrated = document["gap"], document["gap_recalibrated"]
+    fresh, before = sizes["before"], float(np.sqrt(power))
+    sizes["before"], sizes["before_ci"] = before, [before / fresh * end for end in sizes["before_ci"]]
+    recalibrated["before"] = float(np.sqrt(recalibrated["before"] ** 2 + added))
+    for candidate in document["candidates"]:
+        if candidate["id"] != HELD:
+            left = (1.0 - candidate["shrink"]) * fresh
+            candidate["shrink"] = 1.0 - float(np.sqrt(left**2 + added)) / before
+
+
+def _shrink_by_repeats(document: dict[str, Any], floor2: float) -> None:
+    """Changes what the gap of a diagnosis.json shrinks by, as repeated samples are named beside its effects. The
+    interval covers other blocks, by the worst ends of both sizes, and other motions. floor2: noise power."""
+    sizes = document["gap"]
+    (before_low, before_high), (after_low, after_high) = sizes["before_ci"], sizes["after_ci"]
+    ratio = sizes["after"] / sizes["before"]
+    goes_with_time = document["verdict"] == "effect" and any(BY_ID[e["id"]].course for e in document["effects"])
+    excess = learnt().later if goes_with_time else learnt().elsewhere
+    low, high = gap.shrink_interval_elsewhere(ratio, excess)
+    sizes["shrink"] = 1.0 - ratio
+    sizes["shrink_ci"] = [min(1.0 - after_high / before_low, low), max(1.0 - after_low / before_high, high)]
+    left = (sizes["after"] ** 2 - floor2) / max(sizes["before"] ** 2 - floor2, 1e-12)
+    sizes["closable_shrink"] = float(np.clip(1.0 - left, 0.0, 1.0))

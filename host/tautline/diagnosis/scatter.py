@@ -20,10 +20,11 @@ import numpy.typing as npt
 
 from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.fitted import Fit
+from tautline.diagnosis.repeated import HELD
 
 Array = npt.NDArray[np.float64]
 
-STICK_SLIP, JITTER, HELD = "transmission.stick_slip", "acquisition.jitter", "acquisition.held_samples"
+STICK_SLIP, JITTER = "transmission.stick_slip", "acquisition.jitter"
 _AS_IT_IS = "as it is"
 RIVALS = ("level", "blur", "memory", HELD, "pixels")
 _MOVES = 0.02  # tolerance: share of the fastest drive from frame to frame: slower is at rest
@@ -88,12 +89,12 @@ def of_fit(fitter: Fitter, fit: Fit, labels: Sequence[npt.NDArray[np.int64]], te
     for segment, label in zip(fitter.segments, labels, strict=True):
         block = np.full(len(segment.scored), -1)
         block[segment.scored] = label + blocks
-        scene_s = segment.arrival_s + segment.offset_s - fit.state.model.delay_s
+        parameters = fit.state.at(segment, fit.hypothesis)
+        scene_s = segment.scene_s(fit.state.model, parameters)
         for moment in (name for kind in fit.hypothesis.kinds for name in kind.moments):
             block[np.abs(scene_s - fit.state.values[moment]) < _HAPPENS_S] = -1
         blocks += int(label.max(initial=-1)) + 1
         if not (tests_only and segment.calibration):
-            parameters = fit.state.at(segment, fit.hypothesis)
             path, predicted = segment.predict(fit.state.model, parameters, fitter.load_reference)
             parts.append(frames(segment.arrival_s, segment.observed, predicted, path.p, block))
     return compared(parts, fitter.floor, blocks)

@@ -265,7 +265,8 @@ class _Scan:
         """Scores of an effect that happens at moments (shift, slip): with one moment, then each with one more beside
         those before. near: rough moments, s of scene time on the session's clock, near which every frame is tried;
         without, a grid of _SHIFT_STEP_S over the session."""
-        delay = self.base.state.model.delay_s + self.base.state.values.get("delay", 0.0)
+        sensor = self.fitter.segments[0].sensor
+        delay = self.base.state.model.delay_of(sensor) + self.base.state.values.get("delay", 0.0)
         edges, windows = self._candidate_times([moment + delay for moment in near])
         if not len(edges):  # of recordings of a few seconds
             return []
@@ -287,7 +288,7 @@ class _Scan:
     def _candidate_times(self, near: Sequence[float]) -> tuple[Array, Iterable[Sequence[int]]]:
         """(Arrival times, s of the session, rising, from which an effect may hold; for each of its moments the indices
         of those to try). near: rough arrival times of its moments; without, a grid over the session."""
-        times = [t for s in self.fitter.segments if len(t := (s.arrival_s + s.offset_s)[s.scored])]
+        times = [t for s in self.fitter.segments if len(t := s.session_s[s.scored])]
         ends = [t[[0, -1]] for t in times]
         if not near:
             edges = np.arange(min(t[0] for t in ends), max(t[1] for t in ends), _SHIFT_STEP_S)
@@ -320,7 +321,7 @@ class _FromEdges:
         zero, total = Normal.zeros(self.shared), Normal.zeros(self.shared + self.count)
         # Of each edge (count, shared + count + 1): the columns' rows of the normal matrix, and their gradient.
         self._rows: list[Array] = []
-        times = [(s.arrival_s + s.offset_s)[s.scored] for s in scan.fitter.segments]
+        times = [s.session_s[s.scored] for s in scan.fitter.segments]
         for begin, end in reversed(list(zip(edges, [*edges[1:], np.inf], strict=True))):
             for t, row, column in zip(times, scan.rows, columns, strict=True):
                 first, last = np.searchsorted(t, [begin, end])

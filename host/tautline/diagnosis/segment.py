@@ -24,6 +24,7 @@ from tautline.simulators.drive import Drive
 Array = npt.NDArray[np.float64]
 
 _CONTINUOUS = 0.9  # tolerance: share of distinct values from which a sensor does not count in steps
+_FEWEST = 8  # tolerance: scored observations of a recording: of fewer `noise_of` tells no noise
 _ANGLES = 6000  # tolerance: samples of an angle sensor that are enough: of twice as many every second is taken
 
 
@@ -65,6 +66,16 @@ class Segment:
     def with_repeats(self) -> Segment:
         """The same recording as it is to whoever knows nothing of links that send a sample twice."""
         return replace(self, scored=self.scored | self.held, repeats=None)
+
+    @property
+    def session_s(self) -> Array:
+        """(n,) When each observation arrived, s on the session's clock."""
+        return np.asarray(self.arrival_s + self.offset_s)
+
+    def scene_s(self, model: Model, parameters: Mapping[str, Any]) -> Array:
+        """(n,) When what each observation shows was so, s on the session's clock: its arrival less the sensor's delay,
+        an effect's with it. parameters: as for `follow`; that clocks run at other rates is not in it."""
+        return np.asarray(self.session_s - (model.delay_of(self.sensor) + parameters.get("delay", 0.0)))
 
     def ask(self, parameters: Mapping[str, Any]) -> None:
         """Announces to a user's simulator, if there is one, that `follow` will be called with these parameters, so that
@@ -139,26 +150,26 @@ def prepare(
         within = (scene >= from_s) & (scene <= motor.t_s[-1])
         repeats = within & again
         scored = within & ~repeats
-        if not scored.any():
-            raise TautError(
-                f"{recording.name}: the tip is never driven through a full backlash both ways while it is seen: "
-                "record a motion with strokes longer than the backlash"
-            )
+        _check_scored(recording.name, within, scored)
         segments.append(
-            Segment(
-                recording.name,
-                motor,
-                times,
-                observed,
-                scored,
-                offset,
-                i == 0,
-                i,
-                repeats,
-                drive,
-            )
+            Segment(recording.name, motor, times, observed, scored, offset, i == 0, i, repeats=repeats, drive=drive)
         )
     return segments
+
+
+def _check_scored(name: str, within: npt.NDArray[np.bool_], scored: npt.NDArray[np.bool_]) -> None:
+    """TautError, with the recording's name, where too few observations are `scored` (n,). within (n,): which of them
+    came once the tip had been driven through B both ways."""
+    if not within.any():
+        raise TautError(
+            f"{name}: the tip is never driven through a full backlash both ways while it is seen: "
+            "record a motion with strokes longer than the backlash"
+        )
+    if int(scored.sum()) < _FEWEST:
+        raise TautError(
+            f"{name}: only {int(scored.sum())} new readings of the sensor once the tip was driven through a full "
+            f"backlash both ways, and {_FEWEST} are needed: record for longer, or see whether the sensor stands still"
+        )
 
 
 def _marker_observations(recording: Recording, path: MotorPath) -> tuple[Array, Array, npt.NDArray[np.bool_]]:

@@ -12,6 +12,7 @@ from tautline.diagnosis.diagnose import Diagnosis, diagnose
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.joint import Joint, likeliest
 from tautline.diagnosis.joint_told import Answer, improved
+from tautline.diagnosis.recorded import with_markers
 from tautline.diagnosis.segment import prepare
 from tautline.diagnosis.stepping import stepped
 from tautline.model import Model
@@ -20,7 +21,6 @@ from tautline.rig import Rig
 from tautline.simulators.nominal import nominal
 from tautline.simulators.side_by_side import pool
 from tautline.simulators.simulator import Simulator
-from tautline.vision.marker import with_marker
 
 Progress = Callable[[float, str], None]
 
@@ -38,7 +38,7 @@ def diagnose_simulator(
     what is done now. workers: processes that simulate side by side, with the same result. TautError where nothing can
     be compared or scored, or the simulator fails."""
     progress(0.0, "simulating")
-    seen = [with_marker(robot, rig, progress) for robot in robots]
+    seen = with_markers(robots, rig, lambda fraction, text: progress(0.05 * fraction, text))
     simulator, step = stepped(simulator, seen, rig)
     with pool(simulator, workers) as processes:
         found = replace(nominal(simulator, seen, rig, processes), step=step)

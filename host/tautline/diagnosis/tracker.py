@@ -183,6 +183,8 @@ class _Places:
         """From the calibration's scored frames: the median across the path of each place, smoothed along the path, and
         which places are wrong (many far frames, or a large scatter, or next to such a place). None where fewer than
         _PLACES are right."""
+        if not scored.any():
+            return None
         edges = _stretch_edges(np.sort(view.seen[scored]))
         count = len(edges) - 1
         place = np.clip(np.digitize(view.seen, edges) - 1, 0, count - 1)
