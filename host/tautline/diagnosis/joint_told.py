@@ -180,7 +180,8 @@ def _document(
     named = list(_effects(answer, best, groups, gap.rms(diagnosis.before), after))
     held = next((effect for effect in was["effects"] if effect["id"] == repeated.HELD), None)
     if held is not None:  # of the sensor's link: what the others shrink is of the rest
-        repeated.count_repeats_in_gap(sizes, was["gap"]["before"], floor**2, named=True)
+        repeated.grow(sizes, was["gap"]["before"])
+        repeated.shrink(sizes, floor**2, learnt().elsewhere)
         named = [*({**effect, "shrink": effect["shrink"] * (1.0 - held["shrink"])} for effect in named), held]
     is_open = decide.is_open(diagnosis.evidence, after**2)
     closed = flexible.close(diagnosis.segments[1:], best.held_out, floor) if is_open else None

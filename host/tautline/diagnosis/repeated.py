@@ -34,17 +34,18 @@ def add_repeats(document: dict[str, Any], model: Model, segments: Sequence[Segme
     if surely_added < _SEEN * floor2:
         return
     share_of_gap = (power - fresh_power) / max(power - floor2, 1e-300)  # by the best estimate
-    shrink = 1.0 - float(np.sqrt(fresh_power / power))
+    shrunk = 1.0 - float(np.sqrt(fresh_power / power))
     alone = document["verdict"] == "none"
-    probability = _add_candidate(document, _SURE if alone else min(share_of_gap, _SURE), shrink)
+    probability = _add_candidate(document, _SURE if alone else min(share_of_gap, _SURE), shrunk)
     leads = probability > 0.5
     named = leads or document["verdict"] == "effect"  # else most of the gap has another, unknown cause
-    count_repeats_in_gap(document, power, power - fresh_power)
+    _count_repeats_in_gap(document, power, power - fresh_power)
     if named:
-        _shrink_by_repeats(document, floor2)
+        goes_with_time = document["verdict"] == "effect" and any(BY_ID[e["id"]].course for e in document["effects"])
+        shrink(document["gap"], floor2, learnt().later if goes_with_time else learnt().elsewhere)
     document["count"] = _with_one_more(document["count"], _SURE if named else probability)
     if named:
-        _name_repeats(document, segments, shrink, leads)
+        _name_repeats(document, segments, shrunk, leads)
 
 
 def _powers(model: Model, tests: Sequence[Segment], load_reference: float) -> tuple[float, float, float]:
@@ -113,13 +114,12 @@ def _with_one_more(count: Sequence[float], probability: float) -> list[float]:
     return [probability * new + (1.0 - probability) * old for new, old in zip(shifted, count, strict=True)]
 
 
-def count_repeats_in_gap(document: dict[str, Any], power: float, added: float) -> None:
+def _count_repeats_in_gap(document: dict[str, Any], power: float, added: float) -> None:
     """Changes the sizes of the gap in a diagnosis.json so that its mean square before is `power`, of which the repeated
     samples have `added`. A recalibration and any other effect alone leave what they added; with what is named beside
     them each is as far off as the sample that it repeats."""
-    sizes, recalibrated = document["gap"], document["gap_recalibrated"]
-    fresh, before = sizes["before"], float(np.sqrt(power))
-    sizes["before"], sizes["before_ci"] = before, [before / fresh * end for end in sizes["before_ci"]]
+    recalibrated, fresh, before = document["gap_recalibrated"], document["gap"]["before"], float(np.sqrt(power))
+    grow(document["gap"], before)
     recalibrated["before"] = float(np.sqrt(recalibrated["before"] ** 2 + added))
     for candidate in document["candidates"]:
         if candidate["id"] != HELD:
@@ -127,14 +127,19 @@ def count_repeats_in_gap(document: dict[str, Any], power: float, added: float) -
             candidate["shrink"] = 1.0 - float(np.sqrt(left**2 + added)) / before
 
 
-def _shrink_by_repeats(document: dict[str, Any], floor2: float) -> None:
-    """Changes what the gap of a diagnosis.json shrinks by, as repeated samples are named beside its effects. The
-    interval covers other blocks, by the worst ends of both sizes, and other motions. floor2: noise power."""
-    sizes = document["gap"]
+def grow(sizes: dict[str, Any], before: float) -> None:
+    """Changes the sizes of a gap, diagnosis.json's `gap`, so that its rms before, with the repeated samples, is
+    `before`, px or deg."""
+    fresh = sizes["before"]
+    sizes["before"], sizes["before_ci"] = before, [before / fresh * end for end in sizes["before_ci"]]
+
+
+def shrink(sizes: dict[str, Any], floor2: float, excess: tuple[float, float]) -> None:
+    """Changes what the sizes of a gap, diagnosis.json's `gap`, shrink by, as repeated samples are named beside its
+    effects. The interval covers other blocks, by the worst ends of both sizes, and other motions. floor2: noise power;
+    excess: as in `gap.shrink_interval_elsewhere`."""
     (before_low, before_high), (after_low, after_high) = sizes["before_ci"], sizes["after_ci"]
     ratio = sizes["after"] / sizes["before"]
-    goes_with_time = document["verdict"] == "effect" and any(BY_ID[e["id"]].course for e in document["effects"])
-    excess = learnt().later if goes_with_time else learnt().elsewhere
     low, high = gap.shrink_interval_elsewhere(ratio, excess)
     sizes["shrink"] = 1.0 - ratio
     sizes["shrink_ci"] = [min(1.0 - after_high / before_low, low), max(1.0 - after_low / before_high, high)]
