@@ -135,7 +135,7 @@ FAULTS: dict[str, tuple[str, ...]] = {  # ends of the ids that are right; none a
     "ratio": ("configuration.remaining",),
     "lag": LAGS,
 }
-_NAMED_ONLY = ("ratio", "lag")  # drawn where --fault names them: they came later, and a seed remains its case
+NAMED_ONLY = ("ratio", "lag")  # drawn where --fault names them: they came later, and a seed remains its case
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ class Case:
     def of(cls, seed: int, fault: str | None = None) -> Case:
         """The case of a seed, of that fault where one is named."""
         rng = np.random.default_rng(seed)
-        faults = [each for each in FAULTS if each not in _NAMED_ONLY] if fault is None else [fault]
+        faults = [each for each in FAULTS if each not in NAMED_ONLY] if fault is None else [fault]
         kinds = [(m, f) for f in faults for m in MECHANISMS if f != "bend" or MECHANISMS[m].bend]
         mechanism, fault = kinds[_MIXED * seed % len(kinds)]
         return cls(seed, mechanism, fault, float(rng.uniform(0.7, 1.3)))

@@ -239,10 +239,7 @@ def track(model: Model, recordings: Recording | Sequence[Recording], progress: P
     """
     from tautline.tracking import replay
 
-    several = _several(recordings)
-    if not several:
-        raise TautError("no recording: give one or more")
-    return replay(model, several, progress)
+    return replay(model, _several(recordings), progress)
 
 
 def diagnose(

@@ -211,7 +211,7 @@ def test_recordings_of_one_name_are_told_apart(recording: tl.Recording) -> None:
 
 
 def test_no_recording_is_refused_in_words(recording: tl.Recording, found: tl.Calibration) -> None:
-    with pytest.raises(tl.TautError, match="no recording"):
+    with pytest.raises(tl.TautError, match="a recording of use"):
         tl.track(found.model, [])
     with pytest.raises(tl.TautError, match="no test"):
         tl.diagnose(recording, [])

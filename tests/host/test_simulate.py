@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -261,16 +262,16 @@ def test_the_command_says_what_does_not_fit_together(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "words",
+    "motion",
     [
-        ("--speed", "nan"),
-        ("--speed", "1e-9"),
-        ("--dwell", "nan"),
-        ("--motion", "sines", "--speed", "nan"),
-        ("--motion", "sines", "--duration", "nan"),
-        ("--motion", "random", "--speed", "inf"),
+        lambda: through([0.0, 1.0], np.nan, 10.0),
+        lambda: through([0.0, 1.0], 1e-9, 10.0),
+        lambda: through([0.0, 1.0], 1.0, 10.0, np.nan),
+        lambda: sines(RIG.actuator, np.nan, 10.0),
+        lambda: sines(RIG.actuator, 1.0, np.nan),
+        lambda: random_smooth(RIG.actuator, np.inf, 10.0, 1),
     ],
 )
-def test_a_motion_that_cannot_be_is_refused(words: tuple[str, ...], tmp_path: Path) -> None:
-    result = taut("--out", tmp_path / "a", *words)
-    assert isinstance(result.exception, TautError) and "motion" in str(result.exception)
+def test_a_motion_that_cannot_be_is_refused(motion: Callable[[], Trajectory]) -> None:
+    with pytest.raises(TautError, match="motion"):
+        motion()

@@ -8,7 +8,18 @@ import pytest
 from tautline.recording import Motor
 from tautline.simulators import mjcf
 from tools import simulator_faults
-from tools.simulator_faults import FAULTS, MECHANISMS, NOISE_DEG, ROBOT_STEP_S, STEP_S, Case, right, stored
+from tools.simulator_faults import (
+    FAULTS,
+    MECHANISMS,
+    NAMED_ONLY,
+    NOISE_DEG,
+    ROBOT_STEP_S,
+    STEP_S,
+    Case,
+    claim_error,
+    right,
+    stored,
+)
 
 pytest.importorskip("mujoco")
 
@@ -16,7 +27,20 @@ pytest.importorskip("mujoco")
 def test_a_case_follows_from_its_seed_and_every_kind_comes():
     assert Case.of(7) == Case.of(7)
     kinds = {(case.mechanism, case.fault) for case in map(Case.of, range(3_000_000, 3_000_032))}
-    assert kinds == {(m, f) for m in MECHANISMS for f in FAULTS if f != "bend" or MECHANISMS[m].bend}
+    drawn = [fault for fault in FAULTS if fault not in NAMED_ONLY]
+    assert kinds == {(m, f) for m in MECHANISMS for f in drawn if f != "bend" or MECHANISMS[m].bend}
+    for fault in NAMED_ONLY:
+        named = {(case.mechanism, case.fault) for case in (Case.of(seed, fault) for seed in range(3))}
+        assert named == {(m, fault) for m in MECHANISMS}
+
+
+def test_a_claim_is_off_by_what_is_left_of_an_unseen_motion():
+    """Of a gap of 10 times the noise half of the power above it is said to be left, and half of 4 times is."""
+    left = np.sqrt(0.5 * (100.0 - 1.0) + 1.0)
+    case = {"named": [["x"]], "gap": 10.0, "left": left, "unseen": 4.0, "worse": np.sqrt(0.5 * 15.0 + 1.0) / 4.0}
+    assert claim_error(case) == pytest.approx(0.0, abs=1e-9)
+    assert claim_error({**case, "worse": case["worse"] + 0.07}) == pytest.approx(7.0)
+    assert claim_error({**case, "unseen": 1.2}) is None and claim_error({**case, "named": []}) is None
 
 
 @pytest.mark.parametrize("kind", MECHANISMS)
@@ -34,7 +58,7 @@ def test_each_fault_moves_the_tip_and_the_robot_without_one_is_the_simulator_but
         return np.sqrt(np.mean((robot.angle.c_deg - told) ** 2))
 
     assert apart({}) < 1.3 * NOISE_DEG
-    for fault in ("damping", "friction", "gain", "armature", "mass", "slack", "bend"):
+    for fault in ("damping", "friction", "gain", "armature", "mass", "slack", "bend", "ratio", "lag"):
         if off := {name: value for name, value in Case(0, kind, fault, 1.0).off.items() if value}:
             assert apart(off) > 1.5 * NOISE_DEG, fault
 
