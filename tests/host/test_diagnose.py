@@ -89,6 +89,24 @@ def test_nothing_is_called_nothing():
     assert document["gap"]["after"] == document["gap"]["before"] and document["gap"]["shrink"] == 0.0
 
 
+@pytest.mark.parametrize(("calibration_px", "tests_px"), [(0.0, 0.12), (0.0, 0.4), (0.4, 0.0)])
+@pytest.mark.parametrize("parameters", [None, {"lag": 0.1}])
+def test_another_light_is_no_cause_and_hides_none(calibration_px, tests_px, parameters):
+    """The sensor's noise is another one in the tests than while calibrating."""
+    rng = np.random.default_rng(9)
+
+    def noisier(recording: Recording, px: float) -> Recording:
+        marker = recording.marker
+        u_px, v_px = (at + rng.normal(0.0, px, len(at)) for at in (marker.u_px, marker.v_px))
+        return replace(recording, marker=replace(marker, u_px=u_px, v_px=v_px))
+
+    calibration, *tests = recordings(parameters)
+    first, later = noisier(calibration, calibration_px), [noisier(test, tests_px) for test in tests]
+    found = diagnose(true_model(), first, later[:1]).document
+    assert [effect["id"] for effect in found["effects"]] == (["transmission.lag"] if parameters else []), found
+    assert found["verdict"] == ("effect" if parameters else "none")
+
+
 def shifted(recording: Recording, later_s: float) -> Recording:
     """The same recording, begun later on its clock."""
     motor, marker = recording.motor, recording.marker

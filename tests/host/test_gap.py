@@ -1,5 +1,7 @@
 """The noise below a gap: of a still picture, whatever it remembers and whatever happens in between."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -117,3 +119,15 @@ def test_a_long_block_counts_as_much_as_what_it_was_cut_into():
     assert np.mean(shorter[1] < shorter[0]) > 0.95
     equal = gap.bootstrap([before], [after], [np.arange(1000) // 200])
     assert np.std(shorter[1]) == pytest.approx(np.std(equal[1]), rel=0.4)
+
+
+def test_recordings_have_a_noise_each_where_that_is_likelier():
+    rng = np.random.default_rng(6)
+    white = [rng.normal(size=(16000, 1)) for _ in range(3)]
+    calibration, *tests = [replace(still(np.tile(noise, 2)), calibration=k == 0) for k, noise in enumerate(white)]
+    segments = [calibration, *tests]
+    assert gap.relative_noise(segments, [0.05 * noise for noise in white]) == [1.0, 1.0, 1.0]
+    of_each = gap.relative_noise(segments, [size * noise for size, noise in zip((0.2, 0.05, 0.1), white, strict=True)])
+    tests_rms = np.sqrt(np.mean(np.square([0.05, 0.1])))
+    assert of_each == pytest.approx([0.2 / tests_rms, 0.05 / tests_rms, 0.1 / tests_rms], rel=0.05)
+    assert gap.relative_noise(segments, None) == [1.0, 1.0, 1.0]

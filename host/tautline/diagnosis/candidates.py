@@ -121,7 +121,7 @@ class Search:
         self.labels = [np.unique(gap.blocks(s), return_inverse=True)[1] for s in fitter.segments]
         self.limits = outlier_limits(fitter, base)
         self._noise_samples_each = gap.noise_samples_per_independent(
-            fitter.segments, _NOISE_LIMIT * fitter.floor, fitter.across(base)
+            fitter.segments, _NOISE_LIMIT * fitter.floor, fitter.across(base), fitter.relative_noise
         )
         self.base = self.evaluated(base)
 
@@ -169,20 +169,21 @@ class Search:
             np.bincount(label) * r.shape[1] / self._noise_samples_each
             for label, r in zip(self.labels, residuals, strict=True)
         ]
-        limits = [_NOISE_LIMIT * self.fitter.floor] * len(residuals)
+        limits = [_NOISE_LIMIT * self.fitter.floor * times for times in self.fitter.relative_noise]
         return Beyond(self._block_powers(residuals, limits), np.concatenate(count).astype(float))
 
     def power(self, residuals: Sequence[Array]) -> Array:
-        """(blocks,) mean squares of a coordinate, px^2 or deg^2, block after block and recording after recording.
-        residuals: (scored, k) of each recording; they are cut to `limits`."""
+        """(blocks,) mean squares of a coordinate, px^2 or deg^2, block after block and recording after recording, each
+        recording's over its noise beside the tests' (`Fitter.relative_noise`). residuals: (scored, k) of each
+        recording; they are cut to `limits`."""
         return self._block_powers(residuals, self.limits)
 
     def _block_powers(self, residuals: Sequence[Array], limits: Sequence[float]) -> Array:
         """As `power`, with the residuals of each recording cut to its own one of `limits`; never less than the power of
         the least noise that a sensor is taken to have, so that what leaves next to nothing leaves noise."""
         least, parts = samples.least_noise("px" if self.fitter.px else "deg") ** 2, []
-        for r, label, limit in zip(residuals, self.labels, limits, strict=True):
-            squares = np.mean(np.minimum(np.abs(r), limit) ** 2, axis=1)
+        for r, label, limit, times in zip(residuals, self.labels, limits, self.fitter.relative_noise, strict=True):
+            squares = np.mean((np.minimum(np.abs(r), limit) / times) ** 2, axis=1)
             parts.append(np.maximum(np.bincount(label, squares) / np.bincount(label), least))
         return np.concatenate(parts)
 
@@ -332,5 +333,6 @@ def applicable(fitter: Fitter, left_out: Collection[str] = ()) -> list[Kind]:
 
 def outlier_limits(fitter: Fitter, base: Fit) -> list[float]:
     """For each recording the magnitude, px or deg, to which residuals are cut, the same for all hypotheses that are
-    compared; at least _OUTLIER_LIMIT noise floors, so that noise is never cut."""
-    return [max(outlier_limit(r), _OUTLIER_LIMIT * fitter.floor) for r in base.residuals]
+    compared; at least _OUTLIER_LIMIT times its noise, so that noise is never cut."""
+    least = [_OUTLIER_LIMIT * fitter.floor * times for times in fitter.relative_noise]
+    return [max(outlier_limit(r), limit) for r, limit in zip(base.residuals, least, strict=True)]

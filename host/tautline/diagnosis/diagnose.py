@@ -190,11 +190,14 @@ def _recalibrate_and_set_noise(fitter: Fitter, frozen: Sequence[Array], tracked:
     fitter.floor = max(gap.noise_floor(segments, frozen), moving)
     if tracked is not None:
         fitter.doubt, fitter.unsteady = tracked.doubt, tracked.unsteady
-    base = fitter.nominal()
+    base = fitter.recalibrated()
     # A rest in which the tip goes on moving overestimates the noise: what the calibration leaves of itself bounds it.
     # A simulator's calibration leaves nothing, so the least noise and the tests' own white noise stay a lower bound.
-    at_rest = gap.noise_floor(segments, base.residuals, fitter.across(base))
-    bound = max(gap.rms(frozen[:1]), gap.least_noise(segments), gap.second_difference_noise(base.residuals[1:]))
+    relative = fitter.relative_noise
+    at_rest = gap.noise_floor(segments, base.residuals, fitter.across(base), relative)
+    of_tests = [left / times for left, times in zip(base.residuals[1:], relative[1:], strict=True)]
+    own = gap.rms(frozen[:1]) / relative[0]
+    bound = max(own, gap.least_noise(segments), gap.second_difference_noise(of_tests))
     fitter.floor = max(bound if bound < _NO_NOISE * at_rest else at_rest, moving)
     return base
 

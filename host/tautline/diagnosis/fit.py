@@ -20,6 +20,7 @@ from scipy.linalg import block_diag
 
 from tautline import effects
 from tautline.diagnosis.fitted import STATIC_NAMES, Fit, Hypothesis, ParameterState, Scope
+from tautline.diagnosis.gap import relative_noise
 from tautline.diagnosis.huber import huber_cost, huber_weight, outlier_limit
 from tautline.diagnosis.segment import Segment
 from tautline.effects import Parameter, Path
@@ -134,6 +135,7 @@ class Fitter:
         )
         self._linearised: tuple[Fit, list[ScoredRows]] | None = None
         self.floor = 1.0
+        self.relative_noise = [1.0] * len(segments)  # of each recording, times `floor`: its own noise
         self.doubt = 0.0  # standard deviation of log(floor^2), where videos showed one
         self.unsteady = 0.0  # standard deviation between blocks of the logarithm of the noise's power
         # What begins outside of the angles that were reached would be another gain and offset.
@@ -152,6 +154,13 @@ class Fitter:
         minimum = self.descend(self.no_effect, self.start(), _NOMINAL_STEPS, held=held)
         # Where an effect as large as an obstacle is left out, one descent may stall.
         return self.descend(self.no_effect, minimum.state, _NOMINAL_STEPS, held=held)
+
+    def recalibrated(self) -> Fit:
+        """The recalibrated nominal model, with all free. Sets `relative_noise` by what it leaves; where recordings have
+        a noise each it is fitted anew, so that one that tells little moves none that tells much."""
+        fit = self.nominal()
+        self.relative_noise = relative_noise(self.segments, self.across(fit))
+        return fit if len(set(self.relative_noise)) == 1 else self.nominal()
 
     def _columns_of(self, parts: Collection[str]) -> npt.NDArray[np.int64]:
         """Indices of the nominal's unknowns that belong to these of PARTS."""
@@ -409,14 +418,22 @@ class Fitter:
                 nominals.append(replace(self.start(), model=replace(self.model, elements=SINGLE, friction=None)))
         for nominal in nominals:
             states = [replace(nominal, values={**values, **other}) for other in ({}, *others)]
-            best = _best_fit([coarse.descend(hypothesis, state, _ROUGH_STEPS) for state in states])
+            best = self._best([coarse.descend(hypothesis, state, _ROUGH_STEPS) for state in states])
             fits.append(coarse.descend(hypothesis, best.state, _COARSE_STEPS, _COARSE_GAIN))
-        return self.descend(hypothesis, _best_fit(fits).state, _FULL_STEPS)
+        return self.descend(hypothesis, self._best(fits).state, _FULL_STEPS)
+
+    def _best(self, fits: Sequence[Fit]) -> Fit:
+        """The fit of the lowest Huber cost, with each recording's smallest limit among the fits; one with non-finite
+        residuals (marker behind the camera) only if all have them."""
+        fits = [fit for fit in fits if fit.finite] or fits
+        of_segments = zip(*(fit.residuals for fit in fits), strict=True)
+        limits = [min(map(outlier_limit, residuals)) for residuals in of_segments]
+        return min(fits, key=lambda fit: huber_cost(fit.residuals, limits, self.relative_noise))
 
     @property
     def coarse(self) -> Fitter:
         """A fitter of the same recordings with about _COARSE_FRAMES observations."""
-        self._coarse.floor = self.floor
+        self._coarse.floor, self._coarse.relative_noise = self.floor, self.relative_noise
         return self._coarse
 
     @cached_property
@@ -494,8 +511,8 @@ class _Descent:
         self.limits = [outlier_limit(row.residual) for row in rows]
         matrix, gradient = self.prior_precision.copy(), np.zeros(len(self.prior_precision))
         columns = fitter.effect_columns(point.state, hypothesis, rows)
-        for row, extra, limit in zip(rows, columns, self.limits, strict=True):
-            part = fitter.normal(row, extra, huber_weight(row.residual, limit))
+        for row, extra, limit, times in zip(rows, columns, self.limits, fitter.relative_noise, strict=True):
+            part = fitter.normal(row, extra, huber_weight(row.residual, limit) / times**2)
             matrix += part.matrix
             gradient += part.gradient
         values = self._values(point.state)
@@ -524,7 +541,8 @@ class _Descent:
         """Huber's cost by the limits of the last linearisation, plus the prior of effects that are curves. The other
         priors only damp each step: they are about the point before it and no part of the cost."""
         values = self._values(point.state)
-        return huber_cost(point.residuals, self.limits) + float(values @ self.curve_precision @ values)
+        of_data = huber_cost(point.residuals, self.limits, self.fitter.relative_noise)
+        return of_data + float(values @ self.curve_precision @ values)
 
     def _values(self, state: ParameterState) -> Array:
         """(slots,) The effects' fitted parameters in the order of the hypothesis' slots."""
@@ -584,11 +602,3 @@ def moves_tip(parameter: Parameter) -> bool:
 def inside(parameter: Parameter, value: float) -> float:
     """The value clipped to the parameter's range."""
     return min(max(value, parameter.low), parameter.high)
-
-
-def _best_fit(fits: Sequence[Fit]) -> Fit:
-    """The fit of the lowest Huber cost, with each recording's smallest limit among the fits; one with non-finite
-    residuals (marker behind the camera) only if all have them."""
-    fits = [fit for fit in fits if fit.finite] or fits
-    limits = [min(map(outlier_limit, of_segment)) for of_segment in zip(*(fit.residuals for fit in fits), strict=True)]
-    return min(fits, key=lambda fit: huber_cost(fit.residuals, limits))

@@ -24,6 +24,8 @@ _STILL_S = 0.6  # limit: s of rest after which the motor's own transients are ov
 _NO_NOISE = 4.0  # tolerance: times the median power of all rests: one that scatters more is not only noise
 _OUTLIER = 8.0  # tolerance: standard deviations to which a frame is cut
 _FEWEST_FRAMES, _ENOUGH = 6, 60  # tolerance: frames of a rest, degrees of freedom of all rests, that tell the noise
+_OF_SECOND_DIFFERENCES = 5.2  # equation: of them a median tells a deviation as one white sample does: 35 / 18 / 0.37
+_LEAST_DIFFERENCE = 1e-6  # tolerance: px: less is none
 _PIECE, _PIECE_ORDER = 24, 3  # tolerance: frames of a piece, order of the polynomial that a misfit is over it
 _STANDARD_ERRORS = 2.0  # loss: by which the kurtosis must exceed a Gaussian's to count
 BLOCK_S = 8.0  # tolerance: s of a block of manoeuvres: longer than residuals are correlated
@@ -51,24 +53,51 @@ def shrinkage(before: float, after: float) -> float:
 
 
 def noise_floor(
-    segments: Sequence[Segment], residuals: Sequence[Array], across: Sequence[Array] | None = None
+    segments: Sequence[Segment],
+    residuals: Sequence[Array],
+    across: Sequence[Array] | None = None,
+    relative: Sequence[float] | None = None,
 ) -> float:
     """One standard deviation of the sensor's noise per coordinate, px or deg, as first-order autoregressive noise: from
     the observations while the motor rests, each rest less its straight line. Where it hardly ever rests from `across`
     (scored, 1 of each recording, px), the residuals across the image's path, in short pieces less a cubic: no motion of
     the tip is there, and what else moves the image is smooth. Without an image from the residuals' second differences,
-    in which a smooth misfit vanishes. Never below `least_noise`."""
-    series, order = _noise_series(segments, across)
-    return max(remembered(series, order)[1] if series else second_difference_noise(residuals), least_noise(segments))
+    in which a smooth misfit vanishes. Never below `least_noise`. relative: of each recording, by which its own noise is
+    a multiple of that (`relative_noise`)."""
+    series, order = _noise_series(segments, across, relative)
+    each = relative or [1.0] * len(residuals)
+    without_rests = [r / times for r, times in zip(residuals, each, strict=True)]
+    return max(
+        remembered(series, order)[1] if series else second_difference_noise(without_rests), least_noise(segments)
+    )
+
+
+def relative_noise(segments: Sequence[Segment], across: Sequence[Array] | None) -> list[float]:
+    """How many times as noisy as the tests (rms over them) the sensor is in each recording, by the white noise of
+    `across` (as in `noise_floor`), where nothing that moves the tip is seen. All 1 without an image, and where one
+    noise of all is likelier (Schwarz) than one of each."""
+    differences = [np.diff(a, n=2, axis=0).ravel() for a in across or ()]
+    if not differences or min(len(each) for each in differences) < _ENOUGH:
+        return [1.0] * len(segments)
+    count = np.array([len(each) for each in differences]) / _OF_SECOND_DIFFERENCES
+    power = np.array([max(spread.deviation(each), _LEAST_DIFFERENCE) ** 2 for each in differences])
+    gain = float(count @ np.log(count @ power / count.sum() / power))  # of twice the log likelihood
+    if gain < (len(segments) - 1) * np.log(count.sum()):
+        return [1.0] * len(segments)
+    of_tests = np.mean([p for p, segment in zip(power, segments, strict=True) if not segment.calibration] or power)
+    return [float(times) for times in np.sqrt(power / of_tests)]
 
 
 def noise_samples_per_independent(
-    segments: Sequence[Segment], limit: float, across: Sequence[Array] | None = None
+    segments: Sequence[Segment],
+    limit: float,
+    across: Sequence[Array] | None = None,
+    relative: Sequence[float] | None = None,
 ) -> float:
     """How many noise samples, cut to `limit` (px or deg), determine the noise's power as well as one independent
     Gaussian sample does: (kurtosis - 1) / 2 times (1 + rho^2) / (1 - rho^2), rho the correlation from frame to frame.
-    across: as in `noise_floor`."""
-    series, order = _noise_series(segments, across)
+    across, relative: as in `noise_floor`."""
+    series, order = _noise_series(segments, across, relative)
     if not series:
         return 1.0
     values = np.clip(np.concatenate([part.ravel() for part in series]), -limit, limit)
@@ -79,18 +108,26 @@ def noise_samples_per_independent(
     return float(0.5 * (kurtosis - 1.0) * (1.0 + rho**2) / (1.0 - rho**2))
 
 
-def _noise_series(segments: Sequence[Segment], across: Sequence[Array] | None) -> tuple[list[Array], int]:
-    """(Short series (n, k) of noise, each less its own polynomial trend; that trend's order): the observations of each
-    rest of the motor; where these have fewer than _ENOUGH degrees of freedom in all, `across` in pieces of _PIECE."""
+def _noise_series(
+    segments: Sequence[Segment], across: Sequence[Array] | None, relative: Sequence[float] | None
+) -> tuple[list[Array], int]:
+    """(Short series (n, k) of noise, each less its own polynomial trend and over its recording's `relative` one; that
+    trend's order): the observations of each rest of the motor; where these have fewer than _ENOUGH degrees of freedom
+    in all, `across` in pieces of _PIECE."""
+    each = relative or [1.0] * len(segments)
     rests = [
-        less_its_trend(segment.arrival_s[stretch], segment.observed[stretch])
-        for segment in segments
+        less_its_trend(segment.arrival_s[stretch], segment.observed[stretch] / times)
+        for segment, times in zip(segments, each, strict=True)
         for stretch in still_stretches(segment)
         if stretch.stop - stretch.start >= _FEWEST_FRAMES
     ]
     if sum(rest.size - 2 * rest.shape[1] for rest in rests) >= _ENOUGH:
         return _without_outliers(rests), 1
-    pieces = [a[first : first + _PIECE] for a in across or () for first in range(0, len(a) - _PIECE + 1, _PIECE)]
+    pieces = [
+        a[first : first + _PIECE] / times
+        for a, times in zip(across or (), each, strict=across is not None)
+        for first in range(0, len(a) - _PIECE + 1, _PIECE)
+    ]
     frames = np.arange(_PIECE, dtype=float)
     return _without_outliers([less_its_trend(frames, piece, _PIECE_ORDER) for piece in pieces]), _PIECE_ORDER
 

@@ -59,7 +59,8 @@ def gather(
     search = Search(fitter, base, kinds, report, scopes)
     if confounded.load_tells_apart(fitter.segments):
         search = search.without_posture_if_load_explains()
-    own_calibration = float(np.mean(np.square(frozen[0]))) if search.allows_later_effects else 0.0
+    of_calibration = frozen[0] / fitter.relative_noise[0]
+    own_calibration = float(np.mean(np.square(of_calibration))) if search.allows_later_effects else 0.0
     hypotheses = _Hypotheses(search, search.power(frozen), own_calibration)
     hypotheses.add(search.base, events=True)
     hypotheses.add_single(search.on_top_of(search.base, _REFITS, _BOTH_SCOPES))

@@ -32,11 +32,14 @@ def residuals_and_surprise(
     fitter: Fitter, hypothesis: Hypothesis, rows: Sequence[ScoredRows], labels: Labels, limits: Sequence[float]
 ) -> tuple[list[Array], list[Array]]:
     """(scored, k) for each recording: the residual of every block of manoeuvres by the fit without that block; and
-    (scored,) px^2 or deg^2 a coordinate, by how much the recording as a whole contradicts the fit of the others
-    (`_surprise`); 0 of a recording of one block, whose held-out residuals are by the others already. rows: of the fit
-    (Fitter.linearised). limits: of each recording, px or deg, beyond which an observation counts linearly (Huber)."""
+    (scored,) px^2 or deg^2 a coordinate over the square of its relative noise, by how much the recording as a whole
+    contradicts the fit of the others (`_surprise`); 0 of a recording of one block, whose held-out residuals are by the
+    others already. rows: of the fit (Fitter.linearised). limits: of each recording, px or deg, beyond which an
+    observation counts linearly (Huber)."""
     matrix = fitter.floor**2 * fitter.prior_precision(hypothesis)
-    blocks_of = [_blocks(fitter, *recording) for recording in zip(rows, labels, limits, strict=True)]
+    blocks_of = [
+        _blocks(fitter, *recording) for recording in zip(rows, labels, limits, fitter.relative_noise, strict=True)
+    ]
     for blocks in blocks_of:
         for block in blocks:
             matrix += block.normal.matrix
@@ -83,13 +86,15 @@ class _Block:
     normal: Normal
 
 
-def _blocks(fitter: Fitter, row: Rows, label: npt.NDArray[np.int64], limit: float) -> list[_Block]:
-    """The blocks of one recording. label (scored,): the number of each observation's block; limit: of Huber's cost."""
+def _blocks(fitter: Fitter, row: Rows, label: npt.NDArray[np.int64], limit: float, times: float) -> list[_Block]:
+    """The blocks of one recording. label (scored,): the number of each observation's block; limit: of Huber's cost;
+    times: its relative noise."""
     blocks = []
     for number in np.unique(label):
         here = label == number
         rows = _rows_where(row, here)
-        blocks.append(_Block(here, rows, fitter.normal(rows, weight=huber_weight(rows.residual, limit))))
+        weight = huber_weight(rows.residual, limit) / times**2
+        blocks.append(_Block(here, rows, fitter.normal(rows, weight=weight)))
     return blocks
 
 

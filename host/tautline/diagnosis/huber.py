@@ -16,13 +16,14 @@ _RARE, _ABOVE_RARE = 0.01, 1.2  # tolerance: share of residuals that may be outl
 _NO_DIVISOR = 1e-12  # tolerance: px or deg: keeps a division finite
 
 
-def huber_cost(residuals: Sequence[Array], limits: Sequence[float]) -> float:
-    """Twice Huber's cost: r^2 up to the limit L of each recording, 2 L |r| - L^2 beyond. With a limit of its own a
-    recording that fits badly throughout is no outlier beside those that fit."""
+def huber_cost(residuals: Sequence[Array], limits: Sequence[float], relative_noise: Sequence[float]) -> float:
+    """Twice Huber's cost: r^2 up to the limit L of each recording, 2 L |r| - L^2 beyond, over the square of its
+    `relative_noise`. With a limit of its own a recording that fits badly throughout is no outlier beside those that
+    fit."""
     total = 0.0
-    for residual, limit in zip(residuals, limits, strict=True):
+    for residual, limit, times in zip(residuals, limits, relative_noise, strict=True):
         size = np.abs(residual)
-        total += float(np.sum(np.where(size < limit, size**2, 2 * limit * size - limit**2)))
+        total += float(np.sum(np.where(size < limit, size**2, 2 * limit * size - limit**2))) / times**2
     return total
 
 

@@ -86,7 +86,7 @@ def of_fit(fitter: Fitter, fit: Fit, labels: Sequence[npt.NDArray[np.int64]], te
     each observation's block. tests_only: for an event that came after the calibration, whose frames do not count then.
     Frames near a moment of the fit (shift, slip) do not count either."""
     parts, blocks = [], 0
-    for segment, label in zip(fitter.segments, labels, strict=True):
+    for segment, label, times in zip(fitter.segments, labels, fitter.relative_noise, strict=True):
         block = np.full(len(segment.scored), -1)
         block[segment.scored] = label + blocks
         parameters = fit.state.at(segment, fit.hypothesis)
@@ -96,7 +96,7 @@ def of_fit(fitter: Fitter, fit: Fit, labels: Sequence[npt.NDArray[np.int64]], te
         blocks += int(label.max(initial=-1)) + 1
         if not (tests_only and segment.calibration):
             path, predicted = segment.predict(fit.state.model, parameters, fitter.load_reference)
-            parts.append(frames(segment.arrival_s, segment.observed, predicted, path.p, block))
+            parts.append(frames(segment.arrival_s, segment.observed / times, predicted / times, path.p, block))
     return compared(parts, fitter.floor, blocks)
 
 

@@ -103,8 +103,9 @@ def of_segments(
     if tracked:
         fitter.doubt, fitter.unsteady = tracked.doubt, tracked.unsteady
     fitter.floor = max(gap.noise_floor(alike, fitter.residuals(fitter.start(), fitter.no_effect)), moving)
-    base = fitter.nominal()
-    fitter.floor = max(gap.noise_floor(alike, base.residuals, fitter.across(base)), moving)
+    base = fitter.recalibrated()
+    noise = gap.noise_floor(alike, base.residuals, fitter.across(base), fitter.relative_noise)
+    fitter.floor = max(noise, moving)
     kinds = [kind for kind in applicable(fitter, left_out) if kind.id in NAMES]
     hidden = confounded.hidden(kinds, alike)
     kinds = [kind for kind in kinds if kind.id not in hidden]

@@ -74,16 +74,16 @@ def _factors_normal(
         for row, further in zip(rows, columns, strict=True)
     ]
     parts = [
-        fitter.normal(row, weight=huber_weight(row.residual, limit))
-        for row, limit in zip(extended, limits, strict=True)
+        fitter.normal(row, weight=huber_weight(row.residual, limit) / times**2)
+        for row, limit, times in zip(extended, limits, fitter.relative_noise, strict=True)
     ]
     matrix = np.sum([part.matrix for part in parts], axis=0)
     gradient = np.sum([part.gradient for part in parts], axis=0)
     matrix[: len(precision), : len(precision)] += precision
     of_factors, gradient_of_factors, step = _reduced_normal(matrix, gradient, len(precision))
     residuals = [
-        np.clip(row.residual - fitter.moved(row, step), -limit, limit)
-        for row, limit in zip(extended, limits, strict=True)
+        np.clip(row.residual - fitter.moved(row, step), -limit, limit) / times
+        for row, limit, times in zip(extended, limits, fitter.relative_noise, strict=True)
     ]
     noise = max(_power_per_independent(residuals), fitter.floor**2)
     return of_factors / noise, gradient_of_factors / noise
