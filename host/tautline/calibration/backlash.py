@@ -349,10 +349,12 @@ class _WidthFit:
 
 def _interval_terms(a: Array, b: Array) -> tuple[Array, Array, Array]:
     """-log(Phi(a) - Phi(b)) (n,), a >= b (n,): the distances of B above the lower and the upper edge of a bracket, over
-    its edges' softness; and its first two derivatives when both move together. Far outside (_TAIL) it goes on as a
-    parabola, to 0.1 %; brackets narrower than a thousandth of the softness count as that wide."""
+    its edges' softness; and its first two derivatives when both move together. Beyond _TAIL it goes on as the
+    parabola that it tends to, cost and slope to 0.1 %. Brackets narrower than a thousandth of the softness count as
+    that wide."""
     middle, half = 0.5 * (a + b), np.maximum(0.5 * (a - b), 5e-4)
     beyond = np.maximum(np.abs(middle) - half - _TAIL, 0.0)  # of the nearer edge
+    # Mirrored to below both edges, where log Phi keeps its digits; the slope is turned back by middle's sign.
     a, b = half - (np.abs(middle) - beyond), -half - (np.abs(middle) - beyond)
     upper = log_ndtr(a)
     log_mass = upper + np.log(-np.expm1(log_ndtr(b) - upper))

@@ -39,13 +39,14 @@ def shared_variance(track: Track, rests: Mask) -> float:
 
 
 def independence_weights(track: Track, seen: Array, use: Mask, scale: float) -> Array:
-    """(n,) weight of each frame so that m frames of one rest together know the tip's place to own^2 / m + shared^2:
-    own^2 / (own^2 + (m - 1) shared^2), 1 elsewhere. own is taken as what the fit leaves, `scale` times the noise. seen
-    (n, channels): the model's positions; use (n,): frames that the fit has."""
+    """(n,) weight of each frame so that m frames of one rest together know the tip's place to own^2 / m + shared^2, but
+    for the share 1 / m of shared^2 that own^2 holds: own^2 / (own^2 + (m - 1) shared^2), 1 elsewhere. own is taken as
+    what the fit leaves, `scale` times the noise. seen (n, channels): the model's positions; use (n,): frames that the
+    fit has."""
     weight, rests = np.ones(len(seen)), resting(track, seen)
     shared2, own2 = shared_variance(track, rests), (max(scale, 1.0) * float(np.median(track.sigma))) ** 2
     for rest in stretches(rests):
-        frames = slice(rest.start, rest.stop + 1)
+        frames = slice(rest.start, rest.stop + 1)  # a rest is of steps between frames: one frame more
         many = max(int(np.count_nonzero(use[frames])), 1)
         weight[frames] = own2 / (own2 + (many - 1) * shared2)
     return weight

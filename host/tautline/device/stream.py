@@ -25,10 +25,12 @@ class SetPointStream:
         board.check_fault(axis)
         board.check_reference(axis)
         self._board, self._axis, self._silence_s = board, axis, silence_s
-        self.start_deg = 0.0
+        self.start_deg = 0.0  # of the tip's set-point as the axis began to follow
         self.sent = 0
         self.late = 0  # sent later than half a period after their time
         self.silences = 0  # after which the axis was made to follow again
+        # Host times, s: when the next set-point is due, when the stream began and ended (0: not yet), when the last
+        # one was sent, and when the clocks were aligned last.
         self._next = self._began = self._ended = self._last = self._aligned = 0.0
 
     def __enter__(self) -> SetPointStream:

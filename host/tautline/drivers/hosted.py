@@ -67,23 +67,23 @@ class HostedLink:
         """where: the drives' address, which names their flash file; paced: cycles by the clock in a thread of their
         own."""
         self.drives, self.where, self.period_s, self.timing = drives, where, 1.0 / rate_hz, Timing()
-        self.log_divider = min(max(round(1e3 * self.period_s), 1), 60)
+        self.log_divider = min(max(round(1e3 * self.period_s), 1), 60)  # ms between rows of a log: one each cycle
         self._clock, self._epoch_s = clock, clock()
         self._lock, self._arrived = threading.Lock(), threading.Condition()
         self._out = bytearray()
         self._gone: TautError | None = None
         self._heard_s = self._epoch_s
         self._squares, self._steps = 0.0, 0  # of steps from one cycle to the next, where neither was missed
-        self._steady = False  # whether the cycle before was not
-        self._lags = [np.zeros(2) for _ in drives.drives]
-        self._lags_s = [0.0 for _ in drives.drives]
+        self._steady = False  # whether the cycle before was not missed either
+        self._lag_sums = [np.zeros(2) for _ in drives.drives]  # of lag times speed, of speed squared, while it moves
+        self._lags_s = [0.0 for _ in drives.drives]  # their quotients, s
         self._on = [False for _ in drives.drives]
         for drive in drives.drives:
             if not drive.limits.speed > 0.0:
                 raise TautError(f"{where}: motor {drive.number} has a speed limit of 0: set one with its maker's tools")
         self._file = flash_file(where)
         flash = self._file.read_bytes() if self._file.is_file() else b""
-        self._scales = [_scale(drive.limits.speed) for drive in drives.drives]
+        self._scales = [_scale(drive.limits.speed) for drive in drives.drives]  # the application's counts per drive's
         first = self._rows(self._first_measurement(), whole=True)
         self._last_s = clock()
         most_ma = max(round(min(drive.limits.current_ma for drive in drives.drives)), 0)
@@ -257,7 +257,7 @@ class HostedLink:
         """Estimates how late each drive follows, s, by least squares of its lag over its speed while it moves; used
         once it rests. places: measured, counts Q8; goals: as of `_send`."""
         for axis, (goal, speed, _, moves) in enumerate(goals):
-            sums = self._lags[axis]
+            sums = self._lag_sums[axis]
             v = speed / _Q8
             if moves and abs(v) > _SLOW * self.drives.drives[axis].limits.speed * self._scales[axis]:
                 sums *= _FORGET

@@ -35,7 +35,7 @@ EASY = 120  # tolerance: us, at most, of an easy look at a case
 
 @dataclass(frozen=True)
 class Case:
-    """One stretch of evidence, looked at with the law in use."""
+    """One stretch of evidence, looked at with the law in use. z: residuals over their sigmas."""
 
     nominal: LawFamily
     evidence: WindowKnots
@@ -50,8 +50,9 @@ class Case:
 
     @classmethod
     def of(cls, nominal: LawFamily, evidence: WindowKnots, theta: Array, origin: Array, level: float) -> Work[Case]:
-        """Looks at this evidence by the law in use (theta) and by the calibrated one. level: rms of z that the law is
-        known to leave. Yields each piece's cost beforehand, us."""
+        """Looks at this evidence by the law in use (theta) and by the calibrated one. origin, level: as the fields of
+        these names. A turn is seen where two frames after it show the tip at the play's end; the first stroke has none
+        before it. Yields each piece's cost beforehand, us."""
         yield EASY + len(evidence.seen) // 10
         law = nominal.law(theta)
         envelope = envelopes(evidence, law)
