@@ -237,9 +237,9 @@ def right(case: Case, found: Diagnosis) -> bool:
 def claim_error(case: Mapping[str, Any]) -> float | None:
     """By how much the share of the closable gap (power above the noise) that is said to be closed is more than what is
     closed of an unseen motion, in points of what that motion leaves (rms); None where nothing is named, or where the
-    simulator alone is within _CLOSABLE times the noise there."""
+    simulator alone is within _CLOSABLE times the noise, there or in what was diagnosed."""
     before = case.get("unseen", 0.0)
-    if not case.get("named") or before < _CLOSABLE:
+    if not case.get("named") or min(before, case["gap"]) < _CLOSABLE:
         return None
     said = max(0.0, case["left"] ** 2 - 1.0) / (case["gap"] ** 2 - 1.0)
     expected = math.sqrt(said * (before**2 - 1.0) + 1.0) / before

@@ -13,7 +13,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -409,20 +408,12 @@ def _listed(recordings: Recording | Sequence[Recording]) -> list[Recording]:
 
 
 def _several(recordings: Recording | Sequence[Recording]) -> list[Recording]:
-    """The recordings as a list. Names that are there already get a number, as the commands do it: onsets, offsets and
-    reports tell recordings by them. TautError for what no file could hold."""
-    several: list[Recording] = []
-    names: set[str] = set()
-    for recording in _listed(recordings):
+    """The recordings as a list, told apart by their names as the commands do it. TautError for what no file could
+    hold."""
+    several = _listed(recordings)
+    for recording in several:
         recordings_room.check(recording)
-        name = recording.name
-        for number in count(2):
-            if name not in names:
-                break
-            name = f"{recording.name} ({number})"
-        names.add(name)
-        several.append(recording if name == recording.name else replace(recording, name=name))
-    return several
+    return recordings_room.told_apart(several)
 
 
 def _evidence(recordings: Recording | Sequence[Recording], rig: Rig | None) -> tuple[list[Recording], Rig]:

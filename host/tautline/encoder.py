@@ -33,10 +33,7 @@ _FEWEST, _CLEARLY = 100, 5.0  # tolerance: readings that tell whether a motor tr
 _UNEVEN = 10.0  # tolerance: times a gap's shorter neighbour: beyond it noise is all that is seen
 _LAST = 2.0  # samples: within so many of a stop no knot tells a speed
 _EXACTLY = 1e-6  # tolerance: of the motor's travel: readings with finer noise or steps are what they say
-_AGREES, _STRAYS = (
-    2.5,
-    5.0,
-)  # tolerance: counts, and standard deviations of their noise, that readings are from a motor's path
+_AGREES, _STRAYS = 2.5, 5.0  # tolerance: counts, and sigmas of their noise, that readings are from a motor's path
 
 
 def between_counts(motor: Motor, resolution: float) -> Motor:

@@ -162,16 +162,21 @@ def load(path: str | Path, rig: Rig | None = None) -> Recording:
 
 def load_all(paths: Sequence[str | Path], rig: Rig | None = None) -> list[Recording]:
     """Recordings in the order given, each on its own clock (core.session puts them on one), their names made unique."""
-    recordings: list[Recording] = []
-    for path in paths:
-        recording = load(path, rig)
-        taken = {other.name for other in recordings}
+    return told_apart([load(path, rig) for path in paths])
+
+
+def told_apart(recordings: Sequence[Recording]) -> list[Recording]:
+    """The recordings with a number behind every name that one before has: onsets, offsets and reports tell them apart
+    by their names."""
+    told: list[Recording] = []
+    for recording in recordings:
+        taken = {other.name for other in told}
         name, number = recording.name, 1
         while name in taken:
             number += 1
             name = f"{recording.name} ({number})"
-        recordings.append(replace(recording, name=name))
-    return recordings
+        told.append(recording if name == recording.name else replace(recording, name=name))
+    return told
 
 
 def shifted(recordings: Sequence[Recording], offsets_s: Mapping[str, float]) -> list[Recording]:

@@ -14,15 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from tautline.cli._common import (
-    SEED,
-    Number,
-    NumberRange,
-    log,
-    progress_bar,
-    read_rig,
-    warn,
-)
+from tautline.cli._common import SEED, Number, NumberRange, log, progress_bar, read_rig, warn
 from tautline.errors import TautError
 from tautline.model import MODEL_FILE, Model
 from tautline.simulated.instrument import PRESETS

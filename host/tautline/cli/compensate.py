@@ -6,15 +6,7 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import (
-    Number,
-    compensation_option,
-    emit,
-    json_option,
-    progress_bar,
-    warn,
-    warn_unusable,
-)
+from tautline.cli._common import Number, compensation_option, emit, json_option, progress_bar, warn, warn_unusable
 from tautline.cli._outputs import Output, check_no_input
 from tautline.compensation import RATES_HZ, compensate, read_trajectory, write_csv
 from tautline.model import Model

@@ -8,13 +8,7 @@ from typing import Any
 
 import click
 
-from tautline.cli._common import (
-    SEED,
-    emit,
-    json_option,
-    log,
-    progress_bar,
-)
+from tautline.cli._common import SEED, emit, json_option, log, progress_bar
 from tautline.cli._outputs import folder_option
 from tautline.simulated.instrument import PRESETS
 

@@ -6,17 +6,7 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import (
-    Number,
-    emit,
-    json_option,
-    log,
-    progress_bar,
-    read_rig,
-    rig_option,
-    warn,
-    warn_unusable,
-)
+from tautline.cli._common import Number, emit, json_option, log, progress_bar, read_rig, rig_option, warn, warn_unusable
 from tautline.cli._outputs import Output, check_no_input
 from tautline.io.exporting import FORMATS, Mount, export
 from tautline.io.exporting.source import read

@@ -8,14 +8,7 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import (
-    Number,
-    emit,
-    json_option,
-    progress_bar,
-    refuse_unusable,
-    warn,
-)
+from tautline.cli._common import Number, emit, json_option, progress_bar, refuse_unusable, warn
 from tautline.cli._live import axis_option, board_option
 
 _FIXED = (0.0, 1.0, 1.0)  # of --adapt

@@ -6,12 +6,7 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import (
-    NumberRange,
-    emit,
-    json_option,
-    rig_option,
-)
+from tautline.cli._common import NumberRange, emit, json_option, rig_option
 from tautline.cli._live import LiveOptions, axis_option, board_option, end_option, opened, simulate_option, way_option
 
 

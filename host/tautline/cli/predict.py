@@ -8,13 +8,7 @@ from typing import Any
 
 import click
 
-from tautline.cli._common import (
-    Number,
-    emit,
-    json_option,
-    warn,
-    warn_unusable,
-)
+from tautline.cli._common import Number, emit, json_option, warn, warn_unusable
 from tautline.cli._outputs import Output, check_no_input
 from tautline.errors import TautError
 from tautline.model import Model

@@ -6,14 +6,7 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import (
-    NumberRange,
-    emit,
-    json_option,
-    progress_bar,
-    rig_option,
-    warn,
-)
+from tautline.cli._common import NumberRange, emit, json_option, progress_bar, rig_option, warn
 from tautline.cli._live import LiveOptions, bus_text, live_options, motion_option, opened, seed_option, speed_option
 from tautline.cli._outputs import folder_option
 

@@ -9,14 +9,7 @@ from typing import Any
 
 import click
 
-from tautline.cli._common import (
-    NumberRange,
-    emit,
-    json_option,
-    log,
-    progress_bar,
-    warn,
-)
+from tautline.cli._common import NumberRange, emit, json_option, log, progress_bar, warn
 from tautline.cli._outputs import Output, check_no_input
 from tautline.errors import TautError
 from tautline.recording import load

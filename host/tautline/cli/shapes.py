@@ -7,15 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tautline.cli._common import (
-    Number,
-    emit,
-    json_option,
-    log,
-    progress_bar,
-    refuse_unusable,
-    rig_option,
-)
+from tautline.cli._common import Number, emit, json_option, log, progress_bar, refuse_unusable, rig_option
 from tautline.cli._live import LiveOptions, live_options, opened, refuse_live_options, seed_option
 
 if TYPE_CHECKING:

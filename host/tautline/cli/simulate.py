@@ -9,16 +9,7 @@ from pathlib import Path
 import click
 import numpy as np
 
-from tautline.cli._common import (
-    SEED,
-    Number,
-    NumberRange,
-    emit,
-    json_option,
-    progress_bar,
-    read_rig,
-    warn,
-)
+from tautline.cli._common import SEED, Number, NumberRange, emit, json_option, progress_bar, read_rig, warn
 from tautline.cli._outputs import folder_option
 from tautline.errors import TautError
 from tautline.rig import Actuator

@@ -25,7 +25,6 @@ _NO_NOISE = 4.0  # tolerance: times the median power of all rests: one that scat
 _OUTLIER = 8.0  # tolerance: standard deviations to which a frame is cut
 _FEWEST_FRAMES, _ENOUGH = 6, 60  # tolerance: frames of a rest, degrees of freedom of all rests, that tell the noise
 _OF_SECOND_DIFFERENCES = 5.2  # equation: of them a median tells a deviation as one white sample does: 35 / 18 / 0.37
-_LEAST_DIFFERENCE = 1e-6  # tolerance: px: less is none
 _PIECE, _PIECE_ORDER = 24, 3  # tolerance: frames of a piece, order of the polynomial that a misfit is over it
 _STANDARD_ERRORS = 2.0  # loss: by which the kurtosis must exceed a Gaussian's to count
 BLOCK_S = 8.0  # tolerance: s of a block of manoeuvres: longer than residuals are correlated
@@ -76,11 +75,11 @@ def relative_noise(segments: Sequence[Segment], across: Sequence[Array] | None) 
     """How many times as noisy as the tests (rms over them) the sensor is in each recording, by the white noise of
     `across` (as in `noise_floor`), where nothing that moves the tip is seen. All 1 without an image, and where one
     noise of all is likelier (Schwarz) than one of each."""
-    differences = [np.diff(a, n=2, axis=0).ravel() for a in across or ()]
-    if not differences or min(len(each) for each in differences) < _ENOUGH:
+    if not across or min(len(each) for each in across) < _ENOUGH:
         return [1.0] * len(segments)
-    count = np.array([len(each) for each in differences]) / _OF_SECOND_DIFFERENCES
-    power = np.array([max(spread.deviation(each), _LEAST_DIFFERENCE) ** 2 for each in differences])
+    count = np.array([len(each) for each in across]) / _OF_SECOND_DIFFERENCES
+    least = samples.least_noise(segments[0].unit)
+    power = np.array([max(second_difference_noise([each]), least) ** 2 for each in across])
     gain = float(count @ np.log(count @ power / count.sum() / power))  # of twice the log likelihood
     if gain < (len(segments) - 1) * np.log(count.sum()):
         return [1.0] * len(segments)
