@@ -1,4 +1,4 @@
-"""`python -m tools.family make --seed S --cases N --out DIR`: cases; `score`, `seal`, `--list`, `--describe`."""
+"""`python -m tools.family make --seed S --cases N --out DIR`, `diagnose`, `score`, `seal`, `--list`, `--describe`."""
 
 import argparse
 import sys
@@ -51,6 +51,12 @@ def main() -> None:
     maker.add_argument("--out", type=Path, required=True)
     maker.add_argument("--truth", type=Path, help="where the truths go (default OUT/truth)")
     maker.add_argument("--processes", type=int, default=1)
+    user = verbs.add_parser(
+        "diagnose", help="`taut diagnose` and both `taut predict` of every case that is not done yet"
+    )
+    user.add_argument("folder", type=Path)
+    user.add_argument("--out", type=Path, required=True)
+    user.add_argument("--processes", type=int, default=1)
     sealer = verbs.add_parser("seal", help="print the fingerprints of a seed")
     sealer.add_argument("--seed", type=int, required=True)
     sealer.add_argument("--cases", type=int, default=300)
@@ -72,10 +78,13 @@ def main() -> None:
         print(f"sources {seal.sources()}\nplan    {seal.planned(args.seed, args.cases)}")
         if args.truth:
             print(f"truths  {seal.truths(args.truth, args.first)}")
+    elif args.verb == "diagnose":
+        if complaints := work.diagnose(args.folder, args.out, args.processes):
+            sys.exit("\n".join(complaints))
     elif args.verb == "score":
         score.command(args)
     else:
-        parser.error("say make, score, seal, --list or --describe ID")
+        parser.error("say make, diagnose, score, seal, --list or --describe ID")
 
 
 if __name__ == "__main__":
