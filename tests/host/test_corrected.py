@@ -186,6 +186,7 @@ def test_flash_wants_to_know_which_axis_couples_in(tmp_path, monkeypatch, capsys
 def test_the_next_motion_stays_within_the_rig_and_asks_for_no_axis_that_never_moved():
     from tautline.diagnosis import motion
     from tautline.diagnosis.fit import Fitter
+    from tautline.diagnosis.information import Rivals
 
     for others in (True, False):
         made = LAST if others else replace(LAST, translation_mm=None, rotation_deg=None)
@@ -196,7 +197,8 @@ def test_the_next_motion_stays_within_the_rig_and_asks_for_no_axis_that_never_mo
             Fit(Hypothesis((BY_ID[name],), (True,)), replace(start, values=values(BY_ID[name])), [])
             for name in ("transmission.lag", "kinematics.nonconstant_curvature")
         ]
-        found = motion.best(fitter, fits)
+        rivals = Rivals.of([Fit(fitter.no_effect, start, []), *fits], [0.0, 0.5, 0.5, 0.0])
+        found = motion.best(fitter, rivals)
         table = motion.table(found.motion, "mm")
         low, high = RIG.actuator.range
         assert table["q_mm"].between(low, high).all()

@@ -41,7 +41,7 @@ class Diagnosis(Value):
     document: dict[str, Any]  # the content of diagnosis.json
     nominal: Model  # as calibrated, without the effects that it carries
     corrected: Model  # with what is named
-    next_motion: motion.NextMotion | None  # that tells the likeliest effects apart; None where fewer than two are left
+    next_motion: motion.NextMotion | None  # expected to tell most; None where no effect has a path
     segments: list[Segment]  # the recordings as they were fitted, the calibration first
     before: list[Array]  # residuals by the calibrated model
     after: list[Array]  # held-out residuals with what is named

@@ -17,6 +17,7 @@ from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.fitted import Fit, Scope, key
 from tautline.diagnosis.gather import Gathered
 from tautline.diagnosis.hyperparameters import learnt
+from tautline.diagnosis.information import Rivals
 from tautline.diagnosis.moved import Moved
 from tautline.diagnosis.segment import Segment
 from tautline.diagnosis.tracker import TrackerError
@@ -28,6 +29,7 @@ Array = npt.NDArray[np.float64]
 FORMAT = "diagnosis/1"
 _STEADY = 0.5  # format: share of a gap's power, constant within each recording, from which this is said of it
 _CONDITIONS = 5  # format: conditions that are listed at most, the largest share first
+_RIVALS = 3  # tolerance: hypotheses with effects, the likeliest, that the next motion is to tell apart
 _AS_LARGE, _SAID = 0.5, 3  # format: share of the largest condition from which another is listed, how many at most
 
 
@@ -91,8 +93,9 @@ class Found:
 
     @cached_property
     def next_motion(self) -> motion.NextMotion | None:
-        """The motion that best tells the likeliest effects apart; None where fewer than two of them have a path."""
-        return motion.best(self.fitter, _fits_to_tell_apart(self.gathered, self.verdict))
+        """The motion that is expected to tell most about what is right; None where no effect has a path."""
+        rivals = _rivals(self.gathered, self.verdict)
+        return motion.best(self.fitter, rivals) if rivals else None
 
     @cached_property
     def gap(self) -> dict[str, Any]:
@@ -134,7 +137,7 @@ def to_document(found: Found, hidden: Mapping[str, str]) -> dict[str, Any]:
             "conditions": [condition.to_json() for condition in found.conditions[:_CONDITIONS]],
         },
         "signature": _signature(found),
-        "next_motion": {"why": found.next_motion.why, "file": "next_motion.csv"} if found.next_motion else None,
+        "next_motion": _next_motion(found),
     }
     confounded.add_hidden(document, hidden)
     return document
@@ -205,13 +208,29 @@ def best_of_each(gathered: Gathered) -> dict[str, Candidate]:
     return best
 
 
-def _fits_to_tell_apart(gathered: Gathered, verdict: decide.Decision) -> list[Fit]:
-    """Fits of up to three single effects, no events: the two likeliest, and the third if the recordings cannot tell it
-    from the leading one."""
-    best = best_of_each(gathered)
-    names = [name for name in verdict.ranked if name in best and name not in effects.EVENTS]
-    unsure = set(verdict.ambiguous())
-    return [best[name].fit for i, name in enumerate(names[:3]) if i < 2 or name in unsure]
+def _next_motion(found: Found) -> dict[str, Any] | None:
+    """The object `next_motion`: what it is in words, its file, the nats that are open and those it is expected to
+    tell."""
+    following = found.next_motion
+    if following is None:
+        return None
+    nats = {"open": following.entropy, "expected": following.information}
+    return {"why": following.why, "file": "next_motion.csv", "nats": nats}
+
+
+def _rivals(gathered: Gathered, verdict: decide.Decision) -> Rivals | None:
+    """What the next motion is to tell apart: the likeliest hypotheses with a path, none, and an unknown cause. None
+    where no effect with a path was fitted."""
+    of_effects = [
+        (float(p), candidate.fit)
+        for p, candidate in zip(verdict.posterior, gathered.candidates, strict=True)
+        if candidate.ids and not effects.EVENTS & set(candidate.ids)
+    ]
+    likeliest = sorted(of_effects, key=lambda one: -one[0])[:_RIVALS]
+    if not likeliest:
+        return None
+    probability = [verdict.none, *(p for p, _ in likeliest), verdict.unknown]
+    return Rivals.of([gathered.candidates[0].fit, *(fit for _, fit in likeliest)], probability)
 
 
 def _alternatives(verdict: decide.Decision, name: str, ambiguous: Sequence[str]) -> list[str]:

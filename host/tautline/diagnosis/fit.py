@@ -10,6 +10,7 @@ difference quotient of the simulation. Arrays of a recording are (scored, k): k 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -142,6 +143,13 @@ class Fitter:
         ends = np.sort(model.remaining(np.array([low, high])))
         inset = _INSET * float(ends[1] - ends[0])
         self._reached = (float(ends[0]) + inset, float(ends[1]) - inset)  # deg
+
+    def on(self, segments: Sequence[Segment]) -> Fitter:
+        """A fitter with the same unknowns and priors of other recordings, within the range of these."""
+        other = copy(self)
+        other.segments, other.relative_noise, other._linearised = list(segments), [1.0] * len(segments), None
+        other.__dict__.pop("_coarse", None)
+        return other
 
     @property
     def no_effect(self) -> Hypothesis:

@@ -1,30 +1,34 @@
-"""The motion that would best discriminate between fitted effects: of several motions within the rig's limits, the one
-for which their predictions differ most."""
+"""The motion to record next: phases of strokes of any amplitude, place, speed and rest within the rig's limits, each
+the one that adds most to the expected information (information.py) for the time that it takes."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
+from scipy.stats import qmc
 
 from tautline import trajectory
 from tautline.diagnosis.fit import Fitter
-from tautline.diagnosis.fitted import Fit
-from tautline.effects import simulate
+from tautline.diagnosis.information import Outlook, Rivals
+from tautline.diagnosis.segment import Segment
 from tautline.recording import Motor
 from tautline.trajectory import Trajectory
 
 _POINTS = 10  # format: a trajectory has 1000 points a second, next_motion.csv 100
-_PERIOD_S = 0.04  # tolerance: s between predictions that are compared
+_KNOTS = 20  # tolerance: points of a trajectory from one knot of a planned motor to the next
+_PERIOD_S = 0.08  # tolerance: s between observations that are planned
 _SLOWEST, _FASTEST = 0.02, 0.3  # limit: of what is proposed, in shares of the motor's range a second
-_SHORTEST, _LONGEST, _WIDTHS = 0.2, 0.5, 2.5  # limit: strokes, in shares of the motor's range; at least, in widths B
-_SLOW = 0.25  # prior: of the fastest speed: what depends on speed differs between both
+_SHORTEST = 0.05  # limit: strokes, in shares of the motor's range: shorter than most backlashes
+_STROKE_S, _REST_S, _PHASE_S = 15.0, 8.0, 8.0  # limit: of a stroke and of a rest, at most; of a phase, about
 _PER_SPEED = 10.0  # limit: acceleration over speed, 1/s
-_STROKES = 6  # tolerance: there and back, of a motion
-_SINES_S = 60.0  # tolerance: s, of a motion of two sines
+_WIDTHS = 1.2  # limit: of the stroke in widths B that takes the tip to both envelopes
+_PHASES, _OF_SIMULATOR = 32, 8  # tolerance: phases to choose from, powers of 2; where a user's simulator runs each
+_LONGEST_S, _SHORTEST_S = 60.0, 20.0  # limit: of a motion; a recording needs some blocks (gap.blocks)
+_NO_MORE = 1e-3  # tolerance: nats: a phase that adds less ends a motion
 _SWAY_MM, _SWAY_DEG, _SWAY_S = 2.0, 20.0, 17.0  # limit: amplitudes of the other axes, and their period in s
 
 
@@ -34,27 +38,49 @@ class NextMotion:
 
     why: str  # what it is, in words
     motion: Trajectory
-    separation: float  # rms difference of the two fits' predictions that differ least, px or deg
+    information: float  # nats that it is expected to tell about which hypothesis is right
+    entropy: float  # nats that are open
 
 
-def best(fitter: Fitter, fits: Sequence[Fit]) -> NextMotion | None:
-    """The motion for which the predictions of these fits differ most: for which the smallest rms difference of any two
-    of them is largest. None for fewer than two fits."""
-    if len(fits) < 2:
-        return None
-    chosen: NextMotion | None = None
-    for why, motion in _motions(fitter):
-        predictions = [_prediction(fitter, fit, motion) for fit in fits]
-        least = min(_rms_difference(a, b) for a, b in itertools.combinations(predictions, 2))
-        if chosen is None or least > chosen.separation:
-            chosen = NextMotion(why, motion, least)
-    return chosen
+@dataclass(frozen=True)
+class _Phase:
+    """Strokes there and back between two positions of the motor, in its unit, with a rest at either end."""
+
+    low: float
+    high: float
+    speed: float  # unit/s
+    rest_s: float
+
+    @property
+    def cycles(self) -> int:
+        """There and back, so often that it takes about _PHASE_S."""
+        return max(1, round(_PHASE_S / (2 * ((self.high - self.low) / self.speed + self.rest_s))))
+
+    @cached_property
+    def strokes(self) -> Trajectory:
+        """From `low` and back to it."""
+        return self._through([self.low, *[self.high, self.low] * self.cycles], self.rest_s)
+
+    def approach(self, width: float, range_: tuple[float, float]) -> Trajectory:
+        """To `low`, so that a backlash of `width` has been driven through both ways. range_: of the motor."""
+        there = self.low + _WIDTHS * width
+        there = there if there <= range_[1] else max(range_[0], self.low - _WIDTHS * width)
+        return self._through([self.low, there, self.low], 0.0)
+
+    def from_(self, q: float) -> Trajectory:
+        """From the position q to `low`; nothing where it is there."""
+        return self._through([q, self.low], 0.0)
+
+    def _through(self, points: Sequence[float], rest_s: float) -> Trajectory:
+        return trajectory.through(points, self.speed, _PER_SPEED * self.speed, rest_s)
 
 
-def _rms_difference(a: np.ndarray, b: np.ndarray) -> float:
-    """rms of the difference of two predictions (n, k), px or deg, where both are finite; 0 where they never are."""
-    difference = (a - b)[np.isfinite(a - b)]
-    return float(np.sqrt(np.mean(difference**2))) if len(difference) else 0.0
+def best(fitter: Fitter, rivals: Rivals) -> NextMotion:
+    """The motion of _LONGEST_S at most that is expected to tell most for its time about which of these is right. Where
+    the recordings moved the other axes, these may sway meanwhile."""
+    axes = fitter.px and any(_moves_other_axes(s.motor) for s in fitter.segments)
+    plans = [_planned(fitter, rivals, sway) for sway in ((False, True) if axes else (False,))]
+    return max(plans, key=lambda plan: plan.information)
 
 
 def table(motion: Trajectory, unit: str) -> pd.DataFrame:
@@ -67,16 +93,51 @@ def table(motion: Trajectory, unit: str) -> pd.DataFrame:
     return pd.DataFrame(columns).iloc[::_POINTS]
 
 
-def _prediction(fitter: Fitter, fit: Fit, motion: Trajectory) -> np.ndarray:
-    """(n, k) px or deg that a fit predicts for a motion after the last test, every _PERIOD_S."""
-    motor = Motor(motion.t_s, motion.q, None, motion.translation_mm, motion.rotation_deg)
-    scene = np.arange(0.0, motion.duration_s, _PERIOD_S)
-    test = fitter.segments[-1]
-    values = fit.state.at(test, fit.hypothesis)
-    if test.drive is not None:
-        motor = test.drive.along(motor).motor(values)
-    path = simulate(fit.state.model, motor, scene, values, clock_offset_s=test.end_s)
-    return path.image_px if fitter.px else path.c_deg[:, None]
+def _planned(fitter: Fitter, rivals: Rivals, sway: bool) -> NextMotion:
+    """As `best`, with the other axes at rest or swaying: phase after phase, the one first that tells most for its
+    time, until what is open is told or the time is up."""
+    actuator, last = fitter.model.rig.actuator, _latest(fitter)
+    phases, width = _phases(fitter), float(fitter.model.width.max())
+    segments = [_segment(fitter, phase, width, sway) for phase in phases]
+    weight = _PERIOD_S / float(np.median(np.diff(last.arrival_s)))
+    outlook = Outlook(fitter, rivals, segments, [weight] * len(phases))
+    chosen: list[int] = []
+    told, seconds = 0.0, 0.0
+    parts: list[Trajectory] = []
+    while True:
+        rest = [i for i in range(len(phases)) if i not in chosen]
+        at = phases[chosen[-1]].low if chosen else None
+        ways = {i: phases[i].from_(at) if at is not None else phases[i].approach(width, actuator.range) for i in rest}
+        takes = {i: ways[i].duration_s + phases[i].strokes.duration_s for i in rest}
+        adds = {
+            i: outlook.expected([*chosen, i], seconds + took) - told
+            for i, took in takes.items()
+            if not chosen or seconds + took <= _LONGEST_S
+        }
+        i = max(adds, key=lambda i: adds[i] / takes[i], default=None)
+        if i is None or (seconds >= _SHORTEST_S and adds[i] < _NO_MORE):
+            break
+        chosen.append(i)
+        parts += [ways[i], phases[i].strokes]
+        told, seconds = told + adds[i], seconds + takes[i]
+    motion = trajectory.in_turn(*parts)
+    if sway:
+        motion = motion.with_sway(_SWAY_MM, _SWAY_DEG, _SWAY_S)
+    why = _in_words([phases[i] for i in chosen], actuator.unit) + (" while the other axes sway" if sway else "")
+    return NextMotion(why, motion, told, rivals.entropy)
+
+
+def _in_words(phases: Sequence[_Phase], unit: str) -> str:
+    """What a motion of these phases is."""
+    strokes = [phase.high - phase.low for phase in phases]
+    speeds, rest = [phase.speed for phase in phases], max(phase.rest_s for phase in phases)
+    of_strokes = f"strokes of {min(strokes):.2g} to {max(strokes):.2g} {unit}"
+    return f"{of_strokes} at {min(speeds):.2g} to {max(speeds):.2g} {unit}/s with rests of up to {rest:.1f} s"
+
+
+def _latest(fitter: Fitter) -> Segment:
+    """The recording that ends last, in whatever order they were given: the next one comes after it."""
+    return max(fitter.segments, key=lambda segment: segment.end_s)
 
 
 def _moves_other_axes(motor: Motor) -> bool:
@@ -84,29 +145,46 @@ def _moves_other_axes(motor: Motor) -> bool:
     return any(x is not None and float(np.ptp(x)) > 0.0 for x in (motor.translation_mm, motor.rotation_deg))
 
 
-def _motions(fitter: Fitter) -> list[tuple[str, Trajectory]]:
-    """[(what it is in words, motion)] to choose from, within the rig's range and the speeds that were recorded."""
+def _phases(fitter: Fitter) -> list[_Phase]:
+    """Phases to choose from, spread evenly (Sobol) over amplitude and speed in their logarithms, place and rest: within
+    the rig's range where the recordings have been, and no faster than they were."""
     actuator = fitter.model.rig.actuator
     span = actuator.span
+    low = max(actuator.range[0], min(float(s.motor.q.min()) for s in fitter.segments))
+    high = min(actuator.range[1], max(float(s.motor.q.max()) for s in fitter.segments))
     fastest = max(float(np.abs(np.gradient(s.motor.q, s.motor.t_s)).max()) for s in fitter.segments)
-    speed = min(max(fastest, _SLOWEST * span), _FASTEST * span)
-    # Strokes are longer than the backlash, where half the range allows it.
-    stroke = min(_LONGEST * span, max(_SHORTEST * span, _WIDTHS * float(fitter.model.width.max())))
-    acceleration = _PER_SPEED * speed
+    fastest = min(max(fastest, _SLOWEST * span), _FASTEST * span)
+    shortest = min(_SHORTEST * span, high - low)
+    count = _PHASES if all(s.drive is None for s in fitter.segments) else _OF_SIMULATOR
+    phases = []
+    for of_stroke, of_place, of_speed, of_rest in qmc.Sobol(4, scramble=False).random(2 * count)[count:]:
+        stroke = min(shortest * ((high - low) / shortest) ** of_stroke, _STROKE_S * fastest)
+        speed = _SLOWEST * span * (fastest / (_SLOWEST * span)) ** of_speed
+        from_ = low + of_place * (high - low - stroke)
+        phases.append(_Phase(from_, from_ + stroke, max(speed, stroke / _STROKE_S), _REST_S * of_rest**2))
+    return phases
 
-    def strokes(rate: float, rest_s: float) -> Trajectory:
-        """Strokes there and back at `rate`, in the motor's unit/s, with rests of rest_s between them."""
-        return trajectory.trapezoids(actuator, rate, stroke, _STROKES, acceleration, rest_s)
 
-    motions = [
-        ("slow strokes with rests", strokes(_SLOW * speed, 2.0)),
-        ("fast strokes with rests", strokes(speed, 2.0)),
-        ("fast strokes with long rests", strokes(speed, 8.0)),
-        ("two sines over the whole range", trajectory.sines(actuator, speed, _SINES_S)),
-    ]
-    if fitter.px and any(_moves_other_axes(s.motor) for s in fitter.segments):
-        motions += [
-            (f"{why} while the other axes sway", motion.with_sway(_SWAY_MM, _SWAY_DEG, _SWAY_S))
-            for why, motion in motions[1:]
-        ]
-    return motions
+def _segment(fitter: Fitter, phase: _Phase, width: float, sway: bool) -> Segment:
+    """A phase as a recording after the last one, scored once the tip has been taken to both envelopes."""
+    last, actuator = _latest(fitter), fitter.model.rig.actuator
+    approach = phase.approach(width, actuator.range)
+    motion = trajectory.in_turn(approach, phase.strokes)
+    if sway:
+        motion = motion.with_sway(_SWAY_MM, _SWAY_DEG, _SWAY_S)
+    # The last point as well: a motor rests there.
+    at = np.union1d(np.arange(0, len(motion.t_s), _KNOTS), len(motion.t_s) - 1)
+    translation, rotation = (None if x is None else x[at] for x in (motion.translation_mm, motion.rotation_deg))
+    motor = Motor(motion.t_s[at], motion.q[at], None, translation, rotation)
+    scene = np.arange(approach.duration_s, motion.duration_s, _PERIOD_S)
+    return replace(
+        last,
+        name="next motion",
+        motor=motor,
+        arrival_s=np.asarray(scene + fitter.model.delay_of(last.sensor), dtype=np.float64),
+        observed=np.zeros((len(scene), last.observed.shape[1])),
+        scored=np.ones(len(scene), dtype=bool),
+        offset_s=last.end_s,
+        repeats=None,
+        drive=None if last.drive is None else last.drive.along(motor),
+    )

@@ -21,8 +21,7 @@ from tautline.recording import Recording, load
 
 SURE = 0.95
 MOTION = "motion.csv"
-_TELLS = 0.3  # of the noise: candidates whose paths differ by less in rms look alike, however many the frames
-_NO_NEWS = 0.02  # of a probability: a motion that moves it by less has told nothing
+_TELLS = 0.01  # nats: a motion that is expected to tell less leaves all as likely as it is
 _FIRST = "trapezoids"  # nothing is known yet that one could ask for
 
 Progress = Callable[[float, str], None]
@@ -69,33 +68,20 @@ class Asked:
         return self.answers[-1].probability >= SURE
 
 
-def why_stop(
-    answers: Sequence[Leading], asked: Sequence[str], following: NextMotion | None, noise: float, most: int
-) -> str:
+def why_stop(answers: Sequence[Leading], following: NextMotion | None, most: int) -> str:
     """Why no further recording is made; "" where `following` is worth recording. answers: the leading one after each
-    recording, `most` of them at most; asked: the names of the motions so far; noise: px or deg, as of the motion's
-    separation."""
+    recording, `most` of them at most."""
     last = answers[-1]
     if last.probability >= SURE:
         return f"one answer is sure: {last}"
     if following is None:
-        return "fewer than two candidates have a path that a motion could tell apart"
-    if following.separation < _TELLS * noise:
-        return (
-            f"no motion of this axis tells the leading candidates apart: in {following.why} they differ by "
-            f"{following.separation:.2g}, and the noise is {noise:.2g}"
-        )
-    if len(answers) > 1 and following.why in asked and _no_news(answers):
-        return f"'{following.why}' would tell most, was recorded and changed nothing: {last} it stays"
+        return "no candidate has a path that a motion could tell from another"
+    if following.information < _TELLS:
+        expected = f"{following.information:.1g} of the {following.entropy:.2g} nats that are open"
+        return f"no motion of this axis tells the candidates apart: {following.why} would tell {expected}"
     if len(answers) >= most:
         return "as many recordings were made as --most allows"
     return ""
-
-
-def _no_news(answers: Sequence[Leading]) -> bool:
-    """Whether the last recording hardly changed the leading answer."""
-    before, last = answers[-2:]
-    return before.name == last.name and abs(last.probability - before.probability) < _NO_NEWS
 
 
 def diagnose_live(
@@ -127,8 +113,7 @@ def diagnose_live(
             diagnosis = diagnose(calibrated_on.model, calibration, known, progress)
             following = diagnosis.next_motion
             answers.append(Leading.of(diagnosis.document))
-            noise = float(diagnosis.document["noise_floor"])
-            why = why_stop(answers, asked, following, noise, most + bool(tests))
+            why = why_stop(answers, following, most + bool(tests))
             told(f"{_what(made, asked)}: {answers[-1]}" + (f"; next {following.why}" if following and not why else ""))
             answered(diagnosis, answers[-1], why)
             if why:

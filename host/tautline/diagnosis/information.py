@@ -1,0 +1,123 @@
+"""How much recordings that are not made yet are expected to tell about which hypothesis is right, in nats.
+
+Where hypothesis h is right, g is fitted anew to what h predicts (one linear step from all recordings so far, g's own
+parameters and the nominal's) and leaves a power above the noise. That costs g as many nats as a verdict would take for
+it (likelihoods.py): half of a block's independent observations, times log(power / noise), for each block. An unknown
+cause leaves of the gap as much as the best imitation of it does. The expected information is the mutual information
+between hypothesis and recording, -sum_h p_h log sum_g p_g exp(-D_hg) (Kolchinsky and Tracey 2017).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import cho_solve
+
+from tautline.diagnosis.fit import Fitter
+from tautline.diagnosis.fitted import Fit
+from tautline.diagnosis.gap import BLOCK_S
+from tautline.diagnosis.hyperparameters import learnt
+from tautline.diagnosis.segment import Segment
+from tautline.least_squares import factor
+
+Array = npt.NDArray[np.float64]
+
+_NEVER_SURER = 0.01  # prior: of each hypothesis, whatever the posterior says: a motion is to refute what leads, too
+
+
+@dataclass(frozen=True)
+class Rivals:
+    """What could be right, with probabilities that sum to 1. The first fit is the nominal model without any effect."""
+
+    fits: tuple[Fit, ...]
+    probability: Array  # (fits + 1,): the last one of an unknown cause
+
+    @classmethod
+    def of(cls, fits: Sequence[Fit], probability: Sequence[float]) -> Rivals:
+        """probability: of each fit, and of an unknown cause; none is taken to be less than _NEVER_SURER. An unknown
+        cause that the likeliest imitates everywhere (`Hyperparameters.mimics`) counts with that: no motion tells it."""
+        hyper, known = learnt().center, np.asarray(probability, dtype=float)
+        likeliest = int(np.argmax(known[:-1]))
+        mimics = min(known[-1], hyper.odds_unknown * hyper.mimics * known[likeliest])
+        known[likeliest], known[-1] = known[likeliest] + mimics, known[-1] - mimics
+        known = np.maximum(known, _NEVER_SURER)
+        return cls(tuple(fits), known / float(np.sum(known)))
+
+    @property
+    def entropy(self) -> float:
+        """What is open, in nats: the most that any recording can tell."""
+        return -float(self.probability @ np.log(self.probability))
+
+
+class Outlook:
+    """What each of some recordings to be made would add to the least squares of every rival's refit to every other's
+    prediction. The sums of several recordings are those of each, so that any choice of them costs no simulation."""
+
+    def __init__(self, fitter: Fitter, rivals: Rivals, planned: Sequence[Segment], weights: Sequence[float]) -> None:
+        """fitter: of the recordings so far. planned: whose `observed` does not count, only times and motors. weights:
+        how many of the sensor's observations one of `planned` stands for."""
+        self.rivals = rivals
+        fits, ahead = rivals.fits, fitter.on(planned)
+        known = [self._known(fitter, fit) for fit in fits]
+        rows = [ahead.linearised(fit) for fit in fits]
+        size = len(fits)
+        self._noise2 = (1.0 + learnt().center.calibration_excess) * fitter.floor**2
+        self._floor2 = fitter.floor**2
+        self._known_matrix = known
+        self._matrix = [np.zeros((len(planned), *matrix.shape)) for matrix in known]
+        self._gradient = [np.zeros((len(planned), size, len(matrix))) for matrix in known]
+        self._squares = np.zeros((len(planned), size, size))
+        self._count = np.zeros(len(planned))
+        for i, weight in enumerate(weights):
+            self._count[i] = weight * rows[0][i].residual.size
+            for g in range(size):
+                for h in range(size):
+                    # Observations are left out of what both left of them: h's prediction less g's.
+                    apart = np.nan_to_num(rows[g][i].residual - rows[h][i].residual)
+                    part = ahead.normal(replace(rows[g][i], residual=apart))
+                    self._gradient[g][i, h] = weight * part.gradient
+                    self._squares[i, h, g] = weight * float(np.sum(apart**2))
+                self._matrix[g][i] = weight * part.matrix
+
+    @staticmethod
+    def _known(fitter: Fitter, fit: Fit) -> Array:
+        """(m, m) What the recordings so far tell of a fit's unknowns: their normal matrix with the prior's, px^2 or
+        deg^2."""
+        rows = fitter.linearised(fit)
+        parts = (
+            fitter.normal(row, weight=np.full_like(row.residual, 1.0 / times**2)).matrix
+            for row, times in zip(rows, fitter.relative_noise, strict=True)
+        )
+        return np.asarray(sum(parts) + fitter.floor**2 * fitter.prior_precision(fit.hypothesis))
+
+    def power_left(self, which: Sequence[int]) -> Array:
+        """(fits, fits) [h, g]: the mean square above the noise that g leaves of the recordings `which`, refitted, where
+        h is right."""
+        chosen = list(which)
+        squares = np.sum(self._squares[chosen], axis=0)
+        for g, (matrix, gradient) in enumerate(zip(self._matrix, self._gradient, strict=True)):
+            total = np.sum(gradient[chosen], axis=0)  # (h, m)
+            factored = factor(self._known_matrix[g] + np.sum(matrix[chosen], axis=0))
+            squares[:, g] -= np.sum(total.T * cho_solve(factored, total.T, check_finite=False), axis=0)
+        return np.asarray(np.maximum(squares, 0.0) / float(np.sum(self._count[chosen])))
+
+    def expected(self, which: Sequence[int], seconds: float) -> float:
+        """The expected information, nats, of the recordings `which`, which last `seconds` together."""
+        hyper = learnt().center
+        left = self.power_left(which)
+        gap = left[:, 0]  # of each right hypothesis: what the nominal model leaves
+        tells = hyper.misfit_tells + hyper.noise_tells * np.square(self._floor2 / (self._floor2 + gap))
+        known = len(gap)
+        power = np.zeros((known + 1, known + 1))
+        power[:known, :known] = left
+        power[:known, known] = power[known, :known] = hyper.unexplained_by_wrong * gap
+        # An unknown cause looks like what is likeliest, and the others leave of it what they leave of that.
+        likeliest = int(np.argmax(self.rivals.probability[:known]))
+        power[known, :known] = left[likeliest] + hyper.unexplained_by_wrong * gap[likeliest]
+        tells = np.append(tells, tells[likeliest])
+        against = 0.5 * tells[:, None] * (seconds / BLOCK_S) * np.log1p(power / self._noise2)
+        p = self.rivals.probability
+        return -float(p @ np.log(np.exp(-against) @ p))
