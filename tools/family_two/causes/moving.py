@@ -1,0 +1,132 @@
+"""Causes that no list holds, in what moves."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tools.family_two import ranges
+from tools.family_two.causes.base import Cause, follow
+from tools.family_two.mechanisms import Demand, Mechanism
+from tools.family_two.motion import STEP, other_joint
+from tools.family_two.timeline import Timeline
+
+FloatArray = NDArray[np.float64]
+
+
+class Coasting(Cause):
+    id = "coasting"
+    says = "a heavy tip runs on through the gap when the motor brakes: what is lost depends on how it was stopped"
+    limits = ranges.COAST
+    unlisted = massless = True
+
+    def act(self, demand: Demand, line: Timeline, mechanism: Mechanism) -> None:
+        # reach / s^2: usual stops brake by some reaches a second; friction brakes a light tip faster than that
+        demand.feel.braking = np.where(self.on(line) > 0, 60.0 / self.size, np.inf)
+
+
+class SlowReturn(Cause):
+    id = "slow_return"
+    says = "one way a spring returns the tip, and no faster than it can: the cable goes slack"
+    limits = ranges.RETURN
+    unlisted = massless = True
+
+    def act(self, demand: Demand, line: Timeline, mechanism: Mechanism) -> None:
+        demand.feel.fastest = np.where(self.on(line) > 0, 1 / self.size, np.inf)
+
+
+class Snag(Cause):
+    id = "snag"
+    says = "a broken strand catches at one place on the way up and lets go with a jump"
+    limits = ranges.SNAG
+    unlisted = massless = True
+
+    def parameters(self, line: Timeline) -> dict[str, float | str]:
+        return {"place": float(self.rng.uniform(-0.4, 0.4))}
+
+    def act(self, demand: Demand, line: Timeline, mechanism: Mechanism) -> None:
+        demand.feel.catch = 2 * self.size * self.on(line)
+        demand.feel.caught_at = float(self.parameters(line)["place"])
+
+
+class FlangeClimb(Cause):
+    id = "flange_climb"
+    says = "driven fast far out, the cable climbs its pulley's flange and runs on a larger radius until it passes the middle slowly"
+    limits = ranges.CLIMB
+    unlisted = True
+
+    def act(self, demand: Demand, line: Timeline, mechanism: Mechanism) -> None:
+        speed, share = np.abs(line.speed) / line.usual_speed, line.q / line.reach
+        climbs = (speed > 0.9) & (np.abs(share) > 0.3)
+        falls = (speed < 0.7) & (np.abs(share) < 0.12)
+        event = np.where(climbs, 1.0, np.where(falls, -1.0, 0.0))
+        last = np.maximum.accumulate(np.where(event != 0, np.arange(event.size), 0))
+        up = follow((event[last] > 0).astype(float), STEP, 0.05)
+        demand.q *= 1 + self.size * up * self.on(line)
+
+
+class Unlogged(Cause):
+    id = "unlogged_joint"
+    says = "another joint that no column holds is moved now and then and pulls at the cable"
+    limits = ranges.UNLOGGED
+    unlisted, may_start = True, False
+
+    def act(self, demand: Demand, line: Timeline, mechanism: Mechanism) -> None:
+        moved = other_joint(self.rng, line.t.size, 1.0)
+        demand.q += self.size * line.width * moved * follow(self.on(line), STEP, 0.5)
+
+
+class IdleCurrent(Cause):
+    id = "idle_current"
+    says = "a second after the motor stops its driver saves current, and the rotor sags to one side until the next step"
+    limits = ranges.SAG
+    unlisted = True
+
+    def act(self, demand: Demand, line: Timeline, mechanism: Mechanism) -> None:
+        rng = self.rng
+        waits, sign = float(rng.uniform(0.3, 0.8)), float(rng.choice([-1.0, 1.0]))
+        still = np.abs(line.speed) < 1e-4 * line.reach
+        begun = np.maximum.accumulate(np.where(~still, np.arange(still.size), 0))
+        idle = (np.arange(still.size) - begun) * STEP > waits
+        demand.q += sign * self.size * line.width * follow(idle.astype(float), STEP, 0.03) * self.on(line)
+
+
+class HuntingTension(Cause):
+    id = "hunting_tension"
+    says = "a tension controller hunts: friction swells and ebbs"
+    limits = ranges.HUNT
+    unlisted = True
+
+    def parameters(self, line: Timeline) -> dict[str, float | str]:
+        return {"rate_hz": float(self.rng.uniform(0.08, 0.35))}
+
+    def act(self, demand: Demand, line: Timeline, mechanism: Mechanism) -> None:
+        wave = np.sin(2 * np.pi * float(self.parameters(line)["rate_hz"]) * line.t + self.rng.uniform(0, 6))
+        demand.friction *= 1 + min(self.size, 0.9) * wave * self.on(line)
+
+
+class SleepyBrake(Cause):
+    id = "sleepy_brake"
+    says = "after each rest the output's holding brake lets go late: for a moment the tip stays, then catches up with a jerk"
+    limits = ranges.BRAKE
+    unlisted = True
+
+    def bend(self, line: Timeline, c: FloatArray) -> FloatArray:
+        moving = np.abs(line.speed) > 1e-3 * line.reach
+        count = int(0.25 / STEP)
+        # at rest for a quarter of a second: the brake falls in; it lets go `size` after the motor starts
+        rested = np.convolve(moving, np.ones(count), mode="full")[: moving.size] < 0.5
+        rested[:count] = False
+        hold = int(self.size / STEP)
+        starts = np.flatnonzero(rested[:-1] & ~rested[1:]) + 1
+        out = c.copy()
+        on = self.on(line)
+        for i in starts:
+            end = min(i + hold, c.size)
+            if on[i] and hold:
+                out[i:end] = c[i - 1]
+        caught = follow(out, STEP, 0.01)
+        return np.asarray(np.where(on > 0, caught, c))
+
+
+MOVING: tuple[type[Cause], ...] = (
+    Coasting, SlowReturn, Snag, FlangeClimb, Unlogged, IdleCurrent, HuntingTension, SleepyBrake,
+)  # fmt: skip
