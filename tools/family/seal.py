@@ -1,4 +1,4 @@
-"""Fingerprints: of a generator's sources, of a seed's plan and of its truths. Another family gives its own folder and plan."""
+"""Fingerprints: of a generator's sources, of a seed's plan and of its truths; another family gives folder and plan."""
 
 import hashlib
 import json

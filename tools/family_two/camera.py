@@ -18,9 +18,9 @@ class View:
     height_px: int
     focal_px: float
     centre_px: tuple[float, float]
-    distortion: tuple[float, float, float, float, float]
-    rotation_deg: tuple[float, float, float]
-    translation_mm: tuple[float, float, float]
+    distortion: tuple[float, ...]  # k1 k2 p1 p2 k3
+    rotation_deg: tuple[float, ...]
+    translation_mm: tuple[float, ...]
 
 
 @dataclass
@@ -72,8 +72,8 @@ def project(view: View, c_deg: FloatArray, scene: Scene) -> FloatArray:
     pose = matrix(np.array(view.rotation_deg))
     seen = (base + scene.shift) @ pose.T + np.array(view.translation_mm)
     x, y = seen[:, 0] / seen[:, 2], seen[:, 1] / seen[:, 2]
-    k1, k2, p1, p2, k3 = view.distortion
-    k1, k2 = k1 + scene.lens[:, 0], k2 + scene.lens[:, 1]
+    own1, own2, p1, p2, k3 = view.distortion
+    k1, k2 = own1 + scene.lens[:, 0], own2 + scene.lens[:, 1]
     r2 = x * x + y * y
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
     xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
@@ -89,11 +89,8 @@ def draw(rng: np.random.Generator, arm: bool, reach_deg: float) -> View:
     focal = float(rng.uniform(0.75, 1.3)) * width
     if arm:
         bending, stiff = float(rng.uniform(2.0, 4.0)), float(rng.uniform(15.0, 60.0))
-        angles = [
-            float(rng.choice([-1, 1]) * rng.uniform(25, 65)),
-            float(rng.uniform(-25, 25)),
-            float(rng.uniform(-40, 40)),
-        ]
+        over = float(rng.choice([-1, 1]) * rng.uniform(25, 65))
+        angles = [over, float(rng.uniform(-25, 25)), float(rng.uniform(-40, 40))]
     else:
         bending, stiff = float(rng.uniform(12.0, 30.0)), float(rng.uniform(3.0, 10.0))
         angles = [float(rng.uniform(-15, 15)), float(rng.uniform(-15, 15)), float(rng.uniform(-180, 180))]

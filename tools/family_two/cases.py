@@ -10,7 +10,8 @@ from tools.family_two import camera, motion, nominal, ranges, timeline
 from tools.family_two.causes import LISTED, NOMINAL, UNLISTED, Cause
 from tools.family_two.causes.transmission import FULL_LOAD, STROKES
 from tools.family_two.inertial import Inertial
-from tools.family_two.mechanisms import Catenary, Harmonic, Mechanism, Screw, Tubes, Twisted
+from tools.family_two.mechanism import Mechanism
+from tools.family_two.mechanisms import Catenary, Harmonic, Screw, Tubes, Twisted
 from tools.family_two.plant import Plant, gap, show
 from tools.family_two.timeline import Timeline
 
@@ -103,7 +104,7 @@ def _together(wheel: Iterator[str], number: int) -> tuple[str, ...]:
 
 
 def draw(seed: int, index: int, kind: str, ids: tuple[str, ...]) -> Case:
-    """A case whose causes are as strong as they were set to be; drawn anew where that cannot be, the best of them kept."""
+    """A case whose causes are as strong as they were set to be; drawn anew where that cannot be, the best kept."""
     best: tuple[float, Case] | None = None
     for attempt in range(ATTEMPTS):
         case = _draw(np.random.default_rng([seed, 102, index, attempt]), index, kind, ids)
@@ -212,7 +213,7 @@ def healthy_rest(case: Case) -> float:
 
 
 def _set(case: Case, rng: np.random.Generator) -> Case:
-    """Each cause's size so that it is as strong as drawn: secants of log size against log strength, within its range."""
+    """Each cause's size so that it is as strong as drawn: secants of log size, log strength, within its range."""
     if not case.causes:
         return case
     base = healthy_rest(case)

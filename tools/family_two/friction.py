@@ -1,7 +1,7 @@
 """A body held by dry friction and driven through a compliant transmission: stepped through its sticking interval.
 
-At each instant the balance of forces lets the body rest anywhere between `lo` (below it the drive pushes it up) and `hi`
-(above it the drive pulls it down). The exact quasi-static motion is the projection onto that interval.
+At each instant the balance of forces lets the body rest anywhere between `lo` (below it the drive pushes it up) and
+`hi` (above it the drive pulls it down). The exact quasi-static motion is the projection onto that interval.
 """
 
 from dataclasses import dataclass
@@ -17,8 +17,8 @@ FloatArray = NDArray[np.float64]
 class Feel:
     """What more than Coulomb friction acts on the body, by instant.
 
-    Lengths are in halves of the healthy sticking interval, and those of `braking` and `fastest` in the limit of the place,
-    until `scaled` has made them places.
+    Lengths are in halves of the healthy sticking interval, and those of `braking` and `fastest` in the limit of the
+    place, until `scaled` has made them places.
     """
 
     extra: FloatArray | None = None  # breakaway above kinetic friction when moving one way

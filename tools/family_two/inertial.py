@@ -1,4 +1,4 @@
-"""The mechanism with mass: an arm of some inertia on a cable that gives and damps, with LuGre friction, stepped in time."""
+"""The mechanism with mass: an arm on a cable that gives and damps, with LuGre friction, stepped in time."""
 
 from math import exp
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tools.family_two import ranges
-from tools.family_two.mechanisms import Demand, Mechanism, Number
+from tools.family_two.mechanism import Demand, Mechanism, Number
 from tools.family_two.motion import STEP
 
 FloatArray = NDArray[np.float64]
@@ -15,8 +15,8 @@ FloatArray = NDArray[np.float64]
 class Inertial(Mechanism):
     """Cable, arm with inertia, LuGre friction: x'' = w^2 (T(q, x) l'(x) - spring) - 2 z w x' - friction.
 
-    Implicit Euler, the bristle's equation solved exactly within a step; all moments are over the inertia. At rest it holds anywhere in its sticking interval; bristles
-    yield by a few thousandths of it unless something softens them.
+    Implicit Euler, the bristle's equation solved exactly within a step; all moments are over the inertia. At rest it
+    holds anywhere in its sticking interval; bristles yield by a few thousandths of it unless something softens them.
     """
 
     unit = "mm"
@@ -34,7 +34,7 @@ class Inertial(Mechanism):
         self.finish(ranges.WINCH_WIDTH.draw(rng))
 
     def need(self, x: FloatArray, s: Number, torque: Number, soft: Number) -> FloatArray:
-        """At rest: where the cable's moment is the spring's and friction's. Moments in deg of cable give at radius 1."""
+        """At rest: where the cable's moment is the spring's and friction's. Moments in deg of the cable's give."""
         a, share = np.radians(x), x / self.limit
         along = self.radius * (a + self.bulge * self.limit * np.pi / 180 * share**3 / 3)
         lever = 1 + self.bulge * share**2  # along' = radius * lever

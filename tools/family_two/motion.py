@@ -40,7 +40,7 @@ def travel(start: float, legs: list[Leg], jerk: bool, seconds: float | None = No
 
 
 def calibration(rng: np.random.Generator, reach: float, width: float, seconds: float) -> FloatArray:
-    """Full strokes at two speeds, then a stair up and a stair down with reversals of several amplitudes, resting at turns."""
+    """Full strokes, then a stair up and one down with reversals of several amplitudes and speeds, resting at turns."""
     top = EDGE * reach
     speed = 0.55 * reach
     least = min(1.3 * width, 0.5 * reach)

@@ -1,7 +1,7 @@
-"""The nominal model, fitted anew: play of a width that depends on the place, a smooth law, delay, and the camera's pose.
+"""The nominal model, fitted anew: play of a width that depends on the place, a smooth law, delay, the camera's pose.
 
-width: polynomial of degree 5 in the place; law: polynomial of degree 7. It is this family's own yardstick for what a cause
-leaves to a recalibration, and for whether a healthy mechanism is a plain hysteresis.
+width: polynomial of degree 5 in the place; law: polynomial of degree 7. It is this family's own yardstick for what a
+cause leaves to a recalibration, and for whether a healthy mechanism is a plain hysteresis.
 """
 
 from collections.abc import Sequence
@@ -64,7 +64,7 @@ class Nominal:
     def predict(self, p: FloatArray, x: FloatArray) -> FloatArray:
         law, late = p[WIDTH_DEGREE + 1 : WIDTH_DEGREE + LAW_DEGREE + 2], p[WIDTH_DEGREE + LAW_DEGREE + 2]
         at = np.interp(self.times - late, self.t, x)
-        c = chebyshev.chebval(np.clip(at, -1.2, 1.2), law)
+        c: FloatArray = chebyshev.chebval(np.clip(at, -1.2, 1.2), law)
         view = self.plant.view
         if view is None:
             return c[:, None]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from tools.family_two import camera
 from tools.family_two.camera import Scene, View
 from tools.family_two.causes.base import Cause, IntArray
-from tools.family_two.mechanisms import Demand, Mechanism
+from tools.family_two.mechanism import Demand, Mechanism
 from tools.family_two.timeline import Part, Timeline
 
 FloatArray = NDArray[np.float64]

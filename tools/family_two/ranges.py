@@ -37,16 +37,43 @@ from tools.family.ranges import (
 )
 
 __all__ = [
-    "ANGLE_NOISE", "BREAKAWAY", "CAMERA_DELAY", "CATCH_UP", "CHANNEL_PLAY", "CLOCK", "COUPLING", "CREEP", "CREEP_TIME",
-    "CURVATURE", "DELAY", "DISTORTION", "DRIFT", "ENCODER", "HELD", "JITTER", "JUMP", "LAG", "LAW_CHANGE", "LOAD", "MADE",
-    "OFFSET_CHANGE", "RATE", "RATE_SPEED", "REGISTRATION", "ROUNDING", "SWING", "SWING_DAMPING", "SWING_RATE", "TOOTH",
-    "WALL", "WIDTH_CHANGE", "Range",
-]  # fmt: skip
+    "ANGLE_NOISE",
+    "BREAKAWAY",
+    "CAMERA_DELAY",
+    "CATCH_UP",
+    "CHANNEL_PLAY",
+    "CLOCK",
+    "COUPLING",
+    "CREEP",
+    "CREEP_TIME",
+    "CURVATURE",
+    "DELAY",
+    "DISTORTION",
+    "DRIFT",
+    "ENCODER",
+    "HELD",
+    "JITTER",
+    "JUMP",
+    "LAG",
+    "LAW_CHANGE",
+    "LOAD",
+    "MADE",
+    "OFFSET_CHANGE",
+    "RATE",
+    "RATE_SPEED",
+    "REGISTRATION",
+    "ROUNDING",
+    "SWING",
+    "SWING_DAMPING",
+    "SWING_RATE",
+    "TOOTH",
+    "WALL",
+    "WIDTH_CHANGE",
+    "Range",
+]
 
 DUPONT = "Dupont et al. 2010 and Ha, Park, Dupont 2016 (T-RO), concentric tubes: torsional friction lags of 5 to 20 deg"
-TAGHIRAD = (
-    "Taghirad and Belanger 1998; Tjahjowidodo et al. 2013, torsion hysteresis of harmonic drives, 0.02 to 0.5 deg"
-)
+TAGHIRAD = "Taghirad and Belanger 1998; Tjahjowidodo et al. 2013, hysteresis of harmonic drives, 0.02 to 0.5 deg"
 IRVINE = "Irvine 1981, Cable Structures; Riehl et al. 2009, sag of cables of large cable robots"
 WUERTZ = "Wuertz et al. 2010; Palli et al. 2013 (T-Mech), twisted strings: hysteresis of 2 to 10 % of the stroke"
 THREAD = "Data sheets of rolled lead screws: axial play 0.05 to 0.2 mm; push-pull controls: lost motion 2 to 6 %"

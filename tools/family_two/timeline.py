@@ -69,7 +69,8 @@ def lay(
     """Recordings (name, motor, other joints, exposure times from their begin) one after the other."""
     q: list[FloatArray] = []
     sides: dict[str, list[FloatArray]] = {k: [] for k in paths[0][2]}
-    parts, first, here, last = [], 0, 0.0, dict.fromkeys(sides, 0.0)
+    parts: list[Part] = []
+    first, here, last = 0, 0.0, dict.fromkeys(sides, 0.0)
     for name, path, others, exposed in paths:
         if parts:
             between = travel(here, [(float(path[0]), 2.0, PAUSE - 2.0)], True)[1:]
@@ -86,4 +87,5 @@ def lay(
         here = float(path[-1])
     every = np.concatenate(q)
     joined = {k: np.concatenate(v) for k, v in sides.items()}
-    return Timeline(np.arange(every.size) * STEP, every, joined, tuple(parts), reach, width, gain)
+    t = np.arange(every.size, dtype=np.float64) * STEP
+    return Timeline(t, every, joined, tuple(parts), reach, width, gain)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tools.family_two.camera import Scene, View
 from tools.family_two.friction import project
-from tools.family_two.mechanisms import Demand, Mechanism
+from tools.family_two.mechanism import Demand, Mechanism
 from tools.family_two.ranges import Range
 from tools.family_two.timeline import Part, Timeline
 

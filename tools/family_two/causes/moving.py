@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from tools.family_two import ranges
 from tools.family_two.causes.base import Cause, follow
-from tools.family_two.mechanisms import Demand, Mechanism
+from tools.family_two.mechanism import Demand, Mechanism
 from tools.family_two.motion import STEP, other_joint
 from tools.family_two.timeline import Timeline
 
@@ -49,7 +49,7 @@ class Snag(Cause):
 
 class FlangeClimb(Cause):
     id = "flange_climb"
-    says = "driven fast far out, the cable climbs its pulley's flange and runs on a larger radius until it passes the middle slowly"
+    says = "driven fast far out, the cable climbs its pulley's flange and stays until it passes the middle slowly"
     limits = ranges.CLIMB
     unlisted = True
 
@@ -105,7 +105,7 @@ class HuntingTension(Cause):
 
 class SleepyBrake(Cause):
     id = "sleepy_brake"
-    says = "after each rest the output's holding brake lets go late: for a moment the tip stays, then catches up with a jerk"
+    says = "after each rest the output's holding brake lets go late: the tip stays, then catches up with a jerk"
     limits = ranges.BRAKE
     unlisted = True
 

@@ -7,7 +7,7 @@ from scipy.signal import cont2discrete, lfilter
 from tools.family_two import ranges
 from tools.family_two.causes.base import Cause, follow
 from tools.family_two.friction import project
-from tools.family_two.mechanisms import Demand, Mechanism
+from tools.family_two.mechanism import Demand, Mechanism
 from tools.family_two.motion import STEP
 from tools.family_two.timeline import Timeline
 
@@ -22,7 +22,7 @@ class Encoder(Cause):
     limits = ranges.ENCODER
 
     def turn(self, line: Timeline) -> float:
-        """A turn in units of q: 360 deg where the motor makes a good part of one, else what gear and drum make of it."""
+        """A turn in units of q: 360 deg where the motor makes a good part of one, else what gear and drum make."""
         return 360.0 if line.reach > 250 else line.reach * float(self.rng.uniform(0.25, 0.7))
 
     def parameters(self, line: Timeline) -> dict[str, float | str]:
@@ -39,8 +39,8 @@ class Encoder(Cause):
 class SmoothOnset(Cause):
     id = "transmission.smooth_onset"
     says = (
-        "friction lets go bit by bit: tubes curved along their length, unequal teeth, fibres, yarns, an elasto-plastic guide, "
-        "soft bristles of LuGre's"
+        "friction lets go bit by bit: tubes curved along their length, unequal teeth, fibres, yarns, an elasto-plastic "
+        "guide, soft bristles of LuGre's"
     )
     limits = ranges.ROUNDING
 
@@ -102,7 +102,7 @@ class Creep(Cause):
 
 class StickSlip(Cause):
     id = "transmission.stick_slip"
-    says = "static above kinetic friction: jumps of scattered size, smaller when fast; LuGre's with Stribeck's where there is mass"
+    says = "static above kinetic friction: scattered jumps, smaller when fast; LuGre with Stribeck where there is mass"
     limits = ranges.JUMP
 
     def act(self, demand: Demand, line: Timeline, mechanism: Mechanism) -> None:
@@ -174,7 +174,8 @@ class Slip(Cause):
         return sorted(out)
 
     def parameters(self, line: Timeline) -> dict[str, float | str]:
-        return {"jump": self.size * line.width} | {f"at_{i}_s": when for i, (when, _) in enumerate(self.jumps(line))}
+        jump: dict[str, float | str] = {"jump": self.size * line.width}
+        return jump | {f"at_{i}_s": when for i, (when, _) in enumerate(self.jumps(line))}
 
     may_start = False
 
@@ -263,7 +264,7 @@ class Swing(Cause):
     def bend(self, line: Timeline, c: FloatArray) -> FloatArray:
         values = self.parameters(line)
         w, z = 2 * np.pi * float(values["rate_hz"]), float(values["damping"])
-        (num, den, _) = cont2discrete(([w * w], [1, 2 * z * w, w * w]), STEP, method="foh")
+        (num, den, _) = cont2discrete((np.array([w * w]), np.array([1.0, 2 * z * w, w * w])), STEP, method="foh")
         rung = lfilter(np.ravel(num), den, c - c[0]) + c[0]
         return np.asarray(c + self.size * self.on(line) * (rung - c))
 

@@ -72,7 +72,7 @@ class Ringing(Cause):
         rng = self.rng
         w, z = 2 * np.pi * float(self.parameters(line)["rate_hz"]), float(rng.uniform(0.02, 0.08))
         # moved by the drive's acceleration: w s^2 / (s^2 + 2 z w s + w^2) of its place is w s / (...) of its speed
-        num, den, _ = cont2discrete(([w, 0.0], [1.0, 2 * z * w, w * w]), STEP, method="bilinear")
+        num, den, _ = cont2discrete((np.array([w, 0.0]), np.array([1.0, 2 * z * w, w * w])), STEP, method="bilinear")
         rung = lfilter(np.ravel(num), den, line.speed / line.usual_speed)
         axis = direction(np.random.default_rng([self.seed, 1]))
         scene.turn = scene.turn + line.at(rung * self.on(line), t)[:, None] * self.size * axis
