@@ -16,19 +16,19 @@ class Inertial(Mechanism):
     """Cable, arm with inertia, LuGre friction: x'' = w^2 (T(q, x) l'(x) - spring) - 2 z w x' - friction.
 
     Implicit Euler, the bristle's equation solved exactly within a step; all moments are over the inertia. At rest it
-    holds anywhere in its sticking interval; bristles yield by a few thousandths of it unless something softens them.
+    holds anywhere in its sticking interval; bristles yield by less than a thousandth of it unless something softens them.
     """
 
     unit = "mm"
     natively = True
-    bristles = 400.0  # their stiffness over the cable's
+    bristles = 3000.0  # their stiffness over the cable's
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.limit = float(rng.uniform(25.0, 40.0))
         self.radius = float(rng.uniform(6.0, 14.0))  # mm
-        self.bulge = float(rng.uniform(-0.15, 0.15))  # of the radius, over the limit
-        self.rate = float(rng.uniform(20.0, 40.0)) * 2 * np.pi
-        self.damping = float(rng.uniform(0.3, 0.7))
+        self.bulge = float(rng.uniform(-0.1, 0.1))  # of the radius, over the limit
+        self.rate = float(rng.uniform(40.0, 80.0)) * 2 * np.pi
+        self.damping = float(rng.uniform(0.3, 0.6))
         self.spring = float(rng.uniform(0.0, 0.15))
         self.press = float(rng.uniform(-0.2, 0.4))
         self.finish(ranges.WINCH_WIDTH.draw(rng))

@@ -69,16 +69,15 @@ class Mechanism:
         """Friction such that the middle loses `width_deg` of the tip; reach, torque unit and tables follow."""
         middle = np.zeros(1)
 
-        def lost(friction: float) -> float:
+        def miss(friction: float) -> float:
             self.friction = friction
             wide = self.need(middle, 1.0, 0.0, 1.0) - self.need(middle, -1.0, 0.0, 1.0)
             return float(wide[0]) * self.slope() - width_deg
 
         high = 1e-4
-        while lost(high) < 0 and high < 1e6:
+        while miss(high) < 0 and high < 1e6:
             high *= 1.5
-        self.friction = float(brentq(lost, 0.0, high))
-        lost(self.friction)
+        self.friction = float(brentq(miss, 0.0, high, rtol=1e-12))
         self.unit_torque = 1.0
         self.width = width_deg / self.slope()
         x = np.array([-0.02, 0.02]) * self.limit

@@ -128,12 +128,22 @@ class Catenary(Mechanism):
         self.limit = float(rng.uniform(25.0, 40.0))
         self.radius = float(rng.uniform(10.0, 18.0))
         self.span = float(rng.uniform(800.0, 1800.0))
-        self.heavy = float(rng.uniform(1.5e-4, 5e-4))  # N/mm
+        self.heavy = float(rng.uniform(1.5e-4, 3.5e-4))  # N/mm
         self.least = float(rng.uniform(8.0, 14.0))  # N in the middle
-        self.spring = self.least * self.radius * float(rng.uniform(0.15, 0.35)) / self.limit  # N mm / deg
-        self.give = float(rng.uniform(0.03, 0.15))  # mm/N, L / EA
+        self.spring = self.least * self.radius * float(rng.uniform(0.12, 0.3)) / self.limit  # N mm / deg
         self.journal = float(rng.uniform(0.2, 0.8))  # mm, friction coefficient times journal radius
-        self.finish(ranges.SPAN_WIDTH.draw(rng))
+        self.friction = self.least * self.radius * float(rng.uniform(0.05, 0.15))
+        self.give = 0.0  # mm/N, L / EA: what the width asks for beyond the sag's own share
+        wanted, sag = ranges.SPAN_WIDTH.draw(rng), self.lost()
+        self.give = 0.1
+        self.give = max(0.1 * (wanted - sag) / (self.lost() - sag), 0.01)
+        self.finish(self.lost())
+
+    def lost(self) -> float:
+        """Healthy width in the middle, deg."""
+        middle = np.zeros(1)
+        wide = self.need(middle, 1.0, 0.0, 1.0) - self.need(middle, -1.0, 0.0, 1.0)
+        return float(np.degrees(wide[0] / self.radius))
 
     def arc(self, pull: FloatArray) -> FloatArray:
         u = self.heavy * self.span / (2 * pull)
