@@ -124,12 +124,13 @@ class Mechanism:
     def run(self, d: Demand) -> FloatArray:
         """Angle of the tip at each instant, deg."""
         total = np.zeros(d.q.size)
-        spread = np.where(np.isnan(d.spread), 0.0, d.spread)
-        there = bool(np.any(spread > 0))
-        most = self.contacts(float(spread.max())) if there else self.contacts(0.0)
-        for weight, share in most:
-            reached = 1 + (share - 1) * (spread > 0) if there else share * np.ones(d.q.size)
-            half = d.friction * reached
+        spread = np.nan_to_num(d.spread)
+        usual = self.contacts(0.0)
+        there = self.contacts(float(spread.max())) if np.any(spread > 0) else usual
+        if len(usual) != len(there):
+            usual = [(weight, 1.0) for weight, _ in there]
+        for (weight, share), (_, before) in zip(there, usual, strict=True):
+            half = d.friction * np.where(spread > 0, share, before)
             lo, hi = self.edge(d, half), self.edge(d, -half)
             start = float(0.5 * (lo[0] + hi[0]))
             total += weight * walk(lo, hi, start, d.feel.scaled(self.half, self.limit), STEP)

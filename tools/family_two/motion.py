@@ -140,7 +140,7 @@ def pecking(rng: np.random.Generator, reach: float, width: float, seconds: float
         for part, back in ((0.5, 0.3), (0.8, 0.25), (1.0, 0.0)):
             for to in (here + part * (target - here), here + (part - back) * (target - here)):
                 last = legs[-1][0]
-                took = 0.15 + abs(to - last) / reach * float(rng.uniform(1.0, 2.0))
+                took = 0.3 + abs(to - last) / reach * float(rng.uniform(1.3, 2.4))
                 if abs(to - last) > 1e-6:
                     legs.append((to, took, float(rng.choice([0.1, 0.5]))))
                     total += took + legs[-1][2]
@@ -157,7 +157,7 @@ def other_joint(rng: np.random.Generator, count: int, stroke: float) -> FloatArr
     """Another degree of freedom: slow minimum-jerk moves from and about zero."""
     legs: list[Leg] = []
     total = 0.0
-    while total < count * STEP:
+    while total < count * STEP + 1.0:  # a leg loses less than two steps to rounding
         took, rest = float(rng.uniform(1.5, 4.0)), float(rng.uniform(0.5, 4.0))
         legs.append((float(rng.uniform(-stroke, stroke)), took, rest))
         total += took + rest

@@ -20,7 +20,7 @@ from tools.family_two.timeline import Timeline
 
 FloatArray = NDArray[np.float64]
 WIDTH_DEGREE, LAW_DEGREE = 5, 7
-EVERY = 4  # of the grid's instants: the play is stepped on fewer
+EVERY = 2  # of the grid's instants: the play is stepped on fewer
 MOST_FRAMES = 1500
 ROUNDS = 7
 
