@@ -123,7 +123,7 @@ def test_widths_by_hand():
     by_hand = span.give * (pulls[0] - pulls[1]) + sags[1] - sags[0]
     assert span.width == pytest.approx(by_hand, rel=0.01)
     strings = Twisted(np.random.default_rng(6))
-    turns = [np.radians(strings.turned(np.zeros(1), s, 0.0, 1.0)[0]) for s in (1.0, -1.0)]
+    turns = [np.radians(strings.turned(np.zeros(1), s)[0]) for s in (1.0, -1.0)]
     left = strings.string - strings.middle
     for turned, s in zip(turns, (1, -1), strict=True):  # Pythagoras on one string
         helix = math.sqrt((strings.string / left) ** 2 - 1)
@@ -146,7 +146,7 @@ def test_mass_and_bristles(monkeypatch):
     x = m.run(Demand.healthy(path))
     # at rest after each move up it is where cable and friction balance
     ups = [int(t / motion.STEP) for t in (2.4, 7.4)]
-    edges = np.interp(path, m.need(m.xs, 1.0, 0.0, 1.0), m.xs)
+    edges = np.interp(path, m.need(m.xs, 1.0), m.xs)
     assert x[ups] == pytest.approx(edges[ups], abs=0.02 * m.half)
     # and while it moves it is late by its damping over the cable's stiffness, 2 z / w
     mid = int(0.75 / motion.STEP)

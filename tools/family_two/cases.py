@@ -128,7 +128,7 @@ def _draw(rng: np.random.Generator, index: int, kind: str, ids: tuple[str, ...])
     kinds = [LISTED.get(i) or UNLISTED[i] for i in ids]
     names = [
         n for n, m in MECHANISMS.items()
-        if not (any(k.sections for k in kinds) and m.arm) and not (any(k.massless for k in kinds) and m.natively)
+        if not (any(k.sections for k in kinds) and m.arm) and not (any(k.massless for k in kinds) and m.massive)
     ]  # fmt: skip
     name = str(rng.choice(names))
     mechanism = MECHANISMS[name](rng)

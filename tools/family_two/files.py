@@ -101,7 +101,7 @@ def write(case: Case, seed: int, out: Path, truths: Path) -> dict[str, object]:
 def _widest(case: Case) -> float:
     m = case.plant.mechanism
     xs = np.linspace(-1, 1, 41) * m.limit
-    return float(np.max(m.need(xs, 1.0, 0.0, 1.0) - m.need(xs, -1.0, 0.0, 1.0)))
+    return float(np.max(m.need(xs, 1.0) - m.need(xs, -1.0)))
 
 
 def driven(q: FloatArray, far: float) -> float:

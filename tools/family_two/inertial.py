@@ -16,11 +16,11 @@ class Inertial(Mechanism):
     """Cable, arm with inertia, LuGre friction: x'' = w^2 (T(q, x) l'(x) - spring) - 2 z w x' - friction.
 
     Implicit Euler, the bristle's equation solved exactly within a step; all moments are over the inertia. At rest it
-    holds anywhere in its sticking interval; bristles yield by less than a thousandth of it unless something softens them.
+    holds anywhere in its sticking interval; bristles yield by less than a thousandth of it unless softened.
     """
 
     unit = "mm"
-    natively = True
+    massive = True
     bristles = 3000.0  # their stiffness over the cable's
 
     def __init__(self, rng: np.random.Generator) -> None:
@@ -33,14 +33,14 @@ class Inertial(Mechanism):
         self.press = float(rng.uniform(-0.2, 0.4))
         self.finish(ranges.WINCH_WIDTH.draw(rng))
 
-    def need(self, x: FloatArray, s: Number, torque: Number, soft: Number) -> FloatArray:
+    def need(self, x: FloatArray, s: Number, torque: Number = 0.0) -> FloatArray:
         """At rest: where the cable's moment is the spring's and friction's. Moments in deg of the cable's give."""
         a, share = np.radians(x), x / self.limit
         along = self.radius * (a + self.bulge * self.limit * np.pi / 180 * share**3 / 3)
         lever = 1 + self.bulge * share**2  # along' = radius * lever
         moment = self.spring * x + self.unit_torque * torque
         moment = moment + s * self.friction * (1 + self.press * share**2)
-        return np.asarray(along + soft * self.radius * np.radians(moment) / lever)
+        return np.asarray(along + self.radius * np.radians(moment) / lever)
 
     def run(self, d: Demand) -> FloatArray:
         h, limit, w2 = STEP, self.limit, self.rate**2
@@ -58,10 +58,10 @@ class Inertial(Mechanism):
         pulls = self.unit_torque * d.torque
         wall_at, wall = (0.0, np.zeros(d.q.size)) if d.wall is None else d.wall
         way, wears = d.feel.way, d.feel.wears * self.half
-        x, v, z, slid = float(np.interp(d.q[0], self.need(self.xs, 0.0, 0.0, 1.0), self.xs)), 0.0, 0.0, 0.0
+        x, v, z, slid = float(np.interp(d.q[0], self.need(self.xs, 0.0), self.xs)), 0.0, 0.0, 0.0
         out, tiny = [], 1e-4
-        each = (drive, d.friction * self.friction, 1 / d.soft, viscous, stiff, static, extra, pulls, wall)
-        for u, f, k, c, b, st, more, pull, block in zip(*(a.tolist() for a in each), strict=True):
+        each = (drive, d.friction * self.friction, viscous, stiff, static, extra, pulls, wall)
+        for u, f, c, b, st, more, pull, block in zip(*(a.tolist() for a in each), strict=True):
             share2 = (x / limit) ** 2
             lever = 1 + self.bulge * share2
             g = f * (1 + self.press * share2)
@@ -75,8 +75,8 @@ class Inertial(Mechanism):
             # What is left of the balance is monotone in v and bends one way on the root's side of 0: Newton from there
             beyond = x - wall_at
             kw = block if block and beyond * wall_at > 0 else 0.0
-            grip = k * lever * lever + self.spring + kw
-            free = k * lever * (u - x - e3 * x * x * x) - self.spring * x - kw * beyond - pull
+            grip = lever * lever + self.spring + kw
+            free = lever * (u - x - e3 * x * x * x) - self.spring * x - kw * beyond - pull
             rest, mass = v + hw2 * free, 1 + h * c + h * hw2 * grip
             most, rate = g / b, h * b / g
             side = 1.0 if rest > hw2 * b * z else -1.0

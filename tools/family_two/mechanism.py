@@ -1,8 +1,8 @@
 """Mechanisms with one place x that friction holds. Each says which motor position holds it there: `need`.
 
-`need(x, s, torque, soft)` is the motor's place at which the body at x is about to move up (s = 1) or down (s = -1);
-in between it sticks. `torque` pulls the body back, in units that cost the motor one healthy width when the transmission
-is as stiff as drawn; `soft` scales the transmission's compliance. Friction that is not the drawn one comes as |s| != 1.
+`need(x, s, torque)` is the motor's place at which the body at x is about to move up (s = 1) or down (s = -1); in
+between it sticks. Friction that is not the healthy one comes as |s| != 1. `torque` pulls the body back, in units that
+cost the motor one healthy width.
 """
 
 from dataclasses import dataclass, field
@@ -26,7 +26,6 @@ class Demand:
 
     q: FloatArray
     friction: FloatArray
-    soft: FloatArray
     torque: FloatArray
     spread: FloatArray  # of the contacts' thresholds, 0 to 1; nan: as healthy
     feel: Feel = field(default_factory=Feel)
@@ -36,13 +35,13 @@ class Demand:
     @classmethod
     def healthy(cls, q: FloatArray) -> "Demand":
         one = np.ones(q.size)
-        return cls(q.copy(), one, one.copy(), np.zeros(q.size), np.full(q.size, np.nan))
+        return cls(q.copy(), one, np.zeros(q.size), np.full(q.size, np.nan))
 
 
 class Mechanism:
     unit: ClassVar[str]
     arm: ClassVar[bool] = True  # a stiff arm on a pivot; else a section that bends
-    natively: ClassVar[bool] = False  # has mass: some causes of the massless ones make no sense
+    massive: ClassVar[bool] = False  # has mass: some causes of the massless ones make no sense
     reach: float
     limit: float  # of x
     friction: float
@@ -54,7 +53,7 @@ class Mechanism:
     def __init__(self, rng: np.random.Generator) -> None:
         raise NotImplementedError
 
-    def need(self, x: FloatArray, s: Number, torque: Number, soft: Number) -> FloatArray:
+    def need(self, x: FloatArray, s: Number, torque: Number = 0.0) -> FloatArray:
         raise NotImplementedError
 
     def tip(self, x: FloatArray) -> FloatArray:
@@ -71,7 +70,7 @@ class Mechanism:
 
         def miss(friction: float) -> float:
             self.friction = friction
-            wide = self.need(middle, 1.0, 0.0, 1.0) - self.need(middle, -1.0, 0.0, 1.0)
+            wide = self.need(middle, 1.0) - self.need(middle, -1.0)
             return float(wide[0]) * self.slope() - width_deg
 
         high = 1e-4
@@ -81,26 +80,26 @@ class Mechanism:
         self.unit_torque = 1.0
         self.width = width_deg / self.slope()
         x = np.array([-0.02, 0.02]) * self.limit
-        rate = float(np.diff(self.need(x, 0.0, 0.0, 1.0))[0] / np.diff(x)[0])
+        rate = float(np.diff(self.need(x, 0.0))[0] / np.diff(x)[0])
         self.half = 0.5 * self.width / rate
         e = 1e-3
-        by_one = float((self.need(middle, 0.0, e, 1.0) - self.need(middle, 0.0, -e, 1.0))[0]) / (2 * e)
+        by_one = float((self.need(middle, 0.0, e) - self.need(middle, 0.0, -e))[0]) / (2 * e)
         self.unit_torque = self.width / by_one
         ends = np.array([-self.limit, self.limit])
-        self.reach = float(min(self.need(ends[1:], 1.0, 0.0, 1.0)[0], -self.need(ends[:1], -1.0, 0.0, 1.0)[0]))
+        self.reach = float(min(self.need(ends[1:], 1.0)[0], -self.need(ends[:1], -1.0)[0]))
         self.xs = np.linspace(-1.35, 1.35, GRID) * self.limit
 
     def slope(self) -> float:
         """deg of the tip for a unit of the motor, in the middle."""
         x = np.array([-0.02, 0.02]) * self.limit
-        q, c = self.need(x, 0.0, 0.0, 1.0), self.tip(x)
+        q, c = self.need(x, 0.0), self.tip(x)
         return float((c[1] - c[0]) / (q[1] - q[0]))
 
     def edge(self, d: Demand, s: FloatArray) -> FloatArray:
         """Where need(x, s) is the motor's place: Newton from a table, each instant with its own demand."""
         sign = 1.0 if s[0] > 0 else -1.0
-        x = np.interp(d.q, self.need(self.xs, sign, 0.0, 1.0), self.xs)
-        if d.wall is None and np.all(s == sign) and np.all(d.torque == 0) and np.all(d.soft == 1):
+        x = np.interp(d.q, self.need(self.xs, sign), self.xs)
+        if d.wall is None and np.all(s == sign) and np.all(d.torque == 0):
             return x
         h = 1e-4 * self.limit
         low, high = float(self.xs[0]), float(self.xs[-1])
@@ -119,7 +118,7 @@ class Mechanism:
             place, stiff = d.wall
             beyond = np.maximum(x - place, 0.0) if place > 0 else np.minimum(x - place, 0.0)
             torque = torque + stiff * beyond / (self.slope() * self.width)
-        return self.need(x, s, torque, d.soft)
+        return self.need(x, s, torque)
 
     def run(self, d: Demand) -> FloatArray:
         """Angle of the tip at each instant, deg."""

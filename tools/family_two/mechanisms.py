@@ -28,11 +28,11 @@ class Tubes(Mechanism):
         self.uneven = float(rng.uniform(-0.2, 0.2))
         self.finish(ranges.TUBE_WIDTH.draw(rng))
 
-    def need(self, x: FloatArray, s: Number, torque: Number, soft: Number) -> FloatArray:
+    def need(self, x: FloatArray, s: Number, torque: Number = 0.0) -> FloatArray:
         a = np.radians(x)
         rub = self.friction * (1 + self.press * np.sin(a) ** 2 + self.uneven * np.sin(a))
         pull = self.twist * (np.degrees(np.sin(2 * a)) / 2) + self.unit_torque * torque
-        return np.asarray(x + soft * (pull + s * rub))
+        return np.asarray(x + (pull + s * rub))
 
     def tip(self, x: FloatArray) -> FloatArray:
         return np.asarray(self.bend * np.sin(np.radians(x)))
@@ -80,12 +80,12 @@ class Harmonic(Mechanism):
         self.arm_c = elastica(self.arm_x + self.tilt, self.weight) - self.tilt
         self.arm_c -= np.interp(0.0, self.arm_x, self.arm_c)
 
-    def need(self, x: FloatArray, s: Number, torque: Number, soft: Number) -> FloatArray:
+    def need(self, x: FloatArray, s: Number, torque: Number = 0.0) -> FloatArray:
         load = np.sin(np.radians(x + self.tilt)) - np.sin(np.radians(self.tilt))
         whole = self.wind * load + self.unit_torque * torque
         stiffer = 1 / (1 + self.hard * np.tanh(whole / self.wind) ** 2)
         rub = self.friction * (1 + self.press * np.sin(np.radians(x + self.tilt)) ** 2)
-        return np.asarray(self.ratio * (x + soft * (whole * stiffer + s * rub)))
+        return np.asarray(self.ratio * (x + (whole * stiffer + s * rub)))
 
     def tip(self, x: FloatArray) -> FloatArray:
         return np.interp(x, self.arm_x, self.arm_c) if hasattr(self, "arm_c") else x
@@ -142,18 +142,18 @@ class Catenary(Mechanism):
     def lost(self) -> float:
         """Healthy width in the middle, deg."""
         middle = np.zeros(1)
-        wide = self.need(middle, 1.0, 0.0, 1.0) - self.need(middle, -1.0, 0.0, 1.0)
+        wide = self.need(middle, 1.0) - self.need(middle, -1.0)
         return float(np.degrees(wide[0] / self.radius))
 
     def arc(self, pull: FloatArray) -> FloatArray:
         u = self.heavy * self.span / (2 * pull)
         return np.asarray(self.span * (np.sinh(u) / u - 1))
 
-    def need(self, x: FloatArray, s: Number, torque: Number, soft: Number) -> FloatArray:
+    def need(self, x: FloatArray, s: Number, torque: Number = 0.0) -> FloatArray:
         moment = self.least * self.radius + self.spring * x + self.unit_torque * torque
         pull = np.maximum((moment + s * self.friction) / (self.radius - s * self.journal), 0.3 * self.least)
         middle = np.array([self.least])
-        stretch = soft * self.give * (pull - self.least) + self.arc(middle) - self.arc(pull)
+        stretch = self.give * (pull - self.least) + self.arc(middle) - self.arc(pull)
         return np.asarray(self.radius * np.radians(x) + stretch)
 
     def contacts(self, spread: float) -> list[tuple[float, float]]:
@@ -182,12 +182,12 @@ class Screw(Mechanism):
         self.gap = self.nut * width / self.slope() / 2
         self.finish(width)
 
-    def need(self, x: FloatArray, s: Number, torque: Number, soft: Number) -> FloatArray:
+    def need(self, x: FloatArray, s: Number, torque: Number = 0.0) -> FloatArray:
         a, share = np.radians(x), x / self.limit
         slide = self.crank * np.sin(a) + self.rod * (1 - np.sqrt(1 - (self.crank * (1 - np.cos(a)) / self.rod) ** 2))
         guide = self.friction * (1 + self.bent * share**2 + self.pressed * share)
         back = self.friction * self.spring * share / np.cos(a) + self.unit_torque * torque / np.cos(a)
-        wire = soft * (self.free + slide) / self.free
+        wire = (self.free + slide) / self.free
         flank = np.tanh(20 * (s * guide + back) / self.friction) if self.friction > 0 else 0.0
         return np.asarray(360 / self.lead * (slide + wire * (s * guide + back)) + self.gap * flank)
 
@@ -216,15 +216,15 @@ class Twisted(Mechanism):
         self.spring = float(rng.uniform(0.1, 0.4))
         self.finish(ranges.STRING_WIDTH.draw(rng))
 
-    def turned(self, x: FloatArray, s: Number, torque: Number, soft: Number) -> FloatArray:
+    def turned(self, x: FloatArray, s: Number, torque: Number = 0.0) -> FloatArray:
         left = self.string - self.middle - self.lever * np.sin(np.radians(x))
         helix = np.sqrt(np.maximum((self.string / left) ** 2 - 1, 0.0))
         force = self.pull * (1 + self.spring * x / self.limit) + self.unit_torque * torque
-        long = self.string + soft * self.give * force * (1 + s * self.friction * helix)
+        long = self.string + self.give * force * (1 + s * self.friction * helix)
         return np.asarray(np.degrees(np.sqrt(long**2 - left**2) / self.thick))
 
-    def need(self, x: FloatArray, s: Number, torque: Number, soft: Number) -> FloatArray:
-        return self.turned(x, s, torque, soft) - float(self.turned(np.zeros(1), 0.0, 0.0, 1.0)[0])
+    def need(self, x: FloatArray, s: Number, torque: Number = 0.0) -> FloatArray:
+        return self.turned(x, s, torque) - float(self.turned(np.zeros(1), 0.0)[0])
 
     def contacts(self, spread: float) -> list[tuple[float, float]]:
         """Yarns of the strings slip in turn."""

@@ -43,7 +43,7 @@ class Nominal:
         """Healthy numbers where one is as good as known, zeros elsewhere."""
         m, out = self.plant.mechanism, np.zeros(self.count)
         xs = np.linspace(-1, 1, 41) * m.limit
-        up, down = m.need(xs, 1.0, 0.0, 1.0), m.need(xs, -1.0, 0.0, 1.0)
+        up, down = m.need(xs, 1.0), m.need(xs, -1.0)
         mean = 0.5 * (up + down) / self.line.reach
         inside = np.abs(mean) <= 1.05
         width = chebyshev.chebfit(mean[inside], ((up - down) / self.line.reach)[inside], WIDTH_DEGREE)

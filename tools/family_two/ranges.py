@@ -72,20 +72,20 @@ __all__ = [
     "Range",
 ]
 
-DUPONT = "Dupont et al. 2010 and Ha, Park, Dupont 2016 (T-RO), concentric tubes: torsional friction lags of 5 to 20 deg"
+DUPONT = "Lock and Dupont 2011 (ICRA); Ha, Fagogenis, Dupont 2018 (T-RO), friction of concentric tubes; degrees of lag"
 TAGHIRAD = "Taghirad and Belanger 1998; Tjahjowidodo et al. 2013, hysteresis of harmonic drives, 0.02 to 0.5 deg"
 IRVINE = "Irvine 1981, Cable Structures; Riehl et al. 2009, sag of cables of large cable robots"
 WUERTZ = "Wuertz et al. 2010; Palli et al. 2013 (T-Mech), twisted strings: hysteresis of 2 to 10 % of the stroke"
 THREAD = "Data sheets of rolled lead screws: axial play 0.05 to 0.2 mm; push-pull controls: lost motion 2 to 6 %"
 LUGRE_ARM = "Canudas de Wit et al. 1995, LuGre; cable-driven arms lose 1 to 6 deg (Hwang et al. 2020)"
-ONE_EURO = "Casiez, Roussel, Vogel 2012, 1 euro filter: minimum cut-off 0.5 to 5 Hz, beta by trial"
+ONE_EURO = "Casiez, Roussel, Vogel 2012 (CHI), 1 euro filter: low cut-off when slow, higher when fast"
 LOCKING = "Raffel et al., Particle Image Velocimetry: peak locking of sub-pixel estimates, 0.05 to 0.3 px"
 FLANGE = "Cable against a pulley's flange: working radius larger by a part of the cable's diameter, 1 to 15 %"
 TREMOR = "Elble and Koller 1990: physiological tremor at 8 to 12 Hz; sway of a held camera below 1 Hz"
 STAND = "Camera stands and arms ring at 2 to 9 Hz, damping ratio 0.02 to 0.08"
 EXPOSURE = "UVC cameras: exposure 1 to 33 ms by automatic control, so the middle of it moves by up to 16 ms"
 INTERLACED = "ITU-R BT.601: fields 20 or 16.7 ms apart"
-IDLE = "Stepper drivers (Trinamic, Allegro notes): hold current lowered after 0.3 to 2 s; sag up to a full step"
+IDLE = "Stepper drivers: hold current 0.1 s (Zaber T series) to 5 s (RMS R101) after a move; sag up to a full step"
 UNTWIST = "Feyrer 2015, Wire Ropes: torque of a laid rope turns its free end, degrees to turns by load"
 
 # The healthy mechanism

@@ -111,7 +111,7 @@ class StickSlip(Cause):
         scatter = rng.uniform(0.6, 1.4, int(line.t[-1] / 0.2) + 2)
         each = scatter[(line.t / 0.2).astype(int)]
         slower = 1 / (1 + np.abs(line.speed) / (2 * line.usual_speed))
-        if mechanism.natively:
+        if mechanism.massive:
             demand.stribeck = 1 + 2 * self.size * on * each
         else:
             demand.feel.stick = 2 * self.size * on * each * slower
