@@ -115,6 +115,11 @@ def test_the_rod_by_another_solver():
 def test_widths_by_hand():
     screw = Screw(np.random.default_rng(6))
     assert screw.width == pytest.approx(2 * screw.gap + 360 / screw.lead * 2 * screw.friction, rel=1e-6)
+    screw.spring, a = 0.0, np.radians(25.0)  # the crank's geometry: between the branches there is no force
+    high, low = (screw.need(np.array([25.0]), s)[0] for s in (1.0, -1.0))
+    pin = screw.crank * np.array([math.sin(a), 1 - math.cos(a)])  # from the middle, along and across the wire
+    slid = pin[0] + screw.rod - math.sqrt(screw.rod**2 - pin[1] ** 2)
+    assert 0.5 * (high + low) == pytest.approx(360 / screw.lead * slid, rel=1e-6)
     span = Catenary(np.random.default_rng(6))
     pulls = [
         (span.least * span.radius + s * span.friction) / (span.radius - s * span.journal) for s in (1, -1)
@@ -174,7 +179,7 @@ def test_what_acts_on_the_friction():
     run_on = walk(np.maximum.accumulate(up), up + 5, 0.0, Feel(braking=2.0 * one), step)
     assert run_on[-1] == pytest.approx(3.0 + 1 / 2 / 2.0, abs=0.01)  # v^2 / 2 a
     down = walk(-far, 3 - up, 3.0, Feel(fastest=0.5 * one), step)
-    assert down[-1] == pytest.approx(3.0 - 0.5 * 6.0, abs=0.01)
+    assert down[1500] == pytest.approx(3.0 - 0.5 * 3.0, abs=0.01)
     caught = walk(up - 1, far, -1.0, Feel(catch=0.4 * one, caught_at=0.5), step)
     assert np.max(np.diff(caught)) == pytest.approx(0.4, abs=0.005) and np.sum(caught == 0.5) > 150
 
@@ -349,7 +354,7 @@ def test_motions_turn_round_often_and_stay_inside(name):
 
 
 def test_another_joint_moves_as_long_as_the_motor():
-    for size in range(20001, 20201, 7):
+    for size in (20001, 20913, 21425, 60000):
         other = motion.other_joint(np.random.default_rng(size), size, 5.0)
         assert other.size == size and np.max(np.abs(other)) <= 5.0
 
