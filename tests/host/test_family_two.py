@@ -207,6 +207,7 @@ def test_every_cause_changes_something_only_when_it_is_there(name, watched):
     changed = np.max(np.abs(bent[1].values - plain[1].values))
     late = np.max(np.abs(bent[1].arrival - plain[1].arrival))
     assert changed > 0.2 or late > 1e-3 or np.max(np.abs(logged)) > 1e-3
+    assert np.all(np.diff(bent[1].arrival) > 0)
     assert np.all(np.isfinite(bent[1].values)) and all(v == v for v in cause.parameters(line).values())
 
 

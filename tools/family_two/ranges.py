@@ -73,7 +73,7 @@ __all__ = [
 ]
 
 DUPONT = "Lock and Dupont 2011 (ICRA); Ha, Fagogenis, Dupont 2018 (T-RO), friction of concentric tubes; degrees of lag"
-TAGHIRAD = "Taghirad and Belanger 1998; Tjahjowidodo et al. 2013, hysteresis of harmonic drives, 0.02 to 0.5 deg"
+TAGHIRAD = "Seyfferth et al. 1995; Taghirad and Belanger 1998, hysteresis of harmonic drives, 0.02 to 0.5 deg"
 IRVINE = "Irvine 1981, Cable Structures; Riehl et al. 2009, sag of cables of large cable robots"
 WUERTZ = "Wuertz et al. 2010; Palli et al. 2013 (T-Mech), twisted strings: hysteresis of 2 to 10 % of the stroke"
 THREAD = "Data sheets of rolled lead screws: axial play 0.05 to 0.2 mm; push-pull controls: lost motion 2 to 6 %"

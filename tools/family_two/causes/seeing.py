@@ -108,7 +108,8 @@ class Jitter(Cause):
         shape = 1.5
         waits = rng.gamma(shape, self.size / np.sqrt(shape), t.size) * line.at(self.on(line), t)
         # a frame is not stamped before the one ahead of it
-        stamped = np.maximum.accumulate(arrival + waits + 2e-4 * np.arange(t.size)) - 2e-4 * np.arange(t.size)
+        least = 2e-4 * np.arange(t.size)
+        stamped = np.maximum.accumulate(arrival + waits - least) + least
         return np.asarray(stamped - arrival)
 
 
