@@ -212,7 +212,7 @@ def test_every_cause_changes_something_only_when_it_is_there(name, watched):
 
 
 @pytest.mark.parametrize(
-    "name", ["transmission.slip", "transmission.creep", "registration.shift", "acquisition.delay", "unlogged_joint"]
+    "name", ["transmission.slip", "transmission.creep", "registration.shift", "acquisition.delay", "unlogged_insertion"]
 )
 def test_an_effect_has_its_strength(name):
     case = cases.draw(SEED, 9, "single" if name in LISTED else "unknown", (name,))

@@ -2,11 +2,12 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import butter, sosfiltfilt
 
 from tools.family_two import ranges
 from tools.family_two.causes.base import Cause, follow
 from tools.family_two.mechanism import Demand, Mechanism
-from tools.family_two.motion import STEP, other_joint
+from tools.family_two.motion import STEP
 from tools.family_two.timeline import Timeline
 
 FloatArray = NDArray[np.float64]
@@ -63,20 +64,9 @@ class FlangeClimb(Cause):
         demand.q *= 1 + self.size * up * self.on(line)
 
 
-class Unlogged(Cause):
-    id = "unlogged_joint"
-    says = "another joint that no column holds is moved now and then and pulls at the cable"
-    limits = ranges.UNLOGGED
-    unlisted, may_start = True, False
-
-    def act(self, demand: Demand, line: Timeline, mechanism: Mechanism) -> None:
-        moved = other_joint(self.rng, line.t.size, 1.0)
-        demand.q += self.size * line.width * moved * follow(self.on(line), STEP, 0.5)
-
-
 class IdleCurrent(Cause):
     id = "idle_current"
-    says = "a second after the motor stops its driver saves current, and the rotor sags to one side until the next step"
+    says = "soon after the motor stops its driver saves current, and the rotor sags to one side until the next step"
     limits = ranges.SAG
     unlisted = True
 
@@ -89,18 +79,18 @@ class IdleCurrent(Cause):
         demand.q += sign * self.size * line.width * follow(idle.astype(float), STEP, 0.03) * self.on(line)
 
 
-class HuntingTension(Cause):
-    id = "hunting_tension"
-    says = "a tension controller hunts: friction swells and ebbs"
-    limits = ranges.HUNT
+class WanderingLog(Cause):
+    id = "wandering_log"
+    says = "the motor's values come over a bus whose load changes: rows are older than they say, by more or less"
+    limits = ranges.STALE
     unlisted = True
 
-    def parameters(self, line: Timeline) -> dict[str, float | str]:
-        return {"rate_hz": float(self.rng.uniform(0.08, 0.35))}
-
-    def act(self, demand: Demand, line: Timeline, mechanism: Mechanism) -> None:
-        wave = np.sin(2 * np.pi * float(self.parameters(line)["rate_hz"]) * line.t + self.rng.uniform(0, 6))
-        demand.friction *= 1 + min(self.size, 0.9) * wave * self.on(line)
+    def logged(self, line: Timeline, t: FloatArray, q: FloatArray) -> FloatArray:
+        rng = self.rng
+        low = butter(1, float(rng.uniform(0.05, 0.25)), fs=1 / STEP, output="sos")
+        wave = sosfiltfilt(low, rng.normal(size=line.t.size))
+        older = self.size * (0.5 + 0.5 * np.tanh(2 * wave / wave.std())) * self.on(line)
+        return line.at(line.q, t - line.at(older, t)) - q
 
 
 class SleepyBrake(Cause):
@@ -128,5 +118,5 @@ class SleepyBrake(Cause):
 
 
 MOVING: tuple[type[Cause], ...] = (
-    Coasting, SlowReturn, Snag, FlangeClimb, Unlogged, IdleCurrent, HuntingTension, SleepyBrake,
+    Coasting, SlowReturn, Snag, FlangeClimb, IdleCurrent, WanderingLog, SleepyBrake,
 )  # fmt: skip

@@ -8,7 +8,7 @@ from tools.family_two import ranges
 from tools.family_two.camera import Scene, View
 from tools.family_two.causes.base import Cause, follow
 from tools.family_two.causes.seeing import direction
-from tools.family_two.motion import STEP
+from tools.family_two.motion import STEP, other_joint
 from tools.family_two.timeline import Part, Timeline
 
 FloatArray = NDArray[np.float64]
@@ -25,6 +25,17 @@ class Untwist(Cause):
         pull = np.abs(c) / np.max(np.abs(c))
         late = follow(pull, STEP, float(rng.uniform(2.0, 8.0))) - 0.5 * pull
         scene.rotation = scene.rotation + float(rng.choice([-1.0, 1.0])) * self.size * line.at(late * self.on(line), t)
+
+
+class Insertion(Cause):
+    id = "unlogged_insertion"
+    says = "someone moves the instrument in and out by hand now and then, and no column says so"
+    limits = ranges.INSERTION
+    unlisted, needs_camera, may_start = True, True, False
+
+    def pose(self, scene: Scene, line: Timeline, c: FloatArray, t: FloatArray) -> None:
+        moved = other_joint(self.rng, line.t.size, 1.0) * follow(self.on(line), STEP, 0.5)
+        scene.translation = scene.translation + self.size * line.at(moved, t)
 
 
 class Nudges(Cause):
@@ -135,19 +146,13 @@ class HuntingExposure(Cause):
 
 class Fields(Cause):
     id = "interlaced_fields"
-    says = "frames are single fields of an interlaced camera: every other one earlier, and a part of a line higher"
+    says = "frames are single fields of an interlaced camera: every other one a part of a line higher"
     limits = ranges.FIELDS
     unlisted = needs_camera = True
 
-    def parity(self, line: Timeline, t: FloatArray) -> FloatArray:
-        return np.where(np.arange(t.size) % 2 == 0, 1.0, -1.0) * line.at(self.on(line), t)
-
-    def early(self, line: Timeline, t: FloatArray) -> FloatArray:
-        return 0.5 * self.size * self.parity(line, t)
-
     def image(self, line: Timeline, part: Part, seen: FloatArray, view: View | None) -> FloatArray:
-        up = 10.0 * self.size * self.parity(line, part.exposed)  # half a line where fields are 20 ms apart and more
-        return np.asarray(seen + np.stack([np.zeros(up.size), np.minimum(np.abs(up), 0.25) * np.sign(up)], axis=1))
+        parity = np.where(np.arange(len(seen)) % 2 == 0, 0.5, -0.5) * line.at(self.on(line), part.exposed)
+        return np.asarray(seen + self.size * np.stack([np.zeros(parity.size), parity], axis=1))
 
 
 class OneEuro(Cause):
@@ -169,5 +174,6 @@ class OneEuro(Cause):
 
 
 WATCHING: tuple[type[Cause], ...] = (
-    Untwist, Nudges, HandHeld, Ringing, LooseMarker, TemplateDrift, PixelLocking, HuntingExposure, Fields, OneEuro,
+    Untwist, Insertion, Nudges, HandHeld, Ringing, LooseMarker, TemplateDrift, PixelLocking, HuntingExposure, Fields,
+    OneEuro,
 )  # fmt: skip
