@@ -1,0 +1,1 @@
+"""A second sealed family of simulated cases: other mechanisms, other motions, other causes; see BRIEF.md."""
