@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import log_ndtr
 
 from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.fitted import Fit
@@ -26,13 +27,13 @@ Array = npt.NDArray[np.float64]
 
 STICK_SLIP, JITTER = "transmission.stick_slip", "acquisition.jitter"
 _AS_IT_IS = "as it is"
-RIVALS = ("level", "blur", "memory", HELD, "pixels")
+RIVALS = ("level", "blur", "behind", "memory", HELD, "pixels")
 _MOVES = 0.02  # tolerance: share of the fastest drive from frame to frame: slower is at rest
 _REMEMBERED = 3  # tolerance: frames that the rival "memory" reaches back
 _BROAD = 0.03  # prior: share of frames that follow no model
 _HAPPENS_S = 0.5  # tolerance: s about a shift or slip that are left out: no model says how it moves meanwhile
 _LONGEST_S = 0.1  # prior: s: the largest standard deviation of frame times
-_EVEN = 0.5  # tolerance: share of the median frame period by which an interval may differ: else a frame was lost
+_GAP = 2.5  # tolerance: median frame periods: after a longer interval the frames before tell nothing
 _FAST, _FAST_IMAGE = 0.99, 0.9  # tolerance: quantiles of a fast drive and of a fast image
 _LEAST, _MOST = 0.01, 0.99  # prior: limits of the probability that a tip sticks
 _OUTLIERS = 0.97  # tolerance: quantile to which squared residuals are cut where a noise level is estimated
@@ -104,7 +105,7 @@ def frames(t: Array, observed: Array, predicted: Array, p: Array, block: npt.NDA
     """The frames of one recording that count. t: arrival times (n,), s; observed, predicted: (n, k); p: the play's
     centre coordinate (n,), unit of q; block: (n,) the number of the block, -1 of frames that are not scored."""
     step = np.diff(t)
-    follows = np.concatenate([[False], np.abs(step - np.median(step)) < _EVEN * np.median(step)])  # the frame before
+    follows = np.concatenate([[False], step < _GAP * np.mean(step)])  # the frame before
     counts = block >= 0
     for back in range(1, _REMEMBERED + 1):
         counts[back:] &= follows[back:] & follows[1 : len(t) - back + 1]
@@ -139,9 +140,11 @@ def compared(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
     # s in which a fast image moves as far as the noise
     finest_s = floor / max(float(np.quantile(frames.speed, _FAST_IMAGE)), 1e-9)
     seconds = np.geomspace(min(0.1 * finest_s, 0.1 * _LONGEST_S), _LONGEST_S, 41)
-    jittered, jitter_s = frames.likeliest(frames.jitter, seconds)
+    steady, waiting = frames.likeliest(frames.jitter, seconds), frames.likeliest(frames.waiting, seconds)
+    jittered, jitter_s = max(steady, waiting, key=lambda likeliest: float(np.sum(likeliest[0])))
     fast_drive = max(float(np.quantile(frames.driven, _FAST)), 1e-9)  # unit of q from frame to frame
     stuck, jump = frames.likeliest(frames.stick, np.geomspace(_JUMPS[0] * fast_drive, _JUMPS[1] * fast_drive, 61))
+    lengths = np.concatenate([way * np.geomspace(0.1 * _JUMPS[0] * fast_drive, fast_drive, 31) for way in (-1.0, 1.0)])
     repeated, held_share = frames.likeliest(frames.repeats, _HELD_SHARES)
     level = frames.two_levels(frames.residual)
     log_densities = {
@@ -150,6 +153,7 @@ def compared(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
         _AS_IT_IS: frames.two_levels(frames.as_it_is),
         "level": level,
         "blur": frames.likeliest(frames.blur, seconds)[0] if frames.coordinates > 1 else level,
+        "behind": frames.likeliest(frames.behind, lengths)[0],
         "memory": frames.two_levels(frames.residual - frames.by_memory()),
         HELD: repeated,
         "pixels": frames.two_levels(frames.residual - _pixel_phase_part(frames.residual, frames.image)),
@@ -233,6 +237,20 @@ class _Joined:
         variance = self._floor2 + (seconds * self.speed) ** 2
         return _gaussian_along(along, across2, variance, self._floor2, self.coordinates)
 
+    def waiting(self, seconds: float) -> Array:
+        """(n,) As `jitter`, of frames that wait for something: exponentially distributed, the median in the delay. Along
+        the motion they lag, a Gaussian on top of an exponential of the scale seconds speed."""
+        along, across2 = self._by_velocity
+        return _lagging(along, across2, seconds * self.speed, self._floor2, self.coordinates)
+
+    def behind(self, length: float) -> Array:
+        """(n,) Log-density of a misfit by a length, whatever the speed: exponentially distributed with the median in
+        the fit, behind the prediction while the motor drives or, with a negative one, ahead. length: of the play's
+        centre, unit of q."""
+        along, across2 = self._by_direction
+        scale = abs(length) * np.sqrt(self._per_unit2) * self._moving
+        return _lagging(np.sign(length) * along, across2, scale, self._floor2, self.coordinates)
+
     def blur(self, seconds: float) -> Array:
         """(n,) Log-density of noise whose variance is floor^2 + (seconds speed)^2, along the motion and across it."""
         squares = np.sum(self.residual**2, axis=1)
@@ -270,6 +288,19 @@ def _gaussian_along(along: Array, across2: Array, variance: Array, across_varian
     if k > 1:
         value = value - 0.5 * (np.log(across_variance) + across2 / across_variance)
     return value
+
+
+def _lagging(along: Array, across2: Array, scale: Array, variance: float, k: int) -> Array:
+    """(n,) Log-density in k coordinates, up to a constant, of a distance behind the prediction that is exponential with
+    this scale (n,) about its median, and Gaussian noise of `variance` of a coordinate. along, across2: as in
+    `_gaussian_along`."""
+    noise = np.sqrt(variance)
+    rate = noise / np.maximum(scale, _LEAST * noise)
+    lag = np.log(2.0) / rate - along / noise  # above the least one, in the noise
+    value = np.log(rate / noise) - rate * lag + 0.5 * rate**2 + log_ndtr(lag - rate) + 0.5 * np.log(2.0 * np.pi)
+    if k > 1:
+        value = value - 0.5 * (np.log(variance) + across2 / variance)
+    return np.asarray(value)
 
 
 def _along_and_across2(r: Array, direction: Array) -> tuple[Array, Array]:
