@@ -27,6 +27,16 @@ def unsteady(t, p, rng):
     return np.interp(t + rng.normal(0.0, 0.012, len(t)), t, p)
 
 
+def waiting(t, p, rng):
+    """Frames that wait for a busy bus: mostly a little, now and then long."""
+    return np.interp(t - rng.exponential(0.03, len(t)) + 0.03 * np.log(2.0), t, p)
+
+
+def lagging(t, p, rng):
+    """A tip that falls behind by lengths of its own, whatever the speed."""
+    return p - np.sign(np.gradient(p)) * (rng.exponential(0.012, len(t)) - 0.012 * np.log(2.0))
+
+
 def sticking(t, p, rng):
     held, tip = p[0], np.empty_like(p)
     for i, drive in enumerate(p):
@@ -61,7 +71,7 @@ def swinging(t, p, rng):
 @pytest.mark.parametrize(
     ("make", "name"),
     [
-        *[(unsteady, JITTER), (sticking, STICK), (repeating, HELD)],
+        *[(unsteady, JITTER), (waiting, JITTER), (sticking, STICK), (repeating, HELD), (lagging, "behind")],
         *[(wandering, "memory"), (swinging, "memory"), (blurred, "blur")],
     ],
 )
@@ -76,6 +86,23 @@ def test_their_sizes_are_found():
     assert told(np.random.default_rng(6), sticking).amount[STICK] == pytest.approx(0.12, rel=0.4)
 
 
+def test_frames_count_whose_times_scatter_by_more_than_a_period():
+    rng = np.random.default_rng(8)
+    scene = np.arange(0.0, 80.0, 1.0 / RATE_HZ)
+    late = rng.gamma(1.5, 0.04 / np.sqrt(1.5), len(scene))
+    arrival = np.maximum.accumulate(scene + late)
+    arrival += 1e-4 * np.arange(len(arrival)) / len(arrival)  # none at the same time
+    at = lambda t: 2.0 * np.sin(2 * np.pi * t / 9.0)  # noqa: E731
+    seen = at(scene)[:, None] * PX_PER_UNIT + rng.normal(0.0, FLOOR, (len(scene), 2))
+    p = at(arrival - 0.045)
+    block = (arrival // 8.0).astype(np.int64)
+    counted = frames(arrival, seen, p[:, None] * PX_PER_UNIT, p, block)
+    assert len(counted.block) > 0.5 * len(scene)
+    said = compared([counted], FLOOR, int(block[-1]) + 1)
+    assert min((JITTER, STICK, *RIVALS), key=lambda key: float(np.mean(said.loss[key]))) == JITTER
+    assert said.amount[JITTER] == pytest.approx(0.04, rel=0.3)
+
+
 def test_noise_alone_is_neither():
     said = told(np.random.default_rng(7), lambda t, p, rng: p)
     for name in (JITTER, STICK):
@@ -83,11 +110,10 @@ def test_noise_alone_is_neither():
 
 
 def test_of_frames_that_come_in_bunches_nothing_is_told():
-    t = np.repeat(np.arange(0.0, 8.0, 0.07), 2)
-    t[1::2] += 0.001
+    t = np.repeat(np.arange(0.0, 40.0, 1.0), 3) + np.tile([0.0, 0.001, 0.002], 40)
     p = np.sin(t)
     seen = p[:, None] * PX_PER_UNIT
-    block = (t // 2.0).astype(np.int64)
+    block = (t // 10.0).astype(np.int64)
     said = compared([frames(t, seen, seen, p, block)], FLOOR, int(block[-1]) + 1)
     assert said.white == 1.0
     assert not any(said.beats_noise(event) for event in (JITTER, STICK, HELD))

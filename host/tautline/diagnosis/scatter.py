@@ -2,9 +2,9 @@
 
 Each explanation is a density of a frame's observation given the frames before it, with one free number by maximum
 likelihood, so that their likelihoods compare. Jitter: frame times are unsteady, and the image scatters along its motion
-in proportion to its speed. Stick-slip: the tip stays where it was while the motor drives on, the likelier the less it
+in proportion to its speed, both ways or, of frames that wait, one way. Stick-slip: the tip stays where it was while the motor drives on, the likelier the less it
 has driven since, and else is anywhere within a jump. Rivals stand for whatever else leaves a residual: noise whose
-level is another while the motor drives ("level"), noise that grows with the speed both along the motion and across it,
+level is another while the motor drives ("level"), a misfit by lengths of any speed ("behind"), noise that grows with the speed both along the motion and across it,
 as of a marker that blurs ("blur"; of an angle that is jitter), noise that is correlated with the frames before
 ("memory"), a link that sends frames twice, and a tracker that errs with the position within a pixel ("pixels"). Every
 density is mixed with a broad one: no model is right for every frame.
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -74,7 +75,6 @@ class Frames:
     residual: Array  # (n, k) observed less predicted, px or deg
     moved: Array  # (n, k) observed, from the frame before
     velocity: Array  # (n, k) predicted, per second
-    period: Array  # (n,) s, from the frame before
     driven: Array  # (n,) by how much the play's centre moved since the frame before, unit of q
     per_unit: Array  # (n, k) predicted image motion per unit of `driven`; at rest that of the motion before
     image: Array  # (n, k) observed
@@ -120,7 +120,6 @@ def frames(t: Array, observed: Array, predicted: Array, p: Array, block: npt.NDA
         residual=residual[kept],
         moved=observed[kept] - observed[kept - 1],
         velocity=np.gradient(predicted, t, axis=0)[kept],
-        period=np.diff(t, prepend=t[0])[kept],
         driven=driven[kept],
         per_unit=per_unit[kept],
         image=observed[kept],
@@ -187,7 +186,7 @@ class _Joined:
         self._by_velocity = _along_and_across2(self.residual, self._velocity)
         self._by_direction = _along_and_across2(self.residual, self._per_unit)
         self._per_unit2 = np.sum(self._per_unit**2, axis=1)
-        self.driven, self._period = joined(lambda f: f.driven), joined(lambda f: f.period)
+        self.driven = joined(lambda f: f.driven)
         self.block = np.concatenate([part.block for part in parts])
         self._recording = np.repeat(np.arange(len(parts)), [len(part.block) for part in parts])
         self.coordinates = self.residual.shape[1]
@@ -240,16 +239,34 @@ class _Joined:
     def waiting(self, seconds: float) -> Array:
         """(n,) As `jitter`, of frames that wait for something: exponentially distributed, the median in the delay. Along
         the motion they lag, a Gaussian on top of an exponential of the scale seconds speed."""
-        along, across2 = self._by_velocity
-        return _lagging(along, across2, seconds * self.speed, self._floor2, self.coordinates)
+        along, across2 = self._by_median_wait
+        return _lagging(along, across2, seconds * self.speed, self._floor2)
 
     def behind(self, length: float) -> Array:
         """(n,) Log-density of a misfit by a length, whatever the speed: exponentially distributed with the median in
         the fit, behind the prediction while the motor drives or, with a negative one, ahead. length: of the play's
         centre, unit of q."""
-        along, across2 = self._by_direction
-        scale = abs(length) * np.sqrt(self._per_unit2) * self._moving
-        return _lagging(np.sign(length) * along, across2, scale, self._floor2, self.coordinates)
+        along, across2 = _along_and_across2(self.as_it_is, self._per_unit)
+        per_unit = np.sqrt(self._per_unit2) * self._moving
+        along = along - self._median(along, per_unit)
+        return _lagging(np.sign(length) * along, across2, abs(length) * per_unit, self._floor2)
+
+    @cached_property
+    def _by_median_wait(self) -> tuple[Array, Array]:
+        """(n,) twice: residuals along the motion, with each recording's median frame in time, and their square across."""
+        along, across2 = _along_and_across2(self.as_it_is, self._velocity)
+        return along - self._median(along, self.speed), across2
+
+    def _median(self, along: Array, scale: Array) -> Array:
+        """(n,) Each recording's median of along / scale, (n,) both, times scale: over the faster half of the frames that
+        move."""
+        part = np.zeros(len(along))
+        for number in np.unique(self._recording):
+            of = self._recording == number
+            fast = of & (scale > 0.0)
+            fast &= scale >= np.median(scale[fast]) if fast.any() else False
+            part[of] = scale[of] * (float(np.median(along[fast] / scale[fast])) if fast.any() else 0.0)
+        return part
 
     def blur(self, seconds: float) -> Array:
         """(n,) Log-density of noise whose variance is floor^2 + (seconds speed)^2, along the motion and across it."""
@@ -268,10 +285,9 @@ class _Joined:
 
     def repeats(self, share: float) -> Array:
         """(n,) Log-density of a link that shows this share of the frames a second time in place of the next one; a
-        frame has the variance of two frames' noise about the one that it repeats, and as much where it is fresh."""
-        # The fitted delay holds how late such images are in the mean: fresh ones are early by that.
-        fresh_residual = self.residual - share * self._velocity * self._period[:, None]
-        fresh = _isotropic(np.sum(fresh_residual**2, axis=1), 2.0 * self._floor2, self.coordinates)
+        frame has the variance of two frames' noise about the one that it repeats. Most are fresh, as their median."""
+        along, across2 = self._by_median_wait
+        fresh = _isotropic(along**2 + across2, self._floor2, self.coordinates)
         return np.asarray(np.logaddexp(np.log(share) + self._repeated, np.log1p(-share) + fresh))
 
 
@@ -290,17 +306,15 @@ def _gaussian_along(along: Array, across2: Array, variance: Array, across_varian
     return value
 
 
-def _lagging(along: Array, across2: Array, scale: Array, variance: float, k: int) -> Array:
-    """(n,) Log-density in k coordinates, up to a constant, of a distance behind the prediction that is exponential with
+def _lagging(along: Array, across2: Array, scale: Array, variance: float) -> Array:
+    """(n,) Log-density, up to a constant, of a distance behind the prediction that is exponential with
     this scale (n,) about its median, and Gaussian noise of `variance` of a coordinate. along, across2: as in
     `_gaussian_along`."""
     noise = np.sqrt(variance)
     rate = noise / np.maximum(scale, _LEAST * noise)
     lag = np.log(2.0) / rate - along / noise  # above the least one, in the noise
     value = np.log(rate / noise) - rate * lag + 0.5 * rate**2 + log_ndtr(lag - rate) + 0.5 * np.log(2.0 * np.pi)
-    if k > 1:
-        value = value - 0.5 * (np.log(variance) + across2 / variance)
-    return np.asarray(value)
+    return np.asarray(value - 0.5 * (np.log(variance) + across2 / variance))
 
 
 def _along_and_across2(r: Array, direction: Array) -> tuple[Array, Array]:
