@@ -2,12 +2,13 @@
 
 Each explanation is a density of a frame's observation given the frames before it, with one free number by maximum
 likelihood, so that their likelihoods compare. Jitter: frame times are unsteady, and the image scatters along its motion
-in proportion to its speed, both ways or, of frames that wait, one way. Stick-slip: the tip stays where it was while the motor drives on, the likelier the less it
-has driven since, and else is anywhere within a jump. Rivals stand for whatever else leaves a residual: noise whose
-level is another while the motor drives ("level"), a misfit by lengths of any speed ("behind"), noise that grows with the speed both along the motion and across it,
-as of a marker that blurs ("blur"; of an angle that is jitter), noise that is correlated with the frames before
-("memory"), a link that sends frames twice, and a tracker that errs with the position within a pixel ("pixels"). Every
-density is mixed with a broad one: no model is right for every frame.
+in proportion to its speed, both ways or, of frames that wait, one way. Stick-slip: the tip stays where it was while the
+motor drives on, the likelier the less it has driven since, and else is anywhere within a jump. Rivals stand for
+whatever else leaves a residual: noise whose level is another while the motor drives ("level"), lengths by which the tip
+is behind or ahead at any speed ("behind"), noise that grows with the speed both along the motion and across it, as of a
+marker that blurs ("blur"; of an angle that is jitter), noise that is correlated with the frames before ("memory"), a
+link that sends frames twice, and a tracker that errs with the position within a pixel ("pixels"). Every density is
+mixed with a broad one: no model is right for every frame.
 """
 
 from __future__ import annotations
@@ -237,8 +238,8 @@ class _Joined:
         return _gaussian_along(along, across2, variance, self._floor2, self.coordinates)
 
     def waiting(self, seconds: float) -> Array:
-        """(n,) As `jitter`, of frames that wait for something: exponentially distributed, the median in the delay. Along
-        the motion they lag, a Gaussian on top of an exponential of the scale seconds speed."""
+        """(n,) As `jitter`, of frames that wait for something: exponentially distributed, the median in the delay. They
+        lag along the motion, a Gaussian on top of an exponential of the scale seconds speed."""
         along, across2 = self._by_median_wait
         return _lagging(along, across2, seconds * self.speed, self._floor2)
 
@@ -253,13 +254,13 @@ class _Joined:
 
     @cached_property
     def _by_median_wait(self) -> tuple[Array, Array]:
-        """(n,) twice: residuals along the motion, with each recording's median frame in time, and their square across."""
+        """(n,) twice: residuals along the motion, each recording's median frame in time, and their square across."""
         along, across2 = _along_and_across2(self.as_it_is, self._velocity)
         return along - self._median(along, self.speed), across2
 
     def _median(self, along: Array, scale: Array) -> Array:
-        """(n,) Each recording's median of along / scale, (n,) both, times scale: over the faster half of the frames that
-        move."""
+        """(n,) Each recording's median of along / scale, (n,) both, times scale: over the faster half of the frames
+        that move."""
         part = np.zeros(len(along))
         for number in np.unique(self._recording):
             of = self._recording == number
