@@ -75,7 +75,7 @@ class Outlook:
             self._count[i] = weight * rows[0][i].residual.size
             for g in range(size):
                 for h in range(size):
-                    # Observations are left out of what both left of them: h's prediction less g's.
+                    # h's prediction less g's: both residuals are of the same `observed`.
                     apart = np.nan_to_num(rows[g][i].residual - rows[h][i].residual)
                     part = ahead.normal(replace(rows[g][i], residual=apart))
                     self._gradient[g][i, h] = weight * part.gradient

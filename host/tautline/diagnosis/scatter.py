@@ -35,7 +35,7 @@ _REMEMBERED = 3  # tolerance: frames that the rival "memory" reaches back
 _BROAD = 0.03  # prior: share of frames that follow no model
 _HAPPENS_S = 0.5  # tolerance: s about a shift or slip that are left out: no model says how it moves meanwhile
 _LONGEST_S = 0.1  # prior: s: the largest standard deviation of frame times
-_GAP = 2.5  # tolerance: median frame periods: after a longer interval the frames before tell nothing
+_GAP = 2.5  # tolerance: frame periods: after a longer interval the frames before tell nothing
 _FAST, _FAST_IMAGE = 0.99, 0.9  # tolerance: quantiles of a fast drive and of a fast image
 _LEAST, _MOST = 0.01, 0.99  # prior: limits of the probability that a tip sticks
 _OUTLIERS = 0.97  # tolerance: quantile to which squared residuals are cut where a noise level is estimated
@@ -105,8 +105,9 @@ def of_fit(fitter: Fitter, fit: Fit, labels: Sequence[npt.NDArray[np.int64]], te
 def frames(t: Array, observed: Array, predicted: Array, p: Array, block: npt.NDArray[np.int64]) -> Frames:
     """The frames of one recording that count. t: arrival times (n,), s; observed, predicted: (n, k); p: the play's
     centre coordinate (n,), unit of q; block: (n,) the number of the block, -1 of frames that are not scored."""
-    step = np.diff(t)
-    follows = np.concatenate([[False], step < _GAP * np.mean(step)])  # the frame before
+    n = min(_REMEMBERED, len(t) - 1)
+    period = float(np.median(t[n:] - t[:-n])) / n if n else 0.0  # whose own times may scatter by more
+    follows = np.concatenate([[False], np.diff(t) < _GAP * period])  # the frame before
     counts = block >= 0
     for back in range(1, _REMEMBERED + 1):
         counts[back:] &= follows[back:] & follows[1 : len(t) - back + 1]
