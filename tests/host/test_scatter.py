@@ -11,16 +11,17 @@ HELD = "acquisition.held_samples"
 PX_PER_UNIT = np.array([40.0, 15.0])
 
 
-def told(rng: np.random.Generator, make) -> Scatter:
+def told(rng: np.random.Generator, make, per_unit: np.ndarray = PX_PER_UNIT) -> Scatter:
     """Of 80 s of strokes with rests at two speeds; make(t, p, rng) gives where the tip is seen, in
     units of p or (n, 2) px."""
     t = np.arange(0.0, 80.0, 1.0 / RATE_HZ)
     speed = np.where(t < 40.0, 0.4, 1.1)
     p = np.cumsum(speed * (np.sin(2 * np.pi * t / 9.0) > -0.2) * np.sign(np.sin(2 * np.pi * t / 18.0))) / RATE_HZ
     seen = make(t, p, rng)
-    seen = (seen if seen.ndim > 1 else seen[:, None] * PX_PER_UNIT) + rng.normal(0.0, FLOOR, (len(t), 2))
+    seen = seen if seen.ndim > 1 else seen[:, None] * per_unit
+    seen = seen + rng.normal(0.0, FLOOR, seen.shape)
     block = (t // 8.0).astype(np.int64)
-    return compared([frames(t, seen, p[:, None] * PX_PER_UNIT, p, block)], FLOOR, int(block[-1]) + 1)
+    return compared([frames(t, seen, p[:, None] * per_unit, p, block)], FLOOR, int(block[-1]) + 1)
 
 
 def unsteady(t, p, rng):
@@ -77,6 +78,15 @@ def swinging(t, p, rng):
 )
 def test_each_says_its_own_best(make, name):
     said = told(np.random.default_rng(5), make)
+    mean = {key: float(np.mean(said.loss[key])) for key in (JITTER, STICK, *RIVALS)}
+    assert min(mean, key=lambda key: mean[key]) == name, mean
+
+
+@pytest.mark.parametrize(
+    ("make", "name"), [(waiting, JITTER), (sticking, STICK), (lagging, "behind"), (swinging, "memory")]
+)
+def test_an_angle_alone_says_the_same(make, name):
+    said = told(np.random.default_rng(9), make, PX_PER_UNIT[:1])
     mean = {key: float(np.mean(said.loss[key])) for key in (JITTER, STICK, *RIVALS)}
     assert min(mean, key=lambda key: mean[key]) == name, mean
 

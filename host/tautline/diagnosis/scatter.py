@@ -242,7 +242,7 @@ class _Joined:
         """(n,) As `jitter`, of frames that wait for something: exponentially distributed, the median in the delay. They
         lag along the motion, a Gaussian on top of an exponential of the scale seconds speed."""
         along, across2 = self._by_median_wait
-        return _lagging(along, across2, seconds * self.speed, self._floor2)
+        return _lagging(along, across2, seconds * self.speed, self._floor2, self.coordinates)
 
     def behind(self, length: float) -> Array:
         """(n,) Log-density of a misfit by a length, whatever the speed: exponentially distributed with the median in
@@ -251,7 +251,7 @@ class _Joined:
         along, across2 = _along_and_across2(self.as_it_is, self._per_unit)
         per_unit = np.sqrt(self._per_unit2) * self._moving
         along = along - self._median(along, per_unit)
-        return _lagging(np.sign(length) * along, across2, abs(length) * per_unit, self._floor2)
+        return _lagging(np.sign(length) * along, across2, abs(length) * per_unit, self._floor2, self.coordinates)
 
     @cached_property
     def _by_median_wait(self) -> tuple[Array, Array]:
@@ -308,15 +308,17 @@ def _gaussian_along(along: Array, across2: Array, variance: Array, across_varian
     return value
 
 
-def _lagging(along: Array, across2: Array, scale: Array, variance: float) -> Array:
-    """(n,) Log-density, up to a constant, of a distance behind the prediction that is exponential with
+def _lagging(along: Array, across2: Array, scale: Array, variance: float, k: int) -> Array:
+    """(n,) Log-density in k coordinates, up to a constant, of a distance behind the prediction that is exponential with
     this scale (n,) about its median, and Gaussian noise of `variance` of a coordinate. along, across2: as in
     `_gaussian_along`."""
     noise = np.sqrt(variance)
     rate = noise / np.maximum(scale, _LEAST * noise)
     lag = np.log(2.0) / rate - along / noise  # above the least one, in the noise
     value = np.log(rate / noise) - rate * lag + 0.5 * rate**2 + log_ndtr(lag - rate) + 0.5 * np.log(2.0 * np.pi)
-    return np.asarray(value - 0.5 * (np.log(variance) + across2 / variance))
+    if k > 1:
+        value = value - 0.5 * (np.log(variance) + across2 / variance)
+    return np.asarray(value)
 
 
 def _along_and_across2(r: Array, direction: Array) -> tuple[Array, Array]:
