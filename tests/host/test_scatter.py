@@ -35,7 +35,7 @@ def waiting(t, p, rng):
 
 def lagging(t, p, rng):
     """A tip that falls behind by lengths of its own, whatever the speed."""
-    return p - np.sign(np.gradient(p)) * (rng.exponential(0.012, len(t)) - 0.012 * np.log(2.0))
+    return p - np.sign(np.diff(p, prepend=p[0])) * (rng.exponential(0.012, len(t)) - 0.012 * np.log(2.0))
 
 
 def sticking(t, p, rng):

@@ -322,8 +322,10 @@ def _lagging(along: Array, across2: Array, scale: Array, variance: float, k: int
 
 
 def _along_and_across2(r: Array, direction: Array) -> tuple[Array, Array]:
-    """(The component (n,) of r (n, k) along a direction (n, k) of any length, the square (n,) of what is across it)."""
-    unit = direction / np.maximum(np.linalg.norm(direction, axis=1), 1e-9)[:, None]
+    """(The component (n,) of r (n, k) along a direction (n, k) of any length, the square (n,) of what is across it). At
+    rest any direction is along: nothing of r is lost."""
+    length = np.linalg.norm(direction, axis=1)[:, None]
+    unit = np.where(length > 1e-9, direction / np.maximum(length, 1e-9), np.eye(1, r.shape[1]))
     along = np.sum(r * unit, axis=1)
     return along, np.maximum(np.sum(r**2, axis=1) - along**2, 0.0)
 
