@@ -10,6 +10,7 @@ EFFECTS = (
             Parameter("swing_carried", "", 0.5, (0.5,), low=0.0, high=2.0),
         ),
         says="the tip swings after it is moved",
+        material=True,  # stiffness and damping of a tip go with its posture
         tell="After fast moves the tip rings with a period of its own.",
         mend="Accelerate more gently, or wait until it has died away.",
     ),
