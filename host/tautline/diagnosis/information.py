@@ -1,10 +1,11 @@
 """How much recordings that are not made yet are expected to tell about which hypothesis is right, in nats.
 
 Where hypothesis h is right, g is fitted anew to what h predicts (one linear step from all recordings so far, g's own
-parameters and the nominal's) and leaves a power above the noise. That costs g as many nats as a verdict would take for
-it (likelihoods.py): half of a block's independent observations, times log(power / noise), for each block. An unknown
-cause leaves of the gap as much as the best imitation of it does. The expected information is the mutual information
-between hypothesis and recording, -sum_h p_h log sum_g p_g exp(-D_hg) (Kolchinsky and Tracey 2017).
+parameters and the nominal's) and leaves a power above the noise. That costs g as many nats as a verdict would take
+for it (likelihoods.py): half of a block's independent observations, times the logarithm of the power over what h
+itself leaves, noise and a share of the gap, for each block. An unknown cause leaves what the best imitation of it
+does. The expected information is the mutual information between hypothesis and recording, -sum_h p_h log sum_g p_g
+exp(-D_hg) (Kolchinsky and Tracey 2017).
 """
 
 from __future__ import annotations
@@ -117,7 +118,8 @@ class Outlook:
         # An unknown cause looks like what is likeliest, and the others leave of it what they leave of that.
         likeliest = int(np.argmax(self.rivals.probability[:known]))
         power[known, :known] = left[likeliest] + hyper.unexplained_by_wrong * gap[likeliest]
-        tells = np.append(tells, tells[likeliest])
-        against = 0.5 * tells[:, None] * (seconds / BLOCK_S) * np.log1p(power / self._noise2)
+        tells, gap = np.append(tells, tells[likeliest]), np.append(gap, gap[likeliest])
+        own = self._noise2 + hyper.unexplained * gap  # what the right one leaves: no model is exact
+        against = 0.5 * tells[:, None] * (seconds / BLOCK_S) * np.log1p(power / own[:, None])
         p = self.rivals.probability
         return -float(p @ np.log(np.exp(-against) @ p))
