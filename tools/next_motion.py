@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from rich.progress import Progress
 
 from tautline import trajectory
 from tautline.calibration.calibrate import calibrate
-from tautline.diagnosis.diagnose import Diagnosis, diagnose
+from tautline.diagnosis.diagnose import diagnose
 from tautline.folders import write_file
 from tautline.live.asking import SURE, Leading
 from tautline.recording import Recording
@@ -40,7 +40,7 @@ WAYS = ("next motion", "fixed strokes")
 _SHARES = {"single": 0.7, "unknown": 0.15, "none": 0.15}
 _WEAK = 8.0  # times the noise: what a recalibration leaves, at most
 _DRAWS = 16  # tries for an effect as weak
-_PAUSE_S = 5.0  # between recordings
+PAUSE_S = 5.0  # between recordings
 _NO_COLUMN = tuple(name for name in KNOWN if name not in ("transmission.load_dependence", "registration.shift"))
 
 
@@ -62,12 +62,11 @@ class World:
 
 
 def world_of(seed: int) -> World:
-    """The world of a seed: the weakest kind of each effect that can be seen, in up to _DRAWS draws."""
+    """The world of a seed: the first cause that is seen and as weak, else the last of _DRAWS draws."""
     rng = np.random.default_rng([seed, 0x5E0])
     kind = str(rng.choice(list(_SHARES), p=list(_SHARES.values())))
     plant = plant_of(rng)
-    course = course_of(rng, plant)
-    course = Course(plant, course.motions, course.starts_s, course.seeds, [None] * 4, course.one_clock)
+    course = replace(course_of(rng, plant), loads=[None] * 4)
     if kind == "none":
         return World(course, Truth(), False, frozenset(["none"]))
     known = kind == "single"
@@ -88,11 +87,6 @@ def strokes(plant: Plant) -> Trajectory:
     return trajectory.trapezoids(actuator, speed, 0.35 * actuator.span, 5, 10 * speed, 1.0)
 
 
-def answer(diagnosis: Diagnosis) -> tuple[Leading, list[str]]:
-    """(What is likeliest of all, ids that are named)."""
-    return Leading.of(diagnosis.document), [finding.id for finding in diagnosis.findings]
-
-
 def run(seed: int) -> dict[str, Any]:
     """The case of a seed, as it is stored: after the first recording, and by either way where that left it open."""
     world = world_of(seed)
@@ -100,25 +94,24 @@ def run(seed: int) -> dict[str, Any]:
     seeds = np.random.default_rng([seed, 0x5E1]).integers(1 << 30, size=MOST + 1).tolist()
     calibration = world.motion(0, world.course.motions[0], 0.0, seeds[0])
     model = calibrate([calibration], plant.rig).model
-    second_s = world.course.motions[0].duration_s + _PAUSE_S
+    second_s = world.course.motions[0].duration_s + PAUSE_S
     first = world.motion(1, fixed, second_s, seeds[1])
     opened = diagnose(model, calibration, [first])
-    leading, _ = answer(opened)
+    leading = Leading.of(opened.document)
     case: dict[str, Any] = {"seed": seed, "right": sorted(world.right), "first": [leading.name, leading.probability]}
     if leading.probability >= SURE:
         return case
     for way in WAYS:
-        tests, diagnosis, starts = [first], opened, second_s + fixed.duration_s + _PAUSE_S
+        tests, diagnosis, starts = [first], opened, second_s + fixed.duration_s + PAUSE_S
         said = [[leading.name, leading.probability]]
         while said[-1][1] < SURE and len(tests) < MOST:
             following = diagnosis.next_motion
             motion = following.motion if following and way == WAYS[0] else fixed
             tests.append(world.motion(len(tests) + 1, motion, starts, seeds[len(tests) + 1]))
-            starts += motion.duration_s + _PAUSE_S
+            starts += motion.duration_s + PAUSE_S
             diagnosis = diagnose(model, calibration, tests)
-            latest, named = answer(diagnosis)
+            latest = Leading.of(diagnosis.document)
             said.append([latest.name, latest.probability])
-            case[f"{way}, named"] = named
         case[way] = said
         case[f"{way}, s"] = starts - second_s
     return case

@@ -30,7 +30,8 @@ from tautline.prediction import foretold
 from tautline.recording import Recording
 from tools.blindtest.cases import Course, course_of, plant_of
 from tools.blindtest.draws import UNKNOWN
-from tools.blindtest.reality import Truth, record
+from tools.blindtest.reality import Truth
+from tools.next_motion import PAUSE_S, World
 
 FIRST_SEED = 9_000_000  # scored; below it is tuned
 TIMES = (1.2, 1.5)  # the noise: what the calibrated model leaves of its own calibration
@@ -38,7 +39,6 @@ DOUBTFUL = 1.3  # from which the calibration has to say so itself
 ALIKE = 0.15  # by which tests may be worse or better than the calibration
 _STEPS = 4  # of the amplitude, by its square
 _DRAWS = 6  # causes that are tried
-_PAUSE_S = 5.0
 
 
 def amplified(name: str, values: Mapping[str, float], factor: float) -> Truth:
@@ -50,10 +50,8 @@ def amplified(name: str, values: Mapping[str, float], factor: float) -> Truth:
 def recorded(course: Course, truth: Truth, which: int) -> Recording:
     """The calibration (0) or a test (1, 2): the calibration's motion, later in the session and with other noise."""
     motion = course.motions[0]
-    starts = which * (motion.duration_s + _PAUSE_S)
-    name = f"test-{which}" if which else "calibration"
-    own = starts if course.one_clock else 0.0
-    return record(course.plant, truth, motion, starts, course.seeds[which], name, None, own)
+    starts_s = which * (motion.duration_s + PAUSE_S)
+    return World(course, truth, True, frozenset()).motion(which, motion, starts_s, course.seeds[which])
 
 
 def misfit(course: Course, truth: Truth) -> tuple[float, Calibration]:

@@ -63,7 +63,7 @@ def at_one_speed():
 def test_what_a_refit_leaves_is_what_is_foretold(at_one_speed):
     fitter, base, lag, delay = at_one_speed
     following = replace(segment(2, strokes(1.8), LAG), number=1, offset_s=200.0)
-    outlook = Outlook(fitter, Rivals.of([base, lag, delay], [0.1, 0.5, 0.3, 0.1]), [following], [1.0])
+    outlook = Outlook(fitter, Rivals.of([base, lag, delay], [0.1, 0.5, 0.3, 0.1]), [following], 1.0)
     foretold = outlook.power_left([0])
     assert np.diag(foretold) == pytest.approx(0.0, abs=1e-12)
     # The truth, without noise, and each rival fitted anew to everything.
@@ -96,7 +96,7 @@ def test_what_one_speed_leaves_open_is_asked_at_another_speed():
     by_speed = fitted(fitter, "transmission.rate_dependent_backlash", wider)
     rivals = Rivals.of([base, by_speed, fitted(fitter, "transmission.backlash", {})], [0.0, 0.5, 0.5, 0.0])
     again = fitter.segments[1]
-    repeated = Outlook(fitter, rivals, [again], [1.0]).expected([0], float(again.motor.t_s[-1]))
+    repeated = Outlook(fitter, rivals, [again], 1.0).expected([0], float(again.motor.t_s[-1]))
     asked = motion.best(fitter, rivals)
     assert asked.entropy - asked.information < 0.3 * (asked.entropy - repeated)
     speeds = np.abs(np.diff(asked.motion.q)) * trajectory.RATE_HZ

@@ -57,8 +57,8 @@ class Outlook:
     """What each of some recordings to be made would add to the least squares of every rival's refit to every other's
     prediction. The sums of several recordings are those of each, so that any choice of them costs no simulation."""
 
-    def __init__(self, fitter: Fitter, rivals: Rivals, planned: Sequence[Segment], weights: Sequence[float]) -> None:
-        """fitter: of the recordings so far. planned: whose `observed` does not count, only times and motors. weights:
+    def __init__(self, fitter: Fitter, rivals: Rivals, planned: Sequence[Segment], weight: float) -> None:
+        """fitter: of the recordings so far. planned: whose `observed` does not count, only times and motors. weight:
         how many of the sensor's observations one of `planned` stands for."""
         self.rivals = rivals
         fits, ahead = rivals.fits, fitter.on(planned)
@@ -72,7 +72,7 @@ class Outlook:
         self._gradient = [np.zeros((len(planned), size, len(matrix))) for matrix in known]
         self._squares = np.zeros((len(planned), size, size))
         self._count = np.zeros(len(planned))
-        for i, weight in enumerate(weights):
+        for i in range(len(planned)):
             self._count[i] = weight * rows[0][i].residual.size
             for g in range(size):
                 for h in range(size):

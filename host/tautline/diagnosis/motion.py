@@ -100,7 +100,7 @@ def _planned(fitter: Fitter, rivals: Rivals, sway: bool) -> NextMotion:
     phases, width = _phases(fitter), float(fitter.model.width.max())
     segments = [_segment(fitter, phase, width, sway) for phase in phases]
     weight = _PERIOD_S * (len(last.arrival_s) - 1) / float(np.ptp(last.arrival_s))
-    outlook = Outlook(fitter, rivals, segments, [weight] * len(phases))
+    outlook = Outlook(fitter, rivals, segments, weight)
     chosen: list[int] = []
     told, seconds = 0.0, 0.0
     parts: list[Trajectory] = []

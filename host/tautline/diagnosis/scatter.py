@@ -248,9 +248,7 @@ class _Joined:
         """(n,) Log-density of a misfit by a length, whatever the speed: exponentially distributed with the median in
         the fit, behind the prediction while the motor drives or, with a negative one, ahead. length: of the play's
         centre, unit of q."""
-        along, across2 = _along_and_across2(self.as_it_is, self._per_unit)
-        per_unit = np.sqrt(self._per_unit2) * self._moving
-        along = along - self._median(along, per_unit)
+        along, across2, per_unit = self._by_median_length
         return _lagging(np.sign(length) * along, across2, abs(length) * per_unit, self._floor2, self.coordinates)
 
     @cached_property
@@ -258,6 +256,14 @@ class _Joined:
         """(n,) twice: residuals along the motion, each recording's median frame in time, and their square across."""
         along, across2 = _along_and_across2(self.as_it_is, self._velocity)
         return along - self._median(along, self.speed), across2
+
+    @cached_property
+    def _by_median_length(self) -> tuple[Array, Array, Array]:
+        """(n,) three times: residuals along the play's motion, each recording's median frame where the tip is, their
+        square across, and the image's motion per unit of the play's centre, 0 at rest."""
+        along, across2 = _along_and_across2(self.as_it_is, self._per_unit)
+        per_unit = np.sqrt(self._per_unit2) * self._moving
+        return along - self._median(along, per_unit), across2, per_unit
 
     def _median(self, along: Array, scale: Array) -> Array:
         """(n,) Each recording's median of along / scale, (n,) both, times scale: over the faster half of the frames
