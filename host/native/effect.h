@@ -52,6 +52,12 @@ struct effect_drive {
     double again_s; // the next moment comes after so much time at the latest
 };
 
+// What a play that slides on one side remembers.
+struct effect_contact {
+    double since; // travel since that side began to carry
+    double age_s; // of what touches: s at rest, less what sliding has worn off
+};
+
 struct effect_chain; // the effects that are still to come of those that follow
 
 // Hands a straight piece of the centre's motion, from u0 to u1 in dt s, on to the next.
@@ -76,8 +82,9 @@ struct effect {
     void (*drive)(const double *v, double *state, const struct effect_moment *now, struct effect_drive *drive);
     // A play's thresholds in lots, in units of B's, and how many of all are in each; returns the number of lots.
     size_t (*lots)(const double *v, double *spread, double *share);
-    double (*late)(const double *v, int side,
-                   double since); // play (>= 0) beside B that a side still has after so much travel
+    double (*late)(const double *v, int side, const struct effect_contact *contact); // play (>= 0) beside B on a side
+    void (*slide)(const double *v, struct effect_contact *contact, double way);      // a side that carries
+    double (*renewed_s)(const double *v); // after so long a rest a side begins to carry anew
     // Moves what nothing holds within the play, of place *at and speed *speed, on by dt s; the play's ends stop it.
     void (*fall)(const double *v, double dt, double *at, double *speed);
     void (*start)(const double *v, double *state, double centre);

@@ -6,7 +6,10 @@
 extern const struct effect *const effects_library[];
 extern const size_t effects_library_count;
 
-enum { MOST = 24 }; // limit: effects that are present at once
+enum {
+    MOST = 24, // limit: effects that are present at once
+    LATES = 2  // limit: of these, those that hold a side of a play back
+};
 
 // An effect that is present.
 struct active {
@@ -35,9 +38,10 @@ struct chain_play {
     const struct play_table *table; // NULL: in the warp
     double share;                   // of the motion
     double spread;                  // of its width
-    double since;                   // travel since the delayed side began to carry
-    double speed;                   // of what falls within it
-    int pushed;                     // by which end in the last step, 0 by none
+    struct effect_contact contact[LATES];
+    double rested_s; // since it was last pushed
+    double speed;    // of what falls within it
+    int pushed;      // by which end in the last step, 0 by none
 };
 
 struct plays {
@@ -92,29 +96,68 @@ static void plays_start(const struct elements *elements, struct plays *plays, do
     plays->of[plays->count].play = play_start(&elements->table, p);
 }
 
-// Pushes a play by its end on side s, which the effect `late` holds back by what is left of it after so much travel. q:
-// the motor for that end; x: the same in the play's coordinate. As play_push, in the motor's coordinate.
-static double push_late(const struct active *late, const struct elements *elements, struct plays *plays,
+// The effects that hold a side back, and the step's time, s, and motion.
+struct lates {
+    const struct active *of[LATES];
+    size_t count;
+    double dt, moved;
+};
+
+static double held_back(const struct lates *lates, const struct effect_contact *contact, int s) {
+    double sum = 0.0;
+    for (size_t i = 0; i < lates->count; i++) {
+        sum += lates->of[i]->effect->late(lates->of[i]->v, s, &contact[i]);
+    }
+    return sum;
+}
+
+// Pushes a play by its end on side s, which effects hold back by what is left of them after so much travel. q: the
+// motor for that end; x: the same in the play's coordinate. As play_push, in the motor's coordinate.
+static double push_late(const struct lates *lates, const struct elements *elements, struct plays *plays,
                         struct chain_play *own, double q, double x, int s, double scale) {
     struct play *play = &own->play;
     if (!(s * (x - play->at) - scale * play->half > 0.0)) {
         return 0.0;
     }
-    double since = play->side == s ? own->since : 0.0, from = play->at + s * scale * play->half;
+    struct effect_contact contact[LATES];
+    for (size_t i = 0; i < lates->count; i++) {
+        contact[i] = own->contact[i];
+        contact[i].age_s += own->rested_s;
+        if (play->side != s || own->rested_s > lates->of[i]->effect->renewed_s(lates->of[i]->v)) {
+            contact[i].since = 0.0;
+        }
+    }
+    double from = play->at + s * scale * play->half;
     if (!own->table) {
         from = warp_from(&elements->warp, &plays->end_at[s > 0], from);
     }
-    const double beyond = s * (q - from) - late->effect->late(late->v, s, since);
+    double beyond = s * (q - from) - held_back(lates, contact, s);
     if (!(beyond > 0.0)) {
         return 0.0;
     }
-    since += beyond;
-    const double to = q - s * late->effect->late(late->v, s, since);
+    // It rests until it is caught.
+    const double rests = (1.0 - beyond / fmax(fabs(lates->moved), beyond)) * lates->dt;
+    for (size_t i = 0; i < lates->count; i++) {
+        contact[i].age_s += rests;
+    }
+    beyond = s * (q - from) - held_back(lates, contact, s);
+    if (!(beyond > 0.0)) {
+        return 0.0;
+    }
+    for (size_t i = 0; i < lates->count; i++) {
+        contact[i].since += beyond;
+        if (lates->of[i]->effect->slide) {
+            lates->of[i]->effect->slide(lates->of[i]->v, &contact[i], beyond);
+        }
+    }
+    const double to = q - s * held_back(lates, contact, s);
     if (!(play_push(play, own->table, own->table ? to : elements_motor(elements, &plays->course, to, s), s, scale) >
           0.0)) {
         return 0.0;
     }
-    own->since = since;
+    for (size_t i = 0; i < lates->count; i++) {
+        own->contact[i] = contact[i];
+    }
     return beyond;
 }
 
@@ -134,27 +177,29 @@ static struct ends find_ends(const struct elements *elements, struct plays *play
 }
 
 // Returns how much of q's last step carried the play.
-static inline double play_move(const struct active *late, const struct elements *elements, struct plays *plays,
+static inline double play_move(const struct lates *lates, const struct elements *elements, struct plays *plays,
                                struct chain_play *own, const struct ends *ends, double scale) {
     own->pushed = 0;
     for (int s = PLAY_FALLING; s <= PLAY_RISING; s += 2) {
         const double q = ends->q[s > 0], x = own->table ? q : ends->x[s > 0];
-        const double beyond = late ? push_late(late, elements, plays, own, q, x, s, scale * own->spread)
-                                   : play_push(&own->play, own->table, x, s, scale * own->spread);
+        const double beyond = lates->count > 0 ? push_late(lates, elements, plays, own, q, x, s, scale * own->spread)
+                                               : play_push(&own->play, own->table, x, s, scale * own->spread);
         if (beyond > 0.0) {
             own->pushed = s;
+            own->rested_s = 0.0;
             return beyond;
         }
     }
+    own->rested_s += lates->dt;
     return 0.0;
 }
 
 // Returns how much of it carried the play that it carried furthest.
-static inline double push_all(const struct active *late, const struct elements *elements, struct plays *plays,
+static inline double push_all(const struct lates *lates, const struct elements *elements, struct plays *plays,
                               const struct ends *ends, double scale) {
     double furthest = 0.0;
     for (struct chain_play *own = plays->of, *end = own + plays->count; own != end; own++) {
-        const double beyond = play_move(late, elements, plays, own, ends, scale);
+        const double beyond = play_move(lates, elements, plays, own, ends, scale);
         furthest = beyond > furthest ? beyond : furthest;
     }
     return furthest;
@@ -185,7 +230,7 @@ static void plays_fall(const struct active *falls, struct plays *plays, const st
 }
 
 // The centre coordinate after all plays have moved; *carried as of a single one.
-static double plays_move(const struct active *late, const struct active *falls, const struct elements *elements,
+static double plays_move(const struct lates *lates, const struct active *falls, const struct elements *elements,
                          struct plays *plays, const struct effect_moment *now, struct effect_drive *drive,
                          double *carried) {
     if (elements->friction.kind) {
@@ -198,14 +243,14 @@ static double plays_move(const struct active *late, const struct active *falls, 
         plays_fall(falls, plays, now);
     }
     const struct ends ends = find_ends(elements, plays, drive);
-    *carried = push_all(late, elements, plays, &ends, drive->scale);
+    *carried = push_all(lates, elements, plays, &ends, drive->scale);
     const double sum = mean_place(plays);
     if (!elements->warp.knots) {
         return sum;
     }
     struct chain_play *single = &plays->of[plays->count];
     if (elements->narrow > 0.0) {
-        play_move(late, elements, plays, single, &ends, drive->scale);
+        play_move(lates, elements, plays, single, &ends, drive->scale);
     }
     return elements_centre(elements, &plays->course, sum, &single->play);
 }
@@ -314,10 +359,13 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
     double state[MOST][EFFECT_STATES] = {{0}};
     struct all all;
     find_present(values, state, &all);
-    const struct active *following[MOST], *late = NULL, *falls = NULL;
+    const struct active *following[MOST], *falls = NULL;
+    struct lates lates = {.count = 0};
     size_t follows = 0;
     for (size_t i = 0; i < all.count; i++) {
-        late = all.of[i].effect->late ? &all.of[i] : late;
+        if (all.of[i].effect->late && lates.count < LATES) {
+            lates.of[lates.count++] = &all.of[i];
+        }
         falls = all.of[i].effect->fall ? &all.of[i] : falls;
         if (all.of[i].effect->follow) {
             following[follows++] = &all.of[i];
@@ -375,7 +423,9 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
         if (!started) {
             plays_start(tables->elements, &plays, drive.q, isnan(p0) ? drive.q : p0);
         }
-        centre = plays_move(late, falls, tables->elements, &plays, &now, &drive, &carried);
+        lates.dt = now.dt;
+        lates.moved = now.moved;
+        centre = plays_move(&lates, falls, tables->elements, &plays, &now, &drive, &carried);
         for (size_t i = 0; !started && i < all.count; i++) {
             if (all.of[i].effect->start) {
                 all.of[i].effect->start(all.of[i].v, all.of[i].state, centre);

@@ -69,11 +69,18 @@ def swinging(t, p, rng):
     return p + 0.02 * np.sin(2 * np.pi * t / 3.3)
 
 
+def rippling(t, p, rng):
+    """What pulls the tip to and fro by the place, other waves either way."""
+    moves = np.diff(p, prepend=p[0]) != 0.0
+    way = np.sign(np.diff(p, prepend=p[0]))[np.maximum.accumulate(np.where(moves, np.arange(len(p)), 0))]
+    return p + 0.02 * np.where(way > 0.0, np.sin(9.0 * p), np.sin(14.0 * p + 1.0))
+
+
 @pytest.mark.parametrize(
     ("make", "name"),
     [
         *[(unsteady, JITTER), (waiting, JITTER), (sticking, STICK), (repeating, HELD), (lagging, "behind")],
-        *[(wandering, "memory"), (swinging, "memory"), (blurred, "blur")],
+        *[(wandering, "memory"), (swinging, "memory"), (blurred, "blur"), (rippling, "place")],
     ],
 )
 def test_each_says_its_own_best(make, name):
@@ -83,7 +90,8 @@ def test_each_says_its_own_best(make, name):
 
 
 @pytest.mark.parametrize(
-    ("make", "name"), [(waiting, JITTER), (sticking, STICK), (lagging, "behind"), (swinging, "memory")]
+    ("make", "name"),
+    [(waiting, JITTER), (sticking, STICK), (lagging, "behind"), (swinging, "memory"), (rippling, "place")],
 )
 def test_an_angle_alone_says_the_same(make, name):
     said = told(np.random.default_rng(9), make, PX_PER_UNIT[:1])

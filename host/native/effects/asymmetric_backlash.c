@@ -2,23 +2,34 @@
 
 #include <math.h>
 
-enum { ASYMMETRY, TRAVEL, FORM, COUNT };
+enum { ASYMMETRY, TRAVEL, FORM, RENEWED, COUNT };
 static const struct effect_parameter PARAMETERS[COUNT] = {
     {"asymmetry", 0, "unit", "extra play after turning up (-: after turning down)"},
     {"asymmetry_travel", 1, "unit", "travel in which the tip catches up"},
     {"asymmetry_form", 1, "", "exponent; 1 exponential, 2 slow at first"},
+    {"asymmetry_renewed", 0, "", "1 if it is there again after every rest, 0 after a turn alone"},
 };
+static const double RENEWED_S = 0.05; // prior: a rest after which static friction is there again
 
 static int present(const double *v) {
     return v[ASYMMETRY] != 0.0;
 }
 
-static double late(const double *v, int side, double since) {
+static double late(const double *v, int side, const struct effect_contact *contact) {
     if (side * v[ASYMMETRY] < 0.0) {
         return 0.0;
     }
-    return fabs(v[ASYMMETRY]) * exp(-pow(since / v[TRAVEL], v[FORM]));
+    return fabs(v[ASYMMETRY]) * exp(-pow(contact->since / v[TRAVEL], v[FORM]));
 }
 
-const struct effect effect_asymmetric_backlash = {
-    "transmission.asymmetric_backlash", PLACE_PLAY, PARAMETERS, COUNT, .present = present, .late = late};
+static double renewed_s(const double *v) {
+    return v[RENEWED] != 0.0 ? RENEWED_S : INFINITY;
+}
+
+const struct effect effect_asymmetric_backlash = {"transmission.asymmetric_backlash",
+                                                  PLACE_PLAY,
+                                                  PARAMETERS,
+                                                  COUNT,
+                                                  .present = present,
+                                                  .late = late,
+                                                  .renewed_s = renewed_s};

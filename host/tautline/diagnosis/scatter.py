@@ -7,8 +7,9 @@ motor drives on, the likelier the less it has driven since, and else is anywhere
 whatever else leaves a residual: noise whose level is another while the motor drives ("level"), lengths by which the tip
 is behind or ahead at any speed ("behind"), noise that grows with the speed both along the motion and across it, as of a
 marker that blurs ("blur"; of an angle that is jitter), noise that is correlated with the frames before ("memory"), a
-link that sends frames twice, and a tracker that errs with the position within a pixel ("pixels"). Every density is
-mixed with a broad one: no model is right for every frame.
+link that sends frames twice, a tracker that errs with the position within a pixel ("pixels"), and a misfit that is the
+same whenever the motor comes to a place from one side ("place"). Every density is mixed with a broad one: no model is
+right for every frame.
 """
 
 from __future__ import annotations
@@ -16,9 +17,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import solveh_banded
 from scipy.special import log_ndtr
 
 from tautline.diagnosis.fit import Fitter
@@ -29,7 +32,7 @@ Array = npt.NDArray[np.float64]
 
 STICK_SLIP, JITTER = "transmission.stick_slip", "acquisition.jitter"
 _AS_IT_IS = "as it is"
-RIVALS = ("level", "blur", "behind", "memory", HELD, "pixels")
+RIVALS = ("level", "blur", "behind", "memory", HELD, "pixels", "place")
 _MOVES = 0.02  # tolerance: share of the fastest drive from frame to frame: slower is at rest
 _REMEMBERED = 3  # tolerance: frames that the rival "memory" reaches back
 _BROAD = 0.03  # prior: share of frames that follow no model
@@ -40,6 +43,7 @@ _FAST, _FAST_IMAGE = 0.99, 0.9  # tolerance: quantiles of a fast drive and of a 
 _LEAST, _MOST = 0.01, 0.99  # prior: limits of the probability that a tip sticks
 _OUTLIERS = 0.97  # tolerance: quantile to which squared residuals are cut where a noise level is estimated
 _HELD_SHARES = np.array([0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 0.9])  # prior: grid of repeats
+_PLACES = 96  # prior: places along the range at which a misfit may be another
 _JUMPS = (0.1, 30.0)  # prior: range of jumps, times a fast drive from frame to frame
 
 
@@ -77,10 +81,13 @@ class Frames:
     moved: Array  # (n, k) observed, from the frame before
     velocity: Array  # (n, k) predicted, per second
     driven: Array  # (n,) by how much the play's centre moved since the frame before, unit of q
+    place: Array  # (n,) the play's centre, unit of q
+    way: Array  # (n,) the sign of its motion, at rest of the motion before; 0 until it moves
     per_unit: Array  # (n, k) predicted image motion per unit of `driven`; at rest that of the motion before
     image: Array  # (n, k) observed
     before: Array  # (n, k, _REMEMBERED) residuals of the frames before
     block: npt.NDArray[np.int64]  # (n,) the number of the block of manoeuvres
+    calibration: npt.NDArray[np.bool_]  # (n,) whether it is one of the calibration
 
 
 def of_fit(fitter: Fitter, fit: Fit, labels: Sequence[npt.NDArray[np.int64]], tests_only: bool) -> Scatter:
@@ -98,13 +105,17 @@ def of_fit(fitter: Fitter, fit: Fit, labels: Sequence[npt.NDArray[np.int64]], te
         blocks += int(label.max(initial=-1)) + 1
         if not (tests_only and segment.calibration):
             path, predicted = segment.predict(fit.state.model, parameters, fitter.load_reference)
-            parts.append(frames(segment.arrival_s, segment.observed / times, predicted / times, path.p, block))
+            seen = segment.observed / times
+            parts.append(frames(segment.arrival_s, seen, predicted / times, path.p, block, segment.calibration))
     return compared(parts, fitter.floor, blocks)
 
 
-def frames(t: Array, observed: Array, predicted: Array, p: Array, block: npt.NDArray[np.int64]) -> Frames:
+def frames(
+    t: Array, observed: Array, predicted: Array, p: Array, block: npt.NDArray[np.int64], calibration: bool = False
+) -> Frames:
     """The frames of one recording that count. t: arrival times (n,), s; observed, predicted: (n, k); p: the play's
-    centre coordinate (n,), unit of q; block: (n,) the number of the block, -1 of frames that are not scored."""
+    centre coordinate (n,), unit of q; block: (n,) the number of the block, -1 of frames that are not scored;
+    calibration: whether it is of the calibration."""
     n = min(_REMEMBERED, len(t) - 1)
     period = float(np.median(t[n:] - t[:-n])) / n if n else 0.0  # whose own times may scatter by more
     follows = np.concatenate([[False], np.diff(t) < _GAP * period])  # the frame before
@@ -118,15 +129,19 @@ def frames(t: Array, observed: Array, predicted: Array, p: Array, block: npt.NDA
     moves = driven > _MOVES * max(float(np.quantile(driven, _FAST)), 1e-12)
     last_moving = np.maximum.accumulate(np.where(moves, np.arange(len(t)), 0))
     per_unit = (image_motion / np.maximum(driven, 1e-9)[:, None])[last_moving] * moves[last_moving, None]
+    way = (np.sign(np.diff(p, prepend=p[0])) * moves)[last_moving]
     return Frames(
         residual=residual[kept],
         moved=observed[kept] - observed[kept - 1],
         velocity=np.gradient(predicted, t, axis=0)[kept],
         driven=driven[kept],
+        place=p[kept],
+        way=way[kept],
         per_unit=per_unit[kept],
         image=observed[kept],
         before=np.stack([residual[kept - back] for back in range(1, _REMEMBERED + 1)], axis=-1),
         block=block[kept],
+        calibration=np.full(len(kept), calibration),
     )
 
 
@@ -158,6 +173,7 @@ def compared(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
         "memory": frames.two_levels(frames.residual - frames.by_memory()),
         HELD: repeated,
         "pixels": frames.two_levels(frames.residual - _pixel_phase_part(frames.residual, frames.image)),
+        "place": frames.two_levels(frames.residual - frames.by_place()),
     }
     count = np.maximum(np.bincount(frames.block, minlength=blocks), 1)
     has_frames = np.bincount(frames.block, minlength=blocks) > 0
@@ -188,8 +204,13 @@ class _Joined:
         self._by_velocity = _along_and_across2(self.residual, self._velocity)
         self._by_direction = _along_and_across2(self.residual, self._per_unit)
         self._per_unit2 = np.sum(self._per_unit**2, axis=1)
-        self.driven = joined(lambda f: f.driven)
+        self.driven, self._place, self._way = (
+            joined(lambda f: f.driven),
+            joined(lambda f: f.place),
+            joined(lambda f: f.way),
+        )
         self.block = np.concatenate([part.block for part in parts])
+        self._calibration = np.concatenate([part.calibration for part in parts])
         self._recording = np.repeat(np.arange(len(parts)), [len(part.block) for part in parts])
         self.coordinates = self.residual.shape[1]
         self._floor2 = floor**2
@@ -230,6 +251,27 @@ class _Joined:
         n, k = self.residual.shape
         coefficients = np.linalg.lstsq(self._before.reshape(n * k, -1), self.residual.ravel(), rcond=None)[0]
         return np.asarray(self._before @ coefficients)
+
+    def by_place(self) -> Array:
+        """(n, k) What all other blocks, of the calibration or of the tests as the frame's, tell of each residual by the
+        place and the way: straight lines between _PLACES places, with a prior as wide as all residuals."""
+        low, high = float(self._place.min()), float(self._place.max())
+        at = (self._place - low) / max(high - low, 1e-12) * (_PLACES - 1)
+        left = np.clip(at.astype(int), 0, _PLACES - 2)
+        share = at - left
+        ridge = self._floor2 / max(float(np.mean(self.residual**2)), self._floor2)
+        told = np.zeros_like(self.residual)
+        for way, calibration in product((-1.0, 1.0), (False, True)):
+            here = np.flatnonzero((self._way == way) & (self._calibration == calibration))
+            blocks = {int(number): here[self.block[here] == number] for number in np.unique(self.block[here])}
+            normals = {number: _lines_normal(left[of], share[of], self.residual[of]) for number, of in blocks.items()}
+            of_all = sum(normals.values(), np.zeros((_PLACES, 2 + self.coordinates)))
+            for number, of in blocks.items():
+                others = of_all - normals[number]
+                bands = np.stack([np.append(0.0, others[:-1, 1]), others[:, 0] + ridge])
+                curve = solveh_banded(bands, others[:, 2:])
+                told[of] = (1.0 - share[of, None]) * curve[left[of]] + share[of, None] * curve[left[of] + 1]
+        return told
 
     def jitter(self, seconds: float) -> Array:
         """(n,) Log-density if frame times scatter by this standard deviation: the variance along the image's motion is
@@ -297,6 +339,19 @@ class _Joined:
         along, across2 = self._by_median_wait
         fresh = _isotropic(along**2 + across2, self._floor2, self.coordinates)
         return np.asarray(np.logaddexp(np.log(share) + self._repeated, np.log1p(-share) + fresh))
+
+
+def _lines_normal(left: npt.NDArray[np.int64], share: Array, y: Array) -> Array:
+    """(_PLACES, 2 + k) Normal equations of straight lines between _PLACES values: the matrix' diagonal, what is beside
+    it (0 in the last row), and the right-hand sides. left, share (n,): of each row of y (n, k) the place before it, and
+    how far it is to the next one."""
+    near, far, n = 1.0 - share, share, _PLACES
+    columns = [
+        np.bincount(left, near**2, n) + np.bincount(left + 1, far**2, n),
+        np.bincount(left, near * far, n),
+        *(np.bincount(left, near * value, n) + np.bincount(left + 1, far * value, n) for value in y.T),
+    ]
+    return np.column_stack(columns)
 
 
 def _isotropic(squares: Array, variance: Array | float, k: int) -> Array:
