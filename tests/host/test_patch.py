@@ -127,8 +127,8 @@ def test_keyframes_are_moved_to_where_the_others_have_them() -> None:
     tracker = PatchTracker(shown[0], (places[0][0], places[0][1]), SIDE)
     for one in shown[:80]:
         tracker.track(one)
-    middle = len(tracker._keyframes) // 2
-    off = tracker._keyframes[middle]
+    middle = len(tracker._keyframes.keys) // 2
+    off = tracker._keyframes.keys[middle]
     off.pose = replace(off.pose, u=off.pose.u + 2.0)
     for one in shown[80:]:
         tracker.track(one)
