@@ -24,11 +24,6 @@ RADIUS = 24.0  # of the disc that moves, px: wider than the region's half
 NOISE = 2.5  # levels rms
 
 
-@pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
-    return Taut(monkeypatch, capsys)
-
-
 def texture(seed: int, contrast: float) -> np.ndarray:
     """Structure of every size, as surfaces have it."""
     rng, total = np.random.default_rng(seed), np.zeros((500, 500), dtype=np.float32)

@@ -10,7 +10,6 @@ from types import ModuleType
 import arms
 import numpy as np
 import pytest
-from cli_runner import Taut
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -47,11 +46,6 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def nominal(folder):
     return mjcf.simulator(arms.write(folder / "arm.xml", step_s=SERVO_STEP_S), "servo", "joint:elbow")
-
-
-@pytest.fixture
-def taut(monkeypatch, capsys):
-    return Taut(monkeypatch, capsys)
 
 
 def still(q_deg, seconds=1.0):
