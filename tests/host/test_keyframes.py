@@ -48,17 +48,17 @@ def test_nothing_is_learnt_once_it_is_settled() -> None:
     assert keyframes.settle() is None and not keyframes.has_room
 
 
-@given(st.floats(0.0, 4.0), st.floats(1e-6, 1e-4))
-def test_what_two_say_does_not_jump_where_one_replaces_another(at: float, step: float) -> None:
-    """Keyframes at 0, 1.5 .. 4.5 that each say their own place."""
+def test_one_that_comes_within_reach_changes_nothing_at_once() -> None:
+    """Keyframes at 0 and 1.5 that each say their own place: what they say together goes on steadily."""
 
     def said(expected: float) -> float:
-        keyframes = of([0.0, 1.5, 3.0, 4.5])
+        keyframes = of([0.0, 1.5])
         found = keyframes.nearest([abs(key - expected) for key in keyframes.keys], lambda key: key)
         weights = np.array([weight for weight, _, _ in found])
         return float(weights @ [keyframes.keys[k] for _, k, _ in found] / weights.sum())
 
-    assert abs(said(at + step) - said(at)) < 10.0 * step
+    told = np.array([said(at) for at in np.arange(-1.9, 3.4, 1e-3)])
+    assert np.abs(np.diff(told)).max() < 1e-2
 
 
 def test_one_that_sees_nothing_is_passed_over_and_one_beyond_the_reach_is_the_last_resort() -> None:

@@ -43,8 +43,10 @@ class Keyframes(Generic[Key]):
         self, away: Sequence[float], see: Callable[[Key], Seen | None], beyond: bool = False
     ) -> list[tuple[float, int, Seen]]:
         """What the nearest keyframes see, two at most: (weight, the keyframe's number, what `see` makes of it). Weights
-        fall to 0 at the reach: nothing jumps where one keyframe replaces another. away: (n,) distances of all of them.
-        beyond: where none within the reach sees anything, the nearest one beyond it that does, alone."""
+        fall to 0 at the reach: one that comes within it or leaves it changes nothing at once. Where a third one takes
+        the second one's place, what they say jumps by a part of what they differ by; weights that fall to 0 there make
+        more noise than they save. away: (n,) distances of all of them. beyond: where none within the reach sees
+        anything, the nearest one beyond it that does, alone."""
         found: list[tuple[float, int, Seen]] = []
         for k in np.argsort(away, kind="stable")[:_ASKED].tolist():
             weight = max(self._reach - float(away[k]), 0.0) ** 2

@@ -239,8 +239,8 @@ class PatchTracker:
         return last.then(before.to(last))
 
     def _pose_by_nearest(self, light: EvenLight, expected: Pose) -> tuple[Pose, float] | None:
-        """The pose and its sigma, px, by the nearest keyframes that find it, weighted so that it does not jump where
-        one replaces another; None where none does. While learning what two of them differ by is noted, and a keyframe
+        """The pose and its sigma, px, by the nearest keyframes that find it, the nearer the more; None where none does.
+        While learning what two of them differ by is noted, and a keyframe
         is added where the nearest is far or fading."""
         away = [key.pose.unlike(expected, self.side_px) for key in self._keyframes.keys]
         found = self._keyframes.nearest(away, lambda key: key.seen_at(light, expected), beyond=True)

@@ -149,9 +149,8 @@ class SceneTracker:
         return _vector(_rotation_between(one[together], other[together]) @ _matrix(key.turn)), len(together)
 
     def _turn_by_nearest(self, keyframes: Keyframes[_Keyframe], grey: Picture, expected: Array) -> Array | None:
-        """The turn (3,) rad by the nearest keyframes, weighted so that it does not jump where one replaces another;
-        None where none finds the scene. While learning a keyframe is added where the nearest is far, and it is kept by
-        how much two differ."""
+        """The turn (3,) rad by the nearest keyframes, the nearer the more; None where none finds the scene. While
+        learning a keyframe is added where the nearest is far, and it is kept by how much two differ."""
         away = np.array([np.linalg.norm(_relative_turn(key.turn, expected)) for key in keyframes.keys]) / self._step
         found = keyframes.nearest(away.tolist(), lambda key: self._turn_by(key, grey, expected))
         if not found:
