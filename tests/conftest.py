@@ -4,14 +4,35 @@ each time, until it is changed; --hypothesis-profile fresh draws new ones (`./ru
 Fixtures that several files of tests ask for by name.
 """
 
+from __future__ import annotations
+
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import HealthCheck, settings
 
+if TYPE_CHECKING:
+    from cli_runner import Taut
+
 settings.register_profile("fresh", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("tautline", settings.get_profile("fresh"), derandomize=True)
 settings.load_profile("tautline")
+
+
+@pytest.fixture
+def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
+    """The command line, called in this process."""
+    from cli_runner import Taut
+
+    return Taut(monkeypatch, capsys)
+
+
+@pytest.fixture
+def no_board(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No board is named, nor looked for among what is plugged in here."""
+    monkeypatch.delenv("TAUTLINE_BOARD", raising=False)
+    monkeypatch.setattr("tautline.device.board.find_usb", list)
 
 
 @pytest.fixture

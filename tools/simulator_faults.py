@@ -1,11 +1,11 @@
 """python -m tools.simulator_faults OUT [--cases N] [--seed S] [--fault NAME]: a fault in a user's MJCF, and a robot
 that has it.
 
-Three kinds of MJCF (an arm behind gears, one of tendons in two joints, one between antagonists' springs); ten faults,
-none, and a cause that neither file nor library has; by --fault also a servo that lags, which no parameter of the file
-is yet. The robot is the same mechanism with the fault, stepped eight times as finely by another integrator and seen
-with noise. Each case is drawn by its seed alone and stored in OUT with what
-the diagnosis was told and said, so that a campaign that was broken off goes on where it was.
+Three kinds of MJCF (an arm behind gears, one of tendons in two joints, one between antagonists' springs); nine faults,
+none, and a cause that neither file nor library has; by --fault also a wrong ratio and a servo that lags. The robot is
+the same mechanism with the fault, stepped eight times as finely by another integrator and seen with noise. Each case
+is drawn by its seed alone and stored in OUT with what the diagnosis was told and said, so that a campaign that was
+broken off goes on where it was.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ FAULTS: dict[str, tuple[str, ...]] = {  # ends of the ids that are right; none a
     "bend": ("configuration.remaining",),
     "unknown": (),
     "ratio": ("configuration.remaining",),
-    "lag": LAGS,
+    "lag": ("servo.timeconst", *LAGS),
 }
 NAMED_ONLY = ("ratio", "lag")  # drawn where --fault names them: they came later, and a seed remains its case
 

@@ -168,6 +168,7 @@ void bind_wire(nb::module_ &m) {
     wire.attr("ALL_AXES") = TL_WIRE_ALL_AXES;
     wire.attr("BATCH_SAMPLES") = TL_WIRE_BATCH_SAMPLES;
     wire.attr("KEY") = TL_WIRE_KEY;
+    wire.attr("GAIN_MAX") = TL_WIRE_GAIN_MAX;
     wire.attr("IMAGE_SIGNED") = static_cast<unsigned>(TL_WIRE_IMAGE_SIGNED);
 
     // MESSAGES: name -> {"type", "size", "doc", "fields": ((name, kind, count, doc), ...)}

@@ -47,6 +47,7 @@ class Columns:
         return numbers[min(int(self.index[row]) + 1, len(numbers) - 1)]  # the first of them is the header
 
     def missing(self, name: str, expected: str) -> TautError:
+        """The error of a file without the column `name`. expected: in words, what has to be there."""
         return TautError(f"{self.path}: column {name} is missing (found {', '.join(self.names)}): expected {expected}")
 
     def raw(self, name: str) -> Array:

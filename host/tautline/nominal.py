@@ -73,8 +73,9 @@ class Nominal:
     def add(
         self, rows: Rows, into: Normal, columns: Array | None = None, weight: Array | None = None, first: int = 0
     ) -> None:
-        """Adds rows' normal equations. columns: in place of the rows' own; those before `first`, and the curves, have
-        been summed already. weight (n, k): of each residual, default 1."""
+        """Adds the rows' normal equations to `into`, in place. columns (n, k, m): in place of the rows' own. first: the
+        number of the first column whose equations are added; above 0 those before it, and the curves', have been added
+        already. weight (n, k): of each residual, default 1."""
         _native.normal_add(
             *(rows.p, rows.tip, rows.by_width, rows.by_follow, rows.by_c),
             *(np.ascontiguousarray(rows.columns if columns is None else columns), rows.residual, weight),

@@ -49,7 +49,7 @@ class Basis:
         return inside
 
     def design(self, x: Array) -> csr_matrix:
-        """(n, size), sparse: values = design @ coefficients."""
+        """(n, size), sparse: `value` at x (n,) is design @ coefficients."""
         return csr_matrix(BSpline.design_matrix(self.clip(x), self.knots, 3))
 
     def value(self, coefficients: Array, x: Array) -> Array:

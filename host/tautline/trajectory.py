@@ -15,6 +15,7 @@ from tautline.rig import Actuator
 Array = np.ndarray
 
 RATE_HZ = 1000.0
+NEXT_FILE = "next_motion.csv"  # in the folder of a model or a diagnosis: the motion to record next
 _LONGEST_S = 86_400.0  # limit: of one motion: all of its samples are in memory
 
 

@@ -56,12 +56,12 @@ static void test_the_range_of_each_setting(void) {
     FROM_TO(duty_q15, 0, 32768);
     FROM_TO(current_ma, 0, (int32_t)fake_port.driver_ma);
     FROM_TO(following_error_q8, COUNTS(1), END);
-    FROM_TO(proportional, 0, TL_SERVO_GAIN_MAX);
-    FROM_TO(integral, 0, TL_SERVO_GAIN_MAX);
-    FROM_TO(derivative, 0, TL_SERVO_GAIN_MAX);
-    FROM_TO(feed_forward, 0, TL_SERVO_GAIN_MAX);
-    FROM_TO(inertia, 0, TL_SERVO_GAIN_MAX);
-    FROM_TO(friction_q15, 0, TL_SERVO_GAIN_MAX);
+    FROM_TO(proportional, 0, TL_WIRE_GAIN_MAX);
+    FROM_TO(integral, 0, TL_WIRE_GAIN_MAX);
+    FROM_TO(derivative, 0, TL_WIRE_GAIN_MAX);
+    FROM_TO(feed_forward, 0, TL_WIRE_GAIN_MAX);
+    FROM_TO(inertia, 0, TL_WIRE_GAIN_MAX);
+    FROM_TO(friction_q15, 0, TL_WIRE_GAIN_MAX);
     FROM_TO(arrive_q8, COUNTS(1), END);
     FROM_TO(stall_ms, 20, 5000);
     MAY(q_low_q8, -END);

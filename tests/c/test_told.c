@@ -191,7 +191,7 @@ static void test_settings_have_their_ends(void) {
                         &own.feed_forward, &own.inertia,  &own.friction_q15};
     for (unsigned i = 0; i < sizeof(gains) / sizeof(gains[0]); i++) {
         const int32_t was = *gains[i];
-        const int32_t refused[] = {-1, TL_SERVO_GAIN_MAX + 1}, taken[] = {0, TL_SERVO_GAIN_MAX};
+        const int32_t refused[] = {-1, TL_WIRE_GAIN_MAX + 1}, taken[] = {0, TL_WIRE_GAIN_MAX};
         for (unsigned k = 0; k < 2; k++) {
             *gains[i] = refused[k];
             TEST_ASSERT_EQUAL(TL_WIRE_REASON_RANGE, tl_axis_check_settings(&fake_port, &own));

@@ -183,9 +183,9 @@ def test_the_frame_size_stays_with_a_recording(made: Recording, tmp_path) -> Non
     assert torn.marker.frame_px is None and any("one size" in w for w in torn.warnings)
 
 
-def test_the_command_refuses_a_half_sized_recording(made: Recording, tmp_path, monkeypatch, capsys) -> None:
+def test_the_command_refuses_a_half_sized_recording(made: Recording, tmp_path, taut: Taut) -> None:
     recordings.save(scaled(made, 0.5, (360, 288)), tmp_path / "half")
-    done = Taut(monkeypatch, capsys)("calibrate", tmp_path / "half", "--out", tmp_path / "model", "--json")
+    done = taut("calibrate", tmp_path / "half", "--out", tmp_path / "model", "--json")
     assert done.code == 3
     assert json.loads(done.out)["quality"]["reasons"][0]["code"] == "frame_size"
     assert (tmp_path / "model" / "model.json").is_file()

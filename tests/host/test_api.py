@@ -107,10 +107,7 @@ def found(recording: tl.Recording) -> tl.Calibration:
     return tl.calibrate(recording)
 
 
-def test_calibrate_is_the_commands(
-    folder: Path, found: tl.Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
-) -> None:
-    taut = Taut(monkeypatch, capsys)
+def test_calibrate_is_the_commands(folder: Path, found: tl.Calibration, tmp_path: Path, taut: Taut) -> None:
     done = taut("calibrate", folder, "--out", tmp_path / "model", "--json")
     assert done.code == 0, done.err
     assert json.loads(done.out)["backlash"]["width"] == found.model.width.tolist()
@@ -126,7 +123,7 @@ def test_the_truth_is_found(folder: Path, found: tl.Calibration) -> None:
 
 
 def test_predict_encode_compensate_and_track(
-    folder: Path, recording: tl.Recording, found: tl.Calibration, tmp_path: Path, monkeypatch: Any, capsys: Any
+    folder: Path, recording: tl.Recording, found: tl.Calibration, tmp_path: Path, taut: Taut
 ) -> None:
     model = found.model
     assert recording.marker is not None
@@ -153,7 +150,6 @@ def test_predict_encode_compensate_and_track(
 
     tracked = tl.track(model, recording)
     assert len(tracked.rows) == len(tracked.t_s) == len(scene)
-    taut = Taut(monkeypatch, capsys)
     tl.report(found, tmp_path / "model", recording)
     assert taut("track", tmp_path / "model", folder, "--csv", tmp_path / "rows.csv").code == 0
     rows = np.genfromtxt(tmp_path / "rows.csv", delimiter=",", names=True, usecols=(1, 3))

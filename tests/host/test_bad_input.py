@@ -18,11 +18,6 @@ from tautline.simulated import simlink
 
 
 @pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
-    return Taut(monkeypatch, capsys)
-
-
-@pytest.fixture
 def folder(tmp_path: Path) -> Path:
     return saved_recording(tmp_path / "run")
 

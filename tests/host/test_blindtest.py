@@ -18,7 +18,6 @@ from tautline.errors import TautError
 from tautline.pool import pool
 from tautline.recording import load_all
 from tautline.rig import Rig
-from tests.host.cli_runner import Taut
 from tests.host.test_diagnose import true_model
 from tools.blindtest import baselines, campaign, compare, page, scores, sealed, work
 from tools.blindtest.campaign import Order
@@ -335,8 +334,7 @@ def test_a_campaign_that_is_stopped_is_scored_as_far_as_it_came(tmp_path, stubbe
     assert [record["name"] for record in conduct(tmp_path / "out", order)] == ["case-0000"]
 
 
-def test_the_command_makes_diagnoses_and_scores(tmp_path, monkeypatch, capsys):
-    taut = Taut(monkeypatch, capsys)
+def test_the_command_makes_diagnoses_and_scores(tmp_path, taut):
     arguments = ["blindtest", "--out", tmp_path / "out", "--seed", 3, "--only", "registration.shift"]
     done = taut(*arguments, "--cases", 1, "--jobs", 1, "--json")
     assert done.code == 0, done.err
@@ -351,9 +349,8 @@ def test_the_command_makes_diagnoses_and_scores(tmp_path, monkeypatch, capsys):
     assert "registration.shift" not in html.split("<h2>")[0] and "single identifiable effect" in html
 
 
-def test_a_baseline_that_is_left_out_for_want_of_its_package_is_told(tmp_path, stubbed, monkeypatch, capsys):
+def test_a_baseline_that_is_left_out_for_want_of_its_package_is_told(tmp_path, stubbed, monkeypatch, taut):
     monkeypatch.setattr(compare, "find_spec", lambda package: None)
-    taut = Taut(monkeypatch, capsys)
     arguments = ["blindtest", "--out", tmp_path / "out", "--jobs", 1]
     made = taut(*arguments, "--cases", 0, "--unknown", 0, "--none", 1, "--pairs", 0, "--baselines", "none")
     assert made.code == 0 and "narx" not in made.err
@@ -442,9 +439,8 @@ def test_a_campaign_is_stopped_by_timeout_as_by_ctrl_c():
 
 
 @pytest.mark.long
-def test_a_dask_cluster_does_the_same_work(tmp_path, monkeypatch, capsys):
+def test_a_dask_cluster_does_the_same_work(tmp_path, taut):
     distributed = pytest.importorskip("distributed")
-    taut = Taut(monkeypatch, capsys)
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         arguments = ["blindtest", "--seed", 3, "--only", "none", "--none", 2, "--json"]
         on_dask = taut(*arguments, "--out", tmp_path / "dask", "--dask", cluster.scheduler_address)

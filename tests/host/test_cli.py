@@ -27,11 +27,6 @@ PLANT = instrument.preset("reference", RIG)
 MOTION = trajectory.back_and_forth(RIG.actuator, [1.0], 2.0, 12, 10.0)
 
 
-@pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
-    return Taut(monkeypatch, capsys)
-
-
 @pytest.fixture(scope="module")
 def recording() -> Recording:
     return simulate.simulate(RIG, PLANT, MOTION)

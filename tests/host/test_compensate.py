@@ -18,11 +18,6 @@ COUNT = 0.001
 GRADUAL = Elements((0.1, 0.7, 1.0, 1.3, 1.9), (0.2, 0.2, 0.2, 0.2, 0.2))
 
 
-@pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
-    return Taut(monkeypatch, capsys)
-
-
 def law(p):
     return 12.0 * p + 6.0 * np.sin(0.5 * p)
 

@@ -143,12 +143,11 @@ def test_what_the_tables_carry_and_what_they_cannot():
     assert not carried & (left | {"acquisition.jitter", "acquisition.held_samples"})
 
 
-def test_flash_wants_to_be_told_before_it_leaves_an_effect_out(tmp_path, monkeypatch, capsys):
-    from tests.host.cli_runner import Taut
+def test_flash_wants_to_be_told_before_it_leaves_an_effect_out(tmp_path, taut):
 
     contact = Effect("configuration.contact", {"contact_hold": 0.5, "contact_c": 20.0})
     replace(MODEL, effects=(contact,)).save(tmp_path / "model")
-    done = Taut(monkeypatch, capsys)("flash", tmp_path / "model", "--board", "usbip:127.0.0.1:1")
+    done = taut("flash", tmp_path / "model", "--board", "usbip:127.0.0.1:1")
     assert done.code == 1 and done.err.count("\n") == 1
     assert "no table can undo configuration.contact" in done.err and "--without-effects" in done.err
 
@@ -160,23 +159,20 @@ def test_flash_wants_to_be_told_before_it_leaves_an_effect_out(tmp_path, monkeyp
         (Effect("transmission.gremlins", {"many": 3.0}), "gremlins"),
     ],
 )
-def test_an_effect_of_another_version_is_refused_not_ignored(tmp_path, monkeypatch, capsys, effect, said):
-    from tests.host.cli_runner import Taut
+def test_an_effect_of_another_version_is_refused_not_ignored(tmp_path, effect, said, taut):
 
     replace(MODEL, effects=(effect,)).save(tmp_path / "model")
     (tmp_path / "motor.csv").write_text("t_s,q_mm\n" + "".join(f"{0.1 * i},{0.01 * i}\n" for i in range(50)))
     for rest in (("predict", tmp_path, "--csv", tmp_path / "out.csv"), ("flash", "--board", "usbip:127.0.0.1:1")):
-        done = Taut(monkeypatch, capsys)(rest[0], tmp_path / "model", *rest[1:])
+        done = taut(rest[0], tmp_path / "model", *rest[1:])
         assert done.code == 1 and done.err.count("\n") == 1
         assert said in done.err and "diagnose again" in done.err
 
 
-def test_flash_wants_to_know_which_axis_couples_in(tmp_path, monkeypatch, capsys):
-    from tests.host.cli_runner import Taut
+def test_flash_wants_to_know_which_axis_couples_in(tmp_path, taut):
 
     coupling = Effect("configuration.axis_coupling", {"c_per_translation": 0.5, "c_per_rotation": 0.0})
     replace(MODEL, effects=(coupling,)).save(tmp_path / "model")
-    taut = Taut(monkeypatch, capsys)
     done = taut("flash", tmp_path / "model", "--board", "usbip:127.0.0.1:1")
     assert done.code == 1 and "without --joint" in done.err
     done = taut("flash", tmp_path / "model", "--board", "usbip:127.0.0.1:1", "--joint", "translation_mm=1")

@@ -254,10 +254,8 @@ def test_what_sticking_holds_back_is_predicted():
     assert any("predict" in step.command for step in narration.steps(found.document, "here"))
 
 
-def test_the_command_writes_what_the_format_says(tmp_path, monkeypatch, capsys):
-    from tests.host.cli_runner import Taut
+def test_the_command_writes_what_the_format_says(tmp_path, taut):
 
-    taut = Taut(monkeypatch, capsys)
     moves = {"shift_rx": 0.5, "shift_x": 0.3, "shift_y": -0.2, "shift_time": 60.0}
     made = recordings(moves)
     for i, recording in enumerate(made):

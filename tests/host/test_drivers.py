@@ -661,10 +661,7 @@ def test_motors_at_other_places_than_zero_keep_their_counts() -> None:
         assert min(setup.motor.goals) > 1000.0
 
 
-def test_by_the_wall_clock_from_the_command_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    taut = Taut(monkeypatch, capsys)
+def test_by_the_wall_clock_from_the_command_line(tmp_path: Path, taut: Taut) -> None:
     motor = Motor()
     emulator = DynamixelEmulator([motor, Motor(position=70.0)])
     where = f"dynamixel:{emulator.bus.path}:1,2?rate=50&baud=1000000"

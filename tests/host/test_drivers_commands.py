@@ -144,11 +144,6 @@ def turning(kind: str) -> Iterator[tuple[str, Motor]]:
         emulator.close()
 
 
-@pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
-    return Taut(monkeypatch, capsys)
-
-
 def in_time(kind: str, told: Callable[[str, Motor], Finished], kept: Path) -> Finished:
     """What a command came to with a motor by the wall clock. Where this machine stood still for longer than a host may,
     it is tried anew, with another motor, of which nothing is `kept`."""

@@ -22,11 +22,6 @@ from tautline.recording import Motor
 PACKAGE = Path(explain.__file__).parents[1]
 
 
-@pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
-    return Taut(monkeypatch, capsys)
-
-
 def codes_in_the_source() -> set[str]:
     """The first text of every Reason(...), doubt(...) and notice(...) in the package, and of the departures' table."""
     found = set()

@@ -19,11 +19,6 @@ from tautline.io.exporting.source import of_model
 from tautline.model import Effect
 
 
-@pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
-    return Taut(monkeypatch, capsys)
-
-
 class ScrewCompensation:
     """LinuxCNC's table of type 0: lines of nominal, forward and reverse until the first that is none, rising, 256 at
     most. The motor goes to nominal + (nominal - forward) while the joint rises, nominal + (nominal - reverse) while it

@@ -29,11 +29,6 @@ FRAMES, SIZE = 40, (64, 48)
 CREEP = Effect("transmission.creep", {"creep_share": 0.05, "creep_time": 1.0, "creep_slow": 0.0})
 
 
-@pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
-    return Taut(monkeypatch, capsys)
-
-
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """monday: a recording with a video, whose clock begins before 0; model; diagnosis."""

@@ -69,11 +69,6 @@ SOLID = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.3\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 
 SECONDS = 12.0
 
 
-@pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
-    return Taut(monkeypatch, capsys)
-
-
 @pytest.fixture(scope="module", params=list(KINDS))
 def out(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An export into each kind, by the command."""

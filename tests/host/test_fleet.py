@@ -11,7 +11,6 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 import scipy.stats
-from cli_runner import Taut
 from fleet_workers import doubled
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -57,11 +56,6 @@ def fleet(made, tmp_path):
     shutil.copytree(made[0] / "in", tmp_path / "in")
     shutil.copytree(made[0] / "out", tmp_path / "out")
     return tmp_path
-
-
-@pytest.fixture
-def taut(monkeypatch, capsys):
-    return Taut(monkeypatch, capsys)
 
 
 def page_of(folder):

@@ -24,11 +24,6 @@ from tools.bench import inside
 CAMERA = Camera(256, 208, 185.0, 185.0, 128.0, 104.0, (0.0,) * 5, 25.0, 0.08, "tip")
 
 
-@pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
-    return Taut(monkeypatch, capsys)
-
-
 def calibrated(taut: Taut, folder: Path) -> tuple[int, dict[str, Any], dict[str, Any]]:
     done = taut("calibrate", folder, "--out", folder.parent / f"{folder.name}-model", "--json")
     return done.code, json.loads(done.out), json.loads((folder / "truth.json").read_text(encoding="utf-8"))

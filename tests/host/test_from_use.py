@@ -48,11 +48,6 @@ def use(speed: float, seconds: float = 10.0, rate_hz: float = 25.0) -> Recording
     return Recording("use", Motor(t, speed * np.abs((t % 2.0) - 1.0)), seen)
 
 
-@pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
-    return Taut(monkeypatch, capsys)
-
-
 @pytest.fixture(scope="module")
 def used() -> Used:
     return Used.of(101, 90.0)

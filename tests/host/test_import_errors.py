@@ -28,11 +28,6 @@ FEATURES = ("--motor", "action[0]", "--tip", "observation.state[0]")
 COLUMNS = ("--motor", "q", "--tip", "c")
 
 
-@pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
-    return Taut(monkeypatch, capsys)
-
-
 def mcap(folder: Path, q: np.ndarray = Q, c: np.ndarray = C, t: np.ndarray = T_S, tip_s: np.ndarray = T_S) -> Path:
     return files.mcap_json(folder / "robot.mcap", {"/motor": (t, {"q": q}), "/tip": (tip_s, {"angle": c})})
 

@@ -30,11 +30,6 @@ FLOAT64 = 2.0**-50  # the same of a few operations
 NS = 1e-9
 
 
-@pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
-    return Taut(monkeypatch, capsys)
-
-
 def simulated() -> Recording:
     """A joint with a play and an angle sensor, read together at 50 Hz, as a table holds them."""
     motion = Motion.through((-35, 35, -20, 10, -15, 30, -35, 20, -10), speed=12.0)

@@ -23,11 +23,6 @@ from tautline.io.importing.units import DEG_PER_RAD, UNITS, Named, factor, known
 RATE_HZ, WIDTH, LAG_S, SERVO_S = 100.0, 2.0, 0.06, 0.04
 
 
-@pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
-    return Taut(monkeypatch, capsys)
-
-
 def robot(seed: int = 1, seconds: float = 60.0) -> dict[str, np.ndarray]:
     """A servo that follows its command, friction on it, a tip behind a play that is seen late, and things that move by
     themselves."""

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runner import Taut
 
 import tautline as tl
 from tautline.cli._outputs import check_no_input
@@ -57,8 +56,7 @@ def test_standard_output_that_is_piped_is_written_into():
         assert seen.read() == "row\n"
 
 
-def test_what_is_read_is_not_overwritten(tmp_path, monkeypatch, capsys):
-    taut = Taut(monkeypatch, capsys)
+def test_what_is_read_is_not_overwritten(tmp_path, taut):
     recording = tmp_path / "recording"
     recording.mkdir()
     (recording / "motor.csv").write_text("t_s,q_deg\n")

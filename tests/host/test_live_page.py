@@ -427,11 +427,6 @@ def test_the_angle_that_is_shown_is_that_of_the_pose() -> None:
     assert [bending.of(frame) for frame in frames] == pytest.approx(pose(RIG, places)[0].tolist(), abs=2e-3)
 
 
-@pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
-    return Taut(monkeypatch, capsys)
-
-
 def test_what_cannot_be_shown_is_told_before_a_page_is_served(taut: Taut, tmp_path: Path, recording: Recording) -> None:
     folder = tmp_path / "run"
     save(recording, folder)

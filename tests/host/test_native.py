@@ -83,6 +83,32 @@ def test_what_would_be_written_to_a_copy_is_refused(other) -> None:
             _native.sweep(2, np.ones(4), np.arange(5.0), np.ones(5, np.uint8), 0.5, 0.1, 1.0, *columns)
 
 
+@pytest.mark.parametrize(
+    "counts", [np.array([1.7, 2.0]), np.array([1.0, 2.0]), np.array([1, 2**33]), np.array([-1, -(2**31) - 1])]
+)
+def test_counts_that_would_lose_by_it_are_not_made_whole(counts: Array) -> None:
+    """numpy would cut 1.7 down to 1 and wrap 2^33 to 0."""
+    t_us, refused = np.array([1000, 2000], np.uint64), pytest.raises(TypeError, match="dtype=int32")
+    with refused:
+        _native.History().push(t_us, counts)
+    with refused:
+        _native.table_encode({}, counts, counts, bytes(8))
+
+
+@pytest.mark.parametrize("t_us", [np.array([1000.5, 2000.0]), np.array([-1, 2000])])
+def test_times_that_would_lose_by_it_are_not_made_whole(t_us: Array) -> None:
+    with pytest.raises(TypeError, match="dtype=uint64"):
+        _native.History().push(t_us, np.array([1, 2], np.int32))
+
+
+def test_whole_numbers_of_any_width_are_taken_as_they_are() -> None:
+    t_us, ends = np.array([1000, 2000]), np.array([-(2**31), 2**31 - 1])
+    for q in (ends, ends.astype(np.int32), np.repeat(ends, 2)[::2], np.array([7, 8], np.uint8)):
+        history = _native.History()
+        history.push(t_us, q)
+        np.testing.assert_array_equal(history.at(t_us)[0], q)
+
+
 @pytest.mark.parametrize("where", ["x", "y"])
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_hinge_through_no_number_is_refused(where: str, value: float) -> None:

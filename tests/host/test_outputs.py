@@ -20,11 +20,6 @@ from tautline.rig import Actuator, Coarse, Rig
 BRIEF = ("--motion", "sines", "--duration", 2, "--speed", 2)
 
 
-@pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
-    return Taut(monkeypatch, capsys)
-
-
 def names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 

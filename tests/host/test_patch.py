@@ -24,11 +24,6 @@ RADIUS = 24.0  # of the disc that moves, px: wider than the region's half
 NOISE = 2.5  # levels rms
 
 
-@pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
-    return Taut(monkeypatch, capsys)
-
-
 def texture(seed: int, contrast: float) -> np.ndarray:
     """Structure of every size, as surfaces have it."""
     rng, total = np.random.default_rng(seed), np.zeros((500, 500), dtype=np.float32)
@@ -127,8 +122,8 @@ def test_keyframes_are_moved_to_where_the_others_have_them() -> None:
     tracker = PatchTracker(shown[0], (places[0][0], places[0][1]), SIDE)
     for one in shown[:80]:
         tracker.track(one)
-    middle = len(tracker._keyframes) // 2
-    off = tracker._keyframes[middle]
+    middle = len(tracker._keyframes.keys) // 2
+    off = tracker._keyframes.keys[middle]
     off.pose = replace(off.pose, u=off.pose.u + 2.0)
     for one in shown[80:]:
         tracker.track(one)

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cli_runner import Taut
 from slices import some
 
 import tautline as tl
@@ -122,9 +121,8 @@ def test_a_calibration_says_what_it_predicts_of_its_own_frames():
         assert np.sqrt(np.mean(each.residual[settled] ** 2)) < 0.06  # px: the marker's noise is 0.05
 
 
-def test_the_command_writes_the_sigmas_and_the_score(calibrated, tmp_path, monkeypatch, capsys):
+def test_the_command_writes_the_sigmas_and_the_score(calibrated, tmp_path, taut):
     model, unseen = calibrated
-    taut = Taut(monkeypatch, capsys)
     model.save(tmp_path / "model")
     save(unseen, tmp_path / "unseen")
     words = ("predict", tmp_path / "model", tmp_path / "unseen", "--csv", tmp_path / "out.csv")

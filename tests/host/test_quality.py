@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cli_runner import Taut
 
 from tautline.model import Model
 from tautline.quality import Quality, Reason, Verdict
@@ -35,11 +34,6 @@ def test_a_model_keeps_its_verdict_and_the_sigma_of_f_remain(tmp_path):
     again = Model.load(tmp_path / "m")
     assert again.quality == Quality((DOUBT,))
     assert np.array_equal(again.c_sigma, sigma, equal_nan=True)
-
-
-@pytest.fixture
-def taut(monkeypatch, capsys):
-    return Taut(monkeypatch, capsys)
 
 
 @pytest.mark.parametrize(

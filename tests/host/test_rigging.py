@@ -31,11 +31,6 @@ LENS = replace(RIG.camera, **DRAWN)
 ANGLES = np.linspace(-50.0, 50.0, 9)
 
 
-@pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
-    return Taut(monkeypatch, capsys)
-
-
 @pytest.fixture(scope="module")
 def board_pictures() -> list[np.ndarray]:
     return pictures(LENS, 14, 3)

@@ -64,10 +64,8 @@ def test_a_stamp_is_whole_nanoseconds() -> None:
         ("joints:=['motor']", "both 'motor'"),
     ],
 )
-def test_a_parameter_that_cannot_be_used_is_one_line(
-    given: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    line = Taut(monkeypatch, capsys).refuses("ros", saved_model(tmp_path / "model"), "--ros-args", "-p", given)
+def test_a_parameter_that_cannot_be_used_is_one_line(given: str, says: str, tmp_path: Path, taut: Taut) -> None:
+    line = taut.refuses("ros", saved_model(tmp_path / "model"), "--ros-args", "-p", given)
     assert "parameter" in line and says in line
 
 
@@ -76,10 +74,8 @@ def test_what_ros_does_not_understand_is_one_line() -> None:
         Graph("tautline", ["--ros-args", "-r", "__ns=="])
 
 
-def test_a_misspelt_option_is_no_argument_of_ros(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    done = Taut(monkeypatch, capsys)("ros", saved_model(tmp_path / "model"), "--boord", "usbip:127.0.0.1:1")
+def test_a_misspelt_option_is_no_argument_of_ros(tmp_path: Path, taut: Taut) -> None:
+    done = taut("ros", saved_model(tmp_path / "model"), "--boord", "usbip:127.0.0.1:1")
     assert done.code == 2 and "--boord" in done.err and "--ros-args" in done.err
 
 

@@ -28,10 +28,8 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
-    monkeypatch.delenv("TAUTLINE_BOARD", raising=False)
-    monkeypatch.setattr("tautline.device.board.find_usb", list)  # whatever is plugged in here
-    return Taut(monkeypatch, capsys)
+def taut(taut: Taut, no_board: None) -> Taut:
+    return taut
 
 
 @pytest.fixture

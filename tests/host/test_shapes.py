@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runner import Taut
 
 from tautline.errors import TautError
 from tautline.model import Model
@@ -13,12 +12,6 @@ from tautline.recording import save
 from tautline.shapes import INDEX, Library, Seen, Shape, offset_and_scale
 from tautline.tracking import replay
 from tools.tracking.sessions import Change, Instrument, ideal_model, session
-
-
-@pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
-    return Taut(monkeypatch, capsys)
-
 
 INSTRUMENT = Instrument(4)
 FIRST = ideal_model(INSTRUMENT)

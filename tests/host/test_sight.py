@@ -6,7 +6,6 @@ from dataclasses import replace
 import arms
 import numpy as np
 import pytest
-from cli_runner import Taut
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -81,7 +80,7 @@ def test_what_is_wrong_is_said_with_what_to_do(tmp_path):
         sight(write(tmp_path / "away.xml", CAMERA.replace(AXES, 'xyaxes="-1 0 0 0 0 1"')), "tip", "side")
 
 
-def test_a_diagnosis_by_command_compares_pixels_of_the_files_camera(tmp_path, monkeypatch, capsys):
+def test_a_diagnosis_by_command_compares_pixels_of_the_files_camera(tmp_path, taut):
     """Simulated truth: half of the servo's gain, seen by the camera with noise."""
     robot = arms.robot(tmp_path, 3, 8.0, kp=1.5)
     arm = write(tmp_path / "arm.xml")
@@ -97,7 +96,7 @@ def test_a_diagnosis_by_command_compares_pixels_of_the_files_camera(tmp_path, mo
     ):
         np.savetxt(into / name, np.column_stack(values), delimiter=",", header=columns, comments="", fmt="%.9g")
     arms.rig(tmp_path)
-    taut, words = Taut(monkeypatch, capsys), ("diagnose", "--simulator", arm, "--actuator", "servo")
+    words = ("diagnose", "--simulator", arm, "--actuator", "servo")
     where = (into, "--rig", tmp_path / "rig.toml", "--out", tmp_path / "out")
     done = taut(*words, "--tip", "site:tip", "--camera", "side", *where, "--json")
     assert done.code == 0, done.err

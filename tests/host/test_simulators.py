@@ -10,7 +10,6 @@ from types import ModuleType
 import arms
 import numpy as np
 import pytest
-from cli_runner import Taut
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -49,11 +48,6 @@ def nominal(folder):
     return mjcf.simulator(arms.write(folder / "arm.xml", step_s=SERVO_STEP_S), "servo", "joint:elbow")
 
 
-@pytest.fixture
-def taut(monkeypatch, capsys):
-    return Taut(monkeypatch, capsys)
-
-
 def still(q_deg, seconds=1.0):
     t_s = np.arange(0.0, seconds, 0.005)
     return Motor(t_s, np.full_like(t_s, q_deg))
@@ -71,7 +65,7 @@ def test_what_exists_is_declared_with_the_files_own_values(nominal):
     told = {each.name: each.nominal for each in nominal.parameters}
     assert told == pytest.approx(
         {"elbow.damping": 0.05, "elbow.frictionloss": 0.01, "elbow.armature": 0.002, "servo.kp": 3.0, "servo.kv": 0.02}
-        | {"servo.delay": 0.0, "elbow.load": 0.15}
+        | {"servo.timeconst": 0.0, "servo.delay": 0.0, "elbow.load": 0.15}
     )
 
 
@@ -101,6 +95,67 @@ def test_the_same_motion_is_the_same_to_the_last_bit_and_a_delay_is_a_later_moti
     assert (once == again).all()
     late = nominal.tip(motor, {"servo.delay": 0.04})  # ten of its steps: no interpolation
     np.testing.assert_allclose(late[8:], once[:-8], atol=1e-6)
+
+
+def filtered(folder, servo, step_s=SERVO_STEP_S):
+    """The arm with this text in its servo's element."""
+    arm = arms.write(folder / "filtered.xml", step_s=step_s)
+    arm.write_text(arm.read_text().replace('name="servo"', f'name="servo" {servo}'))
+    return mjcf.simulator(arm, "servo", "joint:elbow")
+
+
+def test_a_servo_that_lags_is_one_whose_file_says_so(folder, nominal):
+    """The time constant of 40 ms as the robot's, and as the file's own: MuJoCo's filter holds a control for a step."""
+    t_s = np.arange(0.0, 4.0, 0.005)
+    motor = Motor(t_s, 30.0 + 20.0 * np.sin(2.0 * t_s))
+    usual, lags = filtered(folder, "", 2e-4), filtered(folder, 'timeconst="0.04"', 2e-4)
+    declared = {each.name: each for each in lags.parameters}["servo.timeconst"]
+    assert (declared.unit, declared.nominal, declared.low) == ("s", 0.04, 0.0)
+    late = usual.tip(motor, {"servo.timeconst": 0.04})
+    np.testing.assert_allclose(late, lags.tip(motor, {}), atol=0.01)
+    np.testing.assert_allclose(
+        lags.tip(motor, {"servo.timeconst": -0.02}), usual.tip(motor, {"servo.timeconst": 0.02}), atol=0.01
+    )
+    assert np.sqrt(np.mean((late - usual.tip(motor, {})) ** 2)) > 0.5
+
+
+def test_a_lag_far_below_a_step_is_told_as_well(nominal):
+    """Differences at a servo that has none are of a part of a spread: a steady ramp is late by each."""
+    t_s = np.arange(0.0, 4.0, 0.005)
+    motor = Motor(t_s, 10.0 * t_s)
+    off = [(nominal.tip(motor, {}) - nominal.tip(motor, {"servo.timeconst": tau}))[-1] for tau in (1e-4, 1e-3, 1e-2)]
+    np.testing.assert_allclose(off, [1e-3, 1e-2, 1e-1], rtol=0.05)
+
+
+@pytest.mark.parametrize("kind", ["filter", "filterexact"])
+def test_a_general_actuators_own_filter_is_its_time_constant(folder, kind):
+    arm = arms.write(folder / "general.xml")
+    position = '<position name="servo" joint="elbow" kp="3.0" kv="0.02"/>'
+    general = '<general name="servo" joint="elbow" gainprm="3" biastype="affine" biasprm="0 -3 -.02" {}/>'
+    text = arm.read_text().replace(position, general.format(f'dyntype="{kind}" dynprm="0.05"'))
+    arm.write_text(text)
+    own = mjcf.simulator(arm, "servo", "joint:elbow")
+    told = {each.name: each for each in own.parameters}
+    lag = told["servo.timeconst"]
+    assert lag.nominal == pytest.approx(0.05) and told["servo.kp"].nominal == 3.0
+    t_s = np.arange(0.0, 2.0, 0.005)
+    motor = Motor(t_s, 20.0 * np.sin(3.0 * t_s))
+    least, usual, slow = (own.tip(motor, {lag.name: tau - lag.nominal}) for tau in (lag.low, lag.nominal, 0.1))
+    for one, other in ((least, usual), (usual, slow)):
+        assert 0.5 < np.sqrt(np.mean((one - other) ** 2)) < 5.0
+
+
+def test_a_filtered_servo_begins_at_rest_at_its_first_command(folder):
+    """However slow it is: two seconds of settling do not carry it from 0 deg."""
+    tip = filtered(folder, 'timeconst="2"').tip(still(40.0), {})
+    assert np.ptp(tip) < 0.05 and tip[0] > 35.0  # it creeps within its friction
+
+
+def test_an_actuator_that_integrates_its_command_has_no_time_constant(folder):
+    arm = arms.write(folder / "speed.xml")
+    arm.write_text(arm.read_text().replace("<position", '<intvelocity actrange="-3 3"'))
+    names = [each.name for each in mjcf.simulator(arm, "servo", "joint:elbow").parameters]
+    assert "servo.timeconst" not in names and "servo.delay" in names
 
 
 def test_a_site_is_the_sum_of_the_free_hinges_above_it(folder):

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cli_runner import Taut
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from slices import some
@@ -27,11 +26,6 @@ from tools.tracking.score import score
 from tools.tracking.sessions import NOISE_PX, Change, Instrument, ideal_model, session
 
 GRID = np.linspace(-5.0, 5.0, 201)
-
-
-@pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
-    return Taut(monkeypatch, capsys)
 
 
 def path(seed: int, turns: int = 12, steps: int = 40) -> np.ndarray:

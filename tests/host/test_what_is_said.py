@@ -47,11 +47,6 @@ SCRIPTS = [ROOT / "run", ROOT / "tools" / "setup", ROOT / "tools" / "release"]
 
 
 @pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
-    return Taut(monkeypatch, capsys)
-
-
-@pytest.fixture
 def folder(tmp_path: Path) -> Path:
     return saved_recording(tmp_path / "run")
 

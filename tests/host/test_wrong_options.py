@@ -21,11 +21,9 @@ from tautline.model import Model
 
 
 @pytest.fixture
-def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Taut:
-    monkeypatch.delenv("TAUTLINE_BOARD", raising=False)
-    monkeypatch.setattr("tautline.device.board.find_usb", list)  # whatever is plugged in here
+def taut(taut: Taut, no_board: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Taut:
     monkeypatch.chdir(tmp_path)
-    return Taut(monkeypatch, capsys)
+    return taut
 
 
 @pytest.fixture

@@ -334,12 +334,12 @@ static void start_axis(bool plays, bool sections) {
                              .inertia = before->inertia,
                              .friction_q15 = before->friction};
     if (between(0, 2) == 0) {
-        gains = (tl_wire_servo_t){.proportional = between(0, TL_SERVO_GAIN_MAX),
-                                  .integral = between(0, TL_SERVO_GAIN_MAX),
-                                  .derivative = between(0, TL_SERVO_GAIN_MAX),
-                                  .feed_forward = between(0, TL_SERVO_GAIN_MAX),
-                                  .inertia = between(0, TL_SERVO_GAIN_MAX),
-                                  .friction_q15 = between(0, TL_SERVO_GAIN_MAX)};
+        gains = (tl_wire_servo_t){.proportional = between(0, TL_WIRE_GAIN_MAX),
+                                  .integral = between(0, TL_WIRE_GAIN_MAX),
+                                  .derivative = between(0, TL_WIRE_GAIN_MAX),
+                                  .feed_forward = between(0, TL_WIRE_GAIN_MAX),
+                                  .inertia = between(0, TL_WIRE_GAIN_MAX),
+                                  .friction_q15 = between(0, TL_WIRE_GAIN_MAX)};
     }
     if (tl_axis_set_servo(&axis, &gains) != 0) {
         panic("gains within their range are refused");

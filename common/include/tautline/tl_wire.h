@@ -136,6 +136,8 @@ extern "C" {
 
 #define TL_WIRE_FIELDS_GET_LIMITS(F, A) F(u8, axis, "")
 
+#define TL_WIRE_GAIN_MAX 32767 ///< of each value of a servo; none is below 0
+
 #define TL_WIRE_VALUES_SERVO(F, A)                                                                                     \
     F(i32, proportional, "duty Q15 per count")                                                                         \
     F(i32, integral, "duty Q15 per count and second")                                                                  \

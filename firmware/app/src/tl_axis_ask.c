@@ -110,7 +110,7 @@ uint8_t tl_axis_check_settings(const tl_port_t *port, const tl_wire_settings_t *
     const int32_t gains[] = {settings->proportional, settings->integral, settings->derivative,
                              settings->feed_forward, settings->inertia,  settings->friction_q15};
     for (unsigned i = 0; i < sizeof(gains) / sizeof(gains[0]); i++) {
-        if (gains[i] < 0 || gains[i] > TL_SERVO_GAIN_MAX) {
+        if (gains[i] < 0 || gains[i] > TL_WIRE_GAIN_MAX) {
             return TL_WIRE_REASON_RANGE;
         }
     }

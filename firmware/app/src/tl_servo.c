@@ -6,7 +6,7 @@
 #define SPEED_MAX        (TL_REFERENCE_SPEED_MAX / TL_COUNT_ONE)        // counts/s
 
 static bool in_range(int32_t value) {
-    return value >= 0 && value <= TL_SERVO_GAIN_MAX;
+    return value >= 0 && value <= TL_WIRE_GAIN_MAX;
 }
 
 // Bits to drop, so that `most` (Q24) is left with 15.

@@ -39,6 +39,7 @@ from tautline.live.rounds import in_words
 from tautline.model import MODEL_FILE
 from tautline.recording import load, shifted
 from tautline.reports import pages
+from tautline.trajectory import NEXT_FILE
 from tautline.vision.marker import with_marker
 
 
@@ -150,7 +151,7 @@ def _from_recordings(
     seconds = closing.write(calibration.model, calibration.gaps, recordings, out)
     if seconds is None:
         return calibration, lines, None
-    path = out / closing.FILE
+    path = out / NEXT_FILE
     lines.append(
         f"{seconds:.0f} s of motion would measure the rest of the range: taut record --motion {path}, then "
         "calibrate from both recordings."

@@ -374,6 +374,7 @@ class Board:
         return self.clock.offset(time.monotonic())[1]
 
     def check_axis(self, axis: int) -> None:
+        """TautError where the board has no such axis."""
         if not 0 <= axis < self.axes:
             raise TautError(f"{self.where}: no axis {axis}: its axes are 0 to {self.axes - 1}")
 
@@ -441,7 +442,7 @@ class Board:
             raise TautError(f"axis {axis}: the board holds another table than was sent: flash it again")
 
     def read_table(self, axis: int) -> bytes:
-        """The table in use, b"" where the axis has none."""
+        """The table in use, the blob of tl_table.h; b"" where the axis has none."""
         self.check_axis(axis)
         dfu = self._link.tables(axis)
         if dfu is None:

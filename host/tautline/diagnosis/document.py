@@ -23,6 +23,7 @@ from tautline.diagnosis.segment import Segment
 from tautline.diagnosis.tracker import TrackerError
 from tautline.effects import Kind
 from tautline.model import Model
+from tautline.trajectory import NEXT_FILE
 
 Array = npt.NDArray[np.float64]
 
@@ -215,7 +216,7 @@ def _next_motion(found: Found) -> dict[str, Any] | None:
     if following is None:
         return None
     nats = {"open": following.entropy, "expected": following.information}
-    return {"why": following.why, "file": "next_motion.csv", "nats": nats}
+    return {"why": following.why, "file": NEXT_FILE, "nats": nats}
 
 
 def _rivals(gathered: Gathered, verdict: decide.Decision) -> Rivals | None:

@@ -11,6 +11,7 @@ from tautline.diagnosis.diagnose import Diagnosis
 from tautline.folders import replaced, write_file
 from tautline.plain import plain
 from tautline.reports import pages
+from tautline.trajectory import NEXT_FILE
 
 DOCUMENT = "diagnosis.json"
 
@@ -23,7 +24,7 @@ def save(diagnosis: Diagnosis, out: Path) -> None:
             pages.write(model, folder / name, None, name)
         if diagnosis.next_motion is not None:
             table = motion.table(diagnosis.next_motion.motion, diagnosis.nominal.rig.actuator.unit)
-            table.to_csv(folder / "next_motion.csv", index=False, float_format="%.6f")
+            table.to_csv(folder / NEXT_FILE, index=False, float_format="%.6f")
         document: dict[str, Any] = plain(diagnosis.document)
         write_file(folder / DOCUMENT, json.dumps(document, indent=1, allow_nan=False) + "\n")
         page.write(diagnosis, folder, str(out))

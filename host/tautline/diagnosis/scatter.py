@@ -260,7 +260,7 @@ class _Joined:
         left = np.clip(at.astype(int), 0, _PLACES - 2)
         share = at - left
         ridge = self._floor2 / max(float(np.mean(self.residual**2)), self._floor2)
-        told = np.zeros_like(self.residual)
+        told: Array = np.zeros_like(self.residual)
         for way, calibration in product((-1.0, 1.0), (False, True)):
             here = np.flatnonzero((self._way == way) & (self._calibration == calibration))
             blocks = {int(number): here[self.block[here] == number] for number in np.unique(self.block[here])}

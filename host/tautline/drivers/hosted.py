@@ -140,8 +140,8 @@ class HostedLink:
                     acceleration_s2=min(limits.acceleration * scale, _native.HOSTED_ACCELERATION_MAX),
                     friction=_FRICTION / 32768, following_error=max(_FOLLOWING_S * speed, 8.0),  # counts
                     low_duty=_LOW_DUTY / 32768, current_ma=0,
-                    feed_forward=min(max(round(1000.0 * _CHECK_PUSH / (_CHECK_SHARE * speed)), 1), 32767), arrive=4.0,
-                    hold_ms=0, commissioned=1,
+                    feed_forward=min(max(round(1000.0 * _CHECK_PUSH / (_CHECK_SHARE * speed)), 1), wire.wire.GAIN_MAX),
+                    arrive=4.0, hold_ms=0, commissioned=1,
                 )  # fmt: skip
                 ask("settings", **settings)
             if drive.referenced:

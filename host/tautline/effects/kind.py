@@ -150,8 +150,9 @@ class Kind:
 
     @property
     def bends(self) -> bool:
-        """Whether it changes c beside the play's centre p, so that c is not f_remain(p) alone."""
-        return self.stage == THROUGH_ANGLE[2] or self.needs == "load"
+        """Whether it changes c beside the play's centre p, so that c is not f_remain(p) alone: behind the transmission,
+        or by a load, which changes the angle's gain as well as the play."""
+        return self.stage == "configuration" or self.needs == "load"
 
     @property
     def carried(self) -> bool:

@@ -18,9 +18,8 @@ from tautline.live.rounds import Means
 from tautline.model import Model
 from tautline.recording import Motor, Recording
 from tautline.rig import Actuator
-from tautline.trajectory import Trajectory
+from tautline.trajectory import NEXT_FILE, Trajectory
 
-FILE = "next_motion.csv"  # in a MODEL folder
 SECONDS = 20.0  # it lasts no longer, where the gaps let it
 _STROKES = (3.0, 5.0, 8.0)  # of the widest B: the shorter, the more turns
 _BACK = 1.4  # of it: a stroke back gets through it
@@ -56,7 +55,7 @@ def write(model: Model, gaps: Sequence[Gap], recordings: Sequence[Recording], fo
     motion = closing(model, gaps, recordings) if model.quality.usable else None
     if motion is None:
         return None
-    write_file(folder / FILE, table(motion, model.rig.actuator.unit).to_csv(index=False, float_format="%.6f"))
+    write_file(folder / NEXT_FILE, table(motion, model.rig.actuator.unit).to_csv(index=False, float_format="%.6f"))
     return motion.duration_s
 
 

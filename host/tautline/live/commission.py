@@ -20,11 +20,12 @@ Array = np.ndarray
 Say = Callable[[str], None]
 Agree = Callable[[str], bool]
 
-FACTORS = (0.5, 1.0, 2.0, 4.0)  # of the gains that are tried; the last one only shows that there is a margin
 _MARGIN = 2.0  # gains so much higher must still be sound
+_HIGHEST = 4.0  # times the gains: tried only to show that there is a margin
+_RUNGS = 4  # gains that are tried, each _MARGIN times those before
+_COUNT = 1.0  # limit: the encoder's resolution; a motor that rests on one side of a count or the other follows as well
 _GAINS = ("proportional", "integral", "derivative")
 _UNSOUND = ("OSCILLATION", "FOLLOWING", "CURRENT")  # faults that too high or too low a gain may cause
-_GAIN_MAX = 32767
 _CENTRE, _STEP = 0.3, 0.02  # of the range: where it moves, from the end that was found, and how far for a step
 _WAY, _SPEEDS = 0.3, (0.1, 0.3)  # of the range to see friction, and of the top speed
 _STOP_S = 0.02  # until the board has seen its stop input anew
@@ -143,12 +144,17 @@ def _commission_motor(live: Live, agree: Agree, say: Say, homing: Homing, asked:
                     f"drive; current up to {commissioned.current_ma} mA, "
                     f"limit {commissioned.settings['current_ma']} mA"
                 )
+                if commissioned.settings["feed_forward"] < _feed_forward(commissioned.speed_s):
+                    say(
+                        f"the board takes a feed-forward of {wire.wire.GAIN_MAX} at most, and this motor asks for "
+                        f"{_feed_forward(commissioned.speed_s)}: the servo's integral has to do the rest"
+                    )
                 _tune_gains(live, tape, commissioned, homing.direction, say)
         finally:
             with contextlib.suppress(TautError):  # gone: what is stored holds at its next start
                 board.ask("servo", **_servo_fields(commissioned.before))
 
-        _agreed(agree, f"Store gains x {commissioned.factor:g}, range, current limit and instrument on the board?")
+        _agreed(agree, f"Store gains x {commissioned.factor:.3g}, range, current limit and instrument on the board?")
         _store(live, commissioned.settings)
     return commissioned
 
@@ -300,7 +306,12 @@ def _measure_drive_law(live: Live, tape: _Tape, commissioned: Commissioned, dire
         raise TautError("more speed took less drive: look for what rubs, and for a supply that sags")
     commissioned.friction, commissioned.speed_s = max(friction, 0.0), 1.0 / slope
     commissioned.settings["friction"] = commissioned.friction
-    commissioned.settings["feed_forward"] = min(round(1000.0 * 32768.0 * slope), _GAIN_MAX)
+    commissioned.settings["feed_forward"] = min(_feed_forward(commissioned.speed_s), wire.wire.GAIN_MAX)
+
+
+def _feed_forward(speed_s: float) -> int:
+    """The gain, duty Q15 per 1000 counts/s, that drives a motor whose free speed at full drive is speed_s counts/s."""
+    return round(1000.0 * 32768.0 / speed_s)
 
 
 def _fitted_drive_law(stretches: Sequence[tuple[Array, Array, Array]]) -> tuple[float, float]:
@@ -328,16 +339,24 @@ def _fitted_drive_law(stretches: Sequence[tuple[Array, Array, Array]]) -> tuple[
 
 def _tune_gains(live: Live, tape: _Tape, commissioned: Commissioned, direction: int, say: Say) -> None:
     """Tries growing gains by a step response, and chooses those that follow best among the ones that are stable with a
-    factor of _MARGIN in hand. direction: -1 or 1, of the end that is near."""
-    for factor in FACTORS:
+    factor of _MARGIN in hand: the stiffest, where the encoder shows no difference. direction: -1 or 1, of the end
+    that is near."""
+    factors = _factors(commissioned.settings)
+    if factors[-1] < _HIGHEST:
+        name = _largest(commissioned.settings)
+        say(
+            f"gains are tried up to x {factors[-1]:.3g}, not {_HIGHEST:g}: the {name} gain is "
+            f"{commissioned.settings[name]}, and the board takes {wire.wire.GAIN_MAX} at most"
+        )
+    for factor in factors:
         tried = commissioned.settings | _scaled(commissioned.settings, factor)
         step = _steps_by_gains(live, tape, tried, commissioned.q, direction)
         if step is None:
-            say(f"gains x {factor:g}: not sound")
+            say(f"gains x {factor:.3g}: not sound")
             break
         commissioned.steps[factor] = step
         say(
-            f"gains x {factor:g}: off by {step.rms:.1f} counts rms, {step.overshoot:.1f} beyond the target, "
+            f"gains x {factor:.3g}: off by {step.rms:.1f} counts rms, {step.overshoot:.1f} beyond the target, "
             f"settled in {1e3 * step.settling_s:.0f} ms"
         )
     fit = [factor for factor in commissioned.steps if factor * _MARGIN in commissioned.steps]
@@ -345,15 +364,27 @@ def _tune_gains(live: Live, tape: _Tape, commissioned: Commissioned, direction: 
         raise TautError(
             "no gains are sound with a margin of 2: look for play between motor and encoder, and the supply"
         )
-    commissioned.factor = min(
-        fit, key=lambda factor: commissioned.steps[factor].rms + commissioned.steps[factor].overshoot
-    )
+    off = {factor: commissioned.steps[factor].rms + commissioned.steps[factor].overshoot for factor in fit}
+    commissioned.factor = max(factor for factor in fit if off[factor] < min(off.values()) + _COUNT)
     commissioned.settings |= _scaled(commissioned.settings, commissioned.factor)
 
 
+def _largest(settings: dict[str, Any]) -> str:
+    """The name of the largest gain among these settings."""
+    return max(_GAINS, key=lambda name: settings[name])
+
+
+def _factors(settings: dict[str, Any]) -> list[float]:
+    """By what the gains among these settings are multiplied, rising, each factor _MARGIN times the one before. The last
+    one is _HIGHEST, or as much as the board takes of all three gains: they keep their ratios, or a step would show the
+    margin of another servo."""
+    highest = min(_HIGHEST, wire.wire.GAIN_MAX / max(settings[_largest(settings)], 1))
+    return [highest / _MARGIN**rung for rung in reversed(range(_RUNGS))]
+
+
 def _scaled(settings: dict[str, Any], factor: float) -> dict[str, Any]:
-    """The gains among these settings times a factor, rounded, _GAIN_MAX at most."""
-    return {name: min(round(settings[name] * factor), _GAIN_MAX) for name in _GAINS}
+    """The gains among these settings times a factor, rounded."""
+    return {name: round(settings[name] * factor) for name in _GAINS}
 
 
 def _steps_by_gains(

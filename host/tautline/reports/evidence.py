@@ -127,7 +127,7 @@ def _collect_one(model: Model, recording: Recording, index: int, offset_s: float
         for column in (motor.translation_mm, motor.rotation_deg)
     ]
     coarse_deg = rig.coarse.gain * model.q + rig.coarse.offset
-    models = (
+    models = (  # of STAGES
         replace(model, width=np.zeros_like(model.width), c_deg=coarse_deg),
         replace(model, c_deg=coarse_deg),
         model,

@@ -466,8 +466,8 @@ def servo_steps(steps: Mapping[float, Any], chosen: float) -> Figure:
         width = 2.0 if factor == chosen else 0.9
         if factor == chosen:
             top.plot(1e3 * step.t_s, step.q_ref, color=INK, lw=2.4, alpha=0.35, label="reference")
-        top.plot(1e3 * step.t_s, step.q, color=colour, lw=width, label=f"gains x {factor:g}")
-        name = f"x {factor:g}: rms {step.rms:.2f}"
+        top.plot(1e3 * step.t_s, step.q, color=colour, lw=width, label=f"gains x {factor:.3g}")
+        name = f"x {factor:.3g}: rms {step.rms:.2f}"
         bottom.plot(1e3 * step.t_s, step.q - step.q_ref, color=colour, lw=width, label=name)
     top.set(ylabel="motor (counts)")
     top.set_title("Step response of the servo")

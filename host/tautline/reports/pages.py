@@ -23,6 +23,7 @@ from tautline.reports import figures
 from tautline.reports.evidence import FILE as EVIDENCE_FILE
 from tautline.reports.evidence import STAGES, Evidence, Run, collect
 from tautline.rig import MARKER
+from tautline.trajectory import NEXT_FILE
 from tautline.vision.snapshot import snapshot
 
 FILE = "report.html"
@@ -47,7 +48,7 @@ class Number:
 def save_model(model: Model, recordings: Sequence[Recording], folder: Path) -> list[str]:
     """The whole MODEL folder with its report, or nothing; without recordings, or where none saw the tip within the
     motor's times, a report of the tables alone. Returns the result in sentences."""
-    with replaced(folder, MODEL_FILE, stale=("follow-*.csv", EVIDENCE_FILE, CAMERA_FILE, "next_motion.csv")) as target:
+    with replaced(folder, MODEL_FILE, stale=("follow-*.csv", EVIDENCE_FILE, CAMERA_FILE, NEXT_FILE)) as target:
         evidence = collect(model, recordings) if recordings else None
         if evidence is not None and len(evidence.t_s) == 0:
             evidence = None

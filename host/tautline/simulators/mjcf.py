@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from tautline import _native
 from tautline.errors import TautError
 from tautline.recording import Motor
 from tautline.simulators.scene import carried_by, check_named, lifts, needed, read, tip_of, with_servo
@@ -33,6 +34,7 @@ _DELAY_S = 0.02  # prior: a change that a user would notice
 _DAMPED = 0.2  # prior: share of critical damping: the same, where a joint has none
 _STUCK_RAD = 5e-3  # prior: by which the servo is off where friction that the file does not have holds the joint
 _DELAY_MOST_S = 0.5  # prior: no command takes longer
+_LAG_S = 0.02  # prior: of a servo that follows in first order: as of a delay
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,10 @@ class Mjcf:
         late = t_s - parameters[f"{self.actuator}.delay"]
         data = self._begun(model, self.scale * float(motor.q[0]))
         control = np.tile(data.ctrl, (steps, 1))
-        control[:, self._index] = self.scale * np.interp(late, motor.t_s, motor.q)
+        command = self.scale * np.interp(late, motor.t_s, motor.q)
+        if not self._has_filter and self._lag:
+            command = _followed(command, parameters[self._lag] / step)
+        control[:, self._index] = command
         first = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
         mujoco.mj_getState(model, data, first, mujoco.mjtState.mjSTATE_FULLPHYSICS)
         with _silent():
@@ -105,6 +110,23 @@ class Mjcf:
         """Whether it holds a position: a force of kp (control - length) - kv speed."""
         gain, bias = self._model.actuator_gainprm[self._index], self._model.actuator_biasprm[self._index]
         return bool(gain[0] > 0.0 and bias[1] == -gain[0])
+
+    @property
+    def _has_filter(self) -> bool:
+        """Whether the file's actuator follows its control in first order, with a state of its own."""
+        import mujoco
+
+        kind = int(self._model.actuator_dyntype[self._index])
+        return kind in (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
+
+    @property
+    def _lag(self) -> str:
+        """The name of the time constant with which the actuator follows its command; empty for one whose state is
+        something else, as a muscle's."""
+        import mujoco
+
+        follows = self._has_filter or self._model.actuator_dyntype[self._index] == mujoco.mjtDyn.mjDYN_NONE
+        return f"{self.actuator}.timeconst" if follows else ""
 
     @cached_property
     def _joints(self) -> tuple[str, ...]:
@@ -153,6 +175,11 @@ class Mjcf:
             force, per = _UNITS[rotary]
             yield Declared(f"{self.actuator}.kp", f"{force}/{per}", kp, 0.5 * kp, 0.01 * kp)
             yield Declared(f"{self.actuator}.kv", f"{force} s/{per}", kv, kv or usual, 0.0)
+        if self._lag:
+            tau = float(model.actuator_dynprm[self._index, 0]) if self._has_filter else 0.0
+            explicit = int(model.actuator_dyntype[self._index]) == mujoco.mjtDyn.mjDYN_FILTER
+            least = min(tau, self.time_step) if explicit else 0.0  # such a filter is not stable below half a step
+            yield Declared(self._lag, "s", tau, tau or _LAG_S, least, tau + _DELAY_MOST_S)
         yield Declared(f"{self.actuator}.delay", "s", 0.0, _DELAY_S, 0.0, _DELAY_MOST_S)
 
     def _is_lifted(self, data: mujoco.MjData, name: str) -> bool:
@@ -186,12 +213,14 @@ class Mjcf:
             kp = parameters[f"{self.actuator}.kp"]
             model.actuator_gainprm[self._index, 0], model.actuator_biasprm[self._index, 1] = kp, -kp
             model.actuator_biasprm[self._index, 2] = -parameters[f"{self.actuator}.kv"]
+        if self._has_filter:
+            model.actuator_dynprm[self._index, 0] = parameters[self._lag]
         mujoco.mj_setConst(model, mujoco.MjData(model))
         return model
 
     def _begun(self, model: mujoco.MjModel, control: float) -> mujoco.MjData:
-        """The initial state: the file's first key frame, if it has any, with a servo's joint at its first command.
-        control: that command, in the actuator's unit."""
+        """The initial state: the file's first key frame, if it has any, with a servo's joint at its first command, and
+        its filter there as well. control: that command, in the actuator's unit."""
         import mujoco
 
         data = mujoco.MjData(model)
@@ -200,8 +229,25 @@ class Mjcf:
         index = self._index
         if self._is_servo and self._joint is not None:
             data.qpos[model.jnt_qposadr[self._joint]] = control / model.actuator_gear[index, 0]
+        if self._has_filter:
+            data.act[model.actuator_actadr[index]] = control
         mujoco.mj_forward(model, data)
         return data
+
+
+def _followed(command: Array, steps: float) -> Array:
+    """What follows a command (n,), straight lines between its samples, in first order, from rest at its first value;
+    exact. steps: the time constant in samples, 0 for one that is there at once."""
+    if steps == 0.0:
+        return command
+    kept = math.exp(-1.0 / steps)
+    late = steps * (1.0 - kept)  # of the last step's change, what is missing at its end
+    step = command - command[0]
+    now = (1.0 - late) * step
+    now[1:] += (late - kept) * step[:-1]
+    rows = now[:, None]
+    _native.first_order_sums(rows, kept)
+    return np.asarray(command[0] + rows[:, 0])
 
 
 def simulator(

@@ -59,7 +59,8 @@ class Judgement:
         return None
 
     def keep_proposal(self, verdict: Inference, stroke: int) -> None:
-        """What this verdict proposes replaces a proposal that was tried on enough strokes."""
+        """What this verdict proposes replaces none, or a proposal that was tried on more than _FORETELLS strokes since
+        the evidence that it was made of. stroke: the number of the one that is under way."""
         if self.proposal is None or stroke > self.proposal.evidence.stroke[-1] + _FORETELLS:
             self.proposal = verdict.proposal
 

@@ -157,7 +157,8 @@ class LawFamily:
         return theta
 
     def law(self, theta: Array) -> Law:
-        """The law of a theta that is within its limits (`clipped`); the last few are kept."""
+        """The law with the parameters theta (PARAMETERS,), which are within their limits (`clipped`). The last few are
+        kept, as a fit asks for each several times."""
         key = theta.tobytes()
         if key not in self._kept:
             if len(self._kept) > 8:

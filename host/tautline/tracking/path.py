@@ -20,15 +20,15 @@ def _none() -> Array:
 
 @dataclass
 class CausalPath:
-    """Samples after `done_s` and a few before. `others` (translation, mm; rotation, deg) ride along as columns."""
+    """Samples after `done_s` and a few before."""
 
-    t_s: Array = field(default_factory=_none)
-    q: Array = field(default_factory=_none)
-    others: Array = field(default_factory=lambda: np.empty((0, 2)))
-    done_s: float = -np.inf
+    t_s: Array = field(default_factory=_none)  # (n,) rising
+    q: Array = field(default_factory=_none)  # (n,) unit of q
+    others: Array = field(default_factory=lambda: np.empty((0, 2)))  # (n, 2) translation, mm, and rotation, deg
+    done_s: float = -np.inf  # up to which the motion was used
 
     def add(self, t_s: Array, q: Array, others: Array) -> None:
-        """Samples in order of time. others (n, 2): translation, rotation."""
+        """Appends samples, as the fields are, which come after those that are there."""
         self.t_s = np.concatenate([self.t_s, t_s])
         self.q = np.concatenate([self.q, q])
         self.others = np.concatenate([self.others, others])

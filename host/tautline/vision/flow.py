@@ -17,7 +17,14 @@ _AROUND_PX = 31  # two windows: over which light is alike
 _MARGIN_PX = 2 * (_AROUND_PX // 2)  # equation: reach of a mean over the distances from a mean, one way
 _CAMERA_NOISE = 3.0  # levels, which is not to be enlarged to structure
 _MIDDLE, _CONTRAST = 128.0, 42.0  # levels: three times that is in 8 bits
+_CORNER_QUALITY = 0.01  # tolerance: of the best corner's
 _THERE_AND_BACK_PX = 0.5  # a corner that is not found again from where it was found was not found
+
+
+def corners_in(grey: Picture, mask: Picture, most: int, apart_px: float) -> Array:
+    """The best corners (n, 2) px of a grey picture where the mask is not 0, `most` at most, best first."""
+    found = cv2.goodFeaturesToTrack(grey, most, _CORNER_QUALITY, apart_px, mask=mask)
+    return np.empty((0, 2)) if found is None else found.reshape(-1, 2).astype(float)
 
 
 def found_again(one: Picture, other: Picture, start: Array, guess: Array) -> tuple[Array, npt.NDArray[np.intp]]:

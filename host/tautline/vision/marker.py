@@ -122,8 +122,9 @@ class MarkerTracker:
         return _SHRUNK < sighting.diameter_px / self._left.diameter_px < _GROWN
 
     def _measure(self, picture: Array, u: float, v: float, diameter: float, slack: float) -> Sighting:
-        """The outline of the marker around (u, v) px, its expected diameter, px, and `slack` px of room about it given;
-        up to two times in a larger region, where it goes on beyond it. Lost, with the reason, where it is none."""
+        """The marker by its outline, or why it is lost, in a BGR picture. u, v, diameter: where and how large it is
+        expected, px; slack: px of room about that. Where its outline goes on beyond the region that is looked at, a
+        larger one is, twice at most. Of one that is found the next one's colour and outline are expected."""
         half = int(0.6 * diameter + _MARGIN_PX + slack)
         for _ in range(3):
             status, outline = marker_measure(picture, self._weights, self._cut, u, v, diameter, half, self._expected)

@@ -17,10 +17,10 @@ from typing import Any, Self
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_array
 
 from tautline.errors import TautError
-from tautline.vision.flow import EvenLight, Picture, found_again
+from tautline.vision.flow import EvenLight, Picture, corners_in, found_again
+from tautline.vision.keyframes import Keyframes
 from tautline.vision.sighting import SURE_PX, Sighting, lost
 
 Array = npt.NDArray[np.floating[Any]]
@@ -28,7 +28,7 @@ Array = npt.NDArray[np.floating[Any]]
 SMALLEST_PX, LARGEST_PX, USUAL_PX = 16.0, 400.0, 36.0  # side of the region
 
 # tolerance of all, but for what is said to be a prior or memory.
-_CORNERS, _CORNER_QUALITY, _APART = 80, 0.01, 3.0  # of a keyframe; px between them
+_CORNERS, _APART = 80, 3.0  # of a keyframe; px between them
 _FEWEST = 8  # corners that go together: three give the six parameters
 _MARGIN_PX = 24.0  # around a region, which has not gone further than that from where it is expected
 _TOGETHER_PX = 1.0  # from the common motion
@@ -40,11 +40,10 @@ _SHARE = 0.25  # of a keyframe's corners that have to go together
 _FADES = 20  # of them that go together: with fewer a new keyframe is taken
 _APART_PX = 3.0  # that a region has to go for what stays behind to be told from it
 _OWN = 0.5  # of the pictures in which a corner of the region's own goes along
-_NEAREST = 2  # keyframes that say together where the region is
+_TRIED = 2  # keyframes whose best places a lost region is looked for at
 _SHRINK = 2  # of pictures in which a lost region is looked for
 _TURNS_DEG = 60.0  # prior: either way, that a region may be turned by in the first picture of another video
 _LIKE = 0.6  # correlation from which a place is tried
-_HELD = 1e-3  # prior: pictures' worth that a keyframe is where it was taken
 
 
 @dataclass(frozen=True)
@@ -106,8 +105,7 @@ class _Keyframe:
         self.picture, self.corner, self.pose, self._side_px = cut, corner, pose, side_px
         mask = np.zeros(cut.shape, dtype=np.uint8)
         cv2.fillConvexPoly(mask, np.rint(pose.square(side_px) - corner).astype(np.int32), 255)
-        found = cv2.goodFeaturesToTrack(cut, _CORNERS, _CORNER_QUALITY, _APART, mask=mask)
-        self.corners = np.empty((0, 2)) if found is None else found.reshape(-1, 2) + corner
+        self.corners = corners_in(cut, mask, _CORNERS, _APART) + corner
         self.together = len(self.corners)  # in the last picture
         self.off_px = 0.0  # scatter of its place of the region's middle, a coordinate, beside what its corners say
         # Of each corner: pictures in which the region was elsewhere, and in how many of them it went along.
@@ -200,40 +198,19 @@ class PatchTracker:
                 f"around {at[0]:g}, {at[1]:g} px there is hardly anything to follow: show a place with structure, or a "
                 "larger one"
             )
-        self._keyframes = [self._first]
-        self._learns = True
-        self._differ: list[tuple[int, int, float, float]] = []  # two keyframes, and by how much they differ (u, v), px
+        self._keyframes = Keyframes(self._first, _KEYFRAMES, _REACH)
         self._poses: deque[Pose] = deque(maxlen=2)  # in the last frames; empty where it was lost
 
     def settle(self) -> None:
         """Ends learning, after a motion: keyframes are adjusted to each other and corners of the background dropped.
         The next picture may be any."""
-        self._adjust_keyframes()
-        self._keyframes = [key for key in self._keyframes if key.settle()] or [self._first]
-        self._learns = False
+        shifted = self._keyframes.settle()
+        if shifted is not None:
+            for key, (u, v), off_px in zip(self._keyframes.keys, *shifted, strict=True):
+                key.pose = replace(key.pose, u=key.pose.u + float(u), v=key.pose.v + float(v))
+                key.off_px = float(off_px)
+        self._keyframes.keys = [key for key in self._keyframes.keys if key.settle()] or [self._first]
         self._poses.clear()
-
-    def _adjust_keyframes(self) -> None:
-        """Shifts the keyframes, the first one fixed, so that they differ least in the pictures that two of them saw
-        (least squares): errors do not add up from keyframe to keyframe. What they still differ by is their `off_px`."""
-        if not self._differ:
-            return
-        one, other, off_u, off_v = np.array(self._differ).T
-        off = np.column_stack([off_u, off_v])
-        i, j = one.astype(int), other.astype(int)
-        n, m = len(self._keyframes), len(i)
-        ones, rows = np.ones(m), np.arange(m)
-        told = coo_array((ones, (rows, i)), (m, n)) - coo_array((ones, (rows, j)), (m, n))  # shifts to differences
-        normal = (told.T @ told).toarray() + _HELD * np.eye(n)
-        normal[0, 0] += m  # the first one is where it was shown
-        by = -np.linalg.solve(normal, told.T @ off)
-        for keyframe, (u, v) in zip(self._keyframes, by, strict=True):
-            keyframe.pose = replace(keyframe.pose, u=keyframe.pose.u + float(u), v=keyframe.pose.v + float(v))
-        # What they differ by all the same is of both, in two coordinates.
-        left2 = np.sum((off + told @ by) ** 2, axis=1) / 4.0
-        for k, keyframe in enumerate(self._keyframes):
-            own = left2[(i == k) | (j == k)]
-            keyframe.off_px = float(np.sqrt(own.mean())) if len(own) else 0.0
 
     def track(self, picture: Picture) -> Sighting:
         """The region's middle, px, and its side as diameter_px, in the next frame, BGR (height, width, 3) uint8; lost
@@ -262,37 +239,29 @@ class PatchTracker:
         return last.then(before.to(last))
 
     def _pose_by_nearest(self, light: EvenLight, expected: Pose) -> tuple[Pose, float] | None:
-        """The pose and its sigma, px, by the nearest keyframes that find it, weighted so that it does not jump where
-        one replaces another; None where none does. While learning what two of them differ by is noted, and a keyframe
+        """The pose and its sigma, px, by the nearest keyframes that find it, the nearer the more; None where none does.
+        While learning what two of them differ by is noted, and a keyframe
         is added where the nearest is far or fading."""
-        ranked = sorted((key.pose.unlike(expected, self.side_px), i) for i, key in enumerate(self._keyframes))
-        found: list[tuple[float, Pose, float]] = []  # weight, pose, sigma
-        by: list[int] = []  # which keyframes
-        for unlike, i in ranked[: _NEAREST + 2]:  # two more, as a near one may not find it
-            weight = max(_REACH - unlike, 0.0) ** 2
-            if found and (not weight or len(found) == _NEAREST):
-                break
-            seen = self._keyframes[i].seen_at(light, expected)
-            if seen is not None:
-                found.append((max(weight, 1e-6), *seen))
-                by.append(i)
+        away = [key.pose.unlike(expected, self.side_px) for key in self._keyframes.keys]
+        found = self._keyframes.nearest(away, lambda key: key.seen_at(light, expected), beyond=True)
         if not found:
             return None
-        if self._learns and len(found) == 2:
-            (_, one, _), (_, other, _) = found
-            self._differ.append((by[0], by[1], one.u - other.u, one.v - other.v))
-        pose = Pose.mean([(weight, pose) for weight, pose, _ in found])
-        fades = ranked[0][0] > _LEAST and self._keyframes[ranked[0][1]].together < _FADES
-        if self._learns and (ranked[0][0] > 1.0 or fades) and len(self._keyframes) < _KEYFRAMES:
-            self._keyframes.append(_Keyframe.of(light, pose, self.side_px))
+        if len(found) == 2:
+            (_, i, (one, _)), (_, j, (other, _)) = found
+            self._keyframes.note(i, j, np.array([one.u - other.u, one.v - other.v]))
+        pose = Pose.mean([(weight, pose) for weight, _, (pose, _) in found])
+        nearest = int(np.argmin(away))
+        fades = away[nearest] > _LEAST and self._keyframes.keys[nearest].together < _FADES
+        if self._keyframes.has_room and (away[nearest] > 1.0 or fades):
+            self._keyframes.keys.append(_Keyframe.of(light, pose, self.side_px))
         total = sum(weight for weight, _, _ in found)
-        return pose, float(np.sqrt(sum((weight / total * sigma) ** 2 for weight, _, sigma in found)))
+        return pose, float(np.sqrt(sum((weight / total * sigma) ** 2 for weight, _, (_, sigma) in found)))
 
     def _search(self, light: EvenLight) -> tuple[Pose, float] | None:
         """The pose and its sigma, px, anywhere in the frame: template matching of the keyframes in the shrunk picture
         (a single keyframe also turned), then measured; None where nothing is found."""
         small = _smaller(light.whole)
-        views = self._keyframes
+        views = self._keyframes.keys
         if len(views) == 1:
             turns = np.arange(-_TURNS_DEG, _TURNS_DEG + 1, 2 * _TURNED_DEG)
             views = [self._first, *(self._first.turned(turn) for turn in turns.tolist() if turn)]
@@ -303,7 +272,7 @@ class PatchTracker:
                 _, like, _, place = cv2.minMaxLoc(cv2.matchTemplate(small, square, cv2.TM_CCOEFF_NORMED))
                 ranked.append((like, _SHRINK * (np.array(place) + 0.5 * np.array(square.shape[::-1])), view))
         ranked.sort(key=lambda entry: -entry[0])
-        for like, (u, v), view in ranked[:_NEAREST]:
+        for like, (u, v), view in ranked[:_TRIED]:
             found = view.seen_at(light, replace(view.pose, u=float(u), v=float(v))) if like > _LIKE else None
             if found is not None:
                 return found

@@ -18,22 +18,21 @@ import numpy.typing as npt
 from tautline.errors import TautError
 from tautline.recording import Angle, Motor, Video
 from tautline.rig import Camera, Coarse, Rig
-from tautline.vision.flow import Picture, even_light, found_again
+from tautline.vision.flow import Picture, corners_in, even_light, found_again
 from tautline.vision.frames import Progress, every_frame, half
+from tautline.vision.keyframes import Keyframes
 
 Array = npt.NDArray[np.floating[Any]]
 
-_CORNERS, _CORNER_QUALITY, _APART = 250, 0.01, 5.0  # tolerance: of a keyframe; px between them
+_CORNERS, _APART = 250, 5.0  # tolerance: of a keyframe; px between them
 _FEWEST = 20  # tolerance: corners that go together: eight numbers make a homography, four corners
 _BORDER_PX = 12  # tolerance: nothing is looked for nearer to the edge: a window of Lucas-Kanade is cut there
 _TOGETHER_PX = 0.5  # tolerance: from the common motion
 _OWN = 0.8  # tolerance: of the pictures in which a corner of the world that stays goes along
 _STEP = 0.08  # tolerance: of the field of view, diagonal: from the nearest keyframe, from which a new one is taken
 _REACH = 3.0  # tolerance: times that, within which a keyframe is tried
-_NEAREST = 2  # tolerance: keyframes that say together
 _KEYFRAMES = 256  # tolerance: memory
 _FEWEST_TURNS = 20  # tolerance: of a video
-_HELD = 1e-3  # prior: pictures' worth that a keyframe is where it was taken
 
 
 @dataclass
@@ -61,10 +60,8 @@ class SceneTracker:
     makes the keyframes agree."""
 
     camera: Camera
-    _keyframes: list[_Keyframe] = field(default_factory=list)
-    _differ: list[tuple[int, int, Array]] = field(default_factory=list)
+    _keyframes: Keyframes[_Keyframe] | None = None  # from the first picture on
     _turns: list[Array] = field(default_factory=list)  # the last two
-    _learns: bool = True
 
     def __post_init__(self) -> None:
         """Sets the turn from the nearest keyframe, rad, from which a new one is taken: a share of the field of view."""
@@ -75,39 +72,34 @@ class SceneTracker:
         """(3,) rad Rotation vector of the camera since the first frame; None where the scene is not found again. While
         no frame shows the first one again (it was dark, or covered), turns begin anew at each."""
         grey = even_light(picture)
-        if not self._keyframes:
+        if self._keyframes is None:
             return self._begin(grey)
         expected = self._turns[-1] if self._turns else np.zeros(3)
         if len(self._turns) == 2:  # the motion goes on as it went
             expected = _vector(_matrix(self._turns[1]) @ _matrix(self._turns[0]).T @ _matrix(self._turns[1]))
-        turn = self._turn_by_nearest(grey, expected)
-        if turn is None and (turn := self._turn_by_best(grey)) is None:
+        turn = self._turn_by_nearest(self._keyframes, grey, expected)
+        if turn is None and (turn := self._turn_by_best(self._keyframes, grey)) is None:
             self._turns.clear()
-            alone = len(self._keyframes) == 1 and not self._keyframes[0].met.any()
-            return self._begin(grey) if self._learns and alone else None
+            alone = len(self._keyframes.keys) == 1 and not self._keyframes.keys[0].met.any()
+            return self._begin(grey) if self._keyframes.learns and alone else None
         self._turns = [*self._turns[-1:], turn]
         return turn
 
     def _begin(self, grey: Picture) -> Array:
         """Makes this grey picture the first keyframe, where turns begin: (3,) rad, 0."""
-        self._keyframes = [self._keyframe(grey, np.zeros(3))]
+        self._keyframes = Keyframes(self._keyframe(grey, np.zeros(3)), _KEYFRAMES, _REACH)
         return np.zeros(3)
 
     def settle(self) -> None:
         """Ends learning: turns the keyframes so that they differ least in the pictures that two of them saw (least
         squares). No keyframe is added any more; the next picture may be any."""
-        if self._differ:
-            i, j = np.array([(a, b) for a, b, _ in self._differ]).T
-            off = np.array([by for _, _, by in self._differ])
-            told = np.zeros((len(off), len(self._keyframes)))
-            told[np.arange(len(off)), i], told[np.arange(len(off)), j] = 1.0, -1.0
-            normal = told.T @ told + _HELD * np.eye(told.shape[1])
-            normal[0, 0] += len(off)  # the first one is where turns begin
-            for key, by in zip(self._keyframes, -np.linalg.solve(normal, told.T @ off), strict=True):
-                key.turn = _vector(_matrix(by) @ _matrix(key.turn))
-        for key in self._keyframes:
-            key.settle()
-        self._learns = False
+        if self._keyframes is not None:
+            shifted = self._keyframes.settle()
+            if shifted is not None:
+                for key, by in zip(self._keyframes.keys, shifted[0], strict=True):
+                    key.turn = _vector(_matrix(by) @ _matrix(key.turn))
+            for key in self._keyframes.keys:
+                key.settle()
         self._turns.clear()
 
     def _keyframe(self, grey: Picture, turn: Array) -> _Keyframe:
@@ -115,8 +107,7 @@ class SceneTracker:
         left out."""
         mask = np.zeros_like(grey)
         mask[_BORDER_PX:-_BORDER_PX, _BORDER_PX:-_BORDER_PX] = 255
-        found = cv2.goodFeaturesToTrack(grey, _CORNERS, _CORNER_QUALITY, _APART, mask=mask)
-        corners = np.empty((0, 2)) if found is None else found.reshape(-1, 2).astype(float)
+        corners = corners_in(grey, mask, _CORNERS, _APART)
         return _Keyframe(grey, corners, self._directions(corners), turn, *np.zeros((2, len(corners))))
 
     def _directions(self, places: Array) -> Array:
@@ -157,32 +148,25 @@ class SceneTracker:
         key.met[shown[kept[together]]] += 1
         return _vector(_rotation_between(one[together], other[together]) @ _matrix(key.turn)), len(together)
 
-    def _turn_by_nearest(self, grey: Picture, expected: Array) -> Array | None:
-        """The turn (3,) rad by the nearest keyframes, weighted so that it does not jump where one replaces another;
-        None where none finds the scene. While learning a keyframe is added where the nearest is far, and it is kept by
-        how much two differ."""
-        away = np.array([np.linalg.norm(_relative_turn(key.turn, expected)) for key in self._keyframes]) / self._step
-        found: list[tuple[float, int, Array]] = []
-        for k in np.argsort(away, kind="stable")[: _NEAREST + 2].tolist():
-            if away[k] < _REACH and len(found) < _NEAREST:
-                seen = self._turn_by(self._keyframes[k], grey, expected)
-                if seen is not None:
-                    found.append(((_REACH - float(away[k])) ** 2, k, seen[0]))
+    def _turn_by_nearest(self, keyframes: Keyframes[_Keyframe], grey: Picture, expected: Array) -> Array | None:
+        """The turn (3,) rad by the nearest keyframes, the nearer the more; None where none finds the scene. While
+        learning a keyframe is added where the nearest is far, and it is kept by how much two differ."""
+        away = np.array([np.linalg.norm(_relative_turn(key.turn, expected)) for key in keyframes.keys]) / self._step
+        found = keyframes.nearest(away.tolist(), lambda key: self._turn_by(key, grey, expected))
         if not found:
             return None
-        (weight, first, turn), *others = found
-        for other_weight, second, other in others:
+        (weight, first, (turn, _)), *others = found
+        for other_weight, second, (other, _) in others:
             by = _relative_turn(turn, other)
-            if self._learns:
-                self._differ.append((first, second, -by))
+            keyframes.note(first, second, -by)
             turn = _vector(_matrix(other_weight / (weight + other_weight) * by) @ _matrix(turn))
-        if self._learns and away.min() > 1.0 and len(self._keyframes) < _KEYFRAMES:
-            self._keyframes.append(self._keyframe(grey, turn))
+        if keyframes.has_room and away.min() > 1.0:
+            keyframes.keys.append(self._keyframe(grey, turn))
         return turn
 
-    def _turn_by_best(self, grey: Picture) -> Array | None:
+    def _turn_by_best(self, keyframes: Keyframes[_Keyframe], grey: Picture) -> Array | None:
         """The turn (3,) rad by the keyframe that finds most corners again at its own turn; None where none does."""
-        seen = [self._turn_by(key, grey, key.turn) for key in self._keyframes]
+        seen = [self._turn_by(key, grey, key.turn) for key in keyframes.keys]
         found = max((one for one in seen if one is not None), key=lambda one: one[1], default=None)
         return None if found is None else found[0]
 

@@ -10,13 +10,13 @@
 #define TAUTLINE_TL_SERVO_H
 
 #include "tautline/tl_path.h"
+#include "tautline/tl_wire.h"
 
 #define TL_SERVO_FILTER_HZ 80
-#define TL_SERVO_GAIN_MAX  32767                ///< of each gain
 #define TL_SERVO_ERROR_MAX (128 * TL_COUNT_ONE) ///< beyond it proportional drive is saturated at any useful gain
 #define TL_SERVO_REST_BAND TL_COUNT_ONE
 
-/// Gains in duty Q15, each 0 to TL_SERVO_GAIN_MAX.
+/// Gains in duty Q15, each 0 to TL_WIRE_GAIN_MAX.
 typedef struct {
     int32_t proportional; ///< per count
     int32_t integral;     ///< per count and second
