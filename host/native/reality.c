@@ -56,6 +56,7 @@ void reality_transmission(const struct reality *r, const struct reality_tables *
     double pin = isnan(start) ? q[0] : start;
     double speed = 0.0, first = pin, second = pin, kelvin_fast = pin, kelvin_slow = pin, grip = pin;
     double threshold = r->static_grip, ring = pin, ring_speed = 0.0, bent = 0.0, carried = 0.0, held = 0.0, since = 0.0;
+    double set = 0.0; // share of what can set
     uint64_t random = seed;
     size_t near = 0;
     double straight = pin;
@@ -66,7 +67,8 @@ void reality_transmission(const struct reality *r, const struct reality_tables *
             speed += (dq / dt - speed) * (1.0 - exp(-dt / 0.03));
         }
         const double scale = width_factor[k];
-        const double extra = r->viscosity * fabs(speed) / (1.0 + fabs(speed) / r->speed_scale);
+        const double extra = r->viscosity * fabs(speed) / (1.0 + fabs(speed) / r->speed_scale) + r->setting * set;
+        const double before = pin;
         double slope = 0.0;
         const double width = fmax(scale * table_at(tables, pin, &near, &slope) + extra, 1e-9);
         double drive = q[k];
@@ -105,6 +107,11 @@ void reality_transmission(const struct reality *r, const struct reality_tables *
             since = 0.0;
         }
 
+        if (r->setting > 0.0) {
+            const double slid = fabs(pin - before);
+            set =
+                slid > 0.0 ? fmax(set - slid / r->setting_travel, 0.0) : 1.0 - (1.0 - set) * exp(-dt / r->setting_time);
+        }
         double out = pin;
         if (r->dashpot > 0.0) {
             const double share = 1.0 - exp(-dt / (0.5 * r->dashpot));

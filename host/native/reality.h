@@ -16,6 +16,9 @@ extern "C" {
     X(latch_travel, "unit: travel in which what it held back is caught up (half a cosine)")                            \
     X(viscosity, "s: slack per speed, saturating at speed_scale")                                                      \
     X(speed_scale, "unit/s")                                                                                           \
+    X(setting, "unit: slack that grease adds which sets while the pin rests, at most")                                 \
+    X(setting_time, "s: in which most of it sets")                                                                     \
+    X(setting_travel, "unit: travel that breaks it up")                                                                \
     X(dashpot, "s: two equal viscous elements in series, half of it each")                                             \
     X(creep_share, "of the motion that two Kelvin elements give late")                                                 \
     X(creep_time, "s: of the faster; the other is 5 times slower")                                                     \

@@ -150,7 +150,7 @@ def test_probabilities_that_are_right_as_often_as_they_say_have_no_calibration_e
 def test_an_order_lists_its_cases_and_names_their_seeds():
     order = Order(seed=50, single=2, unknown=3, none=1, pairs=1)
     cases = order.cases()
-    assert len(cases) == 24 * 2 + 3 + 1 + 1
+    assert len(cases) == 25 * 2 + 3 + 1 + 1
     assert (51, "single", (LAG,), SECOND) in cases and (50, "none", (), SECOND) in cases
     assert Order(seed=9, single=1, only=(LAG, "zoom")).cases() == [
         (9, "single", (LAG,), SECOND),

@@ -101,6 +101,11 @@ KNOWN: Mapping[str, Draw] = {
         "worn_reach": size(g, 0.06, 0.15) * r.actuator.span,
     },
     "transmission.offset": lambda g, r: {"homing": around(g, 0.005, 0.03) * r.actuator.span},
+    "transmission.rest_dependent_backlash": lambda g, r: {
+        "setting": size(g, 0.01, 0.06) * r.actuator.span,
+        "setting_time": size(g, 0.5, 5.0),
+        "setting_travel": size(g, 0.03, 0.15) * r.actuator.span,
+    },
 }
 
 # Effects that the library does not hold.
