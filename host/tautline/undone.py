@@ -29,7 +29,8 @@ _STEP_LOG2_MAX = 22
 # Of a section's small table, in its steps.
 _NODES = np.array([0, 1, 2, 3, *(2**k * half for k in range(1, 7) for half in (2, 3)), _native.TABLE_STEPS], float)
 _COLUMNS = {"c_per_translation": "translation_mm", "c_per_rotation": "rotation_deg"}
-COUPLED = "configuration.axis_coupling"
+COUPLED, SIDES = "configuration.axis_coupling", "transmission.asymmetric_backlash"
+WHERE = {COUPLED: " (without --joint)", SIDES: " (after rests)"}  # format: where tables undo it but for this
 _LATE = "transmission.lag", "transmission.creep"
 
 Section = dict[str, int | list[int]]
@@ -51,12 +52,14 @@ def parameters_of(model: Model) -> dict[str, dict[str, Any]]:
 
 
 def not_undone(model: Model, joints: Mapping[str, Joint] | None = None) -> list[str]:
-    """Ids of the model's effects that its tables cannot undo; joints: as in `undone`."""
+    """Ids of the model's effects that its tables cannot undo, or not everywhere (WHERE); joints: as in `undone`."""
     from tautline.effects import BY_ID, of_this_version
 
     ids = [effect.id for effect in of_this_version(model) if not BY_ID[effect.id].on_board]
     if any(effect.id == COUPLED for effect in model.effects) and "joints" not in undone(model, joints)[1]:
         ids.append(COUPLED)
+    if parameters_of(model).get(SIDES, {}).get("asymmetry_renewed"):
+        ids.append(SIDES)
     return ids
 
 
@@ -87,7 +90,7 @@ def undone(model: Model, joints: Mapping[str, Joint] | None = None) -> tuple[Mod
     sections: dict[str, Section] = {}
     if encoder := parameters.get("actuator.encoder_periodic"):
         sections["encoder"] = _encoder_section(encoder, count)
-    if asymmetry := parameters.get("transmission.asymmetric_backlash"):
+    if asymmetry := parameters.get(SIDES):
         sections["sides"] = _sides_section(asymmetry, count)
     if speed := parameters.get("transmission.rate_dependent_backlash"):
         sections["speed"] = _speed_section(speed, model, count)

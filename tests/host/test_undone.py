@@ -17,7 +17,7 @@ from tautline.compensation import compensate
 from tautline.effects import BY_ID
 from tautline.model import Effect, Model
 from tautline.simulated.instrument import reference_rig
-from tautline.undone import Joint, onset_elements, undone
+from tautline.undone import SIDES, Joint, not_undone, onset_elements, undone
 
 COUNT = 0.001
 COUNTS = GAIN * COUNT  # deg of a count
@@ -254,6 +254,13 @@ def test_sections_that_say_nonsense_are_refused(section: dict[str, Any], reason:
     width, angle, identity = fields.pop("width"), fields.pop("angle"), fields.pop("model_id")
     blob = _native.table_encode(fields, width, angle, identity, sections=section)
     assert _native.table_check(blob)[0] == reason
+
+
+def test_sides_that_begin_anew_after_a_rest_are_undone_after_turns_alone() -> None:
+    law = {"asymmetry": 0.1, "asymmetry_travel": 0.3}
+    once, anew = (model(0.4, SIDES, **law, asymmetry_renewed=renewed) for renewed in (0.0, 1.0))
+    assert not_undone(once) == [] and not_undone(anew) == [SIDES]
+    assert undone(once)[1] == undone(anew)[1] != {}
 
 
 def test_what_is_undone_is_said_of_the_effects() -> None:

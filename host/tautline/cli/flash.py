@@ -63,14 +63,14 @@ def command(
     from tautline.device.board import open_board
     from tautline.errors import TautError
     from tautline.model import Model
-    from tautline.undone import COUPLED, Joint, not_undone, stands_in
+    from tautline.undone import WHERE, Joint, not_undone, stands_in
 
     model = Model.load(model_path)
     refuse_unusable(model, model_path, force)
     known = {column: Joint(number, resolution) for column, number, resolution in map(_joint, joints)}
     remains = not_undone(model, known)
     if remains and not without_effects:
-        told = ", ".join(f"{name} (without --joint)" if name == COUPLED else name for name in remains)
+        told = ", ".join(name + WHERE.get(name, "") for name in remains)
         raise TautError(
             f"{model_path}: no table can undo {told}: load what they can with --without-effects, or the model that was "
             "calibrated"
