@@ -55,11 +55,9 @@ def not_undone(model: Model, joints: Mapping[str, Joint] | None = None) -> list[
     """Ids of the model's effects that its tables cannot undo, or not everywhere (WHERE); joints: as in `undone`."""
     from tautline.effects import BY_ID, of_this_version
 
-    ids = [effect.id for effect in of_this_version(model) if not BY_ID[effect.id].on_board]
+    ids = [effect.id for effect in of_this_version(model) if not BY_ID[effect.id].loads(effect.parameters)]
     if any(effect.id == COUPLED for effect in model.effects) and "joints" not in undone(model, joints)[1]:
         ids.append(COUPLED)
-    if parameters_of(model).get(SIDES, {}).get("asymmetry_renewed"):
-        ids.append(SIDES)
     return ids
 
 

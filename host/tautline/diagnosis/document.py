@@ -164,17 +164,18 @@ def _effects(found: Found, shares: Mapping[str, float]) -> list[dict[str, Any]]:
     brought = {
         name: [part for part in found.verdict.brought if part in effects.BY_ID[name].brings] for name in found.named
     }
+    values = {name: _parameter_values(fit, name, found.latest) for name in found.named}
     return [
         {
             "id": name,
             "probability": probability,
             "since": _since(found, name).since,
-            "parameters": _parameter_values(fit, name, found.latest),
+            "parameters": values[name],
             **_values_by_recording(fit, name, found.segments),
             **_brings(brought[name], shares),
             "shrink": shares[name] + sum(shares[part] for part in brought[name]),
             "swallowed_by_recalibration": moved.closes(found.gap["before"], found.recalibrated, found.floor),
-            "loads_on_board": effects.BY_ID[name].on_board,
+            "loads_on_board": effects.BY_ID[name].loads(values[name]),
             "ambiguous_with": _alternatives(found.verdict, name, ambiguous),
         }
         for name, probability in zip(found.named, found.verdict.probability, strict=False)

@@ -15,6 +15,8 @@ from tautline.undone import COUPLED
 
 _SMALL = 3.0  # format: times the noise: a smaller gap is called small
 _REMAINS = {  # why no table of the board undoes an effect
+    "transmission.rest_dependent_backlash": "a board does not know how long the tip has rested",
+    "transmission.asymmetric_backlash": "they do after turns, not after rests",
     "transmission.stick_slip": "where the tip sticks next is chance",
     "configuration.contact": "what holds the tip back is not the transmission",
     "configuration.swing": "a swing needs to be seen",
