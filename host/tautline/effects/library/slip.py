@@ -25,5 +25,6 @@ EFFECTS = (
         mend="Tighten what slipped or find out why counts are lost, and home the axis again.",
         holds=_with_slips,
         scan="moment",
+        law=True,
     ),
 )
