@@ -131,13 +131,6 @@ _MEANS: dict[str, tuple[str, str, str]] = {
 }
 
 
-def still_changing(components: Components) -> float:
-    """rms over the noise of what still changed in the session's last quarter, if an offset, a width or the image's
-    place changes gradually with time; else 0."""
-    moves = any(part.name in STATES and part.name.endswith("time") for part in components.parts)
-    return components.late_change if moves else 0.0
-
-
 def component_reasons(
     components: Components, counted: npt.NDArray[np.bool_], usual: float, unit: str, motor_visible: bool, good: bool
 ) -> list[Reason]:
@@ -145,7 +138,7 @@ def component_reasons(
     known: then reasons are mild, and only components that would spoil either if they were left out are told. counted
     (grid,): where B was measured; usual: typical B there, unit of q; motor_visible: the motor's counts or noise show in
     the image, so that a component of turns is the encoder's."""
-    late = still_changing(components)
+    late = components.late_change
     reasons = []
     for part in sorted(components.parts, key=lambda each: -each.chi2):
         shift = float(np.sqrt(np.mean(part.width_shift[counted] ** 2))) if counted.any() else 0.0
