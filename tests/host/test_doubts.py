@@ -107,6 +107,11 @@ def test_a_departure_is_told_where_a_good_verdict_hangs_on_its_being_taken_out(r
     assert [(reason.code, reason.mild) for reason in not_good] == [("transmission.drift", False)]
 
 
+def test_a_departure_that_is_as_likely_not_there_is_no_reason() -> None:
+    told = component_reasons(components(0.01, 0.1), np.ones(50, bool), 0.5, "mm", motor_visible=False, good=False)
+    assert told == []
+
+
 def test_frames_that_are_elsewhere_are_outliers_and_scatter_of_all_is_noise() -> None:
     few = component_reasons(
         components(0.1, 0.1, noise=5.0), np.ones(50, bool), 0.5, "mm", motor_visible=False, good=True

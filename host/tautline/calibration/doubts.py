@@ -145,8 +145,8 @@ def component_reasons(
         if part.name.startswith(SPEED):
             shift = abs(float(part.values[0])) * (usual if part.name.endswith(SHARE) else 1.0)
         spoils = np.hypot(1.0, part.rms) > PREDICTS or shift > KNOWN * usual
-        expected = part.name == "turn" and part.chi2 < REML_GAIN  # where counts are coarse, there or not
-        if not spoils and (good or expected):
+        kept = not part.name.startswith("clock")  # what a clock departs by is taken out of its times: none is left
+        if not spoils and (good or (kept and part.chi2 < REML_GAIN)):  # as likely not there
             continue
         kind = "turn.itself" if part.name == "turn" and not motor_visible else part.name
         still = f", {late:.1f} in its last quarter" if part.name in STATES and late > 0.0 else ""
