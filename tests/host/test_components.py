@@ -314,6 +314,31 @@ def test_an_offset_that_drifts_leaves_the_model_of_the_end(until, verdict):
     assert np.sqrt(np.mean(off**2)) < 0.1 * gone * 11.5  # of what the offset is in deg
 
 
+def test_what_happened_once_does_not_go_on():
+    """An offset that came to rest half way, and slips late: the slip is over."""
+    plant, gone, slipped = Plant(), 0.01, 0.02
+    share = plant.t / plant.t[-1]
+    plant.q = plant.q + gone * np.minimum(2.0 * share, 1.0) + slipped * (share > 0.9)
+    plant.p = plant.play(width_at(np.clip(GRID, -5.5, 5.5)))
+    found = plant.calibrated()
+    um, z = error_of(found, width_at(found.model.q + gone + slipped))
+    assert found.model.quality.verdict is Verdict.GOOD and "transmission.drift" in codes(found)
+    assert um < 1e-3 and z < 2.0
+
+
+def test_what_is_missed_and_what_goes_on_to_change_are_in_one_verdict():
+    """An image that grows evenly by 0.06 % leaves 1.4 times the noise; either of them alone is little."""
+    plant = Plant()
+    image = project(RIG, bend(np.interp(plant.scene, plant.t, plant.p)), 0.0, 0.0)
+    camera = RIG.camera
+    plant.shown = 6e-4 * np.outer(plant.scene / plant.scene[-1], np.ones(2)) * (image - (camera.cx_px, camera.cy_px))
+    found = plant.calibrated()
+    left = np.concatenate([each.seen - each.predicted for each in found.predicted])
+    assert np.sqrt(np.mean(left**2)) > 1.35 * NOISE_PX
+    assert found.evidence["foretold_over_noise"] < 1.2
+    assert found.model.quality.verdict is Verdict.DOUBTFUL and codes(found) == {"registration.drift"}
+
+
 def test_a_gradual_start_is_several_elements_and_predicts_as_well_as_a_play():
     plant = Plant()
     width = np.full_like(GRID, 0.46)

@@ -67,6 +67,18 @@ def test_a_slow_sensor_works(sensor_hz):
     assert abs(found.model.delay_s - 0.03) < 3e-3 and width_error(found.model) < 0.04
 
 
+@pytest.mark.parametrize(("jump_deg", "rises"), [(30.0, False), (-60.0, True)])
+def test_a_spike_of_the_sensor_is_left_out(jump_deg, rises):
+    """For a tenth of a second it is where the tip is at other times, at once or over some samples: its clock was taken
+    for another one, and the calibration was unusable."""
+    made = record(Motion.through((-35, 35, -30, 30, -35), 16.0), delay_s=0.03, noise=0.02, seed=3)
+    since = made.angle.t_s - made.angle.t_s[0] - 7.4
+    spike = jump_deg * ((since >= 0.0) & (since < 0.1)) * (1.0 - np.abs(since / 0.05 - 1.0) if rises else 1.0)
+    found = calibrate([replace(made, angle=replace(made.angle, c_deg=made.angle.c_deg + spike))], RIG)
+    assert found.model.quality.verdict is Verdict.GOOD and width_error(found.model) < 0.01
+    assert any("values are elsewhere for a while: left out" in note for note in found.notes)
+
+
 def test_a_motion_that_tells_no_delay_keeps_the_one_that_the_rig_states():
     there_and_back = Motion.through((-20, 20, -20), 0.8)
     found = calibrate([record(there_and_back, delay_s=0.06, noise=0.3, sensor_hz=20.0)], stated(0.06))

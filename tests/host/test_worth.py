@@ -92,14 +92,17 @@ def test_a_block_is_foretold_as_a_fit_without_it_does(made: Recording, monkeypat
         assert np.sqrt(np.mean((missed - again)[here] ** 2)) < 0.5 * moved
 
 
-def over_noise(off: np.ndarray, moving: np.ndarray, placed: float = 0.0) -> float:
+def over_noise(off: np.ndarray, moving: np.ndarray, placed: float = 0.0, place: np.ndarray | None = None) -> float:
     """Of misses (n, 2) of an image in which the tip moves along u, over the frames' noise; placed: what a tracker adds
-    to that at each place, in noise."""
+    to that at each place, in noise; place (n,): where along u the tip is, up and down by turns; without it each frame
+    is at a place of its own."""
     n = len(off)
-    track = SimpleNamespace(sigma=np.ones(n), placed_px=placed, t_s=0.04 * np.arange(n), step=0.0)
+    at = 10.0 * np.arange(n) if place is None else place
+    track = SimpleNamespace(unit="px", sigma=np.ones(n), placed_px=placed, t_s=0.04 * np.arange(n), step=0.0)
     fit = SimpleNamespace(
         tracks=[SimpleNamespace(track=track)],
-        simulated=[SimpleNamespace(moving=moving, tip=np.zeros(n))],
+        simulated=[SimpleNamespace(moving=moving, tip=at, side=np.where(np.gradient(at) > 0, 1, -1))],
+        predicted=lambda track, curves, tip: np.column_stack([tip, np.zeros(n)]),
         slope_in_view=lambda track, curves, p: np.tile([50.0, 0.0], (n, 1)),
         width=lambda curves: np.ones(3),
     )
@@ -123,9 +126,20 @@ def test_what_neighbours_miss_alike_is_the_models_and_the_rest_is_noise() -> Non
     lost[1000:1200] += [300.0, -200.0]  # another blob
     assert over_noise(lost, moving) < 1.05
     jitter = noise + np.column_stack([3.0 * rng.normal(size=6000) * moving, np.zeros(6000)])  # frames' times
-    assert over_noise(jitter, moving) > 1.8
+    assert over_noise(jitter, moving) == pytest.approx(np.sqrt(1.0 + 0.5 * 0.5 * 9.0), rel=0.05)  # of half of them
     elsewhere = noise * (1.0 + 2.0 * moving)[:, None]  # noise of where the tip moves, both ways alike
     assert over_noise(elsewhere, moving) < 1.1
+
+
+def test_what_every_pass_over_a_place_misses_alike_is_no_noise() -> None:
+    """A marker that is drawn to the pixels' centres goes up and down: from frame to frame that looks like noise."""
+    rng, t = np.random.default_rng(19), np.arange(6000)
+    moving = (t // 60) % 2 == 0
+    place = 900.0 * np.abs(2.0 * (t / 61.7 % 1.0) - 1.0)
+    noise = rng.normal(0.0, 1.0, (6000, 2))
+    drawn = 1.6 * np.sin(0.3 * place)[:, None] * moving[:, None] * np.ones(2)
+    assert over_noise(noise, moving, place=place) < 1.05
+    assert over_noise(noise + drawn, moving, place=place) == pytest.approx(np.sqrt(1.0 + 0.25 * 1.6**2), rel=0.05)
 
 
 @pytest.mark.parametrize("rho", [0.4, 0.7])
@@ -140,6 +154,6 @@ def test_what_the_noise_remembers_is_no_model_s_miss(rho: float) -> None:
     assert over_noise(1.7 * noise, moving) < 1.1
     for size in (0.8, 2.0):
         told = over_noise(noise + size * wave, moving)
-        assert np.hypot(1.0, size) - 0.05 < told < np.hypot(1.1, size) + 0.05  # no more memory than it shows
+        assert np.hypot(1.0, size) - 0.05 < told < 1.1 * np.hypot(1.0, size)  # no more memory than it shows
     late = rng.normal(0.0, 1.0, (12000, 2)) + np.column_stack([2.0 * noise[:, 0], np.zeros(12000)])
     assert over_noise(late, moving) > np.sqrt(1.0 + 0.5 * rho * 4.0) - 0.05

@@ -46,7 +46,7 @@ _SHOWS = 0.3  # tolerance: of the noise: an encoder's count that moves the image
 LAW = 0.5  # prior: of what speed adds to B: its uncertainty, as slower than what was seen it may follow another law
 CORRECTS = 0.3  # prior: of a component's correction of B: its standard deviation
 _SHORT_LAG = 0.1  # tolerance: of a frame's period: a shorter lag is not told from a delay
-_LATE = 0.25  # equation: of the session, which goes from -1/2 to 1/2: its last quarter
+_LATE = 0.25  # tolerance: of the session, at its end: what has come to rest by then does not go on
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class DifferenceFromEnd:
 
     frames: Indices  # (n,) of the track
     over_noise: Array  # (n, channels) seen less what would be seen at the end, over the stated noise
-    late: npt.NDArray[np.bool_]  # (n,) frames of the last quarter of the session
+    late: Array  # (late, channels) of the session's last quarter, by what changes gradually alone
     spread: Array  # (n, channels, m) standard deviation of that, a column for each direction that varies by itself
     sigma: Array  # (n,) the noise, sensor's unit
 
@@ -101,8 +101,9 @@ class Components:
 
     @property
     def late_change(self) -> float:
-        """rms over the noise of what still differed from the end's state in the last quarter of the session."""
-        late = [each.over_noise[each.late] for each in self.from_end if each.late.any()]
+        """rms over the noise by which what changes gradually still differed from the end's state in the last quarter
+        of the session."""
+        late = [each.late for each in self.from_end if len(each.late)]
         return float(np.sqrt(np.mean(np.concatenate(late) ** 2))) if late else 0.0
 
     def at_the_end(self, tracks: Sequence[Track]) -> list[EndedTrack]:
@@ -354,7 +355,9 @@ class _Estimated:
         ended = {part.name: part for part in departures(counted.at_the_end(), self.model.searched, apart=True)}
         columns = sparse.hstack([self.model.candidates[name].columns - ended[name].columns for name, _ in changed])
         places, shape = np.concatenate([at for _, at in changed]), (counted.residuals.shape[1], -1)
-        by_frame = (columns @ self.model.values[places]).reshape(shape).T
+        values = self.model.values[places]
+        gradual = np.concatenate([np.full(len(at), name.endswith("time")) for name, at in changed])
+        by_frame, gradually = ((columns @ each).reshape(shape).T for each in (values, values * gradual))
         covariance = self.model.inverse[np.ix_(places, places)] * self.model.frames_per_independent()
         variance, directions = np.linalg.eigh(covariance)
         spread = columns @ (directions * (self.model.noise * np.sqrt(np.maximum(variance, 0.0))))
@@ -362,9 +365,9 @@ class _Estimated:
         differences = []
         for number, prepared in enumerate(self.model.fit.tracks):
             own = counted.recording == number
-            frames, late = counted.frame[own], counted.t[own] > _LATE
+            frames, late = counted.frame[own], own & (counted.t > 0.5 - _LATE)  # from -1/2 to 1/2
             sigma = prepared.track.sigma[frames]
-            differences.append(DifferenceFromEnd(frames, by_frame[own], late, spread[own], sigma))
+            differences.append(DifferenceFromEnd(frames, by_frame[own], gradually[late], spread[own], sigma))
         return tuple(differences)
 
     def _offset_at_the_end(self) -> float:

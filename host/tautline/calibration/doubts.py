@@ -131,13 +131,6 @@ _MEANS: dict[str, tuple[str, str, str]] = {
 }
 
 
-def still_changing(components: Components) -> float:
-    """rms over the noise of what still changed in the session's last quarter, if an offset, a width or the image's
-    place changes gradually with time; else 0."""
-    moves = any(part.name in STATES and part.name.endswith("time") for part in components.parts)
-    return components.late_change if moves else 0.0
-
-
 def component_reasons(
     components: Components, counted: npt.NDArray[np.bool_], usual: float, unit: str, motor_visible: bool, good: bool
 ) -> list[Reason]:
@@ -145,15 +138,15 @@ def component_reasons(
     known: then reasons are mild, and only components that would spoil either if they were left out are told. counted
     (grid,): where B was measured; usual: typical B there, unit of q; motor_visible: the motor's counts or noise show in
     the image, so that a component of turns is the encoder's."""
-    late = still_changing(components)
+    late = components.late_change
     reasons = []
     for part in sorted(components.parts, key=lambda each: -each.chi2):
         shift = float(np.sqrt(np.mean(part.width_shift[counted] ** 2))) if counted.any() else 0.0
         if part.name.startswith(SPEED):
             shift = abs(float(part.values[0])) * (usual if part.name.endswith(SHARE) else 1.0)
         spoils = np.hypot(1.0, part.rms) > PREDICTS or shift > KNOWN * usual
-        expected = part.name == "turn" and part.chi2 < REML_GAIN  # where counts are coarse, there or not
-        if not spoils and (good or expected):
+        kept = not part.name.startswith("clock")  # what a clock departs by is taken out of its times: none is left
+        if not spoils and (good or (kept and part.chi2 < REML_GAIN)):  # as likely not there
             continue
         kind = "turn.itself" if part.name == "turn" and not motor_visible else part.name
         still = f", {late:.1f} in its last quarter" if part.name in STATES and late > 0.0 else ""

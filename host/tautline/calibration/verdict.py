@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -11,7 +12,7 @@ import numpy.typing as npt
 
 from tautline.calibration import clock, coverage
 from tautline.calibration.choice import JOINT, NOTHING, ONSETS, PASSES
-from tautline.calibration.doubts import KNOWN, common_error, component_reasons, still_changing
+from tautline.calibration.doubts import KNOWN, common_error, component_reasons
 from tautline.calibration.measured_doubts import doubt_onsets_and_remaining, doubt_place
 from tautline.calibration.measuring import Measured
 from tautline.calibration.observations import usual_width
@@ -115,13 +116,14 @@ def _predictions(found: Measured, model: Model) -> Worth | None:
 
 
 def _judge(found: Measured, predictions: Worth | None, extent: _Extent) -> None:
-    """The reasons for the verdict: good where the model predicts blocks that the fit has not seen to within the noise
-    and nothing still changes (`holds`), and B is known (judged last). What departs, scatters or is hidden says why it
+    """The reasons for the verdict: good where the model predicts blocks that the fit has not seen to within the noise,
+    with what goes on to change (`holds`), and B is known (judged last). What departs, scatters or is hidden says why it
     is not, and else is worth knowing. predictions: None where nothing could be predicted; found.sigma: with all that is
     uncertain."""
     components, frames = found.components, sum(len(track.t_s) for track in found.tracks)
     predicts = predictions is None or predictions.predicts
-    holds = predicts and (components is None or float(np.hypot(1.0, still_changing(components))) <= PREDICTS)
+    goes_on = 0.0 if components is None else components.late_change  # as far as it came in as long a time
+    holds = math.hypot(1.0 if predictions is None else predictions.over_noise, goes_on) <= PREDICTS
     if found.held > 0:
         found.findings.notice(
             "acquisition.held_samples",

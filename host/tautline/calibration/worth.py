@@ -17,14 +17,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_solve
+from scipy.spatial import KDTree
 
 from tautline.calibration.beside import FittedEffects
 from tautline.calibration.observations import Mask, Track
 from tautline.calibration.playfit import STRAY, Curves, Fitted, PlayFit
 from tautline.calibration.remaining import view_of
-from tautline.calibration.rounding import resting, shared_variance
 from tautline.calibration.simulated_track import PreparedTrack, Simulated
 from tautline.calibration.smooth import SPANS
+from tautline.core.samples import least_noise
 from tautline.geometry import across, project
 from tautline.independence import less_its_trend, remembered, stretches
 from tautline.least_squares import factor
@@ -40,6 +41,7 @@ HALF_CYCLES = 2  # equation: half-cycles of a block at least, one of each direct
 BLOCKS = 8  # tolerance: of which one is a small share of all; with fewer half-cycles nothing is left out
 STAYS = 0.1  # tolerance: of a block that stays in the fit: what it alone shows (a range's ends) no other can predict
 _FEW = 30  # tolerance: frames that are needed to tell a scatter
+_TOGETHER = 2.0  # tolerance: times the noise, within which two passes show one place
 _SLOW = 3  # tolerance: order of the trend within a rest: sway or breath, which is no noise
 _RIDGE = 1e-10  # tolerance: of the diagonal, for rounding
 
@@ -135,48 +137,55 @@ def _frames_of_tip(fit: PlayFit, curves: Curves, errors: Sequence[Array], masks:
 
 
 def _over_noise(fit: PlayFit, curves: Curves, errors: Sequence[Array], masks: Sequence[Mask]) -> float:
-    """sqrt(1 + (model^2 + jitter^2) / noise^2), in squares per coordinate over the stated noise. model^2: the product
-    of neighbouring frames' errors, which they share, less what the sensor's noise remembers or a rounding sensor
-    repeats. noise^2: half the squared difference of neighbours while the tip rests, or across its path in the image,
-    where nothing moves it, or 1, whichever is largest, plus a tracker's error at each place. jitter^2: by how much that
-    is larger along the path while the tip moves: an error of frame times, and so of predictions. Infinite where no two
-    neighbours count."""
+    """sqrt(1 + (missed^2 - noise^2) / (noise^2 + placed^2)), in squares per coordinate over the stated noise, at least
+    1: what is missed over what the sensor's noise alone makes of it. noise^2, of frames at which the tip rests, is half
+    the squared difference of neighbours; of moving ones half the smaller of those across its path in the image, where
+    nothing moves it, of neighbours and of passes over the same place: what a place repeats is no noise, though it may
+    look like it from frame to frame. What noise remembers, neighbours differ by less. placed^2: of a tracker's error at
+    each place. Infinite where no two neighbours count."""
     limit = STRAY * bounded_rms(_counted(errors, masks))
     tracks = [
-        _neighbour_squares(fit, curves, prepared, sim, off, mask, limit)
+        _squares(fit, curves, prepared, sim, off, mask, limit)
         for prepared, sim, off, mask in zip(fit.tracks, fit.simulated, errors, masks, strict=True)
     ]
-    if not any(len(track.shared) for track in tracks):
+    if not any((mask[1:] & mask[:-1]).any() for mask in masks):
         return np.inf
-    channels = errors[0].shape[1]
     rests = [rest for track in tracks for rest in track.rests]
     memory = remembered(rests, _SLOW)[0] if sum(map(len, rests)) >= _FEW else 0.0
-    at_rest, along = _mean([track.at_rest for track in tracks]), _mean([track.along for track in tracks])
-    usual = _mean([track.across for track in tracks]) if channels > 1 else at_rest
-    own2 = max(at_rest, usual) / (1.0 - memory)  # of what remembers, neighbours differ by so much less
-    noise2 = max(own2, 1.0) + _mean([track.placed for track in tracks])
-    jitter2 = max(along - max(usual, 1.0), 0.0) / channels
-    shared = float(np.concatenate([track.shared for track in tracks]).mean())
-    model2 = max(shared - memory * own2, 0.0)
-    return float(np.sqrt(1.0 + (model2 + jitter2) / noise2))
+    every = [_mean([track.at_rest for track in tracks]), _mean([track.across for track in tracks])]
+    at_rest, moving = (square and square / (1.0 - memory) for square in every)
+    if passes := _differ_by_passes(tracks):
+        moving = min(moving, passes)
+    at_rest, moving = at_rest or moving or 1.0, moving or at_rest or 1.0
+    least2 = np.concatenate([track.least2 for track in tracks])
+    moves = np.concatenate([track.moves for track in tracks])
+    noise2 = float(np.mean(np.maximum(np.where(moves, moving, at_rest), least2)))
+    missed2 = float(np.concatenate([track.missed for track in tracks]).mean())
+    placed2 = float(np.concatenate([track.placed for track in tracks]).mean())
+    return float(np.sqrt(1.0 + max(missed2 - noise2, 0.0) / (noise2 + placed2)))
 
 
 @dataclass(frozen=True)
-class _NeighbourSquares:
-    """Squares over the stated noise of the neighbouring counted frames of one track."""
+class _Squares:
+    """Squares over the stated noise of the counted frames of one track, and those of neighbouring ones."""
 
-    shared: Array  # (pairs,) products of both errors, mean over coordinates, less what rounding repeats
-    along: Array  # (moving pairs,) half the squared difference along the path of the tip's image
-    across: Array  # (moving pairs,) the same across the path; empty for one channel
-    at_rest: Array  # of resting pairs, the same in either direction
+    missed: Array  # (frames,) mean over coordinates
+    moves: Mask  # (frames,) the tip moves
+    least2: Array  # (frames,) least that is noise; as stated where one place repeats it: of rounding, of our tracker
     placed: Array  # (frames,) of a tracker's error at each place
+    at_rest: Array  # of resting pairs, half the squared difference in either direction
+    across: Array  # (moving pairs,) the same across the path of the tip's image; empty for one channel
+    sideways: Array  # (moving frames,) errors across the path; empty for one channel, and where one place repeats noise
+    place: Array  # (moving frames, k) where the model has the tip in the image, px
+    sigma: Array  # (moving frames,) the stated noise, px
+    rises: Mask  # (moving frames,) by a rising motor
     rests: list[Array]  # (frames of a rest, 1) errors across the path, less their trend; empty for one channel
 
 
-def _neighbour_squares(
+def _squares(
     fit: PlayFit, curves: Curves, prepared: PreparedTrack, sim: Simulated, off: Array, mask: Mask,
     limit: float,
-) -> _NeighbourSquares:  # fmt: skip
+) -> _Squares:  # fmt: skip
     """The squares of one track, from errors off (n, k) over the noise; errors of more than `limit` (rms per coordinate)
     are cut."""
     track = prepared.track
@@ -184,28 +193,45 @@ def _neighbour_squares(
     norm = np.sqrt(np.mean(off**2, axis=1))
     near = off * np.minimum(1.0, limit / np.maximum(norm, limit))[:, None]
     pair, moves = mask[1:] & mask[:-1], sim.moving[1:] & sim.moving[:-1]
-    step = np.diff(near, axis=0) / np.sqrt(2.0)
-    slope = fit.slope_in_view(track, curves, sim.tip)
-    path = slope / np.maximum(np.linalg.norm(slope, axis=1), 1e-300)[:, None]
-    forward = np.sum(step * path[1:], axis=1) ** 2
-    shared = np.mean(near[1:] * near[:-1], axis=1)
-    if track.step > 0.0:
-        resting_pairs = resting(track, fit.predicted(track, curves, sim.tip))
-        shared = shared - resting_pairs * shared_variance(track, resting_pairs) / track.sigma[1:] ** 2
-    across_moving, at_rest, rests = np.zeros(0), forward[pair & ~moves], list[Array]()
-    if step.shape[1] > 1:
-        sideways = np.sum(step**2, axis=1) - forward
-        across_moving = sideways[pair & moves]
-        at_rest = np.concatenate([at_rest, sideways[pair & ~moves]])
-        rests = _at_rest(track.t_s, across(near, path)[:, None], mask & ~sim.moving)
-    return _NeighbourSquares(
-        shared=shared[pair],
-        along=forward[pair & moves],
-        across=across_moving,
-        at_rest=at_rest,
+    squares, repeats = 0.5 * np.diff(near, axis=0) ** 2, track.step > 0.0 or track.placed_px > 0.0
+    across_moving, sideways, rests, used = np.zeros(0), np.zeros(0), list[Array](), mask & sim.moving
+    if near.shape[1] > 1:
+        path = fit.slope_in_view(track, curves, sim.tip)
+        off_path = across(near, path)
+        across_moving = 0.5 * np.diff(off_path)[pair & moves] ** 2
+        rests = _at_rest(track.t_s, off_path[:, None], mask & ~sim.moving)
+        sideways = sideways if repeats else off_path[used]
+    least = np.ones(len(off)) if repeats else least_noise(track.unit) / track.sigma
+    return _Squares(
+        missed=np.mean(near**2, axis=1)[mask],
+        moves=sim.moving[mask],
+        least2=least[mask] ** 2,
         placed=(track.placed_px / track.sigma[mask]) ** 2,
+        at_rest=squares[pair & ~moves].ravel(),
+        across=across_moving,
+        sideways=sideways,
+        place=fit.predicted(track, curves, sim.tip)[used],
+        sigma=track.sigma[used],
+        rises=(sim.side > 0)[used],
         rests=rests,
     )
+
+
+def _differ_by_passes(tracks: Sequence[_Squares]) -> float:
+    """Half the mean squared difference of errors across the path of each frame on the way up and the nearest one on the
+    way down within _TOGETHER; 0 of too few of them."""
+    counted = [track for track in tracks if len(track.sideways)]
+    if not counted:
+        return 0.0
+    off, place, rises, sigma = (
+        np.concatenate([getattr(track, name) for track in counted]) for name in ("sideways", "place", "rises", "sigma")
+    )
+    if not rises.any() or rises.all():
+        return 0.0
+    within = _TOGETHER * float(np.median(sigma))
+    apart, nearest = KDTree(place[~rises]).query(place[rises], distance_upper_bound=within)
+    near = np.isfinite(apart)
+    return _mean([0.5 * (off[rises][near] - off[~rises][np.asarray(nearest)[near]]) ** 2])
 
 
 def _at_rest(t: Array, off: Array, resting: Mask) -> list[Array]:

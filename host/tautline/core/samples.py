@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy.ndimage import median_filter
 from scipy.spatial import KDTree
 
 from tautline import spread
@@ -17,6 +18,7 @@ _LEAST_PX, _LEAST_DEG = 1e-3, 1e-4  # tolerance: noise is never taken to be less
 _STRAY = 12.0  # prior: sigma, beside usual steps, from which a lone frame is a false sighting
 _STEEP = 4.0  # prior: of these, so many: a law is not as steep everywhere
 _MOST_OF_RANGE = (0.05, 0.95)  # tolerance: quantiles, as some frames are strays
+_AROUND_S = 0.5  # prior: in which steps are usual ones: a sensor's spike is over in half of it
 _WHILE = 0.1  # prior: share of a recording for which a tracker may be on another blob, at once
 FEW = 20  # tolerance: frames below which nothing is told of a motion
 _LEVELS = 0.5  # prior: different values for each frame, below which a sensor rounds
@@ -100,9 +102,10 @@ def strays(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
 
 def _elsewhere(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
     """Frames (n,) between two jumps at which y (n, channels) is where the tip never is: a tracker that was on another
-    blob for a while. A jump is more than the tip goes in a few frames then, and than the motor's quickest makes it go.
+    blob for a while; or from which it is back where it was before the motor could have brought it there and back: a
+    spike of a sensor. A jump is more than the tip goes in a few frames then, and than the motor's quickest makes it go.
     Of the tip are long runs between jumps, and the longest that hold half of all frames. A tip that snaps goes along
-    its path, and is no stray."""
+    its path, and comes back when its motor does: it is no stray."""
     away = np.zeros(len(y), dtype=bool)
     if len(y) < FEW:
         return away
@@ -113,9 +116,10 @@ def _elsewhere(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
         return away
     quickest = np.linalg.norm((high - low)[:-1]) / (high[-1] - low[-1]) * np.abs(path.at(t + usual_gap) - driven).max()
     step = np.linalg.norm(np.diff(y, axis=0), axis=1)
-    usual = _running_median(step, 9)
+    usual = median_filter(step, max(9, 2 * round(0.5 * _AROUND_S / usual_gap) + 1), mode="nearest")
     frames = np.maximum(gaps / usual_gap, 1.0)  # that passed, some unseen
-    jumps = np.flatnonzero(step > _STRAY * sigma + _STEEP * frames * np.maximum(usual, quickest)) + 1
+    goes = np.maximum(usual, quickest)  # in a frame
+    jumps = np.flatnonzero(step > _STRAY * sigma + _STEEP * frames * goes) + 1
     edges = np.concatenate([[0], jumps, [len(y)]])
     length = np.diff(edges)
     longest = np.argsort(-length, kind="stable")
@@ -124,11 +128,21 @@ def _elsewhere(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
     unsure[most] = unsure[[0, -1]] = False
     if not unsure.any():
         return away
+    for first in np.flatnonzero(unsure):
+        last = first
+        while unsure[last]:
+            begin, end = edges[first], edges[last + 1]
+            could = _STRAY * sigma + _STEEP * (t[end] - t[begin - 1]) / usual_gap * goes[[begin - 1, end - 1]].max()
+            if could >= step[begin - 1]:
+                break
+            if could < step[end - 1] and np.linalg.norm(y[end] - y[begin - 1]) < could:
+                away[begin:end] = True
+            last += 1
     of_tip = KDTree(y[np.repeat(~unsure, length)])
     between = _STRAY * sigma + float(usual.max())  # of its frames, at most
     for i in np.flatnonzero(unsure):
         run = slice(edges[i], edges[i + 1])
-        away[run] = bool(np.median(of_tip.query(y[run])[0]) > between)
+        away[run] |= bool(np.median(of_tip.query(y[run])[0]) > between)
     return away
 
 
