@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tautline.diagnosis.diagnose import diagnose
 from tautline.effects import follow
 from tautline.model import Model
-from tautline.recording import Motor
+from tautline.recording import Angle, Motor, Recording
 from tautline.rig import Actuator, Coarse, Rig
 
 RIG = Rig(Actuator("mm", (-5.0, 5.0), 0.001), Coarse(1.0, 0.0))
@@ -70,6 +71,33 @@ def test_it_ages_at_rest_and_wears_off(seed, width, time, travel):
     law = {"rest_width": width, "rest_time": time, "rest_travel": travel}
     off = follow(model(), Motor(t_s, q), t_s, law).c_deg - aged(t_s, q, width, time, travel)
     assert np.sqrt(np.mean(off**2)) < 0.03 * width
+
+
+def set_by(t_s: np.ndarray, q: np.ndarray, size: float, time: float, travel: float) -> np.ndarray:
+    """Where the tip is in grease that sets while it rests, `size` at most, and is broken up along `travel`: a law that
+    the library does not have."""
+    p, is_set, out = float(q[0]), 0.0, np.empty_like(q)
+    for i, motor in enumerate(q.tolist()):
+        if abs(motor - p) > 0.5 * B + size * is_set + 1e-9:
+            is_set = max(is_set - abs(motor - q[i - 1]) / travel, 0.0)
+            p = motor - math.copysign(0.5 * B + size * is_set, motor - p)
+        else:
+            is_set += (1.0 - is_set) * STEP_S / time
+        out[i] = p
+    return out
+
+
+def test_grease_that_sets_is_named():
+    recordings = []
+    for number, seed in enumerate((1, 2, 3)):
+        t_s, q = motion(seed)
+        tip = set_by(t_s, q, 0.3 if number else 0.0, 1.5, 0.6)
+        noise = np.random.default_rng(seed).normal(0.0, 0.01, len(t_s[::8]))
+        seen = Angle(t_s[::8], tip[::8] + noise)
+        recordings.append(Recording(f"recording-{number}", Motor(t_s, q), angle=seen, rig=RIG))
+    found = diagnose(model(), recordings[0], recordings[1:])
+    assert [finding.id for finding in found.findings] == ["transmission.rest_dependent_backlash"]
+    assert found.gap.closable_shrink > 0.9
 
 
 def onset(t_s: np.ndarray, q: np.ndarray, law: dict[str, float], after_s: float) -> float:
