@@ -44,6 +44,7 @@ _LEAST, _MOST = 0.01, 0.99  # prior: limits of the probability that a tip sticks
 _OUTLIERS = 0.97  # tolerance: quantile to which squared residuals are cut where a noise level is estimated
 _HELD_SHARES = np.array([0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 0.9])  # prior: grid of repeats
 _PLACES = 96  # prior: places along the range at which a misfit may be another
+_RIDGE = 1e-9  # tolerance: of a frame: for rounding
 _JUMPS = (0.1, 30.0)  # prior: range of jumps, times a fast drive from frame to frame
 
 
@@ -259,7 +260,7 @@ class _Joined:
         at = (self._place - low) / max(high - low, 1e-12) * (_PLACES - 1)
         left = np.clip(at.astype(int), 0, _PLACES - 2)
         share = at - left
-        ridge = self._floor2 / max(float(np.mean(self.residual**2)), self._floor2)
+        ridge = max(self._floor2 / max(float(np.mean(self.residual**2)), self._floor2), _RIDGE)
         told: Array = np.zeros_like(self.residual)
         for way, calibration in product((-1.0, 1.0), (False, True)):
             here = np.flatnonzero((self._way == way) & (self._calibration == calibration))
