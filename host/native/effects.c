@@ -123,7 +123,8 @@ static double push_late(const struct lates *lates, const struct elements *elemen
     for (size_t i = 0; i < lates->count; i++) {
         contact[i] = own->contact[i];
         contact[i].age_s += own->rested_s;
-        if (play->side != s || own->rested_s > lates->of[i]->effect->renewed_s(lates->of[i]->v)) {
+        const struct effect *effect = lates->of[i]->effect;
+        if (play->side != s || (effect->renewed_s && own->rested_s > effect->renewed_s(lates->of[i]->v))) {
             contact[i].since = 0.0;
         }
     }

@@ -26,17 +26,11 @@ static void slide(const double *v, struct effect_contact *contact, double way) {
     contact->age_s = v[TIME] * expm1(growth(v, contact->age_s) * exp(-way / v[TRAVEL]));
 }
 
-// Its age remembers a rest of any length.
-static double renewed_s(const double *v) {
-    (void)v;
-    return INFINITY;
-}
-
+// Its age remembers a rest of any length, so no side begins anew.
 const struct effect effect_rest_dependent_backlash = {"transmission.rest_dependent_backlash",
                                                       PLACE_PLAY,
                                                       PARAMETERS,
                                                       COUNT,
                                                       .present = present,
                                                       .late = late,
-                                                      .slide = slide,
-                                                      .renewed_s = renewed_s};
+                                                      .slide = slide};

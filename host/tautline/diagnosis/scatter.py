@@ -205,11 +205,8 @@ class _Joined:
         self._by_velocity = _along_and_across2(self.residual, self._velocity)
         self._by_direction = _along_and_across2(self.residual, self._per_unit)
         self._per_unit2 = np.sum(self._per_unit**2, axis=1)
-        self.driven, self._place, self._way = (
-            joined(lambda f: f.driven),
-            joined(lambda f: f.place),
-            joined(lambda f: f.way),
-        )
+        self.driven = joined(lambda f: f.driven)
+        self._place, self._way = joined(lambda f: f.place), joined(lambda f: f.way)
         self.block = np.concatenate([part.block for part in parts])
         self._calibration = np.concatenate([part.calibration for part in parts])
         self._recording = np.repeat(np.arange(len(parts)), [len(part.block) for part in parts])

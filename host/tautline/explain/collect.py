@@ -79,7 +79,7 @@ def _effects() -> Iterator[Topic]:
             else ""
         )
         held = (
-            "The board's tables can carry it."
+            f"The board's tables can carry it{f' where {kind.remains} is 0' if kind.remains else ''}."
             if kind.on_board
             else "The board's tables cannot carry it; a corrected model does."
         )
