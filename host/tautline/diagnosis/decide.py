@@ -17,7 +17,6 @@ from tautline.diagnosis.hyperparameters import Hyperparameters, Learnt, learnt
 from tautline.diagnosis.hypotheses import CaseEvidence
 from tautline.diagnosis.likelihoods import Likelihoods
 from tautline.diagnosis.stacked import Stacked, brought_parts, log_sum
-from tautline.effects import EVENTS
 
 Array = npt.NDArray[np.float64]
 
@@ -25,7 +24,6 @@ FURTHER = 2.0 / 3.0  # loss: probability of a further effect from which it is na
 _LARGEST_GROUP = 3  # format: effects at most of which one is said to be there
 MOVED = 0.2  # loss: share of what a recalibration closes, from which a part of the nominal model is named
 CLEARLY = 10.0  # loss: likelihood ratio, wrong effect's over right one's, from which an amplitude is said to vary
-HELPS = 0.7  # loss: standard errors over blocks by which an effect must lower the power; one block alone makes 1
 
 
 @dataclass(frozen=True)
@@ -183,62 +181,6 @@ def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]], learned: L
         leading=leading,
         named=named,
         probability=tuple(certain for _ in named),
-        chosen=0,
-        brought=(),
-        alternatives=(),
-    )
-
-
-def that_help(evidence: CaseEvidence, verdict: Decision) -> Decision:
-    """The verdict without those named effects that do not lower the held-out power: from the last named to the first,
-    one stays only if without it the mean over blocks rises by more than HELPS standard errors. Events stay, as their
-    path explains nothing. Where none stays the cause is unknown; so it is where the leading one does not and an unknown
-    cause is likelier than the others alone."""
-    if verdict.name != "effect":
-        return verdict
-    ids = [h.ids for h in evidence.hypotheses]
-
-    def least_power(names: Sequence[str]) -> int:
-        """Index of the hypothesis of just these effects that leaves the least power; 0, no effect, where none is."""
-        same = [i for i, effects in enumerate(ids) if set(effects) == set(names)]
-        return min(same, key=lambda i: float(np.mean(evidence.hypotheses[i].power)), default=0)
-
-    named, parts, chosen = list(verdict.named), list(verdict.brought), verdict.chosen
-    for name in reversed(verdict.named):
-        rest = [other for other in named if other != name]
-        kept_parts = [other for other in parts if other in brought_parts([*rest, other])]
-        without = least_power([*rest, *kept_parts])
-        never_fitted = rest and not ids[without]
-        if name in EVENTS or never_fitted:
-            continue
-        gained = evidence.hypotheses[without].power - evidence.hypotheses[chosen].power
-        if float(np.mean(gained)) <= HELPS * float(np.std(gained)) / np.sqrt(len(gained)):
-            named, chosen, parts = rest, without, kept_parts
-    if len(named) == len(verdict.named):
-        return verdict
-    rest_alone = sum(float(p) for p, key in zip(verdict.posterior, ids, strict=True) if {*key} == {*named, *parts})
-    others_for_the_leading_one = verdict.named[0] not in named and rest_alone < verdict.unknown
-    if not named or others_for_the_leading_one:
-        return _unknown_instead(verdict)
-    probability = dict(zip(verdict.named, verdict.probability, strict=False))
-    return replace(
-        verdict,
-        named=tuple(named),
-        probability=tuple(probability[name] for name in named),
-        chosen=chosen,
-        brought=tuple(parts),
-        alternatives=verdict.alternatives if named[-1] == verdict.named[-1] else (),
-    )
-
-
-def _unknown_instead(verdict: Decision) -> Decision:
-    """The verdict with nothing named, and an unknown cause as likely as all effects were with it."""
-    return replace(
-        verdict,
-        unknown=verdict.unknown + sum(verdict.leading.values()),
-        leading=dict.fromkeys(verdict.leading, 0.0),
-        named=(),
-        probability=(),
         chosen=0,
         brought=(),
         alternatives=(),

@@ -114,7 +114,7 @@ def _diagnosis(
     kinds = [kind for kind in kinds if kind.id not in hidden]
 
     gathered = gather(fitter, frozen, base, kinds, lambda done, text: progress(0.1 + 0.8 * done, text))
-    verdict = decide.that_help(gathered.evidence, decide.decide(gathered.evidence))
+    verdict = decide.decide(gathered.evidence)
     if verdict.name != "effect" and simulated is None and start.concerns(model):
         # Nothing that came later is the cause: what was there while calibrating, which the calibration has swallowed.
         from_start = start.of_segments(

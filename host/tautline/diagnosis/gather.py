@@ -109,8 +109,8 @@ class _Hypotheses:
                 fit = replace(candidate.fit, hypothesis=candidate.fit.hypothesis.plus(kind, scope))
                 self._add_event(replace(candidate, fit=fit, beyond=beyond[kind.id]), kind, explained)
 
-    def _append(self, candidate: Candidate, scatter: Array, rival: Array, white: float = 0.0) -> None:
-        """Appends a candidate and its evidence. scatter, rival (blocks,), white: as in Weighed."""
+    def _append(self, candidate: Candidate, scatter: Array, rival: Array) -> None:
+        """Appends a candidate and its evidence. scatter, rival (blocks,): as in Weighed."""
         self.candidates.append(candidate)
         self._weighed.append(
             Weighed(
@@ -119,7 +119,6 @@ class _Hypotheses:
                 scatter=scatter,
                 rival=rival,
                 parameters=candidate.parameters,
-                white=white,
                 beyond=candidate.beyond,
                 wanders=candidate.wanders,
                 each=candidate.differs_by_recording,
@@ -139,7 +138,7 @@ class _Hypotheses:
         rival = min(rivals, key=lambda loss: float(np.mean(loss)))
         assert kind.event
         candidate = replace(candidate, scatters={kind.event.amount: explained.amount[kind.id]})
-        self._append(candidate, explained.loss[kind.id] - explained.plain, rival - explained.plain, explained.white)
+        self._append(candidate, explained.loss[kind.id] - explained.plain, rival - explained.plain)
 
     def _add_with_mean_effect(self, candidate: Candidate) -> None:
         """Adds a fit that has an event's mean effect among its parameters, with what its scatter says of that event."""

@@ -25,7 +25,7 @@ class Hyperparameters:
     """All positive; learnt as logarithms."""
 
     misfit_tells: float  # independent observations in a block of systematic misfit
-    noise_tells: float  # independent observations in a block of noise, or of scatter without memory
+    noise_tells: float  # independent observations in a block of noise, or of an event's scatter
     block_freedom: float  # degrees of freedom of a block's variance: how much blocks' powers differ
     unexplained: float  # share of the gap's power that a right effect may well leave
     unexplained_by_law: float  # the same of an effect with one equation everywhere (rigid motion, time)

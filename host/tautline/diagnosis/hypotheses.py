@@ -8,7 +8,7 @@ held-out residuals, px^2 or deg^2 a coordinate; blocks are in order, block after
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -62,7 +62,6 @@ class Weighed:
     scatter: Array  # (blocks,) logarithm of the factor on the power by which an event explains scatter; 0 without one
     rival: Array  # (blocks,) the same of the best explanation of the scatter that is no event
     parameters: int  # effective number of parameters, for the information criterion
-    white: float = 0.0  # share of the scatter that is uncorrelated from frame to frame, 0 to 1
     beyond: Beyond | None = None  # None: the effects' stages could leave anything
     chance: float = 1.0  # of a law: probability that another effect leaves so much less by chance (exact.py)
     wanders: tuple[Wander, ...] = ()  # of its effects that have a path
@@ -71,11 +70,12 @@ class Weighed:
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Weighed:
-        """Out of what CaseEvidence.to_json has of it."""
+        """Out of what CaseEvidence.to_json has of it, or had: fields of older campaigns are left out."""
         beyond = document["beyond"] and Beyond(**{name: np.array(v) for name, v in document["beyond"].items()})
         arrays = {name: np.array(document[name]) for name in ("power", "scatter", "rival")}
         wanders = tuple(Wander.from_json(of) for of in document.get("wanders", ()))
-        return cls(**{**document, **arrays, "ids": tuple(document["ids"]), "beyond": beyond, "wanders": wanders})
+        known = {field.name: document[field.name] for field in fields(cls) if field.name in document}
+        return cls(**{**known, **arrays, "ids": tuple(document["ids"]), "beyond": beyond, "wanders": wanders})
 
 
 @dataclass(frozen=True)

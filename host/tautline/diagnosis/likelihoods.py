@@ -13,25 +13,24 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import log_expit, log_ndtr
+from scipy.special import log_ndtr
 
 from tautline.diagnosis.hyperparameters import Hyperparameters
-from tautline.diagnosis.stacked import FOLLOWED, LAWS, SHARES, WANDERS, Stacked, log_sum
+from tautline.diagnosis.stacked import LAWS, SHARES, WANDERS, Stacked, log_sum
 from tautline.effects import EVENTS
 
 Array = npt.NDArray[np.float64]
 
 COINCIDES = 0.1  # prior: probability that an unknown effect goes with a column that was measured beside the motion
-LOG_ODDS_MARGIN = 5.0  # loss: log odds over every rival, from which an event beside another effect counts in full
 _QUANTILES = -np.log1p(-(np.arange(15) + 0.5) / 15.0)  # equation: of an exponential prior of mean 1
 _ALIKE = (0.01, 1.0)  # tolerance: limits of the share of a misfit by which a further effect looks like it
 
 
 class Likelihoods:
     """Log-likelihoods up to a common constant, (hypotheses,): `log_likelihood` of each hypothesis, -inf where it is
-    excluded; its log `prior`; `unknown_scatter`, of the same hypothesis but its event's scatter being of unknown
-    origin, -inf where it is not of one event alone; and one number, `unknown`, of an unknown cause that the best
-    effects only imitate."""
+    excluded; its log `prior`; `unknown_scatter`, of scatter of unknown origin in the place of an event, which foretells
+    frames as well as anything but that event, -inf where a hypothesis is not of one event alone; and one number,
+    `unknown`, of an unknown cause that the best effects only imitate."""
 
     def __init__(self, case: Stacked, hyper: Hyperparameters) -> None:
         """Of the hypotheses of `case`, with these hyperparameters: the likelihood of the blocks' powers and of an
@@ -46,31 +45,15 @@ class Likelihoods:
         # The share that a set of effects may well leave: as the worst of it.
         self._most = np.where(case.law, hyper.unexplained_by_law, hyper.unexplained)
         right = self._as_right_effects
-        own, self.unknown_scatter, given_back = self._with_events(right)
+        own = np.where(case.size > 0, right + self._log_probability_unbeaten, self._log_likelihood_of_no_change)
+        # A frame's scatter tells as much as noise does: whatever path there is, these frames it does not foretell.
+        own = own + 0.5 * hyper.noise_tells * case.foretold_better(hyper.calibration_excess)
+        self.unknown_scatter: Array = np.where(case.scatters & (case.size == 1), right, -np.inf)
         replaced = self._replaced_by_contained
-        reached, plainly = self._with_imitating_misfit(own, given_back, replaced)
+        reached = self._with_imitating_misfit(own, replaced)
         confined = case.confined_log_ratio(hyper.floor_known, hyper.floor_steady, hyper.disturbed)
-        self.log_likelihood: Array = reached + confined + self.steady
-        self.log_likelihood[replaced | (case.repeats & ~(case.size > 1))] = -np.inf
-        self.unknown = self._log_likelihood_of_unknown(right, plainly, replaced)
-
-    def _with_events(self, right: Array) -> tuple[Array, Array, Array]:
-        """Log-likelihoods, (hypotheses,) each: (of a hypothesis with its event's scatter; of the same with the scatter
-        of unknown origin; what an event far ahead of its rivals gets back). With L = right + event, and rival, the
-        gains by an event and by its best rival: a single event has L - log(1 + exp(rival - event)), unknown scatter the
-        rest of exp(L). Beside another effect, whose misfit is correlated too, it has to explain more than the rival
-        does, L - max(rival, 0), which it gets back if it is LOG_ODDS_MARGIN ahead. right: as right effects without
-        scatter."""
-        case = self._case
-        event, rival = self._gain(case.scatter), self._gain(case.rival)
-        own = np.where(case.size > 0, right + event + self._log_probability_unbeaten, self._log_likelihood_of_no_change)
-        rival_log_odds = np.where(case.scatters, rival - event, -np.inf)
-        unknown_scatter = np.where((case.size == 1) & ~case.path, own + log_expit(rival_log_odds), -np.inf)
-        beside = case.size > 1
-        rival_gain = np.where(case.scatters, np.maximum(rival, 0.0), 0.0)
-        own = own - np.where(beside, rival_gain, np.logaddexp(0.0, rival_log_odds))
-        given_back = np.where(beside & (rival_log_odds < -LOG_ODDS_MARGIN), rival_gain, 0.0)
-        return own, unknown_scatter, given_back
+        self.log_likelihood: Array = np.where(replaced, -np.inf, reached + confined + self.steady)
+        self.unknown = self._log_likelihood_of_unknown(np.maximum(right, reached), replaced)
 
     @cached_property
     def best(self) -> dict[frozenset[str], int]:
@@ -129,38 +112,27 @@ class Likelihoods:
         mimics = self.hyper.mimics
         return np.asarray(np.log(mimics + (1.0 - mimics) * self._case.chance))
 
-    def _gain(self, scatter: Array) -> Array:
-        """(hypotheses,) Log-likelihood gained by scatter. scatter (hypotheses,): logarithm of the factor that it puts
-        on the blocks' power, summed over them, below 0 where it explains something."""
-        observations = self.hyper.misfit_tells + self.hyper.noise_tells * self._case.forgets
-        return np.asarray(-0.5 * observations * scatter)
-
-    def _with_imitating_misfit(
-        self, own: Array, given_back: Array, replaced: npt.NDArray[np.bool_]
-    ) -> tuple[Array, Array]:
-        """(hypotheses,) twice: the largest log-likelihood of a hypothesis with the misfit of its effects, its own or
-        that of one with a further effect, where by chance the misfit looks like that further effect; and the same
-        without what events far ahead of their rivals get back, which no hypothesis without an event inherits. own:
-        log-likelihood of each; given_back: what it gets back; replaced: which are excluded."""
+    def _with_imitating_misfit(self, own: Array, replaced: npt.NDArray[np.bool_]) -> Array:
+        """(hypotheses,) The largest log-likelihood of a hypothesis with the misfit of its effects, its own or that of
+        one with a further effect, where by chance the misfit looks like that further effect; like an event none does.
+        own: log-likelihood of each; replaced: which are excluded."""
         case, by_chance = self._case, self._log_chance_of_misfit
-        plainly, surely = np.where(replaced, -np.inf, own), np.where(replaced, -np.inf, own + given_back)
+        reached = np.where(replaced, -np.inf, own)
         for size in range(int(case.size.max()), 1, -1):  # the largest first: two further ones may imitate as well
-            for reached, inherits in ((plainly, np.ones_like(replaced)), (surely, case.scatters)):
-                pairs = (case.size[case.further] == size) & inherits[case.fewer]
-                i, j = case.fewer[pairs], case.further[pairs]
-                np.maximum.at(reached, i, reached[j] + by_chance[pairs])
-                reached[replaced] = -np.inf
-        return np.maximum(plainly, surely), plainly
+            pairs = (case.size[case.further] == size) & (case.scatters[case.further] == case.scatters[case.fewer])
+            i, j = case.fewer[pairs], case.further[pairs]
+            np.maximum.at(reached, i, reached[j] + by_chance[pairs])
+            reached[replaced] = -np.inf
+        return reached
 
-    def _log_likelihood_of_unknown(self, right: Array, reached: Array, replaced: npt.NDArray[np.bool_]) -> float:
+    def _log_likelihood_of_unknown(self, as_if_right: Array, replaced: npt.NDArray[np.bool_]) -> float:
         """Log-likelihood times prior of the best effects, one or two, if they stand in for an unknown cause: with
         probability `mimics` (its square root of the best of all pairs) they follow it as closely as if they were right,
-        else they leave what wrong effects do. right, reached: log-likelihoods as right effects, without and with an
-        imitating misfit; replaced: which hypotheses are excluded."""
+        else they leave what wrong effects do. as_if_right: log-likelihoods as right effects; replaced: which hypotheses
+        are excluded."""
         case, hyper = self._case, self.hyper
         pair = case.causes == 2
         mimics = np.where(pair, np.sqrt(hyper.mimics), hyper.mimics)
-        as_if_right = np.where(case.scatters, right, np.maximum(right, reached))
         imitates = np.where(case.size > 0, np.log(mimics) + as_if_right, -np.inf)
         as_wrong = np.log1p(-mimics) + log_sum(self._by_share + self._log_wrong_share) - self._price
         stands_in = np.logaddexp(imitates, as_wrong)
@@ -204,11 +176,10 @@ class Likelihoods:
         beyond the usual share), times, as the share of it that the further effect closes is uniform, that it looks so
         like that effect. A further part of the nominal model is a curve by place, which follows any small misfit."""
         case = self._case
-        left, after = np.maximum(case.left[case.fewer], 1e-300), case.left[case.further]
-        share = np.maximum((left - after) / max(float(np.sum(case.before)), 1e-300), 1e-12)
+        left, after = (np.maximum(case.mean[of] - case.floor2, 1e-300) for of in (case.fewer, case.further))
+        share = np.maximum((left - after) / max(float(np.mean(case.before)), 1e-300), 1e-12)
         parts = case.constant[case.further]
-        most = np.where(parts, np.minimum(self._most[case.fewer], FOLLOWED), self._most[case.fewer])
-        as_large = log_ndtr(-(np.log(share) - np.log(most)) / self.hyper.share_spread)
+        as_large = log_ndtr(-np.log(share / self._most[case.fewer]) / self.hyper.share_spread)
         return np.asarray(as_large + np.where(parts, 0.0, np.log(np.clip(after / left, *_ALIKE))))
 
     @cached_property

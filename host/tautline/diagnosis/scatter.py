@@ -62,13 +62,6 @@ class Scatter:
         """(blocks,) The loss of the residuals as noise of one level at rest and one while the motor drives."""
         return self.loss[_AS_IT_IS]
 
-    @property
-    def white(self) -> float:
-        """The share of the noise's variance that is uncorrelated with the frames before, 0 to 1."""
-        counts = self.loss["level"] != 0.0
-        gained = (self.loss["memory"] - self.loss["level"])[counts]
-        return float(np.exp(min(0.0, float(np.mean(gained))))) if counts.any() else 1.0
-
     def beats_noise(self, event: str) -> bool:
         """Whether an event is a better explanation than noise of another level while the motor drives."""
         return float(np.mean(self.loss[event])) < float(np.mean(self.loss["level"]))

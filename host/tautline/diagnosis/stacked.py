@@ -27,10 +27,8 @@ MEASURED = frozenset(kind.id for kind in LIBRARY if kind.needs == "load")  # eff
 BROUGHT = {kind.id: frozenset(kind.brings) for kind in LIBRARY if kind.brings}
 INEXACT = 4.0  # prior: times the floor's power that a nominal model may leave of its own calibration
 CONFINED = 0.5  # prior: probability that what a wrong effect leaves is confined to its stage as well
-FOLLOWED = 0.02  # prior: share of a gap's power above the floor: a path that leaves less was followed
 SHARES = np.geomspace(1e-5, 1.0, 41)  # prior: grid of shares of a gap's power that an effect leaves
 WANDERS = np.geomspace(3e-3, 3.0, 31)  # prior: grid of shares by which an amplitude may vary
-_GAP = 2.0  # prior: times the floor's power: more is no noise
 _DEGREES = 8.0  # prior: degrees of freedom of Student's t, of the logarithm of a block's noise power
 _WRONG_SHARES = (np.arange(10) + 0.5) / 10.0  # prior: grid of the share of blocks in which a wrong effect leaves more
 _WIDEST = 12.0  # prior: largest logarithm of what a wrong effect leaves of a block, over the noise
@@ -93,14 +91,15 @@ class Stacked:
         hypotheses = evidence.hypotheses
         self.floor2 = evidence.floor**2
         self._doubt, self._unsteady = evidence.doubt, evidence.unsteady
-        self.frozen = evidence.frozen  # (blocks,) power that the calibrated model leaves as it is
+        # A block with less power than the noise has had less noise, whatever the hypothesis.
+        self.frozen = np.maximum(evidence.frozen, self.floor2)  # (blocks,) left by the calibrated model as it is
         self.applicable = evidence.applicable
         # What a nominal model may leave of any recording above the noise: what it leaves of its own calibration. Where
         # an effect was there while calibrating, that is what the effect left, and says nothing of the model.
         self.own_misfit = float(np.clip(evidence.calibrated / self.floor2, 1.0, INEXACT) - 1.0) * self.floor2
         self._own_misfit_of = np.where([h.from_start for h in hypotheses], 0.0, self.own_misfit)  # (hypotheses,)
-        self.power = np.array([h.power for h in hypotheses])  # (hypotheses, blocks)
-        self.before = np.maximum(self.power[0] - self.floor2, 0.0)  # (blocks,) the gap's power above the floor
+        self.power = np.maximum([h.power for h in hypotheses], self.floor2)  # (hypotheses, blocks)
+        self.before = self.power[0] - self.floor2  # (blocks,) the gap's power above the floor
         self.mean = np.mean(self.power, axis=1)  # (hypotheses,)
         self.parameters = np.array([h.parameters for h in hypotheses], dtype=float)
         self.chance = np.array([h.chance for h in hypotheses])
@@ -113,27 +112,15 @@ class Stacked:
         self.confined_log_ratio = lru_cache(_REMEMBERED)(self._confined_log_ratio)
 
     def _set_scatter(self, hypotheses: Sequence[Weighed]) -> None:
-        """Which hypotheses have an event (`scatters`), whether some path explains the same (`path`), and the
-        logarithms, summed over the blocks, of the factors that the event and the best rival scatter put on the power
-        (`scatter`, `rival`)."""
+        """Which hypotheses have an event (`scatters`), and logarithms of the power, over the noise's, that is left of a
+        frame given those before: by an event (`by_event`), and by whatever is none, the best rival on the same path
+        (`without_event`); (hypotheses, blocks) each, of `in_sight` those in which a frame counts."""
         scatter, rival = np.array([h.scatter for h in hypotheses]), np.array([h.rival for h in hypotheses])
         self.scatters: Flags = np.asarray(scatter.any(axis=1))
-        # What a path follows on blocks that its fit did not see is no scatter, of whatever origin; nor is noise.
-        of_paths = np.where(self.scatters, np.inf, self.mean)
-        best_path = np.min(of_paths, initial=np.inf)
-        least = np.minimum(self.power, self.floor2)
-        scattered = np.maximum(self.power * np.exp(np.minimum(scatter, rival)), least)
-        # Frames foretell the next ones of any smooth misfit, the better the faster the sensor: a path that leaves more
-        # than they do, but next to nothing of what is there without it, is one all the same, and the rest its misfit.
-        followed = best_path - self.floor2 < FOLLOWED * (self.mean - self.floor2)
-        self.path: Flags = self.scatters & ((best_path < np.mean(scattered, axis=1)) | followed)
-        # An event has no path that repeats: what one follows so closely, and is no noise, is none.
-        self.repeats: Flags = self.scatters & followed & (self.mean > _GAP * self.floor2)
-        rest = np.maximum(self.power[int(np.argmin(of_paths))], self.floor2)
-        self._least = np.where(followed[:, None], rest, self.floor2)
-        self.left = np.sum(self.power * np.exp(scatter) - self.floor2, axis=1)  # power above the floor, over all blocks
-        self.scatter, self.rival = self._event_log_factor(scatter), self._event_log_factor(rival)
-        self.forgets = np.where(self.path, 0.0, np.square([h.white for h in hypotheses]))  # 1: white, 0: correlated
+        # Of an event that came later the calibration's blocks do not count.
+        self.in_sight: Flags = (scatter != 0.0) | (rival != 0.0) | ~self.scatters[:, None]
+        above_noise = np.log(self.power / self.floor2)
+        self.by_event, self.without_event = above_noise + scatter, above_noise + np.minimum(rival, 0.0)
 
     def _set_effects(self, hypotheses: Sequence[Weighed]) -> None:
         """Which effects each hypothesis has: flags of their kinds, the number of its causes, which hypothesis replaces
@@ -197,14 +184,19 @@ class Stacked:
             self._beyond_row.append(rows[content])
         self._beyond_power, self._beyond_count = np.array(power), np.array(count)
 
-    def _event_log_factor(self, scatter: Array) -> Array:
-        """(hypotheses,) The logarithm of the factor by which scatter lowers the power, summed over the blocks. scatter:
-        (hypotheses, blocks) of each block. It takes nothing off what the hypothesis' own path had added; where the path
-        explains the same, it lowers the power no further than to the least that any path leaves, or to the noise."""
-        added_by_path = np.maximum(np.log(self.power / self.power[0]), 0.0)
-        factor = scatter + np.minimum(added_by_path, np.maximum(-scatter, 0.0))
-        above_least = np.maximum(np.log(self.power / self._least), 0.0)
-        return np.asarray(np.sum(np.where(self.path[:, None], np.maximum(factor, -above_least), factor), axis=1))
+    def foretold_better(self, calibration_excess: float) -> Array:
+        """(hypotheses,) By how much an event foretells the frames better than anything that is none: the sum over its
+        blocks of the logarithm of the power, below 0 where it foretells them worse; 0 without an event. Nothing is
+        foretold better than a sound calibration does, (1 + calibration_excess) floor^2."""
+        least = np.log1p(calibration_excess)
+        by_event, without = (np.maximum(left, least) for left in (self.by_event, self.without_event))
+        gained = np.zeros(len(self.scatters))
+        for i in np.flatnonzero(self.scatters):
+            here = self.in_sight[i]
+            of_all = without[:, here] @ np.ones(int(here.sum()))
+            same = ~self.scatters | (self.in_sight == here).all(axis=1)
+            gained[i] = float(np.min(of_all[same])) - float(np.sum(by_event[i, here]))
+        return gained
 
     def independent_observations(self, misfit_tells: float, noise_tells: float) -> Array:
         """(blocks,) How many independent observations each block counts as, misfit_tells + noise_tells (floor^2 /

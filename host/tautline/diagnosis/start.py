@@ -110,4 +110,4 @@ def of_segments(
     hidden = confounded.hidden(kinds, alike)
     kinds = [kind for kind in kinds if kind.id not in hidden]
     gathered = gather(fitter, base.residuals, base, kinds, progress, (Scope.START,))
-    return Start(fitter, gathered, decide.that_help(gathered.evidence, decide.decide(gathered.evidence)))
+    return Start(fitter, gathered, decide.decide(gathered.evidence))
