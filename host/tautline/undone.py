@@ -121,8 +121,8 @@ def _step_log2(reach: float) -> int:
 def _sides_sections(v: Mapping[str, float], count: float) -> dict[str, Section]:
     """Section `sides` of an asymmetric backlash, in Q8 counts of `count`, unit of q. Once the play has turned towards
     the side where it is wider, it lags by L(x) = |asymmetry| exp(-(x / travel)^form) more, x being the motor's travel
-    since it took it up. The table is of L over the play's own travel, d = x + L(0) - L(x). And section `anew`, us, where
-    that is so again after rests. {} where L is below 1."""
+    since it took it up. The table is of L over the play's own travel, d = x + L(0) - L(x). Beside it section `anew`,
+    us, where that is so again after rests. {} where L is below 1."""
     size, travel, form = abs(v["asymmetry"]) / count, v["asymmetry_travel"] / count, v.get("asymmetry_form", 1.0)
     if size < 1.0:
         return {}

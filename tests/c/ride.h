@@ -35,8 +35,8 @@ static inline tl_table_t any_table(void) {
             table.q_min = COUNTS(between(-4900, 0));
             table.q_max = table.q_min + (between(0, 2) == 0 ? between(1, 1000) : COUNTS(between(1, 4900)));
         }
-        table.has = (uint32_t)between(0, 255) << 2; // sections 2 to 9
-        if ((table.has & TL_TABLE_HAS_encoder) != 0) {  // 2 pi (a + 2 a2) / period is 1/2 at most
+        table.has = (uint32_t)between(0, 255) << 2;    // sections 2 to 9
+        if ((table.has & TL_TABLE_HAS_encoder) != 0) { // 2 pi (a + 2 a2) / period is 1/2 at most
             const int32_t period = between(100, 2000), most = COUNTS(period) / 14;
             table.encoder = (tl_table_encoder_t){.period_q12 = period * 4096,
                                                  .sine = between(-most / 2, most / 2),

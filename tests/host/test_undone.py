@@ -330,7 +330,8 @@ def test_sections_that_say_nonsense_are_refused(section: dict[str, Any], reason:
 
 def test_a_table_says_after_which_rest_its_sides_begin_anew_and_nothing_where_they_do_not() -> None:
     law = {"asymmetry": 0.1, "asymmetry_travel": 0.3}
-    bare, once, anew = (model(0.4, SIDES, **law, **more) for more in ({}, *({"asymmetry_renewed": r} for r in (0.0, 1.0))))
+    bare = model(0.4, SIDES, **law)
+    once, anew = (model(0.4, SIDES, **law, asymmetry_renewed=renewed) for renewed in (0.0, 1.0))
     assert not_undone(once) == not_undone(anew) == []
     assert undone(anew)[1] == undone(once)[1] | {"anew": {"rest_us": 50_000}}
     assert tables.encode(bare, created_s=0) == tables.encode(once, created_s=0)

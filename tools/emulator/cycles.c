@@ -204,12 +204,10 @@ static void small_table(int32_t values[TL_TABLE_LAST + 1U], int32_t most) {
 // All that is undone beside plays and curve, or some of it.
 static void add_sections(tl_table_t *table) {
     const bool all = between(0, 1) == 0;
-    for (uint32_t i = 2; i <= 9; i++) {
+    for (uint32_t i = 2; i <= 8; i++) {
         table->has |= all || between(0, 1) == 0 ? 1U << i : 0;
     }
-    if ((table->has & TL_TABLE_HAS_sides) == 0) {
-        table->has &= ~(uint32_t)TL_TABLE_HAS_anew;
-    }
+    table->has |= (table->has & TL_TABLE_HAS_sides) != 0 ? (uint32_t)TL_TABLE_HAS_anew : 0;
     table->encoder = (tl_table_encoder_t){.period_q12 = between(1 << 20, 1 << 26)};
     const int32_t most = table->encoder.period_q12 / 2000 < 20000 ? table->encoder.period_q12 / 2000 : 20000;
     table->encoder.sine = between(-most, most);
@@ -218,7 +216,7 @@ static void add_sections(tl_table_t *table) {
     table->sides.side = between(0, 1) == 0 ? 1 : -1;
     table->sides.step_log2 = between(4, 12);
     small_table(table->sides.late, 20000);
-    table->anew.rest_us = between(1, 60000);
+    table->anew.rest_us = 1; // after a tick already: as often as may be
     table->speed.step_log2 = between(8, 16);
     table->speed.time_us = between(0, 200000);
     table->speed.held = between(0, 1);

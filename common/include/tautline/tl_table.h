@@ -77,9 +77,9 @@
 /// counts, deg per count Q28.
 /// Section 8, `adapt`: how far from this table a host may move it while it is in use: the offset, Q8 counts, and the
 /// width's scale, least and most, Q15.
-/// Section 9, `anew`: the sides of section 3, without which it is nothing, begin anew after rests, too: where p has stood
-/// still for longer than rest_us, 1 to 10000000, and goes on towards `side`, the motor has to be as far ahead as after a
-/// turn there. Without it they begin at turns alone.
+/// Section 9, `anew`: the sides of section 3, without which it may not be, begin anew after rests: where p has stood
+/// still for longer than rest_us, 1 to 10000000, and goes on towards `side`, the motor has to be as far ahead as after
+/// a turn there. Without it they begin at turns alone.
 ///
 /// Thread model: functions touch only their arguments. Encoding, decoding and checking are for load time:
 /// O(nodes), 0.9 ms for the largest table on a 125 MHz Cortex-M0+, no division.
