@@ -69,8 +69,8 @@ def test_a_slow_axis_takes_up_without_overshoot(bench: Bench) -> None:
 
 
 class Sided(Instrument):
-    """A play of 0.4 mm that, rising, the motor has to turn 0.15 mm further, which it catches up within 0.3 mm of its way;
-    so again after every rest of more than 0.05 s."""
+    """A play of 0.4 mm that the motor, rising, has to cross by 0.15 mm more, which the tip catches up within 0.3 mm of
+    its way; so again after every rest of more than 0.05 s."""
 
     rested_s, way, rising, before_s = 0.0, 0.0, False, np.nan
 

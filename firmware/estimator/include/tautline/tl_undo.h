@@ -8,7 +8,8 @@
 ///
 /// The compensator calls what is below, once a tick each, where its table has any of these sections or was moved.
 /// O(1); no division and no 64-bit product but in tl_undo_start(), tl_undo_adapt() and tl_undo_load(), which are the
-/// task's. On a Cortex-M0+ at most 480 cycles before p*, 200 for the width, 160 for the encoder. Memory: 208 bytes.
+/// task's. On a Cortex-M0+ at most 480 cycles before p*, 200 for the width, 100 for whether a side begins, 160 for the
+/// encoder. Memory: 216 bytes.
 #ifndef TAUTLINE_TL_UNDO_H
 #define TAUTLINE_TL_UNDO_H
 
