@@ -94,11 +94,11 @@ class Sided(Instrument):
 
 
 def stops(folder: Path) -> str:
-    """Up in steps with rests of 0.3 s, and down, a little further each time."""
+    """Up in steps and down, with rests of which two are longer than 0.05 s and one is not; a little further each time."""
     t, c = [0.0], [0.0]
     for turn in range(6):
-        for step in (1, 1, 1, 1, -1, -1, -1, -1):
-            t += [t[-1] + 0.3, t[-1] + 0.7]
+        for step, rest in zip((1, 1, 1, 1, -1, -1, -1, -1), (0.3, 0.1, 0.03, 0.3) * 2, strict=True):
+            t += [t[-1] + rest, t[-1] + rest + 0.7]
             c += [c[-1], c[-1] + step * (8.0 + 0.3 * turn)]
     file = folder / "stops.csv"
     np.savetxt(file, np.column_stack([t, c]), "%.5f", ",", header="t_s,c_deg", comments="")
