@@ -45,7 +45,7 @@ static inline tl_table_t any_table(void) {
         if ((table.has & TL_TABLE_HAS_sides) != 0) {
             table.sides = (tl_table_sides_t){.side = between(0, 1) == 0 ? 1 : -1, .step_log2 = 10};
             falling(table.sides.late, COUNTS(between(1, 40)));
-            table.anew.rest_us = (table.has & TL_TABLE_HAS_anew) != 0 ? between(1, 60000) : 0;
+            table.anew.rest_us = (table.has & TL_TABLE_HAS_anew) != 0 ? between(1, 20000) : 0;
         } else {
             table.has &= ~(uint32_t)TL_TABLE_HAS_anew;
         }
@@ -141,7 +141,7 @@ static inline ride_tick_t ride_tick(void) {
         change();
     }
     if (between(0, 200) == 0) {
-        ride_way = between(-3000, 3000); // 0.05 deg a tick: four counts
+        ride_way = between(0, 2) == 0 ? 0 : between(-3000, 3000); // 0.05 deg a tick: four counts
     }
     ride_c += ride_c > 40 * TL_DEG_ONE ? -TL_DEG_ONE / 50 : (ride_c < -40 * TL_DEG_ONE ? TL_DEG_ONE / 50 : ride_way);
     const tl_count_q8_t next = tl_drive_step(&drive, ride_c);
