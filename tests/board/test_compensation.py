@@ -94,7 +94,7 @@ class Sided(Instrument):
 
 
 def stops(folder: Path) -> str:
-    """Up in steps and down, with rests of which two are longer than 0.05 s and one is not; a little further each time."""
+    """Up in steps and down, a little further each time, with rests of which some are longer than 0.05 s, some not."""
     t, c = [0.0], [0.0]
     for turn in range(6):
         for step, rest in zip((1, 1, 1, 1, -1, -1, -1, -1), (0.3, 0.1, 0.03, 0.3) * 2, strict=True):
