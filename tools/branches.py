@@ -31,6 +31,7 @@ _LOW = "64-bit compare: the low words decide only where the high ones are equal"
 _NEAR = "64-bit compare: the high words of squared distances say nothing within 256 px"
 _SIGN = "the sign of a real number is in its high word"
 _LEVEL = "sums of squares: 0 only where the image, or the motor, stands still to the last bit"
+_ANEW = "within 60 ms a take-up hardly ends, p rests and goes on the same way: seldom"
 _FAR = "positions within 4 M counts and images within 4096 px: no difference saturates"
 
 REASONS = (
@@ -94,6 +95,8 @@ REASONS = (
     Reason("tl_feed.h", "if (p > k->high)", 1, "the copy of the sections: p beyond the range at the upper end, seldom"),
     Reason("tl_feed.h", "next = p + tl_clamp(goal - p", 1, "the copy of the sections: seldom on both sides"),
     Reason("tl_feed.h", "return ahead > k->band || ahead < -k->band;", 2, "their copy: as in the other"),
+    Reason("tl_undoing.c", "if (turns || anew)", 1, _ANEW),
+    Reason("tl_undoing.c", "if (begins(k, anchor", 1, _ANEW),
     Reason("tl_undoing.c", "return k->reading = tl_clamp", 1, "met by the encoder's error alone: seldom"),
     # -- the calibration motion
     Reason("tl_motion.c", "if (!is_forward(m))", 1, "a tick ends forward legs only; tl_motion_onset() ends the others"),

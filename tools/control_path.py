@@ -84,7 +84,7 @@ RP2350 = Chip(
 CHIPS = {chip.name: chip for chip in (RP2040, RP2350)}
 
 # What a table never comes to that undoes no more than the play and the curve; and one that has a single play.
-UNDONE = ("angle", "late", "wider", "turned", "scaled", "reading", "pushing", "tick")
+UNDONE = ("angle", "late", "wider", "turned", "anew", "scaled", "reading", "pushing", "tick")
 PLAYS_ALONE = {f"tl_undo_{name}": NEVER for name in UNDONE} | {"tl_undoing_feed": NEVER, "tl_undoing_turn": NEVER}
 PLAYS_ALONE |= {"tl_compensator_hear": NEVER, "tl_compensator_reach": NEVER, "turn_one": NEVER}
 ONE_PLAY = {"tl_several_turn": NEVER, "tl_several_lead": NEVER, "tl_elements_behind": NEVER} | PLAYS_ALONE

@@ -244,6 +244,10 @@ static bool is_adapt(const tl_table_t *t) {
            !tl_outside(a->width_most_q15, TL_RATIO_ONE, 2 * TL_RATIO_ONE);
 }
 
+static bool is_anew(const tl_table_t *t) {
+    return (t->has & TL_TABLE_HAS_sides) != 0 && !tl_outside(t->anew.rest_us, 1, 10000000);
+}
+
 tl_table_reason_t tl_sections_check(const tl_table_t *t) {
     if (t->plays != 0) {
         const tl_table_reason_t reason = check_plays(t);
@@ -262,6 +266,7 @@ tl_table_reason_t tl_sections_check(const tl_table_t *t) {
     CHECK(load, LOAD)
     CHECK(joints, JOINTS)
     CHECK(adapt, ADAPT)
+    CHECK(anew, ANEW)
 #undef CHECK
     return TL_TABLE_OK;
 }

@@ -174,6 +174,10 @@ void bind_effects(nb::module_ &m) {
     m.attr("effect_parameters") = path;           // (name, value when absent, unit, meaning): what moves the tip
     m.attr("projection_parameters") = projection; // and what changes where it is seen
     m.attr("projection_places") = static_cast<int>(PROJECTION_PLACES);
+    m.def(
+        "renewed_s", [](const nb::dict &values) { return effects_renewed_s(all_values(values).data()); },
+        nb::arg("values"),
+        "The rest, s, after which a side that these effects' parameters hold back begins anew; inf: it never does");
     m.def("onset_lots", &lots, nb::arg("values"),
           "(spread, share) of the lots of a play's thresholds, as these effects' parameters spread them");
     m.def("simulate_effects", simulate, "parameters"_a, "plays"_a, "c_deg"_a, "t_s"_a, "q"_a, "at_s"_a,

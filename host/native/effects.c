@@ -341,6 +341,19 @@ size_t effects_lots(const double *values, double *spread, double *share) {
     return find_lots(&all, spread, share);
 }
 
+double effects_renewed_s(const double *values) {
+    double state[MOST][EFFECT_STATES] = {{0}};
+    struct all all;
+    find_present(values, state, &all);
+    double least = INFINITY;
+    for (size_t i = 0; i < all.count; i++) {
+        if (all.of[i].effect->renewed_s) {
+            least = fmin(least, all.of[i].effect->renewed_s(all.of[i].v));
+        }
+    }
+    return least;
+}
+
 // A channel of the motion at t, between the knot before `knot` and itself; NULL: 0.
 static double at(const struct effect_motion *motion, size_t knot, int at_knot, double t, const double *values) {
     const size_t last = motion->knots - 1;

@@ -21,6 +21,9 @@ const char *effects_owner(size_t i); // the id of the effect that parameter i be
 // number.
 size_t effects_lots(const double *values, double *spread, double *share);
 
+// The rest, s, after which a side that these hold back begins to carry anew; INFINITY: none does.
+double effects_renewed_s(const double *values);
+
 // f_remain on the nodes of the elements' backlash table (2 or more), linear between them; it goes on with its end
 // slopes.
 struct effect_tables {

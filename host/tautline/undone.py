@@ -1,4 +1,4 @@
-"""What a corrected model's effects become in a board's tables: sections 2 to 7 (common/tl_table.h), and elements."""
+"""What a corrected model's effects become in a board's tables: sections 2 to 9 (common/tl_table.h), and elements."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ _STEP_LOG2_MAX = 22
 # Of a section's small table, in its steps.
 _NODES = np.array([0, 1, 2, 3, *(2**k * half for k in range(1, 7) for half in (2, 3)), _native.TABLE_STEPS], float)
 _COLUMNS = {"c_per_translation": "translation_mm", "c_per_rotation": "rotation_deg"}
-COUPLED, SIDES = "configuration.axis_coupling", "transmission.asymmetric_backlash"
-WHERE = {COUPLED: " (without --joint)", SIDES: " (after rests)"}  # format: where tables undo it but for this
+COUPLED = "configuration.axis_coupling"
+WHERE = {COUPLED: " (without --joint)"}  # format: where tables undo it but for this
 _LATE = "transmission.lag", "transmission.creep"
 
 Section = dict[str, int | list[int]]
@@ -55,7 +55,7 @@ def not_undone(model: Model, joints: Mapping[str, Joint] | None = None) -> list[
     """Ids of the model's effects that its tables cannot undo, or not everywhere (WHERE); joints: as in `undone`."""
     from tautline.effects import BY_ID, of_this_version
 
-    ids = [effect.id for effect in of_this_version(model) if not BY_ID[effect.id].loads(effect.parameters)]
+    ids = [effect.id for effect in of_this_version(model) if not BY_ID[effect.id].on_board]
     if any(effect.id == COUPLED for effect in model.effects) and "joints" not in undone(model, joints)[1]:
         ids.append(COUPLED)
     return ids
@@ -88,8 +88,8 @@ def undone(model: Model, joints: Mapping[str, Joint] | None = None) -> tuple[Mod
     sections: dict[str, Section] = {}
     if encoder := parameters.get("actuator.encoder_periodic"):
         sections["encoder"] = _encoder_section(encoder, count)
-    if asymmetry := parameters.get(SIDES):
-        sections["sides"] = _sides_section(asymmetry, count)
+    if asymmetry := parameters.get("transmission.asymmetric_backlash"):
+        sections |= _sides_sections(asymmetry, count)
     if speed := parameters.get("transmission.rate_dependent_backlash"):
         sections["speed"] = _speed_section(speed, model, count)
     if late := {name: value for of in _LATE for name, value in parameters.get(of, {}).items()}:
@@ -118,10 +118,11 @@ def _step_log2(reach: float) -> int:
     return int(np.clip(np.ceil(np.log2(max(reach, 1.0) / _native.TABLE_STEPS)), 0, _STEP_LOG2_MAX))
 
 
-def _sides_section(v: Mapping[str, float], count: float) -> Section:
+def _sides_sections(v: Mapping[str, float], count: float) -> dict[str, Section]:
     """Section `sides` of an asymmetric backlash, in Q8 counts of `count`, unit of q. Once the play has turned towards
     the side where it is wider, it lags by L(x) = |asymmetry| exp(-(x / travel)^form) more, x being the motor's travel
-    since it took it up. The table is of L over the play's own travel, d = x + L(0) - L(x). {} where L is below 1."""
+    since it took it up. The table is of L over the play's own travel, d = x + L(0) - L(x). Beside it section `anew`,
+    us, where that is so again after rests. {} where L is below 1."""
     size, travel, form = abs(v["asymmetry"]) / count, v["asymmetry_travel"] / count, v.get("asymmetry_form", 1.0)
     if size < 1.0:
         return {}
@@ -131,7 +132,11 @@ def _sides_section(v: Mapping[str, float], count: float) -> Section:
     moved = x + late[0] - late
     step_log2 = _step_log2(moved[-1])
     values = np.rint(np.interp(_NODES * 2.0**step_log2, moved, late)).astype(int)
-    return {"side": 1 if v["asymmetry"] > 0.0 else -1, "step_log2": step_log2, "late": values.tolist()}
+    side = 1 if v["asymmetry"] > 0.0 else -1
+    sections: dict[str, Section] = {"sides": {"side": side, "step_log2": step_log2, "late": values.tolist()}}
+    if np.isfinite(renewed_s := _native.renewed_s(dict(v))):
+        sections["anew"] = {"rest_us": round(1e6 * renewed_s)}
+    return sections
 
 
 def _speed_section(v: Mapping[str, float], model: Model, count: float) -> Section:

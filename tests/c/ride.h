@@ -35,8 +35,8 @@ static inline tl_table_t any_table(void) {
             table.q_min = COUNTS(between(-4900, 0));
             table.q_max = table.q_min + (between(0, 2) == 0 ? between(1, 1000) : COUNTS(between(1, 4900)));
         }
-        table.has = (uint32_t)between(0, 255) & 0x1FCU; // sections 2 to 8
-        if ((table.has & TL_TABLE_HAS_encoder) != 0) {  // 2 pi (a + 2 a2) / period is 1/2 at most
+        table.has = (uint32_t)between(0, 255) << 2;    // sections 2 to 9
+        if ((table.has & TL_TABLE_HAS_encoder) != 0) { // 2 pi (a + 2 a2) / period is 1/2 at most
             const int32_t period = between(100, 2000), most = COUNTS(period) / 14;
             table.encoder = (tl_table_encoder_t){.period_q12 = period * 4096,
                                                  .sine = between(-most / 2, most / 2),
@@ -45,6 +45,9 @@ static inline tl_table_t any_table(void) {
         if ((table.has & TL_TABLE_HAS_sides) != 0) {
             table.sides = (tl_table_sides_t){.side = between(0, 1) == 0 ? 1 : -1, .step_log2 = 10};
             falling(table.sides.late, COUNTS(between(1, 40)));
+            table.anew.rest_us = (table.has & TL_TABLE_HAS_anew) != 0 ? between(1, 20000) : 0;
+        } else {
+            table.has &= ~(uint32_t)TL_TABLE_HAS_anew;
         }
         if ((table.has & TL_TABLE_HAS_speed) != 0) {
             table.speed = (tl_table_speed_t){.step_log2 = 14, .time_us = between(20000, 80000), .held = between(0, 1)};
@@ -138,7 +141,7 @@ static inline ride_tick_t ride_tick(void) {
         change();
     }
     if (between(0, 200) == 0) {
-        ride_way = between(-3000, 3000); // 0.05 deg a tick: four counts
+        ride_way = between(0, 2) == 0 ? 0 : between(-3000, 3000); // 0.05 deg a tick: four counts
     }
     ride_c += ride_c > 40 * TL_DEG_ONE ? -TL_DEG_ONE / 50 : (ride_c < -40 * TL_DEG_ONE ? TL_DEG_ONE / 50 : ride_way);
     const tl_count_q8_t next = tl_drive_step(&drive, ride_c);

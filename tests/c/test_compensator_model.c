@@ -15,7 +15,7 @@
 
 static tl_lookup_t lookups[TABLES];
 static tl_compensator_t k;
-static uint32_t seen_flags, undone;
+static uint32_t seen_flags, undone, begun_anew;
 
 static struct {
     const tl_lookup_t *lookup;
@@ -38,6 +38,7 @@ static void any_sections(tl_table_t *table) {
     table->has = (uint32_t)random_u32() & (TL_TABLE_HAS_encoder | TL_TABLE_HAS_sides | TL_TABLE_HAS_speed |
                                            TL_TABLE_HAS_late | TL_TABLE_HAS_load | TL_TABLE_HAS_joints);
     table->has |= TL_TABLE_HAS_adapt;
+    table->has |= (table->has & TL_TABLE_HAS_sides) != 0 && !once_in(3) ? TL_TABLE_HAS_anew : 0U;
     table->encoder = (tl_table_encoder_t){between(600, 3000) << 12, any(12), any(12), any(10), any(10)};
     table->sides = (tl_table_sides_t){.side = once_in(2) ? 1 : -1, .step_log2 = between(6, 10)};
     table->speed = (tl_table_speed_t){between(10, 14), once_in(2) ? 0 : between(2000, 200000), between(0, 1), {0}};
@@ -46,6 +47,7 @@ static void any_sections(tl_table_t *table) {
     table->load = (tl_table_load_t){any(12), any(14), any(14), any(14), any(20)};
     table->joints = (tl_table_joints_t){{3, 0, 2}, {between(0, 5000), 0, between(0, 5000)}, {any(20), 0, any(20)}};
     table->adapt = (tl_table_adapt_t){between(0, 1 << 18), between(0, 32768), between(32768, 65535)};
+    table->anew.rest_us = once_in(2) ? 1 : between(1, 40000);
 #define LEFT_OUT(number, name, FIELDS)                                                                                 \
     if ((table->has & TL_TABLE_HAS_##name) == 0) {                                                                     \
         memset(&table->name, 0, sizeof table->name);                                                                   \
@@ -65,7 +67,7 @@ static void any_lookup(tl_lookup_t *lookup) {
         table.band = between(0, 4) * TL_COUNT_ONE / 2;
         table.speed_max_q8 = between(50, once_in(3) ? 350 : 20000) * TL_COUNT_ONE + between(0, 255);
         table.takeup_speed_q8 = between(50, 20000) * TL_COUNT_ONE;
-        table.takeup_accel = between(1, 400000);
+        table.takeup_accel = once_in(2) ? between(1, 400000) : between(400000, 40000000);
         int32_t width = between(0, 400 * TL_COUNT_ONE), angle = table.angle[0];
         for (uint32_t i = 0; i < table.nodes; i++) { // some spans flat, which take their time
             const int32_t sign = table.angle[table.nodes - 1U] > table.angle[0] ? 1 : -1;
@@ -178,24 +180,24 @@ static void feeds(int32_t c) {
 }
 
 static void turns(void) {
-    const int64_t ahead = m.p - m.anchor;
+    const int64_t ahead = m.p - m.anchor, anchor = m.anchor;
     m.half = half_width();
     const int64_t before = fed();
     const bool turned = m.side * ahead <= 0 && (m.side == 0 || ahead != 0) && llabs(ahead) > m.lookup->table.band;
     if (turned) {
         m.side = ahead > 0 ? 1 : -1;
-        if (m.undone.on) {
-            tl_undo_turned(&m.undone.undo, (int32_t)m.anchor, m.side);
-        }
     }
     if (turned || m.side * ahead > 0) {
         m.anchor = m.p;
     }
+    bool anew = false;
     if (m.undone.on) { // by the side's own travel
+        anew = undone_begins(&m.undone, m.lookup, anchor, m.anchor, m.side, turned, m.rest == 0 && m.speed == 0);
+        begun_anew += anew && !turned ? 1U : 0U;
         widens();
         m.half = half_width();
     }
-    if (turned) {
+    if (turned || anew) {
         absorb(fed(), before);
     }
 }
@@ -258,16 +260,20 @@ static int64_t goes(void) {
 
 // -- a life -----------------------------------------------------------------------------------------------------------
 
-static void begin(void) {
+static void begin(bool halts) {
     static const uint32_t rates[] = {1000, 1000, 5000, 16, 8, 100001};
-    const uint32_t rate = rates[once_in(4) ? 5 : between(0, 5)];
+    const uint32_t rate = halts ? 1000U : rates[once_in(4) ? 5 : between(0, 5)];
     memset(&m, 0, sizeof m);
     m.lookup = &lookups[between(0, TABLES - 1)];
-    m.mode = once_in(2) ? TL_MODE_FULL : between(0, 2);
+    for (uint32_t i = 0; i < TABLES && halts && (m.lookup->table.has & TL_TABLE_HAS_anew) == 0; i++) {
+        m.lookup = &lookups[i];
+    }
+    m.mode = halts || once_in(2) ? TL_MODE_FULL : between(0, 2);
     m.rate = within(rate, 16, 100000);
     m.strength = m.lookup->table.strength_q15;
-    m.c = between(-70, 70) * TL_DEG_ONE;
+    m.c = (halts ? between(-40, 40) : between(-70, 70)) * TL_DEG_ONE;
     m.q = between(0, 9) == 0 ? (between(0, 1) == 0 ? INT32_MIN : INT32_MAX) : between(-6000, 6000) * TL_COUNT_ONE;
+    m.q = once_in(2) ? m.q : tl_lookup_angle_inverse(m.lookup, (int32_t)m.c, &(uint32_t){0});
     tl_compensator_start(&k, m.lookup, rate, (tl_mode_t)m.mode, (int32_t)m.q, (int32_t)m.c);
     tl_undo_start(&m.undone.undo, m.lookup, (uint32_t)m.rate);
     sees_what_to_undo();
@@ -344,6 +350,7 @@ static void changes(void) {
         m.lookup = &lookups[between(0, TABLES - 1)];
         tl_compensator_set_table(&k, m.lookup);
         tl_undo_start(&m.undone.undo, m.lookup, (uint32_t)m.rate);
+        m.undone.rested = 0;
         sees_what_to_undo();
         limits_of_table();
         settles(before_all);
@@ -353,17 +360,21 @@ static void changes(void) {
 }
 
 static void live(void) {
-    begin();
-    int32_t c = (int32_t)m.c, by = 0;
-    const int32_t calm = between(20, 400);
+    const bool halts = once_in(2); // and goes on, mostly the same way: sides may begin anew
+    begin(halts);
+    int32_t c = (int32_t)m.c, by = 0, way = 1;
     const bool creeps = once_in(4); // by parts of a count, as limits may ask of a tick
+    const int32_t calm = halts ? 500 : between(20, 400);
     for (uint32_t tick = 0; tick < TICKS; tick++) {
         if (between(0, calm) == 0) {
             changes();
         }
         if (between(0, 40) == 0 && creeps) {
             by = any(once_in(2) ? 2 : 7);
-        } else if (between(0, 40) == 0) {
+        } else if (halts && once_in(40)) {
+            way = once_in(6) ? -way : way;
+            by = once_in(2) ? 0 : way * between(1, 3000);
+        } else if (!halts && between(0, 40) == 0) {
             by = between(0, 3) == 0 ? 0 : between(-20000, 20000);
             c = between(0, 9) == 0 ? between(-70, 70) * TL_DEG_ONE : c;
         }
@@ -397,6 +408,7 @@ static void test_the_compensator_of_one_play_is_its_model(void) {
                           TL_COMPENSATOR_CLIPPED | TL_COMPENSATOR_NO_SIDE | TL_COMPENSATOR_TAKE_UP;
     TEST_ASSERT_EQUAL_UINT32(each, seen_flags);
     TEST_ASSERT_TRUE(undone > LIVES * TICKS / 10U);
+    TEST_ASSERT_GREATER_THAN_UINT32(LIVES / 10U, begun_anew);
 }
 
 int main(void) {

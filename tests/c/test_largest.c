@@ -29,7 +29,8 @@ static void make(int32_t spans, int32_t width) {
         table.width[i] = width;
         table.angle[i] = (i - spans) * TL_DEG_ONE;
     }
-    table.has = TL_TABLE_HAS_sides | TL_TABLE_HAS_speed | TL_TABLE_HAS_load | TL_TABLE_HAS_adapt;
+    table.has = TL_TABLE_HAS_sides | TL_TABLE_HAS_speed | TL_TABLE_HAS_load | TL_TABLE_HAS_adapt | TL_TABLE_HAS_anew;
+    table.anew.rest_us = 1;
     table.sides.side = 1;
     table.sides.step_log2 = 22;
     for (unsigned i = 0; i <= TL_TABLE_LAST; i++) {

@@ -15,6 +15,7 @@ static tl_table_t silent(void) {
     t.encoder.period_q12 = 1 << 28;
     t.sides.side = 1;
     t.adapt.width_least_q15 = t.adapt.width_most_q15 = TL_RATIO_ONE;
+    t.anew.rest_us = 50000;
     return t;
 }
 
@@ -90,6 +91,12 @@ static void test_what_a_side_adds_falls_by_no_more_than_the_travel(void) {
         t.sides.late[0] += more;
         TEST_ASSERT_EQUAL_INT(more > 0 ? TL_TABLE_BAD_SIDES : TL_TABLE_OK, tl_table_check(&t, 0));
     }
+}
+
+static void test_sides_begin_anew_after_a_rest_of_some_length_where_there_are_any(void) {
+    WITHIN(BAD_ANEW, anew.rest_us, 1, 10000000);
+    IS(BAD_ANEW, t.has &= ~(uint32_t)TL_TABLE_HAS_sides);
+    IS(OK, t.has &= ~(uint32_t)(TL_TABLE_HAS_sides | TL_TABLE_HAS_anew));
 }
 
 static void test_ranges_of_speed_and_of_lag(void) {
@@ -222,6 +229,7 @@ static void test_every_word_of_every_section_survives_the_trip(void) {
     t.load = (tl_table_load_t){31, -32, 33, -34, 35};
     t.joints = (tl_table_joints_t){{2, 0, 4}, {41, 0, 43}, {-44, 0, 46}};
     t.adapt = (tl_table_adapt_t){51, 32000, 33000};
+    t.anew = (tl_table_anew_t){61};
     const size_t size = tl_table_encode(&t, blob, sizeof blob);
     TEST_ASSERT_EQUAL_UINT(TL_TABLE_SIZE(t.nodes) + TL_TABLE_WORDS_SIZE, size);
     TEST_ASSERT_EQUAL_INT(TL_TABLE_OK, tl_table_decode(blob, size, 0, &read));
@@ -233,6 +241,7 @@ int main(void) {
     RUN_TEST(test_sections_that_say_nothing_are_taken);
     RUN_TEST(test_an_encoder_s_error_has_a_size_and_a_slope);
     RUN_TEST(test_what_a_side_adds_falls_by_no_more_than_the_travel);
+    RUN_TEST(test_sides_begin_anew_after_a_rest_of_some_length_where_there_are_any);
     RUN_TEST(test_ranges_of_speed_and_of_lag);
     RUN_TEST(test_ranges_of_load_joints_and_what_may_change);
     RUN_TEST(test_ranges_of_elements);

@@ -28,7 +28,7 @@ static struct {
 } m;
 
 static struct {
-    uint32_t narrow, wide, turns, leaps, clipped, beyond, undone;
+    uint32_t narrow, wide, turns, leaps, clipped, beyond, undone, anew;
 } seen;
 
 void setUp(void) {
@@ -46,7 +46,7 @@ static void any_lookup(tl_lookup_t *lookup, bool several) {
         table.q_max = between(2000, 4800) * TL_COUNT_ONE;
         table.band = between(0, 3) * TL_COUNT_ONE;
         table.takeup_speed_q8 = between(50, 20000) * TL_COUNT_ONE;
-        table.takeup_accel = between(1000, 400000);
+        table.takeup_accel = once_in(2) ? between(1000, 400000) : between(400000, 40000000);
         table.narrow = once_in(2) ? 0 : between(1, 300 * TL_COUNT_ONE);
         int32_t width = between(0, 400 * TL_COUNT_ONE);
         for (uint32_t i = 0; i < table.nodes; i++) { // the warp need not be that of these widths: any is taken
@@ -66,6 +66,10 @@ static void any_lookup(tl_lookup_t *lookup, bool several) {
             table.speed = (tl_table_speed_t){between(10, 14), between(2000, 200000), between(0, 1), {0}};
             table.adapt = (tl_table_adapt_t){1 << 16, 0, 65535};
             undone_curves(&table);
+            if (!once_in(3)) {
+                table.has |= TL_TABLE_HAS_anew;
+                table.anew.rest_us = once_in(2) ? 1 : between(1, 30000);
+            }
         }
         reason = tl_lookup_derive(lookup, &table, TL_TABLE_ANY_AXIS);
     } while (reason != TL_TABLE_OK);
@@ -150,10 +154,11 @@ static void step(int32_t c) {
     bool moves;
     const int64_t anchor = m.anchor;
     const bool turns = turns_to(k.p, &moves);
+    bool anew = false;
     if (m.undone.on) { // the width may change where p does not
-        if (turns) {
-            tl_undo_turned(&m.undone.undo, (int32_t)anchor, (int32_t)m.side);
-        }
+        const bool still = m.takeup.ahead_q36 == 0 && m.takeup.speed_q36 == 0;
+        anew = undone_begins(&m.undone, m.lookup, anchor, m.anchor, m.side, turns, still);
+        seen.anew += anew && !turns ? 1U : 0U;
         widens();
         seen.undone++;
     }
@@ -163,7 +168,7 @@ static void step(int32_t c) {
         held = compensated();
         const int64_t jump = fed(held) - before;
         const bool leaps = llabs(jump) > most;
-        if (turns || leaps) {
+        if (turns || anew || leaps) {
             tl_takeup_add(&m.takeup, (int32_t)jump);
         }
         seen.turns += turns ? 1U : 0U;
@@ -211,9 +216,9 @@ static void begin(void) {
     m.lookup = &lookups[between(0, TABLES - 2)];
     m.mode = once_in(4) ? between(0, 2) : TL_MODE_FULL;
     m.strength = m.lookup->table.strength_q15;
-    m.q = between(-6000, 6000) * TL_COUNT_ONE;
     const int32_t c = between(-50, 50) * TL_DEG_ONE;
     uint32_t ends = 0;
+    m.q = once_in(2) ? between(-6000, 6000) * TL_COUNT_ONE : tl_lookup_angle_inverse(m.lookup, c, &ends);
     tl_compensator_start(&k, m.lookup, 1000, (tl_mode_t)m.mode, (int32_t)m.q, c);
     tl_undo_start(&m.undone.undo, m.lookup, 1000);
     sees_what_to_undo();
@@ -270,6 +275,7 @@ static void changes(void) {
         m.lookup = &lookups[between(0, TABLES - 2)];
         tl_compensator_set_table(&k, m.lookup);
         tl_undo_start(&m.undone.undo, m.lookup, 1000);
+        m.undone.rested = 0;
         sees_what_to_undo();
         tl_takeup_set_limits(&m.takeup, &m.lookup->table, 1000);
         begins_apart(place * m.lookup->half / TL_RATIO_ONE);
@@ -303,13 +309,17 @@ static void test_the_compensator_of_several_plays_is_its_model(void) {
             any_lookup(&lookups[i], i + 1U < TABLES);
         }
         begin();
-        const int32_t calm = between(10, 300);
-        int32_t c = k.c, by = 0;
+        const bool halts = once_in(2);
+        const int32_t calm = halts ? 500 : between(10, 300);
+        int32_t c = k.c, by = 0, way = 1;
         for (uint32_t tick = 0; tick < TICKS; tick++) {
             if (once_in(calm)) {
                 changes();
             }
-            if (once_in(30)) {
+            if (halts && once_in(40)) {
+                way = once_in(6) ? -way : way;
+                by = once_in(2) ? 0 : way * between(1, 3000);
+            } else if (!halts && once_in(30)) {
                 by = once_in(4) ? 0 : between(-20000, 20000);
                 c = once_in(20) ? between(-60, 60) * TL_DEG_ONE : c;
             }
@@ -324,6 +334,7 @@ static void test_the_compensator_of_several_plays_is_its_model(void) {
     }
     TEST_ASSERT_TRUE(seen.narrow > LIVES && seen.wide > LIVES && seen.turns > LIVES && seen.leaps > LIVES);
     TEST_ASSERT_TRUE(seen.clipped > LIVES && seen.beyond > 0U && seen.undone > LIVES * TICKS / 10U);
+    TEST_ASSERT_GREATER_THAN_UINT32(LIVES / 10U, seen.anew);
 }
 
 int main(void) {

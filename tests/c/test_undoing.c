@@ -128,6 +128,54 @@ static void test_a_side_is_late_by_the_travel_since_its_turn(void) {
     }
 }
 
+// The table's rest is 1 us to 10 s: the law's is over once more than that has passed without a tick that goes on.
+static void test_a_side_begins_anew_after_a_rest_of_its_length_and_of_no_less(void) {
+    static const struct {
+        uint32_t hz;
+        int32_t rest_us, ticks; // the least that are longer
+    } of[] = {{1000, 50000, 51}, {1000, 50001, 51}, {1000, 49999, 50},     {1000, 1, 1},
+              {16, 50000, 1},    {16, 62500, 2},    {100000, 50000, 5001}, {100000, 10000000, 1000001}};
+    for (unsigned i = 0; i < sizeof of / sizeof of[0]; i++) {
+        setUp();
+        table.has = TL_TABLE_HAS_sides | TL_TABLE_HAS_anew;
+        table.sides.side = 1;
+        table.anew.rest_us = of[i].rest_us;
+        begin();
+        tl_undo_start(&undo, &lookup, of[i].hz);
+        for (int32_t less = 1; less >= -1; less--) {
+            TEST_ASSERT_EQUAL(less < 0, tl_undo_anew(&undo, true, true)); // what went before rested too short
+            for (int32_t tick = less; tick < of[i].ticks; tick++) {
+                TEST_ASSERT_FALSE(tl_undo_anew(&undo, false, true));
+            }
+        }
+        TEST_ASSERT_TRUE(tl_undo_anew(&undo, true, true));
+        TEST_ASSERT_FALSE(tl_undo_anew(&undo, true, true)); // it goes on
+    }
+}
+
+// What is still taken up may move the tip until it is done: no rest before. A table without the section never begins
+// anew, nor does one without sides.
+static void test_no_rest_while_something_is_taken_up_and_none_without_the_section(void) {
+    table.has = TL_TABLE_HAS_sides | TL_TABLE_HAS_anew;
+    table.sides.side = 1;
+    table.anew.rest_us = 3000;
+    begin();
+    for (int tick = 0; tick < 50; tick++) {
+        TEST_ASSERT_FALSE(tl_undo_anew(&undo, false, false));
+    }
+    for (int tick = 0; tick < 3; tick++) {
+        TEST_ASSERT_FALSE(tl_undo_anew(&undo, false, true));
+    }
+    TEST_ASSERT_FALSE(tl_undo_anew(&undo, true, true));
+    for (uint32_t has = 0; has <= TL_TABLE_HAS_sides; has += TL_TABLE_HAS_sides) {
+        table.has = has;
+        begin();
+        for (int tick = 0; tick < 20000; tick++) {
+            TEST_ASSERT_FALSE(tl_undo_anew(&undo, tick % 10000 == 9999, true));
+        }
+    }
+}
+
 static void test_a_lag_is_led_by_its_time(void) {
     static const int32_t times_us[] = {5000, 20000, 300000};
     for (unsigned i = 0; i < 3; i++) {
@@ -277,6 +325,8 @@ int main(void) {
     RUN_TEST(test_the_width_grows_with_the_speed);
     RUN_TEST(test_the_speed_comes_through_a_filter_and_stays_where_it_is_held);
     RUN_TEST(test_a_side_is_late_by_the_travel_since_its_turn);
+    RUN_TEST(test_a_side_begins_anew_after_a_rest_of_its_length_and_of_no_less);
+    RUN_TEST(test_no_rest_while_something_is_taken_up_and_none_without_the_section);
     RUN_TEST(test_a_lag_is_led_by_its_time);
     RUN_TEST(test_what_stands_behind_a_free_place_is_undone);
     RUN_TEST(test_a_table_is_moved_in_its_ticks_and_as_far_as_asked);

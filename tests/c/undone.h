@@ -9,10 +9,23 @@ typedef struct {
     bool on;                // in full mode, while there is anything
     int64_t wider, reading; // counts Q8; strength Q16
     tl_undo_t undo;
+    int64_t rested; // ticks in which p went on nowhere, and nothing was taken up
 } undone_t;
 
 static inline void undone_widens(undone_t *u, const tl_lookup_t *lookup, int64_t p, int64_t strength) {
     u->wider = u->on ? tl_undo_wider(&u->undo, lookup, (int32_t)p) * strength / 65536 : 0;
+}
+
+// The side begins where p turns, and where it goes on after a rest longer than the table says. True: the latter.
+static inline bool undone_begins(undone_t *u, const tl_lookup_t *lookup, int64_t anchor, int64_t now, int64_t side,
+                                 bool turns, bool still) {
+    const int64_t rest_us = lookup->table.anew.rest_us;
+    const bool anew = now != anchor && rest_us != 0 && u->rested * 1000000 > rest_us * u->undo.rate_hz;
+    u->rested = now == anchor && still ? u->rested + 1 : 0;
+    if (turns || anew) {
+        tl_undo_turned(&u->undo, (int32_t)anchor, (int32_t)side);
+    }
+    return anew;
 }
 
 // What the motor pushes from for the encoder to read this.

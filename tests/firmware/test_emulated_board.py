@@ -210,7 +210,8 @@ def all_that_is_undone() -> bytes:
                                              "encoder_cos2": 0.001, "encoder_period": 0.5}),
         Effect("transmission.lag", {"lag": 0.05, "lag_second": 0.2}),
         Effect("transmission.creep", {"creep_share": 0.1, "creep_time": 1.0, "creep_slow": 0.3}),
-        Effect("transmission.asymmetric_backlash", {"asymmetry": 0.1, "asymmetry_travel": 0.3, "asymmetry_form": 1.0}),
+        Effect("transmission.asymmetric_backlash", {"asymmetry": 0.1, "asymmetry_travel": 0.3, "asymmetry_form": 1.0,
+                                                    "asymmetry_renewed": 1.0}),
     )  # fmt: skip
     weight = (0.2, 0.1, 0.1, 0.15, 0.15, 0.2, 0.1)
     share = np.array([0.2, 0.5, 0.8, 1.0, 1.2, 1.5, 1.8])

@@ -152,6 +152,18 @@ def test_flash_wants_to_be_told_before_it_leaves_an_effect_out(tmp_path, taut):
     assert "no table can undo configuration.contact" in done.err and "--without-effects" in done.err
 
 
+def test_sides_that_begin_anew_after_rests_are_left_out_by_no_command(tmp_path, taut):
+    law = {"asymmetry": 0.1, "asymmetry_travel": 0.3, "asymmetry_form": 1.0, "asymmetry_renewed": 1.0}
+    replace(MODEL, effects=(Effect("transmission.asymmetric_backlash", law),)).save(tmp_path / "model")
+    done = taut("flash", tmp_path / "model", "--board", "usbip:127.0.0.1:1")
+    assert done.code == 1 and "127.0.0.1:1" in done.err and "undo" not in done.err  # it comes as far as the board
+    (tmp_path / "c.csv").write_text("t_s,c_deg\n0,0\n1,10\n")
+    done = taut("compensate", tmp_path / "model", "--trajectory", tmp_path / "c.csv", "--csv", tmp_path / "o.csv")
+    assert done.code == 0 and "undo" not in done.err
+    told = taut("explain", "transmission.asymmetric_backlash")
+    assert "The board's tables can carry it." in " ".join(told.out.split())
+
+
 @pytest.mark.parametrize(
     ("effect", "said"),
     [

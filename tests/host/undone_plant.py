@@ -20,6 +20,7 @@ class Plant:
     side: int = 0  # that has to move on by `late` more, caught up exponentially within `travel` of the motor's way
     late: float = 0.0
     travel: float = 1.0
+    renewed: float = math.inf  # s: after longer rests it has to again
     per_speed: float = 0.0  # s: width for each mm/s
     per_speed_time: float = 0.02
     per_speed_end: float = math.inf  # mm/s, at which the width has grown by 63 % of all that speed can add
@@ -32,6 +33,7 @@ class Plant:
     p: float = math.nan
     _x: float = 0.0
     _carried: int = 0
+    _rested: float = 0.0
     _speed: float = 0.0
     _before: float = math.nan
     _stages: list[float] = field(default_factory=list)
@@ -66,19 +68,19 @@ class Plant:
         speed, end = abs(self._speed), self.per_speed_end
         added = self.per_speed * (speed if math.isinf(end) else end * (1.0 - math.exp(-speed / end)))
         half = 0.5 * (self.scale * self.width + added)
-        for s in (1, -1):
-            if s * moved > 0.0:
-                self._push(q, s, half)
+        pushed = moved != 0.0 and self._push(q, 1 if moved > 0.0 else -1, half)
+        self._rested = 0.0 if pushed else self._rested + dt
         return self._angle(dt)
 
-    def _push(self, q: float, s: int, half: float) -> None:
-        """The end on side s, from which it has been carried by _x of the motor's way."""
-        x = self._x if self._carried == s else 0.0
+    def _push(self, q: float, s: int, half: float) -> bool:
+        """The end on side s, from which it has been carried by _x of the motor's way; whether it carries."""
+        x = self._x if self._carried == s and not self._rested > self.renewed + 1e-9 else 0.0
         held = self.late if s == self.side else 0.0
         beyond = s * (q - self.p) - half - held * math.exp(-x / self.travel)
         if beyond > 0.0:
             self._x, self._carried = x + beyond, s
             self.p = q - s * (half + held * math.exp(-self._x / self.travel))
+        return beyond > 0.0
 
     def _angle(self, dt: float) -> float:
         tip = self.p

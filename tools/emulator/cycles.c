@@ -207,6 +207,7 @@ static void add_sections(tl_table_t *table) {
     for (uint32_t i = 2; i <= 8; i++) {
         table->has |= all || between(0, 1) == 0 ? 1U << i : 0;
     }
+    table->has |= (table->has & TL_TABLE_HAS_sides) != 0 ? (uint32_t)TL_TABLE_HAS_anew : 0;
     table->encoder = (tl_table_encoder_t){.period_q12 = between(1 << 20, 1 << 26)};
     const int32_t most = table->encoder.period_q12 / 2000 < 20000 ? table->encoder.period_q12 / 2000 : 20000;
     table->encoder.sine = between(-most, most);
@@ -215,6 +216,7 @@ static void add_sections(tl_table_t *table) {
     table->sides.side = between(0, 1) == 0 ? 1 : -1;
     table->sides.step_log2 = between(4, 12);
     small_table(table->sides.late, 20000);
+    table->anew.rest_us = 1; // after a tick already: as often as may be
     table->speed.step_log2 = between(8, 16);
     table->speed.time_us = between(0, 200000);
     table->speed.held = between(0, 1);

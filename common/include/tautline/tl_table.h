@@ -77,6 +77,9 @@
 /// counts, deg per count Q28.
 /// Section 8, `adapt`: how far from this table a host may move it while it is in use: the offset, Q8 counts, and the
 /// width's scale, least and most, Q15.
+/// Section 9, `anew`: the sides of section 3, without which it may not be, begin anew after rests: where p has stood
+/// still for longer than rest_us, 1 to 10000000, and goes on towards `side`, the motor has to be as far ahead as after
+/// a turn there. Without it they begin at turns alone.
 ///
 /// Thread model: functions touch only their arguments. Encoding, decoding and checking are for load time:
 /// O(nodes), 0.9 ms for the largest table on a 125 MHz Cortex-M0+, no division.
@@ -132,7 +135,8 @@ typedef enum { TL_UNIT_MM = 0, TL_UNIT_DEG = 1 } tl_unit_t;
     X(5, late, TL_TABLE_LATE)                                                                                          \
     X(6, load, TL_TABLE_LOAD)                                                                                          \
     X(7, joints, TL_TABLE_JOINT)                                                                                       \
-    X(8, adapt, TL_TABLE_ADAPT)
+    X(8, adapt, TL_TABLE_ADAPT)                                                                                        \
+    X(9, anew, TL_TABLE_ANEW)
 
 #define TL_TABLE_ENCODER(FIELD, ARRAY) FIELD(period_q12) FIELD(sine) FIELD(cosine) FIELD(sine2) FIELD(cosine2)
 #define TL_TABLE_SIDES(FIELD, ARRAY)   FIELD(side) FIELD(step_log2) ARRAY(late, TL_TABLE_LAST + 1U)
@@ -142,6 +146,7 @@ typedef enum { TL_UNIT_MM = 0, TL_UNIT_DEG = 1 } tl_unit_t;
 #define TL_TABLE_JOINT(FIELD, ARRAY)                                                                                   \
     ARRAY(axis, TL_TABLE_JOINTS) ARRAY(play, TL_TABLE_JOINTS) ARRAY(slope, TL_TABLE_JOINTS)
 #define TL_TABLE_ADAPT(FIELD, ARRAY) FIELD(offset) FIELD(width_least_q15) FIELD(width_most_q15)
+#define TL_TABLE_ANEW(FIELD, ARRAY)  FIELD(rest_us)
 
 #define TL_TABLE_FIELD(name)        int32_t name;
 #define TL_TABLE_ARRAY(name, count) int32_t name[count];
@@ -194,7 +199,8 @@ enum { TL_TABLE_SECTIONS(TL_TABLE_NUMBER) };
     X(LATE, "a time or gain of lag and creep is out of its range")                                                     \
     X(LOAD, "what the load changes is out of its range")                                                               \
     X(JOINTS, "another axis that moves the angle does not exist, or moves it too much")                                \
-    X(ADAPT, "the limits of what may change in use are out of their range")
+    X(ADAPT, "the limits of what may change in use are out of their range")                                            \
+    X(ANEW, "unequal sides may begin anew after rests of 1 us to 10 s, and where the table has such sides alone")
 
 #define TL_TABLE_REASON_NAME(name, text) TL_TABLE_BAD_##name,
 typedef enum { TL_TABLE_OK = 0, TL_TABLE_REASONS(TL_TABLE_REASON_NAME) TL_TABLE_REASON_COUNT } tl_table_reason_t;

@@ -137,6 +137,16 @@ TL_FAST void tl_undo_turned(tl_undo_t *undo, tl_count_q8_t p, int32_t side) {
     undo->turned_at = p;
 }
 
+TL_FAST bool tl_undo_anew(tl_undo_t *undo, bool goes_on, bool still) {
+    const bool anew = goes_on && undo->awaits == 0 && undo->rest_ticks != 0;
+    if (goes_on || !still) {
+        undo->awaits = undo->rest_ticks;
+    } else if (undo->awaits != 0) {
+        undo->awaits--;
+    }
+    return anew;
+}
+
 TL_FAST int32_t tl_undo_wider(const tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p) {
     const tl_table_sides_t *sides = &lookup->table.sides;
     if (undo->side != sides->side || undo->side == 0) {
@@ -251,6 +261,9 @@ void tl_undo_start(tl_undo_t *undo, const tl_lookup_t *lookup, uint32_t rate_hz)
         if (time_us != 0) {
             *next++ = follower_of((int32_t)share_of_tick(time_us, rate_hz), table->late.gain_q16[i], time_us);
         }
+    }
+    if (HAS(lookup, anew)) { // longer than so many us
+        undo->awaits = undo->rest_ticks = (uint32_t)((uint64_t)(uint32_t)table->anew.rest_us * rate_hz / 1000000U) + 1U;
     }
     undo->speed_share_q16 = table->speed.time_us == 0 ? 65536U : share_of_tick(table->speed.time_us, rate_hz) >> 16;
     for (uint32_t i = 0; i < TL_TABLE_JOINTS; i++) {

@@ -175,7 +175,7 @@ def _effects(found: Found, shares: Mapping[str, float]) -> list[dict[str, Any]]:
             **_brings(brought[name], shares),
             "shrink": shares[name] + sum(shares[part] for part in brought[name]),
             "swallowed_by_recalibration": moved.closes(found.gap["before"], found.recalibrated, found.floor),
-            "loads_on_board": effects.BY_ID[name].loads(values[name]),
+            "loads_on_board": effects.BY_ID[name].on_board,
             "ambiguous_with": _alternatives(found.verdict, name, ambiguous),
         }
         for name, probability in zip(found.named, found.verdict.probability, strict=False)

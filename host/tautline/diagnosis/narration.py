@@ -11,12 +11,11 @@ from typing import Any
 from tautline.diagnosis import simulator_words
 from tautline.diagnosis.confounded import DRIFT, LOAD
 from tautline.effects import BY_ID, EVENTS
-from tautline.undone import COUPLED, SIDES
+from tautline.undone import COUPLED
 
 _SMALL = 3.0  # format: times the noise: a smaller gap is called small
 _REMAINS = {  # why no table of the board undoes an effect
     "transmission.rest_dependent_backlash": "it goes with the rest before, which no section of a table holds",
-    SIDES: "it begins anew after rests; after turns they do",
     "transmission.stick_slip": "where the tip sticks next is chance",
     "configuration.contact": "what holds the tip back is not the transmission",
     "configuration.swing": "a swing needs to be seen",

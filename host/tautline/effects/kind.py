@@ -90,7 +90,6 @@ class Kind:
     of_joint: Callable[[str], Kind] | None = None  # makes the same effect of a further joint's column, by its name
     holds: Holds | None = None  # puts it into a corrected model's tables, rig or delay; None: it is simulated beside
     undone: bool = False  # whether a section of the board's tables undoes it (tautline.undone)
-    remains: str = ""  # a parameter that, where it is not 0, leaves something that no table undoes
     in_tables: Literal["", "width", "remaining"] = ""  # the model's curve that it changes: `holds` simulates it
     slopes: Slopes | None = None  # of an effect in tables: what each amplitude adds to that curve
     course: Callable[[Mapping[str, float], float], float] | None = None  # its size at a time of the session, s
@@ -169,10 +168,6 @@ class Kind:
         a section of them undoes it, or it only changes how the tip is seen. No event is: nothing undoes scatter."""
         only_seen = self.stage in _SEEN and self.event is None
         return self.holds is not None or self.undone or only_seen
-
-    def loads(self, values: Mapping[str, Any]) -> bool:
-        """Whether a board needs nothing else (`on_board`) against the effect of these parameters, by name."""
-        return self.on_board and not values.get(self.remains)
 
 
 def six(prefix: str) -> tuple[Parameter, ...]:

@@ -79,7 +79,7 @@ def _effects() -> Iterator[Topic]:
             else ""
         )
         held = (
-            f"The board's tables can carry it{f' where {kind.remains} is 0' if kind.remains else ''}."
+            "The board's tables can carry it."
             if kind.on_board
             else "The board's tables cannot carry it; a corrected model does."
         )

@@ -53,6 +53,10 @@ tl_count_q8_t tl_undo_late(tl_undo_t *undo, tl_count_q8_t p);
     assigns *undo \from *undo, p, side; */
 void tl_undo_turned(tl_undo_t *undo, tl_count_q8_t p, int32_t side);
 
+/*@ requires \valid(undo); assigns *undo, \result \from *undo, goes_on, still;
+    ensures \result == 0 || \result == 1; ensures undo->active == 0 || undo->active == 1; */
+bool tl_undo_anew(tl_undo_t *undo, bool goes_on, bool still);
+
 /*@ requires \valid_read(undo) && \valid_read(lookup); requires -TL_TABLE_VALUE_MAX <= p <= TL_TABLE_VALUE_MAX;
     assigns \result \from *undo, *lookup, p; ensures 0 <= \result <= 3 * 0x1000000; */
 int32_t tl_undo_wider(const tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p);

@@ -71,6 +71,7 @@ static void any_table(void) {
     t->adapt.offset = FROM(0, TL_TABLE_ADAPT_OFFSET_MAX);
     t->adapt.width_least_q15 = FROM(0, TL_RATIO_ONE);
     t->adapt.width_most_q15 = FROM(TL_RATIO_ONE, 2 * TL_RATIO_ONE);
+    t->anew.rest_us = FROM(0, 10000000);
 }
 
 static void any_followers(void) {
@@ -100,6 +101,8 @@ static void any_undo(void) {
     undo.p = PLACE();
     undo.side = FROM(-1, 1);
     undo.turned_at = ANCHOR();
+    undo.rest_ticks = ANY_UNSIGNED();
+    undo.awaits = ANY_UNSIGNED();
     //@ loop unroll 3;
     for (unsigned i = 0; i < TL_TABLE_JOINTS; i++) {
         undo.carried[i] = ANY();
@@ -134,6 +137,7 @@ int main(void) {
     tl_undo_late(&undo, PLACE());
     any_undo();
     tl_undo_turned(&undo, ANCHOR(), FROM(-1, 1));
+    tl_undo_anew(&undo, Frama_C_nondet(0, 1), Frama_C_nondet(0, 1));
     tl_undo_scaled(&undo, WITHIN(MOST));
     tl_undo_rest(&undo, PLACE());
     shaft();

@@ -59,11 +59,12 @@ typedef struct {
     tl_scale_t coarse;    ///< |dc/dq| of the coarse kinematics
     tl_scale_t coarse_inverse;
     tl_table_t table;                       ///< `angle` goes on after the last node with what no angle reaches
+    uint32_t phase;                         ///< a Q8 count's share of a turn, Q32 (here: `ratio` is 8-byte aligned)
     uint16_t ratio[TL_LOOKUP_SPANS];        ///< 1 / rise of f in each span (tl_lookup.c)
     uint16_t centre_ratio[TL_LOOKUP_SPANS]; ///< the same of Y; `table.centre` goes on as `table.angle` does
     tl_element_t element[TL_TABLE_PLAYS_MAX];
-    tl_lookup_end_t end[2];     ///< beyond the first and the last node
-    uint32_t phase, phase_rest; ///< a Q8 count's share of the encoder's turn, Q32, and 16 bits more
+    tl_lookup_end_t end[2]; ///< beyond the first and the last node
+    uint32_t phase_rest;    ///< of `phase`, 16 bits more
 } tl_lookup_t;
 
 /// Decodes, checks and derives. On any reason but TL_TABLE_OK `lookup` must not be used.

@@ -1,4 +1,4 @@
-/// What a table's sections 2 to 8 undo (tl_table.h) beside the play and the curve, at each place of the inverse
+/// What a table's sections 2 to 9 undo (tl_table.h) beside the play and the curve, at each place of the inverse
 ///
 ///     c* -> joints, load -> f^-1 -> late -> p* -> B(p*) by load, speed, side -> offset, encoder -> q*
 ///
@@ -8,7 +8,8 @@
 ///
 /// The compensator calls what is below, once a tick each, where its table has any of these sections or was moved.
 /// O(1); no division and no 64-bit product but in tl_undo_start(), tl_undo_adapt() and tl_undo_load(), which are the
-/// task's. On a Cortex-M0+ at most 480 cycles before p*, 200 for the width, 160 for the encoder. Memory: 208 bytes.
+/// task's. On a Cortex-M0+ at most 480 cycles before p*, 200 for the width, 100 for whether a side begins, 160 for the
+/// encoder. Memory: 216 bytes.
 #ifndef TAUTLINE_TL_UNDO_H
 #define TAUTLINE_TL_UNDO_H
 
@@ -59,7 +60,9 @@ typedef struct {
     int32_t rate_hz, step_max;              ///< Q8 counts a tick that are a speed still
     tl_count_q8_t p;                        ///< of the last tick
     int32_t side;                           ///< that the motor pushes on since it last turned
-    tl_count_q8_t turned_at;                ///< where p turned
+    tl_count_q8_t turned_at;                ///< where p turned, or went on after a rest
+    uint32_t rest_ticks;                    ///< that p has to rest for the side to begin anew; 0: it never does
+    uint32_t awaits;                        ///< of these, how many are still to come
     tl_count_q8_t carried[TL_TABLE_JOINTS]; ///< where other axes have carried the tip,
     tl_factor_t slope_q28[TL_TABLE_JOINTS]; ///< by so much for each count; 0 where section 7 names none,
     uint32_t joints;                        ///< and the last that it names
@@ -91,6 +94,11 @@ tl_count_q8_t tl_undo_late(tl_undo_t *undo, tl_count_q8_t p);
 
 /// p has turned at `p` and now goes to `side`.
 void tl_undo_turned(tl_undo_t *undo, tl_count_q8_t p, int32_t side);
+
+/// The tick of a side's rest. goes_on: p is further towards its side than it ever was since it turned; still: the motor
+/// has nothing to take up, else what is taken up may yet move the tip. True: it goes on after a rest so long that the
+/// side begins anew, as tl_undo_turned() then says. Slower than 1/256 count in that time is rest.
+bool tl_undo_anew(tl_undo_t *undo, bool goes_on, bool still);
 
 /// What is to be added to the width at p on the side that pushes.
 int32_t tl_undo_wider(const tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p);

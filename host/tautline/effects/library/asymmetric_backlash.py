@@ -12,7 +12,6 @@ EFFECTS = (
         says="after turning one way the tip starts late and catches up",
         material=True,
         undone=True,
-        remains="asymmetry_renewed",
         tell="Reversals one way show their onset later than those the other way, then the tip catches up; a B(q) that "
         "is only wide does the same to both.",
         mend="Look at what guides the tendon on one side only: a pulley, a spring, a loose clamp.",
