@@ -7,6 +7,7 @@ Positions and B are in the unit of q; n frames of a track.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -85,6 +86,14 @@ class PreparedTrack:
         times, positions = corners(track.motor)
         use = np.ones(len(track.t_s), bool) if use is None else use
         return cls(track, times, positions, use, half_slope_s(track.reading))
+
+    @cached_property
+    def counting(self) -> PreparedTrack:
+        """The track with those frames alone that may count, by which a fit descends. Of a sensor that rounds all stay:
+        they tell how long the tip rests."""
+        if self.use.all() or self.track.step > 0.0:
+            return self
+        return replace(self, track=self.track.only(self.use), use=self.use[self.use])
 
     def course(self, scene_s: Array) -> tuple[Array, npt.NDArray[np.intp]]:
         """The motor's positions (m,) that a play needs, extremes and those at scene_s (n,), in order of time; and which

@@ -287,7 +287,7 @@ def _path_step(fit: PlayFit, start: Curves) -> tuple[float, Curves] | None:
     if fit.settled_only and not _covers_both_ways(fit, masks):
         return None
     curves = fit.step(start, residuals, masks)
-    residuals, masks = fit.residuals(curves)
+    residuals, masks = fit.residuals_of_simulated(curves)
     left = np.concatenate([np.abs(r[m]).ravel() for r, m in zip(residuals, masks, strict=True)])
     return float(np.mean(left)), curves
 
