@@ -26,31 +26,75 @@ static size_t path_at(size_t pieces, double x, double *row) {
     return 2 + piece;
 }
 
+enum { POWERS = 3 }; // of the travel within a piece, in which every column is a parabola
+
+// The frames of one piece: sums of the powers of their travel in it, and of those times what was seen.
+typedef struct {
+    double power[2 * POWERS - 1], seen[POWERS][HINGE_SEEN];
+} piece_t;
+
+// Adds the normal equations of the frames in piece m.
+static void add_piece(const hinge_t *hinge, const piece_t *piece, size_t m, square_t gram, seen_t right) {
+    const double root = sqrt((double)hinge->pieces), length = 1.0 / (double)hinge->pieces;
+    const size_t path = 3 + m, last = hinge_columns(hinge) - 1;
+    double column[HINGE_COLUMNS][POWERS] = {{1.0}, {(double)m * length, 1.0}};
+    for (size_t k = 0; k < m; k++) {
+        column[2 + k][0] = root * length * length * ((double)(m - k) - 0.5);
+        column[2 + k][1] = root * length;
+    }
+    column[2 + m][2] = 0.5 * root;
+    for (size_t i = 0; i < path; i++) {
+        double sums[POWERS] = {0.0};
+        for (size_t p = 0; p < POWERS; p++) {
+            for (size_t q = 0; q < POWERS; q++) {
+                sums[q] += column[i][p] * piece->power[p + q];
+            }
+            for (size_t k = 0; k < hinge->seen; k++) {
+                right[i][k] += column[i][p] * piece->seen[p][k];
+            }
+        }
+        for (size_t j = 0; j <= i; j++) {
+            gram[i][j] += sums[0] * column[j][0] + sums[1] * column[j][1] + sums[2] * column[j][2];
+        }
+        if (hinge->jump) {
+            gram[last][i] += sums[0];
+        }
+    }
+    if (hinge->jump) {
+        gram[last][last] += piece->power[0];
+        for (size_t k = 0; k < hinge->seen; k++) {
+            right[last][k] += piece->seen[0][k];
+        }
+    }
+}
+
 // Normal equations of one knot.
 static void gather(const hinge_t *hinge, double knot, double reach, square_t gram, seen_t right) {
-    const size_t columns = hinge_columns(hinge), last = columns - 1;
+    piece_t piece[HINGE_COLUMNS] = {0};
     memset(gram, 0, sizeof(square_t));
     memset(right, 0, sizeof(seen_t));
     for (size_t n = 0; n < hinge->frames; n++) {
-        const double beyond = hinge->x[n] - knot, *y = hinge->y + n * hinge->seen;
-        double row[HINGE_COLUMNS] = {1.0};
-        const size_t path = beyond > 0.0 ? path_at(hinge->pieces, beyond / reach, row) : 1;
-        for (size_t i = 0; i < path; i++) {
-            for (size_t j = 0; j <= i; j++) {
-                gram[i][j] += row[i] * row[j];
-            }
+        const double beyond = (hinge->x[n] - knot) / reach, *y = hinge->y + n * hinge->seen;
+        if (!(beyond > 0.0)) {
+            gram[0][0] += 1.0;
             for (size_t k = 0; k < hinge->seen; k++) {
-                right[i][k] += row[i] * y[k];
+                right[0][k] += y[k];
+            }
+            continue;
+        }
+        const size_t at = (size_t)(beyond * (double)hinge->pieces), m = at < hinge->pieces ? at : hinge->pieces - 1;
+        const double within = beyond - (double)m / (double)hinge->pieces;
+        double power = 1.0;
+        for (size_t p = 0; p < 2 * POWERS - 1; p++, power *= within) {
+            piece[m].power[p] += power;
+            for (size_t k = 0; p < POWERS && k < hinge->seen; k++) {
+                piece[m].seen[p][k] += power * y[k];
             }
         }
-        if (hinge->jump && beyond > 0.0) {
-            for (size_t j = 0; j < path; j++) {
-                gram[last][j] += row[j];
-            }
-            gram[last][last] += 1.0;
-            for (size_t k = 0; k < hinge->seen; k++) {
-                right[last][k] += y[k];
-            }
+    }
+    for (size_t m = 0; m < hinge->pieces; m++) {
+        if (piece[m].power[0] > 0.0) {
+            add_piece(hinge, &piece[m], m, gram, right);
         }
     }
 }
