@@ -122,7 +122,8 @@ def _strokes(track: Track, rig: Rig, delay_s: float) -> list[_Stroke]:
         q1 = float(q[a])
         direction = 1 if q[b] >= q1 else -1
         start, end = float(motor.t_s[a]), float(motor.t_s[b])
-        frames = np.flatnonzero((scene >= start) & (scene < end) & inside)
+        first, last = np.searchsorted(scene, (start, end))
+        frames = first + np.flatnonzero(inside[first:last])
         travel = np.maximum(direction * (q_at[frames] - q1), 0.0)
         z = track.y[frames] / track.sigma[frames, None]
         if k > 0:

@@ -242,13 +242,10 @@ def fit_passes(joint_fit: Fitted, margin: float) -> Fitted | None:
 def _beyond_onset(p: Array, side: npt.NDArray[np.int8]) -> Array:
     """(n,) how far the play's centre p (n,) has gone since it last changed its envelope, side (n,): since the tip last
     began to move. Unit of q."""
-    gone = np.zeros(len(p))
-    start = 0
-    for k in range(1, len(p)):
-        if side[k] != side[k - 1]:
-            start = k
-        gone[k] = abs(p[k] - p[start])
-    return gone
+    turns = np.flatnonzero(np.diff(side, prepend=side[:1]))
+    start = np.zeros(len(p), dtype=np.intp)
+    start[turns] = turns
+    return np.abs(p - p[np.maximum.accumulate(start)])
 
 
 def _start(
