@@ -198,14 +198,14 @@ class PlayFit:
 
     # ---- the fit
 
-    def solve(self, start: Curves, iterations: int = 30, robust: bool = True, adapt: bool = True) -> Fitted:
-        """Damped Gauss-Newton steps from `start`. robust: outliers are weighed down (Huber); adapt: the smoothing moves
-        to the restricted likelihood's maximum (Fellner-Schall steps), else it stays."""
+    def solve(self, start: Curves, iterations: int = 30, adapt: bool = True) -> Fitted:
+        """Damped Gauss-Newton steps from `start`, outliers weighed down (Huber). adapt: the smoothing moves to the
+        restricted likelihood's maximum (Fellner-Schall steps), else it stays."""
         # The descent sees no frame that cannot count; the smoothing that it adapts is this fit's own.
         counting = replace(self, tracks=[prepared.counting for prepared in self.tracks], smoothing=self.smoothing)
-        curves = descend(_Descent(counting, robust, adapt), _Point.of(counting, start), iterations).curves
+        curves = descend(_Descent(counting, adapt), _Point.of(counting, start), iterations).curves
         residuals, masks = self.residuals(curves)
-        scale, weights = _huber_weights(residuals, masks, robust)
+        scale, weights = _huber_weights(residuals, masks)
         weights = self.weights_with_rounding(weights, curves, scale)
         matrix, _ = self.normal(curves, residuals, weights)
         penalty, _ = self.penalty(curves, scale)
@@ -446,9 +446,9 @@ class _Point:
 class _Descent:
     """A PlayFit as a `least_squares.Problem`: weights by Huber, smoothing that adapts from the second step on."""
 
-    def __init__(self, fit: PlayFit, robust: bool, adapt: bool) -> None:
-        """robust, adapt: as of `PlayFit.solve`."""
-        self.fit, self.robust, self.adapt = fit, robust, adapt
+    def __init__(self, fit: PlayFit, adapt: bool) -> None:
+        """adapt: as of `PlayFit.solve`."""
+        self.fit, self.adapt = fit, adapt
         self.scale, self.weights = 1.0, list[Array]()
         self.steps = self.small_steps = 0
 
@@ -457,7 +457,7 @@ class _Descent:
         adapted smoothing."""
         fit, curves = self.fit, point.curves
         fit.simulated = point.simulated
-        self.scale, weights = _huber_weights(point.residuals, point.masks, self.robust)
+        self.scale, weights = _huber_weights(point.residuals, point.masks)
         self.weights = fit.weights_with_rounding(weights, curves, self.scale)
         if self.adapt and self.steps == 0:
             fit.begin_smoothing(curves, self.scale)
@@ -558,15 +558,13 @@ def _ones_where_uncounted(weights: list[Array], masks: list[Mask]) -> list[Array
     return [np.where(m, w, 1.0) for w, m in zip(weights, masks, strict=True)]
 
 
-def _huber_weights(residuals: list[Array], masks: list[Mask], robust: bool) -> tuple[float, list[Array]]:
+def _huber_weights(residuals: list[Array], masks: list[Mask]) -> tuple[float, list[Array]]:
     """Scale of the residuals (rms over noise, outliers cut at STRAY scales; 1 without frames) and each frame's Huber
-    weight, min(1, STRAY scale / its rms), 0 where it does not count. Not robust: the plain rms, and 1."""
+    weight, min(1, STRAY scale / its rms), 0 where it does not count."""
     used = [np.sqrt(np.mean(r[m] ** 2, axis=1)) for r, m in zip(residuals, masks, strict=True)]
     norm = np.concatenate(used) if used else np.zeros(0)
     if len(norm) == 0:
         return 1.0, [m.astype(float) for m in masks]
-    if not robust:
-        return max(float(np.sqrt(np.mean(norm**2))), 1e-6), [m.astype(float) for m in masks]
     # The median of one or of two coordinates' rms as a standard deviation.
     middle = float(np.sqrt(np.median(norm**2))) * (1.4826 if residuals[0].shape[1] == 1 else 1.2)
     limit = STRAY * max(middle, 1e-9)

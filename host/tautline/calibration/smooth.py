@@ -245,7 +245,7 @@ def _beyond_onset(p: Array, side: npt.NDArray[np.int8]) -> Array:
     turns = np.flatnonzero(np.diff(side, prepend=side[:1]))
     start = np.zeros(len(p), dtype=np.intp)
     start[turns] = turns
-    return np.abs(p - p[np.maximum.accumulate(start)])
+    return np.asarray(np.abs(p - p[np.maximum.accumulate(start)]))
 
 
 def _start(
