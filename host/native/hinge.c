@@ -82,8 +82,9 @@ static void gather(const hinge_t *hinge, double knot, double reach, square_t gra
             }
             continue;
         }
-        const size_t at = (size_t)(beyond * (double)hinge->pieces), m = at < hinge->pieces ? at : hinge->pieces - 1;
-        const double within = beyond - (double)m / (double)hinge->pieces;
+        const double pieces = (double)hinge->pieces, at = beyond * pieces;
+        const size_t m = at < pieces ? (size_t)at : hinge->pieces - 1;
+        const double within = beyond - (double)m / pieces;
         double power = 1.0;
         for (size_t p = 0; p < 2 * POWERS - 1; p++, power *= within) {
             piece[m].power[p] += power;
