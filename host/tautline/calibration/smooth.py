@@ -16,7 +16,7 @@ import numpy.typing as npt
 from tautline.calibration.backlash import WidthCurve
 from tautline.calibration.beforehand import Beforehand
 from tautline.calibration.observations import Mask, NoiseByPlace, Track, with_noise
-from tautline.calibration.playfit import STRAY, Curves, Fitted, PlayFit
+from tautline.calibration.playfit import STRAY, Curves, Fitted, PlayFit, rms_of_frame_powers
 from tautline.calibration.simulated_track import PreparedTrack
 from tautline.splines import Basis
 
@@ -26,6 +26,7 @@ SPANS = 100  # tolerance: of B and of the path: a bump of B 0.6 mm wide on 10 mm
 _MOST_FRAMES = 12000  # tolerance: of one fit; more are thinned out evenly
 _SCANNED = 3000  # tolerance: frames, about, that tell where a fit begins
 _REPEATS = 1.6  # prior: residual of the first approach over that of the rest, up to which it counts
+_HARMLESS = 1.15  # tolerance: ratio by which the rest's residual may grow when the first approach counts
 _PARTS, _AGAIN = 5, 4  # tolerance: parts in which strokes are left out in turn; steps of each fit without them
 _FEWEST = 40  # tolerance: frames that a joint fit is tried with
 
@@ -124,9 +125,9 @@ def _fit_in_steps(
         fine.settled_only = False
         return fine.solve(fitted.curves)
     if fine.settled_only and _reaches_further(fitted, domain):
-        # Without the first approach B and the path are not told apart everywhere.
+        # Without the first approach B and the path are not told apart everywhere: does it do harm?
         whole = replace(fine, settled_only=False, smoothing=dict(fine.smoothing)).solve(start)
-        if _predicts_no_worse(whole, fitted):
+        if _settled_scale(whole) < _HARMLESS * fitted.scale and _predicts_no_worse(whole, fitted):
             return whole
         fitted.fit.residuals(fitted.curves)
     return fitted
@@ -149,6 +150,14 @@ def _reaches_further(fitted: Fitted, domain: Domain) -> bool:
     low, high = overlap(fitted)
     known = np.concatenate([s.p[s.known] for s in fitted.fit.simulated])
     return bool(low - known.min() > 0.02 * domain.span or known.max() - high > 0.02 * domain.span)
+
+
+def _settled_scale(fitted: Fitted) -> float:
+    """rms residual over noise of the frames after the first approach, outliers cut at STRAY scales; infinite where
+    there are none."""
+    seen = zip(fitted.residuals, fitted.masks, fitted.fit.simulated, strict=True)
+    squares = np.concatenate([np.mean(r[m & s.settled] ** 2, axis=1) for r, m, s in seen])
+    return rms_of_frame_powers(squares, fitted.scale)
 
 
 def _predicts_no_worse(whole: Fitted, alone: Fitted) -> bool:
