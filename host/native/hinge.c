@@ -3,8 +3,12 @@
 #include <math.h>
 #include <string.h>
 
+enum { TOGETHER = 8 }; // bends that are fitted at once: a knot has 7
+
 typedef double square_t[HINGE_COLUMNS][HINGE_COLUMNS]; // below the diagonal, and on it
 typedef double seen_t[HINGE_COLUMNS][HINGE_SEEN];
+typedef double bends_t __attribute__((vector_size(TOGETHER * sizeof(double)))); // one number of each of them
+typedef bends_t system_t[HINGE_COLUMNS][HINGE_COLUMNS];                         // as square_t
 
 // Row of the path's columns at x beyond the knot, the window being 1 long. Returns how many, from the first on, may
 // differ from 0.
@@ -22,130 +26,188 @@ static size_t path_at(size_t pieces, double x, double *row) {
     return 2 + piece;
 }
 
+enum { POWERS = 3 }; // of the travel within a piece, in which every column is a parabola
+
+// The frames of one piece: sums of the powers of their travel in it, and of those times what was seen.
+typedef struct {
+    double power[2 * POWERS - 1], seen[POWERS][HINGE_SEEN];
+} piece_t;
+
+// Adds the normal equations of the frames in piece m.
+static void add_piece(const hinge_t *hinge, const piece_t *piece, size_t m, square_t gram, seen_t right) {
+    const double root = sqrt((double)hinge->pieces), length = 1.0 / (double)hinge->pieces;
+    const size_t path = 3 + m, last = hinge_columns(hinge) - 1;
+    double column[HINGE_COLUMNS][POWERS] = {{1.0}, {(double)m * length, 1.0}};
+    for (size_t k = 0; k < m; k++) {
+        column[2 + k][0] = root * length * length * ((double)(m - k) - 0.5);
+        column[2 + k][1] = root * length;
+    }
+    column[2 + m][2] = 0.5 * root;
+    for (size_t i = 0; i < path; i++) {
+        double sums[POWERS] = {0.0};
+        for (size_t p = 0; p < POWERS; p++) {
+            for (size_t q = 0; q < POWERS; q++) {
+                sums[q] += column[i][p] * piece->power[p + q];
+            }
+            for (size_t k = 0; k < hinge->seen; k++) {
+                right[i][k] += column[i][p] * piece->seen[p][k];
+            }
+        }
+        for (size_t j = 0; j <= i; j++) {
+            gram[i][j] += sums[0] * column[j][0] + sums[1] * column[j][1] + sums[2] * column[j][2];
+        }
+        if (hinge->jump) {
+            gram[last][i] += sums[0];
+        }
+    }
+    if (hinge->jump) {
+        gram[last][last] += piece->power[0];
+        for (size_t k = 0; k < hinge->seen; k++) {
+            right[last][k] += piece->seen[0][k];
+        }
+    }
+}
+
 // Normal equations of one knot.
 static void gather(const hinge_t *hinge, double knot, double reach, square_t gram, seen_t right) {
-    const size_t columns = hinge_columns(hinge), last = columns - 1;
+    piece_t piece[HINGE_COLUMNS] = {0};
     memset(gram, 0, sizeof(square_t));
     memset(right, 0, sizeof(seen_t));
     for (size_t n = 0; n < hinge->frames; n++) {
-        const double beyond = hinge->x[n] - knot, *y = hinge->y + n * hinge->seen;
-        double row[HINGE_COLUMNS] = {1.0};
-        const size_t path = beyond > 0.0 ? path_at(hinge->pieces, beyond / reach, row) : 1;
-        for (size_t i = 0; i < path; i++) {
-            for (size_t j = 0; j <= i; j++) {
-                gram[i][j] += row[i] * row[j];
-            }
+        const double beyond = (hinge->x[n] - knot) / reach, *y = hinge->y + n * hinge->seen;
+        if (!(beyond > 0.0)) {
+            gram[0][0] += 1.0;
             for (size_t k = 0; k < hinge->seen; k++) {
-                right[i][k] += row[i] * y[k];
+                right[0][k] += y[k];
+            }
+            continue;
+        }
+        const double pieces = (double)hinge->pieces, at = beyond * pieces;
+        const size_t m = at < pieces ? (size_t)at : hinge->pieces - 1;
+        const double within = beyond - (double)m / pieces;
+        double power = 1.0;
+        for (size_t p = 0; p < 2 * POWERS - 1; p++, power *= within) {
+            piece[m].power[p] += power;
+            for (size_t k = 0; p < POWERS && k < hinge->seen; k++) {
+                piece[m].seen[p][k] += power * y[k];
             }
         }
-        if (hinge->jump && beyond > 0.0) {
-            for (size_t j = 0; j < path; j++) {
-                gram[last][j] += row[j];
-            }
-            gram[last][last] += 1.0;
-            for (size_t k = 0; k < hinge->seen; k++) {
-                right[last][k] += y[k];
-            }
+    }
+    for (size_t m = 0; m < hinge->pieces; m++) {
+        if (piece[m].power[0] > 0.0) {
+            add_piece(hinge, &piece[m], m, gram, right);
         }
     }
 }
 
 // A = L L^T in place, with 1 / L[i][i] on the diagonal.
-static int factorise(square_t a, size_t size) {
+static int factorise(system_t a, size_t size) {
     for (size_t i = 0; i < size; i++) {
         for (size_t j = 0; j < i; j++) {
-            double sum = a[i][j];
+            bends_t sum = a[i][j];
             for (size_t k = 0; k < j; k++) {
                 sum -= a[i][k] * a[j][k];
             }
             a[i][j] = sum * a[j][j];
         }
-        double pivot = a[i][i];
+        bends_t pivot = a[i][i];
         for (size_t k = 0; k < i; k++) {
             pivot -= a[i][k] * a[i][k];
         }
-        if (!(pivot > 0.0)) {
-            return 0;
+        for (size_t v = 0; v < TOGETHER; v++) {
+            if (!(pivot[v] > 0.0)) {
+                return 0;
+            }
+            a[i][i][v] = 1.0 / sqrt(pivot[v]);
         }
-        a[i][i] = 1.0 / sqrt(pivot);
     }
     return 1;
 }
 
-static void solve(square_t l, size_t size, seen_t x) {
+static void solve(system_t l, size_t size, bends_t *x) {
     for (size_t i = 0; i < size; i++) {
+        bends_t sum = x[i];
         for (size_t j = 0; j < i; j++) {
-            for (size_t k = 0; k < HINGE_SEEN; k++) {
-                x[i][k] -= l[i][j] * x[j][k];
-            }
+            sum -= l[i][j] * x[j];
         }
-        for (size_t k = 0; k < HINGE_SEEN; k++) {
-            x[i][k] *= l[i][i];
-        }
+        x[i] = sum * l[i][i];
     }
     for (size_t i = size; i-- > 0;) {
-        for (size_t k = 0; k < HINGE_SEEN; k++) {
-            x[i][k] *= l[i][i];
-        }
+        x[i] *= l[i][i];
         for (size_t j = 0; j < i; j++) {
-            for (size_t k = 0; k < HINGE_SEEN; k++) {
-                x[j][k] -= l[i][j] * x[i][k];
-            }
+            x[j] -= l[i][j] * x[i];
         }
     }
 }
 
-// Trace of A^-1 diag(weight), by L^-1 column after column.
-static double trace_of(square_t l, size_t size, const double *weight) {
-    double trace = 0.0;
+// Traces of A^-1 diag(weight), by L^-1 column after column.
+static void trace_of(system_t l, size_t size, const bends_t *weight, bends_t *trace) {
+    *trace = (bends_t){0.0};
     for (size_t j = 0; j < size; j++) {
-        double column[HINGE_COLUMNS], squares = 0.0;
+        bends_t column[HINGE_COLUMNS], squares = {0.0};
         for (size_t i = j; i < size; i++) {
-            double sum = i == j ? 1.0 : 0.0;
+            bends_t sum = (i == j ? 1.0 : 0.0) + (bends_t){0.0};
             for (size_t k = j; k < i; k++) {
                 sum -= l[i][k] * column[k];
             }
             column[i] = sum * l[i][i];
             squares += column[i] * column[i];
         }
-        trace += weight[j] * squares;
+        *trace += weight[j] * squares;
     }
-    return trace;
 }
 
-static int fit_one(const hinge_t *hinge, const double *precision, square_t gram, seen_t right, const double *furthest,
-                   double all, const hinge_fit_t *fit, size_t at) {
+// One knot under the bends from `first` on, `count` of them; what is left of TOGETHER repeats the last.
+static int fit_some(const hinge_t *hinge, size_t first, size_t count, square_t gram, seen_t right,
+                    const double *furthest, double all, const hinge_fit_t *fit, size_t at) {
     const size_t columns = hinge_columns(hinge), path = 2 + hinge->pieces, seen = hinge->seen;
-    square_t system;
-    seen_t found;
-    memcpy(system, gram, sizeof(square_t));
-    memcpy(found, right, sizeof(seen_t));
+    system_t system;
+    bends_t precision[HINGE_COLUMNS], explained = {0.0}, held = {0.0};
     for (size_t i = 0; i < columns; i++) {
+        for (size_t v = 0; v < TOGETHER; v++) {
+            precision[i][v] = hinge->precision[(first + (v < count ? v : count - 1)) * columns + i];
+        }
+        for (size_t j = 0; j <= i; j++) {
+            system[i][j] = gram[i][j] + (bends_t){0.0};
+        }
         system[i][i] += precision[i];
     }
     if (!factorise(system, columns)) {
         return 0;
     }
-    solve(system, columns, found);
-    double volume = 0.0, explained = 0.0, held = 0.0, *way = fit->way + at * seen;
-    for (size_t i = 0; i < path; i++) {
-        volume -= log(system[i][i] * system[i][i] * precision[i]);
-    }
     for (size_t k = 0; k < seen; k++) {
-        way[k] = 0.0;
+        bends_t found[HINGE_COLUMNS], way = {0.0};
         for (size_t i = 0; i < columns; i++) {
-            explained += found[i][k] * right[i][k];
-            held += precision[i] * found[i][k] * found[i][k];
-            way[k] += i > 0 && i < path ? furthest[i] * found[i][k] : 0.0;
-            fit->coefficients[(at * columns + i) * seen + k] = found[i][k];
+            found[i] = right[i][k] + (bends_t){0.0};
+        }
+        solve(system, columns, found);
+        for (size_t i = 0; i < columns; i++) {
+            explained += found[i] * right[i][k];
+            held += precision[i] * found[i] * found[i];
+            way += i > 0 && i < path ? furthest[i] * found[i] : (bends_t){0.0};
+            for (size_t v = 0; v < count; v++) {
+                fit->coefficients[((at + v) * columns + i) * seen + k] = found[i][v];
+            }
+        }
+        for (size_t v = 0; v < count; v++) {
+            fit->way[(at + v) * seen + k] = way[v];
         }
     }
-    fit->squares[at] = fmax(all - explained, 0.0);
-    fit->residual[at] = fmax(all - explained - held, 0.0);
-    fit->volume[at] = volume;
+    for (size_t v = 0; v < count; v++) {
+        double volume = 0.0;
+        for (size_t i = 0; i < path; i++) {
+            volume -= log(system[i][i][v] * system[i][i][v] * precision[i][v]);
+        }
+        fit->squares[at + v] = fmax(all - explained[v], 0.0);
+        fit->residual[at + v] = fmax(all - explained[v] - held[v], 0.0);
+        fit->volume[at + v] = volume;
+    }
     if (fit->used) {
-        fit->used[at] = (double)columns - trace_of(system, columns, precision);
+        bends_t trace;
+        trace_of(system, columns, precision, &trace);
+        for (size_t v = 0; v < count; v++) {
+            fit->used[at + v] = (double)columns - trace[v];
+        }
     }
     return 1;
 }
@@ -172,9 +234,9 @@ int hinge_fit(const hinge_t *hinge, const hinge_fit_t *fit) {
         if (reach > hinge->knot[k]) {
             path_at(hinge->pieces, (reach - hinge->knot[k]) / reach, furthest);
         }
-        for (size_t v = 0; v < hinge->bends; v++) {
-            if (!fit_one(hinge, hinge->precision + v * hinge_columns(hinge), gram, right, furthest, all, fit,
-                         k * hinge->bends + v)) {
+        for (size_t v = 0; v < hinge->bends; v += TOGETHER) {
+            const size_t count = hinge->bends - v < TOGETHER ? hinge->bends - v : TOGETHER;
+            if (!fit_some(hinge, v, count, gram, right, furthest, all, fit, k * hinge->bends + v)) {
                 return 0;
             }
         }

@@ -18,7 +18,7 @@ typedef struct {
     int jump;
     const double *x;         // (frames) 0 or more
     const double *y;         // (frames, seen) of unit variance
-    const double *knot;      // (knots)
+    const double *knot;      // (knots) 0 or more
     const double *precision; // (bends, columns) of the coefficients, above 0
 } hinge_t;
 
@@ -36,7 +36,7 @@ static inline size_t hinge_columns(const hinge_t *hinge) {
     return 2 + hinge->pieces + (hinge->jump ? 1 : 0);
 }
 
-// Returns 0 where a value is not finite or a system not positive definite: then nothing of it is to be used. About 2 us
+// Returns 0 where a value is not finite or a system not positive definite: then nothing of it is to be used. About 1 us
 // a knot and bend.
 int hinge_fit(const hinge_t *hinge, const hinge_fit_t *fit);
 

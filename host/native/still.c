@@ -129,8 +129,8 @@ void still_squares(const struct still_stop *stop, const double *delays, size_t c
         double most = NO_WAY;
         for (size_t i = 0; i < stop->frames; i++) {
             const double scene = stop->arrival_s[i] - delays[d];
-            const double gone = stop->direction * (motor_at(stop, scene, &from) - stop->q1);
-            ramp[i] = scene < stop->turn_s ? fmin(gone, 0.0) : 0.0;
+            const int before = scene < stop->turn_s; // after it the image is level, wherever the motor is
+            ramp[i] = before ? fmin(stop->direction * (motor_at(stop, scene, &from) - stop->q1), 0.0) : 0.0;
             most = fmax(most, fabs(ramp[i]));
         }
         squares[d] = squares_of(stop, ramp, most);

@@ -106,28 +106,26 @@ static double value_of(const sweep_t *path, const change_t *change, const double
     return sum;
 }
 
-static void add(const sweep_t *path, size_t node, band_t *a, double *b) {
-    const change_t change = change_at(path, node);
-    const double square = path->jumped[node], now = value_of(path, &change, path->state + node - 1);
+static void add(const sweep_t *path, const change_t *change, size_t node, band_t *a, double *b) {
+    const double square = path->jumped[node], now = value_of(path, change, path->state + node - 1);
     const double weight = square < 0.0 ? 1.0 / path->jump : 2.0 / (path->jump + square);
     for (size_t i = 0; i <= path->order; i++) {
-        b[node - 1 + i] -= weight * now * change.c[i];
+        b[node - 1 + i] -= weight * now * change->c[i];
         for (size_t j = 0; j <= i; j++) {
-            a[node - 1 + i][i - j] += weight * change.c[i] * change.c[j];
+            a[node - 1 + i][i - j] += weight * change->c[i] * change->c[j];
         }
     }
 }
 
-static double mean_square(const sweep_t *path, size_t node, band_t *s) {
-    const change_t change = change_at(path, node);
+static double mean_square(const sweep_t *path, const change_t *change, size_t node, band_t *s) {
     double variance = 0.0;
     for (size_t i = 0; i <= path->order; i++) {
-        variance += change.c[i] * change.c[i] * s[node - 1 + i][0];
+        variance += change->c[i] * change->c[i] * s[node - 1 + i][0];
         for (size_t j = 0; j < i; j++) {
-            variance += 2.0 * change.c[i] * change.c[j] * s[node - 1 + i][i - j];
+            variance += 2.0 * change->c[i] * change->c[j] * s[node - 1 + i][i - j];
         }
     }
-    const double now = value_of(path, &change, path->state + node - 1);
+    const double now = value_of(path, change, path->state + node - 1);
     return now * now + fmax(variance, 0.0);
 }
 
@@ -192,14 +190,16 @@ static double match(const sweep_t *path, size_t k, double *precision, double *fo
 int sweep(sweep_t *path, double *work) {
     const size_t size = path->nodes;
     band_t *a = (band_t *)work, *s = a + size;
-    double *b = (double *)(s + size + WIDTH);
+    change_t *changes = (change_t *)(s + size + WIDTH);
+    double *b = (double *)(changes + size);
     memset(a, 0, size * sizeof(band_t));
     for (size_t k = 0; k < size; k++) {
         a[k][0] = path->precision[k] + LEAST;
         b[k] = path->force[k] - path->precision[k] * path->state[k];
     }
     for (size_t k = 1; k + path->order <= size; k++) {
-        add(path, k, a, b);
+        changes[k] = change_at(path, k);
+        add(path, &changes[k], k, a, b);
     }
     if (!factorise(a, size)) {
         return 0;
@@ -210,7 +210,7 @@ int sweep(sweep_t *path, double *work) {
         path->state[k] += b[k];
     }
     for (size_t k = 1; k + path->order <= size; k++) {
-        path->jumped[k] = mean_square(path, k, s);
+        path->jumped[k] = mean_square(path, &changes[k], k, s);
     }
     const double kept = 0.3; // tolerance: of what a reading said before: all are matched at once
     double errors = 0.0;

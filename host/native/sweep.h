@@ -27,7 +27,7 @@ typedef struct {
     double told;               // on return: log probability of each reading, left out, by all others; their sum
 } sweep_t;
 
-enum { SWEEP_WORK = 2 * SWEEP_ROW + 1 };
+enum { SWEEP_WORK = 3 * SWEEP_ROW + 1 };
 
 // Once through: the Gaussian path (state, variance) by what readings and changes were said to be, then each of those
 // by the path. Changes are Student-t of one degree as Gaussians of unknown variance (a variational bound), the

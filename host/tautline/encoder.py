@@ -3,7 +3,9 @@ started."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -12,12 +14,13 @@ from scipy.linalg import solveh_banded
 
 from tautline import _native
 from tautline.driven import Driven, driven, third_differences, white_noise
-from tautline.encoder_steps import CHANGES, REST_S, Rest, Steps, rests_and_turns, steps_of, stopped
+from tautline.encoder_steps import CHANGES, REST_S, Rest, Steps, Stops, rests_and_turns, steps_of, stopped
 from tautline.independence import stretches
 from tautline.recording import Motor
 from tautline.spread import of_rounding
 
 Array = npt.NDArray[np.float64]
+Kept = TypeVar("Kept")
 
 # How far the lines between a motor's knots may be from its samples: less than a camera sees.
 _TOLERANCE_COUNTS, _TOLERANCE_MM, _TOLERANCE_DEG, _TOLERANCE_LOAD = 0.5, 5e-4, 5e-3, 1e-3  # tolerance
@@ -51,7 +54,7 @@ def between_counts(motor: Motor, resolution: float) -> Motor:
 
 def _between_and_steps(motor: Motor, resolution: float) -> tuple[Motor, Steps | None]:
     """`between_counts`, and the encoder's steps where the readings have some that tell stops and turns."""
-    steps = steps_of(motor, resolution)
+    steps = _steps_of(motor, resolution)
     noise = reading_noise(motor) / (resolution if steps is None else steps.count)
     if _is_smoothed(motor, steps, noise):
         return replace(motor, q=_smoothed(motor.t_s, motor.q)), steps if noise < _OWN_STEPS else None
@@ -97,7 +100,7 @@ def _is_smoothed(motor: Motor, steps: Steps | None, noise: float) -> bool:
 def smoothed_away(motor: Motor, resolution: float) -> float:
     """Standard deviation of what smoothing takes for the readings' noise, their unit, at least that of rounding: 0
     where they are not smoothed."""
-    steps, noise = steps_of(motor, resolution), reading_noise(motor)
+    steps, noise = _steps_of(motor, resolution), reading_noise(motor)
     count = resolution if steps is None else steps.count
     known = posterior_of(motor, resolution) is not None
     return 0.0 if known or not _is_smoothed(motor, steps, noise / count) else max(noise, of_rounding(count))
@@ -125,7 +128,7 @@ def _third_difference_score(motor: Motor) -> float:
 def count_of(motor: Motor, resolution: float) -> float:
     """The encoder's step as the readings show it, their unit; where they have no steps sqrt(12) times their noise (a
     step of that size scatters as much), at most the rig's step."""
-    steps = steps_of(motor, resolution)
+    steps = _steps_of(motor, resolution)
     return min(resolution, float(np.sqrt(12.0)) * reading_noise(motor)) if steps is None else steps.count
 
 
@@ -184,10 +187,7 @@ def straight_lines(motor: Motor, resolution: float) -> Motor:
     """The recorded motor as straight lines between few knots, to within what no sensor sees; it rests and turns when
     the counts say so. Without steps or noise readings stay as they are. q_cmd and columns of no joint are left out.
     Every prediction uses this motion."""
-    known = _lines.setdefault(motor, {})
-    if resolution not in known:
-        known[resolution] = _straight_lines(motor, resolution)
-    return known[resolution]
+    return _kept(_lines, motor, resolution, _straight_lines)
 
 
 def cut(motor: Motor, until_s: float) -> Motor:
@@ -207,6 +207,35 @@ _noises: WeakKeyDictionary[Motor, float] = WeakKeyDictionary()
 _lines: WeakKeyDictionary[Motor, dict[float, Motor]] = WeakKeyDictionary()
 _evens: WeakKeyDictionary[Motor, dict[float, Motor]] = WeakKeyDictionary()
 _paths: WeakKeyDictionary[Motor, dict[float, Driven | None]] = WeakKeyDictionary()
+_steps: WeakKeyDictionary[Motor, dict[float, Steps | None]] = WeakKeyDictionary()
+_stops: WeakKeyDictionary[Motor, dict[float, Stops]] = WeakKeyDictionary()
+
+
+def _kept(
+    kept: WeakKeyDictionary[Motor, dict[float, Kept]], motor: Motor, resolution: float,
+    make: Callable[[Motor, float], Kept],
+) -> Kept:  # fmt: skip
+    """What `make` makes of a motor at an encoder's resolution, which is kept as long as the motor is."""
+    known = kept.setdefault(motor, {})
+    if resolution not in known:
+        known[resolution] = make(motor, resolution)
+    return known[resolution]
+
+
+def _steps_of(motor: Motor, resolution: float) -> Steps | None:
+    """`steps_of`, which is kept for each motor."""
+    return _kept(_steps, motor, resolution, steps_of)
+
+
+def _stops_of(motor: Motor, resolution: float) -> Stops:
+    """`rests_and_turns` by the encoder's steps, none where readings have none; kept for each motor."""
+    return _kept(_stops, motor, resolution, _stops_by_counts)
+
+
+def _stops_by_counts(motor: Motor, resolution: float) -> Stops:
+    """As `_stops_of`, which keeps its result."""
+    steps = _steps_of(motor, resolution)
+    return Stops([], False) if steps is None else rests_and_turns(motor, steps)
 
 
 def _straight_lines(motor: Motor, resolution: float) -> Motor:
@@ -214,11 +243,11 @@ def _straight_lines(motor: Motor, resolution: float) -> Motor:
     path = posterior_of(motor, resolution)
     if path is None:
         return _even_lines(motor, resolution)
-    steps = steps_of(motor, resolution)
+    steps = _steps_of(motor, resolution)
     if path.order == 2 or steps is None:
         path, stops = _levelled_rests(path), np.zeros(len(path.t_s), dtype=bool)
     else:
-        path, stops = stopped(path, rests_and_turns(motor, steps).rests, steps.count)
+        path, stops = stopped(path, _stops_of(motor, resolution).rests, steps.count)
     keep = _needed_knots(path.t_s, [(path.q, float(np.median(path.sigma)))]) | stops
     return _with_others(motor, path.t_s[keep], path.q[keep], np.zeros(int(keep.sum()), dtype=bool))
 
@@ -227,15 +256,12 @@ def posterior_of(motor: Motor, resolution: float) -> Driven | None:
     """The posterior of the motor's path: of one that slows down to its stops, through fine counts; of one whose speed
     jumps, where readings contradict lines of constant acceleration at stops or have noise and no steps. None for any
     other motor."""
-    known = _paths.setdefault(motor, {})
-    if resolution not in known:
-        known[resolution] = _posterior(motor, resolution)
-    return known[resolution]
+    return _kept(_paths, motor, resolution, _posterior)
 
 
 def _posterior(motor: Motor, resolution: float) -> Driven | None:
     """As `posterior_of`, which keeps its result."""
-    steps, noise = steps_of(motor, resolution), reading_noise(motor)
+    steps, noise = _steps_of(motor, resolution), reading_noise(motor)
     unsure = noise if steps is None else steps.count
     if len(motor.q) < CHANGES[0] or unsure <= _EXACTLY * float(np.ptp(motor.q)):
         return None
@@ -246,7 +272,7 @@ def _posterior(motor: Motor, resolution: float) -> Driven | None:
         noisy = told and noise <= _SCATTERS * resolution and _third_difference_score(motor) < _CLEARLY
         return driven(motor.t_s, motor.q, noise, rounded=False) if noisy else None
     fine = steps.count <= _COARSE * float(np.ptp(motor.q)) and noise <= _SCATTERS * steps.count
-    if fine and rests_and_turns(motor, steps).slows_down:
+    if fine and _stops_of(motor, resolution).slows_down:
         return _through(motor, steps, 3)
     lines = _even_lines(Motor(motor.t_s, motor.q), resolution)  # another channel's knots make no motor even
     away = float(np.abs(np.interp(motor.t_s, lines.t_s, lines.q) - motor.q).max())
@@ -276,11 +302,8 @@ def _with_sample_knots(motor: Motor, lines: Motor) -> Motor:
 
 
 def _even_lines(motor: Motor, resolution: float) -> Motor:
-    """`_constant_acceleration_lines`, whose result is kept for each motor."""
-    known = _evens.setdefault(motor, {})
-    if resolution not in known:
-        known[resolution] = _constant_acceleration_lines(motor, resolution)
-    return known[resolution]
+    """`_constant_acceleration_lines`, which is kept for each motor."""
+    return _kept(_evens, motor, resolution, _constant_acceleration_lines)
 
 
 def _constant_acceleration_lines(motor: Motor, resolution: float) -> Motor:
@@ -292,7 +315,7 @@ def _constant_acceleration_lines(motor: Motor, resolution: float) -> Motor:
     count, travel = resolution if steps is None else steps.count, float(np.ptp(motor.q))
     tolerance = (_TOLERANCE_COUNTS + (0.0 if steps is None else _STEPS)) * count
     tolerance = _COARSE_LINES * travel if count > _COARSE * travel else tolerance
-    t_s, q, fixed = _knots(smooth, tolerance, [] if steps is None else rests_and_turns(motor, steps).rests)
+    t_s, q, fixed = _knots(smooth, tolerance, [] if steps is None else _stops_of(motor, resolution).rests)
     return _with_others(motor, t_s, q, fixed, smooth.q)
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import KDTree
 
 from tautline import _native
 from tautline.errors import TautError
@@ -194,13 +195,15 @@ def _nearest_on_grid(rig: Rig, image: Array, translation: Array, turn: Array) ->
     best = np.full(len(image), (low + high) / 2)
     if len(image) == 0:
         return best
-    still = np.ptp(translation) == 0.0 and np.ptp(turn) == 0.0
+    if np.ptp(translation) == 0.0 and np.ptp(turn) == 0.0:
+        places, seen = project(rig, grid, translation[0], turn[0]), np.isfinite(image).all(axis=1)
+        ahead = np.isfinite(places).all(axis=1)
+        if ahead.any():
+            best[seen] = grid[ahead][KDTree(places[ahead]).query(image[seen])[1]]
+        return best
     smallest = np.full(len(image), np.inf)
-    if still:
-        candidates = project(rig, grid, translation[0], turn[0])
-    for i, c in enumerate(grid):
-        at = candidates[i] if still else project(rig, np.full(len(image), c), translation, turn)
-        distance = np.sum((image - at) ** 2, axis=1)
+    for c in grid:
+        distance = np.sum((image - project(rig, np.full(len(image), c), translation, turn)) ** 2, axis=1)
         closer = distance < smallest
         best[closer], smallest[closer] = c, distance[closer]
     return best

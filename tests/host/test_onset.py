@@ -58,7 +58,7 @@ def hinges(sigma_per_frame: float, repeats: int, seed: int, *, bends: bool = Fal
         y = 300.0 + np.maximum(x - knot, 0)[:, None] * slope + rng.normal(size=(len(x), 2))
         if bends:
             y += bent(rng, x, knot, sigma_per_frame * moving)
-        found = fit_hinge(x, y, 0.0, float(x[-1]))
+        found = fit_hinge(x, y, float(x[-1]))
         over_bound.append((found.knot - knot) / bound(x, knot, slope))
         over_sigma.append((found.knot - knot) / found.sigma)
     return float(np.sqrt(np.mean(np.square(over_bound)))), float(np.sqrt(np.mean(np.square(over_sigma))))
@@ -124,7 +124,7 @@ def test_a_jump_brackets_the_onset_within_a_frame():
         knot = rng.uniform(10, 30)
         x = np.arange(50, dtype=float)
         path = np.maximum(x - knot, 0) * 2.0 + 30.0 * (x > knot)
-        found = fit_jump(x, np.column_stack([path, -path]) + rng.normal(size=(50, 2)), 0.0, 49.0)
+        found = fit_jump(x, np.column_stack([path, -path]) + rng.normal(size=(50, 2)), 49.0)
         assert found.low <= knot <= found.high
         assert found.high - found.low == pytest.approx(1.0)
 

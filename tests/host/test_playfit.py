@@ -55,6 +55,23 @@ def test_the_jacobian_is_the_residuals_slope(seed, with_view):
     assert -2 * gradient[-1] == pytest.approx((later - earlier) / 6e-3, rel=0.05, abs=1e4)
 
 
+def test_frames_that_cannot_count_change_no_fit() -> None:
+    """A fit of a track of which one in three frames may count is that of these frames alone."""
+    motion = random_smooth(RIG.actuator, 1.0, 40.0, 3)
+    track = observe([run(RIG, preset("random", RIG, 3), motion, noise_px=0.3, seed=3).recording], RIG)[0]
+    use = np.arange(len(track.t_s)) % 3 == 0
+    basis = Basis(-5, 5, 10)
+    start = Curves(np.full(basis.size, 0.5), project(RIG, 11.0 * basis.centres), 0.08)
+    many, few = (
+        PlayFit([prepared], basis, basis).solve(start)
+        for prepared in (PreparedTrack.of(track, use), PreparedTrack.of(track.only(use)))
+    )
+    np.testing.assert_allclose(many.curves.backlash, few.curves.backlash, atol=1e-12)
+    np.testing.assert_allclose(many.covariance, few.covariance, rtol=1e-9, atol=1e-18)
+    assert len(many.residuals[0]) == len(track.t_s)
+    np.testing.assert_allclose(many.residuals[0][use], few.residuals[0], atol=1e-9)
+
+
 @given(st.lists(st.floats(-2, 5), min_size=2, max_size=40), st.floats(0.01, 1.0))
 def test_a_lawful_table_is_one_and_a_lawful_one_stays(values, step):
     grid = step * np.arange(len(values))

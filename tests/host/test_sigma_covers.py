@@ -92,7 +92,7 @@ def test_a_jump_is_bracketed_where_frames_show_the_level(first: int) -> None:
     x = np.arange(0.5, 20.0)[first:]
     rng = np.random.default_rng(31)
     y = np.where(x > 7.1, 20.0 + 30.0 * (x - 7.1), 0.0)[:, None] * np.array([0.9, 0.3]) + rng.normal(0, 1, (len(x), 2))
-    jump = fit_jump(x, y, 0.0, 12.0)
+    jump = fit_jump(x, y, 12.0)
     assert (jump.low == 0.0) is (first > 0) and jump.low < 7.1 < jump.high <= 8.5
 
 

@@ -75,8 +75,6 @@ def at_credible_delay(free: Fitted, delay: Delay, tracks: Sequence[Track], nomin
     if free.scale <= _WHITE:
         return free
     at_nominal = abs(own_s - nominal_s) <= min(_SAMPLES * period_s(tracks), _LITTLE_S)
-    if not at_nominal and free.explained:
-        return free
     fixed = replace(free.fit, fit_delay=False, smoothing=dict(free.fit.smoothing))
     fitted = fixed.solve(replace(free.curves, delay_s=nominal_s if at_nominal else delay.delay_s))
     likely = not at_nominal and abs(own_s - delay.delay_s) < _LIKELY * delay.sigma_s

@@ -68,10 +68,10 @@ class Choice:
         like_paper: bool,
         gradual: bool,
     ) -> tuple[Array, Array, str]:
-        """B, its sigma and its source (ONSETS, JOINT, PASSES or NOTHING). The joint fit's B where the onsets agree with
-        it, or where there are none and the passes tell; else the onsets', filled in by the passes where no reversal was
-        made. like_paper: the paper's spline through the onsets. gradual: the tip starts gradually, so that onsets show
-        its first motion only and are not averaged into B."""
+        """B, its sigma and its source (ONSETS, JOINT, PASSES or NOTHING). The joint fit's B, also where there are no
+        onsets and the passes tell; where the image jumps at the onsets theirs, filled in by the passes where no
+        reversal was made. like_paper: the paper's spline through the onsets. gradual: the tip starts gradually, so that
+        onsets show its first motion only and are not averaged into B."""
         if like_paper:
             paper = fit_paper(onsets, self.grid)
             if paper is not None:
@@ -102,15 +102,15 @@ class Choice:
         self.findings.evidence["joint_residual_over_noise"] = joint_fit.scale
         if not joint_fit.fit.hysteresis.single:  # of several an onset shows the first
             return width, sigma, JOINT
-        agreed = joint_fit.explained or float(np.mean(z**2)) < _AGREE
-        jumps = image_jumps(widths) and not self._late_one_way_only(widths, joint_fit, curve)
-        if not jumps and (agreed or not self._contradicted(widths, curve, passes)):
-            both, spread = (width, sigma) if gradual else self._combined(curve, width, sigma)
-            if both is not width and self._tolerates(joint_fit, width, both):
-                width, sigma = both, spread
-            return width, sigma, JOINT
-        self.findings.notes.append("the passes contradict the onsets: B(q) is the onsets' alone")
-        return self._onsets_filled_by_passes(widths, curve, passes)
+        if image_jumps(widths) and not self._late_one_way_only(widths, joint_fit, curve):
+            self.findings.notes.append("the image jumps at the onsets: B(q) is the onsets' alone")
+            return self._onsets_filled_by_passes(widths, curve, passes)
+        if passes is not None and not joint_fit.explained and float(np.mean(z**2)) > _AGREE:
+            self._notice_gradual_start(widths, passes)
+        both, spread = (width, sigma) if gradual else self._combined(curve, width, sigma)
+        if both is not width and self._tolerates(joint_fit, width, both):
+            width, sigma = both, spread
+        return width, sigma, JOINT
 
     def _combined(self, curve: WidthCurve, width: Array, sigma: Array) -> tuple[Array, Array]:
         """B and its sigma, given the joint fit's. Onsets depend on no model: where model errors leave the joint fit
@@ -289,23 +289,8 @@ class Choice:
         low, high = overlap(joint_fit)
         return low < high and self.tip_moves()
 
-    def _contradicted(self, widths: Sequence[Onset], curve: WidthCurve, passes: Fitted | None) -> bool:
-        """Whether at least three onsets lie where passes overlap and differ from their B by more than noise (mean
-        squared z above _AGREE) and by more than the share _LITTLE in the median; no where the tip starts gradually."""
-        if passes is None or self._starts_gradually(widths, passes):
-            return False
-        low, high = overlap(passes)
-        inside = [o for o in widths if low <= o.q_mean <= high]
-        if len(inside) < 3:
-            return False
-        width, sigma = passes.fit.width(passes.curves), passes.width_sigma(self.grid)
-        z = self._z_scores(inside, curve, width, sigma)
-        difference = [o.width - float(np.interp(o.q_mean, self.grid, width)) for o in inside]
-        share = abs(float(np.median(difference))) / max(float(np.median([o.width for o in inside])), 1e-9)
-        return float(np.mean(z**2)) > _AGREE and share > _LITTLE
-
-    def _starts_gradually(self, widths: Sequence[Onset], passes: Fitted) -> bool:
-        """Whether the slope of the image just after the onsets is less, in the median, than _AT_ONCE of the passes'
+    def _notice_gradual_start(self, widths: Sequence[Onset], passes: Fitted) -> None:
+        """Notices a slope of the image just after the onsets that is less, in the median, than _AT_ONCE of the passes'
         path slope there: then an onset is where a gradual start begins, not the play's width."""
         p = np.array([o.q_mean for o in widths])
         path = passes.fit.follow.slope(passes.curves.follow, p)
@@ -313,14 +298,12 @@ class Choice:
         usual = np.linalg.norm(path.reshape(len(p), -1), axis=1) / (1.0 + turn)
         ratio = float(np.median(np.array([o.slope for o in widths]) / np.maximum(usual, 1e-12)))
         self.findings.evidence["start_over_path_slope"] = ratio
-        if ratio > _AT_ONCE:
-            return False
-        self.findings.notice(
-            "transmission.smooth_onset",
-            f"the tip starts gradually, at {ratio:.2f} of its later speed",
-            "B(q) is what fits all frames, not where the first motion shows",
-        )
-        return True
+        if ratio <= _AT_ONCE:
+            self.findings.notice(
+                "transmission.smooth_onset",
+                f"the tip starts gradually, at {ratio:.2f} of its later speed",
+                "B(q) is what fits all frames, not where the first motion shows",
+            )
 
     def _z_scores(self, widths: Sequence[Onset], curve: WidthCurve, width: Array, sigma: Array) -> Array:
         """(onsets,) each onset's width less the B `width` (grid,) there, over the standard deviation of the difference:

@@ -15,7 +15,7 @@ from scipy import sparse
 
 from tautline import _native
 from tautline.calibration.observations import Mask, turning_hysteresis, usual_width
-from tautline.calibration.playfit import Curves, Fitted, PlayFit
+from tautline.calibration.playfit import STRAY, Curves, Fitted, PlayFit
 from tautline.calibration.simulated_track import PreparedTrack
 from tautline.core.motor import MotorPath
 from tautline.elements import Play
@@ -26,7 +26,6 @@ Array = npt.NDArray[np.float64]
 Sparse = Any  # a scipy.sparse matrix, or an array
 
 _FINE_S = 0.005  # tolerance: of the path that lags
-_OUTLIER = 4.0  # prior: usual residuals beyond which a frame weighs less
 _USUAL = 1.4826  # equation: of a median without its sign, of normal values of unit variance: one over it
 _NARROW = 0.2  # tolerance: of the usual B: the least width in which travel since a turn is counted
 
@@ -109,6 +108,8 @@ def counted_frames(fitted: Fitted, curves: Curves, rig: Rig, clock_error: Array)
 
 def on_clock(tracks: Sequence[PreparedTrack], clock_error: Array) -> list[PreparedTrack]:
     """The tracks with the error of their clock (2,), s, as in `counted_frames`, taken off their times."""
+    if not clock_error.any():
+        return list(tracks)
     first, length = _session(tracks)
     corrected = []
     for prepared in tracks:
@@ -185,7 +186,7 @@ def _joined(pieces: Sequence[CountedFrames], session: tuple[float, float]) -> Co
         if field.name not in ("lag_columns", "load", "stroke")
     }
     norm = np.sqrt(np.mean(arrays["residuals"] ** 2, axis=1))
-    limit = _OUTLIER * max(_USUAL * float(np.median(norm)), 1e-9)
+    limit = STRAY * max(_USUAL * float(np.median(norm)), 1e-9)
     arrays["weight"] = np.minimum(arrays["weight"], (limit / np.maximum(norm, limit)) ** 2)
     arrays["t"] = (arrays["time_s"] - first) / length - 0.5
     loads = [piece.load for piece in pieces if piece.load is not None]

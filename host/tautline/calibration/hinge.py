@@ -124,18 +124,18 @@ def _moments(knots: Array, deviance: Array) -> tuple[float, float]:
     return mean, float(np.sqrt(weight @ (knots - mean) ** 2 / weight.sum()))
 
 
-def fit_hinge(x: Array, y: Array, low: float, high: float) -> Hinge:
-    """The posterior of the knot, within [low, high], of y (n, channels) at motor travel x (n,) since the turn. The grid
+def fit_hinge(x: Array, y: Array, high: float) -> Hinge:
+    """The posterior of the knot, within [0, high], of y (n, channels) at motor travel x (n,) since the turn. The grid
     of candidate knots narrows until it resolves the posterior."""
-    knots = np.linspace(low, high, _KNOTS)
+    knots = np.linspace(0.0, high, _KNOTS)
     window = _Window.of(x, y)
     paths = window.paths(knots)
     mean, spread = _moments(knots, paths.deviance)
     for _ in range(_NARROWED):  # towards the likelihood's bulk, whatever its width
         pitch = knots[1] - knots[0]
         reach = max(_REACH * spread, 3.0 * pitch)
-        closer = np.linspace(max(low, mean - reach), min(high, mean + reach), _KNOTS)
-        if spread > 2.0 * pitch or closer[-1] - closer[0] < 1e-9 * (high - low + 1e-12):
+        closer = np.linspace(max(0.0, mean - reach), min(high, mean + reach), _KNOTS)
+        if spread > 2.0 * pitch or closer[-1] - closer[0] < 1e-9 * (high + 1e-12):
             break
         knots, paths = closer, window.paths(closer)
         mean, spread = _moments(knots, paths.deviance)
@@ -145,14 +145,14 @@ def fit_hinge(x: Array, y: Array, low: float, high: float) -> Hinge:
     return Hinge(mean, spread, float(paths.deviance[k, v]), float(paths.chi2[k, v]), freedom, slope)
 
 
-def fit_jump(x: Array, y: Array, low: float, high: float) -> Jump:
-    """The best jump, between neighbouring frames with x within [low, high] (and from `low` to the first of them),
+def fit_jump(x: Array, y: Array, high: float) -> Jump:
+    """The best jump, between neighbouring frames with x within [0, high] (and from 0 to the first of them),
     followed by a free path. Its bracket reaches from the first to the last one whose deviance is within _CREDIBLE of
     the best. x (n,), y (n, channels); deviance inf where no frames bracket it."""
-    edges = np.unique(np.append(x, low))
-    edges = edges[(edges >= low) & (edges <= high)]
+    edges = np.unique(np.append(x, 0.0))
+    edges = edges[(edges >= 0.0) & (edges <= high)]
     if len(edges) < 2:
-        return Jump(low, high, 0.0, np.inf)
+        return Jump(0.0, high, 0.0, np.inf)
     paths = _Window.of(x, y, jump=True).paths(0.5 * (edges[1:] + edges[:-1]))
     each = paths.deviance.min(axis=1)
     best = int(np.argmin(each))

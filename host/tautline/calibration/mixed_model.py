@@ -18,7 +18,7 @@ from scipy.linalg import eigh
 
 from tautline.calibration.counted import CountedFrames, Sparse, scaled_rows
 from tautline.calibration.departures import Departure, SearchedParameters
-from tautline.calibration.playfit import Curves, Fitted, PlayFit
+from tautline.calibration.playfit import STRAY, Curves, Fitted, PlayFit
 from tautline.independence import frames_each
 from tautline.least_squares import inverse_of
 from tautline.nominal import Normal
@@ -276,6 +276,6 @@ class MixedModel:
 
 def frames_per_independent(residuals: Array) -> float:
     """How many residuals (n, channels) tell as much as one independent frame: 1 + 2 sum of their autocorrelation while
-    that is more than chance, outliers cut at 4 rms."""
-    clipped = np.clip(residuals / max(float(np.sqrt(np.mean(residuals**2))), 1e-30), -4.0, 4.0)
+    that is more than chance, outliers cut at STRAY rms."""
+    clipped = np.clip(residuals / max(float(np.sqrt(np.mean(residuals**2))), 1e-30), -STRAY, STRAY)
     return frames_each(clipped, min(_LAGS, len(clipped) // 4), least=2.0 / float(np.sqrt(clipped.size)))

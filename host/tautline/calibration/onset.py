@@ -122,7 +122,8 @@ def _strokes(track: Track, rig: Rig, delay_s: float) -> list[_Stroke]:
         q1 = float(q[a])
         direction = 1 if q[b] >= q1 else -1
         start, end = float(motor.t_s[a]), float(motor.t_s[b])
-        frames = np.flatnonzero((scene >= start) & (scene < end) & inside)
+        first, last = np.searchsorted(scene, (start, end))
+        frames = first + np.flatnonzero(inside[first:last])
         travel = np.maximum(direction * (q_at[frames] - q1), 0.0)
         z = track.y[frames] / track.sigma[frames, None]
         if k > 0:
@@ -238,7 +239,7 @@ def _onset_of_stroke(number: int, track: Track, before: _Stroke, after: _Stroke)
     if window is None:
         return replace(not_told, reason="too few frames around the onset")
     x, y, hinge = window
-    jump = fit_jump(x, y, 0.0, max(hinge.knot * 1.5, after.travel[min(after.departure + 3, len(after.travel) - 1)]))
+    jump = fit_jump(x, y, max(hinge.knot * 1.5, after.travel[min(after.departure + 3, len(after.travel) - 1)]))
     gain = hinge.deviance - jump.deviance
     width, sigma = hinge.knot, max(hinge.sigma, 1e-9)
     kind = BRACKET if gain > _JUMP_GAINS and jump.size > _JUMP else HINGE
@@ -308,7 +309,7 @@ def _fit_window(stroke: _Stroke) -> tuple[Array, Array, Hinge] | None:
         x, y = travel[:stop], z[:stop]
         if high <= 0 or len(x) < 5:
             return None
-        hinge = fit_hinge(x, y, 0.0, high)
+        hinge = fit_hinge(x, y, high)
         if after <= 8 or hinge.chi2 < hinge.freedom + 3.0 * np.sqrt(2.0 * hinge.freedom):
             return x, y, hinge
         after = max(8, int(after * 0.6))
@@ -318,13 +319,7 @@ def _time_of_travel(track: Track, stroke: _Stroke, travel: float) -> float:
     """When, s, the motor had gone `travel` beyond the turn; the stroke's end where it did not go so far."""
     t, q = track.path.course(stroke.start_s, stroke.end_s)
     gone = np.maximum.accumulate(stroke.direction * (q - stroke.q1))
-    beyond = int(np.searchsorted(gone, travel))
-    if beyond == 0:
-        return stroke.start_s
-    if beyond >= len(t):
-        return stroke.end_s
-    share = (travel - gone[beyond - 1]) / max(gone[beyond] - gone[beyond - 1], 1e-12)
-    return float(t[beyond - 1] + share * (t[beyond] - t[beyond - 1]))
+    return float(np.interp(travel, gone, t))
 
 
 # ---- the delay, from the image stops

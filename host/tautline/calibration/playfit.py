@@ -107,6 +107,7 @@ class PlayFit:
     beforehand: Beforehand | None = None  # what is known without these tracks
     effects: FittedEffects | None = None  # between the motor and the curve that is followed
     fit_effects: bool = True
+    given_width: Array | None = None  # (nodes,) B in place of the spline's
     frames_per_independent: float = 1.0  # so many frames say as much of a curve's shape as one independent frame
     smoothing: dict[str, float] = field(default_factory=lambda: {"backlash": 1e-2, "follow": 1e-6})  # penalty factors
     grid: Array = field(init=False)  # (NODES,) on which B is tabulated
@@ -121,8 +122,15 @@ class PlayFit:
         channels, values = curves.follow.shape[1], len(curves.effect_values)
         return Layout(self.follow.size, channels, self.backlash.size, values, extra)
 
+    @property
+    def moves_tip(self) -> bool:
+        """Whether anything is fitted that moves the tip's place: B, delay or effects."""
+        return self.fit_backlash or self.fit_delay or (self.effects is not None and self.fit_effects)
+
     def width(self, curves: Curves) -> Array:
-        """B (nodes,) on the fit's grid, limited to what a table may have."""
+        """B (nodes,) on the fit's grid, limited to what a table may have, or as it is given."""
+        if self.given_width is not None:
+            return self.given_width
         return allowed_width(self.grid, self.backlash.value(curves.backlash, self.grid))
 
     # ---- prediction
@@ -135,6 +143,10 @@ class PlayFit:
             prepared.simulate(self.grid, width, curves.delay_s, self.hysteresis, self.effects, curves.effect_values)
             for prepared in self.tracks
         ]
+        return self.residuals_of_simulated(curves)
+
+    def residuals_of_simulated(self, curves: Curves) -> tuple[list[Array], list[Mask]]:
+        """As `residuals`, of curves whose B, delay and effects are those that were simulated last."""
         residuals, masks = [], []
         for prepared, sim in zip(self.tracks, self.simulated, strict=True):
             y = self.predicted(prepared.track, curves, sim.tip)
@@ -186,13 +198,14 @@ class PlayFit:
 
     # ---- the fit
 
-    def solve(self, start: Curves, iterations: int = 30, robust: bool = True, adapt: bool = True) -> Fitted:
-        """Damped Gauss-Newton steps from `start`. robust: outliers are weighed down (Huber); adapt: the smoothing moves
-        to the restricted likelihood's maximum (Fellner-Schall steps), else it stays."""
-        minimum = descend(_Descent(self, robust, adapt), _Point.of(self, start), iterations)
-        curves = minimum.curves
+    def solve(self, start: Curves, iterations: int = 30, adapt: bool = True) -> Fitted:
+        """Damped Gauss-Newton steps from `start`, outliers weighed down (Huber). adapt: the smoothing moves to the
+        restricted likelihood's maximum (Fellner-Schall steps), else it stays."""
+        # The descent sees no frame that cannot count; the smoothing that it adapts is this fit's own.
+        counting = replace(self, tracks=[prepared.counting for prepared in self.tracks], smoothing=self.smoothing)
+        curves = descend(_Descent(counting, adapt), _Point.of(counting, start), iterations).curves
         residuals, masks = self.residuals(curves)
-        scale, weights = _huber_weights(residuals, masks, robust)
+        scale, weights = _huber_weights(residuals, masks)
         weights = self.weights_with_rounding(weights, curves, scale)
         matrix, _ = self.normal(curves, residuals, weights)
         penalty, _ = self.penalty(curves, scale)
@@ -421,13 +434,21 @@ class _Point:
         residuals, masks = fit.residuals(curves)
         return cls(curves, residuals, masks, fit.simulated)
 
+    def moved(self, fit: PlayFit, step: Array) -> _Point:
+        """The point a step further."""
+        curves = fit.moved(self.curves, step)
+        if fit.moves_tip:
+            return _Point.of(fit, curves)
+        fit.simulated = self.simulated
+        return _Point(curves, *fit.residuals_of_simulated(curves), self.simulated)
+
 
 class _Descent:
     """A PlayFit as a `least_squares.Problem`: weights by Huber, smoothing that adapts from the second step on."""
 
-    def __init__(self, fit: PlayFit, robust: bool, adapt: bool) -> None:
-        """robust, adapt: as of `PlayFit.solve`."""
-        self.fit, self.robust, self.adapt = fit, robust, adapt
+    def __init__(self, fit: PlayFit, adapt: bool) -> None:
+        """adapt: as of `PlayFit.solve`."""
+        self.fit, self.adapt = fit, adapt
         self.scale, self.weights = 1.0, list[Array]()
         self.steps = self.small_steps = 0
 
@@ -436,7 +457,7 @@ class _Descent:
         adapted smoothing."""
         fit, curves = self.fit, point.curves
         fit.simulated = point.simulated
-        self.scale, weights = _huber_weights(point.residuals, point.masks, self.robust)
+        self.scale, weights = _huber_weights(point.residuals, point.masks)
         self.weights = fit.weights_with_rounding(weights, curves, self.scale)
         if self.adapt and self.steps == 0:
             fit.begin_smoothing(curves, self.scale)
@@ -452,7 +473,7 @@ class _Descent:
 
     def moved(self, point: _Point, step: Array) -> _Point:
         """The point a step further."""
-        return _Point.of(self.fit, self.fit.moved(point.curves, step))
+        return point.moved(self.fit, step)
 
     def cost(self, point: _Point) -> float:
         """The cost at a point, with the weights and the smoothing of the last linearisation, so that costs compare. A
@@ -537,15 +558,13 @@ def _ones_where_uncounted(weights: list[Array], masks: list[Mask]) -> list[Array
     return [np.where(m, w, 1.0) for w, m in zip(weights, masks, strict=True)]
 
 
-def _huber_weights(residuals: list[Array], masks: list[Mask], robust: bool) -> tuple[float, list[Array]]:
+def _huber_weights(residuals: list[Array], masks: list[Mask]) -> tuple[float, list[Array]]:
     """Scale of the residuals (rms over noise, outliers cut at STRAY scales; 1 without frames) and each frame's Huber
-    weight, min(1, STRAY scale / its rms), 0 where it does not count. Not robust: the plain rms, and 1."""
+    weight, min(1, STRAY scale / its rms), 0 where it does not count."""
     used = [np.sqrt(np.mean(r[m] ** 2, axis=1)) for r, m in zip(residuals, masks, strict=True)]
     norm = np.concatenate(used) if used else np.zeros(0)
     if len(norm) == 0:
         return 1.0, [m.astype(float) for m in masks]
-    if not robust:
-        return max(float(np.sqrt(np.mean(norm**2))), 1e-6), [m.astype(float) for m in masks]
     # The median of one or of two coordinates' rms as a standard deviation.
     middle = float(np.sqrt(np.median(norm**2))) * (1.4826 if residuals[0].shape[1] == 1 else 1.2)
     limit = STRAY * max(middle, 1e-9)

@@ -109,13 +109,12 @@ def fit_remaining(
     if len(p) < 8 or np.ptp(p) < 1e-6 * domain.span:
         return None
     falling = float(np.polyfit(p - p.mean(), c, 1)[0]) < 0
-    fit = _FixedWidth(
+    fit = PlayFit(
         prepared, basis, basis, view=view, fit_backlash=False, fit_delay=False, settled_only=settled_only,
-        hysteresis=hysteresis, effects=effects, fit_effects=False,
+        hysteresis=hysteresis, effects=effects, fit_effects=False, given_width=width,
         rising=-1.0 if falling else 1.0, least_slope=_LEAST_SLOPE * abs(rig.coarse.gain),
         slope_unit=abs(rig.coarse.gain),
     )  # fmt: skip
-    fit.grid, fit.table = grid, width
     design = basis.design(p)
     system = (design.T @ design).toarray() + 1e-3 * basis.bending + 1e-9 * np.eye(basis.size)
     start = np.linalg.solve(system, design.T @ c)
@@ -189,16 +188,6 @@ def _beside_the_path_px(fitted: Fitted) -> float:
     mean, frames = first[told] / whole[told], whole[told] ** 2 / squared[told]
     of_noise = np.maximum(second[told] / whole[told] - mean**2, 0.0) / np.maximum(frames - 1.0, 1.0)
     return float(np.sqrt(max(float(np.mean(mean**2 - of_noise)), 0.0)))
-
-
-class _FixedWidth(PlayFit):
-    """A PlayFit of the followed curve alone, with B given as a table (nodes,), not a spline."""
-
-    table: Array
-
-    def width(self, curves: Curves) -> Array:
-        """The table's B (nodes,), unit of q, whatever the curves."""
-        return self.table
 
 
 def _rms(fitted: Fitted, tracks: Sequence[Track]) -> float:

@@ -7,6 +7,7 @@ Positions and B are in the unit of q; n frames of a track.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -67,6 +68,20 @@ class MotorAtFrames:
     within: Mask  # (n,) motor samples cover the frame
     speed: Array  # (n,) dq/dt, per s
 
+    @cached_property
+    def rise(self) -> Array:
+        """(m,) the furthest that the motor had gone up so far, from any position before."""
+        return np.asarray(np.maximum.accumulate(self.positions - np.minimum.accumulate(self.positions)))
+
+    @cached_property
+    def fall(self) -> Array:
+        """(m,) the furthest that it had gone down so far."""
+        return np.asarray(np.maximum.accumulate(np.maximum.accumulate(self.positions) - self.positions))
+
+    def driven_through(self, travel: float) -> int:
+        """The first of the positions before which the motor had gone up by `travel` and down by it; m if none is."""
+        return max(int(np.searchsorted(self.rise, travel)), int(np.searchsorted(self.fall, travel)))
+
 
 @dataclass(frozen=True)
 class PreparedTrack:
@@ -85,6 +100,14 @@ class PreparedTrack:
         times, positions = corners(track.motor)
         use = np.ones(len(track.t_s), bool) if use is None else use
         return cls(track, times, positions, use, half_slope_s(track.reading))
+
+    @cached_property
+    def counting(self) -> PreparedTrack:
+        """The track with those frames alone that may count, by which a fit descends. Of a sensor that rounds all stay:
+        they tell how long the tip rests."""
+        if self.use.all() or self.track.step > 0.0:
+            return self
+        return replace(self, track=self.track.only(self.use), use=self.use[self.use])
 
     def course(self, scene_s: Array) -> tuple[Array, npt.NDArray[np.intp]]:
         """The motor's positions (m,) that a play needs, extremes and those at scene_s (n,), in order of time; and which
@@ -119,9 +142,9 @@ class PreparedTrack:
         p, side, lean, share = plays.trace(positions, -far)
         other, other_side = plays.forward(positions, far)
         known = (np.abs(p - other) < hysteresis.forgotten * (grid[-1] - grid[0]))[at] & driven.within
-        both = np.logical_or.accumulate(side == -1) & np.logical_or.accumulate(other_side == 1)
-        both &= _went_both_ways(positions, _low_quantile_of_width(grid, width, positions))
-        play_alone = Simulated(p[at], p[at], known, known & both[at], side[at], lean[at], share[at], driven.speed)
+        driven_through = driven.driven_through(_low_quantile_of_width(grid, width, positions))
+        both = at >= max(driven_through, _first(side == -1), _first(other_side == 1))
+        play_alone = Simulated(p[at], p[at], known, known & both, side[at], lean[at], share[at], driven.speed)
         if effects is None or effect_values is None:
             return play_alone
         path = effects.follow(
@@ -138,9 +161,6 @@ def _low_quantile_of_width(grid: Array, width: Array, positions: Array) -> float
     return float(np.quantile(width[first : max(last, first + 1)], _SELDOM))
 
 
-def _went_both_ways(positions: Array, travel: float) -> Mask:
-    """(n,) whether the motor, at positions (n,), had gone up by `travel` and down by it so far."""
-    up = positions - np.minimum.accumulate(positions) >= travel
-    down = np.maximum.accumulate(positions) - positions >= travel
-    both: Mask = np.logical_or.accumulate(up) & np.logical_or.accumulate(down)
-    return both
+def _first(where: Mask) -> int:
+    """The index of the first of (n,) that holds; n where none does."""
+    return int(np.argmax(where)) if where.any() else len(where)

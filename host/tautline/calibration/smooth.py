@@ -242,13 +242,10 @@ def fit_passes(joint_fit: Fitted, margin: float) -> Fitted | None:
 def _beyond_onset(p: Array, side: npt.NDArray[np.int8]) -> Array:
     """(n,) how far the play's centre p (n,) has gone since it last changed its envelope, side (n,): since the tip last
     began to move. Unit of q."""
-    gone = np.zeros(len(p))
-    start = 0
-    for k in range(1, len(p)):
-        if side[k] != side[k - 1]:
-            start = k
-        gone[k] = abs(p[k] - p[start])
-    return gone
+    turns = np.flatnonzero(np.diff(side, prepend=side[:1]))
+    start = np.zeros(len(p), dtype=np.intp)
+    start[turns] = turns
+    return np.asarray(np.abs(p - p[np.maximum.accumulate(start)]))
 
 
 def _start(
@@ -287,7 +284,7 @@ def _path_step(fit: PlayFit, start: Curves) -> tuple[float, Curves] | None:
     if fit.settled_only and not _covers_both_ways(fit, masks):
         return None
     curves = fit.step(start, residuals, masks)
-    residuals, masks = fit.residuals(curves)
+    residuals, masks = fit.residuals_of_simulated(curves)
     left = np.concatenate([np.abs(r[m]).ravel() for r, m in zip(residuals, masks, strict=True)])
     return float(np.mean(left)), curves
 

@@ -291,8 +291,6 @@ def _uncertainty(found: Measured) -> Uncertainty:
     evidence, joint_fit = found.findings.evidence, found.joint_fit
     left = [value for name in ("residual", "error") if 0.0 < (value := evidence.get(name, np.nan)) < np.inf]
     by_delay = joint_fit.width_by_delay if joint_fit is not None and found.source == JOINT else None
-    if by_delay is not None and not np.isfinite(by_delay).all():
-        by_delay = None
     return Uncertainty(
         noise=max(left, default=None),
         noise_times=None if found.remaining is None else found.remaining.noise_times,

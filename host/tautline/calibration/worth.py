@@ -12,7 +12,7 @@ Masks (n,) say which frames count.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -321,7 +321,10 @@ def _held_out_errors(
     for number, (matrix, gradient) in enumerate(parts):
         share = 1.0 - STAYS
         step = -cho_solve(factor(whole - share * matrix), share * gradient, check_finite=False)
-        there = fit.residuals(fit.moved(curves, step))[0]
-        for error, row, label in zip(errors, there, labels, strict=True):
-            error[label == number] = row[label == number]
+        block = [
+            replace(prepared, use=label == number).counting for prepared, label in zip(fit.tracks, labels, strict=True)
+        ]
+        there = replace(fit, tracks=block).residuals(fit.moved(curves, step))[0]
+        for error, row, label, prepared in zip(errors, there, labels, block, strict=True):
+            error[label == number] = row[prepared.use]
     return errors
