@@ -25,8 +25,8 @@ _FEW = 5  # format: amplitudes that are shown together
 
 
 def write_all(folder: Path) -> Path:
-    """Writes every topic's page and the index, all or nothing; returns the path of the index. TautError where the
-    folder holds something else."""
+    """Writes the pages of all topics, and their index, into a folder, all or nothing; returns the path of the index.
+    TautError where the folder holds something else."""
     known = topics()
     with replaced(folder, next(iter(known.values())).file) as target:
         for topic in known.values():
@@ -45,7 +45,8 @@ def write_all(folder: Path) -> Path:
 
 
 def picture(topic: Topic) -> pages.Picture | None:
-    """The picture of an effect; None for a topic that is none, or one that changes no path, as it only scatters."""
+    """The picture on an effect's page; None for a topic that is no effect, and for an effect that changes no path but
+    only scatters."""
     kind = effects.BY_ID.get(topic.code)
     if kind is None or kind.event:
         return None
@@ -59,9 +60,9 @@ def picture(topic: Topic) -> pages.Picture | None:
 
 @mpl.rc_context(figures.STYLE)
 def drawn(kind: Kind) -> Figure:
-    """An effect's figure: the characteristic (or the marker's track where only the image changes) and the difference
-    over time, deg or px, on the reference instrument. So that each effect has what it needs, its translation and
-    rotation sway, and a load of 20 mNm comes half-way."""
+    """Draws what an effect does on the reference instrument, simulated without and with it. Left the characteristic, or
+    the marker's track where only the image changes; right the difference over time, deg or px. In the motion
+    translation and rotation sway, and a load of 20 mNm comes half-way, so that each effect has what it needs."""
     rig = instrument.reference_rig()
     plant = instrument.preset("reference", rig)
     q = np.linspace(*rig.actuator.range, 201)

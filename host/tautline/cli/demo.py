@@ -30,8 +30,9 @@ def command(out: Path | None, instrument: str, seed: int, as_json: bool) -> None
 def run(
     out: Path, instrument: str, seed: int, progress: Callable[[float, str], None], say: Callable[[str], None]
 ) -> dict[str, Any]:
-    """The whole job on a simulated instrument (a preset's name); what was measured and gained. Recording, MODEL and
-    report are in `out`. progress: called with the share done and a text; say: with each step's result."""
+    """Calibrates a simulated instrument (a preset's name), flashes its tables into a desktop board, and follows a
+    trajectory without and with them. Recording, MODEL and report are in `out`. progress: gets the share done, 0 to 1,
+    and a word; say: each step's result, a line. Returns the result of `taut demo --json`."""
     from tautline import tables
     from tautline.folders import check_replaceable, replaced
     from tautline.layouts import MOTOR
@@ -99,4 +100,5 @@ def run(
 
 
 def _text(result: dict[str, Any]) -> str:
+    """The result for a person: which page to open."""
     return f"\nopen {result['report']}"

@@ -134,7 +134,7 @@ def command(
 
 
 def _add_to_report(model: Any, folder: Path, result: Any, compensation: str) -> None:
-    """Keeps the run beside the model's others and writes the model's report anew."""
+    """Saves a run (live.following.Followed) in the model's folder, and writes the model's report anew with it."""
     from tautline.reports import pages
     from tautline.reports.evidence import Evidence, Run
 
@@ -143,7 +143,7 @@ def _add_to_report(model: Any, folder: Path, result: Any, compensation: str) -> 
 
 
 def _report(result: Any, compensation: str, out: Path | None) -> dict[str, Any]:
-    """The run's result as JSON."""
+    """A run (live.following.Followed) as the command's result. out: of its recording."""
     return {
         "compensation": compensation,
         "seconds": _seconds(result),
@@ -160,12 +160,12 @@ def _report(result: Any, compensation: str, out: Path | None) -> dict[str, Any]:
 
 
 def _seconds(result: Any) -> float:
-    """How long the run was seen, s."""
+    """For how long a run was seen, s; 0 where it never was."""
     return float(np.ptp(result.t_s)) if len(result.t_s) else 0.0
 
 
 def _text(result: Any, compensation: str, out: Path | None, library: Any) -> str:
-    """The run's result in words."""
+    """A run (live.following.Followed) in words. library: of shapes, if one was named."""
     text = f"followed {_seconds(result):.1f} s, compensation {compensation}"
     if len(result.error_deg):
         text += f": tip off by {result.rms_deg:.3f} deg rms, {result.max_deg:.3f} at most (by {result.scored_by})"

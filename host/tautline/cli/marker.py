@@ -29,6 +29,8 @@ _WARM_UP = 15  # prior: frames of a device that pass while it finds its exposure
 
 
 class _Square(click.ParamType):  # type: ignore[type-arg]
+    """An option's square of a picture, U,V or U,V,SIDE."""
+
     name = "U,V[,SIDE]"
 
     def convert(
@@ -46,6 +48,8 @@ class _Square(click.ParamType):  # type: ignore[type-arg]
 
 
 class _Place(click.ParamType):  # type: ignore[type-arg]
+    """An option's place in a picture, U,V."""
+
     name = "U,V"
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
@@ -136,7 +140,8 @@ def command(
 
 
 def _pick_region(source: str, square: tuple[float, float, float], out: Path, as_json: bool) -> None:
-    """Shows a region to follow on an instrument without a marker, and keeps it as region.toml."""
+    """The command with --region: keeps a square (u, v, side), px, of the source's first picture as a place to follow,
+    in `out`, after trying whether it can be followed; prints the result."""
     shown = out.with_suffix(".look.png")
     for written in (out, out.with_suffix(".png"), shown):  # the second is the region's own
         check_no_input(written, Path(source))
@@ -169,7 +174,8 @@ def _pick_region(source: str, square: tuple[float, float, float], out: Path, as_
 
 
 def _save(what: MarkerColour | Region, out: Path) -> None:
-    """Writes marker.toml or region.toml, its folder where it is missing. TautError where it cannot be."""
+    """Writes a colour or a region to `out`, and makes its folder if that is missing. TautError where it cannot be
+    written."""
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         what.save(out)
@@ -178,7 +184,8 @@ def _save(what: MarkerColour | Region, out: Path) -> None:
 
 
 def _region_picture(picture: np.ndarray, region: Region) -> np.ndarray:
-    """The BGR picture with the region drawn in, beside it the region enlarged to the picture's height."""
+    """What is kept for a person to look at: the BGR picture with the region drawn in, and beside it the region enlarged
+    to the picture's height."""
     drawn = picture.copy()
     corners = np.rint(np.array(region.at) + 0.5 * region.side_px * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]))
     cv2.polylines(drawn, [corners.astype(np.int32)], True, (255, 255, 255), 1, cv2.LINE_AA)
@@ -188,14 +195,16 @@ def _region_picture(picture: np.ndarray, region: Region) -> np.ndarray:
 
 
 def _file_beside(source: str, name: str) -> Path:
-    """Where a marker's file is looked for if it is not named: beside a video, else in the working directory."""
+    """Where the file `name` is looked for by other commands, and so written by default: beside the source if that is a
+    video, else in the working directory."""
     video = Path(source)
     return (video.parent if video.is_file() and not cv2.haveImageReader(source) else Path()) / name
 
 
 def _pictures(source: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """The source's first pictures, and some spread over it (of a camera, over those), BGR (height, width, 3) uint8. A
-    picture file is both. A camera by its number first finds its exposure. TautError where there are none."""
+    """Pictures of a source, BGR (height, width, 3) uint8: the first ones, in which tracking is tried, and some spread
+    over all of it (of a camera over the first ones), in which the colour is found. A picture file is both. A camera by
+    its number first gets time to find its exposure. TautError where there are none."""
     if source.isdigit() and not Path(source).exists():
         with VideoCamera(int(source)) as camera:
             for _ in range(_WARM_UP):
@@ -213,8 +222,8 @@ def _pictures(source: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
 
 
 def _find_colour(pictures: list[np.ndarray]) -> MarkerColour | None:
-    """The marker's colour in pictures of one scene; None where nothing stands out. Large pictures are searched at a
-    smaller size, which is enough to see what stands out; the colour is then picked at full size."""
+    """The marker's colour in BGR pictures of one scene; None where nothing stands out. Large pictures are searched
+    shrunk, which is faster and enough to see what stands out; the colour is then picked at full size."""
     shrink = min(pictures[0].shape[:2]) // _SEARCHED_LINES
     if shrink < 2:
         return find_colour(pictures)
@@ -233,11 +242,13 @@ def _find_colour(pictures: list[np.ndarray]) -> MarkerColour | None:
 
 
 def _where(colour: MarkerColour) -> str:
+    """Where a colour was picked, as text."""
     return f"{colour.at[0]:.0f}, {colour.at[1]:.0f} px"
 
 
 def _marker_picture(picture: np.ndarray, colour: MarkerColour, sighting: Sighting) -> np.ndarray:
-    """The picture with the marker ringed, beside its membership with an enlarged cut of the marker in the corner."""
+    """What is kept for a person to look at: the BGR picture with a ring around the marker, and beside it its membership
+    in the marker's colour, grey, with the marker enlarged in the corner."""
     ringed = picture.copy()
     # 16 times: OpenCV's fixed point with 4 bits behind the point, so that the ring lies to a part of a pixel.
     centre = np.rint([sighting.u_px * 16, sighting.v_px * 16]).astype(int).tolist()

@@ -35,6 +35,8 @@ _VIEWS = 60  # tolerance: of a video; a board that is moved slowly is then seen 
 
 
 class _Squares(click.ParamType):  # type: ignore[type-arg]
+    """An option's numbers of squares, ACROSSxDOWN."""
+
     name = "ACROSSxDOWN"
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
@@ -104,19 +106,19 @@ def command(
         name, equals, value = text.partition("=")
         if not equals:
             raise TautError(f"--set {text}: write KEY=VALUE, as in actuator.range=-5,5")
-        rig_keys.put(document, *rig_keys.named(name.strip()), value)
+        rig_keys.put(document, *rig_keys.find_key(name.strip()), value)
     if sensor == ANGLE and (board or motion):
         raise click.UsageError("--board and --motion are for a camera: leave --sensor angle out")
     if sensor is None:
         by_camera = bool(board or motion) or "camera" in document
         sensor = MARKER if by_camera else ANGLE if "angle" in document else _ask_for_sensor()
     result: dict[str, Any] = {"file": out, "sensor": sensor}
-    told: list[str] = []
+    lines: list[str] = []
     if board:
         seen = _intrinsics(board, squares, square_mm, marker_mm, dictionary)
         document["camera"] = {**document.get("camera", {}), **seen.camera()}
         result["camera"] = {"sigma": seen.sigma, "rms_px": seen.rms_px, "views": seen.views, "of": seen.of}
-        told.append(seen.in_words())
+        lines.append(seen.in_words())
     if motion is not None:
         for part in ("coarse", "hand_eye"):
             document.pop(part, None)
@@ -124,7 +126,7 @@ def command(
         places, found, line, left_deg = _from_known_angles(document, motion, angles, angle_sigma)
         document["coarse"] = _rounded(asdict(line))
         document["hand_eye"] = _rounded(asdict(found.hand_eye))
-        told += [
+        lines += [
             found.in_words(),
             f"coarse: gain {line.gain:.4g} deg per {document['actuator']['unit']}, offset {line.offset:.3g} deg; "
             f"{left_deg:.2g} deg are left, play among it",
@@ -144,12 +146,12 @@ def command(
     if motion is not None:
         result["picture"] = shown
         picture(rig, places).savefig(shown, dpi=120)
-        told.append(f"look at {shown}: the curve passes through the marker's places, angles rise where they should")
-    emit(result, as_json, "\n".join([*told, f"{out} is whole: taut calibrate RECORDING --rig {out}"]))
+        lines.append(f"look at {shown}: the curve passes through the marker's places, angles rise where they should")
+    emit(result, as_json, "\n".join([*lines, f"{out} is whole: taut calibrate RECORDING --rig {out}"]))
 
 
 def _ask_for_sensor() -> Sensor:
-    """Asks in a terminal which sensor the rig has; elsewhere it is a camera that sees a marker."""
+    """Which sensor the rig has: asked for in a terminal; elsewhere MARKER, a camera that sees a marker."""
     if not sys.stdin.isatty():
         return MARKER
     return (
@@ -160,8 +162,8 @@ def _ask_for_sensor() -> Sensor:
 
 
 def _ask_for_keys(document: rig_keys.Document, sensor: Sensor, without: tuple[str, ...] = ()) -> None:
-    """Asks in a terminal for each key that `document` still lacks and puts it there; elsewhere a TautError that names
-    all of them. without: sections that are not asked for."""
+    """Completes a rig.toml's document: asks in a terminal for each required key that it lacks, again until the answer
+    fits; elsewhere raises a TautError that names all of them. without: sections that are not asked for."""
     left = [(section, key) for section, key in rig_keys.missing(document, sensor) if section.name not in without]
     if left and not sys.stdin.isatty():
         raise TautError(
@@ -185,6 +187,7 @@ def _ask_for_keys(document: rig_keys.Document, sensor: Sensor, without: tuple[st
 
 
 def _compact(text: str) -> str:
+    """A text without spaces, so that it is one word in a shell."""
     return text.replace(" ", "")
 
 
@@ -195,8 +198,9 @@ def _intrinsics(
     marker_mm: float | None,
     dictionary: str,
 ) -> Intrinsics:
-    """The camera's intrinsics from pictures or videos of a ChArUco board. squares: how many across and down; the sides
-    of a square and of the marker in it, mm. Prints what is doubtful."""
+    """The camera's intrinsics from pictures or videos of a ChArUco board. squares: how many across and down; square_mm,
+    marker_mm: sides of a square and of the marker in it; dictionary: of the markers. Warns of what is doubtful.
+    TautError where one of them is None."""
     if squares is None or square_mm is None or marker_mm is None:
         raise TautError("--board needs --squares, --square-mm and --marker-mm, as they are on the print")
     pictures = []
@@ -213,8 +217,10 @@ def _intrinsics(
 def _from_known_angles(
     document: rig_keys.Document, motion: Path, angles: Path | None, angle_sigma: float
 ) -> tuple[Places, HandEyeFit, Coarse, float]:
-    """From a recording with rests at known angles (CSV; by default angles.csv in it), known to angle_sigma deg: the
-    marker's places there, the hand-eye transform, the coarse law, and the rms of the law's residual, deg."""
+    """Measures with the recording `motion`, in which the tip rests at known angles: the marker's places there, the
+    hand-eye transform, the coarse law, and the rms of that law's residual, deg. document: of rig.toml, with the camera
+    and kinematics; angles: a CSV of the rests, None: angles.csv in the recording; angle_sigma: of the angles, deg.
+    Warns of what is doubtful."""
     known = read_known(angles or motion / "angles.csv")
     unknown = {"rotation_deg": [0.0, 0.0, 0.0], "translation_mm": [0.0, 0.0, 0.0]}
     so_far = Rig.from_document({**document, "coarse": {"gain": 1.0, "offset": 0.0}, "hand_eye": unknown}, "so far")
@@ -232,9 +238,11 @@ def _from_known_angles(
 
 
 def _rounded(section: dict[str, Any]) -> dict[str, Any]:
-    """Numbers rounded to 9 digits, far finer than every sigma, so that the file is readable."""
+    """A section of rig.toml with its numbers rounded to 9 digits, so that the file is readable: far finer than every
+    sigma."""
 
     def short(value: float) -> float:
+        """A number rounded to 9 digits."""
         return float(f"{value:.9g}")
 
     return {key: [short(x) for x in v] if isinstance(v, tuple) else short(v) for key, v in section.items()}

@@ -24,7 +24,7 @@ _WAY_BACK = 0.105  # prior: of the range, longer than any backlash
 
 @dataclass(frozen=True)
 class _Wish:
-    """What was asked of the motion, in the rig's unit; None, or no speed, is a share of the range that suits."""
+    """The motion's options, in the rig's unit. Without speeds, or with None, what suits the range is taken."""
 
     speeds: tuple[float, ...]
     amplitude: float | None
@@ -35,7 +35,8 @@ class _Wish:
 
 
 def _back_and_forth(actuator: Actuator, wish: _Wish) -> Trajectory:
-    """The calibration motion; by default at 5 and 10 % of the range a second. Acceleration: half the range per s^2."""
+    """The paper's calibration motion; by default at 5 and 10 % of the range a second. Acceleration: half the range per
+    s^2."""
     span = actuator.span
     speeds = wish.speeds or (0.05 * span, 0.1 * span)
     stroke = wish.amplitude or usual_stroke(span, wish.reversals)
@@ -43,14 +44,16 @@ def _back_and_forth(actuator: Actuator, wish: _Wish) -> Trajectory:
 
 
 def usual_stroke(span: float, reversals: int) -> float:
-    """Stroke of the calibration motion, unit of q as the span of the range: 15 % of it, more with few reversals. The
-    way back (a stroke less the ramp's advance) has to be longer than any backlash, _WAY_BACK of the range."""
+    """The default stroke of the calibration motion over a range of length `span`, in its unit: 15 % of it, more with
+    few reversals, as then each stroke advances more, and the way back (stroke less advance) has to be longer than any
+    backlash, _WAY_BACK of the range."""
     advances = max(1, reversals // 2)
     return max(0.15, (_WAY_BACK * advances + 1.0) / (advances + 1.0)) * span
 
 
 def _trapezoids(actuator: Actuator, wish: _Wish) -> Trajectory:
-    """The test motion; by default 30 % of the range from peak to peak. Acceleration: half the range per s^2."""
+    """The paper's test motion; by default 30 % of the range from peak to peak. Acceleration: half the range per
+    s^2."""
     span = actuator.span
     amplitude = wish.amplitude or 0.3 * span
     cycles = max(1, wish.reversals // 2)
@@ -58,10 +61,12 @@ def _trapezoids(actuator: Actuator, wish: _Wish) -> Trajectory:
 
 
 def _sines(actuator: Actuator, wish: _Wish) -> Trajectory:
+    """Sines over the range for the duration that was asked for."""
     return sines(actuator, _one_speed(actuator, wish), wish.duration_s)
 
 
 def _random(actuator: Actuator, wish: _Wish) -> Trajectory:
+    """A random smooth motion over the range for the duration that was asked for."""
     return random_smooth(actuator, _one_speed(actuator, wish), wish.duration_s, wish.seed)
 
 
@@ -71,8 +76,8 @@ def _one_speed(actuator: Actuator, wish: _Wish) -> float:
 
 
 def _count_short_strokes(trajectory: Trajectory, instrument: Instrument) -> int:
-    """How many strokes from one reversal to the next (or to the end) are too short to get through the backlash that
-    there is in their middle."""
+    """How many of the motor's strokes, from one reversal to the next (or to the end), are shorter than the instrument's
+    backlash in their middle: nothing moves on them."""
     way = np.sign(np.diff(trajectory.q))
     moving = np.flatnonzero(way)
     turns = moving[np.flatnonzero(np.diff(way[moving]))] + 1  # the last sample before each

@@ -103,6 +103,7 @@ def command(
     ended = False
 
     def stop(number: int, frame: object) -> None:
+        """Handler of Ctrl-C."""
         nonlocal ended
         ended = True  # between two messages, not in the middle of one
 
@@ -151,9 +152,10 @@ def _open_board(
     library: Library | None,
     force: bool,
 ) -> tuple[Board, Following | None]:
-    """The board with the model's tables in the axis (without a model those that it has) and, with a camera, what keeps
-    the model calibrated, else None. With a camera, a library and no model, it is that of the shape that the shaft now
-    has. The stack closes what is opened."""
+    """Opens the board, which the stack closes, and loads the model's tables into the axis; without a model the axis
+    keeps those that it has. With a camera also starts a tracker that keeps the model calibrated, else None is returned
+    for it; with a library and no model, the model is that of the shape that the shaft has now. force: takes an unusable
+    model of the library, too."""
     from tautline.device.board import open_board
     from tautline.live.in_use import Following, TableMover, beside, load_tables
 
@@ -182,17 +184,18 @@ def _open_board(
 
 
 class _Lines:
-    """Standard input, never waited for."""
+    """The lines of standard input, read without waiting."""
 
     def __init__(self) -> None:
+        """Registers standard input, which may also be a file."""
         self._inputs = selectors.SelectSelector()  # the others refuse a file
         self._inputs.register(sys.stdin, selectors.EVENT_READ)
         self._rest = b""  # of a line that has not come whole
         self.ended = False  # whether nothing will come any more
 
     def newest(self) -> str | None:
-        """The last line that is not blank and has come whole since the last call; None where there is none. What stands
-        at the end of the input is whole without a line's end, too."""
+        """The last line that has come whole since the last call and is not blank; None where there is none. At the end
+        of the input a line without its end counts as whole."""
         last = None
         while not self.ended and self._inputs.select(0):
             data = os.read(sys.stdin.fileno(), 1 << 16)
@@ -204,7 +207,7 @@ class _Lines:
 
 
 def _number(line: str) -> float:
-    """A line of stdin as a finite bending angle, deg. TautError where it is none."""
+    """A line of stdin as a bending angle, deg. TautError where it is no finite number."""
     try:
         value = float(line)
     except ValueError:

@@ -84,11 +84,12 @@ def command(
 
 @contextmanager
 def _progress_display(unit: str, as_json: bool) -> Iterator[Callable[[Row, float], None]]:
-    """Yields what is called with each row and its time, s: it shows the latest where stderr is a terminal, and logs a
-    line for each change of state. unit: of q."""
+    """A context with a function that is called with each row of the tracker and its time, s: it logs a line for each
+    change of state, and where stderr is a terminal (and not as_json) also shows the latest row. unit: of q."""
     last: list[Any] = [None, float("-inf")]  # state that was told last; when a row was drawn last, s
 
-    def changed(row: Row, t_s: float) -> None:
+    def log_change(row: Row, t_s: float) -> None:
+        """Logs a line if the state is another than before."""
         if row.state is not last[0]:
             if last[0] is not None:
                 state = click.style(row.state.value, fg=STATE_COLOURS[row.state.value], bold=True)
@@ -96,21 +97,22 @@ def _progress_display(unit: str, as_json: bool) -> Iterator[Callable[[Row, float
             last[0] = row.state
 
     if as_json or not sys.stderr.isatty():
-        yield changed
+        yield log_change
         return
     from rich.console import Console
     from rich.live import Live as Screen
 
     with Screen(console=Console(stderr=True), auto_refresh=False, transient=True) as screen:
 
-        def drawn(row: Row, t_s: float) -> None:
-            changed(row, t_s)
+        def draw(row: Row, t_s: float) -> None:
+            """Logs a change of state, and shows the row, at most every _FRAME_S."""
+            log_change(row, t_s)
             now = time.monotonic()
             if now - last[1] >= _FRAME_S:
                 last[1] = now
                 screen.update(_row_line(row, t_s, unit), refresh=True)
 
-        yield drawn
+        yield draw
 
 
 def _row_line(row: Row, t_s: float, unit: str) -> Any:
@@ -126,7 +128,7 @@ def _row_line(row: Row, t_s: float, unit: str) -> Any:
 
 
 def _result_in_words(result: dict[str, Any], unit: str) -> str:
-    """The result as text for a terminal. unit: of q."""
+    """The result of live.tracking.watch as text for a terminal. unit: of q."""
     if result["state"] is None:
         return "no frame was tracked: does the board send telemetry, does the camera see the marker?"
     rms = "" if result["rms_px"] is None else f", off by {result['rms_px']:.3g} px rms"

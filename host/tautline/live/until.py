@@ -45,16 +45,17 @@ class Goal:
 
 @dataclass(frozen=True)
 class Reached:
-    """How far a calibration came."""
+    """How far a calibration came towards its goal."""
 
     motion: Motion
-    rounds: tuple[Round | Strokes, ...]
-    standing: Standing
-    until: float
+    rounds: tuple[Round | Strokes, ...]  # that were made
+    standing: Standing  # in the end
+    until: float  # the goal for sigma of B, unit of q
     why: str  # the goal was not reached, empty where it was
 
     @property
     def reached(self) -> bool:
+        """Whether the goal was reached."""
         return not self.why
 
 
@@ -68,10 +69,12 @@ def calibrate_until(
     progress: Callable[[float, str], None] | None = None,
     resting: Callable[[], bool] = lambda: False,
 ) -> tuple[Calibration, Reached]:
-    """Fast passes over the range, then rounds where B(q) is known worst, until the goal is reached or out of reach.
-    Recorded in `folder`; the calibration is what `calibrate` makes of that recording. Stopped at any time (Ctrl-C, an
-    error), the axis comes to rest and what was recorded stays. While `resting()` is true the axis rests, motor on, at
-    the end of its stroke; the interrupted round is then made again."""
+    """Calibrates a live set-up as quickly as it can: fast passes over the range, then rounds where B(q) is known worst,
+    until the goal is reached or out of reach. All is recorded in `folder`; the calibration is what `calibrate` with
+    `options` makes of that recording. show: gets what is known after every frame; progress: the share done, 0 to 1, and
+    a word. While `resting()` is true the axis rests, motor on, at the end of its stroke; the interrupted round is then
+    made again. Stopped at any time (Ctrl-C, an error), the axis comes to rest and what was recorded stays. TautError
+    where the rig does not fit, or the goal is finer than the encoder can tell."""
     check_rig(live)
     goal = goal or Goal()
     rig, unit = live.rig, live.rig.actuator.unit
@@ -93,6 +96,7 @@ def calibrate_until(
         view = View(low, high, unit, until, "checking scale and sign", onsets=motions.made.onsets)
 
         def shown(view: View) -> None:
+            """Hands what is known on to `show` and `progress`."""
             if show:
                 show(view)
             if progress:
@@ -102,22 +106,24 @@ def calibrate_until(
             shown(view)
 
             def seen(frame: Frame) -> None:
+                """Records and shows a frame of the probe, before any reversal is counted."""
                 motions.recorder.add(frame)
                 watch.frame(frame, 0)
 
             probe(live, seen, means.speeds[0])
             if resting():
                 watch.rest(resting)
-            rounds, why = _rounds(motions, watch, means, until, goal.at_most_s, resting)
+            rounds, why = _make_rounds(motions, watch, means, until, goal.at_most_s, resting)
         calibration, standing = view.calibration, view.standing
     assert calibration is not None and standing is not None
     return calibration, Reached(motions.made, tuple(rounds), standing, until, why)
 
 
-def _rounds(
+def _make_rounds(
     motions: Motions, watch: Watch, means: Means, until: float, at_most_s: float, resting: Callable[[], bool]
 ) -> tuple[list[Round | Strokes], str]:
-    """Makes rounds until the goal is reached: those made, and why it was not reached ("" if it was)."""
+    """Makes rounds until the goal `until` (sigma of B, unit of q) is reached or out of reach, for at_most_s at most.
+    Returns the rounds made, and why the goal was not reached ("" if it was). resting: as in `calibrate_until`."""
     view = watch.view
     rounds: list[Round | Strokes] = []
     best = float("inf")  # of the sigmas after each round
@@ -125,7 +131,8 @@ def _rounds(
     halted = False  # the round was broken off for a rest, which may be over before its stroke is
 
     def enough(frame: Frame) -> bool:
-        """Whether the present round may end: the goal is reached, the time is up, or a rest was asked for."""
+        """Takes in a frame; returns whether the present round may end: the goal is reached, the time is up, or a rest
+        was asked for. TautError where the marker has been lost for _LOST_S."""
         nonlocal lost_since, halted
         fresh = watch.frame(frame, motions.made.reversals)
         if frame.sighting.valid:
