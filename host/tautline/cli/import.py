@@ -13,11 +13,11 @@ from tautline.io.importing import (
     Roles,
     Source,
     import_episodes,
+    named_roles,
     open_source,
     propose,
     proposed_command,
     scan,
-    told,
 )
 from tautline.rig import UNITS
 
@@ -89,7 +89,7 @@ def _print_proposal(
     command that imports it so. roles: those that the user named; unit: of q; the others as of the command's options."""
     with progress_bar("reading") as progress:
         listing = scan(source, episode, progress)
-    found = propose(listing, told(roles, listing, source, unit))
+    found = propose(listing, named_roles(roles, listing, source, unit))
     text = proposed_command(source, out, found, roles.joints, episode, time_name)
     for note in source.notes:
         warn(note)

@@ -101,12 +101,7 @@ def command(
         check_no_input(shown, motion, *board)
     if not board and (squares or square_mm is not None or marker_mm is not None):
         raise click.UsageError("--squares, --square-mm and --marker-mm are of a --board: name its pictures or video")
-    document: rig_keys.Document = Rig.load(start).to_document() if start is not None else {"format": FORMAT}
-    for text in given:
-        name, equals, value = text.partition("=")
-        if not equals:
-            raise TautError(f"--set {text}: write KEY=VALUE, as in actuator.range=-5,5")
-        rig_keys.put(document, *rig_keys.find_key(name.strip()), value)
+    document = _first_document(start, given)
     if sensor == ANGLE and (board or motion):
         raise click.UsageError("--board and --motion are for a camera: leave --sensor angle out")
     if sensor is None:
@@ -148,6 +143,18 @@ def command(
         picture(rig, places).savefig(shown, dpi=120)
         lines.append(f"look at {shown}: the curve passes through the marker's places, angles rise where they should")
     emit(result, as_json, "\n".join([*lines, f"{out} is whole: taut calibrate RECORDING --rig {out}"]))
+
+
+def _first_document(start: Path | None, given: tuple[str, ...]) -> rig_keys.Document:
+    """The document of rig.toml to begin with: that of the file `start` if there is one, with the keys of --set
+    (`given`, KEY=VALUE each). TautError for a key that there is not, or a value that it refuses."""
+    document: rig_keys.Document = Rig.load(start).to_document() if start is not None else {"format": FORMAT}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise TautError(f"--set {text}: write KEY=VALUE, as in actuator.range=-5,5")
+        rig_keys.put(document, *rig_keys.find_key(name.strip()), value)
+    return document
 
 
 def _ask_for_sensor() -> Sensor:

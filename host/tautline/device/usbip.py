@@ -52,9 +52,11 @@ class Exported:
     def unpack(cls, host: str, port: int, raw: bytes) -> tuple[Exported, int]:
         """Decodes a record of a device list, `_DEVICE`: the entry, and how many interface records follow it. host,
         port: of the server."""
-        f = _DEVICE.unpack(raw)
-        busid = f[1].split(b"\0", 1)[0].decode("ascii", "replace")
-        return cls(host, port, busid, f[2], f[3], f[4], f[5], f[6], f[7], (f[8], f[9], f[10]), f[11], f[12]), f[13]
+        _, busid, bus, device, speed, vendor, product, release, *classes_and_counts = _DEVICE.unpack(raw)
+        *device_class, configuration, configurations, interfaces = classes_and_counts
+        name = busid.split(b"\0", 1)[0].decode("ascii", "replace")
+        numbers = (bus, device, speed, vendor, product, release, tuple(device_class), configuration, configurations)
+        return cls(host, port, name, *numbers), interfaces
 
 
 def _receive(sock: socket.socket, size: int) -> bytes:

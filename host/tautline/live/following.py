@@ -127,7 +127,7 @@ def follow(
     TautError for a fault, or where set-points are refused."""
     board, axis = live.board, live.axis
     scale = wire.DEG if tip else wire.COUNT / live.resolution
-    wire.set_point_values(value, scale)  # before anything moves
+    wire.set_point_values(value, scale)  # raises, before anything moves, where a value does not fit into the message
     board.refused.clear()
     with driving(live):
         set_range(live, *live.rig.actuator.range)
@@ -138,29 +138,39 @@ def follow(
         status = board.status(axis)
         here = status.c_ref if tip else status.q_ref * live.resolution
         span = np.ptp(coarse_range_deg(live.rig)) if tip else live.rig.actuator.span
-        lead = max(abs(value[0] - here) / (_LEAD_SHARE * span), 0.2)
-        plan_t = np.concatenate([[0.0, lead], lead + _SETTLE_S + (t_s - t_s[0])])
-        grid = np.arange(0.0, plan_t[-1] + _SETTLE_S, 1.0 / SET_POINT_HZ)
-        plan = np.interp(grid, plan_t, np.concatenate([[here, value[0]], value]))
-        field_values = wire.set_point_values(plan, scale)
-        # An emulated board may have run ahead of the time that was granted, by what loading a table took.
-        start_us = max(live.now_us(), board.sync()) + round(_AHEAD_S * 1e6)
-        sent = 0
-        while sent < len(grid):
-            now = (live.now_us() - start_us) * 1e-6
-            due = int(np.searchsorted(grid, now + _AHEAD_S, side="right"))
-            sent = max(sent, min(int(np.searchsorted(grid, now)), due - 1))  # what a stall made too late is left out
-            points = zip(field_values[sent:due], np.rint(start_us + grid[sent:due] * 1e6), strict=True)
-            board.tell_all("set_point", [{"axis": axis, "value": int(v), "at_us": int(t)} for v, t in points])
-            sent = max(due, sent)
-            step(live, seen)
-            _check_refusals(live)
-            if progress:
-                progress(sent / len(grid), "following")
-        while live.now_us() < start_us + grid[-1] * 1e6:
+        lead_s = max(abs(value[0] - here) / (_LEAD_SHARE * span), 0.2)  # of the move to where it begins
+        plan_t = np.concatenate([[0.0, lead_s], lead_s + _SETTLE_S + (t_s - t_s[0])])
+        grid_s = np.arange(0.0, plan_t[-1] + _SETTLE_S, 1.0 / SET_POINT_HZ)
+        plan = np.interp(grid_s, plan_t, np.concatenate([[here, value[0]], value]))
+        start_us = _send_ahead(live, grid_s, wire.set_point_values(plan, scale), seen, progress)
+        while live.now_us() < start_us + grid_s[-1] * 1e6:
             step(live, seen)
     _check_refusals(live)
-    return start_us * 1e-6 + lead + _SETTLE_S, start_us * 1e-6 + grid, plan
+    return start_us * 1e-6 + lead_s + _SETTLE_S, start_us * 1e-6 + grid_s, plan
+
+
+def _send_ahead(
+    live: Live, grid_s: Array, values: Array, seen: Callable[[Frame], None] | None, progress: Progress
+) -> int:
+    """Sends set-points, the message's values (n,) for times grid_s (n,) from now on, each _AHEAD_S before it holds.
+    Those that are too late, after this process was held up, are left out. Returns the board time, us, at which the grid
+    begins. TautError where the board refuses one."""
+    board = live.board
+    # An emulated board may have run ahead of the time that was granted, by what loading a table took.
+    start_us = max(live.now_us(), board.sync()) + round(_AHEAD_S * 1e6)
+    sent = 0
+    while sent < len(grid_s):
+        now_s = (live.now_us() - start_us) * 1e-6
+        due = int(np.searchsorted(grid_s, now_s + _AHEAD_S, side="right"))
+        sent = max(sent, min(int(np.searchsorted(grid_s, now_s)), due - 1))  # skips those that are too late
+        points = zip(values[sent:due], np.rint(start_us + grid_s[sent:due] * 1e6), strict=True)
+        board.tell_all("set_point", [{"axis": live.axis, "value": int(v), "at_us": int(t)} for v, t in points])
+        sent = max(due, sent)
+        step(live, seen)
+        _check_refusals(live)
+        if progress:
+            progress(sent / len(grid_s), "following")
+    return start_us
 
 
 def step(live: Live, seen: Callable[[Frame], None] | None) -> None:

@@ -141,25 +141,33 @@ def probe(live: Live, seen: Callable[[Frame], object], speed: float) -> None:
         moved = second - first
         c = rig.coarse.gain * np.array([q_first, q_second]) + rig.coarse.offset
         expected = np.subtract(*project(rig, c)[::-1])
-        length, along = float(np.linalg.norm(expected)), float(moved @ expected / max(np.linalg.norm(expected), 1e-9))
-        distance = float(np.linalg.norm(moved))
-        if distance > _TOO_MUCH * length + 10 * sigma:
-            raise TautError(
-                f"the marker moved {distance:.3g} px where f_coarse says {length:.3g}: a scale is too large: check "
-                "actuator.unit, encoder_resolution and coarse.gain in rig.toml, and that the camera is the rig's"
-            )
-        moves = distance > max(_TOO_LITTLE * length, 12 * sigma)
-        if moves and along < -0.5 * distance:
-            raise TautError(
-                f"the marker moves against what f_coarse says ({along:.3g} px of {length:.3g}): turn the sign of "
-                "coarse.gain in rig.toml, or check how the camera is mounted (hand_eye)"
-            )
-    if moves:
-        return
-    raise TautError(
-        f"the motor moved {2 * reach:.3g} {unit}, the marker {distance:.2g} px of {length:.3g}: is this camera looking "
-        f"at the instrument of axis {live.axis}? Else a scale in rig.toml is too small, or the backlash larger"
-    )
+        enough = _check_marker_motion(moved, expected, sigma)
+    if not enough:
+        distance, length = float(np.linalg.norm(moved)), float(np.linalg.norm(expected))
+        raise TautError(
+            f"the motor moved {2 * reach:.3g} {unit}, the marker {distance:.2g} px of {length:.3g}: is this camera "
+            f"looking at the instrument of axis {live.axis}? Else a scale in rig.toml is too small, or the backlash "
+            "larger"
+        )
+
+
+def _check_marker_motion(moved: Array, expected: Array, sigma: float) -> bool:
+    """TautError where the marker moved much farther than expected, or the other way. moved, expected: (2,) px; sigma:
+    of `moved`, px. Returns whether it moved far enough for that to be told."""
+    length, distance = float(np.linalg.norm(expected)), float(np.linalg.norm(moved))
+    if distance > _TOO_MUCH * length + 10 * sigma:
+        raise TautError(
+            f"the marker moved {distance:.3g} px where f_coarse says {length:.3g}: a scale is too large: check "
+            "actuator.unit, encoder_resolution and coarse.gain in rig.toml, and that the camera is the rig's"
+        )
+    along = float(moved @ expected / max(length, 1e-9))
+    enough = distance > max(_TOO_LITTLE * length, 12 * sigma)
+    if enough and along < -0.5 * distance:
+        raise TautError(
+            f"the marker moves against what f_coarse says ({along:.3g} px of {length:.3g}): turn the sign of "
+            "coarse.gain in rig.toml, or check how the camera is mounted (hand_eye)"
+        )
+    return enough
 
 
 def _marker_at_rest(live: Live, seen: Callable[[Frame], object]) -> tuple[Array, float]:

@@ -119,6 +119,27 @@ def calibrate_until(
     return calibration, Reached(motions.made, tuple(rounds), standing, until, why)
 
 
+class _MarkerLoss:
+    """Notices where the marker has been lost for so long that it does not come back by itself."""
+
+    def __init__(self, folder: Path) -> None:
+        """folder: of the recording, for the error."""
+        self._folder = folder
+        self._since_s: float | None = None  # None where the marker is seen
+
+    def check(self, frame: Frame, now_s: float) -> None:
+        """Takes in the next frame at now_s. TautError where the marker has been lost for more than _LOST_S."""
+        if frame.sighting.valid:
+            self._since_s = None
+        elif self._since_s is None:
+            self._since_s = now_s
+        elif now_s - self._since_s > _LOST_S:
+            raise TautError(
+                f"the marker was last seen {now_s - self._since_s:.0f} s ago: bring it into view, or pick its "
+                f"colour again with 'taut marker'; what was recorded is in {self._folder}"
+            )
+
+
 def _make_rounds(
     motions: Motions, watch: Watch, means: Means, until: float, at_most_s: float, resting: Callable[[], bool]
 ) -> tuple[list[Round | Strokes], str]:
@@ -126,24 +147,16 @@ def _make_rounds(
     Returns the rounds made, and why the goal was not reached ("" if it was). resting: as in `calibrate_until`."""
     view = watch.view
     rounds: list[Round | Strokes] = []
-    best = float("inf")  # of the sigmas after each round
-    lost_since: float | None = None  # view.seconds when the marker was lost, None where it is seen
+    best = float("inf")  # the smallest of the worst sigmas after each round
+    loss = _MarkerLoss(motions.made.folder)
     halted = False  # the round was broken off for a rest, which may be over before its stroke is
 
     def enough(frame: Frame) -> bool:
         """Takes in a frame; returns whether the present round may end: the goal is reached, the time is up, or a rest
-        was asked for. TautError where the marker has been lost for _LOST_S."""
-        nonlocal lost_since, halted
+        was asked for. TautError where the marker has been lost for too long."""
+        nonlocal halted
         fresh = watch.frame(frame, motions.made.reversals)
-        if frame.sighting.valid:
-            lost_since = None
-        elif lost_since is None:
-            lost_since = view.seconds
-        elif view.seconds - lost_since > _LOST_S:
-            raise TautError(
-                f"the marker was last seen {view.seconds - lost_since:.0f} s ago: bring it into view, or pick its "
-                f"colour again with 'taut marker'; what was recorded is in {motions.made.folder}"
-            )
+        loss.check(frame, view.seconds)
         halted = resting() or halted
         if view.seconds > at_most_s or halted:
             return True

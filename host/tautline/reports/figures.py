@@ -152,17 +152,16 @@ def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Arra
     )
     axes.plot(model.q, model.width, color=MODEL, lw=1.0, ls=":")
     axes.plot(model.q[measured], model.width[measured], color=MODEL, lw=1.8, label="B(q)")
+    vague = [o for o in used if not 2 * o["sigma"] <= o["width"]]
     for direction, colour, marker, name in ((1, UP, "^", "rising"), (-1, DOWN, "v", "falling")):
-        mine = [o for o in used if np.sign(o["direction"]) == direction]
-        chosen, vague = [o for o in mine if o in precise], [o for o in mine if o not in precise]
-        if vague:
-            at, widths = [q_mean(o) for o in vague], [o["width"] for o in vague]
+        if mine := [o for o in vague if np.sign(o["direction"]) == direction]:
+            at, widths = [q_mean(o) for o in mine], [o["width"] for o in mine]
             axes.plot(at, widths, marker, ms=4, mfc="none", mec=colour, alpha=0.5, label=f"vague, {name}")
-        if chosen:
+        if mine := [o for o in precise if np.sign(o["direction"]) == direction]:
             axes.errorbar(
-                [q_mean(o) for o in chosen],
-                [o["width"] for o in chosen],
-                yerr=[2 * o["sigma"] for o in chosen],
+                [q_mean(o) for o in mine],
+                [o["width"] for o in mine],
+                yerr=[2 * o["sigma"] for o in mine],
                 fmt=marker,
                 ms=4,
                 color=colour,

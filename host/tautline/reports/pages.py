@@ -89,9 +89,7 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
     evidence: None writes of the tables alone; name: of the model for the title, "": the folder's."""
     onsets = figures.onsets_of(model)
     used, unused = figures.split_onsets(onsets)
-    passes = model.extra.get("pass_width")
     runs = Run.load_all(folder)
-    by_marker = model.sensor == MARKER
     page: dict[str, Any] = {
         "title": f"What is lost between motor and tip: {name or folder.absolute().name}",
         "source": _source(model, evidence),
@@ -122,42 +120,10 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
         "closely": None,
         "track": None,
         "residuals": None,
-        "cross_check": None,
+        "cross_check": _cross_check_picture(model),
     }
     if evidence is not None:
-        page |= {
-            "gain": picture(
-                figures.gain(evidence),
-                "Distance between prediction and measurement",
-                "f_coarse knows neither backlash nor the real law; B alone gets the moments of motion right.",
-            ),
-            "track": picture(
-                figures.track(evidence, onsets, model.rig.actuator.unit),
-                f"Motor and {'marker' if by_marker else 'angle'} over time",
-                "Dots: where the tip began to move.",
-            ),
-            "residuals": picture(
-                figures.residuals(evidence, model.rig.actuator.unit),
-                "Residuals of the whole model",
-                "White and small: nothing is left unmodelled. A pattern over q or time: taut diagnose says what it is.",
-            ),
-        }
-        closely = figures.onsets_closely(model, evidence, onsets)
-        if closely is not None:
-            page["closely"] = picture(
-                closely,
-                "Some onsets closely",
-                f"Dots: {_shown(evidence)}. Grey: the motor turns, the tip rests. Red: the hinge; the backlash ends "
-                "where it bends.",
-            )
-    if passes is not None:
-        page["cross_check"] = picture(
-            figures.cross_check(model, np.array(passes, dtype=float)),
-            "B from the onsets and from the two passes",
-            f"The distance of the two passes at equal {'image position' if by_marker else 'angle'} measures B again. "
-            "Where they part, the onset is smooth"
-            + (", or the registration changes with direction." * by_marker or "."),
-        )
+        page |= _evidence_pictures(model, evidence, onsets)
     if runs:
         page["runs"] = picture(
             figures.followed(runs),
@@ -167,6 +133,52 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
     path = folder / FILE
     write_page("model.html", page, path)
     return path
+
+
+def _evidence_pictures(model: Model, evidence: Evidence, onsets: Sequence[figures.Onset]) -> dict[str, Picture]:
+    """The pictures of a model's page that show its recordings, by their names in the template. onsets: the model's."""
+    unit = model.rig.actuator.unit
+    pictures = {
+        "gain": picture(
+            figures.gain(evidence),
+            "Distance between prediction and measurement",
+            "f_coarse knows neither backlash nor the real law; B alone gets the moments of motion right.",
+        ),
+        "track": picture(
+            figures.track(evidence, onsets, unit),
+            f"Motor and {'marker' if model.sensor == MARKER else 'angle'} over time",
+            "Dots: where the tip began to move.",
+        ),
+        "residuals": picture(
+            figures.residuals(evidence, unit),
+            "Residuals of the whole model",
+            "White and small: nothing is left unmodelled. A pattern over q or time: taut diagnose says what it is.",
+        ),
+    }
+    closely = figures.onsets_closely(model, evidence, onsets)
+    if closely is not None:
+        pictures["closely"] = picture(
+            closely,
+            "Some onsets closely",
+            f"Dots: {_shown(evidence)}. Grey: the motor turns, the tip rests. Red: the hinge; the backlash ends "
+            "where it bends.",
+        )
+    return pictures
+
+
+def _cross_check_picture(model: Model) -> Picture | None:
+    """The picture of B by the onsets beside B by the distance of the two passes; None for a model without the
+    latter."""
+    passes = model.extra.get("pass_width")
+    if passes is None:
+        return None
+    by_marker = model.sensor == MARKER
+    return picture(
+        figures.cross_check(model, np.array(passes, dtype=float)),
+        "B from the onsets and from the two passes",
+        f"The distance of the two passes at equal {'image position' if by_marker else 'angle'} measures B again. "
+        f"Where they part, the onset is smooth{', or the registration changes with direction.' if by_marker else '.'}",
+    )
 
 
 def write_comparison(models: Mapping[str, Model], path: Path) -> None:

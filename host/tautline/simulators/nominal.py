@@ -83,7 +83,7 @@ def nominal(
         raise TautError("a simulator is compared with marker.csv (or a video) in every recording, or with angle.csv")
     drives = [Drive(simulator, robot.motor, rig, pool) for robot in robots]
     for drive in drives:
-        drive.ask({})
+        drive.ask({})  # so that all are simulated at once, where there is a pool
     tests = [replace(robot, motor=drive.motor({})) for robot, drive in zip(robots, drives, strict=True)]
     model = _backlash_free_model(simulator, rig, by_marker)
     calibration = replace(_what_it_shows(model, tests[0], by_marker), name="simulator")

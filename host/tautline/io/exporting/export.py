@@ -28,6 +28,8 @@ class Mount:
 
 @dataclass(frozen=True)
 class Exported:
+    """What an export wrote, and what it lost."""
+
     files: tuple[Path, ...]
     lost: tuple[str, ...]  # what the format does not hold, a line each
     report: dict[str, Any] = field(default_factory=dict)  # of mjcf: export.json
@@ -42,7 +44,9 @@ def export(
     axis: str | None = None,
     progress: Progress = lambda share, what: None,
 ) -> Exported:
-    """Writes `out`, whole or not at all. TautError where format, source, names or place do not fit."""
+    """Writes a source to `out`, a file or a folder, whole or not at all, in the format named `to` (of FORMATS). mount:
+    for mjcf, where the model goes; axis: for controllers, None takes the format's usual one; progress: gets the share
+    done, 0 to 1, and a word. TautError where format, source, options or place do not fit."""
     form = BY_NAME.get(to)
     if form is None:
         raise TautError(f"--to {to}: no such format: choose one of {', '.join(BY_NAME)}")
@@ -77,7 +81,8 @@ def export(
 
 
 def _check(form: Format, source: Source, mount: Mount | None, axis: str | None) -> None:
-    """TautError where the format does not take this source or these options."""
+    """TautError where the format does not take this source or these options, or needs a package that is not
+    installed."""
     if source.kind not in form.takes:
         raise TautError(f"{source.name}: is {source.kind}: --to {form.name} takes {' or '.join(form.takes)}")
     if source.models and (form.axis or form.name == "mjcf") and source.model.simulator is not None:

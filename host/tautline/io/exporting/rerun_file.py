@@ -15,7 +15,8 @@ _PLACES = 1e6  # format: steps of the timeline "q" in a unit of q: it counts in 
 
 
 def write(log: Log, out: Path, progress: Callable[[float, str], None]) -> list[Path]:
-    """The file. Times are the recording's own, as durations; a curve lies on a timeline of its own, q in millionths."""
+    """Writes a log as the rerun recording `out` and returns that. Times are the log's own, as durations; curves are on
+    a timeline of their own, q in millionths of its unit. progress: gets the share done, 0 to 1, and a word."""
     import rerun as rr
 
     with whole(out) as file:

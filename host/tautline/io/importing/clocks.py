@@ -24,13 +24,16 @@ LOG, STAMP, FILE = "log", "header", "file"  # when messages were written, when t
 
 @dataclass(frozen=True)
 class Clock:
+    """Which of a file's times are used for all of a recording."""
+
     used: str  # LOG, STAMP or FILE
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # why not the stamps
 
 
 def choose(times: Mapping[str, tuple[Array, Array | None]]) -> Clock:
-    """Times of all groups: the senders' stamps where all have them on one clock, else the log times. times: (n,) s of
-    log and stamps, by group."""
+    """Chooses which times are used for all groups (topics) of a recording: the senders' stamps if all groups have them
+    and they are on one clock, else the times at which messages were logged. times: by group its log times and stamps
+    (None without), (n,) s each; the group "" is a table, whose times are its own."""
     stamped = {group: stamp for group, (_, stamp) in times.items() if stamp is not None}
     if not stamped:
         return Clock(FILE if set(times) == {""} else LOG)
@@ -45,10 +48,10 @@ def choose(times: Mapping[str, tuple[Array, Array | None]]) -> Clock:
         if np.mean(~seen) > _UNSET:
             lost = f"{100 * np.mean(~seen):.2g} % of the header stamps of {group} are 0"
             return Clock(LOG, (f"{lost}: the times at which messages were logged are used",))
-        behind = stamp[seen] - log[seen]
-        offsets[group] = float(np.median(behind))
+        offset = stamp[seen] - log[seen]
+        offsets[group] = float(np.median(offset))
         if np.ptp(log[seen]) > _LONG_ENOUGH_S:
-            rates[group] = float(np.polyfit(log[seen], behind - offsets[group], 1)[0])
+            rates[group] = float(np.polyfit(log[seen], offset - offsets[group], 1)[0])
     first, last = min(offsets, key=offsets.__getitem__), max(offsets, key=offsets.__getitem__)
     if (apart := offsets[last] - offsets[first]) > _APART_S:
         return Clock(
@@ -71,19 +74,21 @@ def choose(times: Mapping[str, tuple[Array, Array | None]]) -> Clock:
 
 
 def in_use(log_s: Array, stamp_s: Array | None, used: str) -> Array:
-    """A group's times (n,) by the clock that is used, s: its stamps or when it was logged."""
+    """A group's times (n,), s, by the clock `used` (of Clock): its stamps, or the times at which it was logged."""
     return stamp_s if used == STAMP and stamp_s is not None else log_s
 
 
 def first_s(times: Mapping[str, tuple[Array, Array | None]], used: str) -> float:
-    """The earliest time of all groups by the clock that is used; infinity without any. times: as in `choose`."""
+    """The earliest time of all groups, s, by the clock `used` (of Clock); infinity without any. times: as in
+    `choose`."""
     own = [in_use(log_s, stamp_s, used) for log_s, stamp_s in times.values()]
     return min(float(np.min(t_s, initial=np.inf, where=np.isfinite(t_s))) for t_s in own)
 
 
 def tidy(t_s: Array, what: str, warnings: list[str]) -> Array:
-    """Indices (m,) of the rows to keep, rising in time; of rows with the same time the first. TautError where times go
-    back or repeat too often for one clock."""
+    """Which rows to keep so that times rise: indices (m,) into t_s (n,), in the order of time, without rows that have
+    no time or repeat one. What was left out or sorted, and gaps, are added to `warnings`; what: names the rows there.
+    TautError where times go back or repeat too often to be of one clock."""
     kept: Array = np.flatnonzero(np.isfinite(t_s))
     if lost := len(t_s) - len(kept):
         warnings.append(f"{what}: {lost} rows without a time were left out")
@@ -123,7 +128,7 @@ def tidy(t_s: Array, what: str, warnings: list[str]) -> Array:
 
 
 def overlap(motor_s: Array, tip_s: Array, motor: str, tip: str) -> None:
-    """TautError where the times of motor and tip do not overlap."""
+    """TautError where the times of motor and tip, (n,) s rising, do not overlap. motor, tip: their channels' names."""
     if motor_s[0] <= tip_s[-1] and tip_s[0] <= motor_s[-1]:
         return
     raise TautError(
