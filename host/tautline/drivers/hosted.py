@@ -85,9 +85,8 @@ class HostedLink:
                 raise TautError(f"{where}: motor {drive.number} has a speed limit of 0: set one with its maker's tools")
         self._file = flash_file(where)
         flash = self._file.read_bytes() if self._file.is_file() else b""
-        self._scales = [
-            _counts_scale(drive.limits.speed) for drive in drives.drives
-        ]  # the application's counts per drive's
+        # The application's counts in one of the drive's.
+        self._scales = [_counts_scale(drive.limits.speed) for drive in drives.drives]
         first = self._as_application_rows(self._first_measurement(), whole=True)
         self._last_s = clock()
         most_ma = max(round(min(drive.limits.current_ma for drive in drives.drives)), 0)
