@@ -68,19 +68,15 @@ def drawn(kind: Kind) -> Figure:
     q = np.linspace(*rig.actuator.range, 201)
     width, c_deg = plant.backlash(q), plant.bend(q)
     model = Model(rig, q, width, np.zeros_like(q), c_deg, rig.delay_s, rig.actuator.range)
-    made = trajectory.through([-4.0, 4.0, -4.0, 3.0, -2.0, 0.5, 0.5], 2.5, 20.0, 1.0)
-    keep = slice(None, None, 10)
-    t_s, moved = made.t_s[keep], made.q[keep]
-    sway = np.sin(2 * np.pi * t_s / 9.0)
-    load = 20.0 * (t_s > t_s.mean())
-    motor = Motor(t_s, moved, translation_mm=2.0 * sway, rotation_deg=20.0 * sway, load_mNm=load)
+    motor = _motion()
+    t_s = motor.t_s
     values = parameters(kind, rig.actuator.span, float(t_s[-1]))
     without, with_it = (effects.simulate(model, motor, t_s, each) for each in ({}, values))
     by_angle = kind.through_angle or kind.stage == "acquisition"
     made_figure, axes = figures.figure(11, 3.4, 1, 2)
     left, right = axes[0]
     for seen, colour, name in ((without, figures.GREY, "without"), (with_it, figures.MODEL, "with it")):
-        across, down = (moved, seen.c_deg) if by_angle else seen.image_px.T
+        across, down = (motor.q, seen.c_deg) if by_angle else seen.image_px.T
         left.plot(across, down, color=colour, lw=1.2, label=name)
     if by_angle:
         left.set(xlabel=f"q ({rig.actuator.unit})", ylabel="bending c (deg)")
@@ -99,6 +95,16 @@ def drawn(kind: Kind) -> Figure:
     right.set(xlabel="time (s)")
     right.set_title("What it changes")
     return made_figure
+
+
+def _motion() -> Motor:
+    """The motion in which effects are drawn, q in mm: strokes of several lengths, translation and rotation that sway,
+    and a load of 20 mNm from half-way on."""
+    made = trajectory.through([-4.0, 4.0, -4.0, 3.0, -2.0, 0.5, 0.5], 2.5, 20.0, 1.0)
+    t_s, q = made.t_s[::10], made.q[::10]
+    sway = np.sin(2 * np.pi * t_s / 9.0)
+    load_mNm = 20.0 * (t_s > t_s.mean())
+    return Motor(t_s, q, translation_mm=2.0 * sway, rotation_deg=20.0 * sway, load_mNm=load_mNm)
 
 
 def parameters(kind: Kind, span: float, seconds: float) -> dict[str, float]:

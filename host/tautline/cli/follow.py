@@ -96,8 +96,8 @@ def command(
         raise click.UsageError("a shape is told by what the camera sees: name --camera, and leave --no-track out")
     if model is None and library is None and live.simulate is not None and compensation != "off":
         raise click.UsageError("a simulated board starts without tables: name MODEL, or --compensation off")
-    of_rig = model if model is not None or library is None else library.first()
-    with opened(live, rig_path, seed, model=of_rig) as setup:
+    model_of_rig = model if model is not None or library is None else library.first()
+    with opened(live, rig_path, seed, model=model_of_rig) as setup:
         if model is None and library is not None:
             model, model_path = recalled(setup, library)
         if model is not None and model_path is not None:
@@ -121,6 +121,12 @@ def command(
     if model is not None and model_path is not None and len(result.error_deg):
         _add_to_report(model, model_path, result, compensation)
     emit(_report(result, compensation, out), as_json, _text(result, compensation, out, library))
+    _warn_of_run(result, trajectory)
+
+
+def _warn_of_run(result: Any, trajectory: str) -> None:
+    """Warns of what a run (live.following.Followed) could not do: reach all of the trajectory, move the tables far
+    enough; and says how much telemetry was dropped."""
     if result.clipped:
         low, high = result.reach_deg
         warn(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from tautline.recording import COLOUR_FILE, REGION_FILE
 from tautline.vision.camera import VideoCamera, read_picture, sample_video
 from tautline.vision.colour import LARGEST_PX, MarkerColour, pick
 from tautline.vision.marker import MarkerTracker, find_colour
-from tautline.vision.patch import USUAL_PX
+from tautline.vision.patch import USUAL_PX, PatchTracker
 from tautline.vision.region import Region
 from tautline.vision.ros_camera import RosCamera, is_topic
 from tautline.vision.sighting import Sighting
@@ -106,37 +107,52 @@ def command(
         raise TautError(
             f"{source}: no marker stands out by its colour: show where it is in the first picture with --at U,V"
         )
-    tracker = MarkerTracker(colour)
-    with progress_bar("tracking") as progress:
-        seen = []
-        for k, picture in enumerate(pictures):
-            progress(k / len(pictures), "how well the marker is seen")
-            seen.append(tracker.track(picture))
+    seen = _track(MarkerTracker(colour), pictures, "how well the marker is seen")
     valid = [s for s in seen if s.valid]
     if not valid:
         raise TautError(f"{source}: a colour was found at {_where(colour)} but no marker: {seen[0].lost}; try --at U,V")
     first = seen.index(valid[0])
     _save(colour, out)
     cv2.imwrite(str(shown), _marker_picture(pictures[first], colour, seen[first]))
-    sigma = float(np.median([s.sigma_px for s in valid]))
     result = {
         "file": out,
         "picture": shown,
         "at_px": [valid[0].u_px, valid[0].v_px],
         "diameter_px": valid[0].diameter_px,
         "colour_bgr": colour.colour,
-        "sigma_px": sigma,
+        "sigma_px": _median_sigma_px(valid),
         "frames": len(seen),
         "frames_seen": len(valid),
     }
-    blue, green, red = (round(level) for level in colour.colour)
-    text = (
-        f"marker at {valid[0].u_px:.1f}, {valid[0].v_px:.1f} px, {valid[0].diameter_px:.1f} px wide, "
-        f"red {red} green {green} blue {blue}, each position good to {sigma:.3f} px"
-    )
+    text = _marker_in_words(colour, valid[0], _median_sigma_px(valid))
     if len(seen) > 1:
         text += f"; seen in {len(valid)} of the first {len(seen)} frames"
     emit(result, as_json, f"{text}\n{out} holds its colour; look at {shown} to see that it is the right one")
+
+
+def _track(tracker: MarkerTracker | PatchTracker, pictures: Sequence[np.ndarray], doing: str) -> list[Sighting]:
+    """Tracks what the tracker follows through BGR pictures, one after the other, with a progress bar; doing: its text.
+    Returns a sighting per picture."""
+    seen = []
+    with progress_bar("tracking") as progress:
+        for k, picture in enumerate(pictures):
+            progress(k / len(pictures), doing)
+            seen.append(tracker.track(np.asarray(picture, dtype=np.uint8)))
+    return seen
+
+
+def _median_sigma_px(sightings: Sequence[Sighting]) -> float:
+    """The median of the sightings' sigma, px: how exactly a position is usually measured."""
+    return float(np.median([s.sigma_px for s in sightings]))
+
+
+def _marker_in_words(colour: MarkerColour, sighting: Sighting, sigma_px: float) -> str:
+    """Where the marker is by a sighting, its colour, and how exactly it is seen, in words."""
+    blue, green, red = (round(level) for level in colour.colour)
+    return (
+        f"marker at {sighting.u_px:.1f}, {sighting.v_px:.1f} px, {sighting.diameter_px:.1f} px wide, "
+        f"red {red} green {green} blue {blue}, each position good to {sigma_px:.3f} px"
+    )
 
 
 def _pick_region(source: str, square: tuple[float, float, float], out: Path, as_json: bool) -> None:
@@ -147,12 +163,7 @@ def _pick_region(source: str, square: tuple[float, float, float], out: Path, as_
         check_no_input(written, Path(source))
     pictures, _ = _pictures(source)
     region = Region(square[:2], square[2], np.asarray(pictures[0], dtype=np.uint8))
-    tracker = region.tracker()
-    with progress_bar("tracking") as progress:
-        seen = []
-        for k, picture in enumerate(pictures):
-            progress(k / len(pictures), "how well the place is followed")
-            seen.append(tracker.track(np.asarray(picture, dtype=np.uint8)))
+    seen = _track(region.tracker(), pictures, "how well the place is followed")
     valid = [s for s in seen if s.valid]
     if not valid:
         raise TautError(
@@ -160,7 +171,7 @@ def _pick_region(source: str, square: tuple[float, float, float], out: Path, as_
         )
     _save(region, out)
     cv2.imwrite(str(shown), _region_picture(pictures[0], region))
-    sigma = float(np.median([s.sigma_px for s in valid]))
+    sigma = _median_sigma_px(valid)
     result = {
         "file": out, "picture": shown, "at_px": region.at, "side_px": region.side_px, "sigma_px": sigma,
         "frames": len(seen), "frames_seen": len(valid),

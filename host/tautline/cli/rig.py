@@ -32,6 +32,7 @@ from tautline.vision.camera import read_picture, sample_video
 from tautline.vision.marker import with_marker
 
 _VIEWS = 60  # tolerance: of a video; a board that is moved slowly is then seen from everywhere
+_BY_MOTION = ("coarse", "hand_eye")  # the sections of rig.toml that --motion measures
 
 
 class _Squares(click.ParamType):  # type: ignore[type-arg]
@@ -115,24 +116,13 @@ def command(
         result["camera"] = {"sigma": seen.sigma, "rms_px": seen.rms_px, "views": seen.views, "of": seen.of}
         lines.append(seen.in_words())
     if motion is not None:
-        for part in ("coarse", "hand_eye"):
-            document.pop(part, None)
-        _ask_for_keys(document, sensor, without=("coarse", "hand_eye"))
+        document = {name: section for name, section in document.items() if name not in _BY_MOTION}
+        _ask_for_keys(document, sensor, without=_BY_MOTION)
         places, found, line, left_deg = _from_known_angles(document, motion, angles, angle_sigma)
         document["coarse"] = _rounded(asdict(line))
         document["hand_eye"] = _rounded(asdict(found.hand_eye))
-        lines += [
-            found.in_words(),
-            f"coarse: gain {line.gain:.4g} deg per {document['actuator']['unit']}, offset {line.offset:.3g} deg; "
-            f"{left_deg:.2g} deg are left, play among it",
-        ]
-        result["hand_eye"] = {
-            "sigma": found.sigma,
-            "left_px": found.left_px,
-            "strays": found.strays,
-            "angle_sigma_deg": [found.measures_deg.min(), found.measures_deg.max()],
-            "places": len(places.c_deg),
-        }
+        lines += [found.in_words(), _coarse_in_words(line, left_deg, document["actuator"]["unit"])]
+        result["hand_eye"] = _hand_eye_result(found, places)
     _ask_for_keys(document, sensor)
     if sensor == ANGLE:
         document.setdefault("angle", {})  # all of its keys may be left out
@@ -143,6 +133,25 @@ def command(
         picture(rig, places).savefig(shown, dpi=120)
         lines.append(f"look at {shown}: the curve passes through the marker's places, angles rise where they should")
     emit(result, as_json, "\n".join([*lines, f"{out} is whole: taut calibrate RECORDING --rig {out}"]))
+
+
+def _coarse_in_words(line: Coarse, left_deg: float, unit: str) -> str:
+    """The coarse law that was measured, in words. left_deg: rms of its residual; unit: of q."""
+    return (
+        f"coarse: gain {line.gain:.4g} deg per {unit}, offset {line.offset:.3g} deg; "
+        f"{left_deg:.2g} deg are left, play among it"
+    )
+
+
+def _hand_eye_result(found: HandEyeFit, places: Places) -> dict[str, Any]:
+    """A fitted hand-eye transform's accuracy for JSON. places: that it was fitted to."""
+    return {
+        "sigma": found.sigma,
+        "left_px": found.left_px,
+        "strays": found.strays,
+        "angle_sigma_deg": [found.measures_deg.min(), found.measures_deg.max()],
+        "places": len(places.c_deg),
+    }
 
 
 def _first_document(start: Path | None, given: tuple[str, ...]) -> rig_keys.Document:

@@ -12,10 +12,10 @@ import numpy as np
 from tautline.cli._common import SEED, Number, NumberRange, emit, json_option, progress_bar, read_rig, warn
 from tautline.cli._outputs import folder_option
 from tautline.errors import TautError
-from tautline.rig import Actuator
+from tautline.rig import Actuator, Rig
 from tautline.simulated.endoscope import Endoscope, load_background
 from tautline.simulated.instrument import PRESETS, Instrument, of_name
-from tautline.simulated.simulate import TRUTH, run
+from tautline.simulated.simulate import TRUTH, Simulation, run
 from tautline.trajectory import Trajectory, back_and_forth, random_smooth, sines, trapezoids
 from tautline.vision.timing import FrameTiming
 
@@ -83,6 +83,15 @@ def _count_short_strokes(trajectory: Trajectory, instrument: Instrument) -> int:
     turns = moving[np.flatnonzero(np.diff(way[moving]))] + 1  # the last sample before each
     q = trajectory.q[np.concatenate([turns, [len(trajectory.q) - 1]])]
     return int(np.sum(np.abs(np.diff(q)) < instrument.backlash(0.5 * (q[1:] + q[:-1]))))
+
+
+def _warn_of_short_strokes(trajectory: Trajectory, instrument: Instrument) -> None:
+    """Warns where strokes of the motor are shorter than the instrument's backlash."""
+    if short := _count_short_strokes(trajectory, instrument):
+        warn(
+            f"{short} of the motor's strokes are shorter than the instrument's backlash: nothing moves on them and no "
+            "calibration can use them. Choose a larger --amplitude or more --reversals"
+        )
 
 
 _MOTIONS: dict[str, Callable[[Actuator, _Wish], Trajectory]] = {
@@ -181,16 +190,11 @@ def command(
     if video and not made.drawn:
         raise TautError(f"{instrument}: its effects change what is seen, which no drawn video shows: leave --video out")
     trajectory = _MOTIONS[motion](rig.actuator, _Wish(speeds, amplitude, reversals, dwell, duration, seed))
-    if short := _count_short_strokes(trajectory, made):
-        warn(
-            f"{short} of the motor's strokes are shorter than the instrument's backlash: nothing moves on them and no "
-            "calibration can use them. Choose a larger --amplitude or more --reversals"
-        )
+    _warn_of_short_strokes(trajectory, made)
     if any(sway):
         trajectory = trajectory.with_sway(*sway, period_s=20.0)
-    jitter = jitter or made.jitter_s
     delay_s = rig.delay_s if delay is None else delay
-    timing = FrameTiming.of(rig, delay_s=delay_s, jitter_s=jitter, lost=lost, seed=seed)
+    timing = FrameTiming.of(rig, delay_s=delay_s, jitter_s=jitter or made.jitter_s, lost=lost, seed=seed)
     simulation = run(
         rig, made, trajectory, noise_px=noise, timing=timing, angle_noise_deg=angle_noise, seed=seed, name=out.name
     )
@@ -199,21 +203,25 @@ def command(
     )
     with progress_bar("simulating") as progress:
         simulation.save(out, endoscope, lossless, progress)
-    frames = len(simulation.scene_s) if rig.has_camera else 0
-    shown = [f"{frames} frames"] if rig.has_camera else []
-    if (angle := simulation.recording.angle) is not None:
-        shown.append(f"{len(angle.t_s)} readings of an angle sensor")
     result = {
         "recording": out,
         "instrument": made.name,
         "motion": motion,
         "duration_s": round(trajectory.duration_s, 3),
-        "frames": frames,
+        "frames": len(simulation.scene_s) if rig.has_camera else 0,
         "video": video,
     }
     emit(
         result,
         as_json,
-        f"{out}: {trajectory.duration_s:.1f} s of {motion} with the {made.name} instrument, {' and '.join(shown)}; "
-        "truth.csv and truth.json say what was true",
+        f"{out}: {trajectory.duration_s:.1f} s of {motion} with the {made.name} instrument, "
+        f"{_recorded_in_words(simulation, rig)}; truth.csv and truth.json say what was true",
     )
+
+
+def _recorded_in_words(simulation: Simulation, rig: Rig) -> str:
+    """How many frames and readings of an angle sensor a simulation has, in words."""
+    counts = [f"{len(simulation.scene_s)} frames"] if rig.has_camera else []
+    if (angle := simulation.recording.angle) is not None:
+        counts.append(f"{len(angle.t_s)} readings of an angle sensor")
+    return " and ".join(counts)

@@ -50,6 +50,7 @@ def run(folder: Path, out: Path, workers: Pool, progress: Progress) -> Done:
     rows = data_set.read()
     empty = {session.id: _empty_row(session) for session in sessions}
     total, known, done = len(sessions), 0, 0
+    waiting: list[Row] = []  # to be stored
 
     def pending() -> Iterator[tuple[str, tuple[Row, dict[str, bytes]]]]:
         """The sessions to calibrate: id, and the arguments of `calibrate_session`. A session that has its row already
@@ -67,7 +68,6 @@ def run(folder: Path, out: Path, workers: Pool, progress: Progress) -> Done:
             else:
                 yield session.id, (replace(empty[session.id], inputs=inputs), files)
 
-    waiting: list[Row] = []  # to be stored
     written_s = time.monotonic()
     try:
         for name, row in workers(calibrate_session, pending()):

@@ -222,9 +222,8 @@ def follow_run(
     if not has_tables and compensation != "off":
         raise TautError(f"axis {axis} has no tables: flash a model first, or use --compensation off")
     t_s, c_deg = tip_trajectory(live, what, speed_deg_s, seed)
-    low, high = _reachable_deg(live)
-    wanted_deg = np.interp(np.linspace(t_s[0], t_s[-1], _LOOKS), t_s, c_deg)
-    clipped = float(np.mean((wanted_deg < low - _COUNTS_AS_BEYOND) | (wanted_deg > high + _COUNTS_AS_BEYOND)))
+    reach_deg = _reachable_deg(live)
+    clipped = _share_beyond(t_s, c_deg, reach_deg)
     frames: list[Frame] = []
     with ExitStack() as stack:
         following: Following | None = None
@@ -262,7 +261,15 @@ def follow_run(
     scored = _compared_with_plan(live, begin_s, sent_s, plan, frames)
     counted = {name: int(v) for name, v in counters.values.items() if name != "t_us"}
     learnt = None if following is None else following.summary()
-    return replace(scored, counters=counted, bus=board.bus(), clipped=clipped, reach_deg=(low, high), tracking=learnt)
+    return replace(scored, counters=counted, bus=board.bus(), clipped=clipped, reach_deg=reach_deg, tracking=learnt)
+
+
+def _share_beyond(t_s: Array, c_deg: Array, reach_deg: tuple[float, float]) -> float:
+    """The share, 0 to 1, of a trajectory's time in which the angle is beyond what the tip can take. t_s, c_deg: the
+    trajectory, (n,); reach_deg: the lowest and the highest angle."""
+    low, high = reach_deg
+    wanted_deg = np.interp(np.linspace(t_s[0], t_s[-1], _LOOKS), t_s, c_deg)
+    return float(np.mean((wanted_deg < low - _COUNTS_AS_BEYOND) | (wanted_deg > high + _COUNTS_AS_BEYOND)))
 
 
 def _compared_with_plan(live: Live, begin_s: float, t_s: Array, plan: Array, frames: list[Frame]) -> Followed:

@@ -224,9 +224,9 @@ def in_words(sigma: float, unit: str) -> str:
 # -- the next round ---------------------------------------------------------------------------------------------------
 
 
-def both_made(done: Sequence[Round | Strokes]) -> bool:
-    """Whether the rounds that are done have both passes (the first one always has) and strokes: before that a small
-    sigma is not relied on."""
+def strokes_made(done: Sequence[Round | Strokes]) -> bool:
+    """Whether there are strokes among the rounds that are done (the first one is always of passes): before both have
+    been made a small sigma is not relied on."""
     return any(isinstance(made, Strokes) for made in done)
 
 
@@ -248,7 +248,7 @@ def next_round(
     if not standing.covered:
         return _round_over(means, (speed,), _LONGEST_STROKE if standing.strokes > 0 else _STROKE)
     more = (standing.worst / until) ** 2
-    need = standing.need if both_made(done) else _with_ends(standing, until)
+    need = standing.need if strokes_made(done) else _with_ends(standing, until)
     if sum(place.high - place.low for place in need) <= _WHOLE * means.span:
         return Strokes(
             tuple(_stroke_for(means, place, standing.widest, until, seconds) for place in need), means.speeds[0]
@@ -275,7 +275,7 @@ def why_another(standing: Standing, until: float, unit: str, done: Sequence[Roun
     here, wanted = in_words(standing.worst, unit), in_words(until, unit)
     if standing.by_speed and not standing.reached(until):
         return f"sigma is {here} where {wanted} is wanted, as B may go with the motor's speed"
-    if standing.reached(until) and not both_made(done):
+    if standing.reached(until) and not strokes_made(done):
         return f"sigma is {here} where {wanted} is wanted, but passes alone are not believed: turns at both ends first"
     return f"sigma is {here} at {standing.where:.3g} {unit} where {wanted} is wanted"
 

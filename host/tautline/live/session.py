@@ -222,29 +222,9 @@ class Motions:
         """Runs a round of passes, which the board's own calibration motion makes, until it is complete or
         `enough(frame)`, which gets every frame, has been true; then the axis is at rest. TautError where the motion
         ends otherwise."""
-        live, resolution = self.live, self.live.resolution
-        counts = (wanted.high - wanted.low) / resolution
-        camera = live.rig.camera
-        assert camera is not None
+        live = self.live
         self._before = self.made.reversals
-        live.board.ask(
-            "motion_start",
-            axis=live.axis,
-            cycles=wanted.cycles,
-            low=wanted.low / resolution,
-            high=wanted.high / resolution,
-            speed_s=[speed / resolution for speed in (*wanted.speeds, 0.0, 0.0, 0.0)[:4]],  # 0 ends the list
-            transit_s=wanted.transit / resolution,
-            acceleration_s2=wanted.acceleration / resolution,
-            approach=wanted.approach / resolution,
-            stroke_max=wanted.stroke / resolution,
-            host_timeout_us=round(_HOST_TIMEOUT_S * 1e6),
-            delay_us=round(camera.delay_s * 1e6),
-            sigma_wanted=wanted.sigma_wanted / resolution,
-            sigma_usable=wanted.sigma_usable / resolution,
-            turn=max(_TURN * counts, 4.0),  # counts
-            curvature=round(min(_SLOPE_CHANGES / counts, 0.5) * 2**20),  # for a count, in 1/2**20
-        )
+        live.board.ask("motion_start", axis=live.axis, **self._motion_fields(wanted))
         self._state, self.permille = _RUNNING[0], 0
         live.feeding = True
         stopped = False
@@ -259,6 +239,28 @@ class Motions:
         if self._state not in (_COMPLETE, *((_STOPPED,) if stopped else ())):
             live.board.check_fault(live.axis)
             raise TautError(f"the calibration motion is {ended}: what was recorded is in {self.made.folder}")
+
+    def _motion_fields(self, wanted: Round) -> dict[str, Any]:
+        """The fields of the message `motion_start` for a round of passes, lengths in counts."""
+        resolution, camera = self.live.resolution, self.live.rig.camera
+        assert camera is not None
+        counts = (wanted.high - wanted.low) / resolution
+        return {
+            "cycles": wanted.cycles,
+            "low": wanted.low / resolution,
+            "high": wanted.high / resolution,
+            "speed_s": [speed / resolution for speed in (*wanted.speeds, 0.0, 0.0, 0.0)[:4]],  # 0 ends the list
+            "transit_s": wanted.transit / resolution,
+            "acceleration_s2": wanted.acceleration / resolution,
+            "approach": wanted.approach / resolution,
+            "stroke_max": wanted.stroke / resolution,
+            "host_timeout_us": round(_HOST_TIMEOUT_S * 1e6),
+            "delay_us": round(camera.delay_s * 1e6),
+            "sigma_wanted": wanted.sigma_wanted / resolution,
+            "sigma_usable": wanted.sigma_usable / resolution,
+            "turn": max(_TURN * counts, 4.0),
+            "curvature": round(min(_SLOPE_CHANGES / counts, 0.5) * 2**20),  # for a count, in 1/2**20
+        }
 
     def stroke(self, wanted: Strokes, enough: Callable[[Frame], bool]) -> None:
         """Runs a round of strokes, one place after the other, until all are done or `enough(frame)`, which gets every

@@ -130,12 +130,12 @@ def _collect_one(model: Model, recording: Recording, index: int, offset_s: float
         for column in (motor.translation_mm, motor.rotation_deg)
     ]
     coarse_deg = rig.coarse.gain * model.q + rig.coarse.offset
-    models = (  # of STAGES
+    models_by_stage = (  # in the order of STAGES
         replace(model, width=np.zeros_like(model.width), c_deg=coarse_deg),
         replace(model, c_deg=coarse_deg),
         model,
     )
-    predictions = [predict(stage, motor, t_s) for stage in models]
+    predictions = [predict(each, motor, t_s) for each in models_by_stage]
     if track.unit == "px":
         predicted = [prediction.image_px for prediction in predictions]
         c_deg = pose(rig, seen, *others)[0]
@@ -149,7 +149,7 @@ def _collect_one(model: Model, recording: Recording, index: int, offset_s: float
         path=np.interp(t_s, motor.t_s, travelled),
         seen=seen,
         c_deg=c_deg,
-        error=np.array([seen - stage for stage in predicted]).reshape(len(STAGES), len(t_s), seen.shape[1]),
+        error=np.array([seen - each for each in predicted]).reshape(len(STAGES), len(t_s), seen.shape[1]),
         settled=settled(model, motor, t_s),
         offset_s=np.array([offset_s]),
         names=np.array([recording.name]),

@@ -152,7 +152,21 @@ def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Arra
     )
     axes.plot(model.q, model.width, color=MODEL, lw=1.0, ls=":")
     axes.plot(model.q[measured], model.width[measured], color=MODEL, lw=1.8, label="B(q)")
-    vague = [o for o in used if not 2 * o["sigma"] <= o["width"]]
+    _draw_widths(axes, precise, [o for o in used if not 2 * o["sigma"] <= o["width"]])
+    if knots is not None:
+        for knot in np.unique(knots):
+            axes.axvline(knot, color=UP, lw=0.7, alpha=0.5)
+    for left, right in ((model.q[0], low), (high, model.q[-1])):
+        if right > left:
+            axes.axvspan(left, right, color=PALE, alpha=0.6, lw=0)
+    axes.set(xlabel=f"q ({unit})", ylabel=f"backlash width ({unit})", xlim=ends, ylim=(0, top))
+    axes.set_title("Backlash width B(q)")
+    axes.legend(loc="best")
+
+
+def _draw_widths(axes: Axes, precise: Sequence[Onset], vague: Sequence[Onset]) -> None:
+    """Draws the widths that onsets measured over their q, by direction: `precise` with a bar of 2 sigma, `vague` hollow
+    and without one."""
     for direction, colour, marker, name in ((1, UP, "^", "rising"), (-1, DOWN, "v", "falling")):
         if mine := [o for o in vague if np.sign(o["direction"]) == direction]:
             at, widths = [q_mean(o) for o in mine], [o["width"] for o in mine]
@@ -169,15 +183,6 @@ def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Arra
                 lw=0,
                 label=f"onset, {name}",
             )
-    if knots is not None:
-        for knot in np.unique(knots):
-            axes.axvline(knot, color=UP, lw=0.7, alpha=0.5)
-    for left, right in ((model.q[0], low), (high, model.q[-1])):
-        if right > left:
-            axes.axvspan(left, right, color=PALE, alpha=0.6, lw=0)
-    axes.set(xlabel=f"q ({unit})", ylabel=f"backlash width ({unit})", xlim=ends, ylim=(0, top))
-    axes.set_title("Backlash width B(q)")
-    axes.legend(loc="best")
 
 
 def draw_characteristic(axes: Axes, model: Model, evidence: Evidence | None) -> None:

@@ -227,38 +227,36 @@ def comparison(models: Mapping[str, Model]) -> list[dict[str, Any]]:
     """For each model, by name, a row of its changes against the first over the q that both have measured: widths in the
     unit of q, NaN where there is no such q. f_remain's mean change stands beside the rms of the rest, as the motor's
     zero may have moved without a change of the instrument."""
-    names = list(models)
-    first = models[names[0]]
-    rows = []
-    for name in names:
-        model = models[name]
-        low, high = max(first.measured[0], model.measured[0]), min(first.measured[1], model.measured[1])
-        q = np.linspace(low, high, 201) if high > low else np.empty(0)
-        width, base = (np.interp(q, m.q, m.width) for m in (model, first))
-        sigma = np.hypot(*(np.interp(q, m.q, m.width_sigma) for m in (model, first)))
-        change = width - base
-        angle = model.remaining(q) - first.remaining(q)
-        some = len(q) > 0
-        worst = int(np.argmax(np.abs(change))) if some else 0
-        rows.append(
-            {
-                "model": name,
-                "q_from": low if some else None,
-                "q_to": high if some else None,
-                "width_mean": width.mean() if some else np.nan,
-                "width_min": width.min() if some else np.nan,
-                "width_max": width.max() if some else np.nan,
-                "width_change_mean": change.mean() if some else np.nan,
-                "width_change_rms": np.sqrt(np.mean(change**2)) if some else np.nan,
-                "width_change_max": change[worst] if some else np.nan,
-                "width_change_max_at": q[worst] if some else np.nan,
-                "width_change_sigmas": np.sqrt(np.mean((change / np.maximum(sigma, 1e-12)) ** 2)) if some else np.nan,
-                "remaining_change_mean_deg": angle.mean() if some else np.nan,
-                "remaining_change_rms_deg": angle.std() if some else np.nan,
-                "delay_s": model.delay_s,
-            }
-        )
-    return rows
+    first = next(iter(models.values()))
+    return [_comparison_row(name, model, first) for name, model in models.items()]
+
+
+def _comparison_row(name: str, model: Model, first: Model) -> dict[str, Any]:
+    """The row of one model in `comparison`: its changes against the model `first`."""
+    low, high = max(first.measured[0], model.measured[0]), min(first.measured[1], model.measured[1])
+    q = np.linspace(low, high, 201) if high > low else np.empty(0)
+    width, base = (np.interp(q, m.q, m.width) for m in (model, first))
+    sigma = np.hypot(*(np.interp(q, m.q, m.width_sigma) for m in (model, first)))
+    change = width - base
+    angle_deg = model.remaining(q) - first.remaining(q)
+    some = len(q) > 0
+    worst = int(np.argmax(np.abs(change))) if some else 0
+    return {
+        "model": name,
+        "q_from": low if some else None,
+        "q_to": high if some else None,
+        "width_mean": width.mean() if some else np.nan,
+        "width_min": width.min() if some else np.nan,
+        "width_max": width.max() if some else np.nan,
+        "width_change_mean": change.mean() if some else np.nan,
+        "width_change_rms": np.sqrt(np.mean(change**2)) if some else np.nan,
+        "width_change_max": change[worst] if some else np.nan,
+        "width_change_max_at": q[worst] if some else np.nan,
+        "width_change_sigmas": np.sqrt(np.mean((change / np.maximum(sigma, 1e-12)) ** 2)) if some else np.nan,
+        "remaining_change_mean_deg": angle_deg.mean() if some else np.nan,
+        "remaining_change_rms_deg": angle_deg.std() if some else np.nan,
+        "delay_s": model.delay_s,
+    }
 
 
 def write_page(template: str, page: Mapping[str, Any], path: Path, beside: Path | None = None) -> None:

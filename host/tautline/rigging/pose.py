@@ -86,15 +86,11 @@ def hand_eye(places: Places, kinematics: Kinematics, camera: Camera, angle_sigma
     ]
     fits.sort(key=lambda fit: float(fit.cost))
     best = fits[0]
-    slopes = np.asarray(best.jac, dtype=float)
-    information: Array = slopes.T @ slopes
-    scale = np.sqrt(np.diag(information))
-    determined = np.isfinite(best.cost) and (scale > 0.0).all()
-    if not determined or np.linalg.cond(information / np.outer(scale, scale)) > _SINGULAR:
+    if not np.isfinite(best.cost):
         raise _undetermined()
     strays = float(np.sqrt(2.0 * best.cost / (2 * len(places.c_deg) - 6)))
     spread = max(strays, 1.0) ** 2
-    covariance: Array = np.linalg.inv(information)[:6, :6].astype(np.float64) * spread
+    covariance = _covariance(np.asarray(best.jac, dtype=float))[:6, :6] * spread
     pose = best.x[:6]
     off = residuals(best.x)[: 2 * len(sigma_px)].reshape(-1, 2) * sigma_px[:, None]
     others = [fit for fit in fits[1:] if np.abs(fit.x[:6] - pose).max() > 1e-3 * np.abs(pose).max()]
@@ -107,6 +103,17 @@ def hand_eye(places: Places, kinematics: Kinematics, camera: Camera, angle_sigma
         angle_sigma_deg,
         min((2.0 * float(fit.cost - best.cost) / spread for fit in others), default=np.inf),
     )
+
+
+def _covariance(jacobian: Array) -> Array:
+    """The covariance (k, k) of k parameters by a fit's Jacobian (n, k) of residuals over their sigmas. TautError where
+    the parameters are not determined."""
+    information: Array = jacobian.T @ jacobian
+    scale = np.sqrt(np.diag(information))
+    if not (scale > 0.0).all() or np.linalg.cond(information / np.outer(scale, scale)) > _SINGULAR:
+        raise _undetermined()
+    covariance: Array = np.linalg.inv(information).astype(np.float64)
+    return covariance
 
 
 def _hand_eye(pose: Array) -> HandEye:

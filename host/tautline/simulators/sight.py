@@ -74,8 +74,6 @@ def sight(path: Path, site: str, camera: str) -> Sight:
     what is not in the file; also where not exactly one hinge moves the site, the camera does not see it move, or one
     place has several angles."""
     needed()
-    import mujoco
-
     model = read(path)
     check_named(path, "site", site, [str(model.site(i).name) for i in range(model.nsite)])
     check_named(path, "camera", camera, [str(model.camera(i).name) for i in range(model.ncam)])
@@ -85,18 +83,7 @@ def sight(path: Path, site: str, camera: str) -> Sight:
             f"{path}: the camera {camera} needs the resolution of its frames, and its principal point in their middle"
         )
     hinge = _hinge_above(model, path, site)
-    joint = model.joint(hinge)
-    low, high = np.degrees(model.jnt_range[joint.id]) if model.jnt_limited[joint.id] else (-_FAR_DEG, _FAR_DEG)
-    c_deg = np.arange(low, high + _STEP_DEG, _STEP_DEG)
-    data = mujoco.MjData(model)
-    if model.nkey:
-        mujoco.mj_resetDataKeyframe(model, data, 0)
-    px = np.empty((len(c_deg), 2))
-    for i, angle in enumerate(np.radians(c_deg)):
-        data.qpos[joint.qposadr[0]] = angle
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_camlight(model, data)
-        px[i] = _image(model, data, camera, data.site(site).xpos)
+    c_deg, px = _track(model, hinge, site, camera)
     size = model.cam_resolution[at]
     with np.errstate(invalid="ignore"):  # NaN is not seen
         seen = ((px > -size) & (px < 2 * size)).all(axis=1)  # with as much again around the frame
@@ -110,6 +97,27 @@ def sight(path: Path, site: str, camera: str) -> Sight:
             "hinge the range that it moves in, or name another --camera"
         )
     return Sight(hinge, c_deg, px)
+
+
+def _track(model: mujoco.MjModel, hinge: str, site: str, camera: str) -> tuple[Array, Array]:
+    """Where the camera sees the site at each of the hinge's angles, over its range where it is limited: angles (n,),
+    deg, _STEP_DEG apart, and places (n, 2), px, NaN behind the camera. Other joints are in the file's first keyframe,
+    without one in their zero pose."""
+    import mujoco
+
+    joint = model.joint(hinge)
+    low, high = np.degrees(model.jnt_range[joint.id]) if model.jnt_limited[joint.id] else (-_FAR_DEG, _FAR_DEG)
+    c_deg = np.arange(low, high + _STEP_DEG, _STEP_DEG)
+    data = mujoco.MjData(model)
+    if model.nkey:
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+    px = np.empty((len(c_deg), 2))
+    for i, angle in enumerate(np.radians(c_deg)):
+        data.qpos[joint.qposadr[0]] = angle
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_camlight(model, data)
+        px[i] = _image(model, data, camera, data.site(site).xpos)
+    return c_deg, px
 
 
 def _hinge_above(model: mujoco.MjModel, path: Path, site: str) -> str:

@@ -13,8 +13,8 @@ from tautline.errors import TautError
 from tautline.io.exporting.source import MODEL, Source
 from tautline.model import Model
 from tautline.model import play_at as play
-from tautline.prediction import predict
-from tautline.recording import Recording, Video
+from tautline.prediction import Prediction, predict
+from tautline.recording import Angle, Marker, Recording, Video
 from tautline.reports.evidence import STAGES, Evidence
 from tautline.rig import ANGLE, MARKER
 from tautline.simulators.source import path_of
@@ -156,20 +156,23 @@ def _predicted_series(recording: Recording, name: str, model: Model, unit: str) 
     if rows is None:
         return found
     for stage, staged in _stages(model):
-        staged_prediction = prediction if stage == STAGES[-1] else predict(staged, motor, scene)
-        if by_marker and marker is not None and staged_prediction.image_px is not None:
-            residual = {
-                "u_px": marker.u_px - staged_prediction.image_px[:, 0],
-                "v_px": marker.v_px - staged_prediction.image_px[:, 1],
-            }
-        elif angle is not None and not by_marker:
-            residual = {"c_deg": angle.c_deg - staged_prediction.c_deg}
-        else:
+        residual = _residual(rows, prediction if stage == STAGES[-1] else predict(staged, motor, scene))
+        if not residual:
             continue
         label = stage if stage != STAGES[-1] or not model.effects else f"{stage} + effects"
         says = f"seen less what the {name} says by {label}"
         found.append(Series(f"residual/{name}/{_stage_as_name(label)}", says, t_s, residual))
     return found
+
+
+def _residual(seen: Marker | Angle, predicted: Prediction) -> dict[str, Array]:
+    """Columns, by name, of what a sensor saw less what was predicted at the same times; {} for a marker of which
+    nothing in the image is predicted."""
+    if isinstance(seen, Angle):
+        return {"c_deg": seen.c_deg - predicted.c_deg}
+    if predicted.image_px is None:
+        return {}
+    return {"u_px": seen.u_px - predicted.image_px[:, 0], "v_px": seen.v_px - predicted.image_px[:, 1]}
 
 
 def _stages(model: Model) -> list[tuple[str, Model]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -55,24 +55,31 @@ def write(log: Log, out: Path, progress: Callable[[float, str], None]) -> list[P
         for curve in log.curves:
             _write_curve(writer, curve, max(0.0, first + shift_s))
         if log.video is not None:
-            schema = writer.register_schema("foxglove.CompressedImage", "jsonschema", json.dumps(_IMAGE).encode())
-            channel = writer.register_channel(CAMERA, "json", schema)
             span = max(last - first, 1e-9)
-            for t_s, jpeg in log.frames():
-                when = _ns(t_s + shift_s)
-                message = {
-                    "timestamp": {"sec": when // _NS, "nsec": when % _NS},
-                    "frame_id": "camera",
-                    "data": base64.b64encode(jpeg).decode("ascii"),
-                    "format": "jpeg",
-                }
-                writer.add_message(channel, when, json.dumps(message).encode(), when)
+            for t_s in _write_frames(writer, log, shift_s):
                 progress(0.3 + 0.7 * min(max((t_s - first) / span, 0.0), 1.0), "frames")
         writer.add_metadata("tautline", {"facts": json.dumps(plain(log.facts)), "shift_s": repr(shift_s)})
         writer.finish()  # type: ignore[no-untyped-call]
     layout = out.with_name(out.stem + LAYOUT_SUFFIX)
     write_file(layout, json.dumps(foxglove_layout(log), indent=1) + "\n")
     return [out, layout]
+
+
+def _write_frames(writer: Any, log: Log, shift_s: float) -> Iterator[float]:
+    """Writes the frames of a log's video with an mcap Writer, as messages of the topic CAMERA, shift_s later than in
+    the log. Yields the time in the log, s, of each frame that was written."""
+    schema = writer.register_schema("foxglove.CompressedImage", "jsonschema", json.dumps(_IMAGE).encode())
+    channel = writer.register_channel(CAMERA, "json", schema)
+    for t_s, jpeg in log.frames():
+        when = _ns(t_s + shift_s)
+        message = {
+            "timestamp": {"sec": when // _NS, "nsec": when % _NS},
+            "frame_id": "camera",
+            "data": base64.b64encode(jpeg).decode("ascii"),
+            "format": "jpeg",
+        }
+        writer.add_message(channel, when, json.dumps(message).encode(), when)
+        yield t_s
 
 
 def _ns(t_s: float) -> int:

@@ -82,15 +82,11 @@ def assemble(
         angle = made.angle()
     seen = made.recorded_video(frames, roles.video or "")
     _check_motor(motor, chosen.motor.name, rig, warnings)
-    for sensor_s, name in (
-        (marker.t_s if marker else angle.t_s if angle else None, "".join(roles.tip[:1])),
-        (
-            seen.arrival_s[np.isfinite(seen.arrival_s)] if seen and seen.arrival_s is not None else None,
-            roles.video or "",
-        ),
-    ):
-        if sensor_s is not None:
-            clocks.overlap(motor.t_s, sensor_s, roles.motor, name)
+    tip = marker or angle
+    if tip is not None:
+        clocks.overlap(motor.t_s, tip.t_s, roles.motor, "".join(roles.tip[:1]))
+    if seen is not None and seen.arrival_s is not None:
+        clocks.overlap(motor.t_s, seen.arrival_s[np.isfinite(seen.arrival_s)], roles.motor, roles.video or "")
     _check_units(chosen, motor, angle, target, rig, warnings)
     own = rig or _rig_from_motion(motor, angle, target)
     recording = Recording(source.path.stem, motor, marker, angle, seen, own)

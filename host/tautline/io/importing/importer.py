@@ -113,6 +113,15 @@ def import_episodes(
         only = listed[0] if episode is None else episode
         check_replaceable(out, MOTOR.file)
         return [_write_recording(source, origin, out, roles, unit, rig, only, progress)], []
+    return _import_all(source, origin, listed, out, roles, progress, unit, rig)
+
+
+def _import_all(
+    source: Source, origin: dict[str, Any], listed: Sequence[int], out: Path, roles: Roles, progress: Progress,
+    unit: str | None, rig: Rig | None,
+) -> tuple[list[Imported], list[str]]:  # fmt: skip
+    """`import_episodes` of several episodes, those with the numbers `listed`. origin: of the source, for import.toml.
+    TautError, the first episode's, where none can be imported."""
     written: list[Imported] = []
     skipped: list[str] = []
     first: TautError | None = None

@@ -51,19 +51,27 @@ class LeRobot:
             for name, each in self._features.items()
             if name not in _COUNTERS and str(each.get("dtype", "")).startswith(("float", "int", "uint"))
         }
-        stats = self._json(path / _STATS) if (path / _STATS).is_file() else {}
-        for name, feature in self._numeric.items():
-            named = _channel_names(name, feature)
-            ends = (_stats_of(stats.get(name), which, len(named)) for which in ("min", "max"))
-            for (key, label), low, high in zip(named, *ends, strict=True):
-                usual = "deg" if label.endswith(_OWN) else ""
-                self.facts[key] = Fact(str(feature["dtype"]), label, self._unit(feature), usual, low, high)
+        self.facts.update(self._numeric_facts())
         self._rows = self._episode_rows()
         if not any(fact.unit for fact in self.facts.values()):
             self.notes.append(
                 f"{path / INFO}: says no unit: LeRobot writes degrees (use_degrees) or shares of each joint's range "
                 "(-100 to 100) that only its calibration turns into degrees"
             )
+
+    def _numeric_facts(self) -> dict[str, Fact]:
+        """The facts on each channel of the numeric features, by its name; lowest and highest value from stats.json, NaN
+        without it."""
+        file = self.path / _STATS
+        stats = self._json(file) if file.is_file() else {}
+        facts: dict[str, Fact] = {}
+        for name, feature in self._numeric.items():
+            named = _channel_names(name, feature)
+            ends = (_stats_of(stats.get(name), which, len(named)) for which in ("min", "max"))
+            for (key, label), low, high in zip(named, *ends, strict=True):
+                usual = "deg" if label.endswith(_OWN) else ""
+                facts[key] = Fact(str(feature["dtype"]), label, self._unit(feature), usual, low, high)
+        return facts
 
     def episodes(self) -> Sequence[int]:
         """The numbers of the episodes, rising."""

@@ -279,21 +279,13 @@ def _with_units(found: Proposal, listing: Listing) -> Proposal:
     else the likeliest by ratios and ranges, which is noted as a guess."""
     assert found.motor is not None
     notes = list(found.notes)
-
-    def stated(each: Named) -> str:
-        """The unit that the user gave, else the file's, else the one in its name or label; "" where none is known."""
-        channel = listing.channels.get(each.name)
-        return each.unit or (
-            channel.fact.unit or unit_in(channel.name) or unit_in(channel.fact.label) if channel else ""
-        )
-
-    motor_unit = stated(found.motor)
+    motor_unit = _stated_unit(found.motor, listing)
     tip = found.tip
     unit = found.unit or dimension(motor_unit)
     if unit not in RIG_UNITS:
         unit, motor_unit = "deg", ""
     one_angle = len(tip) == 1
-    tip_unit = stated(tip[0]) if one_angle else ""
+    tip_unit = _stated_unit(tip[0], listing) if one_angle else ""
     if one_angle and found.motor.factor is None and tip[0].factor is None and tip[0].name in listing.channels:
         motor_unit, tip_unit = _guess_units(found.motor, motor_unit, tip[0], tip_unit, unit, listing, notes)
     elif not motor_unit and found.motor.factor is None:
@@ -302,17 +294,26 @@ def _with_units(found: Proposal, listing: Listing) -> Proposal:
         tip = (replace(tip[0], unit=tip_unit if tip_unit in ANGLES else ""),)
     command = found.command
     if command is not None and command.factor is None:
-        told = stated(command)
-        own = told if told in (ANGLES if unit == "deg" else LENGTHS) else ""
+        stated = _stated_unit(command, listing)
+        own = stated if stated in (ANGLES if unit == "deg" else LENGTHS) else ""
         command = replace(command, unit=own or motor_unit)
     load = found.load
     if load is not None and load.factor is None:
-        told = stated(load)
-        load = replace(load, unit=told if dimension(told) == "mNm" else "")
+        stated = _stated_unit(load, listing)
+        load = replace(load, unit=stated if dimension(stated) == "mNm" else "")
         if not load.unit:
             notes.append(f"no unit is known of {load.name}: it is taken as mNm; its scale matters to no result")
     motor = found.motor if found.motor.factor is not None else replace(found.motor, unit=motor_unit)
     return Proposal(motor, tip, command, load, found.video, unit, tuple(notes))
+
+
+def _stated_unit(named: Named, listing: Listing) -> str:
+    """The unit of a channel that the user gave, else the file's, else the one in its name or label; "" where none is
+    known."""
+    channel = listing.channels.get(named.name)
+    if named.unit or channel is None:
+        return named.unit
+    return channel.fact.unit or unit_in(channel.name) or unit_in(channel.fact.label)
 
 
 def _guess_units(
