@@ -131,13 +131,14 @@ def _pictures() -> Iterator[Show]:
 
 def _at_most_every(seconds: float, show: Show) -> Show:
     """A function that calls `show`, but at most once in so many seconds: others are dropped."""
-    last = [float("-inf")]
+    shown_s = float("-inf")  # when it was called last
 
     def shown(view: View) -> None:
         """Calls `show` if it is time."""
+        nonlocal shown_s
         now = time.monotonic()
-        if now - last[0] >= seconds:
-            last[0] = now
+        if now - shown_s >= seconds:
+            shown_s = now
             show(view)
 
     return shown
@@ -146,15 +147,16 @@ def _at_most_every(seconds: float, show: Show) -> Show:
 @contextmanager
 def _lines() -> Iterator[Callable[[View], None]]:
     """A context with a function that logs a line when what is being done changes, and for each new calibration."""
-    last = [0.0, ""]  # of the recording that the last calibration is from, s, and what was being done
+    doing, calibrated_s = "", 0.0  # of the last View
 
-    def tell(view: View) -> None:
+    def log_news(view: View) -> None:
         """Logs what is new in the View."""
-        if view.doing != last[1]:
-            last[1] = view.doing
-            log(f"taut: {view.doing}")
-        if view.calibrated_s != last[0]:
-            last[0] = view.calibrated_s
+        nonlocal doing, calibrated_s
+        if view.doing != doing:
+            doing = view.doing
+            log(f"taut: {doing}")
+        if view.calibrated_s != calibrated_s:
+            calibrated_s = view.calibrated_s
             log(f"taut: {standing(view)}")
 
-    yield tell
+    yield log_news

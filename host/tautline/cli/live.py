@@ -182,15 +182,16 @@ def _serve_page(work: Any) -> str:
     from tautline.live.page.server import serving
     from tautline.live.page.work import attend
 
-    last_message = [""]
+    last_message = ""
 
-    def told(text: str) -> None:
+    def say(text: str) -> None:
         """Keeps and logs what came of a run."""
-        last_message[0] = text
+        nonlocal last_message
+        last_message = text
         log(f"taut: {text}")
 
     desk = Desk(work.rig, work.about)
     with serving(desk) as server:
         log(f"taut: {server.address} (on this machine alone; Ctrl-C ends it)")
-        attend(desk, work, told)
-    return last_message[0]
+        attend(desk, work, say)
+    return last_message

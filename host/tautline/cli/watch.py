@@ -34,7 +34,7 @@ from tautline.cli._live import (
 from tautline.model import Model
 
 if TYPE_CHECKING:
-    from tautline.tracking import Row
+    from tautline.tracking import Row, State
 
 _FRAME_S = 0.2  # format: between two pictures, wall clock
 
@@ -76,9 +76,11 @@ def command(
         raise click.UsageError("a simulated instrument that nothing moves: name --motion or --duration")
     with (
         opened(live, rig_path, seed, model=model) as setup,
-        _progress_display(model.rig.actuator.unit, as_json) as told,
+        _progress_display(model.rig.actuator.unit, as_json) as on_row,
     ):
-        result = watch(setup, model, motion, speed=speed, duration_s=duration, seed=seed, library=library, told=told)
+        result = watch(
+            setup, model, motion, speed=speed, duration_s=duration, seed=seed, library=library, on_row=on_row
+        )
     emit(result, as_json, _result_in_words(result, model.rig.actuator.unit) + shape_text(result, library))
 
 
@@ -86,15 +88,17 @@ def command(
 def _progress_display(unit: str, as_json: bool) -> Iterator[Callable[[Row, float], None]]:
     """A context with a function that is called with each row of the tracker and its time, s: it logs a line for each
     change of state, and where stderr is a terminal (and not as_json) also shows the latest row. unit: of q."""
-    last: list[Any] = [None, float("-inf")]  # state that was told last; when a row was drawn last, s
+    last_state: State | None = None
+    drawn_s = float("-inf")  # when a row was drawn last
 
     def log_change(row: Row, t_s: float) -> None:
         """Logs a line if the state is another than before."""
-        if row.state is not last[0]:
-            if last[0] is not None:
+        nonlocal last_state
+        if row.state is not last_state:
+            if last_state is not None:
                 state = click.style(row.state.value, fg=STATE_COLOURS[row.state.value], bold=True)
                 log(f"taut: {t_s:.2f} s: {state}, {row.reason}")
-            last[0] = row.state
+            last_state = row.state
 
     if as_json or not sys.stderr.isatty():
         yield log_change
@@ -106,10 +110,11 @@ def _progress_display(unit: str, as_json: bool) -> Iterator[Callable[[Row, float
 
         def draw(row: Row, t_s: float) -> None:
             """Logs a change of state, and shows the row, at most every _FRAME_S."""
+            nonlocal drawn_s
             log_change(row, t_s)
             now = time.monotonic()
-            if now - last[1] >= _FRAME_S:
-                last[1] = now
+            if now - drawn_s >= _FRAME_S:
+                drawn_s = now
                 screen.update(_row_line(row, t_s, unit), refresh=True)
 
         yield draw

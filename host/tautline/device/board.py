@@ -14,7 +14,7 @@ from tautline.device.clock import BoardClock
 from tautline.device.dfu import DfuError
 from tautline.device.link import BoardAddress, BoardGone, Link
 from tautline.device.serial_link import find_serial
-from tautline.device.usb_link import find_usb, find_usbip, named
+from tautline.device.usb_link import address_in_environment, find_usb, find_usbip
 from tautline.drivers.addresses import find_motors, is_motor
 from tautline.errors import TautError
 
@@ -52,7 +52,7 @@ def find(where: str | None = None) -> list[BoardAddress]:
     boards = find_usb()
     if where is not None:
         return [board for board in boards if where in (board.where, board.serial)]
-    other = named()
+    other = address_in_environment()
     if other and _is_address(other):
         boards += _find_named(other)
     return boards

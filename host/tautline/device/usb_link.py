@@ -133,7 +133,7 @@ def find_usbip(where: str) -> list[BoardAddress]:
     return [_board_address(device, where, _serial_number(device)) for device in devices]
 
 
-def named() -> str | None:
+def address_in_environment() -> str | None:
     """The value of the environment variable TAUTLINE_BOARD, a board's address, None where it is not set."""
     return os.environ.get(ENVIRONMENT)
 

@@ -197,7 +197,7 @@ class Cia402:
 
     def _on_position(self, cob: int, data: bytearray, stamp: float) -> None:
         """Callback of canopen's thread: keeps a drive's answer to a SYNC, status word and counts. cob: 180h plus the
-        node id."""
+        node id; stamp: canopen's, unused."""
         if len(data) == 6:
             with self._answered:
                 self._positions[cob - 0x180] = struct.unpack("<Hi", data)
@@ -206,7 +206,7 @@ class Cia402:
 
     def _on_speed(self, cob: int, data: bytearray, stamp: float) -> None:
         """Callback of canopen's thread: keeps a drive's speed, counts/s, and current, 1/1000 of its rated one. cob:
-        280h plus the node id."""
+        280h plus the node id; stamp: canopen's, unused."""
         if len(data) == 6:
             self._speeds[cob - 0x280] = struct.unpack("<ih", data)
 
@@ -248,7 +248,7 @@ class Cia402:
 
     def _measured(self, number: int, t_s: float, status: int, counts: int) -> Measured:
         """A drive's answer to the SYNC that was sent at t_s, the moment at which drives sample. status: its status
-        word, whose bit 3 is a fault; speed and current are the last that came."""
+        word, whose bit 3 is a fault; counts: its position; speed and current are the last that came."""
         speed, share = self._speeds.get(number, (0, 0))
         fault = f"drive {number} has a fault" if status & 0x08 else ""
         return Measured(t_s, float(counts), float(speed), share * self._rated_ma[number] / 1000.0, fault)

@@ -249,7 +249,7 @@ def _unlike_robots(rows: Sequence[Row]) -> list[Named]:
         return []
     known = population(curves)
     p_values = known.chance(curves)
-    distance = known.distance(curves) / np.maximum(curves.told, 1.0)
+    distance = known.distance(curves) / np.maximum(curves.dimensions, 1.0)
     found = [
         Named(name, float(1.0 - p), float(d), float("nan"))
         for name, p, d in zip(curves.names, p_values, distance, strict=True)

@@ -55,7 +55,7 @@ class Curves:
         return Curves(self.q, self.value[keep], self.sigma[keep], names, together)
 
     @property
-    def told(self) -> Array:
+    def dimensions(self) -> Array:
         """(n,) At how many places each session says anything: its number of dimensions in a density or a test."""
         return np.asarray(np.sum(self.sigma < _UNTOLD, axis=1), dtype=float)
 
@@ -89,21 +89,22 @@ class Population:
 
     def distance(self, curves: Curves) -> Array:
         """(n,) Squared Mahalanobis distance of each curve from the mean, its errors included in the covariance. For
-        robots of this fleet it is about the number of places that say anything (`Curves.told`), more in the tail."""
+        robots of this fleet it is about the number of places that say anything (`Curves.dimensions`), more in the
+        tail."""
         off = curves.value - self.mean
         return np.asarray(np.einsum("nk,nk->n", off, _solve_each(self.scale + curves.noise, off)))
 
     def chance(self, curves: Curves) -> Array:
         """(n,) For each curve the probability (p-value, by the F distribution) that a robot of this fleet is at least
         as far from the mean."""
-        size = np.maximum(curves.told, 1.0)
+        size = np.maximum(curves.dimensions, 1.0)
         return np.asarray(fdtrc(size, self.freedom, self.distance(curves) / size))
 
     def log_density(self, curves: Curves) -> Array:
         """(n,) Logarithm of each curve's density, to compare populations by. A constant of places that say nothing is
         left out: it is the same for all populations."""
         half_log = 0.5 * np.linalg.slogdet(self.scale + curves.noise)[1]
-        return np.asarray(_log_student(self.distance(curves), curves.told, self.freedom) - half_log)
+        return np.asarray(_log_student(self.distance(curves), curves.dimensions, self.freedom) - half_log)
 
 
 def _log_student(squares: Array, size: npt.ArrayLike, freedom: float) -> Array:
@@ -225,7 +226,7 @@ def _fit_mean_and_scatter(curves: Curves, freedom: float) -> tuple[Array, Array]
     mean = _smoothed_mean(
         mean, scale, 1.0 / np.sum(known, axis=0)
     )  # where nobody tells it goes on from where somebody does
-    size = curves.told
+    size = curves.dimensions
     for _ in range(_STEPS):
         off = curves.value - mean
         inverse = np.linalg.inv(scale + noise)

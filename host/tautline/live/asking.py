@@ -93,14 +93,14 @@ def diagnose_live(
     folder: Path,
     most: int = 5,
     progress: Progress = lambda fraction, text: None,
-    told: Callable[[str], None] = lambda text: None,
+    say: Callable[[str], None] = lambda text: None,
     seen: Callable[[Frame], None] = lambda frame: None,
     answered: Answered = lambda diagnosis, leading, why: None,
 ) -> Asked:
     """Diagnoses, records the motion that tells most, and diagnoses again, until one answer is sure or no motion helps.
     calibrated_on: the calibration that is the nominal, calibration: the recording, on the motor's clock, that it was
     made of; tests: recordings of the instrument as it is now, made before, may be none. folder: empty or new, for the
-    recordings; most: how many may be made. told: gets a line after every diagnosis; seen: every frame; answered: after
+    recordings; most: how many may be made. say: gets a line after every diagnosis; seen: every frame; answered: after
     every diagnosis that, what leads and why it ends ("" if it goes on). Ctrl-C ends a recording early, which is
     diagnosed all the same. TautError where `folder` is not empty, or the board or camera fails."""
     if folder.exists() and any(folder.iterdir()):
@@ -118,7 +118,7 @@ def diagnose_live(
             answers.append(Leading.of(diagnosis.document))
             why = why_stop(answers, following, most + bool(tests))
             then = f"; next {following.why}" if following and not why else ""
-            told(f"{_last_diagnosed_in_words(made, asked)}: {answers[-1]}{then}")
+            say(f"{_last_diagnosed_in_words(made, asked)}: {answers[-1]}{then}")
             answered(diagnosis, answers[-1], why)
             if why:
                 return Asked(diagnosis, tuple(made), tuple(answers), why)

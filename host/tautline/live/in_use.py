@@ -100,7 +100,8 @@ class Following:
 
     live: Live
     model: Model  # that is kept calibrated
-    told: Callable[[Row, float], None] = lambda row, t_s: None  # gets every row of the tracker, and its frame's arrival
+    # Gets every row of the tracker, and its frame's arrival, s.
+    on_row: Callable[[Row, float], None] = lambda row, t_s: None
     mover: TableMover | None = None  # moves the board's tables to what is learnt from frames that show the marker
     library: Library | None = None  # whose shapes are looked for
     shown: Callable[[Frame, float], None] = lambda frame, q: None  # a frame that was tracked, the motor at its scene
@@ -188,7 +189,7 @@ class Following:
         else:
             self.unseen += 1
         self._recognise(self.row)
-        self.told(self.row, arrival_s)
+        self.on_row(self.row, arrival_s)
         self.shown(frame, self.motor_at(arrival_s - self._delay_s))
 
     def _recognise(self, row: Row) -> None:

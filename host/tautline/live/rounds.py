@@ -262,7 +262,7 @@ def next_round(
 
 def slower_tells(means: Means, standing: Standing, until: float, done: Sequence[Round | Strokes]) -> bool:
     """Whether a pass at the slowest speed, if none was made yet, would tell whether B goes with speed. At one speed
-    such an effect looks nearly like a delay, and what remains of it may be chance."""
+    such an effect looks nearly like a delay, and what remains of it may be chance. until: the goal, unit of q."""
     slowest = min(means.speeds)
     made = any(isinstance(each, Round) and min(each.speeds) <= slowest for each in done)
     return standing.by_speed and standing.covered and standing.worst > until and not made

@@ -212,7 +212,7 @@ def draw_characteristic(axes: Axes, model: Model, evidence: Evidence | None) -> 
 
 @mpl.rc_context(STYLE)
 def hero(model: Model, onsets: Sequence[Onset], evidence: Evidence | None, knots: Array | None = None) -> Figure:
-    """The first picture of a report: B(q) beside the characteristic."""
+    """The first picture of a report: B(q) beside the characteristic. knots: as in `draw_backlash`."""
     made, axes = figure(11, 3.9, 1, 2)
     draw_backlash(axes[0, 0], model, onsets, knots)
     draw_characteristic(axes[0, 1], model, evidence)

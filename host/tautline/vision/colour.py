@@ -164,10 +164,9 @@ def _pick_blob_at(
     """The colour of the blob at `at` (u, v) px, by Fisher's linear discriminant against `around` (see `_surroundings`),
     refined in three passes; and a score without unit that grows with its distinctness, compactness, share of all pixels
     of this colour, and size up to 15 px. None where it does not stand out, or is no blob of a marker's size."""
-    height, width = picture.shape[:2]
     column, row = int(at[0]), int(at[1])
-    patch = picture[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3].reshape(-1, 3)
-    colour = np.median(patch, axis=0)
+    close = slice(max(0, row - 2), row + 3), slice(max(0, column - 2), column + 3)
+    colour = np.median(picture[close].reshape(-1, 3), axis=0)
     mean, covariance = around
     picked = None
     for _ in range(3):
@@ -177,23 +176,42 @@ def _pick_blob_at(
             return None
         weights /= separation
         candidate = MarkerColour(_triple(weights), float(-weights @ mean), _triple(colour), SMALLEST_PX, at)
-        inside = (candidate.membership(picture) > 0.5).astype(np.uint8)
-        _, labels, stats, centroids = cv2.connectedComponentsWithStats(inside, connectivity=8)
-        near = labels[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3]
-        near = near[near > 0]
-        if not len(near):
+        inside = candidate.membership(picture) > 0.5
+        blob = _blob_in(inside, close)
+        if blob is None:
             return None
-        label = np.bincount(near).argmax()
-        area = int(stats[label, cv2.CC_STAT_AREA])
-        diameter = float(np.sqrt(4.0 * area / np.pi))
-        if not SMALLEST_PX <= diameter <= LARGEST_PX or area > 0.1 * height * width:
-            return None
-        blob = labels == label
-        colour = np.median(picture[blob], axis=0)
-        box = max(int(stats[label, cv2.CC_STAT_WIDTH]), int(stats[label, cv2.CC_STAT_HEIGHT]))
-        compact = min(1.0, 1.3 * area / (0.785 * box * box))  # pi / 4; 1 where 1 / 1.3 of the disc around it is filled
-        alone = area / np.count_nonzero(inside)
-        score = np.sqrt(separation) * compact * alone * min(1.0, diameter / 15.0)
-        u, v = centroids[label].tolist()
-        picked = replace(candidate, colour=_triple(colour), diameter_px=diameter, at=(u, v)), float(score)
+        colour = np.median(picture[blob.pixels], axis=0)
+        alone = blob.area / np.count_nonzero(inside)
+        score = np.sqrt(separation) * blob.compactness * alone * min(1.0, blob.diameter_px / 15.0)
+        picked = replace(candidate, colour=_triple(colour), diameter_px=blob.diameter_px, at=blob.at), float(score)
     return picked
+
+
+@dataclass(frozen=True)
+class _Blob:
+    """Connected pixels of one colour."""
+
+    pixels: Array  # (height, width) bool
+    area: int  # px
+    diameter_px: float  # of a disc of this area
+    compactness: float  # 0 to 1; 1 where the smallest square around it is filled as by 1 / 1.3 of a disc
+    at: tuple[float, float]  # centroid (u, v) px
+
+
+def _blob_in(inside: Array, window: tuple[slice, slice]) -> _Blob | None:
+    """The blob of `inside`, (height, width) bool, that has most pixels in a window of rows and columns; None where
+    there is none, or it is too small or too large for a marker."""
+    _, labels, stats, centroids = cv2.connectedComponentsWithStats(inside.astype(np.uint8), connectivity=8)
+    near = labels[window]
+    near = near[near > 0]
+    if not len(near):
+        return None
+    label = np.bincount(near).argmax()
+    area = int(stats[label, cv2.CC_STAT_AREA])
+    diameter = float(np.sqrt(4.0 * area / np.pi))
+    if not SMALLEST_PX <= diameter <= LARGEST_PX or area > 0.1 * inside.size:
+        return None
+    box = max(int(stats[label, cv2.CC_STAT_WIDTH]), int(stats[label, cv2.CC_STAT_HEIGHT]))
+    compactness = min(1.0, 1.3 * area / (0.785 * box * box))  # 0.785: pi / 4
+    u, v = centroids[label].tolist()
+    return _Blob(labels == label, area, diameter, compactness, (u, v))

@@ -254,11 +254,11 @@ def _join_parts(parts: list[_Part], names: Collection[str], by_log: bool) -> Row
     stamps or a channel there is NaN; stamps are None if no part has any. by_log: rows are sorted by log time, as
     batches may be out of order; a table's rows are not, so that a clock that was set back is noticed."""
 
-    def taken(part: _Part, name: str) -> Array:
-        """Takes a channel out of a part, NaN where it has none."""
+    def take(part: _Part, name: str) -> Array:
+        """Takes a channel's values (n,) out of a part of n rows, NaN where it has none."""
         return part[2].pop(name) if name in part[2] else np.full(len(part[0]), np.nan)
 
-    values = {name: np.concatenate([taken(part, name) for part in parts]) for name in names}
+    values = {name: np.concatenate([take(part, name) for part in parts]) for name in names}
     stamp_s = None
     if any(part[1] is not None for part in parts):
         stamp_s = np.concatenate([np.full(len(part[0]), np.nan) if part[1] is None else part[1] for part in parts])

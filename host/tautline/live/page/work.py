@@ -149,7 +149,7 @@ class Watching:
         """Keeps the model calibrated until stopped, or for duration_s."""
         desk.events.publish("fit", shown.backlash(self.model))
 
-        def told(row: Row, t_s: float) -> None:
+        def show_row(row: Row, t_s: float) -> None:
             """Publishes a row of the tracker."""
             desk.events.publish("holds", shown.holds(row, t_s))
 
@@ -162,7 +162,7 @@ class Watching:
 
         result = watch(
             self.live, self.model, self.motion, speed=self.speed, duration_s=self.duration_s, seed=self.seed,
-            told=told, shown=seen,
+            on_row=show_row, shown=seen,
         )  # fmt: skip
         return f"watched {result['seconds']:.1f} s, {result['frames']} frames: {result['state'] or 'none was tracked'}"
 
@@ -276,18 +276,18 @@ def _motor(live: Live) -> float:
 def attend(
     desk: Desk,
     work: Work,
-    told: Callable[[str], None] = lambda text: None,
+    say: Callable[[str], None] = lambda text: None,
     over: Callable[[], bool] = lambda: False,
 ) -> None:
     """The session's main loop: runs the work whenever the page asks for it, until `over()` is true, or Ctrl-C comes
-    while nothing runs. What came of each run goes to the page and to `told`."""
+    while nothing runs. What came of each run goes to the page and to `say`."""
     try:
         while not over():
             if desk.begun:
                 with desk.running(work.let_go):
                     says = _run_once(desk, work)
                     desk.say(says)
-                told(says)
+                say(says)
             else:
                 work.idle(desk)
     except KeyboardInterrupt:

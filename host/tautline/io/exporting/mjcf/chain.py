@@ -87,9 +87,10 @@ def _search(u: Array, y: Array, scale: Array, known: Array) -> tuple[Chain, Arra
     spread = max(float(np.ptp(wanted)), 1e-300)
     rng = np.random.default_rng(0)
 
-    def left(free: Array) -> Array:
-        """Residuals of the search: at each node the error in thousandths of the curve's spread, the last link being
-        solved for; then the coefficients, weakly. 1e3 at all nodes where a link is level or not finite."""
+    def residuals(free: Array) -> Array:
+        """Residuals of the search, (_NODES + len(free),): at each node the error in thousandths of the curve's spread,
+        the last link being solved for; then the free coefficients, weakly. 1e3 at all nodes where a link is level or
+        not finite."""
         at = nodes
         for link in _links(free):
             at = np.asarray(polynomial.polyval(at, link))
@@ -103,7 +104,7 @@ def _search(u: Array, y: Array, scale: Array, known: Array) -> tuple[Chain, Arra
     best: tuple[float, Array] | None = None
     for _ in range(_STARTS):
         begin = np.concatenate([rng.normal(0.0, _SPREAD, ORDER), known])
-        found = least_squares(left, begin, max_nfev=_EVALUATIONS)
+        found = least_squares(residuals, begin, max_nfev=_EVALUATIONS)
         if best is None or found.cost < best[0]:
             best = found.cost, found.x
     assert best is not None
@@ -116,11 +117,11 @@ def _links(free: Array) -> list[Array]:
     return [np.concatenate([part[:1], [1.0], part[1:]]) for part in free.reshape(-1, ORDER)]
 
 
-def _scaled_to_unit(at: Array) -> tuple[Array, Array]:
+def _scaled_to_unit(values: Array) -> tuple[Array, Array]:
     """Values (n,) scaled to [-1, 1], and the straight line (constant, slope) that scales them."""
-    low, high = float(at.min()), float(at.max())
+    low, high = float(values.min()), float(values.max())
     line = np.array([-(low + high), 2.0]) / (high - low)
-    return line[0] + line[1] * at, line
+    return line[0] + line[1] * values, line
 
 
 def _chain_with_best_last_link(inner: list[Array], u: Array, y: Array, scale: Array) -> Chain:
