@@ -245,6 +245,22 @@ class Board:
         frame = wire.encode(name, sequence, **values)
         deadline = time.monotonic() + timeout_s
         self._write(frame)
+        answer = self._answer_to(name, sequence, deadline)
+        if answer.name == "error":
+            if answer.reason == wire.code("REASONS", "SESSION"):
+                raise BoardGone(f"{self.where}: the board has restarted: run the command again")
+            fault = ""
+            if answer.reason == wire.code("REASONS", "FAULT") and "axis" in values:
+                fault = self._fault_in_words(values["axis"])
+            raise BoardRefused(name, answer.reason, fault)
+        if answer.name != wire.ANSWERS[name]:
+            raise TautError(f"{self.where}: the board answers '{name}' by '{answer.name}': switch it off and on")
+        return answer
+
+    def _answer_to(self, name: str, sequence: int, deadline: float) -> wire.Message:
+        """Waits for the answer to the request `name` of this sequence number, until `deadline` (time.monotonic). Reads
+        the link itself where no thread does. TautError without an answer by then, or where the link is gone; also the
+        error of a listener that failed meanwhile."""
         while (answer := self._answers.pop(sequence, None)) is None:
             left = deadline - time.monotonic()
             if left <= 0.0:
@@ -261,15 +277,6 @@ class Board:
                 raise failed
             if self._link_error is not None and sequence not in self._answers:
                 raise self._link_error
-        if answer.name == "error":
-            if answer.reason == wire.code("REASONS", "SESSION"):
-                raise BoardGone(f"{self.where}: the board has restarted: run the command again")
-            fault = ""
-            if answer.reason == wire.code("REASONS", "FAULT") and "axis" in values:
-                fault = self._fault_in_words(values["axis"])
-            raise BoardRefused(name, answer.reason, fault)
-        if answer.name != wire.ANSWERS[name]:
-            raise TautError(f"{self.where}: the board answers '{name}' by '{answer.name}': switch it off and on")
         return answer
 
     def _check_known(self, name: str) -> None:

@@ -38,18 +38,12 @@ def home(live: Live, homing: Homing | None = None) -> float:
         )
     homing = homing or Homing()
     low, high = live.rig.actuator.range
-    span, unit = live.rig.actuator.span, live.rig.actuator.unit
+    span = live.rig.actuator.span
     end = homing.end if homing.end is not None else (low if homing.direction < 0 else high)
     retreat = _RETREAT * span if homing.retreat is None else homing.retreat
     reach = _REACH * span if homing.reach is None else homing.reach
     speed = min(homing.speed or _SPEED * span, 0.5 * live.top_speed)
-    limits = live.board.ask("get_limits", axis=live.axis)
-    rest_at = end - homing.direction * retreat
-    if not limits.q_low <= rest_at / live.resolution <= limits.q_high:
-        raise TautError(
-            f"axis {live.axis} would rest at {rest_at:g} {unit}, beyond the board's limits "
-            f"[{limits.q_low * live.resolution:g}, {limits.q_high * live.resolution:g}]: choose another --end"
-        )
+    _check_within_limits(live, end - homing.direction * retreat)
     live.board.check_fault(live.axis)
     with live.powered():
         live.board.ask(
@@ -65,6 +59,16 @@ def home(live: Live, homing: Homing | None = None) -> float:
         settle(live, 2.0 * (reach + retreat) / speed + _BEYOND_S)
     live.board.check_reference(live.axis)
     return float(live.board.status(live.axis).q) * live.resolution
+
+
+def _check_within_limits(live: Live, rest_at: float) -> None:
+    """TautError where the position `rest_at`, the rig's unit, is beyond the axis' limits on the board."""
+    limits = live.board.ask("get_limits", axis=live.axis)
+    if not limits.q_low <= rest_at / live.resolution <= limits.q_high:
+        raise TautError(
+            f"axis {live.axis} would rest at {rest_at:g} {live.rig.actuator.unit}, beyond the board's limits "
+            f"[{limits.q_low * live.resolution:g}, {limits.q_high * live.resolution:g}]: choose another --end"
+        )
 
 
 def settle(live: Live, longest_s: float) -> None:

@@ -143,13 +143,21 @@ def tip_of(model: mujoco.MjModel, path: Path, named: str) -> tuple[tuple[str, fl
         raise TautError(f"{path}: no free hinge is above the site {name}: name what bends with --tip joint:NAME")
     if unnamed := [i for i in above if not model.joint(i).name]:
         raise TautError(f"{path}: hinge {unnamed[0]} above the site {name} has no name: give it one")
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    along = data.xaxis[above] @ data.xaxis[above[0]]
+    along = _cosines_to_first(model, above)
     if (np.abs(along) < _PARALLEL).any():
         other = model.joint(above[int(np.argmin(np.abs(along)))]).name
         raise TautError(
             f"{path}: {other} and {model.joint(above[0]).name} above the site {name} turn about different axes: "
             "name what bends with --tip joint:NAME"
         )
-    return tuple((str(model.joint(i).name), float(np.sign(share))) for i, share in zip(above, along, strict=True))
+    return tuple((str(model.joint(i).name), float(np.sign(cosine))) for i, cosine in zip(above, along, strict=True))
+
+
+def _cosines_to_first(model: mujoco.MjModel, joints: list[int]) -> npt.NDArray[np.float64]:
+    """(n,) The cosine of the angle between each joint's axis and the first one's, in the model's zero pose: 1 where
+    both turn the same way, -1 where they turn against each other. joints: by their numbers."""
+    import mujoco
+
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return np.asarray(data.xaxis[joints] @ data.xaxis[joints[0]])

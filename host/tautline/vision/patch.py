@@ -163,12 +163,9 @@ class _Keyframe:
         if np.hypot(pose.u - self.pose.u, pose.v - self.pose.v) > _APART_PX:
             self._tried += 1
             self._met[kept[together]] += 1
-        here, places = here[together], places[together]
-        residual = places - here @ fit[:, :2].T - fit[:, 2]
-        scatter = float(np.sum(residual**2)) / (2 * len(here) - 6)  # px squared; six numbers were fitted
-        away, lever = here - here.mean(axis=0), (self.pose.u, self.pose.v) - here.mean(axis=0)
-        spread = away.T @ away + 1e-9 * np.eye(2)
-        sigma = float(np.sqrt(scatter * (1.0 / len(here) + lever @ np.linalg.solve(spread, lever))))
+        sigma = _sigma_of_affine(
+            np.asarray(fit, dtype=np.float64), here[together], places[together], np.array([self.pose.u, self.pose.v])
+        )
         return pose, max(float(np.hypot(sigma, self.off_px)), SURE_PX)
 
     def settle(self) -> bool:
@@ -281,6 +278,16 @@ class PatchTracker:
             if found is not None:
                 return found
         return None
+
+
+def _sigma_of_affine(fit: Array, here: Array, places: Array, at: Array) -> float:
+    """The standard deviation, px per coordinate, of where an affine motion (2, 3) takes the point `at` (2,), by the
+    residuals of the corners that it was fitted to: `here` (n, 2) went to `places` (n, 2), px."""
+    residual = places - here @ fit[:, :2].T - fit[:, 2]
+    scatter = float(np.sum(residual**2)) / (2 * len(here) - 6)  # px squared; six numbers were fitted
+    away, lever = here - here.mean(axis=0), at - here.mean(axis=0)
+    spread = away.T @ away + 1e-9 * np.eye(2)
+    return float(np.sqrt(scatter * (1.0 / len(here) + lever @ np.linalg.solve(spread, lever))))
 
 
 def _smaller(grey: Picture) -> Picture:

@@ -35,6 +35,15 @@ class Exported:
     report: dict[str, Any] = field(default_factory=dict)  # of mjcf: export.json
 
 
+# Of each controller's format: the function that writes it, and the one that says what it loses of a model.
+_CONTROLLERS: dict[str, tuple[Callable[..., list[Path]], Callable[..., list[str]]]] = {
+    "linuxcnc": (linuxcnc.write, linuxcnc.loses),
+    "marlin": (constants.write_marlin, constants.loses),
+    "fluidnc": (constants.write_fluidnc, constants.loses),
+    "klipper": (constants.write_klipper, constants.loses),
+}
+
+
 def export(
     source: Source,
     to: str,
@@ -57,27 +66,21 @@ def export(
         assert mount is not None  # _check has asked for it
         return mjcf.write(source.model, out, mount, progress)
     if form.axis:
-        writers: dict[str, tuple[Callable[..., list[Path]], Callable[..., list[str]]]] = {
-            "linuxcnc": (linuxcnc.write, linuxcnc.loses),
-            "marlin": (constants.write_marlin, constants.loses),
-            "fluidnc": (constants.write_fluidnc, constants.loses),
-            "klipper": (constants.write_klipper, constants.loses),
-        }
-        write, loses = writers[to]
+        write, loses = _CONTROLLERS[to]
         files = write(source.model, out, form.axis if axis is None else axis)
         return Exported(tuple(files), tuple(loses(source.model)))
-    seen = log.of_source(source)
+    what = log.of_source(source)
     if to == "csv":
-        files = csv_files.write(seen, out)
+        files = csv_files.write(what, out)
     elif to == "mcap":
         from tautline.io.exporting import mcap_file
 
-        files = mcap_file.write(seen, out, progress)
+        files = mcap_file.write(what, out, progress)
     else:
         from tautline.io.exporting import rerun_file
 
-        files = rerun_file.write(seen, out, progress)
-    return Exported(tuple(files), (form.loses,) if seen.video is not None else ())
+        files = rerun_file.write(what, out, progress)
+    return Exported(tuple(files), (form.loses,) if what.video is not None else ())
 
 
 def _check(form: Format, source: Source, mount: Mount | None, axis: str | None) -> None:

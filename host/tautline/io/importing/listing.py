@@ -133,21 +133,31 @@ def scan(source: Source, episode: int | None, progress: Progress) -> Listing:
     for group, held in sorted(groups.items()):
         log_s, stamp_s, values = held.joined()
         clocks[group] = (log_s, None if np.isnan(stamp_s).all() else stamp_s)
-        span = held.last_s - held.first_s
-        rate = (held.rows - 1) / span if span > 0 else 0.0
-        for name, kept in values.items():
-            fact = source.facts.get(name, Fact())
-            low, high = held.low.get(name, np.nan), held.high.get(name, np.nan)
-            channels[name] = Channel(name, group, fact, held.count[name], rate, low, high, log_s, kept)
-        for prefix in _orientations(values):
-            angle, _ = bending_deg(np.column_stack([values[f"{prefix}.{axis}"] for axis in QUATERNION]))
-            if np.isfinite(angle).any():
-                fact = Fact(QUATERNION_TYPE, unit="deg")
-                low, high = float(np.nanmin(angle)), float(np.nanmax(angle))
-                channels[prefix] = Channel(prefix, group, fact, held.rows, rate, low, high, log_s, angle)
+        channels |= _channels_of(group, held, log_s, values, source.facts)
     if not channels and not source.videos:
         raise TautError(f"{source.path}: holds no {source.numbers} with numbers: is it the right file?")
     return Listing(episode, channels, list(source.videos), clocks)
+
+
+def _channels_of(
+    group: str, held: _Group, log_s: Array, values: Mapping[str, Array], facts: Mapping[str, Fact]
+) -> dict[str, Channel]:
+    """The channels of a group, by name, an orientation's angle among them. log_s, values: the rows that were kept,
+    (k,); facts: the source's."""
+    channels: dict[str, Channel] = {}
+    span = held.last_s - held.first_s
+    rate = (held.rows - 1) / span if span > 0 else 0.0
+    for name, kept in values.items():
+        fact = facts.get(name, Fact())
+        low, high = held.low.get(name, np.nan), held.high.get(name, np.nan)
+        channels[name] = Channel(name, group, fact, held.count[name], rate, low, high, log_s, kept)
+    for prefix in _orientations(values):
+        angle, _ = bending_deg(np.column_stack([values[f"{prefix}.{axis}"] for axis in QUATERNION]))
+        if np.isfinite(angle).any():
+            fact = Fact(QUATERNION_TYPE, unit="deg")
+            low, high = float(np.nanmin(angle)), float(np.nanmax(angle))
+            channels[prefix] = Channel(prefix, group, fact, held.rows, rate, low, high, log_s, angle)
+    return channels
 
 
 def check_episode(source: Source, episode: int) -> None:

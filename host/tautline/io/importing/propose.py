@@ -102,25 +102,16 @@ def propose(listing: Listing, hold: Proposal | None = None) -> Proposal:
 
 
 def _compare(listing: Listing) -> _Compared:
-    """Compares the channels that move, of more than _MOST those that change most often: by the cross-correlation of
-    their changes over _CHANGE_S, at _GRID common times. Where there are fewer than two, or the episode is too short,
-    all are unrelated."""
-    channels = [c for c in listing.channels.values() if c.moves and not _is_part_of_orientation(c.name, listing)]
-    channels = [c for c in channels if np.isfinite(c.values).sum() > 8]
-    changes = [float(np.mean(np.diff(c.values[np.isfinite(c.values)]) != 0)) for c in channels]
-    channels = [channels[k] for k in np.argsort(changes, kind="stable")[::-1][:_MOST]]
-    channels.sort(key=lambda c: list(listing.channels).index(c.name))
+    """Compares the channels that move (see `_moving_channels`) by the cross-correlation of their changes over
+    _CHANGE_S, at _GRID common times. Where there are fewer than two, or the episode is too short, all are unrelated."""
+    channels = _moving_channels(listing)
     n = len(channels)
     unrelated = _Compared(
         [c.name for c in channels], np.eye(n), np.zeros((n, n)), np.ones(n), np.zeros((n, n)), np.zeros((n, 1))
     )
     if n < 2:
         return unrelated
-    first = max(float(c.t_s[0]) for c in channels)
-    last = min(float(c.t_s[-1]) for c in channels)
-    if not last > first:
-        first, last = min(float(c.t_s[0]) for c in channels), max(float(c.t_s[-1]) for c in channels)
-    times = np.linspace(first, last, _GRID)
+    times = _common_times(channels)
     step = times[1] - times[0]
     over = max(1, round(_CHANGE_S / step))
     if over > _GRID - _LEAST_CHANGES:
@@ -137,6 +128,25 @@ def _compare(listing: Listing) -> _Compared:
     turning = np.abs(np.corrcoef(np.vstack([middle, moving]))[:n, n:]) if n else np.zeros((0, 0))
     low, high = np.percentile(grid, [5.0, 95.0], axis=1)
     return _Compared([c.name for c in channels], correlation, lags * step, high - low, np.nan_to_num(turning), grid)
+
+
+def _moving_channels(listing: Listing) -> list[Channel]:
+    """The channels that move, in the listing's order; of more than _MOST those whose value changes in most rows."""
+    channels = [c for c in listing.channels.values() if c.moves and not _is_part_of_orientation(c.name, listing)]
+    channels = [c for c in channels if np.isfinite(c.values).sum() > 8]
+    changes = [float(np.mean(np.diff(c.values[np.isfinite(c.values)]) != 0)) for c in channels]
+    channels = [channels[k] for k in np.argsort(changes, kind="stable")[::-1][:_MOST]]
+    channels.sort(key=lambda c: list(listing.channels).index(c.name))
+    return channels
+
+
+def _common_times(channels: Sequence[Channel]) -> Array:
+    """(_GRID,) even times, s, within those that all channels have; without any, from the first to the last of all."""
+    first = max(float(c.t_s[0]) for c in channels)
+    last = min(float(c.t_s[-1]) for c in channels)
+    if not last > first:
+        first, last = min(float(c.t_s[0]) for c in channels), max(float(c.t_s[-1]) for c in channels)
+    return np.linspace(first, last, _GRID)
 
 
 def _strongest_correlations(series: Array, most: int) -> tuple[Array, Array]:

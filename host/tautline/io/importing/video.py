@@ -31,11 +31,7 @@ def from_pictures(pictures: Iterable[Picture], path: Path, name: str) -> tuple[A
     with av.open(str(path), "w", format="matroska") as output:
         last = -1
         for k, each in enumerate(pictures):
-            try:
-                size = (each.width, each.height) if each.width else _size(av, each)
-            except (av.FFmpegError, StopIteration) as error:
-                raise TautError(f"{name}: picture {k} cannot be decoded ({error or 'it is cut'}): cut the recording "
-                                "before it") from error  # fmt: skip
+            size = _size(av, each, f"{name}: picture {k}")
             if kind is None:
                 kind = (each.codec, *size)
                 stream = _stream(av, output, each, size)
@@ -90,11 +86,17 @@ def cut(clip: Clip, path: Path) -> Array:
     return result
 
 
-def _size(av: Any, picture: Picture) -> tuple[int, int]:
-    """Width and height, px, of an encoded picture (mjpeg, png), by decoding it. av: the module PyAV."""
-    context = av.CodecContext.create(picture.codec, "r")
-    frames = context.decode(av.Packet(picture.data))
-    frame = frames[0] if frames else next(iter(context.decode(None)))
+def _size(av: Any, picture: Picture, what: str) -> tuple[int, int]:
+    """Width and height, px, of a picture; of an encoded one (mjpeg, png), which does not say them, by decoding it. av:
+    the module PyAV; what: names the picture in the TautError that is raised where it cannot be decoded."""
+    if picture.width:
+        return picture.width, picture.height
+    try:
+        context = av.CodecContext.create(picture.codec, "r")
+        frames = context.decode(av.Packet(picture.data))
+        frame = frames[0] if frames else next(iter(context.decode(None)))
+    except (av.FFmpegError, StopIteration) as error:
+        raise TautError(f"{what} cannot be decoded ({error or 'it is cut'}): cut the recording before it") from error
     return frame.width, frame.height
 
 
