@@ -286,7 +286,7 @@ def test_gains_are_tried_as_far_as_the_board_takes_all_of_them(bench: Bench, mon
 
 def test_a_feed_forward_that_the_board_does_not_take_is_said(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
-    monkeypatch.setattr("tautline.live.commission._fitted_drive_law", lambda stretches: (0.03, 1.0 / 500.0))  # counts/s
+    monkeypatch.setattr("tautline.live.commission._fit_drive_law", lambda stretches: (0.03, 1.0 / 500.0))  # counts/s
     with live_on(bench, preset("reference")) as live:
         assert live.plant is not None
         live.plant.end_at(-3.0, 9.0)

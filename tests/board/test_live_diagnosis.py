@@ -31,7 +31,7 @@ def test_a_lag_that_came_after_the_calibration_is_asked_for_until_it_is_sure(ben
     with bench.open() as board:
         plant = SimulatedAxis(bench.sim, lagging, 0)
         live = Live(board, rig, 0, PointSource(plant), plant)
-        asked = diagnose_live(live, found, calibration, [], tmp_path / "made", most=3, told=told.append)
+        asked = diagnose_live(live, found, calibration, [], tmp_path / "made", most=3, say=told.append)
     print(asked.why, told)
     document = asked.diagnosis.document
     assert document["effects"][0]["id"] == "transmission.lag"

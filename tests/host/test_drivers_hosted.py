@@ -111,7 +111,7 @@ def test_a_drive_that_may_speed_up_faster_than_is_planned_is_driven_all_the_same
         (drive,) = drives.drives
         drives.drives = [replace(drive, limits=replace(drive.limits, acceleration=1e9))]
         with closing(HostedLink(drives, address.where, address.rate_hz, paced=False)) as link:
-            assert link._request("get_limits", axis=0).acceleration_s2 == _native.HOSTED_ACCELERATION_MAX
+            assert link._ask_application("get_limits", axis=0).acceleration_s2 == _native.HOSTED_ACCELERATION_MAX
 
 
 @pytest.mark.parametrize("at", [1e7, -1e9])

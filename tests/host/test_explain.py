@@ -166,10 +166,10 @@ def test_an_effect_s_picture_shows_it(code: str) -> None:
 
 def test_what_a_message_names_it_leads_to(capsys: pytest.CaptureFixture[str]) -> None:
     from tautline.cli._common import quality_lines
-    from tautline.cli.diagnose import _topics_of
+    from tautline.cli.diagnose import _log_topics
     from tautline.quality import Quality, Reason
 
-    _topics_of({"effects": [{"id": "transmission.lag"}]})
+    _log_topics({"effects": [{"id": "transmission.lag"}]})
     said = capsys.readouterr().err + "\n".join(
         quality_lines(Quality((Reason("clock.offset", "it is off", "mend it"),)))
     )

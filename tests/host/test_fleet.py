@@ -21,7 +21,7 @@ from tautline.calibration.calibrate import calibrate
 from tautline.calibration.options import Options
 from tautline.errors import TautError
 from tautline.fleet import page, prior, sessions
-from tautline.fleet.changes import compared
+from tautline.fleet.changes import with_changes
 from tautline.fleet.findings import findings
 from tautline.fleet.population import _UNTOLD as UNTOLD
 from tautline.fleet.population import Curves, log_widths, population, single
@@ -264,7 +264,7 @@ def fleet_of(rng, count, growth, sessions=6, batches=None, scatter=0.002):
         for session in range(sessions):
             size = (1.0 + growth[k] * session) * (1.0 + rng.normal(0.0, scatter))
             rows.append(row(f"r{k:04d}", session, shape * size, batch=None if batches is None else batches[k]))
-    return compared(rows)
+    return with_changes(rows)
 
 
 def test_wear_is_the_growth_of_the_mean_width_and_its_sigma_has_the_scatter():
@@ -281,7 +281,7 @@ def test_wear_is_the_growth_of_the_mean_width_and_its_sigma_has_the_scatter():
 def test_a_later_session_is_told_beside_the_first_usable_one():
     failed = Row("a", "00", "x", error="nothing")
     first, later = row("a", 1, 0.5), replace(row("a", 2, 0.55), c_deg=tuple((12.0 * (PLACES - 0.1)).tolist()))
-    rows = compared([failed, first, later])
+    rows = with_changes([failed, first, later])
     assert rows[0].since is None and rows[1].since is None and rows[2].since == "01"
     assert rows[2].width_change == pytest.approx(0.1)
     assert rows[2].offset_change == pytest.approx(-0.1)  # the tip is where it was at q - 0.1
@@ -346,7 +346,7 @@ def test_a_fleet_whose_backlash_shrinks_is_said_to_shrink():
 
 
 def test_two_robots_are_no_fleet_and_nothing_is_said():
-    found = findings(compared([row("a", 0, 0.5), row("b", 0, 0.7)]))
+    found = findings(with_changes([row("a", 0, 0.5), row("b", 0, 0.7)]))
     assert (found.worn, found.unlike, found.drifting) == ((), (), ())
 
 

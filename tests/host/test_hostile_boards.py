@@ -160,7 +160,7 @@ def test_a_board_that_wants_hours_has_ten_seconds(slept: list[float]) -> None:
     assert sum(slept) == pytest.approx(10.0)
     slept.clear()
     with pytest.raises(TautError, match="does not come to rest"):
-        route(Device(7, 0xFFFFFF))._make_idle()
+        route(Device(7, 0xFFFFFF))._bring_to_idle()
     assert sum(slept) <= 40.0
 
 

@@ -241,10 +241,10 @@ def test_every_key_is_read_as_it_is_typed():
     document = {"format": "rig/1"}
     for text in (*GIVEN, *INTRINSICS):
         name, _, value = text.partition("=")
-        rig_keys.put(document, *rig_keys.named(name), value)
+        rig_keys.put(document, *rig_keys.find_key(name), value)
     assert document["actuator"] == {"unit": "mm", "range": [-5.0, 5.0], "encoder_resolution": 0.001}
     with pytest.raises(TautError, match=r"coarse\.gain is '9+', expected"):
-        rig_keys.put(document, *rig_keys.named("coarse.gain"), 5000 * "9")
+        rig_keys.put(document, *rig_keys.find_key("coarse.gain"), 5000 * "9")
     asked = {key: value for key, value in asdict(RIG.camera).items() if value is not None}
     assert {**document["camera"], "distortion": tuple(document["camera"]["distortion"])} == asked
 

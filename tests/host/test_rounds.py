@@ -36,7 +36,7 @@ from tautline.live.rounds import (
     why_not,
 )
 from tautline.live.setup import Frame
-from tautline.live.until import _rounds
+from tautline.live.until import _make_rounds
 from tautline.live.watch import BINS, View, Watch
 from tautline.model import Model
 from tautline.quality import Quality, Reason
@@ -347,7 +347,7 @@ def test_one_does_not_give_up_before_a_slower_pass(helps: bool, at_most_s: float
 
     motions = SimpleNamespace(made=made, run=run, stroke=run, still=lambda: None)
     watch = SimpleNamespace(view=view, settle=settle, camera_view=lambda: CLEAR)
-    rounds, why = _rounds(cast(Any, motions), cast(Any, watch), MEANS, UNTIL, at_most_s, lambda: False)
+    rounds, why = _make_rounds(cast(Any, motions), cast(Any, watch), MEANS, UNTIL, at_most_s, lambda: False)
     assert len(rounds) == count and isinstance(rounds[1], Strokes)
     assert (why == "") == (helps and count == 3)
     if count == 3:
@@ -376,5 +376,5 @@ def test_a_round_that_a_rest_broke_off_is_made_again_though_the_rest_is_over_bef
         view=view, frame=lambda frame, reversals: False, settle=settle, camera_view=lambda: CLEAR,
         rest=lambda resting: rests.append(resting()),
     )  # fmt: skip
-    rounds, why = _rounds(cast(Any, motions), cast(Any, watch), MEANS, UNTIL, 60.0, resting)
+    rounds, why = _make_rounds(cast(Any, motions), cast(Any, watch), MEANS, UNTIL, 60.0, resting)
     assert tried == [False, *([True] * len(rounds))] and len(rests) == 1 and not why

@@ -60,12 +60,12 @@ def test_what_is_off_the_track_is_no_reading(seen, tmp_path):
     px[10] += 100.0
     valid = np.ones(50, dtype=bool)
     valid[20] = False
-    read = seen.seen(replace(robot, marker=marker(px, valid), angle=None))
+    read = seen.to_angle(replace(robot, marker=marker(px, valid), angle=None))
     assert read.marker is None and read.angle.seen.sum() == 48 and not read.angle.seen[[10, 20]].any()
     with pytest.raises(TautError, match="px off the track"):
-        seen.seen(replace(robot, marker=marker(px + 150.0), angle=None))
+        seen.to_angle(replace(robot, marker=marker(px + 150.0), angle=None))
     with pytest.raises(TautError, match=r"has no marker\.csv"):
-        seen.seen(robot)
+        seen.to_angle(robot)
 
 
 def test_what_is_wrong_is_said_with_what_to_do(tmp_path):
@@ -120,7 +120,7 @@ def test_a_track_that_passes_the_camera_s_plane_still_refuses_what_lies_off_it(t
     robot = arms.robot(tmp_path, 3, 2.0)
     far = near.px[len(near.px) // 2] + [0.0, 0.5 * HEIGHT]
     with pytest.raises(TautError, match="px off the track"):
-        near.seen(replace(robot, marker=marker(np.tile(far, (50, 1)))))
+        near.to_angle(replace(robot, marker=marker(np.tile(far, (50, 1)))))
 
 
 def test_where_a_track_leaves_the_image_it_has_no_line(tmp_path):
@@ -136,4 +136,4 @@ def test_where_a_track_leaves_the_image_it_has_no_line(tmp_path):
 
 def test_frames_are_as_old_as_the_rig_says(seen, tmp_path):
     robot = replace(arms.robot(tmp_path, 3, 2.0), marker=marker(place(np.linspace(-20.0, 20.0, 50))))
-    assert np.array_equal(seen.seen(robot, 0.08).angle.t_s, robot.marker.t_s - 0.08)
+    assert np.array_equal(seen.to_angle(robot, 0.08).angle.t_s, robot.marker.t_s - 0.08)

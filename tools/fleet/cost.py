@@ -19,10 +19,10 @@ import numpy as np
 import pandas as pd
 
 from tautline.calibration.calibrate import calibrate
-from tautline.fleet.changes import compared
+from tautline.fleet.changes import with_changes
 from tautline.fleet.findings import findings
 from tautline.fleet.rows import DataSet
-from tautline.fleet.run import died, run
+from tautline.fleet.run import row_of_lost_worker, run
 from tautline.fleet.sessions import MANIFEST
 from tautline.folders import write_file
 from tautline.pool import pool
@@ -120,7 +120,7 @@ def measure(folder: Path, out: Path, cost: Cost) -> None:
 
     began_s, spent_s = time.monotonic(), _cores_s()
     try:
-        with pool(cost.workers, None, died) as workers:
+        with pool(cost.workers, None, row_of_lost_worker) as workers:
             run(folder, out, workers, count)
     finally:
         yardstick.beside()
@@ -162,7 +162,7 @@ def _found(folder: Path, result: Path) -> str:
     rows = sorted(DataSet(result).read().values(), key=lambda row: (row.robot, row.session))
     batch = pd.read_csv(folder / MANIFEST).set_index("robot")["batch"]
     truth = {robot for robot in batch.index[batch == WORN] if any(row.robot == robot for row in rows)}
-    said = findings(compared(rows))
+    said = findings(with_changes(rows))
     named = {one.name for one in said.worn}
     batches = ", ".join(one.name for one in said.worn_batches) or "none"
     return (

@@ -15,7 +15,10 @@ from tautline.errors import TautError, nearest, of_system
 
 
 class _Commands(click.Group):
+    """click's group of commands, whose modules are imported only when they are asked for; it lists them in groups."""
+
     def list_commands(self, ctx: click.Context) -> list[str]:
+        """The names of all commands."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
@@ -31,25 +34,28 @@ class _Commands(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """As click's, but for a name that is none with the one that was probably meant."""
+        """As click's; but for an unknown name the usage error says which command was probably meant."""
         if args[0] not in COMMANDS and (meant := nearest(args[0], COMMANDS)):
             ctx.fail(f"No such command '{args[0]}': did you mean 'taut {meant}'?")
         return super().resolve_command(ctx, args)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """The commands that begin so, without importing their modules, and what click offers by itself."""
+        """For the shell's completion: the commands that begin with `incomplete`, without importing their modules, and
+        what click itself offers (options)."""
         named = [CompletionItem(each.name, help=each.says) for each in COMMANDS.values()]
         return [each for each in named if each.value.startswith(incomplete)] + click.Command.shell_complete(
             self, ctx, incomplete
         )
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Writes the commands into the help text, a section for each group."""
         wide = max(map(len, COMMANDS))
         for title, commands in GROUPS.items():
             with formatter.section(title):
                 formatter.write_dl([(f"{command.name:<{wide}}", command.says) for command in commands])
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Writes the exit statuses below the help text."""
         with formatter.section("Exit status"):
             formatter.write_dl([(str(status), says) for status, says in EXIT_STATUS.items()])
 
@@ -61,9 +67,10 @@ def taut() -> None:
 
 
 def main() -> None:
-    """The command line. Exit status: EXIT_STATUS. With --json an error is a JSON object on stdout beside its line on
-    stderr, if the result is not there already; NO_COLOR removes the escapes. TAUT_TRACEBACK=1 shows where an unexpected
-    error comes from."""
+    """The entry point of `taut`: runs the command line and ends the process on an error, with a status of EXIT_STATUS.
+    An error is one line on stderr; with --json also an object on stdout, unless the result is there already. The
+    environment variable NO_COLOR removes colours; TAUT_TRACEBACK=1 lets an unexpected error through with its
+    traceback."""
     said = Said()
     try:
         taut(standalone_mode=False, obj=said, color=False if os.environ.get("NO_COLOR") else None)
@@ -88,14 +95,14 @@ def main() -> None:
 
 
 def _fail(said: Said, what: str, status: int) -> None:
-    """Ends with a line on stderr, `what` went wrong, and the exit status."""
+    """Ends the process with `what` went wrong as a line on stderr, and the exit status."""
     click.echo(f"taut: {what}", err=True)
     _exit_with_error(said, what, status)
 
 
 def _exit_with_error(said: Said, what: str, status: int) -> None:
-    """Ends with the exit status; with --json `what` went wrong is also an object on stdout, unless a result is there:
-    stdout holds one object, no more."""
+    """Ends the process with the exit status. With --json prints `what` went wrong as an object on stdout, unless the
+    result is there already: stdout has one object and no more."""
     if "--json" in sys.argv and not said.result:
         click.echo(json.dumps({"error": what, "status": status}))
     sys.exit(status)

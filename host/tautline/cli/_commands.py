@@ -13,10 +13,10 @@ _SOURCES = Path(__file__).resolve().parents[3]  # a clone, where the package is 
 
 @dataclass(frozen=True)
 class Command:
-    """Its module holds a click command called `command`."""
+    """One command of `taut`. Its module holds a click command called `command`."""
 
     name: str
-    says: str
+    says: str  # its line in `taut --help`
     example: str
     of_a_clone: str = ""  # the module in a clone's tools, where the wheel has none
 
@@ -168,7 +168,7 @@ COMMANDS = {command.name: command for group in GROUPS.values() for command in gr
 
 
 def imported(command: Command) -> ModuleType:
-    """The command's module. The clone goes onto the path for those of its tools, which are on nobody else's."""
+    """Imports the command's module. For a command that only a clone has, the clone is put onto Python's path first."""
     if command.of_a_clone and str(_SOURCES) not in sys.path:
         sys.path.append(str(_SOURCES))
     return importlib.import_module(command.module)
@@ -176,9 +176,9 @@ def imported(command: Command) -> ModuleType:
 
 @dataclass
 class Said:
-    """What of a command is out already: the context's object."""
+    """What the running command has printed already; it is click's context object."""
 
-    result: bool = False
+    result: bool = False  # the result is on stdout
 
 
 # Of every command.

@@ -30,6 +30,7 @@ class Number(click.types.FloatParamType):
     """An option's finite number: click's own lets nan and inf through, also through a range."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The value as a float; a usage error where it is no finite number."""
         number = super().convert(value, param, ctx)
         if not math.isfinite(number):
             self.fail(f"{value!r} is no finite number.", param, ctx)
@@ -62,7 +63,8 @@ force_option = click.option("--force", is_flag=True, help="Use a model whose cal
 
 
 def refuse_unusable(model: Model, folder: Path, force: bool = False) -> None:
-    """TautError for an unusable model before anything is driven with it, unless `force`."""
+    """UnusableError, with the first reason, for a model whose calibration is unusable, before anything is driven with
+    it; with `force` only a warning. folder: the model's, for the text."""
     if model.quality.usable:
         return
     why = model.quality.reasons[0]
@@ -72,13 +74,13 @@ def refuse_unusable(model: Model, folder: Path, force: bool = False) -> None:
 
 
 def warn_unusable(model: Model, folder: Path) -> None:
-    """Warns of an unusable model where it is only looked at, and goes on."""
+    """Warns where a model's calibration is unusable, for commands that drive nothing with it."""
     refuse_unusable(model, folder, force=True)
 
 
 def warn_tracked_alone(model: Model) -> None:
-    """Warns, before a tracker runs on what comes live, of the model's effects beside its play: it knows the play and
-    f_remain alone."""
+    """Warns, before a live tracker starts, where a model has effects beside its play: the tracker simulates the play
+    and f_remain alone."""
     if model.effects:
         named = ", ".join(effect.id for effect in model.effects)
         warn(f"what the model holds beside its play ({named}) is not simulated while tracking live")
@@ -89,7 +91,7 @@ _COLOURS = {Verdict.GOOD: "green", Verdict.DOUBTFUL: "yellow", Verdict.UNUSABLE:
 
 
 def quality_lines(quality: Quality) -> list[str]:
-    """The verdict in colour and a line for each reason; printed before a result."""
+    """A calibration's verdict in colour, and a line for each reason, to be printed before the result."""
     word = click.style(quality.verdict.value, fg=_COLOURS[quality.verdict], bold=True)
     lines = [f"taut: calibration {word}" + (": the stated sigmas cover" if quality.verdict is Verdict.GOOD else "")]
     lines += [f"taut:   {click.style(reason.code, bold=True)} {reason}" for reason in quality.reasons]
@@ -100,7 +102,8 @@ def quality_lines(quality: Quality) -> list[str]:
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Progress]:
-    """A bar on stderr, called with (fraction 0 to 1, what is being done); nothing where stderr is no terminal."""
+    """A context with a progress bar on stderr: a function that is called with (fraction 0 to 1, what is being done).
+    Where stderr is no terminal it does nothing."""
     if not sys.stderr.isatty():
         yield lambda fraction, text: None
         return
@@ -121,15 +124,18 @@ def progress_bar(title: str) -> Iterator[Progress]:
 
 
 def log(text: str) -> None:
+    """Prints a line on stderr."""
     click.echo(text, err=True)
 
 
 def warn(text: str) -> None:
+    """Prints a warning, one line on stderr."""
     click.echo(f"taut: warning: {text}", err=True)
 
 
 def emit(result: Mapping[str, Any], as_json: bool, text: str) -> None:
-    """Prints the command's result on stdout: one JSON object, or text for a person."""
+    """Prints the command's result on stdout, with which it ends: `result` as one JSON object, or `text` for a
+    person."""
     context = click.get_current_context(silent=True)
     if context is not None and (said := context.find_object(Said)) is not None:
         said.result = True
@@ -147,8 +153,9 @@ def read_rig(path: Path) -> Rig:
 def read_recordings(
     paths: Sequence[Path], rig_path: Path | None, repeated: bool = False
 ) -> tuple[list[Recording], Rig]:
-    """Reads recordings and the rig that holds for them: --rig, else the first recording's own. Prints their warnings.
-    TautError where one is given twice, unless it may be `repeated`."""
+    """Reads recordings, and the rig that holds for all of them: rig_path's (--rig), else the rig.toml of the first
+    recording that has one, which the others must not contradict. Prints their warnings. TautError also where a
+    recording is given twice, unless it may be `repeated`."""
     if rig_path is not None:
         rig = read_rig(rig_path)
         recordings = load_all(paths, rig)

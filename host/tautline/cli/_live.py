@@ -73,7 +73,7 @@ until_option = click.option(
 
 
 def motion_option(none: str) -> Callable[..., Any]:
-    """The option --motion; none: what happens without it."""
+    """The option --motion of a command; none: what its help says happens without it."""
     return click.option(
         "--motion",
         metavar="FILE|SHAPE",
@@ -84,7 +84,8 @@ def motion_option(none: str) -> Callable[..., Any]:
 
 
 def shapes_option(without_model: str = "") -> Callable[..., Any]:
-    """The option --shapes, given as library_path; without_model: what it does where no MODEL is named."""
+    """The option --shapes of a command, which gets it as library_path; without_model: an addition to its help, what it
+    does where no MODEL is named."""
     return click.option(
         "--shapes",
         "library_path",
@@ -104,21 +105,23 @@ at_option = click.option(
 
 @dataclass(frozen=True)
 class LiveOptions:
-    """Which set-up a live command uses."""
+    """Which set-up a live command uses: the values of its options."""
 
-    board: str | None
+    board: str | None  # address; None: the rig's, or the only one
     axis: int
-    camera: str | None
-    colour: Path
-    simulate: str | None
-    at: float | None
+    camera: str | None  # None: no camera
+    colour: Path  # the file with the marker's colour
+    simulate: str | None  # an instrument's preset, or a model's folder; None: a real board
+    at: float | None  # where the motor is, the rig's unit; None: as the board counts
 
 
 def live_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """--board, --axis, --camera, --colour, --simulate and --at, given to the command as `live`."""
+    """A decorator that gives a command the options --board, --axis, --camera, --colour, --simulate and --at; it gets
+    them together, as `live`, a LiveOptions."""
 
     @functools.wraps(command)
     def collected(**given: Any) -> Any:
+        """Calls the command with these options collected in `live`."""
         live = LiveOptions(**{field.name: given.pop(field.name) for field in fields(LiveOptions)})
         return command(live=live, **given)
 
@@ -129,24 +132,26 @@ def live_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def free_recording(out: Path) -> Path:
-    """OUT-recording, or with the next number that no folder has."""
-    return _free(out, "recording")
+    """A folder for a recording beside the output folder `out`, that does not exist yet: OUT-recording, or with a
+    number."""
+    return _free_folder(out, "recording")
 
 
 def free_recordings(out: Path) -> Path:
-    """OUT-recordings, for several, or with the next number that no folder has."""
-    return _free(out, "recordings")
+    """A folder for several recordings beside the output folder `out`, that does not exist yet: OUT-recordings, or with
+    a number."""
+    return _free_folder(out, "recordings")
 
 
-def _free(out: Path, what: str) -> Path:
+def _free_folder(out: Path, what: str) -> Path:
     """The first of OUT-WHAT, OUT-WHAT-2, OUT-WHAT-3 and so on, beside `out`, that does not exist."""
     names = (f"{out.name}-{what}{number}" for number in chain([""], (f"-{i}" for i in count(2))))
     return next(path for name in names if not (path := out.with_name(name)).exists())
 
 
 def sigma_of(text: str, unit: str) -> float:
-    """A sigma in the rig's unit (mm or deg) from text such as "5um"; without a unit it is in um, or deg on such a rig.
-    UsageError where it is none above 0, or of the other kind."""
+    """The value of --until: a standard deviation of B in the rig's unit (mm or deg), from text such as "5um"; without a
+    unit it is in um, or in deg if the rig is. UsageError where it is no number above 0, or of the other kind."""
     matched = re.fullmatch(r"\s*([0-9.]+(?:e[-+]?\d+)?)\s*(um|µm|mm|deg|)\s*", text)
     try:
         value = float(matched[1]) if matched else 0.0
@@ -160,14 +165,15 @@ def sigma_of(text: str, unit: str) -> float:
     return value * 1e-3 if named in ("um", "µm") else value
 
 
-def _takes(option: str) -> bool:
+def _command_has(option: str) -> bool:
     """Whether the command that runs has this option."""
     context = click.get_current_context(silent=True)
     return context is not None and any(each.name == option for each in context.command.params)
 
 
 def given(*names: str) -> list[str]:
-    """Which of these parameters of the command that runs stand in the command line, as they are written there."""
+    """Of the running command's parameters with these names, those that stand in the command line, each by the name of
+    its option, such as "--tip"."""
     context = click.get_current_context()
     return [
         each.opts[0]
@@ -177,7 +183,8 @@ def given(*names: str) -> list[str]:
 
 
 def refuse_live_options(*more: str, because: str) -> None:
-    """UsageError where an option of a live set-up, or one of `more`, was given to a command that is not live."""
+    """UsageError where an option of a live set-up, or one of the parameters `more`, stands in the command line of a run
+    that is not live. because: the end of its text."""
     if unused := given(*(field.name for field in fields(LiveOptions)), *more):
         raise click.UsageError(f"only a live run uses {', '.join(unused)}: {because}")
 
@@ -186,8 +193,9 @@ def refuse_live_options(*more: str, because: str) -> None:
 def opened(
     live: LiveOptions, rig_path: Path | None, seed: int = 0, model: Model | None = None, picks: bool = False
 ) -> Iterator[Live]:
-    """The live set-up of these options. The rig is --rig's, else the model's, else the simulation's. picks: a camera
-    may be opened before the marker's colour is known."""
+    """A context with the live set-up of these options, opened. The rig is that of --rig, else the model's, else the
+    simulation's. seed: of a simulation; picks: a camera may be opened before the marker's colour is known. Afterwards
+    warns of frames that the camera lost. TautError or UsageError where options, rig and model do not go together."""
     from tautline.live.setup import CameraSource, open_live
     from tautline.vision.colour import MarkerColour
 
@@ -213,7 +221,7 @@ def opened(
         picks=picks,
         at=live.at,
         seed=seed,
-        otherwise="use --simulate" if _takes("simulate") else "",
+        otherwise="use --simulate" if _command_has("simulate") else "",
     ) as setup:
         if isinstance(setup.marker_source, CameraSource) and (says := setup.marker_source.says["exposure"]):
             log(f"taut: the camera's {says}")
@@ -223,7 +231,7 @@ def opened(
 
 
 def recalled(setup: Live, library: Library) -> tuple[Model, Path]:
-    """The model of the shape that the shaft now has, found by a short motion, and its folder."""
+    """Finds out by a short motion which shape of the library the shaft has now; returns its model and folder."""
     from tautline.live.recalling import recall
 
     with progress_bar("recall") as progress:
@@ -233,7 +241,8 @@ def recalled(setup: Live, library: Library) -> tuple[Model, Path]:
 
 
 def shape_text(tracking: dict[str, Any], library: Library | None) -> str:
-    """A part of a sentence after the result, if the tracker recognised another shape of the library; else ""."""
+    """The end of a result's text where the tracker has recognised another shape of the library than the model's; else
+    "". tracking: Following.summary."""
     if library is None or tracking["shape"] is None:
         return ""
     folder = library.folder / tracking["shape"]
@@ -241,7 +250,8 @@ def shape_text(tracking: dict[str, Any], library: Library | None) -> str:
 
 
 def bus_text(bus: dict[str, Any]) -> str:
-    """The measured timing of motors on a bus of their own, a part of a sentence; "" where `bus` is empty: a board."""
+    """The end of a result's text on the measured timing of motors on a bus of their own; "" for a board, where `bus`
+    (Board.bus) is empty."""
     if not bus:
         return ""
     return (
@@ -251,8 +261,8 @@ def bus_text(bus: dict[str, Any]) -> str:
 
 
 def tracking_text(tracking: dict[str, Any]) -> str:
-    """What a tracker learnt in use, and how far the board's tables were moved (offset in the rig's unit), as a part of
-    a sentence."""
+    """What a tracker learnt in use, and how far it moved the board's tables (offset in the rig's unit), for the end of
+    a result's text. tracking: Following.summary with a mover."""
     if tracking["state"] is None:
         return "not tracked: no frame came"
     moves = tracking["moves"]

@@ -18,13 +18,16 @@ _READ = (*FILES, MODEL_FILE)  # what commands read of a folder
 
 
 class Output(click.Path):
-    """A file or a folder to write. key_file: what an earlier result of the same kind holds, in a folder's place."""
+    """An option's path of a file or folder that will be written, checked before the work is done for it."""
 
     def __init__(self, key_file: str = "", file: bool = False) -> None:
+        """key_file: a file that a folder must hold to be replaced, as an earlier result of the same kind has it; "":
+        the path need only be writable. file: a folder is refused."""
         super().__init__(path_type=Path)
         self._key_file, self._file = key_file, file
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The value as a Path. TautError where it could not be written."""
         path = super().convert(value, param, ctx)
         if isinstance(path, Path) and not (ctx is not None and ctx.resilient_parsing):  # the shell completes
             if self._file and path.is_dir():
@@ -39,8 +42,8 @@ def folder_option(name: str, help: str, required: bool = True, key_file: str = "
 
 
 def check_no_input(out: Path | None, *inputs: Path | None) -> None:
-    """TautError if the file `out` is one of the inputs, or takes the place of a file that an input folder already
-    holds and the commands read."""
+    """TautError if writing the file `out` would overwrite an input: it is one of them, or a file of an input folder
+    that the commands read. None stands for an input or output that was not named."""
     if out is None or is_stream(out) or out.is_dir():  # what cannot be taken for a file is told by who writes it
         return
     place = Path(os.path.realpath(out))

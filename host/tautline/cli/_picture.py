@@ -27,7 +27,8 @@ _FRAME_S = 0.1  # format: between two pictures, wall clock
 
 
 def picture(view: View) -> list[Text]:
-    """The picture of a live calibration, line by line; colours say how far sigma is from the goal."""
+    """The picture of a live calibration for the terminal, line by line: what is done, coverage both ways, B and its
+    sigma as columns over the motor's range. Colours show how far sigma is from the goal."""
     lines = [_heading(view), _coverage_line("seen rising", view.rising), _coverage_line("seen falling", view.falling)]
     if view.calibration is not None:
         q = view.low + (np.arange(BINS) + 0.5) * (view.high - view.low) / BINS
@@ -47,6 +48,7 @@ def standing(view: View) -> str:
 
 
 def _heading(view: View) -> Text:
+    """What is being done."""
     return Text(view.doing, style="bold")
 
 
@@ -110,14 +112,16 @@ def _axis_labels(view: View) -> Text:
 
 @contextmanager
 def calibration_picture(as_json: bool) -> Iterator[Show]:
-    """Shows each View: as a picture where stderr is a terminal, else a line for each calibration made meanwhile."""
+    """A context with a function that shows each View of a live calibration: as a picture where stderr is a terminal
+    (and not as_json), else as a line for each calibration made meanwhile."""
     with _pictures() if sys.stderr.isatty() and not as_json else _lines() as show:
         yield show
 
 
 @contextmanager
 def _pictures() -> Iterator[Show]:
-    """Draws each View on the terminal, over the one before, and takes the picture away in the end."""
+    """A context with a function that draws each View on the terminal over the one before, at most every _FRAME_S; the
+    picture is taken away in the end."""
     from rich.console import Console, Group
     from rich.live import Live
 
@@ -126,13 +130,15 @@ def _pictures() -> Iterator[Show]:
 
 
 def _at_most_every(seconds: float, show: Show) -> Show:
-    """`show`, called at most once in so many seconds."""
-    last = [float("-inf")]
+    """A function that calls `show`, but at most once in so many seconds: others are dropped."""
+    shown_s = float("-inf")  # when it was called last
 
     def shown(view: View) -> None:
+        """Calls `show` if it is time."""
+        nonlocal shown_s
         now = time.monotonic()
-        if now - last[0] >= seconds:
-            last[0] = now
+        if now - shown_s >= seconds:
+            shown_s = now
             show(view)
 
     return shown
@@ -140,15 +146,17 @@ def _at_most_every(seconds: float, show: Show) -> Show:
 
 @contextmanager
 def _lines() -> Iterator[Callable[[View], None]]:
-    """Logs what is being done and each new calibration, a line each."""
-    last = [0.0, ""]  # of the recording that the last calibration is from, s, and what was being done
+    """A context with a function that logs a line when what is being done changes, and for each new calibration."""
+    doing, calibrated_s = "", 0.0  # of the last View
 
-    def tell(view: View) -> None:
-        if view.doing != last[1]:
-            last[1] = view.doing
-            log(f"taut: {view.doing}")
-        if view.calibrated_s != last[0]:
-            last[0] = view.calibrated_s
+    def log_news(view: View) -> None:
+        """Logs what is new in the View."""
+        nonlocal doing, calibrated_s
+        if view.doing != doing:
+            doing = view.doing
+            log(f"taut: {doing}")
+        if view.calibrated_s != calibrated_s:
+            calibrated_s = view.calibrated_s
             log(f"taut: {standing(view)}")
 
-    yield tell
+    yield log_news

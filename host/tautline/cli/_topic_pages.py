@@ -25,8 +25,8 @@ _FEW = 5  # format: amplitudes that are shown together
 
 
 def write_all(folder: Path) -> Path:
-    """Writes every topic's page and the index, all or nothing; returns the path of the index. TautError where the
-    folder holds something else."""
+    """Writes the pages of all topics, and their index, into a folder, all or nothing; returns the path of the index.
+    TautError where the folder holds something else."""
     known = topics()
     with replaced(folder, next(iter(known.values())).file) as target:
         for topic in known.values():
@@ -45,7 +45,8 @@ def write_all(folder: Path) -> Path:
 
 
 def picture(topic: Topic) -> pages.Picture | None:
-    """The picture of an effect; None for a topic that is none, or one that changes no path, as it only scatters."""
+    """The picture on an effect's page; None for a topic that is no effect, and for an effect that changes no path but
+    only scatters."""
     kind = effects.BY_ID.get(topic.code)
     if kind is None or kind.event:
         return None
@@ -59,27 +60,23 @@ def picture(topic: Topic) -> pages.Picture | None:
 
 @mpl.rc_context(figures.STYLE)
 def drawn(kind: Kind) -> Figure:
-    """An effect's figure: the characteristic (or the marker's track where only the image changes) and the difference
-    over time, deg or px, on the reference instrument. So that each effect has what it needs, its translation and
-    rotation sway, and a load of 20 mNm comes half-way."""
+    """Draws what an effect does on the reference instrument, simulated without and with it. Left the characteristic, or
+    the marker's track where only the image changes; right the difference over time, deg or px. In the motion
+    translation and rotation sway, and a load of 20 mNm comes half-way, so that each effect has what it needs."""
     rig = instrument.reference_rig()
     plant = instrument.preset("reference", rig)
     q = np.linspace(*rig.actuator.range, 201)
     width, c_deg = plant.backlash(q), plant.bend(q)
     model = Model(rig, q, width, np.zeros_like(q), c_deg, rig.delay_s, rig.actuator.range)
-    made = trajectory.through([-4.0, 4.0, -4.0, 3.0, -2.0, 0.5, 0.5], 2.5, 20.0, 1.0)
-    keep = slice(None, None, 10)
-    t_s, moved = made.t_s[keep], made.q[keep]
-    sway = np.sin(2 * np.pi * t_s / 9.0)
-    load = 20.0 * (t_s > t_s.mean())
-    motor = Motor(t_s, moved, translation_mm=2.0 * sway, rotation_deg=20.0 * sway, load_mNm=load)
+    motor = _motion()
+    t_s = motor.t_s
     values = parameters(kind, rig.actuator.span, float(t_s[-1]))
     without, with_it = (effects.simulate(model, motor, t_s, each) for each in ({}, values))
     by_angle = kind.through_angle or kind.stage == "acquisition"
     made_figure, axes = figures.figure(11, 3.4, 1, 2)
     left, right = axes[0]
     for seen, colour, name in ((without, figures.GREY, "without"), (with_it, figures.MODEL, "with it")):
-        across, down = (moved, seen.c_deg) if by_angle else seen.image_px.T
+        across, down = (motor.q, seen.c_deg) if by_angle else seen.image_px.T
         left.plot(across, down, color=colour, lw=1.2, label=name)
     if by_angle:
         left.set(xlabel=f"q ({rig.actuator.unit})", ylabel="bending c (deg)")
@@ -98,6 +95,16 @@ def drawn(kind: Kind) -> Figure:
     right.set(xlabel="time (s)")
     right.set_title("What it changes")
     return made_figure
+
+
+def _motion() -> Motor:
+    """The motion in which effects are drawn, q in mm: strokes of several lengths, translation and rotation that sway,
+    and a load of 20 mNm from half-way on."""
+    made = trajectory.through([-4.0, 4.0, -4.0, 3.0, -2.0, 0.5, 0.5], 2.5, 20.0, 1.0)
+    t_s, q = made.t_s[::10], made.q[::10]
+    sway = np.sin(2 * np.pi * t_s / 9.0)
+    load_mNm = 20.0 * (t_s > t_s.mean())
+    return Motor(t_s, q, translation_mm=2.0 * sway, rotation_deg=20.0 * sway, load_mNm=load_mNm)
 
 
 def parameters(kind: Kind, span: float, seconds: float) -> dict[str, float]:

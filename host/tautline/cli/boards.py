@@ -44,8 +44,8 @@ def command(board: str | None, as_json: bool) -> None:
 
 
 def _board_row(description: Any) -> dict[str, Any]:
-    """What is shown of one board: name, firmware, and its axes where it can be opened; "error" says why it cannot. One
-    that another program uses is left alone."""
+    """What the result says of one board that was found (a BoardAddress): address, serial number and protocol; and, from
+    opening it, firmware and axes, or "error". A board that another program uses is not opened."""
     from tautline.device.board import Board
 
     row: dict[str, Any] = {
@@ -75,7 +75,8 @@ def _board_row(description: Any) -> dict[str, Any]:
 
 
 def _axis_row(board: Any, axis: int) -> dict[str, Any]:
-    """What is shown of one axis: state, table and instrument; None is what it has not, or its firmware does not say."""
+    """What the result says of one axis of an open board: mode, fault, table with model and instrument. None where it
+    has none, or the firmware does not say."""
     from tautline import tables
     from tautline.device import wire
 
@@ -85,7 +86,7 @@ def _axis_row(board: Any, axis: int) -> dict[str, Any]:
         "axis": axis,
         "mode": wire.text("MODES", status.mode),
         "fault": wire.text("FAULTS", status.fault) if status.fault else None,
-        # Older firmware does not say: it drives as if it were.
+        # Older firmware does not say: it drives as if the motor were commissioned.
         "commissioned": bool(status.flags & wire.code("FLAGS", "COMMISSIONED")) if says else None,
         "table": wire.text("TABLES", status.table),
         "model_id": None,
@@ -101,7 +102,7 @@ def _axis_row(board: Any, axis: int) -> dict[str, Any]:
 
 
 def _row_in_words(row: dict[str, Any]) -> str:
-    """A board's row as lines for a terminal."""
+    """A board's row (`_board_row`) as lines for a terminal."""
     if row.get("error"):
         return str(row["error"])
     if row["busy"]:

@@ -137,8 +137,9 @@ def command(
 def _from_recordings(
     paths: tuple[Path, ...], rig_path: Path | None, out: Path, options: Options, fleet: Path | None
 ) -> tuple[Calibration, list[str], dict[str, Any] | None]:
-    """Calibrates recordings: the calibration, the text of its result, and the motion that would close its gaps (file
-    and seconds; None where there are none, or it is unusable). fleet: what taut fleet wrote, as a prior."""
+    """Calibrates recordings and writes the MODEL folder `out`. Returns the calibration, the result in sentences, and
+    the motion that would measure B where it is not (file and seconds; None where there is no such place, or the model
+    is unusable). fleet: a folder of taut fleet, whose robots are the prior."""
     recordings, rig = read_recordings(paths, rig_path)
     if fleet is not None:
         from tautline.fleet import prior
@@ -174,9 +175,10 @@ def _calibrate_live(
     seed: int,
     as_json: bool,
 ) -> tuple[Calibration, list[str], dict[str, Any]]:
-    """Calibrates on a board and a camera: the calibration, the text of its result, and how the motion went. kept:
-    folder of the recording; until: sigma of B(q) as text, "3um"; at_most_s: after which it ends; speeds: the rig's unit
-    per second."""
+    """Calibrates on a board and a camera and writes the MODEL folder `out`. Returns the calibration, the result in
+    sentences, and how the motion went (the result's `motion`). kept: folder of the recording; until: sigma of B(q) as
+    text, "3um"; at_most_s: after which it ends; thorough: the paper's slow motion instead; speeds: the rig's unit per
+    second."""
     from tautline.cli._picture import calibration_picture
     from tautline.live.session import MotionOptions, calibrate_live
     from tautline.live.until import Goal, calibrate_until

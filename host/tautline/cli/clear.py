@@ -36,7 +36,8 @@ def command(board: str | None, axis: int | None, as_json: bool) -> None:
 
 
 def _clear_fault(board: Any, axis: int) -> dict[str, Any]:
-    """Clears the axis' fault; what it was and what mends it."""
+    """Clears the axis' fault, if it has one. Returns what it was (None: none), what is still wrong, and whether the
+    axis knows its position."""
     from tautline.device import wire
 
     before = board.status(axis)
@@ -54,7 +55,8 @@ def _clear_fault(board: Any, axis: int) -> dict[str, Any]:
 
 
 def _fault_log(board: Any, axis: int | None) -> list[dict[str, Any]] | None:
-    """The board's fault log, the newest first, of one axis or (None) all; None where its firmware keeps none."""
+    """Reads the board's fault log, the newest first, of one axis or of all (None). None where its firmware keeps
+    none."""
     from tautline.device import wire
 
     if board.identity.protocol_minor < wire.wire.SINCE["get_logged"]:
@@ -93,7 +95,7 @@ def log_text(log: list[dict[str, Any]] | None) -> list[str]:
 
 
 def _result_in_words(row: dict[str, Any]) -> str:
-    """What `_clear_fault` says of an axis, as lines for a terminal."""
+    """An axis' row (`_clear_fault`) as lines for a terminal."""
     text = f"axis {row['axis']}: {row['fault'] or 'no fault'}"
     text += f" ('taut explain {row['code']}' says more)" if row["code"] else ""
     if row["left"]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -101,8 +103,12 @@ def command(
         "picture": out,
         "bus": bus,
     }
+    emit(result, as_json, f"{serial} axis {axis}: {_stored_in_words(changed)}\n{out} shows the steps.")
+
+
+def _stored_in_words(changed: Mapping[str, Any]) -> str:
+    """Which settings were stored with another value than before, by name, in words."""
     shown = [
         f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}" for name, value in changed.items()
     ]
-    text = f"stored {', '.join(shown)}" if shown else "the settings stay as they were"
-    emit(result, as_json, f"{serial} axis {axis}: {text}\n{out} shows the steps.")
+    return f"stored {', '.join(shown)}" if shown else "the settings stay as they were"

@@ -34,7 +34,8 @@ def command(model_paths: tuple[Path, ...], html_path: Path | None, as_json: bool
 
 
 def _names(paths: tuple[Path, ...]) -> list[str]:
-    """Names for the models: folder names, or whole paths where these are not unique. TautError where those are not."""
+    """Names for the models at these paths: the folders' names, or whole paths if these are not unique. TautError where
+    a path is named twice."""
     names = [path.absolute().name for path in paths]
     if len(set(names)) < len(names):
         names = [str(path) for path in paths]
@@ -44,7 +45,8 @@ def _names(paths: tuple[Path, ...]) -> list[str]:
 
 
 def _table(rows: list[dict[str, object]], first: Model) -> str:
-    """The comparison's rows as a table for a terminal. first: the model that the others are compared with."""
+    """The rows of pages.comparison as a table for a terminal. first: the model that the others are compared with, whose
+    unit counts."""
     unit = first.rig.actuator.unit
     table = Table(box=None, pad_edge=False)
     fine, times = figures.finer(unit)
@@ -68,7 +70,8 @@ def _table(rows: list[dict[str, object]], first: Model) -> str:
 
 
 def _cell(value: object, factor: float) -> str:
-    """A number times the factor that takes it to its column's unit, a dash for NaN, else the text as it is."""
+    """A value as a table's cell: a number times `factor` (to the column's unit) with four digits, "-" for NaN; text as
+    it is."""
     if not isinstance(value, int | float | np.number):
         return str(value)
     return f"{factor * value:.4g}" if np.isfinite(value) else "-"

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from tautline.cli._common import SEED, emit, json_option, log, progress_bar
 from tautline.cli._outputs import folder_option
 from tautline.simulated.instrument import PRESETS
+
+if TYPE_CHECKING:
+    from tautline.live.following import Followed
 
 
 @click.command("demo")
@@ -30,18 +33,18 @@ def command(out: Path | None, instrument: str, seed: int, as_json: bool) -> None
 def run(
     out: Path, instrument: str, seed: int, progress: Callable[[float, str], None], say: Callable[[str], None]
 ) -> dict[str, Any]:
-    """The whole job on a simulated instrument (a preset's name); what was measured and gained. Recording, MODEL and
-    report are in `out`. progress: called with the share done and a text; say: with each step's result."""
+    """Calibrates a simulated instrument (a preset's name), flashes its tables into a desktop board, and follows a
+    trajectory without and with them. Recording, MODEL and report are in `out`. progress: gets the share done, 0 to 1,
+    and a word; say: each step's result, a line. Returns the result of `taut demo --json`."""
     from tautline import tables
     from tautline.folders import check_replaceable, replaced
     from tautline.layouts import MOTOR
     from tautline.live.following import follow_run
     from tautline.live.setup import open_live
     from tautline.live.until import calibrate_until
-    from tautline.model import MODEL_FILE, Model
+    from tautline.model import MODEL_FILE
     from tautline.recording import FILES, load
     from tautline.reports import pages
-    from tautline.reports.evidence import Evidence, Run
 
     model_folder, recording_folder = out / "model", out / "recording"
     check_replaceable(model_folder, MODEL_FILE)
@@ -75,17 +78,13 @@ def run(
             )
             for compensation, begin in (("off", 0.6), ("full", 0.8))
         }
-    for compensation, followed in runs.items():
-        followed_run = Run(followed.t_s, followed.c_ref_deg, followed.c_deg, followed.counted)
-        followed_run.save(model_folder, compensation)
     gain = runs["off"].rms_deg / runs["full"].rms_deg
     say(
         f"5  a trajectory followed open loop: off by {runs['off'].rms_deg:.2f} deg rms without, "
         f"{runs['full'].rms_deg:.3f} with the tables, {gain:.0f} times less"
     )
-    page = pages.write(Model.load(model_folder), model_folder, Evidence.load(model_folder))
     return {
-        "report": page,
+        "report": _report(model_folder, runs),
         "model": model_folder,
         "recording": recording_folder,
         "reversals": len(calibration.onsets),
@@ -98,5 +97,18 @@ def run(
     }
 
 
+def _report(model_folder: Path, runs: Mapping[str, Followed]) -> Path:
+    """Saves the runs, by compensation, in a MODEL folder, writes the model's report with them, and returns its path."""
+    from tautline.model import Model
+    from tautline.reports import pages
+    from tautline.reports.evidence import Evidence, Run
+
+    for compensation, followed in runs.items():
+        run = Run(followed.t_s, followed.c_ref_deg, followed.c_deg, followed.counted)
+        run.save(model_folder, compensation)
+    return pages.write(Model.load(model_folder), model_folder, Evidence.load(model_folder))
+
+
 def _text(result: dict[str, Any]) -> str:
+    """The result for a person: which page to open."""
     return f"\nopen {result['report']}"

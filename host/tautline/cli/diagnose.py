@@ -104,7 +104,7 @@ def command(
         if is_live:
             raise click.UsageError("--simulator needs recordings: name them")
         robots = [path for path in (calibration_path, *test_paths) if path is not None]
-        _tell(
+        _print_diagnosis(
             _diagnose_simulator(simulator, actuator, tip, live.camera, scale, workers, robots, rig_path, out),
             out,
             as_json,
@@ -121,7 +121,7 @@ def command(
         more = {"recordings": asked.recordings, "why": asked.why, "sure": asked.sure}
         said = f"{narration.text(asked.diagnosis.document, str(out))}\n\nStopped: {asked.why}."
         emit({**asked.diagnosis.document, "live": more}, as_json, said)
-        _topics_of(asked.diagnosis.document)
+        _log_topics(asked.diagnosis.document)
         return
     refuse_live_options("most", "kept", "seed", because="name --live with them, or leave them out")
     if calibration_path is None or not test_paths:
@@ -137,13 +137,14 @@ def command(
         )
         progress(0.96, "writing the report")
         save(diagnosis, out)
-    _tell(diagnosis, out, as_json)
+    _print_diagnosis(diagnosis, out, as_json)
 
 
-def _tell(diagnosis: Diagnosis, out: Path, as_json: bool) -> None:
-    """Prints the diagnosis that lies in `out`, and where more is said of what it found."""
+def _print_diagnosis(diagnosis: Diagnosis, out: Path, as_json: bool) -> None:
+    """Prints a diagnosis as the command's result, and where more is said of what it found. out: its folder, for the
+    text."""
     emit(diagnosis.document, as_json, narration.text(diagnosis.document, str(out)))
-    _topics_of(diagnosis.document)
+    _log_topics(diagnosis.document)
 
 
 def _diagnose_simulator(
@@ -157,15 +158,16 @@ def _diagnose_simulator(
     rig_path: Path | None,
     out: Path,
 ) -> Diagnosis:
-    """Diagnoses a simulator against the robot's recordings and writes the diagnosis into `out`. camera: one of the
-    simulator's, through which the marker's places become angles; scale: of the control, per unit of q."""
+    """Diagnoses a simulator (`name`, of --simulator) against the robot's recordings at `paths`, and writes the
+    diagnosis into `out`. camera: one of the simulator's file, by which the marker's places become angles, None where
+    the recordings have angles or the rig's camera counts; scale: control per unit of q; workers: processes."""
     if not paths:
         raise click.UsageError("name at least one recording of the robot")
     robots, rig = read_recordings(paths, rig_path)
     with progress_bar("diagnosing") as progress:
         if camera is not None:
             tip, robots = _angle_through_camera(name, tip, camera, robots, rig)
-        simulator = _simulator(name, actuator, tip, scale, rig)
+        simulator = _open_simulator(name, actuator, tip, scale, rig)
         diagnosis = diagnose_simulator(
             simulator, robots, rig, lambda fraction, text: progress(0.95 * fraction, text), workers
         )
@@ -174,8 +176,9 @@ def _diagnose_simulator(
     return diagnosis
 
 
-def _simulator(name: str, actuator: str | None, tip: str | None, scale: float | None, rig: Rig) -> Simulator:
-    """The simulator of --simulator: MODULE:NAME, else an MJCF or URDF file. scale: of the control, per unit of q."""
+def _open_simulator(name: str, actuator: str | None, tip: str | None, scale: float | None, rig: Rig) -> Simulator:
+    """Opens the simulator that --simulator names: MODULE:NAME, else an MJCF or URDF file, of which actuator, tip and
+    scale (control per unit of q) are. UsageError where a file's actuator or tip is missing."""
     if source.is_python(name):
         return source.of_python(name)
     if actuator is None or tip is None:
@@ -186,16 +189,17 @@ def _simulator(name: str, actuator: str | None, tip: str | None, scale: float | 
 def _angle_through_camera(
     name: str, tip: str | None, camera: str, robots: list[Recording], rig: Rig
 ) -> tuple[str, list[Recording]]:
-    """The tip's hinge, and the recordings with its angle as the simulated camera sees the marker."""
+    """Turns the markers of the recordings into the angle of the hinge that moves the tip's site, as a camera of the
+    simulator's file sees it. Returns the --tip that then holds, joint:HINGE, and the recordings with angles."""
     if source.is_python(name) or tip is None or not tip.startswith("site:"):
         raise click.UsageError("--camera goes with --simulator FILE and --tip site:S, which it sees")
     seen = sight(Path(name), tip.removeprefix("site:"), camera)
     late_s = rig.delay_s - rig.nominal_delay_s(ANGLE)  # by which frames are older than the angles they stand for
-    return f"joint:{seen.hinge}", [seen.seen(robot, late_s) for robot in robots]
+    return f"joint:{seen.hinge}", [seen.to_angle(robot, late_s) for robot in robots]
 
 
-def _topics_of(document: Mapping[str, Any]) -> None:
-    """Logs, for each effect that was found, which topic says more of it."""
+def _log_topics(document: Mapping[str, Any]) -> None:
+    """Logs, for each effect that a diagnosis.json names, which topic says more of it."""
     for effect in document["effects"]:
         log(f"taut: 'taut explain {effect['id']}' says how to tell it and what mends it")
 
@@ -203,8 +207,8 @@ def _topics_of(document: Mapping[str, Any]) -> None:
 def _calibrate_first(
     recordings: list[Recording], rig: Rig, path: Path, progress: Progress
 ) -> tuple[Calibration, list[Recording]]:
-    """The calibration on the first recording, and all recordings on the motor's clock: the first 30 % of the progress.
-    path: of the first, where it is unusable and a warning says so."""
+    """Calibrates on the first recording, and puts all recordings on the motor's clock; it is the first 30 % of the
+    progress. Warns where the calibration is unusable; path: of the first recording, for that."""
     calibration, recordings = calibrated(recordings, rig, lambda fraction, text: progress(0.3 * fraction, text))
     warn_unusable(calibration.model, path)
     return calibration, recordings
@@ -214,8 +218,9 @@ def _diagnose_live(
     calibration_path: Path | None, test_paths: tuple[Path, ...], rig_path: Path | None, kept: Path, live: LiveOptions,
     most: int, seed: int,
 ) -> Asked:  # fmt: skip
-    """Calibrates on the recording, made here first where none is named, then diagnoses with motions recorded on the
-    board until one answer is sure, or `most` were. kept: their folder."""
+    """Calibrates on the recording at calibration_path, or if that is None on one that is made here first, and diagnoses
+    live, with up to `most` recordings of motions on the board, from the tests at test_paths on. kept: the folder of
+    what is recorded."""
     from tautline.live.asking import diagnose_live
     from tautline.live.until import calibrate_until
 

@@ -26,11 +26,11 @@ def command(folder: Path, out: Path | None, cluster: str | None, jobs: int | Non
     from tautline.fleet import page, prior
     from tautline.fleet.findings import findings
     from tautline.fleet.rows import DATA_SET
-    from tautline.fleet.run import died, run
+    from tautline.fleet.run import row_of_lost_worker, run
     from tautline.pool import pool
 
     out = out or folder.absolute().with_name(f"{folder.absolute().name}-fleet")
-    with progress_bar("fleet") as progress, pool(jobs, cluster, died) as workers:
+    with progress_bar("fleet") as progress, pool(jobs, cluster, row_of_lost_worker) as workers:
         done = run(folder, out, workers, progress)
     for row in done.rows:
         if row.error is not None:

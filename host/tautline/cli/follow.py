@@ -96,8 +96,8 @@ def command(
         raise click.UsageError("a shape is told by what the camera sees: name --camera, and leave --no-track out")
     if model is None and library is None and live.simulate is not None and compensation != "off":
         raise click.UsageError("a simulated board starts without tables: name MODEL, or --compensation off")
-    of_rig = model if model is not None or library is None else library.first()
-    with opened(live, rig_path, seed, model=of_rig) as setup:
+    model_of_rig = model if model is not None or library is None else library.first()
+    with opened(live, rig_path, seed, model=model_of_rig) as setup:
         if model is None and library is not None:
             model, model_path = recalled(setup, library)
         if model is not None and model_path is not None:
@@ -121,6 +121,12 @@ def command(
     if model is not None and model_path is not None and len(result.error_deg):
         _add_to_report(model, model_path, result, compensation)
     emit(_report(result, compensation, out), as_json, _text(result, compensation, out, library))
+    _warn_of_run(result, trajectory)
+
+
+def _warn_of_run(result: Any, trajectory: str) -> None:
+    """Warns of what a run (live.following.Followed) could not do: reach all of the trajectory, move the tables far
+    enough; and says how much telemetry was dropped."""
     if result.clipped:
         low, high = result.reach_deg
         warn(
@@ -134,7 +140,7 @@ def command(
 
 
 def _add_to_report(model: Any, folder: Path, result: Any, compensation: str) -> None:
-    """Keeps the run beside the model's others and writes the model's report anew."""
+    """Saves a run (live.following.Followed) in the model's folder, and writes the model's report anew with it."""
     from tautline.reports import pages
     from tautline.reports.evidence import Evidence, Run
 
@@ -143,7 +149,7 @@ def _add_to_report(model: Any, folder: Path, result: Any, compensation: str) -> 
 
 
 def _report(result: Any, compensation: str, out: Path | None) -> dict[str, Any]:
-    """The run's result as JSON."""
+    """A run (live.following.Followed) as the command's result. out: of its recording."""
     return {
         "compensation": compensation,
         "seconds": _seconds(result),
@@ -160,12 +166,12 @@ def _report(result: Any, compensation: str, out: Path | None) -> dict[str, Any]:
 
 
 def _seconds(result: Any) -> float:
-    """How long the run was seen, s."""
+    """For how long a run was seen, s; 0 where it never was."""
     return float(np.ptp(result.t_s)) if len(result.t_s) else 0.0
 
 
 def _text(result: Any, compensation: str, out: Path | None, library: Any) -> str:
-    """The run's result in words."""
+    """A run (live.following.Followed) in words. library: of shapes, if one was named."""
     text = f"followed {_seconds(result):.1f} s, compensation {compensation}"
     if len(result.error_deg):
         text += f": tip off by {result.rms_deg:.3f} deg rms, {result.max_deg:.3f} at most (by {result.scored_by})"

@@ -13,11 +13,11 @@ from tautline.io.importing import (
     Roles,
     Source,
     import_episodes,
+    named_roles,
     open_source,
     propose,
     proposed_command,
     scan,
-    told,
 )
 from tautline.rig import UNITS
 
@@ -85,10 +85,11 @@ def command(
 def _print_proposal(
     source: Source, roles: Roles, out: Path | None, unit: str | None, episode: int | None, time_name: str, as_json: bool
 ) -> None:
-    """Prints which channels were found, what each is taken for, and the full command."""
+    """Prints, as the command's result, which channels the source has, what each would be taken for, and the whole
+    command that imports it so. roles: those that the user named; unit: of q; the others as of the command's options."""
     with progress_bar("reading") as progress:
         listing = scan(source, episode, progress)
-    found = propose(listing, told(roles, listing, source, unit))
+    found = propose(listing, named_roles(roles, listing, source, unit))
     text = proposed_command(source, out, found, roles.joints, episode, time_name)
     for note in source.notes:
         warn(note)
@@ -125,7 +126,8 @@ def _print_proposal(
 
 
 def _proposal_page(source: Source, listing: Listing, notes: tuple[str, ...], text: str) -> str:
-    """What a person is shown: the channels, what each is taken for, and the command."""
+    """`_print_proposal`'s text for a person: a table of the channels that move, the notes on what each is taken for,
+    and the proposed command `text`, if any."""
     moving = [c for c in listing.channels.values() if c.moves]
     many = len(source.episodes())
     head = f"{source.path}: {source.kind}" + (f", {many} episodes, this is {listing.episode}" if many > 1 else "")

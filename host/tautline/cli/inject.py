@@ -54,7 +54,7 @@ def command(
 
 
 def _inject(port: int, axis: int, fault: str) -> None:
-    """Causes the fault on a simulated board that another process has opened, through its sim link; "well" takes faults
+    """Causes a fault on a simulated board that another process uses, by the port of its sim link; "well" takes faults
     back and plugs the board in again."""
     from tautline.live import faults
     from tautline.simulated.simlink import SimLink

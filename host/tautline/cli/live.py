@@ -115,8 +115,9 @@ def command(
 
 
 def _calibrate(live: LiveOptions, rig_path: Path | None, out: Path, until: str | None, seed: int) -> dict[str, Any]:
-    """The page's work: a calibration until sigma (text, "3um") is reached, its MODEL in `out`. says: what was said
-    last, "" if nothing was started; model and quality: None where nothing was found."""
+    """Serves a page for live calibrations, each until the sigma `until` (text, "3um") is reached, with the MODEL in
+    `out`. Returns the command's result: `says`, the last message ("" if nothing was started), `model` and `quality`
+    (None if there was no calibration)."""
     from tautline.live.page.work import Calibrating
     from tautline.live.until import Goal
 
@@ -132,7 +133,8 @@ def _calibrate(live: LiveOptions, rig_path: Path | None, out: Path, until: str |
 def _watch(
     live: LiveOptions, rig_path: Path | None, path: Path, motion: str, speed: float | None, seed: int
 ) -> dict[str, Any]:
-    """The page's work: a tracker of the model at `path` while `motion` runs at `speed`, the rig's unit per second."""
+    """Serves a page on which the model at `path` is kept calibrated while `motion` runs at `speed`, the rig's unit per
+    second. Returns the command's result."""
     from tautline.live.page.work import Watching
 
     model = Model.load(path)
@@ -143,8 +145,8 @@ def _watch(
 
 
 def _diagnose(live: LiveOptions, rig_path: Path | None, path: Path, out: Path, seed: int) -> dict[str, Any]:
-    """The page's work: a live diagnosis of the calibration recording at `path`, its folder `out`; diagnosis is None
-    where nothing was found."""
+    """Serves a page for a live diagnosis of the instrument that the recording at `path` calibrates, written to `out`.
+    Returns the command's result; its `diagnosis` is None if there was none."""
     from tautline.diagnosis.recorded import calibrated
     from tautline.live.page.work import Diagnosing
 
@@ -162,7 +164,8 @@ def _diagnose(live: LiveOptions, rig_path: Path | None, path: Path, out: Path, s
 
 
 def _replay(path: Path, rig_path: Path | None, pace: float) -> dict[str, Any]:
-    """The page's work: a recording played again, `pace` times as fast as it was."""
+    """Serves a page on which the recording at `path` is played again, `pace` times as fast. Returns the command's
+    result."""
     from tautline.live.page.work import Replaying
     from tautline.vision.marker import with_marker
 
@@ -173,19 +176,22 @@ def _replay(path: Path, rig_path: Path | None, pace: float) -> dict[str, Any]:
 
 
 def _serve_page(work: Any) -> str:
-    """Serves the page of a work (live.page.work) until Ctrl-C; returns what was said last, "" if nothing was."""
+    """Serves the page of a work (live.page.work.Work) until Ctrl-C; returns the last message, "" if nothing was
+    started."""
     from tautline.live.page.desk import Desk
     from tautline.live.page.server import serving
     from tautline.live.page.work import attend
 
-    said = [""]
+    last_message = ""
 
-    def told(text: str) -> None:
-        said[0] = text
+    def say(text: str) -> None:
+        """Keeps and logs what came of a run."""
+        nonlocal last_message
+        last_message = text
         log(f"taut: {text}")
 
     desk = Desk(work.rig, work.about)
     with serving(desk) as server:
         log(f"taut: {server.address} (on this machine alone; Ctrl-C ends it)")
-        attend(desk, work, told)
-    return said[0]
+        attend(desk, work, say)
+    return last_message

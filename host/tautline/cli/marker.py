@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from tautline.recording import COLOUR_FILE, REGION_FILE
 from tautline.vision.camera import VideoCamera, read_picture, sample_video
 from tautline.vision.colour import LARGEST_PX, MarkerColour, pick
 from tautline.vision.marker import MarkerTracker, find_colour
-from tautline.vision.patch import USUAL_PX
+from tautline.vision.patch import USUAL_PX, PatchTracker
 from tautline.vision.region import Region
 from tautline.vision.ros_camera import RosCamera, is_topic
 from tautline.vision.sighting import Sighting
@@ -29,6 +30,8 @@ _WARM_UP = 15  # prior: frames of a device that pass while it finds its exposure
 
 
 class _Square(click.ParamType):  # type: ignore[type-arg]
+    """An option's square of a picture, U,V or U,V,SIDE."""
+
     name = "U,V[,SIDE]"
 
     def convert(
@@ -46,6 +49,8 @@ class _Square(click.ParamType):  # type: ignore[type-arg]
 
 
 class _Place(click.ParamType):  # type: ignore[type-arg]
+    """An option's place in a picture, U,V."""
+
     name = "U,V"
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
@@ -102,52 +107,63 @@ def command(
         raise TautError(
             f"{source}: no marker stands out by its colour: show where it is in the first picture with --at U,V"
         )
-    tracker = MarkerTracker(colour)
-    with progress_bar("tracking") as progress:
-        seen = []
-        for k, picture in enumerate(pictures):
-            progress(k / len(pictures), "how well the marker is seen")
-            seen.append(tracker.track(picture))
+    seen = _track(MarkerTracker(colour), pictures, "how well the marker is seen")
     valid = [s for s in seen if s.valid]
     if not valid:
         raise TautError(f"{source}: a colour was found at {_where(colour)} but no marker: {seen[0].lost}; try --at U,V")
     first = seen.index(valid[0])
     _save(colour, out)
     cv2.imwrite(str(shown), _marker_picture(pictures[first], colour, seen[first]))
-    sigma = float(np.median([s.sigma_px for s in valid]))
     result = {
         "file": out,
         "picture": shown,
         "at_px": [valid[0].u_px, valid[0].v_px],
         "diameter_px": valid[0].diameter_px,
         "colour_bgr": colour.colour,
-        "sigma_px": sigma,
+        "sigma_px": _median_sigma_px(valid),
         "frames": len(seen),
         "frames_seen": len(valid),
     }
-    blue, green, red = (round(level) for level in colour.colour)
-    text = (
-        f"marker at {valid[0].u_px:.1f}, {valid[0].v_px:.1f} px, {valid[0].diameter_px:.1f} px wide, "
-        f"red {red} green {green} blue {blue}, each position good to {sigma:.3f} px"
-    )
+    text = _marker_in_words(colour, valid[0], _median_sigma_px(valid))
     if len(seen) > 1:
         text += f"; seen in {len(valid)} of the first {len(seen)} frames"
     emit(result, as_json, f"{text}\n{out} holds its colour; look at {shown} to see that it is the right one")
 
 
+def _track(tracker: MarkerTracker | PatchTracker, pictures: Sequence[np.ndarray], doing: str) -> list[Sighting]:
+    """Tracks what the tracker follows through BGR pictures, one after the other, with a progress bar; doing: its text.
+    Returns a sighting per picture."""
+    seen = []
+    with progress_bar("tracking") as progress:
+        for k, picture in enumerate(pictures):
+            progress(k / len(pictures), doing)
+            seen.append(tracker.track(np.asarray(picture, dtype=np.uint8)))
+    return seen
+
+
+def _median_sigma_px(sightings: Sequence[Sighting]) -> float:
+    """The median of the sightings' sigma, px: how exactly a position is usually measured."""
+    return float(np.median([s.sigma_px for s in sightings]))
+
+
+def _marker_in_words(colour: MarkerColour, sighting: Sighting, sigma_px: float) -> str:
+    """Where the marker is by a sighting, its colour, and how exactly it is seen, in words."""
+    blue, green, red = (round(level) for level in colour.colour)
+    return (
+        f"marker at {sighting.u_px:.1f}, {sighting.v_px:.1f} px, {sighting.diameter_px:.1f} px wide, "
+        f"red {red} green {green} blue {blue}, each position good to {sigma_px:.3f} px"
+    )
+
+
 def _pick_region(source: str, square: tuple[float, float, float], out: Path, as_json: bool) -> None:
-    """Shows a region to follow on an instrument without a marker, and keeps it as region.toml."""
+    """The command with --region: keeps a square (u, v, side), px, of the source's first picture as a place to follow,
+    in `out`, after trying whether it can be followed; prints the result."""
     shown = out.with_suffix(".look.png")
     for written in (out, out.with_suffix(".png"), shown):  # the second is the region's own
         check_no_input(written, Path(source))
     pictures, _ = _pictures(source)
     region = Region(square[:2], square[2], np.asarray(pictures[0], dtype=np.uint8))
-    tracker = region.tracker()
-    with progress_bar("tracking") as progress:
-        seen = []
-        for k, picture in enumerate(pictures):
-            progress(k / len(pictures), "how well the place is followed")
-            seen.append(tracker.track(np.asarray(picture, dtype=np.uint8)))
+    seen = _track(region.tracker(), pictures, "how well the place is followed")
     valid = [s for s in seen if s.valid]
     if not valid:
         raise TautError(
@@ -155,7 +171,7 @@ def _pick_region(source: str, square: tuple[float, float, float], out: Path, as_
         )
     _save(region, out)
     cv2.imwrite(str(shown), _region_picture(pictures[0], region))
-    sigma = float(np.median([s.sigma_px for s in valid]))
+    sigma = _median_sigma_px(valid)
     result = {
         "file": out, "picture": shown, "at_px": region.at, "side_px": region.side_px, "sigma_px": sigma,
         "frames": len(seen), "frames_seen": len(valid),
@@ -169,7 +185,8 @@ def _pick_region(source: str, square: tuple[float, float, float], out: Path, as_
 
 
 def _save(what: MarkerColour | Region, out: Path) -> None:
-    """Writes marker.toml or region.toml, its folder where it is missing. TautError where it cannot be."""
+    """Writes a colour or a region to `out`, and makes its folder if that is missing. TautError where it cannot be
+    written."""
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         what.save(out)
@@ -178,7 +195,8 @@ def _save(what: MarkerColour | Region, out: Path) -> None:
 
 
 def _region_picture(picture: np.ndarray, region: Region) -> np.ndarray:
-    """The BGR picture with the region drawn in, beside it the region enlarged to the picture's height."""
+    """What is kept for a person to look at: the BGR picture with the region drawn in, and beside it the region enlarged
+    to the picture's height."""
     drawn = picture.copy()
     corners = np.rint(np.array(region.at) + 0.5 * region.side_px * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]))
     cv2.polylines(drawn, [corners.astype(np.int32)], True, (255, 255, 255), 1, cv2.LINE_AA)
@@ -188,14 +206,16 @@ def _region_picture(picture: np.ndarray, region: Region) -> np.ndarray:
 
 
 def _file_beside(source: str, name: str) -> Path:
-    """Where a marker's file is looked for if it is not named: beside a video, else in the working directory."""
+    """Where the file `name` is looked for by other commands, and so written by default: beside the source if that is a
+    video, else in the working directory."""
     video = Path(source)
     return (video.parent if video.is_file() and not cv2.haveImageReader(source) else Path()) / name
 
 
 def _pictures(source: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """The source's first pictures, and some spread over it (of a camera, over those), BGR (height, width, 3) uint8. A
-    picture file is both. A camera by its number first finds its exposure. TautError where there are none."""
+    """Pictures of a source, BGR (height, width, 3) uint8: the first ones, in which tracking is tried, and some spread
+    over all of it (of a camera over the first ones), in which the colour is found. A picture file is both. A camera by
+    its number first gets time to find its exposure. TautError where there are none."""
     if source.isdigit() and not Path(source).exists():
         with VideoCamera(int(source)) as camera:
             for _ in range(_WARM_UP):
@@ -213,8 +233,8 @@ def _pictures(source: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
 
 
 def _find_colour(pictures: list[np.ndarray]) -> MarkerColour | None:
-    """The marker's colour in pictures of one scene; None where nothing stands out. Large pictures are searched at a
-    smaller size, which is enough to see what stands out; the colour is then picked at full size."""
+    """The marker's colour in BGR pictures of one scene; None where nothing stands out. Large pictures are searched
+    shrunk, which is faster and enough to see what stands out; the colour is then picked at full size."""
     shrink = min(pictures[0].shape[:2]) // _SEARCHED_LINES
     if shrink < 2:
         return find_colour(pictures)
@@ -233,11 +253,13 @@ def _find_colour(pictures: list[np.ndarray]) -> MarkerColour | None:
 
 
 def _where(colour: MarkerColour) -> str:
+    """Where a colour was picked, as text."""
     return f"{colour.at[0]:.0f}, {colour.at[1]:.0f} px"
 
 
 def _marker_picture(picture: np.ndarray, colour: MarkerColour, sighting: Sighting) -> np.ndarray:
-    """The picture with the marker ringed, beside its membership with an enlarged cut of the marker in the corner."""
+    """What is kept for a person to look at: the BGR picture with a ring around the marker, and beside it its membership
+    in the marker's colour, grey, with the marker enlarged in the corner."""
     ringed = picture.copy()
     # 16 times: OpenCV's fixed point with 4 bits behind the point, so that the ring lies to a part of a pixel.
     centre = np.rint([sighting.u_px * 16, sighting.v_px * 16]).astype(int).tolist()

@@ -33,7 +33,8 @@ def command(board: str | None, once: bool, as_json: bool) -> None:
 
 
 def _board_state(board: Any) -> dict[str, Any]:
-    """Status of all axes (codes as words) and the board's counters, as JSON. Makes 4 round trips to compare clocks."""
+    """Asks the board for the status of all its axes (codes become words), its counters, and, by 4 round trips, how well
+    its clock is known, s: the command's result."""
     from tautline.device import wire
 
     axes = []
@@ -53,7 +54,7 @@ def _board_state(board: Any) -> dict[str, Any]:
 
 
 def _axis_line(axis: dict[str, Any]) -> str:
-    """An axis' state, as in _board_state, in a line."""
+    """An axis of `_board_state` in a line for a terminal."""
     return (
         f"axis {axis['axis']}: {axis['fault'] or axis['mode']}, q {axis['q']:.1f} counts (to {axis['q_ref']:.1f}), "
         f"c {axis['c_est']:.3f} deg (to {axis['c_ref']:.3f}), drive {100 * axis['duty']:.0f} %, table {axis['table']}"
@@ -61,7 +62,8 @@ def _axis_line(axis: dict[str, Any]) -> str:
 
 
 def _table(state: dict[str, Any]) -> Any:
-    """The state as rich's table for a terminal; of the counters, below it, those of what was lost that are not 0."""
+    """`_board_state` as rich's table for a terminal; below it those counters of lost or damaged messages that are
+    not 0."""
     from rich.table import Table
 
     table = Table(title=f"board {state['board']}")

@@ -32,9 +32,12 @@ from tautline.vision.camera import read_picture, sample_video
 from tautline.vision.marker import with_marker
 
 _VIEWS = 60  # tolerance: of a video; a board that is moved slowly is then seen from everywhere
+_BY_MOTION = ("coarse", "hand_eye")  # the sections of rig.toml that --motion measures
 
 
 class _Squares(click.ParamType):  # type: ignore[type-arg]
+    """An option's numbers of squares, ACROSSxDOWN."""
+
     name = "ACROSSxDOWN"
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
@@ -99,43 +102,27 @@ def command(
         check_no_input(shown, motion, *board)
     if not board and (squares or square_mm is not None or marker_mm is not None):
         raise click.UsageError("--squares, --square-mm and --marker-mm are of a --board: name its pictures or video")
-    document: rig_keys.Document = Rig.load(start).to_document() if start is not None else {"format": FORMAT}
-    for text in given:
-        name, equals, value = text.partition("=")
-        if not equals:
-            raise TautError(f"--set {text}: write KEY=VALUE, as in actuator.range=-5,5")
-        rig_keys.put(document, *rig_keys.named(name.strip()), value)
+    document = _first_document(start, given)
     if sensor == ANGLE and (board or motion):
         raise click.UsageError("--board and --motion are for a camera: leave --sensor angle out")
     if sensor is None:
         by_camera = bool(board or motion) or "camera" in document
         sensor = MARKER if by_camera else ANGLE if "angle" in document else _ask_for_sensor()
     result: dict[str, Any] = {"file": out, "sensor": sensor}
-    told: list[str] = []
+    lines: list[str] = []
     if board:
         seen = _intrinsics(board, squares, square_mm, marker_mm, dictionary)
         document["camera"] = {**document.get("camera", {}), **seen.camera()}
         result["camera"] = {"sigma": seen.sigma, "rms_px": seen.rms_px, "views": seen.views, "of": seen.of}
-        told.append(seen.in_words())
+        lines.append(seen.in_words())
     if motion is not None:
-        for part in ("coarse", "hand_eye"):
-            document.pop(part, None)
-        _ask_for_keys(document, sensor, without=("coarse", "hand_eye"))
+        document = {name: section for name, section in document.items() if name not in _BY_MOTION}
+        _ask_for_keys(document, sensor, without=_BY_MOTION)
         places, found, line, left_deg = _from_known_angles(document, motion, angles, angle_sigma)
         document["coarse"] = _rounded(asdict(line))
         document["hand_eye"] = _rounded(asdict(found.hand_eye))
-        told += [
-            found.in_words(),
-            f"coarse: gain {line.gain:.4g} deg per {document['actuator']['unit']}, offset {line.offset:.3g} deg; "
-            f"{left_deg:.2g} deg are left, play among it",
-        ]
-        result["hand_eye"] = {
-            "sigma": found.sigma,
-            "left_px": found.left_px,
-            "strays": found.strays,
-            "angle_sigma_deg": [found.measures_deg.min(), found.measures_deg.max()],
-            "places": len(places.c_deg),
-        }
+        lines += [found.in_words(), _coarse_in_words(line, left_deg, document["actuator"]["unit"])]
+        result["hand_eye"] = _hand_eye_result(found, places)
     _ask_for_keys(document, sensor)
     if sensor == ANGLE:
         document.setdefault("angle", {})  # all of its keys may be left out
@@ -144,12 +131,43 @@ def command(
     if motion is not None:
         result["picture"] = shown
         picture(rig, places).savefig(shown, dpi=120)
-        told.append(f"look at {shown}: the curve passes through the marker's places, angles rise where they should")
-    emit(result, as_json, "\n".join([*told, f"{out} is whole: taut calibrate RECORDING --rig {out}"]))
+        lines.append(f"look at {shown}: the curve passes through the marker's places, angles rise where they should")
+    emit(result, as_json, "\n".join([*lines, f"{out} is whole: taut calibrate RECORDING --rig {out}"]))
+
+
+def _coarse_in_words(line: Coarse, left_deg: float, unit: str) -> str:
+    """The coarse law that was measured, in words. left_deg: rms of its residual; unit: of q."""
+    return (
+        f"coarse: gain {line.gain:.4g} deg per {unit}, offset {line.offset:.3g} deg; "
+        f"{left_deg:.2g} deg are left, play among it"
+    )
+
+
+def _hand_eye_result(found: HandEyeFit, places: Places) -> dict[str, Any]:
+    """A fitted hand-eye transform's accuracy for JSON. places: that it was fitted to."""
+    return {
+        "sigma": found.sigma,
+        "left_px": found.left_px,
+        "strays": found.strays,
+        "angle_sigma_deg": [found.measures_deg.min(), found.measures_deg.max()],
+        "places": len(places.c_deg),
+    }
+
+
+def _first_document(start: Path | None, given: tuple[str, ...]) -> rig_keys.Document:
+    """The document of rig.toml to begin with: that of the file `start` if there is one, with the keys of --set
+    (`given`, KEY=VALUE each). TautError for a key that there is not, or a value that it refuses."""
+    document: rig_keys.Document = Rig.load(start).to_document() if start is not None else {"format": FORMAT}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise TautError(f"--set {text}: write KEY=VALUE, as in actuator.range=-5,5")
+        rig_keys.put(document, *rig_keys.find_key(name.strip()), value)
+    return document
 
 
 def _ask_for_sensor() -> Sensor:
-    """Asks in a terminal which sensor the rig has; elsewhere it is a camera that sees a marker."""
+    """Which sensor the rig has: asked for in a terminal; elsewhere MARKER, a camera that sees a marker."""
     if not sys.stdin.isatty():
         return MARKER
     return (
@@ -160,8 +178,8 @@ def _ask_for_sensor() -> Sensor:
 
 
 def _ask_for_keys(document: rig_keys.Document, sensor: Sensor, without: tuple[str, ...] = ()) -> None:
-    """Asks in a terminal for each key that `document` still lacks and puts it there; elsewhere a TautError that names
-    all of them. without: sections that are not asked for."""
+    """Completes a rig.toml's document: asks in a terminal for each required key that it lacks, again until the answer
+    fits; elsewhere raises a TautError that names all of them. without: sections that are not asked for."""
     left = [(section, key) for section, key in rig_keys.missing(document, sensor) if section.name not in without]
     if left and not sys.stdin.isatty():
         raise TautError(
@@ -185,6 +203,7 @@ def _ask_for_keys(document: rig_keys.Document, sensor: Sensor, without: tuple[st
 
 
 def _compact(text: str) -> str:
+    """A text without spaces, so that it is one word in a shell."""
     return text.replace(" ", "")
 
 
@@ -195,8 +214,9 @@ def _intrinsics(
     marker_mm: float | None,
     dictionary: str,
 ) -> Intrinsics:
-    """The camera's intrinsics from pictures or videos of a ChArUco board. squares: how many across and down; the sides
-    of a square and of the marker in it, mm. Prints what is doubtful."""
+    """The camera's intrinsics from pictures or videos of a ChArUco board. squares: how many across and down; square_mm,
+    marker_mm: sides of a square and of the marker in it; dictionary: of the markers. Warns of what is doubtful.
+    TautError where one of them is None."""
     if squares is None or square_mm is None or marker_mm is None:
         raise TautError("--board needs --squares, --square-mm and --marker-mm, as they are on the print")
     pictures = []
@@ -213,8 +233,10 @@ def _intrinsics(
 def _from_known_angles(
     document: rig_keys.Document, motion: Path, angles: Path | None, angle_sigma: float
 ) -> tuple[Places, HandEyeFit, Coarse, float]:
-    """From a recording with rests at known angles (CSV; by default angles.csv in it), known to angle_sigma deg: the
-    marker's places there, the hand-eye transform, the coarse law, and the rms of the law's residual, deg."""
+    """Measures with the recording `motion`, in which the tip rests at known angles: the marker's places there, the
+    hand-eye transform, the coarse law, and the rms of that law's residual, deg. document: of rig.toml, with the camera
+    and kinematics; angles: a CSV of the rests, None: angles.csv in the recording; angle_sigma: of the angles, deg.
+    Warns of what is doubtful."""
     known = read_known(angles or motion / "angles.csv")
     unknown = {"rotation_deg": [0.0, 0.0, 0.0], "translation_mm": [0.0, 0.0, 0.0]}
     so_far = Rig.from_document({**document, "coarse": {"gain": 1.0, "offset": 0.0}, "hand_eye": unknown}, "so far")
@@ -232,9 +254,11 @@ def _from_known_angles(
 
 
 def _rounded(section: dict[str, Any]) -> dict[str, Any]:
-    """Numbers rounded to 9 digits, far finer than every sigma, so that the file is readable."""
+    """A section of rig.toml with its numbers rounded to 9 digits, so that the file is readable: far finer than every
+    sigma."""
 
     def short(value: float) -> float:
+        """A number rounded to 9 digits."""
         return float(f"{value:.9g}")
 
     return {key: [short(x) for x in v] if isinstance(v, tuple) else short(v) for key, v in section.items()}

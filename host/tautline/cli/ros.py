@@ -105,12 +105,13 @@ def command(
 
 @contextmanager
 def _end_condition(duration_s: float | None) -> Iterator[Callable[[], bool]]:
-    """A function that says whether to end: Ctrl-C or SIGTERM came, or duration_s (None: no end) is over. Signals only
-    set what it says, so that they take effect between two messages, and are handled as before after the block."""
+    """A context with a function that says whether the node shall end: Ctrl-C or SIGTERM came, or duration_s (None: no
+    end) is over. So signals take effect between two messages; after the block they are handled as before."""
     came = False
     began = time.monotonic()
 
     def stop(number: int, frame: object) -> None:
+        """Handler of the signals."""
         nonlocal came
         came = True
 
@@ -123,7 +124,7 @@ def _end_condition(duration_s: float | None) -> Iterator[Callable[[], bool]]:
 
 
 def _counts_in_words(result: dict[str, Any]) -> str:
-    """Set-points sent and received, unusable messages, silences and refusals, as one line."""
+    """The counts of Node.run in a line: set-points sent and received, unusable messages, silences, refusals."""
     return (
         f"{result['sent']} set-points in {result['seconds']:.1f} s of {result['received']} that came, "
         f"{result['unusable']} without the joint, {result['silences']} silences, {result['refused']} refused"

@@ -98,7 +98,8 @@ def recall(
 
 
 def _recall_from_recording(known: Library, path: Path) -> tuple[Shape, dict[str, float]]:
-    """The shape whose model predicts a recording best, and by name the rms by which each shape's model is off."""
+    """The shape of the library `known` whose model predicts the recording at `path` best, and by name the rms by which
+    each shape's model is off, px or deg."""
     from tautline.recording import load
     from tautline.shapes import recalled
     from tautline.vision.marker import with_marker

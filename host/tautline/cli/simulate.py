@@ -12,10 +12,10 @@ import numpy as np
 from tautline.cli._common import SEED, Number, NumberRange, emit, json_option, progress_bar, read_rig, warn
 from tautline.cli._outputs import folder_option
 from tautline.errors import TautError
-from tautline.rig import Actuator
+from tautline.rig import Actuator, Rig
 from tautline.simulated.endoscope import Endoscope, load_background
 from tautline.simulated.instrument import PRESETS, Instrument, of_name
-from tautline.simulated.simulate import TRUTH, run
+from tautline.simulated.simulate import TRUTH, Simulation, run
 from tautline.trajectory import Trajectory, back_and_forth, random_smooth, sines, trapezoids
 from tautline.vision.timing import FrameTiming
 
@@ -24,7 +24,7 @@ _WAY_BACK = 0.105  # prior: of the range, longer than any backlash
 
 @dataclass(frozen=True)
 class _Wish:
-    """What was asked of the motion, in the rig's unit; None, or no speed, is a share of the range that suits."""
+    """The motion's options, in the rig's unit. Without speeds, or with None, what suits the range is taken."""
 
     speeds: tuple[float, ...]
     amplitude: float | None
@@ -35,7 +35,8 @@ class _Wish:
 
 
 def _back_and_forth(actuator: Actuator, wish: _Wish) -> Trajectory:
-    """The calibration motion; by default at 5 and 10 % of the range a second. Acceleration: half the range per s^2."""
+    """The paper's calibration motion; by default at 5 and 10 % of the range a second. Acceleration: half the range per
+    s^2."""
     span = actuator.span
     speeds = wish.speeds or (0.05 * span, 0.1 * span)
     stroke = wish.amplitude or usual_stroke(span, wish.reversals)
@@ -43,14 +44,16 @@ def _back_and_forth(actuator: Actuator, wish: _Wish) -> Trajectory:
 
 
 def usual_stroke(span: float, reversals: int) -> float:
-    """Stroke of the calibration motion, unit of q as the span of the range: 15 % of it, more with few reversals. The
-    way back (a stroke less the ramp's advance) has to be longer than any backlash, _WAY_BACK of the range."""
+    """The default stroke of the calibration motion over a range of length `span`, in its unit: 15 % of it, more with
+    few reversals, as then each stroke advances more, and the way back (stroke less advance) has to be longer than any
+    backlash, _WAY_BACK of the range."""
     advances = max(1, reversals // 2)
     return max(0.15, (_WAY_BACK * advances + 1.0) / (advances + 1.0)) * span
 
 
 def _trapezoids(actuator: Actuator, wish: _Wish) -> Trajectory:
-    """The test motion; by default 30 % of the range from peak to peak. Acceleration: half the range per s^2."""
+    """The paper's test motion; by default 30 % of the range from peak to peak. Acceleration: half the range per
+    s^2."""
     span = actuator.span
     amplitude = wish.amplitude or 0.3 * span
     cycles = max(1, wish.reversals // 2)
@@ -58,10 +61,12 @@ def _trapezoids(actuator: Actuator, wish: _Wish) -> Trajectory:
 
 
 def _sines(actuator: Actuator, wish: _Wish) -> Trajectory:
+    """Sines over the range for the duration that was asked for."""
     return sines(actuator, _one_speed(actuator, wish), wish.duration_s)
 
 
 def _random(actuator: Actuator, wish: _Wish) -> Trajectory:
+    """A random smooth motion over the range for the duration that was asked for."""
     return random_smooth(actuator, _one_speed(actuator, wish), wish.duration_s, wish.seed)
 
 
@@ -71,13 +76,22 @@ def _one_speed(actuator: Actuator, wish: _Wish) -> float:
 
 
 def _count_short_strokes(trajectory: Trajectory, instrument: Instrument) -> int:
-    """How many strokes from one reversal to the next (or to the end) are too short to get through the backlash that
-    there is in their middle."""
+    """How many of the motor's strokes, from one reversal to the next (or to the end), are shorter than the instrument's
+    backlash in their middle: nothing moves on them."""
     way = np.sign(np.diff(trajectory.q))
     moving = np.flatnonzero(way)
     turns = moving[np.flatnonzero(np.diff(way[moving]))] + 1  # the last sample before each
     q = trajectory.q[np.concatenate([turns, [len(trajectory.q) - 1]])]
     return int(np.sum(np.abs(np.diff(q)) < instrument.backlash(0.5 * (q[1:] + q[:-1]))))
+
+
+def _warn_of_short_strokes(trajectory: Trajectory, instrument: Instrument) -> None:
+    """Warns where strokes of the motor are shorter than the instrument's backlash."""
+    if short := _count_short_strokes(trajectory, instrument):
+        warn(
+            f"{short} of the motor's strokes are shorter than the instrument's backlash: nothing moves on them and no "
+            "calibration can use them. Choose a larger --amplitude or more --reversals"
+        )
 
 
 _MOTIONS: dict[str, Callable[[Actuator, _Wish], Trajectory]] = {
@@ -176,16 +190,11 @@ def command(
     if video and not made.drawn:
         raise TautError(f"{instrument}: its effects change what is seen, which no drawn video shows: leave --video out")
     trajectory = _MOTIONS[motion](rig.actuator, _Wish(speeds, amplitude, reversals, dwell, duration, seed))
-    if short := _count_short_strokes(trajectory, made):
-        warn(
-            f"{short} of the motor's strokes are shorter than the instrument's backlash: nothing moves on them and no "
-            "calibration can use them. Choose a larger --amplitude or more --reversals"
-        )
+    _warn_of_short_strokes(trajectory, made)
     if any(sway):
         trajectory = trajectory.with_sway(*sway, period_s=20.0)
-    jitter = jitter or made.jitter_s
     delay_s = rig.delay_s if delay is None else delay
-    timing = FrameTiming.of(rig, delay_s=delay_s, jitter_s=jitter, lost=lost, seed=seed)
+    timing = FrameTiming.of(rig, delay_s=delay_s, jitter_s=jitter or made.jitter_s, lost=lost, seed=seed)
     simulation = run(
         rig, made, trajectory, noise_px=noise, timing=timing, angle_noise_deg=angle_noise, seed=seed, name=out.name
     )
@@ -194,21 +203,25 @@ def command(
     )
     with progress_bar("simulating") as progress:
         simulation.save(out, endoscope, lossless, progress)
-    frames = len(simulation.scene_s) if rig.has_camera else 0
-    shown = [f"{frames} frames"] if rig.has_camera else []
-    if (angle := simulation.recording.angle) is not None:
-        shown.append(f"{len(angle.t_s)} readings of an angle sensor")
     result = {
         "recording": out,
         "instrument": made.name,
         "motion": motion,
         "duration_s": round(trajectory.duration_s, 3),
-        "frames": frames,
+        "frames": len(simulation.scene_s) if rig.has_camera else 0,
         "video": video,
     }
     emit(
         result,
         as_json,
-        f"{out}: {trajectory.duration_s:.1f} s of {motion} with the {made.name} instrument, {' and '.join(shown)}; "
-        "truth.csv and truth.json say what was true",
+        f"{out}: {trajectory.duration_s:.1f} s of {motion} with the {made.name} instrument, "
+        f"{_recorded_in_words(simulation, rig)}; truth.csv and truth.json say what was true",
     )
+
+
+def _recorded_in_words(simulation: Simulation, rig: Rig) -> str:
+    """How many frames and readings of an angle sensor a simulation has, in words."""
+    counts = [f"{len(simulation.scene_s)} frames"] if rig.has_camera else []
+    if (angle := simulation.recording.angle) is not None:
+        counts.append(f"{len(angle.t_s)} readings of an angle sensor")
+    return " and ".join(counts)

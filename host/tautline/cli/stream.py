@@ -8,7 +8,8 @@ import selectors
 import signal
 import sys
 import time
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -42,6 +43,7 @@ from tautline.model import Model
 
 if TYPE_CHECKING:
     from tautline.device.board import Board
+    from tautline.device.stream import SetPointStream
     from tautline.live.in_use import Following
     from tautline.shapes import Library
 
@@ -100,32 +102,11 @@ def command(
         raise click.UsageError("a shape is told by what the camera sees: name --camera")
     if camera is not None and model is None and library is None:
         raise click.UsageError("--camera keeps a model calibrated: name MODEL")
-    ended = False
-
-    def stop(number: int, frame: object) -> None:
-        nonlocal ended
-        ended = True  # between two messages, not in the middle of one
-
-    before = signal.signal(signal.SIGINT, stop)
-    try:
-        with ExitStack() as stack:
-            opened, following = _open_board(stack, board, axis, model, camera, colour, rig_path, library, force)
-            points = stack.enter_context(SetPointStream(opened, axis, silence))
-            began = time.monotonic()
-            newest, fresh = points.start_deg, 0.0
-            lines = _Lines() if sine is None else None
-            while not ended and (duration is None or time.monotonic() - began < duration):
-                now = time.monotonic()
-                if sine is not None:
-                    newest, fresh = points.start_deg + sine[0] * math.sin(2 * math.pi * (now - began) / sine[1]), now
-                elif lines is not None and (line := lines.newest()) is not None:
-                    newest, fresh = _number(line), now
-                if now - fresh < silence:
-                    points.send(newest)
-                points.pace(1.0 / rate)
-                ended = ended or (lines is not None and lines.ended)
-    finally:
-        signal.signal(signal.SIGINT, before)
+    with ExitStack() as stack:
+        stopped = stack.enter_context(_stop_on_interrupt())
+        opened, following = _open_board(stack, board, axis, model, camera, colour, rig_path, library, force)
+        points = stack.enter_context(SetPointStream(opened, axis, silence))
+        _send_until_ended(points, sine, rate, silence, duration, stopped)
     tracking = None if following is None else following.summary()
     if following is not None and (following.lost or following.beyond):
         warn(following.lost or following.beyond)
@@ -140,6 +121,53 @@ def command(
     )
 
 
+@contextmanager
+def _stop_on_interrupt() -> Iterator[Callable[[], bool]]:
+    """A context with a function that says whether Ctrl-C came: it then takes effect between two messages, not in the
+    middle of one."""
+    came = False
+
+    def stop(number: int, frame: object) -> None:
+        """Handler of SIGINT."""
+        nonlocal came
+        came = True
+
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield lambda: came
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _send_until_ended(
+    points: SetPointStream,
+    sine: tuple[float, float] | None,
+    rate: float,
+    silence: float,
+    duration: float | None,
+    stopped: Callable[[], bool],
+) -> None:
+    """Sends set-points of the tip at `rate`, Hz, until stdin ends, duration (s, None: for ever) is over, or
+    `stopped()`. They are the newest number of stdin, for `silence` s after it came; or a sine (amplitude, deg, and
+    period, s) about where the tip was."""
+    began = time.monotonic()
+    newest_deg, came_s = points.start_deg, 0.0
+    lines = _Lines() if sine is None else None
+    while not stopped() and (duration is None or time.monotonic() - began < duration):
+        now = time.monotonic()
+        if sine is not None:
+            amplitude, period_s = sine
+            newest_deg = points.start_deg + amplitude * math.sin(2 * math.pi * (now - began) / period_s)
+            came_s = now
+        elif lines is not None and (line := lines.newest()) is not None:
+            newest_deg, came_s = _number(line), now
+        if now - came_s < silence:
+            points.send(newest_deg)
+        points.pace(1.0 / rate)
+        if lines is not None and lines.ended:
+            return
+
+
 def _open_board(
     stack: ExitStack,
     where: str | None,
@@ -151,9 +179,10 @@ def _open_board(
     library: Library | None,
     force: bool,
 ) -> tuple[Board, Following | None]:
-    """The board with the model's tables in the axis (without a model those that it has) and, with a camera, what keeps
-    the model calibrated, else None. With a camera, a library and no model, it is that of the shape that the shaft now
-    has. The stack closes what is opened."""
+    """Opens the board, which the stack closes, and loads the model's tables into the axis; without a model the axis
+    keeps those that it has. With a camera also starts a tracker that keeps the model calibrated, else None is returned
+    for it; with a library and no model, the model is that of the shape that the shaft has now. force: takes an unusable
+    model of the library, too."""
     from tautline.device.board import open_board
     from tautline.live.in_use import Following, TableMover, beside, load_tables
 
@@ -182,17 +211,18 @@ def _open_board(
 
 
 class _Lines:
-    """Standard input, never waited for."""
+    """The lines of standard input, read without waiting."""
 
     def __init__(self) -> None:
+        """Registers standard input, which may also be a file."""
         self._inputs = selectors.SelectSelector()  # the others refuse a file
         self._inputs.register(sys.stdin, selectors.EVENT_READ)
         self._rest = b""  # of a line that has not come whole
         self.ended = False  # whether nothing will come any more
 
     def newest(self) -> str | None:
-        """The last line that is not blank and has come whole since the last call; None where there is none. What stands
-        at the end of the input is whole without a line's end, too."""
+        """The last line that has come whole since the last call and is not blank; None where there is none. At the end
+        of the input a line without its end counts as whole."""
         last = None
         while not self.ended and self._inputs.select(0):
             data = os.read(sys.stdin.fileno(), 1 << 16)
@@ -204,7 +234,7 @@ class _Lines:
 
 
 def _number(line: str) -> float:
-    """A line of stdin as a finite bending angle, deg. TautError where it is none."""
+    """A line of stdin as a bending angle, deg. TautError where it is no finite number."""
     try:
         value = float(line)
     except ValueError:

@@ -79,8 +79,8 @@ def command(
 
 
 def _summary(result: Tracked, recordings: list[Any]) -> list[dict[str, Any]]:
-    """For each recording the residual's rms (px per coordinate, or deg; None where nothing was seen), offset (unit of
-    q) and scale of B at its end, and how many frames each state lasted."""
+    """For each recording of the result: rms of the residual (px per coordinate, or deg; None where nothing was seen),
+    the law at its end (offset, unit of q, and scale of B, with sigmas), and how many frames each state lasted."""
     from tautline.tracking import residuals
 
     off = residuals(result, recordings)
@@ -105,7 +105,7 @@ def _summary(result: Tracked, recordings: list[Any]) -> list[dict[str, Any]]:
 
 
 def _log_result(result: Tracked, summary: list[dict[str, Any]]) -> None:
-    """Logs the changes of state and, for each recording, its residual and the law at its end."""
+    """Logs the changes of state, up to _MOST_CHANGES, and a line for each recording. summary: of `_summary`."""
     unit, shown = ("px", "frames") if result.sensor == MARKER else ("deg", "readings")
     for change in result.changes[:_MOST_CHANGES]:
         state = click.style(change.state.value, fg=STATE_COLOURS[change.state.value], bold=True)

@@ -34,7 +34,7 @@ from tautline.cli._live import (
 from tautline.model import Model
 
 if TYPE_CHECKING:
-    from tautline.tracking import Row
+    from tautline.tracking import Row, State
 
 _FRAME_S = 0.2  # format: between two pictures, wall clock
 
@@ -76,41 +76,48 @@ def command(
         raise click.UsageError("a simulated instrument that nothing moves: name --motion or --duration")
     with (
         opened(live, rig_path, seed, model=model) as setup,
-        _progress_display(model.rig.actuator.unit, as_json) as told,
+        _progress_display(model.rig.actuator.unit, as_json) as on_row,
     ):
-        result = watch(setup, model, motion, speed=speed, duration_s=duration, seed=seed, library=library, told=told)
+        result = watch(
+            setup, model, motion, speed=speed, duration_s=duration, seed=seed, library=library, on_row=on_row
+        )
     emit(result, as_json, _result_in_words(result, model.rig.actuator.unit) + shape_text(result, library))
 
 
 @contextmanager
 def _progress_display(unit: str, as_json: bool) -> Iterator[Callable[[Row, float], None]]:
-    """Yields what is called with each row and its time, s: it shows the latest where stderr is a terminal, and logs a
-    line for each change of state. unit: of q."""
-    last: list[Any] = [None, float("-inf")]  # state that was told last; when a row was drawn last, s
+    """A context with a function that is called with each row of the tracker and its time, s: it logs a line for each
+    change of state, and where stderr is a terminal (and not as_json) also shows the latest row. unit: of q."""
+    last_state: State | None = None
+    drawn_s = float("-inf")  # when a row was drawn last
 
-    def changed(row: Row, t_s: float) -> None:
-        if row.state is not last[0]:
-            if last[0] is not None:
+    def log_change(row: Row, t_s: float) -> None:
+        """Logs a line if the state is another than before."""
+        nonlocal last_state
+        if row.state is not last_state:
+            if last_state is not None:
                 state = click.style(row.state.value, fg=STATE_COLOURS[row.state.value], bold=True)
                 log(f"taut: {t_s:.2f} s: {state}, {row.reason}")
-            last[0] = row.state
+            last_state = row.state
 
     if as_json or not sys.stderr.isatty():
-        yield changed
+        yield log_change
         return
     from rich.console import Console
     from rich.live import Live as Screen
 
     with Screen(console=Console(stderr=True), auto_refresh=False, transient=True) as screen:
 
-        def drawn(row: Row, t_s: float) -> None:
-            changed(row, t_s)
+        def draw(row: Row, t_s: float) -> None:
+            """Logs a change of state, and shows the row, at most every _FRAME_S."""
+            nonlocal drawn_s
+            log_change(row, t_s)
             now = time.monotonic()
-            if now - last[1] >= _FRAME_S:
-                last[1] = now
+            if now - drawn_s >= _FRAME_S:
+                drawn_s = now
                 screen.update(_row_line(row, t_s, unit), refresh=True)
 
-        yield drawn
+        yield draw
 
 
 def _row_line(row: Row, t_s: float, unit: str) -> Any:
@@ -126,7 +133,7 @@ def _row_line(row: Row, t_s: float, unit: str) -> Any:
 
 
 def _result_in_words(result: dict[str, Any], unit: str) -> str:
-    """The result as text for a terminal. unit: of q."""
+    """The result of live.tracking.watch as text for a terminal. unit: of q."""
     if result["state"] is None:
         return "no frame was tracked: does the board send telemetry, does the camera see the marker?"
     rms = "" if result["rms_px"] is None else f", off by {result['rms_px']:.3g} px rms"

@@ -14,7 +14,7 @@ from tautline.device.clock import BoardClock
 from tautline.device.dfu import DfuError
 from tautline.device.link import BoardAddress, BoardGone, Link
 from tautline.device.serial_link import find_serial
-from tautline.device.usb_link import find_usb, find_usbip, named
+from tautline.device.usb_link import address_in_environment, find_usb, find_usbip
 from tautline.drivers.addresses import find_motors, is_motor
 from tautline.errors import TautError
 
@@ -34,46 +34,46 @@ Listener = Callable[[wire.Message], None]
 
 
 class BoardRefused(TautError):
-    """The board answered with a reason. `reason` is its name in tl_wire.h's TL_WIRE_REASONS; `fault` what is wrong with
-    the axis, where that is the reason."""
+    """The board refused a request. `reason` is the name of why in tl_wire.h's TL_WIRE_REASONS."""
 
     def __init__(self, request: str, code: int, fault: str = "") -> None:
-        """code: number in tl_wire.h's TL_WIRE_REASONS; fault: what is wrong with the axis, in words, "" unless that is
-        the reason."""
+        """request: the message's name; code: number in tl_wire.h's TL_WIRE_REASONS; fault: where the reason is a fault
+        of the axis, that fault in words, which is then the error's text."""
         super().__init__(fault or f"the board refused '{request}': {wire.text('REASONS', code)}")
         self.reason = next((name for name, (value, _) in wire.wire.REASONS.items() if value == code), str(code))
 
 
 def find(where: str | None = None) -> list[BoardAddress]:
-    """Boards by name: usbip:HOST:PORT, serial:DEVICE, motors as in drivers/addresses, a serial number or usb:SERIAL
-    (usb:BUS-DEVICE where it cannot be asked for one); None means every board on USB and the one that TAUTLINE_BOARD
-    names."""
+    """The boards that are there, not opened. where: usbip:HOST:PORT, serial:DEVICE, motors as in drivers/addresses, or
+    of a board on USB its serial number, usb:SERIAL or usb:BUS-DEVICE (if it cannot be asked for its number); None means
+    every board on USB, and the one that the environment variable TAUTLINE_BOARD names."""
     if where is not None and _is_address(where):
         return _find_named(where)
     boards = find_usb()
     if where is not None:
         return [board for board in boards if where in (board.where, board.serial)]
-    other = named()
+    other = address_in_environment()
     if other and _is_address(other):
         boards += _find_named(other)
     return boards
 
 
 def _is_address(where: str) -> bool:
-    """Whether this is an address of a link or of motors, and not the serial number of a board on USB."""
+    """Whether `where` is an address (usbip:..., serial:..., or motors) and not the name of a board on USB."""
     return where.startswith(("usbip:", "serial:")) or is_motor(where)
 
 
 def _find_named(where: str) -> list[BoardAddress]:
-    """The boards at an address: motors on a bus of their own, usbip: or serial:."""
+    """The boards at an address for which `_is_address` holds."""
     if is_motor(where):
         return find_motors(where)
     return find_usbip(where) if where.startswith("usbip:") else find_serial(where)
 
 
 def open_board(where: str | None = None, otherwise: str = "") -> Board:
-    """The one board that `where` names (see `find`), opened after checking that it speaks this protocol and is free.
-    otherwise: what else the caller can use, for the error's text."""
+    """Opens the one board that `where` names (see `find`). otherwise: what else the user could give the command, for
+    the error's text. TautError where there is no such board or several, where it is in use, or speaks another
+    protocol."""
     boards = find(where)
     if not boards:
         looked = f"no board '{where}' was found" if where else "no board was found"
@@ -88,7 +88,8 @@ def open_board(where: str | None = None, otherwise: str = "") -> Board:
 
 
 def check_protocol(description: BoardAddress) -> None:
-    """TautError for a board of another protocol generation, before anything is opened."""
+    """TautError, with how to get newer firmware or a newer tautline, where a board that was found speaks another major
+    version of the protocol. It is called before the board is opened."""
     ours, theirs = wire.wire.MAJOR, description.protocol[0]
     if theirs == ours:
         return
@@ -99,7 +100,8 @@ def check_protocol(description: BoardAddress) -> None:
 
 
 def newer_firmware(where: str, protocol: tuple[int, int]) -> str:
-    """A remedy in words: how the board at `where`, which speaks this protocol (major, minor), gets newer firmware."""
+    """The end of an error's text: how to get newer firmware onto the board at `where`, which speaks this protocol
+    (major, minor)."""
     if where.startswith(("usbip:", "serial:tcp:")):
         return "run 'cmake --build --preset gcc' and start the board again"
     if protocol >= (wire.wire.MAJOR, wire.wire.SINCE["get_firmware"]):
@@ -129,13 +131,13 @@ class Board:
         self._arrived = threading.Condition()
         self._asking = threading.Lock()
         self._writing = threading.Lock()
-        self._answers: dict[int, wire.Message] = {}
-        self._told: dict[int, str] = {}
-        self._sequence = 0
-        self._unasked: int | None = None
+        self._answers: dict[int, wire.Message] = {}  # by the request's sequence number
+        self._request_names: dict[int, str] = {}  # of requests without an answer, by sequence number
+        self._sequence = 0  # of the last request
+        self._last_unasked: int | None = None  # sequence number of the last message that the board sent by itself
         self._reader: threading.Thread | None = None
-        self._lost: TautError | None = None
-        self._failed: Exception | None = None  # of a listener, in the reading thread
+        self._link_error: TautError | None = None
+        self._listener_error: Exception | None = None  # of a listener, in the reading thread
         self._stop = threading.Event()
         try:
             self.identity = self._hello()
@@ -145,8 +147,8 @@ class Board:
             raise
 
     def _hello(self) -> wire.Message:
-        """The board's identity, asked for hello_tries times within the time of one answer. TautError where it does not
-        answer."""
+        """Says hello and returns the board's identity. The link says in how many tries; all together take no longer
+        than one answer may. TautError where the board does not answer."""
         tries = self._link.hello_tries
         for left in reversed(range(tries)):
             try:
@@ -180,7 +182,7 @@ class Board:
     def reading(self) -> Iterator[None]:
         """Inside, a thread takes in what the board sends."""
         self._stop.clear()
-        self._reader = threading.Thread(target=self._read, name="board reader", daemon=True)
+        self._reader = threading.Thread(target=self._poll_until_stopped, name="board reader", daemon=True)
         self._reader.start()
         try:
             yield
@@ -189,8 +191,8 @@ class Board:
             self._reader.join()
             self._reader = None
 
-    def _read(self) -> None:
-        """The reading thread: takes in what comes until it is stopped or the link fails; `_lost` then says why."""
+    def _poll_until_stopped(self) -> None:
+        """Body of the reading thread: takes in what comes until it is stopped, or the link fails (`_link_error`)."""
         while not self._stop.is_set():
             try:
                 self.poll(0.05)
@@ -204,12 +206,12 @@ class Board:
         self._listeners[name].append(listener)
 
     def forget(self, name: str, listener: Listener) -> None:
-        """No longer calls a listener. One that listens no more, or never did, is left alone."""
+        """Ends `listen`; does nothing for a listener that is not registered."""
         self._listeners[name] = [other for other in self._listeners[name] if other != listener]
 
     @contextlib.contextmanager
     def listening(self, **listeners: Listener) -> Iterator[None]:
-        """Inside, these listeners get the messages of their name."""
+        """A context within which these listeners, by name of message (see `listen`), are called."""
         for name, listener in listeners.items():
             self.listen(name, listener)
         try:
@@ -229,7 +231,7 @@ class Board:
         frames = []
         for values in rows:
             sequence = self._next_sequence()
-            self._told[sequence] = name
+            self._request_names[sequence] = name
             frames.append(wire.encode(name, sequence, **values))
         if frames:
             self._write(b"".join(frames))
@@ -243,20 +245,7 @@ class Board:
         frame = wire.encode(name, sequence, **values)
         deadline = time.monotonic() + timeout_s
         self._write(frame)
-        while (answer := self._answers.pop(sequence, None)) is None:
-            left = deadline - time.monotonic()
-            if left <= 0.0:
-                raise TautError(f"{self.where}: the board does not answer '{name}': switch it off and on")
-            if self._reader is None or self._reader is threading.current_thread():
-                self.poll(left)
-                continue
-            with self._arrived:
-                self._arrived.wait_for(lambda: sequence in self._answers or self._lost or self._failed, left)
-                failed, self._failed = self._failed, None
-            if failed is not None:
-                raise failed
-            if self._lost is not None and sequence not in self._answers:
-                raise self._lost
+        answer = self._answer_to(name, sequence, deadline)
         if answer.name == "error":
             if answer.reason == wire.code("REASONS", "SESSION"):
                 raise BoardGone(f"{self.where}: the board has restarted: run the command again")
@@ -268,8 +257,30 @@ class Board:
             raise TautError(f"{self.where}: the board answers '{name}' by '{answer.name}': switch it off and on")
         return answer
 
+    def _answer_to(self, name: str, sequence: int, deadline: float) -> wire.Message:
+        """Waits for the answer to the request `name` of this sequence number, until `deadline` (time.monotonic). Reads
+        the link itself where no thread does. TautError without an answer by then, or where the link is gone; also the
+        error of a listener that failed meanwhile."""
+        while (answer := self._answers.pop(sequence, None)) is None:
+            left = deadline - time.monotonic()
+            if left <= 0.0:
+                raise TautError(f"{self.where}: the board does not answer '{name}': switch it off and on")
+            if self._reader is None or self._reader is threading.current_thread():
+                self.poll(left)
+                continue
+            with self._arrived:
+                self._arrived.wait_for(
+                    lambda: sequence in self._answers or self._link_error or self._listener_error, left
+                )
+                failed, self._listener_error = self._listener_error, None
+            if failed is not None:
+                raise failed
+            if self._link_error is not None and sequence not in self._answers:
+                raise self._link_error
+        return answer
+
     def _check_known(self, name: str) -> None:
-        """TautError where the board's firmware is older than this message."""
+        """TautError, with how to get newer firmware, where the board's firmware is older than the message `name`."""
         since = wire.wire.SINCE.get(name, 0)
         if since and self.identity.protocol_minor < since:
             major, minor = self.identity.protocol_major, self.identity.protocol_minor
@@ -280,13 +291,13 @@ class Board:
 
     def poll(self, timeout_s: float) -> int:
         """Takes in what the board sends, waiting for at most this time; returns the number of messages."""
-        if self._lost is not None:
-            raise self._lost
+        if self._link_error is not None:
+            raise self._link_error
         try:
             data = self._link.read(timeout_s)
         except TautError as error:
             with self._arrived:
-                self._lost = error
+                self._link_error = error
                 self._arrived.notify_all()
             raise
         count = 0
@@ -296,24 +307,24 @@ class Board:
         return count
 
     def _dispatch(self, message: wire.Message) -> None:
-        """Hands a message to those who listen to its kind, to `refused`, or to whoever asked. Gaps in the numbers of
-        unasked messages count as missed."""
+        """Gives a message that came to the listeners of its name, to `refused` if it refuses a message without an
+        answer, or to the waiting `ask`. Gaps in the sequence numbers of unasked messages add to `missed`."""
         if message.name in self._listeners:
-            if self._unasked is not None:
-                self.missed += (message.sequence - self._unasked - 1) & 0xFFFF
-            self._unasked = message.sequence
+            if self._last_unasked is not None:
+                self.missed += (message.sequence - self._last_unasked - 1) & 0xFFFF
+            self._last_unasked = message.sequence
             for listener in self._listeners[message.name]:
-                self._hand(message, listener)
-        elif message.name == "error" and message.sequence in self._told:
-            self.refused.append(BoardRefused(self._told.pop(message.sequence), message.reason))
+                self._call_listener(message, listener)
+        elif message.name == "error" and message.sequence in self._request_names:
+            self.refused.append(BoardRefused(self._request_names.pop(message.sequence), message.reason))
         else:
             with self._arrived:
                 self._answers[message.sequence] = message
                 self._arrived.notify_all()
 
-    def _hand(self, message: wire.Message, listener: Listener) -> None:
-        """Calls a listener. One that fails (a full disk) is not called again, so that the motor can still be told to
-        rest."""
+    def _call_listener(self, message: wire.Message, listener: Listener) -> None:
+        """Calls a listener with a message. One that fails (a full disk) is not called again; its error is raised here,
+        or by the next `ask` if this is the reading thread, which goes on: the motor must still be told to rest."""
         try:
             listener(message)
         except Exception as error:
@@ -321,21 +332,21 @@ class Board:
             if self._reader is not threading.current_thread():
                 raise
             with self._arrived:
-                self._failed = error
+                self._listener_error = error
                 self._arrived.notify_all()
 
     def _next_sequence(self) -> int:
-        """The number of the next message: 1 to 65535, then 1 again. What it stood for before is forgotten."""
+        """The sequence number of the next message: 1 to 65535, then 1 again. An answer to its last use is dropped."""
         with self._asking:
             self._sequence = self._sequence % 0xFFFF + 1
-            self._told.pop(self._sequence, None)
+            self._request_names.pop(self._sequence, None)
             self._answers.pop(self._sequence, None)
             return self._sequence
 
     def _write(self, frame: bytes) -> None:
         """Sends whole frames. TautError where the link has failed, also before."""
-        if self._lost is not None:
-            raise self._lost
+        if self._link_error is not None:
+            raise self._link_error
         with self._writing:
             self._link.write(frame)
 
@@ -343,6 +354,7 @@ class Board:
 
     @property
     def axes(self) -> int:
+        """How many axes (motors) the board has."""
         return int(self.identity.axes)
 
     @property
@@ -352,21 +364,25 @@ class Board:
         return self._link.log_divider
 
     def bus(self) -> dict[str, Any]:
-        """How often motors on a bus of their own are asked, and how late they follow; empty for a board."""
+        """Of motors on a bus of their own, what HostedLink.bus says: drives, limits, timing; empty for a board."""
         return dict(self._link.bus())
 
     def status(self, axis: int) -> wire.Message:
+        """The axis' status: tl_wire.h's message `status`."""
         return self.ask("get_status", axis=axis)
 
     def counters(self, clear: bool = False) -> wire.Message:
+        """The board's counters of errors and lost messages: tl_wire.h's message `counters`. clear: sets them to 0."""
         return self.ask("get_counters", clear=int(clear))
 
     def sync(self) -> int:
-        """Returns when all that the board sent before has been taken in: the board's time, us."""
+        """Waits for a round trip, after which all that the board had sent before it has been taken in. Returns the
+        board's time, us."""
         return int(self.ask("ping", host_us=0).t_us)
 
     def align(self, trips: int = 8) -> float:
-        """Makes this many round trips for `clock` (against time.monotonic()); returns the bound of its error, s."""
+        """Measures the board's clock against time.monotonic() by this many round trips, which `clock` takes in; returns
+        the bound of the clock's error now, s."""
         for _ in range(trips):
             sent = time.monotonic()
             stamp = self.ask("ping", host_us=round(sent * 1e6)).t_us
@@ -379,12 +395,12 @@ class Board:
             raise TautError(f"{self.where}: no axis {axis}: its axes are 0 to {self.axes - 1}")
 
     def check_fault(self, axis: int) -> None:
-        """TautError where the axis has a fault."""
+        """TautError, with the remedy, where the axis has a fault."""
         if fault := self._fault_in_words(axis):
             raise TautError(fault)
 
     def _fault_in_words(self, axis: int) -> str:
-        """The axis' fault with its remedy, "" where it has none."""
+        """The axis' fault with its remedy as an error's text, "" where it has none."""
         status = self.status(axis)
         if not status.fault:
             return ""
@@ -392,19 +408,21 @@ class Board:
         return f"axis {axis} has stopped: {wire.fault(status)}. Then run 'taut clear', and this again ({more})"
 
     def check_reference(self, axis: int) -> None:
-        """TautError where the axis does not know its position."""
+        """TautError, with the remedy, where the axis does not know its absolute position."""
         if not self.status(axis).flags & wire.code("FLAGS", "REFERENCED"):
             how = "home its drive with its maker's tools" if self.bus() else "run 'taut home'"
             raise TautError(f"axis {axis} does not know its position: {how}, or say where it stands with --at")
 
     def trust_motor(self, axis: int) -> None:
-        """Stores the axis' settings as commissioned, as they are: for a simulated motor, which the defaults fit."""
+        """Marks the axis' settings as commissioned without a measurement: for a simulated motor, which the defaults
+        fit."""
         own = dict(self.ask("get_settings", axis=axis).values)
         self.ask("settings", **(own | {"commissioned": 1, "key": wire.wire.KEY}), timeout_s=5.0)
 
     def switch_on(self, axis: int, wait: Callable[[float], None] = time.sleep) -> None:
-        """Switches the motor on, holding. The first time, and after settings or wiring may have changed, the board
-        turns it a little in both directions to check motor and encoder, half a second. wait: lets board time pass."""
+        """Switches the motor on, holding, and waits until it is. The first time, and after settings or wiring may have
+        changed, the board turns it a little in both directions to check motor and encoder, half a second. wait: lets so
+        many seconds of board time pass. TautError for a fault, or where it is not on after _CHECK_S."""
         self.check_fault(axis)
         self.ask("enable", axis=axis, on=1)
         for _ in range(round(_CHECK_S / _POLL_S)):
@@ -422,8 +440,10 @@ class Board:
         progress: Callable[[float, str], None] | None = None,
         any_instrument: bool = False,
     ) -> None:
-        """Stores a table (motors off) and compares what the board then holds byte for byte; by DFU on USB, else in
-        messages. any_instrument: also one for another instrument than the settings name."""
+        """Stores a table for an axis on the board, reads it back and compares. By DFU on USB, else in messages; motors
+        have to be off. blob: as of tl_table.h; progress: gets the share sent, 0 to 1, and a word; any_instrument: takes
+        a table of another instrument than the axis' settings name. TautError where the board refuses or holds another
+        one."""
         self.check_axis(axis)
         if any_instrument:
             self.ask("any_table", axis=axis)
@@ -451,15 +471,15 @@ class Board:
             return bytes(route.upload())
 
     def firmware_route(self) -> Any:
-        """A context with download() for new firmware: the DFU setting after those of the axes' tables. None where the
-        link has no DFU interface."""
+        """A context (see Link.tables) with download() for new firmware, which is the DFU setting after those of the
+        axes' tables. None where the link has no DFU interface."""
         return self._link.tables(self.axes)
 
     def load_table_by_messages(
         self, axis: int, blob: bytes, progress: Callable[[float, str], None] | None = None
     ) -> None:
-        """Sends a table in messages, over any link, and has it stored. progress: gets the share sent, 0 to 1, and a
-        word. TautError with the board's reason where it refuses."""
+        """Stores a table by messages, which any link carries; `load_table` uses this where there is no DFU. progress:
+        gets the share sent, 0 to 1, and a word. TautError with the board's reason where it refuses."""
         part = wire.wire.PART
         try:
             for offset in range(0, len(blob), part):
@@ -475,10 +495,11 @@ class Board:
                 says = f"the board refused the table of axis {axis}: {wire.table_reason(status.table_reason)}"
             else:
                 says = f"the board refused the table: {_TABLE_REFUSED.get(error.reason, str(error))}"
-            raise TautError(says + _left_without(status)) from error
+            raise TautError(says + _table_lost(status)) from error
 
     def read_table_by_messages(self, axis: int) -> bytes:
-        """The table in use, read in messages over any link; b"" where the axis has none."""
+        """The table in use, read by messages, which any link carries; b"" where the axis has none. TautError where it
+        is longer than a table can be."""
         blob = bytearray()
         while len(blob) <= _native.TABLE_SIZE_MAX:
             part = self.ask("table_read", axis=axis, offset=len(blob))
@@ -488,17 +509,18 @@ class Board:
         raise TautError(f"{self.where}: the table of axis {axis} does not end: switch it off and on")
 
     def _refusal(self, axis: int, error: DfuError) -> TautError:
-        """The error for a table refused over DFU, which has a single byte for the reason: the status message says
-        more."""
+        """The error to raise for a table that was refused over DFU: DFU has a single byte for the reason, so the axis'
+        status is asked for more."""
         status = self.status(axis)
         if error.status == 0x02 and status.table_reason:  # DFU's errFILE: the table does not fit
             says = f"the board refused the table of axis {axis}: {wire.table_reason(status.table_reason)}"
-            return TautError(says + _left_without(status))
-        return TautError(f"{error}{_left_without(status)}") if _left_without(status) else error
+            return TautError(says + _table_lost(status))
+        return TautError(f"{error}{_table_lost(status)}") if _table_lost(status) else error
 
 
-def _left_without(status: wire.Message) -> str:
-    """What to append to an error where no table is in use any more, as the one that was is damaged in flash; else
-    ""."""
-    lost = status.table == wire.code("TABLES", "BAD")
-    return "; the one that was in use is damaged in flash: flash a table that is whole" if lost else ""
+def _table_lost(status: wire.Message) -> str:
+    """The end of the error for a refused table: says where the table in use before has been damaged, too; "" where it
+    has not."""
+    if status.table != wire.code("TABLES", "BAD"):
+        return ""
+    return "; the one that was in use is damaged in flash: flash a table that is whole"

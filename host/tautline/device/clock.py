@@ -16,6 +16,7 @@ class BoardClock:
     """board time = host time + offset(host time); in a round trip the board's stamp fell between its two ends."""
 
     def __init__(self) -> None:
+        """No round trip yet."""
         self._trips: deque[tuple[float, float, float]] = deque(maxlen=_KEPT)  # middle, offset, half the round trip; s
         self._using = threading.Lock()  # a camera's thread and a sender's
 
@@ -26,14 +27,15 @@ class BoardClock:
             self._trips.append((middle, board_us * 1e-6 - middle, 0.5 * (received_s - sent_s)))
 
     def _all(self) -> np.ndarray:
-        """The round trips that are kept (n, 3): host time at the middle, board less host time there, half the round
-        trip; s."""
+        """The round trips that are kept, the last _KEPT (n, 3): host time at the middle, board less host time there,
+        half the round trip; s."""
         with self._using:
             return np.array(self._trips)
 
     def _line(self) -> tuple[float, float, float, np.ndarray, np.ndarray] | None:
-        """A line through the shortest round trips: its mean host time, s, the offset there, s, and the drift, s/s; and
-        the trips' host times and half lengths (n,), s. None where they are too few, or span less than _LINE_S."""
+        """A straight line of offset over host time through the shortest round trips, by least squares, which shows how
+        fast the clocks drift apart. Returns its mean host time, s, the offset there, s, the drift, s/s, and the trips'
+        host times (n,) and half lengths (n,), s. None where they are too few, or span less than _LINE_S."""
         trips = self._all()
         if len(trips) < 8:
             return None
@@ -47,21 +49,22 @@ class BoardClock:
 
     def offset(self, host_s: float) -> tuple[float, float]:
         """Board time less host time at `host_s`, s, and the bound of its error while both clocks run evenly, s; 0 and
-        inf before any round trip."""
+        inf before any round trip. Of two estimates the one with the smaller bound: a single round trip, whose bound is
+        half its length and STEADY times its age, or the line through many."""
         if not self._trips:
             return 0.0, float("inf")
         trips = self._all()
-        bound = trips[:, 2] + STEADY * np.abs(host_s - trips[:, 0])
-        best = int(np.argmin(bound))
-        answer = float(trips[best, 1]), float(bound[best])
+        bounds = trips[:, 2] + STEADY * np.abs(host_s - trips[:, 0])
+        best = int(np.argmin(bounds))
+        offset, bound = float(trips[best, 1]), float(bounds[best])
         line = self._line()
         if line is not None:
             mean, level, drift, t, half = line
-            share = 1.0 / len(t) + (host_s - mean) * (t - mean) / ((t - mean) ** 2).sum()  # of each trip in the value
-            error = float(np.abs(share) @ half)
-            if error < answer[1]:
-                answer = level + drift * (host_s - mean), error
-        return answer
+            weight = 1.0 / len(t) + (host_s - mean) * (t - mean) / ((t - mean) ** 2).sum()  # of each trip in the value
+            line_bound = float(np.abs(weight) @ half)
+            if line_bound < bound:
+                offset, bound = level + drift * (host_s - mean), line_bound
+        return offset, bound
 
     @property
     def drift(self) -> float:

@@ -50,7 +50,8 @@ class Dfu:
     """The DFU interface of an open device, on one alternate setting. Leaves the board idle, also after a failure."""
 
     def __init__(self, device: usb.core.Device, interface: int, alternate: int) -> None:
-        """Claims the alternate setting (an axis) of a DFU interface. DfuError where there is none."""
+        """Claims an alternate setting of a device's DFU interface: that of an axis' table, or the one after the last
+        axis, of the firmware. DfuError where there is none."""
         self._device, self._interface, self._answer_ms, self._asked_s = device, interface, _TIMEOUT_MS, 0.0
         settings = [i for i in device.get_active_configuration() if i.bInterfaceNumber == interface]
         if alternate not in [i.bAlternateSetting for i in settings]:
@@ -65,12 +66,14 @@ class Dfu:
         device.set_interface_altsetting(interface, alternate)
 
     def __enter__(self) -> Dfu:
-        self._make_idle()
+        """Brings the device to dfuIDLE, from which downloads and uploads begin."""
+        self._bring_to_idle()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Brings the device back to dfuIDLE, as far as it is still there, and releases the interface."""
         try:
-            self._make_idle()
+            self._bring_to_idle()
         except usb.core.USBError:
             pass  # gone: nothing to leave in order
         except DfuError:
@@ -116,11 +119,13 @@ class Dfu:
         """A DFU request that reads `length` bytes at most; value: the number of the block, else 0."""
         return self._control(_IN, request, value, length)
 
-    def _control(self, kind: int, request: int, value: int, what: bytes | int) -> Any:
-        """One control transfer of DFU, `what` being the bytes to send or the length to read. A stall becomes the
-        DfuError that the device's status gives."""
+    def _control(self, request_type: int, request: int, value: int, data_or_length: bytes | int) -> Any:
+        """One control transfer of DFU. request_type: _OUT with bytes to send, or _IN with the length to read. If the
+        device stalls a download or upload, raises the DfuError that its status gives."""
         try:
-            return self._device.ctrl_transfer(kind, request, value, self._interface, what, self._answer_ms)
+            return self._device.ctrl_transfer(
+                request_type, request, value, self._interface, data_or_length, self._answer_ms
+            )
         except usb.core.USBError as error:
             if error.errno == 32 and request in (_DNLOAD, _UPLOAD):  # a stall: the status says why
                 status, _, _ = self._status()
@@ -128,7 +133,8 @@ class Dfu:
             raise
 
     def _status(self) -> tuple[int, float, int]:
-        """bStatus, bwPollTimeout in s, bState."""
+        """Asks for the device's DFU status: bStatus (0 is OK), bwPollTimeout in s, bState. DfuError where it is too
+        short."""
         answer = bytes(self._receive(_GETSTATUS, 0, 6))
         if len(answer) != 6:
             raise DfuError("the board's DFU status is too short: its firmware is not tautline's")
@@ -146,9 +152,9 @@ class Dfu:
             left = deadline - time.monotonic()
             if left <= 0.0:
                 raise DfuError(f"the board stays in DFU state {state}: switch it off and on, then load again")
-            self._wait(min(pause, left))
+            self._sleep_as_asked(min(pause, left))
 
-    def _make_idle(self) -> None:
+    def _bring_to_idle(self) -> None:
         """Brings the device to dfuIDLE, whatever state it is in. DfuError where four attempts do not."""
         for _ in range(4):
             _, pause, state = self._status()
@@ -157,13 +163,14 @@ class Dfu:
             if state == _ERROR:
                 self._send(_CLRSTATUS, 0, b"")
             elif state in (_DNBUSY, _MANIFEST, _MANIFEST_SYNC):
-                self._wait(min(pause, _BUSY_S))
+                self._sleep_as_asked(min(pause, _BUSY_S))
             else:
                 self._send(_ABORT, 0, b"")
         raise DfuError("the board's DFU interface does not come to rest: switch the board off and on")
 
-    def _wait(self, pause: float) -> None:
-        """Sleeps as long as the device asked for, s; DfuError where that adds up to more than _ASKED_S."""
+    def _sleep_as_asked(self, pause: float) -> None:
+        """Sleeps for the seconds that the device asked for. DfuError where they add up to more than _ASKED_S since the
+        interface was opened."""
         self._asked_s += pause
         if self._asked_s > _ASKED_S:
             raise DfuError("the board has us wait without end: switch it off and on, then load again")
@@ -171,5 +178,5 @@ class Dfu:
 
     @staticmethod
     def _refusal(status: int) -> DfuError:
-        """The error for a bStatus, in words."""
+        """The error to raise for DFU's bStatus, with its meaning in words."""
         return DfuError(f"the board refused the table: {_STATUS.get(status, f'DFU status {status:#04x}')}", status)

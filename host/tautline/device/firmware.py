@@ -32,18 +32,20 @@ Version = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class Image:
-    """Firmware for one slot. `page` is the signed page before it."""
+    """Firmware for one slot."""
 
-    page: bytes
-    content: bytes
-    fields: wire.Message
+    page: bytes  # the signed page of 256 bytes before it
+    content: bytes  # what runs
+    fields: wire.Message  # tl_wire.h's `image` out of the page
 
     @property
     def version(self) -> Version:
+        """Version of the firmware."""
         return version_of(self.fields.version)
 
     @property
     def port(self) -> str:
+        """Name of the port that it is built for, as of `place_of`."""
         return str(self.fields.port)
 
     def is_whole(self) -> bool:
@@ -51,36 +53,38 @@ class Image:
         return bytes(self.fields.hash.tolist()) == digest(self.content)
 
     def is_signed(self, key: bytes) -> bool:
-        """Whether the page is signed by the holder of this public key."""
+        """Whether the page has a valid signature (EdDSA with BLAKE2b) by the secret key of this 32-byte public key."""
         signed = self.page[_HEADER : _HEADER + wire.wire.IMAGE_SIGNED]
         return bool(monocypher.signature_check(bytes(self.fields.signature.tolist()), key, signed))
 
 
 def digest(content: bytes) -> bytes:
-    """BLAKE2b-256 of the content, 32 bytes."""
+    """The hash of an image's content that its page holds: BLAKE2b-256, 32 bytes."""
     return hashlib.blake2b(content, digest_size=_HASH).digest()
 
 
 def version_of(numbers: Sequence[int]) -> Version:
+    """A version, (major, minor, patch), from a message's three numbers."""
     major, minor, patch = (int(number) for number in numbers)
     return major, minor, patch
 
 
 def text_of(version: Version) -> str:
+    """A version as text, such as "1.2.0"."""
     return ".".join(map(str, version))
 
 
 def place_of(port: str, axes: int) -> str:
-    """The name that images for this port carry where the board has so many axes: with "-AXES" behind it below four, as
-    an image for three would leave the fourth motor alone."""
+    """The name that an image for this port and number of axes has in its page: PORT for four axes, PORT-AXES for fewer,
+    so that a board never gets an image that leaves some of its motors alone."""
     return port if axes == _AXES_MOST else f"{port}-{axes}"
 
 
 def pack(content: bytes, port: str, version: Version, slot: int, sign: Callable[[bytes], bytes]) -> bytes:
-    """One image of an update file: its page, then the content padded to whole pages. slot: 0, 1 or ANY_SLOT; `sign`
-    gives the 64-byte signature of what is signed."""
+    """One image of an update file: its signed page, then the content, padded to whole pages. port: as of `place_of`;
+    slot: that it is linked for, 0, 1 or ANY_SLOT; sign: gives the 64-byte signature of the bytes that it gets."""
     content += b"\xff" * (-len(content) % PAGE)
-    known: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "format": _FORMAT,
         "slot": slot,
         "version": version,
@@ -90,13 +94,14 @@ def pack(content: bytes, port: str, version: Version, slot: int, sign: Callable[
         "size": len(content),
         "hash": tuple(digest(content)),
     }
-    unsigned = wire.encode("image", 0, **known)
+    unsigned = wire.encode("image", 0, **fields)
     signature = sign(unsigned[_HEADER : _HEADER + wire.wire.IMAGE_SIGNED])
-    return wire.encode("image", 0, **known, signature=tuple(signature)).ljust(PAGE, b"\0") + content
+    return wire.encode("image", 0, **fields, signature=tuple(signature)).ljust(PAGE, b"\0") + content
 
 
 def read(path: Path) -> list[Image]:
-    """The images of an update file. TautError where it is none or incomplete."""
+    """The images of an update file, their hashes checked, their signatures not. TautError where the file cannot be
+    read, is no update file, or is damaged."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -119,8 +124,8 @@ def read(path: Path) -> list[Image]:
     return images
 
 
-def _for_another(path: Path, images: Sequence[Image], port: str, axes: int) -> None:
-    """TautError where an image is not for this board's port, or for another number of its axes."""
+def _check_port(path: Path, images: Sequence[Image], port: str, axes: int) -> None:
+    """TautError where an image is for another port than this board's, or for another number of axes."""
     place = place_of(port, axes)
     others = {image.port for image in images} - {place}
     fewer = {place_of(port, count): count for count in range(1, _AXES_MOST + 1)}
@@ -132,11 +137,12 @@ def _for_another(path: Path, images: Sequence[Image], port: str, axes: int) -> N
 
 
 def check(path: Path, images: Sequence[Image], identity: wire.Message, runs: wire.Message, older_too: bool) -> Image:
-    """The image that a board would take; TautError where it would refuse all. identity, runs: what it says of itself
-    and of the firmware that it runs; older_too: an older version than that will do."""
+    """The image of an update file that goes into the board's free slot. TautError where the board would refuse all of
+    them, with the reason. identity, runs: the board's messages `identity` and `firmware` (what it runs); older_too:
+    takes an image of an older version, too."""
     if runs.slot == ANY_SLOT and runs.refused == wire.code("UPDATES", "NO_SLOT"):
         raise TautError(wire.text("UPDATES", runs.refused))
-    _for_another(path, images, str(identity.port), int(identity.axes))
+    _check_port(path, images, str(identity.port), int(identity.axes))
     spoken = {int(image.fields.protocol_major) for image in images} - {wire.wire.MAJOR}
     if spoken:
         raise TautError(

@@ -12,29 +12,29 @@ from pathlib import Path
 
 
 def note(where: str) -> Path:
-    """The path of the file that says which process holds this board."""
+    """The path of the note on the board at the address `where`, {"pid": ..., "program": ...} of who holds it."""
     folder = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir())
     return folder / f"tautline-board-{hashlib.sha256(where.encode()).hexdigest()[:16]}.json"
 
 
 def take(where: str) -> None:
-    """Notes that this process holds the board; failing to write it only costs a name in a message."""
+    """Writes the note that this process holds the board. Without it only a message lacks a name: errors are ignored."""
     with contextlib.suppress(OSError):
-        note(where).write_text(json.dumps({"pid": os.getpid(), "program": _program()}), encoding="utf-8")
+        note(where).write_text(json.dumps({"pid": os.getpid(), "program": _program_name()}), encoding="utf-8")
 
 
 def leave(where: str) -> None:
-    """Removes this process' own note."""
-    if _read(where).get("pid") == os.getpid():
+    """Removes the note on a board if it is this process' own."""
+    if _read_note(where).get("pid") == os.getpid():
         with contextlib.suppress(OSError):
             note(where).unlink()
 
 
 def busy(where: str) -> str:
-    """One line: which process uses the board, if known, and what to do."""
-    held = _read(where)
+    """An error's text for a board that is in use: which process uses it, if the note says, and what to do."""
+    held = _read_note(where)
     pid, program = held.get("pid"), held.get("program")
-    if isinstance(pid, int) and isinstance(program, str) and pid != os.getpid() and _lives(pid):
+    if isinstance(pid, int) and isinstance(program, str) and pid != os.getpid() and _process_exists(pid):
         return (
             f"{where}: '{program}' (process {pid}) uses the board, and one program at a time can: watch it there, "
             "wait until it ends, or stop it with Ctrl-C"
@@ -42,14 +42,14 @@ def busy(where: str) -> str:
     return f"{where}: another program uses the board, and one at a time can: end that one first"
 
 
-def _program() -> str:
-    """This program as its user called it: 'taut COMMAND', else the script's name."""
+def _program_name() -> str:
+    """This program as its user called it: 'taut COMMAND', or the script's name."""
     name = Path(sys.argv[0]).name or "python"
     return f"taut {sys.argv[1]}" if name == "taut" and len(sys.argv) > 1 else name
 
 
-def _read(where: str) -> dict[str, object]:
-    """What the note says; {} where there is none, or it is damaged."""
+def _read_note(where: str) -> dict[str, object]:
+    """The note on a board; {} where there is none, or it is damaged."""
     try:
         document = json.loads(note(where).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -57,7 +57,7 @@ def _read(where: str) -> dict[str, object]:
     return document if isinstance(document, dict) else {}
 
 
-def _lives(pid: int) -> bool:
+def _process_exists(pid: int) -> bool:
     """Whether a process of this number exists."""
     try:
         os.kill(pid, 0)

@@ -17,20 +17,23 @@ class Link(Protocol):
     """An open way to one board. Every failure is a TautError that says what to do."""
 
     hello_tries: int  # how often hello is said before a board is taken for dead
-    log_divider: int  # of the millisecond: what is logged more often is no measurement any more
+    log_divider: int  # ms from one sample of telemetry to the next; motors on a bus are measured no more often
 
-    def write(self, data: bytes) -> None: ...
+    def write(self, data: bytes) -> None:
+        """Sends whole frames to the board."""
 
     def read(self, timeout_s: float) -> bytes:
-        """What came, b"" where nothing did within the time."""
+        """The bytes that came, any number, b"" where none did within the time."""
 
     def tables(self, axis: int) -> Any:
-        """A context with download() and upload() for an axis' table; None: tables travel in messages."""
+        """A context with download() and upload() for an axis' table, where the link has a way of its own for tables
+        (DFU); None: tables travel in messages."""
 
     def bus(self) -> Mapping[str, Any]:
-        """Of motors on a bus of their own: how often and how late they are asked and follow. Empty for a board."""
+        """Of motors on a bus of their own: what HostedLink.bus says. Empty for a board."""
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Closes the way to the board."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +41,7 @@ class BoardAddress:
     """A board that was found, not opened."""
 
     where: str  # usb:SERIAL, usbip:HOST:PORT, serial:DEVICE, or motors as in drivers/addresses
-    serial: str | None  # None: in use, or not allowed to ask
-    busy: bool
-    protocol: tuple[int, int]
-    open: Callable[[], Link]
+    serial: str | None  # serial number; None: in use, or not allowed to ask
+    busy: bool  # another program has it
+    protocol: tuple[int, int]  # version that it speaks, major and minor
+    open: Callable[[], Link]  # TautError where it cannot be opened

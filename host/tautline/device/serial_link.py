@@ -32,6 +32,7 @@ class _Socket:
     """A socket with the few calls of pyserial's ports that a link needs; pyserial's own hold small writes back."""
 
     def __init__(self, host: str, port: int) -> None:
+        """Connects within _WRITE_S, else OSError."""
         self._socket = socket.create_connection((host, port), timeout=_WRITE_S)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.timeout: float | None = 0.0
@@ -47,23 +48,27 @@ class _Socket:
         return data
 
     def write(self, data: bytes) -> None:
+        """Sends all bytes. TimeoutError where the other end does not take them within _WRITE_S."""
         self._socket.sendall(data)
 
     def close(self) -> None:
+        """Closes the connection."""
         self._socket.close()
 
 
 class SerialLink:
-    """An open line. Nobody tells when a host comes or goes there: a session begins with hello."""
+    """An open serial line to a board. The board cannot see a host come or go there, so a session begins with hello."""
 
     hello_tries = 4  # a line may have lost the first, or the board still waits for the rest of a frame
     log_divider = 1
 
     def __init__(self, where: str) -> None:
+        """Opens serial:DEVICE[@BAUD] or serial:tcp:HOST:PORT. TautError with a remedy."""
         self._where = where
         self._port = _open(where)
 
     def write(self, data: bytes) -> None:
+        """Sends all bytes. TautError where the board takes none, BoardGone where the line is gone."""
         try:
             self._port.write(data)
         except (serial.SerialTimeoutException, TimeoutError) as error:
@@ -72,7 +77,8 @@ class SerialLink:
             raise self._gone() from error
 
     def read(self, timeout_s: float) -> bytes:
-        """The bytes that come, waiting for the first at most this long; b"" where none does."""
+        """The bytes that come, waiting for the first at most this long; b"" where none does. BoardGone where the line
+        is gone."""
         try:
             self._port.timeout = max(timeout_s, 0.0)
             first = self._port.read(1)
@@ -92,10 +98,12 @@ class SerialLink:
         return {}
 
     def close(self) -> None:
+        """Closes the line; errors of one that is gone are ignored."""
         with contextlib.suppress(serial.SerialException, OSError):
             self._port.close()
 
     def _gone(self) -> BoardGone:
+        """The error to raise where the line has failed."""
         return BoardGone(f"{self._where}: the board is gone: check plug and power, then run the command again")
 
 
@@ -104,18 +112,11 @@ class _Busy(TautError):
 
 
 def _open(where: str) -> Any:
-    """The open line of serial:DEVICE[@BAUD] or of a socket of a simulated board. TautError with a remedy."""
+    """Opens serial:DEVICE[@BAUD] or serial:tcp:HOST:PORT: a port of pyserial, or a _Socket. TautError with a remedy,
+    _Busy where another program has it."""
     name = where.removeprefix("serial:")
     if name.startswith("tcp:"):
-        match = re.fullmatch(r"tcp:(.+):(\d+)", name)
-        if not match:
-            raise TautError(f"--board {where}: {_EXPECTED}")
-        if not _is_here(match[1]):
-            raise TautError(f"--board {where}: a line over a socket is for simulated boards on this machine: 127.0.0.1")
-        try:
-            return _Socket(match[1], int(match[2]))
-        except (OSError, OverflowError) as error:
-            raise TautError(f"{where}: no board answers there: start it, or name another with --board") from error
+        return _open_socket(where, name)
     match = re.fullmatch(r"([^@]+)(?:@(\d+))?", name)
     if not match:
         raise TautError(f"--board {where}: {_EXPECTED}")
@@ -133,8 +134,22 @@ def _open(where: str) -> Any:
         raise TautError(f"{where}: no board answers there: plug it in, or name another with --board") from error
 
 
+def _open_socket(where: str, name: str) -> _Socket:
+    """Opens the line of a simulated board on this machine; name: tcp:HOST:PORT. TautError with a remedy; `where` is the
+    whole address, for its text."""
+    match = re.fullmatch(r"tcp:(.+):(\d+)", name)
+    if not match:
+        raise TautError(f"--board {where}: {_EXPECTED}")
+    if not _is_here(match[1]):
+        raise TautError(f"--board {where}: a line over a socket is for simulated boards on this machine: 127.0.0.1")
+    try:
+        return _Socket(match[1], int(match[2]))
+    except (OSError, OverflowError) as error:
+        raise TautError(f"{where}: no board answers there: start it, or name another with --board") from error
+
+
 def _is_here(host: str) -> bool:
-    """Whether a host name is this machine."""
+    """Whether a host, by name or address, is this machine: localhost or a loopback address."""
     if host == "localhost":
         return True
     try:
@@ -144,13 +159,13 @@ def _is_here(host: str) -> bool:
 
 
 def find_serial(where: str) -> list[BoardAddress]:
-    """The board on a serial line, marked busy where another program has it. TautError where the line cannot be opened,
-    or nothing on it answers a hello."""
-    taken = BoardAddress(where, None, True, (wire.wire.MAJOR, wire.wire.MINOR), lambda: _refuse(where))
+    """The board on a serial line, as a list of one, marked busy where another program has the line. Says hello to learn
+    who it is and closes the line again. TautError where the line cannot be opened, or nothing on it answers."""
+    busy_board = BoardAddress(where, None, True, (wire.wire.MAJOR, wire.wire.MINOR), lambda: _refuse(where))
     try:
         link = SerialLink(where)
     except _Busy:
-        return [taken]
+        return [busy_board]
     with contextlib.closing(link):
         try:
             for _ in range(link.hello_tries):
@@ -160,18 +175,18 @@ def find_serial(where: str) -> list[BoardAddress]:
                     return [BoardAddress(where, identity.serial, False, protocol, lambda: SerialLink(where))]
         except BoardGone:
             if where.startswith("serial:tcp:"):  # a simulated board closes a second connection at once
-                return [taken]
+                return [busy_board]
             raise
     raise TautError(f"{where}: nothing that answers is a tautline board: check plug, power and baud rate")
 
 
 def _refuse(where: str) -> SerialLink:
-    """In place of opening a board that is in use: raises the error that says so."""
+    """What BoardAddress.open is for a board that is in use: raises the error that says so."""
     raise _Busy(busy(where))
 
 
 def _identity(link: SerialLink) -> wire.Message | None:
-    """The identity that a board on this line sends within _ASK_S; None where nobody does."""
+    """Waits up to _ASK_S for the message `identity` of a board that was sent a hello; None where it does not come."""
     decoder = wire.Decoder()
     deadline = time.monotonic() + _ASK_S
     while (left := deadline - time.monotonic()) > 0.0:

@@ -20,7 +20,8 @@ class SetPointStream:
     """Sends c*, deg, to one axis through its tables. After the block the axis is at rest and off."""
 
     def __init__(self, board: Board, axis: int, silence_s: float = 0.1) -> None:
-        """silence_s: after so long without a set-point the board brings the axis to rest by itself."""
+        """Checks that the axis is there, without a fault, and knows its position; nothing moves yet. silence_s: after
+        so long without a set-point the board brings the axis to rest by itself. TautError with the remedy."""
         board.check_axis(axis)
         board.check_fault(axis)
         board.check_reference(axis)
@@ -34,7 +35,8 @@ class SetPointStream:
         self._next = self._began = self._ended = self._last = self._aligned = 0.0
 
     def __enter__(self) -> SetPointStream:
-        """Aligns the clocks, switches the motor on and makes the axis follow; time for `pace` begins."""
+        """Aligns the clocks, switches the motor on and makes the axis follow set-points from where it is (`start_deg`);
+        the first period of `pace` begins."""
         self._board.align(16)
         self._board.refused.clear()
         try:
@@ -49,7 +51,7 @@ class SetPointStream:
         return self
 
     def _follow(self) -> None:
-        """Makes the axis follow set-points of the tip, fully compensated."""
+        """Makes the board take set-points of the tip's angle, fully compensated by its table."""
         silence_us = round(self._silence_s * 1e6)
         self._board.ask("follow", axis=self._axis, target=1, compensation=MODES["full"], silence_us=silence_us)
 
@@ -66,8 +68,9 @@ class SetPointStream:
             self._board.check_fault(self._axis)  # one that came too late for pace() to see
 
     def send(self, c_deg: float) -> bool:
-        """Sends a set-point, deg. False where nothing was sent, as the axis is still coming to rest after a silence:
-        send again. TautError for an angle that a board cannot be told."""
+        """Sends a set-point of the tip's angle, deg, to be reached _LEAD_US from now. False where nothing was sent as
+        the axis is still coming to rest after a silence: call it again. TautError for an angle that does not fit into
+        the message."""
         value = int(wire.set_point_values(c_deg, wire.DEG))
         now = time.monotonic()
         # 0.9: by the time it arrives the board may have come to rest.
@@ -80,8 +83,8 @@ class SetPointStream:
         return True
 
     def _resume(self) -> bool:
-        """After a silence, makes the axis follow again from where it is, within its limits. Whether it takes
-        set-points: False while it is still coming to rest."""
+        """After a silence of ours: if the axis has come to rest, makes it follow again from where it is. Returns
+        whether it takes set-points now: not while it is still coming to rest. TautError for a fault."""
         mode = self._board.status(self._axis).mode
         if mode == wire.code("MODES", "HOLD"):
             self._follow()
@@ -91,8 +94,9 @@ class SetPointStream:
         return bool(mode == wire.code("MODES", "FOLLOW_TIP"))
 
     def pace(self, period_s: float) -> None:
-        """Sleeps until the next set-point is due. Every quarter of a second a round trip aligns the clocks and checks
-        the board; TautError where the axis has a fault."""
+        """Sleeps until the next set-point is due, a period after the last one was; a caller that is late counts in
+        `late`. Every _ALIGN_S it also aligns the clocks and looks at what the board has refused. TautError where the
+        axis has a fault."""
         self._next += period_s
         now = time.monotonic()
         if now > self._next + 0.5 * period_s:
@@ -120,11 +124,11 @@ class SetPointStream:
 
     @property
     def refused(self) -> int:
-        """How many messages the board has refused, but for those after a silence."""
+        """How many set-points the board has refused, without those that it refused after a silence."""
         return len(self._board.refused)
 
     def summary(self) -> dict[str, Any]:
-        """Counts for a command's JSON: set-points sent and late, silences."""
+        """What `taut stream --json` says of the stream: set-points sent, late and refused, seconds, rate, silences."""
         return {
             "sent": self.sent,
             "seconds": self.seconds,

@@ -23,21 +23,23 @@ ANSWER_MS = 30000  # tolerance: a signature is checked in 0.2 s, on an emulated 
 class Sent:
     """A board that restarts into new firmware."""
 
-    where: str
-    board: str
+    where: str  # its address
+    board: str  # its serial number
     port: str
-    before: firmware.Version
-    version: firmware.Version
+    before: firmware.Version  # that ran
+    version: firmware.Version  # that was sent
     slot: int  # that ran
 
 
 @dataclass(frozen=True)
 class Updated:
-    board: str
+    """A board whose new firmware runs and is confirmed."""
+
+    board: str  # its serial number
     port: str
     before: firmware.Version
-    version: firmware.Version
-    slot: int
+    version: firmware.Version  # that runs
+    slot: int  # that runs
 
 
 def update(
@@ -46,8 +48,9 @@ def update(
     older_too: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> Updated:
-    """Sends new firmware and waits until it runs and is confirmed. On TautError the board runs the old one,
-    or has not come back (`finish`)."""
+    """Brings new firmware to the board that `where` names (see device.board.find) and waits until it runs and is
+    confirmed. path: an update file; older_too: takes an older version, too; progress: gets the share sent, 0 to 1, and
+    a word. After a TautError the board runs the old one, or has not come back (`finish`)."""
     return finish(send(where, path, older_too, progress))
 
 
@@ -57,14 +60,15 @@ def send(
     older_too: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> Sent:
-    """Writes the image that the board needs into its flash and restarts the board."""
+    """The first half of `update`: checks the file against the board, writes the image that fits into the board's free
+    slot, and restarts the board. TautError where the file does not fit or the board refuses it."""
     images = firmware.read(path)
     with open_board(where) as board:
         runs = board.ask("get_firmware")
         image = firmware.check(path, images, board.identity, runs, older_too)
         if older_too:
             board.ask("any_firmware", key=wire.wire.KEY)
-        _download(board, image.page + image.content, progress)
+        _write_image(board, image.page + image.content, progress)
         with contextlib.suppress(BoardGone):  # it may restart before its answer is read: `finish` sees what came of it
             board.ask("reboot", key=wire.wire.KEY, bootloader=0)
         before = firmware.version_of(runs.version)
@@ -73,13 +77,13 @@ def send(
 
 
 def finish(sent: Sent) -> Updated:
-    """Waits until the board is back and its firmware is confirmed. TautError where it runs the old one again, or has
-    not come back after _BACK_S."""
+    """The second half of `update`: waits until the board is back and its new firmware is confirmed, which being talked
+    to does. TautError where it runs the old one again, or has not come back after _BACK_S."""
     deadline = time.monotonic() + _BACK_S
     trial = wire.code("FIRMWARES", "TRIAL")
     while True:
         time.sleep(_POLL_S)
-        now = _firmware_of(sent.where)
+        now = _ask_firmware(sent.where)
         if now is not None and now.slot != sent.slot and now.state != trial:
             return Updated(sent.board, sent.port, sent.before, firmware.version_of(now.version), int(now.slot))
         if now is not None and now.slot == sent.slot and now.other_state != trial:  # else: not restarted yet
@@ -93,15 +97,16 @@ def finish(sent: Sent) -> Updated:
             )
 
 
-def _firmware_of(where: str) -> wire.Message | None:
-    """What a board says of its firmware; None where it is not on its bus."""
+def _ask_firmware(where: str) -> wire.Message | None:
+    """Opens the board and asks for its message `firmware`; None where it does not answer, as while it restarts."""
     with contextlib.suppress(TautError), open_board(where) as board:
         return board.ask("get_firmware")
     return None
 
 
-def _download(board: Board, data: bytes, progress: Callable[[float, str], None] | None) -> None:
-    """Writes the image by DFU. TautError where the link has none, or the board refuses the firmware."""
+def _write_image(board: Board, data: bytes, progress: Callable[[float, str], None] | None) -> None:
+    """Writes an image, page and content, into the board's free slot by DFU. TautError where the link has no DFU, or the
+    board refuses the firmware."""
     dfu = board.firmware_route()
     if dfu is None:
         raise TautError(f"{board.where}: firmware does not travel over a serial line: connect the board by USB")

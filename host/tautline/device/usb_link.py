@@ -26,22 +26,24 @@ _WRITE_MS = 3000  # a board takes data within milliseconds; a host that stands s
 
 
 class UsbLink:
-    """The vendor interface of an open device; the DFU interface carries tables."""
+    """A `Link` to a board on USB or USB/IP: the vendor interface carries messages, the DFU interface tables."""
 
     hello_tries = 1
     log_divider = 1
 
     def __init__(self, device: usb.core.Device, where: str) -> None:
+        """Opens the device by claiming its vendor interface. where: the board's address, for messages. TautError."""
         self.device, self._where = device, where
         with self._errors():
             usb.util.claim_interface(device, _CONTROL)
 
     def write(self, data: bytes) -> None:
+        """Sends all bytes. TautError where the board does not take them within _WRITE_MS."""
         with self._errors():
             self.device.write(_OUT, data, timeout=_WRITE_MS)
 
     def read(self, timeout_s: float) -> bytes:
-        """What came, b"" where nothing did within the time."""
+        """The bytes that came, b"" where none did within the time. BoardGone where the board is unplugged."""
         with self._errors():
             try:
                 # A time-out of 0 ms would wait for ever.
@@ -51,7 +53,8 @@ class UsbLink:
 
     @contextlib.contextmanager
     def tables(self, axis: int) -> Iterator[Dfu]:
-        """Inside, the DFU setting of an axis' table; the one after the last axis' is that of the firmware."""
+        """A context that gives the DFU setting of an axis' table; the one after the last axis' is that of the
+        firmware."""
         with self._errors(), Dfu(self.device, _TABLES, axis) as dfu:
             yield dfu
 
@@ -60,19 +63,20 @@ class UsbLink:
         return {}
 
     def close(self) -> None:
+        """Releases the device; errors of one that is gone are ignored."""
         with contextlib.suppress(usb.core.USBError):
             usb.util.dispose_resources(self.device)
 
     @contextlib.contextmanager
     def _errors(self) -> Iterator[None]:
-        """Inside, a USB error becomes a TautError with its remedy."""
+        """A context within which a USB error becomes a TautError with its remedy."""
         try:
             yield
         except usb.core.USBError as error:
-            raise self._explain(error) from error
+            raise self._remedied(error) from error
 
-    def _explain(self, error: usb.core.USBError) -> TautError:
-        """The TautError for a USB error, with its remedy."""
+    def _remedied(self, error: usb.core.USBError) -> TautError:
+        """The TautError to raise for a USB error, with its remedy; BoardGone where the device is not there any more."""
         if error.errno in (errno.ENODEV, errno.EIO, errno.ESHUTDOWN, errno.ENOENT):
             return BoardGone(f"{self._where}: the board is gone: check plug and power, then run the command again")
         if error.errno == errno.EBUSY:
@@ -85,9 +89,9 @@ class UsbLink:
         return TautError(f"{self._where}: USB failed ({error}): unplug the board and plug it in again")
 
 
-def _found(device: usb.core.Device, where: str, serial: str | None) -> BoardAddress:
-    """The address of a device that was found, busy where it told no serial number; its bcdDevice is the protocol it
-    speaks, major and minor."""
+def _board_address(device: usb.core.Device, where: str, serial: str | None) -> BoardAddress:
+    """The BoardAddress of a USB device that was found. where: its address; serial: None marks it as busy. Its bcdDevice
+    is the version of the protocol that it speaks, major and minor."""
     protocol = (device.bcdDevice >> 8, device.bcdDevice & 0xFF)
     return BoardAddress(where, serial, serial is None, protocol, lambda: UsbLink(device, where))
 
@@ -109,32 +113,34 @@ def find_usb() -> list[BoardAddress]:
     if backend is None:
         return []
     boards = []
-    for device in _ours(backend):
+    for device in _tautline_devices(backend):
         serial = _serial_number(device)
-        boards.append(_found(device, f"usb:{serial or f'{device.bus}-{device.address}'}", serial))
+        boards.append(_board_address(device, f"usb:{serial or f'{device.bus}-{device.address}'}", serial))
     return boards
 
 
 def find_usbip(where: str) -> list[BoardAddress]:
-    """Boards that a USB/IP server exports, those that another host has marked busy."""
+    """The boards that the USB/IP server at usbip:HOST:PORT exports; those that another host uses are marked busy.
+    TautError for another form of address, or where no server answers."""
     address = where.split(":")
     if len(address) != 3 or not address[2].isdigit():
         raise TautError(f"--board {where}: expected usbip:HOST:PORT, such as usbip:127.0.0.1:3240")
     try:
-        devices = list(_ours(usbip_backend.Backend(address[1], int(address[2]))))
+        devices = list(_tautline_devices(usbip_backend.Backend(address[1], int(address[2]))))
     except usb.core.USBError as error:
         raise TautError(f"{where}: {error.strerror}: start the board, or name another with --board") from error
     # The serial number of one that is in use is 0: the server's list has no names, and it is not asked.
-    return [_found(device, where, _serial_number(device)) for device in devices]
+    return [_board_address(device, where, _serial_number(device)) for device in devices]
 
 
-def named() -> str | None:
-    """The board that the environment variable TAUTLINE_BOARD names, None where it is not set."""
+def address_in_environment() -> str | None:
+    """The value of the environment variable TAUTLINE_BOARD, a board's address, None where it is not set."""
     return os.environ.get(ENVIRONMENT)
 
 
-def _ours(backend: Any) -> Iterator[usb.core.Device]:
-    """The devices of a backend with the project's vendor and product numbers."""
+def _tautline_devices(backend: Any) -> Iterator[usb.core.Device]:
+    """The USB devices of a PyUSB backend that are boards: by vendor and product number, and, as others may share these,
+    by the manufacturer's name where it can be asked for."""
     devices = usb.core.find(
         find_all=True, backend=backend, idVendor=wire.wire.USB_VENDOR, idProduct=wire.wire.USB_PRODUCT
     )

@@ -50,14 +50,17 @@ class Exported:
 
     @classmethod
     def unpack(cls, host: str, port: int, raw: bytes) -> tuple[Exported, int]:
-        """The entry of a device list, and how many interface records follow it."""
-        f = _DEVICE.unpack(raw)
-        busid = f[1].split(b"\0", 1)[0].decode("ascii", "replace")
-        return cls(host, port, busid, f[2], f[3], f[4], f[5], f[6], f[7], (f[8], f[9], f[10]), f[11], f[12]), f[13]
+        """Decodes a record of a device list, `_DEVICE`: the entry, and how many interface records follow it. host,
+        port: of the server."""
+        _, busid, bus, device, speed, vendor, product, release, *classes_and_counts = _DEVICE.unpack(raw)
+        *device_class, configuration, configurations, interfaces = classes_and_counts
+        name = busid.split(b"\0", 1)[0].decode("ascii", "replace")
+        numbers = (bus, device, speed, vendor, product, release, tuple(device_class), configuration, configurations)
+        return cls(host, port, name, *numbers), interfaces
 
 
 def _receive(sock: socket.socket, size: int) -> bytes:
-    """Exactly `size` bytes. OSError where the connection ends before."""
+    """Receives exactly `size` bytes. OSError ENODEV where the connection ends before."""
     data = bytearray()
     while len(data) < size:
         chunk = sock.recv(size - len(data))
@@ -119,7 +122,7 @@ class Urb:
     context: object = field(default=None, repr=False)  # the caller's
 
     def result(self) -> int:
-        """Number of bytes transferred; OSError where the transfer failed."""
+        """Number of bytes transferred; OSError where the transfer failed. Only for a transfer that is done."""
         if self.status:
             code = _URB_ERRNO.get(self.status, errno.EIO)
             raise OSError(code, f"endpoint {self.endpoint} {'in' if self.reading else 'out'}: {errno.errorcode[code]}")
@@ -127,10 +130,11 @@ class Urb:
 
 
 class Connection:
-    """An imported device. Any thread may transfer; whoever waits receives for all, so a lone thread never switches."""
+    """An imported device. Any thread may transfer; of those that wait for one, one receives for all, so that no thread
+    of its own is needed."""
 
     def __init__(self, device: Exported) -> None:
-        """Imports the device: EBUSY while another host has it."""
+        """Imports the device from its server. OSError: EBUSY while another host has it, ENODEV where it is gone."""
         self.device = device
         self._changed = threading.Condition()
         self._sending = threading.Lock()
@@ -156,12 +160,13 @@ class Connection:
         self._socket.setblocking(False)
 
     def fileno(self) -> int:
+        """The socket's file descriptor, for select; readable when `receive` has something to take in."""
         return self._socket.fileno()
 
     def close(self) -> None:
         """Closes the connection and waits until the server has released the device, so that the next import finds it
         free."""
-        self._lose()
+        self._abort()
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_WR)
             self._socket.settimeout(_UNLINK_S)
@@ -189,7 +194,8 @@ class Connection:
         return urb
 
     def unlink(self, urb: Urb) -> None:
-        """Asks the server to cancel a transfer; it completes normally or with -ECONNRESET."""
+        """Asks the server to cancel a transfer, which then ends normally or with -ECONNRESET. Does nothing for one that
+        is done, or that is being cancelled."""
         with self._changed:
             if urb.status is not None or urb.unlink or self.lost:
                 return
@@ -203,7 +209,8 @@ class Connection:
         )
 
     def wait(self, urb: Urb, timeout_s: float | None) -> bool:
-        """Waits until the transfer is done; False on time-out. None waits for ever."""
+        """Waits until the transfer is done; False on time-out. None waits for ever. Receives what the server sends,
+        unless another thread does so already."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         with self._changed:
             while urb.status is None:
@@ -224,8 +231,9 @@ class Connection:
         return True
 
     def transfer(self, endpoint: int, data: bytes | None, length: int, setup: bytes, timeout_ms: int) -> Urb:
-        """One whole transfer of `data`, or of up to `length` bytes to the host if it is None; OSError where it fails.
-        timeout_ms 0 waits for ever. Bytes that came before a time-out count."""
+        """Makes one whole transfer: sends `data`, or receives up to `length` bytes if it is None. setup: as in
+        `submit`; timeout_ms: 0 waits for ever. A transfer that has moved bytes before its time-out counts as done.
+        OSError where it fails."""
         urb = self.submit(endpoint, data, length, setup)
         try:
             done = self.wait(urb, timeout_ms / 1000.0 if timeout_ms > 0 else None)
@@ -243,7 +251,7 @@ class Connection:
         return urb
 
     def receive(self, timeout_s: float | None) -> list[Urb]:
-        """Takes in what the server sends within the time; returns the transfers that ended."""
+        """Takes in what the server sends within the time (None: waits for ever); returns the transfers that ended."""
         poll = select.poll()
         try:
             poll.register(self._socket, select.POLLIN)
@@ -255,20 +263,20 @@ class Connection:
         except (OSError, ValueError):
             chunk = b""
         if not chunk:
-            return self._lose()
+            return self._abort()
         with self._changed:
             self._input += chunk
-            return list(self._parse())
+            return list(self._completed_transfers())
 
-    def _parse(self) -> Iterator[Urb]:
-        """Transfers that the received bytes end; incomplete replies stay in the buffer. A reply of unknown kind, or of
-        more bytes than were asked for, ends the connection."""
+    def _completed_transfers(self) -> Iterator[Urb]:
+        """Decodes the replies in the receive buffer; yields the transfers that they end. An incomplete reply stays in
+        the buffer. A reply of unknown kind, or of more bytes than were asked for, ends the connection."""
         while len(self._input) >= _URB.size:
             command, seqnum, _, _, _, status, actual, _, _, _, _ = _URB.unpack_from(self._input)
             if command == _RET_SUBMIT:
                 urb = self._pending.get(seqnum)
                 if urb is not None and not 0 <= actual <= urb.length:
-                    yield from self._lose()
+                    yield from self._abort()
                     return
                 size = actual if urb is not None and urb.reading else 0
                 if len(self._input) < _URB.size + size:
@@ -284,17 +292,17 @@ class Connection:
                 if urb is not None and urb.status is None:
                     yield self._finish(urb, -errno.ECONNRESET)
             else:  # the stream has lost its frame: nothing after this can be trusted
-                yield from self._lose()
+                yield from self._abort()
                 return
 
     def _finish(self, urb: Urb, status: int) -> Urb:
-        """Ends a transfer that was under way; status: 0, or a negative errno as Linux gives it."""
+        """Marks a transfer that was under way as done, with its status: 0, or a negative errno as Linux gives it."""
         urb.status = status
         self._pending.pop(urb.seqnum, None)
         return urb
 
-    def _lose(self) -> list[Urb]:
-        """Marks the connection as lost and returns the transfers that were under way, ended with an error."""
+    def _abort(self) -> list[Urb]:
+        """Marks the connection as lost; returns the transfers that were under way, which end with -ESHUTDOWN."""
         with self._changed:
             self.lost = True
             ended = [self._finish(urb, -errno.ESHUTDOWN) for urb in list(self._pending.values())]
@@ -303,7 +311,8 @@ class Connection:
             return ended
 
     def _send(self, message: bytes) -> None:
-        """Sends a message; a failure ends the connection."""
+        """Sends a whole message, waiting where the socket takes no more. ENODEV where it fails, which ends the
+        connection."""
         view = memoryview(message)
         with self._sending:
             while view:
@@ -312,5 +321,5 @@ class Connection:
                 except BlockingIOError:
                     select.select([], [self._socket], [], _UNLINK_S)
                 except OSError as error:
-                    self._lose()
+                    self._abort()
                     raise OSError(errno.ENODEV, "the device is gone") from error

@@ -22,11 +22,12 @@ _CONTROL_MS = 10_000  # a simulated board answers when this machine lets it
 
 
 class _Descriptor:
-    """The fields of a standard descriptor under their names in the USB specification."""
+    """A standard descriptor, as PyUSB wants it: an object with the fields under their names in the USB specification,
+    and the descriptors within it as `children`."""
 
     def __init__(self, names: str, layout: str, raw: bytes) -> None:
-        """names: the fields in order; layout: their types as `struct` names them, little-endian. USBError where `raw`
-        is shorter."""
+        """names: the fields in order, apart by spaces; layout: their types as `struct` names them, little-endian; raw:
+        the bytes. USBError where they are too few."""
         if len(raw) < struct.calcsize("<" + layout):
             raise usb.core.USBError("the device's descriptors are cut short", None, errno.EPROTO)
         for name, value in zip(names.split(), struct.unpack_from("<" + layout, raw), strict=True):
@@ -35,11 +36,12 @@ class _Descriptor:
         self.children: list[_Descriptor] = []
 
     def __getattr__(self, name: str) -> Any:
+        """Only for type checkers: fields are set by name in __init__, any other name is an error."""
         raise AttributeError(name)
 
 
-def _device(raw: bytes) -> _Descriptor:
-    """A device descriptor, of 18 bytes."""
+def _device_descriptor(raw: bytes) -> _Descriptor:
+    """Decodes a device descriptor, of 18 bytes."""
     names = (
         "bLength bDescriptorType bcdUSB bDeviceClass bDeviceSubClass bDeviceProtocol bMaxPacketSize0 "
         "idVendor idProduct bcdDevice iManufacturer iProduct iSerialNumber bNumConfigurations"
@@ -47,9 +49,10 @@ def _device(raw: bytes) -> _Descriptor:
     return _Descriptor(names, "BBHBBBBHHHBBBB", raw)
 
 
-def _configuration(raw: bytes) -> _Descriptor:
-    """A configuration descriptor with its interfaces (one child for each alternate setting) and their endpoints, in
-    order."""
+def _configuration_descriptor(raw: bytes) -> _Descriptor:
+    """Decodes a configuration descriptor and all that follows it: its children are the interfaces, one for each
+    alternate setting, whose children are their endpoints. Descriptors of other kinds (DFU's) are kept as
+    `extra_descriptors` of the interface, or the configuration, that they follow."""
     names = (
         "bLength bDescriptorType wTotalLength bNumInterfaces bConfigurationValue iConfiguration bmAttributes bMaxPower"
     )
@@ -80,33 +83,40 @@ def _configuration(raw: bytes) -> _Descriptor:
 
 @dataclass
 class _Device:
-    """What PyUSB calls a device identification."""
+    """A device that was found, as PyUSB hands it back to the backend (`dev`)."""
 
     exported: usbip.Exported
-    descriptor: _Descriptor | None = None
-    configurations: dict[int, _Descriptor] = field(default_factory=dict)
+    descriptor: _Descriptor | None = None  # None until it was read
+    configurations: dict[int, _Descriptor] = field(default_factory=dict)  # by index; empty until they were read
 
 
 @dataclass
 class _Handle:
+    """A device that is open, as PyUSB hands it back to the backend (`dev_handle`)."""
+
     connection: usbip.Connection
-    configuration: int = 0
+    configuration: int = 0  # bConfigurationValue of the one that is set
 
 
 class Backend(usb.backend.IBackend):  # type: ignore[misc]
-    """Devices of the USB/IP server at host:port. Errors are USBError with the errno that libusb's backend gives."""
+    """PyUSB's backend (usb.backend.IBackend, whose methods these are) for the devices of one USB/IP server. Errors are
+    USBError with the errno that libusb's backend gives."""
 
     def __init__(self, host: str, port: int) -> None:
+        """host, port: of the server; it is not connected to yet."""
         self._address = host, port
 
     def enumerate_devices(self) -> Iterator[_Device]:
+        """The devices that the server exports. USBError where none answers."""
         with _usb_errors():
             return iter([_Device(exported) for exported in usbip.devices(*self._address)])
 
     def get_parent(self, dev: _Device) -> None:
+        """None: the server does not say on which hub a device is."""
         return None
 
     def get_device_descriptor(self, dev: _Device) -> _Descriptor:
+        """The device descriptor, read where it was not yet."""
         if dev.descriptor is None:
             self._read_descriptors(dev)
         assert dev.descriptor is not None
@@ -129,11 +139,12 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
         return list(settings.values())[intf][alt]
 
     def get_endpoint_descriptor(self, dev: _Device, ep: int, intf: int, alt: int, config: int) -> _Descriptor:
+        """The descriptor of an endpoint of an interface's alternate setting, all by their indices."""
         return self.get_interface_descriptor(dev, intf, alt, config).children[ep]
 
     def _read_descriptors(self, dev: _Device) -> None:
-        """Reads a free device's descriptors from it; of a busy one, which is not disturbed, only what the server's list
-        says."""
+        """Fills `dev` with the device's descriptors. A free device is imported to read them; of a busy one a device
+        descriptor is made from what the server's list says, and it has no configurations."""
         exported = dev.exported
         try:
             with _usb_errors():
@@ -143,7 +154,7 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
                 raise
             raw = struct.pack("<BBHBBBBHHHBBBB", 18, _DEVICE_TYPE, 0x0200, *exported.device_class, 64, exported.vendor,
                               exported.product, exported.release, 0, 0, 0, exported.configurations)  # fmt: skip
-            dev.descriptor = self._located(_device(raw), exported)
+            dev.descriptor = self._located(_device_descriptor(raw), exported)
             return
         try:
             self._read_open_descriptors(dev, _Handle(connection))
@@ -151,21 +162,22 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
             connection.close()
 
     def _read_open_descriptors(self, dev: _Device, handle: _Handle) -> None:
-        """Reads an open device's descriptors by control transfers."""
+        """Fills `dev` with the descriptors of the device that is open as `handle`, by control transfers."""
 
         def descriptor(kind: int, index: int, length: int) -> bytes:
+            """The bytes of a descriptor of this type and index, `length` at most."""
             return self._control_in(handle, _DEVICE_TO_HOST, _GET_DESCRIPTOR, kind << 8 | index, 0, length)
 
-        dev.descriptor = self._located(_device(descriptor(_DEVICE_TYPE, 0, 18)), dev.exported)
+        dev.descriptor = self._located(_device_descriptor(descriptor(_DEVICE_TYPE, 0, 18)), dev.exported)
         for index in range(dev.descriptor.bNumConfigurations):
-            total = _configuration(descriptor(_CONFIGURATION_TYPE, index, 9)).wTotalLength
-            dev.configurations[index] = _configuration(descriptor(_CONFIGURATION_TYPE, index, total))
+            total = _configuration_descriptor(descriptor(_CONFIGURATION_TYPE, index, 9)).wTotalLength
+            dev.configurations[index] = _configuration_descriptor(descriptor(_CONFIGURATION_TYPE, index, total))
         if not dev.configurations:
             raise usb.core.USBError("the device has no configuration", None, errno.EPROTO)
 
     @staticmethod
     def _located(descriptor: _Descriptor, exported: usbip.Exported) -> _Descriptor:
-        """The descriptor with bus, address and speed from the server's list."""
+        """The device descriptor with what PyUSB wants beside it, from the server's list: bus, address and speed."""
         for name, value in (
             ("bus", exported.bus),
             ("address", exported.device),
@@ -177,8 +189,8 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
         return descriptor
 
     def open_device(self, dev: _Device) -> _Handle:
-        """Imports the device and sets its first configuration, as an operating system does. EBUSY while another host
-        has it."""
+        """Imports the device and sets its first configuration, as an operating system does with one that is plugged in.
+        USBError EBUSY while another host has it."""
         with _usb_errors():
             handle = _Handle(usbip.Connection(dev.exported))
         try:
@@ -191,24 +203,29 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
         return handle
 
     def close_device(self, dev_handle: _Handle) -> None:
+        """Gives the device back to the server."""
         dev_handle.connection.close()
 
     def set_configuration(self, dev_handle: _Handle, config_value: int) -> None:
+        """Sets the configuration with this bConfigurationValue."""
         self._control_out(dev_handle, 0x00, _SET_CONFIGURATION, config_value, 0)
         dev_handle.configuration = config_value
 
     def get_configuration(self, dev_handle: _Handle) -> int:
+        """bConfigurationValue of the configuration that is set."""
         return dev_handle.configuration
 
     def set_interface_altsetting(self, dev_handle: _Handle, intf: int, altsetting: int) -> None:
+        """Sets an interface's alternate setting, by their numbers."""
         self._control_out(dev_handle, 0x01, _SET_INTERFACE, altsetting, intf)  # 0x01: to an interface
 
     def claim_interface(self, dev_handle: _Handle, intf: int) -> None:
-        """Nothing to claim, as an imported device has one host; fails where it is gone."""
+        """Claims nothing, as an imported device belongs to this process alone; USBError ENODEV where it is gone."""
         if dev_handle.connection.lost:
             raise usb.core.USBError("the device is gone", None, errno.ENODEV)
 
     def release_interface(self, dev_handle: _Handle, intf: int) -> None:
+        """Releases nothing; USBError ENODEV where the device is gone, as `claim_interface`."""
         self.claim_interface(dev_handle, intf)
 
     def bulk_write(self, dev_handle: _Handle, ep: int, intf: int, data: array.array[int], timeout: int) -> int:
@@ -235,7 +252,8 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
         data: array.array[int],
         timeout: int,
     ) -> int:
-        """A control transfer as PyUSB asks for it; returns the number of bytes."""
+        """A control transfer, with the fields of its set-up packet. data: what is sent, or filled where bmRequestType
+        says device to host; timeout: ms. Returns the number of bytes."""
         size = len(data) * data.itemsize
         setup = struct.pack("<BBHHH", bmRequestType, bRequest, wValue, wIndex, size)
         payload = None if bmRequestType & _DEVICE_TO_HOST else data.tobytes()
@@ -246,16 +264,19 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
             return len(urb.data)
         return urb.actual
 
-    def _control_in(self, handle: _Handle, kind: int, request: int, value: int, index: int, length: int) -> bytes:
-        """What a control transfer reads, `length` bytes at most. kind: bmRequestType."""
+    def _control_in(
+        self, handle: _Handle, request_type: int, request: int, value: int, index: int, length: int
+    ) -> bytes:
+        """The bytes that a control transfer reads, `length` at most. The others are the fields of its set-up packet."""
         data = array.array("B", bytes(length))
-        return data[: self.ctrl_transfer(handle, kind, request, value, index, data, _CONTROL_MS)].tobytes()
+        return data[: self.ctrl_transfer(handle, request_type, request, value, index, data, _CONTROL_MS)].tobytes()
 
-    def _control_out(self, handle: _Handle, kind: int, request: int, value: int, index: int) -> None:
-        """A control transfer without data. kind: bmRequestType."""
-        self.ctrl_transfer(handle, kind, request, value, index, array.array("B"), _CONTROL_MS)
+    def _control_out(self, handle: _Handle, request_type: int, request: int, value: int, index: int) -> None:
+        """A control transfer without data, with the fields of its set-up packet."""
+        self.ctrl_transfer(handle, request_type, request, value, index, array.array("B"), _CONTROL_MS)
 
     def clear_halt(self, dev_handle: _Handle, ep: int) -> None:
+        """Clears the halt of an endpoint, by its address, after a stall."""
         self._control_out(dev_handle, 0x02, _CLEAR_FEATURE, 0, ep)  # 0x02: to an endpoint; 0: its halt
 
     def reset_device(self, dev_handle: _Handle) -> None:
@@ -272,12 +293,14 @@ class Backend(usb.backend.IBackend):  # type: ignore[misc]
 
 
 class _usb_errors:
-    """OSError of the protocol becomes PyUSB's, with the same errno."""
+    """A context within which an OSError of the USB/IP client becomes PyUSB's USBError with the same errno."""
 
     def __enter__(self) -> None:
+        """Nothing to prepare."""
         return None
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        """Raises the USBError, or USBTimeoutError, that belongs to an OSError; other exceptions pass."""
         if isinstance(error, OSError) and not isinstance(error, usb.core.USBError):
             text = error.strerror or str(error)
             if error.errno == errno.ETIMEDOUT:

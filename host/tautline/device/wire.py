@@ -22,15 +22,17 @@ _MEASURED = re.compile(r"\((by |at (?:duty )?)?(?:1(/))?([^)]+)\)")  # "(mA)", "
 
 @dataclass(frozen=True)
 class _Field:
-    raw: str
-    name: str
+    """One field of a message."""
+
+    raw: str  # its name in tl_wire.h
+    name: str  # here: without the suffix of a fixed-point number
     scale: int  # 2**Q, 0 for an integer as it is
-    zero: Any
+    zero: Any  # its value where none is given
 
     @classmethod
     def of(cls, raw: str, kind: str, count: int) -> _Field:
-        """raw: the field's name in tl_wire.h, a suffix _qN being a scale of 2**N; kind: its type; count: numbers of an
-        array, else 1."""
+        """A field from tl_wire.h. raw: its name there, in which _qN means a fixed-point number with N binary places;
+        kind: its type, "text" or a number's; count: length of an array, else 1."""
         match = _SCALE.search(raw)
         zero: Any = "" if kind == "text" else 0 if count == 1 else (0,) * count
         return cls(raw, _SCALE.sub("", raw), 1 << int(match[1]) if match else 0, zero)
@@ -59,7 +61,8 @@ class Message:
 
 
 def encode(name: str, sequence: int, **values: Any) -> bytes:
-    """A message's frame. Fields not given are 0; fixed-point ones are rounded and clipped to 32 bits."""
+    """The bytes (frame) of a message. values: fields by name, physical values; those not given are 0, fixed-point ones
+    are rounded and clipped to 32 bits. TypeError for a field that the message does not have."""
     fields = {}
     for field in _FIELDS[name]:
         value = values.pop(field.name, field.zero)
@@ -80,29 +83,30 @@ class Decoder:
         self._parser = wire.Parser()
 
     def feed(self, data: bytes) -> Iterator[Message]:
-        """The messages that these bytes complete; an incomplete frame waits for the next ones."""
+        """The messages that these bytes complete, together with those fed before; an incomplete frame is kept."""
         for name, _, sequence, fields in self._parser.feed(data):
             if name is not None and fields is not None:
                 yield Message(name, sequence, {f.name: self._value(fields[f.raw], f.scale) for f in _FIELDS[name]})
 
     @staticmethod
     def _value(raw: Any, scale: int) -> Any:
-        """A field's value over its scale of 2**Q, a float; an integer as it is where the scale is 0. Arrays become
-        (n,)."""
+        """A field's physical value, raw / scale, a float; with scale 0 the integer as it is. A tuple of numbers becomes
+        an array (n,)."""
         if not scale:
             return np.array(raw) if isinstance(raw, tuple) else raw
         return np.array(raw) / scale if isinstance(raw, tuple) else raw / scale
 
 
-def set_point_values(positions: Any, one: float) -> np.ndarray:
-    """Positions as set_point's value, which has no scale of its own. one: the value of a position of 1, DEG or COUNT by
-    what `follow` says. TautError where one is no number or needs more than 32 bits."""
-    values: np.ndarray = np.rint(np.asarray(positions, dtype=np.float64) * one)
+def set_point_values(positions: Any, scale: float) -> np.ndarray:
+    """Positions, a number or any array, as integers for the field `value` of the message set_point. Its scale depends
+    on what the axis follows: DEG for angles of the tip in deg, COUNT for motor positions in counts. TautError where a
+    position is not a number or needs more than 32 bits."""
+    values: np.ndarray = np.rint(np.asarray(positions, dtype=np.float64) * scale)
     most = 2**31 - 1
     if not (worst := float(np.max(np.abs(values), initial=0.0))) <= most:
         raise TautError(
-            f"a set-point is {worst / one:g} in size, and {most / one:g} is the most that a board can be told: check "
-            "its unit"
+            f"a set-point is {worst / scale:g} in size, and {most / scale:g} is the most that a board can be told: "
+            "check its unit"
         )
     return values
 
@@ -126,12 +130,13 @@ def text(list_name: str, number: int) -> str:
 
 
 def fault(status: Message) -> str:
-    """The fault in a status with what was measured in its brackets, "" where there is none."""
+    """The fault in a status as a text with the measured value in it (see `fault_text`), "" where there is none."""
     return fault_text(status.fault, status.fault_value) if status.fault else ""
 
 
 def fault_text(number: int, value: int) -> str:
-    """A fault's text with the measured value in its brackets: "(mA)" becomes "(350 mA)"."""
+    """The text of a fault, by its number in TL_WIRE_FAULTS, with the measured value put before the unit in brackets:
+    "(mA)" becomes "(350 mA)"."""
     says = text("FAULTS", number)
     return _MEASURED.sub(lambda found: f"({found[1] or ''}{value}{found[2] or ' '}{found[3]})", says, 1)
 
@@ -142,6 +147,6 @@ def flags(number: int) -> list[str]:
 
 
 def table_reason(number: int) -> str:
-    """Why a board refused a table (tl_table.h), by the number in its status."""
+    """The text of why a board refused a table (tl_table.h), by the number in its status, from 1 on."""
     reasons = list(_native.TABLE_REASONS.values())
     return str(reasons[number - 1]) if 0 < number <= len(reasons) else f"reason {number}"

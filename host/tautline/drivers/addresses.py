@@ -20,13 +20,13 @@ from tautline.errors import TautError
 class Kind:
     """A kind of motors: its driver's module and class, which are imported where one is opened."""
 
-    module: str
-    driver: str
-    package: str  # what is imported of the extra
-    says: str
-    example: str
-    ids: range | None  # of a motor on the bus; None where it has a name
-    extra: str = "drivers"
+    module: str  # in tautline.drivers
+    driver: str  # the class in it, a `Drives`
+    package: str  # the module of the maker's library, which the driver imports
+    says: str  # a description for lists
+    example: str  # an address
+    ids: range | None  # allowed ids of a motor on the bus; None where motors have names
+    extra: str = "drivers"  # of tautline's package, which brings the library
 
     @property
     def installed(self) -> bool:
@@ -73,11 +73,13 @@ _RATES_HZ = (20.0, 1000.0)  # limit: a drive is lost after 0.1 s; no bus here ha
 
 @dataclass(frozen=True)
 class Address:
-    kind: str
-    bus: str
-    numbers: tuple[int | str, ...]
-    rate_hz: float
-    baud: int
+    """An address of motors, taken apart by `parse`."""
+
+    kind: str  # a key of KINDS
+    bus: str  # as the driver names it: a serial device, python-can's INTERFACE/CHANNEL, two topics
+    numbers: tuple[int | str, ...]  # ids of the motors on the bus, or their names; axis i is number i
+    rate_hz: float  # control cycles
+    baud: int  # bit/s; 0 where the kind has none
 
     @property
     def where(self) -> str:
@@ -86,29 +88,44 @@ class Address:
 
 
 def is_motor(where: str) -> bool:
-    """Whether an address begins with a kind of motors that is known."""
+    """Whether an address names motors of another maker (KIND:..., KIND a key of KINDS) instead of a board."""
     return where.partition(":")[0] in KINDS
 
 
 def parse(where: str) -> Address:
-    """An address KIND:BUS[:ID,...][?rate=HZ&baud=BAUD], ID 1 and its driver's rate and baud unless it says others.
-    TautError where it is none."""
-    name, _, options = where.partition("?")
+    """Takes an address KIND:BUS[:ID,...][?rate=HZ&baud=BAUD] apart; ID is 1, rate and baud those of the kind's driver
+    where they are left out. KIND is a key of KINDS (see `is_motor`). TautError where the address is malformed or out of
+    range, or the kind's library is not installed."""
+    name, _, options_text = where.partition("?")
     kind, _, rest = name.partition(":")
     module = _module(kind)
-    ids = KINDS[kind].ids
-    one = r"[^:,?]+" if ids is None else r"\d+"
-    match = re.fullmatch(rf"(.+?)(?::({one}(?:,{one})*))?", rest)
+    id_pattern = r"[^:,?]+" if KINDS[kind].ids is None else r"\d+"
+    match = re.fullmatch(rf"(.+?)(?::({id_pattern}(?:,{id_pattern})*))?", rest)
     if not match:
         raise _wrong(where, kind, "names no bus")
-    named = (match[2] or "1").split(",")
+    numbers = _checked_numbers(where, kind, (match[2] or "1").split(","))
+    defaults: dict[str, float] = {"rate": module.RATE_HZ} | ({"baud": module.BAUD} if module.BAUD else {})
+    options = _checked_options(where, kind, options_text, defaults)
+    return Address(kind, match[1], numbers, options["rate"], round(options.get("baud", 0)))
+
+
+def _checked_numbers(where: str, kind: str, named: list[str]) -> tuple[int | str, ...]:
+    """The motors' ids as integers, or their names where the kind has names. TautError where one is out of range or
+    named twice, or they are more than a board has axes."""
+    ids = KINDS[kind].ids
     numbers: tuple[int | str, ...] = tuple(named) if ids is None else tuple(map(int, named))
     if ids is not None and (other := next((n for n in numbers if n not in ids), None)) is not None:
         raise _wrong(where, kind, f"names motor {other}, and {ids[0]} to {ids[-1]} may be")
     if len(set(numbers)) != len(numbers) or not 1 <= len(numbers) <= wire.wire.AXES_MAX:
         raise _wrong(where, kind, f"names {len(numbers)} motors, and 1 to {wire.wire.AXES_MAX} different ones may be")
-    values: dict[str, float] = {"rate": module.RATE_HZ} | ({"baud": module.BAUD} if module.BAUD else {})
-    for part in filter(None, options.split("&")):
+    return numbers
+
+
+def _checked_options(where: str, kind: str, text: str, defaults: dict[str, float]) -> dict[str, float]:
+    """`defaults` (rate, Hz; baud, bit/s, where the kind has one) with what `text`, KEY=NUMBER&..., says instead.
+    TautError for another key, no number, or a rate out of _RATES_HZ."""
+    values = dict(defaults)
+    for part in filter(None, text.split("&")):
         key, _, value = part.partition("=")
         if key not in values or not re.fullmatch(r"\d+(\.\d+)?", value):
             takes = " and ".join(f"{name}={name.upper().replace('RATE', 'HZ')}" for name in values)
@@ -117,16 +134,17 @@ def parse(where: str) -> Address:
     low, high = _RATES_HZ
     if not low <= values["rate"] <= high:
         raise _wrong(where, kind, f"asks for {values['rate']:g} Hz, and {low:g} to {high:g} may be")
-    return Address(kind, match[1], numbers, values["rate"], round(values.get("baud", 0)))
+    return values
 
 
 def _wrong(where: str, kind: str, says: str) -> TautError:
-    """The error for an address, with an example of its kind."""
+    """The error to raise for an address of --board: what is wrong with it (`says`), and a right one of its kind."""
     return TautError(f"--board {where}: {says}, such as in {KINDS[kind].example}")
 
 
 def _module(kind: str) -> Any:
-    """The driver's module. TautError where its library is not installed."""
+    """The module of the kind's driver, which has RATE_HZ and BAUD as defaults. TautError where the library that it
+    needs is not installed."""
     try:
         return importlib.import_module(f"tautline.drivers.{KINDS[kind].module}")
     except ModuleNotFoundError as error:
@@ -136,16 +154,19 @@ def _module(kind: str) -> Any:
 
 
 def open_drives(address: Address, **options: Any) -> Drives:
-    """The driver of an address, opened. options: further arguments of its class."""
+    """Opens the bus of an address and returns its driver. options: further arguments of the driver's class, such as
+    clock. TautError where the bus cannot be opened or a motor does not answer."""
     make: Callable[..., Drives] = getattr(_module(address.kind), KINDS[address.kind].driver)
     return make(address.bus, address.numbers, address.baud, address.rate_hz, **options)
 
 
 def find_motors(where: str) -> list[BoardAddress]:
-    """The motors of an address as a board that can be opened."""
+    """The motors of an address, not opened yet, as the one board that `device.board.find` lists: with them open, the
+    board's application runs on the host (HostedLink). TautError where the address is malformed."""
     address = parse(where)
 
     def opened() -> Link:
+        """Opens the drives and the application over them."""
         drives = open_drives(address)
         try:
             return HostedLink(drives, address.where, address.rate_hz)

@@ -44,6 +44,8 @@ _INCREMENTS, _REVOLUTIONS, _PERIOD, _PERIOD_POWER = (0x608F, 1), (0x608F, 2), (0
 
 
 class Cia402:
+    """CiA 402 drives on one CAN bus, as `Drives` (drives.py)."""
+
     watchdog = "the drives' own: the host's heartbeat is missed, then a quick stop"
     rest_s = _LOST_MS * 1e-3
     enable_s = 3.0 * _STATE_S  # ready, on, operational: a brake is released in the last
@@ -51,14 +53,15 @@ class Cia402:
     def __init__(
         self, bus: str, numbers: Sequence[int], baud: int, rate_hz: float, clock: Clock = time.monotonic
     ) -> None:
-        """bus: python-can's INTERFACE/CHANNEL; numbers: node ids; baud: bit/s; rate_hz: of the SYNCs. TautError where
-        the bus cannot be opened, or a drive does not answer."""
+        """Opens the bus and configures every drive for cyclic positions. bus: python-can's INTERFACE/CHANNEL; numbers:
+        node ids; baud: bit/s; rate_hz: of the SYNCs. TautError where the bus cannot be opened, or a drive does not
+        answer."""
         self._clock, self._numbers = clock, list(numbers)
         interface, _, channel = bus.partition("/")
         self._network = canopen.Network()
         self._answered = threading.Condition()
         self._positions: dict[int, tuple[int, int]] = {}  # status word, counts
-        self._owed = dict.fromkeys(self._numbers, 0)  # answers to the SYNCs so far that have not come
+        self._unanswered = dict.fromkeys(self._numbers, 0)  # SYNCs so far whose answer has not come
         self._speeds: dict[int, tuple[int, int]] = {}  # counts/s, share of the rated current in 1/1000
         self._rated_ma: dict[int, float] = {}
         self._beat_s = float("-inf")
@@ -88,7 +91,8 @@ class Cia402:
         self._retry(number, index, lambda: self._nodes[number].sdo.download(*index, data))
 
     def _retry(self, number: int, index: tuple[int, int], ask: Callable[[], bytes]) -> bytes:
-        """`ask` with a few retries; TautError where the drive does not answer."""
+        """Calls `ask`, an SDO transfer of the object `index` with the node `number`, with canopen's retries. _Refused
+        where the drive refuses it, TautError where it does not answer."""
         self._nodes[number].sdo.RESPONSE_TIMEOUT, self._nodes[number].sdo.MAX_RETRIES = _SDO_S, 3
         try:
             return ask()
@@ -97,8 +101,9 @@ class Cia402:
         except (SdoError, can.CanError) as error:
             raise TautError(f"canopen {number} does not answer ({error}): check power, node id and bit rate") from error
 
-    def _number(self, number: int, index: tuple[int, int], otherwise: float | None = None) -> float:
-        """A number from the drive's object dictionary; `otherwise` where it has no such object."""
+    def _read_number(self, number: int, index: tuple[int, int], otherwise: float | None = None) -> float:
+        """Reads a number from the drive's object dictionary; gives `otherwise` (None: raises _Refused) where it has no
+        such object. Unsigned, but for the position limits."""
         try:
             data = self._read(number, index)
         except _Refused:
@@ -107,30 +112,52 @@ class Cia402:
             return otherwise
         return int.from_bytes(data, "little", signed=index in (_LOW, _HIGH))
 
-    def _text(self, number: int, index: tuple[int, int]) -> str:
-        """A text from the drive's object dictionary; "" where it has no such object."""
+    def _read_text(self, number: int, index: tuple[int, int]) -> str:
+        """Reads a text from the drive's object dictionary; "" where it has no such object."""
         try:
             return self._read(number, index).decode("ascii", "replace").strip("\0 ")
         except _Refused:
             return ""
 
     def _describe(self, number: int, period_s: float) -> Drive:
-        """Reads a drive's limits, counts and state, and maps its process data at this period."""
-        self._command(number, _PRE_OPERATIONAL)  # its process data may be set then
-        turn = self._number(number, _INCREMENTS) / max(self._number(number, _REVOLUTIONS, 1.0), 1.0)
-        speed = self._number(number, _MOTOR_RPM) / 60.0 * turn
-        acceleration = self._number(number, _ACCELERATION_MOST, 0.0) or STARTS * speed
-        low, high = self._number(number, _LOW, 0.0), self._number(number, _HIGH, 0.0)
+        """Configures a drive for cyclic synchronous positions with this period and returns what it is. TautError where
+        it cannot have this period, or lacks an object that is needed."""
+        self._set_network_state(number, _PRE_OPERATIONAL)  # the state in which process data can be mapped
+        counts_per_turn, limits = self._read_limits(number)
+        self._map_process_data(number, 0x1A00, 0x1800, 0x180, [(*_STATUS, 16), (*_POSITION, 32)])  # TPDO 1
+        with contextlib.suppress(_Refused):  # a drive that lacks one of them tells neither
+            self._map_process_data(number, 0x1A01, 0x1801, 0x280, [(*_VELOCITY, 32), (*_CURRENT, 16)])  # TPDO 2
+        self._map_process_data(number, 0x1600, 0x1400, 0x200, [(*_CONTROL, 16), (*_TARGET, 32)])  # RPDO 1
+        self._set_period(number, period_s)
+        self._write(number, _CONSUMER, _HOST << 16 | _LOST_MS, 4)
+        self._write(number, _ON_LOSS, _QUICK_STOP, 2)
+        homed = self._is_homed(number)
+        self._write(number, _MODE, _CSP, 1)
+        self._network.subscribe(0x180 + number, self._on_position)
+        self._network.subscribe(0x280 + number, self._on_speed)
+        self._set_network_state(number, _START)
+        model = self._read_text(number, _DEVICE) or "CiA 402"
+        versions = " ".join(filter(None, (self._read_text(number, _HARDWARE), self._read_text(number, _SOFTWARE))))
+        return Drive(number, model, versions or "-", round(counts_per_turn), limits, homed)
+
+    def _read_limits(self, number: int) -> tuple[float, DriveLimits]:
+        """A drive's counts per turn and its limits, in counts. Without position limits they are +-RANGE; acceleration
+        is at most _STARTS_MOST times the speed a second, and STARTS times it where the drive limits none. Keeps the
+        rated current, mA, for `measure`."""
+        turn = self._read_number(number, _INCREMENTS) / max(self._read_number(number, _REVOLUTIONS, 1.0), 1.0)
+        speed = self._read_number(number, _MOTOR_RPM) / 60.0 * turn
+        acceleration = self._read_number(number, _ACCELERATION_MOST, 0.0) or STARTS * speed
+        acceleration = min(acceleration, _STARTS_MOST * speed)
+        low, high = self._read_number(number, _LOW, 0.0), self._read_number(number, _HIGH, 0.0)
         if low >= high:
             low, high = -RANGE, RANGE
-        self._rated_ma[number] = self._number(number, _RATED_MA, 0.0)
-        current = self._rated_ma[number] * self._number(number, _CURRENT_MOST, 0.0) / 1000.0
-        acceleration = min(acceleration, _STARTS_MOST * speed)
-        limits = DriveLimits(max(low, -RANGE), min(high, RANGE), speed, acceleration, current)
-        self._map(number, 0x1A00, 0x1800, 0x180, [(*_STATUS, 16), (*_POSITION, 32)])  # TPDO 1
-        with contextlib.suppress(_Refused):  # a drive that lacks one of them tells neither
-            self._map(number, 0x1A01, 0x1801, 0x280, [(*_VELOCITY, 32), (*_CURRENT, 16)])  # TPDO 2
-        self._map(number, 0x1600, 0x1400, 0x200, [(*_CONTROL, 16), (*_TARGET, 32)])  # RPDO 1
+        self._rated_ma[number] = self._read_number(number, _RATED_MA, 0.0)
+        current = self._rated_ma[number] * self._read_number(number, _CURRENT_MOST, 0.0) / 1000.0
+        return turn, DriveLimits(max(low, -RANGE), min(high, RANGE), speed, acceleration, current)
+
+    def _set_period(self, number: int, period_s: float) -> None:
+        """Tells a drive the time between SYNCs, as one byte times a power of ten of a second. TautError where that
+        cannot hold this period."""
         power = -3 if abs(period_s * 1e3 - round(period_s * 1e3)) < 1e-6 else -4  # whole ms, else 0.1 ms
         units = round(period_s * 10**-power)
         if abs(period_s * 10**-power - units) > 1e-6 or units > _PERIOD_MOST:
@@ -138,32 +165,26 @@ class Cia402:
             raise TautError(f"{says}{_PERIOD_MOST}, or of whole 0.1 ms up to {0.1 * _PERIOD_MOST:g}")
         self._write(number, _PERIOD, units, 1)
         self._write(number, _PERIOD_POWER, power, 1)
-        self._write(number, _CONSUMER, _HOST << 16 | _LOST_MS, 4)
-        self._write(number, _ON_LOSS, _QUICK_STOP, 2)
-        homed = self._homed(number)
-        self._write(number, _MODE, _CSP, 1)
-        self._network.subscribe(0x180 + number, self._on_position)
-        self._network.subscribe(0x280 + number, self._hear_speed)
-        self._command(number, _START)
-        versions = " ".join(filter(None, (self._text(number, _HARDWARE), self._text(number, _SOFTWARE))))
-        return Drive(number, self._text(number, _DEVICE) or "CiA 402", versions or "-", round(turn), limits, homed)
 
-    def _homed(self, number: int) -> bool:
+    def _is_homed(self, number: int) -> bool:
         """Whether the drive has been homed: bit 12 of the status in homing mode (in other modes it means something
         else). One that does not enter the mode is not homed."""
         try:
             self._write(number, _MODE, _HOMING, 1)
             deadline = time.monotonic() + _STATE_S
-            while int(self._number(number, _MODE_NOW)) != _HOMING:
+            while int(self._read_number(number, _MODE_NOW)) != _HOMING:
                 if time.monotonic() > deadline:
                     return False
         except _Refused:
             return False
         return bool(int.from_bytes(self._read(number, _STATUS), "little") & 0x1000)
 
-    def _map(self, number: int, mapping: int, parameters: int, cob: int, objects: list[tuple[int, int, int]]) -> None:
-        """Maps objects (index, subindex, bits) into a process data object that is sent at every SYNC. mapping,
-        parameters: the indices that configure it; cob: its CAN id less the node's."""
+    def _map_process_data(
+        self, number: int, mapping: int, parameters: int, cob: int, objects: list[tuple[int, int, int]]
+    ) -> None:
+        """Configures one process data object (PDO) of a drive: it holds these objects (index, subindex, bits) and goes
+        over the bus at every SYNC. mapping, parameters: the indices by which CiA 301 configures this PDO; cob: its CAN
+        id less the node's."""
         self._write(number, (parameters, 1), 1 << 31 | cob + number, 4)  # bit 31: not in use meanwhile
         self._write(number, (mapping, 0), 0, 1)
         for i, (index, sub, bits) in enumerate(objects):
@@ -175,15 +196,17 @@ class Cia402:
     # -- cycles ---------------------------------------------------------------------------------------------------
 
     def _on_position(self, cob: int, data: bytearray, stamp: float) -> None:
-        """Takes in a drive's answer to a SYNC, its status word and counts. cob: 180h and its node id."""
+        """Callback of canopen's thread: keeps a drive's answer to a SYNC, status word and counts. cob: 180h plus the
+        node id; stamp: canopen's, unused."""
         if len(data) == 6:
             with self._answered:
                 self._positions[cob - 0x180] = struct.unpack("<Hi", data)
-                self._owed[cob - 0x180] = max(self._owed[cob - 0x180] - 1, 0)
+                self._unanswered[cob - 0x180] = max(self._unanswered[cob - 0x180] - 1, 0)
                 self._answered.notify_all()
 
-    def _hear_speed(self, cob: int, data: bytearray, stamp: float) -> None:
-        """Takes in a drive's speed, counts/s, and current, 1/1000 of its rated one. cob: 280h and its node id."""
+    def _on_speed(self, cob: int, data: bytearray, stamp: float) -> None:
+        """Callback of canopen's thread: keeps a drive's speed, counts/s, and current, 1/1000 of its rated one. cob:
+        280h plus the node id; stamp: canopen's, unused."""
         if len(data) == 6:
             self._speeds[cob - 0x280] = struct.unpack("<ih", data)
 
@@ -194,38 +217,38 @@ class Cia402:
         except (can.CanError, OSError) as error:
             raise Missed(f"the bus takes nothing ({error})") from error
 
-    def _command(self, number: int, state: int) -> None:
-        """Sends a node to one of network management's states."""
+    def _set_network_state(self, number: int, state: int) -> None:
+        """Sends a node to a state of CANopen's network management; state: a command such as _START."""
         self._send(0x000, bytes((state, number)))
 
-    def _sync(self) -> None:
-        """Sends the host's heartbeat if one is due; drives that miss it stop. It is not the SYNC, which `measure`
-        sends."""
+    def _send_heartbeat(self) -> None:
+        """Sends the host's heartbeat if one is due, every _HEARTBEAT_S: drives that miss it for _LOST_MS stop."""
         if self._clock() - self._beat_s >= _HEARTBEAT_S:
             self._send(0x700 + _HOST, b"\x05")
             self._beat_s = self._clock()
 
     def measure(self) -> list[Measured]:
-        """A SYNC, and each drive's position and status at it. Missed where one does not answer."""
-        self._sync()
+        """Sends a SYNC and returns each drive's position, speed, current and status at it, in the order of `drives`.
+        Missed where one does not answer within _ANSWER_S."""
+        self._send_heartbeat()
         with self._answered:
             self._positions.clear()
             for number in self._numbers:
-                self._owed[number] += 1
-        sent = self._clock()
+                self._unanswered[number] += 1
+        sent_s = self._clock()
         self._send(0x80, b"")
         with self._answered:
-            self._answered.wait_for(lambda: not any(self._owed.values()), _ANSWER_S)
+            self._answered.wait_for(lambda: not any(self._unanswered.values()), _ANSWER_S)
             heard = dict(self._positions)
             # A drive answers SYNCs in their order: where it says no more, what it still owes was lost before.
-            self._owed |= dict.fromkeys(heard, 0)
+            self._unanswered |= dict.fromkeys(heard, 0)
         if len(heard) < len(self._numbers):
             raise Missed("no answer to a SYNC")
-        return [self._measured(number, sent, *heard[number]) for number in self._numbers]
+        return [self._measured(number, sent_s, *heard[number]) for number in self._numbers]
 
     def _measured(self, number: int, t_s: float, status: int, counts: int) -> Measured:
-        """A drive's answer to the SYNC at t_s, when drives sample. status: its status word, whose bit 3 says that it
-        has a fault."""
+        """A drive's answer to the SYNC that was sent at t_s, the moment at which drives sample. status: its status
+        word, whose bit 3 is a fault; counts: its position; speed and current are the last that came."""
         speed, share = self._speeds.get(number, (0, 0))
         fault = f"drive {number} has a fault" if status & 0x08 else ""
         return Measured(t_s, float(counts), float(speed), share * self._rated_ma[number] / 1000.0, fault)
@@ -237,7 +260,8 @@ class Cia402:
                 self._send(0x200 + number, struct.pack("<Hi", _OPERATE, round(goal.q)))
 
     def enable(self, axis: int, on: bool) -> None:
-        """Switches a drive's operation on or off, through the states of CiA 402."""
+        """Switches a drive off, or through CiA 402's states on; then it holds where it is. A fault is cleared first.
+        TautError where it does not reach a state."""
         number = self._numbers[axis]
         if not on:
             self._send(0x200 + number, struct.pack("<Hi", _VOLTAGE_OFF, 0))
@@ -246,17 +270,16 @@ class Cia402:
         here = int.from_bytes(self._read(number, _POSITION), "little", signed=True)
         self._write(number, _TARGET, here, 4)
         self._write(number, _CONTROL, _FAULT, 2)
-        steps = (_SHUT_DOWN, _READY), (_SWITCH_ON, _ON), (_OPERATE, _OPERATIONAL)
-        for control, state in steps:
+        for control, state in ((_SHUT_DOWN, _READY), (_SWITCH_ON, _ON), (_OPERATE, _OPERATIONAL)):
             self._write(number, _CONTROL, control, 2)
             self._wait_for_state(number, state)
 
     def _wait_for_state(self, number: int, state: int) -> None:
-        """Waits until the drive's status word shows this state, in the bits 6Fh that CiA 402 has for it. TautError
-        after _STATE_S."""
+        """Waits until the drive's status word shows this state, in the bits 6Fh that CiA 402 has for it, sending
+        heartbeats meanwhile. TautError after _STATE_S."""
         deadline = time.monotonic() + _STATE_S
         while (status := int.from_bytes(self._read(number, _STATUS), "little")) & 0x6F != state:
-            self._sync()  # a brake takes longer than the drive waits for it
+            self._send_heartbeat()  # a brake takes longer than the drive waits for it
             if time.monotonic() > deadline:
                 raise TautError(
                     f"canopen {number} is not switched on (status word {status:04X}h): see its fault with its own tools"
@@ -269,9 +292,10 @@ class Cia402:
         finally:
             for number in self._numbers:
                 with contextlib.suppress(Missed):
-                    self._command(number, _PRE_OPERATIONAL)
+                    self._set_network_state(number, _PRE_OPERATIONAL)
 
     def close(self) -> None:
+        """Leaves the bus; drives stop as they miss the host's heartbeat."""
         self._network.disconnect()
 
 

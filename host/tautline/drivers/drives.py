@@ -14,7 +14,7 @@ from tautline.errors import TautError
 Clock = Callable[[], float]
 
 RANGE = 3_900_000.0  # limit: counts either way of a drive that limits none: just within TL_AXIS_RANGE_MAX
-STARTS = 20.0  # prior: from rest to top speed in so much of a second, inverse, where a drive limits no acceleration
+STARTS = 20.0  # prior: 1/s: acceleration over top speed (top speed within 50 ms) where a drive limits none
 
 
 class Missed(TautError):
@@ -23,7 +23,9 @@ class Missed(TautError):
 
 @dataclass(frozen=True)
 class Measured:
-    t_s: float  # the middle of the round trip
+    """Where one drive is, by its answer in a control cycle."""
+
+    t_s: float  # the middle of the round trip, s of the driver's clock
     q: float  # counts
     velocity: float = 0.0  # counts/s
     current_ma: float = 0.0  # 0 where the drive measures none
@@ -32,6 +34,8 @@ class Measured:
 
 @dataclass(frozen=True)
 class Goal:
+    """One drive's set-point in a control cycle."""
+
     q: float  # counts, where the drive is to be now
     speed: float  # counts/s of the path there, for drives that go on with it until the next one
 
@@ -61,7 +65,8 @@ class Drive:
 
 
 def all_off(axes: int, enable: Callable[[int, bool], None]) -> None:
-    """Switches every axis off, whatever errors others raise; then raises the first of these errors."""
+    """Calls enable(axis, False) for each of so many axes, also after one has failed; then raises the first TautError
+    of them: a motor that cannot be reached must not keep the others on."""
     errors = []
     for axis in range(axes):
         try:
@@ -81,15 +86,16 @@ class Drives(Protocol):
     enable_s: float  # at the longest, that switching one on takes: a brake, a slow adapter
 
     def measure(self) -> list[Measured]:
-        """Where every drive is, in their order. Missed where an answer did not come."""
+        """Asks every drive where it is; answers in the order of `drives`. Missed where an answer did not come."""
 
     def set_positions(self, goals: Sequence[Goal | None]) -> None:
-        """Where each drive is to be; None leaves one as it is."""
+        """Sends each drive its set-point, in the order of `drives`; None leaves one as it is."""
 
     def enable(self, axis: int, on: bool) -> None:
-        """On: holds where it is. Off: no torque."""
+        """Switches the drive of this index on, holding where it is, or off, without torque."""
 
     def stop(self) -> None:
-        """All off, as far as they can still be reached."""
+        """Switches all drives off, as far as they can still be reached."""
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Closes the bus; drives are left as they are."""

@@ -39,6 +39,8 @@ _STATE = (126, 10)  # present current 2, velocity 4, position 4
 
 
 class Dynamixel(SerialServos):
+    """Dynamixel servos on one bus."""
+
     kind = "dynamixel"
     watchdog = "the servos' own bus watchdog"
     rest_s = _WATCHDOG_S
@@ -48,14 +50,15 @@ class Dynamixel(SerialServos):
     def __init__(
         self, bus: str, numbers: Sequence[int], baud: int, rate_hz: float, clock: Clock = time.monotonic
     ) -> None:
-        """bus: the serial device; numbers: the servos' IDs; rate_hz: nothing here depends on it."""
-        self._unit_ma: dict[int, float] = {}
-        self._said = dict.fromkeys(numbers, "")
+        """bus: the serial device; numbers: the servos' IDs; baud: bit/s; rate_hz: as every driver takes it, unused."""
+        self._unit_ma: dict[int, float] = {}  # by ID: mA of a unit of the current register, 0 without one
+        self._hardware_errors = dict.fromkeys(numbers, "")  # by ID: in words, as they were read last
         self._cycles = 0
         super().__init__(dynamixel_sdk, 2.0, bus, numbers, baud, clock)
 
     def describe(self, number: int) -> Drive:
-        """A servo's limits, resolution and mode from its registers."""
+        """A servo's limits (counts, counts/s, counts/s2, mA), model and firmware from its registers. TautError where
+        it is not in a position mode."""
         mode, model = self.read(number, _MODE), self.read(number, _MODEL)
         if mode not in (3, 4):
             raise TautError(
@@ -71,14 +74,15 @@ class Dynamixel(SerialServos):
         return Drive(number, f"model {model}", str(self.read(number, _FIRMWARE)), _COUNTS_PER_TURN, limits, True)
 
     def measure(self) -> list[Measured]:
-        """Positions of all servos by one sync read; every _ASK_ERRORS cycles also one servo's error register."""
+        """Positions of all servos by one sync read. Every _ASK_ERRORS cycles one servo, the next one each time, is also
+        asked for its hardware errors, which the sync read does not contain."""
         measured = super().measure()
         self._cycles += 1
-        if self._cycles % _ASK_ERRORS == 0:  # of one servo after the other
+        if self._cycles % _ASK_ERRORS == 0:
             number = self.numbers[self._cycles // _ASK_ERRORS % len(self.numbers)]
             bits = self.glance(number, _ERRORS)
             if bits is not None:
-                self._said[number] = ", ".join(name for bit, name in _ERROR_BITS.items() if bits >> bit & 1)
+                self._hardware_errors[number] = ", ".join(name for bit, name in _ERROR_BITS.items() if bits >> bit & 1)
         return measured
 
     def measured(self, axis: int, t_s: float, state: bytes) -> Measured:
@@ -86,14 +90,14 @@ class Dynamixel(SerialServos):
         current, velocity, position = struct.unpack("<hii", state)
         number = self.numbers[axis]
         current_ma = current * self._unit_ma[number]
-        return Measured(t_s, float(position), velocity * _COUNTS_PER_SPEED, current_ma, self._said[number])
+        return Measured(t_s, float(position), velocity * _COUNTS_PER_SPEED, current_ma, self._hardware_errors[number])
 
     def encoded(self, goal: int) -> bytes:
         """A goal, counts, as the register's 4 bytes."""
         return struct.pack("<i", goal)
 
     def enable(self, axis: int, on: bool) -> None:
-        """Switches a servo's torque."""
+        """Switches a servo's torque on, holding its position under the bus watchdog, or off."""
         number = self.numbers[axis]
         if not on:
             self.write(number, _TORQUE, 0)

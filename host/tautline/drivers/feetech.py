@@ -31,6 +31,8 @@ _STATE = (56, 15)  # position 2, speed 2, load 2, voltage, temperature, -, statu
 
 
 class Feetech(SerialServos):
+    """Feetech servos on one bus."""
+
     kind = "feetech"
     watchdog = "they have none: each goes to its last set-point and holds it"
     rest_s = 0.0
@@ -40,11 +42,12 @@ class Feetech(SerialServos):
     def __init__(
         self, bus: str, numbers: Sequence[int], baud: int, rate_hz: float, clock: Clock = time.monotonic
     ) -> None:
-        """bus: the serial device; numbers: the servos' IDs; rate_hz: nothing here depends on it."""
+        """bus: the serial device; numbers: the servos' IDs; baud: bit/s; rate_hz: as every driver takes it, unused."""
         super().__init__(scservo_sdk, 0, bus, numbers, baud, clock)
 
     def describe(self, number: int) -> Drive:
-        """A servo's limits and resolution from its registers."""
+        """A servo's limits (counts, counts/s), model and firmware from its registers. TautError where it is not in
+        position mode."""
         mode = self.read(number, _MODE)
         if mode != 0:
             raise TautError(f"feetech {number}: mode {mode}: set 0 (position) with Feetech's tools")
@@ -62,13 +65,13 @@ class Feetech(SerialServos):
         return Measured(t_s, _signed(state[0:2]), _signed(state[2:4]), _signed(state[13:15]) * _MA, said)
 
     def encoded(self, goal: int) -> bytes:
-        """A position as the register holds it: bit 15 is the sign; clipped, so that the axis will notice what lies
-        beyond."""
+        """A position, counts, as the goal register's 2 bytes, of which bit 15 is the sign. Beyond +-32767 it is
+        clipped: the axis then sees that it stays behind."""
         goal = max(-0x7FFF, min(goal, 0x7FFF))
         return (abs(goal) | (0x8000 if goal < 0 else 0)).to_bytes(2, "little")
 
     def enable(self, axis: int, on: bool) -> None:
-        """Switches a servo's torque."""
+        """Switches a servo's torque on, holding its position, or off."""
         number = self.numbers[axis]
         if on:
             self.write(number, _OWN_ACCELERATION, 0)  # the application plans; the servo's own profile would lag
@@ -79,6 +82,6 @@ class Feetech(SerialServos):
 
 
 def _signed(data: bytes) -> float:
-    """A register of which bit 15 is the sign and the rest the size."""
+    """The number in a register's 2 bytes, little-endian, of which bit 15 is the sign and the rest the magnitude."""
     raw = int.from_bytes(data, "little")
     return float(-(raw & 0x7FFF) if raw & 0x8000 else raw)

@@ -37,7 +37,7 @@ _LOW_DUTY, _FRICTION, _CHECK_PUSH = 8192, 0, 2621  # of the application's check;
 
 @dataclass
 class Timing:
-    """Of a bus and its drives, since they were opened."""
+    """How regularly a bus and its drives have worked since they were opened."""
 
     cycles: int = 0
     missed: int = 0  # cycles without a whole answer
@@ -50,46 +50,49 @@ class Timing:
 
 
 def flash_file(where: str) -> Path:
-    """The file that keeps tables and settings for these drives, as a board keeps them in flash."""
+    """The path of the file that keeps tables and settings for the drives at the address `where`, as a board keeps them
+    in flash: below $XDG_STATE_HOME."""
     base = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
     return base / "tautline" / f"{where.split(':')[0]}-{hashlib.sha256(where.encode()).hexdigest()[:16]}.bin"
 
 
 class HostedLink:
-    """A link to the application, with the drives behind it. `paced`: by a thread and the wall clock; else whoever owns
-    the time calls `cycle`."""
+    """A link to the board's application, which runs here and moves the drives."""
 
     hello_tries = 1
 
     def __init__(
         self, drives: Drives, where: str, rate_hz: float, clock: Clock = time.monotonic, paced: bool = True
     ) -> None:
-        """where: the drives' address, which names their flash file; paced: cycles by the clock in a thread of their
-        own."""
+        """Starts the application at the drives' positions. where: the drives' address, which names their flash file;
+        paced: a thread calls `cycle` by the wall clock; else whoever owns the time does. TautError where the drives or
+        the flash file cannot be used."""
         self.drives, self.where, self.period_s, self.timing = drives, where, 1.0 / rate_hz, Timing()
         self.log_divider = min(max(round(1e3 * self.period_s), 1), 60)  # ms between rows of a log: one each cycle
         self._clock, self._epoch_s = clock, clock()
         self._lock, self._arrived = threading.Lock(), threading.Condition()
-        self._out = bytearray()
-        self._gone: TautError | None = None
-        self._heard_s = self._epoch_s
-        self._squares, self._steps = 0.0, 0  # of steps from one cycle to the next, where neither was missed
+        self._out = bytearray()  # the application's bytes that nobody has read yet
+        self._gone: TautError | None = None  # why the link has ended
+        self._answered_s = self._epoch_s  # when the drives answered last
+        # Of the steps from one measurement to the next, neither missed: sum of (step - period)^2, s^2, and count.
+        self._squared_deviations, self._steps_counted = 0.0, 0
         self._steady = False  # whether the cycle before was not missed either
         self._lag_sums = [np.zeros(2) for _ in drives.drives]  # of lag times speed, of speed squared, while it moves
         self._lags_s = [0.0 for _ in drives.drives]  # their quotients, s
-        self._on = [False for _ in drives.drives]
+        self._enabled = [False for _ in drives.drives]
         for drive in drives.drives:
             if not drive.limits.speed > 0.0:
                 raise TautError(f"{where}: motor {drive.number} has a speed limit of 0: set one with its maker's tools")
         self._file = flash_file(where)
         flash = self._file.read_bytes() if self._file.is_file() else b""
-        self._scales = [_scale(drive.limits.speed) for drive in drives.drives]  # the application's counts per drive's
-        first = self._rows(self._first_measurement(), whole=True)
+        # The application's counts in one of the drive's.
+        self._scales = [_counts_scale(drive.limits.speed) for drive in drives.drives]
+        first = self._as_application_rows(self._first_measurement(), whole=True)
         self._last_s = clock()
         most_ma = max(round(min(drive.limits.current_ma for drive in drives.drives)), 0)
         kind, _, serial = where.partition(":")
         try:
-            self._board = _native.HostedBoard(kind[:15], _serial(serial), min(most_ma, 0xFFFF), flash, first)
+            self._board = _native.HostedBoard(kind[:15], _serial_number(serial), min(most_ma, 0xFFFF), flash, first)
         except ValueError as error:
             raise TautError(f"{self._file}: is no memory of such motors ({error}): remove it") from error
         self._writes = 0
@@ -101,7 +104,7 @@ class HostedLink:
             self._thread.start()
 
     def _first_measurement(self) -> list[Measured]:
-        """The first measurement of all drives; retried, as drives may still be starting."""
+        """Measures all drives, with five tries, as they may still be starting. Missed where none succeeds."""
         for left in reversed(range(5)):
             try:
                 return self.drives.measure()
@@ -110,9 +113,10 @@ class HostedLink:
                     raise
         raise AssertionError
 
-    def _rows(self, measured: list[Measured], whole: bool = False) -> list[tuple[int, int, bool]]:
-        """Measurements as the application takes them: counts Q8, current in mA, and whether there is a fault. whole:
-        rounded to counts, so that its positions are the drives' own. TautError where one is too far to be counted."""
+    def _as_application_rows(self, measured: list[Measured], whole: bool = False) -> list[tuple[int, int, bool]]:
+        """Measurements as the application takes them, a row (counts Q8, mA, whether there is a fault) for each axis.
+        whole: rounds positions to whole counts. TautError where a position does not fit into the application's 32
+        bits."""
         counts = [m.q * scale for m, scale in zip(measured, self._scales, strict=True)]
         for drive, q in zip(self.drives.drives, counts, strict=True):
             if not abs(q) <= _FARTHEST:
@@ -124,10 +128,10 @@ class HostedLink:
         return [(q, round(m.current_ma), bool(m.fault)) for q, m in zip(places, measured, strict=True)]
 
     def _adopt_limits_and_positions(self, first: list[float]) -> None:
-        """Sets the axes' positions to the drives', `first` in the application's counts, and where no settings are
-        stored, their limits too. A drive takes no duty that could sink: it holds until its host is lost or says
-        otherwise."""
-        ask = self._request
+        """Sets the axes' positions to `first`, the drives' in the application's counts, for drives that know theirs;
+        where no settings are stored, also the axes' settings, from the drives' limits. hold_ms is 0: an axis that is on
+        holds until its host is lost or says otherwise."""
+        ask = self._ask_application
         ask("hello", protocol_major=wire.wire.MAJOR, protocol_minor=wire.wire.MINOR)
         fresh = ask("get_status", axis=0).settings == wire.code("STORES", "DEFAULT")
         for axis, drive in enumerate(self.drives.drives):
@@ -146,10 +150,11 @@ class HostedLink:
                 ask("settings", **settings)
             if drive.referenced:
                 ask("set_position", axis=axis, q=first[axis])
-        self._store_flash()
+        self._save_flash()
 
-    def _request(self, name: str, **values: Any) -> wire.Message:
-        """Sends the application a message of this link's own, and returns its answer. TautError where it refuses."""
+    def _ask_application(self, name: str, **values: Any) -> wire.Message:
+        """Sends the application a message from this link itself, as a host would, and returns the answer to it.
+        TautError where the application refuses."""
         self._board.receive(wire.encode(name, 1, **values), self._us(self._clock()))
         for message in wire.Decoder().feed(self._board.transmit()):
             if message.sequence == 1 and message.name not in ("batch", "event", "progress", "onset"):
@@ -160,13 +165,14 @@ class HostedLink:
         raise AssertionError(f"the application answers '{name}'")
 
     def _us(self, t_s: float) -> int:
-        """The application's time, us since the link was opened, at a time of the clock, s; never below 0."""
+        """A time of the clock, s, as the application's: us since the link was opened; never below 0."""
         return max(round((t_s - self._epoch_s) * 1e6), 0)
 
     # -- the bus ------------------------------------------------------------------------------------------------
 
     def _pace(self) -> None:
-        """The thread: a cycle each period until the link is closed. Late ones are counted; an error ends the link."""
+        """Body of the thread: one `cycle` each period until the link is closed. Late ones are counted; an error
+        switches the drives off and ends the link."""
         due = self._clock()
         while not self._stop.is_set():
             due += self.period_s
@@ -178,10 +184,10 @@ class HostedLink:
             try:
                 self.cycle()
             except TautError as error:
-                self._end(error)
+                self._stop_and_report(error)
                 return
             except Exception as error:  # nobody would drive them any more, or say so
-                self._end(TautError(f"{self.where}: {type(error).__name__}: {error}"))
+                self._stop_and_report(TautError(f"{self.where}: {type(error).__name__}: {error}"))
                 return
 
     def cycle(self) -> None:
@@ -194,68 +200,70 @@ class HostedLink:
         try:
             measured = self.drives.measure()
         except Missed as missed:
-            self._missed()
-            if began - self._heard_s > _LOST_S:
+            self._count_missed()
+            if began - self._answered_s > _LOST_S:
                 self._connection_lost(missed)
             return
         except TautError as error:
             self._connection_lost(error)
             return
         t_s = measured[0].t_s
-        self._heard_s = t_s
+        self._answered_s = t_s
         self.timing.fault = next((m.fault for m in measured if m.fault), self.timing.fault)
         with self._lock:
-            rows = self._rows(measured)
+            rows = self._as_application_rows(measured)
             self._board.run(self._us(t_s), rows, 0)
             goals = [self._board.goal(axis) for axis in range(len(measured))]
             self._estimate_delay([q for q, _, _ in rows], goals)
-            self._store_flash()
+            self._save_flash()
             sent = self._board.transmit()
-        self._give(sent)
+        self._queue_for_host(sent)
         waited = 0.0
         try:
             waited = self._send(goals)
         except Missed:
-            self._missed()
+            self._count_missed()
             self._last_s = t_s
             return
         except TautError as error:
             self._connection_lost(error)
-        self._note(began + waited, t_s + waited)
+        self._update_timing(began + waited, t_s + waited)
 
     def _send(self, goals: list[tuple[int, int, bool, bool]]) -> float:
-        """Sends the set-points; goals: of each axis (counts Q8, counts/s Q8, whether it is on, whether in closed loop).
-        Returns the seconds that switching a drive on took, during which the application stood still."""
+        """Sends the application's set-points to the drives and switches drives whose axis has been switched. goals: of
+        each axis (counts Q8, counts/s Q8, whether it is on, whether in closed loop). Returns the seconds that switching
+        a drive on took, during which the application stood still. Missed or TautError as the drives raise them."""
         waited = 0.0
-        wanted = [
+        set_points = [
             Goal(goal / _Q8 / scale, speed / _Q8 / scale) if on else None
             for (goal, speed, on, _), scale in zip(goals, self._scales, strict=True)
         ]
         for axis, (_, _, on, _) in enumerate(goals):
-            if on != self._on[axis]:
+            if on != self._enabled[axis]:
                 waited += self._switch(axis, on)
-        if any(goal is not None for goal in wanted):
-            self.drives.set_positions(wanted)
+        if any(goal is not None for goal in set_points):
+            self.drives.set_positions(set_points)
         return waited
 
     def _switch(self, axis: int, on: bool) -> float:
-        """Switches an axis. Returns the seconds for which the application was made to stand still: the time this took,
-        where no drive was on and it took no longer than drives name; else 0, and its rule for late control steps
-        holds."""
+        """Switches the drive of an axis. Returns for how many seconds the application's time was held meanwhile: the
+        whole time, where it is the first drive that is switched on and takes no longer than `enable_s`; else 0: then
+        the application treats this as a late control step."""
         began = self._clock()
         with self._lock:
             self.drives.enable(axis, on)
             now = self._clock()
-            patient = on and not any(self._on) and now - began <= self.drives.enable_s
-            if patient:
+            hold_time = on and not any(self._enabled) and now - began <= self.drives.enable_s
+            if hold_time:
                 self._board.wait(self._us(now))
-                self._heard_s = now
-        self._on[axis] = on
-        return now - began if patient else 0.0
+                self._answered_s = now
+        self._enabled[axis] = on
+        return now - began if hold_time else 0.0
 
     def _estimate_delay(self, places: list[int], goals: list[tuple[int, int, bool, bool]]) -> None:
-        """Estimates how late each drive follows, s, by least squares of its lag over its speed while it moves; used
-        once it rests. places: measured, counts Q8; goals: as of `_send`."""
+        """Estimates how late each drive follows its set-points, s: least squares of how far it is behind, counts, over
+        its speed, counts/s, while it moves. Once it rests the application gets the estimate and plans that much ahead.
+        places: measured positions, counts Q8; goals: as in `_send`."""
         for axis, (goal, speed, _, moves) in enumerate(goals):
             sums = self._lag_sums[axis]
             v = speed / _Q8
@@ -268,26 +276,29 @@ class HostedLink:
                 self.timing.lag_s = max(self._lags_s)
                 self._board.lead(axis, round(lag_s * 1e6))
 
-    def _note(self, began: float, t_s: float) -> None:
-        """Keeps a cycle's round trip and jitter. began: when it began; t_s: of its measurement, s; both moved on by
-        what switching a drive on took."""
+    def _update_timing(self, began: float, t_s: float) -> None:
+        """Adds a whole cycle to `timing`: its round trip and its step from the cycle before. began: when the cycle
+        began, t_s: when it measured, s of the clock; the caller adds to both what switching a drive on took, so that
+        this does not count."""
         timing, n = self.timing, max(self.timing.cycles - self.timing.missed, 1)
         took = self._clock() - began
         timing.round_trip_s += (took - timing.round_trip_s) / n
         timing.round_trip_most_s = max(timing.round_trip_most_s, took)
         if self._steady:
-            self._steps += 1
-            self._squares += (t_s - self._last_s - self.period_s) ** 2
-            timing.jitter_s = (self._squares / self._steps) ** 0.5
+            self._steps_counted += 1
+            self._squared_deviations += (t_s - self._last_s - self.period_s) ** 2
+            timing.jitter_s = (self._squared_deviations / self._steps_counted) ** 0.5
         self._last_s, self._steady = t_s, True
 
-    def _missed(self) -> None:
-        """Counts a cycle of which nothing came or was sent: the next one is no step from it."""
+    def _count_missed(self) -> None:
+        """Counts a cycle in which no answer came or no set-point was sent; the step to the next one is no measure of
+        jitter."""
         self.timing.missed += 1
         self._steady = False
 
     def _connection_lost(self, error: TautError) -> None:
-        """Raises BoardGone, here and for whoever reads, with how the motors come to rest."""
+        """Ends the link: raises BoardGone, here and for whoever reads or writes, with the error and how the motors come
+        to rest."""
         says = f"{self.where}: {error}. Its motors come to rest by themselves, within {self.drives.rest_s:.2g} s and "
         gone = BoardGone(says + f"what braking takes ({self.drives.watchdog})")
         with self._arrived:
@@ -295,16 +306,17 @@ class HostedLink:
             self._arrived.notify_all()
         raise gone
 
-    def _end(self, error: TautError) -> None:
-        """Switches all drives off and tells whoever waits for the link."""
+    def _stop_and_report(self, error: TautError) -> None:
+        """Ends the link after an error: switches all drives off, and whoever reads or writes gets the error."""
         with contextlib.suppress(Exception):
             self.drives.stop()
         with self._arrived:
             self._gone = self._gone or error
             self._arrived.notify_all()
 
-    def _store_flash(self) -> None:
-        """Writes what was stored to the file, whole or not at all."""
+    def _save_flash(self) -> None:
+        """Writes the application's flash to its file if it has changed, whole or not at all. TautError where it cannot
+        be written."""
         if self._board.flash_writes == self._writes:
             return
         self._writes = self._board.flash_writes
@@ -319,16 +331,16 @@ class HostedLink:
     # -- the link -----------------------------------------------------------------------------------------------
 
     def write(self, data: bytes) -> None:
-        """Gives the application bytes from the host."""
+        """Gives the application bytes from the host and queues its answers. TautError where the link has ended."""
         if self._gone is not None:
             raise self._gone
         with self._lock:
             self._board.receive(data, self._us(self._last_s))  # no later than the application's own last step
-            self._store_flash()
+            self._save_flash()
             sent = self._board.transmit()
-        self._give(sent)
+        self._queue_for_host(sent)
 
-    def _give(self, data: bytes) -> None:
+    def _queue_for_host(self, data: bytes) -> None:
         """Queues the application's bytes for `read`."""
         if data:
             with self._arrived:
@@ -352,7 +364,8 @@ class HostedLink:
         return None
 
     def bus(self) -> dict[str, Any]:
-        """Drives, their own limits in counts, watchdog and the bus' measured timing, for JSON."""
+        """What is known of drives and bus, for JSON: rate, `Timing`, each drive in words, its own limits in the
+        application's counts (mA for the current), and what stops it when the host is lost."""
         drives = [
             f"{drive.number}: {drive.model}, firmware {drive.firmware}, "
             f"{drive.counts_per_turn * scale:g} counts a {drive.per}"
@@ -366,13 +379,13 @@ class HostedLink:
             }
             for drive, scale in zip(self.drives.drives, self._scales, strict=True)
         ]  # fmt: skip
-        of_drives = {
-            "drives": drives, "limits": limits, "rest_s": self.drives.rest_s, "watchdog": self.drives.watchdog
+        return {
+            "rate_hz": 1.0 / self.period_s, **asdict(self.timing), "drives": drives, "limits": limits,
+            "rest_s": self.drives.rest_s, "watchdog": self.drives.watchdog,
         }  # fmt: skip
-        return {"rate_hz": 1.0 / self.period_s, **asdict(self.timing), **of_drives}
 
     def close(self) -> None:
-        """Switches the drives off and ends the thread."""
+        """Ends the thread, switches the drives off as far as they answer, and closes their bus."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join()
@@ -383,15 +396,15 @@ class HostedLink:
             self.drives.close()
 
 
-def _scale(speed: float) -> float:
-    """Counts of the application per count of the drive: halved until the application, which resolves 1/256 count, can
-    count at this speed, counts/s of the drive."""
+def _counts_scale(speed: float) -> float:
+    """How many of the application's counts one count of a drive is: 1, halved until the drive's top `speed`, counts/s,
+    is within the application's. Nothing is lost, as that resolves 1/256 count."""
     scale = 1.0
     while speed * scale > _native.HOSTED_SPEED_MAX:
         scale *= 0.5
     return scale
 
 
-def _serial(text: str) -> str:
-    """A serial number of at most 31 letters, digits and dashes, all ASCII, from the end of an address."""
+def _serial_number(text: str) -> str:
+    """The end of an address, `text`, as a board's serial number: at most 31 ASCII letters, digits and dashes."""
     return "".join(c if c.isascii() and c.isalnum() else "-" for c in text)[-31:].strip("-")

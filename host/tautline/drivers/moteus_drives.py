@@ -31,6 +31,8 @@ _ASKED = {  # by every query
 
 
 class Moteus:
+    """moteus controllers on one bus, as `Drives` (drives.py)."""
+
     watchdog = "the controllers' own: without a command they stop as servo.timeout_mode says"
     rest_s = _WATCHDOG_S
     enable_s = _FIRST_S
@@ -38,8 +40,9 @@ class Moteus:
     def __init__(
         self, bus: str, numbers: Sequence[int], baud: int, rate_hz: float, clock: Clock = time.monotonic
     ) -> None:
-        """bus: python-can's INTERFACE/CHANNEL, or the serial device of a fdcanusb; numbers: the controllers' ids;
-        rate_hz: nothing here depends on it."""
+        """Opens the bus and asks every controller whether it knows its position. bus: python-can's INTERFACE/CHANNEL,
+        or the serial device of a fdcanusb; numbers: the controllers' ids; baud: bit/s; rate_hz: as every driver takes
+        it, unused. TautError where the bus cannot be opened or a controller does not answer."""
         self._clock, self._numbers, self._bus = clock, list(numbers), bus
         self._loop = asyncio.new_event_loop()
         resolution = moteus.QueryResolution()
@@ -65,24 +68,27 @@ class Moteus:
         ]
 
     def _all_referenced(self) -> list[bool]:
-        """Of each controller whether it knows where its output is. TautError where one does not answer in _TRIES."""
+        """Whether each controller knows where its output is (its register HOME_STATE). TautError where one does not
+        answer within _TRIES."""
         for left in reversed(range(_TRIES)):
             try:
-                answers = self._ask(_FIRST_S)
+                answers = self._query_all(_FIRST_S)
                 return [int(values[_Register.HOME_STATE]) >= _OUTPUT_IS_KNOWN for values in answers]
             except Missed as missed:
                 if left == 0:
                     raise TautError(f"moteus:{self._bus}: {missed}: check power, ids and the bus") from missed
         raise AssertionError("one try at least")
 
-    def _cycle(self, commands: list[Any], within_s: float) -> list[Any]:
-        """Sends commands to all controllers and returns their answers. Missed where one is missing."""
+    def _exchange(self, commands: list[Any], within_s: float) -> list[Any]:
+        """Sends the commands and returns the controllers' answers, moteus.Result each; within_s: how long all may take.
+        Missed where they take longer or the bus takes no frame, TautError where the adapter is gone."""
 
-        async def all_of_them() -> list[Any]:
+        async def cycle() -> list[Any]:
+            """One cycle of moteus' transport with its time limit."""
             return list(await asyncio.wait_for(self._transport.cycle(commands), within_s))
 
         try:
-            return self._loop.run_until_complete(all_of_them())
+            return self._loop.run_until_complete(cycle())
         except TimeoutError as error:
             raise Missed("no answer") from error
         except can.CanError as error:
@@ -90,10 +96,10 @@ class Moteus:
         except OSError as error:
             raise TautError("the adapter is gone") from error
 
-    def _ask(self, within_s: float) -> list[dict[int, float]]:
-        """Each controller's registers and their values, in the order of the ids. Missed where an answer did not come
-        whole."""
-        answers = self._cycle([controller.make_query() for controller in self._controllers], within_s)
+    def _query_all(self, within_s: float) -> list[dict[int, float]]:
+        """Queries every controller for the registers _ASKED: its values by register, in the order of the ids. Missed
+        where an answer or a register is missing."""
+        answers = self._exchange([controller.make_query() for controller in self._controllers], within_s)
         values = {answer.id: answer.values for answer in answers}
         if any(_ASKED - values.get(number, {}).keys() for number in self._numbers):
             raise Missed("an answer is missing, or damaged")
@@ -102,12 +108,13 @@ class Moteus:
     def measure(self) -> list[Measured]:
         """Where every controller is, by one query of all. Missed where an answer did not come."""
         sent = self._clock()
-        answers = self._ask(_ANSWER_S)
+        answers = self._query_all(_ANSWER_S)
         t_s = 0.5 * (sent + self._clock())
         return [self._measured(t_s, values) for values in answers]
 
     def _measured(self, t_s: float, values: dict[int, float]) -> Measured:
-        """A controller's answer, in turns, as counts and counts/s. Missed where it does not know its position."""
+        """A controller's answer to a query (turns, turns/s, A by register) as counts, counts/s and mA. t_s: the middle
+        of the round trip. Missed where the controller does not know its position."""
         fault = f"fault {int(values[_Register.FAULT])}" if int(values[_Register.MODE]) == _FAULT_MODE else ""
         position, speed = values[_Register.POSITION], values[_Register.VELOCITY]
         if not math.isfinite(position):
@@ -116,12 +123,13 @@ class Moteus:
         return Measured(t_s, position * _COUNTS_PER_TURN, speed * _COUNTS_PER_TURN, current_ma, fault)
 
     def set_positions(self, goals: Sequence[Goal | None]) -> None:
-        """Sends the controllers that have a goal its position and speed, at which they go on until the next one."""
-        self._cycle(
+        """Sends the controllers that have a goal its position and speed; at this speed they go on until the next one
+        comes."""
+        self._exchange(
             [
                 controller.make_position(
                     position=goal.q / _COUNTS_PER_TURN,
-                    velocity=goal.speed / _COUNTS_PER_TURN,  # it goes on so until the next one
+                    velocity=goal.speed / _COUNTS_PER_TURN,
                     watchdog_timeout=_WATCHDOG_S,
                 )
                 for controller, goal in zip(self._controllers, goals, strict=True)
@@ -131,14 +139,16 @@ class Moteus:
         )
 
     def enable(self, axis: int, on: bool) -> None:
-        """Stops the controller either way. On: that clears a fault and a tripped watchdog; the first set-point of the
-        cycle then takes the position."""
-        self._cycle([self._controllers[axis].make_stop(query=True)], _FIRST_S)
+        """Sends the controller a stop, whether `on` or not: off, it has no torque then; on, the stop clears a fault and
+        a tripped watchdog, and the set-point of the same cycle makes it hold."""
+        self._exchange([self._controllers[axis].make_stop(query=True)], _FIRST_S)
 
     def stop(self) -> None:
+        """Switches all controllers off. Missed or TautError where one could not be told."""
         all_off(len(self._numbers), self.enable)
 
     def close(self) -> None:
+        """Closes the bus; controllers stop by their watchdog."""
         self._transport.close()
         self._loop.run_until_complete(asyncio.sleep(0))
         self._loop.close()

@@ -20,7 +20,8 @@ _RANGE, _HERE = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
 
 
 def library(module: str) -> Any:
-    """A module of ROS 2, or a TautError that says how to get it."""
+    """Imports a module of ROS 2, such as "rclpy.qos": here and not above, as ROS 2 is optional. TautError that says how
+    to get it."""
     try:
         with warnings.catch_warnings():  # its messages' parser imports what Python deprecates
             warnings.simplefilter("ignore", DeprecationWarning)
@@ -31,18 +32,19 @@ def library(module: str) -> Any:
 
 
 def sensor_qos(depth: int = 10) -> Any:
-    """A subscription's profile that takes messages of publishers of any reliability. depth: of its queue, so that where
-    several publish on a topic messages that are not for us do not displace the others."""
+    """The QoS profile of a subscription that takes messages of publishers of any reliability. depth: messages that its
+    queue holds; several publishers on one topic need room, or messages for others displace ours."""
     qos = library("rclpy.qos")
     return qos.QoSProfile(depth=depth, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
 
 
 class Graph:
-    """Use it as a context manager. Publishers may be used from any thread, callbacks come on a thread of their own."""
+    """A context manager of one ROS 2 node. Publishers may be used from any thread; callbacks run on a thread of their
+    own."""
 
     def __init__(self, name: str, arguments: Sequence[str] = ()) -> None:
-        """arguments: ROS 2's own, from --ros-args on (names that are remapped, parameters). TautError where ROS 2 does
-        not understand them."""
+        """Makes the node `name` in a context of its own. arguments: ROS 2's own, from --ros-args on (names that are
+        remapped, parameters). TautError where ROS 2 does not accept them."""
         os.environ.setdefault(_RANGE, _HERE)
         self._rclpy = library("rclpy")
         executors = library("rclpy.executors")
@@ -64,24 +66,26 @@ class Graph:
 
     @property
     def name(self) -> str:
+        """The node's full name, with its namespace."""
         return str(self.node.get_fully_qualified_name())
 
     def topic(self, name: str) -> str:
-        """A name as it is on the graph."""
+        """The full name of a topic on the graph, after namespace and remapping."""
         return str(self.node.resolve_topic_name(name))
 
     def age_s(self, stamp: Any) -> float:
-        """How long ago a message's stamp (sec, nanosec) was, s of this machine's clock; anything where it is of
-        another clock."""
+        """Seconds from a message's stamp (sec, nanosec) until now by the node's clock; meaningless, and perhaps
+        negative, where the sender's clock is another one."""
         return float(1e-9 * self.node.get_clock().now().nanoseconds - (stamp.sec + 1e-9 * stamp.nanosec))
 
     def begin(self) -> None:
-        """Starts the callbacks, after all subscriptions were made."""
+        """Starts the thread that runs the callbacks. Call it after all subscriptions are made."""
         spin = self._executor.spin_until_future_complete
         self._thread = threading.Thread(target=spin, args=(self._ended,), name="ros", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
+        """Ends the thread of the callbacks and takes the node off the graph."""
         self._ended.set_result(None)
         if self._thread is not None:
             self._thread.join()

@@ -28,6 +28,8 @@ _ARRAY, _STATE = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState"
 
 
 class RosJoints:
+    """Joints of a ROS 2 robot, as `Drives` (drives.py)."""
+
     watchdog = "none here: the joints' controller goes to its last set-point and holds it"
     rest_s = 0.0
     enable_s = 0.0  # a topic switches nothing
@@ -35,19 +37,19 @@ class RosJoints:
     def __init__(
         self, bus: str, names: Sequence[int | str], baud: int, rate_hz: float, clock: Clock = time.monotonic
     ) -> None:
-        """bus: topics STATES,COMMANDS; names: the joints'; baud, rate_hz: nothing here depends on them. TautError where
-        a topic or joint is not there."""
+        """bus: topics STATES,COMMANDS; names: of the joints; baud, rate_hz: as every driver takes them, unused.
+        TautError where a topic or joint is not there."""
         states, _, commands = bus.partition(",")
         if not states or not commands:
             raise TautError(f"ros:{bus}: name two topics, as in ros:/joint_states,/commands:elbow")
         self._names, self._clock = [str(name) for name in names], clock
-        self._came = threading.Condition()
+        self._state_arrived = threading.Condition()
         self._newest: tuple[float, Any] | None = None  # when it was measured, s; the message
         self._used: Any = None
-        self._others: set[str] = set()  # joints in messages that have not all of ours
-        self._places: list[float] = []  # of each joint, rad or m: measured last,
-        self._rests: list[float] = []  # and when it was switched off
-        self._told: list[float | None] = [None for _ in names]  # set-points, while they are on
+        self._other_joints: set[str] = set()  # joints in messages that have not all of ours
+        self._positions: list[float] = []  # of each joint, rad or m: measured last,
+        self._off_positions: list[float] = []  # and when it was switched off
+        self._set_points: list[float | None] = [None for _ in names]  # set-points, while they are on
         self._description = ""
         self._counts: list[float] = []  # of each joint, a rad or m
         self._graph = Graph("tautline_motors")
@@ -58,47 +60,51 @@ class RosJoints:
             raise
 
     def _open(self, states: str, commands: str) -> None:
-        """Subscribes to the states, publishes to the commands, and waits for both."""
+        """Subscribes to the topic `states`, publishes on `commands`, waits until both have a partner, and finds what
+        the joints are (`drives`). TautError that says which is missing."""
         description = self._subscribe(states)
         where = "are they of this machine, of the same $ROS_DOMAIN_ID, and active?"
         self._find_joints(states, where)
         self._kind = self._command_type(commands, where)
         self._commands = self._graph.node.create_publisher(self._message_type(), commands, 10)
         self._wait_for(lambda: self._commands.get_subscription_count() > 0, _FIRST_S)
-        self._places = [math.nan for _ in self._names]
+        self._positions = [math.nan for _ in self._names]
         if any(math.isnan(m.q) for m in self.measure()):
             raise TautError(f"ros: {states} has no position of {', '.join(self._names)}: is the hardware active?")
-        self._rests = list(self._places)
+        self._off_positions = list(self._positions)
         described = self._read_description(description)
         self.drives = [_drive(name, described.get(name, {})) for name in self._names]
         self._counts = [float(drive.counts_per_turn) / (1.0 if drive.per == "m" else math.tau) for drive in self.drives]
 
     def _subscribe(self, states: str) -> str:
-        """Subscribes to the states and to the robot's description, and begins to listen. Returns the topic of the
-        description, which is beside the states'."""
+        """Subscribes to the joint states and to the robot's description and starts the callbacks. Returns the
+        description's topic, which is in the same namespace as the states'."""
         node, qos = self._graph.node, library("rclpy.qos")
         node.create_subscription(library("sensor_msgs.msg").JointState, states, self._on_state, sensor_qos())
         kept = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
         description = f"{states.rpartition('/')[0]}/{_DESCRIPTION}"
-        node.create_subscription(library("std_msgs.msg").String, description, self._describe, kept)
+        node.create_subscription(library("std_msgs.msg").String, description, self._on_description, kept)
         self._graph.begin()
         return description
 
     def _find_joints(self, states: str, where: str) -> None:
-        """Waits for a state that has all joints. TautError that says what came instead; where: its advice if nothing
-        did."""
+        """Waits for a joint state that has all our joints. TautError that says what came instead; `where` is appended
+        as advice if nothing came."""
         if not self._wait_for(lambda: self._newest is not None, _FIRST_S):
-            missing = ", ".join(name for name in self._names if name not in self._others)
-            if self._others and missing:
-                raise TautError(f"ros: no joint {missing} in {states}, which names {', '.join(sorted(self._others))}")
-            if self._others:
+            missing = ", ".join(name for name in self._names if name not in self._other_joints)
+            if self._other_joints and missing:
+                raise TautError(
+                    f"ros: no joint {missing} in {states}, which names {', '.join(sorted(self._other_joints))}"
+                )
+            if self._other_joints:
                 ours = ", ".join(self._names)
                 raise TautError(f"ros: no message on {states} has positions of {ours}: name joints of one broadcaster")
             raise TautError(f"ros: no joint states came on {states}: {where}")
 
     def _read_description(self, topic: str) -> dict[str, dict[str, str]]:
-        """The joints' attributes by name, from the robot's description; {} where nobody publishes one. A publisher may
-        be found a moment later than the states."""
+        """Type and limits by joint (see `_joints_of_description`) from the robot's description on `topic`, waiting
+        _DESCRIBED_S as its publisher may be found later than the states'; {} where nobody publishes one. TautError
+        where it does not come, or lacks a joint."""
         if not self._wait_for(lambda: bool(self._description), _DESCRIBED_S):
             if self._graph.node.count_publishers(topic):
                 raise TautError(f"ros: {topic} is published but did not come: run the command again")
@@ -110,12 +116,13 @@ class RosJoints:
         return described
 
     def _command_type(self, commands: str, where: str) -> str:
-        """The type of message that the subscribers of set-points take, Float64MultiArray where they take both.
-        TautError without any; where: its advice."""
+        """The message type, _ARRAY or _STATE, that subscribers of the topic `commands` take; _ARRAY where they take
+        both. TautError where nobody subscribes within _FIRST_S (`where` is appended as advice), or to neither."""
         node = self._graph.node
         topic = self._graph.topic(commands)
 
         def kinds() -> set[str]:
+            """Message types of the topic's subscribers."""
             return {info.topic_type for info in node.get_subscriptions_info_by_topic(topic)}
 
         if not self._wait_for(lambda: bool(kinds()), _FIRST_S):
@@ -126,37 +133,38 @@ class RosJoints:
         return min(found, key=(_ARRAY, _STATE).index)
 
     def _message_type(self) -> Any:
-        """The class of the set-points' message."""
+        """The Python class of the set-points' message type, "PACKAGE/msg/NAME"."""
         package, _, name = self._kind.split("/")
         return getattr(library(f"{package}.msg"), name)
 
     @staticmethod
     def _wait_for(there: Callable[[], bool], within_s: float) -> bool:
-        """Waits until `there()` is true, at most this long; whether it is."""
+        """Polls `there` until it is true or the time is over; returns whether it is true."""
         end = time.monotonic() + within_s
         while not there() and time.monotonic() < end:
             time.sleep(0.005)
         return there()
 
     def _on_state(self, message: Any) -> None:
-        """Takes a joint state, as old as its stamp says if that is of this machine's clock. Messages without these
-        joints are ignored."""
+        """Callback: keeps a joint state with its time. That is its stamp's if the stamp seems to be of this machine's
+        clock (0 to _OLDEST_S old), else now. Of messages without all our joints only the names are kept, for errors."""
         if not set(self._names) <= set(message.name[: len(message.position)]):
-            self._others |= set(message.name)
+            self._other_joints |= set(message.name)
             return
         age_s = self._graph.age_s(message.header.stamp)
-        with self._came:
+        with self._state_arrived:
             self._newest = self._clock() - (age_s if 0.0 <= age_s < _OLDEST_S else 0.0), message
-            self._came.notify()
+            self._state_arrived.notify()
 
-    def _describe(self, message: Any) -> None:
-        """Takes in the robot's description, a URDF."""
+    def _on_description(self, message: Any) -> None:
+        """Callback: keeps the robot's description, a URDF."""
         self._description = message.data
 
     def measure(self) -> list[Measured]:
-        """The joints' newest state, waiting for one that was not used before. Missed where none comes."""
-        with self._came:
-            if not self._came.wait_for(
+        """Every joint's newest state, in the order of the names; waits up to _ANSWER_S for one that was not returned
+        before. Missed where none comes."""
+        with self._state_arrived:
+            if not self._state_arrived.wait_for(
                 lambda: self._newest is not None and self._newest[1] is not self._used, _ANSWER_S
             ):
                 raise Missed("no joint states")
@@ -165,54 +173,63 @@ class RosJoints:
         return [self._measured(axis, t_s, self._used) for axis in range(len(self._names))]
 
     def _measured(self, axis: int, t_s: float, message: Any) -> Measured:
-        """A joint's position and speed, counts and counts/s (rad or m until its counts are known). Speed is 0 where
-        none is told; a joint whose position is not finite keeps the last one and has a fault."""
+        """One joint of a joint state in counts and counts/s; in rad or m while its description has not been read.
+        Speed is 0 where the message has none; a joint whose position is not finite keeps the last one and has a
+        fault."""
         at = list(message.name).index(self._names[axis])
-        place = float(message.position[at])
-        fault = "" if math.isfinite(place) else "its position is not known: is the hardware active?"
+        position = float(message.position[at])
+        fault = "" if math.isfinite(position) else "its position is not known: is the hardware active?"
         if not fault:
-            self._places[axis] = place
+            self._positions[axis] = position
         speed = float(message.velocity[at]) if at < len(message.velocity) else 0.0
-        counts = self._counts[axis] if self._counts else 1.0
-        return Measured(t_s, self._places[axis] * counts, speed * counts if math.isfinite(speed) else 0.0, 0.0, fault)
+        if not math.isfinite(speed):
+            speed = 0.0
+        counts_per_unit = self._counts[axis] if self._counts else 1.0
+        return Measured(t_s, self._positions[axis] * counts_per_unit, speed * counts_per_unit, 0.0, fault)
 
     def set_positions(self, goals: Sequence[Goal | None]) -> None:
         """Publishes where each joint is to be; None leaves one's set-point as it is."""
         for axis, goal in enumerate(goals):
             if goal is not None:
-                self._told[axis] = goal.q / self._counts[axis]
-        self._send()
+                self._set_points[axis] = goal.q / self._counts[axis]
+        self._publish()
 
-    def _send(self) -> None:
-        """Publishes the set-points of all joints, rad or m, in one message."""
+    def _publish(self) -> None:
+        """Publishes the set-points of all joints that are on, rad or m, in one message. An array has to have all
+        joints: those that are off are told the position where they were switched off."""
         message = self._message_type()()
         if self._kind == _ARRAY:  # those that are off stay where they were: the newest place gives way under a load
-            message.data = [rest if told is None else told for told, rest in zip(self._told, self._rests, strict=True)]
+            message.data = [
+                rest if told is None else told for told, rest in zip(self._set_points, self._off_positions, strict=True)
+            ]
         else:
-            on = [(name, told) for name, told in zip(self._names, self._told, strict=True) if told is not None]
+            on = [(name, told) for name, told in zip(self._names, self._set_points, strict=True) if told is not None]
             message.name, message.position = [name for name, _ in on], [told for _, told in on]
             message.header.stamp = self._graph.node.get_clock().now().to_msg()
         self._commands.publish(message)
 
     def enable(self, axis: int, on: bool) -> None:
-        """Switches the axis; a topic switches no torque, so that on and off alike the joint is told to stay where it
-        is."""
-        if not on and self._told[axis] is None:
+        """Switches the axis on or off. As a topic cannot switch torque, both tell the joint to stay where it is; off,
+        it gets no further set-points of its own."""
+        if not on and self._set_points[axis] is None:
             return
-        self._told[axis] = self._rests[axis] = self._places[axis]
-        self._send()
+        self._set_points[axis] = self._off_positions[axis] = self._positions[axis]
+        self._publish()
         if not on:
-            self._told[axis] = None
+            self._set_points[axis] = None
 
     def stop(self) -> None:
+        """Tells all joints to stay where they are."""
         all_off(len(self._names), self.enable)
 
     def close(self) -> None:
+        """Leaves the graph; joints hold their last set-points."""
         self._graph.close()
 
 
 def _joints_of_description(text: str) -> dict[str, dict[str, str]]:
-    """Type and limits by joint from a URDF's text; {} where that is empty. TautError where it is no URDF."""
+    """Of each joint in a URDF's text: "type" and the attributes of its <limit> (lower, upper, velocity, effort), as
+    they stand there. {} where the text is empty. TautError where it is no XML."""
     try:
         joints = ElementTree.fromstring(text).iterfind("joint") if text else ()
         return {
@@ -224,27 +241,27 @@ def _joints_of_description(text: str) -> dict[str, dict[str, str]]:
         raise TautError(f"ros: {_DESCRIPTION} holds no URDF ({error}): mend it, or stop who publishes it") from error
 
 
-def _drive(name: str, said: dict[str, str]) -> Drive:
-    """The drive of a joint by its URDF attributes, rad or m and s; without any, a joint that turns without an end. Its
-    speed is 1 turn/s or 0.1 m/s unless the description says another."""
-    slides = said.get("type") == "prismatic"
+def _drive(name: str, described: dict[str, str]) -> Drive:
+    """The drive of a joint by its type and limits in the URDF (rad or m, and s), in counts. Without any it is a joint
+    that turns without an end; without a speed limit it has 1 turn/s or 0.1 m/s."""
+    slides = described.get("type") == "prismatic"
     per, counts = ("m", _METRE) if slides else ("turn", _TURN)
-    unit = counts if slides else counts / math.tau
+    counts_per_unit = counts if slides else counts / math.tau
 
     def limit(key: str) -> float:
-        """In counts or counts/s; 0 where the description has none."""
+        """In counts or counts/s; 0 where the description has none. TautError where it is not a finite number."""
         try:
-            value = float(said.get(key, 0.0))
+            value = float(described.get(key, 0.0))
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            raise TautError(f"joint {name}: its description's limit {key} is {said[key]!r}, expected a number")
-        return value * unit
+            raise TautError(f"joint {name}: its description's limit {key} is {described[key]!r}, expected a number")
+        return value * counts_per_unit
 
     speed = limit("velocity") or (_METRES_S if slides else _TURNS_S) * counts
     low, high = -RANGE, RANGE
-    if said.get("type") in ("prismatic", "revolute"):
+    if described.get("type") in ("prismatic", "revolute"):
         low, high = max(limit("lower"), -RANGE), min(limit("upper"), RANGE)
     limits = DriveLimits(low, high, speed, STARTS * speed)
-    kind = said.get("type") or "joint without a description"
+    kind = described.get("type") or "joint without a description"
     return Drive(name, kind, "-", counts, limits, referenced=True, per=per)

@@ -23,9 +23,9 @@ _SETUP_TRIES = 5  # tolerance: of a register, before its servo is not there
 
 
 class SerialServos:
-    """One bus. A subclass says what its registers are."""
+    """The servos on one bus, as `Drives` (drives.py). A subclass says what their registers are."""
 
-    kind: str
+    kind: str  # of the address, for messages
     watchdog: str
     rest_s: float
     enable_s = 8 * _SETUP_TRIES * _ANSWER_MS * 1e-3  # so many registers
@@ -42,8 +42,9 @@ class SerialServos:
         baud: int,
         clock: Clock = time.monotonic,
     ) -> None:
-        """Opens the bus and describes its servos. sdk: the maker's module; protocol: what its PacketHandler is made
-        with; bus: the serial device; numbers: the servos' IDs; baud: bit/s."""
+        """Opens the bus and reads what its servos are. sdk: the maker's module; protocol: the argument of its
+        PacketHandler; bus: the serial device; numbers: the servos' IDs; baud: bit/s. TautError where the port cannot be
+        opened or a servo does not answer."""
         self.numbers, self._clock, self._sdk = list(numbers), clock, sdk
         self._port, self._packets = _port(sdk, bus), sdk.PacketHandler(protocol)
         try:
@@ -66,12 +67,12 @@ class SerialServos:
     # -- what differs ---------------------------------------------------------------------------------------------
 
     def describe(self, number: int) -> Drive:
-        """A servo's limits and resolution from its registers."""
+        """Reads a servo's limits and resolution from its registers."""
         raise NotImplementedError
 
     def measured(self, axis: int, t_s: float, state: bytes) -> Measured:
-        """A servo's answer, the bytes of the register `state`, as counts, counts/s and mA. t_s: the middle of the round
-        trip."""
+        """A servo's answer to the sync read, the bytes of the register `state`, as counts, counts/s and mA. t_s: the
+        middle of the round trip."""
         raise NotImplementedError
 
     def encoded(self, goal: int) -> bytes:
@@ -85,8 +86,7 @@ class SerialServos:
     # -- registers, while nothing moves ---------------------------------------------------------------------------
 
     def read(self, number: int, register: Register) -> int:
-        """A register's number, without sign; with retries. TautError where the servo does not answer, or not with its
-        number."""
+        """Reads a register as an unsigned number, with retries. TautError where the servo refuses or is silent."""
         answer = self._retry(number, lambda: self._packets.readTxRx(self._port, number, *register))
         value = self._number(register, answer)
         if value is None:
@@ -95,7 +95,8 @@ class SerialServos:
         return value
 
     def glance(self, number: int, register: Register) -> int | None:
-        """One try to read a register between two cycles; None where its number did not come whole."""
+        """Reads a register as `read` does, but with one try only, as it happens between two control cycles; None where
+        no whole answer came."""
         try:
             return self._number(
                 register, self._sdk_answer(lambda: self._packets.readTxRx(self._port, number, *register))
@@ -104,8 +105,8 @@ class SerialServos:
             return None
 
     def _number(self, register: Register, answer: tuple[list[int], int, int]) -> int | None:
-        """The register's number in the SDK's answer (data, result, error); None where it did not come whole. An answer
-        that refuses has no number: the SDK then hands out its checksum as data."""
+        """The register's unsigned number in the SDK's answer (data, result, error); None where the answer failed, has
+        another length, or refuses: then the SDK hands out a checksum as data."""
         data, result, error = answer
         whole = result == self._sdk.COMM_SUCCESS and len(data) == register[1] and not error & self.refusal
         return int.from_bytes(bytes(data), "little") if whole else None
@@ -121,8 +122,8 @@ class SerialServos:
             raise TautError(f"{self.kind} {number}: register {address} refused {value}: {why}")
 
     def _retry(self, number: int, ask: Callable[[], Any]) -> Any:
-        """`ask` with retries: the SDK's answer, whose last but one element is its communication result. TautError where
-        the servo does not answer."""
+        """Calls `ask`, one exchange with the servo `number`, until the SDK's answer (..., communication result, error)
+        says success; at most _SETUP_TRIES times, then TautError."""
         why = ""
         for _ in range(_SETUP_TRIES):
             try:
@@ -136,8 +137,8 @@ class SerialServos:
         raise TautError(f"{self.kind} {number} does not answer ({why}): check power, ID, baud rate and the plug")
 
     def _sdk_answer(self, ask: Callable[[], Any]) -> Any:
-        """What the SDK answers. TautError where the port is lost, Missed where a packet is so damaged that the SDK
-        fails on it."""
+        """Calls `ask`, a function of the SDK, and returns its answer. The SDK's exceptions become TautError where the
+        port is lost, and Missed where a damaged packet makes it fail."""
         try:
             return ask()
         except (serial.SerialException, OSError) as error:
@@ -149,7 +150,8 @@ class SerialServos:
     # -- cycles ---------------------------------------------------------------------------------------------------
 
     def measure(self) -> list[Measured]:
-        """Positions and status of all servos by one sync read. Missed where one is missing."""
+        """Position, speed, current and fault of each servo, in the order of `numbers`, by one sync read. Missed where
+        an answer is missing or too short."""
         sent = self._clock()
         result = self._sdk_answer(self._reading.txRxPacket)
         if result != self._sdk.COMM_SUCCESS:
@@ -169,17 +171,21 @@ class SerialServos:
         self._sdk_answer(self._writing.txPacket)
 
     def stop(self) -> None:
+        """Switches the torque of all servos off. TautError where one does not answer."""
         all_off(len(self.numbers), self.enable)
 
     def close(self) -> None:
+        """Closes the serial port; servos are left as they are."""
         self._port.closePort()
 
 
 def _port(sdk: ModuleType, bus: str) -> Any:
-    """The SDK's port, changed to wait for bytes instead of polling and to lock the line for itself."""
+    """The SDK's port on the serial device `bus`, not opened yet, whose reads wait for bytes instead of polling, whose
+    packets have _ANSWER_MS to come, and which locks the line for itself."""
 
     class Port(sdk.PortHandler):  # type: ignore[misc, name-defined]
         def setupPort(self, baud: int) -> bool:
+            """Opens the port at this rate, bit/s, with waiting reads and a lock; False where it has no such rate."""
             if not super().setupPort(baud):
                 return False
             try:
@@ -190,9 +196,11 @@ def _port(sdk: ModuleType, bus: str) -> Any:
             return True
 
         def setPacketTimeout(self, length: int) -> None:
+            """Sets how long an answer of so many bytes may take: its time on the line and _ANSWER_MS."""
             self.setPacketTimeoutMillis(self.tx_time_per_byte * length + _ANSWER_MS)
 
         def clearPort(self) -> None:
-            self.ser.reset_input_buffer()  # what came too late
+            """Drops bytes that came too late for their question."""
+            self.ser.reset_input_buffer()
 
     return Port(bus)

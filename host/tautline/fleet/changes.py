@@ -19,13 +19,14 @@ Array = npt.NDArray[np.float64]
 class _Levels:
     """A robot's usable sessions: log of the mean B over what all of them measured, and its sigma. (n,) each."""
 
-    at: list[int]  # places among the robot's sessions: its use is counted in them
-    level: Array
-    sigma: Array
+    at: list[int]  # their indices among all of the robot's sessions, by which its use is counted
+    level: Array  # log of the mean B
+    sigma: Array  # of `level`
 
     def line(self, scatter: float) -> tuple[Array, Array, Array]:
-        """A straight line of level over sessions, with `scatter` (of log B) added to every sigma: values (2,) and
-        covariance (2, 2) of level at the middle and growth a session, and the residuals (n,) over their sigma."""
+        """Fits a straight line of `level` over the sessions' indices by weighted least squares; scatter: a standard
+        deviation of log B that is added to every sigma in quadrature. Returns values (2,), level at the weighted middle
+        and growth a session, their covariance (2, 2), and the residuals (n,) over their sigma."""
         use = np.array(self.at, dtype=float)
         weight = 1.0 / (self.sigma**2 + scatter**2)
         columns = np.column_stack([np.ones(len(use)), use - np.average(use, weights=weight)])
@@ -34,20 +35,21 @@ class _Levels:
         return values, covariance, (self.level - columns @ values) * np.sqrt(weight)
 
 
-def compared(rows: Sequence[Row]) -> list[Row]:
-    """The rows, a robot's together and in its order, with what has changed since its first usable session."""
+def with_changes(rows: Sequence[Row]) -> list[Row]:
+    """The rows with the columns filled that compare a robot's sessions: since, width_change, offset_change, wear and
+    their sigmas. rows: a robot's together and in their order, as they are returned."""
     robots = [list(each) for _, each in groupby(rows, key=lambda row: row.robot)]
     levels = [_levels(robot) for robot in robots]
-    scatter = scatter_of(each for each in levels if each is not None)
-    ended = []
+    scatter = common_scatter(each for each in levels if each is not None)
+    changed_rows = []
     for robot, known in zip(robots, levels, strict=True):
-        ended += _unknown(robot) if known is None else _changed(robot, known, scatter)
-    return ended
+        changed_rows += _without_changes(robot) if known is None else _with_robot_changes(robot, known, scatter)
+    return changed_rows
 
 
-def scatter_of(levels: Iterable[_Levels]) -> float:
-    """Standard deviation of log B about a robot's own line beyond the stated sigmas, common to all robots: with it chi
-    square equals its degrees of freedom."""
+def common_scatter(levels: Iterable[_Levels]) -> float:
+    """By how much log B scatters about a robot's own line beyond the sigmas that sessions state: one standard deviation
+    for all robots, with which chi square equals its degrees of freedom; 0 where the sigmas explain all."""
     long = [each for each in levels if len(each.at) > 2]
     freedom = sum(len(each.at) - 2 for each in long)
 
@@ -61,10 +63,10 @@ def scatter_of(levels: Iterable[_Levels]) -> float:
 
 
 def _levels(robot: Sequence[Row]) -> _Levels | None:
-    """The logarithm of the mean B of a robot's usable sessions, over the range that all have measured, with sigmas;
-    sessions on another grid than the first one's are left out. None where there is no usable session, no range in
-    common, or a B of 0."""
-    usable = [(k, row) for k, row in enumerate(robot) if row.usable and row.q == _first(robot).q]
+    """The logarithm of the mean B of a robot's usable sessions (on the first one's grid), each over the range that all
+    of them have measured, so that they can be compared. None where there is no usable session, no range in common, or a
+    B of 0."""
+    usable = [(k, row) for k, row in enumerate(robot) if row.usable and row.q == _first_usable(robot).q]
     if not usable:
         return None
     low = max(row.measured_low or 0.0 for _, row in usable)
@@ -79,13 +81,13 @@ def _levels(robot: Sequence[Row]) -> _Levels | None:
     return _Levels([k for k, _ in usable], np.log(mean), sigma[:, inside].mean(axis=1) / mean)
 
 
-def _first(robot: Sequence[Row]) -> Row:
+def _first_usable(robot: Sequence[Row]) -> Row:
     """The robot's first usable session."""
     return next(row for row in robot if row.usable)
 
 
-def _unknown(robot: Sequence[Row]) -> list[Row]:
-    """The robot's rows with nothing said of changes."""
+def _without_changes(robot: Sequence[Row]) -> list[Row]:
+    """The robot's rows with all columns of changes empty, also those that an earlier run has filled."""
     return [
         replace(
             row, since=None, width_change=None, width_change_sigma=None, offset_change=None, wear=None, wear_sigma=None
@@ -94,34 +96,36 @@ def _unknown(robot: Sequence[Row]) -> list[Row]:
     ]
 
 
-def _changed(robot: Sequence[Row], known: _Levels, scatter: float) -> list[Row]:
-    """The robot's rows with their changes of B and offset since its first usable session, and its growth a session."""
+def _with_robot_changes(robot: Sequence[Row], known: _Levels, scatter: float) -> list[Row]:
+    """The robot's rows with its growth of B a session (wear) in each, and in the usable ones after the first the change
+    of B and offset since that. scatter: as in `_Levels.line`."""
     first = robot[known.at[0]]
     wear = wear_sigma = None
     if len(known.at) > 1:
         values, covariance, _ = known.line(scatter)
         wear, wear_sigma = float(values[1]), float(np.sqrt(covariance[1, 1]))
-    ended = [replace(row, wear=wear, wear_sigma=wear_sigma) for row in _unknown(robot)]
+    changed_rows = [replace(row, wear=wear, wear_sigma=wear_sigma) for row in _without_changes(robot)]
     for k, level, sigma in zip(known.at[1:], known.level[1:], known.sigma[1:], strict=True):
-        grown = float(np.exp(level - known.level[0]))
-        both = float(np.hypot(sigma, known.sigma[0]))
-        ended[k] = replace(
-            ended[k],
+        ratio = float(np.exp(level - known.level[0]))  # of mean B to the first one's
+        log_sigma = float(np.hypot(sigma, known.sigma[0]))
+        changed_rows[k] = replace(
+            changed_rows[k],
             since=first.session,
-            width_change=grown - 1.0,
-            width_change_sigma=grown * both,
-            offset_change=_offset(first, robot[k]),
+            width_change=ratio - 1.0,
+            width_change_sigma=ratio * log_sigma,
+            offset_change=_offset_change(first, robot[k]),
         )
-    return ended
+    return changed_rows
 
 
-def _offset(first: Row, later: Row) -> float | None:
-    """How far f_remain has moved along q, unit of q: the tip is where it was at q + offset. None where the two have no
-    angle in common."""
-    was, now = np.array(first.c_deg), np.array(later.c_deg)
-    inside = (now >= was.min()) & (now <= was.max())
+def _offset_change(first: Row, later: Row) -> float | None:
+    """How far f_remain (c_deg over q) has moved along q between two sessions, unit of q, the median over q: the tip is
+    at q where it was at q + offset. None where the two have no angle in common."""
+    first_deg, later_deg = np.array(first.c_deg), np.array(later.c_deg)
+    inside = (later_deg >= first_deg.min()) & (later_deg <= first_deg.max())
     if not inside.any():
         return None
-    order = np.argsort(was)
+    order = np.argsort(first_deg)
     q = np.array(first.q)
-    return float(np.median(np.interp(now[inside], was[order], q[order]) - q[inside]))
+    q_at_first = np.interp(later_deg[inside], first_deg[order], q[order])  # where the first had the later's angles
+    return float(np.median(q_at_first - q[inside]))

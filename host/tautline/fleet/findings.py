@@ -31,16 +31,18 @@ _SHOWN = 8  # display: names in a sentence
 
 @dataclass(frozen=True)
 class Named:
-    """A robot or a batch, and how likely it is what it is named as."""
+    """A robot or a batch that stands out, and how likely it does."""
 
     name: str
     probability: float
-    value: float  # growth of B a session, or squared distance over its mean
-    sigma: float
+    value: float  # growth of B a session as a share; for robots that are unlike, squared distance over its mean
+    sigma: float  # of `value`, NaN where it has none
 
 
 @dataclass(frozen=True)
 class Findings:
+    """What the rows of all sessions say of the fleet."""
+
     robots: int
     sessions: int
     failed: int
@@ -52,11 +54,12 @@ class Findings:
     unlike: tuple[Named, ...]  # B's shape or size is no other robot's
 
     def to_json(self) -> dict[str, Any]:
+        """The fields by name, for JSON."""
         return asdict(self)
 
     def sentences(self) -> list[str]:
-        """The findings in sentences, the most urgent first."""
-        made, of = counted(self.sessions, "session"), counted(self.robots, "robot")
+        """The findings as sentences for terminal and page: counts, usual growth, and then who is named as what."""
+        made, of = count_of(self.sessions, "session"), count_of(self.robots, "robot")
         said = [f"{made} of {of}, {self.failed} without a calibration."]
         if np.isfinite(self.wear):
             goes = "grows" if self.wear >= 0.0 else "shrinks"
@@ -75,23 +78,25 @@ class Findings:
         return said
 
 
-def counted(count: int, what: str) -> str:
+def count_of(count: int, what: str) -> str:
+    """A count with its noun, such as "1 robot" or "3 robots"."""
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 @dataclass(frozen=True)
 class _Growth:
-    """Growth of B a session by robot, (n,). It is wear times use, and use is log-normal: `log` is its logarithm, going
-    over into a straight line where growth is no more than its sigma; so that the spread is that of use."""
+    """Growth of B a session of each robot, (n,). It is wear times use, and use is log-normal, so that robots are
+    compared by the logarithm of growth (`log`), which goes over into a straight line where growth is no more than its
+    sigma."""
 
     robot: tuple[str, ...]
     batch: tuple[str | None, ...]
-    rate: Array
-    sigma: Array
+    rate: Array  # growth a session, as a share of B
+    sigma: Array  # of `rate`
 
     @classmethod
     def of(cls, rows: Sequence[Row]) -> _Growth:
-        """The growth of all robots of which it is known, from their last rows that state it."""
+        """The growth of all robots that have one (Row.wear), each from its last row that states it."""
         last = {row.robot: row for row in rows if row.wear is not None}
         values = np.array([[row.wear, row.wear_sigma] for row in last.values()], dtype=float).reshape(-1, 2)
         return cls(tuple(last), tuple(row.batch for row in last.values()), values[:, 0], values[:, 1])
@@ -115,127 +120,139 @@ class _Growth:
 
 @dataclass(frozen=True)
 class _Groups:
-    """Two normal distributions of the logarithm of growth, of one spread; `odds`: log odds of the second."""
+    """A mixture of two normal distributions of _Growth.log: usual robots, and those that wear sooner."""
 
-    usual: float
-    spread: float
-    sooner: float  # by so much the second is later
-    odds: float
+    usual: float  # mean of the first
+    spread: float  # standard deviation of both
+    sooner: float  # mean of the second less that of the first, > 0
+    odds: float  # prior log odds that a robot is of the second; minus infinity: there is no second
 
     def log_odds(self, growth: _Growth) -> Array:
-        """(n,) For each robot the log-likelihood ratio of being of the second group, by the data alone, without prior
-        odds."""
+        """(n,) For each robot the log-likelihood ratio of the second group to the first, without `odds`."""
         sigma = np.hypot(self.spread, growth.log_sigma)
         second = norm.logpdf(growth.log, self.usual + self.sooner, sigma)
         return np.asarray(second - norm.logpdf(growth.log, self.usual, sigma))
 
 
 def findings(rows: Sequence[Row]) -> Findings:
-    """What a run finds in the rows of all sessions, as it ends with them."""
-    with threadpool_limits(1, "blas"):  # its systems are small
+    """What the rows of all sessions, compared by `fleet.changes`, say: drifting robots, worn robots and batches,
+    robots that are unlike the others."""
+    with threadpool_limits(1, "blas"):  # small systems: more threads would only wait for each other
         return _findings(rows)
 
 
 def _findings(rows: Sequence[Row]) -> Findings:
-    """Findings from the rows of all sessions."""
+    """The body of `findings`."""
     growth = _Growth.of(rows)
-    groups = _groups(growth)
+    groups = _fit_groups(growth)
     worn: list[Named] = []
     batches: list[Named] = []
     if groups is not None and np.isfinite(groups.odds):
         odds = groups.log_odds(growth)
-        each = expit(odds + groups.odds)
-        worn = _named(growth.robot, each, growth.rate, growth.sigma)
-        batches = _batches(growth, odds, groups.odds)
-    certain = 2.0 * norm.sf(np.abs(growth.rate) / growth.sigma) if len(growth.rate) else np.zeros(0)
-    drifting = [
-        Named(name, float(1.0 - p), float(rate), float(sigma))
-        for name, p, rate, sigma in zip(growth.robot, certain, growth.rate, growth.sigma, strict=True)
-        if p * len(certain) < _FALSE
-    ]
+        worn = _name_likely(growth.robot, expit(odds + groups.odds), growth.rate, growth.sigma)
+        batches = _worn_batches(growth, odds, groups.odds)
     return Findings(
         robots=len({row.robot for row in rows}),
         sessions=len(rows),
         failed=sum(row.verdict == FAILED for row in rows),
         wear=growth.usual_sigma * float(np.sinh(groups.usual)) if groups else float("nan"),
         wear_spread=groups.spread if groups else float("nan"),
-        drifting=tuple(sorted(drifting, key=lambda one: -abs(one.value))),
+        drifting=tuple(sorted(_drifting_robots(growth), key=lambda one: -abs(one.value))),
         worn=tuple(worn),
         worn_batches=tuple(batches),
-        unlike=tuple(_unlike(rows)),
+        unlike=tuple(_unlike_robots(rows)),
     )
 
 
-def _named(names: Sequence[str], probability: Array, value: Array, sigma: Array) -> list[Named]:
-    """The likeliest of these, as many as leave the expected number of false ones below _FALSE. probability, value,
-    sigma (n,)."""
+def _drifting_robots(growth: _Growth) -> list[Named]:
+    """Robots whose growth differs from 0: two-sided p-values of a normal test, with fewer than _FALSE false ones
+    expected among all robots (Bonferroni)."""
+    if not len(growth.rate):
+        return []
+    p_values = 2.0 * norm.sf(np.abs(growth.rate) / growth.sigma)
+    return [
+        Named(name, float(1.0 - p), float(rate), float(sigma))
+        for name, p, rate, sigma in zip(growth.robot, p_values, growth.rate, growth.sigma, strict=True)
+        if p * len(p_values) < _FALSE
+    ]
+
+
+def _name_likely(names: Sequence[str], probability: Array, value: Array, sigma: Array) -> list[Named]:
+    """Names the likeliest ones, as many as keep the expected number of false ones among them below _FALSE. probability,
+    value, sigma: (n,) of each of the names."""
     order = np.argsort(-probability, kind="stable")
-    false = np.cumsum(1.0 - probability[order])
-    keep = order[: int(np.sum(false < _FALSE))]
+    expected_false = np.cumsum(1.0 - probability[order])
+    keep = order[: int(np.sum(expected_false < _FALSE))]
     return [Named(names[k], float(probability[k]), float(value[k]), float(sigma[k])) for k in keep]
 
 
-def _batches(growth: _Growth, odds: Array, prior: float) -> list[Named]:
-    """Batches all of whose robots are more likely of the second group than of the first. odds (n,): of each robot by
-    the data; prior: log odds of the second group."""
+def _worn_batches(growth: _Growth, odds: Array, prior: float) -> list[Named]:
+    """Batches that are likely, all their robots together, of the group that wears sooner. odds (n,): each robot's
+    log-likelihood ratio (_Groups.log_odds); prior: log odds of that group beforehand. None of a single batch, as there
+    is nothing to compare it with."""
     names = sorted({batch for batch in growth.batch if batch is not None})
     if len(names) < 2:
         return []
-    of = [np.array([batch == name for batch in growth.batch]) for name in names]
-    probability = np.array([expit(prior + float(odds[own].sum())) for own in of])
-    rate = np.array([growth.rate[own].mean() for own in of])
-    scatter = [max(growth.rate[own].std(), np.sqrt(np.mean(growth.sigma[own] ** 2))) for own in of]  # 0 of one robot
-    sigma = np.array([each / np.sqrt(own.sum()) for each, own in zip(scatter, of, strict=True)])
-    return _named(names, probability, rate, sigma)
+    members = [np.array([batch == name for batch in growth.batch]) for name in names]  # masks over robots
+    probability = np.array([expit(prior + float(odds[own].sum())) for own in members])
+    rate = np.array([growth.rate[own].mean() for own in members])
+    # The scatter of a single robot is 0: no less than the sigmas that are stated.
+    scatter = [max(growth.rate[own].std(), np.sqrt(np.mean(growth.sigma[own] ** 2))) for own in members]
+    sigma = np.array([each / np.sqrt(own.sum()) for each, own in zip(scatter, members, strict=True)])
+    return _name_likely(names, probability, rate, sigma)
 
 
-def _groups(growth: _Growth) -> _Groups | None:
-    """The likeliest groups; one alone (odds of minus infinity) unless two are likelier by more than their two further
-    numbers are worth (Schwarz). None where too few robots tell."""
+def _fit_groups(growth: _Growth) -> _Groups | None:
+    """Fits the mixture of usual and worn robots by maximum posterior. One group alone (odds of minus infinity) unless
+    two are likelier by more than their two further parameters cost (Schwarz' criterion). None for fewer than _FEWEST
+    robots."""
     if len(growth.rate) < _FEWEST:
         return None
     middle = float(np.median(growth.log))
-    apart = max(spread.deviation(growth.log - middle), 1e-3)
+    unit = max(spread.deviation(growth.log - middle), 1e-3)  # of lengths in x: the robust standard deviation
 
-    def read(x: Array) -> _Groups:
-        """The groups by x (4,), lengths over `apart`: usual log growth less the median, log of the spread, log of how
-        much later than _APART spreads the second group is; log odds."""
-        own = apart * np.exp(x[1])
-        return _Groups(middle + apart * x[0], own, _APART * own + apart * np.exp(x[2]), float(x[3]))
+    def groups_at(x: Array) -> _Groups:
+        """The groups for the parameters x (4,), lengths in `unit`: mean of the first less `middle`; log of the spread;
+        log of how much further away than _APART spreads the second is; log odds."""
+        own_spread = unit * np.exp(x[1])
+        return _Groups(middle + unit * x[0], own_spread, _APART * own_spread + unit * np.exp(x[2]), float(x[3]))
 
-    def one(x: Array) -> float:  # the spread is about what the median deviation says, within a factor of e
-        """Minus the log posterior of one group, x (2,) as in `read`."""
-        sigma = np.hypot(apart * np.exp(x[1]), growth.log_sigma)
-        return 0.5 * float(x[1]) ** 2 - float(norm.logpdf(growth.log, middle + apart * x[0], sigma).sum())
+    # Prior of both: the spread is about `unit`, within a factor of e.
+    def cost_of_one(x: Array) -> float:
+        """Minus the log posterior of one group; x (2,): the first two of `groups_at`."""
+        sigma = np.hypot(unit * np.exp(x[1]), growth.log_sigma)
+        return 0.5 * float(x[1]) ** 2 - float(norm.logpdf(growth.log, middle + unit * x[0], sigma).sum())
 
-    def two(x: Array) -> float:
-        """Minus the log posterior of two groups, x (4,) as in `read`."""
-        groups = read(x)
+    def cost_of_two(x: Array) -> float:
+        """Minus the log posterior of two groups; x (4,) as in `groups_at`."""
+        groups = groups_at(x)
         usual = norm.logpdf(growth.log, groups.usual, np.hypot(groups.spread, growth.log_sigma))
-        both = np.logaddexp(log_expit(-groups.odds), groups.log_odds(growth) + log_expit(groups.odds))
-        return 0.5 * float(x[1]) ** 2 - float((usual + both).sum())
+        mixed = np.logaddexp(log_expit(-groups.odds), groups.log_odds(growth) + log_expit(groups.odds))
+        return 0.5 * float(x[1]) ** 2 - float((usual + mixed).sum())
 
-    single = minimize(one, np.zeros(2), method="L-BFGS-B", bounds=[(-9.0, 9.0)] * 2)
+    one = minimize(cost_of_one, np.zeros(2), method="L-BFGS-B", bounds=[(-9.0, 9.0)] * 2)
     bounds = [(-9.0, 9.0), (-4.0, 4.0), (-4.0, 4.0), (-12.0, 0.0)]
     starts = [np.array([0.0, 0.0, np.log(far), odds]) for far in (1.0, 4.0, 12.0) for odds in (-4.0, -1.5)]
-    best = min((minimize(two, start, method="L-BFGS-B", bounds=bounds) for start in starts), key=lambda fit: fit.fun)
-    if single.fun - best.fun > np.log(len(growth.rate)):
-        return read(best.x)
-    return replace(read(np.array([*single.x, 0.0, 0.0])), odds=-np.inf)
+    fits = [minimize(cost_of_two, start, method="L-BFGS-B", bounds=bounds) for start in starts]
+    two = min(fits, key=lambda fit: fit.fun)
+    if one.fun - two.fun > np.log(len(growth.rate)):
+        return groups_at(two.x)
+    return replace(groups_at(np.array([*one.x, 0.0, 0.0])), odds=-np.inf)
 
 
-def _unlike(rows: Sequence[Row]) -> list[Named]:
-    """Robots whose last usable session is too far off the fleet's B."""
+def _unlike_robots(rows: Sequence[Row]) -> list[Named]:
+    """Robots whose B, by the last usable session, is further from the fleet's than chance explains, furthest first;
+    fewer than _FALSE false ones are expected among all (Bonferroni)."""
     try:
         curves = log_widths(list({row.robot: row for row in rows if row.usable}.values()))
     except TautError:  # too few robots: nothing is usual
         return []
     known = population(curves)
-    chance = known.chance(curves)
-    far = known.distance(curves) / np.maximum(curves.told, 1.0)
+    p_values = known.chance(curves)
+    distance = known.distance(curves) / np.maximum(curves.dimensions, 1.0)
     found = [
         Named(name, float(1.0 - p), float(d), float("nan"))
-        for name, p, d in zip(curves.names, chance, far, strict=True)
-        if p * len(chance) < _FALSE
+        for name, p, d in zip(curves.names, p_values, distance, strict=True)
+        if p * len(p_values) < _FALSE
     ]
     return sorted(found, key=lambda one: -one.value)

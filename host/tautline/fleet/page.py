@@ -11,7 +11,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from tautline.fleet.findings import Findings, Named, counted
+from tautline.fleet.findings import Findings, Named, count_of
 from tautline.fleet.rows import Row
 from tautline.reports import figures, pages
 
@@ -22,36 +22,40 @@ _CURVES = 400  # display: of the robots, evenly taken, that a picture shows
 
 
 def write(rows: Sequence[Row], found: Findings, out: Path) -> None:
-    """Writes OUT/fleet.html. rows: each robot's in the order of its sessions. A column's name that begins with | is of
-    text."""
-    last = _last(rows)
+    """Writes OUT/fleet.html: findings in sentences, two pictures, tables. rows: of all sessions, each robot's in their
+    order. In a table's head a name that begins with | is of a column of text."""
+    last = _last_usable(rows)
     failed = [[row.robot, row.session, row.error or ""] for row in rows if row.error is not None]
     growth = ["|robot", "|batch", "B a session (%)", "sigma (%)", "|last session", "|verdict"]
     page = {
-        "title": f"What a fleet of {counted(found.robots, 'robot')} loses between motor and tip",
+        "title": f"What a fleet of {count_of(found.robots, 'robot')} loses between motor and tip",
         "sentences": found.sentences(),
         "growth": pages.picture(
-            growth_of(rows, found), "Growth of B", "Of each robot, a session, with 2 sigma. Red: worn sooner."
+            growth_picture(rows, found), "Growth of B", "Of each robot, a session, with 2 sigma. Red: worn sooner."
         )
         if any(row.wear is not None for row in rows)
         else None,
         "spread": pages.picture(
-            spread_of(list(last.values()), found), "B of all robots", "B of each robot's last session. Red: unlike."
+            spread_picture(list(last.values()), found),
+            "B of all robots",
+            "B of each robot's last session. Red: unlike.",
         )
         if last
         else None,
         "parts": [
-            _part("Worn batches", "All of whose robots together wear sooner.", ["|batch", "B a session (%)"],
+            _table("Worn batches", "All of whose robots together wear sooner.", ["|batch", "B a session (%)"],
                   [[one.name, _percent(one.value)] for one in found.worn_batches]),
-            _part("Worn sooner", "Of a group whose B grows faster than the others'.", growth, _lines(found.worn, last)),
-            _part("Unlike", "B of the last session is off the fleet's by more than any robot's of as many.",
+            _table("Worn sooner", "Of a group whose B grows faster than the others'.", growth,
+                   _growth_rows(found.worn, last)),
+            _table("Unlike", "B of the last session is off the fleet's by more than any robot's of as many.",
                   ["|robot", "|batch", "squared distance over its mean"],
                   [[one.name, _batch(last, one.name), f"{one.value:.3g}"] for one in found.unlike]),
-            _part("Drifting", "B changes from session to session for certain; fastest first.", growth,
-                  _lines(found.drifting, last)),
-            _part("Robots", "Each with its last usable session.",
-                  ["|robot", "|batch", "sessions", "|last session", "|verdict", "B in the mean"], _robots(rows, last)),
-            _part("Without a calibration",
+            _table("Drifting", "B changes from session to session for certain; fastest first.", growth,
+                  _growth_rows(found.drifting, last)),
+            _table("Robots", "Each with its last usable session.",
+                  ["|robot", "|batch", "sessions", "|last session", "|verdict", "B in the mean"],
+                  _robot_rows(rows, last)),
+            _table("Without a calibration",
                   "They are tried again when their files change; where those cannot be read, or workers died, always.",
                   ["|robot", "|session", "|why"], failed),
         ],
@@ -59,15 +63,17 @@ def write(rows: Sequence[Row], found: Findings, out: Path) -> None:
     pages.write_page("fleet.html", page, out / FILE)
 
 
-def _part(title: str, says: str, head: list[str], rows: list[list[str]]) -> dict[str, Any]:
-    """One table of the page; of a long one the first _MOST rows."""
+def _table(title: str, says: str, head: list[str], rows: list[list[str]]) -> dict[str, Any]:
+    """One table of the page as the template takes it: title with the number of rows, a sentence `says`, column names
+    `head`, and the cells; of a long one the first _MOST rows."""
     if len(rows) > _MOST:
         says += f" The first {_MOST} of {len(rows)}; --json and the data set have all."
     return {"title": f"{title}: {len(rows)}", "says": says, "head": head, "rows": rows[:_MOST]}
 
 
-def _lines(named: Sequence[Named], last: dict[str, Row]) -> list[list[str]]:
-    """Rows of a table: robot, batch, growth and its sigma in percent, last session, verdict."""
+def _growth_rows(named: Sequence[Named], last: dict[str, Row]) -> list[list[str]]:
+    """Cells of a table of robots that are named for their growth: robot, batch, growth of B a session and its sigma, %,
+    last session, verdict. last: as of `_last_usable`."""
     return [
         [one.name, _batch(last, one.name), _percent(one.value), _percent(one.sigma), last[one.name].session,
          last[one.name].verdict]
@@ -75,46 +81,50 @@ def _lines(named: Sequence[Named], last: dict[str, Row]) -> list[list[str]]:
     ]  # fmt: skip
 
 
-def _robots(rows: Sequence[Row], last: dict[str, Row]) -> list[list[str]]:
-    """Rows of a table of all robots; with no usable session the last columns are empty."""
+def _robot_rows(rows: Sequence[Row], last: dict[str, Row]) -> list[list[str]]:
+    """Cells of the table of all robots: robot, batch, number of sessions, and of the last usable one its name, verdict
+    and mean B, empty where there is none."""
     lines = []
     for robot, sessions in Counter(row.robot for row in rows).items():
         row = last.get(robot)
         batch = next((each.batch or "" for each in rows if each.robot == robot), "")
-        told = ["", "", ""] if row is None else [row.session, row.verdict, _mean_width(row)]
-        lines.append([robot, batch, str(sessions), *told])
+        of_last = ["", "", ""] if row is None else [row.session, row.verdict, _mean_width(row)]
+        lines.append([robot, batch, str(sessions), *of_last])
     return lines
 
 
 def _mean_width(row: Row) -> str:
-    """B in the mean over where it was measured; "" where that is narrower than the row's places are apart."""
-    _, width = _measured(row)
+    """The mean of B over where it was measured, with its unit, as text; "" where none of the row's places is there."""
+    _, width = _measured_curve(row)
     return f"{np.mean(width):.3g} {row.unit}" if len(width) else ""
 
 
-def _measured(row: Row) -> tuple[np.ndarray, np.ndarray]:
-    """The places q and widths B of a session where B was measured, unit of q; (n,) each."""
+def _measured_curve(row: Row) -> tuple[np.ndarray, np.ndarray]:
+    """Places q and widths B of a session, (n,) each, unit of q, cut to where B was measured."""
     q, width = np.array(row.q), np.array(row.width)
     inside = (q >= (row.measured_low or 0.0)) & (q <= (row.measured_high or 0.0))
     return q[inside], width[inside]
 
 
-def _last(rows: Sequence[Row]) -> dict[str, Row]:
-    """The last usable session of each robot."""
+def _last_usable(rows: Sequence[Row]) -> dict[str, Row]:
+    """The last usable session of each robot that has one, by robot."""
     return {row.robot: row for row in rows if row.usable}
 
 
 def _batch(last: dict[str, Row], robot: str) -> str:
+    """The robot's batch, "" where it has none."""
     return last[robot].batch or ""
 
 
 def _percent(share: float) -> str:
+    """A share as percent, without the sign %, to two digits."""
     return f"{100 * share:.2g}"
 
 
 @mpl.rc_context(figures.STYLE)
-def growth_of(rows: Sequence[Row], found: Findings) -> Figure:
-    """Each robot's growth of B a session with two sigmas, worn ones in another colour."""
+def growth_picture(rows: Sequence[Row], found: Findings) -> Figure:
+    """Draws each robot's growth of B a session, %, with 2 sigma, sorted by batch; robots that are named as worn are in
+    another colour."""
     known = {row.robot: row for row in rows if row.wear is not None}
     order = sorted(known.values(), key=lambda row: (row.batch or "", row.robot))
     worn = {one.name for one in found.worn}
@@ -132,15 +142,16 @@ def growth_of(rows: Sequence[Row], found: Findings) -> Figure:
 
 
 @mpl.rc_context(figures.STYLE)
-def spread_of(last: Sequence[Row], found: Findings) -> Figure:
-    """B over q of some robots, and of all that are unlike the others, in another colour."""
+def spread_picture(last: Sequence[Row], found: Findings) -> Figure:
+    """Draws B over q of up to about _CURVES robots, and in another colour of all that are named as unlike. last: one
+    row of each robot."""
     unlike = {one.name for one in found.unlike}
     shown = last[:: max(1, len(last) // _CURVES)]
     made, axes = figures.figure(10.5, 3.6)
     ax = axes[0, 0]
     for row in [*shown, *(row for row in last if row.robot in unlike)]:
         look: dict[str, Any] = {"color": figures.MODEL, "linewidth": 1.0} if row.robot in unlike else _USUAL
-        ax.plot(*_measured(row), **look)
+        ax.plot(*_measured_curve(row), **look)
     unit = last[0].unit or ""
     ax.set_xlabel(f"q ({unit})")
     ax.set_ylabel(f"B ({unit})")

@@ -40,29 +40,28 @@ _LEAST = 1e-3  # tolerance: of a session's largest B
 
 @dataclass(frozen=True)
 class Curves:
-    """Sessions' curves (n, k) at places q (k,), with one sigma each, the part of it by which all places are off
-    together, and whose they are."""
+    """A curve of each of n sessions (such as log B) at k places, with its errors."""
 
-    q: Array
-    value: Array
-    sigma: Array
-    names: tuple[str, ...]
-    together: Array | None = None
+    q: Array  # (k,) places
+    value: Array  # (n, k)
+    sigma: Array  # (n, k) of `value`; _UNTOLD and more where a session says nothing
+    names: tuple[str, ...]  # (n,) the robots whose sessions they are
+    together: Array | None = None  # (n, k) the part of sigma by which all places of a curve are off together, signed
 
     def of(self, keep: npt.NDArray[np.intp]) -> Curves:
-        """The curves with these indices, (n,)."""
+        """The curves with the indices `keep`."""
         names = tuple(self.names[k] for k in keep)
         together = None if self.together is None else self.together[keep]
         return Curves(self.q, self.value[keep], self.sigma[keep], names, together)
 
     @property
-    def told(self) -> Array:
-        """(n,) at how many places each session says anything: a curve has no more dimensions than that."""
+    def dimensions(self) -> Array:
+        """(n,) At how many places each session says anything: its number of dimensions in a density or a test."""
         return np.asarray(np.sum(self.sigma < _UNTOLD, axis=1), dtype=float)
 
     @cached_property
     def noise(self) -> Array:
-        """(n, k, k) covariance of each session's errors."""
+        """(n, k, k) Covariance of each session's errors: each place's own on the diagonal, and the common part."""
         if self.together is None:
             return _diagonal(self.sigma**2)
         own = np.maximum(self.sigma**2 - self.together**2, (_OWN * self.sigma) ** 2)
@@ -70,73 +69,76 @@ class Curves:
 
     @cached_property
     def robot(self) -> npt.NDArray[np.intp]:
-        """(n,) their numbers, from 0 on."""
+        """(n,) The number of each session's robot, from 0 on."""
         return np.unique(self.names, return_inverse=True)[1]
 
     @property
     def weight(self) -> Array:
-        """(n,) 1 over the number of its robot's sessions: one robot is as much as another."""
+        """(n,) Weight of each session, 1 over the number of its robot's: each robot counts once."""
         return np.asarray(1.0 / np.bincount(self.robot)[self.robot])
 
 
 @dataclass(frozen=True)
 class Population:
-    """mean (k,) and scale matrix (k, k) at places q, unit of the curve; degrees of freedom of the tail."""
+    """A multivariate Student t of robots' curves at k places, in the curves' unit."""
 
-    q: Array
-    mean: Array
-    scale: Array
-    freedom: float
+    q: Array  # (k,) places
+    mean: Array  # (k,)
+    scale: Array  # (k, k) scale matrix
+    freedom: float  # degrees of freedom: the smaller, the heavier the tail
 
     def distance(self, curves: Curves) -> Array:
-        """(n,) Squared Mahalanobis distance from the mean, the session's own errors included: on average the number of
-        places that told the curve, more in the tail."""
+        """(n,) Squared Mahalanobis distance of each curve from the mean, its errors included in the covariance. For
+        robots of this fleet it is about the number of places that say anything (`Curves.dimensions`), more in the
+        tail."""
         off = curves.value - self.mean
-        return np.asarray(np.einsum("nk,nk->n", off, _solved(self.scale + curves.noise, off)))
+        return np.asarray(np.einsum("nk,nk->n", off, _solve_each(self.scale + curves.noise, off)))
 
     def chance(self, curves: Curves) -> Array:
-        """(n,) Probability that a robot of this fleet is at least as far off."""
-        size = np.maximum(curves.told, 1.0)
+        """(n,) For each curve the probability (p-value, by the F distribution) that a robot of this fleet is at least
+        as far from the mean."""
+        size = np.maximum(curves.dimensions, 1.0)
         return np.asarray(fdtrc(size, self.freedom, self.distance(curves) / size))
 
     def log_density(self, curves: Curves) -> Array:
-        """(n,) Logarithm of each curve's density, without the constant that places without a word add, which is the
-        same for all populations."""
+        """(n,) Logarithm of each curve's density, to compare populations by. A constant of places that say nothing is
+        left out: it is the same for all populations."""
         half_log = 0.5 * np.linalg.slogdet(self.scale + curves.noise)[1]
-        return np.asarray(_log_student(self.distance(curves), curves.told, self.freedom) - half_log)
+        return np.asarray(_log_student(self.distance(curves), curves.dimensions, self.freedom) - half_log)
 
 
-def _log_student(squares: Array, size: npt.ArrayLike, free: float) -> Array:
-    """Logarithm of a multivariate Student t's density at squared Mahalanobis distances, in so many dimensions, without
-    half that of its scale matrix's determinant. free: degrees of freedom."""
+def _log_student(squares: Array, size: npt.ArrayLike, freedom: float) -> Array:
+    """Logarithm of a multivariate Student t's density at squared Mahalanobis distances `squares`, in `size` dimensions,
+    less the term -log(det(scale matrix)) / 2, which the caller adds. Element by element."""
     size = np.asarray(size)
-    top = gammaln(0.5 * (free + size)) - gammaln(0.5 * free) - 0.5 * size * np.log(free * np.pi)
-    return np.asarray(top - 0.5 * (free + size) * np.log1p(squares / free))
+    constant = gammaln(0.5 * (freedom + size)) - gammaln(0.5 * freedom) - 0.5 * size * np.log(freedom * np.pi)
+    return np.asarray(constant - 0.5 * (freedom + size) * np.log1p(squares / freedom))
 
 
 def log_widths(rows: Sequence[Row]) -> Curves:
-    """The logarithm of B, whose spread is a share, of the usable sessions at the places that most have. TautError where
-    too few robots have any."""
-    usable = _of_one_kind([row for row in rows if row.usable and row.q], lambda row: (row.unit, row.q))
+    """The curves log B of the usable sessions, of those with the most common places (unit and q). In the logarithm a
+    spread between robots is a share of B. Beyond a session's outermost reversals its sigma is _UNTOLD. TautError where
+    fewer than LEAST_ROBOTS have one."""
+    usable = _most_common_kind([row for row in rows if row.usable and row.q], lambda row: (row.unit, row.q))
     robots = len({row.robot for row in usable})
     if robots < LEAST_ROBOTS:
         raise TautError(f"{robots} robots of one range are calibrated: a fleet's spread takes {LEAST_ROBOTS}")
     width, stated = (np.array([getattr(row, name) for row in usable]) for name in ("width", "width_sigma"))
     q = np.array(usable[0].q)
     ends = np.array([(row.measured_low, row.measured_high) for row in usable], dtype=float)
-    told = (ends[:, :1] <= q) & (q <= ends[:, 1:])  # beyond the reversals sigma is the distance to them, not B's size
-    width = np.maximum(width, np.where(told, stated, 0.0))  # a B of 0 is small
-    width = np.where(told, width, np.maximum(width, _LEAST * width.max(axis=1, keepdims=True)))
-    sigma = np.where(told, np.minimum(stated / width, _UNKNOWN), _UNTOLD)
+    measured = (ends[:, :1] <= q) & (q <= ends[:, 1:])  # beyond, the stated sigma is the distance to a reversal
+    width = np.maximum(width, np.where(measured, stated, 0.0))  # a B of 0 has no logarithm: B is its sigma at least
+    width = np.where(measured, width, np.maximum(width, _LEAST * width.max(axis=1, keepdims=True)))
+    sigma = np.where(measured, np.minimum(stated / width, _UNKNOWN), _UNTOLD)
     by_delay = np.array([row.width_by_delay or (0.0,) * len(q) for row in usable])
-    together = np.where(told, np.clip(by_delay / width, -sigma, sigma), 0.0)
+    together = np.where(measured, np.clip(by_delay / width, -sigma, sigma), 0.0)
     return Curves(q, np.log(width), sigma, tuple(row.robot for row in usable), together)
 
 
 def paths(rows: Sequence[Row]) -> list[Curves]:
-    """The path that the tip's sensor sees, a set of curves for each coordinate (px or deg), of the usable sessions with
-    what most have; none where too few robots have any."""
-    seen = _of_one_sensor(rows)
+    """The path over q that the tip's sensor sees, of the usable sessions with the most common kind of it: one Curves
+    for each coordinate (u and v in px, or an angle in deg). Empty where fewer than LEAST_ROBOTS have one."""
+    seen = _most_common_paths(rows)
     if len({row.robot for row in seen}) < LEAST_ROBOTS:
         return []
     q, names = np.array(seen[0].q), tuple(row.robot for row in seen)
@@ -147,107 +149,114 @@ def paths(rows: Sequence[Row]) -> list[Curves]:
 
 
 def delays(rows: Sequence[Row]) -> Curves | None:
-    """The delay of the sensor that sees `paths`, s, a curve of one place, of the usable sessions that tell it; None
-    where too few robots have any."""
-    told = [(row.robot, row.delay_s, row.delay_sigma_s) for row in _of_one_sensor(rows) if row.delay_sigma_s]
+    """The delay, s, of the sensor that sees `paths`, as curves of a single place (n, 1), of the usable sessions that
+    have one with its sigma. None where fewer than LEAST_ROBOTS do."""
+    told = [(row.robot, row.delay_s, row.delay_sigma_s) for row in _most_common_paths(rows) if row.delay_sigma_s]
     if len({robot for robot, _, _ in told}) < LEAST_ROBOTS:
         return None
     names, value, sigma = zip(*told, strict=True)
     return Curves(np.zeros(1), np.array(value, dtype=float)[:, None], np.array(sigma, dtype=float)[:, None], names)
 
 
-def _of_one_sensor(rows: Sequence[Row]) -> list[Row]:
-    """The usable sessions whose path is of the range and of as many coordinates as most have."""
+def _most_common_paths(rows: Sequence[Row]) -> list[Row]:
+    """The usable sessions with a path, of those with the most common unit, places and number of coordinates."""
     seen = [row for row in rows if row.usable and row.path]
-    return _of_one_kind(seen, lambda row: (row.unit, row.q, len(row.path)))
+    return _most_common_kind(seen, lambda row: (row.unit, row.q, len(row.path)))
 
 
-def _of_one_kind(rows: Sequence[Row], kind: Callable[[Row], Hashable]) -> list[Row]:
-    """Those of the kind that most are of."""
+def _most_common_kind(rows: Sequence[Row], kind: Callable[[Row], Hashable]) -> list[Row]:
+    """The rows for which `kind` gives its most common value."""
     kinds = [kind(row) for row in rows]
-    usual = max(set(kinds), key=kinds.count, default=None)
-    return [row for row, own in zip(rows, kinds, strict=True) if own == usual]
+    most_common = max(set(kinds), key=kinds.count, default=None)
+    return [row for row, own in zip(rows, kinds, strict=True) if own == most_common]
 
 
 def population(curves: Curves, of_next: bool = False) -> Population:
-    """How the curves are spread, as the module says: kernel and tail are those that foretell left-out robots best.
-    of_next: what the next robot may be, which may be worn as none of these is."""
+    """Fits how the curves are spread between robots (see the module). The kernel's length and worth and the tail are
+    chosen by cross-validation: those under which robots that were left out are likeliest. of_next: the result is a
+    prior for the next robot, which may be worn as none of these is: only the heaviest tail, and worths of
+    _WORTH_OF_NEXT and more."""
     if len(curves.value) > _MOST:
         curves = curves.of(np.linspace(0, len(curves.value) - 1, _MOST).astype(np.intp))
     tails = _TAILS[:1] if of_next else _TAILS
     choices = [each for each in product(_LENGTHS, _WORTH, tails) if not of_next or each[1] >= _WORTH_OF_NEXT]
-    told = np.zeros(len(choices))
+    score = np.zeros(len(choices))  # log density of robots that were left out
     for part in range(_PARTS):
-        out = curves.robot % _PARTS == part
-        rest, left = curves.of(np.flatnonzero(~out)), curves.of(np.flatnonzero(out))
-        fitted = {free: _fitted(rest, free) for free in tails}
-        for i, (length, worth, free) in enumerate(choices):
-            there = _shrunk(*fitted[free], rest, length, worth, free)
-            told[i] += float(left.weight @ there.log_density(left))
-    length, worth, free = choices[int(np.argmax(told))]
-    return _shrunk(*_fitted(curves, free), curves, length, worth, free)
+        left_out = curves.robot % _PARTS == part
+        training, test = curves.of(np.flatnonzero(~left_out)), curves.of(np.flatnonzero(left_out))
+        fitted = {freedom: _fit_mean_and_scatter(training, freedom) for freedom in tails}
+        for i, (length, worth, freedom) in enumerate(choices):
+            known = _shrink_scatter(*fitted[freedom], training, length, worth, freedom)
+            score[i] += float(test.weight @ known.log_density(test))
+    length, worth, freedom = choices[int(np.argmax(score))]
+    return _shrink_scatter(*_fit_mean_and_scatter(curves, freedom), curves, length, worth, freedom)
 
 
 def single(curves: Curves) -> Population:
-    """How a single value (n, 1) is spread, for the next robot: the mean of what may be, over all spreads from none on
-    and all tails, none of which is likelier beforehand. One of no spread would be told by nothing but that the sessions
-    state their errors exactly."""
+    """How a single value (n, 1), such as the delay, is spread between robots, as a prior for the next one: the mean
+    over a grid of spreads, from 0 on, and tails, each weighted by its posterior probability under a flat prior. The
+    likeliest spread alone would not do: it is 0 whenever sessions overstate their errors."""
     value, variance, weight = curves.value[:, 0], curves.sigma[:, 0] ** 2, curves.weight
     middle = float(np.median(value))
-    scales = np.linspace(0.0, _WIDEST * float(np.sqrt(np.mean((value - middle) ** 2))), _SPREADS)[:, None]
-    total = scales**2 + variance  # (spreads, n)
-    told, mean2 = np.zeros((len(_TAILS), _SPREADS)), np.zeros((len(_TAILS), _SPREADS))
-    means = np.zeros((len(_TAILS), _SPREADS))
-    for i, free in enumerate(_TAILS):
+    spreads = np.linspace(0.0, _WIDEST * float(np.sqrt(np.mean((value - middle) ** 2))), _SPREADS)[:, None]
+    total = spreads**2 + variance  # (spreads, n)
+    means, mean_variances, log_evidence = (np.zeros((len(_TAILS), _SPREADS)) for _ in range(3))
+    for i, freedom in enumerate(_TAILS):
         mean = np.full(_SPREADS, middle)
-        for _ in range(_STEPS):
-            pulls = weight * (free + 1.0) / (free + (value - mean[:, None]) ** 2 / total) / total
+        for _ in range(_STEPS):  # iteratively reweighted, to the mean of a Student t
+            pulls = weight * (freedom + 1.0) / (freedom + (value - mean[:, None]) ** 2 / total) / total
             mean = (pulls @ value) / pulls.sum(axis=1)
-        means[i], mean2[i] = mean, 1.0 / (weight / total).sum(axis=1)
-        density = _log_student((value - mean[:, None]) ** 2 / total, 1.0, free) - 0.5 * np.log(total)
-        told[i] = density @ weight + 0.5 * np.log(mean2[i])
-    chance = np.exp(told - told.max())
-    chance /= chance.sum()
-    usual = float(np.sum(chance * means))
-    scale = float(np.sum(chance * (scales[:, 0] ** 2 + mean2 + (means - usual) ** 2)))
+        means[i], mean_variances[i] = mean, 1.0 / (weight / total).sum(axis=1)
+        density = _log_student((value - mean[:, None]) ** 2 / total, 1.0, freedom) - 0.5 * np.log(total)
+        log_evidence[i] = density @ weight + 0.5 * np.log(mean_variances[i])
+    probability = np.exp(log_evidence - log_evidence.max())
+    probability /= probability.sum()
+    usual = float(np.sum(probability * means))
+    scale = float(np.sum(probability * (spreads[:, 0] ** 2 + mean_variances + (means - usual) ** 2)))
     return Population(curves.q, np.array([usual]), np.array([[scale]]), _TAILS[0])
 
 
-def _fitted(curves: Curves, free: float) -> tuple[Array, Array]:
-    """Mean (k,) and S (k, k) by expectation and maximisation, for a tail of `free` degrees of freedom."""
+def _fit_mean_and_scatter(curves: Curves, freedom: float) -> tuple[Array, Array]:
+    """The fleet's mean (k,) and the robots' scale matrix S (k, k), by expectation and maximisation, for a tail of
+    `freedom` degrees of freedom; not shrunk yet."""
     weight, noise = curves.weight, curves.noise
     known = 1.0 / curves.sigma**2
     mean = np.sum(known * curves.value, axis=0) / np.sum(known, axis=0)
     scale = _kernel(curves, mean, _LENGTHS[1])
-    mean = _smooth(mean, scale, 1.0 / np.sum(known, axis=0))  # where nobody tells it goes on from where somebody does
-    size = curves.told
+    mean = _smoothed_mean(
+        mean, scale, 1.0 / np.sum(known, axis=0)
+    )  # where nobody tells it goes on from where somebody does
+    size = curves.dimensions
     for _ in range(_STEPS):
         off = curves.value - mean
         inverse = np.linalg.inv(scale + noise)
         pulled = np.einsum("nkl,nl->nk", inverse, off)
-        tail = (free + size) / (free + np.einsum("nk,nk->n", off, pulled))
-        own = mean + pulled @ scale
-        shared = weight.sum() * scale - scale @ np.einsum("n,nkl->kl", weight, inverse) @ scale
+        tail = (freedom + size) / (freedom + np.einsum("nk,nk->n", off, pulled))  # E[u_s]
+        own = mean + pulled @ scale  # E[b_s]
+        uncertain = weight.sum() * scale - scale @ np.einsum("n,nkl->kl", weight, inverse) @ scale  # sum of Cov[b_s]
         mean = (weight * tail) @ own / (weight @ tail)
         apart = own - mean
-        spread = (weight * tail * apart.T) @ apart + shared
+        spread = (weight * tail * apart.T) @ apart + uncertain
         scale = 0.5 * (spread + spread.T) / weight.sum()
     return mean, scale
 
 
-def _shrunk(mean: Array, scale: Array, curves: Curves, length: float, worth: float, free: float) -> Population:
-    """The population whose S is shrunk towards a smooth kernel of this length (share of the range) that counts as
-    `worth` robots. free: the tail's degrees of freedom."""
+def _shrink_scatter(
+    mean: Array, scale: Array, curves: Curves, length: float, worth: float, freedom: float
+) -> Population:
+    """The population with this mean (k,) and a scale matrix that is the weighted mean of `scale` (k, k), with the
+    number of robots as its weight, and a smooth kernel of the same trace, with the weight `worth`. length: the
+    kernel's, a share of the range."""
     robots = float(curves.weight.sum())
     size = float(np.trace(scale)) / len(scale)
     kernel = _kernel(curves, mean, length)
     kernel *= size / (float(np.trace(kernel)) / len(kernel))
-    return Population(curves.q, mean, (robots * scale + worth * kernel) / (robots + worth), free)
+    return Population(curves.q, mean, (robots * scale + worth * kernel) / (robots + worth), freedom)
 
 
 def _kernel(curves: Curves, mean: Array, length: float) -> Array:
-    """(k, k) Matern's covariance of order 5/2, `length` a share of the range, with the variance that the curves
-    have."""
+    """(k, k) Matern covariance of order 5/2 between the places of the curves, with the variance that these have about
+    `mean` (k,). length: over which values go together, a share of the range."""
     known = 1.0 / curves.sigma**2
     variance = float(np.sum(known * (curves.value - mean) ** 2) / np.sum(known))
     apart = np.abs(curves.q[:, None] - curves.q[None, :]) * np.sqrt(5.0) / (length * (curves.q[-1] - curves.q[0]))
@@ -255,17 +264,18 @@ def _kernel(curves: Curves, mean: Array, length: float) -> Array:
     return np.asarray(max(variance, 1e-18) * kernel)
 
 
-def _smooth(value: Array, kernel: Array, noise: Array) -> Array:
-    """(k,) what a Gaussian process of this covariance expects of values with these variances."""
+def _smoothed_mean(value: Array, kernel: Array, noise: Array) -> Array:
+    """(k,) The posterior mean of a Gaussian process with covariance `kernel` (k, k) about a constant level, given
+    values (k,) with variances `noise` (k,)."""
     level = np.sum(value / noise) / np.sum(1.0 / noise)
     return np.asarray(level + kernel @ np.linalg.solve(kernel + np.diag(noise), value - level))
 
 
 def _diagonal(values: Array) -> Array:
-    """(n, k, k) Diagonal matrices of values (n, k)."""
+    """(n, k, k) Diagonal matrices, each with a row of `values` (n, k) on its diagonal."""
     return values[:, :, None] * np.eye(values.shape[1])
 
 
-def _solved(matrices: Array, values: Array) -> Array:
-    """(n, k) The solutions x of matrices (n, k, k) times x = values (n, k)."""
+def _solve_each(matrices: Array, values: Array) -> Array:
+    """(n, k) The solution x of matrix @ x = value for each of matrices (n, k, k) and values (n, k)."""
     return np.asarray(np.linalg.solve(matrices, values[:, :, None])[:, :, 0])

@@ -23,43 +23,44 @@ _SAME = 0.01  # tolerance: of the range, by which a robot's may differ
 
 
 def write(rows: Sequence[Row], out: Path) -> None:
-    """OUT/prior.json, from all usable sessions: a fleet's worn states are in its spread as its robots are. Raises
-    TautError where too few robots tell."""
+    """Writes OUT/prior.json, what `read` gives the next robot's calibration: how B, path and delay are spread, from all
+    usable sessions, also of one robot, whose wear is part of the spread. TautError where too few robots are usable."""
     curves = log_widths(rows)
     unit = next(row.unit for row in rows if row.usable and row.q == tuple(curves.q.tolist()))
     with threadpool_limits(1, "blas"):
-        width = _told(population(curves, of_next=True))  # who may be worn; a law is what it is
-        path = [_told(population(each)) for each in paths(rows)]
-        late = delays(rows)
-        delay = None if late is None else _told(single(late))
+        width = _as_json(population(curves, of_next=True))  # who may be worn; a law is what it is
+        path = [_as_json(population(each)) for each in paths(rows)]
+        delay_curves = delays(rows)
+        delay = None if delay_curves is None else _as_json(single(delay_curves))
     robots = len(set(curves.names))
     document = {"format": FORMAT, "unit": unit, "robots": robots, "width": width, "path": path, "delay": delay}
     write_file(out / FILE, json.dumps(document))
 
 
-def _told(known: Population) -> dict[str, Any]:
-    """A population as JSON holds it."""
+def _as_json(known: Population) -> dict[str, Any]:
+    """A population as a JSON object: q, mean, scale as lists, freedom."""
     arrays = {name: getattr(known, name).tolist() for name in ("q", "mean", "scale")}
     return {**arrays, "freedom": known.freedom}
 
 
-def _spread(values: dict[str, Any]) -> Spread:
-    """The spread that a calibration takes, from what `_told` gave."""
+def _spread_of_json(values: dict[str, Any]) -> Spread:
+    """The spread that a calibration takes as its prior, from an object that `_as_json` made."""
     q, mean, scale = (np.array(values[name], dtype=float) for name in ("q", "mean", "scale"))
     return Spread(q, mean, scale, float(values["freedom"]))
 
 
 def read(out: Path, rig: Rig) -> Beforehand:
-    """The prior that the fleet in `out` gives a calibration with this rig. TautError where it taught nothing, or its
-    robots are others."""
+    """The prior for a calibration with this rig, from the file that `write` made in a fleet's output folder. TautError
+    where there is no such file, it is damaged, or the fleet's robots have another unit or range."""
     path = out / FILE
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         if document["format"] not in (FORMAT, _WITHOUT_DELAY):
             raise ValueError(f"format {document['format']}")
-        late = document.get("delay")
-        path_known = tuple(_spread(each) for each in document["path"])
-        known = Beforehand(_spread(document["width"]), path_known, None if late is None else _spread(late))
+        path_spreads = tuple(_spread_of_json(each) for each in document["path"])
+        delay = document.get("delay")
+        delay_spread = None if delay is None else _spread_of_json(delay)
+        known = Beforehand(_spread_of_json(document["width"]), path_spreads, delay_spread)
         unit, q = str(document["unit"]), known.width.q
     except FileNotFoundError as error:
         if (out / DATA_SET).is_dir():

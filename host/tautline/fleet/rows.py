@@ -55,10 +55,12 @@ class Row:
 
     @property
     def id(self) -> str:
+        """ROBOT/SESSION, unique in a fleet."""
         return f"{self.robot}/{self.session}"
 
     @property
     def usable(self) -> bool:
+        """Whether there is a calibration whose verdict is no worse than doubtful."""
         return self.verdict in ("good", "doubtful")
 
 
@@ -67,11 +69,12 @@ _NUMBERS = frozenset(field.name for field in fields(Row) if field.type == "float
 
 
 class DataSet:
-    """The data set of one output folder. Of two rows of one session the later part's counts."""
+    """The rows of one output folder as a Parquet data set: numbered files (parts), one more with each `append`. If two
+    parts have a row of the same session, the later part's counts."""
 
     def __init__(self, out: Path) -> None:
-        """The data set in the folder `out`; its next part's number follows those that are there. TautError without
-        pyarrow."""
+        """The data set in the folder `out`, which may be empty or missing: it is made with the first part. TautError
+        where pyarrow is not installed."""
         try:
             self._arrow, self._parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
         except ImportError as error:
@@ -80,30 +83,31 @@ class DataSet:
         self._next = 1 + max((int(path.stem.split("-")[1]) for path in self._parts()), default=-1)
 
     def read(self) -> dict[str, Row]:
-        """Rows by robot/session."""
+        """All rows by ROBOT/SESSION. TautError where a part cannot be read."""
         found: dict[str, Row] = {}
         for path in self._parts():
             try:
                 lines = self._parquet.read_table(path, schema=self._schema()).to_pylist()
-                rows = [_row(line) for line in lines]
+                rows = [_row_of_line(line) for line in lines]
             except (OSError, KeyError, TypeError, ValueError, self._arrow.ArrowException) as error:
                 raise TautError(f"{path}: no part of a fleet's results ({error}): delete it, and run again") from error
             found |= {row.id: row for row in rows}
         return found
 
     def append(self, rows: Iterable[Row]) -> None:
-        """Writes the rows as one more part of the data set; nothing without rows."""
+        """Writes the rows as one more part; writes nothing where there are none."""
         if rows := list(rows):
             self._write(rows)
 
     def rewrite(self, rows: Iterable[Row]) -> None:
-        """These rows alone, in one part."""
+        """Makes the data set hold these rows alone, in one part: writes that, then deletes the earlier ones."""
         earlier = self._parts()
         self.append(rows)
         for path in earlier:
             path.unlink()
 
     def _parts(self) -> list[Path]:
+        """The data set's files in the order in which they were written."""
         return sorted(self.folder.glob(f"part-{'[0-9]' * _DIGITS}.parquet"))
 
     def _write(self, rows: list[Row]) -> None:
@@ -122,10 +126,11 @@ class DataSet:
         self._next += 1
 
     def _schema(self) -> Any:
-        """The Parquet schema of a row: numbers as float64, lists of them or of codes, all else as text."""
+        """The Parquet schema of a Row: numbers as float64, lists of them or of codes, all else as text."""
         arrow = self._arrow
 
         def kind(name: str) -> Any:
+            """The Arrow type of one of Row's fields."""
             if name in _LISTS:
                 return arrow.list_(arrow.float64())
             if name == "reasons":
@@ -135,7 +140,7 @@ class DataSet:
         return arrow.schema([(field.name, kind(field.name)) for field in fields(Row)])
 
 
-def _row(line: Mapping[str, Any]) -> Row:
-    """A row from a line of the data set: its lists become tuples, missing ones empty."""
+def _row_of_line(line: Mapping[str, Any]) -> Row:
+    """A Row from a line of the data set, whose lists become tuples and whose missing lists become empty ones."""
     values: dict[str, Any] = {k: tuple(value or ()) if k in _LISTS else value for k, value in line.items()}
     return Row(**values | {"reasons": tuple(line["reasons"])})

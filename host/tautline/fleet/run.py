@@ -9,10 +9,10 @@ from pathlib import Path
 
 from tautline import __version__
 from tautline.errors import TautError
-from tautline.fleet.changes import compared
+from tautline.fleet.changes import with_changes
 from tautline.fleet.rows import DATA_SET, DataSet, Row
 from tautline.fleet.sessions import Session, digest, sessions_in
-from tautline.fleet.work import PLACES, calibrated
+from tautline.fleet.work import PLACES, calibrate_session
 from tautline.folders import check_replaceable
 from tautline.pool import Pool
 
@@ -25,71 +25,74 @@ _KEPT, _KEPT_S = 64, 10.0  # tolerance: rows, and seconds, after which what is d
 
 @dataclass(frozen=True)
 class Done:
-    """Of a run: all rows in the order of robots and sessions, and how many of them are new."""
+    """The result of a run."""
 
-    rows: tuple[Row, ...]
-    new: int
+    rows: tuple[Row, ...]  # of all sessions, in the order of robots and sessions
+    new: int  # how many of them this run calibrated
 
 
-def died(name: str) -> Row:
-    """The row of a session whose workers all died (pool's `died`)."""
+def row_of_lost_worker(name: str) -> Row:
+    """The row of the session ROBOT/SESSION (`name`) whose calibration killed every worker that tried; the pool calls
+    this in place of a result."""
     robot, _, session = name.partition("/")
     error = "every worker that calibrated it died: look for too little memory, or use fewer --jobs"
     return Row(robot, session, inputs="", error=error)
 
 
 def run(folder: Path, out: Path, workers: Pool, progress: Progress) -> Done:
-    """Calibrates every session of FOLDER that `out`'s data set does not hold as it is now; sessions that are gone from
-    FOLDER go from it. TautError where FOLDER holds none, or `out` something else."""
+    """Calibrates every session in `folder` (FOLDER/ROBOT/SESSION) whose files, as they are now, the data set in `out`
+    has no row of, and brings the data set up to date; sessions that are gone from `folder` go from it. What is done is
+    stored every few seconds, so that a run that is broken off goes on where it was. workers: where sessions are
+    calibrated; progress: gets the share done, 0 to 1, and a line for each session. TautError where `folder` has no
+    session, or `out` holds something else."""
     check_replaceable(out, DATA_SET)
-    sessions, kept = sessions_in(folder), DataSet(out)
-    rows = kept.read()
-    begun = {session.id: _begun(session) for session in sessions}
+    sessions, data_set = sessions_in(folder), DataSet(out)
+    rows = data_set.read()
+    empty = {session.id: _empty_row(session) for session in sessions}
     total, known, done = len(sessions), 0, 0
+    waiting: list[Row] = []  # to be stored
 
-    def todo() -> Iterator[tuple[str, tuple[Row, dict[str, bytes]]]]:
-        """What is to be calibrated: session ids, and the arguments of `calibrated`. Sessions that are done count as
-        known; one that cannot be read waits with its error instead."""
+    def pending() -> Iterator[tuple[str, tuple[Row, dict[str, bytes]]]]:
+        """The sessions to calibrate: id, and the arguments of `calibrate_session`. A session that has its row already
+        is counted in `known`; one that cannot be read is put into `waiting` with its error."""
         nonlocal known
         for session in sessions:
             try:
                 files = session.files()
             except TautError as error:  # of this session alone
-                waiting.append(replace(begun[session.id], error=str(error)))
+                waiting.append(replace(empty[session.id], error=str(error)))
                 continue
             inputs = digest(files, MADE_BY)
             if session.id in rows and rows[session.id].inputs == inputs:
                 known += 1
             else:
-                begun[session.id] = replace(begun[session.id], inputs=inputs)
-                yield session.id, (begun[session.id], files)
+                yield session.id, (replace(empty[session.id], inputs=inputs), files)
 
-    waiting: list[Row] = []
     written_s = time.monotonic()
     try:
-        for name, row in workers(calibrated, todo()):
+        for name, row in workers(calibrate_session, pending()):
             done += 1
-            waiting.append(replace(row, date=begun[name].date))
+            waiting.append(replace(row, date=empty[name].date))
             progress((known + done) / total, f"{name}: {row.error or row.verdict}")
             if len(waiting) >= _KEPT or time.monotonic() - written_s > _KEPT_S:
-                rows |= _taken(waiting, kept)
+                rows |= _store_waiting(waiting, data_set)
                 written_s = time.monotonic()
     finally:
-        rows |= _taken(waiting, kept)
-    now = [replace(rows[session.id], batch=session.batch) for session in sessions]
-    ended = compared(now)
-    kept.rewrite(ended)
-    return Done(tuple(ended), done)
+        rows |= _store_waiting(waiting, data_set)
+    current = [replace(rows[session.id], batch=session.batch) for session in sessions]
+    changed = with_changes(current)
+    data_set.rewrite(changed)
+    return Done(tuple(changed), done)
 
 
-def _begun(session: Session) -> Row:
-    """The row of a session that is not calibrated yet: names, batch and date alone."""
+def _empty_row(session: Session) -> Row:
+    """The row of a session that has not been calibrated: names, batch and date alone."""
     return Row(session.robot, session.name, inputs="", batch=session.batch, date=session.date)
 
 
-def _taken(waiting: list[Row], kept: DataSet) -> dict[str, Row]:
-    """Writes the waiting rows into the data set and empties the list. Returns them by robot/session."""
-    kept.append(waiting)
-    taken = {row.id: row for row in waiting}
+def _store_waiting(waiting: list[Row], data_set: DataSet) -> dict[str, Row]:
+    """Appends the waiting rows to the data set and empties the list. Returns them by ROBOT/SESSION."""
+    data_set.append(waiting)
+    stored = {row.id: row for row in waiting}
     waiting.clear()
-    return taken
+    return stored

@@ -36,10 +36,11 @@ class Session:
     name: str
     batch: str | None
     folder: Path
-    rig: Path | None  # of all its recordings
+    rig: Path | None  # the rig.toml of all its recordings
 
     @property
     def id(self) -> str:
+        """ROBOT/SESSION, unique in a fleet."""
         return f"{self.robot}/{self.name}"
 
     @property
@@ -49,8 +50,9 @@ class Session:
         return found.group() if found else None
 
     def files(self) -> dict[str, bytes]:
-        """What a calibration reads: each recording a folder, and a rig.toml beside them. TautError where a file cannot
-        be read."""
+        """The bytes of all files that a calibration of the session reads, by path: RECORDING/FILE, and rig.toml beside
+        the recordings; so that a worker on another machine can have them. Videos only where no marker.csv is. TautError
+        where a file cannot be read, or there is no recording."""
         try:
             found = {} if self.rig is None else {RIG_FILE: self.rig.read_bytes()}
             recordings = _recordings(self.folder)
@@ -68,7 +70,8 @@ class Session:
 
 
 def digest(files: dict[str, bytes], made_by: str) -> str:
-    """A hash over everything that a row depends on: the files and what calibrates them."""
+    """A hash over everything that a row depends on, by which a later run sees whether to calibrate again. files: as of
+    `Session.files`; made_by: the version of what calibrates them."""
     hashed = hashlib.sha256(made_by.encode())
     for name in sorted(files):
         hashed.update(f"\n{name} ".encode() + hashlib.sha256(files[name]).digest())
@@ -76,7 +79,8 @@ def digest(files: dict[str, bytes], made_by: str) -> str:
 
 
 def sessions_in(folder: Path) -> list[Session]:
-    """All sessions, robot by robot, each in the order of its sessions' names. TautError where there is none."""
+    """The sessions in a fleet's folder, robot by robot, each robot's in the order of their names. TautError where no
+    session has a recording."""
     if not folder.is_dir():
         raise TautError(f"{folder}: there is no such folder: a fleet is a folder ROBOT/SESSION of recordings")
     batches = _batches(folder / MANIFEST)
@@ -87,7 +91,8 @@ def sessions_in(folder: Path) -> list[Session]:
 
 
 def _of_robot(folder: Path, robot: Path, batch: str | None) -> Iterator[Session]:
-    """The robot's sessions in the order of names, each with the nearest rig.toml; those without a recording too."""
+    """The sessions in the folder `robot` of the fleet's `folder`, in the order of names, also those that hold no
+    recording. Each gets the rig.toml that is nearest to it."""
     for session in _folders(robot):
         places = (*_recordings(session), session, robot, folder)
         rig = next((at / RIG_FILE for at in places if (at / RIG_FILE).is_file()), None)
@@ -102,12 +107,13 @@ def _recordings(session: Path) -> list[Path]:
 
 
 def _folders(folder: Path) -> list[Path]:
+    """The folders in a folder, without hidden ones, in the order of names."""
     return sorted(each for each in folder.iterdir() if each.is_dir() and not each.name.startswith("."))
 
 
 def _batches(manifest: Path) -> dict[str, str]:
-    """Batch by robot, from robots.csv, a robot's last line counting; empty without the file or the column. TautError
-    where it cannot be read, or has no column robot."""
+    """The batch of each robot that has one, from robots.csv; of two lines of a robot the last counts. Empty without the
+    file or its column batch. TautError where it cannot be read, or has no column robot."""
     if not manifest.exists():
         return {}
     try:

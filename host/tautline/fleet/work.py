@@ -22,20 +22,22 @@ from tautline.vision.marker import with_marker
 PLACES = 33  # tolerance: of a curve in a row: on 10 mm two for the finest bump that a calibration resolves, 0.6 mm
 
 
-def calibrated(row: Row, files: Mapping[str, bytes]) -> Row:
-    """The row with what a calibration of the files (fleet.sessions) says; with an error where there is none."""
+def calibrate_session(row: Row, files: Mapping[str, bytes]) -> Row:
+    """What a worker runs for each session: calibrates its files (as of Session.files) and returns the row with the
+    result and the seconds of processor time. No error leaves it: it becomes the row's `error`."""
     began = time.process_time()
     try:
         with unpacked(files) as folder:
-            row = _calibrated(row, folder)
+            row = _calibrate_files(row, folder)
     except Exception as error:  # one session of many: a row that says so
-        said = str(error) if isinstance(error, TautError) else f"{type(error).__name__}: {error}"
-        row = replace(row, error=said)
+        text = str(error) if isinstance(error, TautError) else f"{type(error).__name__}: {error}"
+        row = replace(row, error=text)
     return replace(row, seconds=time.process_time() - began)
 
 
-def _calibrated(row: Row, folder: Path) -> Row:
-    """The row of a session after calibrating it."""
+def _calibrate_files(row: Row, folder: Path) -> Row:
+    """Calibrates the recordings in `folder`, a folder each, and returns the row with the result. TautError with paths
+    that are relative to `folder`, which is temporary."""
     try:
         paths = sorted(each for each in folder.iterdir() if each.is_dir())
         own = folder / RIG_FILE
@@ -44,18 +46,19 @@ def _calibrated(row: Row, folder: Path) -> Row:
         check_distinct(given)
         recordings = [with_marker(recording, rig) for recording in given]
         motion_s = sum(float(np.ptp(recording.motor.t_s)) for recording in recordings)
-        return _told(replace(row, motion_s=motion_s), calibrate(recordings, rig))
-    except TautError as error:  # the folder is gone when it is read
+        return _with_calibration(replace(row, motion_s=motion_s), calibrate(recordings, rig))
+    except TautError as error:
         raise TautError(str(error).replace(f"{folder}/", "")) from error
 
 
-def _told(row: Row, calibration: Calibration) -> Row:
-    """The row with what a calibration found."""
+def _with_calibration(row: Row, calibration: Calibration) -> Row:
+    """The row with the columns that a calibration fills; curves at PLACES places over the rig's range."""
     model = calibration.model
-    at = np.linspace(*model.rig.actuator.range, PLACES)
+    places = np.linspace(*model.rig.actuator.range, PLACES)
 
     def curve(values: np.ndarray | None) -> tuple[float, ...]:
-        return () if values is None else tuple(np.interp(at, model.q, values).tolist())
+        """Values on the model's grid, at `places`; empty without values."""
+        return () if values is None else tuple(np.interp(places, model.q, values).tolist())
 
     path, path_sigma = calibration.path or (np.zeros((len(model.q), 0)),) * 2
 
@@ -64,7 +67,7 @@ def _told(row: Row, calibration: Calibration) -> Row:
         verdict=model.quality.verdict.value,
         reasons=tuple(reason.code for reason in model.quality.reasons),
         unit=model.rig.actuator.unit,
-        q=tuple(at.tolist()),
+        q=tuple(places.tolist()),
         width=curve(model.width),
         width_sigma=curve(model.width_sigma),
         width_by_delay=curve(width_by_delay(model, calibration.delay.sigma_s)),

@@ -37,9 +37,9 @@ def answers_of(document: Mapping[str, Any]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Leading:
-    """The likeliest of all: an effect's id, "none" or "unknown"."""
+    """The likeliest answer of a diagnosis."""
 
-    name: str
+    name: str  # an effect's id, "none" or "unknown"
     probability: float
 
     @classmethod
@@ -50,6 +50,7 @@ class Leading:
         return cls(name, probabilities[name])
 
     def __str__(self) -> str:
+        """Its name and probability, such as "lag (97 %)"."""
         return f"{self.name} ({percent(self.probability)})"
 
 
@@ -69,8 +70,8 @@ class Asked:
 
 
 def why_stop(answers: Sequence[Leading], following: NextMotion | None, most: int) -> str:
-    """Why no further recording is made; "" where `following` is worth recording. answers: the leading one after each
-    recording, `most` of them at most."""
+    """Why a live diagnosis ends now, in words; "" where the motion `following`, which would come next, is worth
+    recording. answers: the leading one after each diagnosis; most: how many diagnoses there may be."""
     last = answers[-1]
     if last.probability >= SURE:
         return f"one answer is sure: {last}"
@@ -92,14 +93,16 @@ def diagnose_live(
     folder: Path,
     most: int = 5,
     progress: Progress = lambda fraction, text: None,
-    told: Callable[[str], None] = lambda text: None,
+    say: Callable[[str], None] = lambda text: None,
     seen: Callable[[Frame], None] = lambda frame: None,
     answered: Answered = lambda diagnosis, leading, why: None,
 ) -> Asked:
     """Diagnoses, records the motion that tells most, and diagnoses again, until one answer is sure or no motion helps.
-    calibration: on the motor's clock, what `calibrated_on` was made of; tests: recorded before. Recordings go to
-    `folder`. told: gets a line after every recording; seen: every frame; answered: after every recording the diagnosis,
-    what leads and why it ends ("" if it goes on). Ctrl-C ends a recording early, which is diagnosed all the same."""
+    calibrated_on: the calibration that is the nominal, calibration: the recording, on the motor's clock, that it was
+    made of; tests: recordings of the instrument as it is now, made before, may be none. folder: empty or new, for the
+    recordings; most: how many may be made. say: gets a line after every diagnosis; seen: every frame; answered: after
+    every diagnosis that, what leads and why it ends ("" if it goes on). Ctrl-C ends a recording early, which is
+    diagnosed all the same. TautError where `folder` is not empty, or the board or camera fails."""
     if folder.exists() and any(folder.iterdir()):
         raise TautError(f"{folder}: is not empty: name another folder for the recordings with --recordings")
     folder.mkdir(parents=True, exist_ok=True)
@@ -114,7 +117,8 @@ def diagnose_live(
             following = diagnosis.next_motion
             answers.append(Leading.of(diagnosis.document))
             why = why_stop(answers, following, most + bool(tests))
-            told(f"{_what(made, asked)}: {answers[-1]}" + (f"; next {following.why}" if following and not why else ""))
+            then = f"; next {following.why}" if following and not why else ""
+            say(f"{_last_diagnosed_in_words(made, asked)}: {answers[-1]}{then}")
             answered(diagnosis, answers[-1], why)
             if why:
                 return Asked(diagnosis, tuple(made), tuple(answers), why)
@@ -124,16 +128,17 @@ def diagnose_live(
             what = str(folder / f"{path.name}-{MOTION}")
             motion.table(following.motion, live.rig.actuator.unit).to_csv(what, index=False, float_format="%.6f")
         asked.append(following.why if following else _FIRST)
-        record(live, path, what, seen=seen, progress=_as_of(path.name, progress))
+        record(live, path, what, seen=seen, progress=_progress_of_recording(path.name, progress))
         made.append(path)
         known += on_motor_clock([load(path, live.rig)], live.rig)
 
 
-def _as_of(name: str, progress: Progress) -> Progress:
-    """`progress` with a text that names the recording being made."""
+def _progress_of_recording(name: str, progress: Progress) -> Progress:
+    """`progress` whose text is always that the recording `name` is being made."""
     return lambda fraction, text: progress(fraction, f"recording {name}")
 
 
-def _what(made: Sequence[Path], asked: Sequence[str]) -> str:
-    """What was diagnosed last, in words: the newest recording with its motion, or the earlier ones."""
+def _last_diagnosed_in_words(made: Sequence[Path], asked: Sequence[str]) -> str:
+    """Which recordings the last diagnosis added, in words: the newest of those `made`, with why its motion was `asked`
+    for, or those that were there before."""
     return f"{made[-1].name}, {asked[-1]}" if made else "what was recorded before"

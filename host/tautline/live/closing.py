@@ -31,27 +31,28 @@ _WITHIN_S = 0.05  # over which a motor's speed in use is taken: its counts are n
 
 
 def closing(model: Model, gaps: Sequence[Gap], recordings: Sequence[Recording]) -> Trajectory | None:
-    """A motion through all gaps from the lowest up, within the range and no faster than the motor went in `recordings`
-    (of marker or angle); None where there are no gaps. Of the plans that last at most SECONDS the one with most turns,
-    then with most speeds; else the shortest."""
+    """Plans a motion that measures B in the gaps where a calibration of recordings of use could not: short strokes
+    through all gaps, from the lowest up, within the range and no faster than the motor went in `recordings` (which have
+    a marker or an angle). None where there are no gaps. Of the plans that last at most SECONDS it is the one with most
+    turns, then with most speeds; else the shortest."""
     if not gaps:
         return None
     actuator = model.rig.actuator
-    usual = Means.of(*actuator.range, _frame_rate(recordings), math.inf, math.inf).speeds
-    top = max(_fastest(each.motor) for each in recordings)
-    speeds = [speed * min(top / usual[0], 1.0) for speed in usual]
+    usual_speeds = Means.of(*actuator.range, _frame_rate(recordings), math.inf, math.inf).speeds
+    top = max(_top_speed(each.motor) for each in recordings)
+    speeds = [speed * min(top / usual_speeds[0], 1.0) for speed in usual_speeds]
     inside = (model.q >= model.measured[0]) & (model.q <= model.measured[1])
     widest = float(model.width[inside].max(initial=0.0))
     plans = [
-        _joined([_through(actuator, gap, widest, times, speeds[:passes]) for gap in gaps], speeds[0])
+        _join_with_moves([_strokes_through(actuator, gap, widest, times, speeds[:passes]) for gap in gaps], speeds[0])
         for times, passes in product(_STROKES, (2, 1))
     ]
     return next((plan for plan in plans if plan.duration_s <= SECONDS), min(plans, key=lambda plan: plan.duration_s))
 
 
 def write(model: Model, gaps: Sequence[Gap], recordings: Sequence[Recording], folder: Path) -> float | None:
-    """Writes the motion of `closing` into a MODEL folder; how long it lasts, s. None where there are no gaps, or the
-    model is unusable: nothing is written then."""
+    """Writes the motion of `closing`, for 'taut record --motion', into a MODEL folder (NEXT_FILE). Returns how long it
+    lasts, s; None where there are no gaps, or the model is unusable: nothing is written then."""
     motion = closing(model, gaps, recordings) if model.quality.usable else None
     if motion is None:
         return None
@@ -59,36 +60,38 @@ def write(model: Model, gaps: Sequence[Gap], recordings: Sequence[Recording], fo
     return motion.duration_s
 
 
-def _through(actuator: Actuator, gap: Gap, widest: float, times: float, speeds: Sequence[float]) -> Trajectory:
-    """Up through one gap by strokes of `times` the widest B, each going back by a little more than it; down again; and
-    a turn at the low end. widest: unit of q; speeds: unit/s, one up and down at each."""
+def _strokes_through(actuator: Actuator, gap: Gap, widest: float, times: float, speeds: Sequence[float]) -> Trajectory:
+    """The motion through one gap: up by strokes of `times` the widest B, each followed by a stroke back that is a
+    little longer than the widest B; down again the same way; and a turn at the low end. widest: unit of q; speeds:
+    unit/s, once up and down at each."""
     reach = widest + _BESIDE * actuator.span
     low, high = max(gap.low - reach, actuator.range[0]), min(gap.high + reach, actuator.range[1])
     way = high - low
     stroke = min(max(times * widest, _LEAST_STROKE * actuator.span), _MOST_STROKE * way)
     advance = max(stroke - _BACK * widest, (1.0 - _MOST_STROKE) * stroke)
     pairs = math.ceil((way - stroke) / advance)
-    there = replace(actuator, range=(low, high))
-    quick = _QUICK * speeds[0]
-    passes = trajectory.back_and_forth(there, speeds, stroke, 2 * pairs, quick, _DWELL_S)
-    return trajectory.in_turn(passes, trajectory.through([low, low + stroke], speeds[0], quick))
+    within_gap = replace(actuator, range=(low, high))
+    acceleration = _QUICK * speeds[0]
+    passes = trajectory.back_and_forth(within_gap, speeds, stroke, 2 * pairs, acceleration, _DWELL_S)
+    return trajectory.in_turn(passes, trajectory.through([low, low + stroke], speeds[0], acceleration))
 
 
-def _joined(parts: Sequence[Trajectory], speed: float) -> Trajectory:
-    """The parts in turn, with a move at `speed`, unit/s, from where each ends to where the next begins."""
+def _join_with_moves(parts: Sequence[Trajectory], speed: float) -> Trajectory:
+    """One trajectory of all parts in turn, with a move at `speed`, unit/s, from where each ends to where the next
+    begins."""
     ways = [(before.q[-1], after.q[0]) for before, after in pairwise(parts)]
     moves = [trajectory.through(way, speed, _QUICK * speed) for way in ways]
     return trajectory.in_turn(parts[0], *(each for pair in zip(moves, parts[1:], strict=True) for each in pair))
 
 
 def _frame_rate(recordings: Sequence[Recording]) -> float:
-    """Median rate, Hz, of the frames or readings that show the tip."""
+    """The median rate, Hz, at which the recordings' sensor (marker or angle) saw the tip."""
     shown = [each.marker or each.angle for each in recordings]
     return 1.0 / float(np.median(np.concatenate([np.diff(seen.t_s) for seen in shown if seen is not None])))
 
 
-def _fastest(motor: Motor) -> float:
-    """Top speed of a motor, unit of q per s, by its moves over _WITHIN_S."""
+def _top_speed(motor: Motor) -> float:
+    """The top speed of a motor in its log, unit of q per s, averaged over _WITHIN_S."""
     t_s = np.arange(motor.t_s[0], motor.t_s[-1], _WITHIN_S)
     moved = np.abs(np.diff(np.interp(t_s, motor.t_s, motor.q)))
     return float(moved.max(initial=0.0)) / _WITHIN_S

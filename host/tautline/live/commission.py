@@ -35,11 +35,11 @@ _BLOCK = 10  # samples of 1 ms whose mean drive is one equation: short beside a 
 
 @dataclass(frozen=True)
 class StepResponse:
-    """A step of the target at the axis' limits. Times s, positions counts from where it began."""
+    """How the motor followed a quick move (at the axis' limits) to another position."""
 
-    t_s: Array
-    q: Array
-    q_ref: Array
+    t_s: Array  # (n,) from shortly before the move
+    q: Array  # (n,) position, counts from where the move began
+    q_ref: Array  # (n,) set-point, the same
     rms: float  # of the following error until it has settled, counts
     overshoot: float  # counts
     settling_s: float  # from the reference's arrival until the motor stays within the settings' `arrive`
@@ -47,35 +47,40 @@ class StepResponse:
 
 @dataclass
 class Commissioned:
-    before: dict[str, Any]  # settings
+    """What commissioning found and stored."""
+
+    before: dict[str, Any]  # the board's settings as they were
     settings: dict[str, Any]  # as they are stored
     friction: float = 0.0  # share of full drive
     speed_s: float = 0.0  # counts/s at full drive, without load
     current_ma: int = 0  # the most that was seen
     q: float = 0.0  # after homing, the rig's unit
     steps: dict[float, StepResponse] = field(default_factory=dict)  # by factor of the gains
-    factor: float = 1.0
+    factor: float = 1.0  # of the gains, that was chosen
 
 
-class _Tape:
-    """Telemetry of the axis since the last rewind."""
+class _Telemetry:
+    """Keeps an axis' telemetry since the last `clear`."""
 
     def __init__(self, axis: int) -> None:
+        """axis: the only one whose telemetry is kept."""
         self._axis = axis
         self._rows: list[Array] = []
 
     def take(self, batch: wire.Message) -> None:
-        """Keeps what a telemetry message says of this axis."""
+        """Listener: keeps the samples of a message `batch`, if it is of this axis."""
         if batch.axis == self._axis:
             t = (batch.t_us + batch.period_us * np.arange(batch.count)) * 1e-6
             n = batch.count
             self._rows.append(np.column_stack([t, batch.q[:n], batch.q_ref[:n], batch.duty[:n]]))
 
-    def rewind(self) -> None:
+    def clear(self) -> None:
+        """Drops what was kept so far."""
         self._rows.clear()
 
     def read(self) -> tuple[Array, Array, Array, Array]:
-        """Recorded telemetry as (n,) arrays: times, s; position and set-point, counts; duty, -1 to 1."""
+        """What was kept, as (n,) arrays: times, s; position and set-point, counts; duty, -1 to 1. TautError where
+        nothing came."""
         if not self._rows:
             raise TautError("the board sends no telemetry: run 'taut monitor' and look for what was dropped")
         t, q, q_ref, duty = np.concatenate(self._rows).T
@@ -83,9 +88,9 @@ class _Tape:
 
 
 @contextlib.contextmanager
-def _taped(live: Live) -> Iterator[_Tape]:
-    """Inside, the axis sends its telemetry."""
-    tape = _Tape(live.axis)
+def _recording_telemetry(live: Live) -> Iterator[_Telemetry]:
+    """A context within which the axis sends telemetry each millisecond; gives what keeps it."""
+    tape = _Telemetry(live.axis)
     live.board.listen("batch", tape.take)
     try:
         live.board.ask("telemetry", axis=live.axis, divider=1)
@@ -99,45 +104,46 @@ def _taped(live: Live) -> Iterator[_Tape]:
 def commission(
     live: Live, agree: Agree, say: Say, homing: Homing | None = None, wanted: dict[str, Any] | None = None
 ) -> Commissioned:
-    """Puts an axis into service: wiring, stop input, end, friction, scale and servo gains, stored on the board. `agree`
-    is asked before anything moves or is stored; `say` is told what was found. wanted: settings that nothing measures,
-    None leaves one as it is. A drive with a position loop of its own keeps its gains and its zero. TautError, with a
-    remedy, where something is wrong or not agreed to: settings then stay, but for the range and how the stop input is
-    wired. The board drives at low duty until the ends are known."""
+    """Puts an axis into service: wiring, stop input, end, friction, scale and servo gains are checked or measured and
+    stored on the board. agree: is asked a question before anything moves or is stored; say: is told what was found;
+    homing: which end is used, by default the low one; wanted: settings by name that nothing measures, None leaves one
+    as it is. A drive with a position loop of its own keeps its gains and its zero. TautError, with a remedy, where
+    something is wrong or not agreed to: settings then stay, but for the range and how the stop input is wired. The
+    board drives at low duty until the ends are known."""
     board = live.board
     board.check_axis(live.axis)
-    asked = {name: value for name, value in (wanted or {}).items() if value is not None}
+    given = {name: value for name, value in (wanted or {}).items() if value is not None}
     if board.bus():
-        if "estop" in asked or (homing is not None and homing.end is not None):
+        if "estop" in given or (homing is not None and homing.end is not None):
             raise TautError(
                 "a drive on a bus of its own has neither the board's stop input nor an end that it presses "
                 "against: leave out --estop and --end"
             )
-        commissioned = _commission_drive(live, agree, say, asked)
+        commissioned = _commission_drive(live, agree, say, given)
     else:
-        commissioned = _commission_motor(live, agree, say, homing or Homing(), asked)
+        commissioned = _commission_motor(live, agree, say, homing or Homing(), given)
     _check_motor_and_encoder(live)
     say("stored, and checked again")
     return commissioned
 
 
-def _commission_motor(live: Live, agree: Agree, say: Say, homing: Homing, asked: dict[str, Any]) -> Commissioned:
-    """`commission` of a motor whose position loop is the board's. asked: settings by name that nothing measures."""
+def _commission_motor(live: Live, agree: Agree, say: Say, homing: Homing, given: dict[str, Any]) -> Commissioned:
+    """`commission` of a motor whose position loop is the board's. given: settings by name that nothing measures."""
     board, axis, unit = live.board, live.axis, live.rig.actuator.unit
-    if "estop" in asked:
-        _wire_stop(live, agree, asked["estop"])
+    if "estop" in given:
+        _store_stop_input(live, agree, given["estop"])
     board.check_fault(axis)
-    ranged, commissioned = _checked_and_ranged(live, agree, say, asked, "motor and encoder agree")
+    ranged, commissioned = _check_and_store_range(live, agree, say, given, "motor and encoder agree")
 
-    _agreed(agree, f"The motor goes to the {'low' if homing.direction < 0 else 'high'} end, weakly. May it?")
+    _require_agreement(agree, f"The motor goes to the {'low' if homing.direction < 0 else 'high'} end, weakly. May it?")
     commissioned.q = home(live, homing)
     ends = ", ".join(f"{q:g}" for q in live.rig.actuator.range)
     say(f"ends: found, now at {commissioned.q:.4g} {unit}; range [{ends}] {unit}")
 
-    _agreed(agree, "The motor moves over a third of its range, then in quick steps. May it?")
+    _require_agreement(agree, "The motor moves over a third of its range, then in quick steps. May it?")
     with _at_full_drive(live, ranged):
         try:
-            with _taped(live) as tape:
+            with _recording_telemetry(live) as tape:
                 _measure_drive_law(live, tape, commissioned, homing.direction)
                 say(
                     f"drive: friction {100 * commissioned.friction:.1f} %, {commissioned.speed_s:.0f} counts/s at full "
@@ -154,28 +160,30 @@ def _commission_motor(live: Live, agree: Agree, say: Say, homing: Homing, asked:
             with contextlib.suppress(TautError):  # gone: what is stored holds at its next start
                 board.ask("servo", **_servo_fields(commissioned.before))
 
-        _agreed(agree, f"Store gains x {commissioned.factor:.3g}, range, current limit and instrument on the board?")
+        _require_agreement(
+            agree, f"Store gains x {commissioned.factor:.3g}, range, current limit and instrument on the board?"
+        )
         _store(live, commissioned.settings)
     return commissioned
 
 
-def _commission_drive(live: Live, agree: Agree, say: Say, asked: dict[str, Any]) -> Commissioned:
-    """`commission` of a drive with a position loop of its own: its gains and its zero are its maker's to set. asked:
-    settings by name that nothing measures."""
+def _commission_drive(live: Live, agree: Agree, say: Say, given: dict[str, Any]) -> Commissioned:
+    """`commission` of a drive with a position loop of its own: its gains and its zero are set by its maker's tools.
+    given: settings by name that nothing measures."""
     board, axis, actuator = live.board, live.axis, live.rig.actuator
     board.check_fault(axis)
     board.check_reference(axis)
-    _check_drives_range(live)
-    _, commissioned = _checked_and_ranged(live, agree, say, asked, "the drive goes where it is told")
+    _check_range_within_drive(live)
+    _, commissioned = _check_and_store_range(live, agree, say, given, "the drive goes where it is told")
 
     start = float(np.clip(board.status(axis).q * live.resolution, *actuator.range))
     direction = 1 if start > sum(actuator.range) / 2 else -1
     commissioned.q, commissioned.speed_s = start, live.top_speed / live.resolution
-    _agreed(
+    _require_agreement(
         agree,
         f"The motor moves over a third of its range, from {start:.4g} {actuator.unit}, then in quick steps. May it?",
     )
-    with _taped(live) as tape:
+    with _recording_telemetry(live) as tape:
         with driving(live):
             for target in (start, start - direction * _WAY * actuator.span, start):
                 # A share of the speed that takes half a second for the range.
@@ -188,13 +196,13 @@ def _commission_drive(live: Live, agree: Agree, say: Say, asked: dict[str, Any])
         f"the drive follows {1e3 * board.bus()['lag_s']:.1f} ms behind its set-points, which is planned for: off by "
         f"{step.rms:.1f} counts rms, {step.overshoot:.1f} beyond the target, settled in {1e3 * step.settling_s:.0f} ms"
     )
-    _agreed(agree, "Store range and instrument for this drive?")
+    _require_agreement(agree, "Store range and instrument for this drive?")
     _store(live, commissioned.settings)
     return commissioned
 
 
-def _check_drives_range(live: Live) -> None:
-    """TautError where the rig's range goes beyond the drive's own limits."""
+def _check_range_within_drive(live: Live) -> None:
+    """TautError, with the remedy, where the rig's range goes beyond the drive's own limits."""
     drive, actuator = live.board.bus()["limits"][live.axis], live.rig.actuator
     low, high = (q / live.resolution for q in actuator.range)
     if low < drive["q_low"] or high > drive["q_high"]:
@@ -205,35 +213,35 @@ def _check_drives_range(live: Live) -> None:
         )
 
 
-def _checked_and_ranged(
-    live: Live, agree: Agree, say: Say, asked: dict[str, Any], seen: str
+def _check_and_store_range(
+    live: Live, agree: Agree, say: Say, given: dict[str, Any], says: str
 ) -> tuple[dict[str, Any], Commissioned]:
-    """Lets motor and encoder be checked, says that `seen` is shown by it, and stores the rig's range. Returns the
-    board's settings with that range, and the result so far, which has those in `asked` too."""
+    """Lets the board check motor and encoder, says what that shows (`says`), and stores the rig's range on the board.
+    Returns the board's settings with that range, and the result so far, whose settings have those `given`, too."""
     before = dict(live.board.ask("get_settings", axis=live.axis).values)
     low, high = (q / live.resolution for q in live.rig.actuator.range)
     ranged = before | {"q_low": low, "q_high": high}
-    _agreed(agree, "The motor turns a little either way. Is the instrument free to move?")
+    _require_agreement(agree, "The motor turns a little either way. Is the instrument free to move?")
     _check_motor_and_encoder(live)
-    say(f"polarity and scale: {seen}")
+    say(f"polarity and scale: {says}")
     _store(live, ranged)
-    return ranged, Commissioned(before, ranged | asked | {"commissioned": 1})
+    return ranged, Commissioned(before, ranged | given | {"commissioned": 1})
 
 
-def _agreed(agree: Agree, question: str) -> None:
-    """Asks the question; TautError where the answer is no."""
+def _require_agreement(agree: Agree, question: str) -> None:
+    """Asks the question; TautError, which ends the commissioning, where the answer is no."""
     if not agree(question):
         raise TautError("stopped as you said: the gains on the board are as before. Run it again when all is ready")
 
 
-def _wire_stop(live: Live, agree: Agree, estop: int) -> None:
-    """Stores for all axes which state of the stop input stops them, and clears the stop that its wiring had caused
-    until then."""
+def _store_stop_input(live: Live, agree: Agree, estop: int) -> None:
+    """Stores for all axes, after asking, which state of the stop input stops them (estop: the setting's value), and
+    clears a stop that the wrong value has caused. Does nothing where all have this value."""
     board, axes = live.board, range(live.board.axes)
     kept = [dict(board.ask("get_settings", axis=axis).values) for axis in axes]
     if all(settings["estop"] == estop for settings in kept):
         return
-    _agreed(agree, "Store for every axis of the board which state of the stop input stops it?")
+    _require_agreement(agree, "Store for every axis of the board which state of the stop input stops it?")
     for settings in kept:
         _store(live, settings | {"estop": estop})
     live.wait(_STOP_S)
@@ -244,8 +252,8 @@ def _wire_stop(live: Live, agree: Agree, estop: int) -> None:
 
 @contextlib.contextmanager
 def _at_full_drive(live: Live, settings: dict[str, Any]) -> Iterator[None]:
-    """Inside, the axis counts as commissioned, so that the board allows full drive; afterwards only if all went well,
-    or if it did before."""
+    """A context within which the axis counts as commissioned, so that the board allows full drive. If it fails, the
+    axis is set back to what `settings` say."""
     if settings["commissioned"]:
         yield
         return
@@ -260,7 +268,8 @@ def _at_full_drive(live: Live, settings: dict[str, Any]) -> Iterator[None]:
 
 
 def _check_motor_and_encoder(live: Live) -> None:
-    """Lets the board check motor and encoder at low drive; leaves the motor off."""
+    """Lets the board check motor and encoder by a small move at low drive; leaves the motor off. TautError for a fault
+    that this finds."""
     with live.interruptible():
         try:
             live.board.ask("check", axis=live.axis)
@@ -270,29 +279,30 @@ def _check_motor_and_encoder(live: Live) -> None:
 
 
 def _store(live: Live, settings: dict[str, Any]) -> None:
-    """Has the board store an axis' settings."""
+    """Has the board store an axis' settings (tl_wire.h's message `settings`, by field)."""
     live.board.ask("settings", **(settings | {"key": wire.wire.KEY}), timeout_s=5.0)
 
 
 def _servo_fields(settings: dict[str, Any]) -> dict[str, Any]:
-    """The servo's gains among the settings, as the message `servo` takes them."""
+    """The fields of the message `servo`, which sets gains until the next restart, out of an axis' settings."""
     return {name: settings[name] for name in ("axis", *_GAINS, "feed_forward", "inertia", "friction")}
 
 
 # -- friction and speed -----------------------------------------------------------------------------------------------
 
 
-def _measure_drive_law(live: Live, tape: _Tape, commissioned: Commissioned, direction: int) -> None:
-    """Measures friction, a share of full drive, and free speed, counts/s, by moves at two speeds in both directions,
-    and sets the feed-forward from them. Speeds are the motor's own: by gains that are not tuned yet it oscillates about
-    its path. direction: -1 or 1, of the end that is near."""
+def _measure_drive_law(live: Live, tape: _Telemetry, commissioned: Commissioned, direction: int) -> None:
+    """Measures friction, a share of full drive, free speed, counts/s, and current, mA, by moves at two speeds in both
+    directions; sets them, and the feed-forward that follows, in `commissioned`. Speeds are taken from the encoder, as
+    with gains that are not tuned yet the motor oscillates about its path. direction: -1 or 1, of the end that is
+    near. TautError where the moves do not tell them."""
     span, start = live.rig.actuator.span, commissioned.q
     stretches = []
     with driving(live):
         for share in _SPEEDS:
             speed = share * min(live.top_speed, span / 0.5)  # the range in half a second at most
             for target in (start - direction * _WAY * span, start):
-                tape.rewind()
+                tape.clear()
                 move_to(live, target, speed)
                 commissioned.current_ma = max(commissioned.current_ma, abs(live.board.status(live.axis).current_ma))
                 t, q, q_ref, duty = tape.read()
@@ -301,7 +311,7 @@ def _measure_drive_law(live: Live, tape: _Tape, commissioned: Commissioned, dire
                 if len(even) <= 4 * _BLOCK:
                     raise TautError("too little of the motion was even: allow more speed in the board's settings")
                 stretches.append((t[even], q[even], duty[even]))
-    friction, slope = _fitted_drive_law(stretches)
+    friction, slope = _fit_drive_law(stretches)
     if slope <= 0:
         raise TautError("more speed took less drive: look for what rubs, and for a supply that sags")
     commissioned.friction, commissioned.speed_s = max(friction, 0.0), 1.0 / slope
@@ -310,15 +320,16 @@ def _measure_drive_law(live: Live, tape: _Tape, commissioned: Commissioned, dire
 
 
 def _feed_forward(speed_s: float) -> int:
-    """The gain, duty Q15 per 1000 counts/s, that drives a motor whose free speed at full drive is speed_s counts/s."""
+    """The setting feed_forward, duty in 1/32768 per 1000 counts/s, of a motor whose free speed at full drive is speed_s
+    counts/s."""
     return round(1000.0 * 32768.0 / speed_s)
 
 
-def _fitted_drive_law(stretches: Sequence[tuple[Array, Array, Array]]) -> tuple[float, float]:
-    """Friction, a share of full drive, and 1 / free speed, s/count, of duty = friction sign(v) + v / free speed +
-    inertia dv/dt, by least squares over blocks of samples at half the stretch's mean speed or more (slower, static
-    friction may hold the motor). stretches: t_s, q in counts and duty -1 to 1, all (n,), each in one direction, of
-    several speeds."""
+def _fit_drive_law(stretches: Sequence[tuple[Array, Array, Array]]) -> tuple[float, float]:
+    """Fits duty = friction sign(v) + v / free speed + inertia dv/dt by least squares over blocks of _BLOCK samples.
+    Returns friction, a share of full drive, and 1 / free speed, s/count. stretches: t_s, q in counts and duty -1 to 1,
+    all (n,), each of an even move in one direction, at several speeds. Blocks slower than half their stretch's mean are
+    left out, as static friction may hold the motor there."""
     rows = []
     for t, q, duty in stretches:
         edges = np.arange(0, len(t), _BLOCK)
@@ -337,20 +348,21 @@ def _fitted_drive_law(stretches: Sequence[tuple[Array, Array, Array]]) -> tuple[
 # -- servo gains ------------------------------------------------------------------------------------------------------
 
 
-def _tune_gains(live: Live, tape: _Tape, commissioned: Commissioned, direction: int, say: Say) -> None:
-    """Tries growing gains by a step response, and chooses those that follow best among the ones that are stable with a
-    factor of _MARGIN in hand: the stiffest, where the encoder shows no difference. direction: -1 or 1, of the end
-    that is near."""
-    factors = _factors(commissioned.settings)
+def _tune_gains(live: Live, tape: _Telemetry, commissioned: Commissioned, direction: int, say: Say) -> None:
+    """Tries growing gains by step responses, until the servo is unstable, and chooses those that follow best among the
+    ones that are stable with a factor of _MARGIN in hand; of several that differ by less than an encoder count, the
+    highest. Sets them in `commissioned`. direction: -1 or 1, of the end that is near. TautError where there are
+    none."""
+    factors = _gain_factors(commissioned.settings)
     if factors[-1] < _HIGHEST:
-        name = _largest(commissioned.settings)
+        name = _largest_gain(commissioned.settings)
         say(
             f"gains are tried up to x {factors[-1]:.3g}, not {_HIGHEST:g}: the {name} gain is "
             f"{commissioned.settings[name]}, and the board takes {wire.wire.GAIN_MAX} at most"
         )
     for factor in factors:
-        tried = commissioned.settings | _scaled(commissioned.settings, factor)
-        step = _steps_by_gains(live, tape, tried, commissioned.q, direction)
+        tried = commissioned.settings | _scaled_gains(commissioned.settings, factor)
+        step = _step_responses_with_gains(live, tape, tried, commissioned.q, direction)
         if step is None:
             say(f"gains x {factor:.3g}: not sound")
             break
@@ -359,39 +371,39 @@ def _tune_gains(live: Live, tape: _Tape, commissioned: Commissioned, direction: 
             f"gains x {factor:.3g}: off by {step.rms:.1f} counts rms, {step.overshoot:.1f} beyond the target, "
             f"settled in {1e3 * step.settling_s:.0f} ms"
         )
-    fit = [factor for factor in commissioned.steps if factor * _MARGIN in commissioned.steps]
-    if not fit:
+    with_margin = [factor for factor in commissioned.steps if factor * _MARGIN in commissioned.steps]
+    if not with_margin:
         raise TautError(
             "no gains are sound with a margin of 2: look for play between motor and encoder, and the supply"
         )
-    off = {factor: commissioned.steps[factor].rms + commissioned.steps[factor].overshoot for factor in fit}
-    commissioned.factor = max(factor for factor in fit if off[factor] < min(off.values()) + _COUNT)
-    commissioned.settings |= _scaled(commissioned.settings, commissioned.factor)
+    off = {factor: commissioned.steps[factor].rms + commissioned.steps[factor].overshoot for factor in with_margin}
+    commissioned.factor = max(factor for factor in with_margin if off[factor] < min(off.values()) + _COUNT)
+    commissioned.settings |= _scaled_gains(commissioned.settings, commissioned.factor)
 
 
-def _largest(settings: dict[str, Any]) -> str:
-    """The name of the largest gain among these settings."""
+def _largest_gain(settings: dict[str, Any]) -> str:
+    """The name of the largest of the three gains in an axis' settings."""
     return max(_GAINS, key=lambda name: settings[name])
 
 
-def _factors(settings: dict[str, Any]) -> list[float]:
-    """By what the gains among these settings are multiplied, rising, each factor _MARGIN times the one before. The last
-    one is _HIGHEST, or as much as the board takes of all three gains: they keep their ratios, or a step would show the
-    margin of another servo."""
-    highest = min(_HIGHEST, wire.wire.GAIN_MAX / max(settings[_largest(settings)], 1))
+def _gain_factors(settings: dict[str, Any]) -> list[float]:
+    """The factors by which an axis' gains are multiplied to be tried, rising, _RUNGS of them, each _MARGIN times the
+    one before. The last one is _HIGHEST, or the largest with which the board takes all three gains: their ratios have
+    to stay, or a step would show the margin of another servo."""
+    highest = min(_HIGHEST, wire.wire.GAIN_MAX / max(settings[_largest_gain(settings)], 1))
     return [highest / _MARGIN**rung for rung in reversed(range(_RUNGS))]
 
 
-def _scaled(settings: dict[str, Any], factor: float) -> dict[str, Any]:
-    """The gains among these settings times a factor, rounded."""
+def _scaled_gains(settings: dict[str, Any], factor: float) -> dict[str, Any]:
+    """The three gains in an axis' settings times a factor, rounded."""
     return {name: round(settings[name] * factor) for name in _GAINS}
 
 
-def _steps_by_gains(
-    live: Live, tape: _Tape, settings: dict[str, Any], start: float, direction: int
+def _step_responses_with_gains(
+    live: Live, tape: _Telemetry, settings: dict[str, Any], start: float, direction: int
 ) -> StepResponse | None:
-    """Worst figures of a step in either direction with the gains in these settings, as `_step_responses`; None where
-    the servo is not stable by them."""
+    """`_step_responses` with the gains in these settings; None where the servo is not stable with them, which the board
+    sees as one of the faults _UNSOUND. TautError for another fault."""
     live.board.ask("servo", **_servo_fields(settings))
     try:
         return _step_responses(live, tape, start, direction, settings["arrive"])
@@ -403,8 +415,9 @@ def _steps_by_gains(
         return None
 
 
-def _step_responses(live: Live, tape: _Tape, start: float, direction: int, arrive: float) -> StepResponse:
-    """Worst figures of a step in either direction, a part of the range away from `start` (the rig's unit). direction:
+def _step_responses(live: Live, tape: _Telemetry, start: float, direction: int, arrive: float) -> StepResponse:
+    """Makes a step in either direction, away from the end that is near, and returns the first one's curves with the
+    worse of both one's figures. start: position, the rig's unit, from which the place of the steps is taken; direction:
     -1 or 1, of the end that is near; arrive: counts from the target that count as there."""
     span = live.rig.actuator.span
     centre = start - direction * _CENTRE * span
@@ -419,11 +432,11 @@ def _step_responses(live: Live, tape: _Tape, start: float, direction: int, arriv
     )
 
 
-def _step_response(live: Live, tape: _Tape, q_to: float, arrive: float) -> StepResponse:
-    """A step to q_to (unit): positions in counts from where it began, rms and overshoot in counts, settling time in s.
-    arrive: counts from the target that count as there."""
+def _step_response(live: Live, tape: _Telemetry, q_to: float, arrive: float) -> StepResponse:
+    """Moves to q_to, the rig's unit, at top speed, and returns how the motor followed. arrive: counts from the target
+    that count as there."""
     live.wait(_SETTLE_S)
-    tape.rewind()
+    tape.clear()
     move_to(live, q_to, live.top_speed)
     live.wait(_SETTLE_S)
     t, q, q_ref, _ = tape.read()

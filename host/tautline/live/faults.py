@@ -22,9 +22,11 @@ _RESTS = 1.0  # counts within which a motor rests
 
 @dataclass(frozen=True)
 class Fault:
-    what: str
-    request: str | None  # of the sim link, None: the host is silent
-    at_check: bool = False
+    """A fault that a simulated board can have."""
+
+    what: str  # in words
+    request: str | None  # to the simulated board, on its sim link, that causes it; None: the host is silent
+    at_check: bool = False  # caused before the check of motor and encoder, which finds it; else in the middle of a move
 
 
 FAULTS = {
@@ -43,6 +45,8 @@ FAULTS = {
 
 @dataclass(frozen=True)
 class Noticed:
+    """How a board noticed a fault."""
+
     says: str  # the line of the error
     fault: str | None  # its name in tl_wire.h's TL_WIRE_FAULTS, None where the board cannot be asked
     noticed_s: float | None  # from the fault to the motor off
@@ -51,7 +55,8 @@ class Noticed:
 
 
 def inject(link: SimLink, axis: int, name: str) -> None:
-    """Makes a simulated board fail this way from now on. TautError where the board refuses to."""
+    """Causes a fault, a key of FAULTS, on a simulated board over its sim link. TautError where the board does not
+    acknowledge it, or it is one that only a silent host can cause."""
     request = FAULTS[name].request
     if request is None:
         raise TautError("nobody can silence another program: stop it, or leave --sim out")
@@ -61,14 +66,15 @@ def inject(link: SimLink, axis: int, name: str) -> None:
 
 
 def show(live: Live, name: str) -> Noticed:
-    """Causes a fault on a simulated board, its axis referenced, and tells how and when the board noticed it."""
+    """Causes a fault, a key of FAULTS, on a simulated board whose axis is referenced, and returns how and when the
+    board noticed it. TautError where it did not."""
     assert live.plant is not None
     injected_s = live.plant.now_s
     try:
         if FAULTS[name].at_check:
             inject(live.plant.link, live.axis, name)
             live.board.ask("check", axis=live.axis)
-            _watch(live)
+            _wait_for_fault(live)
         with driving(live):
             q = _SHARE * live.rig.actuator.span / live.resolution
             live.board.ask("move", axis=live.axis, q=q, speed_s=0.25 * q)
@@ -79,25 +85,25 @@ def show(live: Live, name: str) -> Noticed:
                     live.plant.advance_to(live.plant.now_s + _SLICE_S)
             else:
                 inject(live.plant.link, live.axis, name)
-            _watch(live)
+            _wait_for_fault(live)
     except TautError as error:
-        seen = _noticed(live, str(error), injected_s)
+        seen = _what_was_noticed(live, str(error), injected_s)
         if seen.fault == "NONE":
             raise  # of another cause
         return seen
     raise TautError(f"nobody noticed '{name}': report it")
 
 
-def _watch(live: Live) -> None:
-    """Waits _PATIENCE_S; TautError as soon as the axis has a fault."""
+def _wait_for_fault(live: Live) -> None:
+    """Waits _PATIENCE_S; TautError as soon as the axis has a fault, or the board is gone."""
     for _ in range(round(_PATIENCE_S / 0.02)):
         live.wait(0.02)
         live.board.check_fault(live.axis)
 
 
-def _noticed(live: Live, says: str, injected_s: float) -> Noticed:
-    """Lets half a second pass: which fault the board noticed, after how long, and how long and far the motor still
-    moved."""
+def _what_was_noticed(live: Live, says: str, injected_s: float) -> Noticed:
+    """Lets half a second pass, and collects which fault the board has noticed, after how long, and how long and far the
+    motor still moved. says: the error's text; injected_s: when the fault was caused, board time."""
     plant = live.plant
     assert plant is not None
     plant.advance_to(plant.now_s + 0.5)

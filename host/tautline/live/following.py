@@ -43,10 +43,10 @@ _COUNTS_AS_BEYOND, _LOOKS = 0.05, 4001  # deg: less is the table's own rounding;
 class Followed:
     """A followed trajectory of the tip. `scored_by`: where c is from, empty where it is not known."""
 
-    t_s: Array  # board time
-    c_ref_deg: Array
-    c_deg: Array  # NaN where it is not known
-    counted: Array  # bool: after the first full take-up in both directions
+    t_s: Array  # (n,) board time
+    c_ref_deg: Array  # (n,) c*, as planned
+    c_deg: Array  # (n,) c, as it was; NaN where it is not known
+    counted: Array  # (n,) bool: after the first full take-up in both directions
     scored_by: str = ""
     counters: dict[str, Any] = field(default_factory=dict)
     clipped: float = 0.0  # share of the trajectory's time that is beyond `reach_deg`: the tip is held at its end there
@@ -72,8 +72,9 @@ class Followed:
 
 
 def tip_trajectory(live: Live, what: str, speed_deg_s: float, seed: int, seconds: float = 60.0) -> tuple[Array, Array]:
-    """t_s and c*(t) in deg, both (n,): a CSV with t_s,c_deg, or a shape (trapezoids, smooth) over the instrument's
-    range. speed_deg_s: a shape's top speed, held below 0.3 of the motor's; seconds, seed: of the smooth one."""
+    """A trajectory for the tip: times, s, and angles c*, deg, both (n,). what: a CSV with t_s,c_deg, or one of SHAPES
+    over the instrument's range. speed_deg_s: a shape's top speed, limited to 0.3 of the motor's; seconds, seed: of the
+    smooth shape."""
     if what not in SHAPES:
         if not Path(what).is_file():
             raise TautError(f"--trajectory {what}: neither a file nor a shape (trapezoids, smooth)")
@@ -86,8 +87,8 @@ def tip_trajectory(live: Live, what: str, speed_deg_s: float, seed: int, seconds
 
 
 def _shape(what: str, actuator: Actuator, speed: float, seconds: float, seed: int) -> tuple[Array, Array]:
-    """Times, s, and positions, both (n,), of one of SHAPES over the range. speed: unit/s; seconds, seed: of the smooth
-    one."""
+    """One of SHAPES over the actuator's range: times, s, and positions, both (n,). speed: unit/s; seconds, seed: of the
+    smooth shape."""
     if what == "smooth":
         planned = trajectory.random_smooth(actuator, speed, seconds, seed)
     else:
@@ -97,7 +98,8 @@ def _shape(what: str, actuator: Actuator, speed: float, seconds: float, seed: in
 
 
 def _reachable_deg(live: Live) -> tuple[float, float]:
-    """The lowest and the highest angle that the instrument can take, deg, by the tables in use, else by f_coarse."""
+    """The lowest and the highest angle that the tip can take, deg: by the tables on the board, or without any by
+    f_coarse."""
     blob = live.board.read_table(live.axis)
     if blob:
         table = tables.decode(blob)
@@ -118,12 +120,14 @@ def follow(
     seen: Callable[[Frame], None] | None = None,
     progress: Progress = None,
 ) -> tuple[float, Array, Array]:
-    """Sends set-points of value(t): deg of the tip through the tables, or the rig's unit of the motor. It begins with a
-    straight move to the first value and ends at rest, motor off. compensation: one of MODES. Returns the board time,
-    s, at which the trajectory proper begins, and times (board, s) and values of all set-points."""
+    """Drives an axis along a trajectory by set-points: first a straight move to where it begins, in the end at rest,
+    motor off. t_s, value: (n,); tip: values are the tip's angle, deg, through the tables on the board; else the motor's
+    position, the rig's unit. compensation: one of MODES; strength: of it, 0 to 1; seen: gets the frames meanwhile.
+    Returns the board time, s, at which the trajectory itself begins, and times (board, s) and values of all set-points.
+    TautError for a fault, or where set-points are refused."""
     board, axis = live.board, live.axis
     scale = wire.DEG if tip else wire.COUNT / live.resolution
-    wire.set_point_values(value, scale)  # before anything moves
+    wire.set_point_values(value, scale)  # raises, before anything moves, where a value does not fit into the message
     board.refused.clear()
     with driving(live):
         set_range(live, *live.rig.actuator.range)
@@ -134,33 +138,43 @@ def follow(
         status = board.status(axis)
         here = status.c_ref if tip else status.q_ref * live.resolution
         span = np.ptp(coarse_range_deg(live.rig)) if tip else live.rig.actuator.span
-        lead = max(abs(value[0] - here) / (_LEAD_SHARE * span), 0.2)
-        plan_t = np.concatenate([[0.0, lead], lead + _SETTLE_S + (t_s - t_s[0])])
-        grid = np.arange(0.0, plan_t[-1] + _SETTLE_S, 1.0 / SET_POINT_HZ)
-        plan = np.interp(grid, plan_t, np.concatenate([[here, value[0]], value]))
-        told = wire.set_point_values(plan, scale)
-        # An emulated board may have run ahead of the time that was granted, by what loading a table took.
-        start_us = max(live.now_us(), board.sync()) + round(_AHEAD_S * 1e6)
-        sent = 0
-        while sent < len(grid):
-            now = (live.now_us() - start_us) * 1e-6
-            due = int(np.searchsorted(grid, now + _AHEAD_S, side="right"))
-            sent = max(sent, min(int(np.searchsorted(grid, now)), due - 1))  # what a stall made too late is left out
-            points = zip(told[sent:due], np.rint(start_us + grid[sent:due] * 1e6), strict=True)
-            board.tell_all("set_point", [{"axis": axis, "value": int(v), "at_us": int(t)} for v, t in points])
-            sent = max(due, sent)
-            step(live, seen)
-            _check_refusals(live)
-            if progress:
-                progress(sent / len(grid), "following")
-        while live.now_us() < start_us + grid[-1] * 1e6:
+        lead_s = max(abs(value[0] - here) / (_LEAD_SHARE * span), 0.2)  # of the move to where it begins
+        plan_t = np.concatenate([[0.0, lead_s], lead_s + _SETTLE_S + (t_s - t_s[0])])
+        grid_s = np.arange(0.0, plan_t[-1] + _SETTLE_S, 1.0 / SET_POINT_HZ)
+        plan = np.interp(grid_s, plan_t, np.concatenate([[here, value[0]], value]))
+        start_us = _send_ahead(live, grid_s, wire.set_point_values(plan, scale), seen, progress)
+        while live.now_us() < start_us + grid_s[-1] * 1e6:
             step(live, seen)
     _check_refusals(live)
-    return start_us * 1e-6 + lead + _SETTLE_S, start_us * 1e-6 + grid, plan
+    return start_us * 1e-6 + lead_s + _SETTLE_S, start_us * 1e-6 + grid_s, plan
+
+
+def _send_ahead(
+    live: Live, grid_s: Array, values: Array, seen: Callable[[Frame], None] | None, progress: Progress
+) -> int:
+    """Sends set-points, the message's values (n,) for times grid_s (n,) from now on, each _AHEAD_S before it holds.
+    Those that are too late, after this process was held up, are left out. Returns the board time, us, at which the grid
+    begins. TautError where the board refuses one."""
+    board = live.board
+    # An emulated board may have run ahead of the time that was granted, by what loading a table took.
+    start_us = max(live.now_us(), board.sync()) + round(_AHEAD_S * 1e6)
+    sent = 0
+    while sent < len(grid_s):
+        now_s = (live.now_us() - start_us) * 1e-6
+        due = int(np.searchsorted(grid_s, now_s + _AHEAD_S, side="right"))
+        sent = max(sent, min(int(np.searchsorted(grid_s, now_s)), due - 1))  # skips those that are too late
+        points = zip(values[sent:due], np.rint(start_us + grid_s[sent:due] * 1e6), strict=True)
+        board.tell_all("set_point", [{"axis": live.axis, "value": int(v), "at_us": int(t)} for v, t in points])
+        sent = max(due, sent)
+        step(live, seen)
+        _check_refusals(live)
+        if progress:
+            progress(sent / len(grid_s), "following")
+    return start_us
 
 
 def step(live: Live, seen: Callable[[Frame], None] | None) -> None:
-    """Waits for the next frame and hands it to `seen`; without a camera waits _STEP_S."""
+    """One turn of a loop that waits: for the next frame, which goes to `seen`; without a camera or `seen`, _STEP_S."""
     if live.marker_source is not None and seen is not None:
         seen(live.look())
     else:
@@ -168,7 +182,7 @@ def step(live: Live, seen: Callable[[Frame], None] | None) -> None:
 
 
 def _check_refusals(live: Live) -> None:
-    """TautError where the board has refused a set-point, with the axis' fault where that is why."""
+    """TautError, with the reason, where the board has refused a set-point since the last look."""
     if live.board.refused:
         live.board.check_fault(live.axis)
         refused = live.board.refused[0]
@@ -194,9 +208,11 @@ def follow_run(
     library: Library | None = None,
     progress: Progress = None,
 ) -> Followed:
-    """One run of `taut follow`: loads tables, follows a trajectory, records and scores it. compensation: off (the motor
-    follows f_coarse's inverse), backlash (f_coarse and B) or full (f_remain and B). track: the camera keeps the model
-    calibrated meanwhile and moves the board's tables; the shapes of `library` are recognised then."""
+    """One run of `taut follow`: loads the model's tables if one is given, follows a trajectory of the tip, records it
+    in `folder` if one is given, and compares what the tip did with the plan. what, speed_deg_s, seed: as in
+    `tip_trajectory`; compensation: off (the motor follows f_coarse's inverse), backlash (f_coarse and B) or full
+    (f_remain and B); strength: of it, 0 to 1. track: the camera keeps the model calibrated meanwhile and moves the
+    board's tables; then shapes of `library` are recognised. TautError where there are no tables to follow through."""
     if track and model is None:
         raise TautError("nothing to track: name the MODEL whose tables are in the board")
     board, axis, coarse = live.board, live.axis, live.rig.coarse
@@ -206,9 +222,8 @@ def follow_run(
     if not has_tables and compensation != "off":
         raise TautError(f"axis {axis} has no tables: flash a model first, or use --compensation off")
     t_s, c_deg = tip_trajectory(live, what, speed_deg_s, seed)
-    low, high = _reachable_deg(live)
-    asked = np.interp(np.linspace(t_s[0], t_s[-1], _LOOKS), t_s, c_deg)
-    clipped = float(np.mean((asked < low - _COUNTS_AS_BEYOND) | (asked > high + _COUNTS_AS_BEYOND)))
+    reach_deg = _reachable_deg(live)
+    clipped = _share_beyond(t_s, c_deg, reach_deg)
     frames: list[Frame] = []
     with ExitStack() as stack:
         following: Following | None = None
@@ -219,6 +234,7 @@ def follow_run(
         recorder = None if folder is None else stack.enter_context(Recorder(live, folder))
 
         def seen(frame: Frame) -> None:
+            """Keeps, records and tracks a frame."""
             frames.append(replace(frame, picture=None))  # pictures of a whole run would fill the memory
             if recorder is not None:
                 recorder.add(frame)
@@ -245,12 +261,21 @@ def follow_run(
     scored = _compared_with_plan(live, begin_s, sent_s, plan, frames)
     counted = {name: int(v) for name, v in counters.values.items() if name != "t_us"}
     learnt = None if following is None else following.summary()
-    return replace(scored, counters=counted, bus=board.bus(), clipped=clipped, reach_deg=(low, high), tracking=learnt)
+    return replace(scored, counters=counted, bus=board.bus(), clipped=clipped, reach_deg=reach_deg, tracking=learnt)
+
+
+def _share_beyond(t_s: Array, c_deg: Array, reach_deg: tuple[float, float]) -> float:
+    """The share, 0 to 1, of a trajectory's time in which the angle is beyond what the tip can take. t_s, c_deg: the
+    trajectory, (n,); reach_deg: the lowest and the highest angle."""
+    low, high = reach_deg
+    wanted_deg = np.interp(np.linspace(t_s[0], t_s[-1], _LOOKS), t_s, c_deg)
+    return float(np.mean((wanted_deg < low - _COUNTS_AS_BEYOND) | (wanted_deg > high + _COUNTS_AS_BEYOND)))
 
 
 def _compared_with_plan(live: Live, begin_s: float, t_s: Array, plan: Array, frames: list[Frame]) -> Followed:
-    """The tip's angle beside the plan at the same times: the simulated instrument's true angle, else the camera's, else
-    NaN. begin_s: when the trajectory proper begins; t_s, plan: set-points, board time in s and deg, (n,)."""
+    """What the tip did beside what was planned: by the simulated instrument's true angle, or the camera's, or with NaN
+    where there is neither. begin_s: when the trajectory itself begins; t_s, plan: set-points, board time in s and deg,
+    (n,); frames: with their markers."""
     if live.plant is not None:
         when, q, p, c = live.plant.truth()
         half = 0.5 * live.plant.instrument.backlash(p)
@@ -268,8 +293,9 @@ def _compared_with_plan(live: Live, begin_s: float, t_s: Array, plan: Array, fra
 
 
 def taken_up(q: Array, p: Array, half: Array) -> Array:
-    """(n,) Whether the play has been driven through in both directions by then. q, p: motor and centre coordinate;
-    half: B/2."""
+    """(n,) Whether by each sample the backlash has been driven through in both directions: before that, where in it the
+    tip began is not known, and errors are not counted. q, p: motor and centre coordinate, half: B/2, (n,) each, unit of
+    q."""
     up, down = q - p >= half - 1e-9, q - p <= 1e-9 - half
     counted: Array = np.logical_or.accumulate(up) & np.logical_or.accumulate(down)
     return counted
@@ -287,17 +313,21 @@ def record(
     seen: Callable[[Frame], None] = lambda frame: None,
     progress: Progress = None,
 ) -> dict[str, Any]:
-    """Records motor and marker while the motor follows `motion`, or is off. Ctrl-C, which may also come from `seen`,
-    ends it and is no failure. Returns the command's result."""
+    """Records motor and marker in `folder` while the motor follows a motion. motion: a file or shape, as in
+    `motor_trajectory`, or "none": whoever else moves it, for duration_s. speed: unit/s; video: the frames are kept too;
+    seen: gets every frame. Ctrl-C, also a KeyboardInterrupt from `seen`, ends it and is no failure. Returns the result
+    of `taut record` for JSON."""
     counts = {"motor_samples": 0, "frames": 0, "lost_frames": 0}
 
-    def taken(frame: Frame) -> None:
+    def add(frame: Frame) -> None:
+        """Records and counts a frame."""
         recorder.add(frame)
         counts["frames"] += 1
         counts["lost_frames"] += not frame.sighting.valid
         seen(frame)
 
     def batch(message: wire.Message) -> None:
+        """Counts the samples of a telemetry message."""
         counts["motor_samples"] += message.count if message.axis == live.axis else 0
 
     missed_before = live.board.missed
@@ -308,9 +338,9 @@ def record(
     with live.board.listening(batch=batch), Recorder(live, folder, video) as recorder, live.interruptible():
         try:
             if plan is not None:
-                follow(live, *plan, tip=False, seen=taken, progress=progress)
+                follow(live, *plan, tip=False, seen=add, progress=progress)
             while plan is None and (passed := (live.now_us() - began) * 1e-6) < duration_s:
-                step(live, taken)
+                step(live, add)
                 if progress:
                     progress(passed / duration_s, "recording")
         except KeyboardInterrupt:
@@ -327,7 +357,8 @@ def record(
 
 
 def other_axes(motion: str) -> list[str]:
-    """The columns of a motion's file that this board's axis does not move; none of a shape."""
+    """The columns of a motion's file that are motions of other axes (translation, rotation), which this board's axis
+    does not make, so that the user is told; none for a shape."""
     if motion == "none" or motion in SHAPES:
         return []
     names = read_columns(Path(motion), (), "").names
@@ -335,9 +366,9 @@ def other_axes(motion: str) -> list[str]:
 
 
 def motor_trajectory(live: Live, what: str, speed: float | None, seconds: float, seed: int) -> tuple[Array, Array]:
-    """Times, s, and motor positions, both (n,), of a file or of a shape (trapezoids, smooth) within the range. speed: a
-    shape's, unit/s; None: 15 deg/s of the tip, or half the motor's top speed if less. seconds, seed: of the smooth
-    one."""
+    """A trajectory for the motor: times, s, and positions, the rig's unit, both (n,). what: a motor.csv within the
+    rig's range, or one of SHAPES over it. speed: a shape's, unit/s; None: 15 deg/s of the tip, or half the motor's top
+    speed if that is less. seconds, seed: of the smooth shape."""
     actuator = live.rig.actuator
     if what not in SHAPES:
         if not Path(what).is_file():

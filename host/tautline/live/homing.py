@@ -17,19 +17,20 @@ _BEYOND_S = 10.0  # what a homing may take beyond the time for its reach
 
 @dataclass(frozen=True)
 class Homing:
-    """Lengths in the rig's unit; None takes what suits the rig."""
+    """How an axis is homed. Lengths in the rig's unit; None takes what suits the rig."""
 
-    direction: int = -1  # of the end
+    direction: int = -1  # in which the end is: -1 or 1
     end: float | None = None  # what the position is there; else the end of the rig's range
-    retreat: float | None = None
-    reach: float | None = None
-    speed: float | None = None
+    retreat: float | None = None  # from the end, after it was found
+    reach: float | None = None  # the farthest that the end is looked for
+    speed: float | None = None  # unit/s
     drive: float = 0.0  # share of full drive that may press; 0: the settings' low one
 
 
 def home(live: Live, homing: Homing | None = None) -> float:
-    """Drives to the end stop and backs off a little; returns the position then, the rig's unit. Leaves the motor
-    off. TautError for a drive with a position loop of its own, which cannot press weakly."""
+    """Finds the axis' zero: drives to its mechanical end at low drive, sets the position there, and backs off a little.
+    Returns the position then, the rig's unit; the motor is off. TautError for a drive with a position loop of its own,
+    which cannot press weakly, for a fault, or where it would rest beyond the board's limits."""
     if live.board.bus():
         raise TautError(
             f"axis {live.axis} is a drive with a position loop of its own: it would press against the end with all its "
@@ -37,18 +38,12 @@ def home(live: Live, homing: Homing | None = None) -> float:
         )
     homing = homing or Homing()
     low, high = live.rig.actuator.range
-    span, unit = live.rig.actuator.span, live.rig.actuator.unit
+    span = live.rig.actuator.span
     end = homing.end if homing.end is not None else (low if homing.direction < 0 else high)
     retreat = _RETREAT * span if homing.retreat is None else homing.retreat
     reach = _REACH * span if homing.reach is None else homing.reach
     speed = min(homing.speed or _SPEED * span, 0.5 * live.top_speed)
-    limits = live.board.ask("get_limits", axis=live.axis)
-    rests = end - homing.direction * retreat
-    if not limits.q_low <= rests / live.resolution <= limits.q_high:
-        raise TautError(
-            f"axis {live.axis} would rest at {rests:g} {unit}, beyond the board's limits "
-            f"[{limits.q_low * live.resolution:g}, {limits.q_high * live.resolution:g}]: choose another --end"
-        )
+    _check_within_limits(live, end - homing.direction * retreat)
     live.board.check_fault(live.axis)
     with live.powered():
         live.board.ask(
@@ -66,8 +61,18 @@ def home(live: Live, homing: Homing | None = None) -> float:
     return float(live.board.status(live.axis).q) * live.resolution
 
 
+def _check_within_limits(live: Live, rest_at: float) -> None:
+    """TautError where the position `rest_at`, the rig's unit, is beyond the axis' limits on the board."""
+    limits = live.board.ask("get_limits", axis=live.axis)
+    if not limits.q_low <= rest_at / live.resolution <= limits.q_high:
+        raise TautError(
+            f"axis {live.axis} would rest at {rest_at:g} {live.rig.actuator.unit}, beyond the board's limits "
+            f"[{limits.q_low * live.resolution:g}, {limits.q_high * live.resolution:g}]: choose another --end"
+        )
+
+
 def settle(live: Live, longest_s: float) -> None:
-    """Waits until the axis holds its position; TautError where it has a fault or takes longer."""
+    """Waits until the axis holds its position; TautError where it has a fault, or takes more than longest_s."""
     waited = 0.0
     while waited < longest_s:
         live.wait(_STEP_S)

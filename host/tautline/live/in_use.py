@@ -30,7 +30,8 @@ _AGAIN_S = 1.0  # a board that lost its host meanwhile has forgotten: it is told
 
 
 def load_tables(board: Board, axis: int, model: Model) -> None:
-    """Loads the model's tables into an axis, unless it already has them; then their limits of adaptation stay too."""
+    """Loads the model's tables into an axis of the board, unless it has tables of this model already; then these stay
+    as they are, with their limits of adaptation."""
     there = board.read_table(axis)
     if not there or tables.decode(there).model_id != tables.model_id(model):
         board.load_table(axis, tables.encode(model, axis=axis, limits=tables.Limits.in_use(model.rig)))
@@ -46,22 +47,24 @@ class TablesMoved:
 
 
 class TableMover:
-    """Moves the tables of a board's axis, within what they allow themselves (their section `adapt`)."""
+    """Moves the tables of a board's axis, by an offset and a scale of B, within what the tables themselves allow (their
+    section `adapt`)."""
 
     def __init__(self, live: Live) -> None:
-        """Reads how far the board's tables may be moved, and resets them to as they were calibrated."""
+        """Reads how far the board's tables may be moved, and moves them back to as they were calibrated."""
         self._live = live
         blob = live.board.read_table(live.axis)
         self.most = tables.decode(blob).limits.adapt if blob else None
         self.moves: list[TablesMoved] = []
         self.beyond = ""  # what was learnt beyond that
-        self._told_s = -np.inf
+        self._sent_s = -np.inf
         if self.most is not None:
             self._send(TablesMoved(-np.inf, 0.0, 1.0), 0.0)
 
     def use(self, t_s: float, offset: float, scale: float) -> None:
-        """Moves the board's tables to what was learnt by a frame that arrived at t_s: offset (unit of q) and scale of
-        B, clipped to what the tables allow. Small changes are not sent; the last one is repeated every _AGAIN_S."""
+        """Moves the board's tables to the offset (unit of q) and scale of B that were learnt by a frame that arrived at
+        t_s, clipped to what the tables allow (`beyond` then says so). Small changes are not sent; what is in use is
+        sent again every _AGAIN_S, for a board that has lost its host meanwhile."""
         if self.most is None:
             return
         farthest, least, most = self.most
@@ -73,45 +76,45 @@ class TableMover:
                 f"offset {offset:+.4g} {unit}, scale {scale:.3g} are beyond what the board's tables allow "
                 f"(+-{farthest:.4g} {unit}, {least:.3g} to {most:.3g}): calibrate and flash again"
             )
-        by = abs(within.offset - self._now.offset) / self._live.resolution
-        news = by > _NEWS_COUNTS or abs(within.scale - self._now.scale) > _NEWS_SCALE
+        counts = abs(within.offset - self._in_use.offset) / self._live.resolution
+        news = counts > _NEWS_COUNTS or abs(within.scale - self._in_use.scale) > _NEWS_SCALE
         if news:
             self.moves.append(within)
-        if news or (self.moves and t_s > self._told_s + _AGAIN_S):
-            self._send(within if news else self._now, t_s)
+        if news or (self.moves and t_s > self._sent_s + _AGAIN_S):
+            self._send(within if news else self._in_use, t_s)
 
     def _send(self, move: TablesMoved, t_s: float) -> None:
-        """Tells the board, which blends to it over BLEND_S. A refusal ends all moving."""
-        offset = move.offset / self._live.resolution
-        scale = {"offset": offset, "scale": move.scale, "within_ms": round(1e3 * BLEND_S)}
+        """Asks the board to move its tables, which takes BLEND_S. A refusal ends all moving (`beyond` says why)."""
+        offset_counts = move.offset / self._live.resolution
+        fields = {"offset": offset_counts, "scale": move.scale, "within_ms": round(1e3 * BLEND_S)}
         try:
-            self._live.board.ask("adapt", axis=self._live.axis, **scale)
+            self._live.board.ask("adapt", axis=self._live.axis, **fields)
         except BoardRefused as error:  # other tables than those that were read
             self.most, self.beyond = None, str(error)
-        self._now, self._told_s = move, t_s
+        self._in_use, self._sent_s = move, t_s
 
 
 @dataclass
 class Following:
-    """Gathers telemetry and frames in their order and keeps the tracker's latest row. `mover`: whose tables follow what
-    is learnt; without frames that show the marker nothing is told to it."""
+    """A tracker fed by a board's telemetry and a camera's frames, in their order, as they come."""
 
     live: Live
-    model: Model
-    told: Callable[[Row, float], None] = lambda row, t_s: None
-    mover: TableMover | None = None
+    model: Model  # that is kept calibrated
+    # Gets every row of the tracker, and its frame's arrival, s.
+    on_row: Callable[[Row, float], None] = lambda row, t_s: None
+    mover: TableMover | None = None  # moves the board's tables to what is learnt from frames that show the marker
     library: Library | None = None  # whose shapes are looked for
     shown: Callable[[Frame, float], None] = lambda frame, q: None  # a frame that was tracked, the motor at its scene
     known: Shape | None = field(init=False, default=None)  # the shape that the shaft has now, where that is another
     tracker: LawTracker = field(init=False)
-    row: Row | None = field(init=False, default=None)
-    frames: int = field(init=False, default=0)
-    unseen: int = field(init=False, default=0)
+    row: Row | None = field(init=False, default=None)  # the tracker's latest
+    frames: int = field(init=False, default=0)  # tracked so far
+    unseen: int = field(init=False, default=0)  # of these without the marker
     lost: str = field(init=False, default="")  # why frames no longer come
 
     def __post_init__(self) -> None:
-        """Begins to gather telemetry. TautError where there is no camera, the model is in another unit than the rig, or
-        is none of the library's shapes."""
+        """Starts the tracker and the board's telemetry. TautError where there is no camera, the model has another unit
+        than the rig, or is none of the library's shapes."""
         if self.live.marker_source is None:
             raise TautError("no camera: name one with --camera, or use --simulate")
         if self.live.rig.actuator.unit != self.model.rig.actuator.unit:
@@ -121,25 +124,26 @@ class Following:
             )
         self.tracker = LawTracker(self.model, MARKER)
         self.tracker.begin()
-        self._own = None if self.library is None else self.library.own(self.model)
-        if self.library is not None and self._own is None:
+        self._model_shape = None if self.library is None else self.library.own(self.model)
+        if self.library is not None and self._model_shape is None:
             raise TautError(f"{self.library.folder}: the model is none of its shapes: 'taut shapes add' makes it one")
         self._delay_s = self.model.delay_of(MARKER)
         self._waiting: list[Frame] = []  # for the telemetry of their scene
         self._batches: deque[wire.Message] = deque()  # a board's reader is another thread
-        self._path: deque[tuple[Array, Array]] = deque(maxlen=_BATCHES)
+        self._motor_samples: deque[tuple[Array, Array]] = deque(maxlen=_BATCHES)
         self._newest_s = -np.inf
-        self._squares, self._counted = 0.0, 0
-        self._looked_at: tuple[float, ...] = ()
+        self._squared_error, self._frames_compared = 0.0, 0
+        self._last_law: tuple[float, ...] = ()
         self.live.board.listen("batch", self._batches.append)
         self.live.board.ask("telemetry", axis=self.live.axis, divider=1)
 
     def close(self) -> None:
-        """What the board sends is no longer gathered."""
+        """Ends listening to the board's telemetry."""
         self.live.board.forget("batch", self._batches.append)
 
     def _read_telemetry(self) -> None:
-        """Hands the telemetry that has come to the tracker, samples not seen before."""
+        """Hands the telemetry that has come since the last call to the tracker, each sample once, and keeps it for
+        `motor_at`."""
         while self._batches:
             batch = self._batches.popleft()
             if batch.axis != self.live.axis:
@@ -148,26 +152,28 @@ class Following:
             q = np.asarray(batch.q[: batch.count]) * self.live.resolution
             fresh = t_s > self._newest_s
             if fresh.any():
-                self._path.append((t_s[fresh], q[fresh]))
+                self._motor_samples.append((t_s[fresh], q[fresh]))
                 self.tracker.motor(t_s[fresh], q[fresh])
                 self._newest_s = float(t_s[-1])
 
     def motor_at(self, t_s: float) -> float:
-        """q at a time not long ago, the rig's unit; NaN before the telemetry that is kept."""
-        for times, q in reversed(self._path):
+        """The motor's position, the rig's unit, at a board time, s, not long ago; NaN before the _BATCHES messages that
+        are kept."""
+        for times, q in reversed(self._motor_samples):
             if times[0] <= t_s:
                 return float(np.interp(t_s, times, q))
         return float("nan")
 
     def seen(self, frame: Frame) -> None:
-        """Queues a frame, and tracks those whose scene time the telemetry has reached."""
+        """Takes in the next frame, and tracks all queued ones whose scene time the telemetry has reached."""
         self._read_telemetry()
         self._waiting.append(frame)
         while self._waiting and self._waiting[0].t_us * 1e-6 - self._delay_s <= self._newest_s:
             self._track(self._waiting.pop(0))
 
     def _track(self, frame: Frame) -> None:
-        """Predicts a frame, learns from it if it shows the marker, and moves the tables by what was learnt."""
+        """Predicts where the marker is in a frame, learns from it if it shows the marker, and moves the board's tables
+        to what was learnt, unless the model is stale."""
         arrival_s, sighting = frame.t_us * 1e-6, frame.sighting
         self.row = self.tracker.predict(arrival_s - self._delay_s, arrival_s)
         self.frames += 1
@@ -175,40 +181,41 @@ class Following:
             self.tracker.see(sighting.u_px, sighting.v_px, sighting.sigma_px)
             off = ((self.row.u_px - sighting.u_px) ** 2 + (self.row.v_px - sighting.v_px) ** 2) / 2.0
             if np.isfinite(off):
-                self._squares += off
-                self._counted += 1
-            told = self.row.state is not State.STALE or self.tracker.dialled_down
-            if self.mover is not None and told:
+                self._squared_error += off
+                self._frames_compared += 1
+            usable = self.row.state is not State.STALE or self.tracker.dialled_down
+            if self.mover is not None and usable:
                 self.mover.use(arrival_s, self.row.offset, self.tracker.compensation)
         else:
             self.unseen += 1
         self._recognise(self.row)
-        self.told(self.row, arrival_s)
+        self.on_row(self.row, arrival_s)
         self.shown(frame, self.motor_at(arrival_s - self._delay_s))
 
     def _recognise(self, row: Row) -> None:
-        """Sets `known` to another shape of the library, if what was learnt is nearest to that."""
-        if self.library is None or self._own is None or row.state is State.STALE:
+        """Sets `known` to the shape of the library that what was learnt is nearest to, None if that is the model's own.
+        Does nothing while the law is as before."""
+        if self.library is None or self._model_shape is None or row.state is State.STALE:
             return
         law = (row.offset, row.offset_sigma, row.scale, row.scale_sigma)
-        if law == self._looked_at:
+        if law == self._last_law:
             return
-        self._looked_at = law
-        near = self.library.nearest(Seen(*law), self._own, float(np.mean(self.model.width)))
-        self.known = near if near is not None and near.name != self._own.name else None
+        self._last_law = law
+        near = self.library.nearest(Seen(*law), self._model_shape, float(np.mean(self.model.width)))
+        self.known = near if near is not None and near.name != self._model_shape.name else None
 
     @property
     def beyond(self) -> str:
-        """What was learnt beyond what the tables allow, "" where nothing was."""
+        """In words, by how much what was learnt is beyond what the board's tables allow; "" where it is not."""
         return "" if self.mover is None else self.mover.beyond
 
     @property
     def rms_px(self) -> float | None:
         """Rms of the predictions' error per coordinate, px; None before any."""
-        return float(np.sqrt(self._squares / self._counted)) if self._counted else None
+        return float(np.sqrt(self._squared_error / self._frames_compared)) if self._frames_compared else None
 
     def summary(self) -> dict[str, Any]:
-        """The tracking part of a command's JSON result."""
+        """What tracking came to, for the JSON of the commands that track."""
         row = self.row
         changes = [{"t_s": c.t_s, "state": c.state.value, "says": c.says} for c in self.tracker.changes]
         document: dict[str, Any] = {
@@ -237,11 +244,12 @@ class Following:
 
 @contextmanager
 def beside(following: Following) -> Iterator[Following]:
-    """A thread looks at the camera and tracks while the block sends set-points. A camera that is lost ends that, not
-    the block: `lost` says so, and the tables stay as they were told last, until the host is lost too."""
+    """A context within which a thread takes frames and tracks, while the block sends set-points. If the camera is lost
+    only tracking ends: `following.lost` says so, and the board's tables stay as they were moved last."""
     ended = threading.Event()
 
     def work() -> None:
+        """Body of the thread."""
         try:
             while not ended.is_set():
                 following.seen(following.live.look())

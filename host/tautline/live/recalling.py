@@ -26,20 +26,21 @@ _SPEED_DEG_S = 15.0
 
 
 def recall(live: Live, library: Library, progress: Progress = None) -> tuple[Shape, dict[str, float]]:
-    """Moves the motor out and back twice from where it is, and returns which shape's model predicts that best and the
-    rms error of each by name, px. TautError where two are equally good."""
+    """Finds out which shape of the library the shaft has now: moves the motor out and back twice from where it is, and
+    compares what the camera sees with each shape's model. Returns the shape whose model predicts it best, and the rms
+    error of each by name, px. TautError where there is no camera, or two shapes are equally good."""
     if live.marker_source is None:
         raise TautError("no camera: a shape is told by what it sees; name one with --camera, or use --simulate")
-    t_s, q = _motion(live, [library.model(shape.name) for shape in library.shapes])
+    t_s, q = _test_motion(live, [library.model(shape.name) for shape in library.shapes])
     with tempfile.TemporaryDirectory() as folder, Recorder(live, Path(folder) / "recall") as recorder:
         follow(live, t_s, q, tip=False, seen=recorder.add, progress=progress)
         recording = recorder.so_far()
     return recalled(library, recording)
 
 
-def _motion(live: Live, models: Sequence[Model]) -> tuple[Array, Array]:
-    """Times, s, and motor positions, the rig's unit, both (n,), of the test motion, towards the farther end of the
-    range."""
+def _test_motion(live: Live, models: Sequence[Model]) -> tuple[Array, Array]:
+    """The test motion: times, s, and motor positions, the rig's unit, both (n,). Strokes of _STROKE times the models'
+    widest B, within the range, towards its farther end."""
     actuator = live.rig.actuator
     low, high = actuator.range
     here = float(np.clip(live.board.status(live.axis).q * live.resolution, low, high))

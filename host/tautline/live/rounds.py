@@ -61,51 +61,51 @@ class Round:
     sigma_usable: float
 
     def says(self, unit: str) -> str:
-        """The round in words. unit: of q."""
+        """The round in words: positions and speeds. unit: of q."""
         speeds = " and ".join(f"{speed:.3g}" for speed in dict.fromkeys(self.speeds))
         return f"{self.low:.3g} to {self.high:.3g} {unit} at {speeds} {unit}/s"
 
 
 @dataclass(frozen=True)
 class Stroke:
-    """There and back between two positions."""
+    """Moves there and back between two positions. In the rig's unit."""
 
     low: float
     high: float
-    speed: float
-    times: int
+    speed: float  # unit/s
+    times: int  # there and back
 
 
 @dataclass(frozen=True)
 class Strokes:
-    """Slow and precise, at one place after the other, where B(q) is known worst."""
+    """A round of slow strokes at one place after the other, where B(q) is known worst."""
 
     places: tuple[Stroke, ...]
-    transit: float
+    transit: float  # speed between places, the rig's unit/s
 
     def says(self, unit: str) -> str:
-        """The strokes in words. unit: of q."""
+        """The strokes in words: positions. unit: of q."""
         return " and ".join(f"{place.low:.3g} to {place.high:.3g} {unit}" for place in self.places) + " and back"
 
 
 @dataclass(frozen=True)
 class Means:
-    """What a set-up allows."""
+    """The motions that a set-up allows. In the unit of q."""
 
-    low: float
+    low: float  # of the range
     high: float
-    speeds: tuple[float, ...]  # of the rounds in turn
-    acceleration: float
-    frame_s: float
+    speeds: tuple[float, ...]  # of the rounds in turn, unit/s
+    acceleration: float  # unit/s2
+    frame_s: float  # from one frame to the next
 
     @classmethod
     def of(
         cls, low: float, high: float, frame_rate_hz: float, top_speed: float, top_acceleration: float,
         speeds: tuple[float, ...] | None = None,
     ) -> Means:  # fmt: skip
-        """The speeds and acceleration of calibration passes over a range, unless `speeds` are given: the fastest is the
-        least of a share of the range a frame, a share of it a second, and shares of the motor's top speed and of what
-        its top acceleration reaches in a ramp; the rounds take the shares _SPEEDS of it. All in the unit of q."""
+        """Chooses speeds (unless `speeds` are given) and acceleration of calibration passes over a range. The fastest
+        speed is limited to shares of the range per frame and per second, of the motor's top speed, and of what its top
+        acceleration reaches in a ramp; the rounds take the shares _SPEEDS of that. All in the unit of q."""
         if speeds is None:
             fast = min(
                 _FRAME * frame_rate_hz * (high - low), _SECOND * (high - low), _OF_TOP_SPEED * top_speed,
@@ -117,16 +117,17 @@ class Means:
 
     @property
     def span(self) -> float:
+        """Length of the range, unit of q."""
         return self.high - self.low
 
 
 @dataclass(frozen=True)
 class Place:
-    """Positions of the centre coordinate p, and sigma of B at its worst there."""
+    """A stretch of positions of the centre coordinate p, unit of q."""
 
     low: float
     high: float
-    sigma: float
+    sigma: float  # the largest standard deviation of B in it, unit of q
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,8 @@ class Standing:
 
     @classmethod
     def of(cls, calibration: Calibration, low: float, high: float, until: float) -> Standing:
-        """The standing of a calibration. low, high: the range; until: the wanted sigma of B; all in the unit of q."""
+        """How well a calibration of what was recorded so far knows B. low, high: the range; until: the wanted sigma of
+        B; all in the unit of q. Where it has measured no B yet, sigma is infinite."""
         model = calibration.model
         bounds = max((onset.low for onset in calibration.onsets if onset.used and onset.kind == BOUND), default=0.0)
         doubt = next((str(reason) for reason in model.quality.reasons if not reason.mild), "")
@@ -172,7 +174,7 @@ class Standing:
 
     @property
     def covered(self) -> bool:
-        """Whether B is measured, well or not, wherever it can be seen, but for a little."""
+        """Whether B is measured, well or not, wherever it can be seen, but for a little at the ends."""
         return self.missing[0] >= self.missing[1]
 
     def reached(self, until: float) -> bool:
@@ -180,22 +182,22 @@ class Standing:
         return self.covered and self.worst <= until
 
     def share(self, until: float) -> float:
-        """Progress towards the goal `until` (sigma of B, unit of q), 0 to 1, as variance falls in proportion to
-        time."""
+        """Progress towards the goal `until` (sigma of B, unit of q), 0 to 1: the wanted variance over the present one,
+        as variance falls in inverse proportion to time."""
         return min((until / self.worst) ** 2, 1.0) if self.worst > 0 else 1.0
 
 
 def _insufficient_places(q: Array, sigma: Array, until: float, apart: float) -> tuple[Place, ...]:
-    """The stretches of q, (n,), where sigma, (n,), is above _AIM times the goal `until`; those less than `apart` from
-    each other are joined. All in the unit of q."""
+    """The stretches of q (n,) where sigma of B (n,) is above _AIM times the goal `until`; stretches that are less than
+    `apart` from each other are joined. All in the unit of q."""
     bad = np.flatnonzero(sigma > _AIM * until)
     runs = np.split(bad, np.flatnonzero(np.diff(q[bad]) > apart) + 1) if len(bad) else []
     return tuple(Place(float(q[run[0]]), float(q[run[-1]]), float(sigma[run].max())) for run in runs)
 
 
 def _unmeasured(calibration: Calibration, low: float, high: float) -> Span:
-    """What is not measured yet of the positions where B can be seen (all but B/2 at either end), as (from, to): the
-    whole range where both ends are missing, (0, 0) where none is."""
+    """The positions (from, to), unit of q, where B could be seen (all but B/2 at either end of the range) and is not
+    measured yet: the whole range, low to high, if both ends are missing, (0, 0) if none is."""
     model = calibration.model
     first, last = seeable(model, low, high)
     below, above = model.measured[0] > first, model.measured[1] < last
@@ -207,12 +209,13 @@ def _unmeasured(calibration: Calibration, low: float, high: float) -> Span:
 
 
 def default_until(actuator: Actuator) -> float:
-    """The goal unless another is named, unit of q: 3 um, or 0.05 % of a range in deg."""
+    """The goal, a standard deviation of B in unit of q, unless the user names another: 3 um, or 0.05 % of a range in
+    deg."""
     return _UNTIL_MM if actuator.unit == "mm" else _UNTIL_SHARE * actuator.span
 
 
 def in_words(sigma: float, unit: str) -> str:
-    """A sigma of q as a person reads it; "unknown" where it is not finite."""
+    """A standard deviation in unit of q as a person reads it, um for mm; "unknown" where it is not finite."""
     if not np.isfinite(sigma):
         return "unknown"
     return f"{1e3 * sigma:.2g} µm" if unit == "mm" else f"{sigma:.2g} {unit}"
@@ -221,30 +224,31 @@ def in_words(sigma: float, unit: str) -> str:
 # -- the next round ---------------------------------------------------------------------------------------------------
 
 
-def both_made(done: Sequence[Round | Strokes]) -> bool:
-    """Whether passes and strokes were made: without both sigma is not believed. The first round is always one of
-    passes."""
+def strokes_made(done: Sequence[Round | Strokes]) -> bool:
+    """Whether there are strokes among the rounds that are done (the first one is always of passes): before both have
+    been made a small sigma is not relied on."""
     return any(isinstance(made, Strokes) for made in done)
 
 
 def first_round(means: Means) -> Round:
-    """Passes over all of the range, out and back."""
+    """The first round: one pass over all of the range, out and back, at the highest speed."""
     return _round_over(means, means.speeds[:1])
 
 
 def next_round(
     means: Means, standing: Standing, until: float, done: Sequence[Round | Strokes], seconds: float
 ) -> Round | Strokes:
-    """A slower pass where that tells; strokes where sigma of B is too large, the first time also at both ends (passes
-    are there for a frame or two only); passes over the whole range where that is much of it, as many as will take, or
-    where something is not measured at all. seconds: that the rounds so far took."""
+    """Which round to make next, after those that are `done` in `seconds` s. In this order: a slower pass, if that tells
+    something (`slower_tells`); a pass over the whole range, if something is not measured at all; strokes where sigma of
+    B is above the goal `until`, the first time also at both ends (passes are there for a frame or two only); but if
+    that is much of the range, as many passes as the goal will take."""
     if slower_tells(means, standing, until, done):
         return _round_over(means, (min(means.speeds),))
     speed = means.speeds[len(done) % len(means.speeds)]
     if not standing.covered:
         return _round_over(means, (speed,), _LONGEST_STROKE if standing.strokes > 0 else _STROKE)
     more = (standing.worst / until) ** 2
-    need = standing.need if both_made(done) else _with_ends(standing, until)
+    need = standing.need if strokes_made(done) else _with_ends(standing, until)
     if sum(place.high - place.low for place in need) <= _WHOLE * means.span:
         return Strokes(
             tuple(_stroke_for(means, place, standing.widest, until, seconds) for place in need), means.speeds[0]
@@ -257,28 +261,28 @@ def next_round(
 
 
 def slower_tells(means: Means, standing: Standing, until: float, done: Sequence[Round | Strokes]) -> bool:
-    """Whether a slower pass, which was not made yet, would tell what goes with speed: at one speed nearly all of it
-    looks like a delay, and what remains is small enough for chance."""
+    """Whether a pass at the slowest speed, if none was made yet, would tell whether B goes with speed. At one speed
+    such an effect looks nearly like a delay, and what remains of it may be chance. until: the goal, unit of q."""
     slowest = min(means.speeds)
     made = any(isinstance(each, Round) and min(each.speeds) <= slowest for each in done)
     return standing.by_speed and standing.covered and standing.worst > until and not made
 
 
 def why_another(standing: Standing, until: float, unit: str, done: Sequence[Round | Strokes]) -> str:
-    """Why another round follows those that are done, in words."""
+    """Why another round follows those that are `done`, in words. until: the goal, unit of q."""
     if not standing.covered:
         return f"{not_measured(standing.missing, unit)} yet"
     here, wanted = in_words(standing.worst, unit), in_words(until, unit)
     if standing.by_speed and not standing.reached(until):
         return f"sigma is {here} where {wanted} is wanted, as B may go with the motor's speed"
-    if standing.reached(until) and not both_made(done):
+    if standing.reached(until) and not strokes_made(done):
         return f"sigma is {here} where {wanted} is wanted, but passes alone are not believed: turns at both ends first"
     return f"sigma is {here} at {standing.where:.3g} {unit} where {wanted} is wanted"
 
 
 def no_longer(best: float, standing: Standing, until: float, unit: str) -> str:
-    """What is said if the goal looked reached after an earlier round, of which `best` is the smallest worst sigma, unit
-    of q, and is not any more; else ""."""
+    """An addition to why the goal was not reached, if it had looked reached after an earlier round; else "". best: the
+    smallest worst sigma after any round; until: the goal; both in unit of q."""
     if best > until or standing.reached(until):
         return ""
     return (
@@ -288,8 +292,8 @@ def no_longer(best: float, standing: Standing, until: float, unit: str) -> str:
 
 
 def _with_ends(standing: Standing, until: float) -> tuple[Place, ...]:
-    """The places that need strokes, with both ends of the measured range, from low to high. An end that is added counts
-    as having the goal's sigma, `until`."""
+    """The places whose sigma is too large, and both ends of what is measured, from low to high. An end that is added
+    gets the goal `until` as its sigma."""
     first, last = (Place(end, end, until) for end in standing.ends)
     need = standing.need
     below = () if need and need[0].low <= first.low else (first,)
@@ -298,9 +302,9 @@ def _with_ends(standing: Standing, until: float) -> tuple[Place, ...]:
 
 
 def _stroke_for(means: Means, place: Place, widest: float, until: float, seconds: float) -> Stroke:
-    """The stroke across a place, B and a margin longer on either side, slow enough for _FRAMES_A_STROKE frames; how
-    often: until the variance, which falls as the time spent there grows, reaches the goal. seconds: that all rounds
-    took."""
+    """Plans the strokes across a place: longer than it by half the `widest` B and a margin on either side, slow enough
+    for _FRAMES_A_STROKE frames in which the tip moves, and as often as the variance, which falls as the time spent
+    there grows, takes to reach the goal `until`. seconds: that all rounds so far took. All in unit of q."""
     beside = _BESIDE * means.span
     reach = 0.5 * widest + beside
     low, high = max(place.low - reach, means.low), min(place.high + reach, means.high)
@@ -328,7 +332,7 @@ def _round_over(means: Means, speeds: tuple[float, ...], stroke: float = _STROKE
 
 @dataclass(frozen=True)
 class CameraView:
-    """What the camera made of it."""
+    """How well the camera has seen the marker so far."""
 
     noise_px: float  # from frame to frame at rest; NaN where it never rested
     unseen: Span  # positions at which the marker was mostly lost, empty (0, 0)
@@ -337,8 +341,8 @@ class CameraView:
 def why_not(
     standing: Standing, until: float, unit: str, camera: CameraView, seconds: float, at_most_s: float, rounds: int
 ) -> str:
-    """Why the goal is out of reach, empty where it may be reached yet: one sentence with its remedy. until: the goal;
-    seconds: the time so far, of at_most_s; rounds: how many were made."""
+    """Why the goal cannot be reached, a sentence with its remedy; "" where it is reached or may be yet. until: the
+    goal, unit of q; seconds: the time so far, of at_most_s; rounds: how many were made."""
     out_of_time = seconds >= at_most_s
     if standing.reached(until) or (rounds < FEWEST and not out_of_time):
         return ""
@@ -362,7 +366,7 @@ def why_not(
 
 
 def _why_not_measured(standing: Standing, unit: str, camera: CameraView) -> str:
-    """Why a part of the range has given no width, with a remedy."""
+    """Why B could not be measured in a part of the range, with a remedy."""
     low, high = standing.missing
     if camera.unseen[0] < camera.unseen[1]:
         return _marker_not_seen(camera, unit)
@@ -375,6 +379,7 @@ def _why_not_measured(standing: Standing, unit: str, camera: CameraView) -> str:
 
 
 def _marker_not_seen(camera: CameraView, unit: str) -> str:
+    """The sentence, with a remedy, on the positions at which the marker was lost."""
     low, high = camera.unseen
     return (
         f"the marker is not seen from {low:.3g} to {high:.3g} {unit}: bring it into view there, or take these "

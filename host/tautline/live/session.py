@@ -65,7 +65,8 @@ class Motion:
 
 @contextmanager
 def driving(live: Live) -> Iterator[None]:
-    """The motor of a referenced axis is on inside, and off after."""
+    """A context within which the motor is on; afterwards the axis is at rest and the motor off. TautError where the
+    axis has a fault, or does not know its position."""
     live.board.check_fault(live.axis)
     live.board.check_reference(live.axis)
     with live.powered():
@@ -73,8 +74,8 @@ def driving(live: Live) -> Iterator[None]:
 
 
 def set_range(live: Live, low: float, high: float) -> None:
-    """Sets the position limits of the axis, in the rig's unit, within the settings on the board; its other limits
-    stay."""
+    """Sets the position limits of the axis, the rig's unit, as far as the settings on the board allow; its other limits
+    stay. TautError where both have no position in common."""
     limits = dict(live.board.ask("get_limits", axis=live.axis).values)
     own = live.board.ask("get_settings", axis=live.axis)
     limits.update(q_low=max(low / live.resolution, own.q_low), q_high=min(high / live.resolution, own.q_high))
@@ -87,15 +88,15 @@ def set_range(live: Live, low: float, high: float) -> None:
 
 
 def move_to(live: Live, q: float, speed: float, seen: Callable[[Frame], object] | None = None) -> None:
-    """Moves the motor to q (unit) at up to `speed` (unit/s) and waits until it is there; frames meanwhile go to
-    `seen`."""
+    """Moves the motor to q, the rig's unit, at up to `speed`, unit/s, and waits until it is there; frames meanwhile go
+    to `seen`. TautError for a fault, or where it takes too long."""
     start = live.board.status(live.axis).q * live.resolution
     live.board.ask("move", axis=live.axis, q=q / live.resolution, speed_s=speed / live.resolution)
     longest = 2.0 + 1.5 * abs(q - start) / speed  # s, tolerance
     deadline = live.now_us() + longest * 1e6
     late = False
     while not late:
-        late = live.now_us() >= deadline  # before the look at what became of it: this process may have been held up
+        late = live.now_us() >= deadline  # before the status is asked for: this process may have been held up
         if seen is not None and live.marker_source is not None:
             seen(live.look())
         else:
@@ -112,8 +113,9 @@ def move_to(live: Live, q: float, speed: float, seen: Callable[[Frame], object] 
 
 
 def probe(live: Live, seen: Callable[[Frame], object], speed: float) -> None:
-    """A small move in both directions, whose frames go to `seen`; TautError where the marker's motion does not fit the
-    motor's, before a motion is blamed for it."""
+    """Checks, before a calibration motion is made, that scale and sign in the rig are right: by small moves in both
+    directions, twice at most, and how far the marker moves. speed: unit/s; frames go to `seen`. TautError, with the
+    likely reason, where the marker's motion does not fit the motor's."""
     rig, unit = live.rig, live.rig.actuator.unit
     low, high = rig.actuator.range
     start = float(live.board.status(live.axis).q) * live.resolution
@@ -139,30 +141,39 @@ def probe(live: Live, seen: Callable[[Frame], object], speed: float) -> None:
         moved = second - first
         c = rig.coarse.gain * np.array([q_first, q_second]) + rig.coarse.offset
         expected = np.subtract(*project(rig, c)[::-1])
-        length, along = float(np.linalg.norm(expected)), float(moved @ expected / max(np.linalg.norm(expected), 1e-9))
-        distance = float(np.linalg.norm(moved))
-        if distance > _TOO_MUCH * length + 10 * sigma:
-            raise TautError(
-                f"the marker moved {distance:.3g} px where f_coarse says {length:.3g}: a scale is too large: check "
-                "actuator.unit, encoder_resolution and coarse.gain in rig.toml, and that the camera is the rig's"
-            )
-        moves = distance > max(_TOO_LITTLE * length, 12 * sigma)
-        if moves and along < -0.5 * distance:
-            raise TautError(
-                f"the marker moves against what f_coarse says ({along:.3g} px of {length:.3g}): turn the sign of "
-                "coarse.gain in rig.toml, or check how the camera is mounted (hand_eye)"
-            )
-    if moves:
-        return
-    raise TautError(
-        f"the motor moved {2 * reach:.3g} {unit}, the marker {distance:.2g} px of {length:.3g}: is this camera looking "
-        f"at the instrument of axis {live.axis}? Else a scale in rig.toml is too small, or the backlash larger"
-    )
+        enough = _check_marker_motion(moved, expected, sigma)
+    if not enough:
+        distance, length = float(np.linalg.norm(moved)), float(np.linalg.norm(expected))
+        raise TautError(
+            f"the motor moved {2 * reach:.3g} {unit}, the marker {distance:.2g} px of {length:.3g}: is this camera "
+            f"looking at the instrument of axis {live.axis}? Else a scale in rig.toml is too small, or the backlash "
+            "larger"
+        )
+
+
+def _check_marker_motion(moved: Array, expected: Array, sigma: float) -> bool:
+    """TautError where the marker moved much farther than expected, or the other way. moved, expected: (2,) px; sigma:
+    of `moved`, px. Returns whether it moved far enough for that to be told."""
+    length, distance = float(np.linalg.norm(expected)), float(np.linalg.norm(moved))
+    if distance > _TOO_MUCH * length + 10 * sigma:
+        raise TautError(
+            f"the marker moved {distance:.3g} px where f_coarse says {length:.3g}: a scale is too large: check "
+            "actuator.unit, encoder_resolution and coarse.gain in rig.toml, and that the camera is the rig's"
+        )
+    along = float(moved @ expected / max(length, 1e-9))
+    enough = distance > max(_TOO_LITTLE * length, 12 * sigma)
+    if enough and along < -0.5 * distance:
+        raise TautError(
+            f"the marker moves against what f_coarse says ({along:.3g} px of {length:.3g}): turn the sign of "
+            "coarse.gain in rig.toml, or check how the camera is mounted (hand_eye)"
+        )
+    return enough
 
 
 def _marker_at_rest(live: Live, seen: Callable[[Frame], object]) -> tuple[Array, float]:
-    """Mean marker position (2,) of _STILL_FRAMES that show the axis as it rests, and its standard error, px. Frames,
-    also those that are still on their way from before, go to `seen`. TautError where it is lost in most of them."""
+    """Takes _STILL_FRAMES that show the axis at rest, after those that are still on their way from before; returns the
+    marker's mean position (2,) and its standard error, px. All frames go to `seen`. TautError where the marker is lost
+    in most of them."""
     late = round(live.rig.delay_s * (live.rig.camera.frame_rate_hz if live.rig.camera else 25.0)) + 1
     places = []
     for _ in range(_STILL_FRAMES + late):
@@ -182,62 +193,44 @@ def _marker_at_rest(live: Live, seen: Callable[[Frame], object]) -> tuple[Array,
 
 
 class Motions:
-    """Runs the board's calibration motion, once or several times in a row, and hands on each frame."""
+    """Runs rounds of calibration motion on a board, one after the other, and records each frame."""
 
     def __init__(self, live: Live, recorder: Recorder, made: Motion) -> None:
-        """made: gets the counts and onsets of what is run."""
+        """made: its counts and onsets are updated as rounds are run."""
         self.live, self.recorder, self.made = live, recorder, made
-        self.permille = 0
+        self.permille = 0  # progress of the present round in 1/1000, by the board
         self._before = 0  # reversals of the rounds before this one
-        self._state = _RUNNING[0]
+        self._state = _RUNNING[0]  # of the board's motion, a number of TL_WIRE_MOTIONS
 
     def listening(self) -> AbstractContextManager[None]:
-        """Takes the board's messages on progress and onsets inside."""
-        return self.live.board.listening(progress=self._took, onset=self._onset)
+        """A context within which the board's messages on progress and onsets are taken in; `run` needs it."""
+        return self.live.board.listening(progress=self._on_progress, onset=self._on_onset)
 
-    def _took(self, message: wire.Message) -> None:
-        """Takes in a progress message of the board: the motion's state, its progress in 1/1000 and its reversals."""
+    def _on_progress(self, message: wire.Message) -> None:
+        """Listener to the message `progress`: keeps the motion's state, its progress and its reversals."""
         self._state, self.permille = message.state, message.permille
         self.made.reversals = self._before + message.reversals
 
-    def _onset(self, message: wire.Message) -> None:
-        """Keeps an onset that the board found, positions in the unit of q, times in s of the board."""
+    def _on_onset(self, message: wire.Message) -> None:
+        """Listener to the message `onset`: keeps an onset that the board found, positions in the unit of q, times in s
+        of the board."""
         onset = {key: message.values[key] * self.live.resolution for key in ("q1", "q2", "width", "sigma")}
         onset |= {"direction": message.direction, "t_s": message.start_us * 1e-6, "used": message.reason == 0}
         self.made.onsets.append(onset)
 
     def run(self, wanted: Round, enough: Callable[[Frame], bool]) -> None:
-        """Runs the board's calibration motion until it is complete or `enough(frame)` is true; then the axis is at
-        rest."""
-        live, resolution = self.live, self.live.resolution
-        counts = (wanted.high - wanted.low) / resolution
-        camera = live.rig.camera
-        assert camera is not None
+        """Runs a round of passes, which the board's own calibration motion makes, until it is complete or
+        `enough(frame)`, which gets every frame, has been true; then the axis is at rest. TautError where the motion
+        ends otherwise."""
+        live = self.live
         self._before = self.made.reversals
-        live.board.ask(
-            "motion_start",
-            axis=live.axis,
-            cycles=wanted.cycles,
-            low=wanted.low / resolution,
-            high=wanted.high / resolution,
-            speed_s=[speed / resolution for speed in (*wanted.speeds, 0.0, 0.0, 0.0)[:4]],  # 0 ends the list
-            transit_s=wanted.transit / resolution,
-            acceleration_s2=wanted.acceleration / resolution,
-            approach=wanted.approach / resolution,
-            stroke_max=wanted.stroke / resolution,
-            host_timeout_us=round(_HOST_TIMEOUT_S * 1e6),
-            delay_us=round(camera.delay_s * 1e6),
-            sigma_wanted=wanted.sigma_wanted / resolution,
-            sigma_usable=wanted.sigma_usable / resolution,
-            turn=max(_TURN * counts, 4.0),  # counts
-            curvature=round(min(_SLOPE_CHANGES / counts, 0.5) * 2**20),  # for a count, in 1/2**20
-        )
+        live.board.ask("motion_start", axis=live.axis, **self._motion_fields(wanted))
         self._state, self.permille = _RUNNING[0], 0
         live.feeding = True
         stopped = False
         while self._state in _RUNNING:
             frame = self.live.look()
-            self._add(frame)
+            self._record_frame(frame)
             if enough(frame) and not stopped:
                 live.board.ask("motion_stop", axis=live.axis)
                 stopped = True
@@ -247,14 +240,37 @@ class Motions:
             live.board.check_fault(live.axis)
             raise TautError(f"the calibration motion is {ended}: what was recorded is in {self.made.folder}")
 
+    def _motion_fields(self, wanted: Round) -> dict[str, Any]:
+        """The fields of the message `motion_start` for a round of passes, lengths in counts."""
+        resolution, camera = self.live.resolution, self.live.rig.camera
+        assert camera is not None
+        counts = (wanted.high - wanted.low) / resolution
+        return {
+            "cycles": wanted.cycles,
+            "low": wanted.low / resolution,
+            "high": wanted.high / resolution,
+            "speed_s": [speed / resolution for speed in (*wanted.speeds, 0.0, 0.0, 0.0)[:4]],  # 0 ends the list
+            "transit_s": wanted.transit / resolution,
+            "acceleration_s2": wanted.acceleration / resolution,
+            "approach": wanted.approach / resolution,
+            "stroke_max": wanted.stroke / resolution,
+            "host_timeout_us": round(_HOST_TIMEOUT_S * 1e6),
+            "delay_us": round(camera.delay_s * 1e6),
+            "sigma_wanted": wanted.sigma_wanted / resolution,
+            "sigma_usable": wanted.sigma_usable / resolution,
+            "turn": max(_TURN * counts, 4.0),
+            "curvature": round(min(_SLOPE_CHANGES / counts, 0.5) * 2**20),  # for a count, in 1/2**20
+        }
+
     def stroke(self, wanted: Strokes, enough: Callable[[Frame], bool]) -> None:
-        """Makes the strokes one place after the other until all are done or `enough(frame)` is true; then the axis is
-        at rest."""
+        """Runs a round of strokes, one place after the other, until all are done or `enough(frame)`, which gets every
+        frame, has been true; then the axis is at rest."""
         done = False
 
         def seen(frame: Frame) -> None:
+            """Records a frame and asks whether that is enough."""
             nonlocal done
-            self._add(frame)
+            self._record_frame(frame)
             done = enough(frame) or done
 
         for place in wanted.places:
@@ -265,23 +281,24 @@ class Motions:
                 move_to(self.live, end, place.speed, seen)
                 self.made.reversals += 1
 
-    def _add(self, frame: Frame) -> None:
+    def _record_frame(self, frame: Frame) -> None:
         """Records a frame and counts it, also if it shows no marker."""
         self.recorder.add(frame)
         self.made.frames += 1
         self.made.lost_frames += not frame.sighting.valid
 
     def still(self) -> None:
-        """Records frames of the axis at rest: they show the noise, and those of the motion that are still on their
-        way."""
+        """Records _STILL_FRAMES of the axis at rest: the last of the motion, which are still on their way, and some
+        that show the noise."""
         for _ in range(_STILL_FRAMES):
             self.recorder.add(self.live.look())
 
 
 @contextmanager
 def moving(live: Live, folder: Path, low: float, high: float, video: bool) -> Iterator[Motions]:
-    """Inside, the motor is on within these limits and everything is recorded. Whatever happens, the axis comes to rest
-    and what was recorded stays."""
+    """A context within which the motor is on, limited to low to high (the rig's unit), and everything is recorded in
+    `folder`; gives what runs rounds. video: the frames are kept too. Whatever happens, the axis comes to rest and what
+    was recorded stays; Ctrl-C becomes a TautError that says so."""
     made, missed_before = Motion(folder), live.board.missed
     began = live.now_us()
     with Recorder(live, folder, video) as recorder, driving(live):
@@ -292,7 +309,7 @@ def moving(live: Live, folder: Path, low: float, high: float, video: bool) -> It
                 yield motions
         except BaseException as error:
             live.feeding = False
-            _stop(live)
+            _stop_motion(live)
             if isinstance(error, KeyboardInterrupt):
                 raise TautError(
                     f"stopped after {made.reversals} reversals, the axis is at rest: "
@@ -304,8 +321,8 @@ def moving(live: Live, folder: Path, low: float, high: float, video: bool) -> It
 
 
 def check_rig(live: Live) -> None:
-    """TautError where the rig has not what a live calibration needs, or is not for the instrument of the board's
-    settings."""
+    """TautError, with the remedy, where the rig lacks what a live calibration needs, or is for another instrument than
+    the board's settings."""
     rig = live.rig
     if rig.sees_from_tip:
         raise TautError("a camera on the tip sees no marker: 'taut record --video' first, then 'taut calibrate' that")
@@ -320,7 +337,8 @@ def check_rig(live: Live) -> None:
 
 
 def thorough(live: Live, options: MotionOptions) -> Round:
-    """The paper's motion: slow passes with many reversals."""
+    """The thorough calibration motion (that of the paper), slow passes with many reversals, for this set-up. TautError
+    for speeds that the board cannot take."""
     rig = live.rig
     low = rig.actuator.range[0] if options.low is None else options.low
     high = rig.actuator.range[1] if options.high is None else options.high
@@ -343,8 +361,10 @@ def record_calibration(
     progress: Progress = None,
     show: Show | None = None,
 ) -> Motion:
-    """Runs the thorough calibration motion and records it in `folder`, for `calibrate` to use. Stopped at any time
-    (Ctrl-C, an error), the axis comes to rest and what was recorded stays."""
+    """Runs the thorough calibration motion and records it in `folder`, for `calibrate` to use. video: the frames are
+    kept too; progress: gets the share done, 0 to 1, and a word; show: gets what is known so far after every frame.
+    Stopped at any time (Ctrl-C, an error), the axis comes to rest and what was recorded stays. TautError where the rig
+    does not fit, or the marker was lost in most frames."""
     check_rig(live)
     options = options or MotionOptions()
     wanted = thorough(live, options)
@@ -357,6 +377,7 @@ def record_calibration(
             probe(live, motions.recorder.add, wanted.transit)
 
         def seen(frame: Frame) -> bool:
+            """Shows a frame; False, as the motion shall run to its end."""
             made = motions.made
             if show:
                 watch.frame(frame, made.reversals)
@@ -385,17 +406,19 @@ def calibrate_live(
     progress: Progress = None,
     show: Show | None = None,
 ) -> tuple[Calibration, Motion]:
-    """Runs the thorough calibration motion, records it in `folder`, and calibrates that."""
+    """Runs the thorough calibration motion, records it in `folder` (see `record_calibration`), and calibrates that
+    recording with `options`."""
 
     def part(low: float, high: float) -> Progress:
+        """`progress` for a step that goes from the share `low` of the whole to `high`."""
         return (lambda share, what: progress(low + (high - low) * share, what)) if progress else None
 
     made = record_calibration(live, folder, motion, video, part(0.0, 0.8), show)
     return calibrate([load(folder, live.rig)], live.rig, options, part(0.8, 1.0)), made
 
 
-def _stop(live: Live) -> None:
-    """Brings the axis to rest within its limits, if the board still answers."""
+def _stop_motion(live: Live) -> None:
+    """Ends the board's calibration motion and waits until the axis rests, if the board still answers."""
     try:
         live.board.ask("motion_stop", axis=live.axis)
         live.rest()

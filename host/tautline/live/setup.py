@@ -44,21 +44,24 @@ _DIAMETER_PX = 15.0  # of a marker that is only projected
 
 @dataclass(frozen=True)
 class Frame:
-    """What one frame showed. t_us is its arrival in board time; picture is BGR, None where none was drawn."""
+    """What one frame showed."""
 
-    t_us: int
-    sighting: Sighting
-    picture: Array | None
+    t_us: int  # arrival in board time
+    sighting: Sighting  # of the marker
+    picture: Array | None  # BGR (height, width, 3) uint8; None where none was drawn
 
 
 class MarkerSource(Protocol):
+    """Where frames with their markers come from."""
+
     def look(self) -> Frame:
         """Waits for the next frame. TautError at the end of the source."""
 
     def use(self, colour: MarkerColour) -> None:
-        """From the next frame on this is the marker."""
+        """Sets the marker's colour from the next frame on."""
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Closes the camera."""
 
 
 class CameraSource:
@@ -78,11 +81,12 @@ class CameraSource:
 
     @property
     def says(self) -> dict[str, str | int]:
-        """Of the camera: what its times are, its exposure, what it lost."""
+        """What a command's JSON says of the camera: what its times are, its exposure, how many frames it lost."""
         return {"clock": self._camera.clock, "exposure": self._camera.exposure, "dropped": self.dropped}
 
     def look(self) -> Frame:
-        """The next frame with its marker. TautError where the camera ends, or gives another size."""
+        """Waits for the next frame, and tracks its marker. TautError where the camera ends, or its frames have another
+        size than the rig's."""
         taken = self._camera.read()
         if taken is None:
             raise TautError("the camera's source has ended: a live session needs a camera, not a file")
@@ -98,9 +102,11 @@ class CameraSource:
         return Frame(self._board.clock.board_us(arrival_s), seen, picture)
 
     def use(self, colour: MarkerColour) -> None:
+        """Sets the marker's colour from the next frame on."""
         self._tracker = MarkerTracker(colour)
 
     def close(self) -> None:
+        """Closes the camera."""
         self._camera.close()
 
 
@@ -108,6 +114,7 @@ class LockstepSource:
     """The simulated endoscope: looking advances board and instrument to the frame's arrival."""
 
     def __init__(self, plant: SimulatedAxis, camera: SimulatedCamera, tracker: MarkerTracker) -> None:
+        """plant: the simulated board's axis with the instrument, whose scenes the camera draws."""
         self._plant, self._camera, self._tracker = plant, camera, tracker
 
     def look(self) -> Frame:
@@ -119,9 +126,11 @@ class LockstepSource:
         return Frame(round(arrival_s * 1e6), self._tracker.track(picture), picture)
 
     def use(self, colour: MarkerColour) -> None:
+        """Sets the marker's colour from the next frame on."""
         self._tracker = MarkerTracker(colour)
 
     def close(self) -> None:
+        """Closes the simulated camera."""
         self._camera.close()
 
 
@@ -129,12 +138,14 @@ class PointSource:
     """As LockstepSource without pictures: the marker's projection with white noise of `noise_px`. For long runs."""
 
     def __init__(self, plant: SimulatedAxis, noise_px: float = 0.05, seed: int = 0) -> None:
+        """plant: the simulated board's axis with the instrument; noise_px: rms per coordinate; seed: of the noise."""
         self._plant, self._noise_px = plant, noise_px
         self._frames = FrameTiming.of(plant.instrument.rig, jitter_s=plant.instrument.jitter_s).frames()
         self._rng = np.random.default_rng([seed, 0xE1E])
 
     def look(self) -> Frame:
-        """The next frame: the marker's projection with noise."""
+        """Advances board and instrument to the next frame's arrival, and returns it: the marker's projection with
+        noise, without a picture."""
         scene_s, arrival_s = next(self._frames)
         while arrival_s < self._plant.now_s:  # frames that passed while nobody looked
             scene_s, arrival_s = next(self._frames)
@@ -144,7 +155,7 @@ class PointSource:
         return Frame(round(arrival_s * 1e6), sighting, None)
 
     def use(self, colour: MarkerColour) -> None:
-        """It has no colour: it is found all the same."""
+        """Does nothing: without pictures the marker needs no colour to be found."""
 
     def close(self) -> None:
         """Nothing is held."""
@@ -152,19 +163,19 @@ class PointSource:
 
 @dataclass
 class Live:
-    """Board, axis and rig of one session; `marker_source` where there is a camera, `plant` where all is simulated."""
+    """A live set-up: an open board with one axis that is used, its rig, and its camera."""
 
     board: Board
     rig: Rig
     axis: int = 0
-    marker_source: MarkerSource | None = None
-    plant: SimulatedAxis | None = None
+    marker_source: MarkerSource | None = None  # None without a camera
+    plant: SimulatedAxis | None = None  # the simulated instrument; None for a real one
     stopping: bool = False  # Ctrl-C came
     feeding: bool = False  # frames go on to the board: during its calibration motion
 
     @property
     def virtual(self) -> bool:
-        """Whether time stands still between two messages."""
+        """Whether time is simulated: it stands still unless it is advanced."""
         return self.plant is not None
 
     @property
@@ -174,12 +185,14 @@ class Live:
 
     @contextmanager
     def interruptible(self) -> Iterator[None]:
-        """Inside, Ctrl-C ends the session between two messages (in `look` or `wait`), never in the middle of one."""
+        """A context within which Ctrl-C raises KeyboardInterrupt in the next `look` or `wait`, so that no message is
+        cut in two; a second Ctrl-C raises it at once. Does nothing in another thread than the main one."""
         if threading.current_thread() is not threading.main_thread():
             yield
             return
 
         def stop(number: int, frame: object) -> None:
+            """Handler of SIGINT."""
             if self.stopping:
                 raise KeyboardInterrupt  # asked for twice: at once
             self.stopping = True
@@ -193,7 +206,8 @@ class Live:
 
     @contextmanager
     def powered(self) -> Iterator[None]:
-        """Inside, the motor is on; afterwards the axis is at rest and the motor off, whatever happens."""
+        """A context within which the motor is on and Ctrl-C is `interruptible`; afterwards the axis is at rest and the
+        motor off, whatever happens."""
         with self.interruptible():
             try:
                 self.board.switch_on(self.axis, self.wait)
@@ -209,11 +223,12 @@ class Live:
 
     @property
     def top_speed(self) -> float:
-        """Of the motor, by the axis' limits, the rig's unit per second."""
+        """The motor's top speed by the axis' limits, the rig's unit per second."""
         return float(self.board.ask("get_limits", axis=self.axis).speed_s) * self.resolution
 
     def look(self) -> Frame:
-        """The next frame; what the board has sent until then is taken in before."""
+        """Waits for the next frame; meanwhile what the board sends is taken in. While `feeding`, the board is told
+        where the marker is. TautError without a camera; KeyboardInterrupt after a Ctrl-C."""
         self._check_stop()
         if self.marker_source is None:
             simulated = self.plant is not None
@@ -227,7 +242,7 @@ class Live:
         return frame
 
     def wait(self, seconds: float) -> None:
-        """Waits, in virtual time where the set-up is simulated."""
+        """Waits, in virtual time where the set-up is simulated. KeyboardInterrupt after a Ctrl-C."""
         self._check_stop()
         if self.plant is None:
             time.sleep(seconds)
@@ -243,11 +258,12 @@ class Live:
             self.board.sync()
 
     def now_us(self) -> int:
-        """Board time, asked of the board where it is not virtual: exact, but for the way of the answer."""
+        """Board time, us: the simulation's, or asked of the board and so as old as its answer's way."""
         return round(self.plant.now_s * 1e6) if self.plant is not None else self.board.sync()
 
     def rest(self, timeout_s: float = 5.0) -> wire.Message:
-        """Waits until the axis rests; TautError where it has a fault or does not come to rest in time."""
+        """Waits until the axis rests, and returns its status. TautError where it has a fault, or does not rest within
+        timeout_s."""
         waited = 0.0
         while True:
             status = self.board.status(self.axis)
@@ -261,8 +277,8 @@ class Live:
             waited += _STEP_S
 
     def let_go(self) -> None:
-        """For another thread: tells the board at once to rest and to switch the motor off, even if the camera hangs;
-        the driving thread learns it at its next `look`. Only for boards with a reader of their own."""
+        """Switches the motor off at once, from another thread than the one that drives, which may hang in the camera.
+        Does nothing where time is virtual: there is no reading thread then that could take the answer in."""
         if not self.virtual:
             self.board.ask("enable", axis=self.axis, on=0)
 
@@ -280,7 +296,9 @@ class Recorder:
     """Writes a recording while it is made: whatever ends the session, what was measured is on the disk."""
 
     def __init__(self, live: Live, folder: Path, video: bool = False) -> None:
-        """Opens the files of a recording in `folder`; video: the frames are kept too."""
+        """Creates the folder with rig.toml and motor.csv; marker.csv follows with the first frame. video: the frames
+        are kept too, in video.mkv and frames.csv. TautError where the folder holds a recording, or cannot be
+        written."""
         self.folder, self._live = folder, live
         unit = live.rig.actuator.unit
         try:
@@ -305,10 +323,12 @@ class Recorder:
         live.board.listen("batch", self._write_telemetry)
 
     def __enter__(self) -> Recorder:
+        """Has the board send its telemetry, which is recorded from now on."""
         self._live.board.ask("telemetry", axis=self._live.axis, divider=self._live.board.log_divider)
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Ends recording and closes the files."""
         with self._writing:
             self._paused = True
         self._live.board.forget("batch", self._write_telemetry)
@@ -319,7 +339,8 @@ class Recorder:
             self._video.release()
 
     def _write_telemetry(self, batch: wire.Message) -> None:
-        """Writes a telemetry message of this axis to motor.csv."""
+        """Listener to the message `batch`: writes its samples to motor.csv, if they are of this axis and newer than the
+        last."""
         if batch.axis != self._live.axis:
             return
         resolution = self._live.resolution
@@ -334,13 +355,13 @@ class Recorder:
                     self._last_us = t_us
 
     def _write(self, file: IO[str], name: str, row: str) -> None:
-        """Writes a row to a file and keeps its numbers under `name`, NaN where a field is empty."""
+        """Writes a CSV row to a file, and keeps its numbers in `_rows` under `name`, NaN where a field is empty."""
         file.write(row + "\n")
         self._rows[name].append(tuple(float(value or "nan") for value in row.split(",")))
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Inside, nothing is recorded."""
+        """A context within which telemetry is not recorded."""
         self._paused = True
         try:
             yield
@@ -348,7 +369,8 @@ class Recorder:
             self._paused = False
 
     def so_far(self) -> Recording:
-        """A recording of what the files hold now, with the numbers as written. From any thread."""
+        """A Recording of what the files hold now, with the numbers as written, without reading them. May be called from
+        any thread. TautError where nothing came yet."""
         motor, marker = (np.array(list(self._rows[name])) for name in ("motor", "marker"))
         if not len(motor) or not len(marker):
             raise TautError("nothing was recorded yet: no telemetry or no frame came")
@@ -358,14 +380,15 @@ class Recorder:
         return Recording(self.folder.name, Motor(*motor.T), seen, rig=self._live.rig)
 
     def motor_at(self, t_s: float) -> float:
-        """The motor's position, the rig's unit, in the last sample at or before t_s, board time; NaN before the first
-        sample."""
+        """The motor's position, the rig's unit, in the last recorded sample at or before t_s, board time; NaN before
+        the first sample."""
         rows = self._rows["motor"]
         after = bisect.bisect_right(rows, (t_s, np.inf))
         return rows[after - 1][1] if after else float("nan")
 
     def add(self, frame: Frame) -> None:
-        """Records one frame: a row of marker.csv, and of the video if there is one."""
+        """Records one frame: a row of marker.csv, a picture of the video if that is wanted, and the first picture that
+        shows the marker as a file of its own, for reports."""
         if self._marker is None:
             self._marker = (self.folder / "marker.csv").open("w", buffering=1 << 13)
             size = None if frame.picture is None else (frame.picture.shape[1], frame.picture.shape[0])
@@ -387,7 +410,8 @@ class Recorder:
             self._marker.flush()
 
     def _add_picture(self, picture: Array, t_s: float) -> None:
-        """Writes a picture to the video, which begins with the first one."""
+        """Writes a picture to the video, and its arrival time t_s, board time, to frames.csv; the first picture creates
+        both."""
         if self._video is None:
             height, width = picture.shape[:2]
             rate = self._live.rig.camera.frame_rate_hz if self._live.rig.camera else 25.0
@@ -401,20 +425,21 @@ class Recorder:
         self._frames.write(f"{self._count},{t_s:.6f}\n")
 
 
-def _pass(link: SimLink, seconds: float) -> None:
-    """Lets virtual time pass on a simulated board."""
+def _advance(link: SimLink, seconds: float) -> None:
+    """Advances a simulated board's time by `seconds`."""
     link.ask(f"advance {round(seconds * 1e6)}")
 
 
 def _with_board_instrument(rig: Rig, board: Board, axis: int) -> Rig:
-    """The rig with the instrument that the board's settings name, if it names none itself."""
+    """The rig with the instrument's name from the board's settings, if the rig has none itself, so that recordings and
+    models carry it."""
     there: str = board.ask("get_settings", axis=axis).instrument
     return replace(rig, actuator=replace(rig.actuator, instrument=rig.actuator.instrument or there or None))
 
 
 def _camera(source: str | int, size: tuple[int, int] | None, rate_hz: float | None) -> FrameSource:
-    """The camera of a ROS topic, or a device, stream or file with its exposure locked. size (width, height) and rate
-    are asked of a device."""
+    """Opens a camera: a ROS topic (ros:TOPIC), or a device, stream or file as VideoCamera takes it, with its exposure
+    locked. size (width, height) and rate are asked of a device."""
     if is_topic(source):
         return RosCamera(str(source))
     camera = VideoCamera(source, size=size, rate_hz=rate_hz)
@@ -437,13 +462,15 @@ def open_live(
     seed: int = 0,
     otherwise: str = "",
 ) -> Iterator[Live]:
-    """`simulate` names an instrument preset, or the folder of a model whose effects it then has, and starts a desktop
-    board; else `board` and `camera` are opened.
+    """A context with a live set-up: a simulated one if `simulate` is given, else the real `board` (see
+    device.board.find; default: of the rig) and `camera`, if one is given. All is closed afterwards.
 
+    simulate: an instrument preset, or the folder of a model whose effects the instrument then has; on a desktop board.
+    axis: the board's, that is used. colour: the marker's.
     at: where the motor is, the rig's unit; else the board's reference holds, and a simulated one begins at 0.
     pictures: False replaces the rendered endoscope by the marker's projection, which is faster.
     picks: a camera may be opened without a colour, which `use` names later.
-    otherwise: what else the caller can use where there is no board, for the error's text.
+    seed: of simulated noise. otherwise: what else the user could give where there is no board, for the error's text.
     """
     with ExitStack() as stack:
         if simulate is not None:
@@ -461,24 +488,25 @@ def open_live(
             if camera is not None:
                 if colour is None and not picks:
                     raise TautError("the marker's colour is not known: pick it once with 'taut marker'")
-                live.marker_source = _camera_source(opened, camera, rig, colour)
+                live.marker_source = _open_camera_source(opened, camera, rig, colour)
         if live.marker_source is not None:
             stack.callback(live.marker_source.close)
         yield live
 
 
 def _simulated(stack: ExitStack, instrument: Instrument, axis: int, at: float, pictures: bool, seed: int) -> Live:
-    """A desktop board, closed by the stack, with the instrument on its axis, at `at` in the rig's unit: commissioned,
-    checked and referenced, as a user does with a real one. pictures: the endoscope's are drawn, where it can be."""
+    """Starts a desktop board, which the stack closes, with a simulated instrument on its axis, the motor at `at`, the
+    rig's unit; the axis is commissioned, checked and referenced, as a user does with a real one. pictures: the
+    endoscope's pictures are drawn, if the instrument can be; else there is only the marker's projection."""
     rig = instrument.rig
     desktop = stack.enter_context(DesktopBoard(axes=axis + 1))
     board = stack.enter_context(open_board(desktop.where))
     link = desktop.link()
     stack.callback(link.close)
     board.trust_motor(axis)
-    board.switch_on(axis, lambda seconds: _pass(link, seconds))
+    board.switch_on(axis, lambda seconds: _advance(link, seconds))
     board.ask("enable", axis=axis, on=0)
-    _pass(link, _SLICE_S)
+    _advance(link, _SLICE_S)
     place = at / rig.actuator.encoder_resolution
     link.ask(f"place {axis} {round(place * 256)}")
     board.ask("set_position", axis=axis, q=place)
@@ -495,8 +523,9 @@ def _simulated(stack: ExitStack, instrument: Instrument, axis: int, at: float, p
     return Live(board, rig, axis, source, plant)
 
 
-def _camera_source(board: Board, camera: str | int, rig: Rig, colour: MarkerColour | None) -> CameraSource:
-    """A camera asked for the rig's size and rate, with its times on the board's clock. colour: None finds no marker."""
+def _open_camera_source(board: Board, camera: str | int, rig: Rig, colour: MarkerColour | None) -> CameraSource:
+    """Opens a camera (a device's number may be text) at the rig's size and rate, as a source of markers whose times are
+    on the board's clock. colour: the marker's; None finds none until `use`."""
     source = int(camera) if isinstance(camera, str) and camera.isdigit() else camera
     size = None if rig.camera is None else (rig.camera.width_px, rig.camera.height_px)
     rate_hz = None if rig.camera is None else rig.camera.frame_rate_hz

@@ -25,15 +25,16 @@ def watch(
     duration_s: float | None = None,
     seed: int = 0,
     library: Library | None = None,
-    told: Callable[[Row, float], None] = lambda row, t_s: None,
+    on_row: Callable[[Row, float], None] = lambda row, t_s: None,
     progress: Progress = None,
     shown: Callable[[Frame, float], None] = lambda frame, q: None,
 ) -> dict[str, Any]:
-    """Tracks while the motor follows `motion` (as in `record`; speed in unit/s), or with "none" whatever else drives
-    it. Ctrl-C or duration_s, s, end it. library: its shapes are recognised. told: gets each row of the tracker with its
-    time, s. shown: gets each frame with the motor position, unit of q, at its scene time. progress: gets the share that
-    is done. Returns `Following.summary` and `seconds`, how long it took."""
-    with closing(Following(live, model, told, library=library, shown=shown)) as following, live.interruptible():
+    """Keeps a model calibrated by the camera while the motor follows `motion` (as in `record`; speed in unit/s), or
+    with "none" whatever else drives it, until Ctrl-C or for duration_s. library: its shapes are recognised. on_row:
+    gets each row of the tracker with its frame's arrival, s; shown: each frame with the motor position, unit of q, at
+    its scene time; progress: the share that is done and a word. Returns Following.summary and `seconds`, how long it
+    took."""
+    with closing(Following(live, model, on_row, library=library, shown=shown)) as following, live.interruptible():
         plan = None if motion == "none" else motor_trajectory(live, motion, speed, duration_s or 60.0, seed)
         began = live.now_us()
         try:

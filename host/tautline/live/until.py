@@ -15,13 +15,13 @@ from tautline.live.rounds import (
     Round,
     Standing,
     Strokes,
-    both_made,
     default_until,
     first_round,
     in_words,
     next_round,
     no_longer,
     slower_tells,
+    strokes_made,
     why_another,
     why_not,
 )
@@ -45,16 +45,17 @@ class Goal:
 
 @dataclass(frozen=True)
 class Reached:
-    """How far a calibration came."""
+    """How far a calibration came towards its goal."""
 
     motion: Motion
-    rounds: tuple[Round | Strokes, ...]
-    standing: Standing
-    until: float
+    rounds: tuple[Round | Strokes, ...]  # that were made
+    standing: Standing  # in the end
+    until: float  # the goal for sigma of B, unit of q
     why: str  # the goal was not reached, empty where it was
 
     @property
     def reached(self) -> bool:
+        """Whether the goal was reached."""
         return not self.why
 
 
@@ -68,31 +69,22 @@ def calibrate_until(
     progress: Callable[[float, str], None] | None = None,
     resting: Callable[[], bool] = lambda: False,
 ) -> tuple[Calibration, Reached]:
-    """Fast passes over the range, then rounds where B(q) is known worst, until the goal is reached or out of reach.
-    Recorded in `folder`; the calibration is what `calibrate` makes of that recording. Stopped at any time (Ctrl-C, an
-    error), the axis comes to rest and what was recorded stays. While `resting()` is true the axis rests, motor on, at
-    the end of its stroke; the interrupted round is then made again."""
+    """Calibrates a live set-up as quickly as it can: fast passes over the range, then rounds where B(q) is known worst,
+    until the goal is reached or out of reach. All is recorded in `folder`; the calibration is what `calibrate` with
+    `options` makes of that recording. show: gets what is known after every frame; progress: the share done, 0 to 1, and
+    a word. While `resting()` is true the axis rests, motor on, at the end of its stroke; the interrupted round is then
+    made again. Stopped at any time (Ctrl-C, an error), the axis comes to rest and what was recorded stays. TautError
+    where the rig does not fit, or the goal is finer than the encoder can tell."""
     check_rig(live)
     goal = goal or Goal()
-    rig, unit = live.rig, live.rig.actuator.unit
-    until = default_until(rig.actuator) if goal.until is None else goal.until
-    if until < _FINEST * live.resolution:
-        usual = in_words(default_until(rig.actuator), unit)
-        raise TautError(
-            f"{in_words(until, unit)} is far below the encoder's count of {live.resolution:g} {unit}: name the goal "
-            f"with its unit, as in --until '{usual}'"
-        )
-    low, high = rig.actuator.range
-    assert rig.camera is not None  # check_rig
-    limits = live.board.ask("get_limits", axis=live.axis)
-    means = Means.of(
-        low, high, rig.camera.frame_rate_hz, live.top_speed, float(limits.acceleration_s2) * live.resolution,
-        goal.speeds,
-    )  # fmt: skip
+    until = _checked_until(live, goal)
+    means = _means(live, goal)
+    low, high = live.rig.actuator.range
     with moving(live, folder, low, high, video) as motions:
-        view = View(low, high, unit, until, "checking scale and sign", onsets=motions.made.onsets)
+        view = View(low, high, live.rig.actuator.unit, until, "checking scale and sign", onsets=motions.made.onsets)
 
         def shown(view: View) -> None:
+            """Hands what is known on to `show` and `progress`."""
             if show:
                 show(view)
             if progress:
@@ -102,45 +94,79 @@ def calibrate_until(
             shown(view)
 
             def seen(frame: Frame) -> None:
+                """Records and shows a frame of the probe, before any reversal is counted."""
                 motions.recorder.add(frame)
                 watch.frame(frame, 0)
 
             probe(live, seen, means.speeds[0])
             if resting():
                 watch.rest(resting)
-            rounds, why = _rounds(motions, watch, means, until, goal.at_most_s, resting)
+            rounds, why = _make_rounds(motions, watch, means, until, goal.at_most_s, resting)
         calibration, standing = view.calibration, view.standing
     assert calibration is not None and standing is not None
     return calibration, Reached(motions.made, tuple(rounds), standing, until, why)
 
 
-def _rounds(
+def _checked_until(live: Live, goal: Goal) -> float:
+    """The sigma of B that is aimed at, unit of q: the goal's, else what suits the rig. TautError where it is finer than
+    the encoder can tell."""
+    unit, usual = live.rig.actuator.unit, default_until(live.rig.actuator)
+    until = usual if goal.until is None else goal.until
+    if until < _FINEST * live.resolution:
+        raise TautError(
+            f"{in_words(until, unit)} is far below the encoder's count of {live.resolution:g} {unit}: name the goal "
+            f"with its unit, as in --until '{in_words(usual, unit)}'"
+        )
+    return until
+
+
+def _means(live: Live, goal: Goal) -> Means:
+    """What rounds are planned with: the range, the frame rate, the motor's limits, and the goal's speeds."""
+    camera = live.rig.camera
+    assert camera is not None  # check_rig
+    limits = live.board.ask("get_limits", axis=live.axis)
+    acceleration = float(limits.acceleration_s2) * live.resolution
+    return Means.of(*live.rig.actuator.range, camera.frame_rate_hz, live.top_speed, acceleration, goal.speeds)
+
+
+class _MarkerLoss:
+    """Notices where the marker has been lost for so long that it does not come back by itself."""
+
+    def __init__(self, folder: Path) -> None:
+        """folder: of the recording, for the error."""
+        self._folder = folder
+        self._since_s: float | None = None  # None where the marker is seen
+
+    def check(self, frame: Frame, now_s: float) -> None:
+        """Takes in the next frame at now_s. TautError where the marker has been lost for more than _LOST_S."""
+        if frame.sighting.valid:
+            self._since_s = None
+        elif self._since_s is None:
+            self._since_s = now_s
+        elif now_s - self._since_s > _LOST_S:
+            raise TautError(
+                f"the marker was last seen {now_s - self._since_s:.0f} s ago: bring it into view, or pick its "
+                f"colour again with 'taut marker'; what was recorded is in {self._folder}"
+            )
+
+
+def _make_rounds(
     motions: Motions, watch: Watch, means: Means, until: float, at_most_s: float, resting: Callable[[], bool]
 ) -> tuple[list[Round | Strokes], str]:
-    """Makes rounds until the goal is reached: those made, and why it was not reached ("" if it was)."""
+    """Makes rounds until the goal `until` (sigma of B, unit of q) is reached or out of reach, for at_most_s at most.
+    Returns the rounds made, and why the goal was not reached ("" if it was). resting: as in `calibrate_until`."""
     view = watch.view
     rounds: list[Round | Strokes] = []
-    best = float("inf")  # of the sigmas after each round
-    lost_since: float | None = None  # view.seconds when the marker was lost, None where it is seen
-    halted = False  # the round was broken off for a rest, which may be over before its stroke is
+    best = float("inf")  # the smallest of the worst sigmas after each round
+    loss = _MarkerLoss(motions.made.folder)
 
     def enough(frame: Frame) -> bool:
-        """Whether the present round may end: the goal is reached, the time is up, or a rest was asked for."""
-        nonlocal lost_since, halted
+        """Takes in a frame; returns whether the present round may end: the goal is reached, or the time is up.
+        TautError where the marker has been lost for too long."""
         fresh = watch.frame(frame, motions.made.reversals)
-        if frame.sighting.valid:
-            lost_since = None
-        elif lost_since is None:
-            lost_since = view.seconds
-        elif view.seconds - lost_since > _LOST_S:
-            raise TautError(
-                f"the marker was last seen {view.seconds - lost_since:.0f} s ago: bring it into view, or pick its "
-                f"colour again with 'taut marker'; what was recorded is in {motions.made.folder}"
-            )
-        halted = resting() or halted
-        if view.seconds > at_most_s or halted:
-            return True
-        return both_made(rounds[:-1]) and fresh and view.standing is not None and view.standing.reached(until)
+        loss.check(frame, view.seconds)
+        reached = fresh and view.standing is not None and view.standing.reached(until)
+        return view.seconds > at_most_s or (reached and strokes_made(rounds[:-1]))
 
     while True:
         standing = view.standing
@@ -153,20 +179,41 @@ def _rounds(
             best = min(best, standing.worst if standing.covered else best)
         rounds.append(wanted)
         view.doing = f"round {len(rounds)}: {wanted.says(view.unit)}{because}"
-        while True:  # until no rest breaks it off
-            halted = False
-            if isinstance(wanted, Strokes):
-                motions.stroke(wanted, enough)
-            else:
-                motions.run(wanted, enough)
-            if not halted and not resting():
-                break
-            watch.rest(resting)
+        _make_round(motions, watch, wanted, enough, resting)
         motions.still()
         watch.settle()
         assert view.standing is not None
-        if view.standing.reached(until) and both_made(rounds):
+        if view.standing.reached(until) and strokes_made(rounds):
             return rounds, ""
         why = why_not(view.standing, until, view.unit, watch.camera_view(), view.seconds, at_most_s, len(rounds))
         if why and not (view.seconds < at_most_s and slower_tells(means, view.standing, until, rounds)):
             return rounds, why + no_longer(best, view.standing, until, view.unit)
+
+
+def _make_round(
+    motions: Motions,
+    watch: Watch,
+    wanted: Round | Strokes,
+    enough: Callable[[Frame], bool],
+    resting: Callable[[], bool],
+) -> None:
+    """Makes one round, until it is complete or `enough(frame)`, which gets every frame, is true. Where `resting()`
+    becomes true the round is broken off and, after the rest, made again from its beginning."""
+    broken_off = False
+
+    def enough_or_rest(frame: Frame) -> bool:
+        """Whether the round may end after this frame; notes a rest, which may be over before the stroke is."""
+        nonlocal broken_off
+        ends = enough(frame)
+        broken_off = resting() or broken_off
+        return ends or broken_off
+
+    while True:
+        broken_off = False
+        if isinstance(wanted, Strokes):
+            motions.stroke(wanted, enough_or_rest)
+        else:
+            motions.run(wanted, enough_or_rest)
+        if not broken_off and not resting():
+            return
+        watch.rest(resting)

@@ -29,16 +29,16 @@ _STILL = 0.02  # of a bin: a motor that moved less from one frame to the next re
 
 @dataclass
 class View:
-    """What there is to see, from one frame to the next. Positions and widths in the rig's unit."""
+    """What a live calibration shows while it runs, updated with every frame. Positions and widths in the rig's unit."""
 
-    low: float
+    low: float  # of the range
     high: float
     unit: str
     until: float | None = None  # the goal for sigma, where there is one
-    doing: str = ""
-    seconds: float = 0.0
+    doing: str = ""  # what is being done, in words
+    seconds: float = 0.0  # of recording
     frames: int = 0
-    lost: int = 0
+    lost: int = 0  # frames without the marker
     reversals: int = 0
     rising: Array = field(default_factory=lambda: np.zeros((BINS, 2), dtype=np.int64))  # frames: seen, lost
     falling: Array = field(default_factory=lambda: np.zeros((BINS, 2), dtype=np.int64))
@@ -76,7 +76,7 @@ Show = Callable[[View], None]
 
 
 def in_short(view: View) -> tuple[str, str]:
-    """Two lines: what was recorded so far, and how well B(q) is known by it."""
+    """Two lines for terminal and page: what was recorded so far, and how well B(q) is known by it."""
     seen = f"{view.seconds:.1f} s, {view.frames - view.lost} of {view.frames} frames, {view.reversals} reversals"
     if view.calibration is None:
         return seen, "too early to tell B(q)"
@@ -95,27 +95,34 @@ class Watched(Protocol):
     """Where frames come from: a Live, or a recording that is played again."""
 
     @property
-    def rig(self) -> Rig: ...
+    def rig(self) -> Rig:
+        """Of the set-up or the recording."""
 
     @property
     def virtual(self) -> bool:
         """Whether time stands still between two frames."""
 
-    def now_us(self) -> int: ...
+    def now_us(self) -> int:
+        """The time of the board, us."""
 
-    def look(self) -> Frame: ...
+    def look(self) -> Frame:
+        """Waits for the next frame."""
 
 
 class Kept(Protocol):
-    """What there is of the recording: a Recorder, or the part of a recording that was played."""
+    """What there is of the recording so far: a Recorder, or the part of a recording that was played."""
 
-    def add(self, frame: Frame) -> None: ...
+    def add(self, frame: Frame) -> None:
+        """Records a frame."""
 
-    def motor_at(self, t_s: float) -> float: ...
+    def motor_at(self, t_s: float) -> float:
+        """The motor's position, the rig's unit, at a time, s; NaN before the first sample."""
 
-    def so_far(self) -> Recording: ...
+    def so_far(self) -> Recording:
+        """The recording so far. TautError where there is nothing yet."""
 
-    def paused(self) -> AbstractContextManager[None]: ...
+    def paused(self) -> AbstractContextManager[None]:
+        """A context within which nothing is recorded."""
 
 
 class Watch:
@@ -128,24 +135,26 @@ class Watch:
     def __init__(
         self, live: Watched, recorder: Kept, view: View, options: Options | None = None, show: Show | None = None
     ) -> None:
-        """show: called after every frame."""
+        """view: is updated with every frame; options: of the calibrations; show: is called with the view after every
+        frame."""
         self.view = view
         self._live, self._recorder, self._options, self._show = live, recorder, options, show
         self._began_us = live.now_us()
         self._last_q = float("nan")
         self._rested: tuple[float, float] | None = None  # where the marker was in the frame before, at rest
         self._steps: list[tuple[float, float]] = []  # of a marker at rest, px from frame to frame
-        self._due_s = _FIRST_FIT_S
+        self._due_s = _FIRST_FIT_S  # when the next calibration is started, s of recording
         self._pool = None if live.virtual else ThreadPoolExecutor(1, "calibration")
         self._fit: Future[tuple[Calibration, float]] | None = None
 
     def close(self) -> None:
-        """Ends the thread after the calibration that it is at, without waiting."""
+        """Ends the thread of the calibrations, without waiting for the one that it is at."""
         if self._pool is not None:
             self._pool.shutdown(wait=False, cancel_futures=True)
 
     def frame(self, frame: Frame, reversals: int) -> bool:
-        """Takes in a frame; returns whether a calibration of what was recorded so far was finished with it."""
+        """Takes in a frame, and starts a calibration of what was recorded so far if one is due. reversals: so far.
+        Returns whether a calibration has been finished since the last frame; the view then has it."""
         view = self.view
         view.seconds = (frame.t_us - self._began_us) * 1e-6
         view.frames += 1
@@ -163,7 +172,8 @@ class Watch:
         return fresh
 
     def settle(self) -> None:
-        """Waits until everything recorded is calibrated. TautError where nothing can be measured in it."""
+        """Calibrates everything that was recorded, once more, and waits for it, recording frames meanwhile. TautError
+        where nothing can be measured in it."""
         while not self._take_calibration() and self._fit is not None:  # an earlier one
             self._idle()
         self._fit = self._start_calibration(naming=True)
@@ -173,7 +183,7 @@ class Watch:
             self._show(self.view)
 
     def rest(self, resting: Callable[[], bool]) -> None:
-        """Rests while `resting()` is true: the time is not counted and nothing is recorded."""
+        """Shows frames while `resting()` is true, without recording them or counting the time."""
         began_us, doing = self._live.now_us(), self.view.doing
         self.view.doing = "at rest"
         with self._recorder.paused():
@@ -185,7 +195,8 @@ class Watch:
         self.view.doing = doing
 
     def camera_view(self) -> CameraView:
-        """The marker's noise at rest, px, NaN where it never rested, and where it was lost, so far."""
+        """How well the camera has seen the marker so far: its noise from frame to frame at rest, px, NaN where it never
+        rested, and where it was lost."""
         steps = np.abs(self._steps)
         # A step has the noise of two frames.
         noise = spread.deviation(steps) / float(np.sqrt(2.0)) if steps.size else float("nan")
@@ -196,11 +207,13 @@ class Watch:
         self._recorder.add(self._live.look())
 
     def _start_calibration(self, naming: bool = False) -> Future[tuple[Calibration, float]]:
-        """Starts the calibration of what was recorded so far: in the thread, or at once in virtual time. Its result
-        comes with the time, s, that the recording covers. naming: with names of what departs."""
+        """Starts the calibration of what was recorded so far: in the thread, or in virtual time at once. The result is
+        the calibration and the seconds of recording that it is of. naming: also names what departs from the model,
+        which takes longer."""
         recording, seconds = self._recorder.so_far(), self.view.seconds
 
         def work() -> tuple[Calibration, float]:
+            """Calibrates."""
             return calibrate([recording], self._live.rig, self._options, naming=naming), seconds
 
         if self._pool is not None:
@@ -213,8 +226,8 @@ class Watch:
         return done
 
     def _take_calibration(self, strict: bool = False) -> bool:
-        """Takes a finished calibration into the view; whether there was one. One that failed counts as none, unless
-        `strict`."""
+        """Takes a finished calibration, if there is one, into the view; returns whether it did. One that failed, as too
+        little was recorded yet, counts as none; with `strict` its TautError is raised."""
         if self._fit is None or not self._fit.done():
             return False
         fit, self._fit = self._fit, None
@@ -228,8 +241,8 @@ class Watch:
         return False
 
     def _cover(self, frame: Frame) -> None:
-        """Counts the positions between the last frame's scene and this one's as seen or lost, by direction; at rest,
-        keeps the marker's motion for its noise."""
+        """Counts the BINS of the range that the motor passed between the last frame's scene and this one's as seen or
+        lost, by direction. At rest, keeps how far the marker moved between both, for `camera_view`."""
         view = self.view
         q = self._recorder.motor_at(frame.t_us * 1e-6 - self._live.rig.delay_s)
         before, self._last_q, view.q = self._last_q, q, q

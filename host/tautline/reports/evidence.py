@@ -32,7 +32,8 @@ STAGES = ("f_coarse", "f_coarse + B", "f_remain + B")  # the models of the paper
 
 @dataclass(frozen=True)
 class Evidence:
-    """All arrays have one row per frame (or sensor sample) in which the tip was seen, of all recordings in turn."""
+    """What a report is drawn from: one row per frame (or sensor sample) in which the tip was seen, n in all recordings
+    in turn, beside what three models say of it."""
 
     recording: Array  # (n,) int: which one
     t_s: Array  # (n,) scene times on the recordings' common clock
@@ -51,22 +52,23 @@ class Evidence:
         return "px" if self.seen.shape[1] == 2 else "deg"
 
     def index(self, name: str) -> int:
-        """The number of the recording with this name; 0 where none has it."""
+        """The index of the recording with this name; 0 where none has it."""
         return int(np.argmax(self.names == name))
 
     def rms(self) -> list[float]:
-        """Rms per coordinate at each of STAGES where the tip's place was settled; NaN where it never was."""
+        """Rms of `error` per coordinate for each of STAGES, over the `settled` rows; NaN where there are none."""
         error = self.error[:, self.settled]
         if error.shape[1] == 0:
             return [float("nan")] * len(STAGES)
         return [float(np.sqrt(np.nanmean(stage**2))) for stage in error]
 
     def save(self, folder: Path) -> None:
+        """Writes evidence.npz into a model's folder."""
         np.savez_compressed(folder / FILE, **{field.name: getattr(self, field.name) for field in fields(self)})
 
     @classmethod
     def load(cls, folder: Path) -> Self | None:
-        """The evidence beside a model; None where there is none."""
+        """Reads evidence.npz from a model's folder; None where there is none. TautError where it is damaged."""
         path = folder / FILE
         if not path.exists():
             return None
@@ -93,8 +95,9 @@ class Evidence:
 
 
 def collect(model: Model, recordings: Sequence[Recording]) -> Evidence:
-    """The evidence for a report from recordings with a marker (without a camera: an angle); others are left out. It has
-    no row where the tip was never seen within the motor's times, as when their clocks are not one."""
+    """Collects the evidence for a model's report from the recordings that have a marker or an angle. It has no row
+    where the tip was never seen within the motor's times, as when their clocks do not agree. TautError where no
+    recording has either."""
     clock = SessionClock.of(recordings)
     parts = [
         _collect_one(model, recording, index, clock.offset_s[index])
@@ -113,8 +116,8 @@ def collect(model: Model, recordings: Sequence[Recording]) -> Evidence:
 
 
 def _collect_one(model: Model, recording: Recording, index: int, offset_s: float) -> Evidence:
-    """The evidence of one recording, of its frames within the motor's times. index: its number; offset_s: from its
-    clock to the session's, s."""
+    """The evidence of one recording: its frames within the motor's times. index: of the recording among all; offset_s:
+    from its clock to the common one, s."""
     motor, rig = recording.motor, model.rig
     track = observe([recording], rig)[0]
     t_s, seen = track.scene_s(model.delay_of(track.sensor)), track.y
@@ -127,17 +130,17 @@ def _collect_one(model: Model, recording: Recording, index: int, offset_s: float
         for column in (motor.translation_mm, motor.rotation_deg)
     ]
     coarse_deg = rig.coarse.gain * model.q + rig.coarse.offset
-    models = (  # of STAGES
+    models_by_stage = (  # in the order of STAGES
         replace(model, width=np.zeros_like(model.width), c_deg=coarse_deg),
         replace(model, c_deg=coarse_deg),
         model,
     )
-    told = [predict(stage, motor, t_s) for stage in models]
+    predictions = [predict(each, motor, t_s) for each in models_by_stage]
     if track.unit == "px":
-        predicted = [stage.image_px for stage in told]
+        predicted = [prediction.image_px for prediction in predictions]
         c_deg = pose(rig, seen, *others)[0]
     else:
-        predicted = [stage.c_deg[:, None] for stage in told]
+        predicted = [prediction.c_deg[:, None] for prediction in predictions]
         c_deg = seen[:, 0]
     return Evidence(
         recording=np.full(len(t_s), index),
@@ -146,7 +149,7 @@ def _collect_one(model: Model, recording: Recording, index: int, offset_s: float
         path=np.interp(t_s, motor.t_s, travelled),
         seen=seen,
         c_deg=c_deg,
-        error=np.array([seen - stage for stage in predicted]).reshape(len(STAGES), len(t_s), seen.shape[1]),
+        error=np.array([seen - each for each in predicted]).reshape(len(STAGES), len(t_s), seen.shape[1]),
         settled=settled(model, motor, t_s),
         offset_s=np.array([offset_s]),
         names=np.array([recording.name]),
@@ -154,10 +157,10 @@ def _collect_one(model: Model, recording: Recording, index: int, offset_s: float
 
 
 def settled(model: Model, motor: Motor, t_s: Array) -> Array:
-    """(n,) bool at scene times t_s (n,): whether the tip's place no longer depends on where within its backlash it
-    started. Two tips that start at either end of it are simulated: true once they stay together, and not before the
-    motor drove the tip through the backlash both ways, where it ever did: B may be narrower where nothing was
-    measured."""
+    """(n,) bool at scene times t_s (n,): whether the tip's place no longer depends on where within the backlash it
+    began, which is not known; before that nothing can be scored. Two tips that begin at either end of the backlash are
+    simulated: true once they stay together. If the motor ever drove the tip through the backlash both ways it is not
+    true before that, as B may be narrower where nothing was measured."""
     reach = 0.5 * float(model.width.max())
     ends = [model.simulate(motor, t_s, float(model.remaining(motor.q[0] + side * reach))) for side in (-1.0, 1.0)]
     apart = np.abs(ends[0] - ends[1]) > 1e-9  # deg: more than rounding
@@ -168,12 +171,12 @@ def settled(model: Model, motor: Motor, t_s: Array) -> Array:
 
 @dataclass(frozen=True)
 class Run:
-    """A trajectory of the tip followed open loop; `counted` where it is scored."""
+    """A trajectory of the tip that was followed open loop (`taut follow`), kept for the report."""
 
-    t_s: Array  # (n,)
-    goal_deg: Array
-    tip_deg: Array
-    counted: Array  # bool
+    t_s: Array  # (n,) board time
+    goal_deg: Array  # (n,) as planned
+    tip_deg: Array  # (n,) as it was
+    counted: Array  # (n,) bool: where it is scored
 
     @property
     def rms_deg(self) -> float:
@@ -182,14 +185,16 @@ class Run:
         return float(np.sqrt(np.mean(error**2))) if len(error) else float("nan")
 
     def save(self, folder: Path, compensation: str) -> None:
-        """Writes the run beside a model, for its report. Nine digits: a board's clock counts for days."""
+        """Writes the run as follow-COMPENSATION.csv into a model's folder, for its report. Times have nine digits, as a
+        board's clock may have counted for days."""
         columns = {"t_s": self.t_s, "goal_deg": self.goal_deg, "tip_deg": self.tip_deg, "counted": self.counted}
         table = pd.DataFrame({name: values.astype(float) for name, values in columns.items()})
         write_file(folder / f"follow-{compensation}.csv", table.to_csv(index=False, float_format="%.9g"))
 
     @classmethod
     def load_all(cls, folder: Path) -> dict[str, Self]:
-        """The runs in a model's folder, by compensation (of COMPENSATIONS); those that are not there are left out."""
+        """Reads the runs in a model's folder, by compensation (of COMPENSATIONS); those that are not there are left
+        out."""
         runs = {}
         for compensation in COMPENSATIONS:
             path = folder / f"follow-{compensation}.csv"

@@ -57,7 +57,7 @@ def figure(width: float, height: float, rows: int = 1, columns: int = 1, **optio
 
 
 def data_uri(made: Figure) -> str:
-    """The figure as an SVG image inside a page."""
+    """A figure as an SVG image in a data: URI, so that a page holds it."""
     out = io.BytesIO()
     with mpl.rc_context(STYLE):
         made.savefig(out, format="svg", dpi=120, metadata={"Date": None, "Creator": None})
@@ -65,19 +65,21 @@ def data_uri(made: Figure) -> str:
 
 
 def check_ending(path: Path) -> None:
-    """TautError where `save` knows no kind of picture by the name's ending."""
+    """TautError where a file's ending is no picture's that `save` can write; called before work is done for it."""
     if path.suffix.lower() not in _ENDINGS:
         raise TautError(f"{path}: a picture ends in {', '.join(_ENDINGS)}: name it so")
 
 
 def save(made: Figure, path: Path) -> None:
-    """Writes a figure as a picture, whole or not at all, its kind by the name's ending."""
+    """Writes a figure as PNG, SVG or PDF, by the file's ending, whole or not at all."""
     with mpl.rc_context(STYLE), whole(path) as file:
         made.savefig(file, dpi=120)
 
 
 def onsets_of(model: Model) -> list[Onset]:
-    """The model's reversals by time; NaN for what could not be measured of them."""
+    """The reversals that a model was calibrated from (model.json's onsets) in the order of time, used or not: numbers
+    (t_s; direction, 1 or -1; q1, q2, width, sigma in the unit of q), NaN where not measured, and texts (recording,
+    reason, kind). TautError where they are damaged."""
     numbers = ("t_s", "direction", "q1", "q2", "width", "sigma")
     onsets: list[Onset] = []
     try:
@@ -91,7 +93,7 @@ def onsets_of(model: Model) -> list[Onset]:
 
 
 def finer(unit: str) -> tuple[str, float]:
-    """The unit in which changes of B are shown, and how many of it are one unit of q."""
+    """The unit in which small changes of B are shown, um for mm, and how many of it are one unit of q."""
     return ("µm", 1e3) if unit == "mm" else (unit, 1.0)
 
 
@@ -106,7 +108,7 @@ def common_unit(models: Mapping[str, Model]) -> str:
 
 
 def inside(model: Model) -> Array:
-    """(n,) bool: the nodes of the model's grid over which B was measured."""
+    """(n,) bool: at which nodes of the model's grid B was measured."""
     return np.asarray((model.q >= model.measured[0]) & (model.q <= model.measured[1]))
 
 
@@ -116,7 +118,7 @@ def split_onsets(onsets: Sequence[Onset]) -> tuple[list[Onset], list[Onset]]:
 
 
 def knots_of(model: Model) -> Array | None:
-    """The knots of the paper's spline of B, unit of q; None where B is another curve."""
+    """The knots of B's spline, unit of q, for a model that was calibrated with the paper's knots; None for others."""
     if model.extra.get("options", {}).get("knots") != "paper":
         return None
     return paper_knots(float(model.q[0]), float(model.q[-1]))
@@ -128,13 +130,13 @@ def q_mean(onset: Onset) -> float:
 
 
 def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Array | None = None) -> None:
-    """B(q) with its band and every width that was measured (the paper's Fig. 8): hollow and without a bar where 2 sigma
-    exceeds the width. Grey: not measured. knots: drawn as lines."""
+    """Draws B(q) with its band and every width that was measured (the paper's Fig. 8), hollow and without a bar where
+    2 sigma exceeds the width. Grey: where B was not measured. knots: unit of q, drawn as lines."""
     unit, (low, high) = model.rig.actuator.unit, model.measured
     measured = inside(model)
     used, _ = split_onsets(onsets)
-    told = [o for o in used if 2 * o["sigma"] <= o["width"]]  # a wider bar over the picture says nothing
-    reaches = [o["width"] + 2 * o["sigma"] for o in told]
+    precise = [o for o in used if 2 * o["sigma"] <= o["width"]]  # a wider bar over the picture says nothing
+    reaches = [o["width"] + 2 * o["sigma"] for o in precise]
     highest = max([o["width"] for o in used], default=0.0)
     level = max(highest, float(model.width[measured].max()) if measured.any() else 0.0, 1e-9)
     top = max(1.25 * level, min(1.05 * max(reaches, default=0.0), 3.0 * level))  # every bar, but for wild ones
@@ -150,24 +152,7 @@ def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Arra
     )
     axes.plot(model.q, model.width, color=MODEL, lw=1.0, ls=":")
     axes.plot(model.q[measured], model.width[measured], color=MODEL, lw=1.8, label="B(q)")
-    for direction, colour, marker, name in ((1, UP, "^", "rising"), (-1, DOWN, "v", "falling")):
-        mine = [o for o in used if np.sign(o["direction"]) == direction]
-        chosen, vague = [o for o in mine if o in told], [o for o in mine if o not in told]
-        if vague:
-            at, widths = [q_mean(o) for o in vague], [o["width"] for o in vague]
-            axes.plot(at, widths, marker, ms=4, mfc="none", mec=colour, alpha=0.5, label=f"vague, {name}")
-        if chosen:
-            axes.errorbar(
-                [q_mean(o) for o in chosen],
-                [o["width"] for o in chosen],
-                yerr=[2 * o["sigma"] for o in chosen],
-                fmt=marker,
-                ms=4,
-                color=colour,
-                elinewidth=0.8,
-                lw=0,
-                label=f"onset, {name}",
-            )
+    _draw_widths(axes, precise, [o for o in used if not 2 * o["sigma"] <= o["width"]])
     if knots is not None:
         for knot in np.unique(knots):
             axes.axvline(knot, color=UP, lw=0.7, alpha=0.5)
@@ -179,8 +164,30 @@ def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Arra
     axes.legend(loc="best")
 
 
+def _draw_widths(axes: Axes, precise: Sequence[Onset], vague: Sequence[Onset]) -> None:
+    """Draws the widths that onsets measured over their q, by direction: `precise` with a bar of 2 sigma, `vague` hollow
+    and without one."""
+    for direction, colour, marker, name in ((1, UP, "^", "rising"), (-1, DOWN, "v", "falling")):
+        if mine := [o for o in vague if np.sign(o["direction"]) == direction]:
+            at, widths = [q_mean(o) for o in mine], [o["width"] for o in mine]
+            axes.plot(at, widths, marker, ms=4, mfc="none", mec=colour, alpha=0.5, label=f"vague, {name}")
+        if mine := [o for o in precise if np.sign(o["direction"]) == direction]:
+            axes.errorbar(
+                [q_mean(o) for o in mine],
+                [o["width"] for o in mine],
+                yerr=[2 * o["sigma"] for o in mine],
+                fmt=marker,
+                ms=4,
+                color=colour,
+                elinewidth=0.8,
+                lw=0,
+                label=f"onset, {name}",
+            )
+
+
 def draw_characteristic(axes: Axes, model: Model, evidence: Evidence | None) -> None:
-    """Both passes, f_coarse and f_remain over the motor position (the paper's Fig. 9)."""
+    """Draws what was seen on the way up and down, f_coarse and f_remain over the motor position (the paper's Fig.
+    9)."""
     unit = model.rig.actuator.unit
     if evidence is not None and len(evidence.q):
         rising = np.gradient(evidence.q) >= 0 if len(evidence.q) > 1 else np.ones(1, dtype=bool)
@@ -205,7 +212,7 @@ def draw_characteristic(axes: Axes, model: Model, evidence: Evidence | None) -> 
 
 @mpl.rc_context(STYLE)
 def hero(model: Model, onsets: Sequence[Onset], evidence: Evidence | None, knots: Array | None = None) -> Figure:
-    """The first picture of a report: B(q) beside the characteristic."""
+    """The first picture of a report: B(q) beside the characteristic. knots: as in `draw_backlash`."""
     made, axes = figure(11, 3.9, 1, 2)
     draw_backlash(axes[0, 0], model, onsets, knots)
     draw_characteristic(axes[0, 1], model, evidence)
@@ -214,7 +221,7 @@ def hero(model: Model, onsets: Sequence[Onset], evidence: Evidence | None, knots
 
 @mpl.rc_context(STYLE)
 def gain(evidence: Evidence) -> Figure:
-    """The error of each model over time (the paper's Fig. 11)."""
+    """A figure of how far each of STAGES is from what was seen, over time (the paper's Fig. 11)."""
     made, axes = figure(11, 3.0)
     ax = axes[0, 0]
     scored = evidence.settled
@@ -236,7 +243,8 @@ def gain(evidence: Evidence) -> Figure:
 
 
 def main_axis(evidence: Evidence) -> tuple[Array, str]:
-    """(n,) Seen positions along their principal direction, px or deg, and the axis' label."""
+    """What was seen as one coordinate (n,): the angle, deg, or the marker along the principal direction of its path,
+    px; and the label for its axis."""
     if evidence.seen.shape[1] == 1:
         return evidence.seen[:, 0], "c (deg)"
     centred = evidence.seen - evidence.seen.mean(axis=0)
@@ -248,7 +256,7 @@ def main_axis(evidence: Evidence) -> tuple[Array, str]:
 
 @mpl.rc_context(STYLE)
 def track(evidence: Evidence, onsets: Sequence[Onset], motor_unit: str) -> Figure:
-    """Motor and marker over time with every reversal."""
+    """A figure of motor and marker over time, with every onset, used or not."""
     made, axes = figure(11, 4.0, 2, 1, sharex=True)
     position, name = main_axis(evidence)
     order = np.argsort(evidence.t_s, kind="stable")  # recordings may have been given in any
@@ -262,7 +270,7 @@ def track(evidence: Evidence, onsets: Sequence[Onset], motor_unit: str) -> Figur
         ax.set_ylabel(label)
     for used, colour in ((True, "#2f9e5b"), (False, MODEL)):
         chosen_onsets = [o for o in onsets if o["used"] == used]
-        times = [o["t_s"] + _offset(evidence, o) for o in chosen_onsets]
+        times = [o["t_s"] + _clock_offset(evidence, o) for o in chosen_onsets]
         for ax, values in ((axes[0, 0], evidence.q), (axes[1, 0], position)):
             ax.plot(
                 times,
@@ -280,10 +288,10 @@ def track(evidence: Evidence, onsets: Sequence[Onset], motor_unit: str) -> Figur
 
 @mpl.rc_context(STYLE)
 def onsets_closely(model: Model, evidence: Evidence, onsets: Sequence[Onset], count: int = 3) -> Figure | None:
-    """Some onsets from low to high q: what was seen over the motor's way since it turned, with the hinge. None where no
-    used onset has frames enough."""
+    """A figure of `count` used onsets, evenly from low to high q: how far the tip moved over the motor's way since it
+    turned, with the fitted hinge. None where no used onset has frames enough."""
     used = sorted(split_onsets(onsets)[0], key=q_mean)
-    views = [view for onset in used if (view := _around(evidence, onset)) is not None]
+    views = [view for onset in used if (view := _frames_around(evidence, onset)) is not None]
     if not views:
         return None
     picked = [views[round(i)] for i in np.linspace(0, len(views) - 1, min(count, len(views)))]
@@ -310,11 +318,12 @@ def onsets_closely(model: Model, evidence: Evidence, onsets: Sequence[Onset], co
     return made
 
 
-def _around(evidence: Evidence, onset: Onset) -> tuple[Onset, Array, Array, float] | None:
-    """The onset; the motor's way since it turned (k,), unit of q, and how far the tip had moved by then (k,), px or
-    deg, frame by frame; and the slope after the onset. None where too few frames show it."""
+def _frames_around(evidence: Evidence, onset: Onset) -> tuple[Onset, Array, Array, float] | None:
+    """The frames around an onset, for its picture: the onset; for each of k frames the motor's way since it turned,
+    unit of q, and how far the tip had moved by then, px or deg; and the slope after the onset. None where too few
+    frames show it."""
     width = max(onset["width"], 1e-9)
-    t2 = onset["t_s"] + _offset(evidence, onset)
+    t2 = onset["t_s"] + _clock_offset(evidence, onset)
     same = evidence.recording == evidence.index(onset["recording"])
     path = evidence.path[same] - np.interp(t2, evidence.t_s[same], evidence.path[same]) + width
     # Shares of the width: what is shown, and what is surely before or after the onset.
@@ -334,7 +343,7 @@ def _around(evidence: Evidence, onset: Onset) -> tuple[Onset, Array, Array, floa
 
 @mpl.rc_context(STYLE)
 def residuals(evidence: Evidence, motor_unit: str) -> Figure:
-    """Seen minus predicted by the whole model, over time and over q."""
+    """A figure of what was seen minus what the whole model predicts, over time and over q."""
     made, axes = figure(11, 2.9, 1, 2, sharey=True, width_ratios=[2, 1])
     names = ("u", "v") if evidence.unit == "px" else ("c",)
     for i, (name, colour) in enumerate(zip(names, (UP, DOWN), strict=False)):
@@ -351,7 +360,8 @@ def residuals(evidence: Evidence, motor_unit: str) -> Figure:
 
 @mpl.rc_context(STYLE)
 def cross_check(model: Model, pass_width: Array) -> Figure:
-    """The model's B beside that of the two passes' distance, (n,) on model.q with NaN where they say nothing."""
+    """A figure of the model's B beside B by the distance of the two passes, pass_width (n,) on model.q with NaN where
+    that is not known, and their difference."""
     unit = model.rig.actuator.unit
     made, axes = figure(11, 2.9, 1, 2, width_ratios=[3, 2])
     left, right = axes[0]
@@ -375,7 +385,8 @@ def cross_check(model: Model, pass_width: Array) -> Figure:
 
 @mpl.rc_context(STYLE)
 def followed(runs: Mapping[str, Run]) -> Figure:
-    """The tip's commanded angle, its angle without and with compensation, and the differences, over time."""
+    """A figure of runs of `taut follow`, by compensation: the commanded angle, what the tip did, and the error, over
+    time."""
     made, axes = figure(11, 4.6, 2, 1, sharex=True)
     top, bottom = axes[:, 0]
     names = {"off": "without compensation", "backlash": "with f_coarse and B", "full": "with f_remain and B"}
@@ -397,8 +408,8 @@ def followed(runs: Mapping[str, Run]) -> Figure:
 
 @mpl.rc_context(STYLE)
 def compared(models: Mapping[str, Model]) -> Figure:
-    """B and f_remain of several models (the paper's Fig. 2), and each less the first's: equal curves hide each other,
-    their differences do not."""
+    """A figure of B and f_remain of several models, by name (the paper's Fig. 2), and below of each one's differences
+    from the first: equal curves hide each other, differences do not."""
     unit = common_unit(models)
     first = next(iter(models.values()))
     made, axes = figure(11, 7.4, 2, 2, sharex="col")
@@ -436,8 +447,8 @@ def compared(models: Mapping[str, Model]) -> Figure:
 
 
 def _draw_change(width: Axes, angle: Axes, first: Model, model: Model, line: Mapping[str, Any]) -> None:
-    """Draws one model's B (on `width`) and f_remain (on `angle`, its mean taken off) less the first's, with 2 sigma,
-    over the q that both have measured; nothing where there is none. line: the style."""
+    """Draws a model's B (into the axes `width`) and f_remain (into `angle`, the mean taken off) less those of `first`,
+    with 2 sigma, over the q that both have measured; nothing where there is none. line: the style."""
     low, high = max(first.measured[0], model.measured[0]), min(first.measured[1], model.measured[1])
     if not high > low:
         return
@@ -458,8 +469,8 @@ def _draw_change(width: Axes, angle: Axes, first: Model, model: Model, line: Map
 
 @mpl.rc_context(STYLE)
 def servo_steps(steps: Mapping[float, Any], chosen: float) -> Figure:
-    """The motor's answer to a step at the axis' limits, by factor of the gains; the chosen one is thick. steps: t_s in
-    s, q, q_ref and rms in counts."""
+    """A figure of the servo's step responses (live.commission.StepResponse) by factor of the gains; that of the factor
+    which was `chosen` is thick."""
     made, axes = figure(11, 5.0, 2, 1, sharex=True)
     top, bottom = axes[:, 0]
     for (factor, step), colour in zip(steps.items(), _colours(len(steps)), strict=True):
@@ -479,12 +490,12 @@ def servo_steps(steps: Mapping[float, Any], chosen: float) -> Figure:
 
 
 def _colours(count: int) -> list[Any]:
-    """So many colours for lines: the first of SERIES, or a colour map's where those are too few."""
+    """`count` different colours for lines: the first of SERIES, or a colour map's where those are too few."""
     if count <= len(SERIES):
         return list(SERIES[:count])
     return list(mpl.colormaps["viridis"](np.linspace(0, 0.9, count)))
 
 
-def _offset(evidence: Evidence, onset: Onset) -> float:
-    """What is added to an onset's time to have it on the common clock, s."""
+def _clock_offset(evidence: Evidence, onset: Onset) -> float:
+    """What is added to an onset's time, of its recording's clock, to have it on the recordings' common clock, s."""
     return float(evidence.offset_s[evidence.index(onset["recording"])])

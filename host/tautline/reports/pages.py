@@ -33,42 +33,48 @@ _COARSE_IS_WRONG = frozenset({"coarse", "registration.static", "range", "predict
 
 @dataclass(frozen=True)
 class Picture:
-    uri: str
+    """A picture on a page."""
+
+    uri: str  # a data: URI, so that the page needs no other file
     title: str
     caption: str
 
 
 @dataclass(frozen=True)
 class Number:
+    """A row of a page's table of numbers."""
+
     name: str
-    value: str
+    value: str  # with its unit
     detail: str
 
 
 def save_model(model: Model, recordings: Sequence[Recording], folder: Path) -> list[str]:
-    """The whole MODEL folder with its report, or nothing; without recordings, or where none saw the tip within the
-    motor's times, a report of the tables alone. Returns the result in sentences."""
+    """Writes a whole MODEL folder with its report, all or nothing, in place of an earlier one. recordings: that the
+    model was calibrated from; without any, or where none saw the tip within the motor's times, the report is of the
+    tables alone. Returns the result in sentences."""
     with replaced(folder, MODEL_FILE, stale=("follow-*.csv", EVIDENCE_FILE, CAMERA_FILE, NEXT_FILE)) as target:
         evidence = collect(model, recordings) if recordings else None
         if evidence is not None and len(evidence.t_s) == 0:
             evidence = None
         model.save(target)
-        _keep_picture(recordings, target)
+        _save_camera_picture(recordings, target)
         if evidence is not None:
             evidence.save(target)
         write(model, target, evidence, folder.absolute().name)
     return sentences(model, evidence)
 
 
-def _keep_picture(recordings: Sequence[Recording], folder: Path) -> None:
-    """Writes camera.jpg, a frame with the marker's path over it, of the first recording that has one; else nothing."""
+def _save_camera_picture(recordings: Sequence[Recording], folder: Path) -> None:
+    """Writes camera.jpg into a model's folder: a frame with the marker's path over it, of the first recording that has
+    one; nothing where none has."""
     seen = next((shown for each in recordings if (shown := snapshot(each)) is not None), None)
     if seen is not None:
         cv2.imwrite(str(folder / CAMERA_FILE), seen, [cv2.IMWRITE_JPEG_QUALITY, 88])
 
 
-def _camera(folder: Path) -> Picture | None:
-    """The picture with the marker's way that was kept beside a model, inside a page; None without."""
+def _camera_picture(folder: Path) -> Picture | None:
+    """The picture of camera.jpg in a model's folder for its page; None where there is none."""
     path = folder / CAMERA_FILE
     if not path.is_file():
         return None
@@ -79,13 +85,11 @@ def _camera(folder: Path) -> Picture | None:
 
 
 def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "") -> Path:
-    """Writes MODEL/report.html: what was measured, how good it is, what it gains; returns its path. `evidence` None:
-    the tables alone. name: of the model, "": the folder's."""
+    """Writes report.html into a model's folder: what was measured, how good it is, what it gains; returns its path.
+    evidence: None writes of the tables alone; name: of the model for the title, "": the folder's."""
     onsets = figures.onsets_of(model)
     used, unused = figures.split_onsets(onsets)
-    passes = model.extra.get("pass_width")
     runs = Run.load_all(folder)
-    by_marker = model.sensor == MARKER
     page: dict[str, Any] = {
         "title": f"What is lost between motor and tip: {name or folder.absolute().name}",
         "source": _source(model, evidence),
@@ -94,7 +98,7 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
             {"code": r.code, "says": r.says, "remedy": r.remedy, "topic": topics().get(r.code)}
             for r in model.quality.reasons
         ],
-        "camera": _camera(folder),
+        "camera": _camera_picture(folder),
         "result": sentences(model, evidence) + _run_sentences(runs),
         "numbers": _numbers(model, used, unused, evidence),
         "notes": model.extra.get("notes", []),
@@ -116,42 +120,10 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
         "closely": None,
         "track": None,
         "residuals": None,
-        "cross_check": None,
+        "cross_check": _cross_check_picture(model),
     }
     if evidence is not None:
-        page |= {
-            "gain": picture(
-                figures.gain(evidence),
-                "Distance between prediction and measurement",
-                "f_coarse knows neither backlash nor the real law; B alone gets the moments of motion right.",
-            ),
-            "track": picture(
-                figures.track(evidence, onsets, model.rig.actuator.unit),
-                f"Motor and {'marker' if by_marker else 'angle'} over time",
-                "Dots: where the tip began to move.",
-            ),
-            "residuals": picture(
-                figures.residuals(evidence, model.rig.actuator.unit),
-                "Residuals of the whole model",
-                "White and small: nothing is left unmodelled. A pattern over q or time: taut diagnose says what it is.",
-            ),
-        }
-        closely = figures.onsets_closely(model, evidence, onsets)
-        if closely is not None:
-            page["closely"] = picture(
-                closely,
-                "Some onsets closely",
-                f"Dots: {_shown(evidence)}. Grey: the motor turns, the tip rests. Red: the hinge; the backlash ends "
-                "where it bends.",
-            )
-    if passes is not None:
-        page["cross_check"] = picture(
-            figures.cross_check(model, np.array(passes, dtype=float)),
-            "B from the onsets and from the two passes",
-            f"The distance of the two passes at equal {'image position' if by_marker else 'angle'} measures B again. "
-            "Where they part, the onset is smooth"
-            + (", or the registration changes with direction." * by_marker or "."),
-        )
+        page |= _evidence_pictures(model, evidence, onsets)
     if runs:
         page["runs"] = picture(
             figures.followed(runs),
@@ -163,8 +135,55 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
     return path
 
 
+def _evidence_pictures(model: Model, evidence: Evidence, onsets: Sequence[figures.Onset]) -> dict[str, Picture]:
+    """The pictures of a model's page that show its recordings, by their names in the template. onsets: the model's."""
+    unit = model.rig.actuator.unit
+    pictures = {
+        "gain": picture(
+            figures.gain(evidence),
+            "Distance between prediction and measurement",
+            "f_coarse knows neither backlash nor the real law; B alone gets the moments of motion right.",
+        ),
+        "track": picture(
+            figures.track(evidence, onsets, unit),
+            f"Motor and {'marker' if model.sensor == MARKER else 'angle'} over time",
+            "Dots: where the tip began to move.",
+        ),
+        "residuals": picture(
+            figures.residuals(evidence, unit),
+            "Residuals of the whole model",
+            "White and small: nothing is left unmodelled. A pattern over q or time: taut diagnose says what it is.",
+        ),
+    }
+    closely = figures.onsets_closely(model, evidence, onsets)
+    if closely is not None:
+        pictures["closely"] = picture(
+            closely,
+            "Some onsets closely",
+            f"Dots: {_shown(evidence)}. Grey: the motor turns, the tip rests. Red: the hinge; the backlash ends "
+            "where it bends.",
+        )
+    return pictures
+
+
+def _cross_check_picture(model: Model) -> Picture | None:
+    """The picture of B by the onsets beside B by the distance of the two passes; None for a model without the
+    latter."""
+    passes = model.extra.get("pass_width")
+    if passes is None:
+        return None
+    by_marker = model.sensor == MARKER
+    return picture(
+        figures.cross_check(model, np.array(passes, dtype=float)),
+        "B from the onsets and from the two passes",
+        f"The distance of the two passes at equal {'image position' if by_marker else 'angle'} measures B again. "
+        f"Where they part, the onset is smooth{', or the registration changes with direction.' if by_marker else '.'}",
+    )
+
+
 def write_comparison(models: Mapping[str, Model], path: Path) -> None:
-    """How B and f_remain differ between models (the paper's Fig. 2)."""
+    """Writes a page on how B and f_remain differ between models, by name, each against the first (the paper's Fig.
+    2)."""
     rows = comparison(models)
     names = list(models)
     unit = models[names[0]].rig.actuator.unit
@@ -205,45 +224,44 @@ def write_comparison(models: Mapping[str, Model], path: Path) -> None:
 
 
 def comparison(models: Mapping[str, Model]) -> list[dict[str, Any]]:
-    """For each model its changes against the first, over the q that both have measured: widths in the unit of q, NaN
-    where there is no such q. The mean change of f_remain is taken off its rms (the zero of the motor is not the
-    instrument's) and stands beside it."""
-    names = list(models)
-    first = models[names[0]]
-    rows = []
-    for name in names:
-        model = models[name]
-        low, high = max(first.measured[0], model.measured[0]), min(first.measured[1], model.measured[1])
-        q = np.linspace(low, high, 201) if high > low else np.empty(0)
-        width, base = (np.interp(q, m.q, m.width) for m in (model, first))
-        sigma = np.hypot(*(np.interp(q, m.q, m.width_sigma) for m in (model, first)))
-        change = width - base
-        angle = model.remaining(q) - first.remaining(q)
-        some = len(q) > 0
-        worst = int(np.argmax(np.abs(change))) if some else 0
-        rows.append(
-            {
-                "model": name,
-                "q_from": low if some else None,
-                "q_to": high if some else None,
-                "width_mean": width.mean() if some else np.nan,
-                "width_min": width.min() if some else np.nan,
-                "width_max": width.max() if some else np.nan,
-                "width_change_mean": change.mean() if some else np.nan,
-                "width_change_rms": np.sqrt(np.mean(change**2)) if some else np.nan,
-                "width_change_max": change[worst] if some else np.nan,
-                "width_change_max_at": q[worst] if some else np.nan,
-                "width_change_sigmas": np.sqrt(np.mean((change / np.maximum(sigma, 1e-12)) ** 2)) if some else np.nan,
-                "remaining_change_mean_deg": angle.mean() if some else np.nan,
-                "remaining_change_rms_deg": angle.std() if some else np.nan,
-                "delay_s": model.delay_s,
-            }
-        )
-    return rows
+    """For each model, by name, a row of its changes against the first over the q that both have measured: widths in the
+    unit of q, NaN where there is no such q. f_remain's mean change stands beside the rms of the rest, as the motor's
+    zero may have moved without a change of the instrument."""
+    first = next(iter(models.values()))
+    return [_comparison_row(name, model, first) for name, model in models.items()]
+
+
+def _comparison_row(name: str, model: Model, first: Model) -> dict[str, Any]:
+    """The row of one model in `comparison`: its changes against the model `first`."""
+    low, high = max(first.measured[0], model.measured[0]), min(first.measured[1], model.measured[1])
+    q = np.linspace(low, high, 201) if high > low else np.empty(0)
+    width, base = (np.interp(q, m.q, m.width) for m in (model, first))
+    sigma = np.hypot(*(np.interp(q, m.q, m.width_sigma) for m in (model, first)))
+    change = width - base
+    angle_deg = model.remaining(q) - first.remaining(q)
+    some = len(q) > 0
+    worst = int(np.argmax(np.abs(change))) if some else 0
+    return {
+        "model": name,
+        "q_from": low if some else None,
+        "q_to": high if some else None,
+        "width_mean": width.mean() if some else np.nan,
+        "width_min": width.min() if some else np.nan,
+        "width_max": width.max() if some else np.nan,
+        "width_change_mean": change.mean() if some else np.nan,
+        "width_change_rms": np.sqrt(np.mean(change**2)) if some else np.nan,
+        "width_change_max": change[worst] if some else np.nan,
+        "width_change_max_at": q[worst] if some else np.nan,
+        "width_change_sigmas": np.sqrt(np.mean((change / np.maximum(sigma, 1e-12)) ** 2)) if some else np.nan,
+        "remaining_change_mean_deg": angle_deg.mean() if some else np.nan,
+        "remaining_change_rms_deg": angle_deg.std() if some else np.nan,
+        "delay_s": model.delay_s,
+    }
 
 
 def write_page(template: str, page: Mapping[str, Any], path: Path, beside: Path | None = None) -> None:
-    """A page from one of the package's templates, or of those in the folder `beside`; `footer` is added."""
+    """Writes a page from a template of the package, or of the folder `beside`. page: the template's variables, to which
+    `footer` is added."""
     write_file(path, _render(template, page, beside))
 
 
@@ -260,6 +278,7 @@ def _render(template: str, page: Mapping[str, Any], beside: Path | None = None) 
 
 
 def picture(made: Figure, title: str, caption: str) -> Picture:
+    """A figure as a picture on a page, as SVG."""
     return Picture(figures.data_uri(made), title, caption)
 
 
@@ -273,8 +292,8 @@ def _digits(value: float, digits: int = 3, sign: bool = False) -> str:
     return f"{value:{'+' if sign else ''}.{min(places, 6)}f}"
 
 
-def _with(value: float, unit: str, digits: int = 3) -> str:
-    """A number that no line break parts from its unit."""
+def _with_unit(value: float, unit: str, digits: int = 3) -> str:
+    """A number with its unit, between which a line cannot be broken."""
     return f"{_digits(value, digits)}\u00a0{unit}"
 
 
@@ -287,12 +306,13 @@ def _source(model: Model, evidence: Evidence | None) -> str:
 
 
 def _shown(evidence: Evidence) -> str:
-    """What the recordings hold of the tip, in the plural."""
+    """What a row of the evidence is, in the plural: "frames" or "readings"."""
     return "frames" if evidence.unit == "px" else "readings"
 
 
 def sentences(model: Model, evidence: Evidence | None) -> list[str]:
-    """The result for a person, in one line each."""
+    """A calibration's result for a person, in sentences: B, how well it is known, and, with evidence, how well the
+    model predicts the recordings."""
     unit, inside = model.rig.actuator.unit, figures.inside(model)
     lines = []
     if inside.any():
@@ -328,8 +348,8 @@ def sentences(model: Model, evidence: Evidence | None) -> list[str]:
 
 
 def _backlash_share(model: Model, evidence: Evidence) -> tuple[float, float]:
-    """Rms difference between the seen angle and f_remain at the motor position, which is what backlash does
-    uncompensated: deg, and in the motor unit."""
+    """How far backlash alone puts the tip off where it is not compensated: the rms difference between the seen angle
+    and f_remain at the motor's position, deg, and the same in the unit of q."""
     q, c_deg = evidence.q[evidence.settled], evidence.c_deg[evidence.settled]
     off = np.column_stack([model.remaining(q) - c_deg, q - model.remaining_inverse(c_deg)])
     deg, motor = np.sqrt(np.nanmean(off**2, axis=0))
@@ -337,7 +357,7 @@ def _backlash_share(model: Model, evidence: Evidence) -> tuple[float, float]:
 
 
 def _times(worse: float, better: float) -> str:
-    """How many times larger `worse` is than `better`, as text."""
+    """How many times larger `worse` is than `better`, as text with two digits."""
     return _digits(worse / max(better, 1e-12), 2)
 
 
@@ -348,10 +368,12 @@ def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence:
     if inside.any():
         width, at = model.width[inside], model.q[inside]
         numbers += [
-            Number("widest backlash", _with(width.max(), unit), f"at {_digits(at[width.argmax()], 2)} {unit}"),
-            Number("narrowest", _with(width.min(), unit), f"at {_digits(at[width.argmin()], 2)} {unit}"),
+            Number("widest backlash", _with_unit(width.max(), unit), f"at {_digits(at[width.argmax()], 2)} {unit}"),
+            Number("narrowest", _with_unit(width.min(), unit), f"at {_digits(at[width.argmin()], 2)} {unit}"),
             Number(
-                "measured", f"{_digits(model.measured[0], 3)} to {_with(model.measured[1], unit)}", "motor position"
+                "measured",
+                f"{_digits(model.measured[0], 3)} to {_with_unit(model.measured[1], unit)}",
+                "motor position",
             ),
         ]
     numbers.append(Number("reversals used", str(len(used)), f"of {len(used) + len(unused)}"))
@@ -361,13 +383,14 @@ def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence:
         what = "image" if model.sensor == MARKER else "sensor"
         numbers.append(Number(f"delay of the {what}", f"{1e3 * model.delay_s:.1f}\u00a0ms", spread))
     if evidence is not None and np.isfinite(evidence.rms()[2]) and model.quality.usable:
-        numbers.append(Number("prediction", _with(evidence.rms()[2], evidence.unit, 2), "rms per coordinate"))
+        numbers.append(Number("prediction", _with_unit(evidence.rms()[2], evidence.unit, 2), "rms per coordinate"))
     return numbers
 
 
 def _stages(evidence: Evidence | None) -> list[list[str]]:
-    """For the page, a row for each of STAGES: name, rms per coordinate, distance in the mean ± its deviation, largest
-    distance, and how many times smaller the rms is than f_coarse's. [] where nothing can be scored."""
+    """The page's table of STAGES, a row each: name, rms per coordinate, distance from what was seen (mean ± standard
+    deviation, and the largest), and how many times smaller the rms is than f_coarse's. [] where nothing can be
+    scored."""
     if evidence is None or not evidence.settled.any():
         return []
     rms = evidence.rms()
@@ -387,19 +410,20 @@ def _stages(evidence: Evidence | None) -> list[list[str]]:
 
 
 def _onset_row(onset: figures.Onset) -> list[str]:
-    """An onset as a row of the page's table."""
+    """An onset as a row of the page's table: time, direction, q at turn and onset, width, 2 sigma, whether it is
+    used."""
 
-    def told(value: float, places: int) -> str:
+    def text(value: float, places: int) -> str:
         """The value with so many decimals; "" for NaN."""
         return "" if np.isnan(value) else f"{value:.{places}f}"
 
     return [
-        told(onset["t_s"], 3),
+        text(onset["t_s"], 3),
         "rises" if onset["direction"] > 0 else "falls",
-        told(onset["q1"], 4),
-        told(onset["q2"], 4),
-        told(onset["width"], 4),
-        told(2 * onset["sigma"], 4),
+        text(onset["q1"], 4),
+        text(onset["q2"], 4),
+        text(onset["width"], 4),
+        text(2 * onset["sigma"], 4),
         "yes" if onset["used"] else onset["reason"] or "no",
     ]
 
@@ -416,7 +440,7 @@ def _run_sentences(runs: Mapping[str, Run]) -> list[str]:
 
 
 def _comparison_sentences(rows: Sequence[Mapping[str, Any]], unit: str) -> list[str]:
-    """How the models differ, a sentence each. unit: of q."""
+    """How each model differs from the first, in sentences. rows: of `comparison`; unit: of q."""
     sentences = []
     fine, times = figures.finer(unit)
     for row in rows[1:]:

@@ -26,16 +26,16 @@ _FOCAL_SHARE = 0.005  # tolerance: sigma of the focal length: it goes into every
 
 @dataclass(frozen=True)
 class Board:
-    """A ChArUco board as it was printed: squares across and down, a square's and a marker's side in mm."""
+    """A ChArUco board (a chessboard with markers in it, for calibrating cameras) as it was printed."""
 
-    columns: int
-    rows: int
-    square_mm: float
-    marker_mm: float
-    dictionary: str = "4X4_50"
+    columns: int  # squares across
+    rows: int  # squares down
+    square_mm: float  # side of a square
+    marker_mm: float  # side of a marker
+    dictionary: str = "4X4_50"  # of the markers, a key of DICTIONARIES
 
     def opencv(self) -> cv2.aruco.CharucoBoard:
-        """OpenCV's board of these squares. TautError where there can be none."""
+        """The board as OpenCV's object. TautError where no board can have these numbers."""
         if not 0.0 < self.marker_mm < self.square_mm:
             raise TautError(
                 f"a marker of {self.marker_mm:g} mm does not lie within a square of {self.square_mm:g} mm: measure both"
@@ -52,7 +52,7 @@ class Board:
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """With the standard deviation of each (cv2.calibrateCameraExtended's)."""
+    """A camera's intrinsics, each with its standard deviation (cv2.calibrateCameraExtended's)."""
 
     size: tuple[int, int]  # width, height, px
     values: Array  # (9,): fx fy cx cy in px, k1 k2 p1 p2 k3
@@ -69,6 +69,7 @@ class Intrinsics:
         return {**keys, "distortion": distortion}
 
     def in_words(self) -> str:
+        """One line for the terminal: focal lengths and centre with their sigmas, and how many pictures were used."""
         fx, fy, cx, cy = self.values[:4]
         s = self.sigma
         return (
@@ -87,13 +88,33 @@ class Intrinsics:
 
 
 def intrinsics(pictures: Sequence[npt.NDArray[Any]], board: Board, progress: Progress | None = None) -> Intrinsics:
-    """A camera's intrinsics from at least one BGR or grey picture, all of one size. k3 is fitted only where the corners
-    ask for it by the Bayesian information criterion, as over a moderate view it is hardly told from k1 and k2.
-    TautError where too few pictures show the board."""
+    """A camera's intrinsics from pictures of a board, one or more, BGR or grey, all of one size. The coefficient k3 is
+    fitted only if the Bayesian information criterion asks for it, as over a moderate view it is hardly told from k1 and
+    k2. progress: gets the share done, 0 to 1, and a word. TautError where too few pictures show the board."""
+    size = (pictures[0].shape[1], pictures[0].shape[0])
+    objects, images = _corners_of(pictures, size, board, progress)
+    if len(objects) < _LEAST_VIEWS:
+        raise TautError(
+            f"{len(objects)} of {len(pictures)} pictures show a ChArUco board of {board.columns} x {board.rows} "
+            f"squares of {board.dictionary}, {_LEAST_VIEWS} are needed: are --squares and --dictionary the print's, "
+            "and is it sharp?"
+        )
+    numbers = 2 * sum(len(points) for points in objects)
+    without_k3, with_k3 = (_calibrate_camera(objects, images, size, flags) for flags in (cv2.CALIB_FIX_K3, 0))
+    k3_asked_for = 2.0 * numbers * np.log(without_k3[0] / with_k3[0]) > np.log(numbers)
+    rms, values, sigma = with_k3 if k3_asked_for else without_k3
+    return Intrinsics(size, values, sigma, rms, len(objects), len(pictures))
+
+
+def _corners_of(
+    pictures: Sequence[npt.NDArray[Any]], size: tuple[int, int], board: Board, progress: Progress | None
+) -> tuple[list[Any], list[Any]]:
+    """The board's corners in each picture that shows at least _LEAST_CORNERS of them, not all on a line: their places
+    on the board (n, 1, 3), mm, and in the image (n, 1, 2), px. TautError where a picture has another size than `size`
+    (width, height)."""
     opencv = board.opencv()
     detector = cv2.aruco.CharucoDetector(opencv)
     objects, images = [], []
-    size = (pictures[0].shape[1], pictures[0].shape[0])
     for k, picture in enumerate(pictures):
         if progress is not None:
             progress(k / len(pictures), "looking for the board")
@@ -105,25 +126,16 @@ def intrinsics(pictures: Sequence[npt.NDArray[Any]], board: Board, progress: Pro
         corners, ids, _, _ = detector.detectBoard(picture)
         if ids is None or len(ids) < _LEAST_CORNERS:
             continue
-        there, image = opencv.matchImagePoints(list(corners), ids)
-        if np.linalg.matrix_rank(there[:, 0, :2] - there[0, 0, :2], tol=1e-6) == 2:  # not all on a line
-            objects.append(there)
-            images.append(image)
-    if len(objects) < _LEAST_VIEWS:
-        raise TautError(
-            f"{len(objects)} of {len(pictures)} pictures show a ChArUco board of {board.columns} x {board.rows} "
-            f"squares of {board.dictionary}, {_LEAST_VIEWS} are needed: are --squares and --dictionary the print's, "
-            "and is it sharp?"
-        )
-    numbers = 2 * sum(len(o) for o in objects)
-    without, with_k3 = (_calibrated_camera(objects, images, size, flags) for flags in (cv2.CALIB_FIX_K3, 0))
-    asked_for = 2.0 * numbers * np.log(without[0] / with_k3[0]) > np.log(numbers)
-    rms, values, sigma = with_k3 if asked_for else without
-    return Intrinsics(size, values, sigma, rms, len(objects), len(pictures))
+        on_board, in_image = opencv.matchImagePoints(list(corners), ids)
+        if np.linalg.matrix_rank(on_board[:, 0, :2] - on_board[0, 0, :2], tol=1e-6) == 2:  # not all on a line
+            objects.append(on_board)
+            images.append(in_image)
+    return objects, images
 
 
-def _calibrated_camera(objects: Any, images: Any, size: tuple[int, int], flags: int) -> tuple[float, Array, Array]:
-    """OpenCV's calibration with these flags: rms px, values and their standard deviations."""
+def _calibrate_camera(objects: Any, images: Any, size: tuple[int, int], flags: int) -> tuple[float, Array, Array]:
+    """OpenCV's camera calibration from corners as `_corners_of` gives them, with these flags (cv2.CALIB_...): rms of
+    the corners, px, values (9,) as in Intrinsics, and their standard deviations (9,)."""
     rms, matrix, distortion, _, _, sigma, _, _ = cv2.calibrateCameraExtended(
         objects, images, size, np.eye(3), np.zeros(5), flags=flags
     )

@@ -18,8 +18,8 @@ _OF: Mapping[Sensor, tuple[str, ...]] = {
 
 
 def put(document: Document, section: Section, key: Key, text: str) -> None:
-    """Sets a key from text as it is typed: TOML, a bare word, or numbers with commas. TautError where the key refuses
-    it."""
+    """Sets a key of a rig.toml's document from text as somebody types it: TOML, a word without quotes, or numbers with
+    commas. TautError where it is not what the key expects."""
     bare = text.strip()
     if key.kind == "text" and not bare.startswith(('"', "'")):
         bare = f'"{bare}"'
@@ -30,11 +30,11 @@ def put(document: Document, section: Section, key: Key, text: str) -> None:
         value = tomllib.loads(f"value = {bare}")["value"]
     except ValueError as error:  # no TOML, or a number of too many digits
         raise TautError(f"{name} is {text!r}, expected {key.expected}, as in {example(key)}") from error
-    document.setdefault(section.name, {})[key.name] = _kept(key.read(value, name, "as given"))
+    document.setdefault(section.name, {})[key.name] = _as_toml_value(key.read(value, name, "as given"))
 
 
-def named(name: str) -> tuple[Section, Key]:
-    """The section and key of `section.key`. TautError where rig.toml has no such key."""
+def find_key(name: str) -> tuple[Section, Key]:
+    """The section and key that a name SECTION.KEY means. TautError where rig.toml has no such key."""
     section = SECTIONS.get(name.partition(".")[0])
     key = next((k for k in section.keys if k.name == name.partition(".")[2]), None) if section else None
     if section is None or key is None:
@@ -43,7 +43,7 @@ def named(name: str) -> tuple[Section, Key]:
 
 
 def missing(document: Mapping[str, Any], sensor: Sensor) -> Iterator[tuple[Section, Key]]:
-    """The keys that a rig with this sensor still needs, in the order of the file."""
+    """The required keys that the document of a rig with this sensor lacks, in the order of the file."""
     for name in _OF[sensor]:
         for key in SECTIONS[name].keys:
             if key.needed and key.name not in document.get(name, {}):
@@ -51,10 +51,10 @@ def missing(document: Mapping[str, Any], sensor: Sensor) -> Iterator[tuple[Secti
 
 
 def example(key: Key) -> str:
-    """A key's example as somebody would type it."""
+    """A key's example as somebody would type it (see `put`)."""
     return ", ".join(f"{v:g}" for v in key.example) if isinstance(key.example, list) else str(key.example)
 
 
-def _kept(value: Any) -> Any:
-    """A value as a TOML document holds it: lists instead of tuples."""
+def _as_toml_value(value: Any) -> Any:
+    """A value as a TOML document holds it: a tuple becomes a list."""
     return list(value) if isinstance(value, tuple) else value

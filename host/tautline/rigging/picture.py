@@ -14,7 +14,8 @@ from tautline.rigging.places import Places
 
 @mpl.rc_context(figures.STYLE)
 def picture(rig: Rig, places: Places) -> Figure:
-    """The marker's places with their angles, and the curve on which the rig predicts them."""
+    """Draws the camera's image plane: the marker's places with their angles, and the curve on which the rig predicts
+    them, so that a wrong rig is seen. The rig has a camera."""
     assert rig.camera is not None
     low, high = (f(axis=0) for f in (places.image_px.min, places.image_px.max))
     half = 0.6 * float(np.max(high - low)) * np.array([1.0, 0.5]) + 10.0

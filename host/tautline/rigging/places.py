@@ -24,20 +24,24 @@ _MOVES = 1e-2  # of the motor's travel: what moves more does not rest
 
 @dataclass(frozen=True)
 class Places:
-    c_deg: Array  # (n,) as stated
-    image_px: Array  # (n, 2) the marker's mean
-    sigma_px: Array  # (n,) of that mean, of each coordinate
-    q: Array  # (n,) the motor's mean
+    """Where marker and motor stood while the tip rested at n known angles."""
+
+    c_deg: Array  # (n,) angles as stated
+    image_px: Array  # (n, 2) the marker's mean position, u and v
+    sigma_px: Array  # (n,) standard deviation of that mean, of each coordinate
+    q: Array  # (n,) the motor's mean position
 
 
 def read_known(file: Path) -> Angle:
-    """A CSV with t_s,c_deg: when the tip rested for a second, on the recording's clock, and at which angle."""
+    """Reads a CSV with columns t_s,c_deg: from when on the tip rested for STANDS_S, s of the recording's clock, rising,
+    and at which angle, deg. TautError where it is none."""
     columns = read_columns(file, layouts.ANGLE.required(), layouts.ANGLE.header(), mend=False)
     return Angle(columns.rising_times(), columns.finite("c_deg"))
 
 
 def places_of(recording: Recording, known: Angle) -> Places:
-    """Mean marker position and motor position of each rest. TautError where the tip did not rest, or was not seen."""
+    """Means of marker and motor position over each rest in `known`, of frames from SETTLES_S after its time on.
+    TautError where there is no marker, there are too few rests, the motor moved, or the marker was not seen."""
     marker, motor = recording.marker, recording.motor
     if marker is None:
         raise TautError(f"{recording.name}: holds no marker: record a video of the motion, or a marker.csv")
@@ -46,26 +50,27 @@ def places_of(recording: Recording, known: Angle) -> Places:
     travel = float(np.ptp(motor.q))
     image, sigma, q = [], [], []
     for t_s, c_deg in zip(known.t_s.tolist(), known.c_deg.tolist(), strict=True):
-        rests = (motor.t_s >= t_s) & (motor.t_s <= t_s + STANDS_S)
+        resting = (motor.t_s >= t_s) & (motor.t_s <= t_s + STANDS_S)
         seen = (marker.t_s >= t_s + SETTLES_S) & (marker.t_s <= t_s + STANDS_S) & marker.valid
         what = f"{recording.name}: the rest at {t_s:g} s, {c_deg:g} deg,"
-        if rests.sum() < 2:
+        if resting.sum() < 2:
             raise TautError(f"{what} lies outside of the motor's log: are the times those of its clock?")
-        if np.ptp(motor.q[rests]) > _MOVES * travel:
+        if np.ptp(motor.q[resting]) > _MOVES * travel:
             raise TautError(f"{what} is none: the motor moves in the {STANDS_S:g} s after it; say when it has stopped")
         if seen.sum() < _LEAST_FRAMES:
             raise TautError(f"{what} shows the marker in {seen.sum()} frames: it has to be in the picture there")
         uv = np.column_stack([marker.u_px[seen], marker.v_px[seen]])
         image.append(uv.mean(axis=0))
         sigma.append(float(np.sqrt(uv.var(axis=0, ddof=1).mean() / seen.sum())))
-        q.append(float(motor.q[rests].mean()))
+        q.append(float(motor.q[resting].mean()))
     return Places(known.c_deg, np.array(image), np.array(sigma), np.array(q))
 
 
 def coarse(places: Places) -> tuple[Coarse, float]:
-    """f_coarse by least squares over the places, and the rms of its residual, deg, play and curvature included."""
+    """The coarse law c = gain q + offset by least squares over the places, and the rms of its residual, deg, which play
+    and curvature make up, too. TautError where the motor stood at one place."""
     if np.ptp(places.q) <= 0.0:
         raise TautError("the motor stood at one place for all known angles: is the log that of the motion?")
     gain, offset = np.polyfit(places.q, places.c_deg, 1)
-    left = places.c_deg - gain * places.q - offset
-    return Coarse(float(gain), float(offset)), float(np.sqrt(np.mean(left**2)))
+    residual = places.c_deg - gain * places.q - offset
+    return Coarse(float(gain), float(offset)), float(np.sqrt(np.mean(residual**2)))

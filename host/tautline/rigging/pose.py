@@ -25,15 +25,18 @@ _SINGULAR = 1e12  # tolerance: condition of the scaled information: double preci
 
 @dataclass(frozen=True)
 class HandEyeFit:
+    """A fitted hand-eye transform (camera to the instrument's base) and how well it is known."""
+
     hand_eye: HandEye
     sigma: Array  # (6,): rx ry rz in deg, x y z in mm
     left_px: float  # rms per coordinate of what is left
-    strays: float  # the same over what was stated: 1 where pixels and angles are as exact as said
+    strays: float  # rms of what is left over its stated sigma: 1 where pixels and angles are as exact as said
     measures_deg: Array  # (m,) over the angles' range: sigma of an angle that is measured with this pose
-    angle_sigma_deg: float  # as it was stated
-    rival: float  # the sum of squares that the other pose of a planar curve leaves more, in those of this one's spread
+    angle_sigma_deg: float  # of the known angles, as it was stated
+    rival: float  # chi square of the other pose that a planar curve allows, less that of this one; inf without another
 
     def in_words(self) -> str:
+        """One line for the terminal: rotation and translation with their sigmas, and how well angles are measured."""
         rx, ry, rz = self.hand_eye.rotation_deg
         x, y, z = self.hand_eye.translation_mm
         s = self.sigma
@@ -60,15 +63,16 @@ class HandEyeFit:
 
 
 def hand_eye(places: Places, kinematics: Kinematics, camera: Camera, angle_sigma_deg: float) -> HandEyeFit:
-    """The hand-eye transform by least squares over its pose and the true angles, whose stated sigma is
-    `angle_sigma_deg`, starting from both poses that a planar curve allows (cv2.SOLVEPNP_IPPE). Sigma grows if more is
-    left than was stated. TautError where the places do not determine a pose."""
+    """Where the camera is, from the marker's places at known angles: nonlinear least squares over the pose (6,) and the
+    true angles (n,), whose stated sigma is `angle_sigma_deg`, from both poses that a planar curve allows
+    (cv2.SOLVEPNP_IPPE). If more is left than the stated sigmas explain, the result's sigmas grow. TautError where the
+    places do not determine a pose."""
     sigma_px = np.hypot(places.sigma_px, PLACED_PX)  # no mean goes below what a place is off by
     sigma_c = max(angle_sigma_deg, _LEAST_DEG)
 
     def seen(pose: Array, c_deg: Array) -> tuple[Array, Array]:
         """Image positions (n, 2) px at angles c (n,) deg with this pose (6,), and their slopes (n, 2) px per deg."""
-        return project_with_slope(_rig(kinematics, camera, pose), c_deg)
+        return project_with_slope(_rig_with_pose(kinematics, camera, pose), c_deg)
 
     def residuals(x: Array) -> Array:
         """What is left over sigma, (3 n,): of the image positions, 1e6 where the tip is behind the camera, then of the
@@ -76,22 +80,20 @@ def hand_eye(places: Places, kinematics: Kinematics, camera: Camera, angle_sigma
         off = (seen(x[:6], x[6:])[0] - places.image_px) / sigma_px[:, None]
         return np.concatenate([np.nan_to_num(off, nan=1e6).ravel(), (x[6:] - places.c_deg) / sigma_c])
 
-    starts = _planar_poses(places, kinematics, camera)
-    fits = [least_squares(residuals, np.concatenate([s, places.c_deg]), x_scale="jac", method="lm") for s in starts]
+    fits = [
+        least_squares(residuals, np.concatenate([start, places.c_deg]), x_scale="jac", method="lm")
+        for start in _planar_poses(places, kinematics, camera)
+    ]
     fits.sort(key=lambda fit: float(fit.cost))
     best = fits[0]
-    slopes = np.asarray(best.jac, dtype=float)
-    information: Array = slopes.T @ slopes
-    scale = np.sqrt(np.diag(information))
-    told = np.isfinite(best.cost) and (scale > 0.0).all()
-    if not told or np.linalg.cond(information / np.outer(scale, scale)) > _SINGULAR:
-        raise _not_told()
+    if not np.isfinite(best.cost):
+        raise _undetermined()
     strays = float(np.sqrt(2.0 * best.cost / (2 * len(places.c_deg) - 6)))
     spread = max(strays, 1.0) ** 2
-    covariance: Array = np.linalg.inv(information)[:6, :6].astype(np.float64) * spread
+    covariance = _covariance(np.asarray(best.jac, dtype=float))[:6, :6] * spread
     pose = best.x[:6]
     off = residuals(best.x)[: 2 * len(sigma_px)].reshape(-1, 2) * sigma_px[:, None]
-    apart = [fit for fit in fits[1:] if np.abs(fit.x[:6] - pose).max() > 1e-3 * np.abs(pose).max()]
+    others = [fit for fit in fits[1:] if np.abs(fit.x[:6] - pose).max() > 1e-3 * np.abs(pose).max()]
     return HandEyeFit(
         _hand_eye(pose),
         np.sqrt(np.diag(covariance)),
@@ -99,8 +101,19 @@ def hand_eye(places: Places, kinematics: Kinematics, camera: Camera, angle_sigma
         strays,
         _angle_sigma(seen, pose, covariance, places.c_deg),
         angle_sigma_deg,
-        min((2.0 * float(fit.cost - best.cost) / spread for fit in apart), default=np.inf),
+        min((2.0 * float(fit.cost - best.cost) / spread for fit in others), default=np.inf),
     )
+
+
+def _covariance(jacobian: Array) -> Array:
+    """The covariance (k, k) of k parameters by a fit's Jacobian (n, k) of residuals over their sigmas. TautError where
+    the parameters are not determined."""
+    information: Array = jacobian.T @ jacobian
+    scale = np.sqrt(np.diag(information))
+    if not (scale > 0.0).all() or np.linalg.cond(information / np.outer(scale, scale)) > _SINGULAR:
+        raise _undetermined()
+    covariance: Array = np.linalg.inv(information).astype(np.float64)
+    return covariance
 
 
 def _hand_eye(pose: Array) -> HandEye:
@@ -109,21 +122,22 @@ def _hand_eye(pose: Array) -> HandEye:
     return HandEye((rx, ry, rz), (x, y, z))
 
 
-def _rig(kinematics: Kinematics, camera: Camera, pose: Array) -> Rig:
-    """A rig that projects with this pose (6,), deg and mm; its actuator and f_coarse are stand-ins that nothing
-    uses."""
+def _rig_with_pose(kinematics: Kinematics, camera: Camera, pose: Array) -> Rig:
+    """A rig for `project` with this hand-eye pose (6,), deg and mm; actuator and coarse law are placeholders that
+    projection does not use."""
     unused = Actuator("mm", (-1.0, 1.0), 1.0), Coarse(1.0, 0.0)
     return Rig(*unused, kinematics, camera, _hand_eye(pose))
 
 
 def _planar_poses(places: Places, kinematics: Kinematics, camera: Camera) -> list[Array]:
-    """(6,) rx ry rz, deg, x y z, mm, of each pose that the planar curve of places allows. TautError where it allows
-    none: places on a line, in one pixel, or fewer than the four that IPPE takes."""
+    """The poses (6,), rx ry rz, deg, x y z, mm, from which the image of the tip's planar curve looks as seen (IPPE
+    finds up to two), as starts of `hand_eye`. TautError where there is none: places on a line, in one pixel, or fewer
+    than the four that IPPE takes."""
     turned = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # the bending plane becomes z = 0
     flat = tip_bend(kinematics, places.c_deg) @ turned.T
     middle = flat.mean(axis=0)
     if len(flat) < 4 or np.linalg.matrix_rank(flat - middle) < 2:
-        raise _not_told()
+        raise _undetermined()
     _, turns, shifts, _ = cv2.solvePnPGeneric(
         flat - middle, places.image_px, camera.matrix, np.array(camera.distortion), flags=cv2.SOLVEPNP_IPPE
     )
@@ -135,19 +149,21 @@ def _planar_poses(places: Places, kinematics: Kinematics, camera: Camera) -> lis
         angles = Rotation.from_matrix(matrix @ turned).as_euler("xyz", degrees=True)  # Rz Ry Rx, as in rig.toml
         starts.append(np.concatenate([angles, shift.ravel() - matrix @ middle]))
     if not starts:
-        raise _not_told()
+        raise _undetermined()
     return starts
 
 
-def _not_told() -> TautError:
+def _undetermined() -> TautError:
+    """The error to raise where the places determine no pose."""
     return TautError("these angles do not tell where the camera is: spread 8 or more over the range")
 
 
 def _angle_sigma(
     seen: Callable[[Array, Array], tuple[Array, Array]], pose: Array, covariance: Array, c_deg: Array
 ) -> Array:
-    """(25,) Standard deviation, deg, of angles over the range by the pose's covariance (6, 6): a pose that is off by dp
-    moves the image by h_p dp, which is read as an angle dc = -(h_c . h_p dp) / |h_c|^2."""
+    """(25,) Standard deviation, deg, of an angle that is measured with this pose (6,), at 25 angles over the range of
+    c_deg (n,), by the pose's covariance (6, 6): a pose that is off by dp moves the image by h_p dp, which is read as an
+    angle dc = -(h_c . h_p dp) / |h_c|^2. seen: image positions and their slopes h_c, as in `hand_eye`."""
     grid = np.linspace(c_deg.min(), c_deg.max(), 25)
     slope = seen(pose, grid)[1]
     step = 1e-4  # deg or mm, of central differences
@@ -155,5 +171,5 @@ def _angle_sigma(
     for one in np.eye(6) * step:
         moved = (seen(pose + one, grid)[0] - seen(pose - one, grid)[0]) / (2.0 * step)  # h_p
         reads.append(-(slope * moved).sum(axis=1) / (slope * slope).sum(axis=1))
-    spread: Array = np.sqrt(np.einsum("kn,kl,ln->n", reads, covariance, reads))
-    return spread
+    sigma: Array = np.sqrt(np.einsum("kn,kl,ln->n", reads, covariance, reads))
+    return sigma

@@ -38,12 +38,14 @@ class Node:
     `run` sends and publishes."""
 
     def __init__(self, graph: Graph, parameters: Parameters, live: Live, model: Model) -> None:
-        """Creates publishers of joint states, marker and diagnostics, and subscribes to set-points."""
+        """Creates the publishers of joint states, marker and diagnostics, subscribes to set-points, and has the board
+        send telemetry each millisecond. live: the open board, with a camera or not; model: that the axis' table is
+        made from."""
         self._graph, self.parameters, self._live, self._model = graph, parameters, live, model
         self.received = self.unusable = 0  # set-points: with a position of the joint, and without one
         self.replaced = 0  # by a newer one before they were sent: two in one cycle
-        self._newest: float | None = None  # rad, not sent on yet
-        self._taking = threading.Lock()  # of it and of what it replaced
+        self._pending_rad: float | None = None  # rad, not sent on yet
+        self._set_point_lock = threading.Lock()  # of it and of what it replaced
         self._batches: deque[wire.Message] = deque()
         self._published_us = -1
         self._diagnosed_s = -math.inf
@@ -62,8 +64,9 @@ class Node:
         node.create_subscription(sensor.JointState, "servo_jp", self._on_set_point, sensor_qos())
 
     def run(self, ended: Callable[[], bool], following: Following | None = None) -> dict[str, Any]:
-        """Runs until `ended()`, then the motor is at rest and off. Returns the counts that `taut stream` gives.
-        TautError where the axis has a fault or the board is gone."""
+        """Sends set-points and publishes, once a period, until `ended()` is true; then brings the motor to rest and
+        switches it off. following: what tracks the model by the camera, for diagnostics. Returns what `taut stream
+        --json` gives and the counts of set-points. TautError where the axis has a fault or the board is gone."""
         parameters = self.parameters
         with SetPointStream(self._live.board, self._live.axis, parameters.timeout_s) as points:
             self._graph.begin()
@@ -75,46 +78,49 @@ class Node:
         return points.summary() | self._counts()
 
     def _send(self, points: SetPointStream) -> None:
-        """Sends the newest set-point; it waits where the axis is still coming to rest after a silence."""
-        with self._taking:
-            newest, self._newest = self._newest, None
+        """Sends the newest set-point that has come, if any. If the axis is still coming to rest after a silence, it is
+        kept for the next cycle, unless a newer one has come meanwhile."""
+        with self._set_point_lock:
+            newest, self._pending_rad = self._pending_rad, None
         if newest is None or points.send(math.degrees(newest)):
             return
-        with self._taking:
-            if self._newest is None:
-                self._newest = newest
+        with self._set_point_lock:
+            if self._pending_rad is None:
+                self._pending_rad = newest
             else:
                 self.replaced += 1
 
     def _counts(self) -> dict[str, int]:
-        """Set-points that came: `received` of them were sent, replaced, or wait; `unusable` named no position of the
-        joint."""
+        """How many set-points came: `received`, with a position of the joint; of these `replaced` by a newer one before
+        they were sent; and `unusable`, without such a position."""
         return {"received": self.received, "unusable": self.unusable, "replaced": self.replaced}
 
     def _on_set_point(self, message: Any) -> None:
-        """Takes a set-point for the joint; messages without it are counted."""
+        """Callback: keeps a JointState's position of the joint as the next set-point; counts it."""
         position = messages.position_of(message, self.parameters.joint)
         if position is None:
             self.unusable += 1
             return
         self.received += 1
-        with self._taking:
-            self.replaced += self._newest is not None
-            self._newest = position
+        with self._set_point_lock:
+            self.replaced += self._pending_rad is not None
+            self._pending_rad = position
 
-    def _ros_ns(self, t_us: float) -> int:
-        """ROS time, ns, of a board time: by this host's monotonic clock, with which the board's is aligned."""
+    def _ros_time_ns(self, t_us: float) -> int:
+        """ROS time, ns, of a board time, us: over this host's monotonic clock, with which the board's is aligned. The
+        ROS clock is read between two readings of that, of _CLOCK_READS the quickest."""
         clock = self._graph.node.get_clock()
         reads = [(time.monotonic_ns(), clock.now().nanoseconds, time.monotonic_ns()) for _ in range(_CLOCK_READS)]
-        before, now, after = min(reads, key=lambda read: read[2] - read[0])  # nothing came between
+        before, now, after = min(reads, key=lambda read: read[2] - read[0])
         middle = (before + after) // 2
         return int(now + 1000 * t_us - 1000 * self._live.board.clock.board_us(1e-9 * middle))
 
     def _publish(self) -> None:
-        """Publishes one telemetry sample of each cycle, at the board's time."""
+        """Publishes the telemetry that has come since the last call: of each period the first sample, with the time at
+        which the board took it."""
         if not self._batches:
             return
-        began_ns, period_us = self._ros_ns(0.0), round(1e6 * self.parameters.period_s)
+        began_ns, period_us = self._ros_time_ns(0.0), round(1e6 * self.parameters.period_s)
         while self._batches:
             batch = self._batches.popleft()
             if batch.axis != self._live.axis:
@@ -123,44 +129,45 @@ class Node:
                 t_us = batch.t_us + i * batch.period_us
                 if t_us // period_us > self._published_us // period_us:
                     self._published_us = t_us
-                    self._state(began_ns + 1000 * t_us, *(float(column[i]) for column in _columns(batch)))
+                    self._publish_state(began_ns + 1000 * t_us, *(float(column[i]) for column in _columns(batch)))
 
-    def _state(self, time_ns: int, q: float, q_ref: float, c_deg: float, c_ref_deg: float) -> None:
-        """Publishes motor and tip, measured and commanded. time_ns: ROS time; q, q_ref: of the motor, counts; c_deg,
-        c_ref_deg: of the tip."""
+    def _publish_state(self, time_ns: int, q: float, q_ref: float, c_deg: float, c_ref_deg: float) -> None:
+        """Publishes one telemetry sample on the four topics of joint states. time_ns: ROS time; q, q_ref: the motor's
+        position and set-point, counts; c_deg, c_ref_deg: the tip's, deg."""
         tip, motor = self.parameters.joint, self.parameters.command_joint
-        unit = messages.si(self._live.rig) * self._live.resolution
-        c, goal = math.radians(c_deg), math.radians(c_ref_deg)
+        si_per_count = messages.si_per_unit(self._live.rig) * self._live.resolution
+        c, c_ref = math.radians(c_deg), math.radians(c_ref_deg)
         for name, positions in (
-            ("joint_states", {motor: unit * q, tip: c}),
+            ("joint_states", {motor: si_per_count * q, tip: c}),
             ("measured_js", {tip: c}),
-            ("setpoint_js", {tip: goal}),
-            ("motor/setpoint_js", {motor: unit * q_ref}),
+            ("setpoint_js", {tip: c_ref}),
+            ("motor/setpoint_js", {motor: si_per_count * q_ref}),
         ):
             self._joints[name].publish(messages.joint_state(time_ns, positions))
 
     def saw(self, frame: Frame) -> None:
-        """Publishes the marker of a frame, at its scene time. From one thread at a time."""
+        """Publishes what a frame shows, if the marker was found: its place in the image and the tip's angle by it, with
+        the time of the scene. The camera's thread calls this; only one thread may."""
         seen = frame.sighting
         if not seen.valid:
             return
-        time_ns = self._ros_ns(frame.t_us - 1e6 * self._model.delay_of(MARKER))
-        at = np.array([[seen.u_px, seen.v_px]])
-        self._c_deg = float(pose(self._model.rig, at, start_deg=self._c_deg)[0][0])
+        time_ns = self._ros_time_ns(frame.t_us - 1e6 * self._model.delay_of(MARKER))
+        image_px = np.array([[seen.u_px, seen.v_px]])
+        self._c_deg = float(pose(self._model.rig, image_px, start_deg=self._c_deg)[0][0])
         self._marker.publish(messages.point(time_ns, seen.u_px, seen.v_px, seen.sigma_px))
         angle = {self.parameters.joint: math.radians(self._c_deg)}
         self._tracked.publish(messages.joint_state(time_ns, angle))
 
     def _diagnose(self, points: SetPointStream, following: Following | None) -> None:
-        """Publishes the state of board and calibration as diagnostics, each _DIAGNOSED_S. Then TautError where the axis
-        has a fault."""
+        """Publishes the state of board and calibration as diagnostics, if the last time is _DIAGNOSED_S ago. TautError
+        after that where the axis has a fault."""
         now = time.monotonic()
         if now < self._diagnosed_s + _DIAGNOSED_S:
             return
         self._diagnosed_s = now
         board, row = self._live.board, None if following is None else following.row
         status = board.status(self._live.axis)
-        level, says = self._level(status, following)
+        level, says = self._diagnostic_level(status, following)
         bus = board.bus()
         values = {
             "model": tables.model_id(self._model).hex(),
@@ -182,9 +189,9 @@ class Node:
         if status.fault:
             board.check_fault(self._live.axis)
 
-    def _level(self, status: wire.Message, following: Following | None) -> tuple[str, str]:
-        """The diagnostic level, "OK", "WARN" or "ERROR", and a sentence that says why. following: None where no camera
-        tracks."""
+    def _diagnostic_level(self, status: wire.Message, following: Following | None) -> tuple[str, str]:
+        """The level for diagnostics, "OK", "WARN" or "ERROR", and its reason in words: the worst of the axis' fault,
+        the calibration's verdict and the tracker's state. following: None where no camera tracks."""
         verdict = self._model.quality.verdict
         if status.fault:
             return "ERROR", wire.fault(status)
@@ -202,5 +209,6 @@ class Node:
 
 
 def _columns(batch: wire.Message) -> tuple[Any, ...]:
-    """Telemetry's q and its set-point in counts, c and its set-point in deg, each (samples,)."""
+    """The columns of a batch of telemetry, each (samples,): the motor's position and set-point, counts, the tip's angle
+    and set-point, deg."""
     return batch.q, batch.q_ref, batch.c_est, batch.c_ref

@@ -11,6 +11,8 @@ from tautline.errors import TautError
 
 @dataclass(frozen=True)
 class Parameters:
+    """The values of the node's parameters."""
+
     joint: str  # that set-points are of: the tip's bending angle
     command_joint: str  # the motor's
     period_s: float  # a whole number of milliseconds
@@ -18,7 +20,8 @@ class Parameters:
 
     @classmethod
     def of(cls, node: Any) -> Parameters:
-        """Declares the parameters on the node and reads their values. TautError where they cannot be used."""
+        """Declares the parameters on a node of rclpy and reads their values, which --ros-args may have set. TautError
+        where one is out of its range."""
         describe = library("rcl_interfaces.msg").ParameterDescriptor
         defaults = {"joints": ["tip"], "command_joints": ["motor"], "update_rate": 250, "cmd_timeout": 0.1}
         try:

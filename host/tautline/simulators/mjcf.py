@@ -39,37 +39,38 @@ _LAG_S = 0.02  # prior: of a servo that follows in first order: as of a delay
 
 @dataclass(frozen=True)
 class Mjcf:
-    """One actuator and one tip of a file."""
+    """One actuator and one tip of an MJCF or URDF file, simulated by MuJoCo."""
 
     path: Path
-    actuator: str
+    actuator: str  # its name; of a file without actuators a joint's
     tip: str  # joint:NAME, or site:NAME: the free hinges above it
-    scale: float  # of the control, per unit of q
-    step_s: float | None = None  # instead of the file's own
+    scale: float  # control (the actuator's unit) per unit of q
+    step_s: float | None = None  # of the simulation, instead of the file's own
 
     def simulate(self, motor: Motor, parameters: Mapping[str, float]) -> Array:
-        """(n,) deg at motor.t_s (n,): steps of `step_s`, or of the file's own time step, the log interpolated to them.
-        It begins at rest at the first control."""
+        """Simulates the motor's log; returns the tip's angle (n,), deg, at motor.t_s (n,). parameters: the value of
+        every one of `parameters`, by name. The log is interpolated to the simulation's steps; the simulation begins
+        _SETTLE_S before it, at rest at its first position."""
         import mujoco
         from mujoco import rollout
 
-        model = self._set(parameters)
+        model = self._model_with(parameters)
         step = self.time_step
         begin = float(motor.t_s[0]) - _SETTLE_S
         steps = math.ceil((float(motor.t_s[-1]) - begin) / step) + 1
         t_s = begin + step * np.arange(steps)
-        late = t_s - parameters[f"{self.actuator}.delay"]
-        data = self._begun(model, self.scale * float(motor.q[0]))
+        command_times = t_s - parameters[f"{self.actuator}.delay"]
+        data = self._initial_state(model, self.scale * float(motor.q[0]))
         control = np.tile(data.ctrl, (steps, 1))
-        command = self.scale * np.interp(late, motor.t_s, motor.q)
+        command = self.scale * np.interp(command_times, motor.t_s, motor.q)
         if not self._has_filter and self._lag:
-            command = _followed(command, parameters[self._lag] / step)
+            command = _first_order_response(command, parameters[self._lag] / step)
         control[:, self._index] = command
         first = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
         mujoco.mj_getState(model, data, first, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-        with _silent():
+        with _without_warnings():
             states, _ = rollout.rollout(model, data, first[None], control[None])
-        # A state is behind the step of its control; its first number is the time.
+        # A state is that after the step of its control; its first number is the time, qpos follows.
         angle = np.zeros(steps)
         for name, sign in self._hinges:
             angle += sign * states[0, :, 1 + int(model.joint(name).qposadr[0])]
@@ -77,18 +78,19 @@ class Mjcf:
 
     @property
     def time_step(self) -> float:
-        """s of a step of the simulation."""
+        """Length of a step of the simulation, s."""
         return float(self._model.opt.timestep) if self.step_s is None else self.step_s
 
     @cached_property
     def parameters(self) -> tuple[Declared, ...]:
-        """The declared parameters of the actuator, of the joint that it drives and of the tip's hinges."""
+        """What may be different on the robot: parameters of the actuator, of the joint that it drives and of the tip's
+        hinges, with their values in the file and their ranges."""
         return tuple(self._declared())
 
     @cached_property
     def _model(self) -> mujoco.MjModel:
-        """The compiled file; one without any actuator gets a servo on the joint of that name. TautError where the
-        actuator is not in it."""
+        """The file compiled by MuJoCo; one without any actuator, such as a URDF, gets a servo on the joint of that
+        name. TautError where the actuator is not in it."""
         model = read(self.path)
         if not model.nu:
             return with_servo(self.path, self.actuator)
@@ -97,7 +99,7 @@ class Mjcf:
 
     @cached_property
     def _hinges(self) -> tuple[tuple[str, float], ...]:
-        """Names of the hinges whose angles make the tip's, each with its sign."""
+        """Names of the hinges whose angles add up to the tip's, each with its sign, 1 or -1."""
         return tip_of(self._model, self.path, self.tip)
 
     @cached_property
@@ -107,7 +109,7 @@ class Mjcf:
 
     @property
     def _is_servo(self) -> bool:
-        """Whether it holds a position: a force of kp (control - length) - kv speed."""
+        """Whether the actuator is a position servo: with a force of kp (control - length) - kv speed."""
         gain, bias = self._model.actuator_gainprm[self._index], self._model.actuator_biasprm[self._index]
         return bool(gain[0] > 0.0 and bias[1] == -gain[0])
 
@@ -121,8 +123,8 @@ class Mjcf:
 
     @property
     def _lag(self) -> str:
-        """The name of the time constant with which the actuator follows its command; empty for one whose state is
-        something else, as a muscle's."""
+        """The parameter's name of the time constant with which the actuator follows its command in first order, in the
+        file or by us; "" for an actuator with a state of another kind, such as a muscle."""
         import mujoco
 
         follows = self._has_filter or self._model.actuator_dyntype[self._index] == mujoco.mjtDyn.mjDYN_NONE
@@ -145,32 +147,20 @@ class Mjcf:
         return int(self._model.actuator_trnid[self._index, 0]) if drives else None
 
     def _declared(self) -> Iterator[Declared]:
-        """Parameters of the file that a diagnosis may change, with their ranges."""
+        """Yields the parameters of the file that a diagnosis may change. A spread is the file's own value, or where
+        that is 0 one that would be noticed at this joint's inertia and stiffness."""
         import mujoco
 
         model, data = self._model, mujoco.MjData(self._model)
         mujoco.mj_forward(model, data)
-        whole = np.zeros((model.nv, model.nv))
-        mujoco.mj_fullM(model, data, whole)
+        mass_matrix = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, mass_matrix)
         kp = float(model.actuator_gainprm[self._index, 0]) if self._is_servo else 0.0
         for name in self._joints:
-            at = int(model.joint(name).dofadr[0])
-            inertia = float(whole[at, at])
-            stiff = kp or inertia / _DELAY_S**2
-            rotary = model.joint(name).type[0] == mujoco.mjtJoint.mjJNT_HINGE
-            force, per = _UNITS[rotary]
-            damping, friction = float(model.dof_damping[at]), float(model.dof_frictionloss[at])
-            armature = float(model.dof_armature[at])
-            light = 2.0 * _DAMPED * math.sqrt(stiff * inertia)
-            yield Declared(f"{name}.damping", f"{force} s/{per}", damping, damping or light, 0.0)
-            yield Declared(f"{name}.frictionloss", force, friction, friction or _STUCK_RAD * stiff, 0.0)
-            yield Declared(f"{name}.armature", "kg m^2" if rotary else "kg", armature, armature or inertia, 0.0)
-            if lifts(model, data, name) and not self._is_lifted(data, name):
-                mass = float(model.body_subtreemass[int(model.joint(name).bodyid[0])])
-                yield Declared(f"{name}.load", "kg", mass, 0.5 * mass, 0.01 * mass)
+            yield from self._declared_of_joint(data, name, mass_matrix, kp)
         if self._is_servo:
             kv = -float(model.actuator_biasprm[self._index, 2])
-            usual = 2.0 * _DAMPED * math.sqrt(kp * float(np.max(np.diag(whole))))
+            usual = 2.0 * _DAMPED * math.sqrt(kp * float(np.max(np.diag(mass_matrix))))
             rotary = self._joint is not None and model.jnt_type[self._joint] == mujoco.mjtJoint.mjJNT_HINGE
             force, per = _UNITS[rotary]
             yield Declared(f"{self.actuator}.kp", f"{force}/{per}", kp, 0.5 * kp, 0.01 * kp)
@@ -182,8 +172,30 @@ class Mjcf:
             yield Declared(self._lag, "s", tau, tau or _LAG_S, least, tau + _DELAY_MOST_S)
         yield Declared(f"{self.actuator}.delay", "s", 0.0, _DELAY_S, 0.0, _DELAY_MOST_S)
 
+    def _declared_of_joint(self, data: mujoco.MjData, name: str, mass_matrix: Array, kp: float) -> Iterator[Declared]:
+        """Yields a joint's own parameters: damping, friction, armature, and the mass that it carries. mass_matrix:
+        MuJoCo's, over all degrees of freedom; kp: of the servo, 0 without one."""
+        import mujoco
+
+        model = self._model
+        dof = int(model.joint(name).dofadr[0])
+        inertia = float(mass_matrix[dof, dof])
+        stiffness = kp or inertia / _DELAY_S**2
+        rotary = model.joint(name).type[0] == mujoco.mjtJoint.mjJNT_HINGE
+        force, per = _UNITS[rotary]
+        damping, friction = float(model.dof_damping[dof]), float(model.dof_frictionloss[dof])
+        armature = float(model.dof_armature[dof])
+        light = 2.0 * _DAMPED * math.sqrt(stiffness * inertia)
+        yield Declared(f"{name}.damping", f"{force} s/{per}", damping, damping or light, 0.0)
+        yield Declared(f"{name}.frictionloss", force, friction, friction or _STUCK_RAD * stiffness, 0.0)
+        yield Declared(f"{name}.armature", "kg m^2" if rotary else "kg", armature, armature or inertia, 0.0)
+        if lifts(model, data, name) and not self._is_lifted(data, name):
+            mass = float(model.body_subtreemass[int(model.joint(name).bodyid[0])])
+            yield Declared(f"{name}.load", "kg", mass, 0.5 * mass, 0.01 * mass)
+
     def _is_lifted(self, data: mujoco.MjData, name: str) -> bool:
-        """Whether another joint's load is this one's as well: a mass is declared once."""
+        """Whether the mass that this joint carries belongs to another joint's load already, as that carries this one: a
+        mass is declared once. data: of the model, forward."""
         model, own = self._model, int(self._model.joint(name).bodyid[0])
         before = self._joints[: self._joints.index(name)]
         for other in self._joints:
@@ -193,8 +205,9 @@ class Mjcf:
                 return True
         return False
 
-    def _set(self, parameters: Mapping[str, float]) -> mujoco.MjModel:
-        """A model with these values, and what follows from them."""
+    def _model_with(self, parameters: Mapping[str, float]) -> mujoco.MjModel:
+        """A copy of the model with these values of `parameters` (all but the delay, and a lag that the file does not
+        have: `simulate` applies those), and MuJoCo's derived constants."""
         import mujoco
 
         model = copy.copy(self._model)
@@ -218,9 +231,9 @@ class Mjcf:
         mujoco.mj_setConst(model, mujoco.MjData(model))
         return model
 
-    def _begun(self, model: mujoco.MjModel, control: float) -> mujoco.MjData:
-        """The initial state: the file's first key frame, if it has any, with a servo's joint at its first command, and
-        its filter there as well. control: that command, in the actuator's unit."""
+    def _initial_state(self, model: mujoco.MjModel, control: float) -> mujoco.MjData:
+        """The initial state: the file's first key frame, if it has any; a servo's joint, and an actuator's filter, at
+        the first command, `control`, in the actuator's unit."""
         import mujoco
 
         data = mujoco.MjData(model)
@@ -235,16 +248,16 @@ class Mjcf:
         return data
 
 
-def _followed(command: Array, steps: float) -> Array:
-    """What follows a command (n,), straight lines between its samples, in first order, from rest at its first value;
-    exact. steps: the time constant in samples, 0 for one that is there at once."""
+def _first_order_response(command: Array, steps: float) -> Array:
+    """The response of a first-order system to a command (n,) with straight lines between its samples, from rest at the
+    first value; exact. steps: the time constant in samples, 0 for no lag."""
     if steps == 0.0:
         return command
     kept = math.exp(-1.0 / steps)
-    late = steps * (1.0 - kept)  # of the last step's change, what is missing at its end
+    lag = steps * (1.0 - kept)  # of the last step's change, what is missing at its end
     step = command - command[0]
-    now = (1.0 - late) * step
-    now[1:] += (late - kept) * step[:-1]
+    now = (1.0 - lag) * step
+    now[1:] += (lag - kept) * step[:-1]
     rows = now[:, None]
     _native.first_order_sums(rows, kept)
     return np.asarray(command[0] + rows[:, 0])
@@ -258,10 +271,10 @@ def simulator(
     scale: float | None = None,
     step_s: float | None = None,
 ) -> Simulator:
-    """An MJCF or URDF file as a simulator. actuator: its control is the motor's position times `scale` (default: rad
-    of a deg, m of a mm); in a file without any a joint, which a servo then holds. tip: joint:NAME, or site:NAME, the
-    sum of the free hinges above it. step_s: of time, by default the file's. TautError names what is not in the
-    file."""
+    """An MJCF or URDF file as a simulator. actuator: its control is the motor's position times `scale` (default: to rad
+    from deg, to m from mm); in a file without actuators the name of a joint, which gets a servo. tip: joint:NAME, or
+    site:NAME for the sum of the free hinges above it. unit: of the motor's position, mm or deg; step_s: of the
+    simulation, by default the file's. TautError names what is not in the file."""
     needed()
     scale = PER_UNIT[unit] if scale is None else scale
     if not (math.isfinite(scale) and scale != 0.0):
@@ -280,9 +293,9 @@ def simulator(
 
 
 @contextmanager
-def _silent() -> Iterator[None]:
-    """Keeps MuJoCo's warnings, which it writes into the working directory, away. Where a trial of a parameter is
-    unstable it begins again, and what comes of that fits nothing."""
+def _without_warnings() -> Iterator[None]:
+    """A context in which MuJoCo writes no warnings, which would go into a file in the working directory. It warns when
+    a trial of a parameter is unstable and restarts; the result then fits nothing and is dropped by the fit."""
     import mujoco
 
     before = mujoco.get_mju_user_warning()

@@ -22,7 +22,7 @@ _POINTS = 257  # tolerance: of the model's tables
 
 @dataclass(frozen=True)
 class StepError:
-    """What a simulator errs by at its own step of time."""
+    """The error of a simulator that integrates with too long a step of time."""
 
     own_s: float  # its own step
     enough_s: float  # a step at which it would err by no more than what a sound calibration leaves
@@ -31,7 +31,7 @@ class StepError:
     unit: str
 
     def to_json(self) -> dict[str, Any]:
-        """`simulator.step` of diagnosis.json."""
+        """The object `simulator.step` of diagnosis.json."""
         return asdict(self)
 
 
@@ -48,15 +48,16 @@ class SimulatedNominal:
 
     @property
     def kinds(self) -> tuple[effects.Kind, ...]:
-        """An effect for each of the simulator's parameters."""
+        """The effects that the diagnosis may name: one for each of the simulator's parameters, 0 where the robot is as
+        the simulator."""
         return tuple(
             effects.of_simulator(p.name, p.unit, p.spread, p.low - p.nominal, p.high - p.nominal)
             for p in self.simulator.parameters
         )
 
     def to_json(self, named: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """The simulator's source, the parameters among the named effects with their values in the simulator and on the
-        robot, and what it errs by at its own step."""
+        """The object `simulator` of diagnosis.json: its source, those of its parameters that the diagnosis names, with
+        their values in the simulator and on the robot, and its StepError. named: effects of diagnosis.json."""
         changes = {name: value for effect in named for name, value in effect["parameters"].items()}
         return {
             "source": dict(self.simulator.source),
@@ -72,8 +73,9 @@ class SimulatedNominal:
 def nominal(
     simulator: Simulator, robots: Sequence[Recording], rig: Rig, pool: Executor | None = None
 ) -> SimulatedNominal:
-    """The simulator as the nominal of a diagnosis of these recordings (with angle.csv, or marker.csv and a camera).
-    TautError where there is none, or the simulator fails."""
+    """What a diagnosis of the robots' recordings compares them with, from a simulator instead of a calibration. By
+    markers if the rig has a camera and all recordings have a marker.csv, else by angle.csv. pool: processes of
+    side_by_side.pool. TautError where recordings have neither, or the simulator fails."""
     if not robots:
         raise TautError("name at least one recording of the robot")
     by_marker = rig.has_camera and all(robot.marker is not None for robot in robots)
@@ -81,15 +83,16 @@ def nominal(
         raise TautError("a simulator is compared with marker.csv (or a video) in every recording, or with angle.csv")
     drives = [Drive(simulator, robot.motor, rig, pool) for robot in robots]
     for drive in drives:
-        drive.ask({})
+        drive.ask({})  # so that all are simulated at once, where there is a pool
     tests = [replace(robot, motor=drive.motor({})) for robot, drive in zip(robots, drives, strict=True)]
-    model = _model(simulator, rig, by_marker)
-    calibration = replace(_shown(model, tests[0], by_marker), name="simulator")
+    model = _backlash_free_model(simulator, rig, by_marker)
+    calibration = replace(_what_it_shows(model, tests[0], by_marker), name="simulator")
     return SimulatedNominal(model, calibration, tuple(tests), (drives[0], *drives), simulator)
 
 
-def _model(simulator: Simulator, rig: Rig, by_marker: bool) -> Model:
-    """A model without backlash whose law is the rig's f_coarse."""
+def _backlash_free_model(simulator: Simulator, rig: Rig, by_marker: bool) -> Model:
+    """A model of the rig without backlash whose f_remain is f_coarse: what the tip does beyond that is the
+    simulator's."""
     low, high = rig.actuator.range
     q = np.linspace(low, high, _POINTS)
     sensor = MARKER if by_marker else ANGLE
@@ -106,8 +109,9 @@ def _model(simulator: Simulator, rig: Rig, by_marker: bool) -> Model:
     )
 
 
-def _shown(model: Model, test: Recording, by_marker: bool) -> Recording:
-    """The simulator's own marker or angle, at the times of the robot's, without noise."""
+def _what_it_shows(model: Model, test: Recording, by_marker: bool) -> Recording:
+    """The recording `test` with what the simulator shows in place of what the robot's sensor saw: the marker or the
+    angle, at the same times, without noise."""
     seen = test.marker if by_marker else test.angle
     assert seen is not None  # nominal has looked
     path = effects.simulate(model, test.motor, seen.t_s - model.delay_s, {})

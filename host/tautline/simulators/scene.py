@@ -22,7 +22,7 @@ _PARALLEL = 0.999  # tolerance: cosine between axes that count as one
 
 
 def needed() -> None:
-    """TautError where MuJoCo is not installed."""
+    """TautError, with how to install it, where MuJoCo is missing: it is optional."""
     if find_spec("mujoco") is None:
         raise TautError(
             "--simulator needs the package mujoco: pip install 'tautline-robotics[simulator]', or pip install mujoco"
@@ -30,7 +30,7 @@ def needed() -> None:
 
 
 def read(path: Path) -> mujoco.MjModel:
-    """The compiled model of an MJCF or URDF file. TautError where it is none."""
+    """The compiled model of an MJCF or URDF file. TautError where MuJoCo cannot read it."""
     import mujoco
 
     try:
@@ -40,22 +40,23 @@ def read(path: Path) -> mujoco.MjModel:
 
 
 def with_servo(path: Path, joint: str) -> mujoco.MjModel:
-    """A file without actuators, as a URDF is, with a position servo of the joint's name on it: critically damped, at
-    _SERVO_HZ with what the joint carries in the file's own pose. TautError where there is no such hinge or slide."""
+    """The compiled model of a file without actuators (as a URDF is), with a position servo added that drives `joint`
+    and has its name: critically damped, with a natural frequency of _SERVO_HZ with what the joint carries in the file's
+    own pose. TautError where there is no such hinge or slide."""
     import mujoco
 
     bare = read(path)
-    held = [each for each in filter(None, joints_of(bare)) if _has_one_axis(bare, each)]
-    if joint not in held:
-        names = ", ".join(held) or "but it has no hinge or slide with a name"
+    possible = [each for each in filter(None, joints_of(bare)) if _has_one_axis(bare, each)]
+    if joint not in possible:
+        names = ", ".join(possible) or "but it has no hinge or slide with a name"
         raise TautError(f"{path}: has no actuators: name a joint that a servo shall hold with --actuator, {names}")
     data = mujoco.MjData(bare)
     mujoco.mj_forward(bare, data)
-    whole = np.zeros((bare.nv, bare.nv))
-    mujoco.mj_fullM(bare, data, whole)
-    at = int(bare.joint(joint).dofadr[0])
-    rate = 2.0 * math.pi * _SERVO_HZ
-    kp, kv = float(whole[at, at]) * rate**2, 2.0 * float(whole[at, at]) * rate
+    mass_matrix = np.zeros((bare.nv, bare.nv))
+    mujoco.mj_fullM(bare, data, mass_matrix)
+    dof = int(bare.joint(joint).dofadr[0])
+    inertia, rate = float(mass_matrix[dof, dof]), 2.0 * math.pi * _SERVO_HZ
+    kp, kv = inertia * rate**2, 2.0 * inertia * rate
     spec = mujoco.MjSpec.from_file(str(path))
     servo = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     servo.biastype = mujoco.mjtBias.mjBIAS_AFFINE
@@ -64,19 +65,19 @@ def with_servo(path: Path, joint: str) -> mujoco.MjModel:
 
 
 def joints_of(model: mujoco.MjModel) -> list[str]:
-    """The names of all joints, empty for one without a name."""
+    """The names of all joints in the model's order, "" for one without a name."""
     return [str(model.joint(i).name) for i in range(model.njnt)]
 
 
 def _has_one_axis(model: mujoco.MjModel, joint: str) -> bool:
-    """Whether a joint turns or slides about one axis: no ball, and no free body."""
+    """Whether a joint is a hinge or a slide, and not a ball or a free body."""
     import mujoco
 
     return int(model.joint(joint).type[0]) in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 def joints_above(model: mujoco.MjModel, site: str) -> list[int]:
-    """Numbers of the joints that move a site, from the root on."""
+    """Numbers of the joints that move a site, the one nearest to the world first."""
     above: list[int] = []
     body = int(model.site(site).bodyid[0])
     while body:
@@ -87,13 +88,13 @@ def joints_above(model: mujoco.MjModel, site: str) -> list[int]:
 
 
 def check_named(path: Path, kind: str, name: str, names: list[str]) -> None:
-    """TautError where `name` is none of the file's names of this kind."""
+    """TautError, which lists them, where `name` is none of `names`, the file's of this kind (such as "actuator")."""
     if name not in names:
         raise TautError(f"{path}: has no {kind} {name}, but {', '.join(filter(None, names)) or 'none at all'}")
 
 
 def carried_by(model: mujoco.MjModel, joint: str) -> npt.NDArray[np.int64]:
-    """Numbers of the bodies that move with a joint, its own first."""
+    """Numbers of the bodies that move with a joint: its own first, then all below it."""
     own = int(model.joint(joint).bodyid[0])
     carried = [own]
     for body in range(own + 1, model.nbody):  # after their parents
@@ -103,7 +104,9 @@ def carried_by(model: mujoco.MjModel, joint: str) -> npt.NDArray[np.int64]:
 
 
 def lifts(model: mujoco.MjModel, data: mujoco.MjData, joint: str) -> bool:
-    """Whether gravity turns or pulls the joint by what it carries. data: forward, in any pose."""
+    """Whether the weight of what a joint carries acts on it, so that its mass can be told from the motion: for a slide
+    gravity has a part along its axis, for a hinge a moment about it. data: forward (mj_forward), in the pose that
+    counts."""
     import mujoco
 
     at, body = int(model.joint(joint).id), int(model.joint(joint).bodyid[0])
@@ -116,8 +119,9 @@ def lifts(model: mujoco.MjModel, data: mujoco.MjData, joint: str) -> bool:
 
 
 def tip_of(model: mujoco.MjModel, path: Path, named: str) -> tuple[tuple[str, float], ...]:
-    """The hinges, each with the sign with which it counts: joint:NAME, or site:NAME for those above it that turn about
-    one axis and have no actuator of their own. TautError names what is not there."""
+    """The names of the hinges whose angles make the tip's, each with its sign, 1 or -1. named: joint:NAME for a single
+    hinge, or site:NAME for all hinges above a site that have no actuator of their own; these have to turn about one
+    axis. path: the model's file, for messages. TautError names what is not there."""
     import mujoco
 
     kind, _, name = named.partition(":")
@@ -139,13 +143,21 @@ def tip_of(model: mujoco.MjModel, path: Path, named: str) -> tuple[tuple[str, fl
         raise TautError(f"{path}: no free hinge is above the site {name}: name what bends with --tip joint:NAME")
     if unnamed := [i for i in above if not model.joint(i).name]:
         raise TautError(f"{path}: hinge {unnamed[0]} above the site {name} has no name: give it one")
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    along = data.xaxis[above] @ data.xaxis[above[0]]
+    along = _cosines_to_first(model, above)
     if (np.abs(along) < _PARALLEL).any():
         other = model.joint(above[int(np.argmin(np.abs(along)))]).name
         raise TautError(
             f"{path}: {other} and {model.joint(above[0]).name} above the site {name} turn about different axes: "
             "name what bends with --tip joint:NAME"
         )
-    return tuple((str(model.joint(i).name), float(np.sign(share))) for i, share in zip(above, along, strict=True))
+    return tuple((str(model.joint(i).name), float(np.sign(cosine))) for i, cosine in zip(above, along, strict=True))
+
+
+def _cosines_to_first(model: mujoco.MjModel, joints: list[int]) -> npt.NDArray[np.float64]:
+    """(n,) The cosine of the angle between each joint's axis and the first one's, in the model's zero pose: 1 where
+    both turn the same way, -1 where they turn against each other. joints: by their numbers."""
+    import mujoco
+
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return np.asarray(data.xaxis[joints] @ data.xaxis[joints[0]])

@@ -18,13 +18,14 @@ from tautline.recording import Motor
 from tautline.simulators.simulator import Simulator
 
 _ELSE = "use 1 worker, or a module's function"
-_sent: list[bytes] = []  # of a worker: the pickled simulator
+_pickled: list[bytes] = []  # of a worker: the pickled simulator
 
 
 @contextmanager
 def pool(simulator: Simulator, workers: int) -> Iterator[Executor | None]:
-    """Processes that run the simulator; None for one worker. TautError where it cannot be sent to another process, or
-    one ends."""
+    """A context with `workers` processes that have the simulator, to which `tip` can be submitted; None for fewer than
+    two: then this process simulates itself. TautError where the simulator cannot be sent to another process, or a
+    process ends."""
     if workers < 2:
         yield None
         return
@@ -32,7 +33,7 @@ def pool(simulator: Simulator, workers: int) -> Iterator[Executor | None]:
         sent = pickle.dumps(simulator)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise TautError(f"the simulator cannot be sent to another process ({error}): {_ELSE}") from error
-    with ProcessPoolExecutor(workers, get_context("spawn"), _begin, (sent,)) as executor:
+    with ProcessPoolExecutor(workers, get_context("spawn"), _receive_simulator, (sent,)) as executor:
         try:
             yield executor
         except BrokenProcessPool as error:
@@ -40,21 +41,22 @@ def pool(simulator: Simulator, workers: int) -> Iterator[Executor | None]:
 
 
 def tip(motor: Motor, changes: Mapping[str, float]) -> npt.NDArray[np.float64]:
-    """In a worker: `Simulator.tip` of the simulator that it was begun with, (n,) deg. TautError where it is not there
-    for this process, as a notebook's function is not."""
+    """What is submitted to `pool`: in a worker, Simulator.tip of the simulator that it got, (n,) deg. TautError where a
+    worker cannot load it, such as a notebook's function."""
     return _simulator().tip(motor, changes)
 
 
-def _begin(sent: bytes) -> None:
-    """Begins a worker with the pickled simulator."""
-    _sent.append(sent)
+def _receive_simulator(sent: bytes) -> None:
+    """Initialiser of a worker: keeps the pickled simulator, which `_simulator` loads, so that its errors are raised
+    where it is used."""
+    _pickled.append(sent)
 
 
 @cache
 def _simulator() -> Simulator:
-    """The worker's simulator, out of what it was begun with."""
+    """The worker's simulator, loaded once. TautError where it cannot be loaded."""
     try:
-        made: Simulator = pickle.loads(_sent[0])
+        made: Simulator = pickle.loads(_pickled[0])
     except Exception as error:  # of somebody else's module: anything
         raise TautError(f"the simulator is not there for another process ({error}): {_ELSE}") from error
     return made

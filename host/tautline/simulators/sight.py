@@ -27,32 +27,33 @@ _FAR_DEG = 170.0  # tolerance: of a hinge without limits, either way
 
 @dataclass(frozen=True)
 class Sight:
-    """The site's track in the image, pixels (0, 0 is the middle of the first), by the hinge's angle."""
+    """The track of a site in a camera's image by the angle of the hinge that moves it, px (0, 0 is the middle of the
+    first pixel)."""
 
-    hinge: str
+    hinge: str  # its name
     c_deg: Array  # (n,) rising by _STEP_DEG, by more where the camera does not see the site between
     px: Array  # (n, 2) finite
 
-    def seen(self, recording: Recording, late_s: float = 0.0) -> Recording:
-        """The recording with the hinge's angle in the marker's place: that whose place on the track is nearest.
-        late_s: by which frames are known to be older than angles are. TautError where there is no marker, or most of
-        its places are far from the track."""
+    def to_angle(self, recording: Recording, late_s: float = 0.0) -> Recording:
+        """The recording with an angle.csv's angle in place of its marker: at each frame the hinge's angle whose place
+        on the track is nearest to the marker's. late_s: how much older frames are than angles, subtracted from their
+        times. TautError where there is no marker, or most of its places are far from the track."""
         marker = recording.marker
         if marker is None:
             raise TautError(f"{recording.name}: has no marker.csv: --camera compares the marker's places in the image")
         angle, off = self.angle(marker)
         extent = float(np.linalg.norm(np.ptp(self.px, axis=0)))
-        usual = float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else np.inf
-        if usual > _OFF * extent:
+        median = float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else np.inf
+        if median > _OFF * extent:
             raise TautError(
-                f"{recording.name}: the marker is {usual:.0f} px off the track of the site (in the median): "
+                f"{recording.name}: the marker is {median:.0f} px off the track of the site (in the median): "
                 "name the --camera that filmed it, at its resolution, and the --tip that carries the marker"
             )
         return replace(recording, marker=None, video=None, angle=Angle(marker.t_s - late_s, angle, off < _OFF * extent))
 
     def angle(self, marker: Marker) -> tuple[Array, Array]:
-        """(n,) The hinge's angle, deg, at the track's nearest place, and (n,) px off the track; NaN where the marker is
-        not valid."""
+        """The hinge's angle (n,), deg, at the place of the track that is nearest to the marker's in each of n frames,
+        and how far off the track the marker is (n,), px; NaN where the marker is not valid."""
         places = np.column_stack([marker.u_px, marker.v_px])
         ahead = np.diff(self.px, axis=0)
         length2 = np.maximum(np.sum(ahead**2, axis=1), 1e-12)
@@ -68,12 +69,11 @@ class Sight:
 
 
 def sight(path: Path, site: str, camera: str) -> Sight:
-    """The track of a site in a camera's image by the angle of the hinge that moves it, the other joints in the file's
-    own pose. TautError names what is not in the file, and where not one hinge alone moves the site or the camera does
-    not see it."""
+    """The track of a site in the image of a camera, both named in an MJCF file, the other joints in the file's own
+    pose; so that a recording with a marker on this site can be compared with the simulator's angle. TautError names
+    what is not in the file; also where not exactly one hinge moves the site, the camera does not see it move, or one
+    place has several angles."""
     needed()
-    import mujoco
-
     model = read(path)
     check_named(path, "site", site, [str(model.site(i).name) for i in range(model.nsite)])
     check_named(path, "camera", camera, [str(model.camera(i).name) for i in range(model.ncam)])
@@ -83,18 +83,7 @@ def sight(path: Path, site: str, camera: str) -> Sight:
             f"{path}: the camera {camera} needs the resolution of its frames, and its principal point in their middle"
         )
     hinge = _hinge_above(model, path, site)
-    joint = model.joint(hinge)
-    low, high = np.degrees(model.jnt_range[joint.id]) if model.jnt_limited[joint.id] else (-_FAR_DEG, _FAR_DEG)
-    c_deg = np.arange(low, high + _STEP_DEG, _STEP_DEG)
-    data = mujoco.MjData(model)
-    if model.nkey:
-        mujoco.mj_resetDataKeyframe(model, data, 0)
-    px = np.empty((len(c_deg), 2))
-    for i, angle in enumerate(np.radians(c_deg)):
-        data.qpos[joint.qposadr[0]] = angle
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_camlight(model, data)
-        px[i] = _image(model, data, camera, data.site(site).xpos)
+    c_deg, px = _track(model, hinge, site, camera)
     size = model.cam_resolution[at]
     with np.errstate(invalid="ignore"):  # NaN is not seen
         seen = ((px > -size) & (px < 2 * size)).all(axis=1)  # with as much again around the frame
@@ -110,8 +99,30 @@ def sight(path: Path, site: str, camera: str) -> Sight:
     return Sight(hinge, c_deg, px)
 
 
+def _track(model: mujoco.MjModel, hinge: str, site: str, camera: str) -> tuple[Array, Array]:
+    """Where the camera sees the site at each of the hinge's angles, over its range where it is limited: angles (n,),
+    deg, _STEP_DEG apart, and places (n, 2), px, NaN behind the camera. Other joints are in the file's first keyframe,
+    without one in their zero pose."""
+    import mujoco
+
+    joint = model.joint(hinge)
+    low, high = np.degrees(model.jnt_range[joint.id]) if model.jnt_limited[joint.id] else (-_FAR_DEG, _FAR_DEG)
+    c_deg = np.arange(low, high + _STEP_DEG, _STEP_DEG)
+    data = mujoco.MjData(model)
+    if model.nkey:
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+    px = np.empty((len(c_deg), 2))
+    for i, angle in enumerate(np.radians(c_deg)):
+        data.qpos[joint.qposadr[0]] = angle
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_camlight(model, data)
+        px[i] = _image(model, data, camera, data.site(site).xpos)
+    return c_deg, px
+
+
 def _hinge_above(model: mujoco.MjModel, path: Path, site: str) -> str:
-    """The name of the only joint that moves the site, a hinge. TautError where there is none, or another."""
+    """The name of the one joint that moves the site. TautError unless it is exactly one, a hinge, with a name. path:
+    of the file, for messages."""
     import mujoco
 
     above = joints_above(model, site)
@@ -123,8 +134,8 @@ def _hinge_above(model: mujoco.MjModel, path: Path, site: str) -> str:
 
 
 def _image(model: mujoco.MjModel, data: mujoco.MjData, camera: str, place: Array) -> Array:
-    """(2,) px of a place, NaN behind the camera; it looks along its own -z, y up. Its intrinsics where the file has a
-    sensor's size, else its field of view."""
+    """Where a camera of the file sees a place (3,), m in the world: (2,) px, NaN behind the camera, which looks along
+    its own -z, y up. By its intrinsics where the file has a sensor's size, else by its field of view."""
     at = model.camera(camera).id
     width, height = (float(n) for n in model.cam_resolution[at])
     x, y, z = data.cam_xmat[at].reshape(3, 3).T @ (place - data.cam_xpos[at])

@@ -24,8 +24,8 @@ class Declared:
     unit: str
     nominal: float  # what the simulator has
     spread: float  # above 0: a change that a user would notice, the step of differences and the unit of priors
-    low: float = float("-inf")  # where it means something
-    high: float = float("inf")
+    low: float = float("-inf")  # the least value that makes sense
+    high: float = float("inf")  # the greatest
 
     def __post_init__(self) -> None:
         """TautError where the nominal value is not finite or outside of its own range, or the spread not above 0."""
@@ -37,24 +37,26 @@ class Declared:
 
 @dataclass(frozen=True)
 class Simulator:
-    """`simulate(motor, parameters)`: the tip's bending angles (n,), deg, at the times of motor.t_s (n,), which are a
-    fixed step apart; the same arguments give the same angles, to the last bit. parameters has a value for every
-    declared name."""
+    """A user's simulator of the robot. `simulate(motor, parameters)` gives the tip's bending angles (n,), deg, at the
+    times of motor.t_s (n,), which are a fixed step apart; the same arguments give the same angles, to the last bit.
+    parameters has a value for every declared name."""
 
     simulate: Simulate
-    parameters: tuple[Declared, ...]
+    parameters: tuple[Declared, ...]  # what may be different on the robot
     source: Mapping[str, Any] = field(default_factory=dict)  # plain: what `source.opened` finds it again by
     step_s: float | None = None  # of its integration, where it can be made shorter
     at_step: Callable[[float], Simulator] | None = None  # the same simulator at another step, s
 
     def __post_init__(self) -> None:
+        """TautError where two parameters have the same name."""
         names = [each.name for each in self.parameters]
         if twice := {name for name in names if names.count(name) > 1}:
             raise TautError(f"parameter {min(twice)} of the simulator is declared twice: give each a name of its own")
 
     def tip(self, motor: Motor, changes: Mapping[str, float]) -> Array:
-        """(n,) deg at motor.t_s, the parameters off their nominal values by these. TautError where it gives another
-        number of angles than times, or an angle that is no number."""
+        """Runs the simulator: the tip's angles (n,), deg, at motor.t_s (n,). changes: by name, how far a parameter is
+        off its nominal value; 0 for those left out. TautError where the simulator gives another number of angles than
+        times, or an angle that is no number."""
         values = {each.name: each.nominal + changes.get(each.name, 0.0) for each in self.parameters}
         angles = np.asarray(self.simulate(motor, values), dtype=float)
         if angles.shape != motor.t_s.shape:

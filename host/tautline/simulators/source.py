@@ -25,13 +25,13 @@ _NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")  # MODULE:NAME
 
 
 def is_python(name: str) -> bool:
-    """Whether it names what `of_python` takes, and no file."""
+    """Whether a name of --simulator has the form MODULE:NAME, which `of_python` takes, and is not a file."""
     return _NAME.fullmatch(name) is not None
 
 
 def of_python(name: str) -> Simulator:
-    """MODULE:NAME, a Simulator that some module of the user's holds, beside or below the working directory too.
-    TautError where there is none."""
+    """Imports the Simulator that the name MODULE:NAME means; the module may also be in the working directory. TautError
+    where it cannot be imported, or is no Simulator."""
     module, _, attribute = name.partition(":")
     if (here := str(Path.cwd())) not in sys.path:
         sys.path.insert(0, here)  # as `python -m` has it
@@ -46,14 +46,16 @@ def of_python(name: str) -> Simulator:
 
 
 def opened(model: Model) -> Simulator:
-    """The simulator that a model remembers. TautError where it remembers none, or that has gone or changed since."""
+    """Opens the simulator that a model was made with, by the source that it keeps. TautError where it has no such
+    source, or the simulator is missing or has changed since."""
     source = model.simulator or {}
-    simulator = _own(source, model)
+    simulator = _open_source(source, model)
     return stepless(simulator, _number(source, STEP)) if STEP in source else simulator
 
 
-def _own(source: Mapping[str, Any], model: Model) -> Simulator:
-    """The user's own simulator of a source."""
+def _open_source(source: Mapping[str, Any], model: Model) -> Simulator:
+    """Opens the user's simulator by its source (Simulator.source, without `stepless`'s addition). TautError where it is
+    missing or has changed."""
     if source.get("kind") == _PYTHON:
         return of_python(_text(source, "name"))
     if source.get("kind") != mjcf.KIND:
@@ -66,34 +68,35 @@ def _own(source: Mapping[str, Any], model: Model) -> Simulator:
 
 
 def _text(source: Mapping[str, Any], key: str) -> str:
-    """A text of a model's source, as its file has it. TautError where there is none."""
+    """The text of a key in a simulator's source, which comes from a model's file. TautError where it is none."""
     value = source.get(key)
     if not isinstance(value, str):
-        raise _damaged(key, value, "a text")
+        raise _damaged_error(key, value, "a text")
     return value
 
 
 def _number(source: Mapping[str, Any], key: str) -> float:
-    """A number of a model's source, above or below 0. TautError where there is none."""
+    """The number of a key in a simulator's source, finite and not 0. TautError where it is none."""
     value = source.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float) or not value or not math.isfinite(value):
-        raise _damaged(key, value, "a number")
+        raise _damaged_error(key, value, "a number")
     return float(value)
 
 
-def _damaged(key: str, value: object, expected: str) -> TautError:
+def _damaged_error(key: str, value: object, expected: str) -> TautError:
+    """The error to raise for a key of a simulator's source with a wrong value. expected: in words."""
     return TautError(f"the model's simulator is damaged, its {key} is {value!r}, expected {expected}: diagnose again")
 
 
 def path_of(model: Model, motor: Motor) -> MotorPath:
-    """The coordinate that a model's tables are over: the motor's path, or where the simulator that the model begins
-    with puts the tip."""
+    """The path of the coordinate that a model's tables are over, for a motor's log: the motor's own path, or for a
+    model that was diagnosed against a simulator the simulated tip's coordinate. TautError as of `opened`."""
     return next(paths_of([model], motor))
 
 
 def paths_of(models: Sequence[Model], motor: Motor) -> Iterator[MotorPath]:
-    """`path_of` for models that differ in their tables and effects alone: those whose simulator has the same values
-    share one simulation."""
+    """Yields `path_of` each of several models of one simulator, which differ in tables and effects alone. It is opened
+    once, and models with the same values of its parameters share one simulation."""
     if models[0].simulator is None:
         path = MotorPath.of(motor, models[0].rig.actuator.encoder_resolution)
         yield from (path for _ in models)

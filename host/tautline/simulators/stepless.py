@@ -17,20 +17,20 @@ STEP = "stepless_from_s"  # format: of a simulator's source: the longer of the t
 
 @dataclass(frozen=True)
 class _Limit:
-    """2 f(step / 2) - f(step): without the error of first order."""
+    """Richardson's extrapolation, 2 f(step / 2) - f(step), which has no error of first order in the step."""
 
-    coarse: Simulate
-    fine: Simulate
+    coarse: Simulate  # with the step
+    fine: Simulate  # with half of it
 
     def __call__(self, motor: Motor, parameters: Mapping[str, float]) -> npt.NDArray[np.float64]:
-        """(n,) deg at motor.t_s."""
+        """The extrapolated tip's angles (n,), deg, at motor.t_s (n,); as Simulator.simulate."""
         coarse, fine = (np.asarray(run(motor, parameters), dtype=float) for run in (self.coarse, self.fine))
         return np.asarray(2.0 * fine - coarse)
 
 
 def stepless(simulator: Simulator, step_s: float) -> Simulator:
-    """The simulator's limit by its runs at step_s and at half of it; its source says so. TautError where its step
-    cannot be changed."""
+    """A simulator that gives the limit of `simulator` for short steps of time, extrapolated from its runs with steps of
+    step_s and half of that; its source says so, for `source.opened`. TautError where the step cannot be changed."""
     if simulator.at_step is None:
         raise TautError("the simulator's step of time cannot be changed: give its Simulator at_step")
     coarse, fine = simulator.at_step(step_s), simulator.at_step(0.5 * step_s)

@@ -26,20 +26,24 @@ _EXPOSURE_SAMPLES = 5
 
 
 class FrameSource(Protocol):
+    """Anything that frames come from, one after the other."""
+
     clock: str  # what the arrival times count, in words
 
     @property
     def exposure(self) -> str:
-        """Whether it stays as it is, in words; "" where that is not the source's to say."""
+        """Whether the camera's exposure stays as it is, in words; "" where the source does not know."""
 
     @property
     def dropped(self) -> int:
         """Frames that the camera took and that never came."""
 
     def read(self) -> tuple[Array, float] | None:
-        """The next frame, BGR (height, width, 3) uint8, and when it arrived, s. None at the end of the source."""
+        """Waits for the next frame, BGR (height, width, 3) uint8, and when it arrived, s. None at the end of the
+        source."""
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Gives the source back."""
 
 
 class VideoCamera:
@@ -54,8 +58,8 @@ class VideoCamera:
     def __init__(
         self, source: int | str | Path, *, size: tuple[int, int] | None = None, rate_hz: float | None = None
     ) -> None:
-        """source: a device's number, a file or a stream. size (width, height) and rate are asked of a device, which may
-        choose others."""
+        """Opens the source: a device's number or path, a file, a stream's address or a GStreamer pipeline. size (width,
+        height) and rate are asked of a device, which may choose others. TautError where OpenCV cannot open it."""
         self.name = f"camera {source}" if isinstance(source, int) else str(source)
         self._file = not isinstance(source, int) and Path(source).is_file()
         pipeline = not isinstance(source, int) and " ! " in str(source)
@@ -70,24 +74,27 @@ class VideoCamera:
             else:
                 self._capture = cv2.VideoCapture(source if isinstance(source, int) else str(source))
         if not self._capture.isOpened():
-            what = "is it a video?" if self._file else "is it plugged in, and not in use by another program?"
-            if pipeline:
-                what = "does it end in '! appsink', and run with gst-launch-1.0?"
-                if not _has_gstreamer():
-                    what = "it is built without GStreamer: install one that has it, such as Debian's python3-opencv"
-            raise TautError(f"{self.name}: OpenCV cannot open it: {what}")
+            raise TautError(f"{self.name}: OpenCV cannot open it: {self._why_not_opened(pipeline)}")
         if not self._file:
             self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # no stale frames where the driver obeys
-            for key, value in zip(
-                (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FPS),
-                (*(size or (0, 0)), rate_hz),
-                strict=True,
-            ):
+            width, height = size or (0, 0)
+            wanted = {cv2.CAP_PROP_FRAME_WIDTH: width, cv2.CAP_PROP_FRAME_HEIGHT: height, cv2.CAP_PROP_FPS: rate_hz}
+            for key, value in wanted.items():
                 if value:
                     self._capture.set(key, value)
         self.clock = "the file's own" if self._file else "not known before the first frame"
-        self._first_s: float | None = None
+        self._first_s: float | None = None  # of a file: time of its first frame in the container
         self._drops = Drops()
+
+    def _why_not_opened(self, pipeline: bool) -> str:
+        """The end of the error where OpenCV does not open the source: what may be wrong with it."""
+        if self._file:
+            return "is it a video?"
+        if not pipeline:
+            return "is it plugged in, and not in use by another program?"
+        if _has_gstreamer():
+            return "does it end in '! appsink', and run with gst-launch-1.0?"
+        return "it is built without GStreamer: install one that has it, such as Debian's python3-opencv"
 
     @property
     def dropped(self) -> int:
@@ -102,23 +109,24 @@ class VideoCamera:
         return count if count > 0 else None
 
     def seek(self, frame: int) -> None:
-        """Of a file: goes on reading at about this frame (how exactly is up to the container)."""
+        """Of a file: the next `read` gives about this frame (from 0 on; how exactly is up to the container)."""
         self._capture.set(cv2.CAP_PROP_POS_FRAMES, frame)
 
     @property
     def exposure(self) -> str:
-        """What came of `lock_exposure`, in a sentence; "" before it, and of a file or stream."""
+        """What came of `lock_exposure`, in a sentence; "" before that, and for a file or stream."""
         return "" if self._exposure is None else self._exposure.says
 
     def lock_exposure(self) -> None:
-        """Locks a device's exposure, once automatic exposure has settled, until the camera is closed; `exposure` says
-        what came of it."""
+        """Locks a device's exposure where its automatic one has settled, until the camera is closed: a changing
+        exposure shifts frames in time. `exposure` says what came of it. Nothing happens for a file or stream."""
         if self._device:
             self._exposure = exposure.lock(self._capture)
 
     def read(self) -> tuple[Array, float] | None:
-        """The next picture, BGR (height, width, 3) uint8, and when it arrived, s; None at a file's end, TautError at
-        that of a device or stream. A driver's stamp less than 1 s old is on the host's clock and taken, others not."""
+        """The next picture, BGR (height, width, 3) uint8, and when it arrived, s (see the class); None at a file's end,
+        TautError where a device or stream ends. A driver's stamp that is 0 to 1 s old by the host's monotonic clock is
+        taken to be of that clock; else the time of grabbing is used."""
         if not self._capture.grab():
             self._check_end()
             return None
@@ -147,6 +155,7 @@ class VideoCamera:
             raise TautError(f"{self.name}: no more frames: check its cable or the stream's sender")
 
     def close(self) -> None:
+        """Sets a locked exposure back to automatic and closes the source."""
         exposure.release(self._capture, self._exposure)
         self._capture.release()
 
@@ -160,8 +169,8 @@ class VideoCamera:
 
 
 def read_picture(path: str | Path) -> Array | None:
-    """A picture file, BGR (height, width, 3) uint8; None where the file is no picture (a video). TautError where it is
-    broken."""
+    """Reads a picture file: BGR (height, width, 3) uint8. None where the file is missing or of no format of pictures
+    (such as a video). TautError where it is broken."""
     if not (Path(path).is_file() and cv2.haveImageReader(str(path))):
         return None
     picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
@@ -171,7 +180,7 @@ def read_picture(path: str | Path) -> Array | None:
 
 
 def sample_video(path: Path, count: int) -> list[Array]:
-    """About `count` (2 or more) frames, BGR (height, width, 3) uint8, spread over a video file; its first ones if its
+    """Up to `count` (2 or more) frames, BGR (height, width, 3) uint8, evenly over a video file; its first ones if its
     length is unknown. TautError where it holds none."""
     with VideoCamera(path) as camera:
         total = camera.frames or 0
@@ -191,12 +200,14 @@ class VideoFile:
     """A video to write frames into: MJPEG, or lossless (FFV1). Use it as a context manager."""
 
     def __init__(self, path: Path, rate_hz: float, lossless: bool = False) -> None:
+        """path: of the file, which the first picture creates; rate_hz: frames a second that its header states."""
         self._path, self._rate_hz = path, rate_hz
         self._codec = cv2.VideoWriter.fourcc(*("FFV1" if lossless else "MJPG"))
         self._writer: cv2.VideoWriter | None = None
 
     def write(self, picture: Array) -> None:
-        """Adds a BGR picture; all have the first one's size."""
+        """Adds a picture, BGR (height, width, 3) uint8; all have the first one's size. TautError where the file cannot
+        be created."""
         if self._writer is None:
             height, width = picture.shape[:2]
             with _quiet_opencv():
@@ -227,7 +238,8 @@ class SimulatedCamera:
     dropped = 0  # what it loses is no camera's fault
 
     def __init__(self, endoscope: Endoscope, scene: Scene, timing: FrameTiming | None = None) -> None:
-        """scene: the instrument at any times; timing: the rig's nominal rate and delay by default."""
+        """endoscope: draws the frames; scene: the instrument's state at any times; timing: when frames are taken and
+        arrive, by default at the rig's nominal rate and delay."""
         self._endoscope, self._scene = endoscope, scene
         self._frames = (timing or FrameTiming.of(endoscope.rig)).frames()
         self._next = next(self._frames)
@@ -255,16 +267,19 @@ class SimulatedCamera:
 
 
 def _has_gstreamer() -> bool:
+    """Whether this OpenCV is built with GStreamer."""
     return bool(cv2.videoio_registry.hasBackend(cv2.CAP_GSTREAMER))
 
 
 class _quiet_opencv:
-    """OpenCV and its plug-ins print to stderr what we say in one line."""
+    """A context in which OpenCV and FFmpeg print nothing to stderr: a TautError says in one line what failed."""
 
     def __enter__(self) -> None:
+        """Silences both, FFmpeg unless the environment says otherwise."""
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg's "quiet"
         self._level = cv2.utils.logging.getLogLevel()
         cv2.utils.logging.setLogLevel(0)  # silent
 
     def __exit__(self, *_: object) -> None:
+        """Sets OpenCV's log level back."""
         cv2.utils.logging.setLogLevel(self._level)

@@ -35,7 +35,8 @@ class MarkerColour:
     at: tuple[float, float] = (float("nan"), float("nan"))  # where it was picked, px
 
     def membership(self, picture: Array) -> Array:
-        """(height, width) float32: membership of each pixel of a BGR uint8 picture."""
+        """(height, width) float32: how much each pixel of a BGR uint8 picture (height, width, 3) is of the marker's
+        colour: 1 as on the marker, about 0 as around it."""
         row = np.array([[*self.weights, self.offset]], dtype=np.float32)
         return np.asarray(cv2.transform(picture.astype(np.float32), row))
 
@@ -65,7 +66,7 @@ class MarkerColour:
             raise TautError(
                 f"{path}: format is {document.get('format')!r}, expected '{FORMAT}': run 'taut marker' again"
             )
-        weights, colour = _three(document, "weights_bgr", path), _three(document, "colour_bgr", path)
+        weights, colour = _three_numbers(document, "weights_bgr", path), _three_numbers(document, "colour_bgr", path)
         offset, diameter = _number(document, "offset", path), _number(document, "diameter_px", path)
         if not (np.isfinite([*weights, *colour, offset]).all() and SMALLEST_PX <= diameter <= LARGEST_PX):
             raise TautError(f"{path}: a number in it is out of range: run 'taut marker' again")
@@ -73,7 +74,8 @@ class MarkerColour:
 
 
 def _number(document: dict[str, Any], key: str, path: Path) -> float:
-    """A number of a key of marker.toml. TautError where it has none."""
+    """The value of a key in marker.toml's document, a number (inf for an integer that is too large). TautError, which
+    names `path`, where it is none."""
     value = document.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TautError(f"{path}: {key} is {value!r}, expected a number: run 'taut marker' again")
@@ -83,8 +85,8 @@ def _number(document: dict[str, Any], key: str, path: Path) -> float:
         return float("inf")
 
 
-def _three(document: dict[str, Any], key: str, path: Path) -> tuple[float, float, float]:
-    """Three numbers of a key of marker.toml. TautError where it has none."""
+def _three_numbers(document: dict[str, Any], key: str, path: Path) -> tuple[float, float, float]:
+    """The value of a key in marker.toml's document, three numbers. TautError, which names `path`, where it is none."""
     value = document.get(key)
     if not isinstance(value, list) or len(value) != 3:
         raise TautError(f"{path}: {key} is {value!r}, expected three numbers: run 'taut marker' again")
@@ -92,22 +94,23 @@ def _three(document: dict[str, Any], key: str, path: Path) -> tuple[float, float
 
 
 def _triple(values: Array) -> tuple[float, float, float]:
+    """An array (3,) as a tuple of floats."""
     return float(values[0]), float(values[1]), float(values[2])
 
 
 def pick(picture: Array, at: tuple[float, float] | None = None) -> MarkerColour:
-    """The colour of the blob at (u, v) px of a BGR picture, or without `at` of the blob that stands out most. TautError
-    where none does."""
+    """The marker's colour from a picture, BGR (height, width, 3) uint8: of the blob at `at` (u, v) px, or without `at`
+    of the blob that stands out most. TautError where there is no such blob."""
     if at is None:
         best = candidates(picture)
         if not best:
             raise TautError("no marker stands out from its surroundings by its colour: show where it is with --at U,V")
         return best[0]
-    _check(picture)
+    _check_picture(picture)
     height, width = picture.shape[:2]
     if not (0 <= at[0] < width and 0 <= at[1] < height):
         raise TautError(f"({at[0]:g}, {at[1]:g}) is outside of the picture of {width} x {height} px")
-    blob = _pick_at(picture, at, _surroundings(picture))
+    blob = _pick_blob_at(picture, at, _surroundings(picture))
     if blob is None:
         raise TautError(
             f"no blob of one colour stands out at ({at[0]:g}, {at[1]:g}): point at the middle of a marker "
@@ -117,9 +120,10 @@ def pick(picture: Array, at: tuple[float, float] | None = None) -> MarkerColour:
 
 
 def candidates(picture: Array, places: int = 12) -> list[MarkerColour]:
-    """Up to `places` blobs that stand out by their colour, the most marker-like first. They are looked for where the
-    smoothed colour is farthest from the picture's own (Mahalanobis distance); what was looked at is blanked."""
-    _check(picture)
+    """The colours of up to `places` blobs that stand out in a picture, BGR (height, width, 3) uint8, the most
+    marker-like first. They are looked for where the smoothed colour is farthest from the picture's own (Mahalanobis
+    distance), one after the other; what was looked at is blanked."""
+    _check_picture(picture)
     around = _surroundings(picture)
     mean, covariance = around
     root = np.linalg.cholesky(np.linalg.inv(covariance)).T
@@ -129,7 +133,7 @@ def candidates(picture: Array, places: int = 12) -> list[MarkerColour]:
     blobs = []
     for _ in range(places):
         _, _, _, place = cv2.minMaxLoc(distance)
-        blob = _pick_at(picture, (float(place[0]), float(place[1])), around)
+        blob = _pick_blob_at(picture, (float(place[0]), float(place[1])), around)
         cv2.circle(distance, place, 12, 0.0, -1)
         if blob is not None:
             blobs.append(blob)
@@ -139,29 +143,30 @@ def candidates(picture: Array, places: int = 12) -> list[MarkerColour]:
     return [colour for colour, _ in blobs]
 
 
-def _check(picture: Array) -> None:
-    """TautError where a picture is not BGR of 8 bits with 16 px a side or more."""
+def _check_picture(picture: Array) -> None:
+    """TautError where a picture is not BGR (height, width, 3) uint8 with 16 px a side or more."""
     if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8 or min(picture.shape[:2]) < 16:
         raise TautError("a marker is picked from a BGR picture of 8 bits: (height, width, 3) uint8, 16 px and more")
 
 
 def _surroundings(picture: Array) -> tuple[Array, Array]:
-    """Mean (3,), B, G, R levels, and covariance (3, 3) of the picture's colours (some 40 000 of its pixels), widened by
-    a variance of glare (all channels alike) and noise, so that these do not tell a marker."""
+    """Mean (3,), levels of B, G, R, and covariance (3, 3) of a picture's colours, from some 40 000 of its pixels, with
+    variances added for glare (all channels alike) and noise, so that neither of them looks like a marker."""
     step = max(1, int(np.sqrt(picture.shape[0] * picture.shape[1] / 40_000)))
     sample = picture[::step, ::step].reshape(-1, 3).astype(np.float64)
     covariance = np.cov(sample.T) + _GLARE**2 * np.ones((3, 3)) + _NOISE**2 * np.eye(3)
     return sample.mean(axis=0), covariance
 
 
-def _pick_at(picture: Array, at: tuple[float, float], around: tuple[Array, Array]) -> tuple[MarkerColour, float] | None:
-    """The colour of the blob at `at` (u, v) px by Fisher's linear discriminant against `around` (mean, covariance), in
-    three passes, and a score without unit: high where it is distinct, compact, the only one and up to 15 px large. None
-    where it does not stand out, or is no blob of a marker's size."""
-    height, width = picture.shape[:2]
+def _pick_blob_at(
+    picture: Array, at: tuple[float, float], around: tuple[Array, Array]
+) -> tuple[MarkerColour, float] | None:
+    """The colour of the blob at `at` (u, v) px, by Fisher's linear discriminant against `around` (see `_surroundings`),
+    refined in three passes; and a score without unit that grows with its distinctness, compactness, share of all pixels
+    of this colour, and size up to 15 px. None where it does not stand out, or is no blob of a marker's size."""
     column, row = int(at[0]), int(at[1])
-    patch = picture[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3].reshape(-1, 3)
-    colour = np.median(patch, axis=0)
+    close = slice(max(0, row - 2), row + 3), slice(max(0, column - 2), column + 3)
+    colour = np.median(picture[close].reshape(-1, 3), axis=0)
     mean, covariance = around
     picked = None
     for _ in range(3):
@@ -171,23 +176,42 @@ def _pick_at(picture: Array, at: tuple[float, float], around: tuple[Array, Array
             return None
         weights /= separation
         candidate = MarkerColour(_triple(weights), float(-weights @ mean), _triple(colour), SMALLEST_PX, at)
-        inside = (candidate.membership(picture) > 0.5).astype(np.uint8)
-        _, labels, stats, centroids = cv2.connectedComponentsWithStats(inside, connectivity=8)
-        near = labels[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3]
-        near = near[near > 0]
-        if not len(near):
+        inside = candidate.membership(picture) > 0.5
+        blob = _blob_in(inside, close)
+        if blob is None:
             return None
-        label = np.bincount(near).argmax()
-        area = int(stats[label, cv2.CC_STAT_AREA])
-        diameter = float(np.sqrt(4.0 * area / np.pi))
-        if not SMALLEST_PX <= diameter <= LARGEST_PX or area > 0.1 * height * width:
-            return None
-        blob = labels == label
-        colour = np.median(picture[blob], axis=0)
-        box = max(int(stats[label, cv2.CC_STAT_WIDTH]), int(stats[label, cv2.CC_STAT_HEIGHT]))
-        compact = min(1.0, 1.3 * area / (0.785 * box * box))  # pi / 4; 1 where 1 / 1.3 of the disc around it is filled
-        alone = area / np.count_nonzero(inside)
-        score = np.sqrt(separation) * compact * alone * min(1.0, diameter / 15.0)
-        u, v = centroids[label].tolist()
-        picked = replace(candidate, colour=_triple(colour), diameter_px=diameter, at=(u, v)), float(score)
+        colour = np.median(picture[blob.pixels], axis=0)
+        alone = blob.area / np.count_nonzero(inside)
+        score = np.sqrt(separation) * blob.compactness * alone * min(1.0, blob.diameter_px / 15.0)
+        picked = replace(candidate, colour=_triple(colour), diameter_px=blob.diameter_px, at=blob.at), float(score)
     return picked
+
+
+@dataclass(frozen=True)
+class _Blob:
+    """Connected pixels of one colour."""
+
+    pixels: Array  # (height, width) bool
+    area: int  # px
+    diameter_px: float  # of a disc of this area
+    compactness: float  # 0 to 1; 1 where the smallest square around it is filled as by 1 / 1.3 of a disc
+    at: tuple[float, float]  # centroid (u, v) px
+
+
+def _blob_in(inside: Array, window: tuple[slice, slice]) -> _Blob | None:
+    """The blob of `inside`, (height, width) bool, that has most pixels in a window of rows and columns; None where
+    there is none, or it is too small or too large for a marker."""
+    _, labels, stats, centroids = cv2.connectedComponentsWithStats(inside.astype(np.uint8), connectivity=8)
+    near = labels[window]
+    near = near[near > 0]
+    if not len(near):
+        return None
+    label = np.bincount(near).argmax()
+    area = int(stats[label, cv2.CC_STAT_AREA])
+    diameter = float(np.sqrt(4.0 * area / np.pi))
+    if not SMALLEST_PX <= diameter <= LARGEST_PX or area > 0.1 * inside.size:
+        return None
+    box = max(int(stats[label, cv2.CC_STAT_WIDTH]), int(stats[label, cv2.CC_STAT_HEIGHT]))
+    compactness = min(1.0, 1.3 * area / (0.785 * box * box))  # 0.785: pi / 4
+    u, v = centroids[label].tolist()
+    return _Blob(labels == label, area, diameter, compactness, (u, v))

@@ -12,21 +12,24 @@ _KEPT = 0.9  # tolerance: a frame, of its lateness: jitter is made up for, a per
 
 
 class Drops:
-    """Arrival times in, a count out. The camera's rate may change, and its clock be any."""
+    """Counts the frames that a camera lost, from the arrival times of the others. The camera's rate may change, and its
+    clock be any."""
 
     def __init__(self) -> None:
+        """No frame has come yet."""
         self._last_s: float | None = None
         self._intervals: deque[float] = deque(maxlen=_INTERVALS)
         self._behind = 0.0  # periods by which the last frame was late, beyond those counted as lost
         self._missing = 0
 
     def add(self, t_s: float) -> None:
-        """A frame arrived at t_s, after the last one: lost ones are counted by how many of the camera's periods late it
-        is. A long gap is a pause of the reader and counts as none."""
+        """Takes in a frame that arrived at t_s, after the last one. By how many of the camera's periods it is late, so
+        many were lost; lateness is summed up, so that jitter cancels. A very long gap is a pause of the reader and
+        counts as none."""
         before, self._last_s = self._last_s, t_s
         if before is None:
             return
-        if self._paused(t_s - before):
+        if self._is_pause(t_s - before):
             self._intervals.clear()
             self._behind = 0.0
             return
@@ -42,14 +45,14 @@ class Drops:
         self._behind -= missing
         self._missing += missing
 
-    def _paused(self, gap_s: float) -> bool:
-        """Whether a gap between two frames, s, is too long for frames that the camera lost: nobody read meanwhile.
-        False while the camera's period is not known."""
+    def _is_pause(self, gap_s: float) -> bool:
+        """Whether a gap between two frames, s, is so long that nobody read meanwhile, instead of the camera losing
+        frames. False while the camera's period is not known."""
         if len(self._intervals) < _FIRST:
             return False
         return gap_s > max(_PAUSE_S, _PAUSE * float(np.median(self._intervals)))
 
     @property
     def count(self) -> int:
-        """Frames lost so far; 0 where jitter took the sum below."""
+        """Frames lost so far; never below 0, where jitter takes the sum."""
         return max(self._missing, 0)

@@ -18,16 +18,17 @@ _UNIT_MS = 0.1  # format: of V4L2's exposure
 
 @dataclass(frozen=True)
 class Exposure:
-    """`locked`: it stays as it is. `says` that, or what the camera refused, in a line."""
+    """What came of `lock`."""
 
-    locked: bool
-    says: str
-    before: float | None = None  # the automatic one, as it was found; None where nothing was changed
+    locked: bool  # the exposure stays as it is
+    says: str  # that, or what the camera refused, in a line
+    before: float | None = None  # OpenCV's CAP_PROP_AUTO_EXPOSURE as it was found; None where nothing was changed
 
 
 def lock(capture: cv2.VideoCapture) -> Exposure:
-    """Waits until the automatic exposure has settled (its frames are dropped), then sets the same exposure as a manual
-    one. Where the camera refuses, or takes another value, it stays automatic: not `locked`, and `says` why."""
+    """Locks an open device's exposure: waits until the automatic one has settled (dropping _SETTLES frames), then sets
+    the same value as a manual one. Where the camera refuses, or takes another value, it is set back to automatic; the
+    result says so."""
     for _ in range(_SETTLES):
         capture.grab()
     backend = capture.getBackendName()
@@ -50,6 +51,6 @@ def lock(capture: cv2.VideoCapture) -> Exposure:
 
 
 def release(capture: cv2.VideoCapture, exposure: Exposure | None) -> None:
-    """Sets the exposure back to automatic, as the camera was found."""
+    """Undoes `lock` on an open device: sets the exposure back to automatic where that was changed."""
     if exposure is not None and exposure.before is not None:
         capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, exposure.before)

@@ -22,23 +22,24 @@ _THERE_AND_BACK_PX = 0.5  # a corner that is not found again from where it was f
 
 
 def corners_in(grey: Picture, mask: Picture, most: int, apart_px: float) -> Array:
-    """The best corners (n, 2) px of a grey picture where the mask is not 0, `most` at most, best first."""
+    """Finds corners that can be tracked, (n, 2) px, in a grey picture (height, width) where the mask of the same shape
+    is not 0: at most `most`, at least apart_px from each other, best first (Shi-Tomasi)."""
     found = cv2.goodFeaturesToTrack(grey, most, _CORNER_QUALITY, apart_px, mask=mask)
     return np.empty((0, 2)) if found is None else found.reshape(-1, 2).astype(float)
 
 
 def found_again(one: Picture, other: Picture, start: Array, guess: Array) -> tuple[Array, npt.NDArray[np.intp]]:
-    """Optical flow of the corners `start` (n, 2) px from one picture to the other, searched around `guess` (n, 2) px:
-    their places there (n, 2) px, and the indices of those to be trusted, which the flow back returns to within half a
-    pixel of where they were."""
+    """Finds the corners `start` (n, 2) px of one grey picture again in the other, around `guess` (n, 2) px, by optical
+    flow. Returns their places there (n, 2) px, and the indices of those to be trusted: the flow back to the first
+    picture leads them to within _THERE_AND_BACK_PX of where they were."""
     there, found = _optical_flow(one, other, start, guess)
     back, again = _optical_flow(other, one, there, start)
     return there, np.flatnonzero(found & again & (np.hypot(*(back - start).T) < _THERE_AND_BACK_PX))
 
 
 def _optical_flow(one: Picture, other: Picture, start: Array, guess: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Lucas-Kanade's places (n, 2) px of the corners `start` (n, 2) px in the other picture, searched around `guess`
-    (n, 2) px, and which were found, (n,) bool."""
+    """Pyramidal Lucas-Kanade flow of the corners `start` (n, 2) px from one picture to the other, beginning at `guess`
+    (n, 2) px: places (n, 2) px, and which were found, (n,) bool."""
     there, found, _ = cv2.calcOpticalFlowPyrLK(
         one,
         other,
@@ -52,8 +53,8 @@ def _optical_flow(one: Picture, other: Picture, start: Array, guess: Array) -> t
 
 
 def even_light(picture: Picture) -> Picture:
-    """A BGR picture in grey, (height, width) uint8, with brightness and contrast made alike everywhere (local mean and
-    standard deviation over 31 px), so that smoke, shade and glow do not shift corners."""
+    """A BGR picture in grey, (height, width) uint8, with the same brightness and contrast everywhere (local mean and
+    standard deviation over _AROUND_PX), so that smoke, shade and glow do not shift corners."""
     grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).astype(np.float32)
     around = (_AROUND_PX, _AROUND_PX)
     away = grey - cv2.blur(grey, around)
@@ -62,9 +63,10 @@ def even_light(picture: Picture) -> Picture:
 
 
 class EvenLight:
-    """A BGR picture as even_light makes it, but only in the parts that are asked for."""
+    """A BGR picture as `even_light` makes it, computed only in the parts that are asked for, as that saves time."""
 
     def __init__(self, picture: Picture) -> None:
+        """picture: BGR (height, width, 3) uint8; nothing is computed yet."""
         self._picture = picture
         self._parts: dict[tuple[int, int, int, int], Picture] = {}
 
@@ -80,8 +82,8 @@ class EvenLight:
         return even_light(self._picture)
 
     def cut(self, u: float, v: float, size: tuple[int, int]) -> tuple[Picture, Array]:
-        """The part of `size` (height, width) px around (u, v) px, moved inwards at the picture's border, and the place
-        (u, v) px of its first pixel, (2,). It is as in the whole picture: light is evened over a wider part."""
+        """The part of `size` (height, width) px around (u, v) px, moved inwards at the picture's border, in even light,
+        the same as in `whole`; and the place (u, v) px of its first pixel, (2,)."""
         y0, x0 = (
             int(np.clip(at - 0.5 * long, 0, whole - long))
             for at, long, whole in zip((v, u), size, self.shape, strict=True)

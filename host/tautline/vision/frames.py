@@ -19,19 +19,23 @@ Seen = TypeVar("Seen")
 def every_frame(
     video: Video, look: Callable[[Array], Seen], progress: Progress | None = None
 ) -> tuple[Array, list[Seen], tuple[int, int] | None]:
-    """Calls `look` with every picture of a video. Returns arrival times (n,) s, NaN where frames.csv does not name one;
-    what `look` returned; the pictures' size (width, height) px, None without a picture."""
+    """Calls `look` with every picture of a video, BGR (height, width, 3) uint8. Returns arrival times (n,) s (of
+    frames.csv, NaN where it does not name the frame; without one the container's), what `look` returned (n), and the
+    pictures' size (width, height) px, None without a picture. progress: gets the share done, 0 to 1, and a word.
+    TautError where the container's times do not rise."""
     size: tuple[int, int] | None = None
     t_s: list[float] = []
     seen: list[Seen] = []
     with VideoCamera(video.path) as camera:
         total = camera.frames or 0
         while (read := camera.read()) is not None:
-            picture, own_s = read
+            picture, container_s = read
             size = size or (picture.shape[1], picture.shape[0])
             k = len(t_s)
-            known = video.arrival_s is None or k < len(video.arrival_s)
-            t_s.append(own_s if video.arrival_s is None else float(video.arrival_s[k]) if known else np.nan)
+            if video.arrival_s is None:
+                t_s.append(container_s)
+            else:
+                t_s.append(float(video.arrival_s[k]) if k < len(video.arrival_s) else np.nan)
             seen.append(look(picture))
             if progress and k % 25 == 0:
                 progress(min(1.0, k / total) if total else 0.0, f"tracking {video.path.name}")
@@ -42,6 +46,7 @@ def every_frame(
     return np.array(t_s), seen, size
 
 
-def half(progress: Progress | None, begins: float) -> Progress:
-    """The progress of one of two passes over a video: from the share `begins` of the whole on, half of it."""
+def half_progress(progress: Progress | None, begins: float) -> Progress:
+    """The progress to hand to one of two passes over a video: its shares 0 to 1 become `begins` to `begins` + 0.5 of
+    the whole. Does nothing where progress is None."""
     return lambda share, text: progress(begins + 0.5 * share, text) if progress else None

@@ -25,28 +25,30 @@ _HELD = 1e-3  # prior: pictures' worth that a keyframe is where it was taken
 
 
 class Keyframes(Generic[Key]):
-    """Of one tracker, the first one where motions begin. Distances between them have no unit: from 1 on a new one is
-    worth taking."""
+    """The keyframes of one tracker, which adds to `keys`; motions are told from the first one on. Distances between
+    them, which the tracker defines, have no unit: from 1 on a new keyframe is worth taking."""
 
     def __init__(self, first: Key, most: int, reach: float) -> None:
-        """most: that are kept. reach: the distance within which a keyframe says something."""
+        """most: how many keyframes are kept; reach: the distance up to which a keyframe is used."""
         self.keys, self._most, self._reach = [first], most, reach
-        self.learns = True
-        self._differ: list[tuple[int, int, Array]] = []  # two keyframes, and by how much they differ (k,)
+        self.learns = True  # until `settle`: keyframes are added and their differences noted
+        self._differences: list[
+            tuple[int, int, Array]
+        ] = []  # numbers of two keyframes, and by how much they differ (k,)
 
     @property
     def has_room(self) -> bool:
-        """Whether a new one may be taken."""
+        """Whether a new keyframe may be added."""
         return self.learns and len(self.keys) < self._most
 
     def nearest(
         self, away: Sequence[float], see: Callable[[Key], Seen | None], beyond: bool = False
     ) -> list[tuple[float, int, Seen]]:
-        """What the nearest keyframes see, two at most: (weight, the keyframe's number, what `see` makes of it). Weights
-        fall to 0 at the reach: one that comes within it or leaves it changes nothing at once. Where a third one takes
-        the second one's place, what they say jumps by a part of what they differ by; weights that fall to 0 there make
-        more noise than they save. away: (n,) distances of all of them. beyond: where none within the reach sees
-        anything, the nearest one beyond it that does, alone."""
+        """What the nearest keyframes see, two at most: (weight, the keyframe's number, what `see` gives for it, not
+        None). away: (n,) distances of all keyframes; beyond: if none within the reach sees anything, the nearest beyond
+        it that does is taken, alone. Weights fall to 0 at the reach, so that nothing jumps as a keyframe comes within
+        it. Where a third one takes the second one's place there is a small jump; weights that fall to 0 there, too,
+        would make more noise than they save."""
         found: list[tuple[float, int, Seen]] = []
         for k in np.argsort(away, kind="stable")[:_ASKED].tolist():
             weight = max(self._reach - float(away[k]), 0.0) ** 2
@@ -58,27 +60,28 @@ class Keyframes(Generic[Key]):
         return found
 
     def note(self, one: int, other: int, off: Array) -> None:
-        """Two keyframes have seen one picture, and the first says `off` (k,) more than the other; kept while
-        learning."""
+        """Notes for `settle` that two keyframes, by their numbers, have seen one picture, and the first says `off` (k,)
+        more than the other. Nothing is noted after `settle`."""
         if self.learns:
-            self._differ.append((one, other, off))
+            self._differences.append((one, other, off))
 
     def settle(self) -> tuple[Array, Array] | None:
-        """Ends learning. By how much each keyframe is to be shifted (n, k), the first one fixed, so that they differ
-        least in the pictures that two of them saw (least squares); and the scatter (n,), a coordinate, of each about
-        the others then. None where no picture was seen by two."""
+        """Ends learning and adjusts the keyframes to each other. Returns by how much each is to be shifted (n, k), the
+        first one fixed, so that they differ least in the pictures that two of them saw (least squares), and the rms
+        (n,), per coordinate, by which each then still differs from the others. None where no picture was seen by
+        two."""
         self.learns = False
-        if not self._differ:
+        if not self._differences:
             return None
-        one, other = np.array([(i, j) for i, j, _ in self._differ]).T
-        off = np.array([by for _, _, by in self._differ])
+        one, other = np.array([(i, j) for i, j, _ in self._differences]).T
+        off = np.array([by for _, _, by in self._differences])
         n, m = len(self.keys), len(off)
         ones, rows = np.ones(m), np.arange(m)
-        told = coo_array((ones, (rows, one)), (m, n)) - coo_array((ones, (rows, other)), (m, n))
-        normal = (told.T @ told).toarray() + _HELD * np.eye(n)
+        design = coo_array((ones, (rows, one)), (m, n)) - coo_array((ones, (rows, other)), (m, n))
+        normal = (design.T @ design).toarray() + _HELD * np.eye(n)
         normal[0, 0] += m  # the first one is where it was taken
-        by = -np.linalg.solve(normal, told.T @ off)
-        left2 = np.mean((off + told @ by) ** 2, axis=1) / 2.0  # of both keyframes
+        shift = -np.linalg.solve(normal, design.T @ off)
+        left2 = np.mean((off + design @ shift) ** 2, axis=1) / 2.0  # shared between both keyframes
         seen = np.bincount(one, minlength=n) + np.bincount(other, minlength=n)
         total = np.bincount(one, left2, n) + np.bincount(other, left2, n)
-        return by, np.sqrt(total / np.maximum(seen, 1))
+        return shift, np.sqrt(total / np.maximum(seen, 1))

@@ -17,11 +17,11 @@ from tautline.recording import COLOUR_FILE, REGION_FILE, Marker, Recording, Show
 from tautline.rig import Rig
 from tautline.vision.camera import sample_video
 from tautline.vision.colour import MarkerColour, candidates, pick
-from tautline.vision.frames import Progress, every_frame, half
+from tautline.vision.frames import Progress, every_frame, half_progress
 from tautline.vision.region import Region
 from tautline.vision.scene import bending_by_scene
 from tautline.vision.sighting import SURE_PX, Sighting
-from tautline.vision.sighting import lost as _lost
+from tautline.vision.sighting import lost as lost_sighting
 
 Array = np.ndarray
 
@@ -48,12 +48,12 @@ _MARGIN_PX = 8.0  # of the region around the marker: edges are compared with wha
 
 @dataclass(frozen=True)
 class _Blob:
-    """A thing in the picture that may be the marker, measured."""
+    """A coloured region of the picture that may be the marker, measured."""
 
     seen: Sighting
-    score: float  # how marker-like
+    score: float  # how like the marker it is, without unit
     cut: float  # membership half-way between it and what is around it
-    after: MarkerExpected  # what it says of the next frame
+    after: MarkerExpected  # colour and outline that are expected in the next frame if it is the marker
 
 
 class MarkerTracker:
@@ -63,8 +63,8 @@ class MarkerTracker:
     """
 
     def __init__(self, colour: MarkerColour, alike: Sequence[tuple[float, float]] = ()) -> None:
-        """alike: places (u, v) px of things with the marker's colour and size that are not the marker and do not
-        move."""
+        """colour: the marker's, as it was picked; alike: places (u, v) px of decoys, things with the marker's colour
+        and size that do not move (see `alike_but_still`)."""
         self.colour = colour
         self._same_colour_and_size = np.array(alike, dtype=float).reshape(-1, 2)
         self._weights = np.array([*colour.weights, colour.offset], dtype=np.float32)
@@ -75,11 +75,11 @@ class MarkerTracker:
 
     def reset(self) -> None:
         """Forgets where the marker was: the next frame is searched as a whole."""
-        self._last: Sighting | None = None
-        self._left: Sighting | None = None  # where it was seen last ...
-        self._missed = 0  # ... and how many frames ago
-        self._step = (0.0, 0.0)  # px from the frame before
-        self._nothing = _lost("no marker of this colour")  # why the last search found none
+        self._last: Sighting | None = None  # of the frame before; None where it was not seen there
+        self._last_seen: Sighting | None = None  # where it was seen last ...
+        self._frames_unseen = 0  # ... and how many frames ago
+        self._step_px = (0.0, 0.0)  # px from the frame before
+        self._why_none = lost_sighting("no marker of this colour")  # why the last search found none
         self._cut = 0.5  # membership half-way between the marker and what is around it
         self._expected = MarkerExpected(self.colour.diameter_px)  # by the frames so far
 
@@ -88,92 +88,95 @@ class MarkerTracker:
         last = self._last
         if last is not None:
             sighting = self._follow(picture, last)
-            if sighting.valid and not self._at_another(sighting):
-                self._step = (sighting.u_px - last.u_px, sighting.v_px - last.v_px)
-                self._last = self._left = sighting
+            if sighting.valid and not self._is_decoy(sighting):
+                self._step_px = (sighting.u_px - last.u_px, sighting.v_px - last.v_px)
+                self._last = self._last_seen = sighting
                 return sighting
-        self._missed += 1
+        self._frames_unseen += 1
         sighting = self._search(picture)
-        self._step = (0.0, 0.0)
+        self._step_px = (0.0, 0.0)
         self._last = sighting if sighting.valid else None
         if sighting.valid:
-            self._left, self._missed = sighting, 0
+            self._last_seen, self._frames_unseen = sighting, 0
         return sighting
 
-    def _at_another(self, sighting: Sighting) -> bool:
-        """Whether a sighting is at one of the places of things that look like the marker and are not: within a share of
-        its diameter."""
+    def _is_decoy(self, sighting: Sighting) -> bool:
+        """Whether a sighting is at the place of a decoy (see __init__), within _SAME_PLACE of its diameter."""
         away = np.hypot(*(self._same_colour_and_size - (sighting.u_px, sighting.v_px)).T)
         return bool((away < _SAME_PLACE * sighting.diameter_px).any())
 
     def _follow(self, picture: Array, last: Sighting) -> Sighting:
-        """The marker where it should be if it moves on as before; lost where its size jumps."""
-        speed = max(abs(self._step[0]), abs(self._step[1]))
-        u, v = last.u_px + self._step[0], last.v_px + self._step[1]
+        """Looks for the marker where it should be if it moves on from its `last` sighting as before; lost where its
+        size jumps."""
+        speed = max(abs(self._step_px[0]), abs(self._step_px[1]))
+        u, v = last.u_px + self._step_px[0], last.v_px + self._step_px[1]
         sighting = self._measure(picture, u, v, last.diameter_px, 0.5 * speed)
-        if sighting.valid and not self._of_its_size(sighting):
-            return _lost("its size jumped")
+        if sighting.valid and not self._has_its_size(sighting):
+            return lost_sighting("its size jumped")
         return sighting
 
-    def _of_its_size(self, sighting: Sighting) -> bool:
-        """Whether a sighting is about as large as the marker was when it was seen last; any is after a while."""
-        if self._left is None or self._missed > _FORGOTTEN:
+    def _has_its_size(self, sighting: Sighting) -> bool:
+        """Whether a sighting is about as large as the marker was when it was seen last; after _FORGOTTEN frames any
+        size will do."""
+        if self._last_seen is None or self._frames_unseen > _FORGOTTEN:
             return True
-        return _SHRUNK < sighting.diameter_px / self._left.diameter_px < _GROWN
+        return _SHRUNK < sighting.diameter_px / self._last_seen.diameter_px < _GROWN
 
     def _measure(self, picture: Array, u: float, v: float, diameter: float, slack: float) -> Sighting:
-        """The marker by its outline, or why it is lost, in a BGR picture. u, v, diameter: where and how large it is
-        expected, px; slack: px of room about that. Where its outline goes on beyond the region that is looked at, a
-        larger one is, twice at most. Of one that is found the next one's colour and outline are expected."""
-        half = int(0.6 * diameter + _MARGIN_PX + slack)
+        """Measures the marker by its outline in a BGR picture; lost, with the reason, where there is none. u, v,
+        diameter: where and how large it is expected, px; slack: px of room about that. If the outline goes on beyond
+        the region that is looked at, a larger region is tried, twice at most. After a success, colour and outline are
+        what the next frame is compared with."""
+        half_px = int(0.6 * diameter + _MARGIN_PX + slack)  # half the side of the region that is looked at
         for _ in range(3):
-            status, outline = marker_measure(picture, self._weights, self._cut, u, v, diameter, half, self._expected)
+            status, outline = marker_measure(picture, self._weights, self._cut, u, v, diameter, half_px, self._expected)
             if status != MARKER_CLIPPED:
                 break
             u, v, diameter = outline.u, outline.v, max(diameter, outline.diameter)
-            half = int(0.8 * half + 0.6 * diameter + _MARGIN_PX)
+            half_px = int(0.8 * half_px + 0.6 * diameter + _MARGIN_PX)
         if status == MARKER_CUT_OFF:
-            return _lost("cut off by the picture's border")
+            return lost_sighting("cut off by the picture's border")
         if status != MARKER_FOUND or outline.within - outline.around < _FAINT:
-            return _lost("no marker of this colour")
+            return lost_sighting("no marker of this colour")
         (b, g, r), (own_b, own_g, own_r) = outline.colour, self._hue
         if b * own_b + g * own_g + r * own_r < _LIKE * sqrt(b * b + g * g + r * r):
-            return _lost("what is there has another colour")
+            return lost_sighting("what is there has another colour")
         radius = 0.5 * outline.diameter
         unsure = outline.sigma > _UNSURE * radius
         if unsure or outline.kept < _KEPT or outline.scatter > max(_RAGGED * radius, 0.5):
-            return _lost("its outline is broken")
+            return lost_sighting("its outline is broken")
         if not _SMALLER < outline.diameter / self.colour.diameter_px < _LARGER:
-            return _lost("nothing of its size")
+            return lost_sighting("nothing of its size")
         self._cut, self._expected = 0.5 * (outline.within + outline.around), outline.after
         lit_px = outline.lit_u, outline.lit_v
         return Sighting(outline.u, outline.v, max(outline.sigma, SURE_PX), outline.diameter, lit_px=lit_px)
 
     def _search(self, picture: Array) -> Sighting:
-        """The marker anywhere in the frame: the most marker-like blob, weighted by its distance from where the marker
-        was last seen."""
+        """Looks for the marker in the whole frame: the likeliest blob (see `_likeness`) of its size that is no decoy;
+        lost, with the reason, where there is none."""
         blobs = self.blobs(picture)
-        others = [blob for blob in blobs if not self._at_another(blob.seen)]
-        alike = [blob for blob in others if self._of_its_size(blob.seen)]
+        others = [blob for blob in blobs if not self._is_decoy(blob.seen)]
+        alike = [blob for blob in others if self._has_its_size(blob.seen)]
         if not alike:
             self._cut = 0.5
             if others:
-                return _lost("its size jumped")
-            return _lost("what is there is alike but never moves") if blobs else self._nothing
+                return lost_sighting("its size jumped")
+            return lost_sighting("what is there is alike but never moves") if blobs else self._why_none
         best = max(alike, key=self._likeness)
         self._cut, self._expected = best.cut, best.after
         return best.seen
 
     def _likeness(self, blob: _Blob) -> float:
-        """The blob's score, without unit, less the farther it is from where the marker was last seen."""
-        if self._left is None:
+        """How likely a blob is the marker: its score, the less the farther it is from where the marker was last seen.
+        Without unit."""
+        if self._last_seen is None:
             return blob.score
-        away = float(np.hypot(blob.seen.u_px - self._left.u_px, blob.seen.v_px - self._left.v_px))
+        away = float(np.hypot(blob.seen.u_px - self._last_seen.u_px, blob.seen.v_px - self._last_seen.v_px))
         return blob.score / (1.0 + (away / (_NEAR * self.colour.diameter_px)) ** 2)
 
     def blobs(self, picture: Array) -> list[_Blob]:
-        """Blobs that may be the marker, measured at full size. They are searched in the frame shrunk as far as the
-        smallest marker allows, at most four times; fainter ones only where there is no clear one."""
+        """The blobs of the marker's colour in a BGR picture, measured, six at most. They are searched in the picture
+        shrunk as far as the smallest marker allows, at most four times; fainter ones only if there is no clear one."""
         shrink = 1
         while shrink < 4 and self._smallest_px / shrink > 2.0 and min(picture.shape[:2]) > 16 * shrink:
             shrink *= 2
@@ -186,12 +189,13 @@ class MarkerTracker:
         return []
 
     def _blobs_above(self, picture: Array, y: Array, level: float, shrink: int) -> list[_Blob]:
-        """Measured blobs of about the marker's area, at most six, where the membership y exceeds `level` (1 is the
-        marker as picked); y is of the picture made `shrink` times smaller. Without one, why is kept in _nothing."""
+        """Measures the connected regions in which the membership exceeds `level` and whose area is about the marker's,
+        six at most. y (height, width): membership (1 is the marker as picked) in the picture made `shrink` times
+        smaller. Where there is none, the reason is kept in _why_none."""
         _, _, stats, centroids = cv2.connectedComponentsWithStats((y > level).astype(np.uint8), connectivity=4)
         expected = 0.25 * np.pi * (self.colour.diameter_px / shrink) ** 2
         blobs, before = list[_Blob](), self._expected
-        self._nothing = _lost("no marker of this colour")
+        self._why_none = lost_sighting("no marker of this colour")
         largest = np.argsort(-np.minimum(stats[1:, cv2.CC_STAT_AREA], expected))[:6] + 1  # 0 is what is no blob
         for i in largest:
             x0, y0, width, height, area = stats[i]
@@ -209,14 +213,14 @@ class MarkerTracker:
                 ratio = sighting.diameter_px / self.colour.diameter_px
                 blobs.append(_Blob(sighting, min(ratio, 1.0 / ratio) * self._cut, self._cut, self._expected))
             else:
-                self._nothing = sighting
+                self._why_none = sighting
         self._expected = before
         return blobs
 
 
 def find_colour(pictures: Sequence[Array]) -> MarkerColour | None:
-    """The marker's colour from pictures of one scene that were taken some time apart: of the colours that stand out,
-    the one seen most often that moves. None where nothing stands out."""
+    """The marker's colour from BGR pictures of one scene that were taken some time apart: of the colours that stand
+    out, the one with the best `_moving_score`. None where nothing stands out."""
     colours: list[MarkerColour] = []
     for picture in pictures[:: max(1, len(pictures) // 3)][:3]:
         colours += [
@@ -234,13 +238,13 @@ def find_colour(pictures: Sequence[Array]) -> MarkerColour | None:
 
 
 def _purity(colour: MarkerColour) -> float:
-    """Saturation of a marker's colour, 0 (grey) to 1."""
+    """Saturation of a marker's colour: 0 (grey) to 1."""
     return 1.0 - min(colour.colour) / max(*colour.colour, 1.0)
 
 
 def _of_median_purity(colour: MarkerColour, pictures: Sequence[Array]) -> MarkerColour:
-    """The marker's colour picked anew in all pictures, the one of median purity: in the first picture it may have been
-    pale with light. `colour` itself where it is found in none."""
+    """Picks the marker's colour anew in every picture that shows it, and returns the one of median purity: where it was
+    picked first the marker may have been pale with light. `colour` itself where no picture shows it."""
     tracker = MarkerTracker(colour)
     usual = []
     for picture in pictures:
@@ -254,23 +258,26 @@ def _of_median_purity(colour: MarkerColour, pictures: Sequence[Array]) -> Marker
 
 
 def alike_but_still(colour: MarkerColour, pictures: Sequence[Array]) -> list[tuple[float, float]]:
-    """Places (u, v) px where things of the marker's colour and size rest in pictures taken some time apart, while
-    another one, the marker, moves. Empty where all of them move, or none does."""
+    """Places (u, v) px of decoys: things of the marker's colour and size that rest in BGR pictures taken some time
+    apart, while another one, the marker, moves. Empty where all of them move, or none does."""
     tracker = MarkerTracker(colour)
     seen = [(k, b.seen.u_px, b.seen.v_px) for k, picture in enumerate(pictures) for b in tracker.blobs(picture)]
     owner, *places_uv = np.array(seen).reshape(-1, 3).T  # owner: of which picture
     places = np.column_stack(places_uv)
     still: list[tuple[float, float]] = []
-    left = np.ones(len(places), dtype=bool)
-    while left.any():
-        near = [left & (np.hypot(*(places - place).T) < _SAME_PLACE * colour.diameter_px) for place in places[left]]
-        most = max(near, key=np.count_nonzero)
-        if len(np.unique(owner[most])) < _STAYS * len(pictures):
+    remaining = np.ones(len(places), dtype=bool)
+    while remaining.any():
+        near = [
+            remaining & (np.hypot(*(places - place).T) < _SAME_PLACE * colour.diameter_px)
+            for place in places[remaining]
+        ]
+        largest = max(near, key=np.count_nonzero)
+        if len(np.unique(owner[largest])) < _STAYS * len(pictures):
             break
-        still.append((float(np.median(places[most, 0])), float(np.median(places[most, 1]))))
-        left &= ~most
-    moving = len(np.unique(owner[left]))
-    return still if moving >= _ELSEWHERE * len(pictures) else []
+        still.append((float(np.median(places[largest, 0])), float(np.median(places[largest, 1]))))
+        remaining &= ~largest
+    pictures_with_another = len(np.unique(owner[remaining]))
+    return still if pictures_with_another >= _ELSEWHERE * len(pictures) else []
 
 
 def _same_colour_and_size(one: MarkerColour, other: MarkerColour) -> bool:
@@ -282,9 +289,9 @@ def _same_colour_and_size(one: MarkerColour, other: MarkerColour) -> bool:
 
 
 def _moving_score(colour: MarkerColour, pictures: Sequence[Array]) -> float:
-    """How well `colour` finds a moving marker, 0 to 1: 1 where it is found in every picture and never where it was in
-    another; a tenth of the share of pictures in which it is found, if what it finds does not move. One that sways by
-    less than its size is in between: up to 0.37 of that share, from 2 px on. 0 where it is never found."""
+    """How well `colour` finds a moving marker in the pictures, 0 to 1. 1: it is found in every picture, and where it
+    was in one picture its colour is not in the others. What does not move counts a tenth of the share of pictures in
+    which it is found; what sways by less than its size up to 0.37 of that share, from 2 px on. 0: never found."""
     tracker = MarkerTracker(colour)
     places = []
     for picture in pictures:
@@ -292,14 +299,14 @@ def _moving_score(colour: MarkerColour, pictures: Sequence[Array]) -> float:
         seen = tracker.track(picture)
         places.append((seen.u_px, seen.v_px))
     place = np.array(places)
-    moved = 0.0
+    moved = 0.0  # pictures in which it is where nothing of its colour is in others
     for k in np.flatnonzero(np.isfinite(place[:, 0])):
         away = np.hypot(*(place - place[k]).T)
         others = np.flatnonzero(away > 1.5 * colour.diameter_px)  # NaN is not
         if len(others):
             column, row = np.rint(place[k]).astype(int)
-            left = [colour.membership(pictures[j][row : row + 1, column : column + 1])[0, 0] for j in others[:4]]
-            moved += 1.0 - float(np.clip(np.mean(left), 0.0, 1.0))
+            there = [colour.membership(pictures[j][row : row + 1, column : column + 1])[0, 0] for j in others[:4]]
+            moved += 1.0 - float(np.clip(np.mean(there), 0.0, 1.0))
     seen_at = place[np.isfinite(place[:, 0])]
     share = len(seen_at) / len(pictures)
     if not len(seen_at):
@@ -309,10 +316,11 @@ def _moving_score(colour: MarkerColour, pictures: Sequence[Array]) -> float:
 
 
 def track_video(video: Video, colour: MarkerColour | None = None, progress: Progress | None = None) -> Marker:
-    """The marker in every frame of a video, as marker.csv would have it: rows where it is lost are not valid. colour:
-    as picked with `taut marker`; default the marker.toml or region.toml beside the video, else the colour of what
-    stands out and moves. Times are those of frames.csv, else the container's with the first frame at 0; frames that
-    frames.csv does not list give no row. TautError where no marker is found."""
+    """Tracks the marker through every frame of a video; returns what marker.csv would hold, rows where it is lost being
+    not valid. colour: as picked with `taut marker`; by default that of the marker.toml beside the video, or the place
+    of its region.toml is followed, or else the colour of what stands out and moves is taken. Times are those of
+    frames.csv, or without one the container's with the first frame at 0; frames that frames.csv does not list give no
+    row. TautError where no marker is found."""
     region = Region.beside(video.path) if colour is None else None
     if region is not None:
         return _track_region(video, region, progress)
@@ -337,12 +345,12 @@ def track_video(video: Video, colour: MarkerColour | None = None, progress: Prog
 
 
 def _track_region(video: Video, region: Region, progress: Progress | None) -> Marker:
-    """The region's place in every frame. The video is read twice: what the region looks like along its way, and what
-    stays behind, is learnt in the first pass."""
+    """Tracks a shown place, without a marker, through every frame of a video. The video is read twice: the first pass
+    learns what the place looks like along its way, and what is background. TautError where it is never found."""
     tracker = region.tracker()
-    every_frame(video, tracker.track, half(progress, 0.0))
+    every_frame(video, tracker.track, half_progress(progress, 0.0))
     tracker.settle()
-    frames = _Frames(*every_frame(video, tracker.track, half(progress, 0.5)))
+    frames = _Frames(*every_frame(video, tracker.track, half_progress(progress, 0.5)))
     if not any(s.valid for s in frames.seen):
         raise TautError(
             f"{video.path}: the place of {REGION_FILE} is found in none of its {len(frames.seen)} frames: show it in "
@@ -354,13 +362,15 @@ def _track_region(video: Video, region: Region, progress: Progress | None) -> Ma
 
 @dataclass(frozen=True)
 class _Frames:
-    t_s: Array  # of arrival; NaN where frames.csv does not name the frame
-    seen: list[Sighting]
-    size: tuple[int, int] | None
+    """What a tracker saw in the n frames of a video."""
+
+    t_s: Array  # (n,) of arrival; NaN where frames.csv does not name the frame
+    seen: list[Sighting]  # n
+    size: tuple[int, int] | None  # width, height, px
 
     def rows(self, sure: npt.NDArray[np.bool_]) -> Marker:
-        """The frames with a time as marker.csv's rows. sure (n,): which sightings are the marker's; others are NaN and
-        not valid. Frames without a time are counted in `untimed`."""
+        """The frames that have a time, as marker.csv's rows. sure (n,): which sightings are the marker's; the others
+        become NaN and not valid. Frames without a time are only counted, in `untimed`."""
         timed = np.isfinite(self.t_s)
         rows = np.array([(s.u_px, s.v_px, s.sigma_px) for s in self.seen])
         u, v, sigma = np.where(sure[:, None], rows, np.nan)[timed].T
@@ -368,9 +378,9 @@ class _Frames:
 
 
 def with_marker(recording: Recording, rig: Rig, progress: Progress | None = None) -> Recording:
-    """The recording with what its video shows, where it has no marker.csv: the marker's track, or the bending angle
-    where the tip's own camera took it. Unchanged where there is nothing to track. TautError where nothing can be told
-    from the video."""
+    """Tracks a recording's video, if that has not been done: returns the recording with the marker's track, or with the
+    bending angle if the tip's own camera took the video. Unchanged where there is a marker.csv already, no video or no
+    camera in the rig. TautError where the video shows nothing that can be tracked."""
     if rig.sees_from_tip and recording.angle is None and recording.video is not None:
         return replace(recording, angle=bending_by_scene(recording.video, recording.motor, rig, progress))
     if recording.marker is not None or recording.video is None or not rig.has_camera:
@@ -379,9 +389,10 @@ def with_marker(recording: Recording, rig: Rig, progress: Progress | None = None
 
 
 def of_one_marker(seen: Sequence[Sighting]) -> npt.NDArray[np.bool_]:
-    """(n,) Which sightings, of frames in order, are the marker's. After a jump that is too far for its speed something
-    else was taken for it: of all chains of stretches that a marker could go, the one with most frames is kept. A
-    sighting beside a lost frame is dropped if its size differs, as it may be partly hidden."""
+    """(n,) Which of the sightings, of n frames in order, are the marker's. Where a sighting is too far from the one
+    before for the marker's speed, something else was taken for it: the track is cut there into stretches, and the chain
+    of stretches with most frames along which a marker could go is kept. A sighting beside a lost frame is dropped if
+    its size differs, as it may be partly hidden."""
     valid = np.array([s.valid for s in seen])
     place = np.array([(s.u_px, s.v_px) for s in seen])
     size = np.array([s.diameter_px for s in seen])
@@ -398,7 +409,7 @@ def of_one_marker(seen: Sequence[Sighting]) -> npt.NDArray[np.bool_]:
         return _LEAP * usual + _FASTER * speed * frames
 
     stretches = np.split(at, np.flatnonzero(step > reach(gap)) + 1)
-    for k in _not_in_chain(stretches, place, reach):
+    for k in _outside_best_chain(stretches, place, reach):
         valid[stretches[k]] = False
     beside_lost = np.zeros_like(valid)
     beside_lost[1:] |= ~valid[:-1]
@@ -410,19 +421,19 @@ def of_one_marker(seen: Sequence[Sighting]) -> npt.NDArray[np.bool_]:
 
 
 def lit_by_place(seen: Sequence[Sighting], sure: npt.NDArray[np.bool_]) -> list[Sighting]:
-    """The sightings with what they allow for light from one side (lit_px) smoothed over the marker's place (locally
-    linear): it is the same there whichever way the marker goes, and all frames nearby tell it. sure (n,): which are the
-    marker's. As they are where none allows for any."""
+    """The sightings with their correction for light from one side (lit_px), which each frame tells with noise, smoothed
+    over the marker's place in the image: at one place it is the same, whichever way the marker goes. sure (n,): which
+    sightings are the marker's; the others stay as they are. The smoothing is locally linear."""
     lit = np.array([s.lit_px for s in seen])
-    at = np.flatnonzero(sure)  # a frame that allows for none tells of its place, too
+    at = np.flatnonzero(sure)  # also frames whose own correction is 0
     if not lit[at].any():
         return list(seen)
     place, wide = np.array([(s.u_px, s.v_px) for s in seen])[at], float(np.median([seen[k].diameter_px for k in at]))
-    # Medians in cells of one diameter; in each a plane through those around it, weighted by frames and nearness.
+    # Medians in square cells of one diameter; in each a plane through those around it, weighted by frames and nearness.
     _, cell = np.unique(np.floor(place / wide), axis=0, return_inverse=True)
     cells = [np.flatnonzero(cell.ravel() == k) for k in range(int(cell.max()) + 1)]
     middle = np.array([place[own].mean(axis=0) for own in cells])
-    usual = np.array([np.median(lit[at[own]], axis=0) for own in cells])
+    median = np.array([np.median(lit[at[own]], axis=0) for own in cells])
     smooth = lit.copy()
     for own, here in zip(cells, middle, strict=True):
         away = (middle - here) / (_ALIKE_LIT * wide)
@@ -430,20 +441,21 @@ def lit_by_place(seen: Sequence[Sighting], sure: npt.NDArray[np.bool_]) -> list[
         rows = np.column_stack([np.ones(len(cells)), away])
         slopes = np.diag([0.0, 1.0, 1.0])  # prior: no more than a frame's worth of them is 0
         normal = (rows.T * weight) @ rows + slopes
-        plane = np.linalg.solve(normal, (rows.T * weight) @ usual)
+        plane = np.linalg.solve(normal, (rows.T * weight) @ median)
         smooth[at[own]] = plane[0] + (place[own] - here) / (_ALIKE_LIT * wide) @ plane[1:]
-    by = smooth - lit
+    change = smooth - lit
     return [
         replace(
             s, u_px=s.u_px + float(u), v_px=s.v_px + float(v), lit_px=(s.lit_px[0] + float(u), s.lit_px[1] + float(v))
         )
-        for s, (u, v) in zip(seen, by, strict=True)
+        for s, (u, v) in zip(seen, change, strict=True)
     ]
 
 
-def _not_in_chain(stretches: Sequence[Array], place: Array, reach: Callable[[int], Array | float]) -> list[int]:
-    """Indices of the stretches (each indices of frames) outside of the chain with most frames in which each stretch
-    begins within reach(frames) px of the end of the one before. place (frames, 2) px."""
+def _outside_best_chain(stretches: Sequence[Array], place: Array, reach: Callable[[int], Array | float]) -> list[int]:
+    """Indices of the stretches, each an array of frame indices, that are not in the best chain: the one with most
+    frames in which every stretch begins within reach(frames between) px of the end of the one before. place: (frames,
+    2) px. By dynamic programming."""
     best = np.array([len(stretch) for stretch in stretches])
     before = np.full(len(stretches), -1)
     for k, stretch in enumerate(stretches):
@@ -452,8 +464,8 @@ def _not_in_chain(stretches: Sequence[Array], place: Array, reach: Callable[[int
             near = np.hypot(*(place[start] - place[end])) <= reach(int(start - end))
             if near and best[j] + len(stretch) > best[k]:
                 best[k], before[k] = best[j] + len(stretch), j
-    kept, k = set(), int(np.argmax(best))
+    chain, k = set(), int(np.argmax(best))
     while k >= 0:
-        kept.add(k)
+        chain.add(k)
         k = int(before[k])
-    return [k for k in range(len(stretches)) if k not in kept]
+    return [k for k in range(len(stretches)) if k not in chain]

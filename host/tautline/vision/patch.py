@@ -56,14 +56,14 @@ class Pose:
     b: float = 0.0  # scale * sin(turn)
 
     def then(self, motion: Array) -> Pose:
-        """The pose after a motion of the picture, affine (2, 3): its similarity part turns and scales, all of it moves
-        the middle."""
+        """The pose after a motion of the picture, an affine map (2, 3) of px to px: all of it moves the middle, its
+        similarity part turns and scales."""
         c, s = 0.5 * float(motion[0, 0] + motion[1, 1]), 0.5 * float(motion[1, 0] - motion[0, 1])
         u, v = motion @ (self.u, self.v, 1.0)
         return Pose(float(u), float(v), c * self.a - s * self.b, s * self.a + c * self.b)
 
     def to(self, other: Pose) -> Array:
-        """The similarity (2, 3) that takes this pose to the other."""
+        """The similarity (2, 3), of px to px, that takes this pose to the other."""
         size = self.a**2 + self.b**2
         c = (other.a * self.a + other.b * self.b) / size
         s = (other.b * self.a - other.a * self.b) / size
@@ -76,7 +76,7 @@ class Pose:
 
     @staticmethod
     def mean(weighted: Sequence[tuple[float, Pose]]) -> Pose:
-        """The weighted mean of poses; weighted: (weight, pose) each."""
+        """The weighted mean of poses, given as (weight, pose)."""
         weights = np.array([weight for weight, _ in weighted])
         rows = np.array([(pose.u, pose.v, pose.a, pose.b) for _, pose in weighted])
         return Pose(*map(float, weights @ rows / weights.sum()))
@@ -88,7 +88,8 @@ class Pose:
         return placed
 
     def unlike(self, other: Pose, side_px: float) -> float:
-        """Distance between two poses by turn, scale and shift, without unit: from 1 on a new keyframe is taken."""
+        """How different the region looks in two poses: a distance by turn, scale and shift, without unit; from 1 on a
+        new keyframe is taken. side_px: of the region."""
         motion = self.to(other)
         turn = np.degrees(np.arctan2(motion[1, 0], motion[0, 0]))
         scale = np.log(np.hypot(motion[1, 0], motion[0, 0]))
@@ -100,45 +101,47 @@ class _Keyframe:
     """What the region and its surroundings looked like once, and the corners in it."""
 
     def __init__(self, cut: Picture, corner: Array, pose: Pose, side_px: float) -> None:
-        """cut: the part of a grey picture around the region; corner (2,): the place (u, v) of cut's first pixel in the
-        picture, px. What is followed are the corners in the region's square, found here."""
+        """Finds the corners in the region's square. cut: the part of a grey picture around the region; corner (2,): the
+        place (u, v) of its first pixel in the picture, px; pose: of the region in the picture."""
         self.picture, self.corner, self.pose, self._side_px = cut, corner, pose, side_px
         mask = np.zeros(cut.shape, dtype=np.uint8)
         cv2.fillConvexPoly(mask, np.rint(pose.square(side_px) - corner).astype(np.int32), 255)
         self.corners = corners_in(cut, mask, _CORNERS, _APART) + corner
-        self.together = len(self.corners)  # in the last picture
-        self.off_px = 0.0  # scatter of its place of the region's middle, a coordinate, beside what its corners say
+        self.together = len(self.corners)  # how many went along with the region in the last picture
+        self.off_px = 0.0  # rms error of its pose's middle, per coordinate, beyond what its corners say
         # Of each corner: pictures in which the region was elsewhere, and in how many of them it went along.
         self._tried, self._met = np.zeros((2, len(self.corners)))
 
     @classmethod
     def of(cls, light: EvenLight, pose: Pose, side_px: float) -> Self:
-        """A keyframe of the region as a picture shows it. Its part of the picture holds the region however it is turned
-        (1.5 sides), and a margin."""
+        """A keyframe of the region as a picture shows it at this pose. It keeps a part of the picture that holds the
+        region however it is turned (1.5 sides), and a margin."""
         long = int(1.5 * side_px + 2.0 * _MARGIN_PX)
         return cls(*light.cut(pose.u, pose.v, (min(long, light.shape[0]), min(long, light.shape[1]))), pose, side_px)
 
     def turned(self, turn_deg: float) -> _Keyframe:
-        """The keyframe as it would look with the region turned by so many degrees."""
+        """The keyframe as it would look with the region turned by turn_deg about its middle."""
         pose = self.pose
         warp = cv2.getRotationMatrix2D((pose.u - float(self.corner[0]), pose.v - float(self.corner[1])), -turn_deg, 1.0)
         size = self.picture.shape[1], self.picture.shape[0]
         picture = cv2.warpAffine(self.picture, warp, size, borderMode=cv2.BORDER_REPLICATE)
         cos, sin = float(np.cos(np.radians(turn_deg))), float(np.sin(np.radians(turn_deg)))
-        there = Pose(pose.u, pose.v, cos * pose.a - sin * pose.b, sin * pose.a + cos * pose.b)
-        return _Keyframe(np.asarray(picture, dtype=np.uint8), self.corner, there, self._side_px)
+        turned_pose = Pose(pose.u, pose.v, cos * pose.a - sin * pose.b, sin * pose.a + cos * pose.b)
+        return _Keyframe(np.asarray(picture, dtype=np.uint8), self.corner, turned_pose, self._side_px)
 
     @property
     def square(self) -> Picture:
-        """The square around the region's middle, cut out of the picture as it lies, (side, side) px, grey levels."""
+        """The square around the region's middle, upright in the picture, (side, side) grey levels, for template
+        matching."""
         side = max(int(self._side_px), 2)
         middle = self.pose.u - float(self.corner[0]), self.pose.v - float(self.corner[1])
         return np.asarray(cv2.getRectSubPix(self.picture, (side, side), middle), dtype=np.uint8)
 
     def seen_at(self, light: EvenLight, expected: Pose) -> tuple[Pose, float] | None:
-        """The region's pose in another picture, by the corners that follow one affine motion (RANSAC), and one standard
-        deviation of its middle per coordinate, px; None where too few do. expected: where it is looked for. Where the
-        region has moved on, it is counted which corners went along, for `settle`."""
+        """The region's pose in another picture by this keyframe's corners, of which those count that follow one affine
+        motion (RANSAC), and the standard deviation of its middle, px per coordinate. None where too few corners do.
+        expected: the pose about which they are looked for. If the region has moved since the keyframe, it is counted
+        which corners went along, for `settle`."""
         motion = self.pose.to(expected)
         cut, corner = light.cut(expected.u, expected.v, (self.picture.shape[0], self.picture.shape[1]))
         if len(self.corners) < _FEWEST:
@@ -160,17 +163,14 @@ class _Keyframe:
         if np.hypot(pose.u - self.pose.u, pose.v - self.pose.v) > _APART_PX:
             self._tried += 1
             self._met[kept[together]] += 1
-        here, places = here[together], places[together]
-        left = places - here @ fit[:, :2].T - fit[:, 2]
-        scatter = float(np.sum(left**2)) / (2 * len(here) - 6)  # px squared; six numbers were fitted
-        away, lever = here - here.mean(axis=0), (self.pose.u, self.pose.v) - here.mean(axis=0)
-        spread = away.T @ away + 1e-9 * np.eye(2)
-        sigma = float(np.sqrt(scatter * (1.0 / len(here) + lever @ np.linalg.solve(spread, lever))))
+        sigma = _sigma_of_affine(
+            np.asarray(fit, dtype=np.float64), here[together], places[together], np.array([self.pose.u, self.pose.v])
+        )
         return pose, max(float(np.hypot(sigma, self.off_px)), SURE_PX)
 
     def settle(self) -> bool:
-        """Drops the corners that stayed behind when the region moved (background); returns whether enough are left to
-        follow."""
+        """Drops the corners that mostly stayed behind when the region moved, as they are on the background; returns
+        whether enough are left for the keyframe to be used."""
         own = self._met >= _OWN * self._tried
         self.corners, self._tried, self._met = self.corners[own], self._tried[own], self._met[own]
         return len(self.corners) >= _FEWEST
@@ -202,8 +202,8 @@ class PatchTracker:
         self._poses: deque[Pose] = deque(maxlen=2)  # in the last frames; empty where it was lost
 
     def settle(self) -> None:
-        """Ends learning, after a motion: keyframes are adjusted to each other and corners of the background dropped.
-        The next picture may be any."""
+        """Ends learning, after a motion: adjusts the keyframes to each other and drops corners of the background. The
+        next picture may be any, such as the motion's first again."""
         shifted = self._keyframes.settle()
         if shifted is not None:
             for key, (u, v), off_px in zip(self._keyframes.keys, *shifted, strict=True):
@@ -239,9 +239,9 @@ class PatchTracker:
         return last.then(before.to(last))
 
     def _pose_by_nearest(self, light: EvenLight, expected: Pose) -> tuple[Pose, float] | None:
-        """The pose and its sigma, px, by the nearest keyframes that find it, the nearer the more; None where none does.
-        While learning what two of them differ by is noted, and a keyframe
-        is added where the nearest is far or fading."""
+        """The region's pose and its sigma, px per coordinate, by the nearest keyframes that find it near `expected`,
+        weighted by nearness; None where none does. While learning, the difference of two keyframes is noted, and a
+        keyframe is added where the nearest one is far or few of its corners are found."""
         away = [key.pose.unlike(expected, self.side_px) for key in self._keyframes.keys]
         found = self._keyframes.nearest(away, lambda key: key.seen_at(light, expected), beyond=True)
         if not found:
@@ -258,8 +258,9 @@ class PatchTracker:
         return pose, float(np.sqrt(sum((weight / total * sigma) ** 2 for weight, _, (_, sigma) in found)))
 
     def _search(self, light: EvenLight) -> tuple[Pose, float] | None:
-        """The pose and its sigma, px, anywhere in the frame: template matching of the keyframes in the shrunk picture
-        (a single keyframe also turned), then measured; None where nothing is found."""
+        """The region's pose and its sigma, px per coordinate, anywhere in the frame: template matching of the keyframes
+        in the shrunk picture, then `seen_at` at the likeliest places. A keyframe that is the only one, as in another
+        video, is also tried turned. None where nothing is found."""
         small = _smaller(light.whole)
         views = self._keyframes.keys
         if len(views) == 1:
@@ -279,7 +280,17 @@ class PatchTracker:
         return None
 
 
+def _sigma_of_affine(fit: Array, here: Array, places: Array, at: Array) -> float:
+    """The standard deviation, px per coordinate, of where an affine motion (2, 3) takes the point `at` (2,), by the
+    residuals of the corners that it was fitted to: `here` (n, 2) went to `places` (n, 2), px."""
+    residual = places - here @ fit[:, :2].T - fit[:, 2]
+    scatter = float(np.sum(residual**2)) / (2 * len(here) - 6)  # px squared; six numbers were fitted
+    away, lever = here - here.mean(axis=0), at - here.mean(axis=0)
+    spread = away.T @ away + 1e-9 * np.eye(2)
+    return float(np.sqrt(scatter * (1.0 / len(here) + lever @ np.linalg.solve(spread, lever))))
+
+
 def _smaller(grey: Picture) -> Picture:
-    """The picture at the size at which a lost region is looked for, a half."""
+    """A grey picture shrunk by _SHRINK, as a lost region is looked for in it."""
     small = cv2.resize(grey, None, fx=1 / _SHRINK, fy=1 / _SHRINK, interpolation=cv2.INTER_AREA)
     return np.asarray(small, dtype=np.uint8)

@@ -22,16 +22,17 @@ FORMAT = "region/1"
 
 @dataclass(frozen=True)
 class Region:
-    """A place on the instrument as it was shown: a square of side_px around `at`, (u, v) px, in a picture that is kept
-    beside the file."""
+    """A place on an instrument without a marker, as a person showed it once in a picture, which is kept beside the
+    file: a square of side_px around `at`."""
 
-    at: tuple[float, float]
+    at: tuple[float, float]  # u, v, px
     side_px: float
-    picture: Picture  # BGR
+    picture: Picture  # BGR (height, width, 3)
 
     @classmethod
     def beside(cls, video: Path) -> Self | None:
-        """The region.toml beside a video; None where there is none. TautError where a marker's colour is there too."""
+        """The region of the region.toml beside a video; None where there is none. TautError where a marker's colour is
+        there, too."""
         path = video.parent / REGION_FILE
         if not path.is_file():
             return None
@@ -40,10 +41,11 @@ class Region:
         return cls.load(path)
 
     def tracker(self) -> PatchTracker:
+        """A tracker of this place. TautError where there is nothing to follow."""
         return PatchTracker(self.picture, self.at, self.side_px)
 
     def save(self, path: Path) -> None:
-        """Writes the region, and its picture as a PNG of the same name."""
+        """Writes region.toml to `path`, and the picture as a PNG of the same name beside it."""
         shown = path.with_suffix(".png")
         if not cv2.imwrite(str(shown), self.picture):
             raise TautError(f"{shown}: cannot be written: is there room, and may you write there?")

@@ -30,7 +30,7 @@ _TO_BGR = {  # by encoding: channels, OpenCV's conversion
 
 
 def is_topic(source: object) -> bool:
-    """Whether a camera's name is that of a topic."""
+    """Whether a camera's name means a ROS topic: ros:TOPIC."""
     return isinstance(source, str) and source.startswith(_PREFIX)
 
 
@@ -42,17 +42,17 @@ class RosCamera:
     frames = None  # how many there are: a topic does not end
 
     def __init__(self, source: str) -> None:
-        """source: ros:TOPIC. Subscribes to it."""
+        """Subscribes to the topic of ros:TOPIC, the camera's name. TautError where nobody publishes images on it."""
         self.name, topic = source, source.removeprefix(_PREFIX)
         self.clock = "not known before the first frame"
         self._drops = Drops()
-        self._came = threading.Condition()
+        self._frame_arrived = threading.Condition()
         self._waiting: deque[tuple[float, Any]] = deque(maxlen=_KEPT)
         self._graph = Graph("tautline_camera")
         try:
             kind = self._message_type(topic)
             self._graph.node.create_subscription(
-                getattr(library("sensor_msgs.msg"), kind), topic, self._receive, sensor_qos(_KEPT)
+                getattr(library("sensor_msgs.msg"), kind), topic, self._on_message, sensor_qos(_KEPT)
             )
             self._graph.begin()
         except BaseException:
@@ -60,8 +60,8 @@ class RosCamera:
             raise
 
     def _message_type(self, topic: str) -> str:
-        """The class of message that the topic's publisher sends, Image or CompressedImage. Waits for a publisher;
-        TautError where none comes, or it sends something else."""
+        """The message class that the topic's publisher sends, "Image" or "CompressedImage" of sensor_msgs. Waits
+        _FIRST_S for a publisher; TautError where none comes, or it sends something else."""
         end = time.monotonic() + _FIRST_S
         while time.monotonic() < end:
             offered = {
@@ -79,30 +79,30 @@ class RosCamera:
         """Frames that never came, or that were not read in time."""
         return self._drops.count
 
-    def _receive(self, message: Any) -> None:
-        """Queues a message with its arrival, s of the monotonic clock: by its stamp, where that says 0 to 1 s ago on
-        this machine's clock, else when it came."""
+    def _on_message(self, message: Any) -> None:
+        """Callback: queues a message with its arrival time, s of the host's monotonic clock: its stamp's, if by this
+        machine's clock that is 0 to _OLDEST_S old, else now."""
         now = time.monotonic()
         age_s = self._graph.age_s(message.header.stamp)
         stamped = 0.0 <= age_s < _OLDEST_S
         self.clock = "the messages' stamps" if stamped else "the host's monotonic clock when the message came"
-        with self._came:
+        with self._frame_arrived:
             self._waiting.append((now - age_s if stamped else now, message))
-            self._came.notify()
+            self._frame_arrived.notify()
 
     def read(self) -> tuple[Array, float] | None:
-        """The next frame, BGR (height, width, 3) uint8, with its arrival time, s; never None. TautError where none
-        comes any more, or its encoding cannot be shown."""
-        with self._came:
-            if not self._came.wait_for(lambda: bool(self._waiting), _NEXT_S):
+        """Waits for the next frame, BGR (height, width, 3) uint8, and its arrival time, s; never None, as a topic does
+        not end. TautError where none comes within _NEXT_S, or its encoding is not known."""
+        with self._frame_arrived:
+            if not self._frame_arrived.wait_for(lambda: bool(self._waiting), _NEXT_S):
                 raise TautError(f"{self.name}: no more images: is its camera still there?")
             arrival_s, message = self._waiting.popleft()
         self._drops.add(arrival_s)
         return self._picture(message), arrival_s
 
     def _picture(self, message: Any) -> Array:
-        """The message's picture, BGR (height, width, 3) uint8; what has no encoding is a CompressedImage, so decoded.
-        TautError where it cannot be."""
+        """The picture in a message, BGR (height, width, 3) uint8: an Image's rows, or what a CompressedImage (which has
+        no field `encoding`) decodes to. TautError where it cannot be read."""
         data = np.frombuffer(message.data, np.uint8)
         if not hasattr(message, "encoding"):
             decoded = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
@@ -122,6 +122,7 @@ class RosCamera:
         return np.ascontiguousarray(pixels) if code is None else np.asarray(cv2.cvtColor(pixels, code))
 
     def close(self) -> None:
+        """Leaves the ROS graph."""
         self._graph.close()
 
     def __enter__(self) -> Self:

@@ -19,7 +19,7 @@ from tautline.errors import TautError
 from tautline.recording import Angle, Motor, Video
 from tautline.rig import Camera, Coarse, Rig
 from tautline.vision.flow import Picture, corners_in, even_light, found_again
-from tautline.vision.frames import Progress, every_frame, half
+from tautline.vision.frames import Progress, every_frame, half_progress
 from tautline.vision.keyframes import Keyframes
 
 Array = npt.NDArray[np.floating[Any]]
@@ -37,16 +37,18 @@ _FEWEST_TURNS = 20  # tolerance: of a video
 
 @dataclass
 class _Keyframe:
-    picture: Picture
+    """One picture of the world, and the corners in it."""
+
+    picture: Picture  # grey, in even light
     corners: Array  # (n, 2) px
-    towards: Array  # (n, 3) unit vectors
+    towards: Array  # (n, 3) unit vectors from the camera to the corners
     turn: Array  # (3,) rad, rotation vector from the first picture's directions to its own
     tried: Array  # (n,) pictures in which a corner was found again
     met: Array  # (n,) and went along with most
 
     def settle(self) -> None:
-        """Drops the corners that often move apart from the rest, as they are on tissue that moves by itself; none where
-        too few would be left."""
+        """Drops the corners that often move apart from the rest, as they are on tissue that moves by itself; keeps all
+        if too few would be left."""
         own = self.met >= _OWN * self.tried
         if own.sum() >= _FEWEST:
             self.corners, self.towards, self.tried, self.met = (
@@ -56,24 +58,26 @@ class _Keyframe:
 
 @dataclass
 class SceneTracker:
-    """`track` gives the world's turn since the first picture that others show something of; after a motion `settle`
-    makes the keyframes agree."""
+    """How far the tip's own camera has turned, from what it sees: `track` gives its turn since the first keyframe,
+    picture by picture; `settle`, after a motion, makes the keyframes agree."""
 
     camera: Camera
     _keyframes: Keyframes[_Keyframe] | None = None  # from the first picture on
     _turns: list[Array] = field(default_factory=list)  # the last two
 
     def __post_init__(self) -> None:
-        """Sets the turn from the nearest keyframe, rad, from which a new one is taken: a share of the field of view."""
+        """Sets from which turn away from the nearest keyframe on, rad, a new one is taken: _STEP of the field of view's
+        diagonal."""
         across = np.hypot(self.camera.width_px / self.camera.fx_px, self.camera.height_px / self.camera.fy_px)
         self._step = _STEP * 2.0 * float(np.arctan(0.5 * across))
 
     def track(self, picture: Picture) -> Array | None:
-        """(3,) rad Rotation vector of the camera since the first frame; None where the scene is not found again. While
-        no frame shows the first one again (it was dark, or covered), turns begin anew at each."""
+        """The camera's turn in the next frame, BGR (height, width, 3) uint8: a rotation vector (3,), rad, since the
+        first frame; None where the scene is not found again. While no frame has shown anything of the first one (that
+        was dark, or covered), turns begin anew with each frame."""
         grey = even_light(picture)
         if self._keyframes is None:
-            return self._begin(grey)
+            return self._begin_anew(grey)
         expected = self._turns[-1] if self._turns else np.zeros(3)
         if len(self._turns) == 2:  # the motion goes on as it went
             expected = _vector(_matrix(self._turns[1]) @ _matrix(self._turns[0]).T @ _matrix(self._turns[1]))
@@ -81,18 +85,19 @@ class SceneTracker:
         if turn is None and (turn := self._turn_by_best(self._keyframes, grey)) is None:
             self._turns.clear()
             alone = len(self._keyframes.keys) == 1 and not self._keyframes.keys[0].met.any()
-            return self._begin(grey) if self._keyframes.learns and alone else None
+            return self._begin_anew(grey) if self._keyframes.learns and alone else None
         self._turns = [*self._turns[-1:], turn]
         return turn
 
-    def _begin(self, grey: Picture) -> Array:
-        """Makes this grey picture the first keyframe, where turns begin: (3,) rad, 0."""
+    def _begin_anew(self, grey: Picture) -> Array:
+        """Makes this grey picture the first and only keyframe, from which turns are told. Returns its turn, (3,)
+        zeros."""
         self._keyframes = Keyframes(self._keyframe(grey, np.zeros(3)), _KEYFRAMES, _REACH)
         return np.zeros(3)
 
     def settle(self) -> None:
-        """Ends learning: turns the keyframes so that they differ least in the pictures that two of them saw (least
-        squares). No keyframe is added any more; the next picture may be any."""
+        """Ends learning, after a motion: turns the keyframes so that they differ least in the pictures that two of them
+        saw (least squares), and drops corners on what moves by itself. The next picture may be any."""
         if self._keyframes is not None:
             shifted = self._keyframes.settle()
             if shifted is not None:
@@ -103,15 +108,15 @@ class SceneTracker:
         self._turns.clear()
 
     def _keyframe(self, grey: Picture, turn: Array) -> _Keyframe:
-        """A keyframe of this grey picture, which the camera took at this turn (3,) rad; corners near the border are
-        left out."""
+        """A keyframe of a grey picture, which the camera took at this turn (3,) rad, with its best corners, none within
+        _BORDER_PX of the border."""
         mask = np.zeros_like(grey)
         mask[_BORDER_PX:-_BORDER_PX, _BORDER_PX:-_BORDER_PX] = 255
         corners = corners_in(grey, mask, _CORNERS, _APART)
         return _Keyframe(grey, corners, self._directions(corners), turn, *np.zeros((2, len(corners))))
 
     def _directions(self, places: Array) -> Array:
-        """Unit vectors (n, 3) of the rays to places (n, 2) px, undistorted."""
+        """Unit vectors (n, 3) from the camera to what it sees at places (n, 2) px, lens distortion undone."""
         if not len(places):
             return np.empty((0, 3))
         distortion = np.array(self.camera.distortion)
@@ -119,9 +124,10 @@ class SceneTracker:
         rays = np.column_stack([flat, np.ones(len(flat))])
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
-    def _turn_by(self, key: _Keyframe, grey: Picture, expected: Array) -> tuple[Array, int] | None:
-        """The camera's turn (3,) rad by one keyframe's corners, and how many of them follow one homography (RANSAC);
-        None where too few do. expected: the turn near which they are looked for."""
+    def _turn_by_keyframe(self, key: _Keyframe, grey: Picture, expected: Array) -> tuple[Array, int] | None:
+        """The camera's turn (3,) rad in a grey picture by one keyframe's corners, and how many of them it is by: those
+        that follow one homography (RANSAC). None where too few do. expected: (3,) rad, the turn at which the corners
+        are looked for. Counts for each corner whether it went along."""
         ahead = key.towards @ (_matrix(expected) @ _matrix(key.turn).T).T
         if not len(ahead):
             return None
@@ -149,10 +155,11 @@ class SceneTracker:
         return _vector(_rotation_between(one[together], other[together]) @ _matrix(key.turn)), len(together)
 
     def _turn_by_nearest(self, keyframes: Keyframes[_Keyframe], grey: Picture, expected: Array) -> Array | None:
-        """The turn (3,) rad by the nearest keyframes, the nearer the more; None where none finds the scene. While
-        learning a keyframe is added where the nearest is far, and it is kept by how much two differ."""
+        """The camera's turn (3,) rad by the keyframes nearest to the turn `expected` (3,), weighted by nearness; None
+        where none of them finds the scene. While learning, the difference of two keyframes is noted, and a keyframe is
+        added where the nearest one is far."""
         away = np.array([np.linalg.norm(_relative_turn(key.turn, expected)) for key in keyframes.keys]) / self._step
-        found = keyframes.nearest(away.tolist(), lambda key: self._turn_by(key, grey, expected))
+        found = keyframes.nearest(away.tolist(), lambda key: self._turn_by_keyframe(key, grey, expected))
         if not found:
             return None
         (weight, first, (turn, _)), *others = found
@@ -165,15 +172,16 @@ class SceneTracker:
         return turn
 
     def _turn_by_best(self, keyframes: Keyframes[_Keyframe], grey: Picture) -> Array | None:
-        """The turn (3,) rad by the keyframe that finds most corners again at its own turn; None where none does."""
-        seen = [self._turn_by(key, grey, key.turn) for key in keyframes.keys]
+        """The camera's turn (3,) rad where it may be anywhere: by the keyframe that finds most of its corners again,
+        each tried as if the camera were back at its turn. None where none finds the scene."""
+        seen = [self._turn_by_keyframe(key, grey, key.turn) for key in keyframes.keys]
         found = max((one for one in seen if one is not None), key=lambda one: one[1], default=None)
         return None if found is None else found[0]
 
 
 def _rotation_between(one: Array, other: Array) -> Array:
-    """The least-squares rotation (3, 3) of directions (n, 3) to others (Kabsch): no reflection, thanks to the sign of
-    the determinant."""
+    """The least-squares rotation (3, 3) that takes directions `one` (n, 3) to `other` (n, 3) (Kabsch). The
+    determinant's sign keeps it from being a reflection."""
     left, _, right = np.linalg.svd(other.T @ one)
     return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
 
@@ -195,18 +203,19 @@ def _relative_turn(one: Array, other: Array) -> Array:
 
 
 def bending_by_scene(video: Video, motor: Motor, rig: Rig, progress: Progress | None = None) -> Angle:
-    """The bending angle over a video that the tip's own camera took. It is read twice: keyframes are learnt and
-    adjusted in the first pass. TautError where the scene is not found from frame to frame."""
+    """The tip's bending angle over a video that its own camera took (see `angle_of`), from how the camera turned. The
+    video is read twice: the first pass learns the keyframes. TautError where frames have another size than the rig's,
+    or the scene is not found from frame to frame."""
     assert rig.camera is not None
-    tracker, own = SceneTracker(rig.camera), (rig.camera.width_px, rig.camera.height_px)
-    size = every_frame(video, tracker.track, half(progress, 0.0))[2]
-    if size not in (None, own):
+    tracker, rig_size = SceneTracker(rig.camera), (rig.camera.width_px, rig.camera.height_px)
+    size = every_frame(video, tracker.track, half_progress(progress, 0.0))[2]
+    if size not in (None, rig_size):
         raise TautError(
-            f"{video.path}: its frames are {size[0]} x {size[1]} px, the rig's {own[0]} x {own[1]}: record at the "
-            "rig's size, or calibrate the camera at this one"
+            f"{video.path}: its frames are {size[0]} x {size[1]} px, the rig's {rig_size[0]} x {rig_size[1]}: record "
+            "at the rig's size, or calibrate the camera at this one"
         )
     tracker.settle()
-    t_s, turns, _ = every_frame(video, tracker.track, half(progress, 0.5))
+    t_s, turns, _ = every_frame(video, tracker.track, half_progress(progress, 0.5))
     timed = np.isfinite(t_s)
     rows = np.array([np.full(3, np.nan) if turn is None else turn for turn in turns])[timed]
     if np.sum(np.isfinite(rows).all(axis=1)) < _FEWEST_TURNS:
@@ -218,9 +227,10 @@ def bending_by_scene(video: Video, motor: Motor, rig: Rig, progress: Progress | 
 
 
 def angle_of(t_s: Array, turns: Array, motor: Motor, coarse: Coarse, delay_s: float) -> Angle:
-    """The bending angle, deg, by the camera's turns (n, 3) rad (NaN: not found) at arrival times t_s (n,): the
-    component along the axis about which it turns most. Its sign and mean, which a turn does not tell, are those of
-    f_coarse at the motor's position delay_s before."""
+    """The bending angle, deg, by the camera's turns (n, 3), rotation vectors in rad (NaN: not found), of frames that
+    arrived at t_s (n,): the component along the axis about which it turns most. A turn has no sign nor zero of bending:
+    these are chosen so that the angle goes with the coarse law of the motor, delay_s before arrival, and has its
+    mean."""
     seen = np.asarray(np.isfinite(turns).all(axis=1))
     middle = np.median(turns[seen], axis=0)
     axis = np.linalg.svd(turns[seen] - middle, full_matrices=False)[2][0]

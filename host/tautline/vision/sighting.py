@@ -11,22 +11,22 @@ SURE_PX = 1e-3  # tolerance: no place is said to be known better
 
 @dataclass(frozen=True)
 class Sighting:
-    """All but lit_px are NaN where the marker is lost; `lost` then says why, else it is empty. sigma_px is one standard
-    deviation per coordinate. lit_px: how much of (u, v) is the correction for light from one side, px, as this frame
-    alone tells it; (0, 0) without."""
+    """Where a tracker found the marker, or the place that it follows, in one frame. Where it did not, the numbers (but
+    lit_px) are NaN and `lost` says why."""
 
     u_px: float
     v_px: float
-    sigma_px: float
+    sigma_px: float  # standard deviation of u and v, per coordinate
     diameter_px: float
     lost: str = ""
-    lit_px: tuple[float, float] = (0.0, 0.0)
+    lit_px: tuple[float, float] = (0.0, 0.0)  # share of u, v that corrects for light from one side, by this frame alone
 
     @property
     def valid(self) -> bool:
+        """Whether the marker was found."""
         return not self.lost
 
 
 def lost(why: str) -> Sighting:
-    """A frame without the marker: every number NaN. why: in words."""
+    """The sighting of a frame in which the marker was not found: every number NaN. why: the reason in words."""
     return Sighting(np.nan, np.nan, np.nan, np.nan, why)

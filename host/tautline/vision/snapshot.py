@@ -15,9 +15,9 @@ _WAY, _RING = (178, 111, 31), (44, 32, 179)  # BGR: the reports' blue and red
 
 
 def snapshot(recording: Recording) -> Array | None:
-    """A frame with the marker's path drawn over it and a box around nearly all of it (99 %, and 20 px more), BGR
-    (height, width, 3) uint8; None where no picture was kept or can be read."""
-    picture = _frame(recording)
+    """A picture for a report: a frame of the recording, BGR (height, width, 3) uint8, with the marker's places drawn
+    into it and a box around nearly all of them (99 %, and 20 px more). None where the recording has no frame."""
+    picture = _kept_or_middle_frame(recording)
     if picture is None:
         return None
     marker = recording.marker
@@ -33,9 +33,9 @@ def snapshot(recording: Recording) -> Array | None:
     return shown
 
 
-def _frame(recording: Recording) -> Array | None:
-    """The picture that was kept, else a frame from the middle of the video, BGR (height, width, 3) uint8; None where
-    there is neither, or it cannot be read."""
+def _kept_or_middle_frame(recording: Recording) -> Array | None:
+    """The picture that the recording keeps, or a frame from the middle of its video, BGR (height, width, 3) uint8; None
+    where there is neither, or it cannot be read."""
     if recording.picture is not None:
         picture = cv2.imread(str(recording.picture), cv2.IMREAD_COLOR)
         return None if picture is None else np.asarray(picture)

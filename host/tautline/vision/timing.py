@@ -27,14 +27,15 @@ class FrameTiming:
 
     @classmethod
     def of(cls, rig: Rig, **changes: float | int | None) -> FrameTiming:
-        """The rig's nominal rate (25 Hz without a camera) and delay. changes: fields that are to be others."""
+        """The timing with the rig's nominal rate (25 Hz without a camera) and delay. changes: other values of fields,
+        by name."""
         rate_hz = rig.camera.frame_rate_hz if rig.camera else 25.0
         nominal = {"rate_hz": rate_hz, "delay_s": rig.delay_s}
         return cls(**{**nominal, **changes})  # type: ignore[arg-type]
 
     def frames(self) -> Iterator[tuple[float, float]]:
-        """(scene time, arrival time), s, of every frame that arrives, without end: none before its scene or less than
-        0.1 ms after the last one."""
+        """Yields (scene time, arrival time), s, of every frame that arrives, without end. No frame arrives before its
+        scene, or less than 0.1 ms after the last one."""
         rng = np.random.default_rng([self.seed, 0xF3A3E])  # any number: other draws of this seed are independent
         phase = rng.uniform() if self.phase is None else self.phase
         latest = -np.inf

@@ -20,9 +20,9 @@ _SMOOTH_S = 0.005  # format: Klipper's own example of smooth_time
 
 @dataclass(frozen=True)
 class Constant:
-    """One number for B(q), in the unit of q."""
+    """One number in place of B(q), in the unit of q."""
 
-    width: float
+    width: float  # the number
     least: float  # B, over what was measured
     most: float
     mean: float
@@ -30,7 +30,9 @@ class Constant:
 
 
 def constant(model: Model) -> Constant:
-    """The constant backlash of least expected loss over the measured places, by B's own standard deviation."""
+    """The constant backlash that stands best for B(q): of least expected loss over the places where B was measured,
+    where too much costs ten times as much as too little, and B's own standard deviation counts. It is the quantile
+    _QUANTILE of B over these places, found by bisection. TautError where B was measured nowhere."""
     low, high = model.measured
     inside = (model.q >= low) & (model.q <= high)
     if not inside.any():
@@ -48,7 +50,7 @@ def constant(model: Model) -> Constant:
 
 
 def loses(model: Model) -> list[str]:
-    """What a single number does not carry, one line each."""
+    """What of a model a single number does not hold, a line each, for file and terminal."""
     number, unit = constant(model), model.rig.actuator.unit
     lost = [
         f"B(q) goes from {number.least:.4g} to {number.most:.4g} {unit}, {number.mean:.4g} in the mean: one "
@@ -61,13 +63,14 @@ def loses(model: Model) -> list[str]:
 
 
 def write_marlin(model: Model, out: Path, axis: str) -> list[Path]:
-    """Writes the lines for Configuration_adv.h, and the command that sets the same at run time."""
-    letter = _axis(axis)
+    """Writes to `out` the lines for Marlin's Configuration_adv.h, and the command that sets the same at run time. axis:
+    x, y or z. Returns the files written."""
+    letter = _axis_letter(axis)
     if letter not in "xyz":
         raise TautError(f"--axis {axis}: Marlin takes backlash up on x, y and z")
     width = constant(model).width
     numbers = ", ".join(f"{width:.6g}" if each == letter else "0" for each in "xyz")
-    _write(
+    _write_file(
         out,
         "//",
         model,
@@ -83,16 +86,17 @@ def write_marlin(model: Model, out: Path, axis: str) -> list[Path]:
 
 
 def write_fluidnc(model: Model, out: Path, axis: str) -> list[Path]:
-    """Writes config.yaml of FluidNC's proposal for backlash."""
+    """Writes to `out` a part of config.yaml, as FluidNC's proposal for backlash has it. axis: its letter. Returns the
+    files written."""
     width = constant(model).width
-    _write(
+    _write_file(
         out,
         "#",
         model,
         [
             "# For a FluidNC that was built with its backlash proposal (pull request 24); others refuse the key.",
             "axes:",
-            f"  {_axis(axis)}:",
+            f"  {_axis_letter(axis)}:",
             f"    backlash: {width:.6g}",
         ],
     )
@@ -100,12 +104,13 @@ def write_fluidnc(model: Model, out: Path, axis: str) -> list[Path]:
 
 
 def write_klipper(model: Model, out: Path, axis: str) -> list[Path]:
-    """Writes printer.cfg of Klipper's draft of backlash compensation."""
-    letter = _axis(axis)
+    """Writes to `out` a part of printer.cfg, as Klipper's draft of backlash compensation has it. axis: x, y or z.
+    Returns the files written."""
+    letter = _axis_letter(axis)
     if letter not in "xyz":
         raise TautError(f"--axis {axis}: Klipper's draft takes backlash up on x, y and z")
     width = constant(model).width
-    _write(
+    _write_file(
         out,
         "#",
         model,
@@ -120,21 +125,22 @@ def write_klipper(model: Model, out: Path, axis: str) -> list[Path]:
     return [out]
 
 
-def _axis(name: str) -> str:
-    """The axis' letter in lower case. TautError where it is none."""
+def _axis_letter(name: str) -> str:
+    """The axis of --axis as a lower-case letter of _AXES. TautError where it is none."""
     letter = name.lower()
     if letter not in [*_AXES]:
         raise TautError(f"--axis {name}: name one of {', '.join(_AXES)}")
     return letter
 
 
-def _write(out: Path, mark: str, model: Model, lines: list[str]) -> None:
-    """Writes `lines` below a header that says what they are of; `mark` begins a comment."""
+def _write_file(out: Path, mark: str, model: Model, lines: list[str]) -> None:
+    """Writes `lines` to `out`, whole or not at all, below comments on what the number is and what it loses. mark: what
+    begins a comment in this file."""
     low, high = model.measured
     unit = model.rig.actuator.unit
-    said = [
+    header = [
         f"{mark} The full backlash of a reversal, {unit}, from B(q) measured over {low:.4g} to {high:.4g} {unit}.",
         *(f"{mark} Lost: {what}" for what in loses(model)),
     ]
     with whole(out) as file:
-        file.write_text("\n".join([*said, *lines]) + "\n", encoding="ascii")
+        file.write_text("\n".join([*header, *lines]) + "\n", encoding="ascii")

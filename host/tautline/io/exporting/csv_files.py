@@ -15,7 +15,8 @@ INDEX = "columns.json"
 
 
 def write(log: Log, out: Path) -> list[Path]:
-    """Writes a log as CSV files in a folder. Cells without a value are empty; times in s."""
+    """Writes a log into the folder `out`: a CSV file for each series and curve, and columns.json. Cells without a value
+    are empty; times are in s. Returns the files written."""
     with replaced(out, INDEX, stale=("*.csv",)) as folder:
         listed = []
         parts: list[Series | Curve] = [*log.series, *log.curves]
@@ -30,5 +31,5 @@ def write(log: Log, out: Path) -> list[Path]:
 
 
 def _columns(part: Series | Curve) -> dict[str, object]:
-    """A file's columns: of a series its times first."""
+    """The columns of a series' or curve's file, by name; a series has its times first."""
     return {"t_s": part.t_s, **part.columns} if isinstance(part, Series) else dict(part.columns)

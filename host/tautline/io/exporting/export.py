@@ -28,9 +28,20 @@ class Mount:
 
 @dataclass(frozen=True)
 class Exported:
+    """What an export wrote, and what it lost."""
+
     files: tuple[Path, ...]
     lost: tuple[str, ...]  # what the format does not hold, a line each
     report: dict[str, Any] = field(default_factory=dict)  # of mjcf: export.json
+
+
+# Of each controller's format: the function that writes it, and the one that says what it loses of a model.
+_CONTROLLERS: dict[str, tuple[Callable[..., list[Path]], Callable[..., list[str]]]] = {
+    "linuxcnc": (linuxcnc.write, linuxcnc.loses),
+    "marlin": (constants.write_marlin, constants.loses),
+    "fluidnc": (constants.write_fluidnc, constants.loses),
+    "klipper": (constants.write_klipper, constants.loses),
+}
 
 
 def export(
@@ -42,7 +53,9 @@ def export(
     axis: str | None = None,
     progress: Progress = lambda share, what: None,
 ) -> Exported:
-    """Writes `out`, whole or not at all. TautError where format, source, names or place do not fit."""
+    """Writes a source to `out`, a file or a folder, whole or not at all, in the format named `to` (of FORMATS). mount:
+    for mjcf, where the model goes; axis: for controllers, None takes the format's usual one; progress: gets the share
+    done, 0 to 1, and a word. TautError where format, source, options or place do not fit."""
     form = BY_NAME.get(to)
     if form is None:
         raise TautError(f"--to {to}: no such format: choose one of {', '.join(BY_NAME)}")
@@ -53,31 +66,26 @@ def export(
         assert mount is not None  # _check has asked for it
         return mjcf.write(source.model, out, mount, progress)
     if form.axis:
-        writers: dict[str, tuple[Callable[..., list[Path]], Callable[..., list[str]]]] = {
-            "linuxcnc": (linuxcnc.write, linuxcnc.loses),
-            "marlin": (constants.write_marlin, constants.loses),
-            "fluidnc": (constants.write_fluidnc, constants.loses),
-            "klipper": (constants.write_klipper, constants.loses),
-        }
-        write, loses = writers[to]
+        write, loses = _CONTROLLERS[to]
         files = write(source.model, out, form.axis if axis is None else axis)
         return Exported(tuple(files), tuple(loses(source.model)))
-    seen = log.of_source(source)
+    what = log.of_source(source)
     if to == "csv":
-        files = csv_files.write(seen, out)
+        files = csv_files.write(what, out)
     elif to == "mcap":
         from tautline.io.exporting import mcap_file
 
-        files = mcap_file.write(seen, out, progress)
+        files = mcap_file.write(what, out, progress)
     else:
         from tautline.io.exporting import rerun_file
 
-        files = rerun_file.write(seen, out, progress)
-    return Exported(tuple(files), (form.loses,) if seen.video is not None else ())
+        files = rerun_file.write(what, out, progress)
+    return Exported(tuple(files), (form.loses,) if what.video is not None else ())
 
 
 def _check(form: Format, source: Source, mount: Mount | None, axis: str | None) -> None:
-    """TautError where the format does not take this source or these options."""
+    """TautError where the format does not take this source or these options, or needs a package that is not
+    installed."""
     if source.kind not in form.takes:
         raise TautError(f"{source.name}: is {source.kind}: --to {form.name} takes {' or '.join(form.takes)}")
     if source.models and (form.axis or form.name == "mjcf") and source.model.simulator is not None:

@@ -11,13 +11,13 @@ EXTRA = "export"
 
 @dataclass(frozen=True)
 class Format:
-    """`needs`: module and package that it is written with; "" where the package itself is enough."""
+    """A format of `taut export`."""
 
-    name: str
+    name: str  # of --to
     says: str  # what comes out
     takes: tuple[str, ...]  # RECORDING, MODEL, DIAGNOSIS
     loses: str  # what it cannot hold
-    needs: tuple[tuple[str, str], ...] = ()  # module, distribution
+    needs: tuple[tuple[str, str], ...] = ()  # further libraries that write it: module, distribution
     suffix: str = ""  # of --out; "": a folder
     axis: str = ""  # --axis where it is not named; "": it has none
 

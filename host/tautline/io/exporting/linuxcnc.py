@@ -18,10 +18,11 @@ _DIGITS = 6  # format: after the point: a millionth of the unit
 
 
 def write(model: Model, out: Path, joint: str) -> list[Path]:
-    """Writes the table `out`, and the INI section of `joint` as out.ini. LinuxCNC moves the motor to nominal + (nominal
-    - forward) while the joint rises and to nominal + (nominal - reverse) while it falls. The nominal joint is where
-    f_coarse has the motor for an angle, so the columns carry f_remain and B at once. Comments stand behind the
-    triplets, as LinuxCNC stops reading at the first other line."""
+    """Writes the compensation table to `out`, and the lines for the INI section of `joint` (a number as text) to
+    OUT.ini. Returns both. LinuxCNC moves the motor to nominal + (nominal - forward) while the joint rises and to
+    nominal + (nominal - reverse) while it falls. The nominal joint is where f_coarse has the motor for an angle, so
+    that the columns hold f_remain and B at once. Comments stand behind the triplets, as LinuxCNC stops reading at the
+    first other line."""
     if not (joint.isascii() and joint.isdigit()):
         raise TautError(f"--axis {joint}: LinuxCNC numbers its joints: name 0, 1, 2, ...")
     nominal, rising, falling = targets(model)
@@ -51,8 +52,9 @@ def write(model: Model, out: Path, joint: str) -> list[Path]:
 
 
 def targets(model: Model) -> tuple[Array, Array, Array]:
-    """Nominal joint positions (n <= 256,), rising, and the motor positions for them while they rise and while they
-    fall, (n,) each, unit of q; only where the motor stays within its range."""
+    """The table's columns, unit of q, (n,) each, n at most MOST: nominal joint positions, rising, and the motor's
+    positions that reach them on the way up and on the way down. Only where the motor stays within its range. TautError
+    where no such table is possible."""
     coarse, (low, high) = model.rig.coarse, model.rig.actuator.range
     if not coarse.gain:
         raise TautError("the rig's coarse.gain is 0: LinuxCNC's table needs a nominal position for each angle")
@@ -69,7 +71,7 @@ def targets(model: Model) -> tuple[Array, Array, Array]:
 
 
 def loses(model: Model) -> list[str]:
-    """What the table does not carry, one line each."""
+    """What of a model the table does not hold, a line each, for file and terminal."""
     lost = [
         "LinuxCNC may exceed the joint's speed and acceleration by half of them while it takes the backlash up",
         f"{len(targets(model)[0])} points stand for {len(model.q)}, straight between them",
@@ -81,7 +83,8 @@ def loses(model: Model) -> list[str]:
 
 
 def _in_tables(effect: str) -> bool:
-    """Whether a corrected model holds this effect in its own tables, rig or delay; False for one that is not known."""
+    """Whether a corrected model holds the effect with this id in its own tables, rig or delay, so that nothing is lost;
+    False for an unknown id."""
     from tautline.effects import BY_ID
 
     kind = BY_ID.get(effect)

@@ -13,8 +13,8 @@ from tautline.errors import TautError
 from tautline.io.exporting.source import MODEL, Source
 from tautline.model import Model
 from tautline.model import play_at as play
-from tautline.prediction import predict
-from tautline.recording import Recording, Video
+from tautline.prediction import Prediction, predict
+from tautline.recording import Angle, Marker, Recording, Video
 from tautline.reports.evidence import STAGES, Evidence
 from tautline.rig import ANGLE, MARKER
 from tautline.simulators.source import path_of
@@ -26,25 +26,27 @@ _QUALITY = 90  # loss: of the frames' JPEG: next to no loss, a fifth of PNG's si
 
 @dataclass(frozen=True)
 class Series:
-    """One topic. Each column has a row for each time; NaN where it has nothing. Its unit stands in its name."""
+    """Columns over time. Each has a row for each time, NaN where it has nothing; its unit stands in its name."""
 
-    name: str  # "motor", "prediction/nominal": parts are folders, or levels of a tree
-    says: str
+    name: str  # such as "motor" or "prediction/nominal": parts are folders, or levels of a tree
+    says: str  # what it is, in words
     t_s: Array  # (n,) rising or level
     columns: dict[str, Array]  # (n,) each
 
 
 @dataclass(frozen=True)
 class Curve:
-    """Columns over q, the first one."""
+    """Columns over q."""
 
-    name: str
+    name: str  # as of Series
     says: str
-    columns: dict[str, Array]
+    columns: dict[str, Array]  # (n,) each, q first; the unit stands in the name
 
 
 @dataclass(frozen=True)
 class Log:
+    """All that a source has to show."""
+
     series: tuple[Series, ...]
     curves: tuple[Curve, ...]
     facts: dict[str, Any]  # as JSON has them: name, units, verdicts
@@ -52,7 +54,7 @@ class Log:
 
     @property
     def first_frame_s(self) -> float:
-        """When the video's first frame arrived; infinity where there is none."""
+        """Arrival time of the video's first frame, s; infinity without a frame."""
         if self.video is None:
             return np.inf
         if self.video.arrival_s is None:
@@ -60,7 +62,7 @@ class Log:
         return float(np.min(self.video.arrival_s, initial=np.inf, where=np.isfinite(self.video.arrival_s)))
 
     def frames(self) -> Iterator[tuple[float, bytes]]:
-        """Arrival time, s, and JPEG of each frame that has a time."""
+        """Yields arrival time, s, and JPEG bytes of each of the video's frames that has a time."""
         if self.video is None:
             return
         import cv2
@@ -71,27 +73,29 @@ class Log:
         with VideoCamera(self.video.path) as camera:
             k = 0
             while (read := camera.read()) is not None:
-                picture, own_s = read
-                t_s = own_s if arrival is None else float(arrival[k]) if k < len(arrival) else np.nan
+                picture, container_s = read
+                listed_s = float(arrival[k]) if arrival is not None and k < len(arrival) else np.nan
+                t_s = container_s if arrival is None else listed_s
                 k += 1
                 if np.isfinite(t_s):
                     yield t_s, cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
 
 
 def of_source(source: Source) -> Log:
-    """Everything that a source has to show, as series and curves. TautError where there is nothing."""
+    """The log of a source: a recording's series with its models' predictions, a model's evidence, B and f_remain, a
+    diagnosis' document. TautError where there is nothing."""
     unit = source.rig.actuator.unit
     facts: dict[str, Any] = {"name": source.name, "is": source.kind, "unit_of_q": unit, "seconds": "arrival times"}
     series: list[Series] = []
     if source.recording is not None:
-        series += _recorded(source.recording, unit)
+        series += _recorded_series(source.recording, unit)
         for name, model in source.models:
-            series += _foretold(source.recording, name, model, unit)
+            series += _predicted_series(source.recording, name, model, unit)
     if source.evidence is not None:
-        series += _evidence(source.evidence, unit)
+        series += _evidence_series(source.evidence, unit)
     curves: list[Curve] = []
     for name, model in source.models:
-        curves += _curves(name, model, unit)
+        curves += _model_curves(name, model, unit)
         facts[name] = {
             "delay_s": model.delay_s,
             "measured": list(model.measured),
@@ -99,7 +103,7 @@ def of_source(source: Source) -> Log:
             "effects": [{"id": effect.id, **effect.parameters} for effect in model.effects],
         }
     if source.models:
-        onsets = _onsets(source, unit)
+        onsets = _onset_series(source, unit)
         series += [onsets] if onsets else []
     if source.document is not None:
         facts["diagnosis"] = source.document
@@ -108,8 +112,8 @@ def of_source(source: Source) -> Log:
     return Log(tuple(series), tuple(curves), facts, source.recording.video if source.recording else None)
 
 
-def _recorded(recording: Recording, unit: str) -> list[Series]:
-    """Series of what was recorded: motor, marker, angle. unit: of q."""
+def _recorded_series(recording: Recording, unit: str) -> list[Series]:
+    """Series of what was recorded: the motor, and the marker or the angle. unit: of q."""
     motor = recording.motor
     columns = {f"q_{unit}": motor.q}
     for name, values in (
@@ -129,57 +133,64 @@ def _recorded(recording: Recording, unit: str) -> list[Series]:
     return found
 
 
-def _foretold(recording: Recording, name: str, model: Model, unit: str) -> list[Series]:
-    """Series of a model's prediction at the sensor's arrival times, or at the motor's where there is no sensor, and of
-    its residual at each of STAGES. name: the model's; unit: of q."""
+def _predicted_series(recording: Recording, name: str, model: Model, unit: str) -> list[Series]:
+    """Series of a model's prediction for a recording, at the sensor's arrival times, or without a sensor at those that
+    the motor's times would have; and of the residual of each of STAGES. name: the model's; unit: of q."""
     marker, angle, motor = recording.marker, recording.angle, recording.motor
     by_marker = marker is not None and (model.rig.has_camera or angle is None)
     rows = marker if by_marker else angle
     sensor = MARKER if by_marker or (rows is None and model.rig.has_camera) else ANGLE
     t_s = motor.t_s + model.delay_of(sensor) if rows is None else rows.t_s
     scene = t_s - model.delay_of(sensor)
-    told = predict(model, motor, scene)
+    prediction = predict(model, motor, scene)
     lines = path_of(model, motor).lines
     columns = {
         f"q_{unit}": np.interp(scene, motor.t_s, motor.q),
         f"p_{unit}": play(lines.t_s, lines.q, scene, model.play, np.nan),
-        "c_deg": told.c_deg,
+        "c_deg": prediction.c_deg,
     }
-    if told.image_px is not None:
-        columns |= {"u_px": told.image_px[:, 0], "v_px": told.image_px[:, 1]}
+    if prediction.image_px is not None:
+        columns |= {"u_px": prediction.image_px[:, 0], "v_px": prediction.image_px[:, 1]}
     says = f"what the {name} says of the scene that arrived then; p is the play's centre, effects apart"
     found = [Series(f"prediction/{name}", says, t_s, columns)]
     if rows is None:
         return found
     for stage, staged in _stages(model):
-        off = told if stage == STAGES[-1] else predict(staged, motor, scene)
-        if by_marker and marker is not None and off.image_px is not None:
-            left = {"u_px": marker.u_px - off.image_px[:, 0], "v_px": marker.v_px - off.image_px[:, 1]}
-        elif angle is not None and not by_marker:
-            left = {"c_deg": angle.c_deg - off.c_deg}
-        else:
+        residual = _residual(rows, prediction if stage == STAGES[-1] else predict(staged, motor, scene))
+        if not residual:
             continue
         label = stage if stage != STAGES[-1] or not model.effects else f"{stage} + effects"
         says = f"seen less what the {name} says by {label}"
-        found.append(Series(f"residual/{name}/{_word(label)}", says, t_s, left))
+        found.append(Series(f"residual/{name}/{_stage_as_name(label)}", says, t_s, residual))
     return found
 
 
+def _residual(seen: Marker | Angle, predicted: Prediction) -> dict[str, Array]:
+    """Columns, by name, of what a sensor saw less what was predicted at the same times; {} for a marker of which
+    nothing in the image is predicted."""
+    if isinstance(seen, Angle):
+        return {"c_deg": seen.c_deg - predicted.c_deg}
+    if predicted.image_px is None:
+        return {}
+    return {"u_px": seen.u_px - predicted.image_px[:, 0], "v_px": seen.v_px - predicted.image_px[:, 1]}
+
+
 def _stages(model: Model) -> list[tuple[str, Model]]:
-    """The model as each of STAGES has it: f_coarse without B, f_coarse with B, both without effects; and whole."""
+    """(name, model) for each of STAGES: f_coarse without B, f_coarse with B, both without effects; and the whole
+    model."""
     coarse = model.rig.coarse.gain * model.q + model.rig.coarse.offset
     bare = replace(model, c_deg=coarse, effects=())
     return list(zip(STAGES, (replace(bare, width=np.zeros_like(model.width)), bare, model), strict=True))
 
 
-def _word(stage: str) -> str:
-    """A stage's name as a part of a series' name: f_coarse_and_B."""
+def _stage_as_name(stage: str) -> str:
+    """A stage's name as a part of a series' name: "f_coarse + B" becomes "f_coarse_and_B"."""
     return stage.replace(" + ", "_and_").replace(" ", "_")
 
 
-def _evidence(evidence: Evidence, unit: str) -> list[Series]:
-    """Series of the frames that a model was made from, in the order of scene times, and of the residual at each of
-    STAGES. unit: of q."""
+def _evidence_series(evidence: Evidence, unit: str) -> list[Series]:
+    """Series of the frames that a model was calibrated from, in the order of scene times, and of the residual of each
+    of STAGES. unit: of q."""
     seen = ("u_px", "v_px") if evidence.unit == "px" else ("c_deg",)
     order = np.argsort(evidence.t_s, kind="stable")
     t_s = evidence.t_s[order]
@@ -187,21 +198,23 @@ def _evidence(evidence: Evidence, unit: str) -> list[Series]:
     columns["c_deg"] = evidence.c_deg
     columns["recording"] = evidence.recording.astype(float)
     columns["settled"] = evidence.settled.astype(float)
-    found = [Series("frames", "what was seen while it was calibrated, scene times", t_s, _in(order, columns))]
+    found = [
+        Series("frames", "what was seen while it was calibrated, scene times", t_s, _rows_in_order(order, columns))
+    ]
     for stage, error in zip(STAGES, evidence.error, strict=True):
-        left = _in(order, dict(zip(seen, error.T, strict=True)))
-        found.append(Series(f"residual/model/{_word(stage)}", f"seen less what {stage} says", t_s, left))
+        left = _rows_in_order(order, dict(zip(seen, error.T, strict=True)))
+        found.append(Series(f"residual/model/{_stage_as_name(stage)}", f"seen less what {stage} says", t_s, left))
     return found
 
 
-def _in(order: npt.NDArray[np.int64], columns: dict[str, Array]) -> dict[str, Array]:
-    """The columns' rows in this order, as floats."""
+def _rows_in_order(order: npt.NDArray[np.int64], columns: dict[str, Array]) -> dict[str, Array]:
+    """The columns with their rows in this order (indices), as floats."""
     return {name: np.asarray(values, dtype=float)[order] for name, values in columns.items()}
 
 
-def _onsets(source: Source, unit: str) -> Series | None:
-    """Series of the reversals that a calibration used. Their times are of their own recordings' clocks: they go with
-    the model, and with a recording only if it is the one named in them."""
+def _onset_series(source: Source, unit: str) -> Series | None:
+    """A series of the onsets in the first model of a source; None where there are none. Their times are of their own
+    recordings' clocks: with a recording only those go that are of it. unit: of q."""
     model = source.models[0][1]
     listed = [onset for onset in model.extra.get("onsets", []) if onset.get("t_s") is not None]
     if source.kind != MODEL:
@@ -219,8 +232,8 @@ def _onsets(source: Source, unit: str) -> Series | None:
     return Series("onsets", "where the image began to move after a reversal, scene times", t_s, columns)
 
 
-def _curves(name: str, model: Model, unit: str) -> list[Curve]:
-    """B and f_remain over q, with their sigmas."""
+def _model_curves(name: str, model: Model, unit: str) -> list[Curve]:
+    """The curves of a model: B and f_remain over q, with their sigmas. name: the model's; unit: of q."""
     sigma = np.full_like(model.q, np.nan) if model.c_sigma is None else model.c_sigma
     q = {f"q_{unit}": model.q}
     return [

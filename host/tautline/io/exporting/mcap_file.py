@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +36,9 @@ _IMAGE = {
 
 
 def write(log: Log, out: Path, progress: Callable[[float, str], None]) -> list[Path]:
-    """Writes the MCAP file and its layout. Messages have the recording's own times, shifted to begin at 0 where they
-    are negative."""
+    """Writes a log as the MCAP file `out`, and a layout for Foxglove beside it; returns both. Messages have the log's
+    own times, all shifted if the first is negative, so that it becomes 0. progress: gets the share done, 0 to 1, and a
+    word. TautError for times that MCAP cannot hold."""
     from mcap.writer import Writer
 
     first = min((float(series.t_s[0]) for series in log.series if len(series.t_s)), default=0.0)
@@ -54,18 +55,8 @@ def write(log: Log, out: Path, progress: Callable[[float, str], None]) -> list[P
         for curve in log.curves:
             _write_curve(writer, curve, max(0.0, first + shift_s))
         if log.video is not None:
-            schema = writer.register_schema("foxglove.CompressedImage", "jsonschema", json.dumps(_IMAGE).encode())
-            channel = writer.register_channel(CAMERA, "json", schema)
             span = max(last - first, 1e-9)
-            for t_s, jpeg in log.frames():
-                when = _ns(t_s + shift_s)
-                message = {
-                    "timestamp": {"sec": when // _NS, "nsec": when % _NS},
-                    "frame_id": "camera",
-                    "data": base64.b64encode(jpeg).decode("ascii"),
-                    "format": "jpeg",
-                }
-                writer.add_message(channel, when, json.dumps(message).encode(), when)
+            for t_s in _write_frames(writer, log, shift_s):
                 progress(0.3 + 0.7 * min(max((t_s - first) / span, 0.0), 1.0), "frames")
         writer.add_metadata("tautline", {"facts": json.dumps(plain(log.facts)), "shift_s": repr(shift_s)})
         writer.finish()  # type: ignore[no-untyped-call]
@@ -74,12 +65,31 @@ def write(log: Log, out: Path, progress: Callable[[float, str], None]) -> list[P
     return [out, layout]
 
 
+def _write_frames(writer: Any, log: Log, shift_s: float) -> Iterator[float]:
+    """Writes the frames of a log's video with an mcap Writer, as messages of the topic CAMERA, shift_s later than in
+    the log. Yields the time in the log, s, of each frame that was written."""
+    schema = writer.register_schema("foxglove.CompressedImage", "jsonschema", json.dumps(_IMAGE).encode())
+    channel = writer.register_channel(CAMERA, "json", schema)
+    for t_s, jpeg in log.frames():
+        when = _ns(t_s + shift_s)
+        message = {
+            "timestamp": {"sec": when // _NS, "nsec": when % _NS},
+            "frame_id": "camera",
+            "data": base64.b64encode(jpeg).decode("ascii"),
+            "format": "jpeg",
+        }
+        writer.add_message(channel, when, json.dumps(message).encode(), when)
+        yield t_s
+
+
 def _ns(t_s: float) -> int:
+    """A time in s as MCAP has it, ns."""
     return round(t_s * _NS)
 
 
 def _write_series(writer: Any, series: Series, shift_s: float) -> None:
-    """Writes a series as a channel of its own, a message for each row; shift_s is added to its times."""
+    """Writes a series into an MCAP (mcap's writer) as a channel of its own, a message for each row; shift_s is added to
+    its times."""
     names = list(series.columns)
     number = {"type": ["number", "null"]}
     schema = {"type": "object", "description": series.says, "properties": dict.fromkeys(names, number)}
@@ -93,7 +103,7 @@ def _write_series(writer: Any, series: Series, shift_s: float) -> None:
 
 
 def _write_curve(writer: Any, curve: Curve, t_s: float) -> None:
-    """Writes a curve as one message with whole columns, at the time t_s, s."""
+    """Writes a curve into an MCAP as a channel with one message that holds the whole columns, at the time t_s."""
     numbers = {"type": "array", "items": {"type": ["number", "null"]}}
     schema = {
         "type": "object",
@@ -116,8 +126,8 @@ def _channel(writer: Any, name: str, schema: dict[str, Any]) -> int:
 
 
 def foxglove_layout(log: Log) -> dict[str, Any]:
-    """A layout to import into Foxglove: picture, motor and angle, image coordinates, residual, B and f_remain over q.
-    Panels that would stay empty are left out."""
+    """A layout for Foxglove, which a user imports there: panels of the picture, motor, angle, image coordinates and
+    residual over time, B and f_remain over q. Panels that would stay empty are left out."""
     panels: dict[str, dict[str, Any]] = {}
     if log.video is not None:
         panels["Image!camera"] = {"imageMode": {"imageTopic": CAMERA}}
@@ -126,32 +136,37 @@ def foxglove_layout(log: Log) -> dict[str, Any]:
         ("angle", "Bending angle", ("c_deg",)),
         ("image", "Marker in the image", ("u_px", "v_px")),
     ):
-        paths = [path for path in _paths(log, wanted) if not path.startswith("/residual/")]
-        panels |= _plot(key, title, paths)
-    left = [path for path in _paths(log, ("u_px", "v_px", "c_deg")) if path.startswith("/residual/")]
-    panels |= _plot("residual", "What is left, by stage", left)
+        paths = [path for path in _column_paths(log, wanted) if not path.startswith("/residual/")]
+        panels |= _plot_panel(key, title, paths)
+    left = [path for path in _column_paths(log, ("u_px", "v_px", "c_deg")) if path.startswith("/residual/")]
+    panels |= _plot_panel("residual", "What is left, by stage", left)
     for key, title, column in (("backlash", "B(q)", "width_"), ("f_remain", "f_remain(q)", "c_deg")):
         curves = [curve for curve in log.curves if curve.name.startswith(key)]
         paths = [f"/{c.name}.{name}[:]" for c in curves for name in c.columns if name.startswith(column)]
         if paths:
             x = next(iter(curves[0].columns))
-            panels |= _plot(key, title, paths, {"xAxisVal": "currentCustom", "xAxisPath": f"/{curves[0].name}.{x}[:]"})
+            panels |= _plot_panel(
+                key, title, paths, {"xAxisVal": "currentCustom", "xAxisPath": f"/{curves[0].name}.{x}[:]"}
+            )
     return {
         "configById": panels,
         "globalVariables": {},
         "userNodes": {},
         "playbackConfig": {"speed": 1},
-        "layout": _tiled(list(panels), "row"),
+        "layout": _tiled_layout(list(panels), "row"),
     }
 
 
-def _paths(log: Log, wanted: tuple[str, ...]) -> list[str]:
-    """Foxglove's paths of all series' columns that begin with one of `wanted`."""
+def _column_paths(log: Log, wanted: tuple[str, ...]) -> list[str]:
+    """Foxglove's paths, /SERIES.COLUMN, of all series' columns whose names begin with one of `wanted`."""
     return [f"/{s.name}.{name}" for s in log.series for name in s.columns if name.startswith(wanted)]
 
 
-def _plot(key: str, title: str, paths: list[str], more: dict[str, Any] | None = None) -> dict[str, dict[str, Any]]:
-    """The configuration of a plot panel of these paths, by its id; {} where there are none."""
+def _plot_panel(
+    key: str, title: str, paths: list[str], more: dict[str, Any] | None = None
+) -> dict[str, dict[str, Any]]:
+    """The configuration of a plot panel, by its id Plot!KEY, that draws these paths over time; {} without paths. more:
+    further settings."""
     if not paths:
         return {}
     lines = [{"value": path, "enabled": True, "timestampMethod": "receiveTime", "label": path[1:]} for path in paths]
@@ -167,11 +182,12 @@ def _plot(key: str, title: str, paths: list[str], more: dict[str, Any] | None = 
     }
 
 
-def _tiled(panels: list[str], direction: str) -> Any:
-    """Panels as Foxglove's tree of halves, rows and columns alternating."""
+def _tiled_layout(panels: list[str], direction: str) -> Any:
+    """Foxglove's layout tree of panels, by their ids: split in halves again and again, as rows and columns in turn;
+    direction: of the first split."""
     if len(panels) <= 1:
         return panels[0] if panels else ""
     half = (len(panels) + 1) // 2
     other = "column" if direction == "row" else "row"
-    first, second = _tiled(panels[:half], other), _tiled(panels[half:], other)
+    first, second = _tiled_layout(panels[:half], other), _tiled_layout(panels[half:], other)
     return {"direction": direction, "first": first, "second": second}

@@ -24,25 +24,26 @@ NOMINAL, CORRECTED = "nominal", "corrected"
 
 @dataclass(frozen=True)
 class Source:
-    """`models` by what they are called: "model", or "nominal" and "corrected" of a diagnosis."""
+    """What is exported."""
 
     kind: str  # RECORDING, MODEL or DIAGNOSIS
     name: str
     rig: Rig
     recording: Recording | None = None
-    models: tuple[tuple[str, Model], ...] = ()
+    models: tuple[tuple[str, Model], ...] = ()  # with names: "model", or "nominal" and "corrected" of a diagnosis
     evidence: Evidence | None = None  # of a model: the frames that it was made from
     document: dict[str, Any] | None = None  # diagnosis.json
 
     @property
     def model(self) -> Model:
-        """The one that is handed out: a diagnosis' corrected one."""
+        """The model that is exported where a format takes one: of a diagnosis the corrected one."""
         return self.models[-1][1]
 
 
 def read(path: Path, rig: Rig | None = None, beside: Path | None = None) -> Source:
-    """The source in a folder. For a recording: `rig` wins over its own, `beside` is the MODEL or DIAGNOSIS whose
-    predictions go along."""
+    """Reads the source in a folder, by what the folder holds. rig, beside: for a recording alone; `rig` wins over its
+    own, `beside` is the folder of a MODEL or DIAGNOSIS whose predictions are exported with it. TautError where the
+    folder is none of the three."""
     if not path.exists():
         raise TautError(f"{path}: there is no such folder: name a recording, a model or a diagnosis")
     if not path.is_dir():
@@ -53,7 +54,7 @@ def read(path: Path, rig: Rig | None = None, beside: Path | None = None) -> Sour
         if given is not None:
             raise TautError(f"{path}: is no recording (it has no {MOTOR_FILE}): {option} goes with a recording only")
     if (path / DIAGNOSIS_FILE).exists():
-        return _diagnosis(path)
+        return _read_diagnosis(path)
     if (path / MODEL_FILE).exists():
         return of_model(Model.load(path), path.resolve().name, Evidence.load(path))
     raise TautError(
@@ -62,7 +63,7 @@ def read(path: Path, rig: Rig | None = None, beside: Path | None = None) -> Sour
 
 
 def of(what: Recording | Model | Diagnosis, beside: Model | None = None) -> Source:
-    """A source from an object at hand. beside: for a recording, the model whose predictions are exported with it."""
+    """The source for an object in memory. beside: for a recording, the model whose predictions are exported with it."""
     if isinstance(what, Recording):
         return of_recording(what, None, of_model(beside) if beside is not None else None)
     if isinstance(what, Model):
@@ -71,7 +72,8 @@ def of(what: Recording | Model | Diagnosis, beside: Model | None = None) -> Sour
 
 
 def of_recording(recording: Recording, rig: Rig | None = None, beside: Source | None = None) -> Source:
-    """A recording, and what models say of it. rig: default the recording's, else the models'."""
+    """A recording as a source, with the models of `beside`, if any, whose predictions are exported with it. rig:
+    default the recording's, else the models'. TautError where there is none, or units differ."""
     if beside is not None and not beside.models:
         raise TautError("what goes with a recording is a model or a diagnosis, not another recording")
     used = rig or recording.rig or (beside.rig if beside else None)
@@ -88,17 +90,20 @@ def of_recording(recording: Recording, rig: Rig | None = None, beside: Source | 
 
 
 def of_model(model: Model, name: str = "model", evidence: Evidence | None = None) -> Source:
+    """A model as a source, with the evidence that it was calibrated from, if there is any."""
     return Source(MODEL, name, model.rig, models=(("model", model),), evidence=evidence)
 
 
 def of_diagnosis(nominal: Model, corrected: Model, document: dict[str, Any], name: str = "diagnosis") -> Source:
+    """A diagnosis as a source: its two models and diagnosis.json's document."""
     return Source(
         DIAGNOSIS, name, corrected.rig, models=((NOMINAL, nominal), (CORRECTED, corrected)), document=document
     )
 
 
-def _diagnosis(path: Path) -> Source:
-    """A diagnosis' folder: both models and diagnosis.json. TautError where that is damaged or of another format."""
+def _read_diagnosis(path: Path) -> Source:
+    """Reads a diagnosis' folder as a source: both models and diagnosis.json. TautError where that is damaged or of
+    another format."""
     file = path / DIAGNOSIS_FILE
     try:
         document = json.loads(file.read_text(encoding="utf-8"))

@@ -33,10 +33,10 @@ _RESOLUTION_LEAST = 1e-6  # tolerance: of the span: a finer count is none, it is
 
 @dataclass(frozen=True)
 class Roles:
-    """What the user named. tip: one angle or orientation, or u and v in px."""
+    """Which channels the user named for what, each as NAME, NAME:UNIT or NAME:FACTOR."""
 
     motor: str
-    tip: tuple[str, ...] = ()
+    tip: tuple[str, ...] = ()  # one angle or orientation, or u and v in px
     command: str | None = None
     load: str | None = None
     video: str | None = None
@@ -45,6 +45,8 @@ class Roles:
 
 @dataclass
 class Assembled:
+    """A recording made from an episode, and what was done for it."""
+
     recording: Recording
     rig_known: bool  # by the user; else what the recording shows of it
     channels: list[dict[str, Any]] = field(default_factory=list)  # what became of each, for import.toml
@@ -56,14 +58,14 @@ class Assembled:
 def assemble(
     source: Source, episode: int, roles: Roles, unit: str | None, rig: Rig | None, scratch: Path, progress: Progress
 ) -> Assembled:
-    """Reads the named channels of an episode as a recording. q in the rig's unit, else in `unit`, else in the motor's
-    own. scratch: a folder for a video. TautError where a channel is missing or empty, or units or times contradict each
-    other."""
+    """Makes a recording from the channels of an episode that the user named. q is in the unit of `rig`, or without one
+    in `unit` (mm or deg), or in that of the motor's channel. scratch: a folder for the video; progress: gets the share
+    done, 0 to 1, and a word. TautError where a channel is missing or empty, or units or times contradict each other."""
     if rig is not None and unit is not None and unit != rig.actuator.unit:
         raise TautError(f"--unit {unit}: the rig's actuator.unit is {rig.actuator.unit}: leave --unit out")
-    chosen = _Chosen(source, episode, roles)
+    chosen = _ChosenChannels(source, episode, roles)
     rows = read(source, episode, chosen.by_group(), progress)
-    frames = _frames(source, episode, roles.video, scratch) if roles.video else None
+    frames = _write_video(source, episode, roles.video, scratch) if roles.video else None
     times = {group: (each.log_s, each.stamp_s) for group, each in rows.items()}
     if frames is not None and roles.video is not None and "" not in rows:  # a table's clip is on the table's times
         times[roles.video] = (frames[0], frames[1])
@@ -80,25 +82,22 @@ def assemble(
         angle = made.angle()
     seen = made.recorded_video(frames, roles.video or "")
     _check_motor(motor, chosen.motor.name, rig, warnings)
-    for sensor_s, name in (
-        (marker.t_s if marker else angle.t_s if angle else None, "".join(roles.tip[:1])),
-        (
-            seen.arrival_s[np.isfinite(seen.arrival_s)] if seen and seen.arrival_s is not None else None,
-            roles.video or "",
-        ),
-    ):
-        if sensor_s is not None:
-            clocks.overlap(motor.t_s, sensor_s, roles.motor, name)
+    tip = marker or angle
+    if tip is not None:
+        clocks.overlap(motor.t_s, tip.t_s, roles.motor, "".join(roles.tip[:1]))
+    if seen is not None and seen.arrival_s is not None:
+        clocks.overlap(motor.t_s, seen.arrival_s[np.isfinite(seen.arrival_s)], roles.motor, roles.video or "")
     _check_units(chosen, motor, angle, target, rig, warnings)
-    own = rig or _rig(motor, angle, target)
+    own = rig or _rig_from_motion(motor, angle, target)
     recording = Recording(source.path.stem, motor, marker, angle, seen, own)
     return Assembled(recording, rig is not None, made.told, clock.used, source.origin_s + origin_s, warnings)
 
 
-class _Chosen:
-    """The roles' channels, as the source calls them."""
+class _ChosenChannels:
+    """The channels of the user's roles, by their names in the source."""
 
     def __init__(self, source: Source, episode: int, roles: Roles) -> None:
+        """Finds the channels in an episode. TautError where a name means none, or several where one is needed."""
         listed = list(source.facts)
         asked = {
             "motor": [roles.motor], "tip": roles.tip, "command": [roles.command] if roles.command else [],
@@ -119,13 +118,14 @@ class _Chosen:
         self.joints = of("joint")
         for each in (self.motor, *self.joints, *(x for x in (self.command, self.load) if x)):
             if each.name not in source.facts:
-                raise self._several(each)
+                raise self._error_for_group(each)
         self.parts: dict[str, tuple[str, ...]] = {}  # of a name that stands for several channels
         self._expand_tip()
 
     def _expand_tip(self) -> None:
-        """Replaces the name of an orientation or a point by its channels. TautError for any other group of channels,
-        more than u and v, or a unit that an orientation or a place in the image cannot have."""
+        """Replaces, in the role tip, the name of an orientation or a point by its channels. TautError for the name of
+        any other group of channels, more than u and v, or a unit that an orientation or a place in the image cannot
+        have."""
         known = set(self.source.facts)
         for each in list(self.tip):
             inner = {axis: f"{each.name}.{axis}" for axis in QUATERNION if f"{each.name}.{axis}" in known}
@@ -139,18 +139,19 @@ class _Chosen:
                 self.tip = [replace(each, name=inner[axis]) for axis in ("x", "y")]
                 self.groups.update({inner[axis]: self.groups[each.name] for axis in ("x", "y")})
             else:
-                raise self._several(each)
+                raise self._error_for_group(each)
         if len(self.tip) > 2:
             raise TautError("--tip is one angle or orientation, or twice a place in the image: u, then v, in px")
         if len(self.tip) == 2 and (scaled := [each for each in self.tip if each.text != each.name]):
             raise TautError(f"--tip {scaled[0].text}: a place in the image is in px: name {scaled[0].name} alone")
 
-    def _several(self, each: Named) -> TautError:
+    def _error_for_group(self, each: Named) -> TautError:
+        """The error to raise for a name that means several channels where one is needed."""
         held = sorted(name for name in self.source.facts if name.startswith(f"{each.name}."))
         return TautError(f"{self.source.path}: {each.name} is several channels: name one of {', '.join(held[:6])}")
 
     def by_group(self) -> dict[str, list[str]]:
-        """The channels to read of each group."""
+        """The channels to read, by group (topic)."""
         wanted: dict[str, list[str]] = {}
         everything = [self.motor, *self.tip, *self.joints, *(x for x in (self.command, self.load) if x)]
         for each in everything:
@@ -159,36 +160,37 @@ class _Chosen:
         return {group: list(dict.fromkeys(names)) for group, names in wanted.items()}
 
     def stated(self, channel: Named) -> str:
-        """A channel's unit, in words of units.py: what the user gave, else what the file says, else the one in its
-        label or name; "" where none is known."""
+        """A channel's unit, of units.UNITS: the user's, else the file's, else the one in its label or name; "" where
+        none is known."""
         fact = self.source.facts.get(channel.name)
         said = (fact.unit or unit_in(fact.label)) if fact else ""
         return channel.unit or said or unit_in(channel.name)
 
 
 class _Maker:
-    """Turns rows into a recording's arrays; `told` says what became of each channel."""
+    """Turns a source's rows into the parts of a recording, all on one clock; `told` gets what became of each channel,
+    for import.toml."""
 
     def __init__(
-        self, chosen: _Chosen, rows: dict[str, Rows], clock: str, origin_s: float, warnings: list[str]
+        self, chosen: _ChosenChannels, rows: dict[str, Rows], clock: str, origin_s: float, warnings: list[str]
     ) -> None:
-        """clock: which times are used (of `clocks`); origin_s: what is taken off them. What is found goes to
-        `warnings`."""
+        """rows: by group, or first channel of a part of one; clock: which times are used (LOG, STAMP or FILE);
+        origin_s: what is taken off them; warnings: are added to."""
         self._chosen, self._rows, self._warnings = chosen, rows, warnings
         self._clock, self._origin_s = clock, origin_s
         self.told: list[dict[str, Any]] = []
-        self._kept: dict[
-            str, tuple[Array, Array | None]
-        ] = {}  # by group: times, and the rows that have them if not all
+        # Times, s, and the rows that have them, None for all.
+        self._times_by_group: dict[str, tuple[Array, Array | None]] = {}
 
     def dimension(self, channel: Named) -> str:
-        """The unit in which a recording has the channel: "mm" where its unit is known to be a length, else "deg"."""
+        """The unit in which a recording is to have a channel: "mm" where its own unit is known to be a length, else
+        "deg"."""
         stated = self._chosen.stated(channel)
         return "mm" if stated and stated not in ANGLES and factor_fits(channel, stated, "mm") else "deg"
 
     def motor(self, target: str) -> Motor:
-        """The motor by its channels, q in `target`; all others at its times: a command held until the next one, load
-        and joints straight between their rows."""
+        """The motor's log from its channels, q in the unit `target`. Command, load and joints are brought to the times
+        of q: a command is held until the next one, the others go straight between their rows."""
         t_s, q = self._series(self._chosen.motor, target, "motor")
         q_cmd = load = None
         if (command := self._chosen.command) is not None:
@@ -201,11 +203,14 @@ class _Maker:
         for joint in self._chosen.joints:
             own = self.dimension(joint)
             at, value = self._series(joint, own, "joint")
-            joints[_column(joint, self._chosen.source, own, {*joints, *_taken(target)})] = np.interp(t_s, at, value)
+            joints[_joint_column(joint, self._chosen.source, own, {*joints, *_reserved_columns(target)})] = np.interp(
+                t_s, at, value
+            )
         return Motor(t_s=t_s, q=q, q_cmd=q_cmd, load_mNm=load, extra=joints)
 
     def angle(self) -> Angle:
-        """The tip's angle, deg; of an orientation the one about its main axis."""
+        """The tip's angle, deg, from its channel, or from an orientation's four (see `bending_deg`). Rows without a
+        number are not valid."""
         tip = self._chosen.tip[0]
         if tip.name in self._chosen.parts:
             t_s, parts = self._times(tip, self._chosen.parts[tip.name])
@@ -218,7 +223,7 @@ class _Maker:
                     f"{tip.name}: {100 * share:.0f} % of its turning is about one axis, the angle is about that one"
                 )
             c_deg = c_deg * times
-            self._tell("tip", tip, len(t_s), "quaternion", tip.factor)
+            self._record_use("tip", tip, len(t_s), "quaternion", tip.factor)
         else:
             t_s, c_deg = self._series(tip, "deg", "tip", keep_lost=True)
         lost = ~np.isfinite(c_deg)
@@ -227,7 +232,8 @@ class _Maker:
         return Angle(t_s, c_deg, ~lost if lost.any() else None)
 
     def marker(self) -> Marker:
-        """The tip's position in the image, px; NaN and not valid where a row lacks u or v."""
+        """The tip's place in the image, px, from its channels u and v; NaN and not valid where a row lacks one of
+        them."""
         u, v = self._chosen.tip
         if self._chosen.groups[u.name] != self._chosen.groups[v.name]:
             raise TautError(f"{u.name} and {v.name} are of two topics: name u and v of one")
@@ -236,12 +242,12 @@ class _Maker:
         if not valid.any():
             raise TautError(f"{u.name}: holds no number: name another --tip")
         for each in (u, v):
-            self._tell("tip", each, len(t_s), "px", 1.0)
+            self._record_use("tip", each, len(t_s), "px", 1.0)
         return Marker(t_s, np.where(valid, u_px, np.nan), np.where(valid, v_px, np.nan), valid)
 
     def recorded_video(self, frames: tuple[Array, Array | None, Path] | None, name: str) -> Video | None:
-        """The video with its frames' times, s by the clock in use, NaN for one that is not after all before it; None
-        without frames. frames: as from _frames; name: for import.toml."""
+        """The video with its frames' arrival times, s by the clock in use, NaN for a frame whose time is not later than
+        all before it; None without frames. frames: as of `_write_video`; name: its channel, for import.toml."""
         if frames is None:
             return None
         log_s, stamp_s, path = frames
@@ -257,8 +263,9 @@ class _Maker:
         return Video(path, t_s)
 
     def _series(self, channel: Named, target: str, role: str, keep_lost: bool = False) -> tuple[Array, Array]:
-        """A channel's times, s, and its values in the unit `target`, (n,) each. Rows without a number are left out, or
-        NaN with keep_lost."""
+        """A channel's times, s, and values in the unit `target`, (n,) each. Rows without a number are left out, or with
+        keep_lost stay as NaN. role: for messages and import.toml. TautError where there are no numbers, or too few of
+        the motor."""
         t_s, (values,) = self._times(channel, (channel.name,))
         times, unit = factor(channel, self._chosen.stated(channel), target)
         finite = np.isfinite(values)
@@ -273,30 +280,32 @@ class _Maker:
                 )
             self._warnings.append(f"{channel.name}: {lost} rows without a number were left out")
             t_s, values = t_s[finite], values[finite]
-        self._tell(role, channel, len(t_s), unit, times)
+        self._record_use(role, channel, len(t_s), unit, times)
         return t_s, values if times == 1.0 else values * times
 
     def _times(self, channel: Named, names: tuple[str, ...]) -> tuple[Array, list[Array]]:
-        """The rising times of a channel's group, s, and the values of `names` (channels of it) at them, (n,) each."""
+        """The times of a channel's group, s, rising, and the values of some channels of this group (`names`) at them,
+        (n,) each. TautError where the group has no rows."""
         group = next((group for group, rows in self._rows.items() if rows.values.keys() >= set(names)), None)
         if group is None:
             raise TautError(f"{self._chosen.source.path}: {channel.name} has no rows: choose another --episode")
         rows = self._rows[group]
-        if group not in self._kept:
-            self._kept[group] = self._tidied(group, rows)
-        t_s, kept = self._kept[group]
+        if group not in self._times_by_group:
+            self._times_by_group[group] = self._usable_times(group, rows)
+        t_s, kept = self._times_by_group[group]
         return t_s, [rows.values[name] if kept is None else rows.values[name][kept] for name in names]
 
-    def _tidied(self, group: str, rows: Rows) -> tuple[Array, Array | None]:
-        """A group's times by the clock in use, s, rising; and the indices of the rows that are kept, None for all."""
+    def _usable_times(self, group: str, rows: Rows) -> tuple[Array, Array | None]:
+        """A group's times by the clock in use, s, made to rise by leaving rows out; and the indices of the rows that
+        are kept, None for all."""
         t_s = clocks.in_use(rows.log_s, rows.stamp_s, self._clock) - self._origin_s
         kept = clocks.tidy(t_s, group or str(self._chosen.source.path), self._warnings)
         whole = len(kept) == len(t_s) and bool(np.all(kept[1:] > kept[:-1]))
         return np.round(t_s if whole else t_s[kept], _TIME_DIGITS), None if whole else kept
 
-    def _tell(self, role: str, channel: Named, rows: int, unit: str, times: float | None) -> None:
-        """Keeps for import.toml what became of a channel. rows: how many were taken; times: the factor from its unit,
-        None where no factor was used."""
+    def _record_use(self, role: str, channel: Named, rows: int, unit: str, times: float | None) -> None:
+        """Adds an entry on a channel to `told`. rows: how many were taken; unit: that they are in; times: the factor
+        that they were multiplied with, None without."""
         fact = self._chosen.source.facts.get(channel.name)
         entry = {"role": role, "name": channel.name, "label": fact.label if fact else "", "rows": rows}
         entry |= {"unit": unit or "not said", "factor": times}
@@ -304,8 +313,8 @@ class _Maker:
 
 
 def factor_fits(channel: Named, stated: str, target: str) -> bool:
-    """Whether a channel's numbers can be brought to the unit `target`. stated: their unit by the file, "" where it
-    says none; what the user gave with the channel's name comes first."""
+    """Whether a channel's numbers can be converted to the unit `target` (see units.factor, which raises where not).
+    stated: their unit by the file, "" without; a unit that the user gave with the name comes first."""
     try:
         factor(channel, stated, target)
     except TautError:
@@ -313,9 +322,9 @@ def factor_fits(channel: Named, stated: str, target: str) -> bool:
     return True
 
 
-def _frames(source: Source, episode: int, name: str, scratch: Path) -> tuple[Array, Array | None, Path]:
-    """Writes the video into scratch: its frames' log times (n,) s, their stamps (n,) s, None where no sender set one,
-    and its path."""
+def _write_video(source: Source, episode: int, name: str, scratch: Path) -> tuple[Array, Array | None, Path]:
+    """Writes the video of an episode's channel `name` into the folder `scratch`. Returns its frames' log times (n,) s,
+    their stamps (n,) s (None if no sender set any), and its path."""
     found = source.pictures(episode, name)
     if isinstance(found, Clip):
         path = scratch / f"video{'.mkv' if found.path.suffix == '.mkv' else '.mp4'}"
@@ -326,10 +335,10 @@ def _frames(source: Source, episode: int, name: str, scratch: Path) -> tuple[Arr
 
 
 def _check_units(
-    chosen: _Chosen, motor: Motor, angle: Angle | None, target: str, rig: Rig | None, warnings: list[str]
+    chosen: _ChosenChannels, motor: Motor, angle: Angle | None, target: str, rig: Rig | None, warnings: list[str]
 ) -> None:
-    """Compares motion ratios with what units would make of them: 57.3 is radians, 1000 metres. TautError where nobody
-    stated the unit, else a warning."""
+    """Checks units by how far the channels move beside each other: a ratio of 57.3 means radians, 1000 metres. A
+    contradiction is a TautError where nobody stated the unit, else a warning. target: unit of q."""
     if np.ptp(motor.q) <= 0.0:
         raise TautError(f"{chosen.motor.name}: does not move: name another --motor")
     if (span := _span(motor.q)) <= 0.0:
@@ -362,7 +371,8 @@ def _check_units(
 
 
 def _check_motor(motor: Motor, name: str, rig: Rig | None, warnings: list[str]) -> None:
-    """TautError or warnings for a motor that loading the recording would refuse or doubt."""
+    """TautError, or a warning, for a motor's log that loading the recording would refuse or doubt: too slow, with gaps,
+    or far beyond the rig's range. name: its channel."""
     step = np.diff(motor.t_s)
     if (usual := float(np.median(step))) >= MAX_MOTOR_STEP_S:
         raise TautError(
@@ -383,8 +393,9 @@ def _check_motor(motor: Motor, name: str, rig: Rig | None, warnings: list[str]) 
             warnings.append(f"{says}[{low:g}, {high:g}]")
 
 
-def _rig(motor: Motor, angle: Angle | None, unit: str) -> Rig:
-    """A rig from what the recording shows: range, one count and the coarse law, c = q without an angle. unit: of q."""
+def _rig_from_motion(motor: Motor, angle: Angle | None, unit: str) -> Rig:
+    """A rig made from what a recording shows, where the user named none: the motor's range and smallest step, and the
+    coarse law by least squares (c = q without an angle). unit: of q."""
     low, high = float(motor.q.min()), float(motor.q.max())
     step = 10.0 ** (np.ceil(np.log10(high - low)) - _RANGE_DIGITS)
     low, high = (float(f"{side(end / step) * step:.10g}") for side, end in ((np.floor, low), (np.ceil, high)))
@@ -398,13 +409,15 @@ def _rig(motor: Motor, angle: Angle | None, unit: str) -> Rig:
         if np.isfinite(line).all() and line[0] != 0.0:
             gain, offset = (float(f"{value:.4g}") for value in line)
     return Rig(
-        Actuator(unit, (low, high), _count(motor.q)), Coarse(gain, offset), angle=AngleSensor() if angle else None
+        Actuator(unit, (low, high), _encoder_step(motor.q)),
+        Coarse(gain, offset),
+        angle=AngleSensor() if angle else None,
     )
 
 
-def _count(q: Array) -> float:
-    """The smallest step of the motor's positions, unit of q: the 5th percentile of the steps between those that occur,
-    as a few may be finer."""
+def _encoder_step(q: Array) -> float:
+    """The encoder's resolution, unit of q, from positions (n,): the 5th percentile of the differences between values
+    that occur, as a few may be finer."""
     values = np.unique(q[:: max(1, len(q) // _SAMPLED)])
     steps = np.diff(values)
     least = _RESOLUTION_LEAST * (values[-1] - values[0])
@@ -413,20 +426,19 @@ def _count(q: Array) -> float:
 
 
 def _span(values: Array) -> float:
-    """How far values (n,) reach from their 5th to their 95th percentile: a few wild ones do not count."""
+    """The range of values (n,) from their 5th to their 95th percentile, so that a few outliers do not count."""
     low, high = np.percentile(values, [5.0, 95.0])
     return float(high - low)
 
 
-def _taken(unit: str) -> set[str]:
-    """Columns of motor.csv that no joint may have, as the motor's own would be lost. unit: of q. The instrument's
-    translation_mm and rotation_deg are joints."""
+def _reserved_columns(unit: str) -> set[str]:
+    """The names of motor.csv's columns that a joint must not take, as a column of the motor would be lost.
+    translation_mm and rotation_deg are left for joints, as they are motions of the instrument. unit: of q."""
     return set(MOTOR.names(unit)) - {"translation_mm", "rotation_deg"}
 
 
-def _column(channel: Named, source: Source, unit: str, taken: Collection[str]) -> str:
-    """The name of a joint's column in motor.csv: its label, else its channel, and its unit; with a number where another
-    column has that name."""
+def _joint_column(channel: Named, source: Source, unit: str, taken: Collection[str]) -> str:
+    """The name of a joint's column in motor.csv, LABEL_UNIT or CHANNEL_UNIT, with a number if that is `taken`."""
     label = source.facts[channel.name].label if channel.name in source.facts else ""
     plain = "".join(c if c.isalnum() else "_" for c in (label or channel.name)).strip("_")
     plain = plain.removesuffix(f"_{unit}")

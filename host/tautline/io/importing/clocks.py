@@ -24,106 +24,133 @@ LOG, STAMP, FILE = "log", "header", "file"  # when messages were written, when t
 
 @dataclass(frozen=True)
 class Clock:
+    """Which of a file's times are used for all of a recording."""
+
     used: str  # LOG, STAMP or FILE
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # why not the stamps
 
 
 def choose(times: Mapping[str, tuple[Array, Array | None]]) -> Clock:
-    """Times of all groups: the senders' stamps where all have them on one clock, else the log times. times: (n,) s of
-    log and stamps, by group."""
+    """Chooses which times are used for all groups (topics) of a recording: the senders' stamps if all groups have them
+    and they are on one clock, else the times at which messages were logged. times: by group its log times and stamps
+    (None without), (n,) s each; the group "" is a table, whose times are its own."""
     stamped = {group: stamp for group, (_, stamp) in times.items() if stamp is not None}
     if not stamped:
         return Clock(FILE if set(times) == {""} else LOG)
     without = sorted(set(times) - set(stamped))
     if without:
         return Clock(LOG, (f"{without[0]} has no header stamps: the times at which messages were logged are used",))
+    for group, stamp in stamped.items():
+        if (share := float(np.mean(~np.isfinite(stamp)))) > _UNSET:
+            lost = f"{100 * share:.2g} % of the header stamps of {group} are 0"
+            return Clock(LOG, (f"{lost}: the times at which messages were logged are used",))
+    disagreement = _disagreement({group: (times[group][0], stamp) for group, stamp in stamped.items()})
+    return Clock(LOG, (disagreement,)) if disagreement else Clock(STAMP)
+
+
+def _disagreement(times: Mapping[str, tuple[Array, Array]]) -> str:
+    """Why the stamps of several groups are not of one clock, as a warning; "" where they are. Each group's stamps are
+    compared with the log times, which are of one clock: by their median offset, s, and over a long recording by its
+    rate of change. times: by group its log times and stamps (NaN: not set), (n,) s each."""
     offsets: dict[str, float] = {}
     rates: dict[str, float] = {}
-    for group, stamp in stamped.items():
-        log = times[group][0]
-        seen = np.isfinite(stamp)
-        if np.mean(~seen) > _UNSET:
-            lost = f"{100 * np.mean(~seen):.2g} % of the header stamps of {group} are 0"
-            return Clock(LOG, (f"{lost}: the times at which messages were logged are used",))
-        behind = stamp[seen] - log[seen]
-        offsets[group] = float(np.median(behind))
-        if np.ptp(log[seen]) > _LONG_ENOUGH_S:
-            rates[group] = float(np.polyfit(log[seen], behind - offsets[group], 1)[0])
+    for group, (log, stamp) in times.items():
+        is_set = np.isfinite(stamp)
+        offset = stamp[is_set] - log[is_set]
+        offsets[group] = float(np.median(offset))
+        if np.ptp(log[is_set]) > _LONG_ENOUGH_S:
+            rates[group] = float(np.polyfit(log[is_set], offset - offsets[group], 1)[0])
     first, last = min(offsets, key=offsets.__getitem__), max(offsets, key=offsets.__getitem__)
     if (apart := offsets[last] - offsets[first]) > _APART_S:
-        return Clock(
-            LOG,
-            (
-                f"two clocks: the header stamps of {last} are {apart:.6g} s ahead of those of {first}: the times at "
-                "which messages were logged are used; set both senders by one clock (chrony, PTP, use_sim_time)",
-            ),
+        return (
+            f"two clocks: the header stamps of {last} are {apart:.6g} s ahead of those of {first}: the times at "
+            "which messages were logged are used; set both senders by one clock (chrony, PTP, use_sim_time)"
         )
     if rates and (drift := max(rates.values()) - min(rates.values())) > _DRIFT:
         fast, slow = max(rates, key=rates.__getitem__), min(rates, key=rates.__getitem__)
-        return Clock(
-            LOG,
-            (
-                f"two clocks: the header stamps of {fast} run {1e6 * drift:.0f} ppm faster than those of {slow}: the "
-                "times at which messages were logged are used",
-            ),
+        return (
+            f"two clocks: the header stamps of {fast} run {1e6 * drift:.0f} ppm faster than those of {slow}: the "
+            "times at which messages were logged are used"
         )
-    return Clock(STAMP)
+    return ""
 
 
 def in_use(log_s: Array, stamp_s: Array | None, used: str) -> Array:
-    """A group's times (n,) by the clock that is used, s: its stamps or when it was logged."""
+    """A group's times (n,), s, by the clock `used` (of Clock): its stamps, or the times at which it was logged."""
     return stamp_s if used == STAMP and stamp_s is not None else log_s
 
 
 def first_s(times: Mapping[str, tuple[Array, Array | None]], used: str) -> float:
-    """The earliest time of all groups by the clock that is used; infinity without any. times: as in `choose`."""
+    """The earliest time of all groups, s, by the clock `used` (of Clock); infinity without any. times: as in
+    `choose`."""
     own = [in_use(log_s, stamp_s, used) for log_s, stamp_s in times.values()]
     return min(float(np.min(t_s, initial=np.inf, where=np.isfinite(t_s))) for t_s in own)
 
 
 def tidy(t_s: Array, what: str, warnings: list[str]) -> Array:
-    """Indices (m,) of the rows to keep, rising in time; of rows with the same time the first. TautError where times go
-    back or repeat too often for one clock."""
+    """Which rows to keep so that times rise: indices (m,) into t_s (n,), in the order of time, without rows that have
+    no time or repeat one. What was left out or sorted, and gaps, are added to `warnings`; what: names the rows there.
+    TautError where times go back or repeat too often to be of one clock."""
     kept: Array = np.flatnonzero(np.isfinite(t_s))
     if lost := len(t_s) - len(kept):
         warnings.append(f"{what}: {lost} rows without a time were left out")
     if len(kept) < 2:
         raise TautError(f"{what}: has {len(kept)} rows with a time: expected a motion")
-    step = np.diff(t_s[kept])
-    back = np.flatnonzero(step < 0)
-    if back.size:
-        row = int(step.argmin())
-        if back.size > max(1.0, _MOST_BACK * len(kept)) or -step[row] > _FARTHEST_BACK_S:
-            raise TautError(
-                f"{what}: time goes back by {-step[row]:.6g} s at {t_s[kept[row]]:.9g} s: two clocks, or two "
-                "recordings in one: split it there"
-            )
-        warnings.append(f"{what}: {back.size} rows were out of order by {-step[row]:.3g} s or less: they were sorted")
-        kept = kept[np.argsort(t_s[kept], kind="stable")]
-        step = np.diff(t_s[kept])
-    repeated = step == 0
-    if count := int(repeated.sum()):
-        if count > max(1.0, MAX_REPEATED_TIMES * len(kept)):
-            raise TautError(
-                f"{what}: {count} of {len(kept)} rows repeat the time before them: log them with finer times, each once"
-            )
-        warnings.append(f"{what}: {count} rows that repeat the time before them were left out")
-        kept = kept[np.concatenate([[True], ~repeated])]
-        if len(kept) < 2:
-            raise TautError(f"{what}: all of its rows have one time: expected a motion")
-        step = np.diff(t_s[kept])
-    gaps = np.flatnonzero(step > max(_GAP_S, _GAP_STEPS * float(np.median(step))))
-    if gaps.size:
-        longest = int(step.argmax())
-        warnings.append(
-            f"{what}: {gaps.size} gap{'s' if gaps.size > 1 else ''} without rows, the longest {step[longest]:.3g} s "
-            f"at {t_s[kept[longest]]:.6g} s"
-        )
+    kept = kept[_order(t_s[kept], what, warnings)]
+    kept = kept[_not_repeated(t_s[kept], what, warnings)]
+    _warn_of_gaps(t_s[kept], what, warnings)
     return kept
 
 
+def _order(t_s: Array, what: str, warnings: list[str]) -> Array:
+    """The indices (n,) that sort t_s (n,), finite. That something was sorted is added to `warnings`; what: names the
+    rows there. TautError where times go back too often or too far."""
+    step = np.diff(t_s)
+    back = int(np.sum(step < 0))
+    if not back:
+        return np.arange(len(t_s))
+    row = int(step.argmin())
+    if back > max(1.0, _MOST_BACK * len(t_s)) or -step[row] > _FARTHEST_BACK_S:
+        raise TautError(
+            f"{what}: time goes back by {-step[row]:.6g} s at {t_s[row]:.9g} s: two clocks, or two "
+            "recordings in one: split it there"
+        )
+    warnings.append(f"{what}: {back} rows were out of order by {-step[row]:.3g} s or less: they were sorted")
+    order: Array = np.argsort(t_s, kind="stable")
+    return order
+
+
+def _not_repeated(t_s: Array, what: str, warnings: list[str]) -> Array:
+    """(n,) Whether each of t_s, sorted, differs from the one before it. How many do not is added to `warnings`; what:
+    names the rows there. TautError where too many do not, or all times are one."""
+    new: Array = np.concatenate([[True], np.diff(t_s) != 0])
+    if repeated := int(np.sum(~new)):
+        if repeated > max(1.0, MAX_REPEATED_TIMES * len(t_s)):
+            raise TautError(
+                f"{what}: {repeated} of {len(t_s)} rows repeat the time before them: log them with finer times, each "
+                "once"
+            )
+        warnings.append(f"{what}: {repeated} rows that repeat the time before them were left out")
+        if new.sum() < 2:
+            raise TautError(f"{what}: all of its rows have one time: expected a motion")
+    return new
+
+
+def _warn_of_gaps(t_s: Array, what: str, warnings: list[str]) -> None:
+    """Adds to `warnings` how many gaps without rows there are in t_s (n,), rising, and the longest. what: names the
+    rows there."""
+    step = np.diff(t_s)
+    gaps = int(np.sum(step > max(_GAP_S, _GAP_STEPS * float(np.median(step)))))
+    if gaps:
+        longest = int(step.argmax())
+        warnings.append(
+            f"{what}: {gaps} gap{'s' if gaps > 1 else ''} without rows, the longest {step[longest]:.3g} s "
+            f"at {t_s[longest]:.6g} s"
+        )
+
+
 def overlap(motor_s: Array, tip_s: Array, motor: str, tip: str) -> None:
-    """TautError where the times of motor and tip do not overlap."""
+    """TautError where the times of motor and tip, (n,) s rising, do not overlap. motor, tip: their channels' names."""
     if motor_s[0] <= tip_s[-1] and tip_s[0] <= motor_s[-1]:
         return
     raise TautError(

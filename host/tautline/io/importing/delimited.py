@@ -21,11 +21,15 @@ SLOWEST_S, FASTEST_S = 0.2, 5e-5  # prior: between a motor's rows (10 Hz to 10 k
 
 
 class Delimited:
+    """A CSV as a Source: one episode, one group "" whose channels are the columns."""
+
     kind = "CSV"
     numbers = "column"
 
     def __init__(self, path: Path, time: str = "") -> None:
-        """time: the column of times, with its unit where it is known, as in NAME:ms; "" finds it."""
+        """Reads the first rows, and finds out how the file is written and which column is the time. time: that column's
+        name, or with its unit NAME:ms; "" finds it. TautError where the file is no table of numbers, or has no column
+        of times."""
         self.path = path
         self.notes: list[str] = []
         self.videos: list[str] = []
@@ -47,21 +51,22 @@ class Delimited:
         self.facts = {name: Fact("number", unit=unit) for name, unit in others}
 
     def episodes(self) -> Sequence[int]:
-        """The table is one recording, number 0."""
+        """(0,): the table is one recording."""
         return (0,)
 
     def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
-        """The rows as batches of the one group "", a part of the file at a time."""
+        """All rows, as batches of the one group "", a part of the file at a time."""
         for frame in self._frames():
             values = {name: self._numbers(frame[name]) for name in self.facts}
             yield Batch("", self._seconds(frame[self._time]), None, values)
 
     def pictures(self, episode: int, video: str) -> Clip:
-        """The video file of this name beside the table."""
+        """The whole video file of this name in the table's folder, as a clip."""
         return Clip(self.path.parent / video)
 
     def _frames(self, rows: int | None = None) -> Iterator[pd.DataFrame]:
-        """The table's rows as data frames of at most _CHUNK_ROWS each. rows: only so many from the start; None: all."""
+        """Yields the table's rows as data frames of at most _CHUNK_ROWS each. rows: how many from the start; None: all.
+        TautError where the file cannot be read to its end."""
         how = self._layout
         try:
             with pd.read_csv(
@@ -85,7 +90,8 @@ class Delimited:
             raise TautError(f"{self.path}: cannot be read to its end ({what}): mend that line") from error
 
     def _numbers(self, column: pd.Series) -> Array:
-        """The column as numbers, NaN where a cell holds none."""
+        """A column as float64 (n,), NaN where a cell holds no number; thousands and decimal signs as the file has
+        them."""
         if not pd.api.types.is_numeric_dtype(column):
             text = column.astype("string").str.strip()
             if self._layout.thousands:
@@ -94,18 +100,18 @@ class Delimited:
         return column.to_numpy(dtype=np.float64, na_value=np.nan)
 
     def _holds_numbers(self, column: pd.Series) -> bool:
-        """Whether at least half of the column's cells are numbers: what is left is a recorder's word."""
+        """Whether at least half of a column's cells are numbers; the others may be a recorder's remarks."""
         return bool(np.mean(np.isfinite(self._numbers(column))) >= 0.5)
 
     def _moments(self, column: pd.Series) -> Array:
-        """(n,) int64 ns of dates: 2026-11-23 15:13:47.5, or day first with the year last; the least int64 for no
-        date. Which of both is told by the file's first one."""
+        """A column of dates as int64 (n,), ns since 1970; the least int64 for a cell that is no date. Dates are
+        2026-11-23 15:13:47.5, or, if the file's first one begins so, with the day first and the year last."""
         text = column.astype("string").str.replace(",", ".", regex=False)
         moments = pd.to_datetime(text, errors="coerce", dayfirst=self._day_first, format="mixed")
         return moments.to_numpy("datetime64[ns]").astype(np.int64)
 
     def _seconds(self, column: pd.Series) -> Array:
-        """The column's times, s since the origin; NaN where a cell holds none."""
+        """The column of times as s since the origin (n,), NaN where a cell holds none."""
         if self._dated:
             moments = self._moments(column)
             since = (moments - self._origin) * 1e-9
@@ -116,7 +122,7 @@ class Delimited:
         return (self._numbers(column) - self._origin) * TIMES[self._unit]
 
     def _first_moment(self, column: pd.Series) -> int:
-        """ns of a column's first date. TautError where one of the first few is none."""
+        """A column's first date, ns since 1970. TautError where one of the first few cells is none."""
         head = column.dropna().head()
         moments = self._moments(head)
         if moments.min() == np.iinfo(np.int64).min:
@@ -125,15 +131,17 @@ class Delimited:
         return int(moments[0])
 
     def _unit_and_origin(self, column: pd.Series, unit: str) -> tuple[str, float | int]:
-        """The unit of the times and the origin, in that unit, that is taken off them: 0 where they count from no epoch.
-        A guessed unit is noted. unit: what the user gave, "" without."""
+        """The unit of the times, of units.TIMES, and the origin, in that unit, that is taken off them: the first time
+        if they count from an epoch, else 0. unit: the user's, "" without; else the one in the column's name or below
+        it; else one is guessed from the rows' distance, and noted. column: the first rows. TautError where it holds no
+        times."""
         if self._dated:
             return "ns", self._first_moment(column)
         numbers = self._numbers(column)
-        told = np.flatnonzero(np.isfinite(numbers))
-        if not len(told):
+        filled = np.flatnonzero(np.isfinite(numbers))
+        if not len(filled):
             raise TautError(f"{self.path}: column {self._time} holds no times: name another with --time NAME")
-        step = float(np.median(np.diff(numbers[told]))) if len(told) > 1 else 0.0
+        step = float(np.median(np.diff(numbers[filled]))) if len(filled) > 1 else 0.0
         stated = self._layout.units[self._layout.names.index(self._time)]
         unit = unit or unit_in(self._time, TIMES) or (stated if stated in TIMES else "")
         if not unit:
@@ -148,11 +156,12 @@ class Delimited:
                 f"{1.0 / (step * TIMES[unit]):.4g} rows/s; --time '{self._time}:UNIT' says another"
             )
         whole = pd.api.types.is_integer_dtype(column)  # an epoch's nanoseconds are more than a float holds
-        start = column.iloc[told[0]].item() if whole else float(numbers[told[0]])
+        start = column.iloc[filled[0]].item() if whole else float(numbers[filled[0]])
         return unit, start if abs(start) * TIMES[unit] > EPOCH_S else 0
 
     def _rising(self, first: pd.DataFrame) -> str:
-        """The column that rises as times do; of several the one with a time's name."""
+        """The name of the column of times, from the first rows: one that rises as times do and has a time's name; else
+        the first with such a name, else the first that rises. TautError without any."""
         rising = [name for name in self._layout.names if _rises(first[name])]
         called = [name for name in self._layout.names if _TIME_WORDS.match(name.strip().lower())]
         called = [name for name in called if not (_first_text(first[name]) and first[name].nunique() == 1)]  # a day
@@ -175,12 +184,12 @@ def _rises(column: pd.Series) -> bool:
 
 
 def _first_text(column: pd.Series) -> str:
-    """The column's first cell that holds anything; "" where its cells are numbers."""
+    """The first cell of a column of texts that is not empty; "" for a column of numbers."""
     filled = column.dropna()
     return "" if pd.api.types.is_numeric_dtype(column) or not len(filled) else str(filled.iloc[0])
 
 
 def _time_unit(step: float) -> str:
-    """The unit in which rows that are `step` apart come at a motor's rates; the slower reading where two do, "s" where
-    none does."""
+    """The unit, of units.TIMES, in which rows that are `step` apart come at a motor's usual rates (FASTEST_S to
+    SLOWEST_S); of two such the longer unit, without any "s"."""
     return next((u for u, times in TIMES.items() if FASTEST_S <= abs(step) * times <= SLOWEST_S), "s")

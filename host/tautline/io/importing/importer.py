@@ -35,19 +35,22 @@ _BAG = "metadata.yaml"
 
 @dataclass(frozen=True)
 class Imported:
+    """A recording that was written."""
+
     episode: int
     folder: Path
     rows: int  # of motor.csv
-    channels: Sequence[dict[str, Any]]
-    clock: str
+    channels: Sequence[dict[str, Any]]  # what became of each, as in import.toml
+    clock: str  # which times were used, of Clock
     warnings: Sequence[str]
 
 
 def open_source(path: str | Path, time: str = "") -> Source:
-    """The reader for what is at a path, by its content. time: a CSV's column of times. TautError where it is none of
-    these, or has times of its own."""
+    """Opens the file or folder at a path as what it is by its content: an MCAP file, a ROS bag, a LeRobot data set, or
+    else a CSV. time: a CSV's column of times, "" finds it. TautError where it is none of these, or `time` is given for
+    another kind."""
     path = Path(path)
-    source = _by_content(path)
+    source = _recognised_source(path)
     if source is None:
         return Delimited(path, time)
     if time:
@@ -55,8 +58,9 @@ def open_source(path: str | Path, time: str = "") -> Source:
     return source
 
 
-def _by_content(path: Path) -> Source | None:
-    """The reader for what says by its files or first bytes what it is; None for what may be a CSV."""
+def _recognised_source(path: Path) -> Source | None:
+    """Opens a file or folder whose kind is recognised by its files or first bytes; None for what may be a CSV.
+    TautError, with the remedy, for what is none of them or only a part of one."""
     if not path.exists():
         raise TautError(f"{path}: there is no such file or folder")
     if path.is_dir():
@@ -92,8 +96,10 @@ def import_episodes(
     source: Source, out: Path, roles: Roles, progress: Progress, unit: str | None = None,
     rig: Rig | None = None, episode: int | None = None,
 ) -> tuple[list[Imported], list[str]]:  # fmt: skip
-    """Writes OUT, or OUT/episode_NNNNNN for each where there are several: whole or not at all. Also what was left
-    out of several, and why. TautError where nothing can be made of the one that was named, or of any."""
+    """Imports the episodes of a source, or the one with the number `episode`, as recordings: into the folder `out` if
+    there is one, else into OUT/episode_NNNNNN each; whole or not at all. unit, rig: as in `assemble`. Returns what was
+    written, and of several episodes which were left out, and why, a line each. TautError where no episode can be
+    imported, or the named one."""
     listed = list(source.episodes())
     if not listed:
         raise TautError(f"{source.path}: is empty: it holds no messages")
@@ -106,7 +112,16 @@ def import_episodes(
     if episode is not None or len(listed) == 1:
         only = listed[0] if episode is None else episode
         check_replaceable(out, MOTOR.file)
-        return [_write(source, origin, out, roles, unit, rig, only, progress)], []
+        return [_write_recording(source, origin, out, roles, unit, rig, only, progress)], []
+    return _import_all(source, origin, listed, out, roles, progress, unit, rig)
+
+
+def _import_all(
+    source: Source, origin: dict[str, Any], listed: Sequence[int], out: Path, roles: Roles, progress: Progress,
+    unit: str | None, rig: Rig | None,
+) -> tuple[list[Imported], list[str]]:  # fmt: skip
+    """`import_episodes` of several episodes, those with the numbers `listed`. origin: of the source, for import.toml.
+    TautError, the first episode's, where none can be imported."""
     written: list[Imported] = []
     skipped: list[str] = []
     first: TautError | None = None
@@ -116,7 +131,7 @@ def import_episodes(
             progress(k / len(listed), f"episode {each}")
             name = f"episode_{each:06d}"
             try:
-                made = _write(source, origin, target / name, roles, unit, rig, each, lambda share, what: None)
+                made = _write_recording(source, origin, target / name, roles, unit, rig, each, lambda share, what: None)
             except TautError as error:
                 first = first or error
                 skipped.append(f"episode {each} was left out: {str(error).replace(str(target), str(out))}")
@@ -145,7 +160,7 @@ def _share_rig(folders: Sequence[Path], named: Rig | None) -> None:
         replace(widest, actuator=replace(actuator, encoder_resolution=count)).save(file)
 
 
-def _write(
+def _write_recording(
     source: Source, origin: dict[str, Any], folder: Path, roles: Roles, unit: str | None, rig: Rig | None,
     episode: int, progress: Progress,
 ) -> Imported:  # fmt: skip
@@ -169,7 +184,7 @@ def _write(
 
 
 def _provenance(source: Source, origin: dict[str, Any], episode: int, made: Assembled) -> dict[str, Any]:
-    """import.toml: where a recording came from and what was done to it."""
+    """The document of import.toml: where a recording came from and what was done to it. origin: as of `_origin`."""
     return {
         "format": FORMAT,
         "source": origin | {"episode": episode},
@@ -181,13 +196,14 @@ def _provenance(source: Source, origin: dict[str, Any], episode: int, made: Asse
 
 
 def _origin(source: Source) -> dict[str, Any]:
-    """What import.toml says of the source: its path, kind, hash and size in bytes."""
+    """What import.toml says of the source: path, kind, hash, size in bytes, and tautline's version."""
     hashed, size = _sha256(source.path)
     return {"path": str(source.path), "kind": source.kind, "sha256": hashed, "bytes": size, "taut": __version__}
 
 
 def _sha256(path: Path) -> tuple[str, int]:
-    """SHA-256 of a file; of a folder over its files' names and contents in order, of videos over their size alone."""
+    """SHA-256, hexadecimal, and size in bytes of a file or a folder. A folder's is over its files' names, sizes and
+    contents in order; the contents of videos are left out, as they are large."""
     digest, size = hashlib.sha256(), 0
     files = [path] if path.is_file() else sorted(each for each in path.rglob("*") if each.is_file())
     for file in files:
@@ -203,11 +219,13 @@ def _sha256(path: Path) -> tuple[str, int]:
     return digest.hexdigest(), size
 
 
-def told(roles: Roles, listing: Listing, source: Source, unit: str | None) -> Proposal:
-    """The roles that a user named, as a proposal holds them."""
+def named_roles(roles: Roles, listing: Listing, source: Source, unit: str | None) -> Proposal:
+    """The roles that the user has named already, as a Proposal that `propose` completes: names resolved to channels.
+    unit: of q, None without. TautError where a name means no channel."""
     known = listing.channels
 
     def of(text: str) -> Named:
+        """The channel that a text (NAME, NAME:UNIT, NAME:FACTOR) means."""
         each = named(text, known)
         return replace(each, name=resolve(each.name, source, known))
 
@@ -219,7 +237,8 @@ def told(roles: Roles, listing: Listing, source: Source, unit: str | None) -> Pr
 def proposed_command(
     source: Source, out: Path | None, found: Proposal, joints: Sequence[str], episode: int | None, time: str = ""
 ) -> str:
-    """The whole command for a proposal; "" where it has no motor or no tip."""
+    """The whole command line of `taut import` for a proposal, to be copied; "" where it lacks a motor, or tip and
+    video. joints, episode, time, out: the user's options."""
     if found.motor is None or not (found.tip or found.video):
         return ""
     words = ["taut", "import", str(source.path), "--out", str(out or "recording"), "--motor", found.motor.text]

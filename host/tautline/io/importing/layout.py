@@ -24,19 +24,22 @@ _ENCODINGS = ("utf-8-sig", "cp1252")  # cp1252: what a spreadsheet on Windows wr
 
 @dataclass(frozen=True)
 class Layout:
-    encoding: str
-    separator: str
-    decimal: str
-    thousands: str | None
-    names: list[str]
+    """How a CSV is written."""
+
+    encoding: str  # Python's name
+    separator: str  # " ": any blanks
+    decimal: str  # "." or ","
+    thousands: str | None  # None: digits are not grouped
+    names: list[str]  # of the columns
     units: list[str]  # of units.py, "" where none is told
     first: int  # lines before the first row of numbers
 
     @classmethod
     def of(cls, path: Path) -> Layout:
-        """The layout of a file. TautError where it is no table of numbers below a line of names."""
-        lines, encoding = _head(path)
-        separator, rows = _separated(path, lines)
+        """Finds out the layout of a file from its first lines: most of them are rows of numbers, the line of names is
+        above them, perhaps with a line of units between. TautError where it is no such table."""
+        lines, encoding = _first_lines(path)
+        separator, rows = _split_by_best_separator(path, lines)
         numeric = [k for k, row in enumerate(rows) if _is_numeric(row)]
         lengths = [len(rows[k]) for k in numeric]
         count = max(sorted(set(lengths), reverse=True), key=lengths.count)  # a stray separator makes one row longer
@@ -44,20 +47,20 @@ class Layout:
         above = [k for k in range(first) if sum(bool(cell) for cell in rows[k]) >= max(2, count - 1)]
         if not above:
             raise TautError(f"{path}, line {first + 1}: holds numbers and no line of names is above it: put one there")
-        told = rows[above[-1]] if len(above) > 1 and _is_units(rows[above[-1]]) else None
-        header = above[-1] if told is None else above[-2]
+        unit_row = rows[above[-1]] if len(above) > 1 and _is_units(rows[above[-1]]) else None
+        header = above[-1] if unit_row is None else above[-2]
         names = [name or f"column {k + 1}" for k, name in enumerate((rows[header] + [""] * count)[:count])]
         if (twice := next((name for name in names if names.count(name) > 1), None)) is not None:
             raise TautError(f"{path}, line {header + 1}: column {twice[:24]} is there twice: give each its own name")
-        below = (told or []) + [""] * count
-        units = [_unit(below[k], name) for k, name in enumerate(names)]
+        below = (unit_row or []) + [""] * count
+        units = [_column_unit(below[k], name) for k, name in enumerate(names)]
         cells = [cell for row in rows[first:] if len(row) == count for cell in row]
         commas = separator != "," and any(_DECIMAL_COMMA.fullmatch(cell) for cell in cells)
         grouped = commas and any(_GROUPED.fullmatch(cell) for cell in cells)
         return cls(encoding, separator, "," if commas else ".", "." if grouped else None, names, units, first)
 
 
-def _unit(below: str, name: str) -> str:
+def _column_unit(below: str, name: str) -> str:
     """A column's unit: by the cell below its name in a line of units, else by the name's end; "" where neither has
     one."""
     cell = below.strip("[]() ")
@@ -65,11 +68,13 @@ def _unit(below: str, name: str) -> str:
 
 
 def is_date(cell: str) -> bool:
+    """Whether a cell begins with a date or a time of day."""
     return bool(_DATE.match(cell))
 
 
-def _head(path: Path) -> tuple[list[str], str]:
-    """The first lines of a file, and the encoding that reads them. TautError where it is no text."""
+def _first_lines(path: Path) -> tuple[list[str], str]:
+    """The first lines of a file, up to _LOOKED_AT, and the encoding that reads them. TautError where it is empty or no
+    text."""
     with path.open("rb") as stream:
         data = stream.read(_LOOKED_AT_BYTES)
     if not data.strip():
@@ -92,8 +97,9 @@ def _head(path: Path) -> tuple[list[str], str]:
     raise TautError(f"{path}: is no text in UTF-8, UTF-16 or Windows-1252: save it as UTF-8")
 
 
-def _separated(path: Path, lines: Sequence[str]) -> tuple[str, list[list[str]]]:
-    """The separator that makes most lines rows of the same number of numbers, and the cells."""
+def _split_by_best_separator(path: Path, lines: Sequence[str]) -> tuple[str, list[list[str]]]:
+    """The separator with which most lines are rows of numbers of one length, and the lines' cells by it. TautError
+    where no separator gives rows of numbers."""
     best: tuple[int, str, list[list[str]]] = (0, "", [])
     for separator in _SEPARATORS:
         rows = [_split(line, separator) for line in lines]
@@ -107,7 +113,7 @@ def _separated(path: Path, lines: Sequence[str]) -> tuple[str, list[list[str]]]:
 
 
 def _split(line: str, separator: str) -> list[str]:
-    """The line's cells; none where it is too long to be a row."""
+    """A line's cells, without blanks around them; [] for a line that csv cannot split."""
     if separator == " ":
         return line.split()
     try:
@@ -117,13 +123,14 @@ def _split(line: str, separator: str) -> list[str]:
 
 
 def _is_numeric(row: Sequence[str]) -> bool:
-    """Whether a row has at least two cells, one of them a number, and texts in less than half."""
+    """Whether a row is one of numbers: it has at least two cells, a number in one at least, and texts in less than
+    half."""
     numbers = sum(bool(_NUMBER.fullmatch(cell)) for cell in row)
     texts = sum(bool(cell) and not is_date(cell) for cell in row) - numbers
     return len(row) > 1 and numbers > 0 and texts < 0.5 * len(row)
 
 
 def _is_units(row: Sequence[str]) -> bool:
-    """Whether more than half of a row's cells, empty ones apart, are units."""
+    """Whether a row is one of units: more than half of its cells that are not empty are units."""
     cells = [cell.strip("[]() ") for cell in row if cell]
     return sum(bool(known_unit(cell) or known_unit(cell, TIMES)) for cell in cells) > 0.5 * len(cells)

@@ -23,9 +23,12 @@ _UNITS = ("deg", "rad", "mm", "m")
 
 
 class LeRobot:
+    """A LeRobot data set as a Source: its episodes, with one group "" whose channels are the features' numbers."""
+
     numbers = "feature"
 
     def __init__(self, path: Path) -> None:
+        """Reads meta/info.json and the table of episodes. TautError where they are damaged or of another version."""
         self.path = path
         self.facts: dict[str, Fact] = {}
         self.notes: list[str] = []
@@ -40,7 +43,7 @@ class LeRobot:
                 f"{path / INFO}: codebase_version is {version!r}: v2.1 and v3.0 are read: convert it with LeRobot first"
             )
         self.kind = f"LeRobot {version}"
-        self._features: Mapping[str, Any] = self._need("features", dict)
+        self._features: Mapping[str, Any] = self._info_value("features", dict)
         self.videos = [name for name, each in self._features.items() if each.get("dtype") == "video"]
         self.facts.update({name: Fact("video") for name in self.videos})
         self._numeric = {
@@ -48,13 +51,7 @@ class LeRobot:
             for name, each in self._features.items()
             if name not in _COUNTERS and str(each.get("dtype", "")).startswith(("float", "int", "uint"))
         }
-        stats = self._json(path / _STATS) if (path / _STATS).is_file() else {}
-        for name, feature in self._numeric.items():
-            named = _names(name, feature)
-            ends = (_ends(stats.get(name), which, len(named)) for which in ("min", "max"))
-            for (key, label), low, high in zip(named, *ends, strict=True):
-                usual = "deg" if label.endswith(_OWN) else ""
-                self.facts[key] = Fact(str(feature["dtype"]), label, self._unit(feature), usual, low, high)
+        self.facts.update(self._numeric_facts())
         self._rows = self._episode_rows()
         if not any(fact.unit for fact in self.facts.values()):
             self.notes.append(
@@ -62,11 +59,27 @@ class LeRobot:
                 "(-100 to 100) that only its calibration turns into degrees"
             )
 
+    def _numeric_facts(self) -> dict[str, Fact]:
+        """The facts on each channel of the numeric features, by its name; lowest and highest value from stats.json, NaN
+        without it."""
+        file = self.path / _STATS
+        stats = self._json(file) if file.is_file() else {}
+        facts: dict[str, Fact] = {}
+        for name, feature in self._numeric.items():
+            named = _channel_names(name, feature)
+            ends = (_stats_of(stats.get(name), which, len(named)) for which in ("min", "max"))
+            for (key, label), low, high in zip(named, *ends, strict=True):
+                usual = "deg" if label.endswith(_OWN) else ""
+                facts[key] = Fact(str(feature["dtype"]), label, self._unit(feature), usual, low, high)
+        return facts
+
     def episodes(self) -> Sequence[int]:
+        """The numbers of the episodes, rising."""
         return sorted(self._rows)
 
     def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
-        """The episode's rows in batches of the one group "", which `groups` does not restrict."""
+        """The episode's rows, as batches of the one group "". groups: as every Source takes it, unused. TautError where
+        the file is missing, cut or lacks a column."""
         file = self._format("data_path", **self._placed(episode, "data"))
         columns = [*self._numeric, "timestamp"]
         if not file.is_file():
@@ -91,21 +104,25 @@ class LeRobot:
             self.notes.append(f"{file}: episode {episode} has {count} rows, its list says {length}")
 
     def pictures(self, episode: int, video: str) -> Clip:
-        """The episode's clip of one video."""
+        """The episode's part of the file of one video, a clip. TautError where there is no such video."""
         if video not in self.videos:
             raise no_video(self.path, video, self.videos)
         key = f"videos/{video}"
         path = self._format("video_path", video_key=video, **self._placed(episode, key))
         if self._layout == "v2":
             return Clip(path)
-        return Clip(path, self._told(episode, f"{key}/from_timestamp"), self._told(episode, f"{key}/to_timestamp"))
+        return Clip(
+            path,
+            self._episode_number(episode, f"{key}/from_timestamp"),
+            self._episode_number(episode, f"{key}/to_timestamp"),
+        )
 
     def _batch(self, batch: Any, file: Path) -> Batch:
-        """A Parquet batch with a channel for each number of the features. file: for errors."""
+        """A Batch from one of pyarrow's, with a channel for each of the features' numbers. file: for errors."""
         values: dict[str, Array] = {}
         for name, feature in self._numeric.items():
             column = batch.column(name)
-            keys = _names(name, feature)
+            keys = _channel_names(name, feature)
             flat = column.flatten() if hasattr(column, "flatten") and column.type.num_fields else column
             numbers = flat.cast("float64").to_numpy(zero_copy_only=False)
             if len(numbers) != len(keys) * batch.num_rows:
@@ -115,8 +132,8 @@ class LeRobot:
         return Batch("", self._times(batch), None, values)
 
     def _times(self, batch: Any) -> Array:
-        """(n,) s: a frame's number over the rate where that, in single precision, is the time that was written, which
-        is then some us off; else the time that was written."""
+        """The rows' times (n,), s. They are written in single precision, some us off: where the frame's number over the
+        rate, rounded so, is the written time, that exact one is taken."""
         written = batch.column("timestamp").cast("float64").to_numpy(zero_copy_only=False)
         rate = self._info.get("fps")
         if _FRAME not in batch.schema.names or not isinstance(rate, int | float) or not rate > 0:
@@ -125,14 +142,14 @@ class LeRobot:
         return np.where(nominal.astype(np.float32) == written, nominal, written)
 
     def _placed(self, episode: int, what: str) -> dict[str, int]:
-        """The numbers by which the path templates of info.json find an episode's file. what: its table's key for them,
-        `data` or `videos/NAME`; version 2.1 counts the episodes alone."""
+        """The values for info.json's path templates that give an episode's file. what: the prefix of their keys in the
+        table of episodes, `data` or `videos/NAME`; version 2.1 has a file for each episode and needs no table."""
         if self._layout == "v2":
             return {"episode_chunk": episode // int(self._info.get("chunks_size") or 1000), "episode_index": episode}
-        return {name: int(self._told(episode, f"{what}/{name}")) for name in ("chunk_index", "file_index")}
+        return {name: int(self._episode_number(episode, f"{what}/{name}")) for name in ("chunk_index", "file_index")}
 
-    def _told(self, episode: int, key: str) -> float:
-        """A number of the table of episodes. TautError where it is missing."""
+    def _episode_number(self, episode: int, key: str) -> float:
+        """The number under a key in the table of episodes. TautError where it is missing."""
         value = self._rows[episode].get(key)
         if not isinstance(value, int | float):
             listed = self.path / _EPISODES[self._layout]
@@ -140,7 +157,8 @@ class LeRobot:
         return value
 
     def _episode_rows(self) -> dict[int, dict[str, Any]]:
-        """The table of episodes, by their numbers. TautError where it is missing or unreadable."""
+        """Reads the table of episodes: a row by key for each episode number. TautError where it is missing or
+        unreadable."""
         listed = self.path / _EPISODES[self._layout]
         if self._layout == "v2":
             try:
@@ -161,29 +179,30 @@ class LeRobot:
         return rows
 
     def _unit(self, feature: Mapping[str, Any]) -> str:
-        """The unit that info.json gives a feature, by its key `unit` or that of its `info`; "" without."""
+        """The unit of a feature by info.json, of _UNITS, in its key `unit` or that of its `info`; "" without."""
         inner = feature.get("info")
         stated = str(feature.get("unit") or (inner.get("unit") if isinstance(inner, Mapping) else "") or "")
         short = {"degrees": "deg", "degree": "deg", "radians": "rad", "radian": "rad"}.get(stated.lower(), stated)
         return short if short in _UNITS else ""
 
     def _format(self, key: str, **values: Any) -> Path:
-        """The path that the template `key` of info.json makes of these values."""
-        template: str = self._need(key, str)
+        """The path that info.json's template under `key` gives with these values. TautError where it is no template of
+        them."""
+        template: str = self._info_value(key, str)
         try:
             return self.path / template.format(**values)
         except (KeyError, ValueError, IndexError) as error:
             raise TautError(f"{self.path / INFO}: {key} is {template!r}, which is not of {self.kind}") from error
 
-    def _need(self, key: str, kind: type[Any]) -> Any:
-        """info.json's value of `key`. TautError where it is missing or not of this kind."""
+    def _info_value(self, key: str, kind: type[Any]) -> Any:
+        """The value under a key of info.json. TautError where it is missing or not of this type."""
         value = self._info.get(key)
         if not isinstance(value, kind):
             raise TautError(f"{self.path / INFO}: {key} is missing: is the data set whole?")
         return value
 
     def _json(self, file: Path) -> Mapping[str, Any]:
-        """The file's JSON object. TautError where it is unreadable or no object."""
+        """Reads a JSON object from a file. TautError where it is unreadable or no object."""
         try:
             document = json.loads(file.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
@@ -193,8 +212,9 @@ class LeRobot:
         return document
 
 
-def _names(name: str, feature: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """(channel, label) of each of a feature's numbers: NAME or NAME[k]; what info.json calls it, "" where nothing."""
+def _channel_names(name: str, feature: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """For each of a feature's numbers its channel, NAME or NAME[k], and its label by info.json, "" without. feature:
+    its entry there."""
     shape = [int(n) for n in feature.get("shape") or (1,)]
     count = int(np.prod(shape))
     labels: Any = feature.get("names")
@@ -202,19 +222,21 @@ def _names(name: str, feature: Mapping[str, Any]) -> list[tuple[str, str]]:
         labels = next(iter(labels.values()), None)
     if count == 1 and not isinstance(labels, list):
         return [(name, "")]
-    told = labels if isinstance(labels, list) and len(labels) == count else [""] * count
-    return [(f"{name}[{k}]", str(label)) for k, label in enumerate(told)]
+    listed = labels if isinstance(labels, list) and len(labels) == count else [""] * count
+    return [(f"{name}[{k}]", str(label)) for k, label in enumerate(listed)]
 
 
-def _ends(stats: Any, which: str, count: int) -> list[float]:
-    """What stats.json says of a feature's numbers over all episodes, `min` or `max`; NaN each where it says nothing."""
-    told = stats.get(which) if isinstance(stats, Mapping) else None
+def _stats_of(stats: Any, which: str, count: int) -> list[float]:
+    """`min` or `max` (`which`) of each of a feature's `count` numbers over all episodes, by its entry in stats.json;
+    NaN each where that says nothing."""
+    stated = stats.get(which) if isinstance(stats, Mapping) else None
     try:
-        ends = np.ravel(np.array(told, dtype=float))
+        ends = np.ravel(np.array(stated, dtype=float))
     except (TypeError, ValueError):
         ends = np.zeros(0)
     return ends.tolist() if len(ends) == count else [float("nan")] * count
 
 
 def is_dataset(path: Path) -> bool:
+    """Whether a folder is a LeRobot data set."""
     return (path / INFO).is_file()

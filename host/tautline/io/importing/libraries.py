@@ -11,7 +11,8 @@ EXTRA = "pip install 'tautline-robotics[import]'"
 
 
 def library(module: str, reads: str) -> Any:
-    """The module, or a TautError that names the command which installs it. reads: what it is needed for."""
+    """Imports a module of a library that is optional. reads: what it is needed for, for the error. TautError, with the
+    command that installs it, where it is missing."""
     try:
         return import_module(module)
     except ImportError as error:

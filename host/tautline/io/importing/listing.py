@@ -20,6 +20,8 @@ _NEAR = 3  # display: names that an error offers
 
 @dataclass(frozen=True)
 class Channel:
+    """One channel of numbers in an episode, thinned."""
+
     name: str
     group: str  # topic; "" where the source is one table
     fact: Fact
@@ -27,19 +29,21 @@ class Channel:
     rate_hz: float  # of its group's rows
     low: float
     high: float
-    t_s: Array  # (k,) thinned, by the log
-    values: Array  # (k,)
+    t_s: Array  # (k,) log times, s, of some of its rows
+    values: Array  # (k,) of these rows, NaN where they have none
 
     @property
     def moves(self) -> bool:
-        """Whether its numbers differ."""
+        """Whether its numbers are not all the same."""
         return self.count > 1 and self.high > self.low
 
 
 @dataclass(frozen=True)
 class Listing:
+    """What is in an episode."""
+
     episode: int
-    channels: Mapping[str, Channel]
+    channels: Mapping[str, Channel]  # by name
     videos: Sequence[str]
     clocks: Mapping[str, tuple[Array, Array | None]]  # by group: log and stamps, thinned
 
@@ -71,8 +75,8 @@ class _Group:
     high: dict[str, float] = field(default_factory=dict)
 
     def add(self, batch: Batch) -> None:
-        """Counts a batch's rows and their range, and keeps each stride-th; where too many are kept, the stride
-        doubles."""
+        """Takes in a batch: counts its numbers and their range, and keeps each stride-th row. Where too many are kept,
+        every second one is dropped and the stride doubles."""
         n = len(batch.log_s)
         self.first_s = min(self.first_s, float(np.nanmin(batch.log_s)))
         self.last_s = max(self.last_s, float(np.nanmax(batch.log_s)))
@@ -95,6 +99,7 @@ class _Group:
             self._keep(log_s[::2], stamp_s[::2], {name: v[::2].copy() for name, v in values.items()})
 
     def _keep(self, log_s: Array, stamp_s: Array, values: dict[str, Array]) -> None:
+        """Keeps rows: log times and stamps (k,) s, and values (k,) by channel."""
         self.kept.append((log_s, stamp_s, values))
         self.held += len(log_s)
 
@@ -109,8 +114,9 @@ class _Group:
 
 
 def scan(source: Source, episode: int | None, progress: Progress) -> Listing:
-    """One pass over an episode (None: the first): at most 8192 rows of each channel, (k,), t_s in s. TautError where it
-    has no rows or no such episode."""
+    """Lists what is in an episode (None: the first), in one pass over it: each channel with its count, rate and range,
+    and at most 2 * _KEPT of its rows; of an orientation also the angle, as a channel. progress: gets the share done,
+    and a word. TautError where there is no such episode, or nothing in it."""
     episodes = source.episodes()
     if not episodes:
         raise TautError(f"{source.path}: is empty: it holds no messages")
@@ -127,25 +133,35 @@ def scan(source: Source, episode: int | None, progress: Progress) -> Listing:
     for group, held in sorted(groups.items()):
         log_s, stamp_s, values = held.joined()
         clocks[group] = (log_s, None if np.isnan(stamp_s).all() else stamp_s)
-        span = held.last_s - held.first_s
-        rate = (held.rows - 1) / span if span > 0 else 0.0
-        for name, kept in values.items():
-            fact = source.facts.get(name, Fact())
-            low, high = held.low.get(name, np.nan), held.high.get(name, np.nan)
-            channels[name] = Channel(name, group, fact, held.count[name], rate, low, high, log_s, kept)
-        for prefix in _orientations(values):
-            angle, _ = bending_deg(np.column_stack([values[f"{prefix}.{axis}"] for axis in QUATERNION]))
-            if np.isfinite(angle).any():
-                fact = Fact(QUATERNION_TYPE, unit="deg")
-                low, high = float(np.nanmin(angle)), float(np.nanmax(angle))
-                channels[prefix] = Channel(prefix, group, fact, held.rows, rate, low, high, log_s, angle)
+        channels |= _channels_of(group, held, log_s, values, source.facts)
     if not channels and not source.videos:
         raise TautError(f"{source.path}: holds no {source.numbers} with numbers: is it the right file?")
     return Listing(episode, channels, list(source.videos), clocks)
 
 
+def _channels_of(
+    group: str, held: _Group, log_s: Array, values: Mapping[str, Array], facts: Mapping[str, Fact]
+) -> dict[str, Channel]:
+    """The channels of a group, by name, an orientation's angle among them. log_s, values: the rows that were kept,
+    (k,); facts: the source's."""
+    channels: dict[str, Channel] = {}
+    span = held.last_s - held.first_s
+    rate = (held.rows - 1) / span if span > 0 else 0.0
+    for name, kept in values.items():
+        fact = facts.get(name, Fact())
+        low, high = held.low.get(name, np.nan), held.high.get(name, np.nan)
+        channels[name] = Channel(name, group, fact, held.count[name], rate, low, high, log_s, kept)
+    for prefix in _orientations(values):
+        angle, _ = bending_deg(np.column_stack([values[f"{prefix}.{axis}"] for axis in QUATERNION]))
+        if np.isfinite(angle).any():
+            fact = Fact(QUATERNION_TYPE, unit="deg")
+            low, high = float(np.nanmin(angle)), float(np.nanmax(angle))
+            channels[prefix] = Channel(prefix, group, fact, held.rows, rate, low, high, log_s, angle)
+    return channels
+
+
 def check_episode(source: Source, episode: int) -> None:
-    """TautError where a source that is not empty has no such episode."""
+    """TautError where a source, which has episodes, does not have this one."""
     listed = source.episodes()
     if episode not in listed:
         raise TautError(f"{source.path}: has no episode {episode}: its episodes are {listed[0]} to {listed[-1]}")
@@ -155,13 +171,14 @@ QUATERNION_TYPE = "orientation"
 
 
 def _orientations(names: Collection[str]) -> list[str]:
-    """Names whose .x, .y, .z and .w are all channels: quaternions."""
+    """The names NAME for which NAME.x, NAME.y, NAME.z and NAME.w are all among the channels' names: quaternions."""
     ends = [name.removesuffix(".w") for name in names if name.endswith(".w")]
     return [each for each in ends if all(f"{each}.{axis}" in names for axis in QUATERNION)]
 
 
 def resolve(wanted: str, source: Source, known: Collection[str]) -> str:
-    """The channel that is meant by its name, its label, or NAME[label]. TautError with the nearest ones."""
+    """The channel among `known` that a user means by its name, its label, or NAME[label]; also a name that stands for
+    several channels, NAME of NAME.x. TautError, with the most similar names, where there is none."""
     if wanted in known:
         return wanted
     labelled = {
@@ -180,34 +197,34 @@ def resolve(wanted: str, source: Source, known: Collection[str]) -> str:
 
 
 def _label(source: Source, name: str) -> str:
-    """What the file calls a channel beside its name, a joint for one; "" where nothing."""
+    """A channel's label in the file, such as a joint's name; "" without."""
     return source.facts[name].label if name in source.facts else ""
 
 
 def find(source: Source, episode: int, wanted: Sequence[str]) -> dict[str, tuple[str, str]]:
-    """(channel, group) of each name that was asked for, as `resolve` takes it. Reads no further than until all are
-    known; TautError where one never is."""
+    """For each name that a user gave (see `resolve`) its channel and group in an episode. Reads the episode only until
+    all are known; TautError where one never is."""
     known: dict[str, str] = dict.fromkeys(source.facts, "")
     for batch in source.batches(episode):
         known.update(dict.fromkeys(batch.values, batch.group))
         try:
-            return {each: (name := resolve(each, source, known), _group(name, known)) for each in wanted}
+            return {each: (name := resolve(each, source, known), _group_of(name, known)) for each in wanted}
         except TautError:
             continue
     if not known:
-        raise _empty(source, episode)
-    return {each: (name := resolve(each, source, known), _group(name, known)) for each in wanted}
+        raise _empty_episode_error(source, episode)
+    return {each: (name := resolve(each, source, known), _group_of(name, known)) for each in wanted}
 
 
-def _group(name: str, known: Mapping[str, str]) -> str:
-    """The group of a channel, or of a name that stands for several: that of the first one below it."""
+def _group_of(name: str, known: Mapping[str, str]) -> str:
+    """The group of a channel, by `known` (group by channel); of a name that stands for several the first one's."""
     return known[name] if name in known else next(g for each, g in known.items() if each.startswith(f"{name}."))
 
 
 def read(source: Source, episode: int, wanted: Mapping[str, Collection[str]], progress: Progress) -> dict[str, Rows]:
-    """All rows of the channels wanted (by group), by group; channels of one group that no message holds together, as
-    those of two publishers, have rows of their own, by the first of them. Memory: 8 bytes a number and time, and once
-    more for one of them."""
+    """Reads all rows of the channels that are wanted (by group) in an episode. Returns Rows by group; channels of one
+    group that no message holds together, as those of two publishers, have Rows of their own, by the first one's name.
+    Memory: 8 bytes for each number and time, and once more for one channel. TautError where there are no rows."""
     parts: dict[str, dict[frozenset[str], list[_Part]]] = {group: {} for group in wanted}
     rows = 0
     for batch in source.batches(episode, list(wanted)):
@@ -218,18 +235,18 @@ def read(source: Source, episode: int, wanted: Mapping[str, Collection[str]], pr
         rows += len(batch.log_s)
         progress(0.5, f"{rows} rows read")
     if not rows:
-        raise _empty(source, episode)
+        raise _empty_episode_error(source, episode)
     found: dict[str, Rows] = {}
     for group, by_names in parts.items():
-        for names in _together(by_names, wanted[group]):
+        for names in _channels_held_together(by_names, wanted[group]):
             own = [part for held, each in by_names.items() if held <= set(names) for part in each]
-            found[names[0] if group in found else group] = _joined(own, names, bool(group))
+            found[names[0] if group in found else group] = _join_parts(own, names, bool(group))
     return found
 
 
-def _together(held: Collection[frozenset[str]], wanted: Collection[str]) -> list[list[str]]:
-    """The channels of a group that messages hold together, also by way of others; as `wanted` orders them. held: which
-    ones there are in one message."""
+def _channels_held_together(held: Collection[frozenset[str]], wanted: Collection[str]) -> list[list[str]]:
+    """Divides a group's channels into lists of those that messages hold together, directly or by way of others
+    (connected components), each in the order of `wanted`. held: the sets of channels that occur in one message."""
     sets: list[frozenset[str]] = []
     for each in held:
         touching = [known for known in sets if known & each]
@@ -237,19 +254,21 @@ def _together(held: Collection[frozenset[str]], wanted: Collection[str]) -> list
     return [[name for name in wanted if name in each] for each in sets]
 
 
-def _empty(source: Source, episode: int) -> TautError:
+def _empty_episode_error(source: Source, episode: int) -> TautError:
+    """The error to raise for an episode without rows."""
     return TautError(f"{source.path}: episode {episode} is empty: choose another one with --episode")
 
 
-def _joined(parts: list[_Part], names: Collection[str], by_log: bool) -> Rows:
-    """The parts of one group as one; their values are taken out, as they need not be there twice. A part without stamps
-    or a channel has NaN; None where no part has any stamps. by_log: sorted by log time, as batches may be out of order;
-    a table's rows are left as they are, so that a clock set back is seen."""
+def _join_parts(parts: list[_Part], names: Collection[str], by_log: bool) -> Rows:
+    """Joins the parts of one group to Rows; values are taken out of the parts, which saves memory. Where a part lacks
+    stamps or a channel there is NaN; stamps are None if no part has any. by_log: rows are sorted by log time, as
+    batches may be out of order; a table's rows are not, so that a clock that was set back is noticed."""
 
-    def taken(part: _Part, name: str) -> Array:
+    def take(part: _Part, name: str) -> Array:
+        """Takes a channel's values (n,) out of a part of n rows, NaN where it has none."""
         return part[2].pop(name) if name in part[2] else np.full(len(part[0]), np.nan)
 
-    values = {name: np.concatenate([taken(part, name) for part in parts]) for name in names}
+    values = {name: np.concatenate([take(part, name) for part in parts]) for name in names}
     stamp_s = None
     if any(part[1] is not None for part in parts):
         stamp_s = np.concatenate([np.full(len(part[0]), np.nan) if part[1] is None else part[1] for part in parts])

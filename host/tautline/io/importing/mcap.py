@@ -16,10 +16,13 @@ from tautline.io.importing.source import Batch, Fact, Picture, no_video, origin_
 
 
 class Mcap:
+    """An MCAP file as a Source: one episode, a group for each topic."""
+
     kind = "MCAP"
     numbers = "topic"
 
     def __init__(self, path: Path) -> None:
+        """Reads the file's summary. TautError where it is cut or no MCAP, or the library is missing."""
         self.path = path
         self.facts: dict[str, Fact] = {}
         self.videos: list[str] = []
@@ -31,7 +34,7 @@ class Mcap:
             with path.open("rb") as stream:
                 summary = self._reader.make_reader(stream).get_summary()
         except self._errors as error:
-            raise self._cut(error) from error
+            raise self._cut_error(error) from error
         # In the order of time the library holds the chunks that overlap, in the file's order all of them; without
         # chunks it is the other way round.
         self._by_time = summary is not None and bool(summary.chunk_indexes)
@@ -45,11 +48,12 @@ class Mcap:
         self._empty = summary is not None and summary.statistics is not None and not summary.statistics.message_count
 
     def episodes(self) -> tuple[int, ...]:
-        """The file is one recording, number 0; none where it has no messages."""
+        """(0,): the file is one recording; () where it has no messages."""
         return () if self._empty else (0,)
 
     def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
-        """The file's messages of these groups as numbers, in batches."""
+        """The numbers in the messages of these topics (None: all), in batches. Topics of pictures are added to
+        `videos`; those that cannot be decoded are left out, with a note."""
         gathered = Gathered()
         flatteners: dict[str, Flattener] = {}  # by topic, which several channels may share: one for each publisher
         for schema, channel, message, decode in self._messages(groups):
@@ -64,7 +68,10 @@ class Mcap:
             decoded = decode(message.data)
             stamp = stamp_ns(decoded)
             batch = gathered.add(
-                channel.topic, self._s(message.log_time), self._s(stamp), flatteners[channel.topic].values(decoded)
+                channel.topic,
+                self._seconds(message.log_time),
+                self._seconds(stamp),
+                flatteners[channel.topic].values(decoded),
             )
             if batch is not None:
                 yield batch
@@ -75,19 +82,21 @@ class Mcap:
                 self.notes.append(note)
 
     def pictures(self, episode: int, video: str) -> Iterator[Picture]:
-        """The pictures of an image topic."""
+        """The pictures of an image topic. TautError where there is no such topic, or its pictures have an unknown
+        encoding."""
         for schema, _, message, decode in self._messages([video]):
             if schema is None or not is_picture(schema.name):
                 raise no_video(self.path, video, self.videos)
             decoded = decode(message.data)
-            found = picture(decoded, self._s(message.log_time), self._s(stamp_ns(decoded)))
+            found = picture(decoded, self._seconds(message.log_time), self._seconds(stamp_ns(decoded)))
             if found is None:
                 raise TautError(f"{self.path}: {video} holds pictures that are no JPEG, PNG or plain colours")
             yield found
 
     def _messages(self, topics: Collection[str] | None) -> Iterator[tuple[Any, Any, Any, Callable[[bytes], Any]]]:
-        """(schema, channel, message, its decoder) of these topics (None: all), by log time where the file has chunks,
-        else in the file's order. Channels that cannot be decoded are left out."""
+        """Yields (schema, channel, message, function that decodes its data) of these topics (None: all), by log time if
+        the file has chunks, else in the file's order. Channels that cannot be decoded are left out. TautError where the
+        file is cut."""
         decoders: dict[int, Callable[[bytes], Any] | None] = {}
         wanted = None if topics is None else list(topics)
         try:
@@ -100,10 +109,11 @@ class Mcap:
                     if decode is not None:
                         yield schema, channel, message, decode
         except self._errors as error:
-            raise self._cut(error) from error
+            raise self._cut_error(error) from error
 
     def _decoder(self, schema: Any, channel: Any) -> Callable[[bytes], Any] | None:
-        """The decoder for a channel's messages; None where its encoding is unknown."""
+        """The function that decodes the data of a channel's messages, from its schema; None where the encoding is
+        unknown, which is noted."""
         encoding = channel.message_encoding
         found: Callable[[bytes], Any] | None = None
         if encoding == "json":
@@ -124,12 +134,12 @@ class Mcap:
             self._undecoded.add(f"{channel.topic} ({encoding}{of})")
         return found
 
-    def _s(self, time_ns: int | None) -> float:
+    def _seconds(self, time_ns: int | None) -> float:
         """A time in s since the origin; NaN for None."""
         return np.nan if time_ns is None else (time_ns - self._origin_ns) * 1e-9
 
-    def _cut(self, error: Exception) -> TautError:
-        """The error to raise for one of the library's: the file is cut or none."""
+    def _cut_error(self, error: Exception) -> TautError:
+        """The error to raise for an error of the library: the file is cut, or no MCAP."""
         return TautError(
             f"{self.path}: is cut short or no MCAP file ({' '.join(str(error).split()) or 'it ends too early'}): "
             f"'mcap recover {self.path} -o whole.mcap' saves what is whole"

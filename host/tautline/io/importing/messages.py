@@ -20,7 +20,8 @@ _NO_NUMBERS = (str, bytes, bytearray, memoryview)
 
 
 def fields(message: Any) -> list[tuple[str, Any]]:
-    """(name, value) of a message's parts; [] for what is no message."""
+    """The fields (name, value) of a message, however it was decoded: a dictionary, a protobuf message, or an object
+    with slots or of a dataclass. [] for what is none."""
     if isinstance(message, Mapping):
         return [(str(key), value) for key, value in message.items()]
     if (descriptor := getattr(message, "DESCRIPTOR", None)) is not None:
@@ -30,13 +31,13 @@ def fields(message: Any) -> list[tuple[str, Any]]:
 
 
 def part(message: Any, name: str) -> Any:
-    """A message's part of this name; None where it has none."""
+    """The field of this name in a message, however it was decoded; None where it has none."""
     return message.get(name) if isinstance(message, Mapping) else getattr(message, name, None)
 
 
 def stamp_ns(message: Any) -> int | None:
-    """The sender's time, ns, from the header, the field `timestamp` or the first of several transforms; None where it
-    set none, or 0."""
+    """The sender's time in a message, ns: of its header, its field `timestamp`, or the first of several transforms.
+    None where there is none, or it is 0."""
     inner = part(message, "transforms")
     if inner is not None and len(inner):
         return stamp_ns(inner[0])
@@ -52,33 +53,35 @@ def stamp_ns(message: Any) -> int | None:
 
 
 class Flattener:
-    """The numbers of one topic's messages, by channel. A joint keeps its index where messages name their joints in
-    another order, or name others."""
+    """Takes the numbers out of one topic's messages, by channel. A joint keeps its index if messages name their joints
+    in another order, or name others."""
 
     def __init__(self, topic: str, type_name: str, facts: dict[str, Fact]) -> None:
+        """facts: of the source, by channel; new channels are added."""
         self.topic, self.type_name, self._facts = topic, type_name, facts
         self._indices: dict[str, dict[str, int]] = {}  # by the path of the names, the index of each
 
     def values(self, message: Any) -> dict[str, float]:
         """A message's numbers by channel, which is the path from the topic on: TOPIC.position[0]."""
         found: dict[str, float] = {}
-        self._walk(self.topic, message, found)
+        self._add_message(self.topic, message, found)
         return found
 
-    def _walk(self, path: str, message: Any, found: dict[str, float]) -> None:
-        """Adds to `found` the numbers of a message, or of a part of one, that is at `path`."""
+    def _add_message(self, path: str, message: Any, found: dict[str, float]) -> None:
+        """Adds to `found` the numbers of a message, or of an inner message, at `path`."""
         parts = fields(message)
         names = next((list(v) for name, v in parts if name in _NAMES and _texts(v)), None)
         for name, value in parts:
             if name in ("header", "timestamp", "stamp", "layout"):
                 continue
-            self._leaf(f"{path}.{name}", value, names, found)
+            self._add_field(f"{path}.{name}", value, names, found)
 
-    def _leaf(self, path: str, value: Any, names: list[str] | None, found: dict[str, float]) -> None:
-        """Adds to `found` the numbers of a field: one, an array of at most LONGEST_ARRAY, or those of inner messages.
-        names: of the numbers in the arrays beside it; None where the message has none."""
+    def _add_field(self, path: str, value: Any, names: list[str] | None, found: dict[str, float]) -> None:
+        """Adds to `found` the numbers of a field at `path`: a number, an array of at most LONGEST_ARRAY, or inner
+        messages. Texts and longer arrays are left out. names: of joints in the same message, which label arrays of the
+        same length; None without."""
         if isinstance(value, _NUMBER):
-            self._number(path, float(value), "", found)
+            self._add_number(path, float(value), "", found)
         elif value is None or isinstance(value, _NO_NUMBERS):
             return
         elif isinstance(value, np.ndarray) or _is_list(value):
@@ -88,37 +91,41 @@ class Flattener:
                 labels = names if names is not None and len(names) == len(value) else None
                 for k, number in enumerate(value):
                     index = self._index(path, labels[k]) if labels else k
-                    self._number(f"{path}[{index}]", float(number), labels[k] if labels else "", found)
+                    self._add_number(f"{path}[{index}]", float(number), labels[k] if labels else "", found)
             else:
                 for k, each in enumerate(value):
                     key = next((str(t) for name in _KEYS if isinstance(t := part(each, name), str) and t), str(k))
-                    self._walk(f"{path}[{key}]", each, found)
+                    self._add_message(f"{path}[{key}]", each, found)
         else:
-            self._walk(path, value, found)
+            self._add_message(path, value, found)
 
-    def _number(self, path: str, number: float, label: str, found: dict[str, float]) -> None:
-        """Adds a number to `found`, and a new channel to the facts. label: the name of the joint, "" without."""
+    def _add_number(self, path: str, number: float, label: str, found: dict[str, float]) -> None:
+        """Adds a number to `found` under its channel `path`, and a new channel to the facts. label: the joint's name,
+        "" without."""
         found[path] = number
         if path not in self._facts:
-            self._facts[path] = Fact(self.type_name, label, _unit(self.type_name, path))
+            self._facts[path] = Fact(self.type_name, label, _defined_unit(self.type_name, path))
 
     def _index(self, path: str, name: str) -> int:
-        """The index of this name in the array at `path`: always the same one; a new name has the next free one."""
+        """The index under which a joint's name is kept for the array at `path`: always the same; a new name gets the
+        next free one."""
         known = self._indices.setdefault(path, {})
         return known.setdefault(name, len(known))
 
 
 class Gathered:
-    """Rows of several topics, handed out as batches when there are enough. Messages of one topic that hold other
-    channels (two publishers of joints, optional fields) are batches of their own: what a message lacks is no row."""
+    """Collects rows of several topics into batches. Messages of one topic that hold other channels (two publishers of
+    joints, optional fields) go into batches of their own, so that no row lacks a channel of its batch."""
 
     def __init__(self) -> None:
+        """No rows yet."""
         self._rows: dict[tuple[str, frozenset[str]], list[tuple[float, float, dict[str, float]]]] = {}
         self._held = 0
 
     def add(self, group: str, log_s: float, stamp_s: float, values: dict[str, float]) -> Batch | None:
-        """Keeps a row. group: the topic; log_s, stamp_s: as in Batch, NaN where the sender set no stamp; values: by
-        channel. Returns the batch that is full with it, or the longest one where all hold too many, else None."""
+        """Keeps a row: a message's numbers by channel. group: its topic; log_s, stamp_s: as in Batch, NaN without a
+        stamp. Returns a batch that is full now (or the longest one, where all together hold too many rows), else
+        None."""
         key = (group, frozenset(values))
         rows = self._rows.setdefault(key, [])
         rows.append((log_s, stamp_s, values))
@@ -136,7 +143,7 @@ class Gathered:
                 yield self._batch(key)
 
     def _batch(self, key: tuple[str, frozenset[str]]) -> Batch:
-        """The rows held under this key as a batch; they are held no longer."""
+        """Takes the rows under a key (topic, channels) out as a batch."""
         rows = self._rows.pop(key)
         self._held -= len(rows)
         stamps = np.array([row[1] for row in rows])
@@ -152,13 +159,13 @@ _ENCODED = {b"\xff\xd8": "mjpeg", b"\x89P": "png"}  # by a picture's first bytes
 
 
 def is_picture(type_name: str) -> bool:
-    """Whether messages of this type are pictures, whichever package the type is of."""
+    """Whether a message type's name is that of a picture, of any package."""
     return type_name.replace("/", ".").split(".")[-1] in ("Image", "CompressedImage", "RawImage")
 
 
 def picture(message: Any, log_s: float, stamp_s: float) -> Picture | None:
-    """A frame of an image topic, the padding behind its rows taken off; None where its encoding is none that can be
-    taken into a video, or its data is cut. log_s, stamp_s: as in Picture."""
+    """The picture in a message of an image topic, without the padding behind its rows; None where its encoding cannot
+    be taken into a video, or its data is cut. log_s, stamp_s: as in Picture."""
     data = part(message, "data")
     raw = _bytes(data)
     width, height = part(message, "width"), part(message, "height")
@@ -179,7 +186,7 @@ def picture(message: Any, log_s: float, stamp_s: float) -> Picture | None:
 
 
 def _bytes(data: Any) -> bytes:
-    """A picture's data, whichever way its message holds it: JSON has it as base64. None of it where it is no data."""
+    """A picture's data as bytes, however its message was decoded: JSON has it as base64 text. b"" where it is none."""
     if isinstance(data, str):
         try:
             return b64decode(data, validate=True)
@@ -190,9 +197,9 @@ def _bytes(data: Any) -> bytes:
     return np.asarray(data).tobytes()
 
 
-def _unit(type_name: str, path: str) -> str:
-    """The unit by the message's own definition, as ROS has radians and newton metres (REP 103): of positions and
-    efforts of joints; "" of all else."""
+def _defined_unit(type_name: str, path: str) -> str:
+    """The unit of a channel by the definition of its message type: ROS has joints' positions in radians and efforts in
+    newton metres (REP 103). "" for all else."""
     if type_name.replace("/", ".").split(".")[-1] in ("JointState", "JointTrajectoryControllerState"):
         field = path.rsplit(".", 1)[-1]
         return "rad" if field.startswith("position") else "Nm" if field.startswith("effort") else ""

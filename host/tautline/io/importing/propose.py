@@ -41,33 +41,38 @@ _NO_PLACE = re.compile(r"veloc|speed|geschw|drehzahl|accel|temp|covar|volt|seq|c
 
 @dataclass(frozen=True)
 class Proposal:
+    """Which channel is taken for what; None or empty where none was found."""
+
     motor: Named | None = None
     tip: tuple[Named, ...] = ()
     command: Named | None = None
     load: Named | None = None
     video: str | None = None
-    unit: str = ""  # "": what the motor's own is of, else deg
+    unit: str = ""  # of q, mm or deg; "": not decided yet
     notes: tuple[str, ...] = ()  # how each was found, and what is a guess
 
 
 @dataclass(frozen=True)
 class _Compared:
+    """How n channels move together."""
+
     names: list[str]
-    correlation: Array  # (n, n) of changes, at the lag where it is greatest
-    lag_s: Array  # (n, n): by how much j is later than i
-    span: Array  # (n,) 5 to 95 percent
-    turning: Array = field(repr=False)  # (n, n) of i's values with the direction in which j moves; no sign
-    grid: Array = field(repr=False)  # (n, k)
+    correlation: Array  # (n, n) size of the correlation of changes, at the lag where it is greatest
+    lag_s: Array  # (n, n) that lag: by how much j is later than i
+    span: Array  # (n,) from the 5th to the 95th percentile, the channel's unit
+    turning: Array = field(repr=False)  # (n, n) size of the correlation of i's values with the direction of j's motion
+    grid: Array = field(repr=False)  # (n, k) values at k common times
 
 
 def propose(listing: Listing, hold: Proposal | None = None) -> Proposal:
-    """Proposes which channel is motor, tip, command, load and video. hold: roles that the user has named."""
+    """Proposes which channels of an episode are motor, tip, command, load and video, with their units, and notes how
+    each was found. hold: roles that the user has named, which stay."""
     held = hold or Proposal()
     compared = _compare(listing)
     notes: list[str] = []
     motor, tip, index = held.motor, held.tip, {name: k for k, name in enumerate(compared.names)}
     if motor is None or not tip:
-        pair = _pair(listing, compared, motor, tip)
+        pair = _motor_and_tip(listing, compared, motor, tip)
         if pair is not None:
             m, t = pair
             motor = motor or Named(compared.names[m])
@@ -80,12 +85,14 @@ def propose(listing: Listing, hold: Proposal | None = None) -> Proposal:
                     f"{compared.correlation[m, t]:.2f})"
                 )
     if motor is None:
-        return replace(held, video=held.video or next(iter(listing.videos), None), notes=(*notes, _nothing(listing)))
+        return replace(
+            held, video=held.video or next(iter(listing.videos), None), notes=(*notes, _note_without_motor(listing))
+        )
     taken = {motor.name, *(each.name for each in tip)}
     command = held.command
     if command is None and motor.name in index:
         command = _command(listing, compared, index[motor.name], taken)
-    if command is None and _says("command", motor.name):
+    if command is None and _name_suggests("command", motor.name):
         notes.append(f"{motor.name} is what was commanded: the servo's lag is then measured with the backlash")
     load = held.load or _load(listing, compared, motor, taken | ({command.name} if command else set()))
     video = held.video or (next(iter(listing.videos), None) if len(listing.videos) else None)
@@ -95,67 +102,86 @@ def propose(listing: Listing, hold: Proposal | None = None) -> Proposal:
 
 
 def _compare(listing: Listing) -> _Compared:
-    """How the channels that change most often, at most _MOST, move together: correlations and lags of their changes
-    over _CHANGE_S, spans, and their values at _GRID common times. All are unrelated where there are not two, or they
-    are shorter than that."""
-    channels = [c for c in listing.channels.values() if c.moves and not _is_part_of_orientation(c.name, listing)]
-    channels = [c for c in channels if np.isfinite(c.values).sum() > 8]
-    changes = [float(np.mean(np.diff(c.values[np.isfinite(c.values)]) != 0)) for c in channels]
-    channels = [channels[k] for k in np.argsort(changes, kind="stable")[::-1][:_MOST]]
-    channels.sort(key=lambda c: list(listing.channels).index(c.name))
+    """Compares the channels that move (see `_moving_channels`) by the cross-correlation of their changes over
+    _CHANGE_S, at _GRID common times. Where there are fewer than two, or the episode is too short, all are unrelated."""
+    channels = _moving_channels(listing)
     n = len(channels)
     unrelated = _Compared(
         [c.name for c in channels], np.eye(n), np.zeros((n, n)), np.ones(n), np.zeros((n, n)), np.zeros((n, 1))
     )
     if n < 2:
         return unrelated
-    first = max(float(c.t_s[0]) for c in channels)
-    last = min(float(c.t_s[-1]) for c in channels)
-    if not last > first:
-        first, last = min(float(c.t_s[0]) for c in channels), max(float(c.t_s[-1]) for c in channels)
-    times = np.linspace(first, last, _GRID)
+    times = _common_times(channels)
     step = times[1] - times[0]
     over = max(1, round(_CHANGE_S / step))
     if over > _GRID - _LEAST_CHANGES:
         return unrelated
-    grid = np.array([_on(times, c) for c in channels])
+    grid = np.array([_values_at(times, c) for c in channels])
     change = grid[:, over:] - grid[:, :-over]
     change = change - change.mean(axis=1, keepdims=True)
     scale = np.linalg.norm(change, axis=1, keepdims=True)
     change = np.divide(change, scale, out=np.zeros_like(change), where=scale > 0)
-    size = 2 * change.shape[1]
-    spectra = np.fft.rfft(change, size)
-    lags = min(max(1, round(_LAG_S / step)), change.shape[1] // 4)
-    correlation, lag_s = np.eye(n), np.zeros((n, n))
-    for i in range(n):
-        crossed = np.fft.irfft(spectra * np.conj(spectra[i]), size)
-        around = np.concatenate([crossed[:, -lags:], crossed[:, : lags + 1]], axis=1)  # lag -lags to lags
-        best = np.abs(around).argmax(axis=1)
-        correlation[i] = np.abs(around[np.arange(n), best])
-        lag_s[i] = (best - lags) * step
+    correlation, lags = _strongest_correlations(change, min(max(1, round(_LAG_S / step)), change.shape[1] // 4))
     # The direction of motion; less than a tenth of the largest change is rest.
     moving = np.sign(np.where(np.abs(change) > 0.1 * np.abs(change).max(axis=1, keepdims=True), change, 0.0))
     middle = grid[:, over // 2 : over // 2 + change.shape[1]]
     turning = np.abs(np.corrcoef(np.vstack([middle, moving]))[:n, n:]) if n else np.zeros((0, 0))
     low, high = np.percentile(grid, [5.0, 95.0], axis=1)
-    return _Compared([c.name for c in channels], correlation, lag_s, high - low, np.nan_to_num(turning), grid)
+    return _Compared([c.name for c in channels], correlation, lags * step, high - low, np.nan_to_num(turning), grid)
 
 
-def _on(times: Array, channel: Channel) -> Array:
-    """A channel's values (n,) at times (n,) s, straight between its finite ones."""
+def _moving_channels(listing: Listing) -> list[Channel]:
+    """The channels that move, in the listing's order; of more than _MOST those whose value changes in most rows."""
+    channels = [c for c in listing.channels.values() if c.moves and not _is_part_of_orientation(c.name, listing)]
+    channels = [c for c in channels if np.isfinite(c.values).sum() > 8]
+    changes = [float(np.mean(np.diff(c.values[np.isfinite(c.values)]) != 0)) for c in channels]
+    channels = [channels[k] for k in np.argsort(changes, kind="stable")[::-1][:_MOST]]
+    channels.sort(key=lambda c: list(listing.channels).index(c.name))
+    return channels
+
+
+def _common_times(channels: Sequence[Channel]) -> Array:
+    """(_GRID,) even times, s, within those that all channels have; without any, from the first to the last of all."""
+    first = max(float(c.t_s[0]) for c in channels)
+    last = min(float(c.t_s[-1]) for c in channels)
+    if not last > first:
+        first, last = min(float(c.t_s[0]) for c in channels), max(float(c.t_s[-1]) for c in channels)
+    return np.linspace(first, last, _GRID)
+
+
+def _strongest_correlations(series: Array, most: int) -> tuple[Array, Array]:
+    """Cross-correlates n series (n, k), each of mean 0 and norm 1, at lags up to `most` samples either way. Returns for
+    each pair (i, j) the size of the strongest correlation and its lag in samples, by which j is later than i, (n, n)
+    each."""
+    n, size = len(series), 2 * series.shape[1]
+    spectra = np.fft.rfft(series, size)
+    correlation, lag = np.eye(n), np.zeros((n, n))
+    for i in range(n):
+        crossed = np.fft.irfft(spectra * np.conj(spectra[i]), size)
+        around = np.concatenate([crossed[:, -most:], crossed[:, : most + 1]], axis=1)  # lags -most to most
+        best = np.abs(around).argmax(axis=1)
+        correlation[i] = np.abs(around[np.arange(n), best])
+        lag[i] = best - most
+    return correlation, lag
+
+
+def _values_at(times: Array, channel: Channel) -> Array:
+    """A channel's values (n,) at times (n,) s, straight between its finite rows."""
     finite = np.isfinite(channel.values)
     order = np.argsort(channel.t_s[finite], kind="stable")
     values: Array = np.interp(times, channel.t_s[finite][order], channel.values[finite][order])
     return values
 
 
-def _pair(listing: Listing, compared: _Compared, motor: Named | None, tip: Sequence[Named]) -> tuple[int, int] | None:
-    """Motor and tip as indices in `compared`: two channels that move together, the later one the tip. Names count a
-    little; what is no position does not count. motor, tip: where the user named one. None where no two move
-    together."""
+def _motor_and_tip(
+    listing: Listing, compared: _Compared, motor: Named | None, tip: Sequence[Named]
+) -> tuple[int, int] | None:
+    """The likeliest motor and tip, as indices in `compared`; None where no two channels move together. It is the pair
+    with the best score: the correlation of their changes, a tip that is later, and, weighing less, their names, units
+    and places in a chain command, motor, tip. motor, tip: as the user named them, None or empty without."""
     names = compared.names
     best: tuple[int, int, float] | None = None
-    before, after = _chained(listing, compared)
+    before, after = _likely_chains(listing, compared)
     widest = float(compared.span.max()) if len(names) else 1.0
     for m, of_motor in enumerate(names):
         if motor is not None and of_motor != motor.name:
@@ -167,10 +193,10 @@ def _pair(listing: Listing, compared: _Compared, motor: Named | None, tip: Seque
             lag = compared.lag_s[m, t]
             score = together - 0.5 * abs(lag) / _LAG_S
             score += _LATE * (np.sign(lag) if abs(lag) > _SIMULTANEOUS_S else 0.0)
-            score += _HINT * (_says("motor", of_motor) - _says("motor", of_tip))
-            score += _HINT * (_says("tip", of_tip) - _says("tip", of_motor))
-            score -= _HINT * (2 * _says("command", of_tip) + _says("command", of_motor))
-            score -= _AGAINST * (_no_place(of_motor, listing) + _no_place(of_tip, listing))
+            score += _HINT * (_name_suggests("motor", of_motor) - _name_suggests("motor", of_tip))
+            score += _HINT * (_name_suggests("tip", of_tip) - _name_suggests("tip", of_motor))
+            score -= _HINT * (2 * _name_suggests("command", of_tip) + _name_suggests("command", of_motor))
+            score -= _AGAINST * (_is_no_position(of_motor, listing) + _is_no_position(of_tip, listing))
             score += _SPAN * compared.span[m] / widest
             score += _CHAIN * (float(before[m]) - float(after[t]))
             if listing.channels[of_motor].fact.type == QUATERNION_TYPE:
@@ -180,10 +206,11 @@ def _pair(listing: Listing, compared: _Compared, motor: Named | None, tip: Seque
     return best and best[:2]
 
 
-def _chained(listing: Listing, compared: _Compared) -> tuple[Array, Array]:
-    """Two (n,) bool: whether a channel comes after one that moves as much, its likely command; and whether others come
-    after it, so that it is no tip."""
-    places = np.array([not _no_place(name, listing) for name in compared.names], dtype=bool)
+def _likely_chains(listing: Listing, compared: _Compared) -> tuple[Array, Array]:
+    """Two masks (n,) over the compared channels, by what follows what closely and later: whether a channel follows
+    another one that moves as much, which is then its likely command; and whether others follow it, so that it is no
+    tip."""
+    places = np.array([not _is_no_position(name, listing) for name in compared.names], dtype=bool)
     span = np.maximum(compared.span, 1e-12)
     follows = (compared.correlation > _CHAINED) & (compared.lag_s > _SIMULTANEOUS_S) & places[:, None] & places
     alike = np.abs(np.log(span[:, None] / span)) < np.log(_ALIKE)
@@ -191,36 +218,38 @@ def _chained(listing: Listing, compared: _Compared) -> tuple[Array, Array]:
 
 
 def _command(listing: Listing, compared: _Compared, motor: int, taken: set[str]) -> Named | None:
-    """The likeliest command of a motor (its index in `compared`): a channel that moves with it by as much, in whichever
-    unit of angle, and that is earlier or is named a command. None where there is none; taken: names with a role."""
+    """The likeliest command of a motor (an index in `compared`): a channel that moves with it and as far, in any unit
+    of angle, and is earlier or has a command's name. None where there is none. taken: channels that have a role
+    already."""
     best: tuple[float, str] | None = None
     for k, name in enumerate(compared.names):
         together, early = compared.correlation[motor, k], -compared.lag_s[motor, k]
         if (
             name in taken
             or together < _MOVES
-            or _no_place(name, listing)
-            or _says("tip", name) > _says("command", name)
+            or _is_no_position(name, listing)
+            or _name_suggests("tip", name) > _name_suggests("command", name)
         ):
             continue
         ratio = compared.span[k] / max(compared.span[motor], 1e-12)
         alike = any(1.0 / _ALIKE < ratio * times < _ALIKE for times in (1.0, DEG_PER_RAD, 1.0 / DEG_PER_RAD))
-        if not alike or not (early > _SIMULTANEOUS_S or _says("command", name)):
+        if not alike or not (early > _SIMULTANEOUS_S or _name_suggests("command", name)):
             continue
-        score = together + _HINT * _says("command", name)
+        score = together + _HINT * _name_suggests("command", name)
         if best is None or score > best[0]:
             best = (score, name)
     return Named(best[1]) if best else None
 
 
 def _load(listing: Listing, compared: _Compared, motor: Named, taken: set[str]) -> Named | None:
-    """The channel named as a load of the motor's joint; else one that follows the motor's direction, as friction does,
-    and not its position. None where there is none; taken: names with a role."""
+    """The likeliest load on the motor: a channel with a load's name or unit, of the motor's joint if there are several;
+    without any such name one that goes with the direction of the motor's motion, as friction does, more than with its
+    position. None where there is none. taken: channels that have a role already."""
     joint = _joint(motor.name, listing)
     named = [
         name
         for name, c in listing.channels.items()
-        if name not in taken and c.moves and (_says("load", name) or dimension(c.fact.unit) == "mNm")
+        if name not in taken and c.moves and (_name_suggests("load", name) or dimension(c.fact.unit) == "mNm")
     ]
     same = [name for name in named if joint and _joint(name, listing) == joint]
     if same or len(named) == 1:
@@ -234,14 +263,15 @@ def _load(listing: Listing, compared: _Compared, motor: Named, taken: set[str]) 
             name not in taken
             and follows > 0.7
             and follows > compared.correlation[m, k]
-            and not _no_place(name, listing)
+            and not _is_no_position(name, listing)
         ):
             return Named(name)
     return None
 
 
 def _whole_tip(name: str, listing: Listing) -> tuple[Named, ...]:
-    """The tip's channels: u, then v where `name` is one coordinate of a place in the image, else `name` alone."""
+    """The tip's channels if `name` is one of them: u, then v where it is a coordinate of a place in the image, else
+    `name` alone."""
     for one, other in (("u", "v"), ("x", "y")):
         for this, that, first in ((one, other, True), (other, one, False)):
             match = re.search(rf"(?<![A-Za-z0-9]){this}(?=(_px|\s*[\[(]px|$))", name)
@@ -255,65 +285,67 @@ def _whole_tip(name: str, listing: Listing) -> tuple[Named, ...]:
 
 
 def _with_units(found: Proposal, listing: Listing) -> Proposal:
-    """The proposal with the unit of each channel written out: what the file or the name says, else what ratios and
-    ranges make likely."""
+    """The proposal with the unit of q and of each channel filled in: the user's, the file's, or the one in the name;
+    else the likeliest by ratios and ranges, which is noted as a guess."""
     assert found.motor is not None
     notes = list(found.notes)
-
-    def stated(each: Named) -> str:
-        """The unit that the user gave, else the file's, else the one in its name or label; "" where none is known."""
-        channel = listing.channels.get(each.name)
-        return each.unit or (
-            channel.fact.unit or unit_in(channel.name) or unit_in(channel.fact.label) if channel else ""
-        )
-
-    motor_unit = stated(found.motor)
+    motor_unit = _stated_unit(found.motor, listing)
     tip = found.tip
     unit = found.unit or dimension(motor_unit)
     if unit not in RIG_UNITS:
         unit, motor_unit = "deg", ""
     one_angle = len(tip) == 1
-    tip_unit = stated(tip[0]) if one_angle else ""
+    tip_unit = _stated_unit(tip[0], listing) if one_angle else ""
     if one_angle and found.motor.factor is None and tip[0].factor is None and tip[0].name in listing.channels:
-        motor_unit, tip_unit = _guessed(found.motor, motor_unit, tip[0], tip_unit, unit, listing, notes)
+        motor_unit, tip_unit = _guess_units(found.motor, motor_unit, tip[0], tip_unit, unit, listing, notes)
     elif not motor_unit and found.motor.factor is None:
         notes.append(f"no unit is known of {found.motor.name}: {unit} is a guess")
     if one_angle and tip[0].factor is None:
         tip = (replace(tip[0], unit=tip_unit if tip_unit in ANGLES else ""),)
     command = found.command
     if command is not None and command.factor is None:
-        told = stated(command)
-        own = told if told in (ANGLES if unit == "deg" else LENGTHS) else ""
+        stated = _stated_unit(command, listing)
+        own = stated if stated in (ANGLES if unit == "deg" else LENGTHS) else ""
         command = replace(command, unit=own or motor_unit)
     load = found.load
     if load is not None and load.factor is None:
-        told = stated(load)
-        load = replace(load, unit=told if dimension(told) == "mNm" else "")
+        stated = _stated_unit(load, listing)
+        load = replace(load, unit=stated if dimension(stated) == "mNm" else "")
         if not load.unit:
             notes.append(f"no unit is known of {load.name}: it is taken as mNm; its scale matters to no result")
     motor = found.motor if found.motor.factor is not None else replace(found.motor, unit=motor_unit)
     return Proposal(motor, tip, command, load, found.video, unit, tuple(notes))
 
 
-def _guessed(
+def _stated_unit(named: Named, listing: Listing) -> str:
+    """The unit of a channel that the user gave, else the file's, else the one in its name or label; "" where none is
+    known."""
+    channel = listing.channels.get(named.name)
+    if named.unit or channel is None:
+        return named.unit
+    return channel.fact.unit or unit_in(channel.name) or unit_in(channel.fact.label)
+
+
+def _guess_units(
     motor: Named, motor_unit: str, tip: Named, tip_unit: str, unit: str, listing: Listing, notes: list[str]
 ) -> tuple[str, str]:
-    """Units of motor and tip: those given, and for "" one that ratios and ranges make likely, which `notes` then say.
-    unit: of the recording's q, deg or mm."""
+    """The units of motor and tip: motor_unit and tip_unit where these are known, for "" the likeliest by ratios and
+    ranges, which is added to `notes`. unit: of the recording's q, deg or mm."""
     m, t = listing.channels[motor.name], listing.channels[tip.name]
     if unit == "deg":
-        likely = _by_ratio(m, motor_unit, t, tip_unit) or _by_range([m, t], listing)
+        likely = _units_by_ratio(m, motor_unit, t, tip_unit) or _units_by_range([m, t], listing)
     else:
-        motor_unit, likely = motor_unit or unit, _by_range([t], listing)
+        motor_unit, likely = motor_unit or unit, _units_by_range([t], listing)
     for channel, known, name in ((m, motor_unit, motor.name), (t, tip_unit, tip.name)):
         if not known:
-            notes.append(_told_guess(channel, name, likely[channel.name], listing))
+            notes.append(_guess_note(channel, name, likely[channel.name], listing))
     return motor_unit or likely[m.name], tip_unit or likely[t.name]
 
 
-def _by_ratio(m: Channel, motor_unit: str, t: Channel, tip_unit: str) -> dict[str, str]:
-    """Units of angle of motor and tip by how much one moves beside the other: one is in radians, or, beside one that
-    the file or the user tells, both in degrees. Empty where nothing but the ratio is known, and it is none of units."""
+def _units_by_ratio(m: Channel, motor_unit: str, t: Channel, tip_unit: str) -> dict[str, str]:
+    """Guesses the units of motor `m` and tip `t`, by channel, from how far one moves beside the other: if one moves 57
+    times less it is in radians; else both are in degrees, if one unit is known (motor_unit, tip_unit; "" if not). Empty
+    where neither is known and the ratio says nothing."""
     spans = [ANGLES.get(known, 1.0) * max(c.high - c.low, 1e-12) for c, known in ((m, motor_unit), (t, tip_unit))]
     for less, more, known in ((0, 1, motor_unit), (1, 0, tip_unit)):
         channel = (m, t)[less]
@@ -324,9 +356,10 @@ def _by_ratio(m: Channel, motor_unit: str, t: Channel, tip_unit: str) -> dict[st
     return {m.name: "deg", t.name: "deg"} if motor_unit or tip_unit else {}
 
 
-def _by_range(channels: Sequence[Channel], listing: Listing) -> dict[str, str]:
-    """The unit of angle that channels share: radians where none of them goes beyond a turn, one moves by more than a
-    little, and neither the file nor values that are shares say otherwise."""
+def _units_by_range(channels: Sequence[Channel], listing: Listing) -> dict[str, str]:
+    """Guesses the unit of angle, by channel, that channels share, from their ranges: radians if none goes beyond a turn
+    and one moves by more than a little, unless they are known to be degrees or look like shares of a range; else
+    degrees."""
     spans = [c.high - c.low for c in channels]
     ends = [abs(end) for c in channels for end in (*_ends(c), _usual_end(c, listing))]
     none = any(c.fact.usual == "deg" or _full_scale(c) for c in channels)
@@ -335,27 +368,27 @@ def _by_range(channels: Sequence[Channel], listing: Listing) -> dict[str, str]:
 
 
 def _ends(channel: Channel) -> tuple[float, float]:
-    """The lowest and the highest value of a channel: of all episodes, where the file says it."""
+    """The lowest and the highest value of a channel, over all episodes where the file says them."""
     return float(np.fmin(channel.low, channel.fact.low)), float(np.fmax(channel.high, channel.fact.high))
 
 
 def _usual_end(channel: Channel, listing: Listing) -> float:
-    """How far the numbers of the channel's feature or message go from 0, in the median of those that move: they have
-    one unit."""
+    """How far from 0 the channels of the same array (which have one unit) go, the median over those that move; 0 for a
+    channel of no array."""
     group = channel.name.rpartition("[")[0]
     others = [c for name, c in listing.channels.items() if group and name.startswith(f"{group}[") and c.moves]
     return float(np.median([max(map(abs, _ends(c))) for c in others])) if others else 0.0
 
 
 def _full_scale(channel: Channel) -> float:
-    """1 or 100 where the channel's values end exactly there and at 0 or its negative, as shares of a range do; else
+    """1 or 100 if a channel's values end exactly there, and at 0 or the negative of it, as shares of a range do; else
     0."""
     low, high = _ends(channel)
     return high if high in (1.0, 100.0) and low in (0.0, -high) else 0.0
 
 
-def _told_guess(channel: Channel, name: str, guess: str, listing: Listing) -> str:
-    """The note on a guessed unit."""
+def _guess_note(channel: Channel, name: str, guess: str, listing: Listing) -> str:
+    """The note on a channel's guessed unit, for the user. name: as the channel is written."""
     says = f"no unit is known of {name}: it moves by {channel.high - channel.low:.4g} in all, "
     if full := _full_scale(channel):
         return (
@@ -365,22 +398,23 @@ def _told_guess(channel: Channel, name: str, guess: str, listing: Listing) -> st
     return f"{says}{guess} is a guess" + (": write another unit or a factor behind its name" if guess == "rad" else "")
 
 
-def _says(role: str, name: str) -> bool:
-    """Whether a name has a word of this role."""
+def _name_suggests(role: str, name: str) -> bool:
+    """Whether a channel's name has a word that suggests this role, a key of _WORDS."""
     return bool(_WORDS[role].search(name.lower()))
 
 
-def _no_place(name: str, listing: Listing) -> bool:
-    """Whether a channel is no position, by its name or unit: a speed, a load, a time, a status."""
+def _is_no_position(name: str, listing: Listing) -> bool:
+    """Whether a channel is no position by its name or unit, but a speed, a load, a time or a status."""
     return (
         bool(_NO_PLACE.search(name.lower()))
-        or _says("load", name)
+        or _name_suggests("load", name)
         or dimension(listing.channels[name].fact.unit) == "mNm"
     )
 
 
 def _joint(name: str, listing: Listing) -> str:
-    """The joint that a channel belongs to: its label or index, with its topic."""
+    """A key of the joint that a channel belongs to: its label, else its topic with its index; "" for an unknown
+    channel."""
     channel = listing.channels.get(name)
     if channel is None:
         return ""
@@ -394,7 +428,7 @@ def _is_part_of_orientation(name: str, listing: Listing) -> bool:
     return prefix in listing.channels and listing.channels[prefix].fact.type == QUATERNION_TYPE
 
 
-def _nothing(listing: Listing) -> str:
+def _note_without_motor(listing: Listing) -> str:
     """The note for a proposal without a motor."""
     moving = sum(c.moves for c in listing.channels.values())
     return f"{moving} channels move, no two of them together: name them with --motor and --tip"

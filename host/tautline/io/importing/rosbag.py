@@ -16,9 +16,12 @@ from tautline.io.importing.source import Batch, Fact, Picture, no_video, origin_
 
 
 class Rosbag:
+    """A ROS 1 bag or a ROS 2 bag's folder as a Source: one episode, a group for each topic."""
+
     numbers = "topic"
 
     def __init__(self, path: Path) -> None:
+        """Reads the bag's index. TautError where it is cut or no bag, or the library is missing."""
         self.path = path
         self.kind = "ROS 1 bag" if path.suffix == ".bag" else "ROS 2 bag"
         self.facts: dict[str, Fact] = {}
@@ -35,11 +38,12 @@ class Rosbag:
         self._origin_ns = first_ns if self.origin_s else 0
 
     def episodes(self) -> tuple[int, ...]:
-        """The bag is one recording, number 0; none where it has no messages."""
+        """(0,): the bag is one recording; () where it has no messages."""
         return (0,) if self._count else ()
 
     def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
-        """The bag's messages of these groups as numbers, in batches."""
+        """The numbers in the messages of these topics (None: all), in batches. Topics whose type is not defined are
+        left out, with a note."""
         gathered = Gathered()
         flatteners: dict[str, Flattener] = {}
         with self._opened() as reader:
@@ -54,27 +58,29 @@ class Rosbag:
                 if topic not in flatteners:
                     flatteners[topic] = Flattener(topic, connection.msgtype, self.facts)
                 batch = gathered.add(
-                    topic, self._s(log_ns), self._s(stamp_ns(message)), flatteners[topic].values(message)
+                    topic, self._seconds(log_ns), self._seconds(stamp_ns(message)), flatteners[topic].values(message)
                 )
                 if batch is not None:
                     yield batch
         yield from gathered.rest()
 
     def pictures(self, episode: int, video: str) -> Iterator[Picture]:
-        """The pictures of an image topic."""
+        """The pictures of an image topic. TautError where there is no such topic, or its pictures have an unknown
+        encoding."""
         with self._opened() as reader:
             chosen = [c for c in reader.connections if c.topic == video and is_picture(c.msgtype)]
             if not chosen:  # to the library no connections are all
                 raise no_video(self.path, video, self.videos)
             for connection, log_ns, raw in reader.messages(chosen):
                 message = reader.deserialize(raw, connection.msgtype)
-                found = picture(message, self._s(log_ns), self._s(stamp_ns(message)))
+                found = picture(message, self._seconds(log_ns), self._seconds(stamp_ns(message)))
                 if found is None:
                     raise TautError(f"{self.path}: {video} holds pictures that are no JPEG, PNG or plain colours")
                 yield found
 
     def _decoded(self, reader: Any, connection: Any, raw: bytes) -> Any:
-        """The message; None, with a note, where the bag does not define its type."""
+        """Decodes a message of a connection (topic and type); None, with a note, where the bag does not define its
+        type."""
         try:
             return reader.deserialize(raw, connection.msgtype)
         except KeyError:
@@ -85,7 +91,8 @@ class Rosbag:
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
-        """A reader of the bag. TautError where the bag is cut or unreadable, also later within the block."""
+        """A context with a reader of the bag. Errors of the library, also within the block, become a TautError: the bag
+        is cut or none."""
         store = self._typesys.get_typestore(self._typesys.Stores.LATEST)
         try:
             with self._highlevel.AnyReader([self.path], default_typestore=store) as reader:
@@ -101,6 +108,6 @@ class Rosbag:
             what = " ".join(str(error).split())[:120]
             raise TautError(f"{self.path}: is cut short or no {self.kind} ({what}): {mend}") from error
 
-    def _s(self, time_ns: int | None) -> float:
+    def _seconds(self, time_ns: int | None) -> float:
         """A time in s since the origin; NaN for None."""
         return np.nan if time_ns is None else (time_ns - self._origin_ns) * 1e-9

@@ -42,7 +42,9 @@ class Fact:
 
 @dataclass(frozen=True)
 class Picture:
-    log_s: float
+    """One frame of a channel of pictures."""
+
+    log_s: float  # s since the source's origin: when it was written
     stamp_s: float  # NaN where the sender set none
     data: bytes
     codec: str  # of PyAV: mjpeg, png; or a pixel format such as bgr24, then with a size
@@ -71,20 +73,23 @@ class Source(Protocol):
     notes: list[str]  # what a reader should know of the file as a whole
 
     def episodes(self) -> Sequence[int]:
-        """Their numbers; (0,) where the source is one recording."""
+        """The numbers of the episodes; (0,) where the source is one recording."""
 
     def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
-        """All rows of an episode, of the groups named (None: all). TautError for a file that is cut or unreadable."""
+        """Reads all rows of an episode in the groups named (None: all). TautError for a file that is cut or
+        unreadable."""
 
     def pictures(self, episode: int, video: str) -> Iterator[Picture] | Clip:
-        """The frames of a channel of pictures. TautError where there is no such one."""
+        """The frames of an episode's channel of pictures: one after the other, or a part of a video file. TautError
+        where there is no such channel."""
 
 
 def no_video(path: Path, video: str, known: Collection[str] = ()) -> TautError:
-    """The error for a source that has no such channel of pictures. known: those that it has."""
+    """The error to raise where a source has no such channel of pictures. known: those that it has."""
     return TautError(f"{path}: has no video {video}" + (f": it has {', '.join(known)}" if known else ""))
 
 
 def origin_of(first_s: float) -> float:
-    """What is taken off times: nothing where they count from a start of their own."""
+    """What is taken off a source's times, s, whose first is first_s: that one if they count from an epoch (beyond
+    EPOCH_S), else 0."""
     return first_s if abs(first_s) > EPOCH_S else 0.0

@@ -11,8 +11,9 @@ _UNIT_LENGTH = 0.01  # tolerance: by which a quaternion's length may be off from
 
 
 def bending_deg(quaternions: Array) -> tuple[Array, float]:
-    """Angles of orientations (n, 4) as x, y, z, w about the one axis that they turn about most: (n,) deg, NaN where one
-    is no orientation, and the share of their turning that is about it.
+    """The bending angle of a tip from its recorded orientations, quaternions (n, 4) as x, y, z, w: their angles (n,),
+    deg, about the one axis that they turn about most, NaN where a quaternion has not length 1; and the share of their
+    turning that is about this axis, 0 to 1.
 
     With the mean orientation m and r = m^-1 q, the axis is the first principal one of r's rotation vectors; the angle
     is r's twist about it, 2 atan2(r_v . n, r_w), and m's: 0 is the base's own orientation."""
@@ -34,7 +35,8 @@ def bending_deg(quaternions: Array) -> tuple[Array, float]:
 
 
 def _twist(quaternions: Array, axis: Array) -> Array:
-    """(n,) rad in [-pi, pi): the part of each rotation (n, 4), as x, y, z, w, that is about `axis` (3,)."""
+    """The angle (n,), rad in [-pi, pi), by which each rotation, quaternions (n, 4) as x, y, z, w, turns about the unit
+    vector `axis` (3,)."""
     angle = 2.0 * np.arctan2(quaternions[:, :3] @ axis, quaternions[:, 3])
     wrapped: Array = (angle + np.pi) % (2.0 * np.pi) - np.pi
     return wrapped

@@ -43,14 +43,15 @@ class Named:
 
     @property
     def text(self) -> str:
-        """As a user writes it: NAME, NAME:UNIT or NAME:FACTOR."""
+        """The channel as a user writes it: NAME, NAME:UNIT or NAME:FACTOR."""
         if self.factor is not None:
             return f"{self.name}:{self.factor:g}"
         return f"{self.name}:{self.unit}" if self.unit else self.name
 
 
 def known_unit(text: str, of: Iterable[str] | None = None) -> str:
-    """The unit that a text means, as UNITS has it; "" where none."""
+    """The unit that a text means, in any spelling that is known, as UNITS spells it; "" where it is none. of: the units
+    to choose from, None: all in UNITS."""
     listed = list(of) if of is not None else [unit for units in UNITS.values() for unit in units]
     stripped = text.strip()
     if stripped in listed:
@@ -63,7 +64,8 @@ def known_unit(text: str, of: Iterable[str] | None = None) -> str:
 
 
 def unit_in(name: str, of: Iterable[str] | None = None) -> str:
-    """The unit at the end of a column's name, as in `q_deg`, `Winkel [rad]`, `Zeit (ms)`; "" where there is none."""
+    """The unit at the end of a column's name, as in `q_deg`, `Winkel [rad]`, `Zeit (ms)`; "" without. of: as in
+    `known_unit`."""
     for pattern in (_BRACKETED, _SUFFIXED):
         found = pattern.search(name)
         if found and (unit := known_unit(found[1], of)):
@@ -72,7 +74,8 @@ def unit_in(name: str, of: Iterable[str] | None = None) -> str:
 
 
 def split_unit(text: str, names: Iterable[str], of: Iterable[str] | None = None) -> tuple[str, str]:
-    """NAME and UNIT of NAME:UNIT; a name that holds a colon itself stays whole."""
+    """Splits NAME:UNIT into both; UNIT is "" without one, or where the whole text is one of `names`. of: as in
+    `known_unit`. TautError where the end is no unit."""
     if text in names or ":" not in text:
         return text, ""
     name, _, unit = text.rpartition(":")
@@ -84,7 +87,8 @@ def split_unit(text: str, names: Iterable[str], of: Iterable[str] | None = None)
 
 
 def named(text: str, names: Iterable[str]) -> Named:
-    """NAME, NAME:UNIT or NAME:FACTOR. TautError for a unit that there is not, or a factor that leaves nothing."""
+    """Reads NAME, NAME:UNIT or NAME:FACTOR, as a user writes a channel; a text that is one of `names` is a NAME.
+    TautError for an unknown unit, or a factor that is not finite or 0."""
     if text not in names and ":" in text:
         name, _, last = text.rpartition(":")
         try:
@@ -98,13 +102,14 @@ def named(text: str, names: Iterable[str]) -> Named:
 
 
 def dimension(unit: str) -> str:
-    """deg, mm or mNm: what a recording has of its kind; "" for no unit."""
+    """The unit in which a recording has quantities with this unit: deg, mm or mNm; "" for one that is not in UNITS."""
     return next((target for target, units in UNITS.items() if unit in units), "")
 
 
 def factor(channel: Named, stated: str, target: str) -> tuple[float, str]:
-    """The factor from the channel's unit to `target`, and the unit that was taken. stated: the file's unit, "" without.
-    TautError where the unit is of another kind."""
+    """The factor that converts a channel's numbers to the unit `target` (deg, mm or mNm), and in words the unit that
+    was taken for theirs. That is the user's with the channel, else `stated`, the file's; without either ("") the factor
+    is 1. TautError where it is of another kind than `target`."""
     if channel.factor is not None:
         return channel.factor, f"x{channel.factor:g}"
     unit = channel.unit or stated
@@ -119,8 +124,8 @@ def factor(channel: Named, stated: str, target: str) -> tuple[float, str]:
 
 
 def suspected(ratio: float, values: Array, target: str, off: float) -> str:
-    """The unit that values (n,), read as `target`, seem to be in when they move `ratio` times too little: 57.3 is
-    radians, 1000 metres. "" where the ratio fits none within a share `off`, or the values cannot be in that unit."""
+    """The unit in which values (n,), taken as `target`, seem to be, as they move `ratio` times too little: 57.3 means
+    radians, 1000 metres. "" where the ratio fits no unit to within a share `off`, or the values cannot be in it."""
     for unit, times in UNITS[target].items():
         likely = unit in SPOKEN and abs(log(ratio / times)) < log(1.0 + off) if ratio > 0.0 else False
         if likely and _possible(unit, values):
@@ -129,7 +134,7 @@ def suspected(ratio: float, values: Array, target: str, off: float) -> str:
 
 
 def _possible(unit: str, values: Array) -> bool:
-    """Whether values (n,) can be in this unit: ticks are whole, radians and metres not too large."""
+    """Whether values (n,) can be in this unit: ticks are whole numbers, radians and metres not too large."""
     most = float(np.max(np.abs(values)))
     if unit == "tick":
         return bool(np.all(values == np.rint(values)))

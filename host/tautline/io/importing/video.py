@@ -21,8 +21,8 @@ _ROUNDED_S = 1e-3  # format: by which a container's times, in its ticks, may be 
 
 
 def from_pictures(pictures: Iterable[Picture], path: Path, name: str) -> tuple[Array, Array]:
-    """Writes a Matroska file; (log, stamp) of its frames, (n,) s each. TautError where there is none, or they differ in
-    kind or size."""
+    """Writes pictures as the Matroska video `path`. Returns the frames' log times and stamps, (n,) s each. name: of the
+    channel, for errors. TautError where there is no picture, one cannot be decoded, or they differ in kind or size."""
     av = library("av", f"{name}: video")
     log: list[float] = []
     stamps: list[float] = []
@@ -31,11 +31,7 @@ def from_pictures(pictures: Iterable[Picture], path: Path, name: str) -> tuple[A
     with av.open(str(path), "w", format="matroska") as output:
         last = -1
         for k, each in enumerate(pictures):
-            try:
-                size = (each.width, each.height) if each.width else _size(av, each)
-            except (av.FFmpegError, StopIteration) as error:
-                raise TautError(f"{name}: picture {k} cannot be decoded ({error or 'it is cut'}): cut the recording "
-                                "before it") from error  # fmt: skip
+            size = _size(av, each, f"{name}: picture {k}")
             if kind is None:
                 kind = (each.codec, *size)
                 stream = _stream(av, output, each, size)
@@ -56,8 +52,9 @@ def from_pictures(pictures: Iterable[Picture], path: Path, name: str) -> tuple[A
 
 
 def cut(clip: Clip, path: Path) -> Array:
-    """Copies a clip's packets from the key frame before its first frame on. Returns (n,) s, the time of each written
-    frame; NaN for those before the clip."""
+    """Copies a part of a video file to the file `path` without coding it anew, and so from the key frame before its
+    first frame on. Returns the time (n,) s of each written frame since the clip's begin, NaN for frames before it.
+    TautError where the file is missing, no video, or has no frame there."""
     av = library("av", f"{clip.path}: video")
     if not clip.path.is_file():
         raise TautError(f"{clip.path}: the video is not there: copy it too, or leave --video out")
@@ -89,16 +86,23 @@ def cut(clip: Clip, path: Path) -> Array:
     return result
 
 
-def _size(av: Any, picture: Picture) -> tuple[int, int]:
-    """Width and height of an encoded picture, px, by decoding it."""
-    context = av.CodecContext.create(picture.codec, "r")
-    frames = context.decode(av.Packet(picture.data))
-    frame = frames[0] if frames else next(iter(context.decode(None)))
+def _size(av: Any, picture: Picture, what: str) -> tuple[int, int]:
+    """Width and height, px, of a picture; of an encoded one (mjpeg, png), which does not say them, by decoding it. av:
+    the module PyAV; what: names the picture in the TautError that is raised where it cannot be decoded."""
+    if picture.width:
+        return picture.width, picture.height
+    try:
+        context = av.CodecContext.create(picture.codec, "r")
+        frames = context.decode(av.Packet(picture.data))
+        frame = frames[0] if frames else next(iter(context.decode(None)))
+    except (av.FFmpegError, StopIteration) as error:
+        raise TautError(f"{what} cannot be decoded ({error or 'it is cut'}): cut the recording before it") from error
     return frame.width, frame.height
 
 
 def _stream(av: Any, output: Any, picture: Picture, size: tuple[int, int]) -> Any:
-    """A video stream for pictures like this one: in their own codec, plain pixels in FFV1, which loses nothing."""
+    """Adds a video stream to a file (PyAV's) for pictures like this one of `size` (width, height): in their own codec,
+    so that they can be copied; plain pixels in FFV1, which loses nothing."""
     plain = bool(picture.width)
     stream = output.add_stream("ffv1" if plain else picture.codec, rate=25)  # nominal: packets carry their times
     stream.width, stream.height = size
@@ -111,7 +115,8 @@ def _stream(av: Any, output: Any, picture: Picture, size: tuple[int, int]) -> An
 
 
 def _packets(av: Any, stream: Any, picture: Picture, size: tuple[int, int]) -> list[Any]:
-    """A picture as packets of the stream: as it is where it is encoded, else coded."""
+    """A picture of `size` (width, height) as packets (PyAV's) of the stream: an encoded one as it is, plain pixels
+    coded."""
     if not picture.width:
         return [av.Packet(picture.data)]
     channels = {"gray": 1, "gray16le": 1, "rgba": 4, "bgra": 4}.get(picture.codec, 3)

@@ -34,18 +34,19 @@ class Stopped(KeyboardInterrupt):
 
 @dataclass(frozen=True)
 class Picture:
-    """A frame for the page, BGR (height, width, 3) uint8, and where the marker was in it."""
+    """A frame for the page."""
 
-    number: int
-    pixels: Any
-    seen: dict[str, Any]
+    number: int  # of the frames so far, from 1 on
+    pixels: Any  # BGR (height, width, 3) uint8
+    seen: dict[str, Any]  # what was seen in it: shown.moment
 
 
 class Desk:
     """The state of one session (READY, RUNNING, RESTING, STOPPING), what was asked of it, and what it publishes."""
 
     def __init__(self, rig: Rig, about: dict[str, Any], unwatched_s: float = _UNWATCHED_S) -> None:
-        """about: what the page says of the session. unwatched_s: time without a page after which it rests."""
+        """about: what the page shows as its title and whether it may rest (Work.about), as topic "about";
+        unwatched_s: time without an open page after which the session rests."""
         self.events, self.pictures = Stream(), Stream()
         self._rig, self._unwatched_s = rig, unwatched_s
         self._rests = about.get("rests", True)
@@ -65,25 +66,26 @@ class Desk:
 
     @cached_property
     def _bending(self) -> shown.Bending:
-        """What finds the bending angle in a frame; made for the first one."""
+        """What finds the bending angle in a frame; built when the first one comes."""
         return shown.Bending(self._rig)
 
     # -- the page's side ---------------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Begins, or goes on after a rest."""
+        """Start was pressed: begins, or goes on after a rest."""
         with self._changed:
             if self._state in (READY, RESTING):
                 self._set_state(RUNNING)
 
     def rest(self) -> None:
-        """Asks for a rest, if what runs can go on after one."""
+        """Rest was pressed: asks for a rest, if what runs can go on after one."""
         with self._changed:
             if self._state == RUNNING and self._rests:
                 self._set_state(RESTING)
 
     def stop(self) -> None:
-        """Ends what runs. A real board is told at once, and again at every call, as it may have missed the first."""
+        """Stop was pressed: ends what runs. A real board is told at once, from this thread, and again at every call, as
+        it may have missed the first."""
         with self._changed:
             if self._state == READY:
                 return
@@ -94,19 +96,20 @@ class Desk:
             let_go()
 
     def pick(self, u_px: float, v_px: float) -> None:
-        """The person pointed at the marker in the latest picture; ignored while something runs."""
+        """The marker was clicked in the latest picture, at (u, v) px; ignored while something runs."""
         with self._changed:
             if self._state == READY:
                 self._picked = (u_px, v_px)
 
     def here(self) -> None:
-        """Notes that a page is open. It repeats this: one that sleeps, or whose connection broke, does not."""
+        """Notes that a page is open. Pages say so again and again; one that sleeps, or has lost its connection, does
+        not, and counts as closed after a while."""
         with self._changed:
             self._heard_s = time.monotonic()
 
     @contextmanager
     def watched(self) -> Iterator[None]:
-        """Inside, a page of this process is open and need not say so."""
+        """A context within which a page in this process (not in a browser) counts as open."""
         with self._changed:
             self._nearby += 1
         try:
@@ -120,12 +123,13 @@ class Desk:
 
     @property
     def begun(self) -> bool:
-        """Whether the page has asked for something that has not ended yet."""
+        """Whether something runs, or was asked for and begins now."""
         return self._state != READY
 
     @contextmanager
     def running(self, let_go: Callable[[], None]) -> Iterator[None]:
-        """Inside, what was started runs. let_go: brings the board to rest, from another thread."""
+        """A context within which what was started runs; afterwards the state is READY. let_go: brings the board to
+        rest; `stop` calls it from another thread."""
         with self._changed:
             self._let_go, self._calibration, self._shown_s = let_go, None, float("-inf")
         self.events.publish("fit", None)  # what was found before is not of this
@@ -138,13 +142,13 @@ class Desk:
 
     @property
     def unwatched(self) -> bool:
-        """No page is open, and none was for a while."""
+        """Whether no page is open, and none was for unwatched_s."""
         with self._changed:
             return self._nearby == 0 and time.monotonic() - self._heard_s > self._unwatched_s
 
     def resting(self) -> bool:
-        """False at once where the axis may move. Where it shall stand still, as a rest was asked for or no page is open
-        on which somebody could press Stop, True after a wait of at most _REST_S: whoever asks asks again."""
+        """Whether the axis shall stand still, as a rest was asked for, or no page is open on which somebody could press
+        Stop. False at once; True after a wait of at most _REST_S, so that it can be asked in a loop."""
         with self._changed:
             if self.unwatched and self._state == RUNNING:
                 self._set_state(RESTING, "no page is open: it rests until Start")
@@ -160,13 +164,14 @@ class Desk:
             return place
 
     def say(self, text: str) -> None:
-        """Sets the text that the page shows until another replaces it: a result or an error."""
+        """Shows a text on the page, a result or an error, until another replaces it."""
         with self._changed:
             self._says = text
             self._tell()
 
     def show(self, view: View) -> None:
-        """Publishes a View. Raises Stopped if stop was pressed."""
+        """Publishes what a live calibration knows: the frame, every _PROGRESS_S the progress, and a calibration when it
+        is new. Raises Stopped if stop was pressed."""
         if view.frame is not None:
             self.show_frame(view.frame, view.q)
         now = time.monotonic()
@@ -180,7 +185,8 @@ class Desk:
         self.check_stop()
 
     def doing(self, share: float, text: str) -> None:
-        """Publishes what is being done and how much of it, 0 to 1. Raises Stopped if stop was pressed."""
+        """Publishes what is being done, in words, and which share of it is done, 0 to 1. Raises Stopped if stop was
+        pressed."""
         self.events.publish("doing", {"doing": text, "share": share})
         self.check_stop()
 
@@ -190,7 +196,8 @@ class Desk:
             raise Stopped
 
     def show_frame(self, frame: Frame, q: float) -> None:
-        """Publishes a frame, beside what is tracked; its picture is coded only when a page asks for it."""
+        """Publishes a frame with the motor's position q at its scene, the rig's unit. Its picture is compressed only
+        when a page asks for it."""
         self._frames += 1
         seen = shown.moment(frame, q, self._bending.of(frame))
         self.events.publish("frame", seen)
@@ -204,11 +211,13 @@ class Desk:
         return self._picture
 
     def close(self) -> None:
+        """Ends both streams, so that the pages' threads end."""
         self.events.close()
         self.pictures.close()
 
     def _set_state(self, state: str, says: str = "") -> None:
-        """Changes the state and tells the page; the lock is held."""
+        """Changes the state and publishes it, for RUNNING and RESTING with the text `says`. The caller holds the
+        lock."""
         self._state = state
         self._changed.notify_all()
         if state in (RUNNING, RESTING):

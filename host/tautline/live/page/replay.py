@@ -29,12 +29,12 @@ _IDLE_S = 0.02
 
 
 class Played:
-    """As much of a recording as was played: what a Watch takes for a Live and its Recorder."""
+    """A recording that is played frame by frame. To a Watch it is both Live (`Watched`) and Recorder (`Kept`)."""
 
     virtual = False  # frames go on while a calibration is computed
 
     def __init__(self, recording: Recording, rig: Rig) -> None:
-        """TautError where the recording holds nothing that a camera saw."""
+        """Nothing is played yet. TautError where the recording holds nothing that a camera saw."""
         if recording.marker is None or not rig.has_camera:
             raise TautError(f"{recording.name}: holds no marker: the page plays what a camera saw")
         self.rig, self._whole, self._marker = rig, recording, recording.marker
@@ -52,12 +52,12 @@ class Played:
 
     @property
     def played_s(self) -> float:
-        """Time from the first frame to the one played last, s."""
+        """Time in the recording from its first frame to the one played last, s."""
         return float(self._t_s[max(self._at, 0)] - self._t_s[0])
 
     def play(self, picture: Callable[[float], Array | None]) -> Frame:
-        """Advances to the next frame and returns it. picture: gives the BGR picture of an arrival time of
-        marker.csv."""
+        """Advances to the next frame and returns it. picture: gives the BGR picture for an arrival time of marker.csv,
+        s, or None."""
         self._at += 1
         k, marker = self._at, self._marker
         seen = Sighting(np.nan, np.nan, np.nan, np.nan, "the marker was not found")
@@ -72,24 +72,24 @@ class Played:
         return round(float(self._t_s[max(self._at, 0)]) * 1e6)
 
     def look(self) -> Frame:
-        """The same frame again, a moment later."""
+        """The frame played last once more, after _IDLE_S: only `play` advances."""
         time.sleep(_IDLE_S)
         return self._frame
 
     def add(self, frame: Frame) -> None:
-        """It is in the recording already."""
+        """Does nothing: the frame is in the recording already."""
 
     def paused(self) -> AbstractContextManager[None]:
-        """Inside, nothing is different: nothing is recorded here."""
+        """A context that changes nothing, as nothing is recorded here."""
         return nullcontext()
 
     def motor_at(self, t_s: float) -> float:
-        """q at a time of the motor's clock, the rig's unit; NaN before the first sample."""
+        """The motor's position, the rig's unit, at a time of its clock, s; NaN before the first sample."""
         motor = self._whole.motor
         return float(np.interp(t_s, motor.t_s, motor.q, left=np.nan))
 
     def so_far(self) -> Recording:
-        """The part of the recording that was played, with one sample of the motor at least."""
+        """The part of the recording up to the frame played last, with at least one sample of the motor."""
         if self._at + 1 >= self.frames:
             return self._whole
         now_s, motor = self._t_s[self._at], self._whole.motor
@@ -102,7 +102,8 @@ class Played:
 
 
 def _rows_of(series: Series, rows: Array) -> Series:
-    """The series with these rows, a mask (n,), of every column."""
+    """A series (motor, marker or angle) cut to some rows, by a mask (n,): every column that is an array, also those in
+    mappings."""
     kept = {}
     for field in fields(series):
         value = getattr(series, field.name)
@@ -114,7 +115,7 @@ def _rows_of(series: Series, rows: Array) -> Series:
 
 
 class _Film:
-    """A video's pictures by the times at which they arrived, asked for in their order."""
+    """A video's pictures by arrival time, which have to be asked for in their order."""
 
     def __init__(self, video: VideoCamera, arrival_s: Array | None) -> None:
         """arrival_s: of each frame, NaN where it is not known; None takes the times of the video itself."""
@@ -124,7 +125,7 @@ class _Film:
         self._coming = self._read()
 
     def at(self, t_s: float) -> Array | None:
-        """The last picture that arrived by t_s, BGR; None before the first. Times do not go back."""
+        """The last picture that had arrived at t_s, BGR; None before the first. t_s must not go back."""
         while self._coming is not None and self._coming[1] <= t_s + _SAME_S:
             self._shown, self._coming = self._coming[0], self._read()
         return self._shown
@@ -142,7 +143,8 @@ class _Film:
 
 @contextmanager
 def _pictures(recording: Recording) -> Iterator[Callable[[float], Array | None]]:
-    """A function from arrival time to picture: of the video, else of the picture that was kept, else None."""
+    """A context with a function from arrival time, s, to BGR picture: from the recording's video, else always the one
+    picture that was kept, else None."""
     if recording.video is None:
         still = None if recording.picture is None else cv2.imread(str(recording.picture), cv2.IMREAD_COLOR)
         yield lambda t_s: still
@@ -152,7 +154,8 @@ def _pictures(recording: Recording) -> Iterator[Callable[[float], Array | None]]
 
 
 def replay(recording: Recording, rig: Rig, show: Show, resting: Callable[[], bool], pace: float = 1.0) -> View:
-    """Plays a recording through a Watch at `pace` times its speed; in the end the View holds the calibration of all of
+    """Plays a recording as if it were a live calibration, at `pace` times its speed. show: gets what is known after
+    every frame; resting: while it is true nothing is played. Returns the last View, with the calibration of all of
     it."""
     played = Played(recording, rig)
     low, high = rig.actuator.range

@@ -43,27 +43,30 @@ _MOST_BYTES = 200  # of what a page may send
 
 
 class PageServer(ThreadingHTTPServer):
+    """An HTTP server on the loopback interface for the pages of one session."""
+
     daemon_threads = True
 
     def __init__(self, desk: Desk) -> None:
+        """Binds a free port, and draws the token without which nothing is answered."""
         super().__init__((LOOPBACK, 0), _Handler)
         self.desk = desk
         self.token = secrets.token_urlsafe(16)
 
     @property
     def address(self) -> str:
-        """The page's address, with the token that it answers to."""
+        """The page's address (URL), with the token."""
         return f"http://{LOOPBACK}:{self.server_address[1]}/{self.token}/"
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Ignores a page that goes away in the middle of an answer."""
+        """Ignores that a page goes away in the middle of an answer; prints other errors as its base class does."""
         if not isinstance(sys.exc_info()[1], OSError):
             super().handle_error(request, client_address)
 
 
 @contextmanager
 def serving(desk: Desk) -> Iterator[PageServer]:
-    """Inside, the server answers on threads of its own."""
+    """A context within which a server answers the pages of a desk, on threads of its own."""
     with PageServer(desk) as server:
         thread = threading.Thread(target=server.serve_forever, name="page", daemon=True, args=(0.05,))
         thread.start()
@@ -76,16 +79,18 @@ def serving(desk: Desk) -> Iterator[PageServer]:
 
 
 class _Handler(BaseHTTPRequestHandler):
+    """Answers the requests of one connection."""
+
     server: PageServer
     protocol_version = "HTTP/1.1"
     timeout = 30.0
     disable_nagle_algorithm = True
 
     def log_message(self, format: str, *args: Any) -> None:
-        """The terminal is the session's."""
+        """Logs nothing: the terminal belongs to the session."""
 
     def do_GET(self) -> None:
-        """Sends one of the page's files, its events or a picture."""
+        """Answers GET: one of the page's files, its events or a picture."""
         name = self._authorised_path()
         if name is None:
             return
@@ -100,7 +105,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.NOT_FOUND)
 
     def do_POST(self) -> None:
-        """Takes an order of the page to the desk; any of them says that the page is open."""
+        """Answers POST: hands what the page asks for (start, rest, stop, here, pick) to the desk. Any of them shows
+        that the page is open."""
         name = self._authorised_path()
         if name is None:
             return
@@ -122,8 +128,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.BAD_REQUEST if name == "pick" else HTTPStatus.NOT_FOUND)
 
     def _authorised_path(self) -> str | None:
-        """The path behind the token. None, with an answer that refuses, without the token or under a host name that is
-        not this machine's."""
+        """The request's path behind the token. None, after refusing it, without the token, or if the request was for
+        another host name than this machine's (against DNS rebinding)."""
         _, _, behind = self.path.partition("?")[0].partition("/")
         token, slash, name = behind.partition("/")
         if not hmac.compare_digest(token.encode(), self.server.token.encode()) or not slash:
@@ -140,7 +146,8 @@ class _Handler(BaseHTTPRequestHandler):
         return name
 
     def _json_body(self) -> dict[str, Any] | None:
-        """The JSON object of a request, {} without a body; None for anything else."""
+        """Reads the JSON object in a request's body, {} without a body; None for anything else, or a body that is too
+        long."""
         length = _whole(self.headers.get("Content-Length", "0"))
         if length is None or length > _MOST_BYTES:
             return None
@@ -151,8 +158,9 @@ class _Handler(BaseHTTPRequestHandler):
         return sent if isinstance(sent, dict) else None
 
     def _send_events(self) -> None:
-        """Server-sent events as long as the page is there: the latest of each topic, then what is new. The page has to
-        answer `alive`, as a write to one that sleeps fails only minutes later."""
+        """Sends server-sent events as long as the page is there: the latest of each topic, then what is new. Every
+        _ALIVE_S it sends `alive`, which the page answers by `here`, as a write to a page that sleeps fails only minutes
+        later."""
         self._head(HTTPStatus.OK, {"Content-Type": "text/event-stream", "Connection": "close"})
         self.close_connection = True
         events, at, due_s = self.server.desk.events, 0, 0.0
@@ -160,13 +168,14 @@ class _Handler(BaseHTTPRequestHandler):
         with suppress(OSError):
             while not events.closed:
                 at, fresh = events.newer(at, max(due_s - time.monotonic(), 0.0))
-                told = "".join(map(_event, fresh, fresh.values()))
+                text = "".join(map(_event, fresh, fresh.values()))
                 if time.monotonic() >= due_s:
-                    told, due_s = told + _event("alive", {}), time.monotonic() + _ALIVE_S
-                self.wfile.write(told.encode())
+                    text, due_s = text + _event("alive", {}), time.monotonic() + _ALIVE_S
+                self.wfile.write(text.encode())
 
     def _send_picture(self) -> None:
-        """Sends the first picture after the one that the page has; a slow page gets fewer."""
+        """Sends, as JPEG, the latest picture that is newer than the one which the page has (?after=NUMBER), waiting for
+        it up to _PICTURE_S. A slow page so gets fewer pictures."""
         after = _whole(parse_qs(self.path.partition("?")[2]).get("after", ["0"])[0])
         if after is None:
             self._refuse(HTTPStatus.BAD_REQUEST)
@@ -183,6 +192,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _answer(
         self, body: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK, headers: dict[str, str] | None = None
     ) -> None:
+        """Sends a whole answer. kind: its content type."""
         self._head(status, {"Content-Type": kind, "Content-Length": str(len(body)), **(headers or {})})
         self.wfile.write(body)
 
@@ -192,6 +202,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(b"", "text/plain", status, {"Connection": "close"})
 
     def _head(self, status: HTTPStatus, headers: dict[str, str]) -> None:
+        """Sends an answer's status and headers, with those that every answer has (_HEADERS)."""
         self.send_response_only(status)
         for key, value in {**_HEADERS, **headers}.items():
             self.send_header(key, value)
@@ -199,10 +210,10 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _whole(text: str) -> int | None:
-    """A count of 9 digits at most, None for anything else."""
+    """The number in a text of 1 to 9 decimal digits, None for anything else."""
     return int(text) if text.isascii() and text.isdecimal() and len(text) < 10 else None
 
 
 def _event(topic: str, what: Any) -> str:
-    """A server-sent event with a JSON document as its data."""
+    """The text of a server-sent event of this topic with `what`, as JSON, as its data."""
     return f"event: {topic}\ndata: {json.dumps(what, allow_nan=False)}\n\n"

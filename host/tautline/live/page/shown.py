@@ -24,11 +24,11 @@ _ANGLES = 481  # of the rig's curve: to 0.002 px of its bows
 
 
 class Bending:
-    """The bending angle, deg, whose image is nearest to the marker, from a table of the rig's curve in the image: a fit
-    by `pose` takes some 3 ms, of the 40 between two frames, from what tracks."""
+    """Finds the bending angle in a frame quickly, from a table of the rig's curve in the image. `pose`, which fits it,
+    takes some 3 ms of the 40 ms between two frames, which the tracker needs."""
 
     def __init__(self, rig: Rig) -> None:
-        """Tabulates the rig's curve in the image, for a quarter of its range beyond either end too."""
+        """Tabulates the rig's curve in the image, and a quarter of its range beyond either end."""
         low, high = coarse_range_deg(rig)
         margin = 0.25 * (high - low)
         self._c_deg = np.linspace(low - margin, high + margin, _ANGLES)
@@ -37,8 +37,8 @@ class Bending:
         self._square = np.sum(self._way**2, axis=1)
 
     def of(self, frame: Frame) -> float | None:
-        """The angle, deg, of the point on the table's polygon that is nearest to the marker; None where the marker is
-        lost."""
+        """The bending angle, deg, of the point on the tabulated curve that is nearest to the marker; None where the
+        marker is lost."""
         if not frame.sighting.valid:
             return None
         away = (frame.sighting.u_px, frame.sighting.v_px) - self._place[:-1]
@@ -49,8 +49,8 @@ class Bending:
 
 
 def moment(frame: Frame, q: float, c_deg: float | None) -> dict[str, Any]:
-    """One frame as a document: arrival, motor at its scene time, angle, marker in px. q, c_deg: in the rig's unit,
-    deg."""
+    """One frame as a JSON document: arrival time, q and c_deg (motor at the frame's scene time, the rig's unit, and
+    bending angle), and the marker in px."""
     seen = frame.sighting
     return {
         "t_s": frame.t_us * 1e-6,
@@ -64,7 +64,7 @@ def moment(frame: Frame, q: float, c_deg: float | None) -> dict[str, Any]:
 
 
 def progress(view: View) -> dict[str, Any]:
-    """A View's progress as a document: what is done, what was seen, what is missing."""
+    """A live calibration's progress as a JSON document: what is being done, what was seen, what is missing."""
     seen, known = in_short(view)
     return {
         "doing": view.doing,
@@ -82,7 +82,7 @@ def progress(view: View) -> dict[str, Any]:
 
 
 def missing(view: View) -> list[str]:
-    """What is missing to reach the goal, a sentence each."""
+    """What is missing for the goal of a live calibration, in sentences."""
     unit, standing = view.unit, view.standing
     said = []
     if view.coverage < 1.0:
@@ -105,8 +105,8 @@ def missing(view: View) -> list[str]:
 
 
 def fit(calibration: Calibration, seconds: float | None) -> dict[str, Any]:
-    """A calibration as a document: B(q) with its band, onsets and verdict. seconds: of the recording, None for all of
-    it."""
+    """A calibration as a JSON document: `backlash` and its onsets. seconds: of recording that it is from, None for
+    all."""
     return backlash(calibration.model) | {
         "seconds": seconds,
         "onsets": [
@@ -118,7 +118,7 @@ def fit(calibration: Calibration, seconds: float | None) -> dict[str, Any]:
 
 
 def backlash(model: Model) -> dict[str, Any]:
-    """A model's B(q) with its band and verdict as a document."""
+    """A model's B(q) with its sigma at _NODES places, delay and verdict, as a JSON document; without onsets."""
     low, high = model.measured
     q = np.linspace(low, high, _NODES) if low < high else np.zeros(0)
     return {
@@ -138,8 +138,9 @@ def backlash(model: Model) -> dict[str, Any]:
 
 
 def diagnosis(document: Mapping[str, Any], answers: Sequence[Leading], why: str) -> dict[str, Any]:
-    """A diagnosis as a document: candidates, what led after each recording (`answers`), and what the next motion is
-    for, or why there is none (`why`, else empty)."""
+    """A live diagnosis so far as a JSON document: its answers, what led after each recording, what the next motion is
+    for, and why there is none. document: diagnosis.json; answers: what led; why: the diagnosis ends, "" if it goes
+    on."""
     following = document["next_motion"]
     probable = sorted(answers_of(document).items(), key=lambda item: -item[1])
     return {
@@ -152,7 +153,8 @@ def diagnosis(document: Mapping[str, Any], answers: Sequence[Leading], why: str)
 
 
 def holds(row: Row, t_s: float) -> dict[str, Any]:
-    """A tracker's row as a document: state, offset (the rig's unit) and scale of B."""
+    """A tracker's row at t_s as a JSON document: state with its reason, offset (the rig's unit) and scale of B, with
+    sigmas."""
     numbers = {name: _finite(float(getattr(row, name))) for name in ("offset", "offset_sigma", "scale", "scale_sigma")}
     return {"t_s": t_s, "state": row.state.value, "reason": row.reason} | numbers
 

@@ -32,56 +32,63 @@ _POLL_S = 0.02
 
 
 class Work(Protocol):
+    """What a page can start."""
+
     @property
-    def rig(self) -> Rig: ...
+    def rig(self) -> Rig:
+        """Of the set-up or the recording."""
 
     @property
     def about(self) -> dict[str, Any]:
-        """What the page says that it shows: `title`, and whether it is `live`."""
+        """What the page shows of it: `title`, whether it is `live`, and optionally `watch`, `diagnose`, and whether it
+        `rests` (default yes)."""
 
     def idle(self, desk: Desk) -> None:
-        """A moment in which nothing was asked for."""
+        """Is called again and again while nothing runs: shows a frame."""
 
     def run(self, desk: Desk) -> str:
-        """What came of it, in a sentence; TautError where it was stopped or failed. The axis rests then."""
+        """Does the work, publishing on the desk; returns what came of it in a sentence. TautError where it failed,
+        Stopped where it was stopped. The axis then rests."""
 
     def let_go(self) -> None:
-        """From any thread: the motor is brought to rest."""
+        """Brings the motor to rest; may be called from any thread."""
 
 
 @dataclass
 class Calibrating:
-    """Live calibrations, each in a recording of its own; the last one's model is in `out`."""
+    """`taut live`: live calibrations, each with a recording of its own; the last one's model is in `out`."""
 
     live: Live
     out: Path
     recording: Callable[[], Path]  # a folder that is not there yet
     goal: Goal = field(default_factory=Goal)
     colour_file: Path | None = None  # that keeps what was picked
-    found: Calibration | None = None
+    found: Calibration | None = None  # by the last run
 
     @property
     def rig(self) -> Rig:
+        """Of the set-up."""
         return self.live.rig
 
     @property
     def about(self) -> dict[str, Any]:
+        """Title of a live calibration (see Work)."""
         what = self.rig.actuator.instrument or "an instrument"
         simulated = ", simulated" if self.live.virtual else ""
         return {"title": f"Calibrate {what} on axis {self.live.axis}{simulated}", "live": True}
 
     def idle(self, desk: Desk) -> None:
-        """Shows a frame; takes the marker's colour where the picture was clicked."""
+        """Shows a frame; where the picture was clicked, picks the marker's colour there."""
         if (place := desk.picked()) is not None:
             self._pick(desk, place)
         _look(desk, self.live)
 
     def run(self, desk: Desk) -> str:
-        """Calibrates until the goal is reached, and keeps MODEL and report."""
-        kept = self.recording()
-        found, reached = calibrate_until(self.live, kept, self.goal, show=desk.show, resting=desk.resting)
+        """Calibrates until the goal is reached or out of reach, and writes MODEL and report to `out`."""
+        folder = self.recording()
+        found, reached = calibrate_until(self.live, folder, self.goal, show=desk.show, resting=desk.resting)
         self.found = found
-        recordings = shifted([load(kept, found.model.rig)], found.offsets)
+        recordings = shifted([load(folder, found.model.rig)], found.offsets)
         pages.save_model(found.model, recordings, self.out)
         unit = self.live.rig.actuator.unit
         worst = in_words(reached.standing.worst, unit)
@@ -90,10 +97,12 @@ class Calibrating:
         return f"done: sigma of B(q) is {worst} at most; {self.out / pages.FILE} shows it"
 
     def let_go(self) -> None:
+        """Switches the motor off."""
         self.live.let_go()
 
     def _pick(self, desk: Desk, place: tuple[float, float]) -> None:
-        """Picks the marker's colour at a place of the picture."""
+        """Picks the marker's colour at a place (u, v), px, of the latest picture, uses it from now on and keeps it in
+        colour_file; the page says what came of it."""
         if desk.picture is None or self.live.marker_source is None:
             return
         try:
@@ -111,8 +120,8 @@ class Calibrating:
 
 @dataclass
 class Watching:
-    """A model in use, as `taut watch` keeps it; nothing is moved unless `motion` says so. That ends where no page is
-    open, which would have its stop."""
+    """`taut live --watch`: keeps a model in use calibrated, as `taut watch`; nothing is moved unless `motion` says so.
+    A motion ends where no page is open on which somebody could press Stop."""
 
     live: Live
     model: Model
@@ -123,24 +132,29 @@ class Watching:
 
     @property
     def rig(self) -> Rig:
+        """Of the set-up."""
         return self.live.rig
 
     @property
     def about(self) -> dict[str, Any]:
+        """Title of a model that is watched (see Work)."""
         title = f"Watch a model in use on axis {self.live.axis}"
         return {"title": title, "live": True, "watch": True, "rests": False}
 
     def idle(self, desk: Desk) -> None:
+        """Shows a frame."""
         _look(desk, self.live)
 
     def run(self, desk: Desk) -> str:
-        """Tracks the model in use until stopped."""
+        """Keeps the model calibrated until stopped, or for duration_s."""
         desk.events.publish("fit", shown.backlash(self.model))
 
-        def told(row: Row, t_s: float) -> None:
+        def show_row(row: Row, t_s: float) -> None:
+            """Publishes a row of the tracker."""
             desk.events.publish("holds", shown.holds(row, t_s))
 
         def seen(frame: Frame, q: float) -> None:
+            """Publishes a frame; Stopped where stop was pressed, or nobody watches a motion."""
             desk.show_frame(frame, q)
             desk.check_stop()
             if self.motion != "none" and desk.unwatched:
@@ -148,18 +162,19 @@ class Watching:
 
         result = watch(
             self.live, self.model, self.motion, speed=self.speed, duration_s=self.duration_s, seed=self.seed,
-            told=told, shown=seen,
+            on_row=show_row, shown=seen,
         )  # fmt: skip
         return f"watched {result['seconds']:.1f} s, {result['frames']} frames: {result['state'] or 'none was tracked'}"
 
     def let_go(self) -> None:
+        """Switches the motor off."""
         self.live.let_go()
 
 
 @dataclass
 class Diagnosing:
-    """A live diagnosis, as `taut diagnose --live` makes it. A motion ends where no page is open, which would have its
-    stop; the next one waits for a page."""
+    """`taut live --diagnose`: a live diagnosis, as `taut diagnose --live`. A motion ends where no page is open on which
+    somebody could press Stop; the next one waits for a page."""
 
     live: Live
     calibration: Calibration
@@ -171,29 +186,34 @@ class Diagnosing:
 
     @property
     def rig(self) -> Rig:
+        """Of the set-up."""
         return self.live.rig
 
     @property
     def about(self) -> dict[str, Any]:
+        """Title of a live diagnosis (see Work)."""
         title = f"Diagnose {self.rig.actuator.instrument or 'an instrument'} on axis {self.live.axis}"
         return {"title": title, "live": True, "diagnose": True, "rests": False}
 
     def idle(self, desk: Desk) -> None:
+        """Shows a frame."""
         _look(desk, self.live)
 
     def run(self, desk: Desk) -> str:
-        """Diagnoses with motions recorded on the way."""
+        """Diagnoses, recording the motions that this asks for, and writes the diagnosis to `out`."""
         answers: list[Leading] = []
         desk.events.publish("fit", shown.fit(self.calibration, None))
         desk.events.publish("diagnosis", None)
 
         def seen(frame: Frame) -> None:
+            """Publishes a frame; Stopped where stop was pressed, or nobody watches."""
             desk.show_frame(frame, _motor(self.live))
             desk.check_stop()
             if desk.unwatched:
                 raise Stopped
 
         def answered(diagnosis: Diagnosis, leading: Leading, why: str) -> None:
+            """Publishes a diagnosis; if another motion follows, waits until a page is open."""
             answers.append(leading)
             desk.events.publish("diagnosis", shown.diagnosis(diagnosis.document, answers, why))
             while not why and desk.resting():
@@ -208,12 +228,13 @@ class Diagnosing:
         return f"{asked.why}; {self.out / pages.FILE} shows it"
 
     def let_go(self) -> None:
+        """Switches the motor off."""
         self.live.let_go()
 
 
 @dataclass
 class Replaying:
-    """A recording, from its beginning each time."""
+    """`taut live RECORDING`: plays a recording, from its beginning each time."""
 
     recording: Recording
     rig: Rig
@@ -221,9 +242,11 @@ class Replaying:
 
     @property
     def about(self) -> dict[str, Any]:
+        """Title of a replay (see Work)."""
         return {"title": f"Replay of {self.recording.name}", "live": False}
 
     def idle(self, desk: Desk) -> None:
+        """Waits: there is no frame to show yet."""
         time.sleep(_POLL_S)
 
     def run(self, desk: Desk) -> str:
@@ -233,11 +256,11 @@ class Replaying:
         return f"all of {self.recording.name} was played"
 
     def let_go(self) -> None:
-        """Nothing moves."""
+        """Does nothing: nothing moves."""
 
 
 def _look(desk: Desk, live: Live) -> None:
-    """Looks at one frame while nothing runs, at a camera's pace where time is virtual."""
+    """Shows one frame while nothing runs; where time is virtual, at the camera's real pace."""
     began_s = time.monotonic()
     frame = live.look()
     desk.show_frame(frame, _motor(live))
@@ -246,33 +269,33 @@ def _look(desk: Desk, live: Live) -> None:
 
 
 def _motor(live: Live) -> float:
-    """q now, the rig's unit."""
+    """The motor's position now, the rig's unit."""
     return float(live.board.status(live.axis).q) * live.resolution
 
 
 def attend(
     desk: Desk,
     work: Work,
-    told: Callable[[str], None] = lambda text: None,
+    say: Callable[[str], None] = lambda text: None,
     over: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Until `over()`, or Ctrl-C while nothing runs, does what the page asks for; what came of it goes to the page and
-    to `told`."""
+    """The session's main loop: runs the work whenever the page asks for it, until `over()` is true, or Ctrl-C comes
+    while nothing runs. What came of each run goes to the page and to `say`."""
     try:
         while not over():
             if desk.begun:
                 with desk.running(work.let_go):
-                    says = _ran(desk, work)
+                    says = _run_once(desk, work)
                     desk.say(says)
-                told(says)
+                say(says)
             else:
                 work.idle(desk)
     except KeyboardInterrupt:
         return
 
 
-def _ran(desk: Desk, work: Work) -> str:
-    """Runs the work once; what came of it, in words: "stopped", or an error's text, where it did not end by itself."""
+def _run_once(desk: Desk, work: Work) -> str:
+    """Runs the work once. Returns what came of it, in words: its own, "stopped", or an error's text."""
     try:
         desk.check_stop()  # that came before it began
         return work.run(desk)

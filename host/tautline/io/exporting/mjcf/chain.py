@@ -31,7 +31,7 @@ class Chain:
     rms: float  # of the curve less the chain, on the curve's nodes
 
     def values(self, x: npt.ArrayLike) -> list[Array]:
-        """The output of every link at x; the last one is y."""
+        """The output of every link at x, in x's shape each; the last one is y."""
         at = np.asarray(x, dtype=float)
         found = []
         for link in self.links:
@@ -40,16 +40,16 @@ class Chain:
         return found
 
     def __call__(self, x: npt.ArrayLike) -> Array:
-        """y at x, in x's shape."""
+        """The chain's value y at x, in x's shape."""
         return self.values(x)[-1]
 
 
 def fit(x: Array, y: Array, enough: float) -> Chain:
-    """The shortest chain of at most MOST_LINKS polynomials whose rms error on the curve (x rising, y) is at most
-    `enough`, in the unit of y, else the best one. Deterministic. Takes 0.1 to 5 s."""
+    """Fits a chain of polynomials to a curve, x (n,) rising and y (n,): the shortest one of at most MOST_LINKS whose
+    rms error is at most `enough`, in the unit of y, or else the best one. Deterministic; takes 0.1 to 5 s."""
     u = (2.0 * x - x[0] - x[-1]) / (x[-1] - x[0])
     scale = np.array([-(x[0] + x[-1]), 2.0]) / (x[-1] - x[0])
-    best, free = _outer([], u, y, scale), np.zeros(0)
+    best, free = _chain_with_best_last_link([], u, y, scale), np.zeros(0)
     for _ in range(2, MOST_LINKS + 1):
         if best.rms <= enough:
             break
@@ -60,7 +60,7 @@ def fit(x: Array, y: Array, enough: float) -> Chain:
 
 @dataclass(frozen=True)
 class Sum:
-    """Chains side by side, added up: what the first one leaves is a curve for the next."""
+    """A sum of chains: each was fitted to what those before it leave of a curve."""
 
     chains: tuple[Chain, ...]
 
@@ -70,8 +70,8 @@ class Sum:
 
 
 def fit_sum(x: Array, y: Array, enough: float) -> Sum:
-    """Up to MOST_CHAINS chains added up, of which each is fitted to what those before leave of the curve (x rising, y),
-    until their rms error is at most `enough`, in the unit of y."""
+    """Fits a sum of up to MOST_CHAINS chains to a curve, x (n,) rising and y (n,), each to what those before it leave,
+    until the rms error is at most `enough`, in the unit of y."""
     chains = [fit(x, y, enough)]
     while chains[-1].rms > enough and len(chains) < MOST_CHAINS:
         chains.append(fit(x, y - Sum(tuple(chains))(x), enough))
@@ -79,22 +79,24 @@ def fit_sum(x: Array, y: Array, enough: float) -> Sum:
 
 
 def _search(u: Array, y: Array, scale: Array, known: Array) -> tuple[Chain, Array]:
-    """The best chain that is found with one link more than the free coefficients `known` make, and its own free
-    coefficients. The search starts from `known`, which vary too. u, y, scale: as in _outer."""
+    """Searches for the best chain with one link more than the free coefficients `known` (see `_links`) make; returns it
+    and its free coefficients. Nonlinear least squares from _STARTS random first links before `known`, which vary too.
+    u, y, scale: as in `_chain_with_best_last_link`."""
     nodes = np.linspace(-1.0, 1.0, _NODES)
     wanted = np.interp(nodes, u, y)
     spread = max(float(np.ptp(wanted)), 1e-300)
     rng = np.random.default_rng(0)
 
-    def left(free: Array) -> Array:
-        """Residuals: at each node, 1 for a thousandth of the curve's spread, then each coefficient's; 1e3 at all nodes
-        where a link is level or not finite."""
+    def residuals(free: Array) -> Array:
+        """Residuals of the search, (_NODES + len(free),): at each node the error in thousandths of the curve's spread,
+        the last link being solved for; then the free coefficients, weakly. 1e3 at all nodes where a link is level or
+        not finite."""
         at = nodes
         for link in _links(free):
             at = np.asarray(polynomial.polyval(at, link))
             if not np.isfinite(at).all() or np.ptp(at) < 1e-6:
                 return np.concatenate([np.full(_NODES, 1e3), _STIFF * free])
-            at = _unit(at)[0]
+            at = _scaled_to_unit(at)[0]
         design = polynomial.polyvander(at, ORDER)
         solved, *_ = np.linalg.lstsq(design, wanted, rcond=None)
         return np.concatenate([(design @ solved - wanted) / spread * 1e3, _STIFF * free])
@@ -102,45 +104,45 @@ def _search(u: Array, y: Array, scale: Array, known: Array) -> tuple[Chain, Arra
     best: tuple[float, Array] | None = None
     for _ in range(_STARTS):
         begin = np.concatenate([rng.normal(0.0, _SPREAD, ORDER), known])
-        found = least_squares(left, begin, max_nfev=_EVALUATIONS)
+        found = least_squares(residuals, begin, max_nfev=_EVALUATIONS)
         if best is None or found.cost < best[0]:
             best = found.cost, found.x
     assert best is not None
-    return _outer(_links(best[1]), u, y, scale), best[1]
+    return _chain_with_best_last_link(_links(best[1]), u, y, scale), best[1]
 
 
 def _links(free: Array) -> list[Array]:
-    """Links from their free coefficients, ORDER each: the constant, then second order and up. That of first order is 1:
-    what a scale could do is left to the link behind."""
+    """The links, five coefficients each, from their free coefficients (ORDER for each link): the constant, then second
+    order and up. The coefficient of first order is 1, as the next link can scale."""
     return [np.concatenate([part[:1], [1.0], part[1:]]) for part in free.reshape(-1, ORDER)]
 
 
-def _unit(at: Array) -> tuple[Array, Array]:
-    """The values brought to [-1, 1], and the straight line (constant, slope) that does so."""
-    low, high = float(at.min()), float(at.max())
+def _scaled_to_unit(values: Array) -> tuple[Array, Array]:
+    """Values (n,) scaled to [-1, 1], and the straight line (constant, slope) that scales them."""
+    low, high = float(values.min()), float(values.max())
     line = np.array([-(low + high), 2.0]) / (high - low)
-    return line[0] + line[1] * at, line
+    return line[0] + line[1] * values, line
 
 
-def _outer(inner: list[Array], u: Array, y: Array, scale: Array) -> Chain:
-    """The chain of the links `inner`, the output of each brought to [-1, 1], and of a last one by linear least squares
-    to y. u (n,): the curve's x brought to [-1, 1] by the line `scale` (constant, slope)."""
+def _chain_with_best_last_link(inner: list[Array], u: Array, y: Array, scale: Array) -> Chain:
+    """The chain of the links `inner`, the output of each scaled to [-1, 1], and a last link that is solved for by
+    linear least squares to y (n,). u (n,): the curve's x, scaled to [-1, 1] by the line `scale` (constant, slope)."""
     at, before, links = u, scale, []
     for link in inner:
         raw: Array = np.asarray(polynomial.polyval(at, link), dtype=float)
-        at, line = _unit(raw)
+        at, line = _scaled_to_unit(raw)
         whole = line[1] * link
         whole[0] += line[0]
-        links.append(_of_line(whole, before))
+        links.append(_composed_with_line(whole, before))
         before = np.array([0.0, 1.0])
     design = polynomial.polyvander(at, ORDER)
     solved: Array = np.asarray(np.linalg.lstsq(design, y, rcond=None)[0], dtype=float)
-    links.append(_of_line(solved, before))
+    links.append(_composed_with_line(solved, before))
     return Chain(tuple(links), float(np.sqrt(np.mean((design @ solved - y) ** 2))))
 
 
-def _of_line(link: Array, line: Array) -> Array:
-    """Coefficients of link(line(x)), five."""
+def _composed_with_line(link: Array, line: Array) -> Array:
+    """The coefficients (5,) of link(line(x)); link: five coefficients, line: (constant, slope)."""
     composed = np.zeros(1)
     for coefficient in link[::-1]:
         composed = polynomial.polyadd(polynomial.polymul(composed, line), [coefficient])

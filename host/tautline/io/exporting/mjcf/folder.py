@@ -44,7 +44,9 @@ _ENOUGH, _ENOUGH_LAW = 1e-3, 2e-4  # tolerance
 
 
 def write(model: Model, out: Path, mount: Mount, progress: Callable[[float, str], None]) -> Exported:
-    """The folder, whole or not at all. Takes 5 to 30 s: the scenes are simulated to say what they leave."""
+    """Writes the folder `out` of an MJCF export, whole or not at all: both scenes, the callback with its tables, and
+    export.json. mount: the user's MJCF and what in it. Takes 5 to 30 s, as the scenes are simulated to say what they
+    leave; progress: gets the share done, 0 to 1, and a word. TautError where MJCF and model do not go together."""
     tip_rad = np.radians(model.c_deg)
     nominal = look(mount, model.rig.actuator.unit, model.rig.actuator.range, tip_rad)
     progress(0.05, "polynomials")
@@ -54,17 +56,17 @@ def write(model: Model, out: Path, mount: Mount, progress: Callable[[float, str]
         # What a scene leads to is named from where it lies: here while it is measured, in the end from `out`.
         for name, text in {**scenes(nominal, law, folder), **rest}.items():
             write_file(folder / name, text)
-        report = _measured(model, nominal, law, folder, progress)
+        report = _measure_errors(model, nominal, law, folder, progress)
         texts = {**scenes(nominal, law, out), **rest}
         for name, text in texts.items():
             write_file(folder / name, text)
         write_file(folder / REPORT, json.dumps(plain(report), indent=1, allow_nan=False) + "\n")
-    lost = tuple(_lost(report))
+    lost = tuple(_losses_in_words(report))
     return Exported(tuple(out / name for name in (REPORT, *texts)), lost, {"report": report})
 
 
 def law_of(model: Model) -> Law:
-    """The model as polynomials. 1 to 6 s."""
+    """Fits a model's B/2 and f_remain with polynomials, for the scene in XML alone. Takes 1 to 6 s."""
     low, high = model.rig.actuator.range
     middle = 0.5 * (low + high)
     x, angle, half = model.q - middle, np.radians(model.c_deg), 0.5 * model.width
@@ -81,7 +83,8 @@ def law_of(model: Model) -> Law:
 
 
 def _at_least_zero(half: Chain, x: Array) -> Chain:
-    """The chain of B/2 moved up by as much as it is below 0 somewhere on x (n,): the play's walls would cross there."""
+    """The chain of B/2, moved up if it is below 0 somewhere on x (n,), where the play's walls would cross each
+    other."""
     short = -min(0.0, float(half(x).min()))
     last = half.links[-1].copy()
     last[0] += short
@@ -89,7 +92,7 @@ def _at_least_zero(half: Chain, x: Array) -> Chain:
 
 
 def _parameters(model: Model) -> dict[str, float]:
-    """The parameters of those effects that the callback simulates."""
+    """The parameters, by name, of those of a model's effects that the callback simulates by their own equations."""
     return {
         name: float(value)
         for effect in of_this_version(model)
@@ -99,18 +102,20 @@ def _parameters(model: Model) -> dict[str, float]:
 
 
 def scenes(nominal: Nominal, law: Law, out: Path) -> dict[str, str]:
-    """Texts by file name: both MJCFs, for the folder `out`, as they name their meshes from there."""
+    """The texts of both MJCFs, by file name: the one with the transmission in XML alone, and the one that the callback
+    leads. out: the folder that they will be in, from which they name their meshes."""
     alone, led = Scene(nominal, law), Scene(nominal, law)
     for scene in (alone, led):
-        scene.motor()
-    alone.play()
-    alone.follow()
-    led.led()
+        scene.add_motor()
+    alone.add_play()
+    alone.add_law()
+    led.add_led_joint()
     return {SCENE: alone.text(out), WITH_CALLBACK: led.text(out)}
 
 
 def standalone(model: Model, nominal: Nominal) -> dict[str, str]:
-    """Texts by file name: the callback's code and what it reads."""
+    """The texts of the callback, by file name: its code, which is a copy of transmission.py, and the files that it
+    reads."""
     onset = next((effect.parameters for effect in model.effects if effect.id == _ONSET), None)
     elements = onset_elements(model.elements, onset) if onset else model.elements
     play = replace(model, elements=elements, friction=None).play
@@ -143,28 +148,31 @@ def standalone(model: Model, nominal: Nominal) -> dict[str, str]:
 
 
 def _csv(header: str, rows: Array) -> str:
-    """A CSV text: the header line, then rows (n, columns)."""
+    """The text of a CSV: the header line, then rows (n, columns)."""
     return "\n".join([header, *(",".join(f"{value:.12g}" for value in row) for row in rows.tolist())]) + "\n"
 
 
 # -- what it leaves -----------------------------------------------------------------------------------------------
 
 
-def _measured(
+def _measure_errors(
     model: Model, nominal: Nominal, law: Law, folder: Path, progress: Callable[[float, str], None]
 ) -> dict[str, Any]:
-    """The report of what each part of the export leaves of the model's prediction, by simulating the scenes."""
+    """Simulates the scenes in `folder` and compares them with the model's own prediction. Returns export.json: the
+    errors of both, and what each part of the model is exported as, or why it is not."""
     motor = measure.motion(model, nominal.timestep)
-    told = predict(model, motor, motor.t_s).c_deg
+    predicted_deg = predict(model, motor, motor.t_s).c_deg
     q = float(motor.q[0])
     about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
     control: list[transmission.Control] = []
 
     def start_led(scene: Any, data: Any) -> None:
+        """Starts the callback, which brings the scene to rest."""
         control.append(transmission.Control(scene, folder))
         control[0].start(data, q)
 
     def start_alone(scene: Any, data: Any) -> None:
+        """Brings the scene without callback to rest."""
         transmission.rest(scene, data, q, about)
 
     progress(0.4, "simulating the XML alone")
@@ -172,8 +180,11 @@ def _measured(
     progress(0.6, "simulating the callback")
     led = measure.simulate(folder / WITH_CALLBACK, nominal, motor, start_led, lambda m, d: control[0](m, d))
     progress(0.8, "what each part leaves")
-    errors = {"xml": measure.error(model, motor, alone, told), "callback": measure.error(model, motor, led, told)}
-    exported, refused = parts(model, law, motor, told)
+    errors = {
+        "xml": measure.error(model, motor, alone, predicted_deg),
+        "callback": measure.error(model, motor, led, predicted_deg),
+    }
+    exported, refused = parts(model, law, motor, predicted_deg)
     chains = [chain.links for chain in law.angle.chains]
     return {
         "format": FORMAT,
@@ -187,19 +198,21 @@ def _measured(
     }
 
 
-def parts(model: Model, law: Law, motor: Motor, told: Array) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Two lists: which parts of the model went into the export, where and as what, and which did not, and why. `error`:
-    rms of the prediction that this leaves by itself, px or deg, None where it cannot be said. told: the whole model's
-    angles (n,) deg at the motor's times."""
+def parts(
+    model: Model, law: Law, motor: Motor, predicted_deg: Array
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Which parts of a model are in the export, in which file and as what, and which are not, and why: two lists of
+    export.json. Their `error` is the rms by which the prediction is off through that part alone, px or deg, None where
+    it cannot be said. predicted_deg: the whole model's angles (n,) at the motor's times."""
     x = model.q - law.middle
     width = replace(model, width=allowed_width(model.q, 2.0 * law.half(x)))
     bent = replace(model, c_deg=monotone(np.degrees(law.angle(x))))
 
     def leaves(other: Model) -> float:
-        """Rms by which the other model's prediction differs from `told`, px or deg."""
-        return measure.error(model, motor, predict(other, motor, motor.t_s).c_deg, told)[0]
+        """Rms by which the other model's prediction differs from the whole model's, px or deg."""
+        return measure.error(model, motor, predict(other, motor, motor.t_s).c_deg, predicted_deg)[0]
 
-    exported = [
+    exported: list[dict[str, Any]] = [
         {"what": "transmission.backlash", "in": "callback", "as": "table", "error": 0.0},
         {
             "what": "transmission.backlash",
@@ -216,42 +229,43 @@ def parts(model: Model, law: Law, motor: Motor, told: Array) -> tuple[list[dict[
         exported.append({"what": "elements", "in": "callback", "as": "plays side by side", "error": instead})
         one = leaves(replace(model, elements=SINGLE, friction=None))
         refused.append({"what": "elements", "in": "xml", "why": "one play stands for several", "error": one})
-    for effect in of_this_version(model):
-        kind = BY_ID[effect.id]
-        if kind.holds is not None or kind.stage in _SEEN:
-            continue  # in the tables already, or no matter of the mechanism
-        if kind.needs in ("load", "joint", "freedom"):
-            why = "it follows what the scene has no input for"  # nor has the motion that is measured on
-            refused.append({"what": effect.id, "in": "both", "why": why, "error": None})
-            continue
-        without = leaves(replace(model, effects=tuple(each for each in model.effects if each is not effect)))
-        if effect.id in _BY_CALLBACK:
-            exported.append(
-                {
-                    "what": effect.id,
-                    "in": "callback",
-                    "as": "its equations",
-                    "error": _error_of_its_form(model, effect, leaves),
-                }
-            )
-        else:
-            refused.append({"what": effect.id, "in": "callback", "why": "it has no equation there", "error": without})
-        if effect.id == _LAG:
-            first = Effect(effect.id, {**effect.parameters, "lag_second": 0.0})
-            others = tuple(first if each is effect else each for each in model.effects)
-            as_one = leaves(replace(model, effects=others))
-            exported.append({"what": effect.id, "in": "xml", "as": "a spring and a damper", "error": as_one})
-        else:
-            refused.append({"what": effect.id, "in": "xml", "why": "MuJoCo has nothing like it", "error": without})
-    for effect in of_this_version(model):
-        if BY_ID[effect.id].stage in _SEEN and BY_ID[effect.id].holds is None:
+    effects = [effect for effect in of_this_version(model) if BY_ID[effect.id].holds is None]  # others: in the tables
+    for effect in effects:
+        if BY_ID[effect.id].stage not in _SEEN:
+            for entry in _parts_of_effect(model, effect, leaves):
+                (exported if "as" in entry else refused).append(entry)
+    for effect in effects:
+        if BY_ID[effect.id].stage in _SEEN:
             refused.append({"what": effect.id, "in": "both", "why": "it changes how the tip is seen", "error": None})
     return exported, refused
 
 
+def _parts_of_effect(model: Model, effect: Effect, leaves: Callable[[Model], float]) -> list[dict[str, Any]]:
+    """The entries of `parts` on an effect of the mechanism: with "as" where it is exported, with "why" where it is not.
+    leaves: the error of another model's prediction."""
+    if BY_ID[effect.id].needs in ("load", "joint", "freedom"):
+        why = "it follows what the scene has no input for"  # nor has the motion that is measured on
+        return [{"what": effect.id, "in": "both", "why": why, "error": None}]
+    without = leaves(replace(model, effects=tuple(each for each in model.effects if each is not effect)))
+    callback: dict[str, Any] = {"what": effect.id, "in": "callback"}
+    if effect.id in _BY_CALLBACK:
+        callback |= {"as": "its equations", "error": _error_of_its_form(model, effect, leaves)}
+    else:
+        callback |= {"why": "it has no equation there", "error": without}
+    xml: dict[str, Any] = {"what": effect.id, "in": "xml"}
+    if effect.id == _LAG:
+        first_order = Effect(effect.id, {**effect.parameters, "lag_second": 0.0})
+        others = tuple(first_order if each is effect else each for each in model.effects)
+        xml |= {"as": "a spring and a damper", "error": leaves(replace(model, effects=others))}
+    else:
+        xml |= {"why": "MuJoCo has nothing like it", "error": without}
+    return [callback, xml]
+
+
 def _error_of_its_form(model: Model, effect: Effect, leaves: Callable[[Model], float]) -> float:
-    """What the callback's form of an effect leaves of the prediction: a gradual start becomes elements, all others are
-    simulated by their own equations. leaves: the error of a model's prediction."""
+    """The rms by which the prediction is off, px or deg, as the callback simulates an effect in a form of its own: a
+    gradual onset becomes elements; all others have their own equations there, so 0. leaves: gives that rms for another
+    model."""
     if effect.id != _ONSET:
         return 0.0
     elements = onset_elements(model.elements, effect.parameters)
@@ -259,8 +273,8 @@ def _error_of_its_form(model: Model, effect: Effect, leaves: Callable[[Model], f
     return leaves(replace(model, elements=elements, friction=None, effects=effects))
 
 
-def _lost(report: dict[str, Any]) -> list[str]:
-    """The report's losses, one line each."""
+def _losses_in_words(report: dict[str, Any]) -> list[str]:
+    """What the export loses, a line each, from its report (export.json)."""
     unit, errors = report["unit"], report["error"]
     lost = [
         f"{what} leaves {errors[name]['rms']:.3g} {unit} rms, {errors[name]['largest']:.3g} at most, of taut predict"

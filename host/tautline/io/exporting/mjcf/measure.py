@@ -26,7 +26,8 @@ _SEED = 24  # tolerance: of the motion: any will do
 
 
 def motion(model: Model, step_s: float) -> Motor:
-    """A smooth wander over the motor's range, whose reversals fall anywhere."""
+    """The motion on which an export is measured: a smooth random one over the motor's range for MOTION_S, whose
+    reversals are anywhere, sampled every step_s."""
     actuator = model.rig.actuator
     course = trajectory.random_smooth(actuator, _SPEED * actuator.span, MOTION_S, _SEED)
     t_s = np.arange(int(course.duration_s / step_s)) * step_s
@@ -40,8 +41,9 @@ def simulate(
     start: Callable[[Any, Any], None],
     lead: Callable[[Any, Any], None] | None,
 ) -> Array:
-    """The tip's angle (n,) deg at the motor's times, which are the scene's steps. `start(model, data)` brings the scene
-    to rest; `lead(model, data)`, if any, is called before each step."""
+    """Simulates the MJCF at `path` with the motor following a log whose times are the scene's steps; returns the tip's
+    angle (n,), deg. start(model, data): brings the scene to rest; lead(model, data): the callback that is called before
+    each step, None without. TautError where the simulation is unstable."""
     import mujoco
 
     model = mujoco.MjModel.from_xml_path(str(path))
@@ -62,14 +64,15 @@ def simulate(
     return np.degrees(angle)
 
 
-def error(model: Model, motor: Motor, c_deg: Array, told: Array | None = None) -> tuple[float, float]:
-    """rms and largest difference of two angles (n,), once the start no longer matters: px per coordinate with a camera,
-    else deg. told: to compare with, by default the model's prediction."""
-    told = predict(model, motor, motor.t_s).c_deg if told is None else told
+def error(model: Model, motor: Motor, c_deg: Array, expected_deg: Array | None = None) -> tuple[float, float]:
+    """The rms and the largest difference between angles c_deg (n,) at the motor's times and expected_deg (n,), by
+    default the model's prediction, from when on the start no longer matters: px per coordinate if the rig has a camera,
+    else deg."""
+    expected_deg = predict(model, motor, motor.t_s).c_deg if expected_deg is None else expected_deg
     counted = motor.t_s >= settled_from(model, motor)
     if model.rig.has_camera:
-        apart = project(model.rig, c_deg[counted]) - project(model.rig, told[counted])
+        apart = project(model.rig, c_deg[counted]) - project(model.rig, expected_deg[counted])
         off = np.sqrt(np.mean(apart**2, axis=1))
     else:
-        off = np.abs(c_deg[counted] - told[counted])
+        off = np.abs(c_deg[counted] - expected_deg[counted])
     return math.sqrt(float(np.mean(off**2))), float(off.max())

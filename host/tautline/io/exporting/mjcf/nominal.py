@@ -25,6 +25,8 @@ _POSES = 9  # tolerance: of the tip, over its range, in which its inertia and lo
 
 @dataclass(frozen=True)
 class Nominal:
+    """What has to be known of the user's MJCF to put a transmission into it."""
+
     path: Path
     mount: Mount
     scale: float  # of the control, per unit of q
@@ -36,8 +38,8 @@ class Nominal:
 
 
 def look(mount: Mount, unit: str, motor: tuple[float, float], tip_rad: Array) -> Nominal:
-    """Finds actuator and tip. motor: its range, unit of q; tip_rad: angles (n,) that the tip goes to. TautError names
-    what is not there, or does not go together."""
+    """Reads the user's MJCF and finds actuator and tip in it. unit: of q; motor: the motor's range, in it; tip_rad:
+    angles (n,) that the tip takes. TautError names what is not there, or does not go together."""
     import mujoco
 
     if not mount.into.is_file():
@@ -52,12 +54,13 @@ def look(mount: Mount, unit: str, motor: tuple[float, float], tip_rad: Array) ->
     tip = tip_of(model, mount.into, mount.tip)
     data = mujoco.MjData(model)
     rest = sum(sign * float(data.qpos[model.joint(name).qposadr[0]]) for name, sign in tip)
-    inertia, load = _carried(model, tip, tip_rad)
+    inertia, load = _largest_inertia_and_load(model, tip, tip_rad)
     return Nominal(mount.into, mount, scale, tip, rest, inertia, load, float(model.opt.timestep))
 
 
 def _check_actuator(model: Any, mount: Mount, scale: float, unit: str, motor: tuple[float, float]) -> None:
-    """TautError where the actuator does not fit the motor's unit and range."""
+    """TautError where the actuator is not in the model, or its control range does not hold the motor's range, unit of
+    q, times `scale`."""
     names = [model.actuator(i).name for i in range(model.nu)]
     if mount.actuator not in names:
         raise TautError(f"{mount.into}: has no actuator {mount.actuator}, but {', '.join(names) or 'none at all'}")
@@ -70,9 +73,9 @@ def _check_actuator(model: Any, mount: Mount, scale: float, unit: str, motor: tu
         )
 
 
-def _carried(model: Any, tip: tuple[tuple[str, float], ...], tip_rad: Array) -> tuple[float, float]:
-    """Inertia, kg m^2, and load, N m, of the hinges, which share the tip's angle equally: the largest over the range of
-    tip_rad. The transmission carries both."""
+def _largest_inertia_and_load(model: Any, tip: tuple[tuple[str, float], ...], tip_rad: Array) -> tuple[float, float]:
+    """What the transmission has to carry: inertia, kg m^2, and load, N m, about the tip's angle, of which its hinges
+    have equal shares; the largest of each over the range of tip_rad."""
     import mujoco
 
     data = mujoco.MjData(model)

@@ -40,9 +40,10 @@ _SAME = np.array([0.0, 1.0, 0.0, 0.0, 0.0])  # the polynomial that changes nothi
 
 @dataclass(frozen=True)
 class Law:
-    """What the tip does: B/2 and the tip's angle in rad over (q - middle); first-order lag behind the play."""
+    """What a transmission does, for MuJoCo: B/2 and the tip's angle, rad, over q - middle as polynomials, and a
+    first-order lag behind the play."""
 
-    middle: float
+    middle: float  # of the motor's range, unit of q
     span: float  # of the motor's range
     steepest: float  # rad of tip per unit of q
     half: Chain
@@ -52,20 +53,23 @@ class Law:
 
 
 class Scene:
-    """The user's file opened, with what is added to it."""
+    """The user's MJCF with a transmission that is added to it, part by part. In the transmission's slides one unit of q
+    is one metre to MuJoCo."""
 
     def __init__(self, nominal: Nominal, law: Law) -> None:
+        """Opens the MJCF and adds sensors of the tip's angle."""
         import mujoco
 
         self.mj, self.nominal, self.law = mujoco, nominal, law
         self.spec = mujoco.MjSpec.from_file(str(nominal.path))
         self.added: list[float] = []  # references of the slides, in order
-        self.mass = max(_HEAVY * nominal.inertia * law.steepest**2, _LIGHTEST)
-        self.stiff = [_STEPS * nominal.timestep, 1.0]
-        self._tip()
+        self.mass = max(_HEAVY * nominal.inertia * law.steepest**2, _LIGHTEST)  # of a slide
+        self.stiff = [_STEPS * nominal.timestep, 1.0]  # solref of the constraints
+        self._add_tip_sensors()
 
     def text(self, out: Path) -> str:
-        """The MJCF text for a file in the folder `out`; compiled once as a check."""
+        """The MJCF as text, for a file in the folder `out`, from which its meshes are named. TautError where MuJoCo
+        cannot compile it."""
         for key in self.spec.keys:  # the slides stand behind all that was there
             if len(key.qpos):
                 key.qpos = [*key.qpos, *self.added]
@@ -90,7 +94,8 @@ class Scene:
         return ElementTree.tostring(whole, encoding="unicode") + "\n"
 
     def slide(self, name: str, mass: float, reference: float) -> Any:
-        """Adds a slide joint that starts at `reference`, without gravity."""
+        """Adds a body on a slide joint, both called `name`, at the position `reference`; gravity does not act on it.
+        mass: kg. Returns the joint."""
         body = self.spec.worldbody.add_body(
             name=name,
             gravcomp=1.0,
@@ -105,8 +110,9 @@ class Scene:
             name=name, type=self.mj.mjtJoint.mjJNT_SLIDE, axis=[1.0, 0.0, 0.0], ref=reference, damping=[0.0, 0.0, 0.0]
         )
 
-    def motor(self) -> None:
-        """Makes the user's actuator drive the slide MOTOR; its control is q as before, in its own unit."""
+    def add_motor(self) -> None:
+        """Adds the slide MOTOR, whose position is q, and makes the user's actuator drive it with a position loop; its
+        control is q in its own unit, as before."""
         nominal, mass = self.nominal, _MOTOR_HEAVY * self.mass
         self.slide(MOTOR, mass, self.law.middle)
         rate, scale = _SERVO / nominal.timestep, nominal.scale
@@ -126,21 +132,22 @@ class Scene:
             name=MOTOR, type=self.mj.mjtSensor.mjSENS_JOINTPOS, objtype=self.mj.mjtObj.mjOBJ_JOINT, objname=MOTOR
         )
 
-    def play(self) -> None:
-        """The play as inequalities q - p - half <= 0 and q - p + half >= 0, half = B(p)/2; friction holds p."""
+    def add_play(self) -> None:
+        """Adds the slide CENTRE, p, that follows MOTOR through the play: two tendons with limits hold q - p - half <= 0
+        and q - p + half >= 0, half = B(p)/2; between them friction holds p."""
         nominal, law, mass = self.nominal, self.law, self.mass
         centre = self.slide(CENTRE, mass, law.middle)
         centre.frictionloss = max(_FRICTION * nominal.load * law.steepest, _STOPS * law.span * mass)
         centre.solref_friction, centre.solimp_friction = self.stiff, _IMPEDANCE
-        at, _ = self.chained(HALF, CENTRE, law.half.links, 0.0)
+        half, _ = self.add_chain(HALF, CENTRE, law.half.links, 0.0)
         for name, side, ends in (("rise", -1.0, (-_BEYOND, 0.0)), ("fall", 1.0, (0.0, _BEYOND))):
             wall = self.spec.add_tendon(name=OWN + name, limited=self.mj.mjtLimited.mjLIMITED_TRUE, range=ends)
             wall.solref_limit, wall.solimp_limit = self.stiff, _IMPEDANCE
-            for joint, share in ((MOTOR, 1.0), (CENTRE, -1.0), (at, side)):
+            for joint, share in ((MOTOR, 1.0), (CENTRE, -1.0), (half, side)):
                 wall.wrap_joint(joint, share)
 
-    def follow(self) -> None:
-        """The tip follows the play by f_remain, delayed by the lag."""
+    def add_law(self) -> None:
+        """Makes the tip follow the slide CENTRE by f_remain, after the first-order lag, if there is one."""
         law, behind = self.law, CENTRE
         if law.lag_s > 0.0:  # a spring to the play against a damper, that lag_s is the ratio of
             damping = self.mass / self.nominal.timestep  # its own mass follows within a step, so that nothing swings
@@ -154,38 +161,43 @@ class Scene:
             behind = LAGGING
         single = len(law.angle.chains) == 1  # its last link is the tip's own equality
         ends = [
-            self.chained(f"{LAW}{i}", behind, chain.links[:-1] if single else chain.links, 0.0)
+            self.add_chain(f"{LAW}{i}", behind, chain.links[:-1] if single else chain.links, 0.0)
             for i, chain in enumerate(law.angle.chains)
         ]
         last = law.angle.chains[0].links[-1] if single else _SAME
         self.lead_tip([joint for joint, _ in ends], last, sum(at for _, at in ends))
 
-    def led(self) -> None:
-        """The tip follows the slide LEAD, rad, which a callback moves."""
+    def add_led_joint(self) -> None:
+        """Makes the tip follow the slide LEAD, rad, which the callback moves."""
         start = float(self.law.angle(0.0))
         self.slide(LEAD, _HEAVY * _MOTOR_HEAVY * self.nominal.inertia, start)
         self.lead_tip([LEAD], _SAME, start)
 
-    def chained(self, name: str, joint: str, links: tuple[Array, ...], x0: float) -> tuple[str, float]:
-        """Adds a slide for each link, held by an equality to the one before; returns the last one's name and reference.
-        x0: the first link's argument where `joint` is at its reference."""
+    def add_chain(self, name: str, joint: str, links: tuple[Array, ...], x0: float) -> tuple[str, float]:
+        """Adds a slide for each link of a chain, NAME_1, NAME_2 and so on, which an equality holds to the link's value
+        at the one before, the first at `joint`. x0: the first link's argument where `joint` is at its reference.
+        Returns the last slide's name and reference."""
         for i, link in enumerate(links):
             y0 = float(polynomial.polyval(x0, link))
             this = f"{name}_{i + 1}"
             self.slide(this, self.mass, y0)
-            self._equal(self.mj.mjtObj.mjOBJ_JOINT, this, joint, _about(link, x0, y0))
+            self._add_equality(self.mj.mjtObj.mjOBJ_JOINT, this, joint, _shifted_polynomial(link, x0, y0))
             joint, x0 = this, y0
         return joint, x0
 
     def lead_tip(self, joints: list[str], link: Array, x0: float) -> None:
-        """Holds the sum of the tip's hinges to link(sum of these joints); x0 as in `chained`."""
+        """Adds an equality that holds the tip's angle to link(sum of these joints). x0: that sum where all joints are
+        at their references."""
         leads = self.spec.add_tendon(name=f"{TIP}_leads")
         for joint in joints:
             leads.wrap_joint(joint, 1.0)
-        self._equal(self.mj.mjtObj.mjOBJ_TENDON, TIP, leads.name, _about(link, x0, self.nominal.rest))
+        self._add_equality(
+            self.mj.mjtObj.mjOBJ_TENDON, TIP, leads.name, _shifted_polynomial(link, x0, self.nominal.rest)
+        )
 
-    def _equal(self, kind: Any, one: str, other: str, coefficients: Array) -> None:
-        """Adds an equality between joints or tendons with polynomial coefficients."""
+    def _add_equality(self, kind: Any, one: str, other: str, coefficients: Array) -> None:
+        """Adds an equality of MuJoCo: `one` less its reference is the polynomial with these five coefficients of
+        `other` less its reference. kind: whether both are joints or tendons."""
         of_joint = kind == self.mj.mjtObj.mjOBJ_JOINT
         equality = self.spec.add_equality(
             name=f"{one}_equal",
@@ -197,8 +209,9 @@ class Scene:
         equality.data[: ORDER + 1] = coefficients
         equality.solref, equality.solimp = self.stiff, _IMPEDANCE
 
-    def _tip(self) -> None:
-        """Adds a tendon over the tip's hinges with two sensors: without delay, and with the sensor's."""
+    def _add_tip_sensors(self) -> None:
+        """Adds a tendon TIP over the tip's hinges, whose length is the tip's angle, and sensors of it: without delay,
+        and, if the model has one, with the sensor's delay (SEEN)."""
         tip = self.spec.add_tendon(name=TIP)
         for name, sign in self.nominal.tip:
             tip.wrap_joint(name, sign)
@@ -209,8 +222,8 @@ class Scene:
             self.spec.add_sensor(name=SEEN, delay=self.law.delay_s, nsample=kept, **kind)
 
 
-def _about(link: Array, x0: float, y0: float) -> Array:
-    """Polynomial coefficients, in d, of link(x0 + d) - y0."""
+def _shifted_polynomial(link: Array, x0: float, y0: float) -> Array:
+    """The polynomial link(x0 + d) - y0 in d, five coefficients, from those of `link`."""
     shifted = np.zeros(1)
     for coefficient in link[::-1]:
         shifted = polynomial.polyadd(polynomial.polymul(shifted, [x0, 1.0]), [coefficient])

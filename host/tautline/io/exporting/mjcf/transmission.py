@@ -30,9 +30,11 @@ SLOWER = 5.0  # times creep_time: the slow part of creep
 
 
 class Transmission:
-    """The play's elements on B(q), then f_remain; state for one motor."""
+    """Simulates one motor's transmission, step by step: the play, of width B(q), whose elements stand side by side on
+    an axis x that warp.csv maps q to, so that B is 1 everywhere on it; then what comes late, and the law f_remain."""
 
     def __init__(self, folder: Path = HERE) -> None:
+        """Reads transmission.json, tables.csv and warp.csv in a folder; starts in the middle of the tables."""
         self.about: dict[str, Any] = json.loads((folder / "transmission.json").read_text(encoding="utf-8"))
         self.grid, self.width, self.c_deg = _columns(folder / "tables.csv", 3)
         self.r = 0.5 * np.array(self.about["elements"]["width"])
@@ -57,7 +59,7 @@ class Transmission:
         return self._bent(p)
 
     def step(self, q: float, dt: float) -> float:
-        """The motor has gone to q within dt s, in a straight line; c in deg."""
+        """Moves the motor to q within dt s, in a straight line; returns c, deg, at the end."""
         q = self._shaft(q)
         half = 0.5 * self.width
         low, high = _beside(q, self.grid + half, self.grid), _beside(q, self.grid - half, self.grid)
@@ -70,8 +72,8 @@ class Transmission:
         return self._bent(self._late(before, p, dt))
 
     def _centre(self) -> float:
-        """The centre coordinate, unit of q: of the elements' mean, back through the warp; that of the single play
-        without a warp and where B is narrow."""
+        """The centre coordinate p, unit of q: the elements' mean, taken back through the warp; without a warp, and
+        where B is narrow, that of the single play."""
         if self.warp is None:
             return self.single
         y = float(self.w @ self.z)
@@ -144,6 +146,7 @@ class Control:
     """Leads the joint that scene_callback.xml couples the tip to. Called once a step, by hand or by MuJoCo."""
 
     def __init__(self, model: Any, folder: Path = HERE) -> None:
+        """model: the mujoco.MjModel of scene_callback.xml; folder: of the transmission's files."""
         self.transmission = Transmission(folder)
         about = self.transmission.about
         self.scale = float(about["scale"])  # of the control, per unit of q
@@ -153,13 +156,14 @@ class Control:
         self.time = -math.inf
 
     def start(self, data: Any, q: float) -> None:
-        """The motor at rest at q and the tip where it then is."""
+        """Brings a simulation (mujoco.MjData) to rest with the motor at q, mm or deg, the tip on the centre line."""
         data.qpos[self.lead.qposadr[0]] = math.radians(self.transmission.start(q))
         rest(self.model, data, q, self.transmission.about)
         self.time = -math.inf
 
     def __call__(self, model: Any, data: Any) -> None:
-        """Sets the speed that leads the tip to where the transmission has it at the end of the step."""
+        """Moves the transmission on by a step, to where the actuator's control has the motor, and sets the speed with
+        which the led joint, and so the tip, gets there within the step. A second call in a step does nothing."""
         if data.time == self.time:  # a stage of the same step
             return
         self.time = float(data.time)
@@ -169,8 +173,9 @@ class Control:
 
 
 def rest(model: Any, data: Any, q: float, about: dict[str, Any] | None = None) -> None:
-    """Either scene at rest with the motor at q, mm or deg: every coordinate where the equalities put it, which are in
-    order from the motor to the tip. about: transmission.json, by default the one beside this file."""
+    """Brings either scene (mujoco.MjModel and MjData) to rest with the motor at q, mm or deg: every coordinate to where
+    the equalities put it, which are in order from the motor to the tip. about: transmission.json, by default the one
+    beside this file."""
     about = about or json.loads((HERE / "transmission.json").read_text(encoding="utf-8"))
     named = {str(model.joint(i).name): i for i in range(model.njnt)}
     for name in about["moves"]:
