@@ -14,7 +14,7 @@ from tautline.diagnosis.hypotheses import Beyond, CaseEvidence, Wander, Weighed
 from tautline.diagnosis.stacked import CONFINED, SHARES, WANDERS, Stacked
 
 FLOOR = 0.05
-LAG, OFFSET = "transmission.lag", "transmission.offset"
+LAG, OFFSET, STICK = "transmission.lag", "transmission.offset", "transmission.stick_slip"
 
 
 def case(seed: int, blocks: int, calibrated: float = 2.0) -> CaseEvidence:
@@ -79,12 +79,37 @@ def test_a_block_is_student_distributed_about_what_is_predicted(seed, misfit, no
     for i, h in enumerate(evidence.hypotheses):
         for share, value in zip(SHARES[::8], told[i, ::8], strict=True):
             expected = 0.0
-            for power, gap in zip(h.power, before, strict=True):
+            for power, gap in zip(np.maximum(h.power, FLOOR**2), before, strict=True):  # less is less noise
                 tells = misfit + noise * (FLOOR**2 / (FLOOR**2 + gap)) ** 2
                 predicted = (1.0 + excess) * FLOOR**2 + share * gap
                 expected -= 0.5 * tells * np.log(predicted)
                 expected -= 0.5 * (freedom + tells) * np.log1p(tells * power / (freedom * predicted))
             assert value == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(0, 10_000), st.integers(2, 12), st.floats(0.01, 0.5), st.booleans())
+def test_an_event_has_what_nothing_else_foretells(seed, blocks, excess, later):
+    """Of its own blocks alone: an event that came after the calibration says nothing of that."""
+    rng = np.random.default_rng(seed)
+    plain = case(seed, blocks)
+    seen = np.arange(blocks) >= 1 if later else np.ones(blocks, bool)
+
+    def event(of: Weighed) -> Weighed:
+        scatter, rival = (np.where(seen, -rng.uniform(0.1, 5.0, blocks), 0.0) for _ in range(2))
+        return replace(of, ids=(*of.ids, STICK), scatter=scatter, rival=rival)
+
+    events = [event(h) for h in plain.hypotheses[:2]]
+    told = Stacked(replace(plain, hypotheses=(*plain.hypotheses, *events))).foretold_better(excess)
+    assert not told[:4].any()
+
+    def left(h: Weighed, factor: np.ndarray) -> float:
+        power = np.maximum(h.power, FLOOR**2) * np.exp(factor)
+        return sum(np.log(max(p / FLOOR**2, 1.0 + excess)) for p in power[seen])
+
+    without = [left(h, np.minimum(h.rival, 0.0)) for h in (*plain.hypotheses, *events)]
+    expected = [min(without) - left(h, h.scatter) for h in events]
+    assert told[4:] == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
 @settings(deadline=None, max_examples=25)
