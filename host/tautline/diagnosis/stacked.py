@@ -193,7 +193,7 @@ class Stacked:
         gained = np.zeros(len(self.scatters))
         for i in np.flatnonzero(self.scatters):
             here = self.in_sight[i]
-            of_all = without[:, here] @ np.ones(int(here.sum()))
+            of_all = np.sum(without[:, here], axis=1)
             same = ~self.scatters | (self.in_sight == here).all(axis=1)
             gained[i] = float(np.min(of_all[same])) - float(np.sum(by_event[i, here]))
         return gained
