@@ -46,7 +46,7 @@ class Likelihoods:
         self._most = np.where(case.law, hyper.unexplained_by_law, hyper.unexplained)
         right = self._as_right_effects
         own = np.where(case.size > 0, right + self._log_probability_unbeaten, self._log_likelihood_of_no_change)
-        # A frame's scatter tells as much as noise does: whatever path there is, these frames it does not foretell.
+        # Scatter is told from frame to frame: a block of it counts as many observations as one of noise.
         own = own + 0.5 * hyper.noise_tells * case.foretold_better(hyper.calibration_excess)
         self.unknown_scatter: Array = np.where(case.scatters & (case.size == 1), right, -np.inf)
         replaced = self._replaced_by_contained
