@@ -3,12 +3,8 @@
 #include <math.h>
 #include <string.h>
 
-enum { TOGETHER = 8 }; // bends that are fitted at once: a knot has 7
-
 typedef double square_t[HINGE_COLUMNS][HINGE_COLUMNS]; // below the diagonal, and on it
 typedef double seen_t[HINGE_COLUMNS][HINGE_SEEN];
-typedef double bends_t __attribute__((vector_size(TOGETHER * sizeof(double)))); // one number of each of them
-typedef bends_t system_t[HINGE_COLUMNS][HINGE_COLUMNS];                         // as square_t
 
 // Row of the path's columns at x beyond the knot, the window being 1 long. Returns how many, from the first on, may
 // differ from 0.
@@ -101,113 +97,100 @@ static void gather(const hinge_t *hinge, double knot, double reach, square_t gra
 }
 
 // A = L L^T in place, with 1 / L[i][i] on the diagonal.
-static int factorise(system_t a, size_t size) {
+static int factorise(square_t a, size_t size) {
     for (size_t i = 0; i < size; i++) {
         for (size_t j = 0; j < i; j++) {
-            bends_t sum = a[i][j];
+            double sum = a[i][j];
             for (size_t k = 0; k < j; k++) {
                 sum -= a[i][k] * a[j][k];
             }
             a[i][j] = sum * a[j][j];
         }
-        bends_t pivot = a[i][i];
+        double pivot = a[i][i];
         for (size_t k = 0; k < i; k++) {
             pivot -= a[i][k] * a[i][k];
         }
-        for (size_t v = 0; v < TOGETHER; v++) {
-            if (!(pivot[v] > 0.0)) {
-                return 0;
-            }
-            a[i][i][v] = 1.0 / sqrt(pivot[v]);
+        if (!(pivot > 0.0)) {
+            return 0;
         }
+        a[i][i] = 1.0 / sqrt(pivot);
     }
     return 1;
 }
 
-static void solve(system_t l, size_t size, bends_t *x) {
+static void solve(square_t l, size_t size, seen_t x) {
     for (size_t i = 0; i < size; i++) {
-        bends_t sum = x[i];
         for (size_t j = 0; j < i; j++) {
-            sum -= l[i][j] * x[j];
+            for (size_t k = 0; k < HINGE_SEEN; k++) {
+                x[i][k] -= l[i][j] * x[j][k];
+            }
         }
-        x[i] = sum * l[i][i];
+        for (size_t k = 0; k < HINGE_SEEN; k++) {
+            x[i][k] *= l[i][i];
+        }
     }
     for (size_t i = size; i-- > 0;) {
-        x[i] *= l[i][i];
+        for (size_t k = 0; k < HINGE_SEEN; k++) {
+            x[i][k] *= l[i][i];
+        }
         for (size_t j = 0; j < i; j++) {
-            x[j] -= l[i][j] * x[i];
+            for (size_t k = 0; k < HINGE_SEEN; k++) {
+                x[j][k] -= l[i][j] * x[i][k];
+            }
         }
     }
 }
 
-// Traces of A^-1 diag(weight), by L^-1 column after column.
-static void trace_of(system_t l, size_t size, const bends_t *weight, bends_t *trace) {
-    *trace = (bends_t){0.0};
+// Trace of A^-1 diag(weight), by L^-1 column after column.
+static double trace_of(square_t l, size_t size, const double *weight) {
+    double trace = 0.0;
     for (size_t j = 0; j < size; j++) {
-        bends_t column[HINGE_COLUMNS], squares = {0.0};
+        double column[HINGE_COLUMNS], squares = 0.0;
         for (size_t i = j; i < size; i++) {
-            bends_t sum = (i == j ? 1.0 : 0.0) + (bends_t){0.0};
+            double sum = i == j ? 1.0 : 0.0;
             for (size_t k = j; k < i; k++) {
                 sum -= l[i][k] * column[k];
             }
             column[i] = sum * l[i][i];
             squares += column[i] * column[i];
         }
-        *trace += weight[j] * squares;
+        trace += weight[j] * squares;
     }
+    return trace;
 }
 
-// One knot under the bends from `first` on, `count` of them; what is left of TOGETHER repeats the last.
-static int fit_some(const hinge_t *hinge, size_t first, size_t count, square_t gram, seen_t right,
-                    const double *furthest, double all, const hinge_fit_t *fit, size_t at) {
+static int fit_one(const hinge_t *hinge, const double *precision, square_t gram, seen_t right, const double *furthest,
+                   double all, const hinge_fit_t *fit, size_t at) {
     const size_t columns = hinge_columns(hinge), path = 2 + hinge->pieces, seen = hinge->seen;
-    system_t system;
-    bends_t precision[HINGE_COLUMNS], explained = {0.0}, held = {0.0};
+    square_t system;
+    seen_t found;
+    memcpy(system, gram, sizeof(square_t));
+    memcpy(found, right, sizeof(seen_t));
     for (size_t i = 0; i < columns; i++) {
-        for (size_t v = 0; v < TOGETHER; v++) {
-            precision[i][v] = hinge->precision[(first + (v < count ? v : count - 1)) * columns + i];
-        }
-        for (size_t j = 0; j <= i; j++) {
-            system[i][j] = gram[i][j] + (bends_t){0.0};
-        }
         system[i][i] += precision[i];
     }
     if (!factorise(system, columns)) {
         return 0;
     }
+    solve(system, columns, found);
+    double volume = 0.0, explained = 0.0, held = 0.0, *way = fit->way + at * seen;
+    for (size_t i = 0; i < path; i++) {
+        volume -= log(system[i][i] * system[i][i] * precision[i]);
+    }
     for (size_t k = 0; k < seen; k++) {
-        bends_t found[HINGE_COLUMNS], way = {0.0};
+        way[k] = 0.0;
         for (size_t i = 0; i < columns; i++) {
-            found[i] = right[i][k] + (bends_t){0.0};
-        }
-        solve(system, columns, found);
-        for (size_t i = 0; i < columns; i++) {
-            explained += found[i] * right[i][k];
-            held += precision[i] * found[i] * found[i];
-            way += i > 0 && i < path ? furthest[i] * found[i] : (bends_t){0.0};
-            for (size_t v = 0; v < count; v++) {
-                fit->coefficients[((at + v) * columns + i) * seen + k] = found[i][v];
-            }
-        }
-        for (size_t v = 0; v < count; v++) {
-            fit->way[(at + v) * seen + k] = way[v];
+            explained += found[i][k] * right[i][k];
+            held += precision[i] * found[i][k] * found[i][k];
+            way[k] += i > 0 && i < path ? furthest[i] * found[i][k] : 0.0;
+            fit->coefficients[(at * columns + i) * seen + k] = found[i][k];
         }
     }
-    for (size_t v = 0; v < count; v++) {
-        double volume = 0.0;
-        for (size_t i = 0; i < path; i++) {
-            volume -= log(system[i][i][v] * system[i][i][v] * precision[i][v]);
-        }
-        fit->squares[at + v] = fmax(all - explained[v], 0.0);
-        fit->residual[at + v] = fmax(all - explained[v] - held[v], 0.0);
-        fit->volume[at + v] = volume;
-    }
+    fit->squares[at] = fmax(all - explained, 0.0);
+    fit->residual[at] = fmax(all - explained - held, 0.0);
+    fit->volume[at] = volume;
     if (fit->used) {
-        bends_t trace;
-        trace_of(system, columns, precision, &trace);
-        for (size_t v = 0; v < count; v++) {
-            fit->used[at + v] = (double)columns - trace[v];
-        }
+        fit->used[at] = (double)columns - trace_of(system, columns, precision);
     }
     return 1;
 }
@@ -234,9 +217,9 @@ int hinge_fit(const hinge_t *hinge, const hinge_fit_t *fit) {
         if (reach > hinge->knot[k]) {
             path_at(hinge->pieces, (reach - hinge->knot[k]) / reach, furthest);
         }
-        for (size_t v = 0; v < hinge->bends; v += TOGETHER) {
-            const size_t count = hinge->bends - v < TOGETHER ? hinge->bends - v : TOGETHER;
-            if (!fit_some(hinge, v, count, gram, right, furthest, all, fit, k * hinge->bends + v)) {
+        for (size_t v = 0; v < hinge->bends; v++) {
+            if (!fit_one(hinge, hinge->precision + v * hinge_columns(hinge), gram, right, furthest, all, fit,
+                         k * hinge->bends + v)) {
                 return 0;
             }
         }

@@ -10,8 +10,6 @@ import numpy.typing as npt
 from scipy.interpolate import BSpline
 from scipy.sparse import csr_matrix
 
-from tautline import _native
-
 Array = npt.NDArray[np.float64]
 
 
@@ -55,8 +53,8 @@ class Basis:
         return csr_matrix(BSpline.design_matrix(self.clip(x), self.knots, 3))
 
     def value(self, coefficients: Array, x: Array) -> Array:
-        """(n,) The curve with these coefficients (size,) at x (n,); or (n, channels) with (size, channels)."""
-        return _spline(self.knots, coefficients, self.clip(x))
+        """(n,) The curve with these coefficients (size,) at x (n,)."""
+        return np.asarray(BSpline(self.knots, coefficients, 3)(self.clip(x)))
 
     def table(self, coefficients: Array, x: Array) -> Array:
         """(n,) As `value`, at places that are asked for again and again: what each coefficient does there is kept."""
@@ -73,9 +71,8 @@ class Basis:
         return np.asarray(table[before] * (1.0 - share) + table[before + 1] * share)
 
     def slope(self, coefficients: Array, x: Array) -> Array:
-        """As `value` the curve's derivative; beyond the ends that at the nearer one."""
-        apart = (self.knots[4:-1] - self.knots[1:-4]).reshape(-1, *(1,) * (coefficients.ndim - 1))
-        return _spline(self.knots[1:-1], np.diff(coefficients, axis=0) * 3 / apart, self.clip(x))
+        """(n,) The curve's derivative at x (n,); beyond the ends that at the nearer one."""
+        return np.asarray(BSpline(self.knots, coefficients, 3).derivative()(self.clip(x)))
 
     @cached_property
     def roughness(self) -> Array:
@@ -90,14 +87,6 @@ class Basis:
         on."""
         second = np.diff(np.eye(self.size), 2, axis=0)
         return second.T @ second
-
-
-def _spline(knots: Array, coefficients: Array, x: Array) -> Array:
-    """The spline with these coefficients (size, ...) over its knots at x (n,), (n, ...)."""
-    x, flat = np.ascontiguousarray(x, dtype=float), np.ascontiguousarray(coefficients, dtype=float)
-    flat = flat.reshape(len(coefficients), -1)
-    value: Array = _native.spline(knots, flat, x.ravel())
-    return value.reshape(*x.shape, *coefficients.shape[1:])
 
 
 @lru_cache(maxsize=32)
