@@ -43,7 +43,7 @@ from tools.blindtest.scores import CLOSABLE, IMITATED, NONE, SURE, UNEXPLAINED, 
 Array = npt.NDArray[np.float64]
 
 START = Hyperparameters(
-    misfit_tells=1.0, noise_tells=10.0, block_freedom=3.0, unexplained=0.02, unexplained_by_law=1e-4,
+    noise_tells=6.0, block_freedom=3.0, unexplained=0.02, unexplained_by_law=1e-4,
     unexplained_by_wrong=0.2, mimics=0.06, share_spread=1.5, calibration_excess=0.1, odds_none=30.0, odds_unknown=0.9,
     odds_further=0.05, odds_brought=0.3, odds_each=0.1, parameter_price=0.5, floor_known=0.2, floor_steady=0.07,
     wanders=0.01, wanders_material=0.08, disturbed=0.03,

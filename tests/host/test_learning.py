@@ -141,11 +141,13 @@ def test_what_a_recalibration_moved_is_the_answer_where_nothing_known_explains()
     unknown = replace(case("a", "transmission.backlash", 1), moved=(("transmission.backlash", 1.0),))
     worse = tuple(replace(h, power=unknown.evidence.hypotheses[0].power) for h in unknown.evidence.hypotheses)
     unknown = replace(unknown, evidence=replace(unknown.evidence, hypotheses=worse))
-    assert decide(unknown.evidence).name == "unknown"
     started = Learnt(learning.START, 0.95)
+    before = decide(unknown.evidence, started)
+    assert before.name == "unknown"
     verdict = learning.verdict_of(unknown, started)
     assert verdict.named == ("transmission.backlash",)
-    assert learning.probability(unknown, verdict) == pytest.approx(1.0 - learning.START.mimics, abs=0.02)
+    taken = before.leading.get("transmission.backlash", 0.0) + before.unknown * (1.0 - learning.START.mimics)
+    assert learning.probability(unknown, verdict) == pytest.approx(taken, rel=1e-9)
 
 
 def test_a_campaign_teaches_what_its_evidence_decided(tmp_path):

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.integrate import trapezoid
 from scipy.special import logsumexp
-from scipy.stats import multivariate_normal
+from scipy.stats import invgamma, multivariate_normal, norm
 from scipy.stats import t as student
 
 from tautline.diagnosis.hypotheses import Beyond, CaseEvidence, Wander, Weighed
@@ -24,12 +25,12 @@ def case(seed: int, blocks: int, calibrated: float = 2.0) -> CaseEvidence:
     def powers(most: float) -> np.ndarray:
         return FLOOR**2 * np.exp(rng.uniform(-1.0, most, blocks))
 
-    beyond = [Beyond(powers(most), rng.integers(2, 500, blocks).astype(float)) for most in (0.2, 9.0)]
+    beyond_stages = [Beyond(powers(most), rng.integers(2, 500, blocks).astype(float)) for most in (0.2, 9.0)]
     hypotheses = [
         Weighed((), powers(6.0), none, none, 0),
-        Weighed((LAG,), powers(2.0), none, none, 2, beyond=beyond[0]),
-        Weighed((OFFSET,), powers(3.0), none, none, 1, beyond=beyond[1]),
-        Weighed((LAG, OFFSET), powers(1.0), none, none, 3, beyond=beyond[0]),
+        Weighed((LAG,), powers(2.0), none, none, 2, beyond=beyond_stages[0]),
+        Weighed((OFFSET,), powers(3.0), none, none, 1, beyond=beyond_stages[1]),
+        Weighed((LAG, OFFSET), powers(1.0), none, none, 3, beyond=beyond_stages[0]),
     ]
     return CaseEvidence(FLOOR, powers(6.0), tuple(hypotheses), 18, calibrated * FLOOR**2)
 
@@ -69,22 +70,49 @@ def test_far_too_much_is_left_in_very_many_blocks():
     assert np.isfinite(Stacked(evidence).confined_log_ratio(1.0, 0.02, 0.99)).all()
 
 
-@settings(deadline=None, max_examples=25)
-@given(st.integers(0, 10_000), st.floats(0.3, 3.0), st.floats(1.0, 30.0), st.floats(1.0, 9.0), st.floats(0.01, 0.5))
-def test_a_block_is_student_distributed_about_what_is_predicted(seed, misfit, noise, freedom, excess):
-    evidence = case(seed, 12, calibrated=1.0)
-    stacked = Stacked(evidence)
-    told = stacked.log_likelihood_by_share(misfit, noise, freedom, excess)
-    before = np.maximum(evidence.hypotheses[0].power - FLOOR**2, 0.0)
+TIMES = np.exp(np.linspace(-8.0, 20.0, 1500))  # of a misfit's mean power
+
+
+def beyond(power: np.ndarray, noise: float, tells: float) -> tuple[np.ndarray, float]:
+    """The number beyond noise of each block, and the log-density of the other ones: as much as is expected, or less."""
+    others = np.minimum(power / FLOOR**2, noise)
+    number = np.sqrt(tells * power / FLOOR**2 - (tells - 1.0) * others)
+    return number, float(np.sum(-0.5 * (tells - 1.0) * (np.log(noise) + others / noise)))
+
+
+def density(x: np.ndarray, noise: float, misfit: float, freedom: float) -> np.ndarray:
+    """Of normal noise beside a number that is Student's t: normal, its variance inverse-gamma, integrated over that."""
+    weight = invgamma(freedom / 2.0, scale=freedom / 2.0).pdf(TIMES)
+    of_times = norm.pdf(x[:, None], scale=np.sqrt(noise + TIMES * misfit))
+    return np.sqrt(2.0 * np.pi) * trapezoid(of_times * weight, TIMES, axis=1)
+
+
+@settings(deadline=None, max_examples=15)
+@given(st.integers(0, 10_000), st.floats(3.0, 30.0), st.floats(1.0, 9.0), st.floats(0.01, 0.5))
+def test_what_a_block_holds_beyond_noise_is_one_number(seed, tells, freedom, excess):
+    evidence = case(seed, 4, calibrated=1.0)
+    told = Stacked(evidence).log_likelihood_by_share(tells, freedom, excess)
+    before = np.maximum(evidence.hypotheses[0].power / FLOOR**2 - 1.0, 0.0)
     for i, h in enumerate(evidence.hypotheses):
-        for share, value in zip(SHARES[::8], told[i, ::8], strict=True):
-            expected = 0.0
-            for power, gap in zip(np.maximum(h.power, FLOOR**2), before, strict=True):  # less is less noise
-                tells = misfit + noise * (FLOOR**2 / (FLOOR**2 + gap)) ** 2
-                predicted = (1.0 + excess) * FLOOR**2 + share * gap
-                expected -= 0.5 * tells * np.log(predicted)
-                expected -= 0.5 * (freedom + tells) * np.log1p(tells * power / (freedom * predicted))
-            assert value == pytest.approx(expected, rel=1e-9, abs=1e-9)
+        x, expected = beyond(np.maximum(h.power, FLOOR**2), 1.0 + excess, tells)  # less is less noise
+        for share, value in zip(SHARES[16::8], told[i, 16::8], strict=True):
+            of_blocks = [
+                density(x[b : b + 1], 1.0 + excess, tells * share * gap, freedom)[0] for b, gap in enumerate(before)
+            ]
+            assert value == pytest.approx(expected + np.sum(np.log(of_blocks)), abs=0.02 * len(x))
+
+
+@settings(deadline=None, max_examples=15)
+@given(st.integers(0, 10_000), st.integers(1, 30), st.floats(3.0, 30.0), st.floats(1.0, 9.0), st.floats(0.01, 0.5))
+def test_a_gap_that_nothing_imitates_is_of_any_size_in_any_share_of_the_blocks(seed, blocks, tells, freedom, excess):
+    evidence, noise = case(seed, blocks, calibrated=1.0), 1.0 + excess
+    x, expected = beyond(np.maximum(evidence.hypotheses[0].power, FLOOR**2), noise, tells)
+    quiet = density(x, noise, 0.0, freedom)
+    disturbed = [density(x, noise, np.exp(log_size), freedom) for log_size in np.linspace(0.0, 12.0, 60)]
+    mixed = [np.log((1.0 - s) * quiet + s * of).sum() for of in disturbed for s in np.arange(0.05, 1.0, 0.1)]
+    expected += logsumexp(mixed) - np.log(len(mixed))
+    told = Stacked(evidence).log_likelihood_of_any_gap(tells, freedom, excess)
+    assert told == pytest.approx(expected, abs=0.05 + 0.02 * blocks)
 
 
 @settings(deadline=None, max_examples=25)
@@ -113,25 +141,22 @@ def test_an_event_has_what_nothing_else_foretells(seed, blocks, excess, later):
 
 
 @settings(deadline=None, max_examples=25)
-@given(st.integers(1, 20), st.integers(1, 6), st.floats(1.0, 4.0), st.floats(0.3, 5.0))
-def test_what_the_calibration_leaves_is_in_all_blocks_the_same(blocks, numbers, calibrated, alone):
-    """k numbers a block, white noise of variance `alone` and beside it k numbers that are the same in all blocks: the
-    determinant of their covariance is what a likelihood by blocks lacks."""
-    none = np.zeros(blocks)
-    quiet = Weighed((), np.full(blocks, FLOOR**2), none, none, 0)  # no gap: a block tells as much as one of noise does
+@given(st.integers(1, 10), st.floats(3.0, 30.0), st.floats(1.0, 4.0), st.floats(0.05, 2.0))
+def test_what_the_calibration_leaves_is_in_the_tests_the_same(pairs, tells, calibrated, excess):
+    """One number in each block, white noise and beside it one that two blocks share: the determinant of their
+    covariance is what a likelihood by blocks lacks."""
+    none, noise = np.zeros(2 * pairs), 1.0 + excess
+    quiet = Weighed((), np.full(2 * pairs, FLOOR**2), none, none, 0)
     stacked = Stacked(CaseEvidence(FLOOR, quiet.power, (quiet,), 18, calibrated * FLOOR**2))
-    most = calibrated - 1.0
-    for beside in (-0.2, 0.0, 0.4 * most, most, 2.0 * most):
-        seen = np.full(blocks, (alone + beside) * FLOOR**2)
-        predicted, once = stacked.with_calibration_misfit(
-            np.full(blocks, alone * FLOOR**2), seen, 0.4, numbers - 0.4, stacked.own_misfit
-        )
-        own = min(max(beside, 0.0), most)
-        assert predicted == pytest.approx((alone + own) * FLOOR**2)
-        same = np.kron(np.ones((blocks, blocks)), np.eye(numbers))
-        covariance = alone * np.eye(blocks * numbers) + own * same
-        by_blocks = -0.5 * numbers * np.sum(np.log(predicted / FLOOR**2))
-        assert by_blocks + once == pytest.approx(-0.5 * np.linalg.slogdet(covariance)[1], rel=1e-9, abs=1e-9)
+    most = tells * (calibrated - 1.0)
+    for beside in (0.0, 0.4 * most, most, 2.0 * most):
+        seen = np.full(2 * pairs, noise + beside / tells) * FLOOR**2
+        x, expected = beyond(seen, noise, tells)
+        own = min(beside, most)
+        covariance = noise * np.eye(2 * pairs) + own * np.kron(np.eye(pairs), np.ones((2, 2)))
+        expected -= 0.5 * np.linalg.slogdet(covariance)[1] + 0.5 * np.sum(x**2) / (noise + own)
+        told = stacked.log_likelihood(seen, 0.0, excess, stacked.own_misfit, tells, 3.0)
+        assert told == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
 @settings(deadline=None, max_examples=25)

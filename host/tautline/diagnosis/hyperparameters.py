@@ -24,9 +24,8 @@ _LARGEST_SHARE = 0.99  # limit: of a share or probability that is learnt by its 
 class Hyperparameters:
     """All positive; learnt as logarithms."""
 
-    misfit_tells: float  # independent observations in a block of systematic misfit
-    noise_tells: float  # independent observations in a block of noise, or of an event's scatter
-    block_freedom: float  # degrees of freedom of a block's variance: how much blocks' powers differ
+    noise_tells: float  # independent numbers in a block of noise: one of a misfit is known to 1/sqrt of it of the noise
+    block_freedom: float  # degrees of freedom of a block's misfit: how much blocks' misfits differ
     unexplained: float  # share of the gap's power that a right effect may well leave
     unexplained_by_law: float  # the same of an effect with one equation everywhere (rigid motion, time)
     unexplained_by_wrong: float  # share from which on the best wrong effect may well leave any

@@ -110,7 +110,6 @@ class Outlook:
         hyper = learnt().center
         left = self.power_left(which)
         gap = left[:, 0]  # of each right hypothesis: what the nominal model leaves
-        tells = hyper.misfit_tells + hyper.noise_tells * np.square(self._floor2 / (self._floor2 + gap))
         known = len(gap)
         power = np.zeros((known + 1, known + 1))
         power[:known, :known] = left
@@ -118,8 +117,9 @@ class Outlook:
         # An unknown cause looks like what is likeliest, and the others leave of it what they leave of that.
         likeliest = int(np.argmax(self.rivals.probability[:known]))
         power[known, :known] = left[likeliest] + hyper.unexplained_by_wrong * gap[likeliest]
-        tells, gap = np.append(tells, tells[likeliest]), np.append(gap, gap[likeliest])
-        own = self._noise2 + hyper.unexplained * gap  # what the right one leaves: no model is exact
-        against = 0.5 * tells[:, None] * (seconds / BLOCK_S) * np.log1p(power / own[:, None])
+        gap = np.append(gap, gap[likeliest])
+        # Of a block one number is told beside the noise; the right one leaves some of it as no model is exact.
+        own = self._noise2 / hyper.noise_tells + hyper.unexplained * gap
+        against = 0.5 * (seconds / BLOCK_S) * np.log1p(power / own[:, None])
         p = self.rivals.probability
         return -float(p @ np.log(np.exp(-against) @ p))

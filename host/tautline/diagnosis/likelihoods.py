@@ -38,10 +38,7 @@ class Likelihoods:
         amplitudes vary (wander.py)."""
         self.hyper = hyper
         self._case = case
-        self._observations = case.independent_observations(hyper.misfit_tells, hyper.noise_tells)  # (blocks,)
-        self._by_share = case.log_likelihood_by_share(
-            hyper.misfit_tells, hyper.noise_tells, hyper.block_freedom, hyper.calibration_excess
-        )
+        self._by_share = case.log_likelihood_by_share(hyper.noise_tells, hyper.block_freedom, hyper.calibration_excess)
         # The share that a set of effects may well leave: as the worst of it.
         self._most = np.where(case.law, hyper.unexplained_by_law, hyper.unexplained)
         right = self._as_right_effects
@@ -89,9 +86,9 @@ class Likelihoods:
 
     @property
     def _price(self) -> Array:
-        """(hypotheses,) What a hypothesis' d parameters cost, parameter_price d log(1 + n) / 2 of n observations (the
-        Bayesian information criterion); more parameters than observations cost no more."""
-        n = float(np.sum(self._observations))
+        """(hypotheses,) What a hypothesis' d parameters cost, parameter_price d log(1 + n) / 2 of n blocks (the
+        Bayesian information criterion); more parameters than blocks cost no more."""
+        n = len(self._case.before)  # of a block one number is told beyond its noise
         return np.asarray(0.5 * self.hyper.parameter_price * np.log1p(n) * np.minimum(self._case.parameters, n))
 
     @property
@@ -134,7 +131,11 @@ class Likelihoods:
         pair = case.causes == 2
         mimics = np.where(pair, np.sqrt(hyper.mimics), hyper.mimics)
         imitates = np.where(case.size > 0, np.log(mimics) + as_if_right, -np.inf)
-        as_wrong = np.log1p(-mimics) + log_sum(self._by_share + self._log_wrong_share) - self._price
+        as_wrong = log_sum(self._by_share + self._log_wrong_share) - self._price
+        nothing_imitates = case.log_likelihood_of_any_gap(
+            hyper.noise_tells, hyper.block_freedom, hyper.calibration_excess
+        )
+        as_wrong = np.log1p(-mimics) + np.where(case.size > 0, as_wrong, nothing_imitates)
         stands_in = np.logaddexp(imitates, as_wrong)
         stands_in = stands_in + np.where(case.measured, np.log(COINCIDES), 0.0)
         stands_in = stands_in + np.where(case.size > 0, self.prior, 0.0)
@@ -155,17 +156,12 @@ class Likelihoods:
         """Log-likelihood that nothing changed since the calibration: the calibrated model leaves noise and an excess
         with an exponential prior of mean calibration_excess. What a recalibration takes off the power, `taken`, is
         improbable then: exp(-taken / (the nominal model's own misfit + calibration_excess)), in units of floor^2."""
-        case, hyper, n = self._case, self.hyper, self._observations
-        # Student's constant, so that both likelihoods agree where the power is as predicted.
-        constant = (hyper.block_freedom + n) * np.log1p(n / hyper.block_freedom)
+        case, hyper = self._case, self.hyper
         recalibrated = case.power[0]
         seen = np.minimum(case.frozen, recalibrated)
         taken = max(float(np.mean(case.frozen - recalibrated)), 0.0) / case.floor2
-        noise = (1.0 + hyper.calibration_excess * _QUANTILES)[:, None] * np.full(len(n), case.floor2)
-        predicted, correction = case.with_calibration_misfit(
-            noise, seen, hyper.misfit_tells, hyper.noise_tells, case.own_misfit
-        )
-        by_quantile = correction - 0.5 * np.sum(constant + n * (np.log(predicted) + seen / predicted - 1.0), axis=1)
+        excess = hyper.calibration_excess * _QUANTILES[:, None]
+        by_quantile = case.log_likelihood(seen, 0.0, excess, case.own_misfit, hyper.noise_tells, hyper.block_freedom)
         mean = float(log_sum(by_quantile) - np.log(len(by_quantile)))
         return mean - taken / (case.own_misfit / case.floor2 + hyper.calibration_excess)
 

@@ -12,6 +12,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 from scipy.special import gammaln, stdtr
+from scipy.stats import invgamma
 
 from tautline.diagnosis.hypotheses import CaseEvidence, Weighed
 from tautline.effects import BY_ID, EVENTS, LIBRARY
@@ -33,6 +34,8 @@ _DEGREES = 8.0  # prior: degrees of freedom of Student's t, of the logarithm of 
 _WRONG_SHARES = (np.arange(10) + 0.5) / 10.0  # prior: grid of the share of blocks in which a wrong effect leaves more
 _WIDEST = 12.0  # prior: largest logarithm of what a wrong effect leaves of a block, over the noise
 _FLOOR_ERRORS = np.linspace(-20.0, 3.0, 116)  # tolerance: grid of the error of log(floor^2), in its deviations
+_GAPS = np.linspace(0.0, _WIDEST, 25)  # tolerance: grid of the logarithm of a misfit's power over a number's noise
+_TIMES = np.exp(np.linspace(-3.0, 12.0, 26))  # tolerance: grid of a block's misfit's power over the mean one
 _AT_ONCE = 8  # tolerance: blocks whose product stays within a double
 _REMEMBERED = 4  # tolerance: sets of hyperparameters of which results are kept
 
@@ -41,6 +44,19 @@ def log_sum(logarithms: Array) -> Array:
     """log(sum(exp(x))) along the last axis, without overflow."""
     most = np.max(logarithms, axis=-1)
     return np.asarray(most + np.log(np.sum(np.exp(logarithms - most[..., None]), axis=-1)))
+
+
+@lru_cache(maxsize=8)
+def _log_weights_of_times(freedom: float) -> Array:
+    """(_TIMES,) Logarithms, of the sum 1, of the probability of each of _TIMES as an inverse-gamma number of mean
+    precision 1: a normal number with that variance is Student's t with `freedom`."""
+    log = invgamma(0.5 * freedom, scale=0.5 * freedom).logpdf(_TIMES) + np.log(_TIMES)
+    return np.asarray(log - log_sum(log))
+
+
+def _log_normal(square: Array, variance: Array) -> Array:
+    """The normal log-density of a number with this square, up to a constant."""
+    return np.asarray(-0.5 * (np.log(variance) + square / variance))
 
 
 def _student_log_density(x: Array) -> Array:
@@ -198,41 +214,70 @@ class Stacked:
             gained[i] = float(np.min(of_all[same])) - float(np.sum(by_event[i, here]))
         return gained
 
-    def independent_observations(self, misfit_tells: float, noise_tells: float) -> Array:
-        """(blocks,) How many independent observations each block counts as, misfit_tells + noise_tells (floor^2 /
-        (floor^2 + gap))^2: few where it holds a systematic misfit, more the closer its power is to the noise."""
-        return np.asarray(misfit_tells + noise_tells * np.square(self.floor2 / (self.floor2 + self.before)))
-
-    def _log_likelihood_by_share(
-        self, misfit_tells: float, noise_tells: float, block_freedom: float, calibration_excess: float
+    def log_likelihood(
+        self,
+        power: Array,
+        misfit: Array | float,
+        excess: Array | float,
+        own_misfit: Array | float,
+        tells: float,
+        freedom: float,
+        disturbed: float = 1.0,
     ) -> Array:
-        """(hypotheses, SHARES) Log-likelihood of all blocks' powers v if a hypothesis leaves that share of the gap:
-        each block's n observations are Student-distributed with f = block_freedom degrees of freedom about the variance
-        V = (1 + calibration_excess) floor^2 + share gap: -(n log V + (f + n) log(1 + n v / (f V))) / 2."""
-        n = self.independent_observations(misfit_tells, noise_tells)
-        without_misfit = (1.0 + calibration_excess) * self.floor2 + SHARES[:, None] * self.before
-        seen = self.power[:, None, :]
-        own_misfit = self._own_misfit_of[:, None, None]
-        predicted, correction = self.with_calibration_misfit(
-            without_misfit, seen, misfit_tells, noise_tells, own_misfit
-        )
-        student = np.log1p(n / block_freedom * seen / predicted) @ (block_freedom + n)
-        return np.asarray(correction - 0.5 * (np.log(predicted) @ n + student))
+        """(...,) Log-likelihood, up to a constant, of all blocks' powers (..., blocks) if a share `disturbed` of them
+        holds, beside noise of (1 + excess) floor^2, a misfit of mean power `misfit`, and each the nominal model's own,
+        at most `own_misfit`.
 
-    def with_calibration_misfit(
-        self, predicted: Array, seen: Array, misfit_tells: float, noise_tells: float, own_misfit: Array | float
-    ) -> tuple[Array, Array]:
-        """(predicted powers with the nominal model's own misfit, a correction of the log-likelihood). Where a block
-        shows more power (`seen`) than a hypothesis predicts, up to `own_misfit`, what the calibrated model leaves of
-        its own calibration above the noise, is added; all (..., blocks). As all blocks share this one misfit, log|I + J
-        J'| replaces the sum of the blocks' log(1 + x), x the relative increase: the correction (...,) is (sum n log(1 +
-        x) - k log(1 + sum(n x) / k)) / 2, n the blocks' observations and k the misfit's numbers."""
-        n = self.independent_observations(misfit_tells, noise_tells)
-        total = predicted + np.clip(seen - predicted, 0.0, own_misfit)
-        increase = total / predicted - 1.0
-        k = min(misfit_tells + noise_tells, float(np.sum(n)))
-        correction = 0.5 * (np.log1p(increase) @ n - k * np.log1p(increase @ n / k))
-        return total, np.asarray(correction)
+        A block counts as `tells` numbers of noise, and what it holds beyond noise as one, x: of the block's power v in
+        units of floor^2 the noise has up to n = 1 + excess, and x^2 = n + tells (v - n). x is normal with variance w =
+        n + tells u misfit / floor^2; u, by how much a block's misfit is more or less than its mean, is inverse-gamma,
+        so that x is Student's t with `freedom` beside normal noise; a sum over _TIMES. Where x^2 exceeds the mean of w
+        the model's own misfit adds up to tells own_misfit / floor^2. That is k = blocks / 2 numbers, as each is there
+        twice, in the calibration and in a test: k log(1 + sum(y) / k) replaces sum(log(1 + y)), y the relative increase
+        of w."""
+        noise = 1.0 + np.asarray(excess)
+        square, of_noise = self._beyond_noise(power, noise, tells)
+        of_misfit = tells * np.asarray(misfit) / self.floor2
+        mean = noise + of_misfit
+        increase = np.clip(square - mean, 0.0, tells * np.asarray(own_misfit) / self.floor2) / mean
+        k = 0.5 * increase.shape[-1]
+        shared = 0.5 * (np.sum(np.log1p(increase), axis=-1) - k * np.log1p(np.sum(increase, axis=-1) / k))
+        times = noise[..., None] + _TIMES * of_misfit[..., None]
+        by_times = _log_normal(square[..., None], times * (1.0 + increase[..., None])) + _log_weights_of_times(freedom)
+        of_number = log_sum(by_times)
+        if disturbed < 1.0:
+            undisturbed = np.log1p(-disturbed) + _log_normal(square, noise * (1.0 + increase))
+            of_number = np.logaddexp(undisturbed, np.log(disturbed) + of_number)
+        return np.asarray(shared + np.sum(of_noise + of_number, axis=-1))
+
+    def _beyond_noise(self, power: Array, noise: Array, tells: float) -> tuple[Array, Array]:
+        """(x^2 of blocks' powers (..., blocks), the log-likelihood of the other tells - 1 numbers), as in
+        `log_likelihood`. noise: its power over floor^2."""
+        of_noise = np.minimum(power / self.floor2, noise)
+        square = of_noise + tells * (power / self.floor2 - of_noise)
+        return square, -0.5 * (tells - 1.0) * (np.log(noise) + of_noise / noise)
+
+    def _log_likelihood_by_share(self, tells: float, freedom: float, excess: float) -> Array:
+        """(hypotheses, SHARES) Log-likelihood of all blocks' powers if a hypothesis leaves that share of the gap."""
+        return np.stack(
+            [
+                self.log_likelihood(
+                    self.power, share * self.before, excess, self._own_misfit_of[:, None], tells, freedom
+                )
+                for share in SHARES
+            ],
+            axis=1,
+        )
+
+    def log_likelihood_of_any_gap(self, tells: float, freedom: float, excess: float) -> float:
+        """Log-likelihood of the gap itself if nothing imitates its cause: a share of the blocks, any, holds a misfit,
+        of any mean power up to _WIDEST in its logarithm over the noise; the same constant as `log_likelihood`'s."""
+        misfits = self.floor2 / tells * np.exp(_GAPS)[:, None]
+        by_share = [
+            self.log_likelihood(self.power[0], misfits, excess, self.own_misfit, tells, freedom, share)
+            for share in _WRONG_SHARES
+        ]
+        return float(log_sum(np.ravel(by_share)) - np.log(np.size(by_share)))
 
     def _confined_log_ratio(self, floor_known: float, floor_steady: float, disturbed: float) -> Array:
         """(hypotheses,) Log-likelihood ratio of the power that is left beyond the effects' stages (confined.py): noise
