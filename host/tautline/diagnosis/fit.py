@@ -34,11 +34,8 @@ from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
 
-WIDTH_PIECES, _REMAINING_PIECES = (
-    len(effects.BY_ID[name].curve) - 3  # equation: a cubic spline has 3 coefficients more than pieces
-    for name in ("transmission.backlash", "configuration.remaining")
-)
-_ROUGH = 0.001  # prior: one standard deviation of a spline's second differences, as a share of the curve's range
+WIDTH_PIECES, _FOLLOW_PIECES = 20, 22  # prior: pieces of the splines over the motor's range added to B and f_remain
+_ROUGH = 0.001  # prior: standard deviation of second differences of a spline of _FOLLOW_PIECES, as a share of its range
 STATIC_COLUMNS = slice(2, 8)  # format: the registration's six among ScoredRows.columns, with a camera
 MOVE_COLUMNS = slice(5, 8)  # format: the last three of them: px per mm along x, y and z
 WIDTH, REMAINING, STATIC, DELAY = PARTS = (
@@ -106,7 +103,7 @@ class Fitter:
         self.delayed = segments[0].sensor == model.sensor  # the model has a delay of its own for what is observed
         low = min(float(s.motor.q.min()) for s in segments)
         high = max(float(s.motor.q.max()) for s in segments)
-        self.nominal_curves = curves = Nominal(Basis(low, high, WIDTH_PIECES), Basis(low, high, _REMAINING_PIECES))
+        self.nominal_curves = curves = Nominal(Basis(low, high, WIDTH_PIECES), Basis(low, high, _FOLLOW_PIECES))
         if smooth:
             model = _without_details(curves, model)
         self.model = model
@@ -345,7 +342,7 @@ class Fitter:
         with the same smoothness as what is added to B and f_remain. coefficient: one of them, for its unit."""
         actuator = self.model.rig.actuator
         # Second differences of the same curve go with the square of the knots' distance.
-        deviation = _ROUGH * actuator.span * ((_REMAINING_PIECES + 3) / size) ** 2
+        deviation = _ROUGH * actuator.span * (_FOLLOW_PIECES / (size - 3)) ** 2
         by_unit = 1.0 if coefficient.unit == "unit" else abs(self.model.rig.coarse.gain)
         return np.asarray(Basis(*actuator.range, size - 3).bending / (deviation * by_unit) ** 2)
 

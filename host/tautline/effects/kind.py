@@ -95,7 +95,9 @@ class Kind:
     course: Callable[[Mapping[str, float], float], float] | None = None  # its size at a time of the session, s
     event: Event | None = None  # None: it has a path that repeats
     law: bool = False  # whether it has one exact equation everywhere: rigid motion, time
-    material: bool = False  # whether it is of friction or a tendon's material, which no equation has exactly
+    material: bool = (
+        False  # whether it is of friction or of a material (a tendon's, an obstacle's), which no equation has exactly
+    )
     nominal: bool = False  # whether it is a part of the nominal model, which a recalibration changes by itself
     posture: bool = False  # whether another posture, tension or homing changes it, together with others of these
     contains: tuple[str, ...] = ()  # ids of simpler effects that it can imitate exactly

@@ -12,5 +12,6 @@ EFFECTS = (
         says="an obstacle holds the tip back beyond some bending angle",
         tell="The gap begins beyond one bending angle and has one sign.",
         mend="Free the tip of what it touches, or keep away from that angle.",
+        material=True,
     ),
 )
