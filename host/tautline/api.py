@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from tautline.tables import Limits
     from tautline.tracking import Tracked
 
+_BEFORE = 0.3  # display: share of a diagnosis that is its calibration
 Progress = Callable[[float, str], None]  # (share done, 0 to 1; what is being done)
 _log = logging.getLogger(__name__)
 
@@ -267,9 +268,12 @@ def diagnose(
     if not tests:
         raise TautError("no test: give one recording or more that the calibration was not made from")
     several, used = _evidence([calibration, *tests], rig)
-    calibrated_on, on_one_clock = calibrated(several, used, lambda share, what: progress(0.3 * share, what))
+    calibrated_on, on_one_clock = calibrated(several, used, lambda share, what: progress(_BEFORE * share, what))
     found = diagnosed(
-        calibrated_on.model, on_one_clock[0], on_one_clock[1:], lambda share, what: progress(0.3 + 0.7 * share, what)
+        calibrated_on.model,
+        on_one_clock[0],
+        on_one_clock[1:],
+        lambda share, what: progress(_BEFORE + (1.0 - _BEFORE) * share, what),
     )
     named = ", ".join(f"{each.id} ({each.probability:.2f})" for each in found.findings)
     _log.info("%s%s", found.verdict, f": {named}" if named else "")

@@ -15,6 +15,7 @@ from tautline.columns import read_columns
 from tautline.errors import TautError, check_start
 from tautline.folders import write_file
 from tautline.model import Model
+from tautline.undone import INT32_MAX
 from tautline.value import Value
 
 # format of all: rates and rows of taut compensate
@@ -179,7 +180,7 @@ class Compensator:
 
 def _raw(c_deg: Array) -> npt.NDArray[np.int32]:
     """Angles c (n,), deg, in the board's fixed point, DEG_ONE to a degree, clipped to 32 bits."""
-    return np.asarray(np.clip(np.rint(c_deg * _native.DEG_ONE), -(2**31), 2**31 - 1), dtype=np.int32)
+    return np.asarray(np.clip(np.rint(c_deg * _native.DEG_ONE), -INT32_MAX - 1, INT32_MAX), dtype=np.int32)
 
 
 def _limits(model: Model) -> tables.Limits:
@@ -188,7 +189,7 @@ def _limits(model: Model) -> tables.Limits:
     resolution = model.rig.actuator.encoder_resolution
     most = _native.TABLE_VALUE_MAX // _native.COUNT_ONE * resolution
     speed = min(most, model.rig.actuator.speed_max or most)
-    accel = (2**31 - 1) * resolution
+    accel = INT32_MAX * resolution
     own = tables.Limits.in_use(model.rig)
     return replace(own, speed_max=speed, takeup_speed=speed, takeup_accel=accel, slope_min=0.0)
 

@@ -83,7 +83,7 @@ def _fitted_path(order: int, steps: Array, reading: Array, read: npt.NDArray[np.
     times = np.concatenate([[0.0], np.cumsum(steps)])
     noise = max(white_noise(times[seen], reading[seen]), _LEAST_NOISE if rounded else _NO_NOISE)
     state = np.interp(np.arange(size), seen, reading[seen])
-    precision = read / (noise**2 + (1.0 / 12.0 if rounded else 0.0))
+    precision = read / (noise**2 + (spread.of_rounding(1.0) ** 2 if rounded else 0.0))
     force = precision * reading
     jumped, variance = np.full(size, -1.0), np.zeros(size)
     jump, before = max(noise, _LEAST_NOISE) ** 2, -np.inf

@@ -17,7 +17,7 @@ from tautline.driven import Driven, driven, third_differences, white_noise
 from tautline.encoder_steps import CHANGES, REST_S, Rest, Steps, Stops, rests_and_turns, steps_of, stopped
 from tautline.independence import stretches
 from tautline.recording import Motor
-from tautline.spread import of_rounding
+from tautline.spread import THIRD, of_rounding
 
 Array = npt.NDArray[np.float64]
 Kept = TypeVar("Kept")
@@ -32,6 +32,8 @@ _SKIPS = 3.5  # tolerance: of five neighbouring readings, that changed
 _OWN_STEPS = 0.6  # tolerance: counts of noise: no more than an encoder's own steps
 _SCATTERS = 1.0  # tolerance: counts of noise from which readings are smoothed
 _EXACT = 1e-12  # tolerance: of the largest value: next to nothing
+_OF_NOISE = 4.0  # prior: standard deviations, of a third difference: more is a turn's
+_WAVES = 512  # tolerance: frequencies at which a smoother's trace is summed
 _FEWEST, _CLEARLY = 100, 5.0  # tolerance: readings that tell whether a motor trembles; standard errors
 _UNEVEN = 10.0  # tolerance: times a gap's shorter neighbour: beyond it noise is all that is seen
 _LAST = 2.0  # samples: within so many of a stop no knot tells a speed
@@ -118,8 +120,8 @@ def _third_difference_score(motor: Motor) -> float:
     factors, third = third_differences(motor.t_s, motor.q)
     if len(third) < _FEWEST:
         return 0.0
-    usual = reading_noise(motor)
-    third = np.clip(third, -4.0 * usual, 4.0 * usual)
+    most = _OF_NOISE * reading_noise(motor)
+    third = np.clip(third, -most, most)
     together = float(third[1:] @ third[:-1]) / max(float(third @ third), 1e-30)
     of_noise = float(np.mean(np.sum(factors[:-1, 1:] * factors[1:, :-1], axis=1)))
     return float((together - of_noise) * np.sqrt(len(third)))
@@ -129,7 +131,7 @@ def count_of(motor: Motor, resolution: float) -> float:
     """The encoder's step as the readings show it, their unit; where they have no steps sqrt(12) times their noise (a
     step of that size scatters as much), at most the rig's step."""
     steps = _steps_of(motor, resolution)
-    return min(resolution, float(np.sqrt(12.0)) * reading_noise(motor)) if steps is None else steps.count
+    return min(resolution, reading_noise(motor) / of_rounding(1.0)) if steps is None else steps.count
 
 
 def _skips_counts(motor: Motor, steps: Steps | None) -> bool:
@@ -163,11 +165,11 @@ def _smoothed(t_s: Array, q: Array) -> Array:
     generalised cross-validation, in which `wave`, the penalty's spectrum at even times, stands for the smoother's
     trace. Fewer than 12 stay as they are."""
     n = len(q)
-    wave = (2.0 - 2.0 * np.cos(np.pi * (np.arange(512) + 0.5) / 512)) ** 3
+    wave = (2.0 - 2.0 * np.cos(np.pi * (np.arange(_WAVES) + 0.5) / _WAVES)) ** 3
     best, least = q, np.inf
     if n < 12:
         return q
-    factors = np.sqrt(20.0) * third_differences(t_s, q)[0]  # of -1, 3, -3, 1 at even times
+    factors = np.sqrt(THIRD) * third_differences(t_s, q)[0]  # of -1, 3, -3, 1 at even times
     bent = np.zeros((4, n))
     for i in range(4):
         for j in range(i, 4):

@@ -13,7 +13,7 @@ from tautline.errors import TautError
 from tautline.rig import PLACES, Camera, HandEye, Kinematics, Rig
 
 Array = npt.NDArray[np.float64]
-_SMALL = 1e-3  # tolerance: rad: below it the constant-curvature quotients are taken from their series (error < 1e-16)
+STRIDE_DEG = 20.0  # tolerance: the longest step in a search for a bending angle: an image's slope holds no further
 # px: standard deviation, per coordinate, of what this package's tracker is off by in every frame alike near one
 # place: the rms of what docs/marker.md has, 0.02 (a flat disc) to 0.17 (a ball lit from one side, in MJPEG).
 TRACKED_PX = 0.1  # prior: by docs/marker.md
@@ -26,10 +26,8 @@ def tip_bend(kinematics: Kinematics, c_deg: npt.ArrayLike) -> Array:
     c = np.radians(np.atleast_1d(np.asarray(c_deg, dtype=float)))
     length, tip = kinematics.bending_length_mm, kinematics.tip_length_mm
     sin, cos = np.sin(c), np.cos(c)
-    small = np.abs(c) < _SMALL
-    safe = np.where(small, 1.0, c)
-    sinc = np.where(small, 1 - c * c / 6, sin / safe)
-    versc = np.where(small, c / 2 - c * c * c / 24, (1 - cos) / safe)  # (1 - cos(c)) / c
+    sinc = np.sinc(c / np.pi)  # equation: sin(c) / c
+    versc = 0.5 * c * np.sinc(0.5 * c / np.pi) ** 2  # equation: (1 - cos(c)) / c
     return np.stack([length * versc + tip * sin, np.zeros_like(c), length * sinc + tip * cos], axis=1)
 
 
@@ -164,7 +162,7 @@ def pose(
     for _ in range(iterations):
         gain = np.sum(slope * slope, axis=1)
         step = np.sum(slope * error, axis=1) / (gain * (1 + damping) + 1e-12)
-        trial = c + np.clip(np.nan_to_num(step), -20.0, 20.0)
+        trial = c + np.clip(np.nan_to_num(step), -STRIDE_DEG, STRIDE_DEG)
         predicted, trial_slope = project_with_slope(rig, trial, translation, turn)
         trial_error = image - predicted
         trial_cost = np.sum(trial_error * trial_error, axis=1)

@@ -10,6 +10,7 @@ Array = npt.NDArray[np.float64]
 NINE_OF_TEN = 1.645  # equation: standard deviations of a normal distribution, either way, that hold 90 %
 MEDIAN = 0.6745  # equation: of a normal variable's size, in standard deviations
 _MEDIAN2 = 0.4549364  # equation: of a chi-squared variable's of one degree of freedom
+THIRD = 20.0  # equation: 1 + 9 + 9 + 1, the variance of a third difference of white noise of variance 1
 
 
 def deviation(values: Array) -> float:

@@ -15,13 +15,14 @@ from tautline.elements import SINGLE, Elements, warp_of
 from tautline.errors import TautError
 from tautline.model import Array, Model, interpolate
 from tautline.rig import MARKER, Rig
-from tautline.undone import Joint, Section, undone
+from tautline.undone import INT32_MAX, Joint, Section, undone
 
 KINDS: dict[str, int] = _native.AXIS_KINDS
 _KIND_NAMES = {value: name for name, value in KINDS.items()}
 _UNIT_NAMES = {value: name for name, value in _native.AXIS_UNITS.items()}
 _COUNT = float(_native.COUNT_ONE)  # Q8
 _DEG = float(_native.DEG_ONE)  # Q16
+_UINT32_MAX = int(np.iinfo(np.uint32).max)
 _SLOPE = 2.0**28  # format: deg per count, Q28
 _NANO = 1e-9
 _SERIAL = 8  # format: bytes of an instrument's serial
@@ -162,7 +163,7 @@ def encode(
 def _check_sections(sections: Mapping[str, Section]) -> None:
     """TautError where a number of a section has more than 32 bits."""
     for name, section in sections.items():
-        if any(abs(value) >= 2**31 for values in section.values() for value in np.ravel(values).tolist()):
+        if any(abs(value) > INT32_MAX for values in section.values() for value in np.ravel(values).tolist()):
             raise TautError(
                 f"section {name}, which undoes an effect, is too large for the board's numbers: diagnose again"
             )
@@ -300,7 +301,7 @@ def _header_fields(
         "axis": axis,
         "kind": KINDS[kind],
         "unit": _native.AXIS_UNITS[rig.actuator.unit],
-        "strength_q15": _whole(limits.strength * _native.RATIO_ONE, "limits.strength", 0, 65535),
+        "strength_q15": _whole(limits.strength * _native.RATIO_ONE, "limits.strength", 0, int(np.iinfo(np.uint16).max)),
         "nano_units_per_count": _whole(resolution / _NANO, "actuator.encoder_resolution", 1, 2**32 - 1),
         "q_min": _range(rig)[0],
         "q_max": _range(rig)[1],
@@ -308,13 +309,13 @@ def _header_fields(
         "coarse_c_max": coarse[1],
         "speed_max_q8": _counts(limits.speed_max, rig, "limits.speed_max"),
         "takeup_speed_q8": _counts(limits.takeup_speed, rig, "limits.takeup_speed"),
-        "takeup_accel": _whole(limits.takeup_accel / resolution, "limits.takeup_accel", 0, 2**31 - 1),
+        "takeup_accel": _whole(limits.takeup_accel / resolution, "limits.takeup_accel", 0, INT32_MAX),
         "band": _counts(limits.band, rig, "limits.band"),
-        "slope_min_q28": _whole(limits.slope_min * resolution * _SLOPE, "limits.slope_min", 0, 2**31 - 1),
+        "slope_min_q28": _whole(limits.slope_min * resolution * _SLOPE, "limits.slope_min", 0, INT32_MAX),
         "flat_speed_q8": _counts(limits.flat_speed, rig, "limits.flat_speed"),
         # a recording's clock may run ahead of its camera; a live camera's cannot
-        "delay_us": _whole(max(delay_s, 0.0) * 1e6, "delay_s", 0, 2**32 - 1),
-        "created_s": _whole(int(time.time()) if created_s is None else created_s, "created_s", 0, 2**32 - 1),
+        "delay_us": _whole(max(delay_s, 0.0) * 1e6, "delay_s", 0, _UINT32_MAX),
+        "created_s": _whole(int(time.time()) if created_s is None else created_s, "created_s", 0, _UINT32_MAX),
     }
 
 

@@ -16,6 +16,8 @@ Array = np.ndarray
 
 RATE_HZ = 1000.0
 NEXT_FILE = "next_motion.csv"  # in the folder of a model or a diagnosis: the motion to record next
+_APART = 1.618  # format: of two periods, by the golden ratio: the sines never repeat together
+_SINES = 0.60, 0.35  # format: of half the range, their sizes
 _LONGEST_S = 86_400.0  # limit: of one motion: all of its samples are in memory
 
 
@@ -33,13 +35,13 @@ class Trajectory:
         return float(self.t_s[-1])
 
     def with_sway(self, translation_mm: float, rotation_deg: float, period_s: float) -> Trajectory:
-        """The same bending while translation and rotation oscillate with these amplitudes, rotation 1.618 times slower,
-        so that the two never repeat together; an amplitude of 0 leaves that axis out."""
+        """The same bending while translation and rotation oscillate with these amplitudes, rotation slower by the
+        golden ratio, so that the two never repeat together; an amplitude of 0 leaves that axis out."""
         phase = 2 * np.pi * self.t_s / period_s
         return replace(
             self,
             translation_mm=translation_mm * np.sin(phase) if translation_mm else None,
-            rotation_deg=rotation_deg * np.sin(phase / 1.618) if rotation_deg else None,
+            rotation_deg=rotation_deg * np.sin(phase / _APART) if rotation_deg else None,
         )
 
 
@@ -134,13 +136,15 @@ def trapezoids(
 
 
 def sines(actuator: Actuator, speed: float, duration_s: float) -> Trajectory:
-    """Two sines that never repeat together (periods 1 : 1.618, 60 and 35 % of half the range); top speed `speed`."""
+    """Two sines that never repeat together (periods by the golden ratio apart, 60 and 35 % of half the range); top
+    speed `speed`."""
     _check_speed(speed)
     low, high = actuator.range
     half = 0.5 * (high - low)
-    rate = speed / (half * (0.60 + 0.35 / 1.618))
+    first, second = _SINES
+    rate = speed / (half * (first + second / _APART))
     t = _samples(duration_s)
-    return Trajectory(t, 0.5 * (low + high) + half * (0.60 * np.sin(rate * t) + 0.35 * np.sin(rate * t / 1.618)))
+    return Trajectory(t, 0.5 * (low + high) + half * (first * np.sin(rate * t) + second * np.sin(rate * t / _APART)))
 
 
 def random_smooth(actuator: Actuator, speed: float, duration_s: float, seed: int) -> Trajectory:

@@ -21,6 +21,7 @@ Array = npt.NDArray[np.float64]
 
 _COUNT = float(_native.COUNT_ONE)
 _DEG = float(_native.DEG_ONE)
+INT32_MAX = int(np.iinfo(np.int32).max)
 _LEAD = 2e-3, 0.125  # tolerance: s, share of a lag's stage: the filter within which it is made up for
 _APART = 1.5  # tolerance: times: the two stages' filters
 _CREEP_MOST = 0.9  # limit: of the motion: more of it is not made up for at once
@@ -107,7 +108,7 @@ def _encoder_section(v: Mapping[str, float], count: float) -> Section:
     names = {"sine": "sin", "cosine": "cos", "sine2": "sin2", "cosine2": "cos2"}
     section: Section = {to: round(v.get(f"encoder_{name}", 0.0) / count) for to, name in names.items()}
     period = round(v["encoder_period"] / count * 16.0)
-    if period >= 2**31:
+    if period > INT32_MAX:
         raise TautError(f"the encoder's turn of {v['encoder_period']:g} is too long for a board's numbers")
     return section | {"period_q12": period} if any(section.values()) else {}
 

@@ -39,7 +39,7 @@ def noise_of(t: Array, y: Array, least: float) -> float:
     usual = spread.deviation(third)
     if step > 0.0:  # third differences are whole steps as well, and so is their median
         usual = float(np.sqrt(np.mean(np.minimum(np.abs(third), _CORNERS * max(usual, step)) ** 2)))
-    of_one = usual / np.sqrt(20.0)  # equation: squares of 1, 3, 3, 1
+    of_one = usual / np.sqrt(spread.THIRD)
     return float(max(of_one, spread.of_rounding(step), least))
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from tautline.tracking.beyond import OUTLYING
+from tautline.tracking.doubt import CAP
 from tautline.tracking.fit import AHEAD
 from tautline.tracking.projection import AngleEstimate
 
 _OFF_PACE, _OFF_TRACK = 0.04, 2.0  # prior: of the running mean of squares off the marker's track, where it is disturbed
 _WANDER_PACE, _WANDERS = 0.15, 5.0  # prior: of that of squares of the tip's motion while the motor rests
-_CLIP = 36.0  # prior: of squares of it: a jump is one of them
 _QUIET_S = 15.0  # loss: without a disturbance, before anything is learnt after one
 _JUMPS = 12.0  # prior: standard deviations beside the motor's way, from which no play moves the tip between two frames
 _BACK = 10  # loss: frames in a row that the law must foretell after such a jump
@@ -43,7 +43,7 @@ class Disturbance:
             if not self._rested_lately(arrival_s):
                 self._wanders = 1.0
             self._rested_s = arrival_s
-            self._wanders += _WANDER_PACE * (min(wander**2, _CLIP) - self._wanders)
+            self._wanders += _WANDER_PACE * (min(wander**2, CAP) - self._wanders)
 
     def judged(self, arrival_s: float) -> None:
         """The evidence up to this time was judged to be disturbed."""

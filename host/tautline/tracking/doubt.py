@@ -11,7 +11,7 @@ MEMORY_S = 4.0  # prior: of what moves the tip beside the motor: a breath, a han
 _SHARE = 0.05  # prior: of strokes in which the tip is elsewhere
 _FREEDOM = 2.0  # prior: numbers of any size that say where it is in one
 _UNSURE = 1.8  # prior: of the calibration's squares, what the same law may leave of another motion
-_CAP = 36.0  # prior: of one frame's square: alone, as an outlier may be, it raises no doubt
+CAP = 36.0  # prior: of one frame's square: alone, as an outlier may be, it raises no doubt
 JUMP = 4.0  # prior: log odds against something that begins in a stroke: in one of 50
 
 
@@ -55,5 +55,5 @@ class Doubt:
             if self._odds == 0.0:
                 self.since = entry
             self._part, self._squares, self._count = part, 0.0, 0
-        self._squares += min(z * z, _CAP)
+        self._squares += min(z * z, CAP)
         self._count += 1

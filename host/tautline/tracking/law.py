@@ -18,8 +18,8 @@ from tautline.tracking.beyond import PLACES, Beyond
 Array = npt.NDArray[np.float64]
 
 OFFSET, SCALE, SHAPE, SPREAD, SKEW = 0, 1, slice(2, 2 + PLACES), 2 + PLACES, 3 + PLACES  # format: of theta
-TIP = slice(4 + PLACES, 7 + PLACES)  # format: deg, constant, slope and bend of f_remain's change
-PARAMETERS = 7 + PLACES  # format: of theta
+TIP = slice(SKEW + 1, SKEW + 1 + 3)  # format: deg, constant, slope and bend of f_remain's change
+PARAMETERS = TIP.stop  # format: of theta
 _LOTS = 5  # tolerance: elements that a single play is split into where its onset has become gradual
 _LEAST_SCALE, _MOST_SCALE = 0.02, 5.0  # prior: of B, that use leaves of it or makes it
 _MOST_OWN = 1.5  # prior: of a frame's noise, what of a calibrated law's own sigma is taken for noise

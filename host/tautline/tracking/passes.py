@@ -41,7 +41,7 @@ class Passes:
         count = int((float(grid[-1]) - self._low) / self._cell) + 1
         self.place = self._low + self._cell * np.arange(count)  # by the calibrated f_remain: where it is in the image
         self._b = np.interp(self.place, grid, model.width)
-        self._of = np.full((2, 5, count), np.nan)  # way; way (q - place), sigma, squares off the track, ...
+        self._of = np.full((2, _ENTRY + 1, count), np.nan)  # way; way (q - place), sigma, squares off the track, ...
         self._law: Law | None = None  # of which the next two are
         self._by_law = self._half = self._b  # the places by that law, half of its B there
         self._last: tuple[float, float, float, float, int] | None = None

@@ -8,12 +8,12 @@ from functools import cached_property
 import numpy as np
 
 from tautline import _native
-from tautline.geometry import projection_rig
+from tautline.geometry import STRIDE_DEG, projection_rig
 from tautline.model import Model
 from tautline.rig import Sensor
 
 _TURNS = 12  # tolerance: of Newton's steps
-_CLOSE, _STRIDE, _FARTHEST = 1e-8, 20.0, 180.0  # tolerance: deg, of the last step, of one at all; half a turn
+_CLOSE, _FARTHEST = 1e-8, 180.0  # tolerance: deg, of the last step; half a turn
 _LEAST_SLOPE = 1e-12  # tolerance: (px/deg)^2, of a tip that the image shows moving
 
 
@@ -70,7 +70,7 @@ class Projection:
             if not squares > _LEAST_SLOPE:  # also where it is not in front of the camera
                 return None
             step = (by_u * off_u + by_v * off_v) / squares
-            c += min(max(step, -_STRIDE), _STRIDE)
+            c += min(max(step, -STRIDE_DEG), STRIDE_DEG)
             if abs(step) <= _CLOSE:
                 break
         if abs(c - near) > _FARTHEST:

@@ -12,7 +12,6 @@ _FRAMES = 400  # tolerance: that tell it
 _PRIOR_FRAMES = 20.0  # prior: so many frames say that the noise is the calibration's
 _ANEW = 10  # tolerance: frames between two estimates
 _LEAN_PACE, _LEANS = 0.1, 0.5  # prior: of a running mean; its share of squares from which it goes on
-_THIRD = 20.0  # equation: 1 + 9 + 9 + 1, the variance of a third difference of white noise of variance 1
 
 
 class Scatter:
@@ -29,9 +28,9 @@ class Scatter:
     def add(self, z: float) -> None:
         """Adds a frame's residual over its stated standard deviation."""
         self._last.append(z)
-        if len(self._last) == 4:
+        if len(self._last) == self._last.maxlen:
             first, second, third, fourth = self._last
-            self._squares.append((fourth - first + 3.0 * (second - third)) ** 2 / _THIRD)
+            self._squares.append((fourth - first + 3.0 * (second - third)) ** 2 / spread.THIRD)
         self._new += 1
         if self._new == _ANEW:
             self._new = 0

@@ -50,7 +50,7 @@ class Window:
     def __init__(self, apart: float) -> None:
         """apart: the motor's way between two frames that are kept, unit of q."""
         self._apart = apart
-        self._rows = np.empty((CAPACITY, 6))
+        self._rows = np.empty((CAPACITY, _OFF + 1))
         self._first = 0  # number of row 0
         self._count = 0
         self._kept_q, self._kept_t = np.inf, -np.inf
