@@ -1,8 +1,8 @@
 """The log-likelihood of the evidence under each hypothesis.
 
 A hypothesis predicts of each block the power floor^2 + left * (power before - floor^2), with the share `left` drawn
-from what right effects leave; an effect that stands in for an unknown one leaves what wrong ones do. A block counts as
-few independent observations, whatever its number of frames: what is left of it is one systematic misfit, not noise.
+from what right effects leave; an effect that stands in for an unknown one leaves what wrong ones do. What a block holds
+beyond noise counts as one number, whatever its frames: it is one systematic misfit.
 docs/diagnosis.md, "How it is weighed", has the reasons.
 """
 
