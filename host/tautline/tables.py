@@ -302,7 +302,7 @@ def _header_fields(
         "kind": KINDS[kind],
         "unit": _native.AXIS_UNITS[rig.actuator.unit],
         "strength_q15": _whole(limits.strength * _native.RATIO_ONE, "limits.strength", 0, int(np.iinfo(np.uint16).max)),
-        "nano_units_per_count": _whole(resolution / _NANO, "actuator.encoder_resolution", 1, 2**32 - 1),
+        "nano_units_per_count": _whole(resolution / _NANO, "actuator.encoder_resolution", 1, _UINT32_MAX),
         "q_min": _range(rig)[0],
         "q_max": _range(rig)[1],
         "coarse_c_min": coarse[0],

@@ -34,7 +34,9 @@ from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
 
-WIDTH_PIECES, _FOLLOW_PIECES = 20, 22  # prior: pieces of the splines over the motor's range added to B and f_remain
+# Pieces of the splines over the motor's range that are added to B and to f_remain; a cubic one has 3 coefficients more.
+WIDTH_PIECES = len(effects.BY_ID["transmission.backlash"].curve) - 3
+_FOLLOW_PIECES = 22  # prior: as fine as the law itself is measured again
 _ROUGH = 0.001  # prior: standard deviation of second differences of a spline of _FOLLOW_PIECES, as a share of its range
 STATIC_COLUMNS = slice(2, 8)  # format: the registration's six among ScoredRows.columns, with a camera
 MOVE_COLUMNS = slice(5, 8)  # format: the last three of them: px per mm along x, y and z

@@ -66,7 +66,6 @@ class Outlook:
         rows = [ahead.linearised(fit) for fit in fits]
         size = len(fits)
         self._noise2 = (1.0 + learnt().center.calibration_excess) * fitter.floor**2
-        self._floor2 = fitter.floor**2
         self._known_matrix = known
         self._matrix = [np.zeros((len(planned), *matrix.shape)) for matrix in known]
         self._gradient = [np.zeros((len(planned), size, len(matrix))) for matrix in known]

@@ -12,7 +12,7 @@ from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
 
-_PIECES = 66  # prior: of a cubic spline over the motor's range: an obstacle's bend within a few per cent of its depth
+_PIECES = 66  # prior: of a cubic spline over the motor's range: follows an obstacle's bend (docs/diagnosis.md)
 _NAMES = tuple(f"remaining_{i}" for i in range(_PIECES + 3))
 
 
