@@ -38,7 +38,7 @@ struct effect_moment {
     double session_s;             // time in the session
     double dt, moved;             // since the moment before: s, and of the motor as it reads; 0 at first
     double load, other;           // mNm beyond its reference; another joint's position, its own unit
-    double translation, rotation; // mm, deg; only where the path is asked for, else 0
+    double translation, rotation; // of the instrument, mm, deg
     double usual_speed;           // of the motor: a tenth of the tables' grid per second
     int first, at_knot;
 };

@@ -393,7 +393,7 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
     const double usual_speed = 0.1 * (table->grid[table->n - 1] - table->grid[0]);
     const double c_middle = tables->c_deg[table->n / 2];
     const double c_slope = (tables->c_deg[table->n - 1] - tables->c_deg[0]) / (10.0 * usual_speed);
-    double before_t = 0.0, before_q = 0.0, centre = 0.0, lies = 0.0, again_s = INFINITY;
+    double before_t = 0.0, before_q = 0.0, centre = 0.0, lies = 0.0, again_s = INFINITY, before_tip = 0.0, rate = 0.0;
     const size_t last = motion->knots - 1;
     size_t knot = 0, asked = 0;
     int started = 0;
@@ -415,8 +415,8 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
             .moved = rest - q_before,
             .load = at(motion, knot, at_knot, t, motion->load),
             .other = at(motion, knot, at_knot, t, motion->other),
-            .translation = times->translation ? times->translation[asked] : 0.0,
-            .rotation = times->rotation ? times->rotation[asked] : 0.0,
+            .translation = at(motion, knot, at_knot, t, motion->translation),
+            .rotation = at(motion, knot, at_knot, t, motion->rotation),
             .usual_speed = usual_speed,
             .first = !started,
             .at_knot = at_knot,
@@ -469,6 +469,8 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
             }
         }
         lies = lies_next;
+        rate = now.dt > 0.0 ? (tip - before_tip) / now.dt : rate;
+        before_tip = tip;
         started = 1;
         before_t = t;
         before_q = rest;
@@ -488,7 +490,14 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
         path->tip[asked] = tip;
         path->way[asked] = lies;
         path->lean[asked] = plays_lean(tables->elements, &plays);
+        path->rate[asked] = rate;
         path->side[asked] = side;
+        if (path->translation) {
+            path->translation[asked] = now.translation;
+        }
+        if (path->rotation) {
+            path->rotation[asked] = now.rotation;
+        }
         asked++;
     }
 }

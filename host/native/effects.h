@@ -37,14 +37,14 @@ struct effect_motion {
     const double *q;
     const double *load;  // mNm or NULL, from which its reference has been taken away
     const double *other; // another joint that moves along, or NULL
-    size_t knots;        // 1 or more
+    const double *translation; // of the instrument, mm or NULL
+    const double *rotation;    // deg or NULL
+    size_t knots;              // 1 or more
 };
 
 // When the path is asked for.
 struct effect_times {
-    const double *t_s;         // (count) rises
-    const double *translation; // mm or NULL
-    const double *rotation;    // deg or NULL
+    const double *t_s; // (count) rises
     size_t count;
     double session_s; // added to all times where an effect counts from the session's start (drift)
 };
@@ -57,6 +57,8 @@ struct effect_path {
     double *gain;      // dc / df_remain
     double *way;       // which way the instrument lies in its channel, -1 to 1
     double *lean;      // -2 dp/dB where B is constant, of all elements
+    double *rate;      // d tip / dt up to there, per s; 0 at first
+    double *translation, *rotation; // of the instrument, or NULL
     signed char *side; // the envelope that last carried the tip: +1 rising q, -1 falling, 0 not yet
 };
 

@@ -26,6 +26,7 @@ PROJECTION = frozenset(name for name, *_ in _native.projection_parameters)
 _TABLED = tuple(kind for kind in LIBRARY if kind.in_tables)  # descriptors of the latter
 IN_TABLES = frozenset(p.name for kind in _TABLED for form in kind.forms for p in form.parameters)
 _TRANSFORMED = tuple(kind for kind in LIBRARY if kind.transform)  # effects with a law in Python
+_BY_SIDE = tuple(p.name for p in BY_ID["registration.direction_dependent"].amplitudes)
 _MEANS = frozenset(kind.event.mean for kind in LIBRARY if kind.event)  # names of events' mean effects
 
 
@@ -42,6 +43,7 @@ class Path:
     gain: Array  # dc / df_remain
     way: Array  # to which side the instrument lies in its channel, -1 to 1
     lean: Array  # -2 dp/dB where B is constant, in the mean of all plays: +1 on the rising envelope, -1 on the falling
+    rate: Array  # d tip / dt, unit of q per s, on the straight piece of the motion that ends there
     side: Array  # the envelope that last carried the tip: +1 rising q, -1 falling, 0 not yet
 
 
@@ -177,10 +179,6 @@ def _moved(
     clock_offset_s: float,
 ) -> Path:
     """The path at rising scene times (n,), s, by the library's own laws in C alone; arguments as in `simulate`."""
-    translation, rotation = (
-        None if values is None else np.interp(rising, motor.t_s, values)
-        for values in (motor.translation_mm, motor.rotation_deg)
-    )
     moved = _native.simulate_effects(
         {name: value for name, value in parameters.items() if name in NATIVE},
         model.play.native,
@@ -188,14 +186,14 @@ def _moved(
         motor.t_s,
         motor.q,
         rising,
-        translation,
-        rotation,
+        motor.translation_mm,
+        motor.rotation_deg,
         None if motor.load_mNm is None else motor.load_mNm - load_reference,
         motor.extra.get(parameters.get(COLUMN, "")),  # a joint that is missing is at rest
         clock_offset_s,
         np.nan if start_deg is None else float(model.remaining_inverse(start_deg)),
     )
-    return Path(rising, translation, rotation, *moved)
+    return Path(rising, *moved)
 
 
 _RECENT = 8  # tolerance: tabled models that are kept: a session's recordings need the same ones in turn
@@ -225,6 +223,13 @@ def image(model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_
     """(n, 2) px: where the marker of a path is seen, with the effects of kinematics, registration and camera.
     clock_offset_s: from the path's times to the session's, for a shift."""
     return _see(model, path, parameters, clock_offset_s, False)  # type: ignore[no-any-return]
+
+
+def bends_alone(before: Path, after: Path, parameters: Mapping[str, Any]) -> bool:
+    """Whether what is seen of two paths differs by the bending angle alone: at the same times, and to the same sides
+    of the channel where a registration goes with these."""
+    same_side = not any(parameters.get(name) for name in _BY_SIDE) or np.array_equal(before.way, after.way)
+    return same_side and np.array_equal(before.scene_s, after.scene_s)
 
 
 def see(
