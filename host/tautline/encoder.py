@@ -359,8 +359,18 @@ def _with_others(
 
 def _without_collinear(motor: Motor) -> Motor:
     """The motor without samples that lie on the straight line between their neighbours."""
+    return _with_few_knots(motor, lambda values: _EXACT * float(np.abs(values).max()) + 1e-300)
+
+
+def with_few_knots(motor: Motor, share: float) -> Motor:
+    """The motor with as many of its knots as straight lines need to stay within a share of each column's travel."""
+    return _with_few_knots(motor, lambda values: share * float(np.ptp(values)))
+
+
+def _with_few_knots(motor: Motor, tolerance_of: Callable[[Array], float]) -> Motor:
+    """The motor with as many of its samples as straight lines need to stay within each column's tolerance."""
     columns = [motor.q, motor.translation_mm, motor.rotation_deg, motor.load_mNm, *motor.joints.values()]
-    channels = [(values, _EXACT * float(np.abs(values).max()) + 1e-300) for values in columns if values is not None]
+    channels = [(values, tolerance_of(values)) for values in columns if values is not None]
     keep = _needed_knots(motor.t_s, channels)
     q, translation, rotation, load, *joints = (None if values is None else values[keep] for values in columns)
     named = {name: values for name, values in zip(motor.joints, joints, strict=True) if values is not None}

@@ -452,7 +452,7 @@ class Fitter:
         stride = round(sum(int(s.scored.sum()) for s in self.segments) / _COARSE_FRAMES)
         if stride < 2:
             return self
-        return Fitter(self.model, [s.every(stride) for s in self.segments], self.load_reference)
+        return Fitter(self.model, [s.coarse(stride, self.floor) for s in self.segments], self.load_reference)
 
     def descend(
         self,

@@ -14,6 +14,7 @@ from tautline.core.motor import MotorPath
 from tautline.core.samples import least_noise, noise_of, repeats, strays
 from tautline.core.session import SessionClock
 from tautline.effects import Path
+from tautline.encoder import with_few_knots
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.prediction import settled_from
@@ -25,6 +26,7 @@ Array = npt.NDArray[np.float64]
 
 _CONTINUOUS = 0.9  # tolerance: share of distinct values from which a sensor does not count in steps
 _FEWEST = 8  # tolerance: scored observations of a recording: of fewer `noise_of` tells no noise
+_UNSEEN = 0.3  # tolerance: of the noise, by which a first fit's straight lines may be off
 _ANGLES = 6000  # tolerance: samples of an angle sensor that are enough: of twice as many every second is taken
 
 
@@ -113,11 +115,14 @@ class Segment:
         path = self.follow(model, parameters, load_reference)
         return path, self.seen(model, parameters, path)
 
-    def every(self, stride: int) -> Segment:
-        """The same recording with every `stride`-th observation."""
+    def coarse(self, stride: int, noise: float) -> Segment:
+        """The same recording with every `stride`-th observation, and its motor by straight lines that are off by less
+        than is seen. noise: one standard deviation of an observation, px or deg."""
         kept = slice(None, None, stride)
         few = {name: getattr(self, name)[kept] for name in ("arrival_s", "observed", "scored")}
-        return replace(self, **few, repeats=self.held[kept])
+        reach = float(np.linalg.norm(np.ptp(self.observed[self.scored], axis=0)))
+        motor = with_few_knots(self.motor, _UNSEEN * noise / max(reach, noise))
+        return replace(self, **few, motor=motor, repeats=self.held[kept])
 
     def part(self, keep: npt.NDArray[np.bool_]) -> Segment:
         """The same recording, scored only where `keep` (n,) is true."""
