@@ -421,16 +421,15 @@ class Fitter:
         starts of some of them. The nominal model starts from `start`, for a single effect also as calibrated, as a
         recalibration has bent it towards the effect, and if that was there from the start also with one play in place
         of several. A few observations choose among the starts; all observations end the fit."""
-        coarse, fits, nominals = self.coarse, [], [start]
+        coarse, nominals = self.coarse, [start]
         if len(hypothesis.kinds) == 1:
             nominals.append(self.start())
             if hypothesis.scopes[0] == Scope.START and self.model.elements != SINGLE:
                 nominals.append(replace(self.start(), model=replace(self.model, elements=SINGLE, friction=None)))
-        for nominal in nominals:
-            states = [replace(nominal, values={**values, **other}) for other in ({}, *others)]
-            best = self._best([coarse.descend(hypothesis, state, _ROUGH_STEPS) for state in states])
-            fits.append(coarse.descend(hypothesis, best.state, _COARSE_STEPS, _COARSE_GAIN))
-        return self.descend(hypothesis, self._best(fits).state, _FULL_STEPS)
+        states = [replace(nominal, values={**values, **other}) for nominal in nominals for other in ({}, *others)]
+        best = self._best([coarse.descend(hypothesis, state, _ROUGH_STEPS) for state in states])
+        best = coarse.descend(hypothesis, best.state, _COARSE_STEPS, _COARSE_GAIN)
+        return self.descend(hypothesis, best.state, _FULL_STEPS)
 
     def _best(self, fits: Sequence[Fit]) -> Fit:
         """The fit of the lowest Huber cost, with each recording's smallest limit among the fits; one with non-finite
