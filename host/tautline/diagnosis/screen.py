@@ -216,23 +216,32 @@ class _Scan:
 
     def gain(self, parts: Sequence[Normal], prior: Array | float = 0.0) -> tuple[Array | None, float]:
         """(Best amplitudes, share of the residual's sum of squares that they explain), once the fit's unknowns have
-        absorbed what they can: a = (G - X'N^-1 X + prior)^-1 g, share a'g / sum of squares. parts: normal equations of
-        the recordings with the effect, its amplitudes last; prior: precision matrix of the amplitudes. (None, 0) where
-        the fit's unknowns absorb the effect."""
+        absorbed what they can: as `gains` of one effect. parts: normal equations of the recordings with the effect, its
+        amplitudes last; prior: precision matrix of the amplitudes. (None, 0) where the fit's unknowns absorb it."""
         m = len(self.gradient)
         cross = np.asarray(sum(part.matrix[m:, :m] for part in parts))
         of_effect = np.asarray(sum(part.matrix[m:, m:] for part in parts))
         gradient = np.asarray(sum(part.gradient[m:] for part in parts)) - cross @ self.absorbed
-        free = of_effect - cross @ cho_solve(self.factor, cross.T)
-        size = np.diag(of_effect)
-        if not (np.diag(free) > _FREE**2 * np.maximum(size, 1e-300)).any():
-            return None, 0.0
-        free, size = free + prior, size + np.diag(np.zeros_like(of_effect) + prior)
-        scale = 1.0 / np.sqrt(np.maximum(size, 1e-12 * size.max()))
-        eigenvalues, vectors = np.linalg.eigh(free * np.outer(scale, scale))
+        taken = cross @ cho_solve(self.factor, cross.T)
+        amplitudes, gain = self.gains(of_effect[None], taken[None], gradient[None], prior)
+        return (amplitudes[0], float(gain[0])) if gain[0] >= 0.0 else (None, 0.0)
+
+    def gains(self, of_effect: Array, taken: Array, gradient: Array, prior: Array | float = 0.0) -> tuple[Array, Array]:
+        """((n, k) best amplitudes, (n,) share of the residual's sum of squares that they explain) of n effects, each
+        alone: a = (G - X'N^-1 X + prior)^-1 g, share a'g / sum of squares; -1 where the fit's unknowns absorb an
+        effect. of_effect (n, k, k): G of its columns; taken (n, k, k): X'N^-1 X, what these unknowns take of it;
+        gradient (n, k): g once they have taken theirs; prior (k, k): precision of the amplitudes."""
+        diagonal = np.arange(of_effect.shape[1])
+        free, size = of_effect - taken, of_effect[:, diagonal, diagonal]
+        absorbed = (free[:, diagonal, diagonal] <= _FREE**2 * np.maximum(size, 1e-300)).all(axis=1)
+        free, size = free + prior, size + np.diag(np.zeros(of_effect.shape[1:]) + prior)
+        scale = 1.0 / np.sqrt(np.maximum(size, 1e-12 * size.max(axis=1, keepdims=True)))
+        eigenvalues, vectors = np.linalg.eigh(free * scale[:, :, None] * scale[:, None, :])
         inverse = np.where(eigenvalues > _RANK, 1.0 / np.maximum(eigenvalues, _RANK), 0.0)
-        amplitudes = scale * (vectors @ (inverse * (vectors.T @ (scale * gradient))))
-        return amplitudes, float(amplitudes @ gradient) / self.squares
+        along = inverse * np.einsum("nij,ni->nj", vectors, scale * gradient)
+        amplitudes = scale * np.einsum("nij,nj->ni", vectors, along)
+        explained = np.einsum("ni,ni->n", amplitudes, gradient) / self.squares
+        return amplitudes, np.where(absorbed, -1.0, explained)
 
     # ---- shapes that are scanned densely
 
@@ -274,9 +283,13 @@ class _Scan:
         chosen: list[int] = []
         found: list[Screened] = []
         for form, window in zip((kind.happening(n + 1) for n in range(len(kind.moments))), windows, strict=False):
-            tried = [(i, *self.gain([from_edges.normal([*chosen, i])])) for i in window if i not in chosen]
-            best, amplitudes, gain = max(tried, key=lambda entry: entry[2], default=(0, None, 0.0))
-            if amplitudes is None:
+            tried = [i for i in window if i not in chosen]
+            if not tried:
+                break
+            of_tried, gains = from_edges.gains(chosen, tried)
+            most = int(np.argmax(gains))
+            best, amplitudes, gain = tried[most], of_tried[most], float(gains[most])
+            if gain < 0.0:
                 break
             chosen.append(best)
             values = {p.name: float(a) for p, a in zip(form.amplitudes, amplitudes, strict=True)}
@@ -319,8 +332,9 @@ class _FromEdges:
         recording, as if they held from the first frame on; edges: rising arrival times, s of the session."""
         self.shared, self.count = len(scan.gradient), columns[0].shape[2]
         zero, total = Normal.zeros(self.shared), Normal.zeros(self.shared + self.count)
-        # Of each edge (count, shared + count + 1): the columns' rows of the normal matrix, and their gradient.
-        self._rows: list[Array] = []
+        # Of each edge, the last first, (count, shared + count + 1): the columns' rows of the normal matrix, and their
+        # gradient.
+        rows: list[Array] = []
         times = [s.session_s[s.scored] for s in scan.fitter.segments]
         for begin, end in reversed(list(zip(edges, [*edges[1:], np.inf], strict=True))):
             for t, row, column in zip(times, scan.rows, columns, strict=True):
@@ -330,21 +344,25 @@ class _FromEdges:
                     part = scan.fitter.normal(piece, column[first:last], known=zero)
                     total.matrix[...] += part.matrix
                     total.gradient[...] += part.gradient
-            self._rows.append(np.column_stack([total.matrix[self.shared :], total.gradient[self.shared :]]))
-        self._rows.reverse()
+            rows.append(np.column_stack([total.matrix[self.shared :], total.gradient[self.shared :]]))
+        of_edges = np.array(rows[::-1])
+        cross, self._of_effect, gradient = np.split(of_edges, [self.shared, self.shared + self.count], axis=2)
+        self._gradient = gradient[:, :, 0] - cross @ scan.absorbed
+        self._cross, self._scan = cross, scan
+        # (edges, shared, count): N^-1 X.
+        absorbing = cho_solve(scan.factor, cross.reshape(-1, self.shared).T)
+        self._absorbing = absorbing.reshape(self.shared, -1, self.count).transpose(1, 0, 2)
 
-    def normal(self, edges: Sequence[int]) -> Normal:
-        """Normal equations with the columns from each of these edges (indices) on as unknowns of their own: two edges
-        have the frames after the later one in common."""
-        shared, count = self.shared, self.count
-        normal = Normal.zeros(shared + len(edges) * count)
-        for i, edge in enumerate(edges):
-            here = slice(shared + i * count, shared + (i + 1) * count)
-            normal.matrix[here, :shared], normal.gradient[here] = self._rows[edge][:, :shared], self._rows[edge][:, -1]
-            for j, other in enumerate(edges):
-                in_common = self._rows[max(edge, other)][:, shared : shared + count]
-                normal.matrix[here, shared + j * count : shared + (j + 1) * count] = in_common
-        return normal
+    def gains(self, chosen: Sequence[int], tried: Sequence[int]) -> tuple[Array, Array]:
+        """((tried, amplitudes), (tried,)) as `_Scan.gains`, with the columns from each of the edges `chosen` and one of
+        `tried` (indices) on as unknowns of their own: two edges have the frames after the later one in common."""
+        edges = np.array([[*chosen, i] for i in tried])
+        n, k = edges.shape
+        later = np.maximum(edges[:, :, None], edges[:, None, :])
+        of_effect = self._of_effect[later].transpose(0, 1, 3, 2, 4).reshape(n, k * self.count, k * self.count)
+        cross = self._cross[edges].reshape(n, k * self.count, self.shared)
+        absorbing = self._absorbing[edges].transpose(0, 2, 1, 3).reshape(n, self.shared, k * self.count)
+        return self._scan.gains(of_effect, cross @ absorbing, self._gradient[edges].reshape(n, -1))
 
 
 def _slice_of_rows(row: ScoredRows, part: slice) -> ScoredRows:
