@@ -17,6 +17,7 @@ from tautline.core import samples
 from tautline.diagnosis import confined, gap, heldout, moments, wander
 from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.fitted import Fit, ParameterState, Scope
+from tautline.diagnosis.heldout import Labels
 from tautline.diagnosis.huber import outlier_limit
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.hypotheses import Beyond, Wander
@@ -31,6 +32,7 @@ _LEAST_CHANGE = 0.15  # tolerance: share of a drift's largest value by which it 
 _SMALL_START = 0.1  # tolerance: share of an event's amount from which a fit of its mean effect starts a second time
 _CURVE_PARAMETERS = 3  # prior: effective parameters of a smooth curve: level, slope, curvature
 _NOISE_LIMIT = 4.0  # tolerance: noise floors to which residuals that should be noise are cut: a lost marker is none
+_HOPELESS = 40.0  # tolerance: nats by which a first fit may be less likely than another one to be worth finishing
 _OUTLIER_LIMIT = 8.0  # tolerance: noise floors below which a residual is never cut
 
 
@@ -170,31 +172,31 @@ class Search:
             for label, r in zip(self.labels, residuals, strict=True)
         ]
         limits = [_NOISE_LIMIT * self.fitter.floor * times for times in self.fitter.relative_noise]
-        return Beyond(self._block_powers(residuals, limits), np.concatenate(count).astype(float))
+        return Beyond(self._block_powers(residuals, limits, self.labels), np.concatenate(count).astype(float))
 
     def power(self, residuals: Sequence[Array]) -> Array:
         """(blocks,) mean squares of a coordinate, px^2 or deg^2, block after block and recording after recording, each
         recording's over its noise beside the tests' (`Fitter.relative_noise`). residuals: (scored, k) of each
         recording; they are cut to `limits`."""
-        return self._block_powers(residuals, self.limits)
+        return self._block_powers(residuals, self.limits, self.labels)
 
-    def _block_powers(self, residuals: Sequence[Array], limits: Sequence[float]) -> Array:
+    def _block_powers(self, residuals: Sequence[Array], limits: Sequence[float], labels: Labels) -> Array:
         """As `power`, with the residuals of each recording cut to its own one of `limits`; never less than the power of
         the least noise that a sensor is taken to have, so that what leaves next to nothing leaves noise."""
         least, parts = samples.least_noise("px" if self.fitter.px else "deg") ** 2, []
-        for r, label, limit, times in zip(residuals, self.labels, limits, self.fitter.relative_noise, strict=True):
+        for r, label, limit, times in zip(residuals, labels, limits, self.fitter.relative_noise, strict=True):
             squares = np.mean((np.minimum(np.abs(r), limit) / times) ** 2, axis=1)
             parts.append(np.maximum(np.bincount(label, squares) / np.bincount(label), least))
         return np.concatenate(parts)
 
     def on_top_of(self, below: Candidate, refits: int, both_scopes: int) -> list[Candidate]:
-        """Fits of one more effect on top of `below`, the smallest `_mean_log_power` first: the `refits` effects with
-        the largest linear score and what these contain (`Kind.contains`), each in the scope (since when it is there)
-        that scores best; the best `both_scopes` of them in their other scopes too."""
+        """Fits of one more effect on top of `below`, the smallest `_mean_log_power` first: of the `refits` effects with
+        the largest linear score and what these contain (`Kind.contains`) those that are not `_hopeless`, each in the
+        scope (since when it is there) that scores best; the best `both_scopes` of them in their other scopes too."""
         screened: dict[str, dict[Scope, Screened]] = {}  # by id and scope, the largest score first
         for entry in screen(self.fitter, below.fit, self._with_path, self.limits, self.scopes):
             screened.setdefault(entry.kind.id, {}).setdefault(entry.scope, entry)
-        candidates: list[Candidate] = []
+        tried: list[Screened] = []
         leading = list(screened)[:refits]
         # What a flexible effect contains takes its place where it suffices, so it has to be there.
         contains = {kind.id: kind.contains for kind in self._with_path}
@@ -205,37 +207,62 @@ class Search:
             # towards them, and of a simulator's parameters, in which the simulation need not be linear.
             step_tells_little = best.kind.nominal or best.kind.stage == SIMULATOR
             if name in leading or (both_scopes and step_tells_little):
-                candidates += self._refitted_while_it_helps(below, best)
+                tried.append(best)
             if both_scopes and best.kind.each:
-                for other in others:
-                    candidates += self._refitted(below, other)
+                tried += others
+        begun = [self._begun(below, entry) for entry in tried]
+        candidates: list[Candidate] = []
+        for entry, fit, hopeless in zip(tried, begun, self._hopeless(begun), strict=True):
+            if not hopeless:
+                candidates += self._finished_while_it_helps(below, entry, fit)
         candidates.sort(key=_mean_log_power)
         for candidate in candidates[:both_scopes]:
-            kind, tried = candidate.fit.hypothesis.kinds[-1], candidate.fit.hypothesis.scopes[-1]
+            kind, since = candidate.fit.hypothesis.kinds[-1], candidate.fit.hypothesis.scopes[-1]
             for scope, other in screened[kind.id].items():
-                if scope != tried and not kind.each:
-                    candidates += self._refitted(below, other)
+                if scope != since and not kind.each:
+                    candidates += self._finished(other, self._begun(below, other))
         return sorted(candidates, key=_mean_log_power)
 
-    def _refitted(self, below: Candidate, entry: Screened) -> list[Candidate]:
-        """[The screened effect fitted in full beside those of `below`]; [] where the fit fails, or where no recording
-        shows its moments or its drift."""
+    def _begun(self, below: Candidate, entry: Screened) -> Fit:
+        """A first fit of the screened effect beside those of `below`."""
         self._progress(f"fitting {' and '.join((*below.ids, entry.kind.id))}")
         start = {**below.fit.state.values, **entry.values}
         hypothesis = below.fit.hypothesis.plus(entry.kind, entry.scope)
-        fit = self.fitter.fit(hypothesis, start, below.fit.state, entry.others)
+        return self.fitter.begun(hypothesis, start, below.fit.state, entry.others)
+
+    def _hopeless(self, begun: Sequence[Fit]) -> list[bool]:
+        """Of each first fit whether it cannot be the cause if another of them may: of each block one number beyond the
+        noise is told (Stacked.log_likelihood), so that one which leaves m times the power in n blocks is n log(m) / 2
+        nats less likely. One that predicts nothing is."""
+        labels = [
+            np.unique(label[np.searchsorted(s.arrival_s[s.scored], few.arrival_s[few.scored])], return_inverse=True)[1]
+            for s, few, label in zip(self.fitter.segments, self.fitter.coarse.segments, self.labels, strict=True)
+        ]
+        floor2 = self.fitter.floor**2
+        nats = [
+            0.5 * float(np.sum(np.log(np.maximum(self._block_powers(fit.residuals, self.limits, labels), floor2))))
+            if fit.finite
+            else np.inf
+            for fit in begun
+        ]
+        return [not n < min(nats) + _HOPELESS for n in nats]
+
+    def _finished(self, entry: Screened, begun: Fit) -> list[Candidate]:
+        """[The fit of a screened effect that was begun]; [] where it fails, or where no recording shows its moments or
+        its drift."""
+        fit = self.fitter.finished(begun)
         if fit.finite and moments.moments_of(fit):
             fit = moments.refined(self.fitter, fit, self.limits)
         if not (fit.finite and moments.seen_to_happen(self.fitter, fit, self.limits) and self._seen_to_change(fit)):
             return []
         return [self.evaluated(fit)]
 
-    def _refitted_while_it_helps(self, below: Candidate, entry: Screened) -> list[Candidate]:
-        """As `_refitted`; of an effect that happens at moments (shift, slip) also fits with two moments, three, ..., up
+    def _finished_while_it_helps(self, below: Candidate, entry: Screened, begun: Fit) -> list[Candidate]:
+        """As `_finished`; of an effect that happens at moments (shift, slip) also fits with two moments, three, ..., up
         to the first that fails or leaves more than the one before."""
-        fitted = self._refitted(below, entry)
+        fitted = self._finished(entry, begun)
         for repeated in entry.more if fitted else ():
-            again = self._refitted(below, repeated)
+            again = self._finished(repeated, self._begun(below, repeated))
             fitted += again
             if not again or _mean_log_power(fitted[-1]) > _mean_log_power(fitted[-2]):
                 break

@@ -417,10 +417,20 @@ class Fitter:
         start: ParameterState,
         others: Sequence[Mapping[str, float]] = (),
     ) -> Fit:
-        """The best fit of a hypothesis from several starts. values: of the effects' parameters, by key; others: further
-        starts of some of them. The nominal model starts from `start`, for a single effect also as calibrated, as a
-        recalibration has bent it towards the effect, and if that was there from the start also with one play in place
-        of several. A few observations choose among the starts; all observations end the fit."""
+        """The best fit of a hypothesis from several starts; arguments as for `begun`."""
+        return self.finished(self.begun(hypothesis, values, start, others))
+
+    def begun(
+        self,
+        hypothesis: Hypothesis,
+        values: Mapping[str, float],
+        start: ParameterState,
+        others: Sequence[Mapping[str, float]] = (),
+    ) -> Fit:
+        """A fit to the observations of `coarse`, with their residuals. values: of the effects' parameters, by key;
+        others: further starts of some of them. The nominal model starts from `start`, for a single effect also as
+        calibrated, as a recalibration has bent it towards the effect, and if that was there from the start also with
+        one play in place of several."""
         coarse, nominals = self.coarse, [start]
         if len(hypothesis.kinds) == 1:
             nominals.append(self.start())
@@ -428,8 +438,11 @@ class Fitter:
                 nominals.append(replace(self.start(), model=replace(self.model, elements=SINGLE, friction=None)))
         states = [replace(nominal, values={**values, **other}) for nominal in nominals for other in ({}, *others)]
         best = self._best([coarse.descend(hypothesis, state, _ROUGH_STEPS) for state in states])
-        best = coarse.descend(hypothesis, best.state, _COARSE_STEPS, _COARSE_GAIN)
-        return self.descend(hypothesis, best.state, _FULL_STEPS)
+        return coarse.descend(hypothesis, best.state, _COARSE_STEPS, _COARSE_GAIN)
+
+    def finished(self, begun: Fit) -> Fit:
+        """A fit that was `begun`, to all observations."""
+        return self.descend(begun.hypothesis, begun.state, _FULL_STEPS)
 
     def _best(self, fits: Sequence[Fit]) -> Fit:
         """The fit of the lowest Huber cost, with each recording's smallest limit among the fits; one with non-finite
