@@ -215,10 +215,20 @@ class _Joined:
 
     def likeliest(self, family: Callable[[float], Array], scales: Array) -> tuple[Array, float]:
         """(Log-density (n,) of the likeliest member of a family of densities, mixed with a broad one; its parameter).
-        family: parameter to log-density (n,); scales: the parameters to try."""
-        tried = [self._with_broad(family(float(s))) for s in scales]
-        chosen = int(np.argmax([float(np.sum(x)) for x in tried]))
-        return tried[chosen], float(scales[chosen])
+        family: parameter to log-density (n,); scales: the parameters to try: every so manyth of them, then those about
+        the best."""
+        tried: dict[int, Array] = {}
+
+        def log_likelihood(i: int) -> float:
+            """Of the frames, with the i-th of the scales."""
+            if i not in tried:
+                tried[i] = self._with_broad(family(float(scales[i])))
+            return float(np.sum(tried[i]))
+
+        stride, last = round(np.sqrt(len(scales))), len(scales) - 1
+        best = max({*range(0, last, stride), last}, key=log_likelihood)
+        best = max(range(max(best - stride + 1, 0), min(best + stride, last + 1)), key=log_likelihood)
+        return tried[best], float(scales[best])
 
     def _with_broad(self, log_density: Array) -> Array:
         """(n,) The log-density (n,) mixed with a share _BROAD of a Gaussian as wide as all residuals."""
