@@ -339,7 +339,7 @@ def test_effects_act_on_elements_as_on_a_single_play(parameters):
     expected = effects.follow(own, motor, at, parameters).tip
     warp = warp_of(GRID, BUMP, 0.008)
     one = _native.Plays(GRID, BUMP, warp.q, warp.x, np.array([0.5]), np.array([1.0]), 0.0)
-    found = _native.simulate_effects(parameters, one, own.c_deg, motor.t_s, motor.q, at, load=motor.load_mNm)[2]
+    found = _native.simulate_effects(parameters, one, own.c_deg, motor.t_s, motor.q, at, load=motor.load_mNm)[4]
     plain = effects.follow(own, motor, at, {}).tip
     assert np.abs(expected - plain).max() > 5e-3  # it does something
     assert np.abs(found - expected).max() < 0.1 * np.abs(expected - plain).max()

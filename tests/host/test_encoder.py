@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tautline import trajectory
-from tautline.encoder import between_counts, count_of, posterior_of, straight_lines, swings
+from tautline.encoder import between_counts, count_of, posterior_of, straight_lines, swings, with_few_knots
 from tautline.recording import Motor
 
 COUNT = 0.001
@@ -57,6 +57,19 @@ def test_stops_are_known_to_a_millisecond_in_the_mean():
         errors.append(min(abs(rest[0] - stop) for rest in rests(lines)))
         begin = stop + 0.4
     assert np.mean(errors) < 0.0015
+
+
+@pytest.mark.parametrize("share", [1e-4, 1e-2])
+def test_few_knots_are_off_by_no_more_than_was_allowed(share):
+    t_s = np.arange(0.0, 60.0, 0.01)
+    motor = Motor(t_s, 3.0 * np.sin(t_s), None, 20.0 * np.cos(0.3 * t_s), None, np.sin(2.0 * t_s), {"wrist_deg": t_s})
+    few = with_few_knots(motor, share)
+    assert len(few.t_s) < 0.7 * len(t_s)
+    columns = ("q", "translation_mm", "load_mNm")
+    pairs = [(getattr(motor, name), getattr(few, name)) for name in columns]
+    for was, now in [*pairs, (motor.joints["wrist_deg"], few.joints["wrist_deg"])]:
+        assert np.abs(np.interp(t_s, few.t_s, now) - was).max() < 1.01 * share * np.ptp(was)
+    assert few.rotation_deg is None
 
 
 @pytest.mark.parametrize("seed", range(4))

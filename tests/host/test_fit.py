@@ -7,12 +7,12 @@ import pytest
 
 from tautline import effects, trajectory
 from tautline.core.session import SessionClock
-from tautline.diagnosis.candidates import applicable
+from tautline.diagnosis.candidates import Search, applicable
 from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.fitted import Fit, Hypothesis, Scope
 from tautline.diagnosis.huber import huber_weight
 from tautline.diagnosis.moments import refined, seen_to_happen
-from tautline.diagnosis.screen import screen
+from tautline.diagnosis.screen import _FromEdges, _Scan, screen
 from tautline.diagnosis.segment import prepare
 from tautline.effects import BY_ID
 from tautline.encoder import between_counts, straight_lines
@@ -215,6 +215,40 @@ def test_what_slips_twice_is_found_twice():
     slips = sorted((found.state.values[f"slip_time_{i}"], found.state.values[f"slip_{i}"]) for i in (1, 2))
     assert [size for _, size in slips] == pytest.approx([-0.06, 0.09], abs=2e-3)
     assert [at for at, _ in slips] == pytest.approx([102.53, 110.01], abs=0.2)
+
+
+def test_moments_that_are_scored_at_once_have_the_gain_of_columns_that_begin_there():
+    """Against the plain normal equations of columns that are zero before each moment."""
+    fitter = fitter_of(recordings({"slip_1": -0.06, "slip_time_1": 102.53}))
+    base = fitter.nominal()
+    scan = _Scan(fitter.coarse, base, [1e3] * len(base.residuals), tuple(Scope))
+    columns = scan._columns_if_always(BY_ID["transmission.slip"])
+    times = [s.session_s[s.scored] for s in fitter.coarse.segments]
+    edges = np.array([5.0, 30.0, 102.6, 104.0, 110.0])
+    from_edges = _FromEdges(scan, columns, edges)
+    for chosen in ([], [3], [3, 0]):
+        tried = [i for i in range(len(edges)) if i not in chosen]
+        amplitudes, gains = from_edges.gains(chosen, tried)
+        for i, found, gain in zip(tried, amplitudes, gains, strict=True):
+            begins = edges[[*chosen, i]]
+            parts = [
+                scan.fitter.normal(row, np.concatenate([of * (t >= at)[:, None, None] for at in begins], axis=2))
+                for row, of, t in zip(scan.rows, columns, times, strict=True)
+            ]
+            expected, share = scan.gain(parts)
+            assert expected == pytest.approx(found, rel=1e-6, abs=1e-9) and share == pytest.approx(gain, rel=1e-6)
+
+
+def test_a_first_fit_is_not_finished_only_where_another_leaves_far_less_of_many_blocks():
+    names = ["transmission.lag", "camera.distortion", "kinematics.nonconstant_curvature"]
+    for lag, hopeless in ((0.08, [False, True, True]), (0.0, [False, False, False])):
+        fitter = fitter_of(recordings({"lag": lag}))
+        search = Search(fitter, fitter.recalibrated(), [BY_ID[name] for name in names], lambda text: None)
+        screened = {entry.kind.id: entry for entry in screen(fitter, search.base.fit, search.kinds, search.limits)}
+        fits = [search._begun(search.base, screened[name]) for name in names]
+        assert search._hopeless(fits) == hopeless
+        gone = replace(fits[1], residuals=[np.full_like(r, np.nan) for r in fits[1].residuals])
+        assert search._hopeless([fits[0], gone]) == [False, True]
 
 
 def test_an_axis_that_never_moved_hides_no_other():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tautline.diagnosis.scatter import RIVALS, Scatter, compared, frames
+from tautline.diagnosis.scatter import RIVALS, Scatter, _Joined, compared, frames
 
 FLOOR, RATE_HZ = 0.05, 25.0
 JITTER, STICK = "acquisition.jitter", "transmission.stick_slip"
@@ -97,6 +97,22 @@ def test_an_angle_alone_says_the_same(make, name):
     said = told(np.random.default_rng(9), make, PX_PER_UNIT[:1])
     mean = {key: float(np.mean(said.loss[key])) for key in (JITTER, STICK, *RIVALS)}
     assert min(mean, key=lambda key: mean[key]) == name, mean
+
+
+@pytest.mark.parametrize("make", [unsteady, waiting, sticking, repeating, lagging, blurred, wandering])
+def test_the_likeliest_of_a_grid_is_found_though_not_all_of_it_is_tried(make):
+    at = told(np.random.default_rng(3), make)
+
+    def all_tried(self, family, scales):
+        tried = [self._with_broad(family(float(s))) for s in scales]
+        best = int(np.argmax([float(np.sum(x)) for x in tried]))
+        return tried[best], float(scales[best])
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(_Joined, "likeliest", all_tried)
+        everywhere = told(np.random.default_rng(3), make)
+    assert at.amount == everywhere.amount
+    assert all(np.array_equal(at.loss[name], loss) for name, loss in everywhere.loss.items())
 
 
 def test_their_sizes_are_found():

@@ -259,24 +259,30 @@ class Fitter:
             [c_by_b * np.interp(p, model.q, self._details[0]), gain * np.interp(tip, model.q, self._details[1])]
         )
         c_rate = path.gain * np.interp(path.tip, model.q, slope_f) * path.rate
-        by_delay = self._by_delay(segment, simulated, c_rate)
+        by_delay = self._by_delay(segment, nominal, simulated, c_rate)
         columns = np.concatenate(
             [by_c[scored][:, :, None] * details[:, None, :], simulated.by_static[scored], by_delay[scored][:, :, None]],
             axis=2,
         )
         return ScoredRows(p, tip, c_by_b, gain, by_c[scored], columns, simulated.residual, path, model)
 
-    def _by_delay(self, segment: Segment, simulated: _Simulated, c_rate: Array) -> Array:
+    def _by_delay(self, segment: Segment, nominal: Model, simulated: _Simulated, c_rate: Array) -> Array:
         """(n, k) d prediction / d delay, px or deg per s: minus the velocity of what the sensor shows; 0 where the
         model has no delay for this sensor. c_rate (n,): d c / dt, deg per s."""
-        path, by_c = simulated.path, simulated.by_c
+        path, by_c, parameters = simulated.path, simulated.by_c, simulated.parameters
         if not self.delayed:
             return np.zeros_like(by_c)
-        if self.px and (path.translation_mm is not None or path.rotation_deg is not None):  # these are delayed as well
+        by_side = effects.goes_with_side(parameters)
+        if not self.px or not (by_side or path.translation_mm is not None or path.rotation_deg is not None):
+            return np.asarray(-c_rate[:, None] * by_c)
+        # What else moves is delayed as well.
+        less_delay = {**parameters, "delay": parameters.get("delay", 0.0) - _AHEAD_S}
+        if by_side:
+            ahead = segment.follow(nominal, less_delay, self.load_reference)
+        else:
             ahead = segment.ahead(path, c_rate, _AHEAD_S)
-            image = effects.image(simulated.model, ahead, simulated.parameters, segment.offset_s)
-            return np.asarray((simulated.seen - image) / _AHEAD_S)
-        return np.asarray(-c_rate[:, None] * by_c)
+        image = effects.image(simulated.model, ahead, parameters, segment.offset_s)
+        return np.asarray((simulated.seen - image) / _AHEAD_S)
 
     def normal(
         self, rows: Rows, extra: Array | None = None, weight: Array | None = None, known: Normal | None = None

@@ -151,10 +151,11 @@ def compared(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
     finest_s = floor / max(float(np.quantile(frames.speed, _FAST_IMAGE)), 1e-9)
     seconds = np.geomspace(min(0.1 * finest_s, 0.1 * _LONGEST_S), _LONGEST_S, 41)
     steady, waiting = frames.likeliest(frames.jitter, seconds), frames.likeliest(frames.waiting, seconds)
-    jittered, jitter_s = max(steady, waiting, key=lambda likeliest: float(np.sum(likeliest[0])))
+    jittered, jitter_s = max(steady, waiting, key=_log_likelihood)
     fast_drive = max(float(np.quantile(frames.driven, _FAST)), 1e-9)  # unit of q from frame to frame
     stuck, jump = frames.likeliest(frames.stick, np.geomspace(_JUMPS[0] * fast_drive, _JUMPS[1] * fast_drive, 61))
-    lengths = np.concatenate([way * np.geomspace(0.1 * _JUMPS[0] * fast_drive, fast_drive, 31) for way in (-1.0, 1.0)])
+    lengths = np.geomspace(0.1 * _JUMPS[0] * fast_drive, fast_drive, 31)
+    behind, ahead = (frames.likeliest(frames.behind, way * lengths) for way in (1.0, -1.0))
     repeated, held_share = frames.likeliest(frames.repeats, _HELD_SHARES)
     level = frames.two_levels(frames.residual)
     log_densities = {
@@ -163,7 +164,7 @@ def compared(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
         _AS_IT_IS: frames.two_levels(frames.as_it_is),
         "level": level,
         "blur": frames.likeliest(frames.blur, seconds)[0] if frames.coordinates > 1 else level,
-        "behind": frames.likeliest(frames.behind, lengths)[0],
+        "behind": max(behind, ahead, key=_log_likelihood)[0],
         "memory": frames.two_levels(frames.residual - frames.by_memory()),
         HELD: repeated,
         "pixels": frames.two_levels(frames.residual - _pixel_phase_part(frames.residual, frames.image)),
@@ -177,6 +178,11 @@ def compared(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
         for name, x in log_densities.items()
     }
     return Scatter(loss, {JITTER: jitter_s, STICK_SLIP: jump, HELD: held_share})
+
+
+def _log_likelihood(likeliest: tuple[Array, float]) -> float:
+    """Of all frames, of what `_Joined.likeliest` found."""
+    return float(np.sum(likeliest[0]))
 
 
 class _Joined:
@@ -215,8 +221,8 @@ class _Joined:
 
     def likeliest(self, family: Callable[[float], Array], scales: Array) -> tuple[Array, float]:
         """(Log-density (n,) of the likeliest member of a family of densities, mixed with a broad one; its parameter).
-        family: parameter to log-density (n,); scales: the parameters to try: every so manyth of them, then those about
-        the best."""
+        family: parameter to log-density (n,); scales: the parameters to try: every third of them, then those about the
+        best."""
         tried: dict[int, Array] = {}
 
         def log_likelihood(i: int) -> float:
@@ -225,9 +231,9 @@ class _Joined:
                 tried[i] = self._with_broad(family(float(scales[i])))
             return float(np.sum(tried[i]))
 
-        stride, last = round(np.sqrt(len(scales))), len(scales) - 1
-        best = max({*range(0, last, stride), last}, key=log_likelihood)
-        best = max(range(max(best - stride + 1, 0), min(best + stride, last + 1)), key=log_likelihood)
+        last = len(scales) - 1
+        best = max({*range(0, last, 3), last}, key=log_likelihood)
+        best = max(range(max(best - 2, 0), min(best + 2, last) + 1), key=log_likelihood)
         return tried[best], float(scales[best])
 
     def _with_broad(self, log_density: Array) -> Array:

@@ -97,14 +97,19 @@ class Segment:
 
     def ahead(self, path: Path, c_rate: Array, by_s: float) -> Path:
         """The path (n,) at scene times by_s, s, later: the instrument's other axes as they were moved, the bending
-        angle on at c_rate (n,), deg per s."""
-        motor = self.motor
+        angle on at c_rate (n,), deg per s, to the same side of the channel."""
+        motor, later_s = self.motor, path.scene_s + by_s
         translation, rotation = (
-            None if values is None else np.interp(path.scene_s + by_s, motor.t_s, values)
+            None if values is None else np.interp(later_s, motor.t_s, values)
             for values in (motor.translation_mm, motor.rotation_deg)
         )
-        later = path.scene_s + by_s, path.c_deg + by_s * c_rate
-        return replace(path, scene_s=later[0], c_deg=later[1], translation_mm=translation, rotation_deg=rotation)
+        return replace(
+            path,
+            scene_s=later_s,
+            translation_mm=translation,
+            rotation_deg=rotation,
+            c_deg=path.c_deg + by_s * c_rate,
+        )
 
     def seen(self, model: Model, parameters: Mapping[str, Any], path: Path) -> Array:
         """(n, k) What the sensor would show of this path with these effects' parameters: px with a marker, else deg."""

@@ -225,10 +225,15 @@ def image(model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_
     return _see(model, path, parameters, clock_offset_s, False)  # type: ignore[no-any-return]
 
 
+def goes_with_side(parameters: Mapping[str, Any]) -> bool:
+    """Whether what is seen depends on the side of the channel (`Path.way`), with these effects' parameters."""
+    return any(parameters.get(name) for name in _BY_SIDE)
+
+
 def bends_alone(before: Path, after: Path, parameters: Mapping[str, Any]) -> bool:
     """Whether what is seen of two paths differs by the bending angle alone: at the same times, and to the same sides
-    of the channel where a registration goes with these."""
-    same_side = not any(parameters.get(name) for name in _BY_SIDE) or np.array_equal(before.way, after.way)
+    of the channel where these count."""
+    same_side = not goes_with_side(parameters) or np.array_equal(before.way, after.way)
     return same_side and np.array_equal(before.scene_s, after.scene_s)
 
 
