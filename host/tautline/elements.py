@@ -31,6 +31,8 @@ _PAST = 8  # tolerance: periods beyond the table's ends in which it is still exa
 _BEYOND = 1e3  # tolerance: and to which it goes on
 _RIDGE = 1e-15  # tolerance: of the normal matrix' trace
 _SAME = 1e-12  # tolerance: of a period: knots that are nearer to each other are one
+_STEEPEST = 1.95  # limit: |B'| of a table that was smoothed: T rises while it is below 2
+_FINER = 8  # tolerance: nodes of the smoothed table for each of the table's
 
 
 @dataclass(frozen=True)
@@ -106,8 +108,10 @@ class Play:
 
     @property
     def narrow(self) -> float:
-        """The width, unit of q, below which a single play is used: a few counts, a share of the largest width, or so
-        much that the warp has at most _PERIODS periods."""
+        """The width, unit of q, where B is below which the single play stands for the elements: what they do within it
+        is not seen, while the warp, which rises by 1 over each width, would need ever more knots. The largest of a few
+        encoder counts, a share of the widest B, and the range over _PERIODS, as the warp has at most so many periods
+        then."""
         widest = float(self.width.max())
         span = float(self.grid[-1] - self.grid[0])
         return max(_NARROW_COUNTS * self.count, _NARROW_SHARE * widest, span / _PERIODS)
@@ -189,7 +193,8 @@ class _Periods:
         return _interpolated(u, self.right, self.left)
 
     def into_period(self, u: Array, first: float, last: float) -> Array:
-        """Each of u moved by whole periods into [first, last)."""
+        """(n,) Each of u (n,), unit of q, moved up or down by whole periods, T or its inverse, until it lies in the one
+        period [first, last), last = T(first)."""
         u = u.copy()
         while (above := u >= last).any():
             u[above] = self.down(u[above])
@@ -230,12 +235,12 @@ def _warp_in_one_period(grid: Array, width: Array, first: float, last: float) ->
 
 def _without_corners(grid: Array, width: Array) -> tuple[Array, Array]:
     """The table on a finer grid as a cubic spline, if that is still a backlash table (half the least width at least,
-    |B'| below 1.95); else as it is."""
+    |B'| below _STEEPEST); else as it is."""
     if len(grid) < 4:
         return grid, width
-    fine = np.linspace(grid[0], grid[-1], 8 * len(grid))
+    fine = np.linspace(grid[0], grid[-1], _FINER * len(grid))
     curve = CubicSpline(grid, width)(fine)
-    lawful = curve.min() > 0.5 * width.min() and (np.abs(np.diff(curve)) < 1.95 * np.diff(fine)).all()
+    lawful = curve.min() > 0.5 * width.min() and (np.abs(np.diff(curve)) < _STEEPEST * np.diff(fine)).all()
     return (fine, curve) if lawful else (grid, width)
 
 

@@ -36,6 +36,8 @@ _OF_NOISE = 4.0  # prior: standard deviations, of a third difference: more is a 
 _WAVES = 512  # tolerance: frequencies at which a smoother's trace is summed
 _FEWEST, _CLEARLY = 100, 5.0  # tolerance: readings that tell whether a motor trembles; standard errors
 _UNEVEN = 10.0  # tolerance: times a gap's shorter neighbour: beyond it noise is all that is seen
+_SHARPEST = 0.98  # tolerance: quantile of the bends: single readings may be wrong
+_BENT_BY_NOISE = 2.0  # tolerance: standard deviations of the readings' noise, below which a bend may be noise
 _LAST = 2.0  # samples: within so many of a stop no knot tells a speed
 _EXACTLY = 1e-6  # tolerance: of the motor's travel: readings with finer noise or steps are what they say
 _AGREES, _STRAYS = 2.5, 5.0  # tolerance: counts, and sigmas of their noise, that readings are from a motor's path
@@ -148,16 +150,18 @@ def _skips_counts(motor: Motor, steps: Steps | None) -> bool:
 
 
 def between_samples(motor: Motor) -> float:
-    """How far straight lines between samples may be from the motor's path, its unit: the sagitta (of what a reading is
-    off the line between its neighbours a quarter, and as much more as the longer gap is than the shorter) at its
-    sharpest bends above the noise; infinite for fewer than five readings."""
+    """How far straight lines between samples may be from the motor's path, its unit; infinite for fewer than five
+    readings. A path of acceleration a is a h^2 / 8 off its chord over a gap h, the sagitta, and a reading with gaps h1
+    and h2 beside it is a h1 h2 / 2 off the line between its neighbours, which tells a. That of the longer gap is taken
+    at nearly the sharpest bend, less what noise alone may bend the readings."""
     t_s, q = motor.t_s, motor.q
     if len(q) < 5:
         return float("inf")
     share = (t_s[1:-1] - t_s[:-2]) / (t_s[2:] - t_s[:-2])
-    uneven = np.minimum(np.maximum(share, 1.0 - share) / np.maximum(np.minimum(share, 1.0 - share), 1e-12), _UNEVEN)
-    bend = np.abs(q[1:-1] - q[:-2] - share * (q[2:] - q[:-2])) / 4.0 * uneven
-    return float(max(float(np.quantile(bend, 0.98)) - 2.0 * reading_noise(motor), 0.0))
+    longer, shorter = np.maximum(share, 1.0 - share), np.minimum(share, 1.0 - share)
+    off_chord = np.abs(q[1:-1] - q[:-2] - share * (q[2:] - q[:-2]))
+    sagitta = off_chord / 4.0 * np.minimum(longer / np.maximum(shorter, 1e-12), _UNEVEN)
+    return float(max(float(np.quantile(sagitta, _SHARPEST)) - _BENT_BY_NOISE * reading_noise(motor), 0.0))
 
 
 def _smoothed(t_s: Array, q: Array) -> Array:
