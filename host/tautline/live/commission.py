@@ -176,7 +176,7 @@ def _commission_drive(live: Live, agree: Agree, say: Say, given: dict[str, Any])
     _check_range_within_drive(live)
     _, commissioned = _check_and_store_range(live, agree, say, given, "the drive goes where it is told")
 
-    start = float(np.clip(board.status(axis).q * live.resolution, *actuator.range))
+    start = float(np.clip(live.motor_position(), *actuator.range))
     direction = 1 if start > sum(actuator.range) / 2 else -1
     commissioned.q, commissioned.speed_s = start, live.top_speed / live.resolution
     _require_agreement(

@@ -17,7 +17,7 @@ class TakenUp:
 
     def __init__(self, model: Model) -> None:
         self._q = model.q
-        self._measured = (model.q >= model.measured[0]) & (model.q <= model.measured[1])
+        self._measured = model.is_measured
         self._allowed = np.ones(len(model.q))
         self.scale, self.dialled = 1.0, ""
 
