@@ -298,13 +298,7 @@ def _through(motor: Motor, steps: Steps, order: int) -> Driven:
 def _with_sample_knots(motor: Motor, lines: Motor) -> Motor:
     """The lines with a knot at every sample of the motor too."""
     t_s = np.union1d(lines.t_s, motor.t_s)
-
-    def taken(values: Array | None) -> Array | None:
-        return None if values is None else np.interp(t_s, lines.t_s, values)
-
-    extra = {name: np.interp(t_s, lines.t_s, values) for name, values in lines.extra.items()}
-    translation, rotation, load = map(taken, (lines.translation_mm, lines.rotation_deg, lines.load_mNm))
-    return Motor(t_s, np.interp(t_s, lines.t_s, lines.q), None, translation, rotation, load, extra)
+    return lines.resampled(t_s, np.interp(t_s, lines.t_s, lines.q), lines.extra)
 
 
 def _even_lines(motor: Motor, resolution: float) -> Motor:
@@ -352,13 +346,8 @@ def _with_others(
         right = np.minimum(left + (t_s[left] < at), len(t_s) - 1)
         fixed = fixed[left] & fixed[right] & (q[left] == q[right])
         t_s, q = at, np.interp(at, t_s, q)
-
-    def taken(values: Array | None) -> Array | None:
-        return None if values is None else np.interp(t_s, motor.t_s, values)
-
     level = q if smooth is None else _least_squares_knots(motor.t_s, smooth, t_s, q, fixed)
-    joints = {name: np.interp(t_s, motor.t_s, values) for name, values in motor.joints.items()}
-    return Motor(t_s, level, None, taken(others[0]), taken(others[1]), taken(others[2]), joints)
+    return motor.resampled(t_s, level, motor.joints)
 
 
 def _without_collinear(motor: Motor) -> Motor:
