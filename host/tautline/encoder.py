@@ -64,7 +64,14 @@ def _between_and_steps(motor: Motor, resolution: float) -> tuple[Motor, Steps | 
         return replace(motor, q=_smoothed(motor.t_s, motor.q)), steps if noise < _OWN_STEPS else None
     if steps is None:
         return motor, None
-    t, counts = motor.t_s, steps.counts
+    return replace(motor, q=_through_changes(motor.t_s, steps)), steps
+
+
+def _through_changes(t: Array, steps: Steps) -> Array:
+    """(n,) Positions at the readings' times t (n,), s, on straight lines through an encoder's counts. The motor crosses
+    the boundary of two counts midway between the readings that differ, is at the centre of either half the shorter of
+    their two dwells before and after that, and stays there in between: at an even speed these lines are one."""
+    counts = steps.counts
     changes = np.flatnonzero(np.diff(counts))
     times = 0.5 * (t[changes] + t[changes + 1])
     boundary = 0.5 * (counts[changes] + counts[changes + 1])
@@ -85,7 +92,7 @@ def _between_and_steps(motor: Motor, resolution: float) -> tuple[Motor, Steps | 
     knots_t = np.concatenate([ends[0], knots_t, ends[1]])
     knots_q = np.concatenate([[counts[0]] * 2, knots_q, [counts[-1]] * 2])
     order = np.argsort(knots_t, kind="stable")
-    return replace(motor, q=steps.zero + steps.count * np.interp(t, knots_t[order], knots_q[order])), steps
+    return np.asarray(steps.zero + steps.count * np.interp(t, knots_t[order], knots_q[order]))
 
 
 def reading_noise(motor: Motor) -> float:
@@ -368,7 +375,9 @@ def _needed_knots(t_s: Array, channels: list[tuple[Array, float]]) -> npt.NDArra
 
 
 def _knots(motor: Motor, tolerance: float, stops: list[Rest]) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-    """Times and positions of the bending motor's knots, and which of them are at rests or turns."""
+    """Times (k,), s, and positions (k,) of the knots between which straight lines are within `tolerance`, the motor's
+    unit, of its positions, with knots where each of `stops` begins and ends in place of those within it; and which of
+    them (k,) are at rests or turns."""
     keep = _needed_knots(motor.t_s, [(motor.q, tolerance)])
     t, q = motor.t_s[keep], motor.q[keep]
     fixed = np.zeros(len(t), dtype=bool)
