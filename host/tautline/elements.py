@@ -27,10 +27,12 @@ _PERIODS = 4000  # limit: of the warp, at most, over the table
 _MESH = 32  # tolerance: nodes of a period on which the warp's smoothness is measured
 _FINE = 64  # tolerance: and at least so many that it is sampled at
 _AT_LEAST = 0.05  # tolerance: of the mean rise: the warp's least, between two nodes of the mesh
-_PAST = 8  # tolerance: periods beyond the table's ends in which it is still exact
+_PAST = 8  # tolerance: widths beyond the table's ends in which it is still exact
 _BEYOND = 1e3  # tolerance: and to which it goes on
 _RIDGE = 1e-15  # tolerance: of the normal matrix' trace
 _SAME = 1e-12  # tolerance: of a period: knots that are nearer to each other are one
+_STEEPEST = 1.95  # limit: |B'| of a table that was smoothed: T rises while it is below 2
+_FINER = 8  # tolerance: nodes of the smoothed table for each of the table's
 
 
 @dataclass(frozen=True)
@@ -106,8 +108,10 @@ class Play:
 
     @property
     def narrow(self) -> float:
-        """The width, unit of q, below which a single play is used: a few counts, a share of the largest width, or so
-        much that the warp has at most _PERIODS periods."""
+        """The width, unit of q, where B is below which the single play stands for the elements: what they do within it
+        is not seen, while the warp, which rises by 1 over each width, would need ever more knots. The largest of a few
+        encoder counts, a share of the widest B, and the range over _PERIODS, as the warp has at most so many periods
+        then."""
         widest = float(self.width.max())
         span = float(self.grid[-1] - self.grid[0])
         return max(_NARROW_COUNTS * self.count, _NARROW_SHARE * widest, span / _PERIODS)
@@ -138,16 +142,7 @@ def warp_of(grid: Array, width: Array, narrow: float) -> Warp:
     if last - knots[-1] < _SAME * (last - first):
         knots = knots[:-1]
     phases = np.asarray(base(knots))
-    columns = [(knots, phases)]
-    q, period = knots, 0
-    while q[0] <= grid[-1] + _PAST * width[-1]:
-        q, period = table.up(q), period + 1
-        columns.append((q, phases + period))
-    q, period = knots, 0
-    while q[-1] >= grid[0] - _PAST * width[0]:
-        q, period = table.down(q), period - 1
-        columns.insert(0, (q, phases + period))
-    q, x = (np.concatenate(column) for column in zip(*columns, strict=True))
+    q, x = _in_all_periods(table, knots, phases)
     apart = np.concatenate([[True], (np.diff(q) > 0.0) & (np.diff(x) > 0.0)])
     q, x = q[apart], x[apart]
     q = np.concatenate([[q[0] - _BEYOND * width[0]], q, [q[-1] + _BEYOND * width[-1]]])
@@ -165,6 +160,22 @@ def _with_least_width(grid: Array, width: Array, narrow: float) -> tuple[Array, 
     crossings = grid[at] + share * (grid[at + 1] - grid[at])
     nodes = np.union1d(grid, crossings)
     return nodes, np.maximum(np.interp(nodes, grid, width), narrow)
+
+
+def _in_all_periods(table: _Periods, knots: Array, phases: Array) -> tuple[Array, Array]:
+    """Knots q and x of a warp over a table's whole range and _PAST widths beyond it, from those of one period, knots
+    and phases (n,): their images under T, where the warp is 1 more each time, and under its inverse, where it is 1
+    less."""
+    columns = [(knots, phases)]
+    q, period = knots, 0
+    while q[0] <= table.grid[-1] + _PAST * table.width[-1]:
+        q, period = table.up(q), period + 1
+        columns.append((q, phases + period))
+    q, period = knots, 0
+    while q[-1] >= table.grid[0] - _PAST * table.width[0]:
+        q, period = table.down(q), period - 1
+        columns.insert(0, (q, phases + period))
+    return np.concatenate([q for q, _ in columns]), np.concatenate([x for _, x in columns])
 
 
 class _Periods:
@@ -189,7 +200,8 @@ class _Periods:
         return _interpolated(u, self.right, self.left)
 
     def into_period(self, u: Array, first: float, last: float) -> Array:
-        """Each of u moved by whole periods into [first, last)."""
+        """(n,) Each of u (n,), unit of q, moved up or down by whole periods, T or its inverse, until it lies in the one
+        period [first, last), last = T(first)."""
         u = u.copy()
         while (above := u >= last).any():
             u[above] = self.down(u[above])
@@ -230,12 +242,12 @@ def _warp_in_one_period(grid: Array, width: Array, first: float, last: float) ->
 
 def _without_corners(grid: Array, width: Array) -> tuple[Array, Array]:
     """The table on a finer grid as a cubic spline, if that is still a backlash table (half the least width at least,
-    |B'| below 1.95); else as it is."""
+    |B'| below _STEEPEST); else as it is."""
     if len(grid) < 4:
         return grid, width
-    fine = np.linspace(grid[0], grid[-1], 8 * len(grid))
+    fine = np.linspace(grid[0], grid[-1], _FINER * len(grid))
     curve = CubicSpline(grid, width)(fine)
-    lawful = curve.min() > 0.5 * width.min() and (np.abs(np.diff(curve)) < 1.95 * np.diff(fine)).all()
+    lawful = curve.min() > 0.5 * width.min() and (np.abs(np.diff(curve)) < _STEEPEST * np.diff(fine)).all()
     return (fine, curve) if lawful else (grid, width)
 
 
@@ -257,9 +269,8 @@ def _least_third_derivative(q: Array, period: Array, inside: npt.NDArray[np.bool
     step = np.column_stack([design[:, 1:], right - design[:, 1:] @ even])
     squares = np.einsum("ij,ik->jk", step, step)
     normal, slope = squares[:-1, :-1], squares[:-1, -1]
-    normal = normal + _RIDGE * max(np.trace(normal), 1e-300) * np.eye(
-        _MESH - 1
-    )  # a table without corners may ask for nothing
+    ridge = _RIDGE * max(np.trace(normal), 1e-300)  # a table without corners may ask for nothing
+    normal = normal + ridge * np.eye(_MESH - 1)
     smoothest = even + np.linalg.solve(normal, slope)
     rises = np.diff(np.concatenate([[0.0], smoothest, [1.0]]))
     mean, least = 1.0 / _MESH, float(rises.min())

@@ -36,6 +36,8 @@ _OF_NOISE = 4.0  # prior: standard deviations, of a third difference: more is a 
 _WAVES = 512  # tolerance: frequencies at which a smoother's trace is summed
 _FEWEST, _CLEARLY = 100, 5.0  # tolerance: readings that tell whether a motor trembles; standard errors
 _UNEVEN = 10.0  # tolerance: times a gap's shorter neighbour: beyond it noise is all that is seen
+_SHARPEST = 0.98  # tolerance: quantile of the bends: single readings may be wrong
+_BENT_BY_NOISE = 2.0  # tolerance: standard deviations of the readings' noise, below which a bend may be noise
 _LAST = 2.0  # samples: within so many of a stop no knot tells a speed
 _EXACTLY = 1e-6  # tolerance: of the motor's travel: readings with finer noise or steps are what they say
 _AGREES, _STRAYS = 2.5, 5.0  # tolerance: counts, and sigmas of their noise, that readings are from a motor's path
@@ -62,7 +64,14 @@ def _between_and_steps(motor: Motor, resolution: float) -> tuple[Motor, Steps | 
         return replace(motor, q=_smoothed(motor.t_s, motor.q)), steps if noise < _OWN_STEPS else None
     if steps is None:
         return motor, None
-    t, counts = motor.t_s, steps.counts
+    return replace(motor, q=_through_changes(motor.t_s, steps)), steps
+
+
+def _through_changes(t: Array, steps: Steps) -> Array:
+    """(n,) Positions at the readings' times t (n,), s, on straight lines through an encoder's counts. The motor crosses
+    the boundary of two counts midway between the readings that differ, is at the centre of either half the shorter of
+    their two dwells before and after that, and stays there in between: at an even speed these lines are one."""
+    counts = steps.counts
     changes = np.flatnonzero(np.diff(counts))
     times = 0.5 * (t[changes] + t[changes + 1])
     boundary = 0.5 * (counts[changes] + counts[changes + 1])
@@ -83,7 +92,7 @@ def _between_and_steps(motor: Motor, resolution: float) -> tuple[Motor, Steps | 
     knots_t = np.concatenate([ends[0], knots_t, ends[1]])
     knots_q = np.concatenate([[counts[0]] * 2, knots_q, [counts[-1]] * 2])
     order = np.argsort(knots_t, kind="stable")
-    return replace(motor, q=steps.zero + steps.count * np.interp(t, knots_t[order], knots_q[order])), steps
+    return np.asarray(steps.zero + steps.count * np.interp(t, knots_t[order], knots_q[order]))
 
 
 def reading_noise(motor: Motor) -> float:
@@ -148,16 +157,18 @@ def _skips_counts(motor: Motor, steps: Steps | None) -> bool:
 
 
 def between_samples(motor: Motor) -> float:
-    """How far straight lines between samples may be from the motor's path, its unit: the sagitta (of what a reading is
-    off the line between its neighbours a quarter, and as much more as the longer gap is than the shorter) at its
-    sharpest bends above the noise; infinite for fewer than five readings."""
+    """How far straight lines between samples may be from the motor's path, its unit; infinite for fewer than five
+    readings. A path of acceleration a is a h^2 / 8 off its chord over a gap h, the sagitta, and a reading with gaps h1
+    and h2 beside it is a h1 h2 / 2 off the line between its neighbours, which tells a. That of the longer gap is taken
+    at nearly the sharpest bend, less what noise alone may bend the readings."""
     t_s, q = motor.t_s, motor.q
     if len(q) < 5:
         return float("inf")
     share = (t_s[1:-1] - t_s[:-2]) / (t_s[2:] - t_s[:-2])
-    uneven = np.minimum(np.maximum(share, 1.0 - share) / np.maximum(np.minimum(share, 1.0 - share), 1e-12), _UNEVEN)
-    bend = np.abs(q[1:-1] - q[:-2] - share * (q[2:] - q[:-2])) / 4.0 * uneven
-    return float(max(float(np.quantile(bend, 0.98)) - 2.0 * reading_noise(motor), 0.0))
+    longer, shorter = np.maximum(share, 1.0 - share), np.minimum(share, 1.0 - share)
+    off_chord = np.abs(q[1:-1] - q[:-2] - share * (q[2:] - q[:-2]))
+    sagitta = off_chord / 4.0 * np.minimum(longer / np.maximum(shorter, 1e-12), _UNEVEN)
+    return float(max(float(np.quantile(sagitta, _SHARPEST)) - _BENT_BY_NOISE * reading_noise(motor), 0.0))
 
 
 def _smoothed(t_s: Array, q: Array) -> Array:
@@ -294,13 +305,7 @@ def _through(motor: Motor, steps: Steps, order: int) -> Driven:
 def _with_sample_knots(motor: Motor, lines: Motor) -> Motor:
     """The lines with a knot at every sample of the motor too."""
     t_s = np.union1d(lines.t_s, motor.t_s)
-
-    def taken(values: Array | None) -> Array | None:
-        return None if values is None else np.interp(t_s, lines.t_s, values)
-
-    extra = {name: np.interp(t_s, lines.t_s, values) for name, values in lines.extra.items()}
-    translation, rotation, load = map(taken, (lines.translation_mm, lines.rotation_deg, lines.load_mNm))
-    return Motor(t_s, np.interp(t_s, lines.t_s, lines.q), None, translation, rotation, load, extra)
+    return lines.resampled(t_s, np.interp(t_s, lines.t_s, lines.q), lines.extra)
 
 
 def _even_lines(motor: Motor, resolution: float) -> Motor:
@@ -348,13 +353,8 @@ def _with_others(
         right = np.minimum(left + (t_s[left] < at), len(t_s) - 1)
         fixed = fixed[left] & fixed[right] & (q[left] == q[right])
         t_s, q = at, np.interp(at, t_s, q)
-
-    def taken(values: Array | None) -> Array | None:
-        return None if values is None else np.interp(t_s, motor.t_s, values)
-
     level = q if smooth is None else _least_squares_knots(motor.t_s, smooth, t_s, q, fixed)
-    joints = {name: np.interp(t_s, motor.t_s, values) for name, values in motor.joints.items()}
-    return Motor(t_s, level, None, taken(others[0]), taken(others[1]), taken(others[2]), joints)
+    return motor.resampled(t_s, level, motor.joints)
 
 
 def _without_collinear(motor: Motor) -> Motor:
@@ -385,7 +385,9 @@ def _needed_knots(t_s: Array, channels: list[tuple[Array, float]]) -> npt.NDArra
 
 
 def _knots(motor: Motor, tolerance: float, stops: list[Rest]) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-    """Times and positions of the bending motor's knots, and which of them are at rests or turns."""
+    """Times (k,), s, and positions (k,) of the knots between which straight lines are within `tolerance`, the motor's
+    unit, of its positions, with knots where each of `stops` begins and ends in place of those within it; and which of
+    them (k,) are at rests or turns."""
     keep = _needed_knots(motor.t_s, [(motor.q, tolerance)])
     t, q = motor.t_s[keep], motor.q[keep]
     fixed = np.zeros(len(t), dtype=bool)

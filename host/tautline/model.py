@@ -168,6 +168,11 @@ class Model(Value):
     simulator: Mapping[str, Any] | None = None  # the source of what stands in the motor's place (tautline.simulators)
 
     @property
+    def is_measured(self) -> npt.NDArray[np.bool_]:
+        """(n,) At which nodes of the grid B was measured."""
+        return np.asarray((self.q >= self.measured[0]) & (self.q <= self.measured[1]))
+
+    @property
     def alone(self) -> Self:
         """The same model without its effects."""
         return replace(self, effects=()) if self.effects else self
@@ -194,8 +199,7 @@ class Model(Value):
 
     def remaining_inverse(self, c_deg: npt.ArrayLike) -> Array:
         """Centre coordinates (n,), unit of q, at which f_remain is c_deg (n,); of any other shape as well."""
-        order = slice(None) if self.c_deg[-1] > self.c_deg[0] else slice(None, None, -1)
-        return interpolate(c_deg, self.c_deg[order], self.q[order])
+        return interpolate_inverse(c_deg, self.q, self.c_deg)
 
     def simulate(self, motor: Motor, t_s: npt.ArrayLike, start_deg: float | None = None) -> Array:
         """Bending angles (n,) deg at scene times t_s (n,) (the motor's clock: no delay in them), in any order. The tip
@@ -365,6 +369,12 @@ def interpolate(x: npt.ArrayLike, grid: Array, values: Array) -> Array:
     last = (values[-1] - values[-2]) / (grid[-1] - grid[-2])
     beyond = first * np.minimum(x - grid[0], 0.0) + last * np.maximum(x - grid[-1], 0.0)
     return np.asarray(np.interp(x, grid, values) + beyond)
+
+
+def interpolate_inverse(y: npt.ArrayLike, grid: Array, values: Array) -> Array:
+    """Where `interpolate` of strictly monotone values, rising or falling, on a rising grid is y, of any shape."""
+    rising = slice(None) if values[-1] > values[0] else slice(None, None, -1)
+    return interpolate(y, values[rising], grid[rising])
 
 
 def play_at(t_s: Array, q: Array, at_s: Array, play: Play, p0: float) -> Array:

@@ -72,6 +72,18 @@ class Motor(Value):
         }
         return dict(list(moving.items())[:MOST_JOINTS])
 
+    def resampled(self, t_s: Array, q: Array, joints: Mapping[str, Array]) -> Motor:
+        """The motor at other times t_s (n,), where it is at q (n,): the instrument's other axes, the load and those of
+        its further columns that `joints` names, each as long as the motor is, straight between samples. Without
+        q_cmd."""
+
+        def at(values: Array | None) -> Array | None:
+            return None if values is None else np.interp(t_s, self.t_s, values)
+
+        translation, rotation, load = map(at, (self.translation_mm, self.rotation_deg, self.load_mNm))
+        extra = {name: np.interp(t_s, self.t_s, values) for name, values in joints.items()}
+        return Motor(t_s, q, None, translation, rotation, load, extra)
+
 
 @dataclass(frozen=True)
 class Shown:

@@ -15,13 +15,11 @@ from tautline.elements import SINGLE, Elements, warp_of
 from tautline.errors import TautError
 from tautline.model import Array, Model, interpolate
 from tautline.rig import MARKER, Rig
-from tautline.undone import INT32_MAX, Joint, Section, undone
+from tautline.undone import COUNT, DEG, INT32_MAX, Joint, Section, undone
 
 KINDS: dict[str, int] = _native.AXIS_KINDS
 _KIND_NAMES = {value: name for name, value in KINDS.items()}
 _UNIT_NAMES = {value: name for name, value in _native.AXIS_UNITS.items()}
-_COUNT = float(_native.COUNT_ONE)  # Q8
-_DEG = float(_native.DEG_ONE)  # Q16
 _UINT32_MAX = int(np.iinfo(np.uint32).max)
 _SLOPE = 2.0**28  # format: deg per count, Q28
 _NANO = 1e-9
@@ -138,12 +136,12 @@ def encode(
     span += below + above
     step_log2 = next(k for k in range(32) if -(-span >> k) <= _native.TABLE_NODES_MAX - 1)
     q_raw = q_min - below + (np.arange(-(-span >> step_log2) + 1, dtype=np.int64) << step_log2)
-    q = q_raw * (rig.actuator.encoder_resolution / _COUNT)
+    q = q_raw * (rig.actuator.encoder_resolution / COUNT)
     width = np.interp(q, model.q, model.width)
     c_deg = interpolate(q, np.asarray(model.q, float), np.asarray(model.c_deg, float))
     fields = _header_fields(rig, axis, limits, kind, model.delay_of(MARKER), created_s)
     fields |= {"q0": int(q_raw[0]), "step_log2": step_log2}
-    raw_width = _raw(width / rig.actuator.encoder_resolution * _COUNT, "a backlash width")
+    raw_width = _raw(width / rig.actuator.encoder_resolution * COUNT, "a backlash width")
     serial = instrument if instrument is not None else rig.actuator.instrument or ""
     if len(serial.encode()) > _SERIAL:
         raise TautError(f"instrument {serial!r}: its serial has {_SERIAL} characters at most")
@@ -151,7 +149,7 @@ def encode(
     blob: bytes = _native.table_encode(
         fields,
         raw_width,
-        _raw(c_deg * _DEG, "f_remain"),
+        _raw(c_deg * DEG, "f_remain"),
         identity,
         serial,
         _plays_section(model, q_raw.astype(float), raw_width.astype(float)),
@@ -184,7 +182,7 @@ def _plays_section(model: Model, q: Array, width: Array) -> dict[str, Any] | Non
     """Section 1 of the blob, several plays, for widths (n,) at nodes q (n,), Q8 counts; None for a single play. The
     board's warp is straight between nodes; where the grid is too coarse for that, B counts as narrow, and if it is
     everywhere, a single play is left."""
-    elements, unit = model.elements, model.rig.actuator.encoder_resolution / _COUNT
+    elements, unit = model.elements, model.rig.actuator.encoder_resolution / COUNT
     if elements.single:
         return None
     share = np.array(elements.weight)
@@ -225,7 +223,7 @@ def _warp_error(q: Array, width: Array, narrow: float, centre: Array) -> float:
     wide = (here > narrow) & (there > narrow)
     counts, share = _WARP_OFF
     off = np.abs(np.interp(p_high, q, centre) - np.interp(p_low, q, centre) - 1.0)
-    return float((off * here / np.maximum(counts * _COUNT, share * here))[wide].max(initial=0.0))
+    return float((off * here / np.maximum(counts * COUNT, share * here))[wide].max(initial=0.0))
 
 
 def decode(blob: bytes, axis: int | None = None) -> Table:
@@ -235,9 +233,9 @@ def decode(blob: bytes, axis: int | None = None) -> Table:
     except ValueError as error:
         raise TautError(f"the table is refused: {error}") from error
     resolution = fields["nano_units_per_count"] * _NANO
-    unit = resolution / _COUNT
+    unit = resolution / COUNT
     q_range = (fields["q_min"] * unit, fields["q_max"] * unit)
-    c_min, c_max = fields["coarse_c_min"] / _DEG, fields["coarse_c_max"] / _DEG
+    c_min, c_max = fields["coarse_c_min"] / DEG, fields["coarse_c_max"] / DEG
     gain = (c_max - c_min) / (q_range[1] - q_range[0])
     nodes = np.arange(len(fields["width"]), dtype=np.int64)
     return Table(
@@ -264,7 +262,7 @@ def decode(blob: bytes, axis: int | None = None) -> Table:
         instrument=fields["instrument"],
         q=(fields["q0"] + (nodes << fields["step_log2"])) * unit,
         width=fields["width"] * unit,
-        c_deg=fields["angle"] / _DEG,
+        c_deg=fields["angle"] / DEG,
         elements=_elements(fields["plays"]),
         sections=fields["sections"],
     )
@@ -328,18 +326,18 @@ def _range(rig: Rig) -> tuple[int, int]:
 def _counts(value: float, rig: Rig, name: str, most: int = _native.TABLE_VALUE_MAX) -> int:
     """The value, unit of q, in Q8 counts; TautError, naming it, where it does not fit."""
     counts = value / rig.actuator.encoder_resolution
-    if not abs(counts) * _COUNT <= most:
+    if not abs(counts) * COUNT <= most:
         raise TautError(
             f"{name} is {counts:.0f} counts, and a board computes with {most // _native.COUNT_ONE} at most: "
             "check it and actuator.encoder_resolution"
         )
-    return round(counts * _COUNT)
+    return round(counts * COUNT)
 
 
 def _angle(value: float, name: str) -> int:
     """The value, deg, as the board's Q16; TautError, naming it, where it does not fit."""
     limit: int = _native.TABLE_VALUE_MAX
-    return _whole(value * _DEG, name, -limit, limit)
+    return _whole(value * DEG, name, -limit, limit)
 
 
 def _whole(value: float, name: str, low: int, high: int) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -19,8 +19,8 @@ from tautline.nearest import Nearest, fewer, nearest_plays
 
 Array = npt.NDArray[np.float64]
 
-_COUNT = float(_native.COUNT_ONE)
-_DEG = float(_native.DEG_ONE)
+COUNT = float(_native.COUNT_ONE)  # of a table's blob, Q8: one encoder count
+DEG = float(_native.DEG_ONE)  # the same, Q16: one degree
 INT32_MAX = int(np.iinfo(np.int32).max)
 _LEAD = 2e-3, 0.125  # tolerance: s, share of a lag's stage: the filter within which it is made up for
 _APART = 1.5  # tolerance: times: the two stages' filters
@@ -31,7 +31,7 @@ _STEP_LOG2_MAX = 22
 _NODES = np.array([0, 1, 2, 3, *(2**k * half for k in range(1, 7) for half in (2, 3)), _native.TABLE_STEPS], float)
 _COLUMNS = {"c_per_translation": "translation_mm", "c_per_rotation": "rotation_deg"}
 COUPLED = "configuration.axis_coupling"
-WHERE = {COUPLED: " (without --joint)"}  # format: where tables undo it but for this
+_WHERE = {COUPLED: " (without --joint)"}  # format: where tables undo it but for this
 _LATE = "transmission.lag", "transmission.creep"
 
 Section = dict[str, int | list[int]]
@@ -52,8 +52,13 @@ def parameters_of(model: Model) -> dict[str, dict[str, Any]]:
     return {effect.id: dict(effect.parameters) for effect in of_this_version(model) if BY_ID[effect.id].holds is None}
 
 
+def in_words(remains: Iterable[str]) -> str:
+    """The ids that `not_undone` gave as a list for a message, with what the tables do of them all the same."""
+    return ", ".join(name + _WHERE.get(name, "") for name in remains)
+
+
 def not_undone(model: Model, joints: Mapping[str, Joint] | None = None) -> list[str]:
-    """Ids of the model's effects that its tables cannot undo, or not everywhere (WHERE); joints: as in `undone`."""
+    """Ids of the model's effects that its tables cannot undo, or not everywhere (_WHERE); joints: as in `undone`."""
     from tautline.effects import BY_ID, of_this_version
 
     ids = [effect.id for effect in of_this_version(model) if not BY_ID[effect.id].on_board]
@@ -85,7 +90,7 @@ def undone(model: Model, joints: Mapping[str, Joint] | None = None) -> tuple[Mod
         model = replace(model, elements=near.elements, friction=None)
     elif onset := parameters.get("transmission.smooth_onset"):
         model = replace(model, elements=onset_elements(model.elements, onset))
-    count = model.rig.actuator.encoder_resolution / _COUNT
+    count = model.rig.actuator.encoder_resolution / COUNT
     sections: dict[str, Section] = {}
     if encoder := parameters.get("actuator.encoder_periodic"):
         sections["encoder"] = _encoder_section(encoder, count)
@@ -187,8 +192,8 @@ def _load_section(v: Mapping[str, float], model: Model, count: float) -> Section
         "reference": round(reference * 256.0),
         "width": round(v.get("width_per_load", 0.0) * 2.0**24),
         "gain": round(v.get("gain_per_load", 0.0) * 2.0**24),
-        "offset": round(v.get("offset_per_load", 0.0) / (count * _COUNT) * 2.0**16),
-        "middle": round(float(model.c_deg[len(model.c_deg) // 2]) * _DEG),
+        "offset": round(v.get("offset_per_load", 0.0) / (count * COUNT) * 2.0**16),
+        "middle": round(float(model.c_deg[len(model.c_deg) // 2]) * DEG),
     }
 
 
@@ -205,7 +210,7 @@ def _joints_section(v: Mapping[str, Any], joints: Mapping[str, Joint]) -> dict[s
     return {
         "joints": {
             "axis": [joint.axis + 1 for joint, _ in known] + free,
-            "play": [round(float(v.get("joint_play", 0.0)) / joint.resolution * _COUNT) for joint, _ in known] + free,
+            "play": [round(float(v.get("joint_play", 0.0)) / joint.resolution * COUNT) for joint, _ in known] + free,
             "slope": [round(slope * joint.resolution * 2.0**28) for joint, slope in known] + free,
         }
     }

@@ -257,7 +257,7 @@ GRADUAL = Elements((0.1, 0.7, 1.0, 1.3, 1.9), (0.2, 0.2, 0.2, 0.2, 0.2))
 
 
 def stepped(model: Model, motor: Motor, path: Path) -> Any:
-    for name, text in folder.standalone(model, NOWHERE).items():
+    for name, text in folder.callback_files(model, NOWHERE).items():
         (path / name).write_text(text)
     course = Transmission(path)
     first = course.start(float(motor.q[0]))

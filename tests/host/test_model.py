@@ -137,3 +137,15 @@ def test_simulation_starts_on_the_centre_or_where_it_is_told(falling):
     assert end[0] == end[1]
     p = model.remaining_inverse(end[0])
     assert p + np.interp(p, model.q, model.width) / 2 == pytest.approx(9.0)
+
+
+@pytest.mark.parametrize("falling", [False, True])
+def test_the_inverse_of_the_law_leads_back_also_beyond_the_grid(falling):
+    model = make(falling)
+    p = np.linspace(-3.0, 13.0, 60).reshape(3, 20)
+    np.testing.assert_allclose(model.remaining_inverse(model.remaining(p)), p, atol=1e-12)
+
+
+def test_b_was_measured_at_the_nodes_that_reversals_reached():
+    model = make()
+    assert model.q[model.is_measured].tolist() == [q for q in model.q if 0.0 <= q <= 10.0]

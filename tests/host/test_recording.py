@@ -518,3 +518,13 @@ def test_a_video_that_cannot_be_saved_is_named(tmp_path: Path) -> None:
     with pytest.raises(TautError, match=r"other\.avi: a recording's video is a video\.mkv or video\.mp4"):
         save(own(video=Video(tmp_path / "other.avi", None)), tmp_path / "out")
     assert [path.name for path in tmp_path.iterdir()] == ["other.avi"]
+
+
+def test_a_motor_at_other_times_keeps_what_its_other_columns_say_there() -> None:
+    t_s = np.array([0.0, 1.0, 2.0])
+    motor = Motor(t_s, 3.0 * t_s, q_cmd=t_s, rotation_deg=10.0 * t_s, extra={"wrist_deg": -t_s, "note_mm": 0.0 * t_s})
+    at = np.array([0.5, 1.75, 5.0])  # held beyond the last sample
+    other = motor.resampled(at, np.array([7.0, 8.0, 9.0]), motor.joints)
+    assert other.q.tolist() == [7.0, 8.0, 9.0] and other.q_cmd is None and other.load_mNm is None
+    assert other.rotation_deg is not None and other.rotation_deg.tolist() == [5.0, 17.5, 20.0]
+    assert {name: values.tolist() for name, values in other.extra.items()} == {"wrist_deg": [-0.5, -1.75, -2.0]}

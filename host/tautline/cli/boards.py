@@ -85,7 +85,7 @@ def _axis_row(board: Any, axis: int) -> dict[str, Any]:
     row = {
         "axis": axis,
         "mode": wire.text("MODES", status.mode),
-        "fault": wire.text("FAULTS", status.fault) if status.fault else None,
+        "fault": wire.fault_name(status),
         # Older firmware does not say: it drives as if the motor were commissioned.
         "commissioned": bool(status.flags & wire.code("FLAGS", "COMMISSIONED")) if says else None,
         "table": wire.text("TABLES", status.table),

@@ -10,7 +10,7 @@ from tautline.cli._common import Number, compensation_option, emit, json_option,
 from tautline.cli._outputs import Output, check_no_input
 from tautline.compensation import RATES_HZ, compensate, read_trajectory, write_csv
 from tautline.model import Model
-from tautline.undone import WHERE, not_undone
+from tautline.undone import in_words, not_undone
 
 
 @click.command("compensate")
@@ -52,8 +52,7 @@ def command(
     model = Model.load(model_path)
     warn_unusable(model, model_path)
     if remains := not_undone(model):  # a trajectory says nothing of other axes
-        told = ", ".join(name + WHERE.get(name, "") for name in remains)
-        warn(f"{model_path}: no table can undo {told}: these are not undone")
+        warn(f"{model_path}: no table can undo {in_words(remains)}: these are not undone")
     warnings: list[str] = []
     t_s, c_deg = read_trajectory(trajectory_path, warnings)
     for warning in warnings:

@@ -63,17 +63,16 @@ def command(
     from tautline.device.board import open_board
     from tautline.errors import TautError
     from tautline.model import Model
-    from tautline.undone import WHERE, Joint, not_undone, stands_in
+    from tautline.undone import Joint, in_words, not_undone, stands_in
 
     model = Model.load(model_path)
     refuse_unusable(model, model_path, force)
     known = {column: Joint(number, resolution) for column, number, resolution in map(_joint, joints)}
     remains = not_undone(model, known)
     if remains and not without_effects:
-        told = ", ".join(name + WHERE.get(name, "") for name in remains)
         raise TautError(
-            f"{model_path}: no table can undo {told}: load what they can with --without-effects, or the model that was "
-            "calibrated"
+            f"{model_path}: no table can undo {in_words(remains)}: load what they can with --without-effects, or the "
+            "model that was calibrated"
         )
     limits = tables.Limits.in_use(model.rig)
     if adapt is not None:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from tautline import _native
+from tautline.closable import Closable
 from tautline.device import holder, wire
 from tautline.device.clock import BoardClock
 from tautline.device.dfu import DfuError
@@ -109,7 +110,7 @@ def newer_firmware(where: str, protocol: tuple[int, int]) -> str:
     return "hold BOOTSEL while plugging the board in, then run 'cp build/rp2040/tautline.uf2 /media/$USER/RPI-RP2/'"
 
 
-class Board:
+class Board(Closable):
     """An open board. Messages take and give physical values (wire.py): counts, counts/s, deg, px.
 
     One thread may use it alone (`poll` takes in what came); with `reading()` a thread of its own does, and listeners
@@ -163,12 +164,6 @@ class Board:
         raise AssertionError("a link allows one try at least")
 
     # -- life ---------------------------------------------------------------------------------------------------
-
-    def __enter__(self) -> Board:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Ends the reading thread, if any, removes the note that this process holds the board, and closes the link."""

@@ -13,6 +13,16 @@ class BoardGone(TautError):
     """The board is not there any more, or has restarted and knows nothing of us."""
 
 
+def gone(where: str) -> BoardGone:
+    """The error to raise where the way to the board at the address `where` has failed."""
+    return BoardGone(f"{where}: the board is gone: check plug and power, then run the command again")
+
+
+def takes_no_data(where: str) -> TautError:
+    """The error to raise where the board at the address `where` is there, but takes no more bytes."""
+    return TautError(f"{where}: the board does not take data: switch it off and on")
+
+
 class Link(Protocol):
     """An open way to one board. Every failure is a TautError that says what to do."""
 

@@ -19,7 +19,7 @@ import serial
 
 from tautline.device import wire
 from tautline.device.holder import busy
-from tautline.device.link import BoardAddress, BoardGone
+from tautline.device.link import BoardAddress, BoardGone, gone, takes_no_data
 from tautline.errors import TautError
 
 _WRITE_S = 1.0
@@ -72,9 +72,9 @@ class SerialLink:
         try:
             self._port.write(data)
         except (serial.SerialTimeoutException, TimeoutError) as error:
-            raise TautError(f"{self._where}: the board does not take data: switch it off and on") from error
+            raise takes_no_data(self._where) from error
         except (serial.SerialException, OSError) as error:
-            raise self._gone() from error
+            raise gone(self._where) from error
 
     def read(self, timeout_s: float) -> bytes:
         """The bytes that come, waiting for the first at most this long; b"" where none does. BoardGone where the line
@@ -87,7 +87,7 @@ class SerialLink:
             self._port.timeout = 0.0
             return bytes(first + self._port.read(_READ_BYTES))
         except (serial.SerialException, OSError, TypeError) as error:  # TypeError: closed by another thread
-            raise self._gone() from error
+            raise gone(self._where) from error
 
     def tables(self, axis: int) -> None:
         """None: tables travel in messages."""
@@ -101,10 +101,6 @@ class SerialLink:
         """Closes the line; errors of one that is gone are ignored."""
         with contextlib.suppress(serial.SerialException, OSError):
             self._port.close()
-
-    def _gone(self) -> BoardGone:
-        """The error to raise where the line has failed."""
-        return BoardGone(f"{self._where}: the board is gone: check plug and power, then run the command again")
 
 
 class _Busy(TautError):

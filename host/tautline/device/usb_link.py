@@ -15,7 +15,7 @@ import usb.util
 from tautline.device import usbip_backend, wire
 from tautline.device.dfu import Dfu
 from tautline.device.holder import busy
-from tautline.device.link import BoardAddress, BoardGone
+from tautline.device.link import BoardAddress, gone, takes_no_data
 from tautline.errors import TautError
 
 ENVIRONMENT = "TAUTLINE_BOARD"
@@ -78,14 +78,14 @@ class UsbLink:
     def _remedied(self, error: usb.core.USBError) -> TautError:
         """The TautError to raise for a USB error, with its remedy; BoardGone where the device is not there any more."""
         if error.errno in (errno.ENODEV, errno.EIO, errno.ESHUTDOWN, errno.ENOENT):
-            return BoardGone(f"{self._where}: the board is gone: check plug and power, then run the command again")
+            return gone(self._where)
         if error.errno == errno.EBUSY:
             return TautError(busy(self._where))
         if error.errno == errno.EACCES:
             mend = "sudo cp tools/70-tautline.rules /etc/udev/rules.d/"
             return TautError(f"{self._where}: no permission: run '{mend}' and plug the board in again")
         if error.errno == errno.ETIMEDOUT:
-            return TautError(f"{self._where}: the board does not take data: switch it off and on")
+            return takes_no_data(self._where)
         return TautError(f"{self._where}: USB failed ({error}): unplug the board and plug it in again")
 
 

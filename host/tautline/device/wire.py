@@ -134,6 +134,11 @@ def fault(status: Message) -> str:
     return fault_text(status.fault, status.fault_value) if status.fault else ""
 
 
+def fault_name(status: Message) -> str | None:
+    """The name, as of TL_WIRE_FAULTS, of the fault in a status; None where there is none."""
+    return text("FAULTS", status.fault) if status.fault else None
+
+
 def fault_text(number: int, value: int) -> str:
     """The text of a fault, by its number in TL_WIRE_FAULTS, with the measured value put before the unit in brackets:
     "(mA)" becomes "(350 mA)"."""

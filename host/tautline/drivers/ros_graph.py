@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Sequence
 from typing import Any
 
+from tautline.closable import Closable
 from tautline.errors import TautError
 
 EXTRA = "pip install 'tautline-robotics[ros]'"
@@ -38,7 +39,7 @@ def sensor_qos(depth: int = 10) -> Any:
     return qos.QoSProfile(depth=depth, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
 
 
-class Graph:
+class Graph(Closable):
     """A context manager of one ROS 2 node. Publishers may be used from any thread; callbacks run on a thread of their
     own."""
 
@@ -92,9 +93,3 @@ class Graph:
         self._executor.shutdown()
         self.node.destroy_node()
         self._context.try_shutdown()
-
-    def __enter__(self) -> Graph:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

@@ -172,7 +172,7 @@ class Kind:
         return self.holds is not None or self.undone or only_seen
 
 
-def six(prefix: str) -> tuple[Parameter, ...]:
+def rigid_motion(prefix: str) -> tuple[Parameter, ...]:
     """The six parameters of a rigid motion: PREFIX_rx, _ry, _rz, a turn as a rotation vector in deg, then PREFIX_x, _y,
     _z, a move in mm."""
     turn = tuple(Parameter(f"{prefix}_r{axis}", "deg", 0.5) for axis in "xyz")

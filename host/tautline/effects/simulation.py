@@ -155,13 +155,8 @@ def _transformed(
                     raise TautError(f"{kind.id}: its law gave no {len(times)} numbers: mend its distribution's run()")
         return values
 
-    translation, rotation, load = (
-        None if values is None else np.interp(times, motor.t_s, values)
-        for values in (motor.translation_mm, motor.rotation_deg, motor.load_mNm)
-    )
-    joints = {name: np.interp(times, motor.t_s, values) for name, values in motor.extra.items()}
     q = through("input", np.interp(times, motor.t_s, motor.q))
-    driven = Motor(times, q, None, translation, rotation, load, joints)
+    driven = motor.resampled(times, q, motor.extra)
     path = _moved(model, driven, times, parameters, start_deg, load_reference, clock_offset_s)
     tip = through("state", path.tip)
     c_deg = path.c_deg + path.gain * (model.remaining(tip) - model.remaining(path.tip))
@@ -248,8 +243,7 @@ def see(
     """(n, 2) px as `image`, of bending angles (n,) without a path, without a shift of the registration. way (n,): side
     of the channel, -1 to 1; translation_mm, rotation_deg: of the instrument, (n,) or one number."""
     n = np.ones(len(c_deg))
-    known = {name: value for name, value in parameters.items() if name in PROJECTION}
-    rig = projection_rig(model.rig)
+    known, rig = _of_projection(parameters), projection_rig(model.rig)
     translation, rotation = n * np.asarray(translation_mm), n * np.asarray(rotation_deg)
     return _native.see(known, rig, c_deg, translation, rotation, way, None, False)  # type: ignore[no-any-return]
 
@@ -262,13 +256,18 @@ def image_with_slopes(
     return _see(model, path, parameters, clock_offset_s, True)  # type: ignore[no-any-return]
 
 
+def _of_projection(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of the parameters, by name, that change how the tip is seen (PROJECTION)."""
+    return {name: value for name, value in parameters.items() if name in PROJECTION}
+
+
 def _see(model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_s: float, slopes: bool) -> Any:
     """The result of `image`, or with `slopes` that of `image_with_slopes`."""
     shifted = None
     if "shift_time" in parameters:
         shifted = (path.scene_s + clock_offset_s >= parameters["shift_time"]).view(np.uint8)
     return _native.see(
-        {name: value for name, value in parameters.items() if name in PROJECTION},
+        _of_projection(parameters),
         projection_rig(model.rig),
         path.c_deg,
         path.translation_mm,

@@ -14,7 +14,7 @@ from tautline import trajectory
 from tautline.calibration.coverage import Gap
 from tautline.diagnosis.motion import table
 from tautline.folders import write_file
-from tautline.live.rounds import Means
+from tautline.live.rounds import BESIDE, Means
 from tautline.model import Model
 from tautline.recording import Motor, Recording
 from tautline.rig import Actuator
@@ -23,7 +23,6 @@ from tautline.trajectory import NEXT_FILE, Trajectory
 SECONDS = 20.0  # it lasts no longer, where the gaps let it
 _STROKES = (3.0, 5.0, 8.0)  # of the widest B: the shorter, the more turns
 _BACK = 1.4  # of it: a stroke back gets through it
-_BESIDE = 0.02  # of the range: strokes go on for so much beyond the gap and the backlash
 _LEAST_STROKE, _MOST_STROKE = 0.05, 0.8  # of the range; of the way through a gap
 _QUICK = 8.0  # acceleration over speed, 1/s
 _DWELL_S = 0.1
@@ -41,8 +40,7 @@ def closing(model: Model, gaps: Sequence[Gap], recordings: Sequence[Recording]) 
     usual_speeds = Means.of(*actuator.range, _frame_rate(recordings), math.inf, math.inf).speeds
     top = max(_top_speed(each.motor) for each in recordings)
     speeds = [speed * min(top / usual_speeds[0], 1.0) for speed in usual_speeds]
-    inside = (model.q >= model.measured[0]) & (model.q <= model.measured[1])
-    widest = float(model.width[inside].max(initial=0.0))
+    widest = float(model.width[model.is_measured].max(initial=0.0))
     plans = [
         _join_with_moves([_strokes_through(actuator, gap, widest, times, speeds[:passes]) for gap in gaps], speeds[0])
         for times, passes in product(_STROKES, (2, 1))
@@ -64,7 +62,7 @@ def _strokes_through(actuator: Actuator, gap: Gap, widest: float, times: float, 
     """The motion through one gap: up by strokes of `times` the widest B, each followed by a stroke back that is a
     little longer than the widest B; down again the same way; and a turn at the low end. widest: unit of q; speeds:
     unit/s, once up and down at each."""
-    reach = widest + _BESIDE * actuator.span
+    reach = widest + BESIDE * actuator.span
     low, high = max(gap.low - reach, actuator.range[0]), min(gap.high + reach, actuator.range[1])
     way = high - low
     stroke = min(max(times * widest, _LEAST_STROKE * actuator.span), _MOST_STROKE * way)

@@ -28,9 +28,12 @@ _GAINS = ("proportional", "integral", "derivative")
 _UNSOUND = ("OSCILLATION", "FOLLOWING", "CURRENT")  # faults that too high or too low a gain may cause
 _CENTRE, _STEP = 0.3, 0.02  # of the range: where it moves, from the end that was found, and how far for a step
 _WAY, _SPEEDS = 0.3, (0.1, 0.3)  # of the range to see friction, and of the top speed
+_FULL_RANGE_S = 0.5  # over the range at the speed that these are shares of, where the motor's top speed is higher
+_EVEN = 0.02  # of the speed: set-points whose rate is so near to it are of an even motion
 _STOP_S = 0.02  # until the board has seen its stop input anew
 _SETTLE_S, _AFTER_S = 0.3, 0.1  # after a step; of that, what is drawn and counted
 _BLOCK = 10  # samples of 1 ms whose mean drive is one equation: short beside a swing, which may have 12 Hz
+_FEWEST_BLOCKS = 4  # of an even motion, to fit friction and speed to
 
 
 @dataclass(frozen=True)
@@ -176,7 +179,7 @@ def _commission_drive(live: Live, agree: Agree, say: Say, given: dict[str, Any])
     _check_range_within_drive(live)
     _, commissioned = _check_and_store_range(live, agree, say, given, "the drive goes where it is told")
 
-    start = float(np.clip(board.status(axis).q * live.resolution, *actuator.range))
+    start = float(np.clip(live.motor_position(), *actuator.range))
     direction = 1 if start > sum(actuator.range) / 2 else -1
     commissioned.q, commissioned.speed_s = start, live.top_speed / live.resolution
     _require_agreement(
@@ -186,8 +189,7 @@ def _commission_drive(live: Live, agree: Agree, say: Say, given: dict[str, Any])
     with _recording_telemetry(live) as tape:
         with driving(live):
             for target in (start, start - direction * _WAY * actuator.span, start):
-                # A share of the speed that takes half a second for the range.
-                move_to(live, target, min(_SPEEDS[-1] * actuator.span / 0.5, live.top_speed))
+                move_to(live, target, min(_SPEEDS[-1] * actuator.span / _FULL_RANGE_S, live.top_speed))
                 seen_ma = abs(board.status(axis).current_ma)
                 commissioned.current_ma = max(commissioned.current_ma, seen_ma)
         step = _step_responses(live, tape, start, direction, commissioned.before["arrive"])
@@ -300,15 +302,15 @@ def _measure_drive_law(live: Live, tape: _Telemetry, commissioned: Commissioned,
     stretches = []
     with driving(live):
         for share in _SPEEDS:
-            speed = share * min(live.top_speed, span / 0.5)  # the range in half a second at most
+            speed = share * min(live.top_speed, span / _FULL_RANGE_S)
             for target in (start - direction * _WAY * span, start):
                 tape.clear()
                 move_to(live, target, speed)
                 commissioned.current_ma = max(commissioned.current_ma, abs(live.board.status(live.axis).current_ma))
                 t, q, q_ref, duty = tape.read()
                 rate = np.abs(np.gradient(q_ref, t))
-                even = np.flatnonzero(np.abs(rate - speed / live.resolution) < 0.02 * speed / live.resolution)
-                if len(even) <= 4 * _BLOCK:
+                even = np.flatnonzero(np.abs(rate - speed / live.resolution) < _EVEN * speed / live.resolution)
+                if len(even) <= _FEWEST_BLOCKS * _BLOCK:
                     raise TautError("too little of the motion was even: allow more speed in the board's settings")
                 stretches.append((t[even], q[even], duty[even]))
     friction, slope = _fit_drive_law(stretches)

@@ -58,7 +58,7 @@ def home(live: Live, homing: Homing | None = None) -> float:
         )
         settle(live, 2.0 * (reach + retreat) / speed + _BEYOND_S)
     live.board.check_reference(live.axis)
-    return float(live.board.status(live.axis).q) * live.resolution
+    return live.motor_position()
 
 
 def _check_within_limits(live: Live, rest_at: float) -> None:

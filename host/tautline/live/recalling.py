@@ -43,7 +43,7 @@ def _test_motion(live: Live, models: Sequence[Model]) -> tuple[Array, Array]:
     widest B, within the range, towards its farther end."""
     actuator = live.rig.actuator
     low, high = actuator.range
-    here = float(np.clip(live.board.status(live.axis).q * live.resolution, low, high))
+    here = float(np.clip(live.motor_position(), low, high))
     widest = max((float(model.width.max()) for model in models), default=0.0)
     stroke = min(max(_STROKE * widest, _LEAST_STROKE * actuator.span), _MOST_STROKE * max(high - here, here - low))
     stroke *= 1.0 if high - here > here - low else -1.0

@@ -25,7 +25,7 @@ _FRAME = 0.0224  # per frame at most: 5.6 mm/s of 10 mm at 25 Hz; much faster le
 _SECOND = 0.56  # per second at most, however fast the camera
 _APPROACH, _STROKE, _LONGEST_STROKE = 0.03, 0.25, 0.45
 _WHOLE = 0.4  # a round that would need more of the range takes all of it
-_BESIDE = 0.02  # strokes go on for so much beyond the backlash
+BESIDE = 0.02  # strokes go on for so much beyond what they measure and the backlash
 
 _OF_TOP_SPEED, _OF_TOP_ACCELERATION = 0.4, 0.8  # of the axis' limits
 _RAMP_S = 0.05  # from rest to measuring speed
@@ -153,7 +153,7 @@ class Standing:
         model = calibration.model
         bounds = max((onset.low for onset in calibration.onsets if onset.used and onset.kind == BOUND), default=0.0)
         doubt = next((str(reason) for reason in model.quality.reasons if not reason.mild), "")
-        inside = (model.q >= model.measured[0]) & (model.q <= model.measured[1])
+        inside = model.is_measured
         if not inside.any() or model.measured[0] >= model.measured[1]:
             return cls(np.inf, 0.5 * (low + high), (), (low, high), (low, high), 0.0, bounds, np.inf, doubt)
         q, widest = model.q[inside], float(model.width[inside].max())
@@ -305,7 +305,7 @@ def _stroke_for(means: Means, place: Place, widest: float, until: float, seconds
     """Plans the strokes across a place: longer than it by half the `widest` B and a margin on either side, slow enough
     for _FRAMES_A_STROKE frames in which the tip moves, and as often as the variance, which falls as the time spent
     there grows, takes to reach the goal `until`. seconds: that all rounds so far took. All in unit of q."""
-    beside = _BESIDE * means.span
+    beside = BESIDE * means.span
     reach = 0.5 * widest + beside
     low, high = max(place.low - reach, means.low), min(place.high + reach, means.high)
     moving = place.high - place.low + 2 * beside

@@ -90,7 +90,7 @@ def set_range(live: Live, low: float, high: float) -> None:
 def move_to(live: Live, q: float, speed: float, seen: Callable[[Frame], object] | None = None) -> None:
     """Moves the motor to q, the rig's unit, at up to `speed`, unit/s, and waits until it is there; frames meanwhile go
     to `seen`. TautError for a fault, or where it takes too long."""
-    start = live.board.status(live.axis).q * live.resolution
+    start = live.motor_position()
     live.board.ask("move", axis=live.axis, q=q / live.resolution, speed_s=speed / live.resolution)
     longest = 2.0 + 1.5 * abs(q - start) / speed  # s, tolerance
     deadline = live.now_us() + longest * 1e6
@@ -118,7 +118,7 @@ def probe(live: Live, seen: Callable[[Frame], object], speed: float) -> None:
     likely reason, where the marker's motion does not fit the motor's."""
     rig, unit = live.rig, live.rig.actuator.unit
     low, high = rig.actuator.range
-    start = float(live.board.status(live.axis).q) * live.resolution
+    start = live.motor_position()
     if not low <= start <= high:
         raise TautError(
             f"the motor is at {start:.4g} {unit}, outside the rig's range [{low:g}, {high:g}]: "
@@ -130,7 +130,7 @@ def probe(live: Live, seen: Callable[[Frame], object], speed: float) -> None:
         spots = []
         for q in (centre - reach, centre + reach, centre - reach):
             move_to(live, q, speed, seen)
-            spots.append((_marker_at_rest(live, seen), live.board.status(live.axis).q * live.resolution))
+            spots.append((_marker_at_rest(live, seen), live.motor_position()))
         (first, sigma), q_first = spots[1]
         (second, _), q_second = spots[2]
         if abs(q_second - q_first) < reach:

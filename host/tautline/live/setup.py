@@ -183,6 +183,10 @@ class Live:
         """The rig's unit per count."""
         return self.rig.actuator.encoder_resolution
 
+    def motor_position(self) -> float:
+        """The motor's position now, the rig's unit, as the board has it: asks for the axis' status."""
+        return float(self.board.status(self.axis).q) * self.resolution
+
     @contextmanager
     def interruptible(self) -> Iterator[None]:
         """A context within which Ctrl-C raises KeyboardInterrupt in the next `look` or `wait`, so that no message is

@@ -107,11 +107,6 @@ def common_unit(models: Mapping[str, Model]) -> str:
     return units.pop()
 
 
-def inside(model: Model) -> Array:
-    """(n,) bool: at which nodes of the model's grid B was measured."""
-    return np.asarray((model.q >= model.measured[0]) & (model.q <= model.measured[1]))
-
-
 def split_onsets(onsets: Sequence[Onset]) -> tuple[list[Onset], list[Onset]]:
     """The onsets that B(q) was fitted to, and those that were left out."""
     return [o for o in onsets if o["used"]], [o for o in onsets if not o["used"]]
@@ -133,7 +128,7 @@ def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Arra
     """Draws B(q) with its band and every width that was measured (the paper's Fig. 8), hollow and without a bar where
     2 sigma exceeds the width. Grey: where B was not measured. knots: unit of q, drawn as lines."""
     unit, (low, high) = model.rig.actuator.unit, model.measured
-    measured = inside(model)
+    measured = model.is_measured
     used, _ = split_onsets(onsets)
     precise = [o for o in used if 2 * o["sigma"] <= o["width"]]  # a wider bar over the picture says nothing
     reaches = [o["width"] + 2 * o["sigma"] for o in precise]
@@ -238,7 +233,7 @@ def gain(evidence: Evidence) -> Figure:
         )
     ax.set(xlabel="time (s)", ylabel=f"distance ({evidence.unit})")
     ax.set_title("How far each model is from what was seen")
-    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, markerscale=4, borderaxespad=0.1)
+    _legend_above(ax, 3, markerscale=4)
     return made
 
 
@@ -280,7 +275,7 @@ def track(evidence: Evidence, onsets: Sequence[Onset], motor_unit: str) -> Figur
                 color=colour,
                 label=f"onset {'used' if used else 'not used'} ({len(times)})",
             )
-    axes[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.1)
+    _legend_above(axes[0, 0], 2)
     axes[0, 0].set_title("What was recorded")
     axes[1, 0].set_xlabel("time (s)")
     return made
@@ -354,7 +349,7 @@ def residuals(evidence: Evidence, motor_unit: str) -> Figure:
     axes[0, 0].set_title("Residuals of f_remain + B")
     axes[0, 1].set_xlabel(f"q ({motor_unit})")
     if len(names) > 1:
-        axes[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, markerscale=5, borderaxespad=0.1)
+        _legend_above(axes[0, 0], 2, markerscale=5)
     return made
 
 
@@ -375,7 +370,7 @@ def cross_check(model: Model, pass_width: Array) -> Figure:
     difference = pass_width - model.width
     right.plot(model.q, difference, color=UP, lw=1.2)
     worst = np.nanmax(np.abs(difference)) if np.isfinite(difference).any() else 1.0
-    measured = inside(model)
+    measured = model.is_measured
     band = 3 * float(np.median(model.width_sigma[measured])) if measured.any() else 0.0
     right.set(xlabel=f"q ({unit})", ylabel=f"difference ({unit})", ylim=np.array([-1.2, 1.2]) * max(worst, band, 1e-9))
     right.set_title("Passes minus model")
@@ -402,7 +397,7 @@ def followed(runs: Mapping[str, Run]) -> Figure:
     bottom.set(xlabel="time (s)", ylabel="off by (deg)")
     bottom.set_title("Tracking error")
     for ax in (top, bottom):
-        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.1)
+        _legend_above(ax, 4)
     return made
 
 
@@ -420,7 +415,7 @@ def compared(models: Mapping[str, Model]) -> Figure:
             "ls": "-" if k == 0 else (0, (5, 1 + k)),
             "label": name,
         }
-        measured = inside(model)
+        measured = model.is_measured
         low, high = np.maximum(model.width - 2 * model.width_sigma, 0), model.width + 2 * model.width_sigma
         axes[0, 0].fill_between(model.q[measured], low[measured], high[measured], color=colour, alpha=0.15, lw=0)
         axes[0, 0].plot(model.q[measured], model.width[measured], **line)
@@ -485,8 +480,14 @@ def servo_steps(steps: Mapping[float, Any], chosen: float) -> Figure:
     bottom.set(xlabel="time (ms)", ylabel="off by (counts)")
     bottom.set_title("Following error")
     for ax in (top, bottom):
-        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=5, borderaxespad=0.1)
+        _legend_above(ax, 5)
     return made
+
+
+def _legend_above(ax: Axes, columns: int, markerscale: float | None = None) -> None:
+    """Puts the legend above the axes' upper right corner, where it hides nothing. markerscale: of its markers' size to
+    that in the picture, by default the style's."""
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, markerscale=markerscale, borderaxespad=0.1)
 
 
 def _colours(count: int) -> list[Any]:

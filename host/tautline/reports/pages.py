@@ -313,7 +313,7 @@ def _shown(evidence: Evidence) -> str:
 def sentences(model: Model, evidence: Evidence | None) -> list[str]:
     """A calibration's result for a person, in sentences: B, how well it is known, and, with evidence, how well the
     model predicts the recordings."""
-    unit, inside = model.rig.actuator.unit, figures.inside(model)
+    unit, inside = model.rig.actuator.unit, model.is_measured
     lines = []
     if inside.any():
         width, sigma = model.width[inside], model.width_sigma[inside]
@@ -363,7 +363,7 @@ def _times(worse: float, better: float) -> str:
 
 def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence: Evidence | None) -> list[Number]:
     """The rows of the page's table of numbers. used, unused: the model's onsets."""
-    unit, inside = model.rig.actuator.unit, figures.inside(model)
+    unit, inside = model.rig.actuator.unit, model.is_measured
     numbers = []
     if inside.any():
         width, at = model.width[inside], model.q[inside]

@@ -72,6 +72,6 @@ def axis_values(status: wire.Message) -> dict[str, Any]:
     words."""
     return {
         "mode": wire.text("MODES", status.mode),
-        "fault": wire.text("FAULTS", status.fault) if status.fault else None,
+        "fault": wire.fault_name(status),
         "table": wire.text("TABLES", status.table),
     }

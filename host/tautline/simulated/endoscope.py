@@ -79,7 +79,7 @@ class Endoscope:
         self._draw_tube(picture, float(c[middle]), float(translation[middle]), float(turn[middle]))
         height, width = picture.shape[:2]
         dy, dx = self._rng.integers(0, 256, 2)
-        marker = self._marker(picture, c, translation, turn)
+        marker = self._marker_patch(picture, c, translation, turn)
         picture = cv2.add(picture, self._noise_levels[dy : dy + height, dx : dx + width], dtype=cv2.CV_8U)
         if marker is not None:
             (x0, y0), patch = marker
@@ -88,49 +88,52 @@ class Endoscope:
             picture[y0 : y0 + rows, x0 : x0 + columns] = _levels(patch)
         return picture
 
-    def _marker(
+    def _marker_patch(
         self, picture: Array, c: Array, translation: Array, turn: Array
     ) -> tuple[tuple[int, int], Array] | None:
-        """The place (column, row) and the levels, float (rows, columns, 3), of the patch of `picture` with the marker
-        in it; None where it is not in view. c, translation, turn (n,): states over the exposure, deg, mm, deg."""
-        look = self.look
-        base = about_base_z(turn, tip_bend(self._kinematics, c) + np.column_stack([0 * c, 0 * c, translation]))
-        point = to_camera(self._hand_eye, base)
-        image = to_image(self._camera, point)
-        if not np.isfinite(image).all():
+        """Draws the marker, blurred by lens and motion, and its highlight over a part of `picture`, which stays as it
+        is. Returns the part's first (column, row) and its levels, float (rows, columns, 3), not rounded yet, so that
+        noise can be added; None where the marker is not in view. c, translation, turn (n,): states over the exposure,
+        deg, mm, deg."""
+        track, distance = self._marker_track(c, translation, turn)
+        if not np.isfinite(track).all():
             return None
-        radius = self._camera.fx_px * look.marker_radius_mm / float(np.mean(point[:, 2]))
-        reach = radius + 5.0 * look.blur_px
+        radius = self._camera.fx_px * self.look.marker_radius_mm / distance
+        reach = radius + _BLUR_REACH * self.look.blur_px
         height, width = picture.shape[:2]
-        x0, y0 = np.maximum(np.floor(image.min(axis=0) - reach), 0).astype(int)
-        x1, y1 = np.minimum(np.ceil(image.max(axis=0) + reach) + 1, [width, height]).astype(int)
+        x0, y0 = np.maximum(np.floor(track.min(axis=0) - reach), 0).astype(int)
+        x1, y1 = np.minimum(np.ceil(track.max(axis=0) + reach) + 1, [width, height]).astype(int)
         if x0 >= x1 or y0 >= y1:
             return None
-        travelled = float(np.abs(np.diff(image, axis=0)).sum()) if len(image) > 1 else 0.0
-        # Discs are averaged along the way, two for each blur width, so that no steps are seen; in 0.02 px it rests.
-        steps = 1 if travelled < 0.02 else min(64, 2 + int(2.0 * travelled / look.blur_px))
-        if steps > 1:
-            own = (np.arange(steps) + 0.5) / steps
-            image = np.column_stack([np.interp(own, np.linspace(0, 1, len(image)), image[:, i]) for i in (0, 1)])
-        else:
-            image = image.mean(axis=0, keepdims=True)
-        x = np.arange(x0, x1)[None, :]
-        y = np.arange(y0, y1)[:, None]
-        cover = np.zeros((y1 - y0, x1 - x0))
+        discs = _spread_along(track, self.look.blur_px)
+        cover, light = self._mean_of_discs(discs, radius, np.arange(x0, x1)[None, :], np.arange(y0, y1)[:, None])
+        gain = self._gain[y0:y1, x0:x1]
+        patch = picture[y0:y1, x0:x1].astype(np.float32)
+        patch += cover[:, :, None] * (np.asarray(self.look.marker_colour) * gain - patch)
+        patch += (light * (self.look.glint * 255.0 / len(discs)))[:, :, None]
+        return (int(x0), int(y0)), np.minimum(patch, 255.0)
+
+    def _marker_track(self, c: Array, translation: Array, turn: Array) -> tuple[Array, float]:
+        """The marker's centre in each state (n, 2), px, NaN where it is not in front of the camera, and the mean of its
+        distances along the camera's axis, mm. c, translation, turn (n,): deg, mm, deg."""
+        base = about_base_z(turn, tip_bend(self._kinematics, c) + np.column_stack([0 * c, 0 * c, translation]))
+        point = to_camera(self._hand_eye, base)
+        return to_image(self._camera, point), float(np.mean(point[:, 2]))
+
+    def _mean_of_discs(self, centres: Array, radius: float, x: Array, y: Array) -> tuple[Array, Array]:
+        """Over the pixels of columns x (1, columns) and rows y (rows, 1): the share of each that the disc covers, the
+        mean over its centres (k, 2), and the sum of their highlights, each 1 at its peak. A disc's edge is blurred as
+        by a Gaussian of blur_px: the error function of the distance from it. Lengths are in px."""
+        cover = np.zeros((y.size, x.size))
         light = np.zeros_like(cover)
-        for u, v in image:
+        for u, v in centres:
             distance = np.hypot(x - u, y - v)
-            cover += 0.5 * erfc((distance - radius) / (look.blur_px * np.sqrt(2.0)))
-            if look.glint > 0:
+            cover += 0.5 * erfc((distance - radius) / (self.look.blur_px * np.sqrt(2.0)))
+            if self.look.glint > 0:
                 # A highlight up and to the left of its middle.
                 spot = ((x - u + 0.35 * radius) ** 2 + (y - v + 0.4 * radius) ** 2) / (0.18 * radius) ** 2
                 light += np.exp(-0.5 * spot)
-        cover /= len(image)
-        gain = self._gain[y0:y1, x0:x1]
-        patch = picture[y0:y1, x0:x1].astype(np.float32)
-        patch += cover[:, :, None] * (np.asarray(look.marker_colour) * gain - patch)
-        patch += (light * (look.glint * 255.0 / len(image)))[:, :, None]
-        return (int(x0), int(y0)), np.minimum(patch, 255.0)
+        return cover / len(centres), light
 
     def _draw_tube(self, picture: Array, c_deg: float, translation_mm: float, rotation_deg: float) -> None:
         """Draws the straight shaft from behind the camera, the constant-curvature section and the rigid tip into
@@ -170,8 +173,22 @@ class Endoscope:
         picture[y0:y1, x0:x1] = cv2.multiply(patch, self._gain[y0:y1, x0:x1], dtype=cv2.CV_8U)
 
 
-_STEEL = (150.0, 150.0, 145.0)
-_SHADES = tuple((0.12 * k, 0.35 + 0.11 * k) for k in range(7))
+_STEEL = (150.0, 150.0, 145.0)  # levels, B, G, R, of the tube where it is lit
+_SHADES = tuple((0.12 * k, 0.35 + 0.11 * k) for k in range(7))  # of the half width: inset of a strip; share of _STEEL
+_BLUR_REACH = 5.0  # tolerance: blur widths beyond a disc's edge, where nothing of it is seen any more
+_RESTS_PX = 0.02  # tolerance: in an exposure: less blurs nothing that is seen
+_DISCS_A_BLUR, _MOST_DISCS = 2.0, 64  # tolerance: along the way: no steps are seen
+
+
+def _spread_along(track: Array, blur_px: float) -> Array:
+    """(k, 2) Places, px, at equal intervals of time along a marker's track (n, 2) over an exposure, so near to each
+    other that discs of blur_px at them, averaged, look like one that moved; the mean place where it rests."""
+    travelled = float(np.abs(np.diff(track, axis=0)).sum()) if len(track) > 1 else 0.0
+    steps = 1 if travelled < _RESTS_PX else min(_MOST_DISCS, 2 + int(_DISCS_A_BLUR * travelled / blur_px))
+    if steps == 1:
+        return np.asarray(track.mean(axis=0, keepdims=True))
+    own = (np.arange(steps) + 0.5) / steps
+    return np.column_stack([np.interp(own, np.linspace(0, 1, len(track)), track[:, i]) for i in (0, 1)])
 
 
 def load_background(path: str | Path) -> Array:

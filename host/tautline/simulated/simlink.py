@@ -13,11 +13,11 @@ import socket
 import subprocess
 import tempfile
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
+from tautline.closable import Closable
 from tautline.errors import TautError
 from tautline.simulated.instrument import Instrument
 
@@ -60,16 +60,16 @@ class SimLink:
         try:
             self._socket.sendall(lines.encode() + b"\n")
         except OSError as error:
-            raise TautError("the simulated board has stopped: start it again") from error
+            raise _stopped() from error
 
     def _answer(self, request: str) -> dict[str, Any]:
         """The next answer as a dict. TautError where the board has stopped, or refused the request."""
         try:
             line = self._lines.readline()
         except OSError as error:
-            raise TautError("the simulated board has stopped: start it again") from error
+            raise _stopped() from error
         if not line:
-            raise TautError("the simulated board has stopped: start it again")
+            raise _stopped()
         answer: dict[str, Any] = json.loads(line)
         if "error" in answer:
             raise TautError(f"the simulated board refused '{request}': {answer['error']}")
@@ -79,6 +79,11 @@ class SimLink:
         with contextlib.suppress(OSError):
             self._lines.close()
             self._socket.close()
+
+
+def _stopped() -> TautError:
+    """The error to raise where the simulated board's process does not answer any more."""
+    return TautError("the simulated board has stopped: start it again")
 
 
 def program() -> Path:
@@ -99,7 +104,7 @@ def program() -> Path:
     )
 
 
-class DesktopBoard:
+class DesktopBoard(Closable):
     """A desktop board of our own, for as long as the block lasts. Its flash is a file that outlives it where named."""
 
     def __init__(
@@ -146,14 +151,6 @@ class DesktopBoard:
             self.process.stdout.close()
         if self._folder is not None:
             self._folder.cleanup()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 class SimulatedAxis:

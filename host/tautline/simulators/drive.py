@@ -76,14 +76,7 @@ def _resampled_log(motor: Motor, rig: Rig) -> Motor:
     steps = int(np.floor((motor.t_s[-1] - motor.t_s[0]) / STEP_S))
     t_s = motor.t_s[0] + STEP_S * np.arange(steps + 1)
     q = path.at(t_s) if motor.q_cmd is None else np.interp(t_s, motor.t_s, motor.q_cmd)
-
-    def resampled(values: Array | None) -> Array | None:
-        """A column at t_s; None where there is none."""
-        return None if values is None else np.interp(t_s, motor.t_s, values)
-
-    translation, rotation, load = map(resampled, (motor.translation_mm, motor.rotation_deg, motor.load_mNm))
-    joints = {name: np.interp(t_s, motor.t_s, values) for name, values in motor.joints.items()}
-    return Motor(t_s, q, None, translation, rotation, load, joints)
+    return motor.resampled(t_s, q, motor.joints)
 
 
 def _with_coordinate(log: Motor, q: Array) -> Motor:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 
 KIND = "mjcf"
-PER_UNIT = {"mm": 1e-3, "deg": math.radians(1.0)}  # equation: m or rad of a control, per unit of q
+_PER_UNIT = {"mm": 1e-3, "deg": math.radians(1.0)}  # equation: m or rad of a control, per unit of q
 _UNITS = {True: ("Nm", "rad"), False: ("N", "m")}  # of a hinge, of a slide or a tendon
 _SETTLE_S = 2.0  # tolerance: at the first control, before the log begins
 _DELAY_S = 0.02  # prior: a change that a user would notice
@@ -263,6 +263,15 @@ def _first_order_response(command: Array, steps: float) -> Array:
     return np.asarray(command[0] + rows[:, 0])
 
 
+def scale_of(scale: float | None, unit: str) -> float:
+    """What an actuator's control is per unit of q: `scale`, by default m per mm or rad per deg. TautError where it is 0
+    or no finite number."""
+    scale = _PER_UNIT[unit] if scale is None else scale
+    if not (math.isfinite(scale) and scale != 0.0):
+        raise TautError(f"--scale {scale:g}: expected what the control is per {unit} of q, not 0")
+    return scale
+
+
 def simulator(
     path: str | Path,
     actuator: str,
@@ -276,9 +285,7 @@ def simulator(
     site:NAME for the sum of the free hinges above it. unit: of the motor's position, mm or deg; step_s: of the
     simulation, by default the file's. TautError names what is not in the file."""
     needed()
-    scale = PER_UNIT[unit] if scale is None else scale
-    if not (math.isfinite(scale) and scale != 0.0):
-        raise TautError(f"--scale {scale:g}: expected what the control is per {unit} of q, not 0")
+    scale = scale_of(scale, unit)
     made = Mjcf(Path(path), actuator, tip, scale, step_s)
     source = {
         "kind": KIND,

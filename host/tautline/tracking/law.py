@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
 from tautline import _native
-from tautline.model import Model, allowed_width, interpolate
+from tautline.model import Model, allowed_width, interpolate, interpolate_inverse
 from tautline.spread import of_rounding
 from tautline.tracking.beyond import PLACES, Beyond
 
@@ -56,8 +56,7 @@ class Law:
 
     def place(self, c_deg: npt.ArrayLike) -> Array:
         """Centre coordinates, unit of q, at which f_remain is c_deg, of any shape."""
-        order = slice(None) if self.c_deg[-1] > self.c_deg[0] else slice(None, None, -1)
-        return np.asarray(interpolate(c_deg, self.c_deg[order], self.grid[order]))
+        return interpolate_inverse(c_deg, self.grid, self.c_deg)
 
     @cached_property
     def _slopes(self) -> Array:

@@ -17,7 +17,7 @@ class TakenUp:
 
     def __init__(self, model: Model) -> None:
         self._q = model.q
-        self._measured = (model.q >= model.measured[0]) & (model.q <= model.measured[1])
+        self._measured = model.is_measured
         self._allowed = np.ones(len(model.q))
         self.scale, self.dialled = 1.0, ""
 
@@ -31,14 +31,14 @@ class TakenUp:
             self._allowed = np.where(seen, share, np.minimum(share, self._allowed))
         else:
             self._allowed = np.full(len(self._allowed), theta[SCALE])
-        self.all_that_is_allowed(theta)
+        self.take_up_all_allowed(theta)
 
     def no_more_than(self, theta: Array) -> None:
         """The share is at most the present scale, and that of theta."""
         self._allowed = np.minimum(self._allowed, np.minimum(self.scale, theta[SCALE]))
-        self.all_that_is_allowed(theta)
+        self.take_up_all_allowed(theta)
 
-    def all_that_is_allowed(self, theta: Array) -> None:
+    def take_up_all_allowed(self, theta: Array) -> None:
         """Sets the scale to the least allowed share of B where it was measured; nothing is dialled down any more."""
         self.dialled = ""
         self.scale = float(np.min(self._allowed[self._measured])) if self._measured.any() else float(theta[SCALE])

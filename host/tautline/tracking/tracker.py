@@ -402,9 +402,10 @@ class LawTracker:
         self._change_state(State.STALE, "the tip is not where the model says: more reversals will tell why")
 
     def _become_trusted(self, why: str) -> None:
-        """Ends learning: the law in use is trusted."""
+        """The law in use is trusted from now on: no hypothesis is judged any more, all of B that it allows is taken up
+        again, and doubts count from the next frame. why: in words, for the user."""
         self._judgement.drop()
-        self._taken_up.all_that_is_allowed(self._theta)
+        self._taken_up.take_up_all_allowed(self._theta)
         self._clear_doubts(self._window.end)
         self._change_state(State.TRUSTED, why)
 

@@ -12,6 +12,7 @@ from typing import Protocol, Self
 import cv2
 import numpy as np
 
+from tautline.closable import Closable
 from tautline.errors import TautError
 from tautline.simulated.endoscope import Endoscope
 from tautline.vision import exposure
@@ -46,7 +47,7 @@ class FrameSource(Protocol):
         """Gives the source back."""
 
 
-class VideoCamera:
+class VideoCamera(Closable):
     """A device by its index or path, a video file, a stream or a GStreamer pipeline that ends in an appsink, through
     OpenCV's VideoCapture.
 
@@ -158,14 +159,6 @@ class VideoCamera:
         """Sets a locked exposure back to automatic and closes the source."""
         exposure.release(self._capture, self._exposure)
         self._capture.release()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def read_picture(path: str | Path) -> Array | None:

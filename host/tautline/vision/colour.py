@@ -13,6 +13,7 @@ import numpy as np
 import tomli_w
 
 from tautline.errors import TautError
+from tautline.vision.sighting import check_in_picture
 
 Array = np.ndarray
 
@@ -108,8 +109,7 @@ def pick(picture: Array, at: tuple[float, float] | None = None) -> MarkerColour:
         return best[0]
     _check_picture(picture)
     height, width = picture.shape[:2]
-    if not (0 <= at[0] < width and 0 <= at[1] < height):
-        raise TautError(f"({at[0]:g}, {at[1]:g}) is outside of the picture of {width} x {height} px")
+    check_in_picture(at, width, height)
     blob = _pick_blob_at(picture, at, _surroundings(picture))
     if blob is None:
         raise TautError(

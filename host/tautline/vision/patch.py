@@ -21,7 +21,7 @@ import numpy.typing as npt
 from tautline.errors import TautError
 from tautline.vision.flow import EvenLight, Picture, corners_in, found_again
 from tautline.vision.keyframes import Keyframes
-from tautline.vision.sighting import SURE_PX, Sighting, lost
+from tautline.vision.sighting import SURE_PX, Sighting, check_in_picture, lost
 
 Array = npt.NDArray[np.floating[Any]]
 
@@ -189,8 +189,7 @@ class PatchTracker:
                 f"a region of {side_px:g} px: between {SMALLEST_PX:g} and {LARGEST_PX:g} px can be followed"
             )
         height, width = picture.shape[:2]
-        if not (0 <= at[0] < width and 0 <= at[1] < height):
-            raise TautError(f"({at[0]:g}, {at[1]:g}) is outside of the picture of {width} x {height} px")
+        check_in_picture(at, width, height)
         self.side_px, self._shape = side_px, picture.shape[:2]
         self._first = _Keyframe.of(EvenLight(picture), Pose(*at), side_px)
         if len(self._first.corners) < _FEWEST:

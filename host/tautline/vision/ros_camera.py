@@ -5,11 +5,12 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from typing import Any, Self
+from typing import Any
 
 import cv2
 import numpy as np
 
+from tautline.closable import Closable
 from tautline.drivers.ros_graph import Graph, library, sensor_qos
 from tautline.errors import TautError
 from tautline.vision.drops import Drops
@@ -34,7 +35,7 @@ def is_topic(source: object) -> bool:
     return isinstance(source, str) and source.startswith(_PREFIX)
 
 
-class RosCamera:
+class RosCamera(Closable):
     """A topic's frames as they come. Arrival times are of the host's monotonic clock: a message's own stamp, where that
     is of this machine's clock, else when it came. Use it as a context manager."""
 
@@ -124,9 +125,3 @@ class RosCamera:
     def close(self) -> None:
         """Leaves the ROS graph."""
         self._graph.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tautline.errors import TautError
+
 SURE_PX = 1e-3  # tolerance: no place is said to be known better
 
 
@@ -25,6 +27,12 @@ class Sighting:
     def valid(self) -> bool:
         """Whether the marker was found."""
         return not self.lost
+
+
+def check_in_picture(at: tuple[float, float], width: int, height: int) -> None:
+    """TautError where a place (u, v), px, that somebody showed is not in a picture of this size, px."""
+    if not (0 <= at[0] < width and 0 <= at[1] < height):
+        raise TautError(f"({at[0]:g}, {at[1]:g}) is outside of the picture of {width} x {height} px")
 
 
 def lost(why: str) -> Sighting:

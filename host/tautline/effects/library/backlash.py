@@ -7,13 +7,13 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.effects.kind import Kind, Parameter
+from tautline.effects.spline import RangeSpline
 from tautline.model import Model, allowed_width
-from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
 
 _PIECES = 20  # prior: of a cubic spline over the motor's range: as fine as B itself is measured again
-_NAMES = tuple(f"width_{i}" for i in range(_PIECES + 3))
+_SPLINE = RangeSpline("width", _PIECES)
 _SCALE, _EVERYWHERE = "width_scale", "width_everywhere"
 _AT_MOTOR = "width_at_motor"  # 1: the change goes with the motor, as a worn part does, and not with the play's centre
 _STEPS = 6  # tolerance: of a fixed-point iteration, which contracts as |d added / dq| / 2 < 1
@@ -22,7 +22,7 @@ _STEPS = 6  # tolerance: of a fixed-point iteration, which contracts as |d added
 def _in_the_table(model: Model, values: Mapping[str, float], session_s: float) -> Model:
     """The model with another B: times 1 + width_scale, plus width_everywhere, plus the spline with coefficients width_0
     .., unit of q, over the play's centre or, with width_at_motor, over the motor's position. session_s is not used."""
-    added = _basis(model).table(np.array([values.get(name, 0.0) for name in _NAMES]), model.q)
+    added = _SPLINE.on_grid(model, values)
     width = model.width * max(0.0, 1.0 + values.get(_SCALE, 0.0)) + values.get(_EVERYWHERE, 0.0)
     if not values.get(_AT_MOTOR, 0.0):
         return replace(model, width=allowed_width(model.q, width + added))
@@ -34,12 +34,7 @@ def _slopes(model: Model, values: Mapping[str, float], p: Array) -> Mapping[str,
     if values.get(_AT_MOTOR, 0.0):
         return None
     everywhere = {_SCALE: np.interp(p, model.q, model.width), _EVERYWHERE: np.ones_like(p)}
-    return everywhere | dict(zip(_NAMES, _basis(model).between(model.q, p).T, strict=True))
-
-
-def _basis(model: Model) -> Basis:
-    """Of the coefficients, over the motor's range."""
-    return Basis(*model.rig.actuator.range, _PIECES)
+    return everywhere | _SPLINE.slopes(model, p)
 
 
 def _with_width_at_motor(model: Model, width: np.ndarray, added: np.ndarray) -> Model:
@@ -62,7 +57,7 @@ def _with_width_at_motor(model: Model, width: np.ndarray, added: np.ndarray) -> 
 
 _KIND = Kind(
     "transmission.backlash",
-    (Parameter(_SCALE, "", 0.1), *(Parameter(name, "unit", 5e-3) for name in _NAMES)),
+    (Parameter(_SCALE, "", 0.1), *(Parameter(name, "unit", 5e-3) for name in _SPLINE.names)),
     (Parameter(_AT_MOTOR, "", 1.0, (0.0, 1.0), searched=True),),
     says="the backlash is not the model's",
     tell="Every reversal at one place is wider or narrower than the model's B there, by the same amount each time.",
@@ -72,7 +67,7 @@ _KIND = Kind(
     slopes=_slopes,
     nominal=True,
     posture=True,
-    curve=_NAMES,
+    curve=_SPLINE.names,
 )
 EFFECTS = (
     replace(_KIND, simple=replace(_KIND, amplitudes=(Parameter(_EVERYWHERE, "unit", 5e-3),), shapes=(), curve=())),

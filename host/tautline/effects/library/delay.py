@@ -6,7 +6,7 @@ from tautline.model import Model
 
 
 def _later(model: Model, values: Mapping[str, float], session_s: float) -> Model:
-    """The model with `delay`, s, added to its sensor's. session_s is not used."""
+    """The model whose sensor is `delay`, s, later than it was. session_s is not used."""
     return replace(model, delay_s=model.delay_s + values["delay"])
 
 

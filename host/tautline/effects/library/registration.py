@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tautline.effects.kind import Kind, Parameter, six
+from tautline.effects.kind import Kind, Parameter, rigid_motion
 from tautline.geometry import rotation
 from tautline.model import Model
 from tautline.rig import HandEye
@@ -39,7 +39,7 @@ def _shifted(model: Model, values: Mapping[str, float], session_s: float) -> Mod
 EFFECTS = (
     Kind(
         "registration.static",
-        six("static"),
+        rigid_motion("static"),
         says="wrong hand-eye transform",
         tell="The marker is off its track everywhere, in all recordings alike; B fits all the same.",
         mend="Measure hand_eye again, or take over the corrected model's.",
@@ -64,7 +64,7 @@ EFFECTS = (
     ),
     Kind(
         "registration.shift",
-        six("shift"),
+        rigid_motion("shift"),
         (Parameter("shift_time", "s", 1.0, searched=True),),
         says="the registration changes once, during a recording",
         tell="At one moment the whole track moves in the image and stays there.",

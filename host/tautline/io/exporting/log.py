@@ -52,6 +52,10 @@ class Log:
     facts: dict[str, Any]  # as JSON has them: name, units, verdicts
     video: Video | None = None
 
+    def last_s(self, default: float) -> float:
+        """The latest time of any series, s; `default` where all are empty."""
+        return max((float(series.t_s[-1]) for series in self.series if len(series.t_s)), default=default)
+
     @property
     def first_frame_s(self) -> float:
         """Arrival time of the video's first frame, s; infinity without a frame."""

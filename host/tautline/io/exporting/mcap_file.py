@@ -43,7 +43,7 @@ def write(log: Log, out: Path, progress: Callable[[float, str], None]) -> list[P
 
     first = min((float(series.t_s[0]) for series in log.series if len(series.t_s)), default=0.0)
     shift_s = max(0.0, -min(first, log.first_frame_s))
-    last = max((float(series.t_s[-1]) for series in log.series if len(series.t_s)), default=0.0)
+    last = log.last_s(default=0.0)
     if last + shift_s >= _LATEST_S:
         raise TautError(f"{log.facts['name']}: its times end at {last:.4g} s: MCAP counts nanoseconds in 64 bits")
     with whole(out) as file, file.open("wb") as stream:

@@ -28,7 +28,7 @@ def write(log: Log, out: Path, progress: Callable[[float, str], None]) -> list[P
             progress(0.3, series.name)
         for curve in log.curves:
             _send_curve(recording, curve)
-        last = max((float(series.t_s[-1]) for series in log.series if len(series.t_s)), default=1.0)
+        last = log.last_s(default=1.0)
         for t_s, jpeg in log.frames():
             recording.set_time(TIME, duration=t_s)
             recording.log("camera", rr.EncodedImage(contents=jpeg, media_type="image/jpeg"))

@@ -22,7 +22,7 @@ from tautline.io.importing.listing import Listing, Progress, check_episode, reso
 from tautline.io.importing.mcap import Mcap
 from tautline.io.importing.propose import Proposal
 from tautline.io.importing.rosbag import Rosbag
-from tautline.io.importing.source import Source
+from tautline.io.importing.source import Source, no_messages
 from tautline.io.importing.units import Named, named
 from tautline.layouts import MOTOR
 from tautline.recording import IMPORT_FILE
@@ -102,7 +102,7 @@ def import_episodes(
     imported, or the named one."""
     listed = list(source.episodes())
     if not listed:
-        raise TautError(f"{source.path}: is empty: it holds no messages")
+        raise no_messages(source.path)
     if episode is not None:
         check_episode(source, episode)
     read = source.path.resolve()

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tautline.errors import TautError
-from tautline.io.importing.source import Array, Batch, Fact, Source
+from tautline.io.importing.source import Array, Batch, Fact, Source, no_messages
 from tautline.io.importing.tip import QUATERNION, bending_deg
 
 Progress = Callable[[float, str], None]
@@ -119,7 +119,7 @@ def scan(source: Source, episode: int | None, progress: Progress) -> Listing:
     and a word. TautError where there is no such episode, or nothing in it."""
     episodes = source.episodes()
     if not episodes:
-        raise TautError(f"{source.path}: is empty: it holds no messages")
+        raise no_messages(source.path)
     episode = episodes[0] if episode is None else episode
     check_episode(source, episode)
     groups: dict[str, _Group] = {}

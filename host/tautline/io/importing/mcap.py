@@ -7,12 +7,10 @@ from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from tautline.errors import TautError
 from tautline.io.importing.libraries import library
 from tautline.io.importing.messages import Flattener, Gathered, is_picture, picture, stamp_ns
-from tautline.io.importing.source import Batch, Fact, Picture, no_video, origin_of
+from tautline.io.importing.source import Batch, Fact, Picture, no_pictures, no_video, origin_of, seconds_since
 
 
 class Mcap:
@@ -90,7 +88,7 @@ class Mcap:
             decoded = decode(message.data)
             found = picture(decoded, self._seconds(message.log_time), self._seconds(stamp_ns(decoded)))
             if found is None:
-                raise TautError(f"{self.path}: {video} holds pictures that are no JPEG, PNG or plain colours")
+                raise no_pictures(self.path, video)
             yield found
 
     def _messages(self, topics: Collection[str] | None) -> Iterator[tuple[Any, Any, Any, Callable[[bytes], Any]]]:
@@ -135,8 +133,8 @@ class Mcap:
         return found
 
     def _seconds(self, time_ns: int | None) -> float:
-        """A time in s since the origin; NaN for None."""
-        return np.nan if time_ns is None else (time_ns - self._origin_ns) * 1e-9
+        """As `seconds_since` the source's origin."""
+        return seconds_since(self._origin_ns, time_ns)
 
     def _cut_error(self, error: Exception) -> TautError:
         """The error to raise for an error of the library: the file is cut, or no MCAP."""

@@ -7,12 +7,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from tautline.errors import TautError
 from tautline.io.importing.libraries import library
 from tautline.io.importing.messages import Flattener, Gathered, is_picture, picture, stamp_ns
-from tautline.io.importing.source import Batch, Fact, Picture, no_video, origin_of
+from tautline.io.importing.source import Batch, Fact, Picture, no_pictures, no_video, origin_of, seconds_since
 
 
 class Rosbag:
@@ -75,7 +73,7 @@ class Rosbag:
                 message = reader.deserialize(raw, connection.msgtype)
                 found = picture(message, self._seconds(log_ns), self._seconds(stamp_ns(message)))
                 if found is None:
-                    raise TautError(f"{self.path}: {video} holds pictures that are no JPEG, PNG or plain colours")
+                    raise no_pictures(self.path, video)
                 yield found
 
     def _decoded(self, reader: Any, connection: Any, raw: bytes) -> Any:
@@ -109,5 +107,5 @@ class Rosbag:
             raise TautError(f"{self.path}: is cut short or no {self.kind} ({what}): {mend}") from error
 
     def _seconds(self, time_ns: int | None) -> float:
-        """A time in s since the origin; NaN for None."""
-        return np.nan if time_ns is None else (time_ns - self._origin_ns) * 1e-9
+        """As `seconds_since` the source's origin."""
+        return seconds_since(self._origin_ns, time_ns)

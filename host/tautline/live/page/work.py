@@ -55,20 +55,38 @@ class Work(Protocol):
 
 
 @dataclass
-class Calibrating:
-    """`taut live`: live calibrations, each with a recording of its own; the last one's model is in `out`."""
+class _OnSetUp:
+    """What every work on a live set-up does alike."""
 
     live: Live
-    out: Path
-    recording: Callable[[], Path]  # a folder that is not there yet
-    goal: Goal = field(default_factory=Goal)
-    colour_file: Path | None = None  # that keeps what was picked
-    found: Calibration | None = None  # by the last run
 
     @property
     def rig(self) -> Rig:
         """Of the set-up."""
         return self.live.rig
+
+    def idle(self, desk: Desk) -> None:
+        """Shows a frame; where time is virtual, at the camera's real pace."""
+        began_s = time.monotonic()
+        frame = self.live.look()
+        desk.show_frame(frame, self.live.motor_position())
+        if self.live.virtual and self.rig.camera is not None:
+            time.sleep(max(began_s + 1.0 / self.rig.camera.frame_rate_hz - time.monotonic(), 0.0))
+
+    def let_go(self) -> None:
+        """Switches the motor off."""
+        self.live.let_go()
+
+
+@dataclass
+class Calibrating(_OnSetUp):
+    """`taut live`: live calibrations, each with a recording of its own; the last one's model is in `out`."""
+
+    out: Path
+    recording: Callable[[], Path]  # a folder that is not there yet
+    goal: Goal = field(default_factory=Goal)
+    colour_file: Path | None = None  # that keeps what was picked
+    found: Calibration | None = None  # by the last run
 
     @property
     def about(self) -> dict[str, Any]:
@@ -81,7 +99,7 @@ class Calibrating:
         """Shows a frame; where the picture was clicked, picks the marker's colour there."""
         if (place := desk.picked()) is not None:
             self._pick(desk, place)
-        _look(desk, self.live)
+        super().idle(desk)
 
     def run(self, desk: Desk) -> str:
         """Calibrates until the goal is reached or out of reach, and writes MODEL and report to `out`."""
@@ -95,10 +113,6 @@ class Calibrating:
         if reached.why:
             return f"B(q) is not known to {in_words(reached.until, unit)} everywhere: {reached.why}"
         return f"done: sigma of B(q) is {worst} at most; {self.out / pages.FILE} shows it"
-
-    def let_go(self) -> None:
-        """Switches the motor off."""
-        self.live.let_go()
 
     def _pick(self, desk: Desk, place: tuple[float, float]) -> None:
         """Picks the marker's colour at a place (u, v), px, of the latest picture, uses it from now on and keeps it in
@@ -119,11 +133,10 @@ class Calibrating:
 
 
 @dataclass
-class Watching:
+class Watching(_OnSetUp):
     """`taut live --watch`: keeps a model in use calibrated, as `taut watch`; nothing is moved unless `motion` says so.
     A motion ends where no page is open on which somebody could press Stop."""
 
-    live: Live
     model: Model
     motion: str = "none"
     speed: float | None = None
@@ -131,19 +144,10 @@ class Watching:
     seed: int = 0
 
     @property
-    def rig(self) -> Rig:
-        """Of the set-up."""
-        return self.live.rig
-
-    @property
     def about(self) -> dict[str, Any]:
         """Title of a model that is watched (see Work)."""
         title = f"Watch a model in use on axis {self.live.axis}"
         return {"title": title, "live": True, "watch": True, "rests": False}
-
-    def idle(self, desk: Desk) -> None:
-        """Shows a frame."""
-        _look(desk, self.live)
 
     def run(self, desk: Desk) -> str:
         """Keeps the model calibrated until stopped, or for duration_s."""
@@ -166,17 +170,12 @@ class Watching:
         )  # fmt: skip
         return f"watched {result['seconds']:.1f} s, {result['frames']} frames: {result['state'] or 'none was tracked'}"
 
-    def let_go(self) -> None:
-        """Switches the motor off."""
-        self.live.let_go()
-
 
 @dataclass
-class Diagnosing:
+class Diagnosing(_OnSetUp):
     """`taut live --diagnose`: a live diagnosis, as `taut diagnose --live`. A motion ends where no page is open on which
     somebody could press Stop; the next one waits for a page."""
 
-    live: Live
     calibration: Calibration
     recorded: Sequence[Recording]  # on the motor's clock: that of the calibration, then tests that were made before
     out: Path
@@ -185,19 +184,10 @@ class Diagnosing:
     found: Asked | None = None
 
     @property
-    def rig(self) -> Rig:
-        """Of the set-up."""
-        return self.live.rig
-
-    @property
     def about(self) -> dict[str, Any]:
         """Title of a live diagnosis (see Work)."""
         title = f"Diagnose {self.rig.actuator.instrument or 'an instrument'} on axis {self.live.axis}"
         return {"title": title, "live": True, "diagnose": True, "rests": False}
-
-    def idle(self, desk: Desk) -> None:
-        """Shows a frame."""
-        _look(desk, self.live)
 
     def run(self, desk: Desk) -> str:
         """Diagnoses, recording the motions that this asks for, and writes the diagnosis to `out`."""
@@ -207,7 +197,7 @@ class Diagnosing:
 
         def seen(frame: Frame) -> None:
             """Publishes a frame; Stopped where stop was pressed, or nobody watches."""
-            desk.show_frame(frame, _motor(self.live))
+            desk.show_frame(frame, self.live.motor_position())
             desk.check_stop()
             if desk.unwatched:
                 raise Stopped
@@ -226,10 +216,6 @@ class Diagnosing:
         save(asked.diagnosis, self.out)
         self.found = asked
         return f"{asked.why}; {self.out / pages.FILE} shows it"
-
-    def let_go(self) -> None:
-        """Switches the motor off."""
-        self.live.let_go()
 
 
 @dataclass
@@ -257,20 +243,6 @@ class Replaying:
 
     def let_go(self) -> None:
         """Does nothing: nothing moves."""
-
-
-def _look(desk: Desk, live: Live) -> None:
-    """Shows one frame while nothing runs; where time is virtual, at the camera's real pace."""
-    began_s = time.monotonic()
-    frame = live.look()
-    desk.show_frame(frame, _motor(live))
-    if live.virtual and live.rig.camera is not None:
-        time.sleep(max(began_s + 1.0 / live.rig.camera.frame_rate_hz - time.monotonic(), 0.0))
-
-
-def _motor(live: Live) -> float:
-    """The motor's position now, the rig's unit."""
-    return float(live.board.status(live.axis).q) * live.resolution
 
 
 def attend(

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.effects import BY_ID, of_this_version
-from tautline.elements import SINGLE, warp_of
+from tautline.elements import SINGLE, Elements, warp_of
 from tautline.folders import replaced, write_file
 from tautline.io.exporting.export import Exported
 from tautline.io.exporting.mjcf import measure, transmission
@@ -52,7 +52,7 @@ def write(model: Model, out: Path, mount: Mount, progress: Callable[[float, str]
     progress(0.05, "polynomials")
     law = law_of(model)
     with replaced(out, REPORT, stale=(WARP,)) as folder:
-        rest = standalone(model, nominal)
+        rest = callback_files(model, nominal)
         # What a scene leads to is named from where it lies: here while it is measured, in the end from `out`.
         for name, text in {**scenes(nominal, law, folder), **rest}.items():
             write_file(folder / name, text)
@@ -113,38 +113,45 @@ def scenes(nominal: Nominal, law: Law, out: Path) -> dict[str, str]:
     return {SCENE: alone.text(out), WITH_CALLBACK: led.text(out)}
 
 
-def standalone(model: Model, nominal: Nominal) -> dict[str, str]:
-    """The texts of the callback, by file name: its code, which is a copy of transmission.py, and the files that it
-    reads."""
+def callback_files(model: Model, nominal: Nominal) -> dict[str, str]:
+    """The texts of what leads the joint of scene_callback.xml, by file name: a copy of transmission.py, and what it
+    reads: transmission.json, the tables of B, f_remain and B's sigma over q and, where several elements stand side by
+    side, their warp."""
     onset = next((effect.parameters for effect in model.effects if effect.id == _ONSET), None)
     elements = onset_elements(model.elements, onset) if onset else model.elements
     play = replace(model, elements=elements, friction=None).play
-    about = {
-        "format": FORMAT,
-        "unit": model.rig.actuator.unit,
-        "scale": nominal.scale,
-        "actuator": nominal.mount.actuator,
-        "tip": [list(each) for each in nominal.tip],
-        "lead": LEAD,
-        "moves": [MOTOR, CENTRE, LAGGING],
-        "own": OWN,
-        "leads": f"{TIP}_equal",
-        "elements": elements.to_json(),
-        "narrow": 0.0 if elements.single else (play.narrow if (model.width < play.narrow).any() else 0.0),
-        "parameters": _parameters(model),
-        "delay_s": model.delay_s,
-    }
     unit = model.rig.actuator.unit
     columns = np.column_stack([model.q, model.width, model.c_deg, model.width_sigma])
     texts = {
         CODE: (resources.files(transmission.__package__) / CODE).read_text(encoding="utf-8"),
-        ABOUT: json.dumps(plain(about), indent=1) + "\n",
+        ABOUT: json.dumps(plain(_about(model, nominal, elements, play.narrow)), indent=1) + "\n",
         TABLES: _csv(f"q_{unit},width_{unit},c_deg,sigma_{unit}", columns),
     }
     if not elements.single:
         warp = warp_of(model.q, model.width, play.narrow)
         texts[WARP] = _csv(f"q_{unit},x", np.column_stack([warp.q, warp.x]))
     return texts
+
+
+def _about(model: Model, nominal: Nominal, elements: Elements, narrow: float) -> dict[str, Any]:
+    """transmission.json: what transmission.py needs beside the tables. narrow: unit of q, B below which the single play
+    stands for the elements."""
+    stands_in = not elements.single and bool((model.width < narrow).any())
+    return {
+        "format": FORMAT,
+        "unit": model.rig.actuator.unit,
+        "scale": nominal.scale,
+        "actuator": nominal.mount.actuator,
+        "tip": [list(each) for each in nominal.tip],
+        "lead": LEAD,  # the joint that the callback leads
+        "moves": [MOTOR, CENTRE, LAGGING],  # joints that rest where the motor is
+        "own": OWN,  # how the names of the equalities that the export added begin
+        "leads": f"{TIP}_equal",  # of them the one that holds the tip
+        "elements": elements.to_json(),
+        "narrow": narrow if stands_in else 0.0,
+        "parameters": _parameters(model),
+        "delay_s": model.delay_s,
+    }
 
 
 def _csv(header: str, rows: Array) -> str:

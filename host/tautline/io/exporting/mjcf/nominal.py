@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.errors import TautError
-from tautline.simulators.mjcf import PER_UNIT
+from tautline.simulators.mjcf import scale_of
 from tautline.simulators.scene import joints_of, read, tip_of
 
 if TYPE_CHECKING:
@@ -44,9 +43,7 @@ def look(mount: Mount, unit: str, motor: tuple[float, float], tip_rad: Array) ->
 
     if not mount.into.is_file():
         raise TautError(f"{mount.into}: there is no such file: name your MJCF with --into")
-    scale = PER_UNIT[unit] if mount.scale is None else mount.scale
-    if not (math.isfinite(scale) and scale != 0.0):
-        raise TautError(f"--scale {scale:g}: expected what the control is per {unit} of q, not 0")
+    scale = scale_of(mount.scale, unit)
     model = read(mount.into)
     if taken := [name for name in joints_of(model) if name.startswith(OWN)]:
         raise TautError(f"{mount.into}: {taken[0]} is in it already: export into the MJCF as it was before")
