@@ -110,9 +110,11 @@ def noise_samples_per_independent(
 def _noise_series(
     segments: Sequence[Segment], across: Sequence[Array] | None, relative: Sequence[float] | None
 ) -> tuple[list[Array], int]:
-    """(Short series (n, k) of noise, each less its own polynomial trend and over its recording's `relative` one; that
-    trend's order): the observations of each rest of the motor; where these have fewer than _ENOUGH degrees of freedom
-    in all, `across` in pieces of _PIECE."""
+    """Short series (n, k) of the sensor's noise, px or deg, each less a polynomial trend of its own, and that trend's
+    order, which costs degrees of freedom. They are the observations of each rest of the motor, less a straight line.
+    Where these have fewer than _ENOUGH degrees of freedom in all, they are pieces of _PIECE frames of `across`, less a
+    cubic. across: (scored, 1) of each recording, px, the residuals across the image's path, where no motion of the tip
+    is. relative: of each recording, how many times as noisy as the tests it is; its series are divided by that."""
     each = relative or [1.0] * len(segments)
     rests = [
         less_its_trend(segment.arrival_s[stretch], segment.observed[stretch] / times)

@@ -173,8 +173,9 @@ class _Hypotheses:
                 self._add_mean_effects(no_posture)
 
     def _add_posture(self, candidates: Sequence[Candidate]) -> None:
-        """Adds the fit of all that another posture changes, beside the first of these single effects that a posture
-        changes, or on top of the nominal model."""
+        """Adds one fit in which all that another posture of the shaft changes is free at once: B, the offset and
+        f_remain. It goes on top of the first of `candidates` (single effects) that is itself such a change, else on top
+        of the nominal model."""
         part = next((one for one in candidates if one.fit.hypothesis.kinds[0].posture), self.search.base)
         candidate = self.search.with_posture(part)
         if candidate is not None:

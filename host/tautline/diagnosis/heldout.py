@@ -23,7 +23,7 @@ from tautline.nominal import Normal, Rows
 
 Array = npt.NDArray[np.float64]
 STAYS = 0.1  # tolerance: share of a block's weight that stays when it is left out
-_RANK = 1e-10  # tolerance: relative singular value below which a direction of the parameters is dropped
+RANK = 1e-10  # tolerance: relative singular value below which a direction of the parameters is dropped
 _PER_OBSERVATION = ("p", "tip", "by_width", "by_follow", "by_c", "columns", "residual")  # format: fields of Rows
 Labels = Sequence[npt.NDArray[np.int64]]  # (scored,) of each recording: the number of each observation's block
 
@@ -53,7 +53,7 @@ def residuals_and_surprise(
         residual = row.residual.copy()
         for block in blocks:
             without = matrix - (1.0 - STAYS) * block.normal.matrix
-            step = -scale * _scaled_solution(without, (1.0 - STAYS) * scale * block.normal.gradient, scale)
+            step = -scale * scaled_solution(without, (1.0 - STAYS) * scale * block.normal.gradient, scale)
             residual[block.here] -= fitter.moved(block.rows, step)
         held_out.append(residual)
         single = len(blocks) == 1
@@ -100,17 +100,17 @@ def _blocks(fitter: Fitter, row: Rows, label: npt.NDArray[np.int64], limit: floa
 
 def _step(matrix: Array, gradient: Array, scale: Array) -> Array:
     """(m,) The solution of matrix step = gradient, of minimum norm in unknowns scaled by `scale` (m,)."""
-    return scale * _scaled_solution(matrix, scale * gradient, scale)
+    return scale * scaled_solution(matrix, scale * gradient, scale)
 
 
-def _scaled_solution(matrix: Array, scaled_gradient: Array, scale: Array) -> Array:
+def scaled_solution(matrix: Array, scaled_gradient: Array, scale: Array) -> Array:
     """(m,) As `_step`, with gradient and solution in the scaled unknowns."""
     scaled = matrix * np.outer(scale, scale)
     with suppress(LinAlgError):
         factored, lower = cho_factor(scaled, check_finite=False)
-        if float(np.min(np.diag(factored))) ** 2 > _RANK:
+        if float(np.min(np.diag(factored))) ** 2 > RANK:
             return np.asarray(cho_solve((factored, lower), scaled_gradient, check_finite=False))
-    return np.asarray(np.linalg.lstsq(scaled, scaled_gradient, rcond=_RANK)[0], dtype=np.float64)
+    return np.asarray(np.linalg.lstsq(scaled, scaled_gradient, rcond=RANK)[0], dtype=np.float64)
 
 
 def _sum_of(normals: Sequence[Normal]) -> Normal:

@@ -65,11 +65,12 @@ class _Phase:
         """To `low`, so that a backlash of `width` has been driven through both ways. range_: of the motor."""
         there = self.low + _WIDTHS * width
         there = there if there <= range_[1] else max(range_[0], self.low - _WIDTHS * width)
-        return self._through([self.low, there, self.low], 0.0)
+        return self._through([self.low, there, self.low], rest_s=0.0)
 
-    def from_(self, q: float) -> Trajectory:
-        """From the position q to `low`; nothing where it is there."""
-        return self._through([q, self.low], 0.0)
+    def move_from(self, q: float) -> Trajectory:
+        """From the position q, the rig's unit, to `low` at the phase's speed, without a rest; nothing where it is
+        there."""
+        return self._through([q, self.low], rest_s=0.0)
 
     def _through(self, points: Sequence[float], rest_s: float) -> Trajectory:
         return trajectory.through(points, self.speed, _PER_SPEED * self.speed, rest_s)
@@ -107,7 +108,9 @@ def _planned(fitter: Fitter, rivals: Rivals, sway: bool) -> NextMotion:
     while True:
         rest = [i for i in range(len(phases)) if i not in chosen]
         at = phases[chosen[-1]].low if chosen else None
-        ways = {i: phases[i].from_(at) if at is not None else phases[i].approach(width, actuator.range) for i in rest}
+        ways = {
+            i: phases[i].move_from(at) if at is not None else phases[i].approach(width, actuator.range) for i in rest
+        }
         takes = {i: ways[i].duration_s + phases[i].strokes.duration_s for i in rest}
         adds = {
             i: outlook.expected([*chosen, i], seconds + took) - told

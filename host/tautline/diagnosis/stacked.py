@@ -174,8 +174,11 @@ class Stacked:
         )
 
     def _set_wander(self, hypotheses: Sequence[Weighed]) -> None:
-        """Of every effect of every hypothesis with a path, a row each: the hypothesis' index (`wandering`), the
-        log-likelihood ratios by WANDERS (`wander`), and whether it is one of geometry or time (`geometry`)."""
+        """Prepares the test of whether an effect's amplitude is the same everywhere; if it wanders with place, speed,
+        time, side or load, the effect is hardly the cause. A row for each effect in `wanders` of each hypothesis:
+        `wandering` (rows,) the hypothesis' index; `wander` (rows, WANDERS) the log-likelihood ratio of an amplitude
+        that varies by each of these shares of itself to a constant one; `geometry` (rows,) whether the effect is one of
+        geometry or time."""
         effects = [(i, effect) for i, h in enumerate(hypotheses) for effect in h.wanders]
         ratios = [_wander_log_ratio(effect.matrix, effect.gradient) for _, effect in effects]
         self.wandering = np.array([i for i, _ in effects], dtype=int)

@@ -96,7 +96,8 @@ def of_segments(
 ) -> Start:
     """As `of_recordings`, of segments, all of which count as the calibration. load_mNm: at which the model's tables
     hold. tracked: of videos, the tracker's error, which is taken off the segments already. left_out: ids of effects not
-    to try."""
+    to try. The noise floor is set twice: first from what the model leaves as it is, to weigh the recalibration, then
+    from what that leaves."""
     alike = [replace(segment, calibration=True) for segment in segments]
     fitter = Fitter(model, alike, load_mNm, smooth=True)
     moving = tracked.noise if tracked else 0.0

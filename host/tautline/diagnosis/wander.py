@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from tautline.diagnosis.fit import Fitter, ScoredRows
 from tautline.diagnosis.fitted import Fit
+from tautline.diagnosis.heldout import RANK, scaled_solution
 from tautline.diagnosis.huber import huber_weight
 from tautline.diagnosis.hypotheses import Wander
 from tautline.diagnosis.segment import Segment
@@ -27,7 +28,6 @@ _MOVES = 0.05  # tolerance: share of a fast motor's speed: a slower one rests, a
 _FAST = 0.95  # tolerance: quantile of the speeds that is fast
 _ENDS = (0.1, 0.9)  # format: quantiles of an axis, by the signal's power, that are its low and its high end
 _SAME = 1e-6  # tolerance: variance of an axis, or of a polynomial of it, below which it is constant
-_RANK = 1e-10  # tolerance: relative singular value below which a direction of the unknowns is dropped
 
 
 def of_fit(fitter: Fitter, fit: Fit, rows: Sequence[ScoredRows], limits: Sequence[float]) -> tuple[Wander, ...]:
@@ -196,10 +196,10 @@ def _reduced_normal(matrix: Array, gradient: Array, first: int) -> tuple[Array, 
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     scaled, scaled_gradient = matrix * np.outer(scale, scale), scale * gradient
     cross = scaled[:first, first:]
-    follows = np.linalg.pinv(scaled[:first, :first], rcond=_RANK, hermitian=True) @ cross
+    follows = np.linalg.pinv(scaled[:first, :first], rcond=RANK, hermitian=True) @ cross
     reduced = scaled[first:, first:] - follows.T @ cross
     reduced_gradient = scaled_gradient[first:] - follows.T @ scaled_gradient[:first]
-    step = scale * np.linalg.lstsq(scaled, scaled_gradient, rcond=_RANK)[0]
+    step = scale * scaled_solution(matrix, scaled_gradient, scale)
     own_scale = scale[first:]
     return reduced / np.outer(own_scale, own_scale), reduced_gradient / own_scale, step
 
