@@ -235,7 +235,7 @@ class _Scan:
         free, size = of_effect - taken, of_effect[:, diagonal, diagonal]
         absorbed = (free[:, diagonal, diagonal] <= _FREE**2 * np.maximum(size, 1e-300)).all(axis=1)
         free, size = free + prior, size + np.diag(np.zeros(of_effect.shape[1:]) + prior)
-        scale = 1.0 / np.sqrt(np.maximum(size, 1e-12 * size.max(axis=1, keepdims=True)))
+        scale = 1.0 / np.sqrt(np.maximum(size, np.maximum(1e-12 * size.max(axis=1, keepdims=True), 1e-300)))
         eigenvalues, vectors = np.linalg.eigh(free * scale[:, :, None] * scale[:, None, :])
         inverse = np.where(eigenvalues > _RANK, 1.0 / np.maximum(eigenvalues, _RANK), 0.0)
         along = inverse * np.einsum("nij,ni->nj", vectors, scale * gradient)
