@@ -409,15 +409,15 @@ def test_a_fit_that_ends_behind_the_camera_is_no_hypothesis(monkeypatch):
     search = Search(
         fitter, base, [effects.BY_ID["transmission.lag"], effects.BY_ID["camera.distortion"]], lambda text: None
     )
-    whole = Fitter.fit
+    whole = Fitter.finished
 
-    def lost(self, hypothesis, *rest):
-        fit = whole(self, hypothesis, *rest)
-        if hypothesis.kinds[-1].id == "camera.distortion":
+    def lost(self, begun):
+        fit = whole(self, begun)
+        if begun.hypothesis.kinds[-1].id == "camera.distortion":
             fit.residuals[0][3] = np.nan
         return fit
 
-    monkeypatch.setattr(Fitter, "fit", lost)
+    monkeypatch.setattr(Fitter, "finished", lost)
     assert [found.ids for found in search.on_top_of(search.base, 2, 0)] == [("transmission.lag",)]
 
 
