@@ -107,11 +107,16 @@ nb::object simulate(const nb::dict &parameters, const Plays &plays, Values c_deg
     }
     const elements view = plays.view();
     const effect_tables tables = {&view, c_deg.data()};
-    const effect_motion motion = {t_s.data(), q.data(), column(load, knots, "load"), column(other, knots, "other"),
-                                  column(translation, knots, "translation"), column(rotation, knots, "rotation"), knots};
+    const effect_motion motion = {t_s.data(),
+                                  q.data(),
+                                  column(load, knots, "load"),
+                                  column(other, knots, "other"),
+                                  column(translation, knots, "translation"),
+                                  column(rotation, knots, "rotation"),
+                                  knots};
     const effect_times times = {at_s.data(), n, session_s};
     auto c = new_array<double>(n), p = new_array<double>(n), tip = new_array<double>(n), gain = new_array<double>(n),
-         way = new_array<double>(n), lean = new_array<double>(n), rate = new_array<double>(n);
+         way = new_array<double>(n), lean = new_array<double>(n);
     auto moved = new_array<double>(translation ? n : 0), turned = new_array<double>(rotation ? n : 0);
     auto side = new_array<signed char>(n);
     const effect_path path = {c.data(),
@@ -120,7 +125,6 @@ nb::object simulate(const nb::dict &parameters, const Plays &plays, Values c_deg
                               gain.data(),
                               way.data(),
                               lean.data(),
-                              rate.data(),
                               translation ? moved.data() : nullptr,
                               rotation ? turned.data() : nullptr,
                               side.data()};
@@ -129,7 +133,7 @@ nb::object simulate(const nb::dict &parameters, const Plays &plays, Values c_deg
         effects_simulate(values.data(), &tables, &motion, &times, p0, &path);
     }
     return nb::make_tuple(translation ? nb::cast(moved) : nb::none(), rotation ? nb::cast(turned) : nb::none(), c, p,
-                          tip, gain, way, lean, rate, side);
+                          tip, gain, way, lean, side);
 }
 
 ArrayOut<unsigned char> thin(Values t_s, Values values, Values tolerance, double rest_s) {
@@ -193,7 +197,7 @@ void bind_effects(nb::module_ &m) {
     m.def("simulate_effects", simulate, "parameters"_a, "plays"_a, "c_deg"_a, "t_s"_a, "q"_a, "at_s"_a,
           "translation"_a = nb::none(), "rotation"_a = nb::none(), "load"_a = nb::none(), "other"_a = nb::none(),
           "session_s"_a = 0.0, "p0"_a = NAN,
-          "translation and rotation (None where they are not given), c (deg), p, tip, gain, way, lean, rate and side at "
+          "translation and rotation (None where they are not given), c (deg), p, tip, gain, way, lean and side at "
           "rising times at_s; c_deg is on the plays' grid; t_s and what else moves are knots. See effects.h.");
     m.def("thin", thin, "t_s"_a, "values"_a, "tolerance"_a, "rest_s"_a,
           "1 where a sample must stay for straight lines to be within tolerance. See thin.h.");

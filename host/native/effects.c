@@ -393,7 +393,7 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
     const double usual_speed = 0.1 * (table->grid[table->n - 1] - table->grid[0]);
     const double c_middle = tables->c_deg[table->n / 2];
     const double c_slope = (tables->c_deg[table->n - 1] - tables->c_deg[0]) / (10.0 * usual_speed);
-    double before_t = 0.0, before_q = 0.0, centre = 0.0, lies = 0.0, again_s = INFINITY, before_tip = 0.0, rate = 0.0;
+    double before_t = 0.0, before_q = 0.0, centre = 0.0, lies = 0.0, again_s = INFINITY;
     const size_t last = motion->knots - 1;
     size_t knot = 0, asked = 0;
     int started = 0;
@@ -469,8 +469,6 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
             }
         }
         lies = lies_next;
-        rate = now.dt > 0.0 ? (tip - before_tip) / now.dt : rate;
-        before_tip = tip;
         started = 1;
         before_t = t;
         before_q = rest;
@@ -490,7 +488,6 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
         path->tip[asked] = tip;
         path->way[asked] = lies;
         path->lean[asked] = plays_lean(tables->elements, &plays);
-        path->rate[asked] = rate;
         path->side[asked] = side;
         if (path->translation) {
             path->translation[asked] = now.translation;

@@ -35,8 +35,8 @@ struct effect_tables {
 struct effect_motion {
     const double *t_s; // (knots) rises
     const double *q;
-    const double *load;  // mNm or NULL, from which its reference has been taken away
-    const double *other; // another joint that moves along, or NULL
+    const double *load;        // mNm or NULL, from which its reference has been taken away
+    const double *other;       // another joint that moves along, or NULL
     const double *translation; // of the instrument, mm or NULL
     const double *rotation;    // deg or NULL
     size_t knots;              // 1 or more
@@ -52,14 +52,13 @@ struct effect_times {
 // Where the tip is, (count) each.
 struct effect_path {
     double *c_deg;
-    double *p;         // the play's centre coordinate
-    double *tip;       // after lag, creep and stick: c = f_remain(tip) but for the configuration's effects
-    double *gain;      // dc / df_remain
-    double *way;       // which way the instrument lies in its channel, -1 to 1
-    double *lean;      // -2 dp/dB where B is constant, of all elements
-    double *rate;      // d tip / dt up to there, per s; 0 at first
+    double *p;                      // the play's centre coordinate
+    double *tip;                    // after lag, creep and stick: c = f_remain(tip) but for the configuration's effects
+    double *gain;                   // dc / df_remain
+    double *way;                    // which way the instrument lies in its channel, -1 to 1
+    double *lean;                   // -2 dp/dB where B is constant, of all elements
     double *translation, *rotation; // of the instrument, or NULL
-    signed char *side; // the envelope that last carried the tip: +1 rising q, -1 falling, 0 not yet
+    signed char *side;              // the envelope that last carried the tip: +1 rising q, -1 falling, 0 not yet
 };
 
 // values: of all parameters, in order. p0 NaN starts on the centre line. The play is exact at any sampling of a

@@ -51,12 +51,11 @@ def test_absent_effects_leave_the_play_as_it_is(seed):
     p0 = np.nan if rng.random() < 0.5 else float(rng.uniform(grid[0], grid[-1]))
     t = np.arange(60.0)
     plays = _native.Plays(grid, width)
-    _, _, c_deg, p, tip, gain, way, lean, rate, side = _native.simulate_effects({}, plays, c, t, q, t, p0=p0)
+    _, _, c_deg, p, tip, gain, way, lean, side = _native.simulate_effects({}, plays, c, t, q, t, p0=p0)
     expected, held = plays.forward(q, p0)
     np.testing.assert_allclose(p, expected, atol=1e-10)
     assert np.array_equal(side, held) and np.array_equal(way, held) and np.array_equal(lean, held)
     assert np.array_equal(tip, p) and np.all(gain == 1.0)
-    np.testing.assert_allclose(rate, np.diff(tip, prepend=tip[:1]), atol=1e-12)  # samples are 1 s apart
     inside = (p >= grid[0]) & (p <= grid[-1])
     np.testing.assert_allclose(c_deg[inside], np.interp(p[inside], grid, c), atol=1e-9)
 

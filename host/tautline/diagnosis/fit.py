@@ -46,7 +46,7 @@ WIDTH, REMAINING, STATIC, DELAY = PARTS = (
     "registration.static",
     "acquisition.delay",
 )  # ids of the nominal model's parts, which a recalibration moves
-_AHEAD_S = 5e-3  # tolerance: s over which the image's velocity is taken as a difference
+_AHEAD_S = 5e-3  # tolerance: s over which the tip's velocity is taken as a difference
 _DIFFERENCE = 0.05  # tolerance: share of a parameter's scale: the step of its difference quotient
 _AT_BOUND = 1e-6  # tolerance: share of a parameter's scale: a value nearer to the end of its range is at it
 _SMALL_GAIN, _COARSE_GAIN = 1e-4, 5e-4  # tolerance: share of the cost: a step that gains less is the last
@@ -258,31 +258,25 @@ class Fitter:
         details = np.column_stack(
             [c_by_b * np.interp(p, model.q, self._details[0]), gain * np.interp(tip, model.q, self._details[1])]
         )
-        c_rate = path.gain * np.interp(path.tip, model.q, slope_f) * path.rate
-        by_delay = self._by_delay(segment, nominal, simulated, c_rate)
+        by_delay = self._by_delay(segment, nominal, simulated)
         columns = np.concatenate(
             [by_c[scored][:, :, None] * details[:, None, :], simulated.by_static[scored], by_delay[scored][:, :, None]],
             axis=2,
         )
         return ScoredRows(p, tip, c_by_b, gain, by_c[scored], columns, simulated.residual, path, model)
 
-    def _by_delay(self, segment: Segment, nominal: Model, simulated: _Simulated, c_rate: Array) -> Array:
-        """(n, k) d prediction / d delay, px or deg per s: minus the velocity of what the sensor shows; 0 where the
-        model has no delay for this sensor. c_rate (n,): d c / dt, deg per s."""
+    def _by_delay(self, segment: Segment, nominal: Model, simulated: _Simulated) -> Array:
+        """(n, k) d prediction / d delay, px or deg per s: minus the velocity of what the sensor shows, as a difference
+        over _AHEAD_S. 0 where the model has no delay for this sensor."""
         path, by_c, parameters = simulated.path, simulated.by_c, simulated.parameters
         if not self.delayed:
             return np.zeros_like(by_c)
-        by_side = effects.goes_with_side(parameters)
-        if not self.px or not (by_side or path.translation_mm is not None or path.rotation_deg is not None):
-            return np.asarray(-c_rate[:, None] * by_c)
-        # What else moves is delayed as well.
         less_delay = {**parameters, "delay": parameters.get("delay", 0.0) - _AHEAD_S}
-        if by_side:
-            ahead = segment.follow(nominal, less_delay, self.load_reference)
-        else:
-            ahead = segment.ahead(path, c_rate, _AHEAD_S)
-        image = effects.image(simulated.model, ahead, parameters, segment.offset_s)
-        return np.asarray((simulated.seen - image) / _AHEAD_S)
+        ahead = segment.follow(nominal, less_delay, self.load_reference)
+        if self.px and (path.translation_mm is not None or path.rotation_deg is not None):  # these are delayed as well
+            image = effects.image(simulated.model, ahead, parameters, segment.offset_s)
+            return np.asarray((simulated.seen - image) / _AHEAD_S)
+        return np.asarray(((path.c_deg - ahead.c_deg) / _AHEAD_S)[:, None] * by_c)
 
     def normal(
         self, rows: Rows, extra: Array | None = None, weight: Array | None = None, known: Normal | None = None
@@ -442,9 +436,12 @@ class Fitter:
             nominals.append(self.start())
             if hypothesis.scopes[0] == Scope.START and self.model.elements != SINGLE:
                 nominals.append(replace(self.start(), model=replace(self.model, elements=SINGLE, friction=None)))
-        states = [replace(nominal, values={**values, **other}) for nominal in nominals for other in ({}, *others)]
-        best = self._best([coarse.descend(hypothesis, state, _ROUGH_STEPS) for state in states])
-        return coarse.descend(hypothesis, best.state, _COARSE_STEPS, _COARSE_GAIN)
+        fits = []
+        for nominal in nominals:
+            states = [replace(nominal, values={**values, **other}) for other in ({}, *others)]
+            best = self._best([coarse.descend(hypothesis, state, _ROUGH_STEPS) for state in states])
+            fits.append(coarse.descend(hypothesis, best.state, _COARSE_STEPS, _COARSE_GAIN))
+        return self._best(fits)
 
     def finished(self, begun: Fit) -> Fit:
         """A fit that was `begun`, to all observations."""

@@ -95,22 +95,6 @@ class Segment:
             model, motor, scene, parameters, load_reference=load_reference, clock_offset_s=self.offset_s
         )
 
-    def ahead(self, path: Path, c_rate: Array, by_s: float) -> Path:
-        """The path (n,) at scene times by_s, s, later: the instrument's other axes as they were moved, the bending
-        angle on at c_rate (n,), deg per s, to the same side of the channel."""
-        motor, later_s = self.motor, path.scene_s + by_s
-        translation, rotation = (
-            None if values is None else np.interp(later_s, motor.t_s, values)
-            for values in (motor.translation_mm, motor.rotation_deg)
-        )
-        return replace(
-            path,
-            scene_s=later_s,
-            translation_mm=translation,
-            rotation_deg=rotation,
-            c_deg=path.c_deg + by_s * c_rate,
-        )
-
     def seen(self, model: Model, parameters: Mapping[str, Any], path: Path) -> Array:
         """(n, k) What the sensor would show of this path with these effects' parameters: px with a marker, else deg."""
         return effects.image(model, path, parameters, self.offset_s) if self.unit == "px" else path.c_deg[:, None]

@@ -43,7 +43,6 @@ class Path:
     gain: Array  # dc / df_remain
     way: Array  # to which side the instrument lies in its channel, -1 to 1
     lean: Array  # -2 dp/dB where B is constant, in the mean of all plays: +1 on the rising envelope, -1 on the falling
-    rate: Array  # d tip / dt, unit of q per s, on the straight piece of the motion that ends there
     side: Array  # the envelope that last carried the tip: +1 rising q, -1 falling, 0 not yet
 
 
@@ -220,15 +219,10 @@ def image(model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_
     return _see(model, path, parameters, clock_offset_s, False)  # type: ignore[no-any-return]
 
 
-def goes_with_side(parameters: Mapping[str, Any]) -> bool:
-    """Whether what is seen depends on the side of the channel (`Path.way`), with these effects' parameters."""
-    return any(parameters.get(name) for name in _BY_SIDE)
-
-
 def bends_alone(before: Path, after: Path, parameters: Mapping[str, Any]) -> bool:
     """Whether what is seen of two paths differs by the bending angle alone: at the same times, and to the same sides
     of the channel where these count."""
-    same_side = not goes_with_side(parameters) or np.array_equal(before.way, after.way)
+    same_side = not any(parameters.get(name) for name in _BY_SIDE) or np.array_equal(before.way, after.way)
     return same_side and np.array_equal(before.scene_s, after.scene_s)
 
 
