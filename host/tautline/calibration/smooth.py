@@ -27,6 +27,7 @@ _MOST_FRAMES = 12000  # tolerance: of one fit; more are thinned out evenly
 _SCANNED = 3000  # tolerance: frames, about, that tell where a fit begins
 _REPEATS = 1.6  # prior: residual of the first approach over that of the rest, up to which it counts
 _HARMLESS = 1.15  # tolerance: ratio by which the rest's residual may grow when the first approach counts
+_STRIDE = 4  # tolerance: of constant widths, a hundredth of the range apart: so many apart they are tried first
 _PARTS, _AGAIN = 5, 4  # tolerance: parts in which strokes are left out in turn; steps of each fit without them
 _FEWEST = 40  # tolerance: frames that a joint fit is tried with
 
@@ -110,7 +111,7 @@ def _fit_in_steps(
     if coarse is None:
         return None
     fit, curves = coarse
-    rough = fit.solve(curves, iterations=7)
+    rough = fit.descended(curves, 7)
     fine = PlayFit(
         prepared, Basis(domain.low, domain.high, SPANS), Basis(domain.low, domain.high, SPANS),
         fit_delay=fit_delay, settled_only=fit.settled_only, beforehand=beforehand,
@@ -188,7 +189,7 @@ def _held_out_power(fitted: Fitted, strokes: Sequence[npt.NDArray[np.intp]], sca
             replace(prepared, use=prepared.use & ~each) for prepared, each in zip(fitted.fit.tracks, out, strict=True)
         ]
         fit = replace(fitted.fit, tracks=kept, smoothing=dict(fitted.fit.smoothing))
-        curves = fit.solve(fitted.curves, iterations=_AGAIN, adapt=False).curves
+        curves = fit.descended(fitted.curves, _AGAIN, adapt=False).curves
         for row, each in zip(fit.residuals(curves)[0], out, strict=True):
             total += float(np.sum(np.minimum(np.mean(row[each] ** 2, axis=1), (STRAY * scale) ** 2)))
             frames += int(each.sum())
@@ -259,19 +260,40 @@ def _start(
     a path of 16 spans. The first approach counts only if little else is there. None where too few frames tell any."""
     channels = prepared[0].track.y.shape[1]
     flat, path = Basis(domain.low, domain.high, 8), Basis(domain.low, domain.high, 16)
-    candidates = [np.full(flat.size, b) for b in domain.span * np.linspace(0.0, 0.4, 41)]
+    no_path = np.zeros((path.size, channels))
+    constant = [Curves(np.full(flat.size, b), no_path, delay_s) for b in domain.span * np.linspace(0.0, 0.4, 41)]
+    candidates = []
     if guess is not None:
         candidates.append(_coefficients_of(flat, guess.at))
     if beforehand is not None:
         candidates.append(_coefficients_of(flat, beforehand.usual))
     for settled_only in (True, False):
         fit = PlayFit(prepared, flat, path, fit_backlash=False, fit_delay=False, settled_only=settled_only)
-        starts = [Curves(candidate, np.zeros((path.size, channels)), delay_s) for candidate in candidates]
-        steps = [step for step in (_path_step(fit, start) for start in starts) if step is not None]
-        if steps:
+        starts = [Curves(candidate, no_path, delay_s) for candidate in candidates]
+        steps = [_best_step(fit, constant), *(_path_step(fit, start) for start in starts)]
+        if steps := [step for step in steps if step is not None]:
             best = min(steps, key=lambda step: step[0])[1]
             return PlayFit(prepared, flat, path, fit_delay=False, settled_only=settled_only), best
     return None
+
+
+def _best_step(fit: PlayFit, starts: Sequence[Curves]) -> tuple[float, Curves] | None:
+    """The `_path_step` that leaves the least, from starts of ever wider B: what they leave has one minimum, which every
+    _STRIDE-th of them shows. None where none of these has any."""
+    steps: dict[int, tuple[float, Curves] | None] = {}
+
+    def left(k: int) -> float:
+        """What the step from the k-th start leaves; infinite where too few frames count."""
+        if k not in steps:
+            steps[k] = _path_step(fit, starts[k])
+        step = steps[k]
+        return np.inf if step is None else step[0]
+
+    stride = _STRIDE
+    best = min(range(0, len(starts), stride), key=left)
+    while stride := stride // 2:
+        best = min((best, max(best - stride, 0), min(best + stride, len(starts) - 1)), key=left)
+    return steps[best]
 
 
 def _path_step(fit: PlayFit, start: Curves) -> tuple[float, Curves] | None:
