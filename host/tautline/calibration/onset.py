@@ -239,7 +239,9 @@ def _onset_of_stroke(number: int, track: Track, before: _Stroke, after: _Stroke)
     if window is None:
         return replace(not_told, reason="too few frames around the onset")
     x, y, hinge = window
-    jump = fit_jump(x, y, max(hinge.knot * 1.5, after.travel[min(after.departure + 3, len(after.travel) - 1)]))
+    jump = fit_jump(
+        x, y, max(hinge.knot * 1.5, after.travel[min(after.departure + 3, len(after.travel) - 1)]), hinge.knot
+    )
     gain = hinge.deviance - jump.deviance
     width, sigma = hinge.knot, max(hinge.sigma, 1e-9)
     kind = BRACKET if gain > _JUMP_GAINS and jump.size > _JUMP else HINGE
