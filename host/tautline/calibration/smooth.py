@@ -16,8 +16,8 @@ import numpy.typing as npt
 from tautline.calibration.backlash import WidthCurve
 from tautline.calibration.beforehand import Beforehand
 from tautline.calibration.observations import Mask, NoiseByPlace, Track, with_noise
-from tautline.calibration.playfit import STRAY, Curves, Fitted, PlayFit, rms_of_frame_powers
-from tautline.calibration.simulated_track import PreparedTrack
+from tautline.calibration.playfit import STRAY, Curves, Fitted, PlayFit, Point, rms_of_frame_powers
+from tautline.calibration.simulated_track import PreparedTrack, Simulated
 from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
@@ -121,10 +121,11 @@ def _fit_in_steps(
         _coefficients_of(fine.follow, lambda x: fit.follow.value(rough.curves.follow, x)),
         delay_s,
     )
-    fitted = fine.solve(start)
-    if fine.settled_only and _approach_fits(fitted):
+    point = fine.descended(start)
+    if fine.settled_only and _approach_fits(fine, point):
         fine.settled_only = False
-        return fine.solve(fitted.curves)
+        return fine.solve(point.curves, anew=False)
+    fitted = fine.fitted(point)
     if fine.settled_only and _reaches_further(fitted, domain):
         # Without the first approach B and the path are not told apart everywhere: does it do harm?
         whole = replace(fine, settled_only=False, smoothing=dict(fine.smoothing)).solve(start)
@@ -199,9 +200,14 @@ def _held_out_power(fitted: Fitted, strokes: Sequence[npt.NDArray[np.intp]], sca
 def overlap(fitted: Fitted) -> tuple[float, float]:
     """The range of p, unit of q, that counted frames cover in both directions; the empty range (1, -1) with fewer than
     five frames of one direction."""
+    return _covered_both_ways(fitted.fit.simulated, fitted.masks)
+
+
+def _covered_both_ways(simulated: Sequence[Simulated], masks: Sequence[Mask]) -> tuple[float, float]:
+    """`overlap` of frames (n,) by track."""
     low, high = -np.inf, np.inf
     for side in (1, -1):
-        seen = zip(fitted.fit.simulated, fitted.masks, strict=True)
+        seen = zip(simulated, masks, strict=True)
         p = np.concatenate([sim.p[mask & (sim.side == side)] for sim, mask in seen])
         if len(p) < 5:
             return 1.0, -1.0
@@ -209,18 +215,18 @@ def overlap(fitted: Fitted) -> tuple[float, float]:
     return low, high
 
 
-def _approach_fits(fitted: Fitted) -> bool:
+def _approach_fits(fit: PlayFit, point: Point) -> bool:
     """Whether the residuals of the first approach are within _REPEATS times the fit's scale in the median, where the
     rest covers both ways: a start pose with other friction or slack must not spoil the fit. Yes if it has fewer than
     five frames."""
-    fit, squares = fitted.fit, []
-    low, high = overlap(fitted)
-    for prepared, sim, rows in zip(fit.tracks, fit.simulated, fitted.residuals, strict=True):
+    squares = []
+    low, high = _covered_both_ways(point.simulated, point.masks)
+    for prepared, sim, rows in zip(fit.tracks, point.simulated, point.residuals, strict=True):
         early = prepared.use & sim.known & ~sim.settled & (sim.p > low) & (sim.p < high)
         squares.append(np.mean(rows[early] ** 2, axis=1))
     early_squares = np.concatenate(squares)
     # The median: frames at which the play has not forgotten its start are off.
-    return len(early_squares) < 5 or float(np.median(early_squares)) < (_REPEATS * fitted.scale) ** 2
+    return len(early_squares) < 5 or float(np.median(early_squares)) < (_REPEATS * point.scale) ** 2
 
 
 def fit_passes(joint_fit: Fitted, margin: float) -> Fitted | None:
@@ -237,7 +243,7 @@ def fit_passes(joint_fit: Fitted, margin: float) -> Fitted | None:
     )  # fmt: skip
     if sum(int((f.use).sum()) for f in prepared) < _FEWEST:
         return None
-    return again.solve(joint_fit.curves, iterations=8)
+    return again.solve(joint_fit.curves, iterations=8, anew=False)
 
 
 def _beyond_onset(p: Array, side: npt.NDArray[np.int8]) -> Array:
