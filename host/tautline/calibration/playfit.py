@@ -36,6 +36,7 @@ STRAY = 4.0  # tolerance: times the usual residual, from which a frame is an out
 EXPLAINED = 1.5  # tolerance: residual over noise up to which a model explains its data
 _STIFF = 1e4  # tolerance: cost, in sigma^2, of a neighbour difference that is off its limit by the whole limit
 _GAIN = 0.2  # tolerance: sigma^2: an iteration that gains less is the last but one
+_MOST_STEPS = 30  # tolerance: of a descent
 NODES = 1025  # tolerance: of the tables that fits and models use
 
 
@@ -198,7 +199,7 @@ class PlayFit:
 
     # ---- the fit
 
-    def solve(self, start: Curves, iterations: int = 30, adapt: bool = True, anew: bool = True) -> Fitted:
+    def solve(self, start: Curves, iterations: int = _MOST_STEPS, adapt: bool = True, anew: bool = True) -> Fitted:
         """Damped Gauss-Newton steps from `start`, outliers weighed down (Huber). adapt: the smoothing moves to the
         restricted likelihood's maximum (Fellner-Schall steps), else it stays. anew: from the start's own roughness on,
         else from what it is."""
@@ -214,7 +215,7 @@ class PlayFit:
         covariance = np.asarray(np.linalg.inv(matrix + penalty + 1e-12 * np.eye(len(matrix))) * scale * scale)
         return Fitted(self, curves, scale, residuals, masks, weights, covariance)
 
-    def descended(self, start: Curves, iterations: int = 30, adapt: bool = True, anew: bool = True) -> Point:
+    def descended(self, start: Curves, iterations: int = _MOST_STEPS, adapt: bool = True, anew: bool = True) -> Point:
         """Where `solve` ends, without the covariance there."""
         # The descent sees no frame that cannot count; the smoothing that it adapts is this fit's own.
         counting = replace(self, tracks=[prepared.counting for prepared in self.tracks], smoothing=self.smoothing)

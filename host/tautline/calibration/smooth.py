@@ -27,7 +27,7 @@ _MOST_FRAMES = 12000  # tolerance: of one fit; more are thinned out evenly
 _SCANNED = 3000  # tolerance: frames, about, that tell where a fit begins
 _REPEATS = 1.6  # prior: residual of the first approach over that of the rest, up to which it counts
 _HARMLESS = 1.15  # tolerance: ratio by which the rest's residual may grow when the first approach counts
-_STRIDE = 4  # tolerance: of constant widths, a hundredth of the range apart: so many apart they are tried first
+_STRIDE = 3  # tolerance: of constant widths, a hundredth of the range apart: every third is tried, then its neighbours
 _PARTS, _AGAIN = 5, 4  # tolerance: parts in which strokes are left out in turn; steps of each fit without them
 _FEWEST = 40  # tolerance: frames that a joint fit is tried with
 
@@ -295,11 +295,8 @@ def _best_step(fit: PlayFit, starts: Sequence[Curves]) -> tuple[float, Curves] |
         step = steps[k]
         return np.inf if step is None else step[0]
 
-    stride = _STRIDE
-    best = min(range(0, len(starts), stride), key=left)
-    while stride := stride // 2:
-        best = min((best, max(best - stride, 0), min(best + stride, len(starts) - 1)), key=left)
-    return steps[best]
+    near = min(range(0, len(starts), _STRIDE), key=left)
+    return steps[min(range(max(near - _STRIDE + 1, 0), min(near + _STRIDE, len(starts))), key=left)]
 
 
 def _path_step(fit: PlayFit, start: Curves) -> tuple[float, Curves] | None:
