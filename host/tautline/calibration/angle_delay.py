@@ -96,7 +96,7 @@ class _DelayDeviance:
     ) -> None:
         """spans: of the splines of B and of the path. prior_mean_s, prior_sigma_s: of the normal prior; start_s: the
         delay at which N is counted."""
-        self._prior_mean_s, self._prior_sigma_s = prior_mean_s, prior_sigma_s
+        self._scans, self._prior_mean_s, self._prior_sigma_s = scans, prior_mean_s, prior_sigma_s
         low = min(scan.low for scan in scans)
         high = max(scan.low + scan.span for scan in scans)
         self._fit = PlayFit(
@@ -109,13 +109,7 @@ class _DelayDeviance:
         self._smoothing = dict(self._fit.smoothing)
         self._found: dict[float, float] = {}
         strokes = sum(len(scan.turn_t) - 1 for scan in scans)
-        widths = [share * scans[0].span for share in WIDTHS]
-        width = min(widths, key=lambda w: sum(scan.misfit(start_s, w) for scan in scans))
-        no_path = np.zeros((self._fit.follow.size, scans[0].track.y.shape[1]))
-        self._begin = Curves(np.full(self._fit.backlash.size, width), no_path, start_s)
-        solved = self._solved(start_s)
-        self._begin = solved.curves
-        self._independent = min(_independent(solved), _PER_STROKE * min(strokes, _STROKES))
+        self._independent = min(_independent(self._solved(start_s)), _PER_STROKE * min(strokes, _STROKES))
 
     def deviance(self, delay_s: float) -> float:
         """The deviance of a delay, s; kept for the next time."""
@@ -136,9 +130,14 @@ class _DelayDeviance:
         return mean, float(np.hypot(np.sqrt(weight @ (delays - mean) ** 2), of_rounding(pitch_s)))
 
     def _solved(self, delay_s: float) -> Point:
-        """The fit with the delay held at this, s, started from the curves at the first one and the first smoothing."""
-        self._fit.smoothing = dict(self._smoothing)
-        return self._fit.descended(replace(self._begin, delay_s=delay_s), 6)
+        """The fit with the delay held at this, s, started from the constant width that fits best and the first
+        smoothing."""
+        fit, channels = self._fit, self._scans[0].track.y.shape[1]
+        fit.smoothing = dict(self._smoothing)
+        widths = [share * self._scans[0].span for share in WIDTHS]
+        width = min(widths, key=lambda w: sum(scan.misfit(delay_s, w) for scan in self._scans))
+        flat = Curves(np.full(fit.backlash.size, width), np.zeros((fit.follow.size, channels)), delay_s)
+        return fit.descended(flat, 6)
 
 
 def _independent(fitted: Point) -> float:

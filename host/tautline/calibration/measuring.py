@@ -137,15 +137,6 @@ class Measured(_Setting):
         )
 
 
-@dataclass(frozen=True)
-class _Found:
-    """The onsets at a delay."""
-
-    delay: Delay
-    onsets: list[Onset]
-    curve: WidthCurve | None  # B by them
-
-
 class Measuring(_Setting):
     """The measurement of tracks on one clock: the steps in order, and what they have found so far. Positions and B in
     the unit of q."""
@@ -182,11 +173,13 @@ class Measuring(_Setting):
         self._leave_out_held_places()
         self.say(0.05, "measuring the delay")
         delay = self._first_delay()
-        joint_fit, passes, found = self._fit_jointly(delay)
-        onsets, curve = found.onsets, found.curve
-        if joint_fit is not None and (joint_fit.fit.fit_delay or joint_fit.curves.delay_s != found.delay.delay_s):
-            delay = self._delay_of_joint_fit(delay, joint_fit)
-            onsets, curve = self._onsets_at(delay, found)
+        self.say(0.15, "finding where the tip begins to move")
+        onsets, curve = self._onsets(delay)
+        self.say(0.35, "fitting the way up and down")
+        joint_fit, passes = self._fit_jointly(onsets, delay, curve)
+        if joint_fit is not None and (joint_fit.fit.fit_delay or joint_fit.curves.delay_s != delay.delay_s):
+            first, delay = delay, self._delay_of_joint_fit(delay, joint_fit)
+            onsets, curve = self._onsets_at(delay, first, onsets)
         gradual = self.components is not None and any(
             part.name.startswith(("phase", SPEED)) for part in self.components.parts
         )
@@ -237,8 +230,7 @@ class Measuring(_Setting):
         apart = np.array([fit.fit.width(fit.curves) - joint_fit.fit.width(joint_fit.curves) for fit in fits])
         delay = self._delay_of_joint_fit(before.delay, joint_fit)
         delay = replace(delay, sigma_s=float(np.sqrt(delay.sigma_s**2 + probability @ late_s**2)))
-        found = self._onsets(delay)
-        onsets, curve = found.onsets, found.curve
+        onsets, curve = self._onsets(delay)
         width = self.choice.held_beyond_measured(joint_fit, curve)
         by_law = LAW * self._added_below_what_was_seen(joint_fit)
         sigma = np.sqrt(joint_fit.width_sigma(self.grid) ** 2 + probability @ apart**2 + by_law**2)
@@ -348,21 +340,18 @@ class Measuring(_Setting):
             own = min(stops.sigma_s, period_s(self.tracks)) if at_nominal else stops.sigma_s
         return Delay(joint_fit.curves.delay_s, float(np.hypot(own, counts)), stops.stops)
 
-    def _onsets(self, delay: Delay) -> _Found:
+    def _onsets(self, delay: Delay) -> tuple[list[Onset], WidthCurve | None]:
         """All onsets at this delay, and the curve of B through their widths, if any is known."""
-        self.say(0.15, "finding where the tip begins to move")
         onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
-        return _Found(delay, onsets, fit_widths(onsets, self.grid))
+        return onsets, fit_widths(onsets, self.grid)
 
-    def _onsets_at(self, delay: Delay, found: _Found) -> tuple[list[Onset], WidthCurve | None]:
-        """Onsets and their curve at the joint fit's delay, given those at another one: found anew where the delay
+    def _onsets_at(self, delay: Delay, first: Delay, onsets: list[Onset]) -> tuple[list[Onset], WidthCurve | None]:
+        """Onsets and their curve at the joint fit's delay, given those at the first one: found anew where the delay
         changed by more than _LATER of a frame's period, else moved."""
-        later_s = delay.delay_s - found.delay.delay_s
+        later_s = delay.delay_s - first.delay_s
         if abs(later_s) > _LATER * period_s(self.tracks):
-            found = self._onsets(delay)
-            return found.onsets, found.curve
-        onsets = delayed(found.onsets, self.tracks, later_s)
-        onsets = with_timing_errors(onsets, self.tracks, self.rig, delay.sigma_s)
+            return self._onsets(delay)
+        onsets = with_timing_errors(delayed(onsets, self.tracks, later_s), self.tracks, self.rig, delay.sigma_s)
         return onsets, fit_widths(onsets, self.grid)
 
     # ---- B
@@ -379,36 +368,34 @@ class Measuring(_Setting):
         )
         return [posed(track, self.rig, delay_s) for track in self.tracks]
 
-    def _fit_jointly(self, delay: Delay) -> tuple[Fitted | None, Fitted | None, _Found]:
-        """The joint fit of B, path and delay together with what departs from it, and the fit of the passes alone, each
-        None where too little was seen for it; and the onsets. Those of an image are found first, B by them being a
-        guess; an angle sensor's at the joint fit's delay, as the first one is not known so well."""
-        fit_delay = self.options.delay_s is None
-        found = self._onsets(delay) if self.framed or not fit_delay else None
-        self.say(0.35, "fitting the way up and down")
+    def _fit_jointly(
+        self, onsets: Sequence[Onset], delay: Delay, curve: WidthCurve | None
+    ) -> tuple[Fitted | None, Fitted | None]:
+        """The joint fit of B, path and delay together with what departs from it, and the fit of the passes alone; each
+        None where too little was seen for it. curve: B by the onsets, a first guess."""
         prepared = prepare_tracks(self._on_one_curve(delay.delay_s), delay.delay_s)
+        fit_delay = self.options.delay_s is None
         joint_fit = fit_jointly(
-            prepared, self.domain, delay.delay_s, fit_delay=fit_delay, guess=None if found is None else found.curve,
+            prepared, self.domain, delay.delay_s, fit_delay=fit_delay, guess=curve,
             beforehand=self.options.beforehand,
         )  # fmt: skip
         if joint_fit is None:
-            return None, None, self._onsets(delay) if found is None else found
-        if found is None:
+            return None, None
+        if fit_delay and not self.framed:
             joint_fit = at_credible_delay(joint_fit, delay, self.tracks, self.nominal_s)
-            found = self._onsets(self._delay_of_joint_fit(delay, joint_fit))
-        elif fit_delay and (image_jumps(found.onsets) or not joint_fit.explained):
+        elif fit_delay and (image_jumps(onsets) or not joint_fit.explained):
             # What the model does not know would bend the delay: the image stops tell it alone.
             joint_fit.fit.fit_delay = False
             joint_fit = joint_fit.fit.solve(replace(joint_fit.curves, delay_s=delay.delay_s))
         if fit_delay and not joint_fit.fit.fit_delay:
             joint_fit.fit.delay_sigma_s = min(self._delay_of_joint_fit(delay, joint_fit).sigma_s, 1.0)
         self.say(0.5, "looking for what is no play")
-        joint_fit = self._with_departures(joint_fit, found.onsets, found.curve)
+        joint_fit = self._with_departures(joint_fit, onsets, curve)
         self.say(0.6, "fitting the passes alone")
         # How far beyond an onset a pass begins: a tenth of B and a little of the range.
         margin = 0.1 * float(np.median(joint_fit.fit.width(joint_fit.curves))) + 0.005 * self.domain.span
         passes = fit_passes(joint_fit, margin)
-        return joint_fit, None if passes is None else as_many_as_independent(passes), found
+        return joint_fit, None if passes is None else as_many_as_independent(passes)
 
     def _with_departures(self, joint_fit: Fitted, onsets: Sequence[Onset], curve: WidthCurve | None) -> Fitted:
         """The joint fit with B as estimated together with the departures (components.py), if that B predicts about as

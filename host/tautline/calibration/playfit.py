@@ -199,11 +199,10 @@ class PlayFit:
 
     # ---- the fit
 
-    def solve(self, start: Curves, iterations: int = _MOST_STEPS, adapt: bool = True, anew: bool = True) -> Fitted:
+    def solve(self, start: Curves, iterations: int = _MOST_STEPS, adapt: bool = True) -> Fitted:
         """Damped Gauss-Newton steps from `start`, outliers weighed down (Huber). adapt: the smoothing moves to the
-        restricted likelihood's maximum (Fellner-Schall steps), else it stays. anew: from the start's own roughness on,
-        else from what it is."""
-        return self.fitted(self.descended(start, iterations, adapt, anew))
+        restricted likelihood's maximum (Fellner-Schall steps), else it stays."""
+        return self.fitted(self.descended(start, iterations, adapt))
 
     def fitted(self, point: Point) -> Fitted:
         """What is known at this point, where this fit's descent ended."""
@@ -215,11 +214,11 @@ class PlayFit:
         covariance = np.asarray(np.linalg.inv(matrix + penalty + 1e-12 * np.eye(len(matrix))) * scale * scale)
         return Fitted(self, curves, scale, residuals, masks, weights, covariance)
 
-    def descended(self, start: Curves, iterations: int = _MOST_STEPS, adapt: bool = True, anew: bool = True) -> Point:
+    def descended(self, start: Curves, iterations: int = _MOST_STEPS, adapt: bool = True) -> Point:
         """Where `solve` ends, without the covariance there."""
         # The descent sees no frame that cannot count; the smoothing that it adapts is this fit's own.
         counting = replace(self, tracks=[prepared.counting for prepared in self.tracks], smoothing=self.smoothing)
-        point = descend(_Descent(counting, adapt, anew), Point.of(counting, start), iterations)
+        point = descend(_Descent(counting, adapt), Point.of(counting, start), iterations)
         if any(seen is not all_of_it for seen, all_of_it in zip(counting.tracks, self.tracks, strict=True)):
             point = Point.of(self, point.curves)
         self.simulated = point.simulated
@@ -464,9 +463,9 @@ class Point:
 class _Descent:
     """A PlayFit as a `least_squares.Problem`: weights by Huber, smoothing that adapts from the second step on."""
 
-    def __init__(self, fit: PlayFit, adapt: bool, anew: bool) -> None:
-        """adapt, anew: as of `PlayFit.solve`."""
-        self.fit, self.adapt, self.anew = fit, adapt, anew
+    def __init__(self, fit: PlayFit, adapt: bool) -> None:
+        """adapt: as of `PlayFit.solve`."""
+        self.fit, self.adapt = fit, adapt
         self.scale, self.weights = 1.0, list[Array]()
         self.steps = self.small_steps = 0
 
@@ -477,11 +476,11 @@ class _Descent:
         fit.simulated = point.simulated
         self.scale, weights = _huber_weights(point.residuals, point.masks)
         self.weights = fit.weights_with_rounding(weights, curves, self.scale)
-        if self.adapt and self.anew and self.steps == 0:
+        if self.adapt and self.steps == 0:
             fit.begin_smoothing(curves, self.scale)
         matrix, gradient = fit.normal(curves, point.residuals, self.weights)
         penalty, pull = fit.penalty(curves, self.scale)
-        if self.adapt and (self.steps > 0 or not self.anew):
+        if self.adapt and self.steps > 0:
             fit.adapt_smoothing(curves, matrix + penalty, self.scale)
             penalty, pull = fit.penalty(curves, self.scale)
         self.steps += 1

@@ -124,7 +124,7 @@ def _fit_in_steps(
     point = fine.descended(start)
     if fine.settled_only and _approach_fits(fine, point):
         fine.settled_only = False
-        return fine.solve(point.curves, anew=False)
+        return fine.solve(point.curves)
     fitted = fine.fitted(point)
     if fine.settled_only and _reaches_further(fitted, domain):
         # Without the first approach B and the path are not told apart everywhere: does it do harm?
@@ -243,7 +243,7 @@ def fit_passes(joint_fit: Fitted, margin: float) -> Fitted | None:
     )  # fmt: skip
     if sum(int((f.use).sum()) for f in prepared) < _FEWEST:
         return None
-    return again.solve(joint_fit.curves, iterations=8, anew=False)
+    return again.solve(joint_fit.curves, iterations=8)
 
 
 def _beyond_onset(p: Array, side: npt.NDArray[np.int8]) -> Array:
