@@ -6,6 +6,36 @@
 typedef double square_t[HINGE_COLUMNS][HINGE_COLUMNS]; // below the diagonal, and on it
 typedef double seen_t[HINGE_COLUMNS][HINGE_SEEN];
 
+// Several bends are solved together: each waits for its own roots and quotients most of the time.
+enum { TOGETHER = 8 };
+typedef double many_t[TOGETHER];
+typedef many_t many_square_t[HINGE_COLUMNS][HINGE_COLUMNS]; // below the diagonal, and on it
+
+static inline void fill(many_t of, double value) {
+    for (size_t v = 0; v < TOGETHER; v++) {
+        of[v] = value;
+    }
+}
+
+static inline void take_off(double *restrict from, const double *restrict a, const double *restrict b) {
+    for (size_t v = 0; v < TOGETHER; v++) {
+        from[v] -= a[v] * b[v];
+    }
+}
+
+static inline void multiply(double *restrict by, const double *restrict a) {
+    for (size_t v = 0; v < TOGETHER; v++) {
+        by[v] *= a[v];
+    }
+}
+
+typedef struct {
+    square_t gram;
+    seen_t right;
+    double furthest[HINGE_COLUMNS]; // row of the furthest frame
+    double all;                     // squares of all that was seen
+} knot_t;
+
 // Row of the path's columns at x beyond the knot, the window being 1 long. Returns how many, from the first on, may
 // differ from 0.
 static size_t path_at(size_t pieces, double x, double *row) {
@@ -67,8 +97,6 @@ static void add_piece(const hinge_t *hinge, const piece_t *piece, size_t m, squa
 // Normal equations of one knot.
 static void gather(const hinge_t *hinge, double knot, double reach, square_t gram, seen_t right) {
     piece_t piece[HINGE_COLUMNS] = {0};
-    memset(gram, 0, sizeof(square_t));
-    memset(right, 0, sizeof(seen_t));
     for (size_t n = 0; n < hinge->frames; n++) {
         const double beyond = (hinge->x[n] - knot) / reach, *y = hinge->y + n * hinge->seen;
         if (!(beyond > 0.0)) {
@@ -97,61 +125,57 @@ static void gather(const hinge_t *hinge, double knot, double reach, square_t gra
 }
 
 // A = L L^T in place, with 1 / L[i][i] on the diagonal.
-static int factorise(square_t a, size_t size) {
+static int factorise(many_square_t a, size_t size) {
     for (size_t i = 0; i < size; i++) {
         for (size_t j = 0; j < i; j++) {
-            double sum = a[i][j];
             for (size_t k = 0; k < j; k++) {
-                sum -= a[i][k] * a[j][k];
+                take_off(a[i][j], a[i][k], a[j][k]);
             }
-            a[i][j] = sum * a[j][j];
+            multiply(a[i][j], a[j][j]);
         }
-        double pivot = a[i][i];
+        many_t pivot;
+        memcpy(pivot, a[i][i], sizeof pivot);
         for (size_t k = 0; k < i; k++) {
-            pivot -= a[i][k] * a[i][k];
+            take_off(pivot, a[i][k], a[i][k]);
         }
-        if (!(pivot > 0.0)) {
-            return 0;
+        for (size_t v = 0; v < TOGETHER; v++) {
+            if (!(pivot[v] > 0.0)) {
+                return 0;
+            }
         }
-        a[i][i] = 1.0 / sqrt(pivot);
+        for (size_t v = 0; v < TOGETHER; v++) {
+            a[i][i][v] = 1.0 / sqrt(pivot[v]);
+        }
     }
     return 1;
 }
 
-static void solve(square_t l, size_t size, seen_t x) {
+static void solve(many_square_t l, size_t size, many_t *x) {
     for (size_t i = 0; i < size; i++) {
         for (size_t j = 0; j < i; j++) {
-            for (size_t k = 0; k < HINGE_SEEN; k++) {
-                x[i][k] -= l[i][j] * x[j][k];
-            }
+            take_off(x[i], l[i][j], x[j]);
         }
-        for (size_t k = 0; k < HINGE_SEEN; k++) {
-            x[i][k] *= l[i][i];
-        }
+        multiply(x[i], l[i][i]);
     }
     for (size_t i = size; i-- > 0;) {
-        for (size_t k = 0; k < HINGE_SEEN; k++) {
-            x[i][k] *= l[i][i];
-        }
+        multiply(x[i], l[i][i]);
         for (size_t j = 0; j < i; j++) {
-            for (size_t k = 0; k < HINGE_SEEN; k++) {
-                x[j][k] -= l[i][j] * x[i][k];
-            }
+            take_off(x[j], l[i][j], x[i]);
         }
     }
 }
 
-// Trace of A^-1 diag(weight), by L^-1 column after column.
-static double trace_of(square_t l, size_t size, const double *weight) {
+// Trace of A^-1 diag(weight) of one of those together, by L^-1 column after column.
+static double trace_of(many_square_t l, size_t size, size_t v, const double *weight) {
     double trace = 0.0;
     for (size_t j = 0; j < size; j++) {
         double column[HINGE_COLUMNS], squares = 0.0;
         for (size_t i = j; i < size; i++) {
             double sum = i == j ? 1.0 : 0.0;
             for (size_t k = j; k < i; k++) {
-                sum -= l[i][k] * column[k];
+                sum -= l[i][k][v] * column[k];
             }
-            column[i] = sum * l[i][i];
+            column[i] = sum * l[i][i][v];
             squares += column[i] * column[i];
         }
         trace += weight[j] * squares;
@@ -159,38 +183,56 @@ static double trace_of(square_t l, size_t size, const double *weight) {
     return trace;
 }
 
-static int fit_one(const hinge_t *hinge, const double *precision, square_t gram, seen_t right, const double *furthest,
-                   double all, const hinge_fit_t *fit, size_t at) {
+// What one of those that were solved together left; at: where it goes.
+static void tell(const hinge_t *hinge, const knot_t *knot, const double *precision, many_square_t system,
+                 many_t found[HINGE_SEEN][HINGE_COLUMNS], size_t v, const hinge_fit_t *fit, size_t at) {
     const size_t columns = hinge_columns(hinge), path = 2 + hinge->pieces, seen = hinge->seen;
-    square_t system;
-    seen_t found;
-    memcpy(system, gram, sizeof(square_t));
-    memcpy(found, right, sizeof(seen_t));
-    for (size_t i = 0; i < columns; i++) {
-        system[i][i] += precision[i];
-    }
-    if (!factorise(system, columns)) {
-        return 0;
-    }
-    solve(system, columns, found);
-    double volume = 0.0, explained = 0.0, held = 0.0, *way = fit->way + at * seen;
+    double share = 1.0, explained = 0.0, held = 0.0, *way = fit->way + at * seen;
     for (size_t i = 0; i < path; i++) {
-        volume -= log(system[i][i] * system[i][i] * precision[i]);
+        share *= system[i][i][v] * system[i][i][v] * precision[i];
     }
     for (size_t k = 0; k < seen; k++) {
         way[k] = 0.0;
         for (size_t i = 0; i < columns; i++) {
-            explained += found[i][k] * right[i][k];
-            held += precision[i] * found[i][k] * found[i][k];
-            way[k] += i > 0 && i < path ? furthest[i] * found[i][k] : 0.0;
-            fit->coefficients[(at * columns + i) * seen + k] = found[i][k];
+            const double each = found[k][i][v];
+            explained += each * knot->right[i][k];
+            held += precision[i] * each * each;
+            way[k] += i > 0 && i < path ? knot->furthest[i] * each : 0.0;
+            fit->coefficients[(at * columns + i) * seen + k] = each;
         }
     }
-    fit->squares[at] = fmax(all - explained, 0.0);
-    fit->residual[at] = fmax(all - explained - held, 0.0);
-    fit->volume[at] = volume;
+    fit->squares[at] = fmax(knot->all - explained, 0.0);
+    fit->residual[at] = fmax(knot->all - explained - held, 0.0);
+    fit->volume[at] = -log(share);
     if (fit->used) {
-        fit->used[at] = (double)columns - trace_of(system, columns, precision);
+        fit->used[at] = (double)columns - trace_of(system, columns, v, precision);
+    }
+}
+
+// The fits of one knot under the bends from `first` on, as many as go together.
+static int fit_together(const hinge_t *hinge, knot_t *knot, size_t first, const hinge_fit_t *fit, size_t at) {
+    const size_t columns = hinge_columns(hinge), last = hinge->bends - 1;
+    many_square_t system;
+    many_t found[HINGE_SEEN][HINGE_COLUMNS];
+    for (size_t i = 0; i < columns; i++) {
+        for (size_t j = 0; j <= i; j++) {
+            fill(system[i][j], knot->gram[i][j]);
+        }
+        for (size_t v = 0; v < TOGETHER; v++) { // the last once more for those that are too many
+            system[i][i][v] += hinge->precision[(first + v < last ? first + v : last) * columns + i];
+        }
+        for (size_t k = 0; k < hinge->seen; k++) {
+            fill(found[k][i], knot->right[i][k]);
+        }
+    }
+    if (!factorise(system, columns)) {
+        return 0;
+    }
+    for (size_t k = 0; k < hinge->seen; k++) {
+        solve(system, columns, found[k]);
+    }
+    for (size_t v = 0; v < TOGETHER && first + v < hinge->bends; v++) {
+        tell(hinge, knot, hinge->precision + (first + v) * columns, system, found, v, fit, at + first + v);
     }
     return 1;
 }
@@ -210,16 +252,13 @@ int hinge_fit(const hinge_t *hinge, const hinge_fit_t *fit) {
         return 0;
     }
     for (size_t k = 0; k < hinge->knots; k++) {
-        square_t gram;
-        seen_t right;
-        double furthest[HINGE_COLUMNS] = {0.0};
-        gather(hinge, hinge->knot[k], reach, gram, right);
+        knot_t knot = {.all = all};
+        gather(hinge, hinge->knot[k], reach, knot.gram, knot.right);
         if (reach > hinge->knot[k]) {
-            path_at(hinge->pieces, (reach - hinge->knot[k]) / reach, furthest);
+            path_at(hinge->pieces, (reach - hinge->knot[k]) / reach, knot.furthest);
         }
-        for (size_t v = 0; v < hinge->bends; v++) {
-            if (!fit_one(hinge, hinge->precision + v * hinge_columns(hinge), gram, right, furthest, all, fit,
-                         k * hinge->bends + v)) {
+        for (size_t v = 0; v < hinge->bends; v += TOGETHER) {
+            if (!fit_together(hinge, &knot, v, fit, k * hinge->bends)) {
                 return 0;
             }
         }

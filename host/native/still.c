@@ -93,14 +93,40 @@ static double taken_off(double gram[STILL_ORDERS + 1][STILL_ORDERS + 1], const d
     return sum;
 }
 
-static double squares_of(const struct still_stop *stop, const double *ramp, double most) {
+// What does not change with the delay: sums over the frames of y, which is z less its first value.
+typedef struct {
+    double first[STILL_SEEN], squares;
+} fixed_t;
+
+static fixed_t fixed_of(const struct still_stop *stop) {
+    fixed_t fixed = {{0}, 0.0};
+    for (size_t i = 0; i < stop->frames; i++) {
+        for (size_t k = 0; k < stop->seen; k++) {
+            const double y = stop->z[i * stop->seen + k] - stop->z[k];
+            fixed.first[k] += y;
+            fixed.squares += y * y;
+        }
+    }
+    return fixed;
+}
+
+static double squares_of(const struct still_stop *stop, const fixed_t *fixed, const double *ramp, double most) {
     const size_t size = (size_t)stop->order + 1;
-    double moments[2 * STILL_ORDERS + 1] = {0}, gram[STILL_ORDERS + 1][STILL_ORDERS + 1], sum = 0.0;
+    double moments[2 * STILL_ORDERS + 1] = {(double)stop->frames}, right[STILL_SEEN][STILL_ORDERS + 1] = {{0}};
+    double gram[STILL_ORDERS + 1][STILL_ORDERS + 1], sum = fixed->squares;
     for (size_t i = 0; i < stop->frames; i++) {
         const double unit = ramp[i] / most, square = unit * unit;
-        const double powers[] = {1.0, unit, square, unit * square, square * square};
-        for (size_t a = 0; a < 2 * size - 1; a++) {
-            moments[a] += powers[a];
+        if (unit == 0.0) {
+            continue;
+        }
+        const double powers[] = {unit, square, unit * square, square * square};
+        for (size_t a = 0; a < 2 * STILL_ORDERS; a++) {
+            moments[a + 1] += powers[a];
+        }
+        for (size_t k = 0; k < stop->seen; k++) {
+            const double y = stop->z[i * stop->seen + k] - stop->z[k];
+            right[k][1] += unit * y;
+            right[k][2] += square * y;
         }
     }
     for (size_t a = 0; a < size; a++) {
@@ -110,20 +136,14 @@ static double squares_of(const struct still_stop *stop, const double *ramp, doub
     }
     factorise(gram, size);
     for (size_t k = 0; k < stop->seen; k++) {
-        double right[STILL_ORDERS + 1] = {0};
-        for (size_t i = 0; i < stop->frames; i++) {
-            const double unit = ramp[i] / most, y = stop->z[i * stop->seen + k] - stop->z[k];
-            right[0] += y;
-            right[1] += unit * y;
-            right[2] += unit * unit * y;
-            sum += y * y;
-        }
-        sum -= taken_off(gram, right, size);
+        right[k][0] = fixed->first[k];
+        sum -= taken_off(gram, right[k], size);
     }
     return sum < 0.0 ? 0.0 : sum; // NaN stays: a place that is none is no perfect stop
 }
 
 void still_squares(const struct still_stop *stop, const double *delays, size_t count, double *ramp, double *squares) {
+    const fixed_t fixed = fixed_of(stop);
     size_t from = 0;
     for (size_t d = 0; d < count; d++) {
         double most = NO_WAY;
@@ -133,6 +153,6 @@ void still_squares(const struct still_stop *stop, const double *delays, size_t c
             ramp[i] = before ? fmin(stop->direction * (motor_at(stop, scene, &from) - stop->q1), 0.0) : 0.0;
             most = fmax(most, fabs(ramp[i]));
         }
-        squares[d] = squares_of(stop, ramp, most);
+        squares[d] = squares_of(stop, &fixed, ramp, most);
     }
 }

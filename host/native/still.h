@@ -8,7 +8,7 @@
 extern "C" {
 #endif
 
-enum { STILL_ORDERS = 2 }; // of a path's polynomial, at most
+enum { STILL_ORDERS = 2, STILL_SEEN = 2 }; // of a path's polynomial, and channels: at most
 
 // The first frame at which z (n, seen; unit variance) has left the level that it started from by 5.5 sigma of it (by
 // chance once in 3 million) and by 2 % of its whole swing (less is a wobble inside the backlash), as the mean of 1, 2,
@@ -29,7 +29,7 @@ struct still_stop {
 
 // What is left, sums of squares (count), of level + polynomial of the way that is left to the turn, if the image is
 // late by each of `delays`: the image stands still from the turn on. A ridge of 1e-11 a frame keeps it solvable. ramp:
-// room for (frames). 0.1 us a frame and delay.
+// room for (frames).
 void still_squares(const struct still_stop *stop, const double *delays, size_t count, double *ramp, double *squares);
 
 #ifdef __cplusplus

@@ -159,22 +159,23 @@ def pose(
     predicted, slope = project_with_slope(rig, c, translation, turn)
     error = image - predicted
     cost = np.sum(error * error, axis=1)
+    going = np.flatnonzero(np.isfinite(cost))
     for _ in range(iterations):
-        gain = np.sum(slope * slope, axis=1)
-        step = np.sum(slope * error, axis=1) / (gain * (1 + damping) + 1e-12)
-        trial = c + np.clip(np.nan_to_num(step), -STRIDE_DEG, STRIDE_DEG)
-        predicted, trial_slope = project_with_slope(rig, trial, translation, turn)
-        trial_error = image - predicted
-        trial_cost = np.sum(trial_error * trial_error, axis=1)
-        better = trial_cost < cost
-        settled = ~(better & (np.abs(trial - c) > 1e-10))
-        c = np.where(better, trial, c)
-        cost = np.where(better, trial_cost, cost)
-        error = np.where(better[:, None], trial_error, error)
-        slope = np.where(better[:, None], trial_slope, slope)
-        damping = np.where(better, damping / 10, damping * 10)
-        if np.all(settled & ((damping > 1e3) | better | ~np.isfinite(cost))):
+        if not len(going):
             break
+        before, steep, off = c[going], slope[going], error[going]
+        step = np.sum(steep * off, axis=1) / (np.sum(steep * steep, axis=1) * (1 + damping[going]) + 1e-12)
+        trial = before + np.clip(np.nan_to_num(step), -STRIDE_DEG, STRIDE_DEG)
+        predicted, steep = project_with_slope(rig, trial, translation[going], turn[going])
+        off = image[going] - predicted
+        squares = np.sum(off * off, axis=1)
+        better = squares < cost[going]
+        nearer = going[better]
+        c[nearer], cost[nearer] = trial[better], squares[better]
+        error[nearer], slope[nearer] = off[better], steep[better]
+        damping[going] = np.where(better, damping[going] / 10, damping[going] * 10)
+        settled = np.where(better, np.abs(trial - before) <= 1e-10, damping[going] > 1e3)
+        going = going[~settled]
     seen = np.isfinite(image).all(axis=1)
     return np.where(seen, c, np.nan), np.where(seen, np.sqrt(cost), np.nan)
 

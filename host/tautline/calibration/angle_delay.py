@@ -10,7 +10,7 @@ import numpy as np
 from tautline.calibration.lag_scan import DELAY_REACH_S, FRAMES, WIDTHS, LagScan, period_s
 from tautline.calibration.observations import Track
 from tautline.calibration.onset import Delay
-from tautline.calibration.playfit import Curves, Fitted, PlayFit
+from tautline.calibration.playfit import Curves, Fitted, PlayFit, Point
 from tautline.calibration.simulated_track import PreparedTrack
 from tautline.independence import first_order
 from tautline.rig import Rig
@@ -129,7 +129,7 @@ class _DelayDeviance:
         mean = float(weight @ delays)
         return mean, float(np.hypot(np.sqrt(weight @ (delays - mean) ** 2), of_rounding(pitch_s)))
 
-    def _solved(self, delay_s: float) -> Fitted:
+    def _solved(self, delay_s: float) -> Point:
         """The fit with the delay held at this, s, started from the constant width that fits best and the first
         smoothing."""
         fit, channels = self._fit, self._scans[0].track.y.shape[1]
@@ -137,10 +137,10 @@ class _DelayDeviance:
         widths = [share * self._scans[0].span for share in WIDTHS]
         width = min(widths, key=lambda w: sum(scan.misfit(delay_s, w) for scan in self._scans))
         flat = Curves(np.full(fit.backlash.size, width), np.zeros((fit.follow.size, channels)), delay_s)
-        return fit.solve(flat, iterations=6)
+        return fit.descended(flat, 6)
 
 
-def _independent(fitted: Fitted) -> float:
+def _independent(fitted: Point) -> float:
     """The number of independent residuals: frames over `first_order`, how many correlated neighbours make one; 1 at
     least."""
     count = 0.0

@@ -267,8 +267,10 @@ class Choice:
         cut as for the fit's own scale."""
         smoothing = dict(fitted.fit.smoothing)
         alone = replace(fitted.fit, fit_backlash=False, fit_delay=False, smoothing=smoothing)
-        solved = alone.solve(curves, iterations=5, adapt=False)
-        return solved.scale if alone.hysteresis.single else rms_over_noise(replace(solved, scale=fitted.scale))
+        point = alone.descended(curves, 5, adapt=False)
+        return (
+            point.scale if alone.hysteresis.single else rms_over_noise(replace(alone.fitted(point), scale=fitted.scale))
+        )
 
     def held_beyond_measured(self, joint_fit: Fitted, curve: WidthCurve | None) -> Array:
         """The joint fit's B (grid,), constant beyond the positions that passes both ways or onsets reached: what the

@@ -145,17 +145,29 @@ def fit_hinge(x: Array, y: Array, high: float) -> Hinge:
     return Hinge(mean, spread, float(paths.deviance[k, v]), float(paths.chi2[k, v]), freedom, slope)
 
 
-def fit_jump(x: Array, y: Array, high: float) -> Jump:
+def fit_jump(x: Array, y: Array, high: float, knot: float = 0.0) -> Jump:
     """The best jump, between neighbouring frames with x within [0, high] (and from 0 to the first of them),
     followed by a free path. Its bracket reaches from the first to the last one whose deviance is within _CREDIBLE of
-    the best. x (n,), y (n, channels); deviance inf where no frames bracket it."""
+    the best. Tried are _KNOTS of them evenly, those around the best hinge's knot, and all around what may be the jump.
+    x (n,), y (n, channels); deviance inf where no frames bracket it."""
     edges = np.unique(np.append(x, 0.0))
     edges = edges[(edges >= 0.0) & (edges <= high)]
     if len(edges) < 2:
         return Jump(0.0, high, 0.0, np.inf)
-    paths = _Window.of(x, y, jump=True).paths(0.5 * (edges[1:] + edges[:-1]))
-    each = paths.deviance.min(axis=1)
-    best = int(np.argmin(each))
-    near = np.flatnonzero(each < each[best] + _CREDIBLE)
-    size = float(np.linalg.norm(paths.coefficients[best, int(np.argmin(paths.deviance[best])), -1]))
-    return Jump(float(edges[near[0]]), float(edges[near[-1] + 1]), size, float(each[best]))
+    window, middles = _Window.of(x, y, jump=True), 0.5 * (edges[1:] + edges[:-1])
+    stride = max(len(middles) // _KNOTS, 1)
+    each, sizes = np.full(len(middles), np.inf), np.zeros(len(middles))
+    wanted = np.zeros(len(middles), dtype=bool)
+    wanted[::stride] = True
+    wanted[max(np.searchsorted(middles, knot) - 1, 0) :][:2] = True
+    near = np.flatnonzero(wanted)
+    while (anew := np.flatnonzero(wanted & np.isinf(each))).size:
+        paths = window.paths(middles[anew])
+        best = np.argmin(paths.deviance, axis=1)
+        each[anew] = paths.deviance[np.arange(len(anew)), best]
+        sizes[anew] = np.linalg.norm(paths.coefficients[np.arange(len(anew)), best, -1], axis=1)
+        near = np.flatnonzero(each < each.min() + _CREDIBLE)
+        for k in near:
+            wanted[max(k - stride, 0) : k + stride] = True
+    best_of_all = int(np.argmin(each))
+    return Jump(float(edges[near[0]]), float(edges[near[-1] + 1]), float(sizes[best_of_all]), float(each[best_of_all]))

@@ -203,7 +203,8 @@ def _slopes(state: Fitted, counted: CountedFrames) -> Array:
     far = 10.0 * float(np.abs(fit.grid).max() + np.ptp(fit.grid))
     rows = []
     for number, prepared in enumerate(fit.tracks):
-        positions, at = prepared.course(prepared.track.scene_s(curves.delay_s))
+        driven = prepared.driven(curves.delay_s)
+        positions, at = driven.positions, driven.at
         by = native.slopes(positions, -far).reshape(-1, len(VALUES))
         rows.append(by[at][counted.frame[counted.recording == number]])
     return np.concatenate(rows)

@@ -26,7 +26,7 @@ from tautline.calibration.hysteresis import PRIORS, HysteresisFit, fit_friction,
 from tautline.calibration.lag_scan import period_s
 from tautline.calibration.observations import LITTLE, Track
 from tautline.calibration.on_tip import place_on_tip
-from tautline.calibration.onset import HINGE, Delay, Onset, delayed, find_onsets
+from tautline.calibration.onset import HINGE, Delay, Onset, delayed, find_onsets, with_timing_errors
 from tautline.calibration.options import Options
 from tautline.calibration.place import (
     PlaceNoise,
@@ -179,7 +179,7 @@ class Measuring(_Setting):
         joint_fit, passes = self._fit_jointly(onsets, delay, curve)
         if joint_fit is not None and (joint_fit.fit.fit_delay or joint_fit.curves.delay_s != delay.delay_s):
             first, delay = delay, self._delay_of_joint_fit(delay, joint_fit)
-            onsets, curve = self._onsets_at(delay, first, onsets, curve)
+            onsets, curve = self._onsets_at(delay, first, onsets)
         gradual = self.components is not None and any(
             part.name.startswith(("phase", SPEED)) for part in self.components.parts
         )
@@ -345,20 +345,14 @@ class Measuring(_Setting):
         onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
         return onsets, fit_widths(onsets, self.grid)
 
-    def _onsets_at(
-        self, delay: Delay, first: Delay, onsets: list[Onset], curve: WidthCurve | None
-    ) -> tuple[list[Onset], WidthCurve | None]:
+    def _onsets_at(self, delay: Delay, first: Delay, onsets: list[Onset]) -> tuple[list[Onset], WidthCurve | None]:
         """Onsets and their curve at the joint fit's delay, given those at the first one: found anew where the delay
-        changed by more than _LATER of a frame's period or became much surer, moved where it changed a little, else as
-        they are."""
-        surer = not self.framed and delay.sigma_s < 0.5 * first.sigma_s
+        changed by more than _LATER of a frame's period, else moved."""
         later_s = delay.delay_s - first.delay_s
-        if surer or abs(later_s) > _LATER * period_s(self.tracks):
+        if abs(later_s) > _LATER * period_s(self.tracks):
             return self._onsets(delay)
-        if abs(later_s) > 1e-4:
-            onsets = delayed(onsets, self.tracks, later_s)
-            return onsets, fit_widths(onsets, self.grid)
-        return onsets, curve
+        onsets = with_timing_errors(delayed(onsets, self.tracks, later_s), self.tracks, self.rig, delay.sigma_s)
+        return onsets, fit_widths(onsets, self.grid)
 
     # ---- B
 

@@ -57,6 +57,7 @@ class Onset:
     reason: str = ""  # why it is not used
     slope: float = np.nan  # px (or deg) per unit of q at which the tip starts
     jump: float = 0.0  # chi-square that a jump of the image at the onset explains
+    own_sigma: float = np.nan  # `sigma` without what the times of motor and sensor add
 
     @property
     def width(self) -> float:
@@ -195,9 +196,8 @@ def find_onsets(tracks: Sequence[Track], rig: Rig, delay_s: float, delay_sigma: 
         strokes = _strokes(track, rig, delay_s)
         for before, after in pairwise(strokes):
             onsets.append(_onset_of_stroke(number, track, before, after))
-    onsets = _as_brackets_if_most_jump(onsets)
-    resolution = rig.actuator.encoder_resolution
-    return [_with_timing_errors(onset, tracks[onset.track], delay_sigma, resolution) for onset in onsets]
+    onsets = [replace(onset, own_sigma=onset.sigma) for onset in _as_brackets_if_most_jump(onsets)]
+    return with_timing_errors(onsets, tracks, rig, delay_sigma)
 
 
 def delayed(onsets: Sequence[Onset], tracks: Sequence[Track], by_s: float) -> list[Onset]:
@@ -239,7 +239,9 @@ def _onset_of_stroke(number: int, track: Track, before: _Stroke, after: _Stroke)
     if window is None:
         return replace(not_told, reason="too few frames around the onset")
     x, y, hinge = window
-    jump = fit_jump(x, y, max(hinge.knot * 1.5, after.travel[min(after.departure + 3, len(after.travel) - 1)]))
+    jump = fit_jump(
+        x, y, max(hinge.knot * 1.5, after.travel[min(after.departure + 3, len(after.travel) - 1)]), hinge.knot
+    )
     gain = hinge.deviance - jump.deviance
     width, sigma = hinge.knot, max(hinge.sigma, 1e-9)
     kind = BRACKET if gain > _JUMP_GAINS and jump.size > _JUMP else HINGE
@@ -275,14 +277,17 @@ def _as_brackets_if_most_jump(onsets: list[Onset]) -> list[Onset]:
     return [_as_bracket(o) if o.kind == HINGE and o.used else o for o in onsets]
 
 
-def _with_timing_errors(onset: Onset, track: Track, delay_sigma: float, resolution: float) -> Onset:
-    """The onset with sigma increased by the motor's travel during the delay's standard deviation, s (a nominal delay's
-    where none was found, inf), and by the rounding of the turn to a count of the encoder (resolution, unit of q)."""
-    if not np.isfinite(onset.sigma):
-        return onset
-    late = motor_speed(onset, track) * known_to(delay_sigma)
-    extra = np.hypot(late, of_rounding(resolution))
-    return replace(onset, sigma=float(np.hypot(onset.sigma, extra)))
+def with_timing_errors(onsets: Sequence[Onset], tracks: Sequence[Track], rig: Rig, delay_sigma: float) -> list[Onset]:
+    """The onsets, the sigma of each being its own, increased by the motor's travel during the delay's standard
+    deviation, s (a nominal delay's where none was found, inf), and by the rounding of the turn to a count of the
+    encoder."""
+    late_s, rounded = known_to(delay_sigma), of_rounding(rig.actuator.encoder_resolution)
+    return [
+        replace(o, sigma=float(np.hypot(o.own_sigma, np.hypot(motor_speed(o, tracks[o.track]) * late_s, rounded))))
+        if np.isfinite(o.own_sigma)
+        else o
+        for o in onsets
+    ]
 
 
 def known_to(delay_sigma: float) -> float:

@@ -36,6 +36,7 @@ STRAY = 4.0  # tolerance: times the usual residual, from which a frame is an out
 EXPLAINED = 1.5  # tolerance: residual over noise up to which a model explains its data
 _STIFF = 1e4  # tolerance: cost, in sigma^2, of a neighbour difference that is off its limit by the whole limit
 _GAIN = 0.2  # tolerance: sigma^2: an iteration that gains less is the last but one
+_MOST_STEPS = 30  # tolerance: of a descent
 NODES = 1025  # tolerance: of the tables that fits and models use
 
 
@@ -198,19 +199,30 @@ class PlayFit:
 
     # ---- the fit
 
-    def solve(self, start: Curves, iterations: int = 30, adapt: bool = True) -> Fitted:
+    def solve(self, start: Curves, iterations: int = _MOST_STEPS, adapt: bool = True) -> Fitted:
         """Damped Gauss-Newton steps from `start`, outliers weighed down (Huber). adapt: the smoothing moves to the
         restricted likelihood's maximum (Fellner-Schall steps), else it stays."""
-        # The descent sees no frame that cannot count; the smoothing that it adapts is this fit's own.
-        counting = replace(self, tracks=[prepared.counting for prepared in self.tracks], smoothing=self.smoothing)
-        curves = descend(_Descent(counting, adapt), _Point.of(counting, start), iterations).curves
-        residuals, masks = self.residuals(curves)
+        return self.fitted(self.descended(start, iterations, adapt))
+
+    def fitted(self, point: Point) -> Fitted:
+        """What is known at this point, where this fit's descent ended."""
+        curves, residuals, masks = point.curves, point.residuals, point.masks
         scale, weights = _huber_weights(residuals, masks)
         weights = self.weights_with_rounding(weights, curves, scale)
         matrix, _ = self.normal(curves, residuals, weights)
         penalty, _ = self.penalty(curves, scale)
         covariance = np.asarray(np.linalg.inv(matrix + penalty + 1e-12 * np.eye(len(matrix))) * scale * scale)
         return Fitted(self, curves, scale, residuals, masks, weights, covariance)
+
+    def descended(self, start: Curves, iterations: int = _MOST_STEPS, adapt: bool = True) -> Point:
+        """Where `solve` ends, without the covariance there."""
+        # The descent sees no frame that cannot count; the smoothing that it adapts is this fit's own.
+        counting = replace(self, tracks=[prepared.counting for prepared in self.tracks], smoothing=self.smoothing)
+        point = descend(_Descent(counting, adapt), Point.of(counting, start), iterations)
+        if any(seen is not all_of_it for seen, all_of_it in zip(counting.tracks, self.tracks, strict=True)):
+            point = Point.of(self, point.curves)
+        self.simulated = point.simulated
+        return point
 
     def step(self, curves: Curves, residuals: list[Array], masks: list[Mask]) -> Curves:
         """One Gauss-Newton step, all counted frames weighing 1; after `residuals` with the same curves."""
@@ -420,7 +432,7 @@ class PlayFit:
 
 
 @dataclass(frozen=True)
-class _Point:
+class Point:
     """Curves with what they predict: each point of a descent is simulated once."""
 
     curves: Curves
@@ -428,19 +440,24 @@ class _Point:
     masks: list[Mask]
     simulated: list[Simulated]
 
+    @property
+    def scale(self) -> float:
+        """rms residual over the stated noise, outliers apart."""
+        return _huber_weights(self.residuals, self.masks)[0]
+
     @classmethod
-    def of(cls, fit: PlayFit, curves: Curves) -> _Point:
+    def of(cls, fit: PlayFit, curves: Curves) -> Point:
         """The point at these curves."""
         residuals, masks = fit.residuals(curves)
         return cls(curves, residuals, masks, fit.simulated)
 
-    def moved(self, fit: PlayFit, step: Array) -> _Point:
+    def moved(self, fit: PlayFit, step: Array) -> Point:
         """The point a step further."""
         curves = fit.moved(self.curves, step)
         if fit.moves_tip:
-            return _Point.of(fit, curves)
+            return Point.of(fit, curves)
         fit.simulated = self.simulated
-        return _Point(curves, *fit.residuals_of_simulated(curves), self.simulated)
+        return Point(curves, *fit.residuals_of_simulated(curves), self.simulated)
 
 
 class _Descent:
@@ -452,7 +469,7 @@ class _Descent:
         self.scale, self.weights = 1.0, list[Array]()
         self.steps = self.small_steps = 0
 
-    def linearised(self, point: _Point) -> tuple[Array, Array, float]:
+    def linearised(self, point: Point) -> tuple[Array, Array, float]:
         """Normal matrix, gradient that lowers the cost, and cost at a point, with new weights and, from the second on,
         adapted smoothing."""
         fit, curves = self.fit, point.curves
@@ -471,11 +488,11 @@ class _Descent:
             fit.hold_at_limits(curves, matrix, gradient)
         return matrix + penalty, gradient - pull, fit.cost(curves, point.residuals, self.weights, self.scale)
 
-    def moved(self, point: _Point, step: Array) -> _Point:
+    def moved(self, point: Point, step: Array) -> Point:
         """The point a step further."""
         return point.moved(self.fit, step)
 
-    def cost(self, point: _Point) -> float:
+    def cost(self, point: Point) -> float:
         """The cost at a point, with the weights and the smoothing of the last linearisation, so that costs compare. A
         frame that did not count then and does now weighs 1."""
         kept = _ones_where_uncounted(self.weights, point.masks)

@@ -148,7 +148,8 @@ def _by_weight(fitted: Fitted) -> Array:
     plays = [_native.Plays(np.array([-far, far]), np.full(2, share)) for share in SHARES]
     fits = []
     for prepared, sim, mask in zip(fit.tracks, fit.simulated, masks, strict=True):
-        positions, at = prepared.course(prepared.track.scene_s(curves.delay_s))
+        driven = prepared.driven(curves.delay_s)
+        positions, at = driven.positions, driven.at
         x = np.interp(positions, warp.q, warp.x)
         alone = [play.forward(x, -far)[0] for play in plays]
         fits.append(np.column_stack(alone)[at][mask] * np.interp(sim.p[mask], fit.grid, by_y)[:, None])

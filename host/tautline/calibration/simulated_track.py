@@ -109,22 +109,25 @@ class PreparedTrack:
             return self
         return replace(self, track=self.track.only(self.use), use=self.use[self.use])
 
-    def course(self, scene_s: Array) -> tuple[Array, npt.NDArray[np.intp]]:
-        """The motor's positions (m,) that a play needs, extremes and those at scene_s (n,), in order of time; and which
-        of them (n,) are at scene_s."""
+    def course(self, scene_s: Array, q: Array) -> tuple[Array, npt.NDArray[np.intp]]:
+        """The motor's positions (m,) that a play needs, extremes and those q (n,) at scene_s (n,), in order of time;
+        and which of them (n,) are at scene_s."""
         times = np.concatenate([self.corner_t, scene_s])
         order = np.argsort(times, kind="stable")
         back = np.empty(len(times), dtype=np.intp)
         back[order] = np.arange(len(times))
-        return np.concatenate([self.corner_q, self.track.motor_at(scene_s)])[order], back[len(self.corner_t) :]
+        return np.concatenate([self.corner_q, q])[order], back[len(self.corner_t) :]
 
     def driven(self, delay_s: float) -> MotorAtFrames:
         """The motor at the frames for this delay, s. Kept until another delay is asked for: a scan of widths has
         one."""
         if delay_s not in self.last:
             track, scene = self.track, self.track.scene_s(delay_s)
-            positions, at = self.course(scene)
-            speed = (track.motor_at(scene + self.half_s) - track.motor_at(scene - self.half_s)) / (2 * self.half_s)
+            # Looked up in order of time: neighbours are found at once.
+            around = scene[:, None] + np.array([-self.half_s, 0.0, self.half_s])
+            before, q, after = track.motor_at(around.ravel()).reshape(around.shape).T
+            positions, at = self.course(scene, q)
+            speed = (after - before) / (2 * self.half_s)
             self.last.clear()
             self.last[delay_s] = MotorAtFrames(positions, at, track.within_motor(scene), speed)
         return self.last[delay_s]

@@ -16,8 +16,8 @@ import numpy.typing as npt
 from tautline.calibration.backlash import WidthCurve
 from tautline.calibration.beforehand import Beforehand
 from tautline.calibration.observations import Mask, NoiseByPlace, Track, with_noise
-from tautline.calibration.playfit import STRAY, Curves, Fitted, PlayFit, rms_of_frame_powers
-from tautline.calibration.simulated_track import PreparedTrack
+from tautline.calibration.playfit import STRAY, Curves, Fitted, PlayFit, Point, rms_of_frame_powers
+from tautline.calibration.simulated_track import PreparedTrack, Simulated
 from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
@@ -27,6 +27,7 @@ _MOST_FRAMES = 12000  # tolerance: of one fit; more are thinned out evenly
 _SCANNED = 3000  # tolerance: frames, about, that tell where a fit begins
 _REPEATS = 1.6  # prior: residual of the first approach over that of the rest, up to which it counts
 _HARMLESS = 1.15  # tolerance: ratio by which the rest's residual may grow when the first approach counts
+_STRIDE = 3  # tolerance: of constant widths, a hundredth of the range apart: every third is tried, then its neighbours
 _PARTS, _AGAIN = 5, 4  # tolerance: parts in which strokes are left out in turn; steps of each fit without them
 _FEWEST = 40  # tolerance: frames that a joint fit is tried with
 
@@ -110,7 +111,7 @@ def _fit_in_steps(
     if coarse is None:
         return None
     fit, curves = coarse
-    rough = fit.solve(curves, iterations=7)
+    rough = fit.descended(curves, 7)
     fine = PlayFit(
         prepared, Basis(domain.low, domain.high, SPANS), Basis(domain.low, domain.high, SPANS),
         fit_delay=fit_delay, settled_only=fit.settled_only, beforehand=beforehand,
@@ -120,10 +121,11 @@ def _fit_in_steps(
         _coefficients_of(fine.follow, lambda x: fit.follow.value(rough.curves.follow, x)),
         delay_s,
     )
-    fitted = fine.solve(start)
-    if fine.settled_only and _approach_fits(fitted):
+    point = fine.descended(start)
+    if fine.settled_only and _approach_fits(fine, point):
         fine.settled_only = False
-        return fine.solve(fitted.curves)
+        return fine.solve(point.curves)
+    fitted = fine.fitted(point)
     if fine.settled_only and _reaches_further(fitted, domain):
         # Without the first approach B and the path are not told apart everywhere: does it do harm?
         whole = replace(fine, settled_only=False, smoothing=dict(fine.smoothing)).solve(start)
@@ -188,7 +190,7 @@ def _held_out_power(fitted: Fitted, strokes: Sequence[npt.NDArray[np.intp]], sca
             replace(prepared, use=prepared.use & ~each) for prepared, each in zip(fitted.fit.tracks, out, strict=True)
         ]
         fit = replace(fitted.fit, tracks=kept, smoothing=dict(fitted.fit.smoothing))
-        curves = fit.solve(fitted.curves, iterations=_AGAIN, adapt=False).curves
+        curves = fit.descended(fitted.curves, _AGAIN, adapt=False).curves
         for row, each in zip(fit.residuals(curves)[0], out, strict=True):
             total += float(np.sum(np.minimum(np.mean(row[each] ** 2, axis=1), (STRAY * scale) ** 2)))
             frames += int(each.sum())
@@ -198,9 +200,14 @@ def _held_out_power(fitted: Fitted, strokes: Sequence[npt.NDArray[np.intp]], sca
 def overlap(fitted: Fitted) -> tuple[float, float]:
     """The range of p, unit of q, that counted frames cover in both directions; the empty range (1, -1) with fewer than
     five frames of one direction."""
+    return _covered_both_ways(fitted.fit.simulated, fitted.masks)
+
+
+def _covered_both_ways(simulated: Sequence[Simulated], masks: Sequence[Mask]) -> tuple[float, float]:
+    """`overlap` of frames (n,) by track."""
     low, high = -np.inf, np.inf
     for side in (1, -1):
-        seen = zip(fitted.fit.simulated, fitted.masks, strict=True)
+        seen = zip(simulated, masks, strict=True)
         p = np.concatenate([sim.p[mask & (sim.side == side)] for sim, mask in seen])
         if len(p) < 5:
             return 1.0, -1.0
@@ -208,18 +215,18 @@ def overlap(fitted: Fitted) -> tuple[float, float]:
     return low, high
 
 
-def _approach_fits(fitted: Fitted) -> bool:
+def _approach_fits(fit: PlayFit, point: Point) -> bool:
     """Whether the residuals of the first approach are within _REPEATS times the fit's scale in the median, where the
     rest covers both ways: a start pose with other friction or slack must not spoil the fit. Yes if it has fewer than
     five frames."""
-    fit, squares = fitted.fit, []
-    low, high = overlap(fitted)
-    for prepared, sim, rows in zip(fit.tracks, fit.simulated, fitted.residuals, strict=True):
+    squares = []
+    low, high = _covered_both_ways(point.simulated, point.masks)
+    for prepared, sim, rows in zip(fit.tracks, point.simulated, point.residuals, strict=True):
         early = prepared.use & sim.known & ~sim.settled & (sim.p > low) & (sim.p < high)
         squares.append(np.mean(rows[early] ** 2, axis=1))
     early_squares = np.concatenate(squares)
     # The median: frames at which the play has not forgotten its start are off.
-    return len(early_squares) < 5 or float(np.median(early_squares)) < (_REPEATS * fitted.scale) ** 2
+    return len(early_squares) < 5 or float(np.median(early_squares)) < (_REPEATS * point.scale) ** 2
 
 
 def fit_passes(joint_fit: Fitted, margin: float) -> Fitted | None:
@@ -259,19 +266,37 @@ def _start(
     a path of 16 spans. The first approach counts only if little else is there. None where too few frames tell any."""
     channels = prepared[0].track.y.shape[1]
     flat, path = Basis(domain.low, domain.high, 8), Basis(domain.low, domain.high, 16)
-    candidates = [np.full(flat.size, b) for b in domain.span * np.linspace(0.0, 0.4, 41)]
+    no_path = np.zeros((path.size, channels))
+    constant = [Curves(np.full(flat.size, b), no_path, delay_s) for b in domain.span * np.linspace(0.0, 0.4, 41)]
+    candidates = []
     if guess is not None:
         candidates.append(_coefficients_of(flat, guess.at))
     if beforehand is not None:
         candidates.append(_coefficients_of(flat, beforehand.usual))
     for settled_only in (True, False):
         fit = PlayFit(prepared, flat, path, fit_backlash=False, fit_delay=False, settled_only=settled_only)
-        starts = [Curves(candidate, np.zeros((path.size, channels)), delay_s) for candidate in candidates]
-        steps = [step for step in (_path_step(fit, start) for start in starts) if step is not None]
-        if steps:
+        starts = [Curves(candidate, no_path, delay_s) for candidate in candidates]
+        steps = [_best_step(fit, constant), *(_path_step(fit, start) for start in starts)]
+        if steps := [step for step in steps if step is not None]:
             best = min(steps, key=lambda step: step[0])[1]
             return PlayFit(prepared, flat, path, fit_delay=False, settled_only=settled_only), best
     return None
+
+
+def _best_step(fit: PlayFit, starts: Sequence[Curves]) -> tuple[float, Curves] | None:
+    """The `_path_step` that leaves the least, from starts of ever wider B: what they leave has one minimum, which every
+    _STRIDE-th of them shows. None where none of these has any."""
+    steps: dict[int, tuple[float, Curves] | None] = {}
+
+    def left(k: int) -> float:
+        """What the step from the k-th start leaves; infinite where too few frames count."""
+        if k not in steps:
+            steps[k] = _path_step(fit, starts[k])
+        step = steps[k]
+        return np.inf if step is None else step[0]
+
+    near = min(range(0, len(starts), _STRIDE), key=left)
+    return steps[min(range(max(near - _STRIDE + 1, 0), min(near + _STRIDE, len(starts))), key=left)]
 
 
 def _path_step(fit: PlayFit, start: Curves) -> tuple[float, Curves] | None:
