@@ -25,7 +25,8 @@ nb::object squares(ArrayIn<double> arrival_s, Rows z, ArrayIn<double> motor_s, A
                    double q1, int direction, int order, ArrayIn<double> delays) {
     if (z.shape(0) != arrival_s.shape(0) || motor_s.shape(0) != motor_q.shape(0) || motor_s.shape(0) == 0 ||
         order < 1 || order > STILL_ORDERS || z.shape(0) == 0 || z.shape(1) > STILL_SEEN) {
-        throw std::invalid_argument("a stop has a place of each frame in one or two channels, a motor, and a path of order 1 or 2");
+        throw std::invalid_argument(
+            "a stop has a place of each frame in one or two channels, a motor, and a path of order 1 or 2");
     }
     const still_stop stop = {arrival_s.shape(0), z.shape(1),     motor_s.shape(0), order,  direction, arrival_s.data(),
                              z.data(),           motor_s.data(), motor_q.data(),   turn_s, q1};

@@ -232,7 +232,7 @@ class Measuring(_Setting):
         delay = replace(delay, sigma_s=float(np.sqrt(delay.sigma_s**2 + probability @ late_s**2)))
         onsets, curve = self._onsets(delay)
         width = self.choice.held_beyond_measured(joint_fit, curve)
-        by_law = LAW * self._added_below_what_was_seen(joint_fit)
+        by_law = LAW * self._width_extrapolated_to_rest(joint_fit)
         sigma = np.sqrt(joint_fit.width_sigma(self.grid) ** 2 + probability @ apart**2 + by_law**2)
         self.findings.evidence |= {"residual_joint": joint_fit.scale, "width_by_law_of_speed": by_law}
         self.say(0.75, "fitting f_remain")
@@ -240,9 +240,10 @@ class Measuring(_Setting):
         remaining = self._remaining(width, delay.delay_s, joint_fit.fit.settled_only)
         return self._measured(onsets, delay, curve, joint_fit, None, width, sigma, JOINT, remaining)
 
-    def _added_below_what_was_seen(self, joint_fit: Fitted) -> float:
-        """What a fitted law of the speed adds to B, unit of q, at the slowest tenth of the moving frames that count: by
-        so much it goes beyond what was seen to B of slow strokes. 0 where B follows no speed."""
+    def _width_extrapolated_to_rest(self, joint_fit: Fitted) -> float:
+        """How far B is extrapolated where it follows the motor's speed, unit of q: what the fitted law adds to B at the
+        slowest tenth of the moving frames that count. The tables hold B of slow strokes, and below that speed only the
+        law tells it. 0 where B follows no speed."""
         effects, values = joint_fit.effects_and_values
         law = next((effect for effect in effects.to_effects(values) if effect.id == _RATE), None)
         pairs = zip(joint_fit.fit.simulated, joint_fit.masks, strict=True)

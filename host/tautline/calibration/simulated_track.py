@@ -70,12 +70,13 @@ class MotorAtFrames:
 
     @cached_property
     def rise(self) -> Array:
-        """(m,) the furthest that the motor had gone up so far, from any position before."""
+        """(m,) The largest ascent so far, unit of q: from the lowest position to any later one. Once it exceeds B the
+        play has been driven through upwards."""
         return np.asarray(np.maximum.accumulate(self.positions - np.minimum.accumulate(self.positions)))
 
     @cached_property
     def fall(self) -> Array:
-        """(m,) the furthest that it had gone down so far."""
+        """(m,) The largest descent so far, unit of q, from the highest position to any later one: as `rise`."""
         return np.asarray(np.maximum.accumulate(np.maximum.accumulate(self.positions) - self.positions))
 
     def driven_through(self, travel: float) -> int:
@@ -157,9 +158,9 @@ class PreparedTrack:
 
 
 def _low_quantile_of_width(grid: Array, width: Array, positions: Array) -> float:
-    """The quantile _SELDOM of B width (nodes,) on grid over the positions (n,) that the motor reached: a travel that
-    counts as driven through a full backlash. Not the least B: at the ends of the motion only the start tells it, and a
-    B of 0 there would be driven through at once."""
+    """The travel, unit of q, that counts as driven through a full backlash: the quantile _SELDOM of B width (nodes,)
+    over those nodes of grid (nodes,) that the positions (m,) span. Not the least B: at the ends of the motion B is
+    hardly measured, and where it came out as 0 any travel would count."""
     first, last = np.searchsorted(grid, [positions.min(), positions.max()])
     return float(np.quantile(width[first : max(last, first + 1)], _SELDOM))
 

@@ -61,8 +61,10 @@ def _covariance_of_form(fitted: Fitted, information: Array, share: float) -> Arr
 
 
 def _varying_columns(fitted: Fitted) -> list[Array]:
-    """By track, (n, k) what the effects add to the tip's place, unit of q, times each of k functions by which it may
-    vary, each scaled to the power of the effects' whole motion; 0 at frames that do not count."""
+    """Columns for the normal equations by which the effects' amplitude may vary from place to place, so that B and the
+    delay are not thought surer than an inexact law allows. By track, (n, k): what the effects add to the tip's place,
+    unit of q, times each of k polynomials of place, speed, time, side and load (`varying_columns`), scaled so that a
+    factor's square is a share of the effects' whole power. 0 at frames that do not count; [] where nothing varies."""
     fit, (effects, values) = fitted.fit, fitted.effects_and_values
     fit.residuals(fitted.curves)
     amplitudes = effects.amplitudes(values)

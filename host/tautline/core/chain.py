@@ -86,7 +86,7 @@ class Chain:
             return Seen(_seen_rows(self.model, self._simulated(path.lines, scene, start_deg, begin_s)))
         course = np.union1d(path.lines.t_s, scene)  # blocks may remember: they see all of the motor's way
         q = self._through_blocks(Stage.INPUT, course, path.at(course))
-        tip = self._simulated(_resampled(path.lines, course, q), course, start_deg, begin_s)
+        tip = self._simulated(path.lines.resampled(course, q, path.lines.extra), course, start_deg, begin_s)
         if any(block.stage in (Stage.PLANT, Stage.STATE) for block in self.outside):
             # A block that is the plant makes p of q in the play's place; one of the state changes p, wherever it is of.
             plant = any(block.stage is Stage.PLANT for block in self.outside)
@@ -140,14 +140,3 @@ def _seen_rows(model: Model, tip: effects.Path) -> Array:
     if not model.rig.has_camera:
         return c
     return np.column_stack([c, effects.image(model, tip, effects.of_model(model))])
-
-
-def _resampled(lines: Motor, at: Array, q: Array) -> Motor:
-    """A motor's lines with knots at times (n,), s: the motor at q (n,) there, the other axes interpolated."""
-
-    def taken(values: Array | None) -> Array | None:
-        return None if values is None else np.interp(at, lines.t_s, values)
-
-    translation, rotation, load = map(taken, (lines.translation_mm, lines.rotation_deg, lines.load_mNm))
-    joints = {name: np.interp(at, lines.t_s, values) for name, values in lines.extra.items()}
-    return Motor(at, q, None, translation, rotation, load, joints)
