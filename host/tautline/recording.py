@@ -78,6 +78,7 @@ class Motor(Value):
         q_cmd."""
 
         def at(values: Array | None) -> Array | None:
+            """A column (n,) at t_s; None where there is none."""
             return None if values is None else np.interp(t_s, self.t_s, values)
 
         translation, rotation, load = map(at, (self.translation_mm, self.rotation_deg, self.load_mNm))
