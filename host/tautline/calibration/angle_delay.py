@@ -140,11 +140,11 @@ class _DelayDeviance:
         return fit.descended(flat, 6)
 
 
-def _independent(fitted: Point) -> float:
+def _independent(point: Point) -> float:
     """The number of independent residuals: frames over `first_order`, how many correlated neighbours make one; 1 at
     least."""
     count = 0.0
-    for rows, mask in zip(fitted.residuals, fitted.masks, strict=True):
+    for rows, mask in zip(point.residuals, point.masks, strict=True):
         r = rows[mask]
         if len(r) > 2:
             count += len(r) / first_order(r)

@@ -268,9 +268,9 @@ class Choice:
         smoothing = dict(fitted.fit.smoothing)
         alone = replace(fitted.fit, fit_backlash=False, fit_delay=False, smoothing=smoothing)
         point = alone.descended(curves, 5, adapt=False)
-        return (
-            point.scale if alone.hysteresis.single else rms_over_noise(replace(alone.fitted(point), scale=fitted.scale))
-        )
+        if alone.hysteresis.single:
+            return point.scale
+        return rms_over_noise(replace(alone.fitted(point), scale=fitted.scale))
 
     def held_beyond_measured(self, joint_fit: Fitted, curve: WidthCurve | None) -> Array:
         """The joint fit's B (grid,), constant beyond the positions that passes both ways or onsets reached: what the

@@ -18,6 +18,7 @@ from tautline.calibration.beforehand import Beforehand
 from tautline.calibration.observations import Mask, NoiseByPlace, Track, with_noise
 from tautline.calibration.playfit import STRAY, Curves, Fitted, PlayFit, Point, rms_of_frame_powers
 from tautline.calibration.simulated_track import PreparedTrack, Simulated
+from tautline.coarse_grid import least_of
 from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
@@ -27,7 +28,6 @@ _MOST_FRAMES = 12000  # tolerance: of one fit; more are thinned out evenly
 _SCANNED = 3000  # tolerance: frames, about, that tell where a fit begins
 _REPEATS = 1.6  # prior: residual of the first approach over that of the rest, up to which it counts
 _HARMLESS = 1.15  # tolerance: ratio by which the rest's residual may grow when the first approach counts
-_STRIDE = 3  # tolerance: of constant widths, a hundredth of the range apart: every third is tried, then its neighbours
 _PARTS, _AGAIN = 5, 4  # tolerance: parts in which strokes are left out in turn; steps of each fit without them
 _FEWEST = 40  # tolerance: frames that a joint fit is tried with
 
@@ -284,8 +284,8 @@ def _start(
 
 
 def _best_step(fit: PlayFit, starts: Sequence[Curves]) -> tuple[float, Curves] | None:
-    """The `_path_step` that leaves the least, from starts of ever wider B: what they leave has one minimum, which every
-    _STRIDE-th of them shows. None where none of these has any."""
+    """The `_path_step` that leaves the least, from starts of ever wider B: what they leave has one minimum. None where
+    too few frames count from any of those that are tried."""
     steps: dict[int, tuple[float, Curves] | None] = {}
 
     def left(k: int) -> float:
@@ -295,8 +295,7 @@ def _best_step(fit: PlayFit, starts: Sequence[Curves]) -> tuple[float, Curves] |
         step = steps[k]
         return np.inf if step is None else step[0]
 
-    near = min(range(0, len(starts), _STRIDE), key=left)
-    return steps[min(range(max(near - _STRIDE + 1, 0), min(near + _STRIDE, len(starts))), key=left)]
+    return steps[least_of(len(starts), left)]
 
 
 def _path_step(fit: PlayFit, start: Curves) -> tuple[float, Curves] | None:

@@ -32,7 +32,9 @@ _LEAST_CHANGE = 0.15  # tolerance: share of a drift's largest value by which it 
 _SMALL_START = 0.1  # tolerance: share of an event's amount from which a fit of its mean effect starts a second time
 _CURVE_PARAMETERS = 3  # prior: effective parameters of a smooth curve: level, slope, curvature
 _NOISE_LIMIT = 4.0  # tolerance: noise floors to which residuals that should be noise are cut: a lost marker is none
-_HOPELESS = 40.0  # tolerance: nats by which a first fit may be less likely than another one to be worth finishing
+# tolerance: nats: a first fit that is so much less likely than another is not finished. Prior odds and the price of
+# twelve parameters differ by 25 at most.
+_HOPELESS = 40.0
 _OUTLIER_LIMIT = 8.0  # tolerance: noise floors below which a residual is never cut
 
 

@@ -24,6 +24,7 @@ import numpy.typing as npt
 from scipy.linalg import solveh_banded
 from scipy.special import log_ndtr
 
+from tautline.coarse_grid import least_of
 from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.fitted import Fit
 from tautline.diagnosis.repeated import HELD
@@ -221,19 +222,16 @@ class _Joined:
 
     def likeliest(self, family: Callable[[float], Array], scales: Array) -> tuple[Array, float]:
         """(Log-density (n,) of the likeliest member of a family of densities, mixed with a broad one; its parameter).
-        family: parameter to log-density (n,); scales: the parameters to try: every third of them, then those about the
-        best."""
+        family: parameter to log-density (n,); scales: the parameters to try."""
         tried: dict[int, Array] = {}
 
-        def log_likelihood(i: int) -> float:
-            """Of the frames, with the i-th of the scales."""
+        def unlikely(i: int) -> float:
+            """Minus the log-likelihood of the frames with the i-th of the scales."""
             if i not in tried:
                 tried[i] = self._with_broad(family(float(scales[i])))
-            return float(np.sum(tried[i]))
+            return -float(np.sum(tried[i]))
 
-        last = len(scales) - 1
-        best = max({*range(0, last, 3), last}, key=log_likelihood)
-        best = max(range(max(best - 2, 0), min(best + 2, last) + 1), key=log_likelihood)
+        best = least_of(len(scales), unlikely)
         return tried[best], float(scales[best])
 
     def _with_broad(self, log_density: Array) -> Array:
