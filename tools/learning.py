@@ -44,7 +44,7 @@ Array = npt.NDArray[np.float64]
 
 START = Hyperparameters(
     noise_tells=6.0, block_freedom=3.0, unexplained=0.02, unexplained_by_law=1e-4,
-    unexplained_by_wrong=0.2, mimics=0.06, share_spread=1.5, calibration_excess=0.1, odds_none=30.0, odds_unknown=0.9,
+    unexplained_by_wrong=0.2, mimics=0.03, share_spread=1.5, calibration_excess=0.1, odds_none=30.0, odds_unknown=0.9,
     odds_further=0.05, odds_brought=0.3, odds_each=0.1, parameter_price=0.5, floor_known=0.2, floor_steady=0.07,
     wanders=0.01, wanders_material=0.08, disturbed=0.03,
 )  # fmt: skip  # docs/diagnosis.md says why
@@ -94,7 +94,7 @@ def _slopes(case: Case, stacked: Stacked, logarithms: Array) -> Array:
         by = Hyperparameters.of_logarithms(at)
         name = case.stands_in or case.truth
         none, unknown, effect = probabilities(stacked, name, by)
-        told = (1.0 - by.mimics) * unknown if case.moved else 0.0  # of what a recalibration moved
+        told = (1.0 - float(by.mimicked(len(case.moved)))) * unknown if case.moved else 0.0  # of what a recalibration moved
         effect += told * dict(case.moved).get(name, 0.0)
         p = {NONE: none, UNEXPLAINED: unknown - told}.get(case.truth, effect) + (effect if case.stands_in else 0.0)
         return -float(np.log((1.0 - _LEAST) * p + _LEAST))

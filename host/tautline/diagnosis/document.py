@@ -224,7 +224,7 @@ def _rivals(gathered: Gathered, verdict: decide.Decision) -> Rivals | None:
     """What the next motion is to tell apart: the likeliest hypotheses with a path, none, and an unknown cause. None
     where no effect with a path was fitted."""
     of_effects = [
-        (float(p), candidate.fit)
+        (float(p), candidate)
         for p, candidate in zip(verdict.posterior, gathered.candidates, strict=True)
         if candidate.ids and not effects.EVENTS & set(candidate.ids)
     ]
@@ -232,7 +232,8 @@ def _rivals(gathered: Gathered, verdict: decide.Decision) -> Rivals | None:
     if not likeliest:
         return None
     probability = [verdict.none, *(p for p, _ in likeliest), verdict.unknown]
-    return Rivals.of([gathered.candidates[0].fit, *(fit for _, fit in likeliest)], probability)
+    fits = [gathered.candidates[0].fit, *(candidate.fit for _, candidate in likeliest)]
+    return Rivals.of(fits, probability, likeliest[0][1].parameters)
 
 
 def _alternatives(verdict: decide.Decision, name: str, ambiguous: Sequence[str]) -> list[str]:

@@ -29,7 +29,7 @@ class Hyperparameters:
     unexplained: float  # share of the gap's power that a right effect may well leave
     unexplained_by_law: float  # the same of an effect with one equation everywhere (rigid motion, time)
     unexplained_by_wrong: float  # share from which on the best wrong effect may well leave any
-    mimics: float  # probability that a wrong effect leaves no more than a right one
+    mimics: float  # probability, for each parameter of a wrong effect, that it leaves no more than a right one
     share_spread: float  # standard deviation of the logarithm of a share beyond these
     calibration_excess: float  # share of the noise power that a sound calibration leaves above it
     odds_none: float  # prior odds of no effect to one
@@ -43,6 +43,11 @@ class Hyperparameters:
     wanders: float  # mean share by which the amplitude of a right effect of geometry or time varies
     wanders_material: float  # the same of one of friction or material, of a simulator's parameter or a user's effect
     disturbed: float  # share of blocks in which something happens that no model has, such as the moment of a shift
+
+    def mimicked(self, parameters: Array | int) -> Array:
+        """(...,) Probability that wrong effects with so many parameters (...,) leave no more than right ones, 1 - (1 -
+        mimics)^parameters: each parameter is a chance to follow the cause."""
+        return np.asarray(1.0 - (1.0 - self.mimics) ** np.maximum(parameters, 1))
 
     def logarithms(self) -> Array:
         """(hyperparameters,) Natural logarithms in the fields' order."""

@@ -37,12 +37,13 @@ class Rivals:
     probability: Array  # (fits + 1,): the last one of an unknown cause
 
     @classmethod
-    def of(cls, fits: Sequence[Fit], probability: Sequence[float]) -> Rivals:
+    def of(cls, fits: Sequence[Fit], probability: Sequence[float], parameters: int = 1) -> Rivals:
         """probability: of each fit, and of an unknown cause; none is taken to be less than _NEVER_SURER. An unknown
-        cause that the likeliest imitates everywhere (`Hyperparameters.mimics`) counts with that: no motion tells it."""
+        cause that the likeliest, with so many `parameters`, imitates everywhere (`Hyperparameters.mimics`) counts with
+        that: no motion tells it."""
         hyper, known = learnt().center, np.asarray(probability, dtype=float)
         likeliest = int(np.argmax(known[:-1]))
-        mimics = min(known[-1], hyper.odds_unknown * hyper.mimics * known[likeliest])
+        mimics = min(known[-1], hyper.odds_unknown * float(hyper.mimicked(parameters)) * known[likeliest])
         known[likeliest], known[-1] = known[likeliest] + mimics, known[-1] - mimics
         known = np.maximum(known, _NEVER_SURER)
         return cls(tuple(fits), known / float(np.sum(known)))

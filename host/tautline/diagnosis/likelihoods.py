@@ -38,7 +38,12 @@ class Likelihoods:
         amplitudes vary (wander.py)."""
         self.hyper = hyper
         self._case = case
-        self._by_share = case.log_likelihood_by_share(hyper.noise_tells, hyper.block_freedom, hyper.calibration_excess)
+        known = hyper.noise_tells, hyper.block_freedom, hyper.calibration_excess
+        self._by_share = case.log_likelihood_by_share(*known)
+        self._by_right_share = case.log_likelihood_by_right_share(*known)
+        # (hypotheses,) More parameters than blocks count no more: of a block one number is told beyond its noise.
+        self._parameters = np.minimum(case.parameters, len(case.before))
+        self._mimics = hyper.mimicked(self._parameters)
         # The share that a set of effects may well leave: as the worst of it.
         self._most = np.where(case.law, hyper.unexplained_by_law, hyper.unexplained)
         right = self._as_right_effects
@@ -87,9 +92,8 @@ class Likelihoods:
     @property
     def _price(self) -> Array:
         """(hypotheses,) What a hypothesis' d parameters cost, parameter_price d log(1 + n) / 2 of n blocks (the
-        Bayesian information criterion); more parameters than blocks cost no more."""
-        n = len(self._case.before)  # of a block one number is told beyond its noise
-        return np.asarray(0.5 * self.hyper.parameter_price * np.log1p(n) * np.minimum(self._case.parameters, n))
+        Bayesian information criterion)."""
+        return np.asarray(0.5 * self.hyper.parameter_price * np.log1p(len(self._case.before)) * self._parameters)
 
     @property
     def _as_right_effects(self) -> Array:
@@ -100,14 +104,13 @@ class Likelihoods:
             self._log_right_share(most) for most in (hyper.unexplained_by_law, hyper.unexplained, 1.0)
         )
         log_prior = np.where(case.scatters[:, None], any_share, np.where(case.law[:, None], of_law, usual))
-        return np.asarray(log_sum(self._by_share + log_prior) - self._price)
+        return np.asarray(log_sum(self._by_right_share + log_prior) - self._price)
 
     @property
     def _log_probability_unbeaten(self) -> Array:
         """(hypotheses,) Of laws: logarithm of the probability that another effect leaves so much less by chance, at
         least `mimics`, as the nominal model beside a law is not exact; 0 of other effects."""
-        mimics = self.hyper.mimics
-        return np.asarray(np.log(mimics + (1.0 - mimics) * self._case.chance))
+        return np.asarray(np.log(self._mimics + (1.0 - self._mimics) * self._case.chance))
 
     def _with_imitating_misfit(self, own: Array, replaced: npt.NDArray[np.bool_]) -> Array:
         """(hypotheses,) The largest log-likelihood of a hypothesis with the misfit of its effects, its own or that of
@@ -129,7 +132,7 @@ class Likelihoods:
         are excluded."""
         case, hyper = self._case, self.hyper
         pair = case.causes == 2
-        mimics = np.where(pair, np.sqrt(hyper.mimics), hyper.mimics)
+        mimics = np.where(pair, np.sqrt(self._mimics), self._mimics)
         imitates = np.where(case.size > 0, np.log(mimics) + as_if_right, -np.inf)
         as_wrong = log_sum(self._by_share + self._log_wrong_share) - self._price
         nothing_imitates = case.log_likelihood_of_any_gap(
@@ -173,7 +176,8 @@ class Likelihoods:
         like that effect. A further part of the nominal model is a curve by place, which follows any small misfit."""
         case = self._case
         left, after = (np.maximum(case.mean[of] - case.floor2, 1e-300) for of in (case.fewer, case.further))
-        share = np.maximum((left - after) / max(float(np.mean(case.before)), 1e-300), 1e-12)
+        may_leave = np.maximum(np.mean(case.inexact[case.fewer], axis=1), 1e-300)
+        share = np.maximum((left - after) / may_leave, 1e-12)
         parts = case.constant[case.further]
         as_large = log_ndtr(-np.log(share / self._most[case.fewer]) / self.hyper.share_spread)
         return np.asarray(as_large + np.where(parts, 0.0, np.log(np.clip(after / left, *_ALIKE))))
@@ -186,7 +190,8 @@ class Likelihoods:
         case, hyper = self._case, self.hyper
         means = np.where(case.geometry, hyper.wanders, hyper.wanders_material)
         right, wrong = (log_sum(case.wander + _log_exponential(mean[:, None])) for mean in (means, np.ones_like(means)))
-        ratio = right - np.logaddexp(np.log(hyper.mimics) + right, np.log1p(-hyper.mimics) + wrong)
+        mimics = self._mimics[case.wandering]
+        ratio = right - np.logaddexp(np.log(mimics) + right, np.log1p(-mimics) + wrong)
         worst = np.zeros(len(case.size))  # some imitations are steady too, and noise has no amplitude
         np.minimum.at(worst, case.wandering, ratio)
         return worst

@@ -122,9 +122,11 @@ class Stacked:
         self.each: Flags = np.array([h.each for h in hypotheses])  # an effect has its own amplitude in each recording
         self._set_scatter(hypotheses)
         self._set_effects(hypotheses)
+        self._set_inexact()
         self._set_wander(hypotheses)
         self._set_beyond(hypotheses)
         self.log_likelihood_by_share = lru_cache(_REMEMBERED)(self._log_likelihood_by_share)
+        self.log_likelihood_by_right_share = lru_cache(_REMEMBERED)(self._log_likelihood_by_right_share)
         self.confined_log_ratio = lru_cache(_REMEMBERED)(self._confined_log_ratio)
 
     def _set_scatter(self, hypotheses: Sequence[Weighed]) -> None:
@@ -172,6 +174,18 @@ class Stacked:
         self.contained = np.array(
             [[-np.inf if rest is None else least.get(rest, -np.inf) for rest in of] for of in beside]
         )
+
+    def _set_inexact(self) -> None:
+        """`inexact` (hypotheses, blocks): of which power above the floor right effects leave a share. What laws among
+        them take they take whole, so beside laws it is what these leave: the least that was fitted with some of them
+        alone. The whole gap of a set of laws, or without any."""
+        of_laws = {key: same for key, same in self.same.items() if key and key <= LAWS}
+        left = {key: self.power[min(same, key=lambda i: self.mean[i])] - self.floor2 for key, same in of_laws.items()}
+        self.inexact = np.tile(self.before, (len(self.sets), 1))
+        for i in np.flatnonzero(~self.law):
+            beside = [power for key, power in left.items() if key <= self.sets[i]]
+            if beside:
+                self.inexact[i] = np.minimum(min(beside, key=lambda power: float(np.mean(power))), self.before)
 
     def _set_wander(self, hypotheses: Sequence[Weighed]) -> None:
         """Prepares the test of whether an effect's amplitude is the same everywhere; if it wanders with place, speed,
@@ -262,11 +276,27 @@ class Stacked:
 
     def _log_likelihood_by_share(self, tells: float, freedom: float, excess: float) -> Array:
         """(hypotheses, SHARES) Log-likelihood of all blocks' powers if a hypothesis leaves that share of the gap."""
+        every = np.arange(len(self.sets))
+        return self._log_likelihood_of_shares(every, np.tile(self.before, (len(every), 1)), tells, freedom, excess)
+
+    def _log_likelihood_by_right_share(self, tells: float, freedom: float, excess: float) -> Array:
+        """(hypotheses, SHARES) As `log_likelihood_by_share`, of shares of `inexact`."""
+        by_share = self.log_likelihood_by_share(tells, freedom, excess).copy()
+        beside_law = np.flatnonzero((self.inexact < self.before).any(axis=1))
+        if len(beside_law):
+            of_inexact = self._log_likelihood_of_shares(beside_law, self.inexact[beside_law], tells, freedom, excess)
+            by_share[beside_law] = of_inexact
+        return by_share
+
+    def _log_likelihood_of_shares(
+        self, of: npt.NDArray[np.int64], power: Array, tells: float, freedom: float, excess: float
+    ) -> Array:
+        """(n, SHARES) Log-likelihood of all blocks' powers if each of n hypotheses (indices `of`) leaves that share of
+        `power` (n, blocks)."""
+        own_misfit = self._own_misfit_of[of, None]
         return np.stack(
             [
-                self.log_likelihood(
-                    self.power, share * self.before, excess, self._own_misfit_of[:, None], tells, freedom
-                )
+                self.log_likelihood(self.power[of], share * power, excess, own_misfit, tells, freedom)
                 for share in SHARES
             ],
             axis=1,
