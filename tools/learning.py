@@ -94,7 +94,8 @@ def _slopes(case: Case, stacked: Stacked, logarithms: Array) -> Array:
         by = Hyperparameters.of_logarithms(at)
         name = case.stands_in or case.truth
         none, unknown, effect = probabilities(stacked, name, by)
-        told = (1.0 - float(by.mimicked(len(case.moved)))) * unknown if case.moved else 0.0  # of what a recalibration moved
+        # Of what a recalibration moved.
+        told = (1.0 - float(by.mimicked(len(case.moved)))) * unknown if case.moved else 0.0
         effect += told * dict(case.moved).get(name, 0.0)
         p = {NONE: none, UNEXPLAINED: unknown - told}.get(case.truth, effect) + (effect if case.stands_in else 0.0)
         return -float(np.log((1.0 - _LEAST) * p + _LEAST))

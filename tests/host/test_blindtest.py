@@ -25,7 +25,7 @@ from tools.blindtest.cases import Label, make
 from tools.blindtest.generators import SECOND
 from tools.blindtest.scores import Answer, Share
 
-LAG, CREEP = "transmission.lag", "transmission.creep"
+LAG, CREEP, DRIFT = "transmission.lag", "transmission.creep", "transmission.drift"
 
 
 def label(kind: str, *effects: str, left: float = 1.0) -> Label:
@@ -60,8 +60,11 @@ def test_a_small_campaign_is_scored_as_counted_by_hand():
         (label("pair", LAG, CREEP), said(CREEP, CREEP, LAG)),
         (label("pair", LAG, CREEP), said(CREEP, CREEP)),
         (label("left out", LAG), said("unknown")),
+        (label("triple", LAG, CREEP, DRIFT), said(LAG, LAG, CREEP, brought=frozenset({DRIFT}))),
+        (label("triple", LAG, CREEP, DRIFT), said(LAG, LAG, CREEP, DRIFT)),
     ]
     found = scores.score(cases)
+    assert (found.triples, found.triples_covered) == (Share(1, 2), Share(2, 2))
     assert (found.top1, found.in_set, found.stage) == (Share(1, 3), Share(2, 3), Share(2, 3))
     assert found.per_effect == {LAG: Share(1, 2), CREEP: Share(0, 1)}
     assert found.set_size == pytest.approx(1.5)
@@ -75,7 +78,7 @@ def test_a_small_campaign_is_scored_as_counted_by_hand():
     assert found.closed == pytest.approx((1 - 0.01) / (1 - 0.0025))
     assert found.closed_90 == Share(2, 2)
     assert found.covered == Share(1, 2) and found.worse == Share(0, 2) and found.several == Share(0, 2)
-    assert found.core_s == pytest.approx((8 * 2.0 + 4.0) / 9)
+    assert found.core_s == pytest.approx((10 * 2.0 + 4.0) / 11)
     assert found.by_strength == {"above 20 times the noise": Share(1, 3)}  # left 1.0 at a noise of 0.05
     least = np.log(1e-4)  # the unlikeliest that is told apart
     logs = [np.log(0.8), np.log(0.4), least, np.log(0.8), least, np.log(0.8)]
@@ -147,10 +150,22 @@ def test_probabilities_that_are_right_as_often_as_they_say_have_no_calibration_e
     assert boastful.calibration_error == pytest.approx(0.2, abs=0.03)
 
 
+def test_a_pair_is_covered_by_what_is_named_brought_or_one_of_three():
+    pair = label("pair", LAG, CREEP)
+    others = {"transmission.offset", "configuration.swing"}
+
+    def one_of(*alternatives: str) -> Answer:
+        return replace(said(LAG, LAG), possible=frozenset({LAG, *alternatives}))
+
+    assert scores.covers(pair, said(LAG, LAG, CREEP)) and scores.covers(pair, replace(said(LAG, LAG), brought={CREEP}))
+    assert scores.covers(pair, one_of(CREEP, DRIFT)) and not scores.covers(pair, one_of(DRIFT, *others))
+    assert not scores.covers(pair, one_of(CREEP, *others))  # of four one is there: that says little
+
+
 def test_an_order_lists_its_cases_and_names_their_seeds():
-    order = Order(seed=50, single=2, unknown=3, none=1, pairs=1)
+    order = Order(seed=50, single=2, unknown=3, none=1, pairs=1, triples=1)
     cases = order.cases()
-    assert len(cases) == 25 * 2 + 3 + 1 + 1
+    assert len(cases) == 25 * 2 + 3 + 1 + 1 + 1 and (50, "triple", (), SECOND) in cases
     assert (51, "single", (LAG,), SECOND) in cases and (50, "none", (), SECOND) in cases
     assert Order(seed=9, single=1, only=(LAG, "zoom")).cases() == [
         (9, "single", (LAG,), SECOND),

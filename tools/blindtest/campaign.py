@@ -26,7 +26,7 @@ FORMAT = "blindtest/1"
 WITHOUT = "without"  # folder of what was said without a case's effect in the library
 Wanted = tuple[int, str, tuple[str, ...], str]  # seed, kind, effects, generator
 
-GROUPS = ("none", "unknown", "pairs")  # what `only` may name beside effects
+GROUPS = ("none", "unknown", "pairs", "triples")  # what `only` may name beside effects
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,7 @@ class Order:
     unknown: int = 200
     none: int = 200
     pairs: int = 60
+    triples: int = 0
     leave_one_out: int = 10  # of each known effect's single cases: how many are also diagnosed without it
     only: tuple[str, ...] = ()  # effects or GROUPS
     generators: tuple[str, ...] = (SECOND,)  # each makes as many
@@ -61,6 +62,8 @@ class Order:
             result += [(self.seed + i, "none", ()) for i in range(self.none)]
         if "pairs" in wanted:
             result += [(self.seed + i, "pair", ()) for i in range(self.pairs)]
+        if "triples" in wanted:
+            result += [(self.seed + i, "triple", ()) for i in range(self.triples)]
         return [(*case, generator) for case in result]
 
 
@@ -123,7 +126,7 @@ def _make(order: Order, campaign: sealed.Campaign, pool: Pool, progress: Callabl
     """The cases, interleaved: a name tells nothing."""
     wanted = order.cases()
     if not wanted:
-        raise TautError("no case was asked for: raise --cases, --unknown, --none or --pairs")
+        raise TautError("no case was asked for: raise --cases, --unknown, --none, --pairs or --triples")
     if (campaign.root / sealed.CLOSED).exists():
         raise TautError(f"{campaign.root}: its {sealed.PLAN} is gone: name a new folder")
     shuffled = interleaved(wanted, np.random.default_rng([order.seed, 0x5EA1]))

@@ -28,7 +28,8 @@ from tools.blindtest.reality import Plant, Truth, record
 
 Array = npt.NDArray[np.float64]
 
-KINDS = ("single", "pair", "unknown", "none")
+KINDS = ("single", "pair", "triple", "unknown", "none")
+SEVERAL = {"pair": 2, "triple": 3}  # known effects at once
 SCORED_FROM = 1_000_000  # seeds below are for tuning
 VISIBLE = 2.0  # times the noise: what a recalibration leaves of an effect that counts as identifiable
 _DRAWS = 8  # tries for an effect that can be seen
@@ -214,8 +215,7 @@ def _drawn(rng: np.random.Generator, kind: str) -> tuple[str, ...]:
         return ()
     if kind == "unknown":
         return (str(rng.choice(list(UNKNOWN))),)
-    count = 1 if kind == "single" else 2
-    return tuple(str(name) for name in rng.choice(list(KNOWN), count, replace=False))
+    return tuple(str(name) for name in rng.choice(list(KNOWN), SEVERAL.get(kind, 1), replace=False))
 
 
 def rig_of(rng: np.random.Generator) -> Rig:

@@ -47,6 +47,7 @@ def announcing(progress: Progress) -> Progress:
 @click.option("--unknown", type=click.IntRange(0), help="With an effect outside the library. Default: 200.")
 @click.option("--none", type=click.IntRange(0), help="With nothing unmodelled. Default: 200.")
 @click.option("--pairs", type=click.IntRange(0), help="With two known effects. Default: 60.")
+@click.option("--triples", type=click.IntRange(0), help="With three known effects. Default: 0.")
 @click.option(
     "--leave-one-out",
     type=click.IntRange(0),
@@ -108,6 +109,7 @@ def command(
     unknown: int | None,
     none: int | None,
     pairs: int | None,
+    triples: int | None,
     leave_one_out: int | None,
     only: tuple[str, ...],
     generators: tuple[str, ...],
@@ -128,6 +130,7 @@ def command(
         "unknown": unknown,
         "none": none,
         "pairs": pairs,
+        "triples": triples,
         "leave_one_out": leave_one_out,
     }
     taken, missing_ones = chosen(generators, left_out_generators)

@@ -16,7 +16,7 @@ from tautline.folders import write_file
 from tautline.pool import Pool
 from tools.blindtest import baselines, scores, sealed, work
 from tools.blindtest.baselines import Forest
-from tools.blindtest.cases import Label
+from tools.blindtest.cases import SEVERAL, Label
 from tools.blindtest.draws import KNOWN, UNKNOWN
 from tools.blindtest.scores import Answer
 
@@ -75,7 +75,7 @@ def answers(
         progress(0.3 + 0.7 * done / len(todo), f"baselines {done} of {len(todo)}")
     chosen = set(names)
     labels = [Label.from_json(r["label"]) for r in records]
-    truths = [scores.truth(x) for x in labels if scores.counts(x) and x.kind != "pair"]
+    truths = [scores.truth(x) for x in labels if scores.counts(x) and x.kind not in SEVERAL]
     result = []
     for record in records:
         answered: dict[str, Any] = {}
@@ -102,7 +102,7 @@ def subset(records: Sequence[Mapping[str, Any]], every: int) -> list[str]:
         label = Label.from_json(record["label"])
         if not scores.counts(label):
             continue
-        sort = (label.kind, *(label.effects if label.kind != "pair" else ()))
+        sort = (label.kind, *(label.effects if label.kind not in SEVERAL else ()))
         if seen[sort] % every == 0:
             names.append(record["name"])
         seen[sort] += 1

@@ -19,7 +19,7 @@ from tautline.simulated.instrument import Corrected, preset
 from tautline.simulated.simulate import run
 from tautline.trajectory import Trajectory
 from tautline.vision.timing import FrameTiming
-from tools.blindtest.cases import VISIBLE, Case, Label, motions_of, rig_of
+from tools.blindtest.cases import SEVERAL, VISIBLE, Case, Label, motions_of, rig_of
 
 Array = npt.NDArray[np.float64]
 
@@ -46,7 +46,7 @@ def make(seed: int, kind: str, wanted: tuple[str, ...] = ()) -> Case:
     if kind == "unknown":
         raise TautError(f"the generator '{NAME}' has no effect outside of the library: leave --unknown out")
     rng = np.random.default_rng([seed, 0x0117, zlib.crc32(" ".join((kind, *wanted)).encode())])
-    count = {"none": 0, "single": 1}.get(kind, 2)
+    count = {"none": 0, "single": 1, **SEVERAL}[kind]
     chosen = wanted or tuple(str(name) for name in rng.choice(KNOWN, count, replace=False))
     rig = rig_of(rng)
     instrument = preset("random", rig, int(rng.integers(1 << 30)))

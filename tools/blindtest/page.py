@@ -17,7 +17,7 @@ from tautline.plain import plain
 from tautline.reports import figures, pages
 from tools.blindtest import scores
 from tools.blindtest.campaign import FORMAT
-from tools.blindtest.cases import SCORED_FROM, Label
+from tools.blindtest.cases import SCORED_FROM, SEVERAL, Label
 from tools.blindtest.draws import UNKNOWN
 from tools.blindtest.generators import SECOND
 from tools.blindtest.scores import Answer, Bin, Share, answer_of
@@ -39,7 +39,10 @@ ROWS: Sequence[tuple[str, str, str | None]] = (
     ("none", "nothing wrong called none", "95 %"),
     ("false_alarm", "... called an effect", None),
     ("pairs", "pair, both named", "70 %"),
+    ("pairs_covered", "... named, brought, or in a set of three at most that one of is there", "75 %"),
     ("pairs_one", "... one of them at least", None),
+    ("triples", "triple, all named", None),
+    ("triples_covered", "... named, brought, or in a set of three at most that one of is there", "50 %"),
     ("left_out", "effect taken out of the library, called unknown", None),
     ("stood_for", "... or a set of three at most that leaves 1.3 times the noise on an unseen motion", "85 %"),
     ("left_out_sure", "... named without that at 90 % or more", "4 %"),
@@ -308,9 +311,7 @@ def _line(record: Mapping[str, Any]) -> dict[str, Any]:
     label = Label.from_json(record["label"])
     answer = answer_of(record)
     gap = record["document"].get("gap")
-    right = {
-        "pair": set(label.effects) <= set(answer.named),
-    }.get(label.kind, answer.verdict == scores.truth(label))
+    right = scores.all_named(label, answer) if label.kind in SEVERAL else answer.verdict == scores.truth(label)
     return {
         "name": record["name"],
         "seed": label.seed,

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from tautline.effects import EVENTS, LIBRARY
-from tools.blindtest.cases import Label
+from tools.blindtest.cases import KINDS, Label
 from tools.blindtest.draws import KNOWN, UNKNOWN
 
 NONE, UNEXPLAINED, FAILED = "none", "unknown", "failed"
@@ -39,6 +39,7 @@ class Answer:
     interval: tuple[float, float] | None = None  # in which another motion's is stated to be
     realised: Mapping[str, float] | None = None  # gap on the further motion: before, after, floor
     names: bool = True  # else it only shrinks the gap
+    brought: frozenset[str] = frozenset()  # parts of the nominal model that a named effect changed too
     present: tuple[float, ...] = ()  # probability of each named effect to be there, given those before it
 
 
@@ -80,7 +81,10 @@ class Scores:
     none: Share
     false_alarm: Share  # nothing, called an effect
     pairs: Share  # both effects named
+    pairs_covered: Share  # both `covers`
     pairs_one: Share  # at least one of them
+    triples: Share  # all three named
+    triples_covered: Share
     left_out: Share  # called unknown by a library that lacks the effect
     stood_for: Share  # ... or a set of three at most whose corrected model is within IMITATED on the further motion
     left_out_sure: Share  # ... or named at 90 % or more without such a model
@@ -163,18 +167,21 @@ def answer_of(record: Mapping[str, Any]) -> Answer:
         float(document["gap"]["shrink"]),
         (float(low), float(high)),
         record["realised"],
+        brought=frozenset(part["id"] for effect in document["effects"] for part in effect.get("brings", ()) if named),
         present=tuple(float(effect["probability"]) for effect in document["effects"]) if named else (),
     )
 
 
 def to_json(answer: Answer) -> dict[str, Any]:
-    return {**asdict(answer), "possible": sorted(answer.possible), "named": list(answer.named)}
+    sets = {"possible": sorted(answer.possible), "brought": sorted(answer.brought)}
+    return {**asdict(answer), **sets, "named": list(answer.named)}
 
 
 def from_json(document: Mapping[str, Any]) -> Answer:
     tuples = {name: tuple(document.get(name, ())) for name in ("named", "present")}
     interval = tuple(document["interval"]) if document.get("interval") else None
-    return Answer(**{**document, **tuples, "possible": frozenset(document["possible"]), "interval": interval})
+    sets = {name: frozenset(document.get(name, ())) for name in ("possible", "brought")}
+    return Answer(**{**document, **tuples, **sets, "interval": interval})
 
 
 def truth(label: Label) -> str:
@@ -189,8 +196,20 @@ def counts(label: Label) -> bool:
     return label.kind == "none" or label.identifiable
 
 
+def all_named(label: Label, answer: Answer) -> bool:
+    """Whether each of a case's effects is named."""
+    return set(label.effects) <= set(answer.named)
+
+
+def covers(label: Label, answer: Answer) -> bool:
+    """Whether each of a case's effects is named, is a part of the nominal model that a named one is said to bring, or
+    one of at most _LARGEST_SET of which one is said to be there."""
+    alternatives = answer.possible if len(answer.possible) < len(answer.named) + _LARGEST_SET else frozenset()
+    return set(label.effects) <= {*answer.named, *answer.brought, *alternatives}
+
+
 def score(cases: Sequence[tuple[Label, Answer]]) -> Scores:
-    groups = {kind: _Tally() for kind in ("single", "unknown", "none", "pair", "left out")}
+    groups = {kind: _Tally() for kind in (*KINDS, "left out")}
     shrinking = _Tally()
     for label, answer in cases:
         if counts(label) and answer.names:
@@ -225,7 +244,10 @@ def score(cases: Sequence[tuple[Label, Answer]]) -> Scores:
         false_known=unknown.share(lambda label, answer: bool(answer.named)),
         none=none.share(right),
         false_alarm=none.share(lambda label, answer: bool(answer.named)),
-        pairs=groups["pair"].share(lambda label, answer: set(label.effects) <= set(answer.named)),
+        pairs=groups["pair"].share(all_named),
+        pairs_covered=groups["pair"].share(covers),
+        triples=groups["triple"].share(all_named),
+        triples_covered=groups["triple"].share(covers),
         pairs_one=groups["pair"].share(lambda label, answer: bool(set(label.effects) & set(answer.named))),
         left_out=groups["left out"].share(right),
         stood_for=groups["left out"].share(lambda label, answer: right(label, answer) or _stands_for_it(answer)),

@@ -168,7 +168,8 @@ def _posterior(likelihoods: Likelihoods) -> Array:
 def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]], learned: Learnt | None = None) -> Decision:
     """The verdict where a recalibration closes the gap: parts of the nominal model are the cause, and those with a
     share of at least MOVED are named. They take the probability of unknown, but for the share in which they may imitate
-    it, each as one parameter (`Hyperparameters.mimicked`). parts: (id, share of what the recalibration closes); learned: as in `decide`."""
+    it, each as one parameter (`Hyperparameters.mimicked`). parts: (id, share of what the recalibration closes);
+    learned: as in `decide`."""
     certain = 1.0 - float((learned or learnt()).center.mimicked(len(parts)))
     taken = certain * verdict.unknown
     leading = dict(verdict.leading)

@@ -20,7 +20,7 @@ from tautline.recording import Angle, Marker, Motor, Recording
 from tautline.rig import Actuator, AngleSensor, Coarse, Kinematics, Rig
 from tautline.simulated.instrument import reference_rig
 from tautline.trajectory import Trajectory
-from tools.blindtest.cases import VISIBLE, Case, Label
+from tools.blindtest.cases import SEVERAL, VISIBLE, Case, Label
 from tools.blindtest.physical.draws import KNOWN, PROJECTION, UNKNOWN
 from tools.blindtest.physical.mechanism import STEP_S, MechanismPath, Topology, Values, drive
 
@@ -112,7 +112,7 @@ def _drawn(rng: np.random.Generator, topology: Topology, kind: str) -> tuple[str
     if kind == "unknown":
         return (str(rng.choice(list(UNKNOWN))),)
     names = known(topology)
-    return tuple(str(name) for name in rng.choice(names, 1 if kind == "single" else 2, replace=False))
+    return tuple(str(name) for name in rng.choice(names, SEVERAL.get(kind, 1), replace=False))
 
 
 def _visible(
