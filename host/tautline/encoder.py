@@ -208,6 +208,7 @@ def cut(motor: Motor, until_s: float) -> Motor:
     known = slice(max(int(np.searchsorted(motor.t_s, until_s, side="right")), 1))
 
     def first(values: Array | None) -> Array | None:
+        """A column's known samples; None stays None."""
         return None if values is None else values[known]
 
     command, others = first(motor.q_cmd), map(first, (motor.translation_mm, motor.rotation_deg, motor.load_mNm))
@@ -340,8 +341,8 @@ def _levelled_rests(path: Driven) -> Driven:
 def _with_others(
     motor: Motor, t_s: Array, q: Array, fixed: npt.NDArray[np.bool_], smooth: Array | None = None
 ) -> Motor:
-    """The motor of knots t_s, q (n,), with knots added for the other columns. smooth: a position of each sample, to
-    which the knots are fitted where not `fixed`."""
+    """The motor of knots t_s, q (n,), with knots added for the other columns. smooth: a position of each of the motor's
+    samples, to which the knots are fitted; not those that are `fixed` (n,), at rests and turns."""
     others = [motor.translation_mm, motor.rotation_deg, motor.load_mNm]
     swing = 0.0 if motor.load_mNm is None else _TOLERANCE_LOAD * float(np.ptp(motor.load_mNm))
     tolerances = zip(others, (_TOLERANCE_MM, _TOLERANCE_DEG, swing), strict=True)

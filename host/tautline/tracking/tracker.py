@@ -425,15 +425,17 @@ class LawTracker:
             self._act_on(verdict)
 
     def _new_judgement(self) -> Work[Inference] | None:
-        """A judgement of the evidence so far, not begun yet; None of too few frames."""
+        """A judgement of the evidence so far, not begun yet; None of too few frames. Where the law that is being learnt
+        has another offset, by more than _MOVED of B, the posture is another. Where a recording has just begun, one
+        stroke may tell an offset of more than _POSTURE of B."""
         adapting, away = self.state is State.ADAPTING, abs(self._offset - self._offset_before)
         moved = adapting and self._anchor is not None and away > _MOVED * self._width
         evidence = self._stretches(moved)
         if not evidence:
             return None
-        posture = _POSTURE * self._width if self._begun_lately else None
+        least_offset = _POSTURE * self._width if self._begun_lately else None
         proposal = self._judgement.proposal
-        return judge(self._unseen, evidence, self._theta, adapting, posture, moved, self._level, proposal)
+        return judge(self._unseen, evidence, self._theta, adapting, least_offset, moved, self._level, proposal)
 
     def _stretches(self, moved: bool) -> list[tuple[WindowKnots, Array]]:
         """Evidence in the order in which it is judged, each with the law before anything was learnt of it: since the

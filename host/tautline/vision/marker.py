@@ -25,6 +25,7 @@ from tautline.vision.sighting import lost as lost_sighting
 
 Array = np.ndarray
 
+_HALF_WAY = 0.5  # membership, half-way between the marker and what is around it
 _FAINT = 0.3  # of the picked contrast: fainter is no marker
 _LIKE = 0.92  # cosine between its colour and the picked one: 23 deg, which leaves room for glare
 _SHRUNK, _GROWN = 0.5, 1.8  # tolerance: diameter against when it was seen last that is still the same marker
@@ -80,7 +81,7 @@ class MarkerTracker:
         self._frames_unseen = 0  # ... and how many frames ago
         self._step_px = (0.0, 0.0)  # px from the frame before
         self._why_none = lost_sighting("no marker of this colour")  # why the last search found none
-        self._cut = 0.5  # membership half-way between the marker and what is around it
+        self._cut = _HALF_WAY  # membership at its outline, by the frame before
         self._expected = MarkerExpected(self.colour.diameter_px)  # by the frames so far
 
     def track(self, picture: Array) -> Sighting:
@@ -158,7 +159,7 @@ class MarkerTracker:
         others = [blob for blob in blobs if not self._is_decoy(blob.seen)]
         alike = [blob for blob in others if self._has_its_size(blob.seen)]
         if not alike:
-            self._cut = 0.5
+            self._cut = _HALF_WAY
             if others:
                 return lost_sighting("its size jumped")
             return lost_sighting("what is there is alike but never moves") if blobs else self._why_none
@@ -183,7 +184,7 @@ class MarkerTracker:
         small = cv2.resize(picture, None, fx=1 / shrink, fy=1 / shrink, interpolation=cv2.INTER_AREA)
         y = self.colour.membership(small)
         # Fainter only when there is none: what is around a marker may come near it where the light is poor.
-        for level in (0.5, _FAINT):
+        for level in (_HALF_WAY, _FAINT):
             if above := self._blobs_above(picture, y, level, shrink):
                 return above
         return []
