@@ -1,3 +1,5 @@
+"""A width that grows with the speed at which the motor goes."""
+
 from collections.abc import Mapping
 
 import numpy as np
