@@ -45,6 +45,7 @@ _NOW = 2  # loss: strokes on each of which a law must leave less
 _AGAIN = 1.1, 1.3  # loss: at most of what the fit, at least of what the law in use leaves: the calibrated one holds
 _TURNS = 2  # loss: reversals that must agree before anything but a narrower B is learnt
 _RICHER_TURNS = 3  # prior: before B has another shape, an onset is gradual or f_remain bends; with what is foretold
+_ONE_MORE_STROKES = 3  # prior: strokes that tell one of these; more may tell two at once
 _GAIN = 6.0  # prior: of cost, that a parameter must bring
 _GOOD = 1.15  # tolerance: times the level known so far: nothing is left to explain
 _GAIN_MORE = 12.0  # prior: and a richer law as a whole
@@ -227,6 +228,17 @@ def _simplest_sufficient(case: Case) -> Work[LawFit]:
             return refined
     yield _GUESS
     base = unchanged() if _tells_apart(case) else nominal.clipped(_width_alone(case.theta))
+    both, side = yield from _offset_and_scale(case, base, prior)
+    if max(both.level, case.lately(both.z)) <= _GOOD * case.level:
+        return (yield from _either_alone(case, both, side, base, prior))
+    return (yield from _richer(case, both, prior))
+
+
+def _offset_and_scale(case: Case, base: Array, prior: Prior) -> Work[tuple[LawFit, int]]:
+    """The fit of offset and scale from the law `base`, and its index in BOTH: the offset is before the play, or behind
+    it where that lowers the cost by _GAIN. Where neither explains the evidence, a start from the law in use counts,
+    too."""
+    nominal, evidence = case.nominal, case.evidence
     start = base if np.any(base[SHAPE]) else from_envelopes(nominal, evidence, base, case.envelopes, True)
     before = yield from fitted(nominal, evidence, start, BOTH[0], prior)
     behind = yield from fitted(nominal, evidence, with_offset_at_tip(nominal, before.theta), BOTH[1], prior)
@@ -235,20 +247,32 @@ def _simplest_sufficient(case: Case) -> Work[LawFit]:
         kept = nominal.clipped(case.theta)
         other = yield from fitted(nominal, evidence, kept, BOTH[side], prior)
         both = min(both, other, key=lambda fit: fit.cost)
-    if max(both.level, case.lately(both.z)) <= _GOOD * case.level:
-        if case.turns >= _RICHER_TURNS:  # an onset is short: it hardly shows in the rms
-            gradual = yield from _fit_with_more(case, both, GRADUAL, prior)
-            if _gain_of_richer(both, gradual) > _GAIN_MORE:
-                return gradual
-        simple = both.theta.copy()
-        simple[SCALE] = base[SCALE]
-        offset = yield from fitted(nominal, evidence, simple, ONLY_OFFSET[side], prior)
-        if offset.cost < both.cost + _GAIN:
-            return offset
-        simple = base.copy()
-        simple[SCALE] = both.theta[SCALE]
-        scale = yield from fitted(nominal, evidence, simple, ONLY_SCALE, prior)
-        return scale if scale.cost < both.cost + _GAIN else both
+    return both, side
+
+
+def _either_alone(case: Case, both: LawFit, side: int, base: Array, prior: Prior) -> Work[LawFit]:
+    """The simplest fit where offset and scale (`both`, of BOTH[side], from the law `base`) leave nothing to explain:
+    the one or the other alone, if that costs hardly more. But a gradual onset first: it is short and hardly shows in
+    the rms."""
+    nominal, evidence = case.nominal, case.evidence
+    if case.turns >= _RICHER_TURNS:
+        gradual = yield from _fit_with_more(case, both, GRADUAL, prior)
+        if _gain_of_richer(both, gradual) > _GAIN_MORE:
+            return gradual
+    simple = both.theta.copy()
+    simple[SCALE] = base[SCALE]
+    offset = yield from fitted(nominal, evidence, simple, ONLY_OFFSET[side], prior)
+    if offset.cost < both.cost + _GAIN:
+        return offset
+    simple = base.copy()
+    simple[SCALE] = both.theta[SCALE]
+    scale = yield from fitted(nominal, evidence, simple, ONLY_SCALE, prior)
+    return scale if scale.cost < both.cost + _GAIN else both
+
+
+def _richer(case: Case, both: LawFit, prior: Prior) -> Work[LawFit]:
+    """The fit where offset and scale (`both`) do not explain the evidence: with one of a gradual onset, a shape of B
+    and a bent f_remain, or with two, as far as the reversals allow and as each brings its gain; else `both`."""
     if case.turns < _TURNS:
         return both
     if case.turns < _RICHER_TURNS:  # enough for a narrower place, which is not waited for
@@ -258,7 +282,7 @@ def _simplest_sufficient(case: Case) -> Work[LawFit]:
     for more in (GRADUAL, SHAPED, REMAINING):
         fits.append((yield from _fit_with_more(case, both, more, prior)))
     best = min(fits, key=lambda fit: fit.cost)
-    if best.level > _GOOD * case.level and len(evidence.strokes) > 3:
+    if best.level > _GOOD * case.level and len(case.evidence.strokes) > _ONE_MORE_STROKES:
         for more in (GRADUAL, SHAPED, REMAINING):
             if not set(more) <= set(best.free):
                 richer = yield from _fit_with_more(case, best, more, prior)

@@ -128,7 +128,7 @@ def _compare(listing: Listing) -> _Compared:
     # The direction of motion, 0 at rest.
     moving = np.sign(np.where(np.abs(change) > _RESTS * np.abs(change).max(axis=1, keepdims=True), change, 0.0))
     middle = grid[:, over // 2 : over // 2 + change.shape[1]]
-    turning = np.abs(np.corrcoef(np.vstack([middle, moving]))[:n, n:]) if n else np.zeros((0, 0))
+    turning = np.abs(np.corrcoef(np.vstack([middle, moving]))[:n, n:])
     low, high = np.percentile(grid, [5.0, 95.0], axis=1)
     return _Compared([c.name for c in channels], correlation, lags * step, high - low, np.nan_to_num(turning), grid)
 
