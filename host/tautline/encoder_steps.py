@@ -19,6 +19,7 @@ CHANGES = 24, 4  # tolerance: of the count, most and least, that tell how a moto
 _SLOWING = 4  # tolerance: intervals of a path that tell how the motor slows down
 _UNSEEN = 2  # tolerance: of a path's nodes, by which changes of count may put a stop too early
 _INSTANT_S = 1e-4  # tolerance: between two nodes, at least
+_FEWER = 0.7  # tolerance: of the changes, that are tried where all do not fit
 _FITS = 0.3  # tolerance: counts rms: an encoder's step scatters by 0.29
 
 
@@ -146,7 +147,7 @@ def _stop_by_parabola(at: Array, boundary: Array, step: Array, centre: float, pe
             if abs(left) <= 1.0:
                 return _Vertex(speed / (2.0 * bend), centre - way * float(np.clip(left, -0.5, 0.5)), True)
             return _Vertex(0.5 * float(since[1]), centre, False)
-        n = int(0.7 * n)
+        n = int(_FEWER * n)
     return None
 
 

@@ -18,6 +18,7 @@ _LEAST_PX, _LEAST_DEG = 1e-3, 1e-4  # tolerance: noise is never taken to be less
 _USUAL_PX, _USUAL_DEG = 0.05, 0.01  # prior: noise of a sensor that nothing else is known of
 _TELL_NOISE = 8  # tolerance: frames, or differences at equal steps, that noise is told from
 _STRAY = 12.0  # prior: sigma, beside usual steps, from which a lone frame is a false sighting
+_MEDIAN, _USUAL = 5, 9  # tolerance: frames whose median a lone one is beside; steps whose median is usual there
 _STEEP = 4.0  # prior: of these, so many: a law is not as steep everywhere
 _MOST_OF_RANGE = (0.05, 0.95)  # tolerance: quantiles, as some frames are strays
 _AROUND_S = 0.5  # prior: in which steps are usual ones: a sensor's spike is over in half of it
@@ -80,17 +81,17 @@ def even_runs(t: Array, count: int) -> Mask:
 
 def strays(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
     """Frames (n,), at times t (n,), s, at which y (n, channels) is elsewhere for one or two frames: far from the median
-    of five frames, by noise and by how the tip moves at that time. A jump that stays is none, nor is any motion that
+    of _MEDIAN frames, by noise and by how the tip moves at that time. A jump that stays is none, nor is any motion that
     goes one way. They are looked for again among those that are left until there are none: several close together look
     like motion. And those at which it is for a while where the tip never is. path: of the motor; sigma: of the noise of
     a coordinate."""
     stray = np.zeros(len(y), dtype=bool)
     kept = np.arange(len(y))
-    while len(kept) >= 5:
+    while len(kept) >= _MEDIAN:
         left = y[kept]
-        away = np.linalg.norm(left - _running_median(left, 5), axis=1)
+        away = np.linalg.norm(left - _running_median(left, _MEDIAN), axis=1)
         step = np.linalg.norm(np.diff(left, axis=0), axis=1)
-        usual = _running_median(np.append(step, step[-1]), 9)
+        usual = _running_median(np.append(step, step[-1]), _USUAL)
         further = away > _STRAY * sigma + _STEEP * usual
         if not further.any():
             break

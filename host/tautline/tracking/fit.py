@@ -217,7 +217,7 @@ def fitted(
     algebra = 70 + len(z) * (3 + len(free)) // 300
     yield algebra
     cost = _huber_cost(z, theta, prior, picked, information)
-    damping = 1e-3
+    damping = 1e-3  # tolerance: to begin with
     for _ in range(_TURNS):
         if not free:
             break
