@@ -6,7 +6,8 @@ read or written out of bounds, nothing read that was not written, for every inpu
 A proof is a folder of tests/proof: driver.c calls the functions with any input that their preconditions allow,
 proof.toml says which functions, sources, options and preconditions, and where each of those is established. What Eva
 cannot exclude is an alarm; docs/proofs.md explains each that is left, in a table that is read here: an alarm that it
-does not name fails, and so does a row whose alarm is gone. Integers are those of the boards: 32-bit pointers.
+does not name fails, and so does a row whose alarm is gone. So does a listed function that the driver never reaches: it
+has no alarms either. Integers are those of the boards: 32-bit pointers.
 """
 
 from __future__ import annotations
@@ -53,6 +54,7 @@ class Result:
     reached: int  # statements of the functions that were analysed
     of: int
     alarms: tuple[tuple[str, str, str], ...]  # function, kind, what is not excluded
+    followed: frozenset[str]  # names of functions that Eva went through to an end
     seconds: float
 
 
@@ -86,6 +88,13 @@ def left(report: str) -> list[tuple[str, str, str]]:
     ]
 
 
+def followed(said: str) -> frozenset[str]:
+    """The functions that Eva went through to an end, by its output. Of one that was never called, or from which it saw
+    no way back, it has no values there: what stands in it, or behind its calls, is not proven."""
+    ends = r"^\[eva:final-states\] Values at end of function (\w+):(?!\s*NON TERMINATING)"
+    return frozenset(re.findall(ends, said, re.MULTILINE))
+
+
 def proven(proof: Proof) -> Result:
     """Errors: Frama-C's words where it does not understand the sources."""
     began = time.monotonic()
@@ -108,7 +117,8 @@ def proven(proof: Proof) -> Result:
     reached = re.search(r"(\d+) statements reached \(out of (\d+)\)", said)
     if reached is None:
         raise SystemExit(f"proofs: {proof.name}: Frama-C analysed nothing:\n{said[-2000:]}")
-    return Result(int(reached[1]), int(reached[2]), tuple(sorted(set(alarms))), time.monotonic() - began)
+    seconds = time.monotonic() - began
+    return Result(int(reached[1]), int(reached[2]), tuple(sorted(set(alarms))), followed(said), seconds)
 
 
 def _said(command: list[str]) -> str:
@@ -135,7 +145,12 @@ def report(proof: Proof, result: Result, known: dict[Alarm, str]) -> list[str]:
     gone = [
         f"{name}: {function}: {kind}: explained, and no longer there" for name, function, kind in sorted(mine - found)
     ]
-    return unknown + gone
+    missed = [
+        f"{proof.name}: {function}: listed, and never reached to its end: nothing is proven of it"
+        for function in proof.functions
+        if function not in result.followed
+    ]
+    return unknown + gone + missed
 
 
 def main() -> int:

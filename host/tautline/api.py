@@ -43,6 +43,7 @@ _log = logging.getLogger(__name__)
 
 
 def _silent(share: float, what: str) -> None:
+    """The progress of a caller who gave none: it goes to the log."""
     _log.debug("%3.0f %%: %s", 100.0 * share, what)
 
 
@@ -408,6 +409,7 @@ def export(
 
 
 def _listed(recordings: Recording | Sequence[Recording]) -> list[Recording]:
+    """One recording or several as a list."""
     return [recordings] if isinstance(recordings, Recording) else list(recordings)
 
 

@@ -52,12 +52,13 @@ class Discrepancy:
         """What `to_json` gave. KeyError, TypeError or ValueError where it is something else."""
         inputs, lengths = (np.array(told[name], dtype=float) for name in ("inputs", "lengths"))
         found = cls(float(told["sigma"]), inputs, lengths, float(told["white"]))
-        if inputs.ndim != 2 or lengths.shape != inputs.shape[1:] or not found._is_positive:
+        if inputs.ndim != 2 or lengths.shape != inputs.shape[1:] or not found._is_possible:
             raise ValueError("a discrepancy's places, lengths or variances are none")
         return found
 
     @property
-    def _is_positive(self) -> bool:
+    def _is_possible(self) -> bool:
+        """Whether all numbers are finite, no variance is negative, and every length is above 0."""
         finite = bool(np.isfinite(self.inputs).all() and np.isfinite([self.sigma, self.white, *self.lengths]).all())
         return finite and bool(self.sigma >= 0.0 and self.white >= 0.0 and (self.lengths > 0.0).all())
 

@@ -58,13 +58,16 @@ class Elements:
 
     @property
     def single(self) -> bool:
+        """Whether it is one play alone, whose width is B."""
         return len(self.width) == 1
 
     def to_json(self) -> dict[str, list[float]]:
+        """As a model remembers it, plain."""
         return {"width": list(self.width), "weight": list(self.weight)}
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Self:
+        """What `to_json` gave. KeyError, TypeError or ValueError where it is something else."""
         return cls(*(tuple(float(value) for value in document[name]) for name in ("width", "weight")))
 
 

@@ -28,12 +28,15 @@ _STEPS = 0.5  # tolerance: counts more for an encoder's own steps
 _COARSE = 5e-4  # tolerance: of the motor's travel: finer counts are seen nowhere
 _COARSE_LINES = 2e-4  # tolerance: of the travel, instead of a coarse count: how far lines may be from its path
 _LEAPS = 12.0  # tolerance: times the usual step between readings: a motor that jumps
-_SKIPS = 3.5  # tolerance: of five neighbouring readings, that changed
+_SKIPS, _OF = 3.5, 5  # tolerance: of so many neighbouring readings, that changed
+_MOVES = 10  # tolerance: readings that changed, that tell how a motor does
 _OWN_STEPS = 0.6  # tolerance: counts of noise: no more than an encoder's own steps
 _SCATTERS = 1.0  # tolerance: counts of noise from which readings are smoothed
 _EXACT = 1e-12  # tolerance: of the largest value: next to nothing
 _OF_NOISE = 4.0  # prior: standard deviations, of a third difference: more is a turn's
 _WAVES = 512  # tolerance: frequencies at which a smoother's trace is summed
+_STIFF = np.logspace(0, 12, 13)  # tolerance: strengths of a smoother that are tried: from none to a parabola
+_SMOOTHED = 12  # tolerance: readings that are smoothed, at least
 _FEWEST, _CLEARLY = 100, 5.0  # tolerance: readings that tell whether a motor trembles; standard errors
 _UNEVEN = 10.0  # tolerance: times a gap's shorter neighbour: beyond it noise is all that is seen
 _SHARPEST = 0.98  # tolerance: quantile of the bends: single readings may be wrong
@@ -148,11 +151,11 @@ def _skips_counts(motor: Motor, steps: Steps | None) -> bool:
     where it hardly moves, has fine counts, or jumps."""
     moved = np.abs(np.diff(motor.q))
     moves = moved[moved > 0]
-    if len(moves) < 10 or steps is None or steps.count < _COARSE * float(np.ptp(motor.q)):
+    if len(moves) < _MOVES or steps is None or steps.count < _COARSE * float(np.ptp(motor.q)):
         return False
     if moves.max() > _LEAPS * float(np.median(moves)):
         return False  # it steps: a smooth path through that is none
-    changes = np.convolve(moved > 0, np.ones(5), mode="same")  # a slow motor changes its count now and then
+    changes = np.convolve(moved > 0, np.ones(_OF), mode="same")  # a slow motor changes its count now and then
     return bool(np.mean(changes[moved > 0]) > _SKIPS)
 
 
@@ -174,18 +177,18 @@ def between_samples(motor: Motor) -> float:
 def _smoothed(t_s: Array, q: Array) -> Array:
     """Readings q (n,) at rising times t_s (n,) by Whittaker's smoother with third differences, its strength by
     generalised cross-validation, in which `wave`, the penalty's spectrum at even times, stands for the smoother's
-    trace. Fewer than 12 stay as they are."""
+    trace. Fewer than _SMOOTHED stay as they are."""
     n = len(q)
     wave = (2.0 - 2.0 * np.cos(np.pi * (np.arange(_WAVES) + 0.5) / _WAVES)) ** 3
     best, least = q, np.inf
-    if n < 12:
+    if n < _SMOOTHED:
         return q
     factors = np.sqrt(THIRD) * third_differences(t_s, q)[0]  # of -1, 3, -3, 1 at even times
     bent = np.zeros((4, n))
     for i in range(4):
         for j in range(i, 4):
             bent[3 - (j - i), j : n - 3 + j] += factors[:, i] * factors[:, j]
-    for stiff in np.logspace(0, 12, 13):
+    for stiff in _STIFF:
         system = stiff * bent
         system[3] += 1.0
         smooth = np.asarray(solveh_banded(system, q))
@@ -208,6 +211,7 @@ def cut(motor: Motor, until_s: float) -> Motor:
     known = slice(max(int(np.searchsorted(motor.t_s, until_s, side="right")), 1))
 
     def first(values: Array | None) -> Array | None:
+        """A column's known samples; None stays None."""
         return None if values is None else values[known]
 
     command, others = first(motor.q_cmd), map(first, (motor.translation_mm, motor.rotation_deg, motor.load_mNm))
@@ -340,8 +344,8 @@ def _levelled_rests(path: Driven) -> Driven:
 def _with_others(
     motor: Motor, t_s: Array, q: Array, fixed: npt.NDArray[np.bool_], smooth: Array | None = None
 ) -> Motor:
-    """The motor of knots t_s, q (n,), with knots added for the other columns. smooth: a position of each sample, to
-    which the knots are fitted where not `fixed`."""
+    """The motor of knots t_s, q (n,), with knots added for the other columns. smooth: a position of each of the motor's
+    samples, to which the knots are fitted; not those that are `fixed` (n,), at rests and turns."""
     others = [motor.translation_mm, motor.rotation_deg, motor.load_mNm]
     swing = 0.0 if motor.load_mNm is None else _TOLERANCE_LOAD * float(np.ptp(motor.load_mNm))
     tolerances = zip(others, (_TOLERANCE_MM, _TOLERANCE_DEG, swing), strict=True)

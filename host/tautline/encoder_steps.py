@@ -19,6 +19,7 @@ CHANGES = 24, 4  # tolerance: of the count, most and least, that tell how a moto
 _SLOWING = 4  # tolerance: intervals of a path that tell how the motor slows down
 _UNSEEN = 2  # tolerance: of a path's nodes, by which changes of count may put a stop too early
 _INSTANT_S = 1e-4  # tolerance: between two nodes, at least
+_FEWER = 0.7  # tolerance: of the changes, that are tried where all do not fit
 _FITS = 0.3  # tolerance: counts rms: an encoder's step scatters by 0.29
 
 
@@ -105,10 +106,8 @@ def rests_and_turns(motor: Motor, encoder: Steps) -> Stops:
             continue
         middle = 0.5 * (since + until)
         # Where no vertex is told it comes as fast as through the count before, within a sample where it jumps.
-        start_s = since + min(
-            slows.lasts_s if slows else _half_count_time(t, changes, step, lasts, i - 1), middle - since
-        )
-        end_s = until - min(starts.lasts_s if starts else _half_count_time(t, changes, step, lasts, i), until - middle)
+        start_s = since + min(slows.lasts_s if slows else _half_count_s(t, changes, step, lasts, i - 1), middle - since)
+        end_s = until - min(starts.lasts_s if starts else _half_count_s(t, changes, step, lasts, i), until - middle)
         if turns and slows is not None and starts is not None and end_s - start_s < 2 * period:
             start_s = end_s = 0.5 * (start_s + end_s)
         level = encoder.zero + encoder.count * float(np.mean([side.level for side in sides]))
@@ -116,9 +115,10 @@ def rests_and_turns(motor: Motor, encoder: Steps) -> Stops:
     return Stops(stops, 2 * slowing >= asked)
 
 
-def _half_count_time(t: Array, changes: npt.NDArray[np.intp], step: Array, lasts: Array, i: int) -> float:
-    """Half the time, s, that the motor takes for a count beside the i-th change; half a sample where it is of several
-    counts."""
+def _half_count_s(t: Array, changes: npt.NDArray[np.intp], step: Array, lasts: Array, i: int) -> float:
+    """Half the time, s, that the motor takes for the shorter of both counts beside the i-th change of count; half a
+    sample where it goes by several counts at once, 0 where there is no such change. t (n,): the samples, s; changes
+    (k,): the last sample before each change; step (k,): its counts; lasts (k + 1,): how long each count holds, s."""
     if not 0 <= i < len(changes):
         return 0.0
     if abs(step[i]) > 1:
@@ -147,7 +147,7 @@ def _stop_by_parabola(at: Array, boundary: Array, step: Array, centre: float, pe
             if abs(left) <= 1.0:
                 return _Vertex(speed / (2.0 * bend), centre - way * float(np.clip(left, -0.5, 0.5)), True)
             return _Vertex(0.5 * float(since[1]), centre, False)
-        n = int(0.7 * n)
+        n = int(_FEWER * n)
     return None
 
 

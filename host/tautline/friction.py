@@ -37,6 +37,7 @@ class Friction:
     forgotten: ClassVar[float] = 3e-5  # tolerance: of the range, what a start shows by; it forgets by and by
 
     def __post_init__(self) -> None:
+        """ValueError where the numbers are none of either law."""
         values = np.array([getattr(self, name) for name in VALUES])
         if self.kind not in KINDS or not (np.isfinite(values).all() and self.exponent > 0.0 and 0 <= self.beta <= 1):
             raise ValueError("friction: Bouc-Wen's or Dahl's, finite, exponent > 0, beta from 0 to 1")
@@ -57,10 +58,12 @@ class Friction:
         return _native.Plays(grid, width, KINDS[self.kind], *values)
 
     def to_json(self) -> dict[str, Any]:
+        """As a model remembers it, plain; Dahl's has no beta."""
         beta = {"beta": self.beta} if self.kind == BOUC_WEN else {}
         return {"kind": self.kind, "length": self.length, "share": self.share, "exponent": self.exponent, **beta}
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Self:
+        """What `to_json` gave. KeyError, TypeError or ValueError where it is something else."""
         values = [float(document[name]) for name in VALUES if name != "beta" or name in document]
         return cls(str(document["kind"]), *values)

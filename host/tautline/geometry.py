@@ -155,7 +155,7 @@ def pose(
     else:
         c = np.array(np.broadcast_to(np.asarray(start_deg, dtype=float), (count,)))
 
-    damping = np.full(count, 1e-3)
+    damping = np.full(count, 1e-3)  # tolerance: of Levenberg and Marquardt's steps, as the factors of 10
     predicted, slope = project_with_slope(rig, c, translation, turn)
     error = image - predicted
     cost = np.sum(error * error, axis=1)
@@ -174,6 +174,7 @@ def pose(
         c[nearer], cost[nearer] = trial[better], squares[better]
         error[nearer], slope[nearer] = off[better], steep[better]
         damping[going] = np.where(better, damping[going] / 10, damping[going] * 10)
+        # tolerance: deg, of a step after which a sample is done; damping at which no step helps.
         settled = np.where(better, np.abs(trial - before) <= 1e-10, damping[going] > 1e3)
         going = going[~settled]
     seen = np.isfinite(image).all(axis=1)

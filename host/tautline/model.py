@@ -341,7 +341,8 @@ def is_backlash_table(grid: Array, width: Array) -> bool:
 
 
 def allowed_width(grid: Array, width: Array, steepest: float = STEEPEST) -> Array:
-    """The nearest valid backlash table from below: width >= 0, |width'| <= steepest."""
+    """(n,) The nearest valid backlash table from below, of width (n,) on a rising grid (n,): at least 0, and nowhere
+    steeper than `steepest`: the least of the cones of that slope that stand on the widths."""
     step = steepest * np.diff(grid)
     lawful: Array = np.maximum(width, 0.0)
     if (np.abs(np.diff(lawful)) <= step).all():

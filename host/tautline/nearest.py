@@ -86,8 +86,9 @@ def _elements_response(x: Array, share: Array) -> Array:
 
 
 def _fitted_elements(x: Array, y: Array) -> Elements:
-    """Widths and weights (the first at least _FIRST) that fit y along x best, by least squares from non-negative
-    weights at fixed widths."""
+    """The elements, the first of weight _FIRST at least, whose mean is nearest to the tip y (n,) along the motor's path
+    x (n,), both in the warp, where B is 1. Least squares of widths and weights begin where non-negative ones of weights
+    alone end, at the widths _SHARES; two rows more, weighed by _STRICT, hold these to sum 1 and mean width 1."""
     sums = _STRICT * np.vstack([np.ones(len(_SHARES)), _SHARES])
     rows = np.vstack([_elements_response(x, _SHARES) - x[:, None], sums])
     weights = nnls(rows, np.concatenate([y - x, [_STRICT, _STRICT]]))[0]
@@ -97,12 +98,14 @@ def _fitted_elements(x: Array, y: Array) -> Elements:
     begin = np.concatenate([np.log(gaps), np.log(np.array(start.weight) - _FIRST * (np.arange(n) == 0) + _SLIGHT)])
 
     def parts(unknowns: Array) -> tuple[Array, Array]:
-        """Relative widths (mean 1) and weights (sum 1) of the unconstrained unknowns."""
+        """Relative widths (mean 1) and weights (sum 1) by unconstrained unknowns (2 n,): logarithms of the differences
+        between widths, which so rise, and of the weights, but for a factor and _FIRST."""
         weight = softmax(unknowns[n:]) * (1.0 - _FIRST) + _FIRST * (np.arange(n) == 0)
         share = np.cumsum(np.exp(np.clip(unknowns[:n], *_GAPS)))
         return share / float(weight @ share), weight
 
     def off(unknowns: Array) -> Array:
+        """(n,) Their mean less y."""
         share, weight = parts(unknowns)
         return np.asarray(_elements_response(x, share) @ weight - y)
 

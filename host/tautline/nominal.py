@@ -45,6 +45,7 @@ class Normal:
 
     @classmethod
     def zeros(cls, size: int) -> Normal:
+        """Those of no rows, for `size` unknowns: what others are added to."""
         return cls(np.zeros((size, size)), np.zeros(size))
 
     @classmethod
@@ -68,6 +69,7 @@ class Nominal:
 
     @property
     def size(self) -> int:
+        """How many coefficients both have."""
         return self.width.size + self.follow.size
 
     def add(

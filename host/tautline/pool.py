@@ -43,6 +43,7 @@ def pool(jobs: int | None, dask: str | None, died: Died | None = None) -> Iterat
 
 
 def _ended(name: str) -> Any:
+    """The `died` of a caller that gave none: a task that killed its worker ends all. name: the task's."""
     raise TautError(f"{name}: every worker that had it died: look for too little memory, or use fewer --jobs")
 
 
@@ -66,10 +67,12 @@ class _Processes:
     alone, so that one which kills its worker is known."""
 
     def __init__(self, jobs: int, died: Died) -> None:
+        """jobs: how many; died: gives the result of a task whose worker died though it was alone."""
         self.jobs, self.died = jobs, died
         self.executor = self._begun()
 
     def _begun(self) -> ProcessPoolExecutor:
+        """New processes. Each begins anew (spawn), as a fork would copy threads of libraries at work."""
         return ProcessPoolExecutor(self.jobs, multiprocessing.get_context("spawn"), initializer=_ignore_interrupt)
 
     def run(self, function: Callable[..., Any], work: Work) -> Done:
@@ -163,8 +166,10 @@ def _dask(address: str, died: Died) -> Iterator[Pool]:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt  # `timeout` stops a campaign as Ctrl-C does, and leaves no worker behind
+    """Handler of SIGTERM: `timeout` stops a campaign as Ctrl-C does, and leaves no worker behind."""
+    raise KeyboardInterrupt
 
 
 def _ignore_interrupt() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the campaign's to handle
+    """What each worker begins with: Ctrl-C is the campaign's to handle."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

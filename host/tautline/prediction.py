@@ -43,6 +43,7 @@ class Times:
 
     @property
     def scene_s(self) -> Array:
+        """(n,) When what arrives at t_s happened, s."""
         return self.t_s - self.delay_s
 
 
@@ -331,4 +332,5 @@ def write_csv(path: Path, times: Times, prediction: Prediction) -> None:
 
 
 def _text(value: float) -> str:
+    """A cell of `write_csv`, px; empty where the marker cannot be seen."""
     return f"{value:.4f}" if np.isfinite(value) else ""

@@ -47,6 +47,7 @@ class Quality:
 
     @property
     def usable(self) -> bool:
+        """Whether no reason is fatal."""
         return self.verdict is not Verdict.UNUSABLE
 
     @classmethod
@@ -55,6 +56,7 @@ class Quality:
         return cls(tuple(sorted(dict.fromkeys(reasons), key=lambda reason: reason.mild - reason.fatal)))
 
     def to_json(self) -> dict[str, Any]:
+        """As a model remembers it, plain."""
         return {"verdict": self.verdict.value, "reasons": [asdict(reason) for reason in self.reasons]}
 
     @classmethod

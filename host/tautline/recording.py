@@ -57,6 +57,7 @@ class Motor(Value):
     extra: Mapping[str, Array] = field(default_factory=dict)  # unknown columns, kept
 
     def __hash__(self) -> int:  # type: ignore[override]
+        """By number of samples and the last one: equal motors have the same, and it costs next to nothing."""
         return hash((len(self.t_s), *self.t_s[-1:], *self.q[-1:]))
 
     @property
@@ -196,6 +197,7 @@ def shifted(recordings: Sequence[Recording], offsets_s: Mapping[str, float]) -> 
     """Recordings with these offsets, s, by name, taken from the times of marker and angle."""
 
     def moved(recording: Recording) -> Recording:
+        """The recording with its own offset taken off."""
         offset_s = offsets_s.get(recording.name, 0.0)
         marker, angle = recording.marker, recording.angle
         if not offset_s:
@@ -332,6 +334,7 @@ def _same_video(one: Video | None, other: Video | None) -> bool:
 
 
 def _row(row: int) -> str:
+    """The place of a row of arrays, from 0, for messages."""
     return f"row {row}"
 
 

@@ -40,6 +40,7 @@ class Actuator:
 
     @property
     def span(self) -> float:
+        """Length of the range, unit."""
         return self.range[1] - self.range[0]
 
 
@@ -375,10 +376,12 @@ class Rig:
         return document
 
     def save(self, path: str | Path) -> None:
+        """Writes rig.toml. TautError where it cannot be written."""
         write_file(Path(path), tomli_w.dumps(self.to_document()))
 
 
 def _wrong(where: str, name: str, says: str) -> TautError:
+    """The error to raise. where: the file; name: the key's; says: what it is, and what was expected."""
     return TautError(f"{where}: {name} is {says} (taut explain rig.{name})")
 
 

@@ -135,12 +135,15 @@ class Layout:
         return ",".join(self.required(unit))
 
     def names(self, unit: str = "") -> list[str]:
+        """Names of all columns that are known. unit: of q."""
         return [column.name.format(unit=unit) for column in self.columns]
 
 
 def _is_number(value: Any) -> bool:
+    """Whether a value of TOML is a finite number that a float can hold; true and false are none."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= float_info.max
 
 
 def _error(where: str, says: str, topic: str) -> TautError:
+    """The error to raise. where: the file; says: what is wrong in it; topic: what `taut explain` says more of."""
     return TautError(f"{where}: {says} (taut explain {topic})")

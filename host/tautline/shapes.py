@@ -89,6 +89,7 @@ class Library:
         return cls(folder, tuple(Shape(**SHAPE.read({"shape": one}, str(index))) for one in listed))
 
     def model(self, name: str) -> Model:
+        """The model of the shape with this name. TautError where there is none."""
         return Model.load(self.folder / self.of(name).name)
 
     def first(self) -> Model:

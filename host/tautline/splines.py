@@ -23,14 +23,18 @@ class Basis:
 
     @property
     def size(self) -> int:
+        """How many coefficients: a cubic spline has three more than spans."""
         return self.spans + 3
 
     @property
     def step(self) -> float:
+        """Length of a span."""
         return (self.high - self.low) / self.spans
 
     @cached_property
     def knots(self) -> Array:
+        """(size + 4,) Where the pieces meet, three steps on beyond either end, as a cubic's first and last basis need
+        them."""
         return np.asarray(self.low + self.step * np.arange(-3, self.spans + 4), dtype=float)
 
     @cached_property

@@ -32,6 +32,7 @@ class Trajectory:
 
     @property
     def duration_s(self) -> float:
+        """How long it lasts, s; it begins at 0."""
         return float(self.t_s[-1])
 
     def with_sway(self, translation_mm: float, rotation_deg: float, period_s: float) -> Trajectory:
@@ -53,6 +54,7 @@ def _samples(duration_s: float) -> Array:
 
 
 def _check_speed(speed: float) -> None:
+    """TautError for a speed, unit/s, that no motion can have."""
     if not 0.0 < speed < np.inf:
         raise TautError(f"a motion's speed is {speed:g}: expected one above 0")
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import _native
-from tautline.effects.library.rate_dependent_backlash import added_width
+from tautline.effects.library.rate_dependent_backlash import added_width, follows_s
 from tautline.elements import Elements, Hysteresis
 from tautline.errors import TautError
 from tautline.model import Model
@@ -25,6 +25,7 @@ INT32_MAX = int(np.iinfo(np.int32).max)
 _LEAD = 2e-3, 0.125  # tolerance: s, share of a lag's stage: the filter within which it is made up for
 _APART = 1.5  # tolerance: times: the two stages' filters
 _CREEP_MOST = 0.9  # limit: of the motion: more of it is not made up for at once
+_PLACE_MAX = 2**24  # limit: Q8 counts, of a distance in a section: PLACE_MAX of common/src/tl_sections.c
 _GAIN_MOST = 1000.0  # tolerance: of a follower
 _STEP_LOG2_MAX = 22
 # Of a section's small table, in its steps.
@@ -146,16 +147,16 @@ def _sides_sections(v: Mapping[str, float], count: float) -> dict[str, Section]:
 
 
 def _speed_section(v: Mapping[str, float], model: Model, count: float) -> Section:
-    """Section `speed`: the additional width over speed up to twice the range a second, in Q8 counts of `count`, unit of
-    q."""
+    """Section `speed`: what the width grows by (`extra`) over speeds up to twice the range a second, in Q8 counts of
+    `count`, unit of q; the time in which it follows the speed; and whether it is held while the motor rests."""
     step_log2 = _step_log2(2.0 * model.rig.actuator.span / count)
     speed = _NODES * 2.0**step_log2 * count
     extra = added_width(v, float(model.q[-1] - model.q[0]), speed)
     return {
         "step_log2": step_log2,
-        "time_us": round(1e6 * v.get("speed_time", 0.02)),
+        "time_us": round(1e6 * follows_s(v)),
         "held": int(v.get("width_held", 0.0) != 0.0),
-        "extra": np.minimum(np.rint(extra / count), 2**24).astype(int).tolist(),
+        "extra": np.minimum(np.rint(extra / count), _PLACE_MAX).astype(int).tolist(),
     }
 
 

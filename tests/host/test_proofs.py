@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -58,11 +59,36 @@ def test_an_alarm_that_nobody_explained_fails_and_so_does_an_explanation_of_none
     assert mine and all(len(why) > 30 for why in known.values())
     assert {name for name, _, _ in known} <= {each.name for each in proof.proofs()}
     (alarm,) = mine
-    left = proof.Result(9, 9, ((alarm[1], alarm[2], "d != 0"),), 1.0)
+    all_of_it = frozenset(one.functions)
+    left = proof.Result(9, 9, ((alarm[1], alarm[2], "d != 0"),), all_of_it, 1.0)
     assert proof.report(one, left, known) == []
     assert "left: interpolate" in capsys.readouterr().out
     assert "not explained" in proof.report(one, left, {})[0]
-    assert "no longer there" in proof.report(one, proof.Result(9, 9, (), 1.0), known)[0]
+    assert "no longer there" in proof.report(one, proof.Result(9, 9, (), all_of_it, 1.0), known)[0]
+
+
+SAID = """\
+[eva] done for function main
+[eva] ====== VALUES COMPUTED ======
+[eva:final-states] Values at end of function adds:
+  sum ∈ [--..--]
+[eva:final-states] Values at end of function spins:
+  NON TERMINATING FUNCTION
+[eva:final-states] Values at end of function main:
+  __retres ∈ {0}
+[eva:summary] ====== ANALYSIS SUMMARY ======
+"""
+
+
+def test_a_listed_function_that_is_never_reached_fails() -> None:
+    """A driver without its call leaves no alarm of it, as a proof does."""
+    assert proof.followed(SAID) == {"adds", "main"}
+    one = proof.Proof("sum", "sums", ("adds", "divides", "spins"), (), (), (), False)
+    wrong = proof.report(one, proof.Result(9, 9, (), proof.followed(SAID), 1.0), {})
+    assert [each.split(": ")[:3] for each in wrong] == [
+        ["sum", "divides", "listed, and never reached to its end"],
+        ["sum", "spins", "listed, and never reached to its end"],
+    ]
 
 
 @pytest.mark.long
@@ -77,3 +103,13 @@ def test_frama_c_sees_what_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     (tmp_path / "common/include").symlink_to(ROOT / "common/include")
     monkeypatch.setattr(proof, "ROOT", tmp_path)
     assert ("tl_crc32", "mem_access") in {alarm[:2] for alarm in proof.proven(one).alarms}
+
+
+@pytest.mark.long
+@pytest.mark.skipif(shutil.which("frama-c") is None, reason="tools/setup proof")
+def test_frama_c_says_which_functions_it_reached() -> None:
+    """`tl_crc32` is reached, and a function of no proof is not."""
+    (one,) = [each for each in proof.proofs() if each.name == "checksum"]
+    assert proof.report(one, proof.proven(one), {}) == []
+    more = replace(one, functions=(*one.functions, "tl_wire_parse"))
+    assert "tl_wire_parse: listed, and never reached" in proof.report(more, proof.proven(more), {})[0]

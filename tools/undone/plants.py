@@ -105,7 +105,6 @@ def second() -> Instrument:
 _MECHANISM = mechanism.PULLEYS
 _SPAN = 2.0 * _MECHANISM.half
 _STIFF = 307.0 + mechanism.RETURN  # what the tip is held by
-_WIDE = 0.86  # of its own half range, in deg of the tip: where full strokes reach
 
 _PULLEYS: Strengths = {
     ENCODER: _encoder(0.0075, 0.015, 0.03),

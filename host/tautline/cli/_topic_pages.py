@@ -20,7 +20,8 @@ from tautline.simulated import instrument
 
 INDEX = "index.html"
 _TIMES = 4.0  # format: of the change that a user would notice, so that it is seen in a picture
-_CONTACT_DEG = 25.0  # format: where a contact is drawn, within the motion's bending
+_CONTACT_DEG, _CONTACT_HOLD = 25.0, 0.9  # format: where a contact is drawn, within the motion's bending; its hold
+_PERIOD = 0.3  # format: of the motor's range, an encoder's turn as it is drawn
 _FEW = 5  # format: amplitudes that are shown together
 
 
@@ -123,7 +124,7 @@ def parameters(kind: Kind, span: float, seconds: float) -> dict[str, float]:
     values = {p.name: float(np.clip(scaled(p.unit, _TIMES * p.scale), p.low, p.high)) for p in shown}
     for p in kind.shapes:
         values[p.name] = float(scaled(p.unit, p.shape[0] if p.shape else p.scale))
-    values |= {"encoder_period": 0.3 * span} if "encoder_period" in values else {}
+    values |= {"encoder_period": _PERIOD * span} if "encoder_period" in values else {}
     values |= dict.fromkeys(kind.moments, 0.5 * seconds)
-    values |= {"contact_c": _CONTACT_DEG, "contact_hold": 0.9} if "contact_c" in values else {}
+    values |= {"contact_c": _CONTACT_DEG, "contact_hold": _CONTACT_HOLD} if "contact_c" in values else {}
     return values

@@ -40,6 +40,7 @@ class OutsideBlock:
     steps: tuple[float, ...] = ()  # of the values, over which what goes out is near enough straight
 
     def __post_init__(self) -> None:
+        """ValueError where a value has no step above 0."""
         if len(self.values) != len(self.steps) or not all(step > 0.0 for step in self.steps):
             raise ValueError(f"{self.name}: every value needs a step above 0")
 

@@ -15,7 +15,10 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 _LEAST_PX, _LEAST_DEG = 1e-3, 1e-4  # tolerance: noise is never taken to be less
+_USUAL_PX, _USUAL_DEG = 0.05, 0.01  # prior: noise of a sensor that nothing else is known of
+_TELL_NOISE = 8  # tolerance: frames, or differences at equal steps, that noise is told from
 _STRAY = 12.0  # prior: sigma, beside usual steps, from which a lone frame is a false sighting
+_MEDIAN, _USUAL = 5, 9  # tolerance: frames whose median a lone one is beside; steps whose median is usual there
 _STEEP = 4.0  # prior: of these, so many: a law is not as steep everywhere
 _MOST_OF_RANGE = (0.05, 0.95)  # tolerance: quantiles, as some frames are strays
 _AROUND_S = 0.5  # prior: in which steps are usual ones: a sensor's spike is over in half of it
@@ -27,14 +30,14 @@ _EXACT = 1e-9  # tolerance: of the range: a difference of binary numbers
 
 
 def noise_of(t: Array, y: Array, least: float) -> float:
-    """Standard deviation of white noise per coordinate, from third differences (a smooth motion has next to none)
-    between frames at equal steps; never less than a quantised sensor's step / sqrt(12) or `least`. A usual one (0.05
-    px, 0.01 deg) of fewer than 8 frames."""
-    if len(t) < 8:
-        return max(least, 0.05 if y.shape[1] == 2 else 0.01)
+    """Standard deviation of white noise per coordinate of samples y (n, channels: 2 px or 1 deg) at times t (n,), s:
+    from third differences (a smooth motion has next to none) between frames at equal steps; never less than a quantised
+    sensor's step / sqrt(12) or `least`. A usual one (_USUAL_PX, _USUAL_DEG) of fewer than _TELL_NOISE frames."""
+    if len(t) < _TELL_NOISE:
+        return max(least, _USUAL_PX if y.shape[1] == 2 else _USUAL_DEG)
     runs = even_runs(t, 3)
     third = np.diff(y, 3, axis=0)
-    third = third[runs] if runs.sum() >= 8 else third
+    third = third[runs] if runs.sum() >= _TELL_NOISE else third
     step = rounding_step(y)
     usual = spread.deviation(third)
     if step > 0.0:  # third differences are whole steps as well, and so is their median
@@ -78,17 +81,17 @@ def even_runs(t: Array, count: int) -> Mask:
 
 def strays(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
     """Frames (n,), at times t (n,), s, at which y (n, channels) is elsewhere for one or two frames: far from the median
-    of five frames, by noise and by how the tip moves at that time. A jump that stays is none, nor is any motion that
+    of _MEDIAN frames, by noise and by how the tip moves at that time. A jump that stays is none, nor is any motion that
     goes one way. They are looked for again among those that are left until there are none: several close together look
     like motion. And those at which it is for a while where the tip never is. path: of the motor; sigma: of the noise of
     a coordinate."""
     stray = np.zeros(len(y), dtype=bool)
     kept = np.arange(len(y))
-    while len(kept) >= 5:
+    while len(kept) >= _MEDIAN:
         left = y[kept]
-        away = np.linalg.norm(left - _running_median(left, 5), axis=1)
+        away = np.linalg.norm(left - _running_median(left, _MEDIAN), axis=1)
         step = np.linalg.norm(np.diff(left, axis=0), axis=1)
-        usual = _running_median(np.append(step, step[-1]), 9)
+        usual = _running_median(np.append(step, step[-1]), _USUAL)
         further = away > _STRAY * sigma + _STEEP * usual
         if not further.any():
             break

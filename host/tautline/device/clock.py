@@ -9,6 +9,8 @@ import numpy as np
 
 STEADY = 200e-6  # two quartz clocks differ by less than this ratio, whatever is known of them
 _KEPT = 512
+_TRIPS, _SHORT_TRIPS = 8, 4  # tolerance: round trips, and short ones among them, that a line is drawn through
+_SHORT = 1.5  # tolerance: times the shortest: longer ones say less about the offset
 _LINE_S = 5.0  # round trips over so long show the drift better than STEADY bounds it
 
 
@@ -37,11 +39,11 @@ class BoardClock:
         fast the clocks drift apart. Returns its mean host time, s, the offset there, s, the drift, s/s, and the trips'
         host times (n,) and half lengths (n,), s. None where they are too few, or span less than _LINE_S."""
         trips = self._all()
-        if len(trips) < 8:
+        if len(trips) < _TRIPS:
             return None
-        trips = trips[trips[:, 2] <= 1.5 * trips[:, 2].min()]  # longer ones say less about the offset
+        trips = trips[trips[:, 2] <= _SHORT * trips[:, 2].min()]
         t, offset, half = trips.T
-        if len(t) < 4 or np.ptp(t) < _LINE_S:
+        if len(t) < _SHORT_TRIPS or np.ptp(t) < _LINE_S:
             return None
         mean = t.mean()
         drift = float(((t - mean) * (offset - offset.mean())).sum() / ((t - mean) ** 2).sum())

@@ -15,7 +15,7 @@ import usb.core
 from tautline.device import usbip
 
 _DEVICE_TO_HOST = 0x80
-_GET_DESCRIPTOR, _SET_CONFIGURATION, _GET_CONFIGURATION = 6, 9, 8
+_GET_DESCRIPTOR, _SET_CONFIGURATION = 6, 9
 _CLEAR_FEATURE, _SET_INTERFACE = 1, 11
 _DEVICE_TYPE, _CONFIGURATION_TYPE, _INTERFACE_TYPE, _ENDPOINT_TYPE = 1, 2, 4, 5
 _CONTROL_MS = 10_000  # a simulated board answers when this machine lets it

@@ -230,6 +230,7 @@ def _fit_groups(growth: _Growth) -> _Groups | None:
         mixed = np.logaddexp(log_expit(-groups.odds), groups.log_odds(growth) + log_expit(groups.odds))
         return 0.5 * float(x[1]) ** 2 - float((usual + mixed).sum())
 
+    # tolerance: bounds of the search; it starts from near and far, few and many worn robots.
     one = minimize(cost_of_one, np.zeros(2), method="L-BFGS-B", bounds=[(-9.0, 9.0)] * 2)
     bounds = [(-9.0, 9.0), (-4.0, 4.0), (-4.0, 4.0), (-12.0, 0.0)]
     starts = [np.array([0.0, 0.0, np.log(far), odds]) for far in (1.0, 4.0, 12.0) for odds in (-4.0, -1.5)]

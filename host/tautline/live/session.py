@@ -32,6 +32,7 @@ _HOST_TIMEOUT_S = 1.0
 # The board's onset detector, in shares of the range: an onset good enough to turn round, one too vague to use, a turn,
 # and the slope of the image over the range, relative to itself, may change this many times.
 _SIGMA_WANTED, _SIGMA_USABLE, _TURN, _SLOPE_CHANGES = 1.5e-4, 2.5e-3, 4e-4, 4.0
+_LEAST_TURN, _MOST_CHANGE = 4.0, 0.5  # limit: counts that a turn has at least; change of the slope in one at most
 _RUNNING = (wire.code("MOTIONS", "RUNNING"), wire.code("MOTIONS", "STOPPING"))
 _COMPLETE, _STOPPED = wire.code("MOTIONS", "COMPLETE"), wire.code("MOTIONS", "STOPPED")
 _TOO_LITTLE, _TOO_MUCH = 0.08, 2.0  # observed motion of the marker to that of f_coarse: beyond, a scale is wrong
@@ -258,8 +259,8 @@ class Motions:
             "delay_us": round(camera.delay_s * 1e6),
             "sigma_wanted": wanted.sigma_wanted / resolution,
             "sigma_usable": wanted.sigma_usable / resolution,
-            "turn": max(_TURN * counts, 4.0),
-            "curvature": round(min(_SLOPE_CHANGES / counts, 0.5) * 2**20),  # for a count, in 1/2**20
+            "turn": max(_TURN * counts, _LEAST_TURN),
+            "curvature": round(min(_SLOPE_CHANGES / counts, _MOST_CHANGE) * 2**20),  # for a count, in 1/2**20
         }
 
     def stroke(self, wanted: Strokes, enough: Callable[[Frame], bool]) -> None:

@@ -156,6 +156,7 @@ class Corrected(Instrument):
         self._past = past[:, _native.thin(t, moved, np.array([1e-9 * self.rig.actuator.span]), 0.05).view(bool)]
 
         def whole(values: Array | None) -> Array | None:
+            """Another degree of freedom's new values (n,) at the times of past and new; None stays None."""
             return None if values is None else np.interp(t, new[0], values)
 
         motor = Motor(t, moved, None, whole(translation_mm), whole(rotation_deg))
@@ -204,9 +205,11 @@ class _Scale:
         coarse = self.rig.coarse
 
         def width(p: Array) -> Array:
+            """B(p), unit of q."""
             return self.half * backlash((p - self.straight) / self.half)
 
         def angle(p: Array) -> Array:
+            """f_remain(p), deg: as f_coarse has it where the tip is straight."""
             at_straight = coarse.gain * self.straight + coarse.offset
             return at_straight + coarse.gain * self.half * remaining((p - self.straight) / self.half)
 

@@ -76,6 +76,7 @@ class SimLink:
         return answer
 
     def close(self) -> None:
+        """Closes the socket; the board goes on."""
         with contextlib.suppress(OSError):
             self._lines.close()
             self._socket.close()
@@ -141,6 +142,7 @@ class DesktopBoard(Closable):
         self.where = f"{prefix}:127.0.0.1:{self.ports[line]}"
 
     def link(self) -> SimLink:
+        """A new sim link to it, the caller's to close."""
         return SimLink(self.ports["sim"])
 
     def close(self) -> None:
@@ -226,7 +228,7 @@ class SimulatedAxis:
         return self._recent(t_s, self._c), 0.0, 0.0
 
     def marker(self, t_s: Array) -> Array:
-        """Where the marker was seen (n, 2) px at past times (n,) s."""
+        """Where the marker was seen (n, 2) px at past times (n,) s, the other degrees of freedom at rest at 0."""
         return self.instrument.see(self._recent(t_s, self._c), self._recent(t_s, self._way), 0.0, 0.0)
 
     def _recent(self, t_s: Array, values: list[Array]) -> Array:

@@ -33,6 +33,7 @@ _SETTLE_S = 2.0  # tolerance: at the first control, before the log begins
 _DELAY_S = 0.02  # prior: a change that a user would notice
 _DAMPED = 0.2  # prior: share of critical damping: the same, where a joint has none
 _STUCK_RAD = 5e-3  # prior: by which the servo is off where friction that the file does not have holds the joint
+_HALF, _HUNDREDTH = 0.5, 0.01  # prior: of a gain or a mass: its spread, and its least
 _DELAY_MOST_S = 0.5  # prior: no command takes longer
 _LAG_S = 0.02  # prior: of a servo that follows in first order: as of a delay
 
@@ -147,8 +148,9 @@ class Mjcf:
         return int(self._model.actuator_trnid[self._index, 0]) if drives else None
 
     def _declared(self) -> Iterator[Declared]:
-        """Yields the parameters of the file that a diagnosis may change. A spread is the file's own value, or where
-        that is 0 one that would be noticed at this joint's inertia and stiffness."""
+        """Yields the parameters of the file that a diagnosis may change. A spread is the file's own value (of what
+        cannot be 0, kp and a mass, half of it), or where that is 0 one that would be noticed at this joint's inertia
+        and stiffness."""
         import mujoco
 
         model, data = self._model, mujoco.MjData(self._model)
@@ -163,7 +165,7 @@ class Mjcf:
             usual = 2.0 * _DAMPED * math.sqrt(kp * float(np.max(np.diag(mass_matrix))))
             rotary = self._joint is not None and model.jnt_type[self._joint] == mujoco.mjtJoint.mjJNT_HINGE
             force, per = _UNITS[rotary]
-            yield Declared(f"{self.actuator}.kp", f"{force}/{per}", kp, 0.5 * kp, 0.01 * kp)
+            yield Declared(f"{self.actuator}.kp", f"{force}/{per}", kp, _HALF * kp, _HUNDREDTH * kp)
             yield Declared(f"{self.actuator}.kv", f"{force} s/{per}", kv, kv or usual, 0.0)
         if self._lag:
             tau = float(model.actuator_dynprm[self._index, 0]) if self._has_filter else 0.0
@@ -191,7 +193,7 @@ class Mjcf:
         yield Declared(f"{name}.armature", "kg m^2" if rotary else "kg", armature, armature or inertia, 0.0)
         if lifts(model, data, name) and not self._is_lifted(data, name):
             mass = float(model.body_subtreemass[int(model.joint(name).bodyid[0])])
-            yield Declared(f"{name}.load", "kg", mass, 0.5 * mass, 0.01 * mass)
+            yield Declared(f"{name}.load", "kg", mass, _HALF * mass, _HUNDREDTH * mass)
 
     def _is_lifted(self, data: mujoco.MjData, name: str) -> bool:
         """Whether the mass that this joint carries belongs to another joint's load already, as that carries this one: a

@@ -27,6 +27,7 @@ _DEPARTS = 3.0  # prior: standard deviations that each of three frames is off wh
 _REST_FRAMES = 5  # tolerance: frames at rest that tell whether the tip moves there
 _LAST = 30  # prior: frames in which a tip that does not follow shows it,
 _STUCK, _FURTHER = 0.1, 2.0  # prior: by less of the motor's way, which is so many B
+_FAR_OFF = 3.0  # prior: times the residual of what explains its data: a frame that is far off
 _PART = 0.2, 0.8  # prior: quantiles of where frames are not far off: beyond them is another part of the way
 _WORTH = 0.5  # loss: times the level known so far, in quadrature: what a new law must take away
 STROKE_FRAMES = 8  # loss: frames that a stroke has at least
@@ -189,7 +190,7 @@ def likely_obstacle(case: Case) -> str:
     width = float(np.interp(y[-1], case.nominal.model.q, case.nominal.model.width))
     if moved > _FURTHER * width and float(np.ptp(y[late])) < _STUCK * moved:
         return "configuration.contact or a hand: the tip does not follow the motor"
-    far = np.abs(case.z) > EXPLAINED * 3.0 * case.level
+    far = np.abs(case.z) > EXPLAINED * _FAR_OFF * case.level
     if far.any() and not far.all():
         inner, outer = y[~far], y[far]
         if outer.min() > np.quantile(inner, _PART[1]) or outer.max() < np.quantile(inner, _PART[0]):

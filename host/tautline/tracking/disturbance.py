@@ -23,6 +23,7 @@ class Disturbance:
     q."""
 
     def __init__(self, resolution: float) -> None:
+        """Nothing was seen yet."""
         self._resolution = resolution
         self.begin_recording()
 
@@ -68,6 +69,7 @@ class Aside:
     does, and is back: what it showed meanwhile says nothing of the law."""
 
     def __init__(self) -> None:
+        """No frames yet."""
         self.clear()
 
     def clear(self) -> None:

@@ -17,7 +17,9 @@ from tautline.tracking.window import WindowKnots
 
 Array = npt.NDArray[np.float64]
 Found = TypeVar("Found")
-Work = Generator[int, None, Found]  # before each piece it yields what that piece costs at most: about so many us
+# Before each piece it yields what that piece costs at most, us, as measured on a busy machine: so much for itself, and
+# so much for its frames or knots. Work is counted by these numbers, not timed, so that a replay repeats.
+Work = Generator[int, None, Found]
 
 _TURNS = 8  # tolerance: steps, after which what is left to gain waits for the next judgement
 _NEIGHBOURS = 0.21  # prior: of B: how far its share at one place is from that at the next
@@ -215,7 +217,7 @@ def fitted(
     algebra = 70 + len(z) * (3 + len(free)) // 300
     yield algebra
     cost = _huber_cost(z, theta, prior, picked, information)
-    damping = 1e-3
+    damping = 1e-3  # tolerance: to begin with
     for _ in range(_TURNS):
         if not free:
             break
@@ -264,25 +266,30 @@ def _huber_cost(z: Array, theta: Array, prior: Prior, free: list[int], informati
 def _covariance(
     nominal: LawFamily, evidence: WindowKnots, z: Array, slopes: Array, free: Sequence[int], information: Array
 ) -> Array:
-    """Covariance (free, free) of the free parameters' estimate: of the frames' own noise; of what the law leaves beyond
-    that, which is taken for one error of all frames on each side of the play (it most likely goes with place and side,
-    so that more frames make it no smaller); and of the prior, `information` in units of the residuals' squares. What is
-    left has been made small by the fit: its variance is over as many degrees of freedom as misfits have on such a way,
-    one a stroke and one each _ALIKE of the measured range, less those that the fit took."""
+    """Covariance (free, free) of the free parameters' estimate, by residuals over sigma z (seen,) and their derivatives
+    by theta, slopes (seen, PARAMETERS): of the frames' own noise; of what the law leaves beyond that (`_misfit2`),
+    which is taken for one error of all frames on each side of the play (it most likely goes with place and side, so
+    that more frames make it no smaller); and of the prior, `information` in units of the residuals' squares."""
     picked = slopes[:, list(free)]
     if not free:
         return np.zeros((0, 0))
     told = picked.T @ picked
     inverse = np.linalg.inv(told + information)
     level2, noise2 = _level2(z), evidence.noise**2
-    alike = _ALIKE * float(np.ptp(nominal.places))
-    values = len(evidence.strokes) + float(np.abs(np.diff(evidence.q)).sum()) / alike
-    taken = float(np.trace(inverse @ told))
-    misfit2 = max(level2 - noise2, 0.0) * values / max(values - taken, 1.0)
+    misfit2 = _misfit2(nominal, evidence, level2, float(np.trace(inverse @ told)))
     by_width = slopes[:, SCALE]
     sides = np.stack([picked[by_width > 0.0].sum(axis=0), picked[by_width < 0.0].sum(axis=0)])
     spread = noise2 * told + misfit2 * (sides.T @ sides) + level2 * information
     return np.asarray(inverse @ spread @ inverse)
+
+
+def _misfit2(nominal: LawFamily, evidence: WindowKnots, level2: float, taken: float) -> float:
+    """Variance, over that stated of a frame, of what a law leaves beyond the frames' own noise. level2: mean square
+    that is left. A fit has made it small: it is over as many degrees of freedom as misfits have on such a way, one a
+    stroke and one each _ALIKE of the measured range, less those that the fit took (`taken`)."""
+    alike = _ALIKE * float(np.ptp(nominal.places))
+    values = len(evidence.strokes) + float(np.abs(np.diff(evidence.q)).sum()) / alike
+    return max(level2 - evidence.noise**2, 0.0) * values / max(values - taken, 1.0)
 
 
 def from_envelopes(nominal: LawFamily, evidence: WindowKnots, theta: Array, envelope: Envelopes, both: bool) -> Array:

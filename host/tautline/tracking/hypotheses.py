@@ -45,6 +45,7 @@ _NOW = 2  # loss: strokes on each of which a law must leave less
 _AGAIN = 1.1, 1.3  # loss: at most of what the fit, at least of what the law in use leaves: the calibrated one holds
 _TURNS = 2  # loss: reversals that must agree before anything but a narrower B is learnt
 _RICHER_TURNS = 3  # prior: before B has another shape, an onset is gradual or f_remain bends; with what is foretold
+_ONE_MORE_STROKES = 3  # prior: strokes that tell one of these; more may tell two at once
 _GAIN = 6.0  # prior: of cost, that a parameter must bring
 _GOOD = 1.15  # tolerance: times the level known so far: nothing is left to explain
 _GAIN_MORE = 12.0  # prior: and a richer law as a whole
@@ -91,21 +92,21 @@ def judge(
     stretches: Sequence[tuple[WindowKnots, Array]],
     theta: Array,
     adapting: bool,
-    posture: float | None,
+    least_offset: float | None,
     moved: bool,
     level: float,
     proposal: Inference | None,
 ) -> Work[Inference]:
     """The first stretch of evidence that a law explains, else why none does. stretches: evidence, and the law before
-    anything was learnt of it. posture: where a recording has just begun, the least offset that one direction alone may
-    tell. moved: another posture is being learnt, and any simple law that leaves less refines it. level: rms of z that
-    is known to be left."""
+    anything was learnt of it. least_offset: where a recording has just begun, the least, unit of q, that one direction
+    alone may tell, else None. moved: another posture is being learnt, and any simple law that leaves less refines it.
+    level: rms of z that is known to be left. proposal: the law that was to foretell the strokes since."""
     verdict = None
     for evidence, origin in stretches:
         case = yield from Case.of(nominal, evidence, theta, origin, level)
         if not adapting and np.array_equal(theta, unchanged()) and (first := case.first_departure):
             case = yield from Case.of(nominal, evidence.after(first), theta, origin, level)
-        verdict = yield from _judged(case, adapting, posture, moved, proposal)
+        verdict = yield from _judged(case, adapting, least_offset, moved, proposal)
         if verdict.theta is not None:
             refines = verdict.refines or (moved and evidence is not stretches[0][0])
             further = None  # a narrower one keeps what is known beyond the range
@@ -119,45 +120,64 @@ def judge(
 
 
 def _judged(
-    case: Case, adapting: bool, posture: float | None, moved: bool, proposal: Inference | None
+    case: Case, adapting: bool, least_offset: float | None, moved: bool, proposal: Inference | None
 ) -> Work[Inference]:
-    """`judge` for one stretch: disturbance, nothing seen, still holding, calibrated again, enough evidence for the best
-    fit, a narrower B alone, else a proposal to look at again. Yields each piece's cost beforehand, us."""
+    """`judge` for one stretch, the first of these that holds: disturbed; not seen both ways; the law in use still
+    holds; the calibrated one does again; no other leaves clearly less; enough evidence for the best fit; not enough yet
+    (`_judged_early`). Yields each piece's cost beforehand, us."""
     yield EASY + len(case.z) // 15
     disturbed = disturbance_in_words(case)
     if disturbed:
         return Inference(disturbed, case.evidence, disturbed=True)
     if case.passed is None:
-        if posture is not None:
-            return (yield from _judged_by_offset(case, posture))
+        if least_offset is not None:
+            return (yield from _judged_by_offset(case, least_offset))
         return Inference(_ONE_WAY, case.evidence, early=True)
     if not adapting and case.lately(case.z) < _HOLDS * case.level:
         return Inference(_HELD, case.evidence, early=True)
     fit = yield from _simplest_sufficient(case)
     yield _HARD
-    if case.turns and not np.array_equal(case.theta, unchanged()) and _tells_apart(case, lately=True):
-        lately = case.lately(case.z_calibrated)
-        good = max(EXPLAINED, _AGAIN[0] * case.lately(fit.z))
-        better = case.lately(case.z) > _AGAIN[1] * lately and case.less_on_each(case.z_calibrated, LATELY)
-        if lately <= good and better:
-            return _calibrated_holds(case, lately)
+    if _calibrated_leaves_less(case, fit):
+        return _calibrated_holds(case)
     if not adapting and not case.worth_adopting(fit.z, _NOW, fit):
         return Inference(_NONE_BETTER, case.evidence, early=True)
     foretold = proposal is not None and (yield from _predicts_later_strokes(case, proposal))
     yield _HARD + len(case.z) // 8
-    least = max(_TURNS, _RICHER_TURNS * _richness(fit))
-    enough = case.turns >= least and case.explained(fit)
-    enough |= case.turns >= _RICHER_TURNS and foretold and case.explained(fit, OF_BEFORE[1])
-    enough |= adapting and case.explained(fit, OF_BEFORE[1])
-    if enough:
+    if _enough_evidence(case, fit, adapting, foretold):
         return _adopting(case, fit)
     if moved and not _richness(fit) and case.better(fit):
         return replace(_adopting(case, fit), refines=True)
+    return (yield from _judged_early(case, fit, least_offset is not None))
+
+
+def _calibrated_leaves_less(case: Case, fit: LawFit) -> bool:
+    """Whether in the last strokes the calibrated law leaves about as little as the best fit and clearly less than the
+    law in use (_AGAIN), and the tip was where both differ."""
+    if not case.turns or np.array_equal(case.theta, unchanged()) or not _tells_apart(case, lately=True):
+        return False
+    lately = case.lately(case.z_calibrated)
+    good = max(EXPLAINED, _AGAIN[0] * case.lately(fit.z))
+    better = case.lately(case.z) > _AGAIN[1] * lately and case.less_on_each(case.z_calibrated, LATELY)
+    return lately <= good and better
+
+
+def _enough_evidence(case: Case, fit: LawFit, adapting: bool, foretold: bool) -> bool:
+    """Whether a fit may be used: enough reversals agree with it, more for a richer law, and it explains what is seen. A
+    law that foretold strokes, and one while another is being learnt (`adapting`), need explain less."""
+    least = max(_TURNS, _RICHER_TURNS * _richness(fit))
+    if case.turns >= least and case.explained(fit):
+        return True
+    return (adapting or (case.turns >= _RICHER_TURNS and foretold)) and case.explained(fit, OF_BEFORE[1])
+
+
+def _judged_early(case: Case, fit: LawFit, begun_lately: bool) -> Work[Inference]:
+    """The verdict on the best fit where there is not enough evidence for it yet: a narrower B alone; at a recording's
+    beginning a fit that leaves next to nothing; else a proposal to look at again, if it explains anything."""
     if case.explained(fit, OF_BEFORE[0]):
         narrower = yield from _judged_by_width(case, fit)
         if narrower is not None:
             return narrower
-        if posture is not None and case.clear(fit):
+        if begun_lately and case.clear(fit):
             return _adopting(case, fit)
         return Inference(
             f"{changes_in_words(case, fit.theta)}, if more reversals agree", case.evidence, proposed=fit.theta
@@ -208,6 +228,17 @@ def _simplest_sufficient(case: Case) -> Work[LawFit]:
             return refined
     yield _GUESS
     base = unchanged() if _tells_apart(case) else nominal.clipped(_width_alone(case.theta))
+    both, side = yield from _offset_and_scale(case, base, prior)
+    if max(both.level, case.lately(both.z)) <= _GOOD * case.level:
+        return (yield from _either_alone(case, both, side, base, prior))
+    return (yield from _richer(case, both, prior))
+
+
+def _offset_and_scale(case: Case, base: Array, prior: Prior) -> Work[tuple[LawFit, int]]:
+    """The fit of offset and scale from the law `base`, and its index in BOTH: the offset is before the play, or behind
+    it where that lowers the cost by _GAIN. Where neither explains the evidence, a start from the law in use counts,
+    too."""
+    nominal, evidence = case.nominal, case.evidence
     start = base if np.any(base[SHAPE]) else from_envelopes(nominal, evidence, base, case.envelopes, True)
     before = yield from fitted(nominal, evidence, start, BOTH[0], prior)
     behind = yield from fitted(nominal, evidence, with_offset_at_tip(nominal, before.theta), BOTH[1], prior)
@@ -216,20 +247,32 @@ def _simplest_sufficient(case: Case) -> Work[LawFit]:
         kept = nominal.clipped(case.theta)
         other = yield from fitted(nominal, evidence, kept, BOTH[side], prior)
         both = min(both, other, key=lambda fit: fit.cost)
-    if max(both.level, case.lately(both.z)) <= _GOOD * case.level:
-        if case.turns >= _RICHER_TURNS:  # an onset is short: it hardly shows in the rms
-            gradual = yield from _fit_with_more(case, both, GRADUAL, prior)
-            if _gain_of_richer(both, gradual) > _GAIN_MORE:
-                return gradual
-        simple = both.theta.copy()
-        simple[SCALE] = base[SCALE]
-        offset = yield from fitted(nominal, evidence, simple, ONLY_OFFSET[side], prior)
-        if offset.cost < both.cost + _GAIN:
-            return offset
-        simple = base.copy()
-        simple[SCALE] = both.theta[SCALE]
-        scale = yield from fitted(nominal, evidence, simple, ONLY_SCALE, prior)
-        return scale if scale.cost < both.cost + _GAIN else both
+    return both, side
+
+
+def _either_alone(case: Case, both: LawFit, side: int, base: Array, prior: Prior) -> Work[LawFit]:
+    """The simplest fit where offset and scale (`both`, of BOTH[side], from the law `base`) leave nothing to explain:
+    the one or the other alone, if that costs hardly more. But a gradual onset first: it is short and hardly shows in
+    the rms."""
+    nominal, evidence = case.nominal, case.evidence
+    if case.turns >= _RICHER_TURNS:
+        gradual = yield from _fit_with_more(case, both, GRADUAL, prior)
+        if _gain_of_richer(both, gradual) > _GAIN_MORE:
+            return gradual
+    simple = both.theta.copy()
+    simple[SCALE] = base[SCALE]
+    offset = yield from fitted(nominal, evidence, simple, ONLY_OFFSET[side], prior)
+    if offset.cost < both.cost + _GAIN:
+        return offset
+    simple = base.copy()
+    simple[SCALE] = both.theta[SCALE]
+    scale = yield from fitted(nominal, evidence, simple, ONLY_SCALE, prior)
+    return scale if scale.cost < both.cost + _GAIN else both
+
+
+def _richer(case: Case, both: LawFit, prior: Prior) -> Work[LawFit]:
+    """The fit where offset and scale (`both`) do not explain the evidence: with one of a gradual onset, a shape of B
+    and a bent f_remain, or with two, as far as the reversals allow and as each brings its gain; else `both`."""
     if case.turns < _TURNS:
         return both
     if case.turns < _RICHER_TURNS:  # enough for a narrower place, which is not waited for
@@ -239,7 +282,7 @@ def _simplest_sufficient(case: Case) -> Work[LawFit]:
     for more in (GRADUAL, SHAPED, REMAINING):
         fits.append((yield from _fit_with_more(case, both, more, prior)))
     best = min(fits, key=lambda fit: fit.cost)
-    if best.level > _GOOD * case.level and len(evidence.strokes) > 3:
+    if best.level > _GOOD * case.level and len(case.evidence.strokes) > _ONE_MORE_STROKES:
         for more in (GRADUAL, SHAPED, REMAINING):
             if not set(more) <= set(best.free):
                 richer = yield from _fit_with_more(case, best, more, prior)
@@ -336,15 +379,15 @@ def _tells_apart(case: Case, lately: bool = False) -> bool:
     return bool(off[inside].sum() >= _TOLD_APART * off.sum())
 
 
-def _calibrated_holds(case: Case, level: float) -> Inference:
-    """The verdict that the calibrated law holds again. level: rms of residuals over sigma that it leaves."""
+def _calibrated_holds(case: Case) -> Inference:
+    """The verdict that the calibrated law holds again."""
     return Inference(
         "the calibrated law holds again",
         case.evidence,
         unchanged(),
         passed=case.passed or (0.0, 0.0),
         turns=case.turns,
-        level=level,
+        level=case.lately(case.z_calibrated),
         settled=True,
     )
 

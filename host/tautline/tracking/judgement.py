@@ -16,6 +16,7 @@ class Judgement:
     bit for bit."""
 
     def __init__(self) -> None:
+        """None is at work, and nothing is proposed."""
         self.proposal: Inference | None = None
         self._work: Work[Inference] | None = None
         self._due = 0  # what its next piece costs, us

@@ -128,6 +128,12 @@ class LawFamily:
         return share, share - 1.0, np.array(elements.weight)
 
     @cached_property
+    def _by_spread_and_skew(self) -> Array:
+        """(2, elements) Derivatives of `shares` by theta's spread and skew, the skew's of mean 0 too."""
+        _, away, weight = self._elements
+        return np.vstack([away, away**2 - weight @ away**2])
+
+    @cached_property
     def _own_sigma(self) -> Array:
         """(nodes,) Standard deviation of the calibrated centre coordinate by B's sigma and the encoder's rounding."""
         model, count = self.model, self.model.rig.actuator.encoder_resolution
@@ -142,8 +148,8 @@ class LawFamily:
 
     def shares(self, theta: Array) -> Array:
         """(elements,) Their widths, in shares of B and not negative, by theta's spread and skew."""
-        share, away, weight = self._elements
-        return np.asarray(np.maximum(share + theta[SPREAD] * away + theta[SKEW] * (away**2 - weight @ away**2), 0.0))
+        spread, skew = self._by_spread_and_skew
+        return np.asarray(np.maximum(self._elements[0] + theta[SPREAD] * spread + theta[SKEW] * skew, 0.0))
 
     def clipped(self, theta: Array) -> Array:
         """theta with every parameter clipped to what a play can have."""
@@ -166,24 +172,24 @@ class LawFamily:
         return self._kept[key]
 
     def _law_of(self, theta: Array) -> Law:
-        """Tables and native play of a theta."""
+        """`law`, made anew: its tables and its plays, which carry derivatives by all of theta before TIP (or by what is
+        added beyond the measured range). For these they get B's by scale and shape, (1 + PLACES, nodes), and the
+        shares' by spread and skew, (2, elements). A play that is not split has one share, which nothing changes."""
         model = self.beyond.known
-        around = 1.0 + theta[SHAPE] @ self.shape_basis
-        width = allowed_width(model.q, theta[SCALE] * model.width * around)
-        basis = np.vstack([model.width * around, theta[SCALE] * model.width * self.shape_basis])
+        shape = 1.0 + theta[SHAPE] @ self.shape_basis
+        width = allowed_width(model.q, theta[SCALE] * model.width * shape)
+        by_width = np.vstack([model.width * shape, theta[SCALE] * model.width * self.shape_basis])
         c_deg = model.c_deg
         if np.any(theta[TIP]):
             c_deg = self.beyond.monotone(model.c_deg + theta[TIP] @ self.powers(model.q))
-        _, away, weight = self._elements
         if model.elements.single and not theta[SPREAD] and not theta[SKEW]:
-            spread, shares, weight = np.zeros((2, 1)), np.ones(1), np.ones(1)
+            shares, weight, by_shares = np.ones(1), np.ones(1), np.zeros((2, 1))
         else:
-            spread = np.vstack([away, away**2 - weight @ away**2])
-            shares = self.shares(theta)
+            shares, weight, by_shares = self.shares(theta), self._elements[2], self._by_spread_and_skew
             shares = shares / (weight @ shares)  # B stays the distance between full strokes
-        native = _native.TrackModel(model.q, width, shares, weight, basis, spread)
-        further, none = theta[SCALE] * around * self.beyond.on_grid, np.empty((0, len(shares)))
-        followed = _native.TrackModel(model.q, width, shares, weight, further, none)
+        native = _native.TrackModel(model.q, width, shares, weight, by_width, by_shares)
+        by_beyond, none = theta[SCALE] * shape * self.beyond.on_grid, np.empty((0, len(shares)))
+        followed = _native.TrackModel(model.q, width, shares, weight, by_beyond, none)
         return Law(model.q, native, followed, width, c_deg, len(shares), float(shares.max()))
 
     def with_frames(

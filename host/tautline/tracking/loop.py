@@ -91,6 +91,7 @@ class Tracker:
 
     @property
     def state(self) -> State:
+        """Whether the law in use is trusted, stale or being adapted, since the last frame."""
         return self._laws.state
 
     @property

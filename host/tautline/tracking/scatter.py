@@ -20,10 +20,11 @@ class Scatter:
     O(_FRAMES) each _ANEW frames."""
 
     def __init__(self) -> None:
-        self._last: deque[float] = deque(maxlen=4)
-        self._squares: deque[float] = deque(maxlen=_FRAMES)  # of third differences
-        self._new = 0
-        self.times = 1.0
+        """No frames yet: the noise is the stated one."""
+        self._last: deque[float] = deque(maxlen=4)  # residuals over sigma, as many as a third difference takes
+        self._squares: deque[float] = deque(maxlen=_FRAMES)  # of third differences, each over its variance
+        self._new = 0  # frames since the last estimate
+        self.times = 1.0  # the noise over the stated one
 
     def add(self, z: float) -> None:
         """Adds a frame's residual over its stated standard deviation."""
@@ -43,7 +44,8 @@ class Lean:
     """What frames are off by alike, deg: the running mean of the residual, and of its squares."""
 
     def __init__(self) -> None:
-        self._mean, self._square = 0.0, 0.0
+        """No frames yet."""
+        self._mean, self._square = 0.0, 0.0  # deg, deg^2
 
     def add(self, off_deg: float) -> None:
         """Adds a frame's residual, deg."""

@@ -14,18 +14,19 @@ class Strokes:
     turned. Entries are numbers of frames in the window."""
 
     def __init__(self, least: float) -> None:
+        """Stroke 0, whose direction is not known yet. least: as above."""
         self._least = least
         self.number = 0  # of the present one
         self.turned_at = np.inf  # motor position at which it began
-        self._way, self._far = 0, np.nan
+        self._way, self._far = 0, np.nan  # 1 rising q, -1 falling, 0 not known; the extreme of the present stroke
         self._begins: deque[tuple[int, int]] = deque(maxlen=_KEPT)  # stroke, its first entry
 
     def begin_recording(self, entry: int) -> None:
-        """The motor may be elsewhere: its way is not known, and a stroke is left out, as nothing joins the motion
-        before. entry: the next one."""
+        """The motor may be elsewhere, and its direction is not known. A stroke without frames comes between, so that
+        no two strokes in a row are of two recordings. entry: the next one."""
         self._way, self._far, self.turned_at = 0, np.nan, np.inf
-        self._next(entry)
-        self._next(entry)
+        self._begin_stroke(entry)
+        self._begin_stroke(entry)
 
     def follow(self, q: float, entry: int) -> bool:
         """Follows the motor to q, unit of q; whether that shows that it has turned. entry: the next one."""
@@ -39,7 +40,7 @@ class Strokes:
         elif self._way * (self._far - q) > self._least:
             self.turned_at = self._far
             self._way, self._far = -self._way, q
-            self._next(entry)
+            self._begin_stroke(entry)
             return True
         return False
 
@@ -47,6 +48,7 @@ class Strokes:
         """The first entry of a stroke, or of the first kept one after it; `otherwise` where there is none."""
         return next((entry for number, entry in self._begins if number >= stroke), otherwise)
 
-    def _next(self, entry: int) -> None:
+    def _begin_stroke(self, entry: int) -> None:
+        """The next stroke begins with this entry."""
         self.number += 1
         self._begins.append((self.number, entry))

@@ -16,9 +16,10 @@ class TakenUp:
     that is less than what the law in use has, or is "". model: as calibrated, on the grid of its family."""
 
     def __init__(self, model: Model) -> None:
+        """All of the calibrated B may be taken up."""
         self._q = model.q
         self._measured = model.is_measured
-        self._allowed = np.ones(len(model.q))
+        self._allowed = np.ones(len(model.q))  # (nodes,) share of B that may be taken up at each
         self.scale, self.dialled = 1.0, ""
 
     def as_law(self, family: LawFamily, law: Law, theta: Array, passed: tuple[float, float]) -> None:

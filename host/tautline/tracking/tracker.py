@@ -281,22 +281,20 @@ class LawTracker:
         law = self._law
         y = float(law.place(seen.c_deg))
         sigma = float(self.nominal.sigma(y, seen.sigma / law.slope(y)))
-        loose = self._play.driven == 0.0
-        if loose:  # nothing has carried the tip yet: it is where it is seen
-            within = self._clipped_to_play(y)
-            strange = abs(y - within) > _ELSEWHERE * self._width + SURE * sigma * self._level
-            if strange and not self._disturbance.there(self._arrival_s):
-                self._strange += 1
-                if self._strange == _STRANGE_FRAMES:
-                    self._begin_with_offset(y - within, within)
-                    return
+        loose = self._play.driven == 0.0  # nothing has carried the tip yet: it is where it is seen
+        within = self._clipped_to_play(y) if loose else y
+        strange = abs(y - within) > _ELSEWHERE * self._width + SURE * sigma * self._level
+        if strange and not self._disturbance.there(self._arrival_s):
+            self._strange += 1
+            if self._strange == _STRANGE_FRAMES:
+                self._begin_with_offset(y - within, within)
+                return
         kept = self._window.frame(scene_s, seen.c_deg, seen.sigma, seen.off, self._strokes.number)
         if not kept:
             return
         off = y - p
-        if loose:  # where it was seen last, too, unless it moves with a motor that does not carry it
-            since = (y - p) / np.sqrt(2.0) if self._placed else 0.0
-            off = max(y - within, since, key=abs)
+        if loose:
+            off = self._off_while_loose(y, p, within)
             if not strange:  # else the motor would carry it from there
                 self._play.restart(y)
                 self._placed = True
@@ -367,6 +365,13 @@ class LawTracker:
         """Whether the recording may turn out to be of another posture, as it has only begun."""
         return self._strokes.number <= self._fresh_until
 
+    def _off_while_loose(self, y: float, p: float, within: float) -> float:
+        """By how much a tip that nothing has carried yet is off at y, the larger of two: beside the play, in which
+        `within` is nearest to y; and since it was seen last, at p, as it has no reason to move: over sqrt(2), as both
+        frames have noise. All unit of q."""
+        since = (y - p) / np.sqrt(2.0) if self._placed else 0.0
+        return max(y - within, since, key=abs)
+
     def _clipped_to_play(self, y: float) -> float:
         """The centre coordinate nearest to y, unit of q, that is within the play of the present motor position."""
         half = 0.5 * float(np.interp(y, self._law.grid, self._law.width))
@@ -375,7 +380,8 @@ class LawTracker:
 
     def _begin_with_offset(self, off: float, within: float) -> None:
         """Takes a rough offset into use where a recording begins so far off (unit of q) that no play can be the cause.
-        within: the centre coordinate that is left of it."""
+        within: the centre coordinate that is left of it. Its sigma is the mean B and a quarter of itself (0.5 over
+        _ELSEWHERE)."""
         theta = self._theta.copy()
         theta[TIP.start] += off * self.nominal.tip_slope
         self._use_law(theta)
@@ -425,15 +431,17 @@ class LawTracker:
             self._act_on(verdict)
 
     def _new_judgement(self) -> Work[Inference] | None:
-        """A judgement of the evidence so far, not begun yet; None of too few frames."""
+        """A judgement of the evidence so far, not begun yet; None of too few frames. Where the law that is being learnt
+        has another offset, by more than _MOVED of B, the posture is another. Where a recording has just begun, one
+        stroke may tell an offset of more than _POSTURE of B."""
         adapting, away = self.state is State.ADAPTING, abs(self._offset - self._offset_before)
         moved = adapting and self._anchor is not None and away > _MOVED * self._width
         evidence = self._stretches(moved)
         if not evidence:
             return None
-        posture = _POSTURE * self._width if self._begun_lately else None
+        least_offset = _POSTURE * self._width if self._begun_lately else None
         proposal = self._judgement.proposal
-        return judge(self._unseen, evidence, self._theta, adapting, posture, moved, self._level, proposal)
+        return judge(self._unseen, evidence, self._theta, adapting, least_offset, moved, self._level, proposal)
 
     def _stretches(self, moved: bool) -> list[tuple[WindowKnots, Array]]:
         """Evidence in the order in which it is judged, each with the law before anything was learnt of it: since the

@@ -34,6 +34,7 @@ class WindowKnots:
 
     @property
     def strokes(self) -> npt.NDArray[np.intp]:
+        """(k,) The numbers of the strokes that its frames are of, rising."""
         return np.unique(self.stroke)
 
     def after(self, first: int) -> WindowKnots:

@@ -22,6 +22,10 @@ SMALLEST_PX, LARGEST_PX = 5.0, 200.0  # diameters that can be tracked
 
 _GLARE = 60.0  # prior: rms of the grey light that may lie on anything, levels
 _NOISE = 5.0  # prior: rms that each channel is trusted to, levels
+_BLUR_PX = 2.5  # tolerance: sigma of the blur in which blobs are looked for
+_BLANKED_PX = 12  # tolerance: radius of what is blanked around a place that was looked at
+_BLANKED, _BLANKED_MORE_PX = 0.7, 3  # tolerance: and around a blob: of its diameter, and px more
+_LARGEST = 0.1  # prior: of the picture: what is larger is no marker
 _DISTINCT = 6.0  # tolerance: squared Mahalanobis distance from its surroundings, of a picked marker at least
 
 
@@ -128,17 +132,18 @@ def candidates(picture: Array, places: int = 12) -> list[MarkerColour]:
     mean, covariance = around
     root = np.linalg.cholesky(np.linalg.inv(covariance)).T
     row = np.column_stack([root, -root @ mean]).astype(np.float32)
-    smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 2.5)
+    smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), _BLUR_PX)
     distance = np.linalg.norm(cv2.transform(smooth, row), axis=2)
     blobs = []
     for _ in range(places):
         _, _, _, place = cv2.minMaxLoc(distance)
         blob = _pick_blob_at(picture, (float(place[0]), float(place[1])), around)
-        cv2.circle(distance, place, 12, 0.0, -1)
+        cv2.circle(distance, place, _BLANKED_PX, 0.0, -1)
         if blob is not None:
             blobs.append(blob)
             u, v = blob[0].at
-            cv2.circle(distance, (round(u), round(v)), round(0.7 * blob[0].diameter_px) + 3, 0.0, -1)
+            radius = round(_BLANKED * blob[0].diameter_px) + _BLANKED_MORE_PX
+            cv2.circle(distance, (round(u), round(v)), radius, 0.0, -1)
     blobs.sort(key=lambda blob: -blob[1])
     return [colour for colour, _ in blobs]
 
@@ -209,7 +214,7 @@ def _blob_in(inside: Array, window: tuple[slice, slice]) -> _Blob | None:
     label = np.bincount(near).argmax()
     area = int(stats[label, cv2.CC_STAT_AREA])
     diameter = float(np.sqrt(4.0 * area / np.pi))
-    if not SMALLEST_PX <= diameter <= LARGEST_PX or area > 0.1 * inside.size:
+    if not SMALLEST_PX <= diameter <= LARGEST_PX or area > _LARGEST * inside.size:
         return None
     box = max(int(stats[label, cv2.CC_STAT_WIDTH]), int(stats[label, cv2.CC_STAT_HEIGHT]))
     compactness = min(1.0, 1.3 * area / (0.785 * box * box))  # 0.785: pi / 4

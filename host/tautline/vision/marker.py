@@ -25,6 +25,7 @@ from tautline.vision.sighting import lost as lost_sighting
 
 Array = np.ndarray
 
+_HALF_WAY = 0.5  # membership, half-way between the marker and what is around it
 _FAINT = 0.3  # of the picked contrast: fainter is no marker
 _LIKE = 0.92  # cosine between its colour and the picked one: 23 deg, which leaves room for glare
 _SHRUNK, _GROWN = 0.5, 1.8  # tolerance: diameter against when it was seen last that is still the same marker
@@ -32,7 +33,9 @@ _FORGOTTEN = 50  # prior: frames after which what is found may be of any size ag
 _SMALLER, _LARGER = 0.3, 4.0  # diameter against the picked one
 _KEPT = 0.3  # limit: share of the outline that must be seen
 _UNSURE = 0.2  # limit: sigma against the radius: a place that is known worse is none
-_RAGGED = 0.15  # scatter of the edges against the radius: more is no marker but a stain
+_RAGGED, _RAGGED_PX = 0.15, 0.5  # scatter of the edges against the radius, and px: more is no marker but a stain
+_REGION = 0.6  # tolerance: of the diameter: half the side of the region around it, without the margin
+_GROWS = 0.8  # tolerance: of the region before, that a larger one has beside that
 _SAME_PLACE = 0.4  # of the diameter, within which two things are at one place
 _NEAR = 4.0  # diameters from where the marker was last, at which another blob is half as likely
 # Of the pictures in which a thing that is not the marker stays, and the marker is not there.
@@ -42,6 +45,7 @@ _WHOLE, _AROUND = 0.04, 12  # of its diameter in so many frames to either side: 
 _PALE = 0.8  # of its usual purity, below which a picked colour is not the marker's own
 _AS_OFTEN = 0.9  # as the colour that was picked first, another one has to find the marker
 _ALIKE_LIT = 1.5  # prior, diameters: over which light changes little
+_LOOKED_AT, _COLOURS = 3, 6  # tolerance: pictures in which colours are looked for, colours in each
 _SAMPLES = 24  # frames of a video that are looked at for its marker's colour
 _MARGIN_PX = 8.0  # of the region around the marker: edges are compared with what lies 5.5 px beyond them
 
@@ -80,7 +84,7 @@ class MarkerTracker:
         self._frames_unseen = 0  # ... and how many frames ago
         self._step_px = (0.0, 0.0)  # px from the frame before
         self._why_none = lost_sighting("no marker of this colour")  # why the last search found none
-        self._cut = 0.5  # membership half-way between the marker and what is around it
+        self._cut = _HALF_WAY  # membership at its outline, by the frame before
         self._expected = MarkerExpected(self.colour.diameter_px)  # by the frames so far
 
     def track(self, picture: Array) -> Sighting:
@@ -127,13 +131,13 @@ class MarkerTracker:
         diameter: where and how large it is expected, px; slack: px of room about that. If the outline goes on beyond
         the region that is looked at, a larger region is tried, twice at most. After a success, colour and outline are
         what the next frame is compared with."""
-        half_px = int(0.6 * diameter + _MARGIN_PX + slack)  # half the side of the region that is looked at
+        half_px = int(_REGION * diameter + _MARGIN_PX + slack)  # half the side of the region that is looked at
         for _ in range(3):
             status, outline = marker_measure(picture, self._weights, self._cut, u, v, diameter, half_px, self._expected)
             if status != MARKER_CLIPPED:
                 break
             u, v, diameter = outline.u, outline.v, max(diameter, outline.diameter)
-            half_px = int(0.8 * half_px + 0.6 * diameter + _MARGIN_PX)
+            half_px = int(_GROWS * half_px + _REGION * diameter + _MARGIN_PX)
         if status == MARKER_CUT_OFF:
             return lost_sighting("cut off by the picture's border")
         if status != MARKER_FOUND or outline.within - outline.around < _FAINT:
@@ -143,7 +147,7 @@ class MarkerTracker:
             return lost_sighting("what is there has another colour")
         radius = 0.5 * outline.diameter
         unsure = outline.sigma > _UNSURE * radius
-        if unsure or outline.kept < _KEPT or outline.scatter > max(_RAGGED * radius, 0.5):
+        if unsure or outline.kept < _KEPT or outline.scatter > max(_RAGGED * radius, _RAGGED_PX):
             return lost_sighting("its outline is broken")
         if not _SMALLER < outline.diameter / self.colour.diameter_px < _LARGER:
             return lost_sighting("nothing of its size")
@@ -158,7 +162,7 @@ class MarkerTracker:
         others = [blob for blob in blobs if not self._is_decoy(blob.seen)]
         alike = [blob for blob in others if self._has_its_size(blob.seen)]
         if not alike:
-            self._cut = 0.5
+            self._cut = _HALF_WAY
             if others:
                 return lost_sighting("its size jumped")
             return lost_sighting("what is there is alike but never moves") if blobs else self._why_none
@@ -183,7 +187,7 @@ class MarkerTracker:
         small = cv2.resize(picture, None, fx=1 / shrink, fy=1 / shrink, interpolation=cv2.INTER_AREA)
         y = self.colour.membership(small)
         # Fainter only when there is none: what is around a marker may come near it where the light is poor.
-        for level in (0.5, _FAINT):
+        for level in (_HALF_WAY, _FAINT):
             if above := self._blobs_above(picture, y, level, shrink):
                 return above
         return []
@@ -191,7 +195,8 @@ class MarkerTracker:
     def _blobs_above(self, picture: Array, y: Array, level: float, shrink: int) -> list[_Blob]:
         """Measures the connected regions in which the membership exceeds `level` and whose area is about the marker's,
         six at most. y (height, width): membership (1 is the marker as picked) in the picture made `shrink` times
-        smaller. Where there is none, the reason is kept in _why_none."""
+        smaller. An outline is cut at half the region's own level, the 90 % quantile of its membership. Where there is
+        none, the reason is kept in _why_none."""
         _, _, stats, centroids = cv2.connectedComponentsWithStats((y > level).astype(np.uint8), connectivity=4)
         expected = 0.25 * np.pi * (self.colour.diameter_px / shrink) ** 2
         blobs, before = list[_Blob](), self._expected
@@ -220,12 +225,13 @@ class MarkerTracker:
 
 def find_colour(pictures: Sequence[Array]) -> MarkerColour | None:
     """The marker's colour from BGR pictures of one scene that were taken some time apart: of the colours that stand
-    out, the one with the best `_moving_score`. None where nothing stands out."""
+    out most, _COLOURS in each of _LOOKED_AT pictures, the one with the best `_moving_score`. None where nothing stands
+    out."""
     colours: list[MarkerColour] = []
-    for picture in pictures[:: max(1, len(pictures) // 3)][:3]:
+    for picture in pictures[:: max(1, len(pictures) // _LOOKED_AT)][:_LOOKED_AT]:
         colours += [
             colour
-            for colour in candidates(picture)[:6]
+            for colour in candidates(picture)[:_COLOURS]
             if not any(_same_colour_and_size(colour, other) for other in colours)
         ]
     scored = [(_moving_score(colour, pictures), -k, colour) for k, colour in enumerate(colours)]

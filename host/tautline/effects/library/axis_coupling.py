@@ -1,3 +1,5 @@
+"""Another degree of freedom, or another joint of the robot, that moves the bending angle through its own backlash."""
+
 from tautline.effects.kind import Kind, Parameter
 
 _ID, _SAYS = "configuration.axis_coupling", "another degree of freedom moves the bending angle"

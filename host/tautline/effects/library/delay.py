@@ -1,3 +1,5 @@
+"""A sensor that is later, or earlier, than the model's delay says."""
+
 from collections.abc import Mapping
 from dataclasses import replace
 

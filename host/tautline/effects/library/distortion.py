@@ -1,3 +1,5 @@
+"""Another lens than the rig's: OpenCV's coefficients of distortion, without unit."""
+
 from collections.abc import Mapping
 from dataclasses import replace
 

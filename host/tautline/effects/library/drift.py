@@ -1,3 +1,5 @@
+"""A width or an offset that changes with the session's time, evenly or ever more slowly."""
+
 import math
 from collections.abc import Mapping
 from dataclasses import replace

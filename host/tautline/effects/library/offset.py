@@ -1,3 +1,5 @@
+"""A transmission whose q counts from elsewhere: another posture, tension or homing."""
+
 from collections.abc import Mapping
 from dataclasses import replace
 

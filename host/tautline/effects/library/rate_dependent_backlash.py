@@ -1,3 +1,5 @@
+"""A width that grows with the speed at which the motor goes."""
+
 from collections.abc import Mapping
 
 import numpy as np
@@ -8,6 +10,12 @@ from tautline.effects.kind import Kind, Parameter
 Array = npt.NDArray[np.float64]
 
 _USUAL = 0.1  # format: of the tables' grid, a second
+_FOLLOWS_S = 0.02  # format: what speed_time is where a model has none, as in the C
+
+
+def follows_s(values: Mapping[str, float]) -> float:
+    """Time, s, in which the width follows the speed. values: the effect's parameters."""
+    return values.get("speed_time", _FOLLOWS_S)
 
 
 def added_width(values: Mapping[str, float], grid: float, speed: Array) -> Array:
@@ -26,7 +34,7 @@ EFFECTS = (
         (Parameter("width_per_speed", "s", 0.02, low=0.0),),
         (
             Parameter("speed_saturation", "", 0.5, (0.0, 2.0), low=0.0, high=3.0),  # beyond: as wide at any speed
-            Parameter("speed_time", "s", 0.02, (0.02, 0.2), low=2e-3, high=1.0),
+            Parameter("speed_time", "s", _FOLLOWS_S, (_FOLLOWS_S, 0.2), low=2e-3, high=1.0),
             Parameter("width_held", "", 1.0, (0.0, 1.0), searched=True),
         ),
         says="the width grows with speed",

@@ -1,3 +1,5 @@
+"""An offset that jumps at moments: a tooth or a winding slipped, or the encoder lost counts."""
+
 from collections.abc import Mapping
 from dataclasses import replace
 

@@ -113,14 +113,18 @@ class Flattener:
         return known.setdefault(name, len(known))
 
 
+_Key = tuple[str, frozenset[str]]  # topic, names of its channels
+_Row = tuple[float, float, dict[str, float]]  # log_s, stamp_s (as in Batch), numbers by channel
+
+
 class Gathered:
     """Collects rows of several topics into batches. Messages of one topic that hold other channels (two publishers of
     joints, optional fields) go into batches of their own, so that no row lacks a channel of its batch."""
 
     def __init__(self) -> None:
         """No rows yet."""
-        self._rows: dict[tuple[str, frozenset[str]], list[tuple[float, float, dict[str, float]]]] = {}
-        self._held = 0
+        self._rows: dict[_Key, list[_Row]] = {}  # those that are in no batch yet
+        self._held = 0  # how many these are in sum
 
     def add(self, group: str, log_s: float, stamp_s: float, values: dict[str, float]) -> Batch | None:
         """Keeps a row: a message's numbers by channel. group: its topic; log_s, stamp_s: as in Batch, NaN without a
@@ -142,8 +146,8 @@ class Gathered:
             if self._rows[key]:
                 yield self._batch(key)
 
-    def _batch(self, key: tuple[str, frozenset[str]]) -> Batch:
-        """Takes the rows under a key (topic, channels) out as a batch."""
+    def _batch(self, key: _Key) -> Batch:
+        """Takes the rows under a key out as a batch."""
         rows = self._rows.pop(key)
         self._held -= len(rows)
         stamps = np.array([row[1] for row in rows])

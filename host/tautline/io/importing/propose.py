@@ -16,6 +16,7 @@ from tautline.rig import UNITS as RIG_UNITS
 _MOST = 96  # tolerance: channels that are compared: the ones that change most often
 _GRID = 4096  # tolerance: times at which they are compared
 _LEAST_CHANGES = 4  # tolerance: at so many of them, at least: a quarter of them is the longest lag
+_LEAST_ROWS = 9  # tolerance: of numbers, that a channel has: fewer tell no motion
 _CHANGE_S = 0.2  # prior: over which a change is taken: a few samples of a slow sensor, less than a reversal
 _LAG_S = 0.5  # prior: that a tip or a servo may be late by
 _MOVES = 0.5  # prior: correlation of changes from which on two channels move together
@@ -24,6 +25,8 @@ _CHAINED = 0.8  # prior: correlation of command, motor and tip with one another
 _SIMULTANEOUS_S = 0.002  # tolerance: lags below it have no sign
 _WHOLE_TURN, _SMALL = 6.3, 0.2  # prior: rad: what stays within a joint's turn and moves by more may be radians
 _PIXELS = 20.0  # prior: that a marker moves by, at least
+_RESTS = 0.1  # prior: of a channel's largest change: a smaller one is no motion
+_FRICTION = 0.7  # prior: correlation with the direction of the motor's motion from which on a channel is its load
 
 # How much a name, what is no place, a lag's sign, a wide motion and a place in a chain count beside a correlation.
 _HINT, _AGAINST, _LATE, _SPAN, _CHAIN = 0.15, 1.0, 0.1, 0.05, 0.15  # prior: they decide between equals
@@ -122,18 +125,19 @@ def _compare(listing: Listing) -> _Compared:
     scale = np.linalg.norm(change, axis=1, keepdims=True)
     change = np.divide(change, scale, out=np.zeros_like(change), where=scale > 0)
     correlation, lags = _strongest_correlations(change, min(max(1, round(_LAG_S / step)), change.shape[1] // 4))
-    # The direction of motion; less than a tenth of the largest change is rest.
-    moving = np.sign(np.where(np.abs(change) > 0.1 * np.abs(change).max(axis=1, keepdims=True), change, 0.0))
+    # The direction of motion, 0 at rest.
+    moving = np.sign(np.where(np.abs(change) > _RESTS * np.abs(change).max(axis=1, keepdims=True), change, 0.0))
     middle = grid[:, over // 2 : over // 2 + change.shape[1]]
-    turning = np.abs(np.corrcoef(np.vstack([middle, moving]))[:n, n:]) if n else np.zeros((0, 0))
+    turning = np.abs(np.corrcoef(np.vstack([middle, moving]))[:n, n:])
     low, high = np.percentile(grid, [5.0, 95.0], axis=1)
     return _Compared([c.name for c in channels], correlation, lags * step, high - low, np.nan_to_num(turning), grid)
 
 
 def _moving_channels(listing: Listing) -> list[Channel]:
-    """The channels that move, in the listing's order; of more than _MOST those whose value changes in most rows."""
+    """The channels that move and have _LEAST_ROWS numbers, in the listing's order; of more than _MOST those whose value
+    changes in most rows."""
     channels = [c for c in listing.channels.values() if c.moves and not _is_part_of_orientation(c.name, listing)]
-    channels = [c for c in channels if np.isfinite(c.values).sum() > 8]
+    channels = [c for c in channels if np.isfinite(c.values).sum() >= _LEAST_ROWS]
     changes = [float(np.mean(np.diff(c.values[np.isfinite(c.values)]) != 0)) for c in channels]
     channels = [channels[k] for k in np.argsort(changes, kind="stable")[::-1][:_MOST]]
     channels.sort(key=lambda c: list(listing.channels).index(c.name))
@@ -261,7 +265,7 @@ def _load(listing: Listing, compared: _Compared, motor: Named, taken: set[str]) 
         follows = compared.turning[k, m]
         if (
             name not in taken
-            and follows > 0.7
+            and follows > _FRICTION
             and follows > compared.correlation[m, k]
             and not _is_no_position(name, listing)
         ):
