@@ -241,7 +241,7 @@ def test_counts_that_were_lost_are_a_slip_and_mended_by_it():
 @pytest.mark.long
 def test_what_sticking_holds_back_is_predicted():
     """Of the second instrument, whose grip scatters: after the calibration the play is wider in the mean."""
-    case = cases.make(20912, "single", ("transmission.stick_slip",))
+    case = cases.make(20915, "single", ("transmission.stick_slip",))
     assert not case.label.throughout
     found = diagnose(calibrate([case.calibration], case.rig).model, case.calibration, case.tests)
     named = found.document["effects"][0]

@@ -69,8 +69,10 @@ def gather(
             below = hypotheses.next_to_extend(size)
             if below is None:
                 break
-            hypotheses.add_further(search.on_top_of(below, _FURTHER_REFITS, 0))
-            if size == 1 and search.allows_later_effects:
+            further = search.on_top_of(below, _FURTHER_REFITS, 0)
+            hypotheses.add_further(further)
+            # A further effect that leaves only noise does so with fewer parameters than another posture.
+            if size == 1 and search.allows_later_effects and all(map(hypotheses.is_open, further)):
                 hypotheses.add_with_posture(below)
     if search.allows_later_effects and not fitter.px:
         # Without an image only the fit tells a delay from a width at one speed.
@@ -152,7 +154,7 @@ class _Hypotheses:
         if not candidates:
             return
         best = candidates[0]
-        best_kind, is_open = best.fit.hypothesis.kinds[0], self._is_open(best)
+        best_kind, is_open = best.fit.hypothesis.kinds[0], self.is_open(best)
         floor2 = self.search.fitter.floor**2
         gap2 = float(np.mean(self.search.base.power)) - floor2
         most = learnt().center.unexplained * gap2  # that a right effect may well leave
@@ -206,7 +208,7 @@ class _Hypotheses:
                 if candidate is not None:
                     self.add(candidate)
                     extended = candidate
-                    if not self._is_open(candidate):
+                    if not self.is_open(candidate):
                         return
 
     def add_further(self, candidates: Sequence[Candidate]) -> None:
@@ -217,14 +219,14 @@ class _Hypotheses:
             else:
                 self.add(candidate, events=i == 0 and len(candidate.ids) < _MOST_EFFECTS)
 
+    def is_open(self, candidate: Candidate) -> bool:
+        """Whether a fit leaves more than noise and what a sound calibration leaves."""
+        return decide.is_open(self.evidence(), candidate.power)
+
     def best_single_is_open(self) -> bool:
         """Whether the single effect with the least power leaves more than noise."""
         singles = [candidate for candidate in self.candidates if len(candidate.ids) == 1]
-        return bool(singles) and self._is_open(min(singles, key=lambda candidate: float(np.mean(candidate.power))))
-
-    def _is_open(self, candidate: Candidate) -> bool:
-        """Whether a fit leaves more than noise and what a sound calibration leaves."""
-        return decide.is_open(self.evidence(), candidate.power)
+        return bool(singles) and self.is_open(min(singles, key=lambda candidate: float(np.mean(candidate.power))))
 
     def next_to_extend(self, size: int) -> Candidate | None:
         """The most probable hypothesis of `size` effects on top of which a further one is to be fitted: one whose path
@@ -242,7 +244,7 @@ class _Hypotheses:
             below = next((one for one in same if one.ids == ids and one.predicts_every_effect), None)
             if below is not None:
                 self._extended.add(ids)
-                return below if self._is_open(below) else None
+                return below if self.is_open(below) else None
         return None
 
     def evidence(self) -> CaseEvidence:

@@ -44,7 +44,7 @@ class Hyperparameters:
     wanders_material: float  # the same of one of friction or material, of a simulator's parameter or a user's effect
     disturbed: float  # share of blocks in which something happens that no model has, such as the moment of a shift
 
-    def mimicked(self, parameters: Array | int) -> Array:
+    def mimicked(self, parameters: Array | float) -> Array:
         """(...,) Probability that wrong effects with so many parameters (...,) leave no more than right ones, 1 - (1 -
         mimics)^parameters: each parameter is a chance to follow the cause."""
         return np.asarray(1.0 - (1.0 - self.mimics) ** np.maximum(parameters, 1))

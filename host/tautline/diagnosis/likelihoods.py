@@ -43,7 +43,7 @@ class Likelihoods:
         self._by_right_share = case.log_likelihood_by_right_share(*known)
         # (hypotheses,) More parameters than blocks count no more: of a block one number is told beyond its noise.
         self._parameters = np.minimum(case.parameters, len(case.before))
-        self._mimics = hyper.mimicked(self._parameters)
+        self._mimics = hyper.mimicked(self._parameters / np.maximum(case.size, 1))  # of a set as of its effects' mean
         # The share that a set of effects may well leave: as the worst of it.
         self._most = np.where(case.law, hyper.unexplained_by_law, hyper.unexplained)
         right = self._as_right_effects
