@@ -19,9 +19,9 @@ using Vector = ArrayInOut<double>;
 void add(Values p, Values tip, Values by_width, Values by_follow, Rows by_c, Columns columns, Rows residual,
          std::optional<Rows> weight, nb::tuple width, nb::tuple follow, Square matrix, Vector gradient, size_t first) {
     const auto basis = [](const nb::tuple &of) {
-        return normal_basis{nb::cast<double>(of[0]), nb::cast<double>(of[1]), nb::cast<size_t>(of[2])};
+        return spline_basis{nb::cast<double>(of[0]), nb::cast<double>(of[1]), nb::cast<size_t>(of[2])};
     };
-    const normal_basis b = basis(width), f = basis(follow);
+    const spline_basis b = basis(width), f = basis(follow);
     const size_t frames = p.shape(0), seen = by_c.shape(1), count = columns.shape(2), m = b.size + f.size + count;
     const auto right = [&](const Rows &rows) { return rows.shape(0) == frames && rows.shape(1) == seen; };
     if (seen > NORMAL_SEEN || tip.shape(0) != frames || by_width.shape(0) != frames || by_follow.shape(0) != frames ||

@@ -1,21 +1,13 @@
 #include "normal.h"
 
-enum { CUBIC = 4, CURVES = 2 * CUBIC };
+enum { CUBIC = SPLINE_CUBIC, CURVES = 2 * CUBIC };
 
 // The four splines that are not zero at x: the first one's index and all values.
-static size_t spline(const struct normal_basis *basis, double x, double *value) {
-    const size_t spans = basis->size - 3;
-    double u = (x - basis->low) / basis->step;
-    u = u > 0.0 ? u : 0.0;
-    u = u < (double)spans ? u : (double)spans;
-    size_t span = (size_t)u;
-    span = span < spans ? span : spans - 1;
-    const double t = u - (double)span, s = 1.0 - t;
-    value[0] = s * s * s / 6.0;
-    value[1] = (3.0 * t * t * t - 6.0 * t * t + 4.0) / 6.0;
-    value[2] = (3.0 * s * s * s - 6.0 * s * s + 4.0) / 6.0;
-    value[3] = t * t * t / 6.0;
-    return span;
+static size_t spline(const struct spline_basis *basis, double x, double *value) {
+    double t;
+    const size_t first = spline_span(basis, x, &t);
+    spline_values(t, value);
+    return first;
 }
 
 // What was written lies below the diagonal of matrix (m, m).
@@ -27,7 +19,7 @@ static void mirror(double *matrix, size_t m) {
     }
 }
 
-void normal_add(const struct normal_rows *rows, const struct normal_basis *width, const struct normal_basis *follow,
+void normal_add(const struct normal_rows *rows, const struct spline_basis *width, const struct spline_basis *follow,
                 size_t first, double *matrix, double *gradient) {
     const size_t curves = width->size + follow->size, m = curves + rows->count, count = rows->count;
     for (size_t n = 0; n < rows->frames; n++) {

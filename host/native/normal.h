@@ -3,17 +3,13 @@
 #ifndef TAUTLINE_NORMAL_H
 #define TAUTLINE_NORMAL_H
 
+#include "spline.h"
+
 #include <stddef.h>
 
 #ifdef __cplusplus
 extern "C" {
 #endif
-
-// `size` uniform cubic B-splines over [low, low + (size - 3) step]; arguments beyond are moved to the nearer end.
-struct normal_basis {
-    double low, step;
-    size_t size; // 4 or more
-};
 
 // A frame has `seen` coordinates (1 or 2), each a row: d prediction = by_c dc + columns dx, where
 // dc = by_width dB(p) + by_follow df(tip).
@@ -31,7 +27,7 @@ enum { NORMAL_SEEN = 2 };
 // Adds J'WJ to matrix (m, m) and J'Wr to gradient (m), m = width.size + follow.size + count, unknowns in that order:
 // all of it with first 0, else only the rows (and their mirrored columns) of columns from `first` on. matrix must be
 // symmetric before. About 0.3 us a frame with 8 columns.
-void normal_add(const struct normal_rows *rows, const struct normal_basis *width, const struct normal_basis *follow,
+void normal_add(const struct normal_rows *rows, const struct spline_basis *width, const struct spline_basis *follow,
                 size_t first, double *matrix, double *gradient);
 
 // Rows by their entries alone (compressed sparse rows): row r has the entries from first[r] up to first[r + 1], its

@@ -10,6 +10,8 @@ import numpy.typing as npt
 from scipy.interpolate import BSpline
 from scipy.sparse import csr_matrix
 
+from tautline import _native
+
 Array = npt.NDArray[np.float64]
 
 
@@ -53,8 +55,8 @@ class Basis:
         return csr_matrix(BSpline.design_matrix(self.clip(x), self.knots, 3))
 
     def value(self, coefficients: Array, x: Array) -> Array:
-        """(n,) The curve with these coefficients (size,) at x (n,)."""
-        return np.asarray(BSpline(self.knots, coefficients, 3)(self.clip(x)))
+        """(n,) The curve with these coefficients (size,) at x (n,); (n, channels) of (size, channels)."""
+        return self._curve(coefficients, x, False)
 
     def table(self, coefficients: Array, x: Array) -> Array:
         """(n,) As `value`, at places that are asked for again and again: what each coefficient does there is kept."""
@@ -71,8 +73,15 @@ class Basis:
         return np.asarray(table[before] * (1.0 - share) + table[before + 1] * share)
 
     def slope(self, coefficients: Array, x: Array) -> Array:
-        """(n,) The curve's derivative at x (n,); beyond the ends that at the nearer one."""
-        return np.asarray(BSpline(self.knots, coefficients, 3).derivative()(self.clip(x)))
+        """As `value`, the curve's derivative; beyond the ends that at the nearer one."""
+        return self._curve(coefficients, x, True)
+
+    def _curve(self, coefficients: Array, x: Array, slope: bool) -> Array:
+        """`value` or, with slope, `slope`."""
+        assert len(coefficients) == self.size
+        columns = coefficients.reshape(self.size, -1)
+        curve = _native.spline_curve(self.low, self.step, columns, x, slope=slope)
+        return np.asarray(curve.reshape(len(x), *coefficients.shape[1:]))
 
     @cached_property
     def roughness(self) -> Array:
