@@ -34,6 +34,7 @@ typedef struct {
     seen_t right;
     double furthest[HINGE_COLUMNS]; // row of the furthest frame
     double all;                     // squares of all that was seen
+    double ahead;                   // of the window, up to the furthest frame
 } knot_t;
 
 // Row of the path's columns at x beyond the knot, the window being 1 long. Returns how many, from the first on, may
@@ -96,9 +97,10 @@ static void add_piece(const hinge_t *hinge, const piece_t *piece, size_t m, squa
 
 // Normal equations of one knot.
 static void gather(const hinge_t *hinge, double knot, double reach, square_t gram, seen_t right) {
-    piece_t piece[HINGE_COLUMNS] = {0};
+    piece_t pieces[HINGE_COLUMNS] = {0};
+    const double count = (double)hinge->pieces, over_reach = 1.0 / reach;
     for (size_t n = 0; n < hinge->frames; n++) {
-        const double beyond = (hinge->x[n] - knot) / reach, *y = hinge->y + n * hinge->seen;
+        const double beyond = (hinge->x[n] - knot) * over_reach, *y = hinge->y + n * hinge->seen;
         if (!(beyond > 0.0)) {
             gram[0][0] += 1.0;
             for (size_t k = 0; k < hinge->seen; k++) {
@@ -106,20 +108,24 @@ static void gather(const hinge_t *hinge, double knot, double reach, square_t gra
             }
             continue;
         }
-        const double pieces = (double)hinge->pieces, at = beyond * pieces;
-        const size_t m = at < pieces ? (size_t)at : hinge->pieces - 1;
-        const double within = beyond - (double)m / pieces;
-        double power = 1.0;
-        for (size_t p = 0; p < 2 * POWERS - 1; p++, power *= within) {
-            piece[m].power[p] += power;
-            for (size_t k = 0; p < POWERS && k < hinge->seen; k++) {
-                piece[m].seen[p][k] += power * y[k];
-            }
+        const double at = beyond * count;
+        const size_t m = at < count ? (size_t)at : hinge->pieces - 1;
+        const double within = beyond - (double)m / count, square = within * within;
+        piece_t *piece = &pieces[m];
+        piece->power[0] += 1.0;
+        piece->power[1] += within;
+        piece->power[2] += square;
+        piece->power[3] += square * within;
+        piece->power[4] += square * square;
+        for (size_t k = 0; k < hinge->seen; k++) {
+            piece->seen[0][k] += y[k];
+            piece->seen[1][k] += within * y[k];
+            piece->seen[2][k] += square * y[k];
         }
     }
     for (size_t m = 0; m < hinge->pieces; m++) {
-        if (piece[m].power[0] > 0.0) {
-            add_piece(hinge, &piece[m], m, gram, right);
+        if (pieces[m].power[0] > 0.0) {
+            add_piece(hinge, &pieces[m], m, gram, right);
         }
     }
 }
@@ -183,27 +189,44 @@ static double trace_of(many_square_t l, size_t size, size_t v, const double *wei
     return trace;
 }
 
+// -2 log density of a path's first slope, for its way to the furthest frame, which is `reach` beyond the knot; both
+// (seen).
+static double of_start(const hinge_t *hinge, const double *slope, const double *way, double reach) {
+    double along = 0.0, square = 0.0;
+    for (size_t k = 0; k < hinge->seen; k++) {
+        const double mean = way[k] / reach;
+        along += slope[k] * mean;
+        square += mean * mean;
+    }
+    const double apart = log(fmax(along / fmax(square, 1e-12), hinge->least)) / hinge->spread;
+    return apart * apart;
+}
+
 // What one of those that were solved together left; at: where it goes.
 static void tell(const hinge_t *hinge, const knot_t *knot, const double *precision, many_square_t system,
                  many_t found[HINGE_SEEN][HINGE_COLUMNS], size_t v, const hinge_fit_t *fit, size_t at) {
     const size_t columns = hinge_columns(hinge), path = 2 + hinge->pieces, seen = hinge->seen;
-    double share = 1.0, explained = 0.0, held = 0.0, *way = fit->way + at * seen;
+    double share = 1.0, explained = 0.0, held = 0.0, way[HINGE_SEEN] = {0.0}, *slope = fit->slope + at * seen;
     for (size_t i = 0; i < path; i++) {
         share *= system[i][i][v] * system[i][i][v] * precision[i];
     }
     for (size_t k = 0; k < seen; k++) {
-        way[k] = 0.0;
         for (size_t i = 0; i < columns; i++) {
             const double each = found[k][i][v];
             explained += each * knot->right[i][k];
             held += precision[i] * each * each;
             way[k] += i > 0 && i < path ? knot->furthest[i] * each : 0.0;
-            fit->coefficients[(at * columns + i) * seen + k] = each;
+        }
+        slope[k] = found[k][1][v];
+        if (hinge->jump) {
+            fit->jump[at * seen + k] = found[k][columns - 1][v];
         }
     }
-    fit->squares[at] = fmax(knot->all - explained, 0.0);
+    const double squares = fmax(knot->all - explained, 0.0), count = ((double)hinge->frames - 2.0) * (double)seen;
+    const double noise = fmax(squares / count, 1.0);
     fit->residual[at] = fmax(knot->all - explained - held, 0.0);
-    fit->volume[at] = -log(share);
+    fit->deviance[at] =
+        count * log(noise) + squares / noise - (double)seen * log(share) + of_start(hinge, slope, way, knot->ahead);
     if (fit->used) {
         fit->used[at] = (double)columns - trace_of(system, columns, v, precision);
     }
@@ -252,7 +275,7 @@ int hinge_fit(const hinge_t *hinge, const hinge_fit_t *fit) {
         return 0;
     }
     for (size_t k = 0; k < hinge->knots; k++) {
-        knot_t knot = {.all = all};
+        knot_t knot = {.all = all, .ahead = fmax(1.0 - hinge->knot[k] / reach, 1e-9)};
         gather(hinge, hinge->knot[k], reach, knot.gram, knot.right);
         if (reach > hinge->knot[k]) {
             path_at(hinge->pieces, (reach - hinge->knot[k]) / reach, knot.furthest);

@@ -20,24 +20,27 @@ typedef struct {
     const double *y;         // (frames, seen) of unit variance
     const double *knot;      // (knots) 0 or more
     const double *precision; // (bends, columns) of the coefficients, above 0
+    double spread, least;    // prior of the first slope over the mean one: of its logarithm; what less counts as
 } hinge_t;
 
 // What is left, for each knot and each bend.
 typedef struct {
-    double *squares;      // (knots, bends) of the residual and of the coefficients under their prior
-    double *residual;     // (knots, bends) squares of the residual alone
-    double *volume;       // (knots, bends) log of the determinant of level and path, posterior over prior precision
-    double *used;         // (knots, bends) effective number of columns; NULL: not asked for
-    double *way;          // (knots, bends, seen) of the path from the knot to the furthest frame
-    double *coefficients; // (knots, bends, columns, seen)
+    double *deviance; // (knots, bends), below
+    double *residual; // (knots, bends) sums of squares
+    double *used;     // (knots, bends) effective number of columns; NULL: not asked for
+    double *slope;    // (knots, bends, seen) at the knot, over the window
+    double *jump;     // (knots, bends, seen); not touched without `jump`
 } hinge_fit_t;
 
 static inline size_t hinge_columns(const hinge_t *hinge) {
     return 2 + hinge->pieces + (hinge->jump ? 1 : 0);
 }
 
-// Returns 0 where a value is not finite or a system not positive definite: then nothing of it is to be used. About 1 us
-// a knot and bend.
+// deviance = N log s^2 + squares / s^2 + seen log det + that of the first slope: squares of the residual and of the
+// coefficients under their prior, N = (frames - 2) seen, s^2 the larger of 1 and squares / N, det that of level and
+// path, posterior over prior precision; the first slope log-normal about the mean one, from the knot to the furthest
+// frame. Returns 0 where a value is not finite or a system not positive definite: then nothing of it is to be used.
+// About 1 us a knot and bend.
 int hinge_fit(const hinge_t *hinge, const hinge_fit_t *fit);
 
 #ifdef __cplusplus

@@ -60,7 +60,9 @@ class _Paths:
 
     deviance: Array  # (K, V) noise as large as the residuals say, but not below the stated one
     chi2: Array  # (K, V) of the residual
-    coefficients: Array  # (K, V, columns, channels) of level, slope over the window, pieces (, jump)
+    used: Array  # (K, V) effective parameters in each channel; (0, V) if not asked for
+    slope: Array  # (K, V, channels) after the knot, over the window
+    jump: Array  # (K, V, channels) at the knot; (0, V, channels) without
 
 
 @dataclass(frozen=True)
@@ -84,36 +86,10 @@ class _Window:
         precision[:, 2 : 2 + _PIECES] = bends[:, None] ** -2
         return cls(x, centred, precision, jump)
 
-    @property
-    def reach(self) -> float:
-        """The longest travel, in the unit of x."""
-        return max(float(self.x.max()), 1e-12)
-
-    def paths(self, knots: Array) -> _Paths:
-        """The best path from each of the knots (K,), in the unit of x, for each bending prior. Deviance: N log s^2 +
-        squares / s^2 + channels log det + that of the first slope, s^2 the larger of 1 and squares / N, N the number of
-        values less those of level and slope."""
-        squares, chi2, volume, _, way, coefficients = _native.hinge(
-            self.x, self.y, knots, self.precision, self.jump, used_too=False
-        )
-        channels = self.y.shape[1]
-        count = (len(self.x) - 2) * channels
-        noise = np.maximum(squares / count, 1.0)
-        start = _start_deviance(coefficients[:, :, 1], way / np.maximum(1.0 - knots / self.reach, 1e-9)[:, None, None])
-        deviance = count * np.log(noise) + squares / noise + channels * volume + start
-        return _Paths(deviance, chi2, coefficients)
-
-    def effective_parameters(self, knot: float, bend: int) -> float:
-        """Effective number of parameters, in each channel, of the path from this knot; bend: the index of its bending
-        prior."""
-        return float(_native.hinge(self.x, self.y, np.array([knot]), self.precision[[bend]], self.jump)[3][0, 0])
-
-
-def _start_deviance(slope: Array, mean: Array) -> Array:
-    """-2 log prior density of the slope at the knot (..., channels), log-normal about the path's mean slope (...,
-    channels)."""
-    share = np.sum(slope * mean, axis=-1) / np.maximum(np.sum(mean**2, axis=-1), 1e-12)
-    return np.asarray((np.log(np.clip(share, _BACKWARDS, None)) / _SPREAD) ** 2)
+    def paths(self, knots: Array, *, used_too: bool = False) -> _Paths:
+        """The best path from each of the knots (K,), in the unit of x, for each bending prior. Deviance: hinge.h."""
+        told = _native.hinge(self.x, self.y, knots, self.precision, self.jump, _SPREAD, _BACKWARDS, used_too=used_too)
+        return _Paths(*told)
 
 
 def _moments(knots: Array, deviance: Array) -> tuple[float, float]:
@@ -140,8 +116,9 @@ def fit_hinge(x: Array, y: Array, high: float) -> Hinge:
         knots, paths = closer, window.paths(closer)
         mean, spread = _moments(knots, paths.deviance)
     k, v = (int(i) for i in np.unravel_index(np.argmin(paths.deviance), paths.deviance.shape))
-    slope = paths.coefficients[k, v, 1] / window.reach
-    freedom = max(1.0, (len(x) - window.effective_parameters(float(knots[k]), v)) * y.shape[1] - 1.0)
+    used = float(window.paths(knots[k : k + 1], used_too=True).used[0, v])
+    freedom = max(1.0, (len(x) - used) * y.shape[1] - 1.0)
+    slope = paths.slope[k, v] / max(float(x.max()), 1e-12)
     return Hinge(mean, spread, float(paths.deviance[k, v]), float(paths.chi2[k, v]), freedom, slope)
 
 
@@ -165,7 +142,7 @@ def fit_jump(x: Array, y: Array, high: float, knot: float = 0.0) -> Jump:
         paths = window.paths(middles[anew])
         best = np.argmin(paths.deviance, axis=1)
         each[anew] = paths.deviance[np.arange(len(anew)), best]
-        sizes[anew] = np.linalg.norm(paths.coefficients[np.arange(len(anew)), best, -1], axis=1)
+        sizes[anew] = np.linalg.norm(paths.jump[np.arange(len(anew)), best], axis=1)
         near = np.flatnonzero(each < each.min() + _CREDIBLE)
         for k in near:
             wanted[max(k - stride, 0) : k + stride] = True
