@@ -8,8 +8,10 @@ import sys
 
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline
 
 from tautline import _native
+from tautline.splines import Basis
 
 Array = np.ndarray
 
@@ -25,7 +27,10 @@ def run_apart(program: str) -> str:
 GUARDED = """
 import ctypes, mmap
 import numpy as np
+from scipy.interpolate import BSpline
+
 from tautline import _native
+from tautline.splines import Basis
 
 def before_end(*values, dtype=float):
     page = mmap.PAGESIZE
@@ -116,7 +121,7 @@ def test_a_hinge_through_no_number_is_refused(where: str, value: float) -> None:
     x, y = np.linspace(0.0, 1.0, 20), np.random.default_rng(0).normal(size=(20, 1))
     (x if where == "x" else y)[3] = value
     with pytest.raises(ValueError, match="finite"):
-        _native.hinge(x, y, np.array([0.3]), np.ones((1, 5)), False)
+        _native.hinge(x, y, np.array([0.3]), np.ones((1, 5)), False, 0.5, 1e-3)
 
 
 def test_a_stop_with_a_place_that_is_none_is_not_a_perfect_one() -> None:
@@ -135,7 +140,10 @@ def test_a_sweep_without_readings_keeps_its_noise() -> None:
 
 SIMULATES = """
 import numpy as np
+from scipy.interpolate import BSpline
+
 from tautline import _native
+from tautline.splines import Basis
 plays, c_deg, t = _native.Plays(np.array([0.0, 10.0]), np.ones(2)), np.array([0.0, 10.0]), np.linspace(0.0, 1.0, 11)
 """
 
@@ -219,3 +227,24 @@ def test_a_picture_of_shares_is_not_taken_for_levels() -> None:
     lit, expected = np.full((40, 40, 3), 0.9), _native.MarkerExpected(10.0)
     with pytest.raises(TypeError, match="incompatible function arguments"):
         _native.marker_measure(lit, np.ones(4, np.float32), 0.5, 20.0, 20.0, 10.0, 15, expected)
+
+
+def test_lines_are_looked_up_among_uneven_knots_in_any_order() -> None:
+    rng = np.random.default_rng(0)
+    knots = np.cumsum(10.0 ** rng.uniform(-4.0, 0.0, 300))
+    values, x = rng.normal(size=300), rng.uniform(-1.0, knots[-1] + 1.0, 2000)
+    for at in (x, np.sort(x), np.concatenate([knots, [-np.inf, np.inf]])):
+        np.testing.assert_array_equal(_native.lines_at(at, knots, values), np.interp(at, knots, values))
+    assert np.isnan(_native.lines_at(np.array([np.nan]), knots, values)).all()
+    np.testing.assert_array_equal(_native.lines_at(np.array([-1.0, 2.0]), np.zeros(1), np.ones(1)), [1.0, 1.0])
+
+
+@pytest.mark.parametrize("channels", [(), (1,), (2,)])
+def test_a_spline_and_its_slope_are_scipys(channels: tuple[int, ...]) -> None:
+    basis, rng = Basis(-3.0, 7.0, 20), np.random.default_rng(1)
+    coefficients = rng.normal(size=(basis.size, *channels))
+    spline = BSpline(basis.knots, coefficients, 3)
+    x = np.append(rng.uniform(-4.0, 8.0, 1000), [-3.0, 6.5, 7.0])
+    for ours, theirs in ((basis.value, spline), (basis.slope, spline.derivative())):
+        np.testing.assert_allclose(ours(coefficients, x), theirs(basis.clip(x)), rtol=1e-6, atol=1e-6)
+    assert np.isnan(basis.value(coefficients, np.array([np.nan]))).all()

@@ -101,6 +101,8 @@ class Track:
 
     def others_still(self, from_s: float, to_s: float) -> bool:
         """Whether translation and rotation rest between two times."""
+        if self.motor.translation_mm is None and self.motor.rotation_deg is None:
+            return True
         translation, rotation = self.others_at(self.path.course(from_s, to_s)[0])
         return bool(np.ptp(translation) <= _STILL_MM and np.ptp(rotation) <= _STILL_DEG)
 

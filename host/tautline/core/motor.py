@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from tautline import _native
 from tautline.driven import Driven
 from tautline.encoder import between_counts, cut, posterior_of, straight_lines
 from tautline.recording import Motor
@@ -38,8 +39,8 @@ class MotorPath:
         return cls(readings, between_counts(readings, resolution), posterior_of(readings, resolution))
 
     def at(self, t_s: Array) -> Array:
-        """q at times (n,), its unit."""
-        return np.asarray(np.interp(t_s, self.lines.t_s, self.lines.q))
+        """q at times (n,) or of any shape, its unit."""
+        return np.asarray(_native.lines_at(t_s.ravel(), self.lines.t_s, self.lines.q).reshape(t_s.shape))
 
     @cached_property
     def sampled(self) -> Motor:
