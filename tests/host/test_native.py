@@ -121,7 +121,7 @@ def test_a_hinge_through_no_number_is_refused(where: str, value: float) -> None:
     x, y = np.linspace(0.0, 1.0, 20), np.random.default_rng(0).normal(size=(20, 1))
     (x if where == "x" else y)[3] = value
     with pytest.raises(ValueError, match="finite"):
-        _native.hinge(x, y, np.array([0.3]), np.ones((1, 5)), False, 0.5, 1e-3)
+        _native.Hinge(x, y, 3, False, 1.0, 1.0, np.ones(1), 0.5, 1e-3).knot(0.5)
 
 
 def test_a_stop_with_a_place_that_is_none_is_not_a_perfect_one() -> None:

@@ -70,9 +70,10 @@ def test_a_hinges_fits_are_those_of_its_equations(seed, frames, pieces, channels
     """Against dense solutions, the path as the second integral of what is constant in each piece."""
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(0.0, 3.0, frames), rng.normal(0.0, 20.0, (frames, channels))
-    knots, columns = rng.uniform(0.0, 0.8 * x.max(), 3), 2 + pieces + jump
-    precision = 10.0 ** rng.uniform(-3.0, 1.0, (2, columns))
-    deviance, residual, used, slope, jumped = _native.hinge(x, y, knots, precision, jump, 0.5, 1e-3, used_too=True)
+    knots = rng.uniform(0.0, 0.8 * x.max(), 3)
+    flat, steep, *bends = 10.0 ** rng.uniform(-3.0, 1.0, 4)
+    hinge = _native.Hinge(x, y, pieces, jump, flat, steep, np.array(bends), 0.5, 1e-3)
+    deviance, residual, used, slope, jumped = hinge.fit(knots)
     assert deviance.shape == (3, 2) and slope.shape == (3, 2, channels) and len(jumped) == 3 * jump
     fine = (np.arange(20000) + 0.5) / 20000
     bend = np.sqrt(pieces) * (np.arange(pieces) == (pieces * fine[:, None]).astype(int))
@@ -81,7 +82,8 @@ def test_a_hinges_fits_are_those_of_its_equations(seed, frames, pieces, channels
         unit = np.maximum(x - knot, 0.0) / x.max()
         basis = [np.ones(frames), unit, *(np.interp(unit, fine, piece) for piece in shape.T)]
         basis = np.column_stack(basis + [(x > knot).astype(float)] * jump)
-        for v, each in enumerate(precision):
+        for v, bend in enumerate(bends):
+            each = np.array([flat, steep, *[bend] * pieces, *[flat] * jump])
             system = basis.T @ basis + np.diag(each)
             best = np.linalg.solve(system, basis.T @ y)
             left = y - basis @ best
