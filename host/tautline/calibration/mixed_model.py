@@ -198,9 +198,11 @@ class MixedModel:
         if not roots.max() > 0:
             return 0.0, 1.0
         penalties = _PENALTIES * float(roots.max())
-        gains = [float(np.sum(squares / (roots + each) - np.log1p(roots / each))) for each in penalties]
+        gains = (1.0 / np.add.outer(penalties, roots)) @ squares - np.log1p(np.outer(1.0 / penalties, roots)).sum(
+            axis=1
+        )
         best = int(np.argmax(gains))
-        return gains[best], float(penalties[best])
+        return float(gains[best]), float(penalties[best])
 
     def searched_again(self) -> SearchedParameters:
         """The moments of a shift and a slip and the frequency of a breath that fit the residuals that are left; those
@@ -211,7 +213,9 @@ class MixedModel:
 
     def left(self) -> Array:
         """(n, channels) whitened residuals that the solution leaves."""
-        left = self.target - self.design[:, self.solved] @ self.values
+        values = np.zeros(len(self.right))
+        values[self.solved] = self.values
+        left = self.target - self.design @ values
         return np.asarray(left.reshape(self.counted.residuals.shape[1], -1).T)
 
     def moving_noise(self) -> float:
