@@ -13,7 +13,7 @@ nb::object at(ArrayIn<double> x, ArrayIn<double> knots, ArrayIn<double> values) 
     if (knots.shape(0) == 0 || values.shape(0) != knots.shape(0)) {
         throw std::invalid_argument("lines have a value at each of their knots, and one of these at least");
     }
-    const lines all = {knots.data(), values.data(), knots.shape(0)};
+    const lines all = lines_of(knots.data(), values.data(), knots.shape(0));
     auto found = new_array<double>(n);
     {
         nb::gil_scoped_release unlocked;

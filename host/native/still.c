@@ -130,7 +130,7 @@ static double squares_of(const struct still_stop *stop, const fixed_t *fixed, co
 
 void still_squares(const struct still_stop *stop, const double *delays, size_t count, double *ramp, double *squares) {
     const fixed_t fixed = fixed_of(stop);
-    const struct lines motor = {stop->motor_s, stop->motor_q, stop->readings};
+    const struct lines motor = lines_of(stop->motor_s, stop->motor_q, stop->readings);
     size_t from = 0;
     for (size_t d = 0; d < count; d++) {
         double most = NO_WAY;
