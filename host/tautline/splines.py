@@ -83,6 +83,12 @@ class Basis:
         curve = _native.spline_curve(self.low, self.step, columns, x, slope=slope)
         return np.asarray(curve.reshape(len(x), *coefficients.shape[1:]))
 
+    def nearest(self, x: Array, values: Array) -> Array:
+        """(size,) or (size, channels) The coefficients nearest in least squares to values (n,) or (n, channels) at
+        places x (n,), which are in every span."""
+        design = self.design(x)
+        return np.asarray(np.linalg.solve((design.T @ design).toarray(), design.T @ values))
+
     @cached_property
     def roughness(self) -> Array:
         """(size, size) Penalty on squared second differences of the coefficients and a thousandth of the first ones:
