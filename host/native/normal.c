@@ -96,18 +96,29 @@ void normal_add(const struct normal_rows *rows, const struct spline_basis *width
     mirror(matrix, m);
 }
 
-void normal_add_sparse(const struct normal_sparse *rows, double *matrix, double *gradient) {
-    for (size_t r = 0; r < rows->rows; r++) {
-        const size_t end = (size_t)rows->first[r + 1];
-        for (size_t j = (size_t)rows->first[r], begin = j; j < end; j++) {
-            const size_t at = (size_t)rows->column[j];
-            const double part = rows->weight[r] * rows->value[j];
-            double *into = matrix + at * rows->size;
-            gradient[at] += part * rows->residual[r];
-            for (size_t i = begin; i <= j; i++) {
-                into[rows->column[i]] += part * rows->value[i];
+void normal_add_sparse(const struct normal_sparse *blocks, size_t count, const double *weight, const double *residual,
+                       size_t rows, size_t *at, double *entry, double *matrix, double *gradient) {
+    size_t m = 0;
+    for (size_t b = 0; b < count; b++) {
+        m += blocks[b].size;
+    }
+    for (size_t r = 0; r < rows; r++) {
+        size_t entries = 0, before = 0;
+        for (size_t b = 0; b < count; b++) {
+            for (int k = blocks[b].first[r]; k < blocks[b].first[r + 1]; k++, entries++) {
+                at[entries] = before + (size_t)blocks[b].column[k];
+                entry[entries] = blocks[b].value[k];
+            }
+            before += blocks[b].size;
+        }
+        for (size_t j = 0; j < entries; j++) {
+            const double part = weight[r] * entry[j];
+            double *into = matrix + at[j] * m;
+            gradient[at[j]] += part * residual[r];
+            for (size_t i = 0; i <= j; i++) {
+                into[at[i]] += part * entry[i];
             }
         }
     }
-    mirror(matrix, rows->size);
+    mirror(matrix, m);
 }

@@ -30,19 +30,20 @@ enum { NORMAL_SEEN = 2 };
 void normal_add(const struct normal_rows *rows, const struct spline_basis *width, const struct spline_basis *follow,
                 size_t first, double *matrix, double *gradient);
 
-// Rows by their entries alone (compressed sparse rows): row r has the entries from first[r] up to first[r + 1], its
-// columns rising.
+// Some columns of all rows, by their entries alone (compressed sparse rows): row r has the entries from first[r] up to
+// first[r + 1], their columns rising.
 struct normal_sparse {
-    const int *first;                // (rows + 1)
-    const int *column;               // (entries) 0 to size - 1
-    const double *value;             // (entries)
-    const double *weight, *residual; // (rows)
-    size_t rows, size;
+    const int *first;    // (rows + 1)
+    const int *column;   // (entries) 0 to size - 1
+    const double *value; // (entries)
+    size_t size;
 };
 
-// Adds J'WJ to matrix (size, size), symmetric before, and J'Wr to gradient (size). About 2 ns for each pair of
+// Adds J'WJ to matrix (m, m), symmetric before, and J'Wr to gradient (m), J being the blocks side by side and m the sum
+// of their sizes; weight, residual: (rows). at, entry: room for the longest row of J. About 2 ns for each pair of
 // entries of a row, a fifth of what scipy's product takes.
-void normal_add_sparse(const struct normal_sparse *rows, double *matrix, double *gradient);
+void normal_add_sparse(const struct normal_sparse *blocks, size_t count, const double *weight, const double *residual,
+                       size_t rows, size_t *at, double *entry, double *matrix, double *gradient);
 
 #ifdef __cplusplus
 }

@@ -50,8 +50,8 @@ def before_end(*values, dtype=float):
         # rows that begin beyond the entries, though the last one ends with them
         """
 try:
-    _native.normal_add_sparse(np.array([0, 100, 2], np.int32), before_end(0, 1, dtype=np.int32), np.ones(2), np.ones(2),
-                              np.ones(2), np.zeros((3, 3)), np.zeros(3))
+    block = np.array([0, 100, 2], np.int32), before_end(0, 1, dtype=np.int32), np.ones(2), 3
+    _native.normal_add_sparse([block], np.ones(2), np.ones(2), np.zeros((3, 3)), np.zeros(3))
 except ValueError:
     pass""",
         # a motor of one reading at no time
@@ -74,7 +74,7 @@ def test_what_would_be_written_to_a_copy_is_refused(other) -> None:
     refused = pytest.raises(TypeError, match="incompatible function arguments")
     with refused:
         _native.first_order_sums(other(np.ones((4, 2))), 0.5)
-    rows = np.array([0, 1], np.int32), np.zeros(1, np.int32), np.ones(1), np.ones(1), np.ones(1)
+    rows = [(np.array([0, 1], np.int32), np.zeros(1, np.int32), np.ones(1), 2)], np.ones(1), np.ones(1)
     with refused:
         _native.normal_add_sparse(*rows, other(np.zeros((2, 2))), np.zeros(2))
     with refused:
