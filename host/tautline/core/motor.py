@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from tautline import _native
 from tautline.driven import Driven
-from tautline.encoder import between_counts, cut, posterior_of, straight_lines
+from tautline.encoder import between_counts, cut, posterior_of, reading_noise, straight_lines
 from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
@@ -46,6 +46,11 @@ class MotorPath:
     def sampled(self) -> Motor:
         """The readings, each where the path says that the motor was."""
         return replace(self.readings, q=self.at(self.readings.t_s))
+
+    @cached_property
+    def noise(self) -> float:
+        """`white_noise` of `sampled`."""
+        return reading_noise(self.sampled)
 
     def course(self, from_s: float, to_s: float) -> tuple[Array, Array]:
         """Knots of the path from one time to another, both included: times and q (n,), straight lines between them."""
