@@ -1,7 +1,11 @@
 #include "arrays.h"
 #include "hinge.h"
 
+#include <algorithm>
+#include <cmath>
+#include <numeric>
 #include <stdexcept>
+#include <vector>
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -13,24 +17,47 @@ using Rows = ArrayIn<double, 2>;
 
 /// The frames of one stroke, and the priors of a path through them.
 struct Hinge {
-    Values x, bend;
-    Rows y;
+    Values bend;
+    std::vector<double> x;
+    std::vector<hinge_sums_t> upto;
     hinge_t hinge;
 
-    Hinge(const Values &travel, const Rows &seen, size_t pieces, bool jump, double flat, double steep,
-          const Values &bends, double spread, double least_rise)
-        : x(travel), bend(bends), y(seen),
-          hinge{x.shape(0), y.shape(1), pieces, bend.shape(0), jump ? 1 : 0, x.data(),
-                y.data(),   flat,       steep,  bend.data(),   spread,       least_rise} {
-        if (pieces < 1 || pieces > HINGE_PIECES || hinge.bends < 1 || hinge.bends > HINGE_BENDS || hinge.seen < 1 ||
-            hinge.seen > HINGE_SEEN || y.shape(0) != x.shape(0)) {
+    Hinge(const Values &travel, const Rows &y, size_t pieces, bool jump, double flat, double steep, const Values &bends,
+          double spread, double least_rise)
+        : bend(bends), x(travel.shape(0)), upto(x.size() + 1),
+          hinge{x.size(), y.shape(1), pieces, bend.shape(0), jump ? 1 : 0, x.data(), upto.data(),
+                1e-12,    0.0,        flat,   steep,         bend.data(),  spread,   least_rise} {
+        const size_t frames = x.size(), seen = hinge.seen;
+        if (pieces < 1 || pieces > HINGE_PIECES || hinge.bends < 1 || hinge.bends > HINGE_BENDS || seen < 1 ||
+            seen > HINGE_SEEN || y.shape(0) != frames) {
             throw std::invalid_argument("a hinge has pieces and bends, one or two channels, an x of each y");
         }
+        const auto finite = [](double value) { return std::isfinite(value); };
+        if (!std::all_of(travel.data(), travel.data() + frames, finite) ||
+            !std::all_of(y.data(), y.data() + frames * seen,
+                         finite)) { // else nothing would be left of it: a perfect fit
+            throw std::invalid_argument("a hinge's values are finite");
+        }
+        std::vector<size_t> order(frames);
+        std::iota(order.begin(), order.end(), size_t{0});
+        std::stable_sort(order.begin(), order.end(),
+                         [&](size_t a, size_t b) { return travel.data()[a] < travel.data()[b]; });
+        std::vector<double> rising(frames * seen);
+        if (frames) {
+            hinge.reach = std::max(hinge.reach, travel.data()[order.back()]);
+        }
+        for (size_t n = 0; n < frames; n++) {
+            x[n] = travel.data()[order[n]] / hinge.reach - 0.5;
+            std::copy_n(y.data() + order[n] * seen, seen, rising.begin() + static_cast<std::ptrdiff_t>(n * seen));
+        }
+        hinge.all = hinge_sum(x.data(), rising.data(), frames, seen, upto.data());
     }
+    Hinge(const Hinge &) = delete; // its pointers are into itself
+    Hinge &operator=(const Hinge &) = delete;
 
     static void expect(int holds) {
         if (!holds) {
-            throw std::invalid_argument("a hinge's values are finite and its precisions above 0");
+            throw std::invalid_argument("a hinge's precisions are above 0");
         }
     }
 

@@ -44,7 +44,6 @@ typedef struct {
     square_t gram; // its first PATH columns factorised, with 1 / L[i][i] on the diagonal, the others less their part
     seen_t right;  // likewise
     double furthest[COLUMNS]; // row of the furthest frame
-    double all;               // squares of all that was seen
     double ahead;             // of the window, up to the furthest frame
 } knot_t;
 
@@ -61,45 +60,74 @@ static void path_at(size_t pieces, double x, double *row) {
     }
 }
 
-enum { POWERS = 3 }; // of the travel within a piece, in which every column is a parabola
-
-// Frames: sums of the powers of their travel, and of those times what was seen.
-typedef struct {
-    double power[2 * POWERS - 1], seen[POWERS][HINGE_SEEN];
-} sums_t;
-
-// The frames of each piece, by their travel in it; those up to the knot, by none, are in the last.
-static void sort(const hinge_t *hinge, double knot, double reach, sums_t sums[HINGE_PIECES + 1]) {
-    const double count = (double)hinge->pieces, length = 1.0 / count, over_reach = 1.0 / reach;
-    memset(sums, 0, (HINGE_PIECES + 1) * sizeof *sums);
-    for (size_t n = 0; n < hinge->frames; n++) {
-        const double beyond = (hinge->x[n] - knot) * over_reach, *y = hinge->y + n * hinge->seen;
-        const double at = beyond * count;
-        const size_t piece = at < count ? (at > 0.0 ? (size_t)at : hinge->pieces) : hinge->pieces - 1;
-        const double within = piece < hinge->pieces ? beyond - (double)piece * length : 0.0, square = within * within;
-        sums_t *into = &sums[piece];
-        into->power[0] += 1.0;
-        into->power[1] += within;
-        into->power[2] += square;
-        into->power[3] += square * within;
-        into->power[4] += square * square;
-        for (size_t k = 0; k < hinge->seen; k++) {
-            into->seen[0][k] += y[k];
-            into->seen[1][k] += within * y[k];
-            into->seen[2][k] += square * y[k];
+double hinge_sum(const double *x, const double *y, size_t frames, size_t seen, hinge_sums_t *upto) {
+    double all = 0.0;
+    memset(upto, 0, sizeof *upto);
+    for (size_t n = 0; n < frames; n++) {
+        upto[n + 1] = upto[n];
+        double power = 1.0;
+        for (size_t p = 0; p < 2 * HINGE_POWERS - 1; p++, power *= x[n]) {
+            upto[n + 1].power[p] += power;
+            for (size_t k = 0; k < seen && p < HINGE_POWERS; k++) {
+                upto[n + 1].seen[p][k] += power * y[n * seen + k];
+            }
+        }
+        for (size_t k = 0; k < seen; k++) {
+            all += y[n * seen + k] * y[n * seen + k];
         }
     }
+    return all;
 }
 
-// Normal equations of one knot. What a piece does is a parabola in it, and beyond it a line through its middle.
-static void gather(const hinge_t *hinge, double knot, double reach, knot_t *of) {
-    sums_t sums[HINGE_PIECES + 1], after = {{0.0}, {{0.0}}}; // after: by the travel beyond the knot
-    sort(hinge, knot, reach, sums);
+// How many frames are before x, at least `from`.
+static size_t before(const hinge_t *hinge, double x, size_t from) {
+    size_t to = hinge->frames;
+    while (from < to) {
+        const size_t middle = from + (to - from) / 2;
+        if (hinge->x[middle] <= x) {
+            from = middle + 1;
+        } else {
+            to = middle;
+        }
+    }
+    return from;
+}
+
+// The frames from one on to before another, by their travel from x on.
+static hinge_sums_t between(const hinge_t *hinge, size_t from, size_t to, double x) {
+    const hinge_sums_t *a = &hinge->upto[from], *b = &hinge->upto[to];
+    double p[2 * HINGE_POWERS - 1];
+    hinge_sums_t sums;
+    for (size_t k = 0; k < 2 * HINGE_POWERS - 1; k++) {
+        p[k] = b->power[k] - a->power[k];
+    }
+    sums.power[0] = p[0];
+    sums.power[1] = p[1] - x * p[0];
+    sums.power[2] = p[2] - x * (2.0 * p[1] - x * p[0]);
+    sums.power[3] = p[3] - x * (3.0 * p[2] - x * (3.0 * p[1] - x * p[0]));
+    sums.power[4] = p[4] - x * (4.0 * p[3] - x * (6.0 * p[2] - x * (4.0 * p[1] - x * p[0])));
+    for (size_t c = 0; c < HINGE_SEEN; c++) {
+        const double s0 = b->seen[0][c] - a->seen[0][c], s1 = b->seen[1][c] - a->seen[1][c];
+        sums.seen[0][c] = s0;
+        sums.seen[1][c] = s1 - x * s0;
+        sums.seen[2][c] = b->seen[2][c] - a->seen[2][c] - x * (2.0 * s1 - x * s0);
+    }
+    return sums;
+}
+
+// Normal equations of a knot at x. What a piece does is a parabola in it, and beyond it a line through its middle.
+static void gather(const hinge_t *hinge, double knot, knot_t *of) {
+    hinge_sums_t after = {{0.0}, {{0.0}}}; // by the travel beyond the knot
+    size_t end[HINGE_PIECES + 1];
     const double length = 1.0 / (double)hinge->pieces, half = 0.5 * sqrt((double)hinge->pieces);
     const double line = 2.0 * half * length;
     const size_t last = of->columns - 1;
+    end[0] = before(hinge, knot, 0);
+    for (size_t k = 1; k <= hinge->pieces; k++) {
+        end[k] = k < hinge->pieces ? before(hinge, knot + (double)k * length, end[k - 1]) : hinge->frames;
+    }
     for (size_t k = hinge->pieces; k-- > 0;) {
-        const sums_t *own = &sums[k];
+        const hinge_sums_t sums = between(hinge, end[k], end[k + 1], knot + (double)k * length), *own = &sums;
         const double from = (double)k * length, middle = from + 0.5 * length, *power = after.power;
         double *row = of->gram[PATH + k];
         row[0] = line * (power[1] - middle * power[0]) + half * own->power[2];
@@ -123,12 +151,11 @@ static void gather(const hinge_t *hinge, double knot, double reach, knot_t *of) 
             of->gram[last][PATH + k] = row[0];
         }
     }
-    const sums_t *before = &sums[hinge->pieces];
-    of->gram[0][0] = after.power[0] + before->power[0];
+    of->gram[0][0] = (double)hinge->frames;
     of->gram[1][0] = after.power[1];
     of->gram[1][1] = after.power[2];
     for (size_t c = 0; c < hinge->seen; c++) {
-        of->right[0][c] = after.seen[0][c] + before->seen[0][c];
+        of->right[0][c] = hinge->upto[hinge->frames].seen[0][c];
         of->right[1][c] = after.seen[1][c];
     }
     if (hinge->jump) {
@@ -310,8 +337,8 @@ static int fit_knot(const hinge_t *hinge, knot_t *knot, const hinge_fit_t *fit, 
                 fit->jump[here * seen + k] = found[k][columns - 1][v];
             }
         }
-        const double squares = fmax(knot->all - explained[v], 0.0), noise = fmax(squares / count, 1.0);
-        fit->residual[here] = fmax(knot->all - explained[v] - held[v], 0.0);
+        const double squares = fmax(hinge->all - explained[v], 0.0), noise = fmax(squares / count, 1.0);
+        fit->residual[here] = fmax(hinge->all - explained[v] - held[v], 0.0);
         fit->deviance[here] = count * log(noise) + squares / noise - (double)seen * log(share[v]) +
                               of_start(hinge, slopes, ways, knot->ahead);
         if (fit->used) {
@@ -322,27 +349,14 @@ static int fit_knot(const hinge_t *hinge, knot_t *knot, const hinge_fit_t *fit, 
 }
 
 int hinge_fit(const hinge_t *hinge, const double *knot, size_t knots, const hinge_fit_t *fit) {
-    double reach = 1e-12, all = 0.0;
-    for (size_t n = 0; n < hinge->frames; n++) {
-        if (!isfinite(hinge->x[n])) {
-            return 0;
-        }
-        reach = fmax(reach, hinge->x[n]);
-    }
-    for (size_t n = 0; n < hinge->frames * hinge->seen; n++) {
-        all += hinge->y[n] * hinge->y[n];
-    }
-    if (!isfinite(all)) { // else what is left of it would be 0, a perfect fit
-        return 0;
-    }
     for (size_t k = 0; k < knots; k++) {
-        knot_t at = {.columns = PATH + hinge->pieces + (hinge->jump ? 1 : 0), .all = all};
-        at.ahead = fmax(1.0 - knot[k] / reach, 1e-9);
-        gather(hinge, knot[k], reach, &at);
-        if (reach > knot[k]) {
-            path_at(hinge->pieces, (reach - knot[k]) / reach, at.furthest);
+        const double at = knot[k] / hinge->reach;
+        knot_t knot_at = {.columns = PATH + hinge->pieces + (hinge->jump ? 1 : 0), .ahead = fmax(1.0 - at, 1e-9)};
+        gather(hinge, at - 0.5, &knot_at);
+        if (at < 1.0) {
+            path_at(hinge->pieces, 1.0 - at, knot_at.furthest);
         }
-        if (!fit_knot(hinge, &at, fit, k * hinge->bends)) {
+        if (!fit_knot(hinge, &knot_at, fit, k * hinge->bends)) {
             return 0;
         }
     }

@@ -12,17 +12,28 @@ extern "C" {
 enum { HINGE_PIECES = 12, HINGE_BENDS = 8, HINGE_SEEN = 2 }; // at most
 enum { HINGE_KNOTS = 33 };                                   // tolerance: candidates at once
 
+enum { HINGE_POWERS = 3 }; // of the travel, in which every column is a parabola
+
+// Frames: sums of the powers of their travel, and of those times what was seen.
+typedef struct {
+    double power[2 * HINGE_POWERS - 1], seen[HINGE_POWERS][HINGE_SEEN];
+} hinge_sums_t;
+
 // Unknowns: a level, the slope at the knot over the whole window, second derivatives in `pieces` equal parts of the
 // window, each over the root of its length; with `jump` one that is 1 beyond the knot.
 typedef struct {
     size_t frames, seen, pieces, bends;
     int jump;
-    const double *x;           // (frames) 0 or more
-    const double *y;           // (frames, seen) of unit variance
+    const double *x;           // (frames) rising, from -1/2 to 1/2 the window, which is `reach` long and begins at 0
+    const hinge_sums_t *upto;  // (frames + 1) of all frames before: hinge_sum's
+    double reach, all;         // above 0; squares of all that was seen
     double flat, steep;        // precisions, above 0: of level and jump; of the slope
     const double *bend;        // (bends) of the second derivatives
     double spread, least_rise; // prior of the first slope over the mean one: of its logarithm; what less counts as
 } hinge_t;
+
+// Fills upto (frames + 1), by x (frames) as above and y (frames, seen) of unit variance. Returns `all`.
+double hinge_sum(const double *x, const double *y, size_t frames, size_t seen, hinge_sums_t *upto);
 
 // What is left, for each knot and each bend.
 typedef struct {
@@ -36,8 +47,8 @@ typedef struct {
 // deviance = N log s^2 + squares / s^2 + seen log det + that of the first slope: squares of the residual and of the
 // unknowns under their prior, N = (frames - 2) seen, s^2 the larger of 1 and squares / N, det that of level and path,
 // posterior over prior precision; the first slope log-normal about the mean one, from the knot to the furthest frame.
-// knot (knots) 0 or more. Returns 0, as all below, where a value is not finite or a system not positive definite: then
-// nothing of it is to be used. About 1 us a knot with all its bends.
+// knot (knots) 0 or more. Returns 0, as all below, where a system is not positive definite: then nothing of it is to be
+// used. About 1 us a knot with all its bends.
 int hinge_fit(const hinge_t *hinge, const double *knot, size_t knots, const hinge_fit_t *fit);
 
 typedef struct {
