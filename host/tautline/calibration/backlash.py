@@ -179,19 +179,17 @@ class _WidthFit:
         # In the basis that makes gram and roughness diagonal at once, every smoothing is a division.
         along = self.basis.roughness / self.basis.size + gram / np.trace(gram)
         roots, vectors = eigh(self.basis.roughness, along, check_finite=False)
-        roots = np.maximum(roots, 0.0)
         told = np.maximum(1.0 - roots / self.basis.size, 0.0) * np.trace(gram)
-        system = told[:, None] + unit * np.outer(roots, _SMOOTHINGS)  # (size, smoothings)
+        system = told + unit * np.outer(_SMOOTHINGS, np.maximum(roots, 0.0))  # (smoothings, size)
         seen = self.design @ vectors
-        left = self.w[:, None] - seen @ ((seen.T @ (weight * self.w))[:, None] / system)
+        left = self.w - (seen.T @ (weight * self.w) / system) @ seen.T
         score = np.zeros(len(_SMOOTHINGS))
         for size in {len(place) for place in places}:
-            place = np.array([each for each in places if len(each) == size])  # (places, size)
-            products = seen[place][:, :, None] * seen[place][:, None]
-            within = (products @ (1.0 / system)) * weight[place][:, None, :, None]
-            alone = np.eye(size)[..., None] - within * (1 - 1e-6)  # (places, size, size, smoothings)
-            out = np.linalg.solve(np.moveaxis(alone, -1, 0), np.moveaxis(left[place], -1, 0)[..., None])[..., 0]
-            score += np.sum(weight[place] * out**2, axis=(1, 2))
+            alike = np.array([place for place in places if len(place) == size])  # (places, size)
+            spread = seen[alike] / system[:, None, None]
+            within = spread @ seen[alike].transpose(0, 2, 1) * weight[alike][:, None, :]
+            out = np.linalg.solve(np.eye(size) - within * (1 - 1e-6), left[:, alike, None])[..., 0]
+            score += np.sum(weight[alike] * out**2, axis=(1, 2))
         best, chosen = np.inf, float(_SMOOTHINGS[-1])
         for each, smoothing in zip(score[::-1], _SMOOTHINGS[::-1], strict=True):
             if each < best * (1.0 - _ALIKE):  # the smoother of two that are alike
