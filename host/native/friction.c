@@ -16,7 +16,7 @@ static double power(double base, double exponent) {
     return exponent == 1.0 ? base : pow(base, exponent);
 }
 
-/* R, and its derivatives by u, the exponent and beta. */
+/* R of Bouc-Wen, and its derivatives by u, the exponent and beta. */
 struct rate {
     double r, by_u, by_exponent, by_beta;
 };
@@ -29,24 +29,8 @@ static struct rate bouc_wen(const struct friction *f, double u) {
                          -(side - 1.0) * raised};
 }
 
-static struct rate dahl(const struct friction *f, double u) {
-    const double i = f->value[FRICTION_EXPONENT], left = fmax(1.0 - u, HELD);
-    const double raised = power(left, i);
-    return (struct rate){raised, -i * raised / left, raised * log(left), 0.0};
-}
-
-static struct rate rate_at(const struct friction *f, double u) {
-    return f->kind == FRICTION_DAHL ? dahl(f, u) : bouc_wen(f, u);
-}
-
 double friction_rate(const struct friction *f, double u) {
-    return rate_at(f, u).r;
-}
-
-/* How steep R is at most. */
-static double steepest(const struct friction *f) {
-    const double n = f->value[FRICTION_EXPONENT];
-    return f->kind == FRICTION_DAHL ? n * pow(2.0, fmax(n - 1.0, 0.0)) : n;
+    return f->kind == FRICTION_DAHL ? power(fmax(1.0 - u, 0.0), f->value[FRICTION_EXPONENT]) : bouc_wen(f, u).r;
 }
 
 /* u, its derivative by where the step began, and those by exponent and beta for a beginning that does not move. */
@@ -57,7 +41,7 @@ struct course {
 static struct course rise(const struct friction *f, const struct course *at, const struct course *along, double step) {
     const struct course here = {at->u + step * along->u, at->by_begin + step * along->by_begin,
                                 at->by_exponent + step * along->by_exponent, at->by_beta + step * along->by_beta};
-    const struct rate rate = rate_at(f, here.u);
+    const struct rate rate = bouc_wen(f, here.u);
     return (struct course){rate.r, rate.by_u * here.by_begin, rate.by_u * here.by_exponent + rate.by_exponent,
                            rate.by_u * here.by_beta + rate.by_beta};
 }
@@ -66,7 +50,7 @@ static double mean4(double a, double b, double c, double d) {
     return (a + 2.0 * b + 2.0 * c + d) / 6.0;
 }
 
-/* One step of travel h; slopes: with the derivatives. */
+/* One step of Bouc-Wen's travel h; slopes: with the derivatives. */
 static struct course stepped(const struct friction *f, double u, double h, int slopes) {
     if (!slopes) {
         const double a = friction_rate(f, u), b = friction_rate(f, u + 0.5 * h * a),
@@ -87,21 +71,50 @@ static double to_corner(const struct friction *f, double u) {
     return -u * (1.0 / friction_rate(f, u) + 4.0 / friction_rate(f, 0.5 * u) + 1.0) / 6.0;
 }
 
+/* log(1 + x) / x */
+static double log_share(double x) {
+    return fabs(x) < 1e-4 ? 1.0 - x * (0.5 - x / 3.0) : log1p(x) / x;
+}
+
+/* Dahl's 1 - u decays by itself: from v to v exp(-d), d being log(1 + k x v^k) / k with k = exponent - 1; from an
+ * exponent below 1 on it is nothing after a while. */
+static struct course decayed(const struct friction *f, double u, double x) {
+    const double k = f->value[FRICTION_EXPONENT] - 1.0, v = 1.0 - u, raised = pow(v, k), gone = k * x * raised;
+    if (!(gone > -1.0)) {
+        return (struct course){.u = 1.0};
+    }
+    /* The integral of t exp(k t) from 0 to d, of which the one of exp(k t) is x v^k. */
+    const double d = x * raised * log_share(gone), kd = k * d;
+    const double first = fabs(kd) < 1e-3 ? d * d * (0.5 + kd * (1.0 / 3.0 + kd / 8.0)) : (d * exp(kd) - x * raised) / k;
+    const double left = v * exp(-d), rate = friction_rate(f, 1.0 - left);
+    return (struct course){1.0 - left, rate / (v * raised), rate * (log(v) * x - first / raised), 0.0};
+}
+
+/* One piece of the way x, of Dahl's all of it, and its length *h. */
+static struct course piece_of(const struct friction *f, double u, double x, int slopes, double *h) {
+    if (f->kind == FRICTION_DAHL) {
+        *h = x;
+        return decayed(f, u, x);
+    }
+    *h = fmin(x, STEP / fmax(1.0, 0.5 * f->value[FRICTION_EXPONENT]));
+    const struct course there = stepped(f, u, *h, slopes);
+    if (!(u < 0.0 && there.u > 0.0)) {
+        return there;
+    }
+    *h = fmin(fmax(to_corner(f, u), TINY), *h);
+    return stepped(f, u, *h, slopes);
+}
+
 /* Travels by x >= 0 in the direction in which u rises; the derivatives in by[] are u's. */
 static double travelled(const struct friction *f, double u, double x, double by_length, double by_share, int slopes,
                         double *by) {
-    const double longest = STEP / fmax(1.0, 0.5 * steepest(f));
     for (size_t piece = 0; x > 0.0 && 1.0 - u > HELD; piece++) {
         if (piece == PIECES) {
             u = 1.0;
             break;
         }
-        double h = fmin(x, longest);
-        struct course there = stepped(f, u, h, slopes);
-        if (u < 0.0 && there.u > 0.0) {
-            h = fmin(fmax(to_corner(f, u), TINY), h);
-            there = stepped(f, u, h, slopes);
-        }
+        double h;
+        const struct course there = piece_of(f, u, x, slopes, &h);
         const double next = fmin(there.u, 1.0);
         if (slopes) {
             const double r = friction_rate(f, next);
@@ -136,8 +149,7 @@ double friction_least(const struct friction *f, const struct play_table *table) 
 
 /* The integral of dq / L over h, L going straight from a to b. */
 static double passed(double h, double a, double b) {
-    const double off = b / a - 1.0;
-    return fabs(off) < 1e-4 ? h / a * (1.0 - off * (0.5 - off / 3.0)) : h / a * log1p(off) / off;
+    return h / a * log_share(b / a - 1.0);
 }
 
 void friction_travel(const struct friction *f, const struct play_table *table, double *travel) {

@@ -52,7 +52,8 @@ void friction_start(const struct friction *f, const struct play_table *table, do
                     struct friction_state *state);
 
 /* The motor goes to q in a straight line, B being scaled and `extra` wider. Returns p. slopes: state->by goes along.
- * Runge and Kutta's fourth order, in steps that its error allows: about 1 us a length L, less on an envelope. */
+ * Dahl's exactly; Bouc-Wen's by Runge and Kutta's fourth order, in steps that its error allows: about 1 us a length L,
+ * less on an envelope. */
 double friction_move(const struct friction *f, const struct play_table *table, struct friction_state *state, double q,
                      double scale, double extra, int slopes);
 

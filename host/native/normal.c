@@ -1,46 +1,63 @@
 #include "normal.h"
 
-enum { CUBIC = 4, CURVES = 2 * CUBIC };
+enum { CUBIC = SPLINE_CUBIC };
 
-// The four splines that are not zero at x: the first one's index and all values.
-static size_t spline(const struct normal_basis *basis, double x, double *value) {
-    const size_t spans = basis->size - 3;
-    double u = (x - basis->low) / basis->step;
-    u = u > 0.0 ? u : 0.0;
-    u = u < (double)spans ? u : (double)spans;
-    size_t span = (size_t)u;
-    span = span < spans ? span : spans - 1;
-    const double t = u - (double)span, s = 1.0 - t;
-    value[0] = s * s * s / 6.0;
-    value[1] = (3.0 * t * t * t - 6.0 * t * t + 4.0) / 6.0;
-    value[2] = (3.0 * s * s * s - 6.0 * s * s + 4.0) / 6.0;
-    value[3] = t * t * t / 6.0;
-    return span;
+// One of the two curves at a frame: the first of its splines that are not zero there, and dc by their coefficients.
+struct curve {
+    size_t at;
+    double by[CUBIC];
+};
+
+static struct curve curve_at(const struct spline_basis *basis, size_t before, double x, double by_value) {
+    struct curve curve;
+    double t;
+    curve.at = before + spline_span(basis, x, &t);
+    spline_values(t, curve.by);
+    for (size_t i = 0; i < CUBIC; i++) {
+        curve.by[i] *= by_value;
+    }
+    return curve;
 }
 
-// What was written lies below the diagonal of matrix (m, m).
-static void mirror(double *matrix, size_t m) {
-    for (size_t j = 0; j < m; j++) {
-        for (size_t i = j + 1; i < m; i++) {
-            matrix[j * m + i] = matrix[i * m + j];
+// matrix (m, m) += square a' b
+static void add_block(const struct curve *restrict a, const struct curve *restrict b, double square,
+                      double *restrict matrix, size_t m) {
+    for (size_t i = 0; i < CUBIC; i++) {
+        double *into = matrix + (a->at + i) * m + b->at;
+        const double by = square * a->by[i];
+        for (size_t j = 0; j < CUBIC; j++) {
+            into[j] += by * b->by[j];
         }
     }
 }
 
-void normal_add(const struct normal_rows *rows, const struct normal_basis *width, const struct normal_basis *follow,
+static void add_along(const struct curve *restrict curve, double by, double *restrict into) {
+    for (size_t i = 0; i < CUBIC; i++) {
+        into[curve->at + i] += by * curve->by[i];
+    }
+}
+
+enum { TILE = 16 }; // of a matrix, whose rows and columns stay in the fastest cache
+
+// What was written lies below the diagonal of matrix (m, m).
+static void mirror(double *matrix, size_t m) {
+    for (size_t top = 0; top < m; top += TILE) {
+        for (size_t left = 0; left <= top; left += TILE) {
+            for (size_t i = top; i < top + TILE && i < m; i++) {
+                for (size_t j = left; j < left + TILE && j < i; j++) {
+                    matrix[j * m + i] = matrix[i * m + j];
+                }
+            }
+        }
+    }
+}
+
+void normal_add(const struct normal_rows *rows, const struct spline_basis *width, const struct spline_basis *follow,
                 size_t first, double *matrix, double *gradient) {
     const size_t curves = width->size + follow->size, m = curves + rows->count, count = rows->count;
     for (size_t n = 0; n < rows->frames; n++) {
-        double c[CURVES]; // dc by the curves' coefficients
-        size_t at[CURVES];
-        const size_t in_width = spline(width, rows->p[n], c);
-        const size_t in_follow = width->size + spline(follow, rows->tip[n], c + CUBIC);
-        for (size_t i = 0; i < CUBIC; i++) {
-            c[i] *= rows->by_width[n];
-            c[CUBIC + i] *= rows->by_follow[n];
-            at[i] = in_width + i;
-            at[CUBIC + i] = in_follow + i;
-        }
+        const struct curve of_width = curve_at(width, 0, rows->p[n], rows->by_width[n]);
+        const struct curve of_follow = curve_at(follow, width->size, rows->tip[n], rows->by_follow[n]);
         for (size_t j = first; j < count; j++) {
             double cross = 0.0; // a column of another recording's own is zero throughout
             double *by_column = matrix + (curves + j) * m;
@@ -56,8 +73,9 @@ void normal_add(const struct normal_rows *rows, const struct normal_basis *width
                     }
                 }
             }
-            for (size_t i = 0; cross != 0.0 && i < CURVES; i++) {
-                by_column[at[i]] += cross * c[i];
+            if (cross != 0.0) {
+                add_along(&of_width, cross, by_column);
+                add_along(&of_follow, cross, by_column);
             }
         }
         if (first == 0) {
@@ -68,30 +86,39 @@ void normal_add(const struct normal_rows *rows, const struct normal_basis *width
                 square += by_c * rows->by_c[row];
                 force += by_c * rows->residual[row];
             }
-            for (size_t i = 0; i < CURVES; i++) {
-                gradient[at[i]] += force * c[i];
-                double *into = matrix + at[i] * m;
-                for (size_t j = 0; j <= i; j++) {
-                    into[at[j]] += square * c[i] * c[j];
-                }
-            }
+            add_along(&of_width, force, gradient);
+            add_along(&of_follow, force, gradient);
+            add_block(&of_width, &of_width, square, matrix, m);
+            add_block(&of_follow, &of_width, square, matrix, m);
+            add_block(&of_follow, &of_follow, square, matrix, m);
         }
     }
     mirror(matrix, m);
 }
 
-void normal_add_sparse(const struct normal_sparse *rows, double *matrix, double *gradient) {
-    for (size_t r = 0; r < rows->rows; r++) {
-        const size_t end = (size_t)rows->first[r + 1];
-        for (size_t j = (size_t)rows->first[r], begin = j; j < end; j++) {
-            const size_t at = (size_t)rows->column[j];
-            const double part = rows->weight[r] * rows->value[j];
-            double *into = matrix + at * rows->size;
-            gradient[at] += part * rows->residual[r];
-            for (size_t i = begin; i <= j; i++) {
-                into[rows->column[i]] += part * rows->value[i];
+void normal_add_sparse(const struct normal_sparse *blocks, size_t count, const double *weight, const double *residual,
+                       size_t rows, size_t *at, double *entry, double *matrix, double *gradient) {
+    size_t m = 0;
+    for (size_t b = 0; b < count; b++) {
+        m += blocks[b].size;
+    }
+    for (size_t r = 0; r < rows; r++) {
+        size_t entries = 0, before = 0;
+        for (size_t b = 0; b < count; b++) {
+            for (int k = blocks[b].first[r]; k < blocks[b].first[r + 1]; k++, entries++) {
+                at[entries] = before + (size_t)blocks[b].column[k];
+                entry[entries] = blocks[b].value[k];
+            }
+            before += blocks[b].size;
+        }
+        for (size_t j = 0; j < entries; j++) {
+            const double part = weight[r] * entry[j];
+            double *into = matrix + at[j] * m;
+            gradient[at[j]] += part * residual[r];
+            for (size_t i = 0; i <= j; i++) {
+                into[at[i]] += part * entry[i];
             }
         }
     }
-    mirror(matrix, rows->size);
+    mirror(matrix, m);
 }

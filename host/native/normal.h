@@ -3,17 +3,13 @@
 #ifndef TAUTLINE_NORMAL_H
 #define TAUTLINE_NORMAL_H
 
+#include "spline.h"
+
 #include <stddef.h>
 
 #ifdef __cplusplus
 extern "C" {
 #endif
-
-// `size` uniform cubic B-splines over [low, low + (size - 3) step]; arguments beyond are moved to the nearer end.
-struct normal_basis {
-    double low, step;
-    size_t size; // 4 or more
-};
 
 // A frame has `seen` coordinates (1 or 2), each a row: d prediction = by_c dc + columns dx, where
 // dc = by_width dB(p) + by_follow df(tip).
@@ -31,22 +27,23 @@ enum { NORMAL_SEEN = 2 };
 // Adds J'WJ to matrix (m, m) and J'Wr to gradient (m), m = width.size + follow.size + count, unknowns in that order:
 // all of it with first 0, else only the rows (and their mirrored columns) of columns from `first` on. matrix must be
 // symmetric before. About 0.3 us a frame with 8 columns.
-void normal_add(const struct normal_rows *rows, const struct normal_basis *width, const struct normal_basis *follow,
+void normal_add(const struct normal_rows *rows, const struct spline_basis *width, const struct spline_basis *follow,
                 size_t first, double *matrix, double *gradient);
 
-// Rows by their entries alone (compressed sparse rows): row r has the entries from first[r] up to first[r + 1], its
-// columns rising.
+// Some columns of all rows, by their entries alone (compressed sparse rows): row r has the entries from first[r] up to
+// first[r + 1], their columns rising.
 struct normal_sparse {
-    const int *first;                // (rows + 1)
-    const int *column;               // (entries) 0 to size - 1
-    const double *value;             // (entries)
-    const double *weight, *residual; // (rows)
-    size_t rows, size;
+    const int *first;    // (rows + 1)
+    const int *column;   // (entries) 0 to size - 1
+    const double *value; // (entries)
+    size_t size;
 };
 
-// Adds J'WJ to matrix (size, size), symmetric before, and J'Wr to gradient (size). About 2 ns for each pair of
+// Adds J'WJ to matrix (m, m), symmetric before, and J'Wr to gradient (m), J being the blocks side by side and m the sum
+// of their sizes; weight, residual: (rows). at, entry: room for the longest row of J. About 2 ns for each pair of
 // entries of a row, a fifth of what scipy's product takes.
-void normal_add_sparse(const struct normal_sparse *rows, double *matrix, double *gradient);
+void normal_add_sparse(const struct normal_sparse *blocks, size_t count, const double *weight, const double *residual,
+                       size_t rows, size_t *at, double *entry, double *matrix, double *gradient);
 
 #ifdef __cplusplus
 }

@@ -1,6 +1,6 @@
 #include "still.h"
 
-#include "play.h"
+#include "lines.h"
 
 #include <math.h>
 #include <string.h>
@@ -51,20 +51,6 @@ size_t still_until(const double *z, size_t n, size_t seen, double *total) {
         }
     }
     return first;
-}
-
-// Motor's readings at t, held beyond the ends; *from: a span to look from, left at the one found.
-static double motor_at(const struct still_stop *stop, double t, size_t *from) {
-    const double *s = stop->motor_s, *q = stop->motor_q;
-    const size_t last = stop->readings - 1;
-    if (t <= s[0]) {
-        return q[0];
-    }
-    if (t >= s[last] || last == 0) { // the second: NaN
-        return q[last];
-    }
-    const size_t i = *from = play_span(s, stop->readings, *from, t);
-    return q[i] + (q[i + 1] - q[i]) / (s[i + 1] - s[i]) * (t - s[i]);
 }
 
 // Cholesky's factor of gram (size), in its place: its ridge is far above what rounding takes off a pivot.
@@ -144,13 +130,14 @@ static double squares_of(const struct still_stop *stop, const fixed_t *fixed, co
 
 void still_squares(const struct still_stop *stop, const double *delays, size_t count, double *ramp, double *squares) {
     const fixed_t fixed = fixed_of(stop);
+    const struct lines motor = lines_of(stop->motor_s, stop->motor_q, stop->readings);
     size_t from = 0;
     for (size_t d = 0; d < count; d++) {
         double most = NO_WAY;
         for (size_t i = 0; i < stop->frames; i++) {
             const double scene = stop->arrival_s[i] - delays[d];
             const int before = scene < stop->turn_s; // after it the image is level, wherever the motor is
-            ramp[i] = before ? fmin(stop->direction * (motor_at(stop, scene, &from) - stop->q1), 0.0) : 0.0;
+            ramp[i] = before ? fmin(stop->direction * (lines_at(&motor, scene, &from) - stop->q1), 0.0) : 0.0;
             most = fmax(most, fabs(ramp[i]));
         }
         squares[d] = squares_of(stop, &fixed, ramp, most);

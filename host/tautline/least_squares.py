@@ -13,6 +13,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg.lapack import dpotrf, dpotri
 
 Array = npt.NDArray[np.float64]
 Point = TypeVar("Point")  # the unknowns and all that is known of them there: they are simulated once
@@ -83,5 +84,8 @@ def with_ridge(matrix: Array) -> Array:
 
 def inverse_of(matrix: Array) -> Array:
     """Inverse of a symmetric positive definite matrix (m, m). Raises LinAlgError where it is not."""
-    factored = cho_factor(matrix, check_finite=False)
-    return np.asarray(cho_solve(factored, np.eye(len(matrix)), check_finite=False))
+    factored, failed = dpotrf(matrix.T, lower=True)
+    if failed:
+        raise LinAlgError("the matrix is not positive definite")
+    lower, _ = dpotri(factored, lower=True, overwrite_c=True)
+    return np.asarray(lower + np.tril(lower, -1).T)

@@ -5,6 +5,7 @@ here.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,14 +50,14 @@ class Normal:
         return cls(np.zeros((size, size)), np.zeros(size))
 
     @classmethod
-    def of_sparse(cls, design: csr_matrix, weight: Array, residual: Array) -> Normal:
-        """Those of rows of any columns, design (n, m), most of its entries 0; weight, residual: (n,)."""
-        design.sort_indices()
-        normal = cls.zeros(int(design.shape[1]))
-        _native.normal_add_sparse(
-            *(design.indptr, design.indices, design.data, weight, np.ascontiguousarray(residual)),
-            *(normal.matrix, normal.gradient),
-        )
+    def of_sparse(cls, blocks: Sequence[csr_matrix], weight: Array, residual: Array) -> Normal:
+        """Those of rows of any columns, most of their entries 0: blocks (n, m_i) side by side; weight, residual:
+        (n,)."""
+        for block in blocks:
+            block.sort_indices()
+        normal = cls.zeros(sum(int(block.shape[1]) for block in blocks))
+        entries = [(block.indptr, block.indices, block.data, int(block.shape[1])) for block in blocks]
+        _native.normal_add_sparse(entries, weight, np.ascontiguousarray(residual), normal.matrix, normal.gradient)
         return normal
 
 

@@ -57,7 +57,7 @@ class Basis:
         return csr_matrix(BSpline.design_matrix(self.clip(x), self.knots, 3))
 
     def value(self, coefficients: Array, x: Array) -> Array:
-        """(n,) The curve with these coefficients (size,) at x (n,)."""
+        """(n,) The curve with these coefficients (size,) at x (n,); (n, channels) of (size, channels)."""
         return np.asarray(BSpline(self.knots, coefficients, 3)(self.clip(x)))
 
     def table(self, coefficients: Array, x: Array) -> Array:
@@ -75,8 +75,14 @@ class Basis:
         return np.asarray(table[before] * (1.0 - share) + table[before + 1] * share)
 
     def slope(self, coefficients: Array, x: Array) -> Array:
-        """(n,) The curve's derivative at x (n,); beyond the ends that at the nearer one."""
+        """As `value`, the curve's derivative; beyond the ends that at the nearer one."""
         return np.asarray(BSpline(self.knots, coefficients, 3).derivative()(self.clip(x)))
+
+    def nearest(self, x: Array, values: Array) -> Array:
+        """(size,) or (size, channels) The coefficients nearest in least squares to values (n,) or (n, channels) at
+        places x (n,), which are in every span."""
+        design = self.design(x)
+        return np.asarray(np.linalg.solve((design.T @ design).toarray(), design.T @ values))
 
     @cached_property
     def roughness(self) -> Array:

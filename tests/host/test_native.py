@@ -45,8 +45,8 @@ def before_end(*values, dtype=float):
         # rows that begin beyond the entries, though the last one ends with them
         """
 try:
-    _native.normal_add_sparse(np.array([0, 100, 2], np.int32), before_end(0, 1, dtype=np.int32), np.ones(2), np.ones(2),
-                              np.ones(2), np.zeros((3, 3)), np.zeros(3))
+    block = np.array([0, 100, 2], np.int32), before_end(0, 1, dtype=np.int32), np.ones(2), 3
+    _native.normal_add_sparse([block], np.ones(2), np.ones(2), np.zeros((3, 3)), np.zeros(3))
 except ValueError:
     pass""",
         # a motor of one reading at no time
@@ -69,7 +69,7 @@ def test_what_would_be_written_to_a_copy_is_refused(other) -> None:
     refused = pytest.raises(TypeError, match="incompatible function arguments")
     with refused:
         _native.first_order_sums(other(np.ones((4, 2))), 0.5)
-    rows = np.array([0, 1], np.int32), np.zeros(1, np.int32), np.ones(1), np.ones(1), np.ones(1)
+    rows = [(np.array([0, 1], np.int32), np.zeros(1, np.int32), np.ones(1), 2)], np.ones(1), np.ones(1)
     with refused:
         _native.normal_add_sparse(*rows, other(np.zeros((2, 2))), np.zeros(2))
     with refused:
@@ -116,7 +116,7 @@ def test_a_hinge_through_no_number_is_refused(where: str, value: float) -> None:
     x, y = np.linspace(0.0, 1.0, 20), np.random.default_rng(0).normal(size=(20, 1))
     (x if where == "x" else y)[3] = value
     with pytest.raises(ValueError, match="finite"):
-        _native.hinge(x, y, np.array([0.3]), np.ones((1, 5)), False)
+        _native.Hinge(x, y, 3, False, 1.0, 1.0, np.ones(1), 0.5, 1e-3).knot(0.5)
 
 
 def test_a_stop_with_a_place_that_is_none_is_not_a_perfect_one() -> None:
@@ -219,3 +219,13 @@ def test_a_picture_of_shares_is_not_taken_for_levels() -> None:
     lit, expected = np.full((40, 40, 3), 0.9), _native.MarkerExpected(10.0)
     with pytest.raises(TypeError, match="incompatible function arguments"):
         _native.marker_measure(lit, np.ones(4, np.float32), 0.5, 20.0, 20.0, 10.0, 15, expected)
+
+
+def test_lines_are_looked_up_among_uneven_knots_in_any_order() -> None:
+    rng = np.random.default_rng(0)
+    knots = np.cumsum(10.0 ** rng.uniform(-4.0, 0.0, 300))
+    values, x = rng.normal(size=300), rng.uniform(-1.0, knots[-1] + 1.0, 2000)
+    for at in (x, np.sort(x), np.concatenate([knots, [-np.inf, np.inf]])):
+        np.testing.assert_array_equal(_native.lines_at(at, knots, values), np.interp(at, knots, values))
+    assert np.isnan(_native.lines_at(np.array([np.nan]), knots, values)).all()
+    np.testing.assert_array_equal(_native.lines_at(np.array([-1.0, 2.0]), np.zeros(1), np.ones(1)), [1.0, 1.0])

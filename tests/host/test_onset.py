@@ -70,10 +70,11 @@ def test_a_hinges_fits_are_those_of_its_equations(seed, frames, pieces, channels
     """Against dense solutions, the path as the second integral of what is constant in each piece."""
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(0.0, 3.0, frames), rng.normal(0.0, 20.0, (frames, channels))
-    knots, columns = rng.uniform(0.0, 0.8 * x.max(), 3), 2 + pieces + jump
-    precision = 10.0 ** rng.uniform(-3.0, 1.0, (2, columns))
-    squares, residual, volume, used, way, coefficients = _native.hinge(x, y, knots, precision, jump)
-    assert squares.shape == (3, 2) and coefficients.shape == (3, 2, columns, channels)
+    knots = rng.uniform(0.0, 0.8 * x.max(), 3)
+    flat, steep, *bends = 10.0 ** rng.uniform(-3.0, 1.0, 4)
+    hinge = _native.Hinge(x, y, pieces, jump, flat, steep, np.array(bends), 0.5, 1e-3)
+    deviance, residual, used, slope, jumped = hinge.fit(knots)
+    assert deviance.shape == (3, 2) and slope.shape == (3, 2, channels) and len(jumped) == 3 * jump
     fine = (np.arange(20000) + 0.5) / 20000
     bend = np.sqrt(pieces) * (np.arange(pieces) == (pieces * fine[:, None]).astype(int))
     shape = np.cumsum(np.cumsum(bend, axis=0), axis=0) / 20000**2
@@ -81,19 +82,26 @@ def test_a_hinges_fits_are_those_of_its_equations(seed, frames, pieces, channels
         unit = np.maximum(x - knot, 0.0) / x.max()
         basis = [np.ones(frames), unit, *(np.interp(unit, fine, piece) for piece in shape.T)]
         basis = np.column_stack(basis + [(x > knot).astype(float)] * jump)
-        for v, each in enumerate(precision):
+        for v, bend in enumerate(bends):
+            each = np.array([flat, steep, *[bend] * pieces, *[flat] * jump])
             system = basis.T @ basis + np.diag(each)
             best = np.linalg.solve(system, basis.T @ y)
             left = y - basis @ best
             path = slice(2 + pieces)
-            on_the_way = basis[np.argmax(x), 1 : 2 + pieces] @ best[1 : 2 + pieces]
+            mean = basis[np.argmax(x), 1 : 2 + pieces] @ best[1 : 2 + pieces] / (1.0 - knot / x.max())
             near = {"rtol": 1e-3, "atol": 1e-3}  # of the reference's sums
             np.testing.assert_allclose(residual[k, v], np.sum(left**2), **near)
-            np.testing.assert_allclose(squares[k, v], np.sum(left**2) + np.sum(each[:, None] * best**2), **near)
-            expected = np.linalg.slogdet(system[path, path])[1] - np.log(each[path]).sum()
-            np.testing.assert_allclose(volume[k, v], expected, **near)
             np.testing.assert_allclose(used[k, v], np.trace(np.linalg.solve(system, basis.T @ basis)), **near)
-            np.testing.assert_allclose(way[k, v], on_the_way, rtol=1e-3, atol=0.05)
+            np.testing.assert_allclose(slope[k, v], best[1], rtol=1e-3, atol=0.05)
+            if jump:
+                np.testing.assert_allclose(jumped[k, v], best[-1], rtol=1e-3, atol=0.05)
+            squares, count = np.sum(left**2) + np.sum(each[:, None] * best**2), (frames - 2) * channels
+            noise = max(squares / count, 1.0)
+            volume = np.linalg.slogdet(system[path, path])[1] - np.log(each[path]).sum()
+            share = np.log(max(slope[k, v] @ mean / max(mean @ mean, 1e-12), 1e-3)) / 0.5
+            expected = count * np.log(noise) + squares / noise + channels * volume
+            if abs(mean @ mean) > 1.0 and slope[k, v] @ mean / (mean @ mean) > 0.1:
+                np.testing.assert_allclose(deviance[k, v] - share**2, expected, rtol=1e-3, atol=0.1)
 
 
 @pytest.mark.parametrize("sigma_per_frame", [3.0, 6.0, 12.0, 40.0])

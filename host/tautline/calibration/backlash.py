@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BSpline
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, eigh
 from scipy.optimize import brentq
 from scipy.special import log_ndtr
 
@@ -176,20 +176,24 @@ class _WidthFit:
         if len(places) < 5:
             return float(_SMOOTHINGS[-1])
         gram = self.design.T @ (weight[:, None] * self.design)
-        alike = [np.array([p for p in places if len(p) == size]) for size in {len(p) for p in places}]
+        # In the basis that makes gram and roughness diagonal at once, every smoothing is a division.
+        along = self.basis.roughness / self.basis.size + gram / np.trace(gram)
+        roots, vectors = eigh(self.basis.roughness, along, check_finite=False)
+        told = np.maximum(1.0 - roots / self.basis.size, 0.0) * np.trace(gram)
+        system = told + unit * np.outer(_SMOOTHINGS, np.maximum(roots, 0.0))  # (smoothings, size)
+        seen = self.design @ vectors
+        left = self.w - (seen.T @ (weight * self.w) / system) @ seen.T
+        score = np.zeros(len(_SMOOTHINGS))
+        for size in {len(place) for place in places}:
+            alike = np.array([place for place in places if len(place) == size])  # (places, size)
+            spread = seen[alike] / system[:, None, None]
+            within = spread @ seen[alike].transpose(0, 2, 1) * weight[alike][:, None, :]
+            out = np.linalg.solve(np.eye(size) - within * (1 - 1e-6), left[:, alike, None])[..., 0]
+            score += np.sum(weight[alike] * out**2, axis=(1, 2))
         best, chosen = np.inf, float(_SMOOTHINGS[-1])
-        for smoothing in _SMOOTHINGS[::-1]:
-            inverse = self._inverse(gram + smoothing * unit * self.basis.roughness)
-            spread = self.design @ inverse
-            left = self.w - spread @ (self.design.T @ (weight * self.w))
-            out = np.empty_like(left)
-            for place in alike:  # (places, size)
-                within = spread[place] @ self.design[place].transpose(0, 2, 1) * weight[place][:, None, :]
-                system = np.eye(place.shape[1]) - within * (1 - 1e-6)
-                out[place] = np.linalg.solve(system, left[place][:, :, None])[:, :, 0]
-            score = float(np.sum(weight * out**2))
-            if score < best * (1.0 - _ALIKE):  # the smoother of two that are alike
-                best, chosen = score, float(smoothing)
+        for each, smoothing in zip(score[::-1], _SMOOTHINGS[::-1], strict=True):
+            if each < best * (1.0 - _ALIKE):  # the smoother of two that are alike
+                best, chosen = float(each), float(smoothing)
         return chosen
 
     def places(self) -> list[npt.NDArray[np.intp]]:

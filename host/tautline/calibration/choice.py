@@ -257,8 +257,7 @@ class Choice:
 
     def residual_with_width(self, joint_fit: Fitted, width: Array) -> float:
         """Residual over noise with B held at width (grid,) and the joint fit's delay, the path fitted anew."""
-        design = joint_fit.fit.backlash.design(self.grid)
-        backlash = np.linalg.lstsq(design.toarray(), width, rcond=None)[0]
+        backlash = joint_fit.fit.backlash.nearest(self.grid, width)
         return self._residual_with_curves(joint_fit, replace(joint_fit.curves, backlash=backlash))
 
     @staticmethod

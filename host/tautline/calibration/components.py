@@ -392,7 +392,7 @@ class _Estimated:
         if offset := self._offset_at_the_end():
             basis, grid = self.model.fit.backlash, self.model.fit.grid
             there = basis.value(backlash, np.clip(grid + offset, grid[0], grid[-1]))
-            backlash = np.linalg.lstsq(basis.design(grid).toarray(), there, rcond=None)[0]
+            backlash = basis.nearest(grid, there)
         grown = 1.0 + 0.5 * float(values["width.time"][0]) if "width.time" in values else 1.0
         if "width.recording" in values:
             each = values["width.recording"]

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import eigh
 
 from tautline.calibration.components import Component, Components
 from tautline.calibration.departures import SHARE, SPEED, STATES
@@ -241,19 +242,25 @@ def _ripple(grid: Array, width: Array, sigma: Array, usual: float) -> tuple[floa
     y, weight = np.interp(at, grid, width), np.interp(at, grid, sigma) ** -2
     basis = Basis(float(at[0]), float(at[-1]), _PLACES // 2)
     design = basis.design(at).toarray()
-    weighted = design * weight[:, None]
     rates = np.linspace(_CYCLES[0], _CYCLES[1], _RATES) / float(at[-1] - at[0])
     angle = 2.0 * np.pi * np.outer(rates, at)
-    waves = np.stack([np.cos(angle), np.sin(angle)], axis=2)  # (rates, places, 2)
+    waves = np.stack([np.cos(angle), np.sin(angle)], axis=1)  # (rates, 2, places)
+    # The spline integrated out, in the basis that makes what is told of it and its bending diagonal at once.
+    told = design.T @ (weight[:, None] * design)
+    along = told / np.trace(told) + basis.bending / basis.size
+    bends, vectors = eigh(basis.bending, along, check_finite=False)
+    tells = np.maximum(1.0 - bends / basis.size, 0.0) * np.trace(told)
+    seen = (weight[:, None] * design) @ vectors
+    y_seen, waves_seen = y @ seen, waves @ seen
+    information_alone = np.einsum("rcn,n,rdn->rcd", waves, weight, waves) + np.eye(2) / usual**2
     # -2 log restricted likelihood: the best without a wave; with one (deviance, its rate's index, its amplitudes).
     smooth, waved = np.inf, (np.inf, 0, np.zeros(2))
     for smoothing in np.logspace(-8, 8, 17) * float(np.median(weight)):
-        system = weighted.T @ design + smoothing * basis.bending
-        precision = np.diag(weight) - weighted @ np.linalg.solve(system, weighted.T)  # of y, the spline integrated out
-        without = float(y @ precision @ y + np.linalg.slogdet(system)[1] - (basis.size - 2) * np.log(smoothing))
-        seen = precision @ waves
-        pull = np.einsum("rnc,n->rc", seen, y)
-        information = np.einsum("rnc,rnd->rcd", waves, seen) + np.eye(2) / usual**2
+        system = tells + smoothing * np.maximum(bends, 0.0)
+        volume = float(np.sum(np.log(system)) + np.linalg.slogdet(along)[1]) - (basis.size - 2) * np.log(smoothing)
+        without = float(weight @ y**2 - np.sum(y_seen**2 / system)) + volume
+        pull = waves @ (weight * y) - waves_seen @ (y_seen / system)
+        information = information_alone - (waves_seen / system) @ waves_seen.transpose(0, 2, 1)
         amplitudes = np.linalg.solve(information, pull[..., None])[..., 0]
         gains = np.sum(pull * amplitudes, axis=1) - np.linalg.slogdet(usual**2 * information)[1] - 2.0 * np.log(_RATES)
         best = int(np.argmax(gains))

@@ -12,7 +12,6 @@ Deviance is -2 log likelihood but for a constant. y is whitened: of unit noise, 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -21,10 +20,8 @@ from tautline import _native
 
 Array = npt.NDArray[np.float64]
 
-_KNOTS, _NARROWED = 33, 6  # tolerance: candidates at once; how often these come closer together, at most
-_REACH = 6.0  # tolerance: standard deviations of the knot, as far as the next candidates reach
 _PIECES = 10  # tolerance: of the path, in each of which its second derivative is constant
-_BENDS = 7  # tolerance: values of its standard deviation, evenly in its logarithm
+_EVENLY = np.linspace(0.0, 1.0, 7)  # tolerance: values of its standard deviation, in its logarithm
 _LEAST_BEND, _MOST_BEND = 0.3, 2.0  # prior: over the window: of the noise, nothing is seen of it; of the whole swing
 _SPREAD = 0.5  # prior: of the logarithm of the start's slope over the path's mean slope
 _BACKWARDS = 1e-3  # tolerance: a start against the path counts as this share of it
@@ -54,120 +51,34 @@ class Jump:
     deviance: float
 
 
-@dataclass(frozen=True)
-class _Paths:
-    """The best paths for K candidate knots and V values of the bending's standard deviation."""
-
-    deviance: Array  # (K, V) noise as large as the residuals say, but not below the stated one
-    chi2: Array  # (K, V) of the residual
-    coefficients: Array  # (K, V, columns, channels) of level, slope over the window, pieces (, jump)
-
-
-@dataclass(frozen=True)
-class _Window:
-    """The frames of one stroke, and the priors of a path through them."""
-
-    x: Array  # (n,) travel
-    y: Array  # (n, channels) of unit variance, from its first value on
-    precision: Array  # (V, columns) of each bend's coefficients
-    jump: bool
-
-    @classmethod
-    def of(cls, x: Array, y: Array, *, jump: bool = False) -> Self:
-        """The window of travel x (n,) and whitened y (n, channels), with the priors of _BENDS paths from straight to
-        bent. jump: with one more column, a jump at the knot."""
-        centred = y - y[:1]
-        swing = max(float(np.sqrt(np.max(np.sum(centred**2, axis=1)))), 1.0)
-        bends = np.geomspace(_LEAST_BEND, _MOST_BEND * swing, _BENDS)
-        precision = np.full((_BENDS, 2 + _PIECES + jump), _FLAT)
-        precision[:, 1] = (_MOST_BEND * swing) ** -2
-        precision[:, 2 : 2 + _PIECES] = bends[:, None] ** -2
-        return cls(x, centred, precision, jump)
-
-    @property
-    def reach(self) -> float:
-        """The longest travel, in the unit of x."""
-        return max(float(self.x.max()), 1e-12)
-
-    def paths(self, knots: Array) -> _Paths:
-        """The best path from each of the knots (K,), in the unit of x, for each bending prior. Deviance: N log s^2 +
-        squares / s^2 + channels log det + that of the first slope, s^2 the larger of 1 and squares / N, N the number of
-        values less those of level and slope."""
-        squares, chi2, volume, _, way, coefficients = _native.hinge(
-            self.x, self.y, knots, self.precision, self.jump, used_too=False
-        )
-        channels = self.y.shape[1]
-        count = (len(self.x) - 2) * channels
-        noise = np.maximum(squares / count, 1.0)
-        start = _start_deviance(coefficients[:, :, 1], way / np.maximum(1.0 - knots / self.reach, 1e-9)[:, None, None])
-        deviance = count * np.log(noise) + squares / noise + channels * volume + start
-        return _Paths(deviance, chi2, coefficients)
-
-    def effective_parameters(self, knot: float, bend: int) -> float:
-        """Effective number of parameters, in each channel, of the path from this knot; bend: the index of its bending
-        prior."""
-        return float(_native.hinge(self.x, self.y, np.array([knot]), self.precision[[bend]], self.jump)[3][0, 0])
-
-
-def _start_deviance(slope: Array, mean: Array) -> Array:
-    """-2 log prior density of the slope at the knot (..., channels), log-normal about the path's mean slope (...,
-    channels)."""
-    share = np.sum(slope * mean, axis=-1) / np.maximum(np.sum(mean**2, axis=-1), 1e-12)
-    return np.asarray((np.log(np.clip(share, _BACKWARDS, None)) / _SPREAD) ** 2)
-
-
-def _moments(knots: Array, deviance: Array) -> tuple[float, float]:
-    """Posterior mean and standard deviation of the knot on the grid knots (K,), summed over the bending priors;
-    deviance (K, bends)."""
-    weight = np.exp(-0.5 * (deviance - deviance.min())).sum(axis=1)
-    mean = float(weight @ knots / weight.sum())
-    return mean, float(np.sqrt(weight @ (knots - mean) ** 2 / weight.sum()))
+def _window(x: Array, y: Array, *, jump: bool = False) -> _native.Hinge:
+    """The window of travel x (n,) and whitened y (n, channels), with the priors of paths from straight to bent.
+    jump: with one more unknown, a jump at the knot."""
+    centred = y - y[:1]
+    swing = max(float(np.sqrt(np.max(np.sum(centred**2, axis=1)))), 1.0)
+    bends = _LEAST_BEND * (_MOST_BEND * swing / _LEAST_BEND) ** _EVENLY
+    steep = (_MOST_BEND * swing) ** -2
+    return _native.Hinge(x, centred, _PIECES, jump, _FLAT, steep, bends**-2, _SPREAD, _BACKWARDS)
 
 
 def fit_hinge(x: Array, y: Array, high: float) -> Hinge:
-    """The posterior of the knot, within [0, high], of y (n, channels) at motor travel x (n,) since the turn. The grid
-    of candidate knots narrows until it resolves the posterior."""
-    knots = np.linspace(0.0, high, _KNOTS)
-    window = _Window.of(x, y)
-    paths = window.paths(knots)
-    mean, spread = _moments(knots, paths.deviance)
-    for _ in range(_NARROWED):  # towards the likelihood's bulk, whatever its width
-        pitch = knots[1] - knots[0]
-        reach = max(_REACH * spread, 3.0 * pitch)
-        closer = np.linspace(max(0.0, mean - reach), min(high, mean + reach), _KNOTS)
-        if spread > 2.0 * pitch or closer[-1] - closer[0] < 1e-9 * (high + 1e-12):
-            break
-        knots, paths = closer, window.paths(closer)
-        mean, spread = _moments(knots, paths.deviance)
-    k, v = (int(i) for i in np.unravel_index(np.argmin(paths.deviance), paths.deviance.shape))
-    slope = paths.coefficients[k, v, 1] / window.reach
-    freedom = max(1.0, (len(x) - window.effective_parameters(float(knots[k]), v)) * y.shape[1] - 1.0)
-    return Hinge(mean, spread, float(paths.deviance[k, v]), float(paths.chi2[k, v]), freedom, slope)
+    """The posterior of the knot, within [0, high], of y (n, channels) at motor travel x (n,) since the turn."""
+    knot, sigma, deviance, chi2, used, slope = _window(x, y).knot(high)
+    freedom = max(1.0, (len(x) - used) * y.shape[1] - 1.0)
+    return Hinge(knot, sigma, deviance, chi2, freedom, slope / max(float(x.max()), 1e-12))
 
 
 def fit_jump(x: Array, y: Array, high: float, knot: float = 0.0) -> Jump:
     """The best jump, between neighbouring frames with x within [0, high] (and from 0 to the first of them),
     followed by a free path. Its bracket reaches from the first to the last one whose deviance is within _CREDIBLE of
-    the best. Tried are _KNOTS of them evenly, those around the best hinge's knot, and all around what may be the jump.
-    x (n,), y (n, channels); deviance inf where no frames bracket it."""
+    the best. Tried are some evenly, those around the best hinge's knot, and all around what may be the jump. x (n,), y
+    (n, channels); deviance inf where no frames bracket it."""
     edges = np.unique(np.append(x, 0.0))
     edges = edges[(edges >= 0.0) & (edges <= high)]
     if len(edges) < 2:
         return Jump(0.0, high, 0.0, np.inf)
-    window, middles = _Window.of(x, y, jump=True), 0.5 * (edges[1:] + edges[:-1])
-    stride = max(len(middles) // _KNOTS, 1)
-    each, sizes = np.full(len(middles), np.inf), np.zeros(len(middles))
-    wanted = np.zeros(len(middles), dtype=bool)
-    wanted[::stride] = True
-    wanted[max(np.searchsorted(middles, knot) - 1, 0) :][:2] = True
-    near = np.flatnonzero(wanted)
-    while (anew := np.flatnonzero(wanted & np.isinf(each))).size:
-        paths = window.paths(middles[anew])
-        best = np.argmin(paths.deviance, axis=1)
-        each[anew] = paths.deviance[np.arange(len(anew)), best]
-        sizes[anew] = np.linalg.norm(paths.coefficients[np.arange(len(anew)), best, -1], axis=1)
-        near = np.flatnonzero(each < each.min() + _CREDIBLE)
-        for k in near:
-            wanted[max(k - stride, 0) : k + stride] = True
-    best_of_all = int(np.argmin(each))
-    return Jump(float(edges[near[0]]), float(edges[near[-1] + 1]), float(sizes[best_of_all]), float(each[best_of_all]))
+    around = max(int(np.searchsorted(0.5 * (edges[1:] + edges[:-1]), knot)) - 1, 0)
+    each, sizes = _window(x, y, jump=True).jumps(edges, around, _CREDIBLE)
+    best = int(np.argmin(each))
+    near = np.flatnonzero(each < each[best] + _CREDIBLE)
+    return Jump(float(edges[near[0]]), float(edges[near[-1] + 1]), float(sizes[best]), float(each[best]))

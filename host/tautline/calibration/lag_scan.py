@@ -7,7 +7,7 @@ y that they leave is the misfit: it needs no pose, no camera and no model of the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -54,6 +54,9 @@ class LagScan:
     noise_share: float  # of the variance of y
     reference: tuple[float, float] | None  # of the other axes; None where they rest
     coarse_direction: Array  # (channels,) in which y moves as q rises, by f_coarse
+    last: dict[float, tuple[Array, npt.NDArray[np.intp], Mask]] = field(  # by lag
+        init=False, default_factory=dict, compare=False, repr=False
+    )
 
     @classmethod
     def of(cls, track: Track, rig: Rig, most: int) -> LagScan | None:
@@ -107,25 +110,16 @@ class LagScan:
         """Least squares of y by a Chebyshev polynomial of order _ORDER in p, the centre of a play of this width, unit
         of q, at a lag, s: the misfit, and the coefficients of the linear term (channels,). inf and 0 where fewer than
         half of the frames count: those that the motor's record covers, once the play has forgotten its start."""
-        track = self.track
-        scene = track.scene_s(lag_s)
-        turns = len(self.turn_t)
-        times = np.concatenate([self.turn_t, scene])
-        order = np.argsort(times, kind="stable")
-        q = np.concatenate([self.turn_q, track.motor_at(scene)])[order]
+        q, frame, inside = self._driven(lag_s)
         grid = np.array([self.low - self.span, self.low + 2.0 * self.span])
         plays = _native.Plays(grid, np.full(2, width))
         far = 10.0 * (self.span + float(np.abs(grid).max()))
         p, from_above = (plays.forward(q, start)[0] for start in (-far, far))
-        counted = (order >= turns) & (np.abs(p - from_above) < 1e-9 * self.span)
-        frames = order[counted] - turns
-        inside = track.within_motor(scene)[frames]
-        if self.reference is not None:
-            inside &= track.at_reference(scene, self.reference)[frames]
-        frames, x = frames[inside], 2.0 * (p[counted][inside] - self.low) / self.span - 1.0
-        if 2 * len(frames) < len(scene):
+        counted = inside & (np.abs(p - from_above) < 1e-9 * self.span)
+        frames, x = frame[counted], 2.0 * (p[counted] - self.low) / self.span - 1.0
+        if 2 * len(frames) < len(self.track.t_s):
             return np.inf, np.zeros_like(self.coarse_direction)
-        y = track.y[frames]
+        y = self.track.y[frames]
         y = y - y.mean(axis=0)
         design = np.polynomial.chebyshev.chebvander(x, _ORDER)
         gram = design.T @ design + 1e-9 * len(x) * np.eye(_ORDER + 1)
@@ -133,6 +127,21 @@ class LagScan:
         total = max(float(np.sum(y * y)), 1e-30)
         coefficients = np.linalg.solve(gram, pull)
         return max(1.0 - float(np.sum(pull * coefficients)) / total, 0.0), coefficients[1]
+
+    def _driven(self, lag_s: float) -> tuple[Array, npt.NDArray[np.intp], Mask]:
+        """The motor's positions (m,), unit of q, at its turns and at the frames, in order of time at a lag, s; which
+        frame each is, below 0 for a turn; and whether it is a frame that the motor's record covers. Kept until another
+        lag is asked for: a search tries several widths at each."""
+        if lag_s not in self.last:
+            track, scene, turns = self.track, self.track.scene_s(lag_s), len(self.turn_t)
+            order = np.argsort(np.concatenate([self.turn_t, scene]), kind="stable")
+            inside = track.within_motor(scene)
+            if self.reference is not None:
+                inside &= track.at_reference(scene, self.reference)
+            q = np.concatenate([self.turn_q, track.motor_at(scene)])
+            self.last.clear()
+            self.last[lag_s] = q[order], order - turns, np.concatenate([np.zeros(turns, dtype=bool), inside])[order]
+        return self.last[lag_s]
 
     def moving(self) -> Mask:
         """(n,) frames within _AROUND_S of which the motor moves: only they tell a delay."""

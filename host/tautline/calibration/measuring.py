@@ -279,8 +279,7 @@ class Measuring(_Setting):
             hysteresis=self.hysteresis,
         )  # fmt: skip
         channels = prepared[0].track.y.shape[1]
-        design = basis.design(self.grid).toarray()
-        backlash = np.linalg.lstsq(design, np.interp(self.grid, nominal.q, nominal.width), rcond=None)[0]
+        backlash = basis.nearest(self.grid, np.interp(self.grid, nominal.q, nominal.width))
         curves = Curves(
             backlash, np.zeros((basis.size, channels)), delay_s if fit_delay else before.curves.delay_s, values
         )

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy import sparse
 from scipy.linalg import eigh
 
-from tautline.calibration.counted import CountedFrames, Sparse, scaled_rows
+from tautline.calibration.counted import CountedFrames, scaled_rows
 from tautline.calibration.departures import Departure, SearchedParameters
 from tautline.calibration.playfit import STRAY, Curves, Fitted, PlayFit
 from tautline.independence import frames_each
@@ -46,23 +46,25 @@ class Selected:
     moving_noise: float = 1.0  # scatter of frames at which the tip moves, over that of the others
 
 
-def nominal_columns(fit: PlayFit, counted: CountedFrames) -> Sparse:
-    """(channels * n, unknowns), sparse: derivatives of the whitened image by the coefficients of the path (channel by
-    channel), those of B, and the delay."""
+def nominal_columns(fit: PlayFit, counted: CountedFrames) -> list[sparse.csr_matrix]:
+    """(channels * n, unknowns), sparse, as blocks side by side: derivatives of the whitened image by the coefficients
+    of the path (channel by channel), those of B, and the delay."""
     path = scaled_rows(counted.inverse, fit.follow.design(counted.p))
     by_width = scaled_rows(counted.by_width, fit.backlash.design(counted.p))
-    shared = sparse.csr_matrix(sparse.hstack([by_width, sparse.csr_matrix(counted.by_delay[:, None])]))
-    return sparse.csr_matrix(sparse.hstack([counted.per_channel(path), counted.along_path(shared)]))
+    return [
+        counted.per_channel(path),
+        counted.along_path(by_width),
+        counted.along_path(counted.by_delay[:, None]),
+    ]
 
 
 def normal_with_columns(fit: PlayFit, counted: CountedFrames, columns: Array) -> tuple[Array, Array, int]:
     """Weighted normal matrix (m, m) and gradient (m,) of the nominal unknowns followed by further ones, which move the
     tip's place by columns (n, k); and the number of nominal unknowns. No penalties."""
-    nominal = nominal_columns(fit, counted)
-    design = sparse.csr_matrix(sparse.hstack([nominal, counted.along_path(columns)]))
     weight = np.tile(counted.weight, counted.residuals.shape[1])
-    normal = Normal.of_sparse(design, weight, counted.residuals.T.ravel())
-    return normal.matrix, normal.gradient, int(nominal.shape[1])
+    blocks = [*nominal_columns(fit, counted), counted.along_path(columns)]
+    normal = Normal.of_sparse(blocks, weight, counted.residuals.T.ravel())
+    return normal.matrix, normal.gradient, len(normal.gradient) - columns.shape[1]
 
 
 class MixedModel:
@@ -80,14 +82,14 @@ class MixedModel:
         self.clock_error, self.searched = clock_error, searched
         self.fit = fit = fitted.fit
         nominal = nominal_columns(fit, counted)
-        self.design = sparse.hstack([nominal, *(part.columns for part in candidates)], format="csr")
+        self.design = [*nominal, *(part.columns for part in candidates)]
         moving_weight = np.where(counted.moving, selected.moving_noise**-2, 1.0)
         self.weight = np.tile(counted.weight * moving_weight, counted.residuals.shape[1])
         self.target = counted.residuals.T.ravel()
         normal = Normal.of_sparse(self.design, self.weight, self.target)
         self.gram, self.right = normal.matrix, normal.gradient
         self.target_squares = float(self.weight @ self.target**2)
-        self.nominal = int(nominal.shape[1])
+        self.nominal = sum(int(block.shape[1]) for block in nominal)
         ends = np.cumsum([self.nominal, *(part.size for part in candidates)])
         self.candidates = {part.name: part for part in candidates}
         self.places = {part.name: np.arange(a, b) for part, a, b in zip(candidates, ends[:-1], ends[1:], strict=True)}
@@ -198,9 +200,11 @@ class MixedModel:
         if not roots.max() > 0:
             return 0.0, 1.0
         penalties = _PENALTIES * float(roots.max())
-        gains = [float(np.sum(squares / (roots + each) - np.log1p(roots / each))) for each in penalties]
+        gains = (1.0 / np.add.outer(penalties, roots)) @ squares - np.log1p(np.outer(1.0 / penalties, roots)).sum(
+            axis=1
+        )
         best = int(np.argmax(gains))
-        return gains[best], float(penalties[best])
+        return float(gains[best]), float(penalties[best])
 
     def searched_again(self) -> SearchedParameters:
         """The moments of a shift and a slip and the frequency of a breath that fit the residuals that are left; those
@@ -211,7 +215,12 @@ class MixedModel:
 
     def left(self) -> Array:
         """(n, channels) whitened residuals that the solution leaves."""
-        left = self.target - self.design[:, self.solved] @ self.values
+        values = np.zeros(len(self.right))
+        values[self.solved] = self.values
+        ends = np.cumsum([block.shape[1] for block in self.design])[:-1]
+        left = self.target - sum(
+            (block @ each for block, each in zip(self.design, np.split(values, ends), strict=True)), 0.0
+        )
         return np.asarray(left.reshape(self.counted.residuals.shape[1], -1).T)
 
     def moving_noise(self) -> float:

@@ -101,6 +101,8 @@ class Track:
 
     def others_still(self, from_s: float, to_s: float) -> bool:
         """Whether translation and rotation rest between two times."""
+        if self.motor.translation_mm is None and self.motor.rotation_deg is None:
+            return True
         translation, rotation = self.others_at(self.path.course(from_s, to_s)[0])
         return bool(np.ptp(translation) <= _STILL_MM and np.ptp(rotation) <= _STILL_DEG)
 
@@ -282,7 +284,7 @@ def with_noise(track: Track, noise: NoiseByPlace, place: Array) -> Track:
 def turning_hysteresis(path: MotorPath, resolution: float, span: float) -> float:
     """How far, unit of q, a motor has to go back for a turn: by less it is dither of the encoder, noise of its readings
     or next to nothing of the span."""
-    return float(max(3.0 * resolution, 8.0 * reading_noise(path.sampled), LITTLE * span))
+    return float(max(3.0 * resolution, 8.0 * path.noise, LITTLE * span))
 
 
 def usual_width(width: Array, span: float) -> float:

@@ -159,17 +159,15 @@ def _creep(since_s: Array, z: Array, heading: Array) -> Array:
     stop = int(np.argmax(ahead))  # two frames before the middle of the furthest three
     if ahead[stop] < 8.0 or stop < 6:  # sigma, frames
         return none
-    best, least = none, np.inf
-    for tau in _SETTLE_S:
-        gone = 1.0 - np.exp(-since_s / tau)
-        basis = np.column_stack([np.ones(stop), gone[:stop]])
-        coefficients, *_ = np.linalg.lstsq(basis, z[:stop], rcond=None)
-        squares = float(np.sum((z[:stop] - basis @ coefficients) ** 2))
-        if squares < least:
-            least, best = squares, gone[:, None] * coefficients[1] if tau > _SETTLE_S[0] else none
-    level = float(np.sum((z[:stop] - z[:stop].mean(axis=0)) ** 2))
+    gone = 1.0 - np.exp(-since_s / _SETTLE_S[:, None])  # (time constants, n)
+    bent, off = gone[:, :stop] - gone[:, :stop].mean(axis=1, keepdims=True), z[:stop] - z[:stop].mean(axis=0)
+    pull, power = bent @ off, np.sum(bent**2, axis=1)
+    level, explained = float(np.sum(off**2)), np.sum(pull**2, axis=1) / power
+    best = int(np.argmax(explained))
     # Less what noise alone leaves: one for each value.
-    return best if least - z[:stop].size < (1.0 - _SETTLES) * level else none
+    if best == 0 or level - explained[best] - off.size >= (1.0 - _SETTLES) * level:
+        return none
+    return np.asarray(gone[best][:, None] * pull[best] / power[best])
 
 
 def _lagging_frames(z: Array) -> int:

@@ -166,18 +166,15 @@ class PlayFit:
 
     def slope_in_view(self, track: Track, curves: Curves, tip: Array) -> Array:
         """dy/dp (n, k), sensor's unit per unit of q, at each frame of a track, the tip being at `tip` (n,)."""
-        slope = self.follow.slope(curves.follow, tip)
-        if self.view is None:
-            return slope
-        s = self.follow.value(curves.follow, tip)
-        return self._view_slope(track, s, np.ones(len(tip), dtype=bool), curves.delay_s) * slope
+        return self.follow.slope(curves.follow, tip) * self._view_slope(track, curves, tip, slice(None))
 
-    def _view_slope(self, track: Track, s: Array, keep: Mask, delay_s: float) -> Array:
-        """dy/ds (kept, k), sensor's unit; 1 where s is y itself."""
+    def _view_slope(self, track: Track, curves: Curves, tip: Array, keep: Mask | slice) -> Array:
+        """dy/ds (kept, k), sensor's unit, the tip being at `tip` (kept,) at the frames that are kept; 1 (1, channels)
+        where s is y itself."""
         if self.view is None:
-            return np.ones_like(s)
-        translation, rotation = track.others_at(track.scene_s(delay_s)[keep])
-        return self.view(s[:, 0], translation, rotation)[1]
+            return np.ones((1, curves.follow.shape[1]))
+        translation, rotation = track.others_at(track.scene_s(curves.delay_s)[keep])
+        return self.view(self.follow.value(curves.follow, tip)[:, 0], translation, rotation)[1]
 
     def slopes(self, prepared: PreparedTrack, sim: Simulated, keep: Mask, curves: Curves) -> tuple[Array, Array]:
         """Derivatives of the tip's place at the frames that are kept: by B there (kept,); and (kept, m_e + 1) by the
@@ -211,7 +208,7 @@ class PlayFit:
         weights = self.weights_with_rounding(weights, curves, scale)
         matrix, _ = self.normal(curves, residuals, weights)
         penalty, _ = self.penalty(curves, scale)
-        covariance = np.asarray(np.linalg.inv(matrix + penalty + 1e-12 * np.eye(len(matrix))) * scale * scale)
+        covariance = inverse_of(with_ridge(matrix + penalty)) * scale * scale
         return Fitted(self, curves, scale, residuals, masks, weights, covariance)
 
     def descended(self, start: Curves, iterations: int = _MOST_STEPS, adapt: bool = True) -> Point:
@@ -265,9 +262,8 @@ class PlayFit:
         layout = self.layout(curves, extra[0].shape[1] if extra else 0)
         matrix, gradient = np.zeros((layout.total, layout.total)), np.zeros(layout.total)
         # Channels share no unknowns of the followed curve, so each has its own sums: B, its own curve, then the rest.
-        before, after = np.r_[layout.backlash], np.arange(layout.backlash.stop, layout.total)
-        places = [np.concatenate([before, np.r_[follow], after]) for follow in layout.follow]
-        nominal, sums = Nominal(self.backlash, self.follow), [Normal.zeros(len(at)) for at in places]
+        nominal, after = Nominal(self.backlash, self.follow), slice(layout.backlash.stop, layout.total)
+        sums = [Normal.zeros(nominal.size + layout.total - after.start) for _ in layout.follow]
         for number, (prepared, sim, r, w) in enumerate(
             zip(self.tracks, self.simulated, residuals, weights, strict=True)
         ):
@@ -277,20 +273,23 @@ class PlayFit:
             p, tip, track = sim.p[keep], sim.tip[keep], prepared.track
             inverse = 1.0 / track.sigma[keep]
             slope = self.follow.slope(curves.follow, tip)
-            by_s = self._view_slope(track, self.follow.value(curves.follow, tip), keep, curves.delay_s)
-            by_s = by_s * inverse[:, None]
+            by_s = self._view_slope(track, curves, tip, keep) * inverse[:, None]
             by_b, shared_by = self.slopes(prepared, sim, keep, curves)
             shared_by = np.column_stack([shared_by, extra[number][keep]]) if extra else shared_by
-            for channel, own in enumerate(sums):
+            for channel, total in enumerate(sums):
                 of = slice(None) if self.view is not None else slice(channel, channel + 1)
                 h, steep = np.ascontiguousarray(by_s[:, of]), slope[:, channel]
                 columns = h[:, :, None] * (steep[:, None] * shared_by)[:, None, :]
                 residual = np.ascontiguousarray(r[keep, of])
                 weight = np.ascontiguousarray(np.broadcast_to(w[keep, None], h.shape))
-                nominal.add(Rows(p, tip, steep * by_b, np.ones(len(p)), h, columns, residual), own, weight=weight)
-        for at, part in zip(places, sums, strict=True):
-            matrix[np.ix_(at, at)] += part.matrix
-            gradient[at] += part.gradient
+                nominal.add(Rows(p, tip, steep * by_b, np.ones(len(p)), h, columns, residual), total, weight=weight)
+        own = slice(self.backlash.size), slice(self.backlash.size, nominal.size), slice(nominal.size, None)
+        for follow, part in zip(layout.follow, sums, strict=True):
+            places = list(zip(own, (layout.backlash, follow, after), strict=True))
+            for rows, at in places:
+                gradient[at] += part.gradient[rows]
+                for across, to in places:
+                    matrix[at, to] += part.matrix[rows, across]
         return matrix, gradient
 
     # ---- smoothness, constraints and priors
@@ -578,8 +577,8 @@ def _ones_where_uncounted(weights: list[Array], masks: list[Mask]) -> list[Array
 def _huber_weights(residuals: list[Array], masks: list[Mask]) -> tuple[float, list[Array]]:
     """Scale of the residuals (rms over noise, outliers cut at STRAY scales; 1 without frames) and each frame's Huber
     weight, min(1, STRAY scale / its rms), 0 where it does not count."""
-    used = [np.sqrt(np.mean(r[m] ** 2, axis=1)) for r, m in zip(residuals, masks, strict=True)]
-    norm = np.concatenate(used) if used else np.zeros(0)
+    each = [np.sqrt(np.einsum("nk,nk->n", r, r) / r.shape[1]) for r in residuals]
+    norm = np.concatenate([size[m] for size, m in zip(each, masks, strict=True)])
     if len(norm) == 0:
         return 1.0, [m.astype(float) for m in masks]
     # The median of one or of two coordinates' rms as a standard deviation.
@@ -587,10 +586,8 @@ def _huber_weights(residuals: list[Array], masks: list[Mask]) -> tuple[float, li
     limit = STRAY * max(middle, 1e-9)
     scale = max(float(np.sqrt(np.mean(np.minimum(norm, limit) ** 2))), 1e-6)
     limit = STRAY * scale
-    weights = []
-    for r, m in zip(residuals, masks, strict=True):
-        size = np.sqrt(np.mean(np.where(m[:, None], r, 0.0) ** 2, axis=1))
-        weights.append(np.where(m, np.minimum(1.0, limit / np.maximum(size, 1e-12)), 0.0))
+    pairs = zip(each, masks, strict=True)
+    weights = [np.where(m, np.minimum(1.0, limit / np.maximum(size, 1e-12)), 0.0) for size, m in pairs]
     return scale, weights
 
 

@@ -276,8 +276,7 @@ def _fit_of(
     values = np.zeros(0)
     if model.effects:
         fit.effects, values = FittedEffects.of(model.effects, model)
-    design = basis.design(model.q).toarray()
-    width, c = np.linalg.lstsq(design, np.column_stack([model.width, model.c_deg]), rcond=None)[0].T
+    width, c = basis.nearest(model.q, np.column_stack([model.width, model.c_deg])).T
     return fit, Curves(width, c[:, None], model.delay_s, values)
 
 

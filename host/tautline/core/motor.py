@@ -9,8 +9,9 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from tautline import _native
 from tautline.driven import Driven
-from tautline.encoder import between_counts, cut, posterior_of, straight_lines
+from tautline.encoder import between_counts, cut, posterior_of, reading_noise, straight_lines
 from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
@@ -38,13 +39,18 @@ class MotorPath:
         return cls(readings, between_counts(readings, resolution), posterior_of(readings, resolution))
 
     def at(self, t_s: Array) -> Array:
-        """q at times (n,), its unit."""
-        return np.asarray(np.interp(t_s, self.lines.t_s, self.lines.q))
+        """q at times (n,) or of any shape, its unit."""
+        return np.asarray(_native.lines_at(t_s.ravel(), self.lines.t_s, self.lines.q).reshape(t_s.shape))
 
     @cached_property
     def sampled(self) -> Motor:
         """The readings, each where the path says that the motor was."""
         return replace(self.readings, q=self.at(self.readings.t_s))
+
+    @cached_property
+    def noise(self) -> float:
+        """`white_noise` of `sampled`."""
+        return reading_noise(self.sampled)
 
     def course(self, from_s: float, to_s: float) -> tuple[Array, Array]:
         """Knots of the path from one time to another, both included: times and q (n,), straight lines between them."""
