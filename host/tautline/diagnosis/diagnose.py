@@ -32,6 +32,7 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 _NO_NOISE = 0.8  # tolerance: share of a noise floor: a calibration that leaves less refutes it
+_PREPARING, _FITTING, _STARTING = 0.1, 0.8, 0.02  # format: shares of the progress: recordings, all fits, `start`
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -81,9 +82,9 @@ def diagnose(
 ) -> Diagnosis:
     """Which effect explains the gap between a calibrated model and later recordings. model: what `calibration` gave;
     the search begins without the effects that it carries, and `corrected` keeps them where none is named that a model
-    holds. progress:
-    called with the share that is done, 0 to 1, and what is done now. left_out: ids of effects not to try. simulated:
-    if a user's simulator stands in the motor's place. Raises TautError where no observation can be scored."""
+    holds. progress: called with the share that is done, 0 to 1, and what is done now. left_out: ids of effects not to
+    try. simulated: if a user's simulator stands in the motor's place. Raises TautError where no observation can be
+    scored."""
     with threadpool_limits(1, "blas"):  # the systems are small: threads that wait for each other cost 10 times more
         return _diagnosis(model, calibration, tests, progress, left_out, simulated)
 
@@ -107,13 +108,18 @@ def _diagnosis(
     fitter, frozen = _fitter_and_residuals(
         model, tracked.segments if tracked else segments, load_reference(calibration), simulated
     )
-    base = _recalibrate_and_set_noise(fitter, frozen, tracked)
+    base = _recalibrated(fitter, frozen, tracked)
+    fitter.floor = _noise_floor(fitter, frozen[0], base, tracked.noise if tracked else 0.0)
     segments = fitter.segments
     kinds = [*applicable(fitter, left_out), *(simulated.kinds if simulated else ())]
     hidden = confounded.hidden(kinds, segments)
     kinds = [kind for kind in kinds if kind.id not in hidden]
 
-    gathered = gather(fitter, frozen, base, kinds, lambda done, text: progress(0.1 + 0.8 * done, text))
+    def of_fits(done: float, text: str) -> None:
+        """The progress of the fits as that of all."""
+        progress(_PREPARING + _FITTING * done, text)
+
+    gathered = gather(fitter, frozen, base, kinds, of_fits)
     verdict = decide.decide(gathered.evidence)
     if verdict.name != "effect" and simulated is None and start.concerns(model):
         # Nothing that came later is the cause: what was there while calibrating, which the calibration has swallowed.
@@ -122,12 +128,12 @@ def _diagnosis(
             segments,
             fitter.load_reference,
             tracked,
-            lambda done, text: progress(0.9 + 0.02 * done, text),
+            lambda done, text: progress(_PREPARING + _FITTING + _STARTING * done, text),
             left_out,
         )
         if from_start.named:
             fitter, gathered, verdict = from_start.fitter, from_start.gathered, from_start.verdict
-    progress(0.92, "attributing")
+    progress(_PREPARING + _FITTING + _STARTING, "attributing")
     verdict, parts = _with_moved_parts(fitter, frozen, base, gathered, verdict)
     found = Found(
         model=model,
@@ -182,24 +188,27 @@ def _fitter_and_residuals(
     return fitter, fitter.residuals(fitter.start(), fitter.no_effect)
 
 
-def _recalibrate_and_set_noise(fitter: Fitter, frozen: Sequence[Array], tracked: TrackerError | None) -> Fit:
-    """The recalibrated nominal model's fit. Sets the fitter's noise floor, px or deg, from the sensor at rest, or from
-    the calibration's own residuals (`frozen`) where these are smaller; with tracked videos it is at least the noise of
-    a moving marker."""
-    moving, segments = tracked.noise if tracked else 0.0, fitter.segments
-    fitter.floor = max(gap.noise_floor(segments, frozen), moving)
+def _recalibrated(fitter: Fitter, frozen: Sequence[Array], tracked: TrackerError | None) -> Fit:
+    """The recalibrated nominal model's fit, weighed by a first noise floor, of the sensor at rest or else by what the
+    calibrated model leaves: `frozen`, (scored, k) of each recording. Sets that floor, and what tracked videos say of
+    how certain and how steady it is."""
+    fitter.floor = max(gap.noise_floor(fitter.segments, frozen), tracked.noise if tracked else 0.0)
     if tracked is not None:
         fitter.doubt, fitter.unsteady = tracked.doubt, tracked.unsteady
-    base = fitter.recalibrated()
-    # A rest in which the tip goes on moving overestimates the noise: what the calibration leaves of itself bounds it.
-    # A simulator's calibration leaves nothing, so the least noise and the tests' own white noise stay a lower bound.
-    relative = fitter.relative_noise
+    return fitter.recalibrated()
+
+
+def _noise_floor(fitter: Fitter, of_calibration: Array, base: Fit, moving: float) -> float:
+    """The noise floor, px or deg, by what `base` leaves at rest. A rest in which the tip goes on moving overestimates
+    it: what the calibrated model leaves of its own calibration, `of_calibration` (scored, k), bounds it if that is
+    clearly less. A simulator's calibration leaves nothing, so that this bound is no less than the least noise and the
+    tests' own white noise. moving: the noise of a moving marker in tracked videos, below which the floor never is."""
+    segments, relative = fitter.segments, fitter.relative_noise
     at_rest = gap.noise_floor(segments, base.residuals, fitter.across(base), relative)
     of_tests = [left / times for left, times in zip(base.residuals[1:], relative[1:], strict=True)]
-    own = gap.rms(frozen[:1]) / relative[0]
-    bound = max(own, gap.least_noise(segments), gap.second_difference_noise(of_tests))
-    fitter.floor = max(bound if bound < _NO_NOISE * at_rest else at_rest, moving)
-    return base
+    by_calibration = gap.rms([of_calibration]) / relative[0]
+    bound = max(by_calibration, gap.least_noise(segments), gap.second_difference_noise(of_tests))
+    return max(bound if bound < _NO_NOISE * at_rest else at_rest, moving)
 
 
 def _with_moved_parts(

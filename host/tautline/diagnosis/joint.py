@@ -227,8 +227,9 @@ class Joint:
         return [(s.observed - seen)[s.scored] for s, seen in zip(self.segments, predicted, strict=True)]
 
     def slopes(self, u: Array, residuals: Sequence[Array]) -> list[Array]:
-        """d prediction / d u, (scored, k, m) for each recording, by difference quotients that stay within the
-        parameters' ranges. residuals: at u (m,)."""
+        """d prediction / d u, (scored, k, m) for each recording, by difference quotients, backwards where a
+        step forwards would leave a parameter's range. All steps are announced (`ask`) before any is simulated, so that
+        a simulator can run them at once. residuals: at u (m,)."""
         steps = []
         for step in _DIFFERENCE * np.eye(len(u)):
             steps.append(step if np.array_equal(self.within(u + step), u + step) else -step)

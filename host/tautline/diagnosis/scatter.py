@@ -300,21 +300,23 @@ class _Joined:
 
     @cached_property
     def _by_median_wait(self) -> tuple[Array, Array]:
-        """(n,) twice: residuals along the motion, each recording's median frame in time, and their square across."""
+        """(n,) twice: the residual along the image's motion, shifted in proportion to the speed so that the median
+        frame of its recording is timely (`_median_part`), and the square of the residual across it."""
         along, across2 = _along_and_across2(self.as_it_is, self._velocity)
-        return along - self._median(along, self.speed), across2
+        return along - self._median_part(along, self.speed), across2
 
     @cached_property
     def _by_median_length(self) -> tuple[Array, Array, Array]:
-        """(n,) three times: residuals along the play's motion, each recording's median frame where the tip is, their
-        square across, and the image's motion per unit of the play's centre, 0 at rest."""
+        """(n,) three times: the residual along the image's motion with the play's centre, shifted by a length so that
+        the median frame of its recording is where the fit has it (`_median_part`), the square of the residual across
+        it, and the image's motion per unit of the centre, 0 at rest."""
         along, across2 = _along_and_across2(self.as_it_is, self._per_unit)
         per_unit = np.sqrt(self._per_unit2) * self._moving
-        return along - self._median(along, per_unit), across2, per_unit
+        return along - self._median_part(along, per_unit), across2, per_unit
 
-    def _median(self, along: Array, scale: Array) -> Array:
-        """(n,) Each recording's median of along / scale, (n,) both, times scale: over the faster half of the frames
-        that move."""
+    def _median_part(self, along: Array, scale: Array) -> Array:
+        """(n,) `scale` times the median of along / scale, (n,) both, in each recording: of the faster half of the
+        frames that move, as in the others noise is most of that ratio."""
         part = np.zeros(len(along))
         for number in np.unique(self._recording):
             of = self._recording == number

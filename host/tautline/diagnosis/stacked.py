@@ -130,12 +130,13 @@ class Stacked:
         self.confined_log_ratio = lru_cache(_REMEMBERED)(self._confined_log_ratio)
 
     def _set_scatter(self, hypotheses: Sequence[Weighed]) -> None:
-        """Which hypotheses have an event (`scatters`), and logarithms of the power, over the noise's, that is left of a
-        frame given those before: by an event (`by_event`), and by whatever is none, the best rival on the same path
-        (`without_event`); (hypotheses, blocks) each, of `in_sight` those in which a frame counts."""
+        """Which hypotheses have an event (`scatters`), and (hypotheses, blocks) each: logarithms of the power over the
+        noise's that is left of a block's frames, with the event as the explanation of their scatter (`by_event`), and
+        with the best one that is none, if that leaves less than the path alone (`without_event`); and whether frames of
+        the block count for the event (`in_sight`)."""
         scatter, rival = np.array([h.scatter for h in hypotheses]), np.array([h.rival for h in hypotheses])
         self.scatters: Flags = np.asarray(scatter.any(axis=1))
-        # Of an event that came later the calibration's blocks do not count.
+        # Of an event that came later the calibration's blocks do not count: `scatter` and `rival` are 0 there.
         self.in_sight: Flags = (scatter != 0.0) | (rival != 0.0) | ~self.scatters[:, None]
         above_noise = np.log(self.power / self.floor2)
         self.by_event, self.without_event = above_noise + scatter, above_noise + np.minimum(rival, 0.0)
