@@ -271,6 +271,7 @@ def _shapley(found: Found, named: Sequence[str]) -> list[float]:
         """Shrinkage of the rms, 1 - after / before, with these effects alone."""
         if names in known:
             return known[names]
+        # An event's amount is off in any case: the simulation would draw a random course of it.
         off = {p.name for name in named if name not in names for p in effects.BY_ID[name].amplitudes} | effects.SCATTERS
         values = {k: (0.0 if k.split("@")[0] in off else v) for k, v in chosen.fit.state.values.items()}
         residuals = found.fitter.residuals(replace(chosen.fit.state, values=values), chosen.fit.hypothesis)

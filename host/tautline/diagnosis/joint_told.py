@@ -54,7 +54,7 @@ class Answer:
             width_sigma=_FRICTION_VARIES * np.sqrt(self._is_friction) * model.width,
             c_sigma=c_sigma,
             uncertainty=Uncertainty(
-                self._unseen(), deviations=tuple(self._deviations()), discrepancy=self._discrepancy()
+                self._noise_of_unseen(), deviations=tuple(self._deviations()), discrepancy=self._discrepancy()
             ),
         )
 
@@ -69,7 +69,7 @@ class Answer:
             below, above = (joint.model_at(joint.within(self.fitted.u + sign * step)) for sign in (-1.0, 1.0))
             yield Deviation.of(below), Deviation.of(above)
 
-    def _unseen(self) -> float:
+    def _noise_of_unseen(self) -> float:
         """One standard deviation of a reading of an unseen motion, in the observations' unit."""
         before = gap.rms(self.joint.residuals(np.zeros(self.joint.size)))
         return gap.unseen(before, gap.rms(self.held_out), self.joint.floor, learnt().elsewhere)
@@ -79,7 +79,7 @@ class Answer:
         seen only where the recorded motions were, and elsewhere it is worth no more than the plainer fit."""
         if self.plainer is None:
             return None
-        power = self.plainer._unseen() ** 2 - self._unseen() ** 2
+        power = self.plainer._noise_of_unseen() ** 2 - self._noise_of_unseen() ** 2
         if power <= 0.0:
             return None
         joint, model = self.joint, self.joint.model_at(self.fitted.u)

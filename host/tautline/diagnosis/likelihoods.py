@@ -114,9 +114,9 @@ class Likelihoods:
         return np.asarray(np.log(self._mimics + (1.0 - self._mimics) * self._case.chance))
 
     def _with_imitating_misfit(self, own: Array, replaced: npt.NDArray[np.bool_]) -> Array:
-        """(hypotheses,) The largest log-likelihood of a hypothesis with the misfit of its effects, its own or that of
-        one with a further effect, where by chance the misfit looks like that further effect; like an event none does.
-        own: log-likelihood of each; replaced: which are excluded."""
+        """(hypotheses,) The largest of a hypothesis' own log-likelihood and those of the sets with a further effect,
+        each with the chance that what that effect closes is only misfit of the right ones (`_log_chance_of_misfit`); an
+        event's is none. own: log-likelihood of each; replaced: which are excluded."""
         case, by_chance = self._case, self._log_chance_of_misfit
         reached = np.where(replaced, -np.inf, own)
         for size in range(int(case.size.max()), 1, -1):  # the largest first: two further ones may imitate as well
@@ -171,10 +171,11 @@ class Likelihoods:
 
     @property
     def _log_chance_of_misfit(self) -> Array:
-        """(pairs,) For hypotheses of which the second has one effect more: logarithm of the probability that what this
-        one closes is only misfit that the right first ones leave: that this misfit is as large (log-normally falling
-        beyond the usual share), times, as the share of it that the further effect closes is uniform, that it looks so
-        like that effect. A further part of the nominal model is a curve by place, which follows any small misfit."""
+        """(pairs,) Of hypotheses of which the second has one effect more: logarithm of the probability that what this
+        one closes is only misfit that the first, right ones leave. It is the probability that misfit is as large,
+        log-normally falling beyond the share that right effects may well leave, times the share of it that is left
+        (_ALIKE): so improbable is it that it looks so like the further effect, if the share that this closes is
+        uniform. Without the latter for parts of the nominal model: curves by place follow any small misfit."""
         case = self._case
         left, after = (np.maximum(case.mean[of] - case.floor2, 1e-300) for of in (case.fewer, case.further))
         may_leave = np.maximum(np.mean(case.inexact[case.fewer], axis=1), 1e-300)

@@ -47,6 +47,10 @@ _HELD_SHARES = np.array([0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 
 _PLACES = 96  # prior: places along the range at which a misfit may be another
 _RIDGE = 1e-9  # tolerance: of a frame: for rounding
 _JUMPS = (0.1, 30.0)  # prior: range of jumps, times a fast drive from frame to frame
+_FINEST = (
+    0.1  # tolerance: of the smallest jump, of the time in which a fast image shows beside noise: grids begin there
+)
+_SECONDS, _JUMP_SIZES, _LENGTHS = 41, 61, 31  # tolerance: members of each family that are tried
 
 
 @dataclass(frozen=True)
@@ -150,12 +154,13 @@ def compared(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
     frames = _Joined(parts, floor)
     # s in which a fast image moves as far as the noise
     finest_s = floor / max(float(np.quantile(frames.speed, _FAST_IMAGE)), 1e-9)
-    seconds = np.geomspace(min(0.1 * finest_s, 0.1 * _LONGEST_S), _LONGEST_S, 41)
+    seconds = np.geomspace(min(_FINEST * finest_s, _FINEST * _LONGEST_S), _LONGEST_S, _SECONDS)
     steady, waiting = frames.likeliest(frames.jitter, seconds), frames.likeliest(frames.waiting, seconds)
     jittered, jitter_s = max(steady, waiting, key=_log_likelihood)
     fast_drive = max(float(np.quantile(frames.driven, _FAST)), 1e-9)  # unit of q from frame to frame
-    stuck, jump = frames.likeliest(frames.stick, np.geomspace(_JUMPS[0] * fast_drive, _JUMPS[1] * fast_drive, 61))
-    lengths = np.geomspace(0.1 * _JUMPS[0] * fast_drive, fast_drive, 31)
+    jumps = np.geomspace(_JUMPS[0] * fast_drive, _JUMPS[1] * fast_drive, _JUMP_SIZES)
+    stuck, jump = frames.likeliest(frames.stick, jumps)
+    lengths = np.geomspace(_FINEST * _JUMPS[0] * fast_drive, fast_drive, _LENGTHS)
     behind, ahead = (frames.likeliest(frames.behind, way * lengths) for way in (1.0, -1.0))
     repeated, held_share = frames.likeliest(frames.repeats, _HELD_SHARES)
     level = frames.two_levels(frames.residual)
@@ -378,8 +383,8 @@ def _gaussian_along(along: Array, across2: Array, variance: Array, across_varian
 
 def _lagging(along: Array, across2: Array, scale: Array, variance: float, k: int) -> Array:
     """(n,) Log-density in k coordinates, up to a constant, of a distance behind the prediction that is exponential with
-    this scale (n,) about its median, and Gaussian noise of `variance` of a coordinate. along, across2: as in
-    `_gaussian_along`."""
+    this scale (n,) about its median, plus Gaussian noise of `variance` of a coordinate: an exponentially modified
+    Gaussian, in units of the noise. along, across2: as in `_gaussian_along`."""
     noise = np.sqrt(variance)
     rate = noise / np.maximum(scale, _LEAST * noise)
     lag = np.log(2.0) / rate - along / noise  # above the least one, in the noise

@@ -84,10 +84,10 @@ def brought_parts(ids: Collection[str]) -> frozenset[str]:
 
 
 def _beside(flexible: frozenset[str], simple: frozenset[str]) -> frozenset[str] | None:
-    """What is beside the flexible effect where the set of effects `flexible` is replaced by the set `simple` if that
-    suffices: an effect of the former contains one of the latter (`Kind.contains`), and the others are the same, or
-    parts of the nominal model that are beside the flexible effect alone. None where it is not replaced. Events of the
-    flexible set do not count: they would be seen beside the simple one too."""
+    """Whether the set of effects `flexible` gives way to the set `simple` if that suffices: an effect of the former
+    contains one of the latter (`Kind.contains`), and the others are the same; parts of the nominal model may be beside
+    the flexible effect alone. If so the effects that both have, else None. Events of the flexible set do not count:
+    they would be seen beside the simple one too."""
     flexible = flexible - EVENTS
     others = flexible - simple
     for inner in simple:
@@ -328,7 +328,8 @@ class Stacked:
     def _log_likelihood_of_disturbed(self, floor_known: float, floor_steady: float, shares: Array) -> Array:
         """(shares, rows) Log-likelihood of the powers beyond the effects' stages if each block is noise, or with the
         probability of that share noise and any disturbance on top of it: prod((1 - s) noise + s disturbed), integrated
-        over the error of the floor. The parameters are `_confined_log_ratio`'s."""
+        over the error of the floor. The logarithm x of a disturbed block's power over the noise has a density
+        proportional to 1 / (x + its spread) from 0 to _WIDEST. The parameters are `_confined_log_ratio`'s."""
         x = np.log(np.maximum(self._beyond_power / self.floor2, 1e-6))[:, None]  # (rows, 1, blocks)
         spread = np.sqrt(2.0 / np.maximum(self._beyond_count, 1.0) + floor_steady**2 + self._unsteady**2)[:, None]
         floor_known = float(np.hypot(floor_known, self._doubt))

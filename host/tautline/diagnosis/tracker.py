@@ -197,7 +197,7 @@ class _Places:
             here = scored & (place == k)
             across[k], along[k] = np.median(view.across[here]), np.median(view.along[here])
             off = np.abs(view.across[here] - across[k]) + np.abs(view.along[here] - along[k])
-            scatter[k] = 0.5 * spread.deviation(off)
+            scatter[k] = 0.5 * spread.deviation(off)  # of one direction: `off` adds two
         usual = float(np.nanmedian(scatter))
         distance = np.hypot(view.across - float(np.nanmedian(across)), view.along)
         far = np.bincount(place[scored & (distance > _FAR * usual)], minlength=count)
