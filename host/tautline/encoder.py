@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 Kept = TypeVar("Kept")
 
 # How far the lines between a motor's knots may be from its samples: less than a camera sees.
-_TOLERANCE_COUNTS, _TOLERANCE_MM, _TOLERANCE_DEG, _TOLERANCE_LOAD = 0.5, 5e-4, 5e-3, 1e-3  # tolerance
+_TOLERANCE_COUNTS, _TOLERANCE_MM, _TOLERANCE_DEG, _TOLERANCE_LOAD = 0.5, 5e-4, 5e-3, 1e-3  # tolerance: load in mNm
 _STEPS = 0.5  # tolerance: counts more for an encoder's own steps
 _COARSE = 5e-4  # tolerance: of the motor's travel: finer counts are seen nowhere
 _COARSE_LINES = 2e-4  # tolerance: of the travel, instead of a coarse count: how far lines may be from its path
@@ -170,7 +170,7 @@ def between_samples(motor: Motor) -> float:
     share = (t_s[1:-1] - t_s[:-2]) / (t_s[2:] - t_s[:-2])
     longer, shorter = np.maximum(share, 1.0 - share), np.minimum(share, 1.0 - share)
     off_chord = np.abs(q[1:-1] - q[:-2] - share * (q[2:] - q[:-2]))
-    sagitta = off_chord / 4.0 * np.minimum(longer / np.maximum(shorter, 1e-12), _UNEVEN)
+    sagitta = off_chord / 4.0 * np.minimum(longer / np.maximum(shorter, 1e-12), _UNEVEN)  # equation: of h^2 / 8
     return float(max(float(np.quantile(sagitta, _SHARPEST)) - _BENT_BY_NOISE * reading_noise(motor), 0.0))
 
 

@@ -30,6 +30,7 @@ Array = npt.NDArray[np.float64]
 MOST_ROWS = 10_000_000  # format: of a prediction's CSV
 TRUTH_FILE = "truth.csv"  # beside a simulated recording
 COLUMNS = "t_s,c_deg,u_px,v_px,c_sigma_deg,u_sigma_px,v_sigma_px"
+_TO_SPARE = 1.1  # tolerance: times B, beside two counts: a way that has surely driven the tip through it
 _ANYWHERE = 3.0**-0.5  # equation: standard deviation of what is anywhere from -1 to 1
 
 
@@ -181,7 +182,7 @@ def _input_uncertainty(model: Model, path: MotorPath, start_deg: float | None) -
 def settled_from(model: Model, motor: Motor) -> float:
     """The scene time, s, from which the start inside the backlash no longer matters: both envelopes were reached, with
     a tenth of B and two counts to spare. Infinite where they never were."""
-    widest = 1.1 * float(model.width.max()) + 2 * model.rig.actuator.encoder_resolution
+    widest = _TO_SPARE * float(model.width.max()) + 2 * model.rig.actuator.encoder_resolution
     motor = between_counts(motor, model.rig.actuator.encoder_resolution)  # at every sample
     return driven_both_ways_from(motor.t_s, motor.q, widest)
 
