@@ -128,6 +128,7 @@ def _channel(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
         direction = np.sign(np.diff(p, prepend=p[0]))
         last_moving = np.maximum.accumulate(np.where(direction != 0, index, 0))
         direction = direction[last_moving]  # at rest that of the motion before
+        # The first sample of each motion; the tip turned at the one before it.
         reversal = np.maximum.accumulate(np.where(np.diff(direction, prepend=direction[0]) != 0, index, 0))
         travel = np.abs(p - p[np.maximum(reversal - 1, 0)]) / fitter.model.rig.actuator.span
         settling = [np.exp(-travel / length) for length in _TRAVELS]

@@ -305,7 +305,8 @@ def _depends_on_time(fit: Fit, named: Sequence[str]) -> bool:
 
 def _parameter_values(fit: Fit, name: str, latest: Segment) -> dict[str, Any]:
     """The object `parameters` of a named effect in diagnosis.json: its fitted values by name, in their own units (where
-    each recording has its own, those of the `latest`), and since_calibration, 0 or 1."""
+    each recording has its own, those of the `latest`; of the nominal registration that moved, its own), and
+    since_calibration, 0 or 1."""
     kind, scope = fit.hypothesis.find(name) or (effects.BY_ID[name], Scope.START)
     values = fit.state.values if fit.hypothesis.find(name) else fit.state.static
     own = {p.name for p in kind.parameters if scope == Scope.EACH and not p.searched}

@@ -251,7 +251,7 @@ class Fitter:
         self, segment: Segment, nominal: Model, simulated: _Simulated, slope_b: Array, slope_f: Array
     ) -> ScoredRows:
         """`rows` of one recording: dc = gain f'(tip) dp/dB dB + gain df, and the image by c. slope_b, slope_f: the
-        nominal's dB/dq and df_remain/dq on its grid."""
+        nominal's dB/dq and df_remain/dq on its grid; of effects in tables those of the changed tables are taken."""
         path, model, scored, by_c = simulated.path, simulated.model, segment.scored, simulated.by_c
         if model is not nominal:
             slope_b, slope_f = np.gradient(model.width, model.q), np.gradient(model.c_deg, model.q)
@@ -269,7 +269,8 @@ class Fitter:
 
     def _by_delay(self, segment: Segment, nominal: Model, simulated: _Simulated) -> Array:
         """(n, k) d prediction / d delay, px or deg per s: minus the velocity of what the sensor shows, as a difference
-        over _AHEAD_S. 0 where the model has no delay for this sensor."""
+        over _AHEAD_S; of the image, or of the bending angle where that alone moves it. 0 where the model has no delay
+        for this sensor."""
         path, by_c, parameters = simulated.path, simulated.by_c, simulated.parameters
         if not self.delayed:
             return np.zeros_like(by_c)
@@ -534,7 +535,8 @@ class _Descent:
         self.limits: list[float] = []  # of each recording, px or deg, at the last linearisation
 
     def linearised(self, point: _Point) -> tuple[Array, Array, float]:
-        """(Normal matrix (m, m), gradient (m,): the direction that lowers the cost, cost) at a point."""
+        """(Normal matrix (m, m), gradient (m,): the direction that lowers the cost, cost) at a point, with Huber's
+        weights and the priors. What is held has an equation of its own, whose step is 0."""
         fitter, hypothesis = self.fitter, self.hypothesis
         rows = fitter.rows_of(point.state, point.simulated)
         self.limits = [outlier_limit(row.residual) for row in rows]

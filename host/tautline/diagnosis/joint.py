@@ -140,9 +140,9 @@ class Joint:
         loose: bool = False,
         detail: Detail = NAMING,
     ) -> None:
-        """model: the simulator's nominal one. segments: the robot's recordings, each with its drive. floor: one
-        standard deviation of the sensor's noise, in the observations' unit. loose: whether nothing holds the joint
-        within the play."""
+        """model: the simulator's nominal one. parameters: what it declares. segments: the robot's recordings, each with
+        its drive. floor: one standard deviation of the sensor's noise, in the observations' unit. loose: whether
+        nothing holds the joint within the play. detail: how finely law and width go with the place."""
         self.loose, self.detail = loose, detail
         self.model, self.parameters, self.segments, self.floor = model, tuple(parameters), list(segments), floor
         low = min(float(s.motor.q.min()) for s in segments)

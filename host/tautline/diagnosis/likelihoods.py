@@ -129,8 +129,8 @@ class Likelihoods:
     def _log_likelihood_of_unknown(self, as_if_right: Array, replaced: npt.NDArray[np.bool_]) -> float:
         """Log-likelihood times prior of the best effects, one or two, if they stand in for an unknown cause: with
         probability `mimics` (its square root of the best of all pairs) they follow it as closely as if they were right,
-        else they leave what wrong effects do. as_if_right: log-likelihoods as right effects; replaced: which hypotheses
-        are excluded."""
+        else they leave what wrong effects do. Without effects nothing imitates it: any gap may be there. as_if_right:
+        log-likelihoods as right effects; replaced: which hypotheses are excluded."""
         case, hyper = self._case, self.hyper
         pair = case.causes == 2
         mimics = np.where(pair, np.sqrt(self._mimics), self._mimics)

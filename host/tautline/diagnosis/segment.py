@@ -147,7 +147,7 @@ def prepare(
         if drive is None:
             path = MotorPath.of(recording.motor, model.rig.actuator.encoder_resolution)
         else:
-            path = MotorPath(recording.motor, recording.motor)
+            path = MotorPath(recording.motor, recording.motor)  # simulated: its samples are the knots
         motor = path.lines
         times, observed, again = (_marker_observations if by_marker else _angle_observations)(recording, path)
         scene = times - model.delay_of(MARKER if by_marker else ANGLE)
