@@ -184,7 +184,7 @@ def _effects(found: Found, shares: Mapping[str, float]) -> list[dict[str, Any]]:
 
 def _candidates(found: Found) -> list[dict[str, Any]]:
     """The list `candidates` of diagnosis.json: every effect that was fitted, the likeliest to lead first, then those
-    that the linear screening left out."""
+    that the linear screening left out. One is identifiable that no other may well be instead (`Decision.ambiguous`)."""
     verdict, best, before = found.verdict, best_of_each(found.gathered), found.gap["before"]
     ambiguous = verdict.ambiguous()
     names = [*verdict.ranked, *(kind.id for kind in found.kinds if kind.id not in verdict.leading)]

@@ -108,7 +108,8 @@ class Outlook:
         return np.asarray(np.maximum(squares, 0.0) / float(np.sum(self._count[chosen])))
 
     def expected(self, which: Sequence[int], seconds: float) -> float:
-        """The expected information, nats, of the recordings `which`, which last `seconds` together."""
+        """The expected information, nats, of the recordings `which`, which last `seconds` together: the bound in this
+        module's docstring, D_hg = half of the blocks' number log(1 + what g leaves / what h itself leaves)."""
         hyper = learnt().center
         left = self.power_left(which)
         gap = left[:, 0]  # of each right hypothesis: what the nominal model leaves

@@ -40,11 +40,11 @@ class Answer:
         return cls(joint, fitted, Sets.of(joint.unknowns, fitted), held_out_residuals(joint, fitted))
 
     def corrected_model(self) -> Model:
-        """The model with all unknowns as fitted, and what they are off by together. Its c_sigma, deg, is
-        the law's posterior standard deviation; its width_sigma, unit of q, the standard deviation by which friction
-        varies (_FRICTION_VARIES of the width, times the root of the probability that it is friction and not slack); its
-        noise the standard deviation of a reading of an unseen motion, and beside it the discrepancy where an unseen
-        motion is unlike the recorded ones."""
+        """The model with all unknowns as fitted, and what they are off by together. Its c_sigma, deg, is the law's
+        posterior standard deviation; its width_sigma, unit of q, the standard deviation by which friction varies
+        (_FRICTION_VARIES of the width, times the root of the probability that it is friction and not slack); its noise
+        the standard deviation of a reading of an unseen motion, and beside it the discrepancy where an unseen motion is
+        unlike the recorded ones."""
         joint, fitted = self.joint, self.fitted
         names = [fitted.posterior.names[i] for i in joint.places[LAW]]
         c_sigma = fitted.posterior.marginal(names).spread(joint.law_slopes())

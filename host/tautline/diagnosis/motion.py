@@ -173,7 +173,8 @@ def _phases(fitter: Fitter) -> list[_Phase]:
 
 
 def _segment(fitter: Fitter, phase: _Phase, width: float, sway: bool) -> Segment:
-    """A phase as a recording after the last one, scored once the tip has been taken to both envelopes."""
+    """A phase as a recording after the last one: an observation each _PERIOD_S, of which only the time counts, once the
+    tip has been taken to both envelopes. width: the widest B, unit of q; sway: whether the other axes do."""
     last, actuator = _latest(fitter), fitter.model.rig.actuator
     approach = phase.approach(width, actuator.range)
     motion = trajectory.in_turn(approach, phase.strokes)

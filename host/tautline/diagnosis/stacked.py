@@ -143,7 +143,7 @@ class Stacked:
 
     def _set_effects(self, hypotheses: Sequence[Weighed]) -> None:
         """Which effects each hypothesis has: flags of their kinds, the number of its causes, which hypothesis replaces
-        which (`does_as_well`), and all pairs of which the second has one effect more (`fewer`, `further`: indices)."""
+        which (`contained`), and all pairs of which the second has one effect more (`fewer`, `further`: indices)."""
         self.ids = [h.ids for h in hypotheses]
         self.sets = [frozenset(h.ids) for h in hypotheses]
         self.same: dict[frozenset[str], list[int]] = {}  # indices of the hypotheses with the same effects
