@@ -23,7 +23,8 @@ Array = npt.NDArray[np.float64]
 Kept = TypeVar("Kept")
 
 # How far the lines between a motor's knots may be from its samples: less than a camera sees.
-_TOLERANCE_COUNTS, _TOLERANCE_MM, _TOLERANCE_DEG, _TOLERANCE_LOAD = 0.5, 5e-4, 5e-3, 1e-3  # tolerance: load in mNm
+_TOLERANCE_COUNTS, _TOLERANCE_MM, _TOLERANCE_DEG = 0.5, 5e-4, 5e-3  # tolerance: of q, in its encoder's counts; mm; deg
+_TOLERANCE_LOAD = 1e-3  # tolerance: likewise of the load, of its range
 _STEPS = 0.5  # tolerance: counts more for an encoder's own steps
 _COARSE = 5e-4  # tolerance: of the motor's travel: finer counts are seen nowhere
 _COARSE_LINES = 2e-4  # tolerance: of the travel, instead of a coarse count: how far lines may be from its path
