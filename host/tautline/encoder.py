@@ -257,7 +257,9 @@ def _stops_by_counts(motor: Motor, resolution: float) -> Stops:
 
 
 def _straight_lines(motor: Motor, resolution: float) -> Motor:
-    """As `straight_lines`, which keeps its result."""
+    """As `straight_lines`, which keeps its result. Of a motor with a posterior the lines are within its usual sigma,
+    and each rest at one level: the path's own, or, where its acceleration is what is constant (Driven.order 3), as the
+    changes of count tell it."""
     path = posterior_of(motor, resolution)
     if path is None:
         return _even_lines(motor, resolution)

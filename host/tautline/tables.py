@@ -291,7 +291,8 @@ def _elements(plays: dict[str, Any] | None) -> Elements:
 def _header_fields(
     rig: Rig, axis: int, limits: Limits, kind: str, delay_s: float, created_s: int | None
 ) -> dict[str, int]:
-    """The blob's header in the board's units."""
+    """The blob's header in the board's units. TautError, naming it, for what does not fit. delay_s: of the camera;
+    created_s: since 1970, now where it is None."""
     if kind not in KINDS:
         raise TautError(f"{kind!r} is not a kind of axis: {', '.join(KINDS)}")
     if not 0 <= axis < _native.TABLE_AXES:
