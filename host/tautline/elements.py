@@ -258,10 +258,10 @@ def _least_third_derivative(q: Array, period: Array, inside: npt.NDArray[np.bool
     """(_MESH,) Rising values v with v[0] = 0 for which v[k mod _MESH] + period[k] at q[k] has the least squared third
     derivative where `inside`; mixed with even steps as far as they must rise."""
     weights = np.zeros((len(q) - 3, 4))
-    for i in range(4):  # 6 f[q0, q1, q2, q3]: the third derivative
+    for i in range(4):
         others = [q[i : len(q) - 3 + i] - q[j : len(q) - 3 + j] for j in range(4) if j != i]
-        weights[:, i] = 6.0 / np.prod(others, axis=0)
-    weights *= (np.sqrt((q[3:] - q[:-3]) / 3.0) * (inside[3:] & inside[:-3]))[:, None]
+        weights[:, i] = 6.0 / np.prod(others, axis=0)  # equation: 6 f[q0, q1, q2, q3] is the third derivative
+    weights *= (np.sqrt((q[3:] - q[:-3]) / 3.0) * (inside[3:] & inside[:-3]))[:, None]  # equation: of three steps
     design = np.zeros((len(q) - 3, _MESH))
     rows = np.arange(len(q) - 3)
     right = np.zeros(len(q) - 3)

@@ -23,7 +23,8 @@ Array = npt.NDArray[np.float64]
 Kept = TypeVar("Kept")
 
 # How far the lines between a motor's knots may be from its samples: less than a camera sees.
-_TOLERANCE_COUNTS, _TOLERANCE_MM, _TOLERANCE_DEG, _TOLERANCE_LOAD = 0.5, 5e-4, 5e-3, 1e-3  # tolerance
+_TOLERANCE_COUNTS, _TOLERANCE_MM, _TOLERANCE_DEG = 0.5, 5e-4, 5e-3  # tolerance: of q, in its encoder's counts; mm; deg
+_TOLERANCE_LOAD = 1e-3  # tolerance: likewise of the load, of its range
 _STEPS = 0.5  # tolerance: counts more for an encoder's own steps
 _COARSE = 5e-4  # tolerance: of the motor's travel: finer counts are seen nowhere
 _COARSE_LINES = 2e-4  # tolerance: of the travel, instead of a coarse count: how far lines may be from its path
@@ -170,7 +171,7 @@ def between_samples(motor: Motor) -> float:
     share = (t_s[1:-1] - t_s[:-2]) / (t_s[2:] - t_s[:-2])
     longer, shorter = np.maximum(share, 1.0 - share), np.minimum(share, 1.0 - share)
     off_chord = np.abs(q[1:-1] - q[:-2] - share * (q[2:] - q[:-2]))
-    sagitta = off_chord / 4.0 * np.minimum(longer / np.maximum(shorter, 1e-12), _UNEVEN)
+    sagitta = off_chord / 4.0 * np.minimum(longer / np.maximum(shorter, 1e-12), _UNEVEN)  # equation: of h^2 / 8
     return float(max(float(np.quantile(sagitta, _SHARPEST)) - _BENT_BY_NOISE * reading_noise(motor), 0.0))
 
 
@@ -256,7 +257,9 @@ def _stops_by_counts(motor: Motor, resolution: float) -> Stops:
 
 
 def _straight_lines(motor: Motor, resolution: float) -> Motor:
-    """As `straight_lines`, which keeps its result."""
+    """As `straight_lines`, which keeps its result. Of a motor with a posterior the lines are within its usual sigma,
+    and each rest at one level: the path's own, or, where its acceleration is what is constant (Driven.order 3), as the
+    changes of count tell it."""
     path = posterior_of(motor, resolution)
     if path is None:
         return _even_lines(motor, resolution)

@@ -21,6 +21,8 @@ _UNSEEN = 2  # tolerance: of a path's nodes, by which changes of count may put a
 _INSTANT_S = 1e-4  # tolerance: between two nodes, at least
 _FEWER = 0.7  # tolerance: of the changes, that are tried where all do not fit
 _FITS = 0.3  # tolerance: counts rms: an encoder's step scatters by 0.29
+_MOVED = 0.02  # tolerance: of a count: readings nearer to each other are one
+_WHOLE, _MOST = 0.05, 0.95  # tolerance: counts beside a whole one, share of the readings that are so near
 
 
 @dataclass(frozen=True)
@@ -33,17 +35,17 @@ class Steps:
 
 
 def steps_of(motor: Motor, resolution: float) -> Steps | None:
-    """The steps of the readings: the rig's (`resolution`), whatever their zero, or a coarser one, if 19 of 20 readings
-    are within 0.05 of a whole count; None where readings have no steps."""
+    """The steps of the readings: the rig's (`resolution`), whatever their zero, or a coarser one, if a share _MOST of
+    the readings is within _WHOLE of a whole count; None where readings have no steps."""
     moves = np.abs(np.diff(motor.q))
-    moves = moves[moves > 0.02 * resolution]
+    moves = moves[moves > _MOVED * resolution]
     if len(moves) < 2:
         return None
     coarser = min(float(moves.min()), _COARSER * resolution)
     for count, zero in ((resolution, 0.0), (resolution, float(motor.q[0])), (coarser, float(motor.q[0]))):
         counts = (motor.q - zero) / count
         whole = np.rint(counts)
-        if np.count_nonzero(np.diff(whole)) >= 2 and np.mean(np.abs(counts - whole) < 0.05) >= 0.95:
+        if np.count_nonzero(np.diff(whole)) >= 2 and np.mean(np.abs(counts - whole) < _WHOLE) >= _MOST:
             return Steps(count, zero, whole)
     return None
 
@@ -143,7 +145,8 @@ def _stop_by_parabola(at: Array, boundary: Array, step: Array, centre: float, pe
         fitted = np.linalg.lstsq(line * sure[:, None], away * sure, rcond=None)[0]
         if float(np.sqrt(np.mean(np.square(sure * (away - line @ fitted))))) <= _FITS:
             offset, speed, bend = (float(value) for value in fitted)
-            left = offset - speed**2 / (4.0 * bend) if bend > 0.0 and speed > 0.0 else -np.inf
+            has_vertex = bend > 0.0 and speed > 0.0
+            left = offset - speed**2 / (4.0 * bend) if has_vertex else -np.inf  # equation: its value there
             if abs(left) <= 1.0:
                 return _Vertex(speed / (2.0 * bend), centre - way * float(np.clip(left, -0.5, 0.5)), True)
             return _Vertex(0.5 * float(since[1]), centre, False)

@@ -14,6 +14,9 @@ from tautline.rig import PLACES, Camera, HandEye, Kinematics, Rig
 
 Array = npt.NDArray[np.float64]
 STRIDE_DEG = 20.0  # tolerance: the longest step in a search for a bending angle: an image's slope holds no further
+_DAMPING, _TIMES, _MOST_DAMPING = 1e-3, 10.0, 1e3  # tolerance: at first, from step to step, where no step helps
+_CLOSE_DEG = 1e-10  # tolerance: deg, of a step after which a sample is done
+_BESIDE, _GRID = 0.25, 121  # tolerance: of the coarse range, on either side of it; angles where a search may begin
 # px: standard deviation, per coordinate, of what this package's tracker is off by in every frame alike near one
 # place: the rms of what docs/marker.md has, 0.02 (a flat disc) to 0.17 (a ball lit from one side, in MJPEG).
 TRACKED_PX = 0.1  # prior: by docs/marker.md
@@ -155,7 +158,7 @@ def pose(
     else:
         c = np.array(np.broadcast_to(np.asarray(start_deg, dtype=float), (count,)))
 
-    damping = np.full(count, 1e-3)  # tolerance: of Levenberg and Marquardt's steps, as the factors of 10
+    damping = np.full(count, _DAMPING)  # of Levenberg and Marquardt's steps
     predicted, slope = project_with_slope(rig, c, translation, turn)
     error = image - predicted
     cost = np.sum(error * error, axis=1)
@@ -173,9 +176,8 @@ def pose(
         nearer = going[better]
         c[nearer], cost[nearer] = trial[better], squares[better]
         error[nearer], slope[nearer] = off[better], steep[better]
-        damping[going] = np.where(better, damping[going] / 10, damping[going] * 10)
-        # tolerance: deg, of a step after which a sample is done; damping at which no step helps.
-        settled = np.where(better, np.abs(trial - before) <= 1e-10, damping[going] > 1e3)
+        damping[going] = np.where(better, damping[going] / _TIMES, damping[going] * _TIMES)
+        settled = np.where(better, np.abs(trial - before) <= _CLOSE_DEG, damping[going] > _MOST_DAMPING)
         going = going[~settled]
     seen = np.isfinite(image).all(axis=1)
     return np.where(seen, c, np.nan), np.where(seen, np.sqrt(cost), np.nan)
@@ -188,10 +190,11 @@ def coarse_range_deg(rig: Rig) -> tuple[float, float]:
 
 
 def _nearest_on_grid(rig: Rig, image: Array, translation: Array, turn: Array) -> Array:
-    """Start angles (n,) for `pose`: of a grid those whose image is nearest."""
+    """Start angles (n,), deg, for `pose`: those of a grid, over the coarse range and half as much again, whose image is
+    nearest to image (n, 2), px. translation, turn (n,): of the other axes, mm and deg."""
     low, high = coarse_range_deg(rig)
-    margin = 0.25 * (high - low)
-    grid = np.linspace(low - margin, high + margin, 121)
+    margin = _BESIDE * (high - low)
+    grid = np.linspace(low - margin, high + margin, _GRID)
     best = np.full(len(image), (low + high) / 2)
     if len(image) == 0:
         return best

@@ -14,6 +14,7 @@ from tautline import _native
 Array = npt.NDArray[np.float64]
 
 MEMORIES = np.linspace(0.0, 0.9, 37)  # tolerance: from one frame to the next
+_MOST_ALIKE = 0.999  # tolerance: correlation of neighbours: more would make all frames one
 
 
 def frames_each(
@@ -52,7 +53,7 @@ def first_order(residuals: Array) -> float:
     """As `frames_each` of residuals (n,) or (n, channels), for an autocorrelation that falls geometrically, from
     neighbours alone: for a fit that is not finished, whose longer correlations are what is still to be fitted."""
     power = max(float(np.sum(residuals**2)), 1e-30)
-    alike = float(np.clip(np.sum(residuals[1:] * residuals[:-1]) / power, 0.0, 0.999))
+    alike = float(np.clip(np.sum(residuals[1:] * residuals[:-1]) / power, 0.0, _MOST_ALIKE))
     return (1.0 + alike) / (1.0 - alike)
 
 

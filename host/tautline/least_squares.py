@@ -20,6 +20,8 @@ Point = TypeVar("Point")  # the unknowns and all that is known of them there: th
 
 _DAMPING = 1e-4  # tolerance: at first, of the diagonal
 _LEAST, _MOST = 1e-9, 1e6  # tolerance: of it
+_TIMES = 10.0  # tolerance: less of it after a step that helps, more after one that does not
+_AGAIN = 1e3  # tolerance: of _LEAST: what it is at least before it grows
 _TRIES = 8  # tolerance: of a step, ever shorter
 _RIDGE, _FLOOR = 1e-9, 1e-12  # tolerance: of a factor: of the diagonal, and beside it
 
@@ -59,10 +61,10 @@ def descend(problem: Problem[Point], point: Point, most: int) -> Point:
                 then = problem.cost(trial)
                 if then < cost:
                     break
-            damping = min(max(damping, _LEAST * 1e3) * 10.0, _MOST)
+            damping = min(max(damping, _LEAST * _AGAIN) * _TIMES, _MOST)
         else:
             break
-        damping = max(damping / 10.0, _LEAST)
+        damping = max(damping / _TIMES, _LEAST)
         point = trial
         if problem.enough(cost - then, cost):
             break

@@ -23,6 +23,7 @@ _SAMPLES = 24  # tolerance: of the loops, a backlash
 _STRICT = 1e3  # tolerance: how much more than the data the two sums weigh
 _SLIGHT = 1e-3  # tolerance: a weight that is none
 _STEPS = 15  # tolerance: of the search for shares and weights, at most
+_FAR = 10.0  # tolerance: times a path's reach: the ends of a table that is as wide everywhere
 _GAPS = -9.0, 2.0  # tolerance: logarithms between which differences of shares are
 _PLAYS: int = _native.TABLE_PLAYS_MAX
 
@@ -80,7 +81,7 @@ def _test_motion(grid: Array, width: Array, reached: tuple[float, float]) -> Arr
 
 def _elements_response(x: Array, share: Array) -> Array:
     """(n, m) Centre coordinate of a play of each width `share` (m,) along motor positions x (n,)."""
-    far = 10.0 * float(np.abs(x).max() + share.max())
+    far = _FAR * float(np.abs(x).max() + share.max())
     ends = np.array([-far, far])
     return np.column_stack([_native.Plays(ends, np.full(2, one)).forward(x, float(x[0]))[0] for one in share])
 

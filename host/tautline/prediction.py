@@ -30,6 +30,7 @@ Array = npt.NDArray[np.float64]
 MOST_ROWS = 10_000_000  # format: of a prediction's CSV
 TRUTH_FILE = "truth.csv"  # beside a simulated recording
 COLUMNS = "t_s,c_deg,u_px,v_px,c_sigma_deg,u_sigma_px,v_sigma_px"
+_TO_SPARE = 1.1  # tolerance: times B, beside two counts: a way that has surely driven the tip through it
 _ANYWHERE = 3.0**-0.5  # equation: standard deviation of what is anywhere from -1 to 1
 
 
@@ -73,13 +74,31 @@ def predict_with_sigma(
     scene = _scene_times(scene_s)
     path = path_of(model, motor)
     told = Chain(model).at(path, scene, start_deg)
+    model_sigma = _model_sigma(model, path, scene, start_deg)
+    if (apart := _deviations(model, motor, scene, start_deg)) is not None:
+        model_sigma = np.hypot(model_sigma, apart)
+    noise = np.hypot(_noise_at(model, told.c_deg), _discrepancy(model, path, motor, scene))
+    if told.image_px is None:
+        return Prediction(told.c_deg, None, np.hypot(model_sigma[:, 0], noise))
+    by_c = px_per_deg(model.rig, told.c_deg, *path.others_at(scene))
+    by_marker = model.sensor == MARKER
+    noise_px, noise_deg = (noise[:, None], noise / by_c) if by_marker else ((noise * by_c)[:, None], noise)
+    unseen_deg = _unseen_deg(model, told.c_deg, *path.others_at(scene))
+    angle = np.sqrt(model_sigma[:, 0] ** 2 + noise_deg**2 + unseen_deg**2)
+    return Prediction(told.c_deg, told.image_px, angle, np.hypot(model_sigma[:, 1:], noise_px))
+
+
+def _model_sigma(model: Model, path: MotorPath, scene: Array, start_deg: float | None) -> Array:
+    """(n, 1 or 3) One standard deviation, deg and px, of the predicted rows at scene times (n,), s, by the uncertainty
+    of B, f_remain, the delay, the motor's path and, without start_deg, the start, by differences through the chain. Not
+    in it is what no image shows of f_remain (`_unseen_deg`)."""
     known = _input_uncertainty(model, path, start_deg)
     unseen_deg = _unseen_deg(model, model.c_deg)
     with_delay = width_by_delay(model, float(known.sigma[2]))  # of B's sigma the part that goes with the delay's
     by_delay = with_delay / known.sigma[2] if known.sigma[2] > 0.0 else with_delay
     without_delay = np.sqrt(np.maximum(model.width_sigma**2 - with_delay**2, 0.0))
-    apart = _deviations(model, motor, scene, start_deg)
-    c_sigma = model.c_sigma if apart is None else None  # else the law is off together with the rest
+    # Where all unknowns of a corrected simulator are off together, the law is among them.
+    c_sigma = None if model.uncertainty.deviations else model.c_sigma
     fitted_deg = None if c_sigma is None else np.sqrt(np.maximum(c_sigma**2 - unseen_deg**2, 0.0))
 
     def rows(off: Array) -> Array:
@@ -98,18 +117,7 @@ def predict_with_sigma(
 
     slopes = by_differences(rows, known.mean, known.sigma)
     slopes[..., -1] *= path.sigma_at(scene)[:, None] / max(path.sigma, 1e-300)
-    model_sigma = known.spread(slopes)
-    if apart is not None:
-        model_sigma = np.hypot(model_sigma, apart)
-    noise = np.hypot(_noise_at(model, told.c_deg), _discrepancy(model, path, motor, scene))
-    if told.image_px is None:
-        return Prediction(told.c_deg, None, np.hypot(model_sigma[:, 0], noise))
-    by_c = px_per_deg(model.rig, told.c_deg, *path.others_at(scene))
-    by_marker = model.sensor == MARKER
-    noise_px, noise_deg = (noise[:, None], noise / by_c) if by_marker else ((noise * by_c)[:, None], noise)
-    unseen_deg = _unseen_deg(model, told.c_deg, *path.others_at(scene))
-    angle = np.sqrt(model_sigma[:, 0] ** 2 + noise_deg**2 + unseen_deg**2)
-    return Prediction(told.c_deg, told.image_px, angle, np.hypot(model_sigma[:, 1:], noise_px))
+    return known.spread(slopes)
 
 
 def _scene_times(scene_s: npt.ArrayLike) -> Array:
@@ -181,7 +189,7 @@ def _input_uncertainty(model: Model, path: MotorPath, start_deg: float | None) -
 def settled_from(model: Model, motor: Motor) -> float:
     """The scene time, s, from which the start inside the backlash no longer matters: both envelopes were reached, with
     a tenth of B and two counts to spare. Infinite where they never were."""
-    widest = 1.1 * float(model.width.max()) + 2 * model.rig.actuator.encoder_resolution
+    widest = _TO_SPARE * float(model.width.max()) + 2 * model.rig.actuator.encoder_resolution
     motor = between_counts(motor, model.rig.actuator.encoder_resolution)  # at every sample
     return driven_both_ways_from(motor.t_s, motor.q, widest)
 

@@ -23,10 +23,13 @@ _UNIT_NAMES = {value: name for name, value in _native.AXIS_UNITS.items()}
 _UINT32_MAX = int(np.iinfo(np.uint32).max)
 _SLOPE = 2.0**28  # format: deg per count, Q28
 _NANO = 1e-9
+_US = 1e6  # format: in a second
+_MOVED = 0.1  # loss: of the range, by which tables in use may be moved
 _SERIAL = 8  # format: bytes of an instrument's serial
 _SHARE, _WEIGHT = 2.0**28, 2**16  # format: of an element's width, and of its share of the motion
 _PERIOD_LOG2 = 26  # format: of the warp, at most
 _HALF_LOG2 = 26  # format: and of half the widest element
+_WIDER = 1.5  # tolerance: times the width below which B counts as narrow, where the warp is off by more than
 _WARP_OFF = 4.0, 0.02  # tolerance: counts, of B: how far the warp may be off between the nodes of a board's grid
 
 
@@ -50,9 +53,9 @@ class Limits:
         return cls(
             speed_max=2.0 * actuator.span,
             takeup_speed=actuator.span,
-            takeup_accel=10.0 * actuator.span,
+            takeup_accel=10.0 * actuator.span,  # loss: a moderate one
             band=2.0 * actuator.encoder_resolution,
-            slope_min=0.02 * abs(rig.coarse.gain),
+            slope_min=0.02 * abs(rig.coarse.gain),  # loss: flatter spans are crossed at flat_speed
             flat_speed=actuator.span,
         )
 
@@ -60,7 +63,7 @@ class Limits:
     def in_use(cls, rig: Rig) -> Limits:
         """Moderate limits for tables that may be moved in use: by a tenth of the range, and to B between 0 and twice as
         wide."""
-        return replace(cls.of(rig), adapt=(0.1 * rig.actuator.span, 0.0, 2.0))
+        return replace(cls.of(rig), adapt=(_MOVED * rig.actuator.span, 0.0, 2.0))
 
 
 @dataclass(frozen=True)
@@ -208,7 +211,7 @@ def _plays_section(model: Model, q: Array, width: Array) -> dict[str, Any] | Non
                 "weight_q16": weight.tolist(),
                 "centre": _raw(centre * 2.0**log2, "the warp of the play's elements"),
             }
-        narrow *= 1.5
+        narrow *= _WIDER
     return None
 
 
@@ -288,7 +291,8 @@ def _elements(plays: dict[str, Any] | None) -> Elements:
 def _header_fields(
     rig: Rig, axis: int, limits: Limits, kind: str, delay_s: float, created_s: int | None
 ) -> dict[str, int]:
-    """The blob's header in the board's units."""
+    """The blob's header in the board's units. TautError, naming it, for what does not fit. delay_s: of the camera;
+    created_s: since 1970, now where it is None."""
     if kind not in KINDS:
         raise TautError(f"{kind!r} is not a kind of axis: {', '.join(KINDS)}")
     if not 0 <= axis < _native.TABLE_AXES:
@@ -312,7 +316,7 @@ def _header_fields(
         "slope_min_q28": _whole(limits.slope_min * resolution * _SLOPE, "limits.slope_min", 0, INT32_MAX),
         "flat_speed_q8": _counts(limits.flat_speed, rig, "limits.flat_speed"),
         # a recording's clock may run ahead of its camera; a live camera's cannot
-        "delay_us": _whole(max(delay_s, 0.0) * 1e6, "delay_s", 0, _UINT32_MAX),
+        "delay_us": _whole(max(delay_s, 0.0) * _US, "delay_s", 0, _UINT32_MAX),
         "created_s": _whole(int(time.time()) if created_s is None else created_s, "created_s", 0, _UINT32_MAX),
     }
 

@@ -27,13 +27,15 @@ _APART = 1.5  # tolerance: times: the two stages' filters
 _CREEP_MOST = 0.9  # limit: of the motion: more of it is not made up for at once
 _PLACE_MAX = 2**24  # limit: Q8 counts, of a distance in a section: PLACE_MAX of common/src/tl_sections.c
 _GAIN_MOST = 1000.0  # tolerance: of a follower
-_STEP_LOG2_MAX = 22
-# Of a section's small table, in its steps.
+_STEP_LOG2_MAX = 22  # format: of a section's step: common/src/tl_sections.c
+# Of a section's small table, in its steps, as common/tl_table.h says: dense where a curve begins.
 _NODES = np.array([0, 1, 2, 3, *(2**k * half for k in range(1, 7) for half in (2, 3)), _native.TABLE_STEPS], float)
 _COLUMNS = {"c_per_translation": "translation_mm", "c_per_rotation": "rotation_deg"}
 COUPLED = "configuration.axis_coupling"
 _WHERE = {COUPLED: " (without --joint)"}  # format: where tables undo it but for this
 _LATE = "transmission.lag", "transmission.creep"
+_SLOWER = 5.0  # format: times, the slow part of a creep: host/native/effects/creep.c
+_NEAREST, _POINTS = 1e-4, 4000  # tolerance: of the travel, the first place where a table's curve is asked; how many
 
 Section = dict[str, int | list[int]]
 
@@ -113,7 +115,7 @@ def _encoder_section(v: Mapping[str, float], count: float) -> Section:
     once-per-turn error; {} where all harmonics round to 0. TautError where the period is too long."""
     names = {"sine": "sin", "cosine": "cos", "sine2": "sin2", "cosine2": "cos2"}
     section: Section = {to: round(v.get(f"encoder_{name}", 0.0) / count) for to, name in names.items()}
-    period = round(v["encoder_period"] / count * 16.0)
+    period = round(v["encoder_period"] / count * 16.0)  # format: Q12 of an encoder's count
     if period > INT32_MAX:
         raise TautError(f"the encoder's turn of {v['encoder_period']:g} is too long for a board's numbers")
     return section | {"period_q12": period} if any(section.values()) else {}
@@ -134,7 +136,7 @@ def _sides_sections(v: Mapping[str, float], count: float) -> dict[str, Section]:
     if size < 1.0:
         return {}
     most = travel * np.log(size) ** (1.0 / form) + travel  # beyond where L is 1
-    x = np.concatenate([[0.0], np.geomspace(1e-4 * travel, most, 4000)])
+    x = np.concatenate([[0.0], np.geomspace(_NEAREST * travel, most, _POINTS)])
     late = size * np.exp(-((x / travel) ** form))
     moved = x + late[0] - late
     step_log2 = _step_log2(moved[-1])
@@ -142,7 +144,7 @@ def _sides_sections(v: Mapping[str, float], count: float) -> dict[str, Section]:
     side = 1 if v["asymmetry"] > 0.0 else -1
     sections: dict[str, Section] = {"sides": {"side": side, "step_log2": step_log2, "late": values.tolist()}}
     if np.isfinite(renewed_s := _native.renewed_s(dict(v))):
-        sections["anew"] = {"rest_us": round(1e6 * renewed_s)}
+        sections["anew"] = {"rest_us": round(1e6 * renewed_s)}  # format: us
     return sections
 
 
@@ -154,7 +156,7 @@ def _speed_section(v: Mapping[str, float], model: Model, count: float) -> Sectio
     extra = added_width(v, float(model.q[-1] - model.q[0]), speed)
     return {
         "step_log2": step_log2,
-        "time_us": round(1e6 * follows_s(v)),
+        "time_us": round(1e6 * follows_s(v)),  # format: us
         "held": int(v.get("width_held", 0.0) != 0.0),
         "extra": np.minimum(np.rint(extra / count), _PLACE_MAX).astype(int).tolist(),
     }
@@ -174,13 +176,13 @@ def _late_section(v: Mapping[str, float]) -> Section:
     share, slow = min(v.get("creep_share", 0.0), _CREEP_MOST), v.get("creep_slow", 0.0)
     if share != 0.0:
         fast = np.poly1d([v["creep_time"], 1.0])
-        slowly = np.poly1d([5.0 * v["creep_time"], 1.0]) if slow > 0.0 else np.poly1d([1.0])
+        slowly = np.poly1d([_SLOWER * v["creep_time"], 1.0]) if slow > 0.0 else np.poly1d([1.0])
         above = above * fast * slowly
         below = below * ((1.0 - share) * fast * slowly + share * (1.0 - slow) * slowly + share * slow * fast)
     poles = np.sort(np.real(below.roots))  # apart from one another
     gains = np.clip(above(poles) / below.deriv()(poles) / poles, -_GAIN_MOST, _GAIN_MOST)
-    gains_q16 = [round(float(gain) * 65536.0) for gain in gains]
-    times_us = [round(-1e6 / float(pole)) for pole in poles]
+    gains_q16 = [round(float(gain) * 65536.0) for gain in gains]  # format: Q16
+    times_us = [round(-1e6 / float(pole)) for pole in poles]  # format: us
     free = _native.TABLE_LATE_MAX - len(poles)
     return {"gain_q16": gains_q16 + [0] * free, "time_us": times_us + [0] * free} if len(poles) else {}
 
@@ -190,7 +192,7 @@ def _load_section(v: Mapping[str, float], model: Model, count: float) -> Section
     offset (counts, Q16); `middle`, deg Q16, is where gain leaves the angle. count: a Q8 count, unit of q."""
     reference = model.load_reference_mNm
     return {
-        "reference": round(reference * 256.0),
+        "reference": round(reference * 256.0),  # format: Q8
         "width": round(v.get("width_per_load", 0.0) * 2.0**24),
         "gain": round(v.get("gain_per_load", 0.0) * 2.0**24),
         "offset": round(v.get("offset_per_load", 0.0) / (count * COUNT) * 2.0**16),

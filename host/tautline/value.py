@@ -61,6 +61,7 @@ def _same_arrays(one: Any, other: Any) -> bool:
 
 
 def _same_fields(one: Any, other: Any) -> bool:
+    """Whether two dataclasses of one type hold the same in the fields that count for equality."""
     return all(same(getattr(one, field.name), getattr(other, field.name)) for field in fields(one) if field.compare)
 
 

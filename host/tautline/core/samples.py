@@ -27,6 +27,8 @@ FEW = 20  # tolerance: frames below which nothing is told of a motion
 _LEVELS = 0.5  # prior: different values for each frame, below which a sensor rounds
 _CORNERS = 6.0  # prior: of usual third differences: more is a turn's or a stray's
 _EXACT = 1e-9  # tolerance: of the range: a difference of binary numbers
+_LOW = 0.05  # tolerance: quantile of the steps between values that is a sensor's own
+_EVEN = 0.25  # tolerance: of the usual gap, by which an even one differs from it
 
 
 def noise_of(t: Array, y: Array, least: float) -> float:
@@ -62,7 +64,7 @@ def least_step(levels: Array) -> float:
     """A low quantile of the steps between neighbouring values of rising levels (n,), 2 or more; not the least, since
     binary rounding makes two of one value."""
     apart = np.diff(levels)
-    return float(np.quantile(apart[apart > _EXACT * (levels[-1] - levels[0])], 0.05))
+    return float(np.quantile(apart[apart > _EXACT * (levels[-1] - levels[0])], _LOW))
 
 
 def repeats(y: Array) -> Mask:
@@ -75,16 +77,16 @@ def repeats(y: Array) -> Mask:
 def even_runs(t: Array, count: int) -> Mask:
     """(n - count,) whether the `count` gaps from each frame on are a usual one each."""
     gaps = np.diff(t)
-    even = np.abs(gaps - np.median(gaps)) < 0.25 * np.median(gaps)
+    even = np.abs(gaps - np.median(gaps)) < _EVEN * np.median(gaps)
     return np.asarray(sliding_window_view(even, count).all(axis=1))
 
 
 def strays(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
-    """Frames (n,), at times t (n,), s, at which y (n, channels) is elsewhere for one or two frames: far from the median
+    """(n,) which frames, at times t (n,), s, show y (n, channels) elsewhere for one or two frames: far from the median
     of _MEDIAN frames, by noise and by how the tip moves at that time. A jump that stays is none, nor is any motion that
     goes one way. They are looked for again among those that are left until there are none: several close together look
-    like motion. And those at which it is for a while where the tip never is. path: of the motor; sigma: of the noise of
-    a coordinate."""
+    like motion. And which show it for a while where the tip never is. path: of the motor; sigma: of the noise of a
+    coordinate."""
     stray = np.zeros(len(y), dtype=bool)
     kept = np.arange(len(y))
     while len(kept) >= _MEDIAN:
@@ -119,7 +121,7 @@ def _elsewhere(path: MotorPath, t: Array, y: Array, sigma: float) -> Mask:
         return away
     quickest = np.linalg.norm((high - low)[:-1]) / (high[-1] - low[-1]) * np.abs(path.at(t + usual_gap) - driven).max()
     step = np.linalg.norm(np.diff(y, axis=0), axis=1)
-    usual = median_filter(step, max(9, 2 * round(0.5 * _AROUND_S / usual_gap) + 1), mode="nearest")
+    usual = median_filter(step, max(_USUAL, 2 * round(0.5 * _AROUND_S / usual_gap) + 1), mode="nearest")
     frames = np.maximum(gaps / usual_gap, 1.0)  # that passed, some unseen
     goes = np.maximum(usual, quickest)  # in a frame
     jumps = np.flatnonzero(step > _STRAY * sigma + _STEEP * frames * goes) + 1

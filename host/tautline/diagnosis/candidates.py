@@ -32,9 +32,8 @@ _LEAST_CHANGE = 0.15  # tolerance: share of a drift's largest value by which it 
 _SMALL_START = 0.1  # tolerance: share of an event's amount from which a fit of its mean effect starts a second time
 _CURVE_PARAMETERS = 3  # prior: effective parameters of a smooth curve: level, slope, curvature
 _NOISE_LIMIT = 4.0  # tolerance: noise floors to which residuals that should be noise are cut: a lost marker is none
-# tolerance: nats: a first fit that is so much less likely than another is not finished. Prior odds and the price of
-# twelve parameters differ by 25 at most.
-_HOPELESS = 40.0
+# Prior odds and the price of twelve parameters differ by 25 nats at most.
+_HOPELESS = 40.0  # tolerance: nats: a first fit that is so much less likely than another is not finished
 _OUTLIER_LIMIT = 8.0  # tolerance: noise floors below which a residual is never cut
 
 
@@ -191,39 +190,48 @@ class Search:
             parts.append(np.maximum(np.bincount(label, squares) / np.bincount(label), least))
         return np.concatenate(parts)
 
-    def on_top_of(self, below: Candidate, refits: int, both_scopes: int) -> list[Candidate]:
-        """Fits of one more effect on top of `below`, the smallest `_mean_log_power` first: of the `refits` effects with
-        the largest linear score and what these contain (`Kind.contains`) those that are not `_hopeless`, each in the
-        scope (since when it is there) that scores best; the best `both_scopes` of them in their other scopes too."""
+    def on_top_of(self, below: Candidate, refits: int, rescoped: int) -> list[Candidate]:
+        """Fits of one more effect on top of `below`, the smallest `_mean_log_power` first: of what is `_worth_a_fit`
+        (the `refits` effects with the largest linear score, and others) those that are not `_hopeless`. rescoped: how
+        many of the best are fitted in their other scopes (since when they are there) too; 0 on top of an effect."""
         screened: dict[str, dict[Scope, Screened]] = {}  # by id and scope, the largest score first
         for entry in screen(self.fitter, below.fit, self._with_path, self.limits, self.scopes):
             screened.setdefault(entry.kind.id, {}).setdefault(entry.scope, entry)
-        tried: list[Screened] = []
-        leading = list(screened)[:refits]
-        # What a flexible effect contains takes its place where it suffices, so it has to be there.
-        contains = {kind.id: kind.contains for kind in self._with_path}
-        leading += [contained for name in leading for contained in contains[name]]
-        for name, by_scope in screened.items():
-            best, *others = by_scope.values()
-            # A linear step tells little of parts of the nominal model, as the recalibrated one has moved half way
-            # towards them, and of a simulator's parameters, in which the simulation need not be linear.
-            step_tells_little = best.kind.nominal or best.kind.stage == SIMULATOR
-            if name in leading or (both_scopes and step_tells_little):
-                tried.append(best)
-            if both_scopes and best.kind.each:
-                tried += others
+        tried = self._worth_a_fit(screened, refits, thorough=rescoped > 0)
         begun = [self._begun(below, entry) for entry in tried]
         candidates: list[Candidate] = []
         for entry, fit, hopeless in zip(tried, begun, self._hopeless(begun), strict=True):
             if not hopeless:
                 candidates += self._finished_while_it_helps(below, entry, fit)
         candidates.sort(key=_mean_log_power)
-        for candidate in candidates[:both_scopes]:
+        for candidate in candidates[:rescoped]:
             kind, since = candidate.fit.hypothesis.kinds[-1], candidate.fit.hypothesis.scopes[-1]
             for scope, other in screened[kind.id].items():
                 if scope != since and not kind.each:
                     candidates += self._finished(other, self._begun(below, other))
         return sorted(candidates, key=_mean_log_power)
+
+    def _worth_a_fit(
+        self, screened: Mapping[str, Mapping[Scope, Screened]], refits: int, *, thorough: bool
+    ) -> list[Screened]:
+        """The `refits` effects with the largest linear score and what these contain (`Kind.contains`), each in the
+        scope that scores best. thorough: also all of which a linear step tells little, and those that may differ by
+        recording on their own (`Kind.each`) in every scope. screened: by id and scope, the largest score first."""
+        leading = list(screened)[:refits]
+        # What a flexible effect contains takes its place where it suffices, so it has to be there.
+        contains = {kind.id: kind.contains for kind in self._with_path}
+        leading += [contained for name in leading for contained in contains[name]]
+        tried: list[Screened] = []
+        for name, by_scope in screened.items():
+            best, *others = by_scope.values()
+            # A linear step tells little of parts of the nominal model, as the recalibrated one has moved half way
+            # towards them, and of a simulator's parameters, in which the simulation need not be linear.
+            step_tells_little = best.kind.nominal or best.kind.stage == SIMULATOR
+            if name in leading or (thorough and step_tells_little):
+                tried.append(best)
+            if thorough and best.kind.each:
+                tried += others
+        return tried
 
     def _begun(self, below: Candidate, entry: Screened) -> Fit:
         """A first fit of the screened effect beside those of `below`."""
@@ -236,10 +244,7 @@ class Search:
         """Of each first fit whether it cannot be the cause if another of them may: of each block one number beyond the
         noise is told (Stacked.log_likelihood), so that one which leaves m times the power in n blocks is n log(m) / 2
         nats less likely. One that predicts nothing is."""
-        labels = [
-            np.unique(label[np.searchsorted(s.arrival_s[s.scored], few.arrival_s[few.scored])], return_inverse=True)[1]
-            for s, few, label in zip(self.fitter.segments, self.fitter.coarse.segments, self.labels, strict=True)
-        ]
+        labels = self._coarse_labels()
         floor2 = self.fitter.floor**2
         nats = [
             0.5 * float(np.sum(np.log(np.maximum(self._block_powers(fit.residuals, self.limits, labels), floor2))))
@@ -248,6 +253,14 @@ class Search:
             for fit in begun
         ]
         return [not n < min(nats) + _HOPELESS for n in nats]
+
+    def _coarse_labels(self) -> Labels:
+        """`labels` of the fewer observations that first fits are of (`Fitter.coarse`), without numbers that no
+        observation is left of."""
+        return [
+            np.unique(label[np.searchsorted(s.arrival_s[s.scored], few.arrival_s[few.scored])], return_inverse=True)[1]
+            for s, few, label in zip(self.fitter.segments, self.fitter.coarse.segments, self.labels, strict=True)
+        ]
 
     def _finished(self, entry: Screened, begun: Fit) -> list[Candidate]:
         """[The fit of a screened effect that was begun]; [] where it fails, or where no recording shows its moments or
@@ -292,7 +305,8 @@ class Search:
 
     def with_nominal_parts(self) -> list[Candidate]:
         """A fit of each effect that, coming after the calibration, also changes parts of the nominal model
-        (`Kind.brings`: friction widens the backlash), together with these parts."""
+        (`Kind.brings`: friction widens the backlash), together with these parts. It starts with amplitudes that a user
+        would notice (`Fitter.scale`), the first of its shapes to try, and the parts unchanged."""
         candidates = []
         for kind in self.kinds:
             parts = [part for part in self.kinds if part.id in kind.brings]

@@ -35,7 +35,8 @@ def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Ar
     """For each recording the residual, px, after fitting everything that the stages of a fit's effects could leave
     whatever their laws: (scored, 2), or, where the bending angle or the time is free at every frame, its component
     across the image motion that this causes, (scored, 1). None where these stages could leave anything (no camera, no
-    effect, angle and time both free). further: effects beside the fit that may free the angle or the time too."""
+    effect, angle and time both free), or a fit would have more than _MOST_COLUMNS unknowns. further: effects beside the
+    fit that may free the angle or the time too."""
     kinds = (*fit.hypothesis.kinds, *further)
     if not fitter.px or not kinds:
         return None
@@ -128,6 +129,7 @@ def _channel(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
         direction = np.sign(np.diff(p, prepend=p[0]))
         last_moving = np.maximum.accumulate(np.where(direction != 0, index, 0))
         direction = direction[last_moving]  # at rest that of the motion before
+        # The first sample of each motion; the tip turned at the one before it.
         reversal = np.maximum.accumulate(np.where(np.diff(direction, prepend=direction[0]) != 0, index, 0))
         travel = np.abs(p - p[np.maximum(reversal - 1, 0)]) / fitter.model.rig.actuator.span
         settling = [np.exp(-travel / length) for length in _TRAVELS]

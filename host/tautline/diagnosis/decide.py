@@ -155,7 +155,7 @@ def probabilities(case: Stacked, effect: str, hyper: Hyperparameters) -> tuple[f
 
 def _posterior(likelihoods: Likelihoods) -> Array:
     """(hypotheses + 1,) Posterior probability of each hypothesis, likelihood times prior over their sum, and last that
-    of an unknown cause. Among hypotheses with the same effects only the best has any."""
+    of an unknown cause, of scatter or of a path. Among hypotheses with the same effects only the best has any."""
     best = list(likelihoods.best.values())
     log = np.full(len(likelihoods.log_likelihood) + 1, -np.inf)
     log[best] = likelihoods.log_likelihood[best] + likelihoods.prior[best]

@@ -22,6 +22,7 @@ from tautline.diagnosis.hypotheses import CaseEvidence
 from tautline.diagnosis.moved import Moved
 from tautline.diagnosis.segment import Segment, load_reference, prepare, with_noise
 from tautline.diagnosis.tracker import TrackerError
+from tautline.effects import Kind
 from tautline.effects.library.registration import with_registration
 from tautline.model import Model, monotone
 from tautline.recording import Recording
@@ -32,6 +33,7 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 _NO_NOISE = 0.8  # tolerance: share of a noise floor: a calibration that leaves less refutes it
+_PREPARING, _FITTING, _STARTING = 0.1, 0.8, 0.02  # format: shares of the progress: recordings, all fits, `start`
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -81,9 +83,9 @@ def diagnose(
 ) -> Diagnosis:
     """Which effect explains the gap between a calibrated model and later recordings. model: what `calibration` gave;
     the search begins without the effects that it carries, and `corrected` keeps them where none is named that a model
-    holds. progress:
-    called with the share that is done, 0 to 1, and what is done now. left_out: ids of effects not to try. simulated:
-    if a user's simulator stands in the motor's place. Raises TautError where no observation can be scored."""
+    holds. progress: called with the share that is done, 0 to 1, and what is done now. left_out: ids of effects not to
+    try. simulated: if a user's simulator stands in the motor's place. Raises TautError where no observation can be
+    scored."""
     with threadpool_limits(1, "blas"):  # the systems are small: threads that wait for each other cost 10 times more
         return _diagnosis(model, calibration, tests, progress, left_out, simulated)
 
@@ -99,57 +101,19 @@ def _diagnosis(
     """As `diagnose`. In this order: recordings prepared, the tracker's error taken off, hypotheses fitted, the verdict,
     effects that the calibration has swallowed, the document."""
     progress(0.0, "preparing")
-    model = calibrated.alone
-    segments = prepare(model, calibration, tests, simulated.drives if simulated else ())
-    if repeated.HELD in left_out:
-        segments = [segment.with_repeats() for segment in segments]
-    tracked = tracker.of_videos(model, segments, load_reference(calibration), [calibration, *tests])
-    fitter, frozen = _fitter_and_residuals(
-        model, tracked.segments if tracked else segments, load_reference(calibration), simulated
-    )
-    base = _recalibrate_and_set_noise(fitter, frozen, tracked)
-    segments = fitter.segments
-    kinds = [*applicable(fitter, left_out), *(simulated.kinds if simulated else ())]
-    hidden = confounded.hidden(kinds, segments)
-    kinds = [kind for kind in kinds if kind.id not in hidden]
-
-    gathered = gather(fitter, frozen, base, kinds, lambda done, text: progress(0.1 + 0.8 * done, text))
-    verdict = decide.decide(gathered.evidence)
-    if verdict.name != "effect" and simulated is None and start.concerns(model):
-        # Nothing that came later is the cause: what was there while calibrating, which the calibration has swallowed.
-        from_start = start.of_segments(
-            model,
-            segments,
-            fitter.load_reference,
-            tracked,
-            lambda done, text: progress(0.9 + 0.02 * done, text),
-            left_out,
-        )
-        if from_start.named:
-            fitter, gathered, verdict = from_start.fitter, from_start.gathered, from_start.verdict
-    progress(0.92, "attributing")
-    verdict, parts = _with_moved_parts(fitter, frozen, base, gathered, verdict)
-    found = Found(
-        model=model,
-        segments=segments,
-        fitter=fitter,
-        tracked=tracked,
-        frozen=frozen,
-        recalibrated=gap.rms(base.residuals[1:]),
-        kinds=kinds,
-        gathered=gathered,
-        verdict=verdict,
-        chosen=_chosen_candidate(fitter, frozen, gathered, verdict),
-        parts=parts,
-    )
-    document = to_document(found, hidden)
-    repeated.add_repeats(document, model, segments, fitter.load_reference)
+    ready = _prepared(calibrated.alone, calibration, tests, left_out, simulated)
+    weighed = _weighed(ready, progress, left_out, simulated)
+    progress(_PREPARING + _FITTING + _STARTING, "attributing")
+    found = _found(ready, weighed)
+    model, segments, load_mNm = found.model, found.segments, found.fitter.load_reference
+    document = to_document(found, ready.hidden)
+    repeated.add_repeats(document, model, segments, load_mNm)
     document["resembles"] = (
-        resembles.closest_effects(gathered, found.gap["before"]) if document["verdict"] == "unknown" else []
+        resembles.closest_effects(found.gathered, found.gap["before"]) if document["verdict"] == "unknown" else []
     )
     progress(1.0, "done")
     corrected = _corrected(found.chosen.fit, found.latest) if found.named else calibrated
-    corrected = replace(corrected, extra=model.extra, load_reference_mNm=fitter.load_reference)
+    corrected = replace(corrected, extra=model.extra, load_reference_mNm=load_mNm)
     # With the old tables, and with the new: a simulator's are for no board.
     document["tip"] = tip.simulated_error(model, corrected) if found.named and simulated is None else None
     if simulated is not None:
@@ -163,7 +127,95 @@ def _diagnosis(
         before=list(found.before),
         after=list(found.after),
         conditions=found.conditions,
-        evidence=gathered.evidence,
+        evidence=found.gathered.evidence,
+    )
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """What hypotheses are fitted to, and which."""
+
+    model: Model  # as calibrated, without effects
+    fitter: Fitter  # with its noise floor
+    tracked: TrackerError | None  # of videos
+    frozen: list[Array]  # (scored, k) of each recording: residuals by the model as it is
+    base: Fit  # the recalibrated nominal model's
+    kinds: list[Kind]  # effects to try
+    hidden: dict[str, str]  # {id of an effect that is not fitted: id of the one it is confounded with}
+
+
+@dataclass(frozen=True)
+class _Weighed:
+    """The hypotheses that were fitted, and the verdict on them."""
+
+    fitter: Fitter
+    gathered: Gathered
+    verdict: decide.Decision
+
+
+def _prepared(
+    model: Model,
+    calibration: Recording,
+    tests: Sequence[Recording],
+    left_out: Collection[str],
+    simulated: SimulatedNominal | None,
+) -> _Prepared:
+    """Recordings as segments, less the tracker's error, with their noise floor, and the effects to try. model: without
+    effects; further arguments as of `diagnose`."""
+    load_mNm = load_reference(calibration)
+    segments = prepare(model, calibration, tests, simulated.drives if simulated else ())
+    if repeated.HELD in left_out:
+        segments = [segment.with_repeats() for segment in segments]
+    tracked = tracker.of_videos(model, segments, load_mNm, [calibration, *tests])
+    fitter, frozen = _fitter_and_residuals(model, tracked.segments if tracked else segments, load_mNm, simulated)
+    base = _recalibrated(fitter, frozen, tracked)
+    fitter.floor = _noise_floor(fitter, frozen[0], base, tracked.noise if tracked else 0.0)
+    kinds = [*applicable(fitter, left_out), *(simulated.kinds if simulated else ())]
+    hidden = confounded.hidden(kinds, fitter.segments)
+    return _Prepared(model, fitter, tracked, frozen, base, [kind for kind in kinds if kind.id not in hidden], hidden)
+
+
+def _weighed(
+    ready: _Prepared, progress: Progress, left_out: Collection[str], simulated: SimulatedNominal | None
+) -> _Weighed:
+    """All hypotheses fitted, and the verdict. Where nothing that came later is the cause: of what was there while
+    calibrating, which the calibration has swallowed, if that names an effect. Arguments as of `diagnose`."""
+
+    def of_fits(done: float, text: str) -> None:
+        """The progress of the fits as that of all."""
+        progress(_PREPARING + _FITTING * done, text)
+
+    def of_start(done: float, text: str) -> None:
+        """The progress of the fits of effects from the start as that of all."""
+        progress(_PREPARING + _FITTING + _STARTING * done, text)
+
+    model, fitter, tracked = ready.model, ready.fitter, ready.tracked
+    gathered = gather(fitter, ready.frozen, ready.base, ready.kinds, of_fits)
+    verdict = decide.decide(gathered.evidence)
+    if verdict.name != "effect" and simulated is None and start.concerns(model):
+        from_start = start.of_segments(model, fitter.segments, fitter.load_reference, tracked, of_start, left_out)
+        if from_start.named:
+            return _Weighed(from_start.fitter, from_start.gathered, from_start.verdict)
+    return _Weighed(fitter, gathered, verdict)
+
+
+def _found(ready: _Prepared, weighed: _Weighed) -> Found:
+    """What a document is made of: the verdict with the parts of the nominal model that moved, and the hypothesis that
+    was chosen."""
+    fitter, gathered, frozen, base = weighed.fitter, weighed.gathered, ready.frozen, ready.base
+    verdict, parts = _with_moved_parts(fitter, frozen, base, gathered, weighed.verdict)
+    return Found(
+        model=ready.model,
+        segments=ready.fitter.segments,
+        fitter=fitter,
+        tracked=ready.tracked,
+        frozen=frozen,
+        recalibrated=gap.rms(base.residuals[1:]),
+        kinds=ready.kinds,
+        gathered=gathered,
+        verdict=verdict,
+        chosen=_chosen_candidate(fitter, frozen, gathered, verdict),
+        parts=parts,
     )
 
 
@@ -182,24 +234,27 @@ def _fitter_and_residuals(
     return fitter, fitter.residuals(fitter.start(), fitter.no_effect)
 
 
-def _recalibrate_and_set_noise(fitter: Fitter, frozen: Sequence[Array], tracked: TrackerError | None) -> Fit:
-    """The recalibrated nominal model's fit. Sets the fitter's noise floor, px or deg, from the sensor at rest, or from
-    the calibration's own residuals (`frozen`) where these are smaller; with tracked videos it is at least the noise of
-    a moving marker."""
-    moving, segments = tracked.noise if tracked else 0.0, fitter.segments
-    fitter.floor = max(gap.noise_floor(segments, frozen), moving)
+def _recalibrated(fitter: Fitter, frozen: Sequence[Array], tracked: TrackerError | None) -> Fit:
+    """The recalibrated nominal model's fit, weighed by a first noise floor, of the sensor at rest or else by what the
+    calibrated model leaves: `frozen`, (scored, k) of each recording. Sets that floor, and what tracked videos say of
+    how certain and how steady it is."""
+    fitter.floor = max(gap.noise_floor(fitter.segments, frozen), tracked.noise if tracked else 0.0)
     if tracked is not None:
         fitter.doubt, fitter.unsteady = tracked.doubt, tracked.unsteady
-    base = fitter.recalibrated()
-    # A rest in which the tip goes on moving overestimates the noise: what the calibration leaves of itself bounds it.
-    # A simulator's calibration leaves nothing, so the least noise and the tests' own white noise stay a lower bound.
-    relative = fitter.relative_noise
+    return fitter.recalibrated()
+
+
+def _noise_floor(fitter: Fitter, of_calibration: Array, base: Fit, moving: float) -> float:
+    """The noise floor, px or deg, by what `base` leaves at rest. A rest in which the tip goes on moving overestimates
+    it: what the calibrated model leaves of its own calibration, `of_calibration` (scored, k), bounds it if that is
+    clearly less. A simulator's calibration leaves nothing, so that this bound is no less than the least noise and the
+    tests' own white noise. moving: the noise of a moving marker in tracked videos, below which the floor never is."""
+    segments, relative = fitter.segments, fitter.relative_noise
     at_rest = gap.noise_floor(segments, base.residuals, fitter.across(base), relative)
     of_tests = [left / times for left, times in zip(base.residuals[1:], relative[1:], strict=True)]
-    own = gap.rms(frozen[:1]) / relative[0]
-    bound = max(own, gap.least_noise(segments), gap.second_difference_noise(of_tests))
-    fitter.floor = max(bound if bound < _NO_NOISE * at_rest else at_rest, moving)
-    return base
+    by_calibration = gap.rms([of_calibration]) / relative[0]
+    bound = max(by_calibration, gap.least_noise(segments), gap.second_difference_noise(of_tests))
+    return max(bound if bound < _NO_NOISE * at_rest else at_rest, moving)
 
 
 def _with_moved_parts(

@@ -184,7 +184,7 @@ def _effects(found: Found, shares: Mapping[str, float]) -> list[dict[str, Any]]:
 
 def _candidates(found: Found) -> list[dict[str, Any]]:
     """The list `candidates` of diagnosis.json: every effect that was fitted, the likeliest to lead first, then those
-    that the linear screening left out."""
+    that the linear screening left out. One is identifiable that no other may well be instead (`Decision.ambiguous`)."""
     verdict, best, before = found.verdict, best_of_each(found.gathered), found.gap["before"]
     ambiguous = verdict.ambiguous()
     names = [*verdict.ranked, *(kind.id for kind in found.kinds if kind.id not in verdict.leading)]
@@ -271,6 +271,7 @@ def _shapley(found: Found, named: Sequence[str]) -> list[float]:
         """Shrinkage of the rms, 1 - after / before, with these effects alone."""
         if names in known:
             return known[names]
+        # An event's amount is off in any case: the simulation would draw a random course of it.
         off = {p.name for name in named if name not in names for p in effects.BY_ID[name].amplitudes} | effects.SCATTERS
         values = {k: (0.0 if k.split("@")[0] in off else v) for k, v in chosen.fit.state.values.items()}
         residuals = found.fitter.residuals(replace(chosen.fit.state, values=values), chosen.fit.hypothesis)
@@ -304,7 +305,8 @@ def _depends_on_time(fit: Fit, named: Sequence[str]) -> bool:
 
 def _parameter_values(fit: Fit, name: str, latest: Segment) -> dict[str, Any]:
     """The object `parameters` of a named effect in diagnosis.json: its fitted values by name, in their own units (where
-    each recording has its own, those of the `latest`), and since_calibration, 0 or 1."""
+    each recording has its own, those of the `latest`; of the nominal registration that moved, its own), and
+    since_calibration, 0 or 1."""
     kind, scope = fit.hypothesis.find(name) or (effects.BY_ID[name], Scope.START)
     values = fit.state.values if fit.hypothesis.find(name) else fit.state.static
     own = {p.name for p in kind.parameters if scope == Scope.EACH and not p.searched}

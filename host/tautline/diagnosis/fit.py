@@ -34,8 +34,8 @@ from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
 
-# Pieces of the splines over the motor's range that are added to B and to f_remain; a cubic one has 3 coefficients more.
-WIDTH_PIECES = len(effects.BY_ID["transmission.backlash"].curve) - 3
+# Pieces of the splines over the motor's range that are added to B and to f_remain.
+WIDTH_PIECES = len(effects.BY_ID["transmission.backlash"].curve) - 3  # equation: a cubic has 3 coefficients more
 _FOLLOW_PIECES = 22  # prior: as fine as the law itself is measured again
 _ROUGH = 0.001  # prior: standard deviation of second differences of a spline of _FOLLOW_PIECES, as a share of its range
 STATIC_COLUMNS = slice(2, 8)  # format: the registration's six among ScoredRows.columns, with a camera
@@ -60,6 +60,7 @@ _DELAY_PRIOR_S = 0.02  # prior: standard deviation of a step of the delay
 _FAR, _CURVES_FAR = 30.0, 2.0  # prior: standard deviations of an effect's parameter and of a curve's, in their scales
 _KNOWN = 1e-6  # prior: factor on the nominal's standard deviations where a simulator is the nominal: it does not move
 _INSET = 0.05  # prior: share of the reached angles, at either end, in which no effect begins
+_RANK = 1e-12  # tolerance: relative diagonal entry, singular value, below which a direction of unknowns is not told
 
 
 @dataclass(frozen=True)
@@ -144,7 +145,8 @@ class Fitter:
         self._reached = (float(ends[0]) + inset, float(ends[1]) - inset)  # deg
 
     def on(self, segments: Sequence[Segment]) -> Fitter:
-        """A fitter with the same unknowns and priors of other recordings, within the range of these."""
+        """A fitter with the same unknowns and priors of other recordings, within the range of these, all as noisy as
+        the tests. What was kept of these recordings is dropped."""
         other = copy(self)
         other.segments, other.relative_noise, other._linearised = list(segments), [1.0] * len(segments), None
         other.__dict__.pop("_coarse", None)
@@ -249,7 +251,7 @@ class Fitter:
         self, segment: Segment, nominal: Model, simulated: _Simulated, slope_b: Array, slope_f: Array
     ) -> ScoredRows:
         """`rows` of one recording: dc = gain f'(tip) dp/dB dB + gain df, and the image by c. slope_b, slope_f: the
-        nominal's dB/dq and df_remain/dq on its grid."""
+        nominal's dB/dq and df_remain/dq on its grid; of effects in tables those of the changed tables are taken."""
         path, model, scored, by_c = simulated.path, simulated.model, segment.scored, simulated.by_c
         if model is not nominal:
             slope_b, slope_f = np.gradient(model.width, model.q), np.gradient(model.c_deg, model.q)
@@ -267,7 +269,8 @@ class Fitter:
 
     def _by_delay(self, segment: Segment, nominal: Model, simulated: _Simulated) -> Array:
         """(n, k) d prediction / d delay, px or deg per s: minus the velocity of what the sensor shows, as a difference
-        over _AHEAD_S. 0 where the model has no delay for this sensor."""
+        over _AHEAD_S; of the image, or of the bending angle where that alone moves it. 0 where the model has no delay
+        for this sensor."""
         path, by_c, parameters = simulated.path, simulated.by_c, simulated.parameters
         if not self.delayed:
             return np.zeros_like(by_c)
@@ -281,9 +284,9 @@ class Fitter:
     def normal(
         self, rows: Rows, extra: Array | None = None, weight: Array | None = None, known: Normal | None = None
     ) -> Normal:
-        """Normal matrix and gradient of one recording. extra (scored, k, m): further columns, whose unknowns come last.
-        weight (scored, k): of each residual, default 1. known: the result without `extra`, which is then not summed
-        again."""
+        """Normal matrix (m, m) and gradient (m,) of one recording: of the two splines' coefficients, rows.columns and
+        last `extra`, further columns (scored, k, ...). weight (scored, k): of each residual, default 1. known: the
+        result without `extra`, which is then not summed again."""
         columns, first = rows.columns, rows.columns.shape[2]
         without_extra = self.nominal_curves.size + first
         if extra is not None:
@@ -300,8 +303,8 @@ class Fitter:
         without any prior: what nothing that these columns can do would take away."""
         parts = [self.normal(row) for row in rows]
         matrix = np.asarray(sum(part.matrix for part in parts))
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-12 * float(np.diag(matrix).max())))  # units differ
-        inverse = np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-12, hermitian=True)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), _RANK * float(np.diag(matrix).max())))  # units differ
+        inverse = np.linalg.pinv(matrix * np.outer(scale, scale), rcond=_RANK, hermitian=True)
         step = scale * (inverse @ (scale * np.asarray(sum(part.gradient for part in parts))))
         return [row.residual - self.moved(row, step) for row in rows]
 
@@ -398,7 +401,9 @@ class Fitter:
         residual: Array,
     ) -> Array:
         """(scored, k) The prediction at `state` less that of another state, which has `row` and left `residual`
-        (scored, k) and differs by `parameter` alone; 0 where the marker would be behind the camera."""
+        (scored, k) and differs by `parameter` alone. The cheapest way that holds: to first order where it changes the
+        tables, by c where the paths differ in the bending angle only, else by what the sensor would show. 0 where the
+        marker would be behind the camera."""
         values = state.at(segment, hypothesis)
         if parameter.name in effects.IN_TABLES:
             change = row.change_by_tables(effects.tabled(state.model, values))
@@ -530,7 +535,8 @@ class _Descent:
         self.limits: list[float] = []  # of each recording, px or deg, at the last linearisation
 
     def linearised(self, point: _Point) -> tuple[Array, Array, float]:
-        """(Normal matrix (m, m), gradient (m,): the direction that lowers the cost, cost) at a point."""
+        """(Normal matrix (m, m), gradient (m,): the direction that lowers the cost, cost) at a point, with Huber's
+        weights and the priors. What is held has an equation of its own, whose step is 0."""
         fitter, hypothesis = self.fitter, self.hypothesis
         rows = fitter.rows_of(point.state, point.simulated)
         self.limits = [outlier_limit(row.residual) for row in rows]

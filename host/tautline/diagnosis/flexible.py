@@ -32,6 +32,7 @@ _DRIVEN, _DRIVES = 0.05, 0.4  # tolerance: share of a motion's power at the osci
 _SHORTEST, _LONGEST = 0.05, 20.0  # prior: length scales, in standard deviations of an input
 _SIZES = 1e-3, 1e2  # prior: the process' variance, in mean squares of the residuals
 _LEAST_NOISE, _MOST_NOISE = 1e-4, 10.0  # prior: the white noise's variance, in mean squares of the residuals
+_LEAST_OF_FLOOR = 0.5  # prior: share of the floor's power below which the white noise is not
 _LONGEST_TRAVEL = 0.3  # prior: of the motor's range: beyond it the last reversal is forgotten
 _KEPT = 256  # tolerance: observations that a discrepancy remembers
 _CONSTANT = 1e-9  # tolerance: range or standard deviation below which an input does not vary
@@ -98,7 +99,7 @@ def close(segments: Sequence[Segment], residuals: Sequence[Array], floor: float)
 def _gp_mean(inputs: Array, seen: Array, floor: float, test_inputs: Array) -> Array:
     """(m, k) Posterior mean at test_inputs (m, d) of a Gaussian process trained on `seen` (n, k) at `inputs` (n, d):
     squared-exponential kernel with a length scale for each input, and white noise of at least about `floor`, px or deg;
-    these hyperparameters maximise the marginal likelihood of a subset."""
+    these hyperparameters are `_likeliest`."""
     size, lengths, white = _likeliest(inputs, seen, floor)
     own = size * kernel(inputs, inputs, lengths)
     factor = cho_factor(own + (white + JITTER) * np.eye(len(inputs)), lower=True)
@@ -107,8 +108,8 @@ def _gp_mean(inputs: Array, seen: Array, floor: float, test_inputs: Array) -> Ar
 
 
 def discrepancy(inputs: Array, seen: Array, floor: float, sigma: float) -> Discrepancy:
-    """The process of `seen` (n, k) at `inputs` (n, d) with its likeliest length scales and noise, and `sigma` as one
-    standard deviation a priori. floor: of the noise, px or deg."""
+    """The process of `seen` (n, k) at `inputs` (n, d), of which it remembers _KEPT, with its likeliest length scales
+    and noise, and `sigma` as one standard deviation a priori. floor: of the noise, px or deg."""
     few = _thinned(np.arange(len(inputs)), _KEPT)
     scale = np.maximum(inputs.std(axis=0), _CONSTANT)
     with threadpool_limits(1):  # many small systems
@@ -118,13 +119,14 @@ def discrepancy(inputs: Array, seen: Array, floor: float, sigma: float) -> Discr
 
 def _likeliest(inputs: Array, seen: Array, floor: float) -> tuple[float, Array, float]:
     """(The process' variance, its length scales (d,), the white noise's variance) that maximise the marginal likelihood
-    of a subset of `seen` (n, k) at `inputs` (n, d), whose standard deviations are about 1."""
+    of _LENGTHS_FROM of `seen` (n, k) at `inputs` (n, d), whose standard deviations are about 1; within ranges in units
+    of those of `inputs` and of the rms of `seen`. floor: of the noise, in the unit of `seen`."""
     scale = float(np.sqrt(np.mean(seen**2))) or 1.0
     noise = max((floor / scale) ** 2, _LEAST_NOISE)
     d = inputs.shape[1]
     few = _thinned(np.arange(len(inputs)), _LENGTHS_FROM)
     start: Array = np.log(np.array([1.0, *np.ones(d), noise]))
-    bounds = [_SIZES, *[(_SHORTEST, _LONGEST)] * d, (0.5 * noise, _MOST_NOISE)]
+    bounds = [_SIZES, *[(_SHORTEST, _LONGEST)] * d, (_LEAST_OF_FLOOR * noise, _MOST_NOISE)]
     squared_differences, values = (inputs[few, None] - inputs[few]) ** 2, seen[few] / scale
     limits = Bounds(*np.log(bounds).T)
     minimum = minimize(  # type: ignore[call-overload]  # the stubs' jac=True takes no array of any shape

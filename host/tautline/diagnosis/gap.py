@@ -24,7 +24,9 @@ _STILL_S = 0.6  # limit: s of rest after which the motor's own transients are ov
 _NO_NOISE = 4.0  # tolerance: times the median power of all rests: one that scatters more is not only noise
 _OUTLIER = 8.0  # tolerance: standard deviations to which a frame is cut
 _FEWEST_FRAMES, _ENOUGH = 6, 60  # tolerance: frames of a rest, degrees of freedom of all rests, that tell the noise
-_OF_SECOND_DIFFERENCES = 5.2  # equation: of them a median tells a deviation as one white sample does: 35 / 18 / 0.37
+# Of them 35 / 18 count as one by their squares' correlation, and a median tells as much as a share 0.37 of the squares.
+_OF_SECOND_DIFFERENCES = 5.2  # equation: whose median tells a deviation as well as one white sample does
+_DECIMALS = 9  # tolerance: of px or deg, to which two readings are the same
 _PIECE, _PIECE_ORDER = 24, 3  # tolerance: frames of a piece, order of the polynomial that a misfit is over it
 _STANDARD_ERRORS = 2.0  # loss: by which the kurtosis must exceed a Gaussian's to count
 BLOCK_S = 8.0  # tolerance: s of a block of manoeuvres: longer than residuals are correlated
@@ -65,10 +67,11 @@ def noise_floor(
     a multiple of that (`relative_noise`)."""
     series, order = _noise_series(segments, across, relative)
     each = relative or [1.0] * len(residuals)
-    without_rests = [r / times for r, times in zip(residuals, each, strict=True)]
-    return max(
-        remembered(series, order)[1] if series else second_difference_noise(without_rests), least_noise(segments)
-    )
+    if series:
+        seen = remembered(series, order)[1]
+    else:
+        seen = second_difference_noise([r / times for r, times in zip(residuals, each, strict=True)])
+    return max(seen, least_noise(segments))
 
 
 def relative_noise(segments: Sequence[Segment], across: Sequence[Array] | None) -> list[float]:
@@ -77,7 +80,7 @@ def relative_noise(segments: Sequence[Segment], across: Sequence[Array] | None) 
     noise of all is likelier (Schwarz) than one of each."""
     if not across or min(len(each) for each in across) < _ENOUGH:
         return [1.0] * len(segments)
-    count = np.array([len(each) for each in across]) / _OF_SECOND_DIFFERENCES
+    count = np.array([len(each) for each in across]) / _OF_SECOND_DIFFERENCES  # white samples that tell as much
     least = samples.least_noise(segments[0].unit)
     power = np.array([max(second_difference_noise([each]), least) ** 2 for each in across])
     gain = float(count @ np.log(count @ power / count.sum() / power))  # of twice the log likelihood
@@ -162,9 +165,9 @@ def second_difference_noise(residuals: Sequence[Array]) -> float:
 
 
 def _step(observed: Array) -> float:
-    """The step in which a sensor counts, px or deg, by the differences of its distinct values; 0 where its values
-    hardly repeat. observed: (n, k)."""
-    steps = [np.diff(np.unique(np.round(column, 9))) for column in observed.T]
+    """The step in which a sensor counts, px or deg: the median difference of its distinct values, of the coarser
+    coordinate; 0 where half of its values or more are distinct. observed: (n, k)."""
+    steps = [np.diff(np.unique(np.round(column, _DECIMALS))) for column in observed.T]
     return max((float(np.median(s)) for s in steps if 0 < len(s) < len(observed) // 2), default=0.0)
 
 

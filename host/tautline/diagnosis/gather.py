@@ -260,22 +260,23 @@ class _Hypotheses:
             unsteady=fitter.unsteady,
         )
 
-    def _chance(self, law: int) -> float:
-        """For the candidate with index `law`, if its effects are laws: the probability that some other single effect
+    def _chance(self, index: int) -> float:
+        """For the candidate with this index, if its effects are laws: the probability that some other single effect
         leaves so much less though the law is right (exact.py); else 1."""
-        candidate, search = self.candidates[law], self.search
+        candidate, search = self.candidates[index], self.search
         if not exact.is_law(candidate.ids):
             return 1.0
-        own_misfit = 0.0 if candidate.from_start else self._calibrated  # else it is the effect's
-        noise = max(search.fitter.floor, float(np.sqrt(own_misfit)))
+        # Beside a law what the model leaves of its own calibration is noise; a law from the start has left it itself.
+        calibrations_own = 0.0 if candidate.from_start else self._calibrated
+        noise = max(search.fitter.floor, float(np.sqrt(calibrations_own)))
         others = [
             i
             for i, other in enumerate(self.candidates)
             if len(other.ids) == 1 and not other.scatters and other.ids[0] not in candidate.ids
         ]
         for i in others:
-            if (law, i) not in self._log_ratios:
-                self._log_ratios[law, i] = exact.log_likelihood_ratio(
+            if (index, i) not in self._log_ratios:
+                self._log_ratios[index, i] = exact.log_likelihood_ratio(
                     candidate.held_out, self.candidates[i].held_out, search.limits, noise
                 )
-        return exact.chance([self._log_ratios[law, i] for i in others])
+        return exact.chance([self._log_ratios[index, i] for i in others])

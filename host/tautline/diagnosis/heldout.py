@@ -104,7 +104,8 @@ def _step(matrix: Array, gradient: Array, scale: Array) -> Array:
 
 
 def scaled_solution(matrix: Array, scaled_gradient: Array, scale: Array) -> Array:
-    """(m,) As `_step`, with gradient and solution in the scaled unknowns."""
+    """(m,) As `_step`, with gradient and solution in the scaled unknowns: by Cholesky's factor, whose smallest pivot
+    tells whether the matrix is regular, else by singular values."""
     scaled = matrix * np.outer(scale, scale)
     with suppress(LinAlgError):
         factored, lower = cho_factor(scaled, check_finite=False)

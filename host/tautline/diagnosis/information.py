@@ -68,10 +68,12 @@ class Outlook:
         size = len(fits)
         self._noise2 = (1.0 + learnt().center.calibration_excess) * fitter.floor**2
         self._known_matrix = known
+        # Of each rival g with m unknowns, refitted to what the rival h predicts of each recording: the normal matrices
+        # (planned, m, m), whatever h is, and the gradients (planned, h, m).
         self._matrix = [np.zeros((len(planned), *matrix.shape)) for matrix in known]
         self._gradient = [np.zeros((len(planned), size, len(matrix))) for matrix in known]
-        self._squares = np.zeros((len(planned), size, size))
-        self._count = np.zeros(len(planned))
+        self._squares = np.zeros((len(planned), size, size))  # [recording, h, g]: what g leaves of h, not refitted
+        self._count = np.zeros(len(planned))  # how many numbers each recording has
         for i in range(len(planned)):
             self._count[i] = weight * rows[0][i].residual.size
             for g in range(size):
@@ -106,7 +108,8 @@ class Outlook:
         return np.asarray(np.maximum(squares, 0.0) / float(np.sum(self._count[chosen])))
 
     def expected(self, which: Sequence[int], seconds: float) -> float:
-        """The expected information, nats, of the recordings `which`, which last `seconds` together."""
+        """The expected information, nats, of the recordings `which`, which last `seconds` together: the bound in this
+        module's docstring, D_hg = half of the blocks' number log(1 + what g leaves / what h itself leaves)."""
         hyper = learnt().center
         left = self.power_left(which)
         gap = left[:, 0]  # of each right hypothesis: what the nominal model leaves

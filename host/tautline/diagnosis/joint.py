@@ -51,6 +51,7 @@ _SPEED_S = 0.02  # prior: s in which a width follows the speed, as in the librar
 _LAW_DEG = 3.0  # prior: standard deviation of a coefficient of the law's polynomial, deg
 _DELAY_S = 0.05  # prior: standard deviation of the delay beyond the calibration's: a bus, a filter or a servo
 _DIFFERENCE = 0.01  # tolerance: standard deviations of an unknown: the step of its difference quotient
+_LEAST_FACTOR = 1e-9  # tolerance: of a positive parameter's nominal value: 0 has no logarithm
 _AT_BOUND = 1e-6  # tolerance: standard deviations: an unknown nearer to the end of its range is at it
 _ROUNDS, _STEPS = 3, 12  # tolerance: rounds of the noise's estimate, Gauss-Newton steps of each at most
 _REFITS = 4  # tolerance: steps of a fit without a block
@@ -99,6 +100,8 @@ class Noise:
 
 @dataclass(frozen=True)
 class _Point:
+    """A point of the parameter space with what its simulation leaves."""
+
     u: Array  # (m,)
     residuals: list[Array]  # (scored, k) of each recording
 
@@ -137,9 +140,9 @@ class Joint:
         loose: bool = False,
         detail: Detail = NAMING,
     ) -> None:
-        """model: the simulator's nominal one. segments: the robot's recordings, each with its drive. floor: one
-        standard deviation of the sensor's noise, in the observations' unit. loose: whether nothing holds the joint
-        within the play."""
+        """model: the simulator's nominal one. parameters: what it declares. segments: the robot's recordings, each with
+        its drive. floor: one standard deviation of the sensor's noise, in the observations' unit. loose: whether
+        nothing holds the joint within the play. detail: how finely law and width go with the place."""
         self.loose, self.detail = loose, detail
         self.model, self.parameters, self.segments, self.floor = model, tuple(parameters), list(segments), floor
         low = min(float(s.motor.q.min()) for s in segments)
@@ -180,7 +183,7 @@ class Joint:
         found = [Effect(name, {name: value}) for name, value in changes.items() if value]
         speed = float(u[self.places[SPEED]][0])
         if speed:
-            # So that at great speeds the width changes by `speed` times _WIDTH: the motor's range cancels.
+            # At great speeds it adds per_speed _USUAL range / (1 - exp(-_SATURATION)): here _WIDTH speed range.
             per_speed = _WIDTH * speed / _USUAL * -float(np.expm1(-_SATURATION))
             parameters = {
                 "width_per_speed": per_speed,
@@ -227,8 +230,9 @@ class Joint:
         return [(s.observed - seen)[s.scored] for s, seen in zip(self.segments, predicted, strict=True)]
 
     def slopes(self, u: Array, residuals: Sequence[Array]) -> list[Array]:
-        """d prediction / d u, (scored, k, m) for each recording, by difference quotients that stay within the
-        parameters' ranges. residuals: at u (m,)."""
+        """d prediction / d u, (scored, k, m) for each recording, by difference quotients, backwards where a
+        step forwards would leave a parameter's range. All steps are announced (`ask`) before any is simulated, so that
+        a simulator can run them at once. residuals: at u (m,)."""
         steps = []
         for step in _DIFFERENCE * np.eye(len(u)):
             steps.append(step if np.array_equal(self.within(u + step), u + step) else -step)
@@ -399,8 +403,8 @@ def _positive(parameter: Declared) -> bool:
 
 
 def _change(parameter: Declared, u: float) -> float:
-    """The change of a parameter from its nominal value, in its own unit, for its unknown u: nominal (exp(u) - 1) of a
-    positive one, else 3 spread u; clipped to the parameter's range."""
+    """The change of a parameter from its nominal value, in its own unit, for its unknown u: nominal (exp(_FACTOR u) -
+    1) of a positive one, else _SPREADS spread u; clipped to the parameter's range."""
     change = _unclipped_change(parameter, u)
     return float(np.clip(change, parameter.low - parameter.nominal, parameter.high - parameter.nominal))
 
@@ -418,5 +422,5 @@ def _clipped_unknown(parameter: Declared, u: float) -> float:
     if _unclipped_change(parameter, u) == change:
         return u
     if _positive(parameter):
-        return float(np.log1p(max(change / parameter.nominal, -1.0 + 1e-9)) / _FACTOR)
+        return float(np.log1p(max(change / parameter.nominal, -1.0 + _LEAST_FACTOR)) / _FACTOR)
     return change / (_SPREADS * parameter.spread)

@@ -33,7 +33,8 @@ class Sets:
 
     @classmethod
     def of(cls, unknowns: tuple[Unknown, ...], fitted: Fitted) -> Sets:
-        """The posterior over all sets of up to _MOST unknowns. Of more, those that the evidence alone decides most, one
+        """The posterior over all sets of up to _MOST unknowns: the log evidence that the absent ones are zero, and for
+        each of them the log odds of absence, by PRESENT. Of more unknowns those whose own odds decide them most, one
         way or the other, are in every set or in none. Unknowns at an end of their range are absent and not among the
         ids."""
         reached = [unknown for unknown in unknowns if np.isin(unknown.places, fitted.free).any()]

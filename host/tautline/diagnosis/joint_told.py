@@ -40,11 +40,11 @@ class Answer:
         return cls(joint, fitted, Sets.of(joint.unknowns, fitted), held_out_residuals(joint, fitted))
 
     def corrected_model(self) -> Model:
-        """The model with all unknowns as fitted, and what they are off by together. Its c_sigma, deg, is
-        the law's posterior standard deviation; its width_sigma, unit of q, the standard deviation by which friction
-        varies (_FRICTION_VARIES of the width, times the root of the probability that it is friction and not slack); its
-        noise the standard deviation of a reading of an unseen motion, and beside it the discrepancy where an unseen
-        motion is unlike the recorded ones."""
+        """The model with all unknowns as fitted, and what they are off by together. Its c_sigma, deg, is the law's
+        posterior standard deviation; its width_sigma, unit of q, the standard deviation by which friction varies
+        (_FRICTION_VARIES of the width, times the root of the probability that it is friction and not slack); its noise
+        the standard deviation of a reading of an unseen motion, and beside it the discrepancy where an unseen motion is
+        unlike the recorded ones."""
         joint, fitted = self.joint, self.fitted
         names = [fitted.posterior.names[i] for i in joint.places[LAW]]
         c_sigma = fitted.posterior.marginal(names).spread(joint.law_slopes())
@@ -54,7 +54,7 @@ class Answer:
             width_sigma=_FRICTION_VARIES * np.sqrt(self._is_friction) * model.width,
             c_sigma=c_sigma,
             uncertainty=Uncertainty(
-                self._unseen(), deviations=tuple(self._deviations()), discrepancy=self._discrepancy()
+                self._noise_of_unseen(), deviations=tuple(self._deviations()), discrepancy=self._discrepancy()
             ),
         )
 
@@ -69,7 +69,7 @@ class Answer:
             below, above = (joint.model_at(joint.within(self.fitted.u + sign * step)) for sign in (-1.0, 1.0))
             yield Deviation.of(below), Deviation.of(above)
 
-    def _unseen(self) -> float:
+    def _noise_of_unseen(self) -> float:
         """One standard deviation of a reading of an unseen motion, in the observations' unit."""
         before = gap.rms(self.joint.residuals(np.zeros(self.joint.size)))
         return gap.unseen(before, gap.rms(self.held_out), self.joint.floor, learnt().elsewhere)
@@ -79,7 +79,7 @@ class Answer:
         seen only where the recorded motions were, and elsewhere it is worth no more than the plainer fit."""
         if self.plainer is None:
             return None
-        power = self.plainer._unseen() ** 2 - self._unseen() ** 2
+        power = self.plainer._noise_of_unseen() ** 2 - self._noise_of_unseen() ** 2
         if power <= 0.0:
             return None
         joint, model = self.joint, self.joint.model_at(self.fitted.u)

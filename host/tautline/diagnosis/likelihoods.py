@@ -47,7 +47,7 @@ class Likelihoods:
         # The share that a set of effects may well leave: as the worst of it.
         self._most = np.where(case.law, hyper.unexplained_by_law, hyper.unexplained)
         right = self._as_right_effects
-        own = np.where(case.size > 0, right + self._log_probability_unbeaten, self._log_likelihood_of_no_change)
+        own = np.where(case.size > 0, right + self._log_chance_of_rival, self._log_likelihood_of_no_change)
         # Scatter is told from frame to frame: a block of it counts as many observations as one of noise.
         own = own + 0.5 * hyper.noise_tells * case.foretold_better(hyper.calibration_excess)
         self.unknown_scatter: Array = np.where(case.scatters & (case.size == 1), right, -np.inf)
@@ -107,15 +107,16 @@ class Likelihoods:
         return np.asarray(log_sum(self._by_right_share + log_prior) - self._price)
 
     @property
-    def _log_probability_unbeaten(self) -> Array:
-        """(hypotheses,) Of laws: logarithm of the probability that another effect leaves so much less by chance, at
-        least `mimics`, as the nominal model beside a law is not exact; 0 of other effects."""
+    def _log_chance_of_rival(self) -> Array:
+        """(hypotheses,) Of laws: logarithm of the probability that some other effect leaves so much less though the law
+        is right: by noise alone (`Weighed.chance`), or with probability `mimics`, as the nominal model beside a law is
+        not exact. 0 of other effects: no model of them is exact, so that another leaves less is nothing against one."""
         return np.asarray(np.log(self._mimics + (1.0 - self._mimics) * self._case.chance))
 
     def _with_imitating_misfit(self, own: Array, replaced: npt.NDArray[np.bool_]) -> Array:
-        """(hypotheses,) The largest log-likelihood of a hypothesis with the misfit of its effects, its own or that of
-        one with a further effect, where by chance the misfit looks like that further effect; like an event none does.
-        own: log-likelihood of each; replaced: which are excluded."""
+        """(hypotheses,) The largest of a hypothesis' own log-likelihood and those of the sets with a further effect,
+        each with the chance that what that effect closes is only misfit of the right ones (`_log_chance_of_misfit`); an
+        event's is none. own: log-likelihood of each; replaced: which are excluded."""
         case, by_chance = self._case, self._log_chance_of_misfit
         reached = np.where(replaced, -np.inf, own)
         for size in range(int(case.size.max()), 1, -1):  # the largest first: two further ones may imitate as well
@@ -128,8 +129,8 @@ class Likelihoods:
     def _log_likelihood_of_unknown(self, as_if_right: Array, replaced: npt.NDArray[np.bool_]) -> float:
         """Log-likelihood times prior of the best effects, one or two, if they stand in for an unknown cause: with
         probability `mimics` (its square root of the best of all pairs) they follow it as closely as if they were right,
-        else they leave what wrong effects do. as_if_right: log-likelihoods as right effects; replaced: which hypotheses
-        are excluded."""
+        else they leave what wrong effects do. Without effects nothing imitates it: any gap may be there. as_if_right:
+        log-likelihoods as right effects; replaced: which hypotheses are excluded."""
         case, hyper = self._case, self.hyper
         pair = case.causes == 2
         mimics = np.where(pair, np.sqrt(self._mimics), self._mimics)
@@ -170,10 +171,11 @@ class Likelihoods:
 
     @property
     def _log_chance_of_misfit(self) -> Array:
-        """(pairs,) For hypotheses of which the second has one effect more: logarithm of the probability that what this
-        one closes is only misfit that the right first ones leave: that this misfit is as large (log-normally falling
-        beyond the usual share), times, as the share of it that the further effect closes is uniform, that it looks so
-        like that effect. A further part of the nominal model is a curve by place, which follows any small misfit."""
+        """(pairs,) Of hypotheses of which the second has one effect more: logarithm of the probability that what this
+        one closes is only misfit that the first, right ones leave. It is the probability that misfit is as large,
+        log-normally falling beyond the share that right effects may well leave, times the share of it that is left
+        (_ALIKE): so improbable is it that it looks so like the further effect, if the share that this closes is
+        uniform. Without the latter for parts of the nominal model: curves by place follow any small misfit."""
         case = self._case
         left, after = (np.maximum(case.mean[of] - case.floor2, 1e-300) for of in (case.fewer, case.further))
         may_leave = np.maximum(np.mean(case.inexact[case.fewer], axis=1), 1e-300)
@@ -184,15 +186,16 @@ class Likelihoods:
 
     @cached_property
     def steady(self) -> Array:
-        """(hypotheses,) Log-likelihood ratio, at most 0, of the amplitudes varying over place, speed, time, side and
-        load as a right effect's do (an exponential share, mean `wanders`) against as a wrong one's do (mean 1), of
-        which a share `mimics` is as steady. The worst effect of each hypothesis counts."""
+        """(hypotheses,) Log-likelihood ratio of a right effect to a wrong one by how much its amplitude varies over
+        place, speed, time, side and load: the share by which a right one's varies is exponential with mean `wanders`; a
+        share `mimics` of wrong ones is as steady, of the others it is exponential with mean 1. The effect with the
+        least ratio counts, 0 at most."""
         case, hyper = self._case, self.hyper
         means = np.where(case.geometry, hyper.wanders, hyper.wanders_material)
         right, wrong = (log_sum(case.wander + _log_exponential(mean[:, None])) for mean in (means, np.ones_like(means)))
         mimics = self._mimics[case.wandering]
         ratio = right - np.logaddexp(np.log(mimics) + right, np.log1p(-mimics) + wrong)
-        worst = np.zeros(len(case.size))  # some imitations are steady too, and noise has no amplitude
+        worst = np.zeros(len(case.size))  # 0 at most: some imitations are steady too, and noise has no amplitude
         np.minimum.at(worst, case.wandering, ratio)
         return worst
 

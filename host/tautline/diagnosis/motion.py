@@ -73,6 +73,8 @@ class _Phase:
         return self._through([q, self.low], rest_s=0.0)
 
     def _through(self, points: Sequence[float], rest_s: float) -> Trajectory:
+        """The motion from the first of these positions, the rig's unit, to each further one at the phase's speed, with
+        a rest of rest_s at each."""
         return trajectory.through(points, self.speed, _PER_SPEED * self.speed, rest_s)
 
 
@@ -100,18 +102,19 @@ def _planned(fitter: Fitter, rivals: Rivals, sway: bool) -> NextMotion:
     actuator, last = fitter.model.rig.actuator, _latest(fitter)
     phases, width = _phases(fitter), float(fitter.model.width.max())
     segments = [_segment(fitter, phase, width, sway) for phase in phases]
+    # As many of the sensor's observations as one that is planned stands for.
     weight = _PERIOD_S * (len(last.arrival_s) - 1) / float(np.ptp(last.arrival_s))
     outlook = Outlook(fitter, rivals, segments, weight)
     chosen: list[int] = []
     told, seconds = 0.0, 0.0
     parts: list[Trajectory] = []
     while True:
-        rest = [i for i in range(len(phases)) if i not in chosen]
+        others = [i for i in range(len(phases)) if i not in chosen]
         at = phases[chosen[-1]].low if chosen else None
         ways = {
-            i: phases[i].move_from(at) if at is not None else phases[i].approach(width, actuator.range) for i in rest
+            i: phases[i].move_from(at) if at is not None else phases[i].approach(width, actuator.range) for i in others
         }
-        takes = {i: ways[i].duration_s + phases[i].strokes.duration_s for i in rest}
+        takes = {i: ways[i].duration_s + phases[i].strokes.duration_s for i in others}
         adds = {
             i: outlook.expected([*chosen, i], seconds + took) - told
             for i, took in takes.items()
@@ -149,8 +152,9 @@ def _moves_other_axes(motor: Motor) -> bool:
 
 
 def _phases(fitter: Fitter) -> list[_Phase]:
-    """Phases to choose from, spread evenly (Sobol) over amplitude and speed in their logarithms, place and rest: within
-    the rig's range where the recordings have been, and no faster than they were."""
+    """Phases to choose from, spread evenly over place, the logarithms of amplitude and speed, and the root of the rest:
+    within the rig's range where the recordings have been, and no faster than they were. They are the second `count`
+    points of Sobol's sequence, as even as the first but without its origin, the shortest and slowest phase."""
     actuator = fitter.model.rig.actuator
     span = actuator.span
     low = max(actuator.range[0], min(float(s.motor.q.min()) for s in fitter.segments))
@@ -169,7 +173,8 @@ def _phases(fitter: Fitter) -> list[_Phase]:
 
 
 def _segment(fitter: Fitter, phase: _Phase, width: float, sway: bool) -> Segment:
-    """A phase as a recording after the last one, scored once the tip has been taken to both envelopes."""
+    """A phase as a recording after the last one: an observation each _PERIOD_S, of which only the time counts, once the
+    tip has been taken to both envelopes. width: the widest B, unit of q; sway: whether the other axes do."""
     last, actuator = _latest(fitter), fitter.model.rig.actuator
     approach = phase.approach(width, actuator.range)
     motion = trajectory.in_turn(approach, phase.strokes)

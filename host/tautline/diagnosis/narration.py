@@ -23,6 +23,8 @@ _REMAINS = {  # why no table of the board undoes an effect
     "acquisition.held_samples": "it is the sensor's link",
 }
 SHOWN = 0.005  # format: probability from which on a candidate is shown
+_ROWS, _PLACES = 4, 3  # format: candidates, places to look at, that are listed
+_WHOLE, _LEAST_DIGITS = 999.5, 1e-3  # format: from which numbers are whole, below which they have six decimals
 _NO_PATH = "It has no path that repeats, so no model can predict it away."
 _IN_WORDS = 2  # format: named effects that have a sentence each; of more only the first has
 _NEAR = 0.1  # format: share of a gap that an effect or a refit must close to be mentioned
@@ -40,9 +42,9 @@ _SHRINKS = 0.02  # format: shrinkage by an event's mean effect, from which it is
 
 def digits(value: float) -> str:
     """Three significant digits, without an exponent: whole numbers from 1000 on, six decimals below 0.001."""
-    if abs(value) >= 999.5:
+    if abs(value) >= _WHOLE:
         return f"{value:.0f}"
-    return f"{value:.3g}" if abs(value) >= 1e-3 or value == 0 else f"{value:.6f}"
+    return f"{value:.3g}" if abs(value) >= _LEAST_DIGITS or value == 0 else f"{value:.6f}"
 
 
 def listed(names: Sequence[str], last: str = "and") -> str:
@@ -262,7 +264,7 @@ def _steps_to_look(document: Mapping[str, Any]) -> list[NextStep]:
         return [NextStep(f"Look for what moves every {swing:.2g} s: breathing, a heartbeat, a loose mount, a fan.")]
     if document["verdict"] != "unknown":
         return []
-    where = listed([f"{c['says']} ({c['axis']})" for c in document["where"]["conditions"][:3]])
+    where = listed([f"{c['says']} ({c['axis']})" for c in document["where"]["conditions"][:_PLACES]])
     return [NextStep(f"Look at the instrument where the gap is largest: {where}.")]
 
 
@@ -368,7 +370,7 @@ def text(document: Mapping[str, Any], folder: str) -> str:
     for paragraph in (moved(document), simulator_words.step(document)):
         lines += ["", f"  {paragraph}"] if paragraph else []
     lines.append("")
-    for name, probability, closes in rows(document, 4):
+    for name, probability, closes in rows(document, _ROWS):
         lines.append(f"  {name:<40} {percent(probability):>6}  {closes}".rstrip())
     closed = flexible(document)
     if closed:

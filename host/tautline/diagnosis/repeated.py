@@ -23,6 +23,7 @@ Array = npt.NDArray[np.float64]
 HELD = "acquisition.held_samples"
 _SEEN = 0.1  # loss: share of the noise power by which repeats must raise the gap's to be reported
 _SURE = 0.98  # format: the probability of what is certain
+_AS_OFTEN = 0.5  # loss: of the largest share of repeats in a test: a calibration with more has had them too
 
 
 def add_repeats(document: dict[str, Any], model: Model, segments: Sequence[Segment], load_reference: float) -> None:
@@ -49,8 +50,9 @@ def add_repeats(document: dict[str, Any], model: Model, segments: Sequence[Segme
 
 
 def _powers(model: Model, tests: Sequence[Segment], load_reference: float) -> tuple[float, float, float]:
-    """Mean squares of the residuals of a coordinate, px^2 or deg^2: (of all frames, of those that repeat none, the
-    increase by the repeated ones if as few stalls are to be expected as nine in ten of such numbers allow)."""
+    """(Mean square of a coordinate's residuals over all frames, that over those that repeat none, by how much the
+    former is surely larger), px^2 or deg^2. How often a link stalls is a Poisson number: the difference is scaled down
+    as if there had been fewer stalls by NINE_OF_TEN of its standard deviations; nothing is left of one or two."""
     squares, fresh, frames, stalls = 0.0, 0.0, 0, 0
     for segment in tests:
         power = np.mean(np.square(segment.observed - segment.predict(model, {}, load_reference)[1]), axis=1)
@@ -81,8 +83,8 @@ def _add_candidate(document: dict[str, Any], probability: float, shrink: float) 
 
 
 def _name_repeats(document: dict[str, Any], segments: Sequence[Segment], shrink: float, leads: bool) -> None:
-    """Makes held samples a named effect, the first one if it leads; what the others shrink is then of the rest. shrink:
-    share of the gap's rms that they are."""
+    """Makes held samples a named effect, the first one if it leads, and there from the start if the calibration has as
+    many; what the others shrink is then of the rest. shrink: share of the gap's rms that they are."""
     held_shares = [int(s.held.sum()) / max(int((s.scored | s.held).sum()), 1) for s in segments]
     if document["verdict"] == "unknown":
         document["effects"] = []
@@ -92,7 +94,7 @@ def _name_repeats(document: dict[str, Any], segments: Sequence[Segment], shrink:
     held = {
         "id": HELD,
         "probability": _SURE,
-        "since": (Scope.START if held_shares[0] > 0.5 * max(held_shares[1:]) else Scope.TESTS).since,
+        "since": (Scope.START if held_shares[0] > _AS_OFTEN * max(held_shares[1:]) else Scope.TESTS).since,
         "parameters": {"held_share": sum(held_shares[1:]) / len(held_shares[1:])},
         "shrink": shrink,
         "swallowed_by_recalibration": False,

@@ -13,6 +13,7 @@ from tautline.diagnosis.narration import digits
 from tautline.effects import SIMULATOR
 
 _MOST = 3  # format: effects that are listed
+_MS = 1e3  # equation: in a second
 _ENDS: Mapping[str, tuple[str, str]] = {  # in words, the low and the high end of each axis of wander.py
     "place": ("at low positions", "at high ones"),
     "speed": ("when slow", "when fast"),
@@ -44,7 +45,7 @@ def _amplitudes_in_words(fit: Fit, axis: str, low: float, high: float) -> str:
     kind = fit.hypothesis.kinds[0]
     name, unit = kind.amplitudes[0].name, kind.amplitudes[0].unit
     if len(kind.amplitudes) == 1 and name in fit.state.values:
-        value = fit.state.values[name] * (1e3 if unit == "s" else 1.0)
+        value = fit.state.values[name] * (_MS if unit == "s" else 1.0)
         unit = "ms" if unit == "s" else unit.replace("unit", fit.state.model.rig.actuator.unit)
         sizes = [f"{digits(value * factor)} {unit}".rstrip() for factor in (low, high)]
     else:

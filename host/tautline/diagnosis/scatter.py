@@ -47,6 +47,10 @@ _HELD_SHARES = np.array([0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 
 _PLACES = 96  # prior: places along the range at which a misfit may be another
 _RIDGE = 1e-9  # tolerance: of a frame: for rounding
 _JUMPS = (0.1, 30.0)  # prior: range of jumps, times a fast drive from frame to frame
+_FINEST = (
+    0.1  # tolerance: of the smallest jump, of the time in which a fast image shows beside noise: grids begin there
+)
+_SECONDS, _JUMP_SIZES, _LENGTHS = 41, 61, 31  # tolerance: members of each family that are tried
 
 
 @dataclass(frozen=True)
@@ -150,12 +154,13 @@ def compared(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
     frames = _Joined(parts, floor)
     # s in which a fast image moves as far as the noise
     finest_s = floor / max(float(np.quantile(frames.speed, _FAST_IMAGE)), 1e-9)
-    seconds = np.geomspace(min(0.1 * finest_s, 0.1 * _LONGEST_S), _LONGEST_S, 41)
+    seconds = np.geomspace(min(_FINEST * finest_s, _FINEST * _LONGEST_S), _LONGEST_S, _SECONDS)
     steady, waiting = frames.likeliest(frames.jitter, seconds), frames.likeliest(frames.waiting, seconds)
     jittered, jitter_s = max(steady, waiting, key=_log_likelihood)
     fast_drive = max(float(np.quantile(frames.driven, _FAST)), 1e-9)  # unit of q from frame to frame
-    stuck, jump = frames.likeliest(frames.stick, np.geomspace(_JUMPS[0] * fast_drive, _JUMPS[1] * fast_drive, 61))
-    lengths = np.geomspace(0.1 * _JUMPS[0] * fast_drive, fast_drive, 31)
+    jumps = np.geomspace(_JUMPS[0] * fast_drive, _JUMPS[1] * fast_drive, _JUMP_SIZES)
+    stuck, jump = frames.likeliest(frames.stick, jumps)
+    lengths = np.geomspace(_FINEST * _JUMPS[0] * fast_drive, fast_drive, _LENGTHS)
     behind, ahead = (frames.likeliest(frames.behind, way * lengths) for way in (1.0, -1.0))
     repeated, held_share = frames.likeliest(frames.repeats, _HELD_SHARES)
     level = frames.two_levels(frames.residual)
@@ -300,21 +305,23 @@ class _Joined:
 
     @cached_property
     def _by_median_wait(self) -> tuple[Array, Array]:
-        """(n,) twice: residuals along the motion, each recording's median frame in time, and their square across."""
+        """(n,) twice: the residual along the image's motion, shifted in proportion to the speed so that the median
+        frame of its recording is timely (`_median_part`), and the square of the residual across it."""
         along, across2 = _along_and_across2(self.as_it_is, self._velocity)
-        return along - self._median(along, self.speed), across2
+        return along - self._median_part(along, self.speed), across2
 
     @cached_property
     def _by_median_length(self) -> tuple[Array, Array, Array]:
-        """(n,) three times: residuals along the play's motion, each recording's median frame where the tip is, their
-        square across, and the image's motion per unit of the play's centre, 0 at rest."""
+        """(n,) three times: the residual along the image's motion with the play's centre, shifted by a length so that
+        the median frame of its recording is where the fit has it (`_median_part`), the square of the residual across
+        it, and the image's motion per unit of the centre, 0 at rest."""
         along, across2 = _along_and_across2(self.as_it_is, self._per_unit)
         per_unit = np.sqrt(self._per_unit2) * self._moving
-        return along - self._median(along, per_unit), across2, per_unit
+        return along - self._median_part(along, per_unit), across2, per_unit
 
-    def _median(self, along: Array, scale: Array) -> Array:
-        """(n,) Each recording's median of along / scale, (n,) both, times scale: over the faster half of the frames
-        that move."""
+    def _median_part(self, along: Array, scale: Array) -> Array:
+        """(n,) `scale` times the median of along / scale, (n,) both, in each recording: of the faster half of the
+        frames that move, as in the others noise is most of that ratio."""
         part = np.zeros(len(along))
         for number in np.unique(self._recording):
             of = self._recording == number
@@ -376,8 +383,8 @@ def _gaussian_along(along: Array, across2: Array, variance: Array, across_varian
 
 def _lagging(along: Array, across2: Array, scale: Array, variance: float, k: int) -> Array:
     """(n,) Log-density in k coordinates, up to a constant, of a distance behind the prediction that is exponential with
-    this scale (n,) about its median, and Gaussian noise of `variance` of a coordinate. along, across2: as in
-    `_gaussian_along`."""
+    this scale (n,) about its median, plus Gaussian noise of `variance` of a coordinate: an exponentially modified
+    Gaussian, in units of the noise. along, across2: as in `_gaussian_along`."""
     noise = np.sqrt(variance)
     rate = noise / np.maximum(scale, _LEAST * noise)
     lag = np.log(2.0) / rate - along / noise  # above the least one, in the noise

@@ -54,7 +54,8 @@ def screen(
     fitter: Fitter, base: Fit, kinds: Iterable[Kind], limits: Sequence[float], scopes: Sequence[Scope] = tuple(Scope)
 ) -> list[Screened]:
     """Effects by their linear score on top of `base`, the largest first, in each of these scopes. limits: of each
-    recording, px or deg, to which residuals are cut. Effects that the fit's unknowns absorb are left out."""
+    recording, px or deg, to which residuals are cut. Effects that the fit's unknowns absorb are left out. Fewer
+    observations tell this (`Fitter.coarse`), but for a moment, which is then found to a frame among all."""
     scan = _Scan(fitter.coarse, base, limits, scopes)
     fine: _Scan | None = None  # of all observations
     screened: list[Screened] = []
@@ -101,9 +102,8 @@ class _Scan:
             )
             for row, columns, limit in zip(plain, effect_columns, limits, strict=True)
         ]
-        self.known = [
-            fitter.normal(row) for row in self.rows
-        ]  # normal equations of each recording, without new columns
+        # Normal equations of each recording, without new columns.
+        self.known = [fitter.normal(row) for row in self.rows]
         matrix = fitter.floor**2 * fitter.prior_precision(base.hypothesis) + sum(n.matrix for n in self.known)
         self.factor = cho_factor(matrix)
         self.gradient = np.asarray(sum(n.gradient for n in self.known))

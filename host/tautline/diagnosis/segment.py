@@ -147,7 +147,7 @@ def prepare(
         if drive is None:
             path = MotorPath.of(recording.motor, model.rig.actuator.encoder_resolution)
         else:
-            path = MotorPath(recording.motor, recording.motor)
+            path = MotorPath(recording.motor, recording.motor)  # simulated: its samples are the knots
         motor = path.lines
         times, observed, again = (_marker_observations if by_marker else _angle_observations)(recording, path)
         scene = times - model.delay_of(MARKER if by_marker else ANGLE)
@@ -199,8 +199,8 @@ def _angle_observations(recording: Recording, path: MotorPath) -> tuple[Array, A
 
 
 def _of_tip(path: MotorPath, times: Array, observed: Array, unit: str) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-    """(Times (n,), observations (n, k), which repeat the one before (n,)) without those of something else. path: of the
-    motor meanwhile."""
+    """(Times (n,), s; observations (n, k); which repeat the one before (n,)) without those that stray so far that they
+    are no readings of the tip (`strays`). path: of the motor meanwhile; unit: "px" or "deg"."""
     again = repeated(observed)
     fresh = np.flatnonzero(~again)
     noise = noise_of(times[fresh], observed[fresh], least_noise(unit))

@@ -24,6 +24,8 @@ from tautline.simulators.simulator import Simulator
 
 Progress = Callable[[float, str], None]
 
+_SIMULATING, _DIAGNOSING, _FITTING = 0.05, 0.75, 0.15  # format: shares of the progress: runs, diagnosis, joint fit
+
 
 def diagnose_simulator(
     simulator: Simulator,
@@ -38,16 +40,16 @@ def diagnose_simulator(
     what is done now. workers: processes that simulate side by side, with the same result. TautError where nothing can
     be compared or scored, or the simulator fails."""
     progress(0.0, "simulating")
-    seen = with_markers(robots, rig, lambda fraction, text: progress(0.05 * fraction, text))
+    seen = with_markers(robots, rig, lambda fraction, text: progress(_SIMULATING * fraction, text))
     simulator, step = stepped(simulator, seen, rig)
     with pool(simulator, workers) as processes:
         found = replace(nominal(simulator, seen, rig, processes), step=step)
-        progress(0.05, "simulated")
+        progress(_SIMULATING, "simulated")
         diagnosis = diagnose(
             found.model,
             found.calibration,
             found.tests,
-            lambda fraction, text: progress(0.05 + 0.75 * fraction, text),
+            lambda fraction, text: progress(_SIMULATING + _DIAGNOSING * fraction, text),
             simulated=found,
         )
         diagnosis = replace(diagnosis, corrected=_corrected_with_noise(diagnosis))
@@ -56,7 +58,8 @@ def diagnose_simulator(
         tests = prepare(found.model, found.calibration, found.tests, found.drives)[1:]
         joint = Joint(found.model, simulator.parameters, tests, diagnosis.document["noise_floor"])
         with threadpool_limits(1, "blas"):
-            told = likeliest(joint, lambda share: progress(0.8 + 0.15 * share, "fitting all parameters together"))
+            done = _SIMULATING + _DIAGNOSING
+            told = likeliest(joint, lambda share: progress(done + _FITTING * share, "fitting all parameters together"))
             answer = improved(diagnosis, Answer.of(*told))
         if answer is diagnosis:  # the joint fit leaves no less
             return diagnosis

@@ -7,6 +7,8 @@ from typing import Any
 
 from tautline.effects import BY_ID, simulator_id
 
+# format of all: units in words
+
 
 def says(document: Mapping[str, Any], name: str) -> str:
     """What the effect with the id `name` does, in words; of a simulator's parameter its values in the simulator and on

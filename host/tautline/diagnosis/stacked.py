@@ -84,10 +84,10 @@ def brought_parts(ids: Collection[str]) -> frozenset[str]:
 
 
 def _beside(flexible: frozenset[str], simple: frozenset[str]) -> frozenset[str] | None:
-    """What is beside the flexible effect where the set of effects `flexible` is replaced by the set `simple` if that
-    suffices: an effect of the former contains one of the latter (`Kind.contains`), and the others are the same, or
-    parts of the nominal model that are beside the flexible effect alone. None where it is not replaced. Events of the
-    flexible set do not count: they would be seen beside the simple one too."""
+    """Whether the set of effects `flexible` gives way to the set `simple` if that suffices: an effect of the former
+    contains one of the latter (`Kind.contains`), and the others are the same; parts of the nominal model may be beside
+    the flexible effect alone. If so the effects that both have, else None. Events of the flexible set do not count:
+    they would be seen beside the simple one too."""
     flexible = flexible - EVENTS
     others = flexible - simple
     for inner in simple:
@@ -130,19 +130,20 @@ class Stacked:
         self.confined_log_ratio = lru_cache(_REMEMBERED)(self._confined_log_ratio)
 
     def _set_scatter(self, hypotheses: Sequence[Weighed]) -> None:
-        """Which hypotheses have an event (`scatters`), and logarithms of the power, over the noise's, that is left of a
-        frame given those before: by an event (`by_event`), and by whatever is none, the best rival on the same path
-        (`without_event`); (hypotheses, blocks) each, of `in_sight` those in which a frame counts."""
+        """Which hypotheses have an event (`scatters`), and (hypotheses, blocks) each: logarithms of the power over the
+        noise's that is left of a block's frames, with the event as the explanation of their scatter (`by_event`), and
+        with the best one that is none, if that leaves less than the path alone (`without_event`); and whether frames of
+        the block count for the event (`in_sight`)."""
         scatter, rival = np.array([h.scatter for h in hypotheses]), np.array([h.rival for h in hypotheses])
         self.scatters: Flags = np.asarray(scatter.any(axis=1))
-        # Of an event that came later the calibration's blocks do not count.
+        # Of an event that came later the calibration's blocks do not count: `scatter` and `rival` are 0 there.
         self.in_sight: Flags = (scatter != 0.0) | (rival != 0.0) | ~self.scatters[:, None]
         above_noise = np.log(self.power / self.floor2)
         self.by_event, self.without_event = above_noise + scatter, above_noise + np.minimum(rival, 0.0)
 
     def _set_effects(self, hypotheses: Sequence[Weighed]) -> None:
         """Which effects each hypothesis has: flags of their kinds, the number of its causes, which hypothesis replaces
-        which (`does_as_well`), and all pairs of which the second has one effect more (`fewer`, `further`: indices)."""
+        which (`contained`), and all pairs of which the second has one effect more (`fewer`, `further`: indices)."""
         self.ids = [h.ids for h in hypotheses]
         self.sets = [frozenset(h.ids) for h in hypotheses]
         self.same: dict[frozenset[str], list[int]] = {}  # indices of the hypotheses with the same effects
@@ -327,7 +328,8 @@ class Stacked:
     def _log_likelihood_of_disturbed(self, floor_known: float, floor_steady: float, shares: Array) -> Array:
         """(shares, rows) Log-likelihood of the powers beyond the effects' stages if each block is noise, or with the
         probability of that share noise and any disturbance on top of it: prod((1 - s) noise + s disturbed), integrated
-        over the error of the floor. The parameters are `_confined_log_ratio`'s."""
+        over the error of the floor. The logarithm x of a disturbed block's power over the noise has a density
+        proportional to 1 / (x + its spread) from 0 to _WIDEST. The parameters are `_confined_log_ratio`'s."""
         x = np.log(np.maximum(self._beyond_power / self.floor2, 1e-6))[:, None]  # (rows, 1, blocks)
         spread = np.sqrt(2.0 / np.maximum(self._beyond_count, 1.0) + floor_steady**2 + self._unsteady**2)[:, None]
         floor_known = float(np.hypot(floor_known, self._doubt))

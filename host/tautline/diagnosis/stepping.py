@@ -95,7 +95,8 @@ class _Shown:
 
 def _likelier(after: Sequence[Array], before: Sequence[Array], floor: float) -> bool:
     """Whether the robot's recordings, which the finer simulator is `after` and the other `before` off, are likelier by
-    the finer one, in the noise that the better leaves, given that one of five files is fitted at its own step."""
+    the finer one, in the noise that the better leaves, given that a share _FITTED of files is fitted at its own
+    step. after, before: (scored, k) of each recording; floor: of the sensor's noise, their unit."""
     noise = min(Noise.of(after, floor), Noise.of(before, floor), key=lambda noise: noise.sigma)
     squares = [sum(float(np.sum(left**2)) for left in residuals) for residuals in (before, after)]
     log_odds = float(np.log((1.0 - _FITTED) / _FITTED)) + 0.5 * noise.weight * (squares[0] - squares[1])

@@ -20,6 +20,7 @@ _SPEED = 15.0  # format: deg/s of the trajectory, at most
 _RANGES_PER_S = 0.15  # format: of the trajectory's range of angles, at most
 _SECONDS = 30.0  # format: s of the trajectory
 _FREE = 0.1  # format: share of the angles that the tables reach, left free at either end: effects need room
+_RESOLUTION_DEG = 1e-3  # format: deg of the trajectory's steps
 _SETTLED = 0.3  # format: share of the trajectory after which the tip has been driven through both ways
 
 
@@ -39,7 +40,7 @@ def _trajectory(model: Model) -> tuple[Array, Array]:
     """(Times (n,), s; angles (n,), deg) of a smooth random trajectory (fixed seed) within the reached angles."""
     ends = np.sort(model.remaining(np.array(model.rig.actuator.range)))
     free = _FREE * (ends[1] - ends[0])
-    tip = Actuator("deg", (float(ends[0] + free), float(ends[1] - free)), 1e-3)  # planned as a motor's
+    tip = Actuator("deg", (float(ends[0] + free), float(ends[1] - free)), _RESOLUTION_DEG)  # planned as a motor's
     planned = trajectory.random_smooth(tip, min(_SPEED, _RANGES_PER_S * tip.span), _SECONDS, 1)
     return planned.t_s, planned.q
 

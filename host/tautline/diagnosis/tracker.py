@@ -169,6 +169,18 @@ def _stretch_edges(seen: Array) -> Array:
     return np.unique([*edges, seen[-1] + 1e-9])
 
 
+def _medians_by_place(view: _View, scored: Mask, place: npt.NDArray[np.intp], known: Mask) -> tuple[Array, Array]:
+    """(places,) twice, px: the median across the path of a place's scored frames, and how far these scatter in either
+    direction, along it and across; NaN where a place is not `known`. place (n,): of each frame."""
+    across, scatter = np.full((2, len(known)), np.nan)
+    for k in np.flatnonzero(known):
+        here = scored & (place == k)
+        across[k], along = np.median(view.across[here]), np.median(view.along[here])
+        off = np.abs(view.across[here] - across[k]) + np.abs(view.along[here] - along)
+        scatter[k] = 0.5 * spread.deviation(off)  # of one direction: `off` adds two
+    return across, scatter
+
+
 @dataclass(frozen=True)
 class _Places:
     """The tracker's error at stretches of the path (places), from the calibration's frames."""
@@ -192,12 +204,7 @@ class _Places:
         known = frames >= _FEWEST
         if known.sum() < _PLACES:
             return None
-        across, along, scatter = np.full((3, count), np.nan)
-        for k in np.flatnonzero(known):
-            here = scored & (place == k)
-            across[k], along[k] = np.median(view.across[here]), np.median(view.along[here])
-            off = np.abs(view.across[here] - across[k]) + np.abs(view.along[here] - along[k])
-            scatter[k] = 0.5 * spread.deviation(off)
+        across, scatter = _medians_by_place(view, scored, place, known)
         usual = float(np.nanmedian(scatter))
         distance = np.hypot(view.across - float(np.nanmedian(across)), view.along)
         far = np.bincount(place[scored & (distance > _FAR * usual)], minlength=count)

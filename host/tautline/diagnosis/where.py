@@ -116,8 +116,8 @@ def axis_values(segment: Segment) -> dict[str, Array]:
 
 def _condition(name: str, values: Array, residual: Array) -> Condition:
     """How the residual (n, k) goes with the values (n,) of the axis `name`. Its share of the power is the larger of the
-    share that the bins' mean residuals explain, and of half the mean relative deviation of the bins' power from the
-    mean power."""
+    share that the bins' mean residuals explain, and of what would have to be in other bins for all to have the same
+    power per observation: half the mean relative deviation from the mean power."""
     edges = _bin_edges(values)
     bin_of = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
     count = np.bincount(bin_of, minlength=len(edges) - 1).astype(float)

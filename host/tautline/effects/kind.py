@@ -16,6 +16,7 @@ STAGES = ("actuator", "transmission", "configuration", "kinematics", "registrati
 THROUGH_ANGLE = STAGES[:3]  # these move the tip by its bending angle
 _SEEN = STAGES[3:]  # these only change how the tip is seen
 COLUMN = "column"  # format: among an effect's parameters the name of the joint's column that it follows
+_TURN_DEG, _MOVE_MM = 0.5, 0.2  # prior: changes of a registration that a user would notice
 SIMULATOR = "simulator"  # the stage of a user's simulator's own parameters, in the motor's place before all others
 
 Array = npt.NDArray[np.float64]
@@ -95,9 +96,8 @@ class Kind:
     course: Callable[[Mapping[str, float], float], float] | None = None  # its size at a time of the session, s
     event: Event | None = None  # None: it has a path that repeats
     law: bool = False  # whether it has one exact equation everywhere: rigid motion, time
-    material: bool = (
-        False  # whether it is of friction or of a material (a tendon's, an obstacle's), which no equation has exactly
-    )
+    # Whether it is of friction or of a material (a tendon's, an obstacle's), which no equation has exactly.
+    material: bool = False
     nominal: bool = False  # whether it is a part of the nominal model, which a recalibration changes by itself
     posture: bool = False  # whether another posture, tension or homing changes it, together with others of these
     contains: tuple[str, ...] = ()  # ids of simpler effects that it can imitate exactly
@@ -174,9 +174,9 @@ class Kind:
 
 def rigid_motion(prefix: str) -> tuple[Parameter, ...]:
     """The six parameters of a rigid motion: PREFIX_rx, _ry, _rz, a turn as a rotation vector in deg, then PREFIX_x, _y,
-    _z, a move in mm."""
-    turn = tuple(Parameter(f"{prefix}_r{axis}", "deg", 0.5) for axis in "xyz")
-    move = tuple(Parameter(f"{prefix}_{axis}", "mm", 0.2) for axis in "xyz")
+    _z, a move in mm, each with the change that a user would notice."""
+    turn = tuple(Parameter(f"{prefix}_r{axis}", "deg", _TURN_DEG) for axis in "xyz")
+    move = tuple(Parameter(f"{prefix}_{axis}", "mm", _MOVE_MM) for axis in "xyz")
     return turn + move
 
 

@@ -32,6 +32,7 @@ _WITHOUT = 0.03  # prior: of the frames: left out of a rms, as outliers
 REACH, _UNSURE = 1.8, 0.3  # prior: of B, that carries every element; until then a frame tells so much
 _ALIKE = 0.25  # prior: of the measured range, along which a misfit is alike
 _PIECE = 400  # tolerance: knots simulated at once
+_LINE_STEPS, _ON_LINE = 4, 1e-3  # tolerance: of a line's weights; of the places' range: frames nearer to it weigh alike
 
 
 @dataclass(frozen=True)
@@ -293,8 +294,8 @@ def _misfit2(nominal: LawFamily, evidence: WindowKnots, level2: float, taken: fl
 
 
 def from_envelopes(nominal: LawFamily, evidence: WindowKnots, theta: Array, envelope: Envelopes, both: bool) -> Array:
-    """theta with the offset, and with `both` also the scale, by a robust line through the envelopes: on these way (q -
-    y) = scale B(q)/2 - way offset."""
+    """theta with the offset, and with `both` also the scale, by a line through the envelopes of the least absolute
+    misfit, as outliers count little in it: on these way (q - y) = scale B(q)/2 - way offset."""
     theta = theta.copy()
     if len(envelope.at) == 0:
         return theta
@@ -307,11 +308,11 @@ def from_envelopes(nominal: LawFamily, evidence: WindowKnots, theta: Array, enve
     slopes = np.column_stack([half, -envelope.way])
     right = envelope.way * (q - y)
     weight = np.ones(len(y))
-    for _ in range(4):
+    for _ in range(_LINE_STEPS):
         weighted = slopes.T * weight**2
         solution = np.linalg.lstsq(weighted @ slopes, weighted @ right, rcond=None)[0]  # B may be 0
         off = np.abs(right - slopes @ solution)
-        weight = 1.0 / np.sqrt(np.maximum(off, 1e-3 * np.ptp(y) + 1e-9))
+        weight = 1.0 / np.sqrt(np.maximum(off, _ON_LINE * np.ptp(y) + 1e-9))
     theta[SCALE], theta[OFFSET] = float(solution[0]), float(solution[1])
     return nominal.clipped(theta)
 

@@ -26,6 +26,7 @@ _MOST_OWN = 1.5  # prior: of a frame's noise, what of a calibrated law's own sig
 _LEAST_SHAPE, _MOST_SHAPE = -0.9, 4.0  # prior: the same, in one place
 _LEAST_SPREAD = -0.95  # limit: of the elements' own, at which all of them start together
 _MOST_SKEW = 0.6  # prior: shares of five even lots between 0.8 and 1.2 of B by it
+_KEPT = 8  # tolerance: laws that a family remembers
 _LEAST_GRADUAL, _GRADUAL = 0.1, 0.2  # tolerance: of an onset, from which its derivatives are taken
 
 
@@ -166,7 +167,7 @@ class LawFamily:
         kept, as a fit asks for each several times."""
         key = theta.tobytes()
         if key not in self._kept:
-            if len(self._kept) > 8:
+            if len(self._kept) > _KEPT:
                 self._kept.clear()
             self._kept[key] = self._law_of(theta)
         return self._kept[key]

@@ -92,7 +92,7 @@ class Passes:
             self._by_law = law.place(self._model.remaining(self.place))
             self._half = 0.5 * np.interp(self._by_law, law.grid, law.width)
         half, shift = self._half, self._by_law - self.place - theta[OFFSET]
-        late = self._of[:, _LATE] - half
+        late = self._of[:, _LATE] - half  # (2, places) on either way: below 0 the tip is ahead of the law's envelope
         late[0] -= shift
         late[1] += shift
         late[self._of[:, _ENTRY] < since] = np.nan
@@ -101,12 +101,13 @@ class Passes:
         mean = _means(late)
         if not (mean < 0.0).all(0).any():
             return None
+        # Of a mean over as many frames as were on its cells.
         off = _means(sigma) * np.minimum(np.sqrt(_means(self._of[:, _SPACING]) / length), 1.0)
         on_track = _means(self._of[:, _OFF_SQUARE]) < (_OFF * level) ** 2
         first = np.flatnonzero((on_track & (mean < -SURE * off)).all(0))
         if len(first) == 0:
             return None
-        share = 2.0 * (late.max(0) + half) / self._b
+        share = 2.0 * (late.max(0) + half) / self._b  # of B, by the pass that is less ahead
         inside = np.zeros(len(share), dtype=bool)
         for i in range(_WINDOW):
             inside[first + i] = True

@@ -14,12 +14,15 @@ from tautline.recording import Recording
 from tautline.reports import figures
 from tautline.tracking.replay import Tracked, off_by
 
+# format of all: sizes and colours of a picture
+
 _STATES = {"trusted": "#d9efdf", "stale": "#fbe9b7", "adapting": "#d5e6f5"}
 _MANY = 4000  # tolerance: rows that are drawn
 
 
 def draw(tracked: Tracked, recordings: Sequence[Recording], unit: str) -> Figure:
-    """State, offset and scale over the time of use."""
+    """State, offset and scale, with two of their standard deviations, over the time of use, and on top how far off
+    predictions were. unit: of q."""
     with mpl.rc_context(figures.STYLE):
         made, axes = figures.figure(9.0, 6.0, rows=3, sharex=True)
         t_s = tracked.t_s + np.array(SessionClock.of(recordings).offset_s)[tracked.recording]

@@ -31,7 +31,8 @@ class Scatter:
         self._last.append(z)
         if len(self._last) == self._last.maxlen:
             first, second, third, fourth = self._last
-            self._squares.append((fourth - first + 3.0 * (second - third)) ** 2 / spread.THIRD)
+            third_difference = fourth - first + 3.0 * (second - third)  # equation: 1, -3, 3, -1
+            self._squares.append(third_difference**2 / spread.THIRD)
         self._new += 1
         if self._new == _ANEW:
             self._new = 0

@@ -35,6 +35,7 @@ from tautline.tracking.window import Window, WindowKnots
 
 Array = npt.NDArray[np.float64]
 
+_LEAST_COUNTS = 4.0  # tolerance: of the encoder: the least that the mean B is taken for
 _APART, _APART_SIGMAS = 1 / 40, 4.0  # tolerance: of B, of a frame's noise: nearer frames tell the same
 _TURN_COUNTS, _TURN_SHARE = 8.0, 0.02  # prior: of the encoder, of B: a motor that goes back by more has turned
 _PACE = 0.08  # prior: of the running mean of what a model in doubt is off
@@ -99,8 +100,8 @@ class LawTracker:
         low, high = model.measured
         inside = (model.q >= low) & (model.q <= high)
         width = model.width[inside] if inside.any() else model.width
-        # The mean B, four counts at least: the unit in which ways and offsets are judged.
-        self._width = max(float(np.mean(width)), 4.0 * model.rig.actuator.encoder_resolution)
+        # The mean B: the unit in which ways and offsets are judged.
+        self._width = max(float(np.mean(width)), _LEAST_COUNTS * model.rig.actuator.encoder_resolution)
         sigma = np.minimum(model.width_sigma[inside] if inside.any() else model.width_sigma, _UNKNOWN * self._width)
         self._own = (0.5 * float(np.sqrt(np.mean(sigma**2))), float(np.sqrt(np.mean(sigma**2))) / self._width)
         count = model.rig.actuator.encoder_resolution
