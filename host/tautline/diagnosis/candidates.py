@@ -148,7 +148,9 @@ class Search:
 
     def evaluated(self, fit: Fit) -> Candidate:
         """A fit with its cross-validated residuals, and the two tests of whether its effects are the cause: what no law
-        of their stages could leave (`beyond`), and whether their amplitudes are constant (`wanders`)."""
+        of their stages could leave (`beyond`), and whether their amplitudes are constant (`wanders`). Where there are
+        effects and several tests, a block also bears by how much its recording contradicts the fit of the others: one
+        test, or none of an effect, is contradicted by nothing but the calibration."""
         rows = self.fitter.linearised(fit)
         held_out, surprise = heldout.residuals_and_surprise(self.fitter, fit.hypothesis, rows, self.labels, self.limits)
         power = with_surprise = self.power(held_out)
@@ -163,8 +165,9 @@ class Search:
 
     def beyond(self, fit: Fit, further: Sequence[Kind] = ()) -> Beyond | None:
         """For each block the mean square that no law of the stages of the fit's effects and of `further` could leave
-        (confined.py), residuals cut to _NOISE_LIMIT noise floors, and of how many independent numbers it is the mean.
-        None where these stages could leave anything."""
+        (confined.py), residuals cut to _NOISE_LIMIT noise floors, and of how many independent numbers it is the mean,
+        as neighbours' noise is alike (`gap.noise_samples_per_independent`). None where these stages could leave
+        anything."""
         residuals = confined.residuals(self.fitter, fit, further)
         if residuals is None:
             return None
@@ -291,9 +294,9 @@ class Search:
         simple: with the effects' constant forms (`Kind.simple`) in place of curves over the motor's range. None where
         the fit fails or nothing is to be added."""
         kinds = [kind for kind in self.kinds if kind.posture and not below.fit.hypothesis.find(kind.id)]
-        kinds = [(simple and kind.simple) or kind for kind in kinds]
-        if only is not None:
-            kinds = [kind for kind in kinds if kind.id in only]
+        kinds = [(simple and kind.simple) or kind for kind in kinds if only is None or kind.id in only]
+        if not kinds:
+            return None
         scope = Scope.EACH if below.fit.hypothesis.tests > 1 else Scope.TESTS
         hypothesis = below.fit.hypothesis
         for kind in kinds:
@@ -301,7 +304,7 @@ class Search:
         self._progress("fitting another posture")
         values = {slot.key: 0.0 for slot in hypothesis.slots} | dict(below.fit.state.values)
         fit = self.fitter.fit(hypothesis, values, below.fit.state)
-        return self.evaluated(fit) if kinds and fit.finite else None
+        return self.evaluated(fit) if fit.finite else None
 
     def with_nominal_parts(self) -> list[Candidate]:
         """A fit of each effect that, coming after the calibration, also changes parts of the nominal model

@@ -21,10 +21,11 @@ from tautline.effects import EVENTS, Kind
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-_REFITS, _BOTH_SCOPES = 8, 3  # tolerance: single effects fitted in full, and those of them in every scope
+_REFITS, _RESCOPED = 8, 3  # tolerance: single effects fitted in full, and those of them in every scope
 _FURTHER_REFITS = 3  # tolerance: effects fitted in full on top of others
 _EXTENDED = (2, 1)  # tolerance: hypotheses of one and of two effects on top of which a further one is fitted
 _MOST_EFFECTS = 1 + len(_EXTENDED)
+_WIDTH_THEN_ALL = ((WIDTH,), None)  # ids of what another posture changes that are freed at once; None: all
 
 
 @dataclass(frozen=True)
@@ -46,9 +47,9 @@ def gather(
     """The evidence for a verdict: fits of single effects, then of further ones on top of the most probable. frozen:
     residuals (scored, k) of each recording by the calibrated model as it is. base: the recalibrated nominal model's
     fit. kinds: effects to try. scopes: since when an effect may be there; with START alone no recording counts as the
-    calibration."""
+    calibration: what the model leaves of its own may be the effect's then, and none of it is the model's misfit."""
     fits = 0
-    expected = _REFITS + _BOTH_SCOPES + sum(_EXTENDED) * _FURTHER_REFITS
+    expected = _REFITS + _RESCOPED + sum(_EXTENDED) * _FURTHER_REFITS
 
     def report(text: str) -> None:
         """Counts one more fit and reports the share of the expected number."""
@@ -59,17 +60,18 @@ def gather(
     search = Search(fitter, base, kinds, report, scopes)
     if confounded.load_tells_apart(fitter.segments):
         search = search.without_posture_if_load_explains()
-    of_calibration = frozen[0] / fitter.relative_noise[0]
-    own_calibration = float(np.mean(np.square(of_calibration))) if search.allows_later_effects else 0.0
-    hypotheses = _Hypotheses(search, search.power(frozen), own_calibration)
+    own_misfit = 0.0
+    if search.allows_later_effects:
+        own_misfit = float(np.mean(np.square(frozen[0] / fitter.relative_noise[0])))
+    hypotheses = _Hypotheses(search, search.power(frozen), own_misfit)
     hypotheses.add(search.base, events=True)
-    hypotheses.add_single(search.on_top_of(search.base, _REFITS, _BOTH_SCOPES))
+    hypotheses.add_single(search.on_top_of(search.base, _REFITS, rescoped=_RESCOPED))
     for size, most in enumerate(_EXTENDED, start=1):
         for _ in range(most):
             below = hypotheses.next_to_extend(size)
             if below is None:
                 break
-            further = search.on_top_of(below, _FURTHER_REFITS, 0)
+            further = search.on_top_of(below, _FURTHER_REFITS, rescoped=0)
             hypotheses.add_further(further)
             # A further effect that leaves only noise does so with fewer parameters than another posture.
             if size == 1 and search.allows_later_effects and all(map(hypotheses.is_open, further)):
@@ -112,7 +114,8 @@ class _Hypotheses:
                 self._add_event(replace(candidate, fit=fit, beyond=beyond[kind.id]), kind, explained)
 
     def _append(self, candidate: Candidate, scatter: Array, rival: Array) -> None:
-        """Appends a candidate and its evidence. scatter, rival (blocks,): as in Weighed."""
+        """Appends a candidate and its evidence: what it leaves with by how much recordings contradict each other, and
+        the tests of its effects. scatter, rival (blocks,): as in Weighed."""
         self.candidates.append(candidate)
         self._weighed.append(
             Weighed(
@@ -201,10 +204,10 @@ class _Hypotheses:
         first_kind, first_scope = below.fit.hypothesis.kinds[0], below.fit.hypothesis.scopes[0]
         if first_scope == Scope.START or first_kind.posture:
             return
-        for simple in (True, False):
+        for constant_forms in (True, False):
             extended = below
-            for only in ((WIDTH,), None):
-                candidate = self.search.with_posture(extended, only, simple)
+            for only in _WIDTH_THEN_ALL:
+                candidate = self.search.with_posture(extended, only, simple=constant_forms)
                 if candidate is not None:
                     self.add(candidate)
                     extended = candidate
