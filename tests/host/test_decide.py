@@ -172,6 +172,35 @@ def test_what_two_follow_together_may_well_be_one_unknown_cause():
     assert one < 0.1 and three < 0.1 and 0.2 < two < 0.5
 
 
+def test_each_parameter_is_a_chance_to_follow_an_unknown_cause():
+    """Of effects that leave the same an unknown cause is likelier behind one with more parameters; of more than the
+    blocks no likelier, and of a set as of its effects' mean."""
+
+    def unknown(parameters: int, ids: tuple[str, ...] = (DRIFT,)) -> float:
+        found = evidence({(LAG,): 0.5, ids: 0.004})
+        return decide(
+            replace(found, hypotheses=(*found.hypotheses[:-1], replace(found.hypotheses[-1], parameters=parameters)))
+        ).unknown
+
+    one, six, many, more = (unknown(parameters) for parameters in (1, 6, BLOCKS, 2 * BLOCKS))
+    assert one < 0.05 < 3.0 * one < six < many == pytest.approx(more)
+    three = (LAG, DRIFT, RATE)
+    assert unknown(6, three) == pytest.approx(unknown(2), rel=0.2)
+
+
+def test_beside_a_law_an_effect_may_leave_a_share_of_what_the_law_leaves():
+    """A width beside a wrong hand-eye: what is left is a twenty-fifth of what the hand-eye leaves, so a third effect is
+    there. Beside a drift that much is a 500th of the gap, which both may well leave."""
+    width = "transmission.backlash"
+
+    def named(first: str) -> tuple[str, ...]:
+        beside = {(first,): 0.05, (width,): 0.9, (first, width): 0.002, (first, width, CREEP): 0.0001}
+        return decide(evidence(beside, before=1000.0)).named
+
+    assert named(STATIC) == (STATIC, width, CREEP)
+    assert named(DRIFT) == (DRIFT, width)
+
+
 @pytest.mark.parametrize(("left", "named"), [(0.001, LAG), (0.4, CREEP)])
 def test_a_creep_of_all_of_the_motion_is_a_lag(left, named):
     """It leaves less, having more parameters, alone and beside an event: neither says that it is no lag."""
