@@ -47,9 +47,8 @@ _HELD_SHARES = np.array([0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 
 _PLACES = 96  # prior: places along the range at which a misfit may be another
 _RIDGE = 1e-9  # tolerance: of a frame: for rounding
 _JUMPS = (0.1, 30.0)  # prior: range of jumps, times a fast drive from frame to frame
-_FINEST = (
-    0.1  # tolerance: of the smallest jump, of the time in which a fast image shows beside noise: grids begin there
-)
+# tolerance: of the smallest jump, and of the time in which a fast image shows beside noise: grids begin there
+_FINEST = 0.1
 _SECONDS, _JUMP_SIZES, _LENGTHS = 41, 61, 31  # tolerance: members of each family that are tried
 
 
