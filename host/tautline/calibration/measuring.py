@@ -453,7 +453,7 @@ class Measuring(_Setting):
             fit = replace(joint_fit.fit, fit_delay=False, delay_sigma_s=delay_sigma, smoothing=smoothing)
             joint_fit = fit.solve(replace(joint_fit.curves, delay_s=self.nominal_s))
         width = joint_fit.fit.width(joint_fit.curves)
-        joint_fit.fit.residuals(joint_fit.curves)
+        joint_fit.fit.simulate(joint_fit.curves)
         spread = np.hypot(components.sigma, components.width - width)
         return replace(joint_fit, spread=spread, delay_spread=delay_sigma, width_by_delay=components.width_by_delay)
 

@@ -112,7 +112,7 @@ class PlayFit:
     frames_per_independent: float = 1.0  # so many frames say as much of a curve's shape as one independent frame
     smoothing: dict[str, float] = field(default_factory=lambda: {"backlash": 1e-2, "follow": 1e-6})  # penalty factors
     grid: Array = field(init=False)  # (NODES,) on which B is tabulated
-    simulated: list[Simulated] = field(init=False, default_factory=list)  # by the last call of `residuals`
+    simulated: list[Simulated] = field(init=False, default_factory=list)  # by the last call of `simulate`
 
     def __post_init__(self) -> None:
         """Sets the grid over the range of B's basis."""
@@ -139,12 +139,16 @@ class PlayFit:
     def residuals(self, curves: Curves) -> tuple[list[Array], list[Mask]]:
         """Simulates every track (sets `simulated`). By track: (y - predicted) / sigma (n, k), and which frames count
         (n,)."""
+        self.simulate(curves)
+        return self.residuals_of_simulated(curves)
+
+    def simulate(self, curves: Curves) -> None:
+        """Sets `simulated`, what the play does at each frame of every track, by B, delay and effects of the curves."""
         width = self.width(curves)
         self.simulated = [
             prepared.simulate(self.grid, width, curves.delay_s, self.hysteresis, self.effects, curves.effect_values)
             for prepared in self.tracks
         ]
-        return self.residuals_of_simulated(curves)
 
     def residuals_of_simulated(self, curves: Curves) -> tuple[list[Array], list[Mask]]:
         """As `residuals`, of curves whose B, delay and effects are those that were simulated last."""
