@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.calibration.backlash import WidthCurve, fit_paper
+from tautline.calibration.backlash import SLOPE_UNTOLD, WidthCurve, fit_paper
 from tautline.calibration.components import Components
 from tautline.calibration.coverage import HOLE, distance_to_both_ways
 from tautline.calibration.findings import Findings
@@ -40,7 +40,7 @@ _ONE_WAY = 4.0  # prior: standard errors by which onsets of one direction are la
 _OTHER_WAY = 0.3  # prior: of that: what those of the other may be
 _BETWEEN = 1.5  # tolerance: of the usual distance of onsets: as far the onsets' curve counts alone
 _BENDS = 2.0  # prior: times its own size by which B may change over the range
-_STEEPER, _STEEP = 2.0, 0.5  # prior: B' in a hole, of its rms elsewhere; that rms where B' is told nowhere
+_STEEPER = 2.0  # prior: standard deviation of B' in a hole, of its rms elsewhere
 _UNKNOWN = 0.25  # prior: of the range: standard deviation of a B that nothing measured
 _FAR = 2.0  # prior: times _AGREE: passes that are farther from the onsets contradict them
 
@@ -185,9 +185,9 @@ class Choice:
 
     def sigma_where_passed_one_way(self, joint_fit: Fitted, width: Array, inside: npt.NDArray[np.bool_]) -> Array:
         """(grid,) further standard deviation of B where the tip passed one way only: the distance to the nearest place
-        that it passed both ways, beyond HOLE, times _STEEPER of the rms slope of B elsewhere (or _BENDS typical widths
-        over the range, if that is more). 0 elsewhere, and everywhere if B was known beforehand, since its prior covers
-        that. inside (grid,): where B was measured."""
+        that it passed both ways, beyond HOLE, times _STEEPER of the rms slope of B elsewhere, SLOPE_UNTOLD without such
+        (or _BENDS typical widths over the range, if that is more). 0 elsewhere, and everywhere if B was known
+        beforehand, since its prior covers that. inside (grid,): where B was measured."""
         if joint_fit.fit.beforehand is not None:
             return np.zeros(len(self.grid))
         apart = distance_to_both_ways(joint_fit, self.grid)
@@ -200,7 +200,7 @@ class Choice:
         steep = (
             float(np.sqrt(np.mean(np.gradient(width, self.grid)[inside & ~holes] ** 2)))
             if (inside & ~holes).any()
-            else _STEEP
+            else SLOPE_UNTOLD
         )
         at = self.grid[holes]
         self.findings.notice(

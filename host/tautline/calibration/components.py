@@ -46,6 +46,7 @@ _SHOWS = 0.3  # tolerance: of the noise: an encoder's count that moves the image
 LAW = 0.5  # prior: of what speed adds to B: its uncertainty, as slower than what was seen it may follow another law
 CORRECTS = 0.3  # prior: of a component's correction of B: its standard deviation
 _SHORT_LAG = 0.1  # tolerance: of a frame's period: a shorter lag is not told from a delay
+_END = 0.5  # equation: session time at its end, of t from -1/2 to 1/2 as departures have it
 _LATE = 0.25  # tolerance: of the session, at its end: what has come to rest by then does not go on
 
 
@@ -118,6 +119,11 @@ class Components:
             for track, change in zip(kept, self.from_end, strict=True)
             if len(track.t_s)
         ]
+
+    @property
+    def strongest_rms(self) -> float:
+        """The largest rms of a component, over the stated noise; 0 without any."""
+        return max((part.rms for part in self.parts), default=0.0)
 
     @property
     def tracker_errs(self) -> bool:
@@ -365,7 +371,7 @@ class _Estimated:
         differences = []
         for number, prepared in enumerate(self.model.fit.tracks):
             own = counted.recording == number
-            frames, late = counted.frame[own], own & (counted.t > 0.5 - _LATE)  # from -1/2 to 1/2
+            frames, late = counted.frame[own], own & (counted.t > _END - _LATE)
             sigma = prepared.track.sigma[frames]
             differences.append(DifferenceFromEnd(frames, by_frame[own], gradually[late], spread[own], sigma))
         return tuple(differences)
@@ -381,7 +387,7 @@ class _Estimated:
             elif name == "offset.slip":
                 offset += float(values[0])
             elif name == "offset.time":
-                slow = slow_basis(np.array([0.5]), len(values) - 3)
+                slow = slow_basis(np.array([_END]), len(values) - 3)
                 offset += float((slow @ values)[0])
         return offset
 
@@ -393,7 +399,7 @@ class _Estimated:
             basis, grid = self.model.fit.backlash, self.model.fit.grid
             there = basis.value(backlash, np.clip(grid + offset, grid[0], grid[-1]))
             backlash = basis.nearest(grid, there)
-        grown = 1.0 + 0.5 * float(values["width.time"][0]) if "width.time" in values else 1.0
+        grown = 1.0 + _END * float(values["width.time"][0]) if "width.time" in values else 1.0
         if "width.recording" in values:
             each = values["width.recording"]
             grown += float(contrasts(len(each) + 1)[-1] @ each)

@@ -245,7 +245,8 @@ def _ripple(grid: Array, width: Array, sigma: Array, usual: float) -> tuple[floa
     rates = np.linspace(_CYCLES[0], _CYCLES[1], _RATES) / float(at[-1] - at[0])
     angle = 2.0 * np.pi * np.outer(rates, at)
     waves = np.stack([np.cos(angle), np.sin(angle)], axis=1)  # (rates, 2, places)
-    # The spline integrated out, in the basis that makes what is told of it and its bending diagonal at once.
+    # The spline integrated out, in the basis V that makes what is told of it and its bending diagonal at once: V' along
+    # V = 1 and V' bending V = bends, so that V' told V = trace (1 - bends / size), `tells`.
     told = design.T @ (weight[:, None] * design)
     along = told / np.trace(told) + basis.bending / basis.size
     bends, vectors = eigh(basis.bending, along, check_finite=False)

@@ -141,7 +141,7 @@ def _reached(state: Fitted) -> Array:
 def _friction(kind: str, unknowns: Array, width: Array) -> Friction:
     """The friction of these unknowns (k,) on B width (n,), unit of q. Its length L(q) = length + share B(q) is scaled
     so that the tip starts with expit(u[0]) of its later slope where it starts slowest, which keeps it from going
-    backwards."""
+    backwards: leaving an envelope it has 1 - steepest B / (2 L) of that slope, as it is off the motor by z B / 2."""
     start, part = float(expit(unknowns[0])), float(unknowns[1])
     exponent = float(np.exp(unknowns[2]))
     beta = float(expit(unknowns[3])) if kind == BOUC_WEN else 1.0

@@ -62,6 +62,13 @@ _OF_ELEMENTS = frozenset({"phase.even", "image.side"})  # departures that severa
 _GRADUAL_START = "transmission.smooth_onset"  # the effect that several elements are
 _RATE = OWNER["width_per_speed"].id
 _SLOWEST = 0.1  # tolerance: of the frames: slower than these nothing tells the law of the speed
+_MOVES = 5.0  # tolerance: counts of the encoder: a motor that moves by less does not
+_MOST_Z2 = 9.0  # prior: mean squared z of onsets by which their variance is increased at most
+_BEYOND, _BEYOND_OF_RANGE = (
+    0.1,
+    0.005,
+)  # tolerance: of B, and of the range with it: beyond an onset, a pass begins
+_FIRST_OF_ALL = 0.5  # prior: of the strongest departure's rms: a gradual start of less is not the main one
 _BETWEEN_ELEMENTS = 0.003  # prior: of B: what elements of a few shares leave, alike on every stroke
 
 
@@ -165,7 +172,9 @@ class Measuring(_Setting):
 
     def run(self) -> Measured:
         """Measures the delay, onsets, B and f_remain in turn. TautError where the motor does not move."""
-        if self.reached[1] - self.reached[0] < max(5 * self.rig.actuator.encoder_resolution, LITTLE * self.domain.span):
+        if self.reached[1] - self.reached[0] < max(
+            _MOVES * self.rig.actuator.encoder_resolution, LITTLE * self.domain.span
+        ):
             raise TautError(
                 f"the motor does not move (q stays within {self.reached[1] - self.reached[0]:.3g} {self.unit}): "
                 "record the calibration motion, and check the encoder and its unit"
@@ -189,7 +198,7 @@ class Measuring(_Setting):
         )  # fmt: skip
         if source == JOINT:
             # The joint fit is so much sharper that the onsets' scatter about it is their own.
-            spread = float(np.sqrt(np.clip(self.findings.evidence["onsets_against_joint_z2"], 1.0, 9.0)))
+            spread = float(np.sqrt(np.clip(self.findings.evidence["onsets_against_joint_z2"], 1.0, _MOST_Z2)))
             onsets = [replace(o, sigma=o.sigma * spread) if o.used and o.kind == HINGE else o for o in onsets]
         self.say(0.75, "fitting f_remain")
         settled_only = joint_fit.fit.settled_only if joint_fit is not None else False
@@ -392,8 +401,8 @@ class Measuring(_Setting):
         self.say(0.5, "looking for what is no play")
         joint_fit = self._with_departures(joint_fit, onsets, curve)
         self.say(0.6, "fitting the passes alone")
-        # How far beyond an onset a pass begins: a tenth of B and a little of the range.
-        margin = 0.1 * float(np.median(joint_fit.fit.width(joint_fit.curves))) + 0.005 * self.domain.span
+        usual = float(np.median(joint_fit.fit.width(joint_fit.curves)))
+        margin = _BEYOND * usual + _BEYOND_OF_RANGE * self.domain.span
         passes = fit_passes(joint_fit, margin)
         return joint_fit, None if passes is None else as_many_as_independent(passes)
 
@@ -459,10 +468,10 @@ class Measuring(_Setting):
 
     def _several_elements_or_friction(self, joint_fit: Fitted, components: Components) -> HysteresisFit | None:
         """The joint fit with several elements or with friction, whichever has more evidence; None where the tip does
-        not start gradually first of all, or where it leaves more than _HELD of the power that one element leaves
-        beyond noise."""
+        not start gradually first of all (_GRADUAL, _FIRST_OF_ALL), or where it leaves more than _HELD of the power that
+        one element leaves beyond noise."""
         gradual = next((part for part in components.parts if part.name == "phase.even"), None)
-        if gradual is None or gradual.rms < max(_GRADUAL, 0.5 * max(part.rms for part in components.parts)):
+        if gradual is None or gradual.rms < max(_GRADUAL, _FIRST_OF_ALL * components.strongest_rms):
             return None
         apart, fit_delay = components.applied(joint_fit), self.options.delay_s is None
         plays = fit_elements(apart, self.rig, fit_delay=fit_delay)

@@ -35,6 +35,10 @@ _FIFTH = 252.0  # equation: squares of 1, 5, 10, 10, 5, 1
 _MEDIAN = {1: spread.MEDIAN, 2: 0.8326}  # equation
 _ERROR_OF_LOG = {1: 1.65, 2: 1.06}  # equation
 _WORLD_DEG = 8.0  # prior: of a wall that a tip sees breathe, as a square that is followed is in an endoscope's picture
+_TELL_HOLD, _CHANGES = 8, 4  # tolerance: frames and changes of the value, from which it may be held
+_LONGEST_RUN = 0.95  # tolerance: quantile of the repeats that a sample is held for; longer ones are of a tip that rests
+_TURNS_COUNTS, _TURNS_NOISES = 3.0, 8.0  # tolerance: of the encoder and of its noise: less is no turn
+_DIFFERENCES = 8  # tolerance: frames from which fifth differences are taken
 _STILL_MM, _STILL_DEG = 0.02, 0.05  # tolerance: other degrees of freedom that stay within this do not move
 
 
@@ -201,14 +205,14 @@ def _track(recording: Recording, path: MotorPath, unit: str, t: Array, y: Array,
 
 
 def not_held(y: Array) -> Mask:
-    """(n,) frames at which a sensor shows a new sample of y (n, channels). A sensor that is sampled and held repeats
-    values while the tip moves by far more than its resolution: those repeats are not new; while it rests, one in so
-    many frames is."""
+    """(n,) frames at which a sensor shows a new sample of y (n, channels): all, unless it is sampled and held. Then it
+    repeats values (_HELD of them) though the tip moves by far more than its resolution (_RESOLVED): those repeats are
+    not new. While the tip rests, one frame in as many as a value is held for is."""
     fresh = np.ones(len(y), dtype=bool)
-    if len(y) < 8:
+    if len(y) < _TELL_HOLD:
         return fresh
     changes = np.flatnonzero(~repeats(y))[1:]
-    if len(changes) == len(y) - 1 or len(changes) < 4:
+    if len(changes) == len(y) - 1 or len(changes) < _CHANGES:
         return fresh
     step = np.linalg.norm(y[changes] - y[changes - 1], axis=1)
     runs = np.diff(changes)  # of the value that changes[i] began
@@ -217,7 +221,7 @@ def not_held(y: Array) -> Mask:
     moves = np.minimum(step[:-1], step[1:]) > _RESOLVED * resolution
     if moves.sum() < _FEWEST_RUNS or np.mean(runs[moves] > 1) < _HELD:
         return fresh
-    hold = int(np.quantile(runs[moves & (runs > 1)], 0.95))
+    hold = int(np.quantile(runs[moves & (runs > 1)], _LONGEST_RUN))
     edges = np.concatenate([[0], changes, [len(y)]])
     row = np.arange(len(y))
     run = np.searchsorted(edges, row, side="right") - 1
@@ -247,10 +251,11 @@ class NoiseByPlace:
     def of(cls, tracks: Sequence[Track], places: Sequence[Array]) -> Self:
         """Of tracks whose frames are at places (n,) each, unit of q: by fifth differences, in which a fast motion shows
         less than in third ones, in _PARTS parts of the range. As stated where one noise is likelier than one which
-        differs by a factor of _DIFFERS from part to part."""
+        differs by a factor of _DIFFERS from part to part; else each part's as far as its frames tell it: between its
+        own and the mean, by their variances."""
         rows = []
         for track, place in zip(tracks, places, strict=True):
-            if len(track.t_s) >= 8 and track.step == 0.0:
+            if len(track.t_s) >= _DIFFERENCES and track.step == 0.0:
                 fifth = np.diff(track.y, 5, axis=0) / (np.sqrt(_FIFTH) * track.sigma[5:, None])
                 even, channels = even_runs(track.t_s, 5), track.y.shape[1]
                 least = least_noise(track.unit) / track.sigma[5:]
@@ -284,7 +289,7 @@ def with_noise(track: Track, noise: NoiseByPlace, place: Array) -> Track:
 def turning_hysteresis(path: MotorPath, resolution: float, span: float) -> float:
     """How far, unit of q, a motor has to go back for a turn: by less it is dither of the encoder, noise of its readings
     or next to nothing of the span."""
-    return float(max(3.0 * resolution, 8.0 * path.noise, LITTLE * span))
+    return float(max(_TURNS_COUNTS * resolution, _TURNS_NOISES * path.noise, LITTLE * span))
 
 
 def usual_width(width: Array, span: float) -> float:

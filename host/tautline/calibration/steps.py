@@ -68,8 +68,9 @@ def without_steps(tracks: Sequence[Track], rig: Rig) -> tuple[list[Track], list[
 
 def _following_a_step(track: Track, at: npt.NDArray[np.intp], nominal_s: float) -> Mask:
     """(n,) frames at which the tip may follow one of the jumps after the samples `at`: from each on until y stays near
-    its median at the end of the time before the next jump (_MOST_S at most). Beside both ends the motor's speed, as a
-    fit takes it, is the jump's though the tip rests: these frames are among them. nominal_s: the nominal delay."""
+    its median in the last quarter of the time before the next jump (_MOST_S at most). Beside both ends the motor's
+    speed, as a fit takes it, is the jump's though the tip rests: these frames are among them. nominal_s: the nominal
+    delay."""
     settling = np.zeros(len(track.t_s), dtype=bool)
     samples_s, beside_s = track.reading.t_s, half_slope_s(track.reading)
     begins = samples_s[at] + min(nominal_s, 0.0) - beside_s

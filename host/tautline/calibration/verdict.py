@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.calibration import clock, coverage
+from tautline.calibration.backlash import SLOPE_UNTOLD
 from tautline.calibration.choice import JOINT, NOTHING, ONSETS, PASSES
 from tautline.calibration.doubts import KNOWN, common_error, component_reasons
 from tautline.calibration.measured_doubts import doubt_onsets_and_remaining, doubt_place
@@ -153,8 +154,9 @@ def _judge(found: Measured, predictions: Worth | None, extent: _Extent) -> None:
 
 
 def _doubt_sigma(found: Measured, extent: _Extent, holds: bool) -> None:
-    """Doubts B where the rms of its sigma is more than KNOWN of it. Mild if the model holds and the rest is known
-    that well once the delay's part is taken off: together B and delay predict as well as either that is known."""
+    """Doubts B where the rms of its sigma is more than KNOWN of it, with a remedy for what most of that is from. Mild
+    if the model holds and the rest is known that well once the delay's part is taken off: together B and delay predict
+    as well as either that is known."""
     inside, usual, joint_fit = extent.inside, extent.usual, found.joint_fit
     if not inside.any():
         found.findings.doubt(
@@ -212,14 +214,15 @@ def _measured_range(found: Measured) -> tuple[float, float]:
 
 
 def _complete_sigma(found: Measured, extent: _Extent) -> Array:
-    """(grid,) B's sigma with what its scatter does not show: errors that all strokes share; half the distance
-    beyond what was measured, unless B was known beforehand; what B may change where the tip passed one way only."""
+    """(grid,) B's sigma with what its scatter does not show: errors that all strokes share; SLOPE_UNTOLD times the
+    distance beyond what was measured, unless B was known beforehand; for B of the onsets the delay's error at the
+    motor's speed, by which all are late alike; else what B may change where the tip passed one way only."""
     inside = extent.inside
     known_at = found.grid[inside], found.width[inside], found.sigma[inside]
     floor = common_error(found.tracks, *known_at, extent.usual, found.unit, found.findings)
     known = found.options.beforehand is not None and found.source in (JOINT, PASSES)
     beyond = np.abs(found.grid - np.clip(found.grid, *extent.measured))
-    sigma = np.hypot(np.hypot(found.sigma, floor), 0.0 if known else 0.5 * beyond)
+    sigma = np.hypot(np.hypot(found.sigma, floor), 0.0 if known else SLOPE_UNTOLD * beyond)
     if found.source == ONSETS:  # which are late alike
         speeds = [motor_speed(onset, found.tracks[onset.track]) for onset in with_width(found.onsets)]
         late = float(np.median(speeds)) * known_to(found.delay.sigma_s) if speeds else 0.0
