@@ -26,6 +26,7 @@ _SCALES = (1 / 4, 1 / 3, 3 / 8, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 8 / 3, 3
 _EVEN = 0.01  # tolerance: by which the two sides may be scaled differently: a rounded number of pixels
 _OFF = 0.02  # prior: of the picture's width: farther from the tip's path the marker is not where the rig puts it
 _FITS = 0.1  # prior: of that distance is left where another scale is right
+_LIKE_COARSE = 2.0  # prior: factor within which angles that a right scale gives follow f_coarse
 _MARGIN_PX, _IN_A_ROW = 2.0, 3  # tolerance: a marker outside of the picture, and frames in a row that show it there
 _LOOKED_AT = 60  # tolerance: frames of a track, evenly spread, whose places are compared with the tip's path
 # How many of the rig's units one of another is, and what that one is called.
@@ -160,25 +161,10 @@ def _frame_size_by_places(track: Track, rig: Rig, camera: Camera) -> Reason | No
     outside = np.any((track.y < -_MARGIN_PX) | (track.y > size - 1 + _MARGIN_PX), axis=1)
     # The tip's path leaves for many frames in a row, a false sighting for one.
     leaves = len(track.y) >= _IN_A_ROW and bool(sliding_window_view(outside, _IN_A_ROW).all(axis=1).any())
-    some = np.linspace(0, len(track.t_s) - 1, min(_LOOKED_AT, len(track.t_s))).astype(int)
-    scene_s = track.scene_s(rig.delay_s)[some]
-    q, others = track.motor_at(scene_s), track.others_at(scene_s)
-
-    def path_error(scale: float) -> float:
-        """rms distance, px of the rig's size, of the marker from the tip's path if frames are `scale` times the rig's
-        size; infinite where no angle shows the marker so, or the angles' slope is not f_coarse's within a factor of 2
-        (not asked at scale 1)."""
-        # Whole numbers are the middles of pixels: the picture begins at -0.5.
-        c, away = pose(rig, (track.y[some] + 0.5) / scale - 0.5, *others)
-        if not np.isfinite(away).all():
-            return np.inf
-        gain = float(np.cov(q, c)[0, 1] / max(np.var(q, ddof=1), 1e-12)) / rig.coarse.gain
-        likely = scale == 1.0 or 0.5 < gain < 2.0
-        return float(np.sqrt(np.mean(away**2))) if likely else np.inf
-
-    as_is = path_error(1.0)
-    best = min(_SCALES, key=path_error) if as_is > _OFF * camera.width_px else 1.0
-    if best != 1.0 and path_error(best) < _FITS * as_is:
+    as_is = _path_error(track, rig, 1.0)
+    scaled = {scale: _path_error(track, rig, scale) for scale in _SCALES} if as_is > _OFF * camera.width_px else {}
+    best = min(scaled, key=lambda scale: scaled[scale], default=1.0)
+    if scaled and scaled[best] < _FITS * as_is:
         return Reason(
             "frame_size",
             f"{track.name}: the marker is {as_is:.3g} px off the tip's path, but on it if the frames were {best:.3g} "
@@ -198,9 +184,25 @@ def _frame_size_by_places(track: Track, rig: Rig, camera: Camera) -> Reason | No
     return None
 
 
+def _path_error(track: Track, rig: Rig, scale: float) -> float:
+    """rms distance, px of the rig's size, of the marker from the tip's path, at _LOOKED_AT frames, if these are `scale`
+    times the rig's size; infinite where no angle shows the marker so, or the angles' slope is not f_coarse's within a
+    factor of _LIKE_COARSE (not asked at scale 1)."""
+    some = np.linspace(0, len(track.t_s) - 1, min(_LOOKED_AT, len(track.t_s))).astype(int)
+    scene_s = track.scene_s(rig.delay_s)[some]
+    q, others = track.motor_at(scene_s), track.others_at(scene_s)
+    # Whole numbers are the middles of pixels: the picture begins at -0.5.
+    c, away = pose(rig, (track.y[some] + 0.5) / scale - 0.5, *others)
+    if not np.isfinite(away).all():
+        return np.inf
+    gain = float(np.cov(q, c)[0, 1] / max(np.var(q, ddof=1), 1e-12)) / rig.coarse.gain
+    likely = scale == 1.0 or 1.0 / _LIKE_COARSE < gain < _LIKE_COARSE
+    return float(np.sqrt(np.mean(away**2))) if likely else np.inf
+
+
 def _wrong_rate(recordings: Sequence[Recording], camera: Camera) -> list[Reason]:
-    """A doubt, in a list, where most frames come at a steady rate that is not the rig's; frames that were lost leave
-    multiples of its period."""
+    """A doubt, in a list, where more than half of the frames come at a steady rate that is not the rig's; frames that
+    were lost leave multiples of its period."""
     for recording in recordings:
         if recording.marker is None or len(recording.marker.t_s) < _FEWEST:
             continue
