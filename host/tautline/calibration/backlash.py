@@ -36,7 +36,7 @@ SLOPE_UNTOLD = 0.5  # prior: standard deviation of B' where nothing tells it
 _FEW_PLACES = 5  # tolerance: of widths: fewer tell no smoothing
 _KEPT = 1e-6  # tolerance: of a place that is left out, and stays: one that alone tells a coefficient divides by no 0
 _MOST_LIMITED, _MOST_NEWTON = 20, 25  # tolerance: rounds with further inequalities; steps at one softness
-_SHORTEST = 1e-3  # tolerance: of Newton's step
+_SHORTEST, _SOLVED = 1e-3, 1e-7  # tolerance: of Newton's step; of the largest coefficient: a change that is none
 _LINE, _RIDGE = 1e-6, 1e-12  # tolerance: of a width's weight: on second differences; of the system's trace
 _PAPER_UNIFORM, _PAPER_REPEATS = 8, 3  # format: 14 knots in all, 10 coefficients
 
@@ -229,7 +229,7 @@ class _WidthFit:
                 break
             stiff = _STIFF * float(np.max(weight))
             again = self._inverse(gram + stiff * rows.T @ rows) @ (right + stiff * rows.T @ values)
-            if np.abs(again - coefficients).max() < 1e-7 * max(np.abs(again).max(), 1e-9):
+            if np.abs(again - coefficients).max() < _SOLVED * max(np.abs(again).max(), 1e-9):
                 break
             coefficients = again
         self.coefficients = coefficients
@@ -270,7 +270,7 @@ class _WidthFit:
             """Chi-square less degrees of freedom, with a scatter `extra` beside the stated sigma."""
             return float(np.sum(left**2 / (self.stated**2 + extra**2))) - freedom
 
-        most = float(np.abs(left).max()) * 3 + 1e-12
+        most = float(np.abs(left).max()) * 3 + 1e-12  # beyond it chi-square is a ninth of the widths' number at most
         if surplus(0.0) <= 0:
             return 0.0
         return float(brentq(surplus, 0.0, most)) if surplus(most) < 0 else most

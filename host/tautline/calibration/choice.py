@@ -40,6 +40,7 @@ _ONE_WAY = 4.0  # prior: standard errors by which onsets of one direction are la
 _OTHER_WAY = 0.3  # prior: of that: what those of the other may be
 _BETWEEN = 1.5  # tolerance: of the usual distance of onsets: as far the onsets' curve counts alone
 _BENDS = 2.0  # prior: times its own size by which B may change over the range
+_STEPS = 5  # tolerance: in which a path is fitted anew to a B that is held
 _STEEPER = 2.0  # prior: standard deviation of B' in a hole, of its rms elsewhere
 _UNKNOWN = 0.25  # prior: of the range: standard deviation of a B that nothing measured
 _FAR = 2.0  # prior: times _AGREE: passes that are farther from the onsets contradict them
@@ -286,7 +287,7 @@ class Choice:
         cut as for the fit's own scale."""
         smoothing = dict(fitted.fit.smoothing)
         alone = replace(fitted.fit, fit_backlash=False, fit_delay=False, smoothing=smoothing)
-        point = alone.descended(curves, 5, adapt=False)
+        point = alone.descended(curves, _STEPS, adapt=False)
         if alone.hysteresis.single:
             return point.scale
         return rms_over_noise(replace(alone.fitted(point), scale=fitted.scale))

@@ -41,6 +41,7 @@ Indices = npt.NDArray[np.intp]
 
 _LINEARISATIONS = 14  # tolerance: at most
 _STEP_SHARES = (1.0, 0.5, 0.2)  # tolerance: of a step, tried in turn
+_RIDGE = 1e-10  # tolerance: of the nominal unknowns' mean information, added to each one's
 WORSE = 1.02  # tolerance: ratio of what is left after and before, from which a step leads too far
 _SHOWS = 0.3  # tolerance: of the noise: an encoder's count that moves the image by more shows
 LAW = 0.5  # prior: of what speed adds to B: its uncertainty, as slower than what was seen it may follow another law
@@ -154,7 +155,7 @@ def separate(fitted: Fitted, rig: Rig, without: frozenset[str] = frozenset()) ->
 
 @dataclass
 class _Selection:
-    """The forward selection of components."""
+    """The forward selection of components in a joint fit's residuals."""
 
     fitted: Fitted
     rig: Rig
@@ -274,7 +275,7 @@ class _Estimated:
         """Covariance (nominal, nominal) of path, B and delay in units of the noise's variance, without components,
         where one of `frames_each` frames is independent."""
         system = self.model.gram[: self.model.nominal, : self.model.nominal] / frames_each + self.model.nominal_penalty
-        system[np.diag_indices_from(system)] += 1e-10 * float(np.mean(np.diag(system)))
+        system[np.diag_indices_from(system)] += _RIDGE * float(np.mean(np.diag(system)))
         return inverse_of(system)
 
     def _total_width_sigma(
@@ -352,8 +353,9 @@ class _Estimated:
     # ---- the state at the session's end
 
     def _from_end(self) -> tuple[DifferenceFromEnd, ...]:
-        """By track, how its frames differ from what they would show with the state of the session's end; empty where no
-        component is such a state."""
+        """By track, how its frames differ from what they would show with the state of the session's end: by the columns
+        of components that are such a state, less their columns at the end, times their values. Its spread is along the
+        eigenvectors of the values' covariance. Empty where no component is such a state."""
         changed = [(name, at) for name, at in self.model.active_blocks() if name in STATES]
         if not changed:
             return ()

@@ -336,8 +336,9 @@ class Measuring(_Setting):
 
     def _delay_of_joint_fit(self, stops: Delay, joint_fit: Fitted) -> Delay:
         """The joint fit's delay and its sigma, s, to which the rounding of the motor's counts at turns adds: an error
-        of time at the motor's speed. Where the delay was not fitted the sigma is that of the stops, for the nominal
-        delay a frame's period at most. It is infinite where the tip moves at no frame."""
+        of time at the motor's speed, its own at each of the `stops`. Where the delay was not fitted the sigma is that
+        of the stops, for the nominal delay a frame's period at most. It is infinite where the tip moves at no
+        frame."""
         speeds = np.concatenate([np.abs(s.speed[s.moving]) for s in joint_fit.fit.simulated])
         if not len(speeds):
             return Delay(joint_fit.curves.delay_s, np.inf, stops.stops)
@@ -381,7 +382,8 @@ class Measuring(_Setting):
         self, onsets: Sequence[Onset], delay: Delay, curve: WidthCurve | None
     ) -> tuple[Fitted | None, Fitted | None]:
         """The joint fit of B, path and delay together with what departs from it, and the fit of the passes alone; each
-        None where too little was seen for it. curve: B by the onsets, a first guess."""
+        None where too little was seen for it. The delay stays that of `delay` where it is given, and of a camera where
+        the image jumps or more than noise is left. curve: B by the onsets, a first guess."""
         prepared = prepare_tracks(self._on_one_curve(delay.delay_s), delay.delay_s)
         fit_delay = self.options.delay_s is None
         joint_fit = fit_jointly(

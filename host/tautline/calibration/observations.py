@@ -29,6 +29,7 @@ _HELD, _FEWEST_RUNS = 0.25, 8  # prior: share of values that are repeated then, 
 LITTLE = 1e-3  # tolerance: of the range: a motion or a width of less is next to none
 _PARTS = 12  # tolerance: of the range, in each of which noise may be another
 _DIFFERS = 2.0  # prior: times by which noise differs from part to part, where it does
+_ORDER = 5  # tolerance: of the differences that show noise, not motion
 _FIFTH = 252.0  # equation: squares of 1, 5, 10, 10, 5, 1
 # Of the rms over 1 or 2 coordinates of fifth differences of unit noise: its median (of chi square), and the standard
 # deviation of that median's logarithm, times the root of their number (by simulation: neighbours are alike).
@@ -256,9 +257,9 @@ class NoiseByPlace:
         rows = []
         for track, place in zip(tracks, places, strict=True):
             if len(track.t_s) >= _DIFFERENCES and track.step == 0.0:
-                fifth = np.diff(track.y, 5, axis=0) / (np.sqrt(_FIFTH) * track.sigma[5:, None])
-                even, channels = even_runs(track.t_s, 5), track.y.shape[1]
-                least = least_noise(track.unit) / track.sigma[5:]
+                fifth = np.diff(track.y, _ORDER, axis=0) / (np.sqrt(_FIFTH) * track.sigma[_ORDER:, None])
+                even, channels = even_runs(track.t_s, _ORDER), track.y.shape[1]
+                least = least_noise(track.unit) / track.sigma[_ORDER:]
                 size = np.maximum(np.sqrt(np.mean(fifth**2, axis=1)) / _MEDIAN[channels], least)
                 rows.append(np.column_stack([0.5 * (place[2:-3] + place[3:-2]), size])[even])
         if not sum(map(len, rows)):

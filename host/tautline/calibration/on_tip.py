@@ -35,8 +35,9 @@ _ENOUGH = 1e-3  # tolerance: of the cost, sigma^2
 
 
 def place_on_tip(fitted: Fitted, rig: Rig, shown: Shown) -> Place | None:
-    """The place on a bare tip of the square that was shown and followed, from the path of its image. fitted: the joint
-    fit of the image itself. None if it is of something else, the rig lacks a camera, or hardly anything moved."""
+    """The place on a bare tip of the square that was shown and followed, from the path of its image. Its prior is the
+    surface of a tube as wide as the square, on the side that the camera saw when it was shown. fitted: the joint fit of
+    the image itself. None if it is of something else, the rig lacks a camera, or hardly anything moved."""
     if fitted.fit.view is not None or fitted.curves.follow.shape[1] != 2:
         return None
     if rig.kinematics is None or rig.camera is None or rig.hand_eye is None:

@@ -34,6 +34,7 @@ _END = 0.1  # tolerance: of the positions that were reached: the end that tells 
 _ODD = 1e-3  # tolerance: of the angles' span: by more a curve turns back
 _LITTLE = 0.05  # tolerance: of the usual slope of the image by the angle: where it is less an angle is not told
 _SUBPIXEL = 4  # format: bits of cv2's coordinates after the point
+_CLOSED, _AROUND = 3, 4  # tolerance: pixels of the square that closes gaps; around the picture: they reach no border
 _ROUNDED, _LINE_ROWS = 2, 10  # tolerance: rows at either end of the picture, where strokes ended; rows that make a line
 _PICTURE = (720, 1440)  # tolerance: rows (c) and columns (q) of the characteristic as an image
 
@@ -251,8 +252,8 @@ def _median_line(courses: Sequence[Array]) -> tuple[Array, Array]:
         picture, [line.astype(np.int32).reshape(-1, 1, 2) for line in lines if len(line)], False, 255, 1, cv2.LINE_8,
         _SUBPIXEL,
     )  # fmt: skip
-    closed = cv2.morphologyEx(np.pad(picture, 4), cv2.MORPH_CLOSE, np.ones((3, 3), dtype=np.uint8))
-    filled = closed[4:-4, 4:-4] > 0  # at its rows' ends: what is inside does not matter
+    closed = cv2.morphologyEx(np.pad(picture, _AROUND), cv2.MORPH_CLOSE, np.ones((_CLOSED, _CLOSED), dtype=np.uint8))
+    filled = closed[_AROUND:-_AROUND, _AROUND:-_AROUND] > 0  # at its rows' ends: what is inside does not matter
     some = filled.any(axis=1)
     # The first and last rows are where strokes ended: their extremes are not the envelope's.
     index = np.flatnonzero(some)[_ROUNDED:-_ROUNDED]

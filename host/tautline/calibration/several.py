@@ -29,6 +29,7 @@ SHARES = np.array([0.07, 0.2, 0.4, 0.6, 0.8, 0.95, 1.1, 1.4, 1.9, 2.6, 3.6, 5.0]
 _FIRST = 0.05  # limit: least weight of the first element: the inverse's slope is one over it (1 / 0.05 = 20)
 _LEAST = 0.01  # tolerance: of a weight that is kept
 _STEPS = 12  # tolerance: of one descent
+_STEP_SHARES = (1.0, 0.5, 0.2)  # tolerance: of a step, tried in turn
 _STRICT = 10.0  # tolerance: how much more than the data the two sums weigh
 _STIFF = 1e4  # tolerance: how much more than the weights the two sums weigh
 _RANK = 1e-10  # tolerance: of the largest eigenvalue: less is no direction that frames tell
@@ -56,7 +57,7 @@ def _descended(fitted: Fitted, weights: Array, rig: Rig, fit_delay: bool) -> Fit
     least = rms_over_noise(state)
     for _ in range(_STEPS if np.isfinite(least) else 0):
         moved, target = _step(state, weights, rig)
-        for share in (1.0, 0.5, 0.2):
+        for share in _STEP_SHARES:
             trial_weights = _lawful(weights + share * (target - weights))
             fit = replace(state.fit, hysteresis=_elements(trial_weights), smoothing=state.fit.smoothing)
             trial = replace(state, fit=fit, curves=interpolated(state.curves, moved, share))

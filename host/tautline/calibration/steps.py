@@ -21,6 +21,7 @@ _FASTER = 5.0  # prior: than in the samples beside it: a jump
 _COUNTS, _SHARE = 20.0, 0.01  # prior: a jump is more than so many counts, and than this share of the motor's span
 _SWEEPS = 2.0  # prior: spans that the motor must move otherwise, so that B is seen
 _SIGMAS, _LEFT = 4.0, 0.05  # tolerance: a tip within so many sigma, or this share of the jump, has settled
+_LAST = 4  # tolerance: the fourth part of a time, at its end, in which the tip has settled
 _MOST_S = 3.0  # prior: that a tip may take to settle
 
 
@@ -80,7 +81,7 @@ def _following_a_step(track: Track, at: npt.NDArray[np.intp], nominal_s: float) 
         if not len(inside):
             continue
         y, arrival_s = track.y[inside], track.t_s[inside]
-        last = np.median(y[-max(1, len(y) // 4) :], axis=0)
+        last = np.median(y[-max(1, len(y) // _LAST) :], axis=0)
         away = np.linalg.norm(y - last, axis=1)
         moving = np.flatnonzero(away > max(_SIGMAS * float(track.sigma[0]), _LEFT * float(away[0])))
         settled = min(int(moving[-1]) + 1 if len(moving) else 0, len(inside) - 1)

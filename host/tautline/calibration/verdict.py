@@ -32,6 +32,7 @@ from tautline.undone import stands_in
 
 Array = npt.NDArray[np.float64]
 
+_SHOWN, _ODD = 3000, 10.0  # tolerance: frames of a picture; angles over the coarse range's largest: more is no angle
 _TOLD_S = 0.001  # tolerance: standard deviation to which the offset of a clock that was off has to be known
 
 
@@ -313,12 +314,12 @@ def _note_of_plays(found: Measured, near: Nearest) -> str:
 
 
 def _characteristic(found: Measured, delay_s: float) -> dict[str, Any]:
-    """Some 3000 frames of (q, c) for the report's picture, c in deg by pose; without angles far off the coarse
+    """Some _SHOWN frames of (q, c) for the report's picture, c in deg by pose; without angles far off the coarse
     range."""
-    stride = max(1, sum(len(track.t_s) for track in found.tracks) // 3000)
+    stride = max(1, sum(len(track.t_s) for track in found.tracks) // _SHOWN)
     tracks = [track.only(slice(None, None, stride)) for track in found.tracks]
     q = np.concatenate([t.motor_at(t.scene_s(delay_s)) for t in tracks])
     c = np.concatenate([pose_of(t, found.rig, delay_s) for t in tracks])
     low, high = coarse_range_deg(found.rig)
-    good = np.flatnonzero(np.isfinite(c) & (np.abs(c) < 10 * max(abs(low), abs(high), 1.0)))
+    good = np.flatnonzero(np.isfinite(c) & (np.abs(c) < _ODD * max(abs(low), abs(high), 1.0)))
     return {"q": np.round(q[good], 5).tolist(), "c_deg": np.round(c[good], 4).tolist()}
