@@ -34,7 +34,7 @@ _NOISE = 4.0  # prior: times the share of noise: a misfit that a search could no
 _EDGE_S = 0.09  # tolerance: a delay this far from the nominal one is at the edge of what find_delay looks through
 _CLEARLY_LESS = 0.7  # prior: of the nominal delay's misfit: another lag fits
 _BY_ITSELF_S = 0.06  # tolerance: as far as a search from the nominal delay surely comes, below _EDGE_S
-_LAGS = 11  # tolerance: lags within DELAY_REACH_S of the nominal delay, from which such a search may start
+_EITHER_WAY = 5  # tolerance: lags below and above the nominal delay, from which such a search may start
 _NEAR_S = 1.0  # prior: around the nominal delay, where lags are tried first
 _BEATEN = 1.4  # prior: ratio of misfits from which a lag nearby is clearly better
 _APART_S = 0.3  # prior: minima of the misfit that are nearer are one offset
@@ -325,14 +325,14 @@ def delay_of_stops(tracks: Sequence[Track], rig: Rig) -> Delay:
 
 
 def _start_of_search(tracks: Sequence[Track], rig: Rig, nominal_s: float) -> float:
-    """Where `find_delay` is to start, s: the one of _LAGS within DELAY_REACH_S of the nominal delay that leaves the
-    least misfit, where that is less than _CLEARLY_LESS of the nominal one's and the lag is farther from it than
-    `find_delay` comes by itself; else the nominal delay."""
+    """Where `find_delay` is to start, s: the one of 2 _EITHER_WAY + 1 lags within DELAY_REACH_S of the nominal delay
+    that leaves the least misfit, where that is less than _CLEARLY_LESS of the nominal one's and the lag is farther from
+    it than `find_delay` comes by itself (_BY_ITSELF_S); else the nominal delay."""
     scans = [scan for scan in (LagScan.of(track, rig, FRAMES[0]) for track in tracks) if scan is not None]
     if not scans:
         return nominal_s
-    lags = nominal_s + np.linspace(-DELAY_REACH_S, DELAY_REACH_S, _LAGS)
+    lags = nominal_s + np.linspace(-DELAY_REACH_S, DELAY_REACH_S, 2 * _EITHER_WAY + 1)
     least_misfits = np.sum([scan.least_misfits(lags) for scan in scans], axis=0)
     best = int(np.argmin(least_misfits))
-    better = least_misfits[best] < _CLEARLY_LESS * least_misfits[len(lags) // 2]
+    better = least_misfits[best] < _CLEARLY_LESS * least_misfits[_EITHER_WAY]
     return float(lags[best]) if better and abs(lags[best] - nominal_s) > _BY_ITSELF_S else nominal_s

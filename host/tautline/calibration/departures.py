@@ -40,7 +40,7 @@ _LASTS, _CONSTANT, _ACROSS, _SWAYS = 0.2, 0.5, 0.25, 0.5  # prior: above
 _MUCH = 0.7  # prior: of the positions of any recording: what all have to show so that what differs is not the place
 _PIECES, _LAGS = 100, 60  # tolerance: of all strokes, at most; frames over which neighbours share something
 _HALF = 0.5  # prior: of what neighbours share: an error that has fallen to it has begun anew
-_ENDS, _FEWEST = 20, 60  # tolerance: frames at either end in which nothing is looked for; frames from which it is
+_ENDS = 20  # tolerance: frames at either end in which no moment is looked for, and that lie between them at least
 _WAVE_FEWEST = 100  # tolerance: frames from which a frequency is told
 _FINER = 4  # tolerance: frequencies of a periodogram for each that are independent
 _HALVES = 12  # tolerance: frames of a stroke that has two halves
@@ -364,9 +364,9 @@ def _smooth(size: int, channels: int = 1) -> Array:
 
 def _shift_time(t: Array, left: Array) -> float | None:
     """The moment, s, at which a step of the image explains most of the residuals left (n, channels) at times t (n,), at
-    least _ENDS from either end (CUSUM statistic |S_k|^2 n / (k (n - k))); None of fewer frames than _FEWEST."""
+    least _ENDS from either end (CUSUM statistic |S_k|^2 n / (k (n - k))); None of fewer frames than 3 _ENDS."""
     n = len(left)
-    if n < _FEWEST:
+    if n < 3 * _ENDS:
         return None
     total = np.cumsum(left - left.mean(axis=0), axis=0)[_ENDS:-_ENDS]
     k = np.arange(_ENDS, n - _ENDS) + 1.0  # frames before the step
@@ -376,8 +376,8 @@ def _shift_time(t: Array, left: Array) -> float | None:
 
 def _slip_time(counted: CountedFrames, left: Array) -> float | None:
     """The moment, s, from which on an offset of p explains most of the residuals left (n, channels), beside one of all
-    the session; at least _ENDS from either end. None of fewer frames than _FEWEST."""
-    if len(left) < _FEWEST:
+    the session; at least _ENDS from either end. None of fewer frames than 3 _ENDS."""
+    if len(left) < 3 * _ENDS:
         return None
     pull, power = np.sum(left * counted.slope, axis=1), np.sum(counted.slope**2, axis=1)
     share = np.cumsum(power) / max(float(power.sum()), 1e-30)

@@ -29,12 +29,12 @@ _HELD, _FEWEST_RUNS = 0.25, 8  # prior: share of values that are repeated then, 
 LITTLE = 1e-3  # tolerance: of the range: a motion or a width of less is next to none
 _PARTS = 12  # tolerance: of the range, in each of which noise may be another
 _DIFFERS = 2.0  # prior: times by which noise differs from part to part, where it does
-_ORDER = 5  # tolerance: of the differences that show noise, not motion
+_ORDER = 5  # equation: of the differences, which show noise and not motion
 _FIFTH = 252.0  # equation: squares of 1, 5, 10, 10, 5, 1
 # Of the rms over 1 or 2 coordinates of fifth differences of unit noise: its median (of chi square), and the standard
 # deviation of that median's logarithm, times the root of their number (by simulation: neighbours are alike).
-_MEDIAN = {1: spread.MEDIAN, 2: 0.8326}  # equation
-_ERROR_OF_LOG = {1: 1.65, 2: 1.06}  # equation
+_MEDIAN = {1: spread.MEDIAN, 2: 0.8326}  # equation: above
+_ERROR_OF_LOG = {1: 1.65, 2: 1.06}  # equation: above
 _WORLD_DEG = 8.0  # prior: of a wall that a tip sees breathe, as a square that is followed is in an endoscope's picture
 _TELL_HOLD, _CHANGES = 8, 4  # tolerance: frames and changes of the value, from which it may be held
 _LONGEST_RUN = 0.95  # tolerance: quantile of the repeats that a sample is held for; longer ones are of a tip that rests

@@ -48,9 +48,10 @@ _FEWEST = 4  # tolerance: frames of a stroke, from which an onset is looked for
 _RESTS_S = 0.5  # tolerance: before a turn, for which the other degrees of freedom have to rest
 _JUMPS_AT, _JUMPS_AFTER = 1.5, 3  # tolerance: of the hinge's knot, and frames after the departure: no jump is farther
 _FEW_ONSETS, _MOST_GAIN = 8, 100.0  # tolerance: onsets that tell a mean gain by jumps, each cut to so much
-_SHORTEST, _SHORTER = 8, 0.6  # tolerance: frames after the onset at least; of a window that does not fit, the next one
+_SHORTEST, _SHORTER = 8, 0.6  # tolerance: frames after the departure, at least; of a window that does not fit, the next
 _FITS = 3.0  # tolerance: sigma of chi-square over its degrees of freedom: a window that leaves no more fits
-_KNOT_AFTER, _LEAST_WINDOW = 2, (4, 5)  # tolerance: frames after the departure, till which the knot is; of a window
+_KNOT_AFTER = 2  # tolerance: frames after the departure, within which the knot is looked for
+_LEAST_AFTER, _LEAST_WINDOW = 4, 5  # tolerance: frames of a window after the departure, and in all
 _SPEED_S = 0.02  # tolerance: on either side of an onset, for the motor's speed
 _GRID, _GRIDS = 61, 4  # tolerance: delays of a grid for the posterior; finer grids at most
 _RESOLVED, _GRID_SIGMAS = 2.0, 6.0  # tolerance: pitches that make a standard deviation known; its half width, in sigma
@@ -334,9 +335,9 @@ def _fit_window(stroke: _Stroke) -> tuple[Array, Array, Hinge] | None:
     after = min(len(frames) - departure, _LONGEST)
     high = float(travel[min(departure + _KNOT_AFTER, len(travel) - 1)])
     while True:
-        stop = departure + max(after, _LEAST_WINDOW[0])
+        stop = departure + max(after, _LEAST_AFTER)
         x, y = travel[:stop], z[:stop]
-        if high <= 0 or len(x) < _LEAST_WINDOW[1]:
+        if high <= 0 or len(x) < _LEAST_WINDOW:
             return None
         hinge = fit_hinge(x, y, high)
         if after <= _SHORTEST or hinge.chi2 < hinge.freedom + _FITS * np.sqrt(2.0 * hinge.freedom):

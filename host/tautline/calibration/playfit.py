@@ -44,7 +44,7 @@ _WITHIN = 0.98  # tolerance: of STEEPEST, at which its penalty begins: a stiff o
 _LEAST_SMOOTHING, _BEGINS, _MOST_SMOOTHING = 1e-10, 1e-8, 1e8  # tolerance: of a penalty factor; the least at first
 _AT_ONCE = 20.0  # tolerance: factor of a penalty factor in one step
 # The median of one or of two coordinates' rms is the standard deviation over this (of chi square).
-_USUAL = {1: 1.4826, 2: 1.2}  # equation
+_USUAL = {1: 1.4826, 2: 1.2}  # equation: above
 NODES = 1025  # tolerance: of the tables that fits and models use
 
 
