@@ -16,7 +16,7 @@ from tautline.calibration.observations import Track
 from tautline.geometry import coarse_range_deg, pose
 from tautline.independence import stretches
 from tautline.quality import Reason
-from tautline.recording import Marker, Recording
+from tautline.recording import Marker, Motor, Recording
 from tautline.rig import MARKER, Camera, Rig
 
 Array = npt.NDArray[np.float64]
@@ -253,8 +253,9 @@ def _marker_not_seen(recording: Recording, marker: Marker, rig: Rig, offset_s: f
 
 
 def _frames_beyond_motor(recording: Recording, track: Track, delay_s: float, offset_s: float) -> list[Reason]:
-    """A doubt where motion of the motor has no frames, or frames go on without the motor: a camera that started late or
-    stopped early, or two clocks. offset_s: the sensor's clock less the motor's, which `track` is on already."""
+    """A doubt, in a list, where motion of the motor has no frames, or frames go on without the motor, for longer than
+    _LOST_ENDS_S and _LOST_ENDS: a camera that started late or stopped early; or two clocks, which is fatal where the
+    image does not follow the motor. offset_s: the sensor's clock less the motor's, which `track` is on already."""
     if len(track.t_s) < _FEWEST:
         return []
     motor, frames_s = recording.motor, track.t_s
@@ -262,12 +263,10 @@ def _frames_beyond_motor(recording: Recording, track: Track, delay_s: float, off
         frames_s = recording.marker.t_s - offset_s
     first, last = float(frames_s[0]) - delay_s, float(frames_s[-1]) - delay_s
     frames_last, motor_lasts = last - first, float(motor.t_s[-1] - motor.t_s[0])  # s
-    slack = max(_LOST_ENDS_S, _LOST_ENDS * motor_lasts)
-    off_start = np.flatnonzero(np.abs(motor.q - motor.q[0]) > _LEAVES * np.ptp(motor.q))
-    off_end = np.flatnonzero(np.abs(motor.q - motor.q[-1]) > _LEAVES * np.ptp(motor.q))
-    if not len(off_start) or not len(off_end):
+    slack, motion = max(_LOST_ENDS_S, _LOST_ENDS * motor_lasts), _motion(motor)
+    if motion is None:
         return []
-    begin, end = float(motor.t_s[off_start[0]]), float(motor.t_s[off_end[-1]])  # of the motion
+    begin, end = motion
     missing = min(max(first - begin, 0.0) + max(end - last, 0.0), end - begin)  # s of the motion without frames
     if missing <= slack and frames_last - motor_lasts <= slack:
         return []
@@ -292,6 +291,16 @@ def _frames_beyond_motor(recording: Recording, track: Track, delay_s: float, off
         timed, mild = len(recording.marker.t_s), False
         remedy = f"frames.csv lists {timed} of the video's {timed + untimed} frames: list every one"
     return [Reason("duration", f"{says}: {what}", remedy, mild=mild)]
+
+
+def _motion(motor: Motor) -> tuple[float, float] | None:
+    """When the motor first was off its first place and last off its last one, s, by _LEAVES; None where it never
+    was."""
+    off_start = np.flatnonzero(np.abs(motor.q - motor.q[0]) > _LEAVES * np.ptp(motor.q))
+    off_end = np.flatnonzero(np.abs(motor.q - motor.q[-1]) > _LEAVES * np.ptp(motor.q))
+    if not len(off_start) or not len(off_end):
+        return None
+    return float(motor.t_s[off_start[0]]), float(motor.t_s[off_end[-1]])
 
 
 def _unexplained_share(track: Track, delay_s: float) -> float:

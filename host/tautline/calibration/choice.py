@@ -228,8 +228,7 @@ class Choice:
         self, onsets: Sequence[Onset], curve: WidthCurve | None, passes: Fitted | None
     ) -> tuple[Array | None, Array | None]:
         """B and its sigma from the passes alone, NaN where the ways up and down do not overlap; None of each where they
-        nowhere do. By how much the onsets differ goes to the evidence, and to the findings where the image jumps and
-        the difference is clear (_FAR, _LITTLE)."""
+        nowhere do. The onsets are compared with it."""
         if passes is None:
             return None, None
         low, high = overlap(passes)
@@ -238,23 +237,28 @@ class Choice:
         width, sigma = passes.fit.width(passes.curves), passes.width_sigma(self.grid)
         widths = [o for o in with_width(onsets) if low <= o.q_mean <= high]
         if curve is not None and len(widths) >= 2:
-            p = np.array([o.q_mean for o in widths])
-            difference = np.array([o.width for o in widths]) - np.interp(p, self.grid, width)
-            z = self._z_scores(widths, curve, width, sigma)
-            mean = float(np.mean(difference))
-            self.findings.evidence["onsets_minus_passes"] = mean
-            self.findings.evidence["onsets_minus_passes_rms"] = float(np.sqrt(np.mean(difference**2)))
-            self.findings.evidence["onsets_minus_passes_z2"] = float(np.mean(z**2))
-            share = abs(mean) / max(float(np.median([o.width for o in widths])), 1e-9)
-            if float(np.mean(z**2)) > _FAR * _AGREE and share > _LITTLE and image_jumps(widths):
-                self.findings.notice(
-                    "registration.direction_dependent",
-                    f"the passes lie {abs(mean):.3g} {self.unit} {'less' if mean > 0 else 'more'} apart than the "
-                    "onsets say",
-                    "it depends on direction, starts smoothly or unevenly: taut diagnose tells which",
-                )
+            self._compare_with_passes(widths, curve, width, sigma)
         told = (self.grid >= low) & (self.grid <= high)
         return np.where(told, width, np.nan), np.where(told, sigma, np.nan)
+
+    def _compare_with_passes(self, widths: Sequence[Onset], curve: WidthCurve, width: Array, sigma: Array) -> None:
+        """Puts by how much onsets differ from the passes' B `width` with sigma, (grid,) each, into the evidence, and
+        into the findings where the image jumps and the difference is clear (_FAR, _LITTLE)."""
+        p = np.array([o.q_mean for o in widths])
+        difference = np.array([o.width for o in widths]) - np.interp(p, self.grid, width)
+        z = self._z_scores(widths, curve, width, sigma)
+        mean = float(np.mean(difference))
+        self.findings.evidence["onsets_minus_passes"] = mean
+        self.findings.evidence["onsets_minus_passes_rms"] = float(np.sqrt(np.mean(difference**2)))
+        self.findings.evidence["onsets_minus_passes_z2"] = float(np.mean(z**2))
+        share = abs(mean) / max(float(np.median([o.width for o in widths])), 1e-9)
+        if float(np.mean(z**2)) > _FAR * _AGREE and share > _LITTLE and image_jumps(widths):
+            self.findings.notice(
+                "registration.direction_dependent",
+                f"the passes lie {abs(mean):.3g} {self.unit} {'less' if mean > 0 else 'more'} apart than the "
+                "onsets say",
+                "it depends on direction, starts smoothly or unevenly: taut diagnose tells which",
+            )
 
     def tip_moves(self) -> bool:
         """Whether the tip was seen to move by more than noise."""

@@ -197,9 +197,7 @@ class Measuring(_Setting):
             onsets, curve, joint_fit, passes, like_paper=like_paper, gradual=gradual
         )  # fmt: skip
         if source == JOINT:
-            # The joint fit is so much sharper that the onsets' scatter about it is their own.
-            spread = float(np.sqrt(np.clip(self.findings.evidence["onsets_against_joint_z2"], 1.0, _MOST_Z2)))
-            onsets = [replace(o, sigma=o.sigma * spread) if o.used and o.kind == HINGE else o for o in onsets]
+            onsets = _as_uncertain_as_they_scatter(onsets, self.findings.evidence["onsets_against_joint_z2"])
         self.say(0.75, "fitting f_remain")
         settled_only = joint_fit.fit.settled_only if joint_fit is not None else False
         if joint_fit is not None:
@@ -418,14 +416,8 @@ class Measuring(_Setting):
         joint_fit = allowing_for_place(joint_fit, noise)
         self.findings.evidence["residual_before_components"] = joint_fit.scale
         joint_fit, components = self._separated(joint_fit, noise)
-        several = None
         if self.options.elements == "auto" and not image_jumps(onsets):
-            several = self._several_elements_or_friction(joint_fit, components)
-        if several is not None:
-            joint_fit, self.hysteresis = several.fitted, several.fitted.fit.hysteresis
-            components = separate(joint_fit, self.rig, without=_OF_ELEMENTS)
-            spread = _BETWEEN_ELEMENTS * components.width if several.spread is None else several.spread
-            components = replace(components, sigma=np.hypot(components.sigma, spread))
+            joint_fit, components = self._with_hysteresis(joint_fit, components)
         self.components = components
         self.findings.evidence["residual_components"] = components.unexplained
         for part in components.parts:
@@ -441,6 +433,18 @@ class Measuring(_Setting):
             return apart
         self.findings.evidence["residual_alone"] = joint_fit.scale
         return self._as_uncertain_as_departures(joint_fit, components)
+
+    def _with_hysteresis(self, joint_fit: Fitted, components: Components) -> tuple[Fitted, Components]:
+        """The joint fit and its components with several elements or friction, which becomes `hysteresis`, where the tip
+        starts gradually and these hold it; else as they are. B's sigma has what the elements' few shares leave, or the
+        uncertainty of the friction."""
+        several = self._several_elements_or_friction(joint_fit, components)
+        if several is None:
+            return joint_fit, components
+        self.hysteresis = several.fitted.fit.hysteresis
+        components = separate(several.fitted, self.rig, without=_OF_ELEMENTS)
+        spread = _BETWEEN_ELEMENTS * components.width if several.spread is None else several.spread
+        return several.fitted, replace(components, sigma=np.hypot(components.sigma, spread))
 
     def _separated(self, joint_fit: Fitted, noise: PlaceNoise | None) -> tuple[Fitted, Components]:
         """The joint fit and its components. Where these leave more than noise that is not the tracker's, both once more
@@ -512,6 +516,13 @@ class Measuring(_Setting):
             tracks, self.rig, self.domain, self.grid, width, delay_s, settled_only, self.hysteresis, self.effects,
             shared,
         )  # fmt: skip
+
+
+def _as_uncertain_as_they_scatter(onsets: Sequence[Onset], z2: float) -> list[Onset]:
+    """The onsets, hinges' sigmas times the root of z2, their mean squared z against the joint fit's B, from 1 to
+    _MOST_Z2: that is so much sharper that their scatter about it is their own."""
+    spread = float(np.sqrt(np.clip(z2, 1.0, _MOST_Z2)))
+    return [replace(o, sigma=o.sigma * spread) if o.used and o.kind == HINGE else o for o in onsets]
 
 
 def _probabilities(fits: Sequence[Fitted]) -> Array:
