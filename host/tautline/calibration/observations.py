@@ -231,6 +231,16 @@ def not_held(y: Array) -> Mask:
     return anew
 
 
+def _sizes_of_noise(track: Track, place: Array) -> Array:
+    """(k, 2) the place, and how many times the stated noise y shows there, whose median is the noise: by fifth
+    differences, in which a fast motion shows less than in third ones, of six frames at even times about that place.
+    place (n,): of the track's frames, unit of q."""
+    fifth = np.diff(track.y, _ORDER, axis=0) / (np.sqrt(_FIFTH) * track.sigma[_ORDER:, None])
+    least = least_noise(track.unit) / track.sigma[_ORDER:]
+    size = np.maximum(np.sqrt(np.mean(fifth**2, axis=1)) / _MEDIAN[track.y.shape[1]], least)
+    return np.column_stack([0.5 * (place[2:-3] + place[3:-2]), size])[even_runs(track.t_s, _ORDER)]
+
+
 @dataclass(frozen=True)
 class NoiseByPlace:
     """How many times the noise that the tracks state it is, linear in its logarithm between places. One place: it is
@@ -250,18 +260,11 @@ class NoiseByPlace:
 
     @classmethod
     def of(cls, tracks: Sequence[Track], places: Sequence[Array]) -> Self:
-        """Of tracks whose frames are at places (n,) each, unit of q: by fifth differences, in which a fast motion shows
-        less than in third ones, in _PARTS parts of the range. As stated where one noise is likelier than one which
-        differs by a factor of _DIFFERS from part to part; else each part's as far as its frames tell it: between its
-        own and the mean, by their variances."""
-        rows = []
-        for track, place in zip(tracks, places, strict=True):
-            if len(track.t_s) >= _DIFFERENCES and track.step == 0.0:
-                fifth = np.diff(track.y, _ORDER, axis=0) / (np.sqrt(_FIFTH) * track.sigma[_ORDER:, None])
-                even, channels = even_runs(track.t_s, _ORDER), track.y.shape[1]
-                least = least_noise(track.unit) / track.sigma[_ORDER:]
-                size = np.maximum(np.sqrt(np.mean(fifth**2, axis=1)) / _MEDIAN[channels], least)
-                rows.append(np.column_stack([0.5 * (place[2:-3] + place[3:-2]), size])[even])
+        """Of tracks whose frames are at places (n,) each, unit of q, in _PARTS parts of the range. As stated where one
+        noise is likelier than one which differs by a factor of _DIFFERS from part to part; else each part's as far as
+        its frames tell it: between its own and the mean, by their variances."""
+        told_by = (each for each in zip(tracks, places, strict=True) if len(each[0].t_s) >= _DIFFERENCES)
+        rows = [_sizes_of_noise(track, place) for track, place in told_by if track.step == 0.0]
         if not sum(map(len, rows)):
             return cls()
         at, size = np.concatenate(rows).T

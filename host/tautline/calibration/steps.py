@@ -48,11 +48,8 @@ def without_steps(tracks: Sequence[Track], rig: Rig) -> tuple[list[Track], list[
         q = track.path.readings.q  # what a path makes of them is no jump
         at = motor_jumps(track.path.readings, resolution) if len(q) > 2 else np.zeros(0, dtype=np.intp)
         if len(at):
-            turns = _native.turns(np.ascontiguousarray(q), turning_hysteresis(track.path, resolution, np.ptp(q)))
-            total = float(np.abs(np.diff(q[np.concatenate([[0], turns, [len(q) - 1]]).astype(int)])).sum())
-            jumped = float(np.abs(np.diff(q)[at]).sum())
             settling = _following_a_step(track, at, rig.nominal_delay_s(track.sensor))
-            if jumped > 0.5 * total and total - jumped < _SWEEPS * float(np.ptp(q)):
+            if _moves_by_jumps(track, at, resolution):
                 says = f"{track.name}: the motor steps {len(at)} times within one sample and hardly moves otherwise"
                 remedy = "move it at a speed, and record its encoder, not its command"
                 reasons.append(Reason("steps", says, remedy, fatal=True))
@@ -65,6 +62,16 @@ def without_steps(tracks: Sequence[Track], rig: Rig) -> tuple[list[Track], list[
                 track = track.only(seen)
         left.append(track)
     return left, reasons, notes
+
+
+def _moves_by_jumps(track: Track, at: npt.NDArray[np.intp], resolution: float) -> bool:
+    """Whether the jumps after the samples `at` are most of the way that the motor goes from turn to turn, and the rest
+    is less than _SWEEPS of its span. resolution: of its encoder, unit of q."""
+    q = track.path.readings.q
+    turns = _native.turns(np.ascontiguousarray(q), turning_hysteresis(track.path, resolution, np.ptp(q)))
+    total = float(np.abs(np.diff(q[np.concatenate([[0], turns, [len(q) - 1]]).astype(int)])).sum())
+    jumped = float(np.abs(np.diff(q)[at]).sum())
+    return jumped > 0.5 * total and total - jumped < _SWEEPS * float(np.ptp(q))
 
 
 def _following_a_step(track: Track, at: npt.NDArray[np.intp], nominal_s: float) -> Mask:

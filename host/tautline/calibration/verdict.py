@@ -291,7 +291,8 @@ def _extra(
 
 
 def _uncertainty(found: Measured) -> Uncertainty:
-    """What the model errs by beside its tables' sigmas."""
+    """What the model errs by beside its tables' sigmas. Its noise, px or deg, is the larger of what f_remain's fit
+    leaves and of the error by which blocks left out are predicted."""
     evidence, joint_fit = found.findings.evidence, found.joint_fit
     left = [value for name in ("residual", "error") if 0.0 < (value := evidence.get(name, np.nan)) < np.inf]
     by_delay = joint_fit.width_by_delay if joint_fit is not None and found.source == JOINT else None

@@ -50,8 +50,8 @@ def allowing_for_wander(fitted: Fitted) -> Fitted:
 
 
 def _covariance_of_form(fitted: Fitted, information: Array, share: float) -> Array:
-    """Covariance (m, m) that it adds when each effect as a whole is off by this share from what its law makes of the
-    frames, all other unknowns following it. information (m, m): inverse covariance of the unknowns."""
+    """Covariance (m, m) that is to be added as each effect as a whole may be off by this share from what its law makes
+    of the frames, all other unknowns following it. information (m, m): inverse covariance of the unknowns."""
     effects, values = fitted.effects_and_values
     own = np.arange(len(information) - 1 - len(values), len(information) - 1)
     rest = np.setdiff1d(np.arange(len(information)), own)
