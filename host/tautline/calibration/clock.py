@@ -253,8 +253,8 @@ def _lags_around(lag_s: float, reach_s: float) -> Array:
 
 def _minima(scan: LagScan, fine: LagScan, lags: Array) -> list[Minimum]:
     """The minima of the misfit over lags (n,), s, that are within _RIVAL of the least, best first. Two with no ridge of
-    _RIDGE times the misfit between them, or within _APART_S, are one. scan: few frames, to search with; fine: more, to
-    refine with."""
+    _RIDGE times the misfit between them, or within _APART_S, are one. scan: few frames, to search with (to _COARSELY
+    of that); fine: more, to refine with."""
     least_misfits = scan.least_misfits(lags)
     finite = np.where(np.isfinite(least_misfits), least_misfits, 1.0)
     padded = np.concatenate([[np.inf], finite, [np.inf]])

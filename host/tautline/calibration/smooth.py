@@ -293,8 +293,8 @@ def _start(
 
 
 def _best_step(fit: PlayFit, starts: Sequence[Curves]) -> tuple[float, Curves] | None:
-    """The `_path_step` that leaves the least, from starts of ever wider B: what they leave has one minimum. None where
-    too few frames count from any of those that are tried."""
+    """The `_path_step` that leaves the least, from starts of ever wider B: what they leave is taken to have one
+    minimum, so that few are tried. None where too few frames count from each of these."""
     steps: dict[int, tuple[float, Curves] | None] = {}
 
     def left(k: int) -> float:
