@@ -25,7 +25,7 @@ def weighed(sigma: float, theirs: float, excess: float = 0.0, places: int = 4) -
     flat = np.ones_like(GRID)
     curve = WidthCurve(GRID, 2.0 * flat, theirs * flat, (-4.0, 4.0), excess, places=places)
     choice = Choice([], Domain(-5.0, 5.0), GRID, "deg", Findings())
-    width, spread = choice._combined(curve, flat, sigma * flat)
+    width, spread = choice._combined(curve, flat, sigma * flat) or (flat, sigma * flat)
     return float(width[50]), float(spread[50])
 
 

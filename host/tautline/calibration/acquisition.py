@@ -16,7 +16,7 @@ from tautline.calibration.observations import Track
 from tautline.geometry import coarse_range_deg, pose
 from tautline.independence import stretches
 from tautline.quality import Reason
-from tautline.recording import Marker, Recording
+from tautline.recording import Marker, Motor, Recording
 from tautline.rig import MARKER, Camera, Rig
 
 Array = npt.NDArray[np.float64]
@@ -26,6 +26,7 @@ _SCALES = (1 / 4, 1 / 3, 3 / 8, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 8 / 3, 3
 _EVEN = 0.01  # tolerance: by which the two sides may be scaled differently: a rounded number of pixels
 _OFF = 0.02  # prior: of the picture's width: farther from the tip's path the marker is not where the rig puts it
 _FITS = 0.1  # prior: of that distance is left where another scale is right
+_LIKE_COARSE = 2.0  # prior: factor within which angles that a right scale gives follow f_coarse
 _MARGIN_PX, _IN_A_ROW = 2.0, 3  # tolerance: a marker outside of the picture, and frames in a row that show it there
 _LOOKED_AT = 60  # tolerance: frames of a track, evenly spread, whose places are compared with the tip's path
 # How many of the rig's units one of another is, and what that one is called.
@@ -160,25 +161,10 @@ def _frame_size_by_places(track: Track, rig: Rig, camera: Camera) -> Reason | No
     outside = np.any((track.y < -_MARGIN_PX) | (track.y > size - 1 + _MARGIN_PX), axis=1)
     # The tip's path leaves for many frames in a row, a false sighting for one.
     leaves = len(track.y) >= _IN_A_ROW and bool(sliding_window_view(outside, _IN_A_ROW).all(axis=1).any())
-    some = np.linspace(0, len(track.t_s) - 1, min(_LOOKED_AT, len(track.t_s))).astype(int)
-    scene_s = track.scene_s(rig.delay_s)[some]
-    q, others = track.motor_at(scene_s), track.others_at(scene_s)
-
-    def path_error(scale: float) -> float:
-        """rms distance, px of the rig's size, of the marker from the tip's path if frames are `scale` times the rig's
-        size; infinite where no angle shows the marker so, or the angles' slope is not f_coarse's within a factor of 2
-        (not asked at scale 1)."""
-        # Whole numbers are the middles of pixels: the picture begins at -0.5.
-        c, away = pose(rig, (track.y[some] + 0.5) / scale - 0.5, *others)
-        if not np.isfinite(away).all():
-            return np.inf
-        gain = float(np.cov(q, c)[0, 1] / max(np.var(q, ddof=1), 1e-12)) / rig.coarse.gain
-        likely = scale == 1.0 or 0.5 < gain < 2.0
-        return float(np.sqrt(np.mean(away**2))) if likely else np.inf
-
-    as_is = path_error(1.0)
-    best = min(_SCALES, key=path_error) if as_is > _OFF * camera.width_px else 1.0
-    if best != 1.0 and path_error(best) < _FITS * as_is:
+    as_is = _path_error(track, rig, 1.0)
+    scaled = {scale: _path_error(track, rig, scale) for scale in _SCALES} if as_is > _OFF * camera.width_px else {}
+    best = min(scaled, key=lambda scale: scaled[scale], default=1.0)
+    if scaled and scaled[best] < _FITS * as_is:
         return Reason(
             "frame_size",
             f"{track.name}: the marker is {as_is:.3g} px off the tip's path, but on it if the frames were {best:.3g} "
@@ -198,9 +184,25 @@ def _frame_size_by_places(track: Track, rig: Rig, camera: Camera) -> Reason | No
     return None
 
 
+def _path_error(track: Track, rig: Rig, scale: float) -> float:
+    """rms distance, px of the rig's size, of the marker from the tip's path, at _LOOKED_AT frames, if these are `scale`
+    times the rig's size; infinite where no angle shows the marker so, or the angles' slope is not f_coarse's within a
+    factor of _LIKE_COARSE (not asked at scale 1)."""
+    some = np.linspace(0, len(track.t_s) - 1, min(_LOOKED_AT, len(track.t_s))).astype(int)
+    scene_s = track.scene_s(rig.delay_s)[some]
+    q, others = track.motor_at(scene_s), track.others_at(scene_s)
+    # Whole numbers are the middles of pixels: the picture begins at -0.5.
+    c, away = pose(rig, (track.y[some] + 0.5) / scale - 0.5, *others)
+    if not np.isfinite(away).all():
+        return np.inf
+    gain = float(np.cov(q, c)[0, 1] / max(np.var(q, ddof=1), 1e-12)) / rig.coarse.gain
+    likely = scale == 1.0 or 1.0 / _LIKE_COARSE < gain < _LIKE_COARSE
+    return float(np.sqrt(np.mean(away**2))) if likely else np.inf
+
+
 def _wrong_rate(recordings: Sequence[Recording], camera: Camera) -> list[Reason]:
-    """A doubt, in a list, where most frames come at a steady rate that is not the rig's; frames that were lost leave
-    multiples of its period."""
+    """A doubt, in a list, where more than half of the frames come at a steady rate that is not the rig's; frames that
+    were lost leave multiples of its period."""
     for recording in recordings:
         if recording.marker is None or len(recording.marker.t_s) < _FEWEST:
             continue
@@ -251,8 +253,9 @@ def _marker_not_seen(recording: Recording, marker: Marker, rig: Rig, offset_s: f
 
 
 def _frames_beyond_motor(recording: Recording, track: Track, delay_s: float, offset_s: float) -> list[Reason]:
-    """A doubt where motion of the motor has no frames, or frames go on without the motor: a camera that started late or
-    stopped early, or two clocks. offset_s: the sensor's clock less the motor's, which `track` is on already."""
+    """A doubt, in a list, where motion of the motor has no frames, or frames go on without the motor, for longer than
+    _LOST_ENDS_S and _LOST_ENDS: a camera that started late or stopped early; or two clocks, which is fatal where the
+    image does not follow the motor. offset_s: the sensor's clock less the motor's, which `track` is on already."""
     if len(track.t_s) < _FEWEST:
         return []
     motor, frames_s = recording.motor, track.t_s
@@ -260,12 +263,10 @@ def _frames_beyond_motor(recording: Recording, track: Track, delay_s: float, off
         frames_s = recording.marker.t_s - offset_s
     first, last = float(frames_s[0]) - delay_s, float(frames_s[-1]) - delay_s
     frames_last, motor_lasts = last - first, float(motor.t_s[-1] - motor.t_s[0])  # s
-    slack = max(_LOST_ENDS_S, _LOST_ENDS * motor_lasts)
-    off_start = np.flatnonzero(np.abs(motor.q - motor.q[0]) > _LEAVES * np.ptp(motor.q))
-    off_end = np.flatnonzero(np.abs(motor.q - motor.q[-1]) > _LEAVES * np.ptp(motor.q))
-    if not len(off_start) or not len(off_end):
+    slack, motion = max(_LOST_ENDS_S, _LOST_ENDS * motor_lasts), _motion(motor)
+    if motion is None:
         return []
-    begin, end = float(motor.t_s[off_start[0]]), float(motor.t_s[off_end[-1]])  # of the motion
+    begin, end = motion
     missing = min(max(first - begin, 0.0) + max(end - last, 0.0), end - begin)  # s of the motion without frames
     if missing <= slack and frames_last - motor_lasts <= slack:
         return []
@@ -290,6 +291,16 @@ def _frames_beyond_motor(recording: Recording, track: Track, delay_s: float, off
         timed, mild = len(recording.marker.t_s), False
         remedy = f"frames.csv lists {timed} of the video's {timed + untimed} frames: list every one"
     return [Reason("duration", f"{says}: {what}", remedy, mild=mild)]
+
+
+def _motion(motor: Motor) -> tuple[float, float] | None:
+    """When the motor first was off its first place and last off its last one, s, by _LEAVES; None where it never
+    was."""
+    off_start = np.flatnonzero(np.abs(motor.q - motor.q[0]) > _LEAVES * np.ptp(motor.q))
+    off_end = np.flatnonzero(np.abs(motor.q - motor.q[-1]) > _LEAVES * np.ptp(motor.q))
+    if not len(off_start) or not len(off_end):
+        return None
+    return float(motor.t_s[off_start[0]]), float(motor.t_s[off_end[-1]])
 
 
 def _unexplained_share(track: Track, delay_s: float) -> float:

@@ -28,18 +28,19 @@ _STROKES = 10  # prior: strokes that count for that at most: model errors repeat
 _WHITE = 1.05  # tolerance: residual over noise up to which nothing but noise is in it
 _CLEARLY = 1.03  # prior: ratio of residuals from which one fit is clearly worse
 _LIKELY = 3.0  # prior: standard deviations within which a delay is likely
+_LAGS, _EITHER_SIDE = 21, 3  # tolerance: lags of the first search; delays of a posterior's grid on either side
+_STEPS = 6  # tolerance: of a fit at one delay
 _SAMPLES, _LITTLE_S = 1.5, 0.01  # prior: frame periods, and s: a delay that is off by less may be a model error's
 
 
 def delay_of_all(tracks: Sequence[Track], rig: Rig) -> Delay:
     """The posterior of the delay at which a smooth B and a smooth path fit all frames, its prior about the nominal
-    delay; the nominal delay with infinite sigma where nothing tells it. For angle sensors of real joints, which do not
-    stop so sharply that stops alone tell the delay."""
+    delay (_UNSTATED_S where the rig states none); the nominal delay with infinite sigma where nothing tells it."""
     nominal_s = rig.nominal_delay_s(tracks[0].sensor)
     scans = [scan for scan in (LagScan.of(track, rig, FRAMES[1]) for track in tracks) if scan is not None]
     if not scans:
         return Delay(nominal_s, np.inf, 0)
-    lags = nominal_s + np.linspace(-DELAY_REACH_S, DELAY_REACH_S, 21)
+    lags = nominal_s + np.linspace(-DELAY_REACH_S, DELAY_REACH_S, _LAGS)
     start = float(lags[int(np.argmin(np.sum([scan.least_misfits(lags) for scan in scans], axis=0)))])
     try:
         stated = rig.angle is not None or rig.sees_from_tip
@@ -69,8 +70,9 @@ def _delay_posterior(scans: Sequence[LagScan], prior_mean_s: float, start: float
 
 def at_credible_delay(free: Fitted, delay: Delay, tracks: Sequence[Track], nominal_s: float) -> Fitted:
     """An angle sensor's joint fit at a delay that its model errors cannot have moved. free: with the delay fitted,
-    which is kept if it leaves only noise, or clearly less than at `delay` (`delay_of_all`). Where model errors are
-    there and the fitted delay is within about a sample of the nominal one, it is that one; else `delay`."""
+    which is kept if it leaves only noise. Else model errors are there: the delay is the nominal one if the fitted one
+    is within about a sample of it, else `delay` (of `delay_of_all`), unless the fitted one is likely beside that and
+    leaves clearly less."""
     own_s = free.curves.delay_s
     if free.scale <= _WHITE:
         return free
@@ -120,9 +122,9 @@ class _DelayDeviance:
         return self._found[key]
 
     def posterior(self, centre_s: float, pitch_s: float) -> tuple[float, float]:
-        """Posterior mean and standard deviation, s, on a grid of seven delays pitch_s apart around centre_s; the grid's
-        own rounding is in the latter."""
-        delays = centre_s + pitch_s * np.arange(-3, 4)
+        """Posterior mean and standard deviation, s, on a grid of delays pitch_s apart, _EITHER_SIDE of them below and
+        above centre_s; the grid's own rounding is in the latter."""
+        delays = centre_s + pitch_s * np.arange(-_EITHER_SIDE, _EITHER_SIDE + 1)
         deviance = np.array([self.deviance(float(delay)) for delay in delays])
         weight = np.exp(-0.5 * (deviance - deviance.min()))
         weight /= weight.sum()
@@ -137,7 +139,7 @@ class _DelayDeviance:
         widths = [share * self._scans[0].span for share in WIDTHS]
         width = min(widths, key=lambda w: sum(scan.misfit(delay_s, w) for scan in self._scans))
         flat = Curves(np.full(fit.backlash.size, width), np.zeros((fit.follow.size, channels)), delay_s)
-        return fit.descended(flat, 6)
+        return fit.descended(flat, _STEPS)
 
 
 def _independent(point: Point) -> float:

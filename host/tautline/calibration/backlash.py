@@ -32,6 +32,12 @@ _CLOSE = 1e-3  # tolerance: of the widths' standard deviation: B from brackets i
 _SMOOTHINGS = np.logspace(-4, 9, 27)  # tolerance: relative to the weight of one width
 _TAIL = 30.0  # tolerance: sigma
 _SOFTNESS = (1.0, 0.5, 0.25, 0.12, 0.06)  # tolerance: of the brackets' edges, from round to round
+SLOPE_UNTOLD = 0.5  # prior: standard deviation of B' where nothing tells it
+_FEW_PLACES = 5  # tolerance: of widths: fewer tell no smoothing
+_KEPT = 1e-6  # tolerance: of a place that is left out, and stays: one that alone tells a coefficient divides by no 0
+_MOST_LIMITED, _MOST_NEWTON = 20, 25  # tolerance: rounds with further inequalities; steps at one softness
+_SHORTEST, _SOLVED = 1e-3, 1e-7  # tolerance: of Newton's step; of the largest coefficient: a change that is none
+_LINE, _RIDGE = 1e-6, 1e-12  # tolerance: of a width's weight: on second differences; of the system's trace
 _PAPER_UNIFORM, _PAPER_REPEATS = 8, 3  # format: 14 knots in all, 10 coefficients
 
 
@@ -74,8 +80,8 @@ def fit_paper(onsets: Sequence[Onset], grid: Array) -> WidthCurve | None:
     bend = np.diff(np.eye(design.shape[1]), 2, axis=0)
     weight = 1.0 / sigma**2
     # Coefficients that no width reaches take the line through their neighbours.
-    system = design.T @ (weight[:, None] * design) + 1e-6 * float(np.median(weight)) * bend.T @ bend
-    system += 1e-12 * np.trace(system) * np.eye(len(system))
+    system = design.T @ (weight[:, None] * design) + _LINE * float(np.median(weight)) * bend.T @ bend
+    system += _RIDGE * np.trace(system) * np.eye(len(system))
     coefficients = np.linalg.solve(system, design.T @ (weight * w))
     curve = on_grid @ coefficients
     spread = np.sqrt(np.maximum(np.sum((on_grid @ np.linalg.inv(system)) * on_grid, axis=1), 0.0))
@@ -88,8 +94,9 @@ def fit_paper(onsets: Sequence[Onset], grid: Array) -> WidthCurve | None:
 
 def fit_widths(onsets: Sequence[Onset], grid: Array) -> WidthCurve | None:
     """Penalised spline through all used onsets: hinges by their sigma, brackets as intervals, a bound that the curve
-    violates as one more width. The smoothing is that of cross-validation or likelihood. Beyond what was measured B is
-    constant and its sigma grows by half the distance. None where no width was measured."""
+    violates as one more width. The smoothing is that of cross-validation, with brackets of the restricted likelihood.
+    Beyond what was measured B is constant and its sigma grows by SLOPE_UNTOLD times the distance. None where no width
+    was measured."""
     widths = with_width(onsets)
     if not widths:
         return None
@@ -104,7 +111,7 @@ def fit_widths(onsets: Sequence[Onset], grid: Array) -> WidthCurve | None:
     if np.abs(lawful - curve).max() > _ALIKE * max(curve.max(), 1e-9):
         fit.notes.append(f"B(q) is limited by B >= 0 or |B'| <= {STEEPEST:g}")
     beyond = np.abs(grid - held)
-    sigma = np.hypot(fit.sigma(held), 0.5 * beyond)
+    sigma = np.hypot(fit.sigma(held), SLOPE_UNTOLD * beyond)
     return WidthCurve(grid, lawful, sigma, (low, high), fit.excess, tuple(dict.fromkeys(fit.notes)), len(fit.places()))
 
 
@@ -170,13 +177,14 @@ class _WidthFit:
 
     def _cross_validated(self, weight: Array, unit: float) -> float:
         """The smoothing, relative to `unit`, with the least sum of squared weighted residuals of places left out one at
-        a time, in closed form; the largest with fewer than 5 places. Widths in one span of the spline are one place:
+        a time, in closed form; the largest with fewer than _FEW_PLACES. Widths in one span of the spline are one place:
         what lies between places is the test. weight (n,): 1 / sigma^2; unit: its median."""
         places = self.places()
-        if len(places) < 5:
+        if len(places) < _FEW_PLACES:
             return float(_SMOOTHINGS[-1])
         gram = self.design.T @ (weight[:, None] * self.design)
-        # In the basis that makes gram and roughness diagonal at once, every smoothing is a division.
+        # In the basis V that makes gram and roughness diagonal at once, every smoothing is a division: V'(roughness /
+        # size + gram / trace) V = 1 and V' roughness V = roots, so that V' gram V = trace (1 - roots / size).
         along = self.basis.roughness / self.basis.size + gram / np.trace(gram)
         roots, vectors = eigh(self.basis.roughness, along, check_finite=False)
         told = np.maximum(1.0 - roots / self.basis.size, 0.0) * np.trace(gram)
@@ -188,7 +196,7 @@ class _WidthFit:
             alike = np.array([place for place in places if len(place) == size])  # (places, size)
             spread = seen[alike] / system[:, None, None]
             within = spread @ seen[alike].transpose(0, 2, 1) * weight[alike][:, None, :]
-            out = np.linalg.solve(np.eye(size) - within * (1 - 1e-6), left[:, alike, None])[..., 0]
+            out = np.linalg.solve(np.eye(size) - within * (1 - _KEPT), left[:, alike, None])[..., 0]
             score += np.sum(weight[alike] * out**2, axis=(1, 2))
         best, chosen = np.inf, float(_SMOOTHINGS[-1])
         for each, smoothing in zip(score[::-1], _SMOOTHINGS[::-1], strict=True):
@@ -215,13 +223,13 @@ class _WidthFit:
         gram = self.design.T @ (weight[:, None] * self.design) + self.roughness * self.basis.roughness
         right = self.design.T @ (weight * self.w)
         coefficients = self._inverse(gram) @ right
-        for _ in range(20):
+        for _ in range(_MOST_LIMITED):
             rows, values = self._violated(coefficients)
             if not len(rows):
                 break
             stiff = _STIFF * float(np.max(weight))
             again = self._inverse(gram + stiff * rows.T @ rows) @ (right + stiff * rows.T @ values)
-            if np.abs(again - coefficients).max() < 1e-7 * max(np.abs(again).max(), 1e-9):
+            if np.abs(again - coefficients).max() < _SOLVED * max(np.abs(again).max(), 1e-9):
                 break
             coefficients = again
         self.coefficients = coefficients
@@ -262,7 +270,7 @@ class _WidthFit:
             """Chi-square less degrees of freedom, with a scatter `extra` beside the stated sigma."""
             return float(np.sum(left**2 / (self.stated**2 + extra**2))) - freedom
 
-        most = float(np.abs(left).max()) * 3 + 1e-12
+        most = float(np.abs(left).max()) * 3 + 1e-12  # beyond it chi-square is a ninth of the widths' number at most
         if surplus(0.0) <= 0:
             return 0.0
         return float(brentq(surplus, 0.0, most)) if surplus(most) < 0 else most
@@ -297,7 +305,7 @@ class _WidthFit:
         def deviance(smoothing: float) -> float:
             """-2 log restricted likelihood but for a constant."""
             system = gram + smoothing * unit * self.basis.roughness
-            system += 1e-12 * float(np.trace(gram)) / len(gram) * np.eye(len(gram))
+            system += _RIDGE * float(np.trace(gram)) / len(gram) * np.eye(len(gram))
             explained = float(right @ np.linalg.solve(system, right))
             return float(np.linalg.slogdet(system)[1]) - (len(gram) - 1) * math.log(smoothing) - explained
 
@@ -336,14 +344,14 @@ class _WidthFit:
             return float(self._likelihood_terms(at, soft)[0].sum()) + 0.5 * float(at @ rough @ at)
 
         for soft in _SOFTNESS:
-            for _ in range(25):
+            for _ in range(_MOST_NEWTON):
                 _, first, second = self._likelihood_terms(coefficients, soft)
                 system = cho_factor(
                     self.design.T @ (second[:, None] * self.design) + rough + ridge, check_finite=False
                 )  # fmt: skip
                 step = cho_solve(system, self.design.T @ first + rough @ coefficients, check_finite=False)
                 now, length = total(coefficients, soft), 1.0
-                while length > 1e-3 and total(coefficients - length * step, soft) > now:
+                while length > _SHORTEST and total(coefficients - length * step, soft) > now:
                     length *= 0.5
                 coefficients = coefficients - length * step
                 if np.abs(length * step).max() < self._tolerance:

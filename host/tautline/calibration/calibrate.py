@@ -79,7 +79,7 @@ def _aligned_for_naming(
 ) -> tuple[clock.AlignedTracks, Mapping[str, float]]:
     """The aligned tracks and the sensors' offsets, s by recording, with which an effect is named. A recording whose
     image stops later than another's is not put on another clock here, since an effect makes it stop later, too."""
-    own = clock.align(tracks, rig, late_are_off=False).seen if found.offsets else aligned
+    own = clock.align(tracks, rig, same_delay_for_all=False).seen if found.offsets else aligned
     return (own, own.offsets) if own.offsets != aligned.offsets else (aligned, found.offsets)
 
 

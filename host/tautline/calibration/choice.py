@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.calibration.backlash import WidthCurve, fit_paper
+from tautline.calibration.backlash import SLOPE_UNTOLD, WidthCurve, fit_paper
 from tautline.calibration.components import Components
 from tautline.calibration.coverage import HOLE, distance_to_both_ways
 from tautline.calibration.findings import Findings
@@ -40,6 +40,10 @@ _ONE_WAY = 4.0  # prior: standard errors by which onsets of one direction are la
 _OTHER_WAY = 0.3  # prior: of that: what those of the other may be
 _BETWEEN = 1.5  # tolerance: of the usual distance of onsets: as far the onsets' curve counts alone
 _BENDS = 2.0  # prior: times its own size by which B may change over the range
+_STEPS = 5  # tolerance: in which a path is fitted anew to a B that is held
+_STEEPER = 2.0  # prior: standard deviation of B' in a hole, of its rms elsewhere
+_UNKNOWN = 0.25  # prior: of the range: standard deviation of a B that nothing measured
+_FAR = 2.0  # prior: times _AGREE: passes that are farther from the onsets contradict them
 
 
 def image_jumps(onsets: Sequence[Onset]) -> bool:
@@ -68,10 +72,10 @@ class Choice:
         like_paper: bool,
         gradual: bool,
     ) -> tuple[Array, Array, str]:
-        """B, its sigma and its source (ONSETS, JOINT, PASSES or NOTHING). The joint fit's B, also where there are no
-        onsets and the passes tell; where the image jumps at the onsets theirs, filled in by the passes where no
-        reversal was made. like_paper: the paper's spline through the onsets. gradual: the tip starts gradually, so that
-        onsets show its first motion only and are not averaged into B."""
+        """B, its sigma and its source (ONSETS, JOINT, PASSES or NOTHING): the joint fit's (`_by_joint_fit`); without
+        one the onsets' curve; 0 where neither tells B. A joint fit without onsets counts only if the tip passed the
+        same positions both ways. like_paper: the paper's spline through the onsets, if there are any. gradual: the tip
+        starts gradually."""
         if like_paper:
             paper = fit_paper(onsets, self.grid)
             if paper is not None:
@@ -86,11 +90,26 @@ class Choice:
                 "move back and forth by more than the backlash",
                 fatal=True,
             )
-            return np.zeros_like(self.grid), np.full_like(self.grid, self.domain.span / 4), NOTHING
+            return np.zeros_like(self.grid), np.full_like(self.grid, _UNKNOWN * self.domain.span), NOTHING
         if joint_fit is None:
             assert curve is not None
             self.findings.notes += curve.notes
             return curve.width, curve.sigma, ONSETS
+        return self._by_joint_fit(onsets, curve, joint_fit, passes, gradual=gradual)
+
+    def _by_joint_fit(
+        self,
+        onsets: Sequence[Onset],
+        curve: WidthCurve | None,
+        joint_fit: Fitted,
+        passes: Fitted | None,
+        *,
+        gradual: bool,
+    ) -> tuple[Array, Array, str]:
+        """B, its sigma and its source where there is a joint fit: its own without onsets, and for several elements, of
+        which an onset shows the first; the onsets', filled in by the passes, where the image jumps; else its own, or
+        the mean of both where onsets are surer and the mean predicts what was seen. gradual: onsets show the first
+        motion of a gradual start, and are not averaged into B."""
         width = self.held_beyond_measured(joint_fit, curve)
         sigma = joint_fit.width_sigma(self.grid)
         if curve is None:
@@ -100,25 +119,26 @@ class Choice:
         z = self._z_scores(widths, curve, width, sigma)
         self.findings.evidence["onsets_against_joint_z2"] = float(np.mean(z**2))
         self.findings.evidence["joint_residual_over_noise"] = joint_fit.scale
-        if not joint_fit.fit.hysteresis.single:  # of several an onset shows the first
+        if not joint_fit.fit.hysteresis.single:
             return width, sigma, JOINT
         if image_jumps(widths) and not self._late_one_way_only(widths, joint_fit, curve):
             self.findings.notes.append("the image jumps at the onsets: B(q) is the onsets' alone")
             return self._onsets_filled_by_passes(widths, curve, passes)
         if passes is not None and not joint_fit.explained and float(np.mean(z**2)) > _AGREE:
             self._notice_gradual_start(widths, passes)
-        both, spread = (width, sigma) if gradual else self._combined(curve, width, sigma)
-        if both is not width and self._tolerates(joint_fit, width, both):
-            width, sigma = both, spread
+        both = None if gradual else self._combined(curve, width, sigma)
+        if both is not None and self._tolerates(joint_fit, width, both[0]):
+            width, sigma = both
         return width, sigma, JOINT
 
-    def _combined(self, curve: WidthCurve, width: Array, sigma: Array) -> tuple[Array, Array]:
-        """B and its sigma, given the joint fit's. Onsets depend on no model: where model errors leave the joint fit
-        _SURER times less certain of B than they are, the mean of both, weighted by 1 / sigma^2."""
+    def _combined(self, curve: WidthCurve, width: Array, sigma: Array) -> tuple[Array, Array] | None:
+        """The mean of the joint fit's B `width` and the onsets' curve, weighted by 1 / sigma^2, and its sigma, where
+        model errors leave the joint fit _SURER times less certain of B than the onsets, which depend on no model; None
+        where they do not."""
         inside = (self.grid > curve.measured[0]) & (self.grid < curve.measured[1])
         theirs = np.hypot(curve.sigma, curve.excess / np.sqrt(curve.places))  # a place errs alike every time
         if not inside.any() or np.median(sigma[inside]) < _SURER * np.median(theirs[inside]):
-            return width, sigma
+            return None
         own, other = (np.maximum(each, 1e-12) ** -2 for each in (sigma, theirs))
         both = (own * width + other * curve.width) / (own + other)
         return allowed_width(self.grid, both), (own + other) ** -0.5
@@ -166,9 +186,9 @@ class Choice:
 
     def sigma_where_passed_one_way(self, joint_fit: Fitted, width: Array, inside: npt.NDArray[np.bool_]) -> Array:
         """(grid,) further standard deviation of B where the tip passed one way only: the distance to the nearest place
-        that it passed both ways, times twice the rms slope of B elsewhere (or _BENDS typical widths over the range). 0
-        elsewhere, and everywhere if B was known beforehand, since its prior covers that. inside (grid,): where B was
-        measured."""
+        that it passed both ways, beyond HOLE, times _STEEPER of the rms slope of B elsewhere, SLOPE_UNTOLD without such
+        (or _BENDS typical widths over the range, if that is more). 0 elsewhere, and everywhere if B was known
+        beforehand, since its prior covers that. inside (grid,): where B was measured."""
         if joint_fit.fit.beforehand is not None:
             return np.zeros(len(self.grid))
         apart = distance_to_both_ways(joint_fit, self.grid)
@@ -181,7 +201,7 @@ class Choice:
         steep = (
             float(np.sqrt(np.mean(np.gradient(width, self.grid)[inside & ~holes] ** 2)))
             if (inside & ~holes).any()
-            else 0.5
+            else SLOPE_UNTOLD
         )
         at = self.grid[holes]
         self.findings.notice(
@@ -190,7 +210,7 @@ class Choice:
             "move through all of the range both ways",
         )
         return np.where(
-            inside, max(2.0 * steep, _BENDS * float(np.median(width[inside])) / self.domain.span) * gap, 0.0
+            inside, max(_STEEPER * steep, _BENDS * float(np.median(width[inside])) / self.domain.span) * gap, 0.0
         )
 
     def measured(self, curve: WidthCurve | None, joint_fit: Fitted | None, source: str) -> tuple[float, float]:
@@ -208,7 +228,7 @@ class Choice:
         self, onsets: Sequence[Onset], curve: WidthCurve | None, passes: Fitted | None
     ) -> tuple[Array | None, Array | None]:
         """B and its sigma from the passes alone, NaN where the ways up and down do not overlap; None of each where they
-        nowhere do. By how much the onsets differ goes to the evidence, and to the findings where it is far."""
+        nowhere do. The onsets are compared with it."""
         if passes is None:
             return None, None
         low, high = overlap(passes)
@@ -217,23 +237,28 @@ class Choice:
         width, sigma = passes.fit.width(passes.curves), passes.width_sigma(self.grid)
         widths = [o for o in with_width(onsets) if low <= o.q_mean <= high]
         if curve is not None and len(widths) >= 2:
-            p = np.array([o.q_mean for o in widths])
-            difference = np.array([o.width for o in widths]) - np.interp(p, self.grid, width)
-            z = self._z_scores(widths, curve, width, sigma)
-            mean = float(np.mean(difference))
-            self.findings.evidence["onsets_minus_passes"] = mean
-            self.findings.evidence["onsets_minus_passes_rms"] = float(np.sqrt(np.mean(difference**2)))
-            self.findings.evidence["onsets_minus_passes_z2"] = float(np.mean(z**2))
-            share = abs(mean) / max(float(np.median([o.width for o in widths])), 1e-9)
-            if float(np.mean(z**2)) > 2 * _AGREE and share > _LITTLE and image_jumps(widths):
-                self.findings.notice(
-                    "registration.direction_dependent",
-                    f"the passes lie {abs(mean):.3g} {self.unit} {'less' if mean > 0 else 'more'} apart than the "
-                    "onsets say",
-                    "it depends on direction, starts smoothly or unevenly: taut diagnose tells which",
-                )
+            self._compare_with_passes(widths, curve, width, sigma)
         told = (self.grid >= low) & (self.grid <= high)
         return np.where(told, width, np.nan), np.where(told, sigma, np.nan)
+
+    def _compare_with_passes(self, widths: Sequence[Onset], curve: WidthCurve, width: Array, sigma: Array) -> None:
+        """Puts by how much onsets differ from the passes' B `width` with sigma, (grid,) each, into the evidence, and
+        into the findings where the image jumps and the difference is clear (_FAR, _LITTLE)."""
+        p = np.array([o.q_mean for o in widths])
+        difference = np.array([o.width for o in widths]) - np.interp(p, self.grid, width)
+        z = self._z_scores(widths, curve, width, sigma)
+        mean = float(np.mean(difference))
+        self.findings.evidence["onsets_minus_passes"] = mean
+        self.findings.evidence["onsets_minus_passes_rms"] = float(np.sqrt(np.mean(difference**2)))
+        self.findings.evidence["onsets_minus_passes_z2"] = float(np.mean(z**2))
+        share = abs(mean) / max(float(np.median([o.width for o in widths])), 1e-9)
+        if float(np.mean(z**2)) > _FAR * _AGREE and share > _LITTLE and image_jumps(widths):
+            self.findings.notice(
+                "registration.direction_dependent",
+                f"the passes lie {abs(mean):.3g} {self.unit} {'less' if mean > 0 else 'more'} apart than the "
+                "onsets say",
+                "it depends on direction, starts smoothly or unevenly: taut diagnose tells which",
+            )
 
     def tip_moves(self) -> bool:
         """Whether the tip was seen to move by more than noise."""
@@ -266,7 +291,7 @@ class Choice:
         cut as for the fit's own scale."""
         smoothing = dict(fitted.fit.smoothing)
         alone = replace(fitted.fit, fit_backlash=False, fit_delay=False, smoothing=smoothing)
-        point = alone.descended(curves, 5, adapt=False)
+        point = alone.descended(curves, _STEPS, adapt=False)
         if alone.hysteresis.single:
             return point.scale
         return rms_over_noise(replace(alone.fitted(point), scale=fitted.scale))

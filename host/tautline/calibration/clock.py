@@ -34,6 +34,7 @@ _NOISE = 4.0  # prior: times the share of noise: a misfit that a search could no
 _EDGE_S = 0.09  # tolerance: a delay this far from the nominal one is at the edge of what find_delay looks through
 _CLEARLY_LESS = 0.7  # prior: of the nominal delay's misfit: another lag fits
 _BY_ITSELF_S = 0.06  # tolerance: as far as a search from the nominal delay surely comes, below _EDGE_S
+_EITHER_WAY = 5  # tolerance: lags below and above the nominal delay, from which such a search may start
 _NEAR_S = 1.0  # prior: around the nominal delay, where lags are tried first
 _BEATEN = 1.4  # prior: ratio of misfits from which a lag nearby is clearly better
 _APART_S = 0.3  # prior: minima of the misfit that are nearer are one offset
@@ -105,16 +106,17 @@ def on_motor_clock(recordings: Sequence[Recording], rig: Rig) -> list[Recording]
     """Recordings with the offsets of their sensors' clocks taken off. Differences between recordings that are no larger
     than a delay may be are left: an effect that is not known yet may make one motion's stops later than another's."""
     every = observe(recordings, rig)
-    aligned = align([track for track in every if len(track.t_s)], rig, late_are_off=False)
+    aligned = align([track for track in every if len(track.t_s)], rig, same_delay_for_all=False)
     _, offsets_s = aligned.among(every)
     pairs = zip(recordings, offsets_s, strict=True)
     return [shifted([one], {one.name: offset_s})[0] for one, offset_s in pairs]  # several may have one name
 
 
-def align(tracks: Sequence[Track], rig: Rig, *, late_are_off: bool = True) -> AlignedTracks:
+def align(tracks: Sequence[Track], rig: Rig, *, same_delay_for_all: bool = True) -> AlignedTracks:
     """Each track with the offset of its clock found and taken off, or the reasons why it cannot be. A track that fits
-    its nominal delay stays as it is, unless late_are_off and the other recordings' images stop at another delay. Frames
-    at which the tip follows a step of the motor are left out first."""
+    its nominal delay stays as it is, unless same_delay_for_all and its image stops at another delay than those of the
+    other recordings: one camera has one delay. Without, such a difference may be an effect's. Frames at which the tip
+    follows a step of the motor are left out first."""
     tracks, stepping, notes = without_steps(tracks, rig)
     notes += [f"{t.name}: the sensor repeats its values, {t.held} of them were left out" for t in tracks if t.held]
     if stepping:
@@ -133,7 +135,7 @@ def align(tracks: Sequence[Track], rig: Rig, *, late_are_off: bool = True) -> Al
         aligned.append(track)
         offsets.append(offset_s)
     if not reasons:
-        aligned, offsets = _at_one_delay(aligned, offsets, rig, late_are_off)
+        aligned, offsets = _at_one_delay(aligned, offsets, rig, same_delay_for_all)
         reasons = [
             _offset_reason(track, offset_s) for track, offset_s in zip(aligned, offsets, strict=True) if offset_s
         ]
@@ -148,11 +150,11 @@ def _offset_reason(track: Track, offset_s: float) -> Reason:
 
 
 def _at_one_delay(
-    tracks: list[Track], offsets: list[float], rig: Rig, late_are_off: bool
+    tracks: list[Track], offsets: list[float], rig: Rig, same_delay_for_all: bool
 ) -> tuple[list[Track], list[float]]:
-    """Tracks and their offsets, s, with all images at one delay, as a camera has one. It is that of a track whose clock
-    was right; tracks whose images stop at a clearly different delay are shifted to it, without late_are_off only those
-    that have an offset already."""
+    """Tracks and their offsets, s, with all images at one delay, as a camera has one: the likeliest delay of a track
+    whose clock was right. Tracks whose images stop at a clearly different one are shifted to it if all their frames
+    bear it; without same_delay_for_all only those that have an offset already."""
     if len(tracks) < 2 or any(track.sensor != MARKER for track in tracks):
         return tracks, offsets
     delays = [delay_of_stops([track], rig) for track in tracks]
@@ -166,7 +168,7 @@ def _at_one_delay(
     for track, delay, offset_s in zip(tracks, delays, offsets, strict=True):
         later_s = delay.delay_s - best.delay_s
         clearly = abs(later_s) > max(_CLEAR * np.hypot(delay.sigma_s, best.sigma_s), _SAME_S)
-        if clearly and (late_are_off or offset_s) and _fits_at_own_delay(track, rig, delay.delay_s, best.delay_s):
+        if clearly and (same_delay_for_all or offset_s) and _fits_at_own_delay(track, rig, delay.delay_s, best.delay_s):
             track, offset_s = replace(track, t_s=track.t_s - later_s), offset_s + later_s
         at_one.append(track)
         own_offsets.append(offset_s)
@@ -251,8 +253,8 @@ def _lags_around(lag_s: float, reach_s: float) -> Array:
 
 def _minima(scan: LagScan, fine: LagScan, lags: Array) -> list[Minimum]:
     """The minima of the misfit over lags (n,), s, that are within _RIVAL of the least, best first. Two with no ridge of
-    _RIDGE times the misfit between them, or within _APART_S, are one. scan: few frames, to search with; fine: more, to
-    refine with."""
+    _RIDGE times the misfit between them, or within _APART_S, are one. scan: few frames, to search with (to _COARSELY
+    of that); fine: more, to refine with."""
     least_misfits = scan.least_misfits(lags)
     finite = np.where(np.isfinite(least_misfits), least_misfits, 1.0)
     padded = np.concatenate([[np.inf], finite, [np.inf]])
@@ -323,14 +325,14 @@ def delay_of_stops(tracks: Sequence[Track], rig: Rig) -> Delay:
 
 
 def _start_of_search(tracks: Sequence[Track], rig: Rig, nominal_s: float) -> float:
-    """Where `find_delay` is to start, s: the one of 11 lags within DELAY_REACH_S of the nominal delay that leaves the
-    least misfit, where that is less than _CLEARLY_LESS of the nominal one's and the lag is farther from it than
-    `find_delay` comes by itself; else the nominal delay."""
+    """Where `find_delay` is to start, s: the one of 2 _EITHER_WAY + 1 lags within DELAY_REACH_S of the nominal delay
+    that leaves the least misfit, where that is less than _CLEARLY_LESS of the nominal one's and the lag is farther from
+    it than `find_delay` comes by itself (_BY_ITSELF_S); else the nominal delay."""
     scans = [scan for scan in (LagScan.of(track, rig, FRAMES[0]) for track in tracks) if scan is not None]
     if not scans:
         return nominal_s
-    lags = nominal_s + np.linspace(-DELAY_REACH_S, DELAY_REACH_S, 11)
+    lags = nominal_s + np.linspace(-DELAY_REACH_S, DELAY_REACH_S, 2 * _EITHER_WAY + 1)
     least_misfits = np.sum([scan.least_misfits(lags) for scan in scans], axis=0)
     best = int(np.argmin(least_misfits))
-    better = least_misfits[best] < _CLEARLY_LESS * least_misfits[len(lags) // 2]
+    better = least_misfits[best] < _CLEARLY_LESS * least_misfits[_EITHER_WAY]
     return float(lags[best]) if better and abs(lags[best] - nominal_s) > _BY_ITSELF_S else nominal_s

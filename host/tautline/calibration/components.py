@@ -41,11 +41,13 @@ Indices = npt.NDArray[np.intp]
 
 _LINEARISATIONS = 14  # tolerance: at most
 _STEP_SHARES = (1.0, 0.5, 0.2)  # tolerance: of a step, tried in turn
+_RIDGE = 1e-10  # tolerance: of the nominal unknowns' mean information, added to each one's
 WORSE = 1.02  # tolerance: ratio of what is left after and before, from which a step leads too far
 _SHOWS = 0.3  # tolerance: of the noise: an encoder's count that moves the image by more shows
 LAW = 0.5  # prior: of what speed adds to B: its uncertainty, as slower than what was seen it may follow another law
 CORRECTS = 0.3  # prior: of a component's correction of B: its standard deviation
 _SHORT_LAG = 0.1  # tolerance: of a frame's period: a shorter lag is not told from a delay
+_END = 0.5  # equation: session time at its end, of t from -1/2 to 1/2 as departures have it
 _LATE = 0.25  # tolerance: of the session, at its end: what has come to rest by then does not go on
 
 
@@ -120,6 +122,11 @@ class Components:
         ]
 
     @property
+    def strongest_rms(self) -> float:
+        """The largest rms of a component, over the stated noise; 0 without any."""
+        return max((part.rms for part in self.parts), default=0.0)
+
+    @property
     def tracker_errs(self) -> bool:
         """Whether the error of a marker's tracker is one of the components."""
         return any(part.name == "tracker" for part in self.parts)
@@ -148,7 +155,7 @@ def separate(fitted: Fitted, rig: Rig, without: frozenset[str] = frozenset()) ->
 
 @dataclass
 class _Selection:
-    """The forward selection of components."""
+    """The forward selection of components in a joint fit's residuals."""
 
     fitted: Fitted
     rig: Rig
@@ -268,7 +275,7 @@ class _Estimated:
         """Covariance (nominal, nominal) of path, B and delay in units of the noise's variance, without components,
         where one of `frames_each` frames is independent."""
         system = self.model.gram[: self.model.nominal, : self.model.nominal] / frames_each + self.model.nominal_penalty
-        system[np.diag_indices_from(system)] += 1e-10 * float(np.mean(np.diag(system)))
+        system[np.diag_indices_from(system)] += _RIDGE * float(np.mean(np.diag(system)))
         return inverse_of(system)
 
     def _total_width_sigma(
@@ -346,8 +353,9 @@ class _Estimated:
     # ---- the state at the session's end
 
     def _from_end(self) -> tuple[DifferenceFromEnd, ...]:
-        """By track, how its frames differ from what they would show with the state of the session's end; empty where no
-        component is such a state."""
+        """By track, how its frames differ from what they would show with the state of the session's end: by the columns
+        of components that are such a state, less their columns at the end, times their values. Its spread is along the
+        eigenvectors of the values' covariance. Empty where no component is such a state."""
         changed = [(name, at) for name, at in self.model.active_blocks() if name in STATES]
         if not changed:
             return ()
@@ -365,7 +373,7 @@ class _Estimated:
         differences = []
         for number, prepared in enumerate(self.model.fit.tracks):
             own = counted.recording == number
-            frames, late = counted.frame[own], own & (counted.t > 0.5 - _LATE)  # from -1/2 to 1/2
+            frames, late = counted.frame[own], own & (counted.t > _END - _LATE)
             sigma = prepared.track.sigma[frames]
             differences.append(DifferenceFromEnd(frames, by_frame[own], gradually[late], spread[own], sigma))
         return tuple(differences)
@@ -381,7 +389,7 @@ class _Estimated:
             elif name == "offset.slip":
                 offset += float(values[0])
             elif name == "offset.time":
-                slow = slow_basis(np.array([0.5]), len(values) - 3)
+                slow = slow_basis(np.array([_END]), len(values) - 3)
                 offset += float((slow @ values)[0])
         return offset
 
@@ -393,7 +401,7 @@ class _Estimated:
             basis, grid = self.model.fit.backlash, self.model.fit.grid
             there = basis.value(backlash, np.clip(grid + offset, grid[0], grid[-1]))
             backlash = basis.nearest(grid, there)
-        grown = 1.0 + 0.5 * float(values["width.time"][0]) if "width.time" in values else 1.0
+        grown = 1.0 + _END * float(values["width.time"][0]) if "width.time" in values else 1.0
         if "width.recording" in values:
             each = values["width.recording"]
             grown += float(contrasts(len(each) + 1)[-1] @ each)

@@ -39,6 +39,11 @@ _SCAN = 12.0  # prior: what looking for a moment or a rhythm costs, of twice the
 _LASTS, _CONSTANT, _ACROSS, _SWAYS = 0.2, 0.5, 0.25, 0.5  # prior: above
 _MUCH = 0.7  # prior: of the positions of any recording: what all have to show so that what differs is not the place
 _PIECES, _LAGS = 100, 60  # tolerance: of all strokes, at most; frames over which neighbours share something
+_HALF = 0.5  # prior: of what neighbours share: an error that has fallen to it has begun anew
+_ENDS = 20  # tolerance: frames at either end in which no moment is looked for, and that lie between them at least
+_WAVE_FEWEST = 100  # tolerance: frames from which a frequency is told
+_FINER = 4  # tolerance: frequencies of a periodogram for each that are independent
+_HALVES = 12  # tolerance: frames of a stroke that has two halves
 
 SPEED, SHARE = "width.speed", "%"  # names of departures that add to B begin so; of those that add a share of B end so
 # What changes during a session and then is what it is: a model holds what it came to.
@@ -231,7 +236,8 @@ def tracker_error_length(counted: CountedFrames) -> float | None:
     """Length of the image's path, px, over which an error of the tracker stays alike before it begins anew, as behind a
     video codec that holds back what moves little; None where there is no such error. It is told from others by what
     neighbouring frames of a stroke share: that lies across the path as well as along it, as nothing of the tip does,
-    and is another in both halves of a stroke, as nothing of the camera's place is but a sway."""
+    and is another in both halves of a stroke, as nothing of the camera's place is but a sway. The length is the way of
+    the image until neighbours share _HALF as much; at least what makes _PIECES of all strokes."""
     if counted.slope.shape[1] < 2 or len(counted.p) < 4 * _LAGS:
         return None
     left = counted.residuals * counted.weight[:, None]
@@ -250,9 +256,8 @@ def tracker_error_length(counted: CountedFrames) -> float | None:
     if _shared_by_halves(left, counted.stroke) > _CONSTANT * near or _share_of_sine(counted.time_s, left) > _SWAYS:
         return None
     place = _path_in_stroke(counted)
-    for lag in range(1, _LAGS):
-        if shared(along, lag) + shared(across, lag) < 0.5 * near:
-            break
+    fallen = (lag for lag in range(1, _LAGS) if shared(along, lag) + shared(across, lag) < _HALF * near)
+    lag = next(fallen, _LAGS - 1)
     same = (counted.stroke[lag:] == counted.stroke[:-lag]) & counted.moving[lag:]
     gone = float(np.median((place[lag:] - place[:-lag])[same])) if same.any() else 0.0
     return max(gone, float(np.sum(np.maximum(np.diff(place), 0.0))) / _PIECES)
@@ -282,10 +287,12 @@ def _pieces(counted: CountedFrames, length_px: float) -> sparse.csr_matrix:
 
 def _shared_by_halves(left: Array, stroke: npt.NDArray[np.intp]) -> float:
     """Mean product of the means of residuals (n, channels) in a stroke's two halves: the variance, noise squared, that
-    is constant over a stroke. 0 where all strokes are shorter than 12 frames."""
+    is constant over a stroke. 0 where all strokes are shorter than _HALVES."""
     begins = np.flatnonzero(np.diff(stroke, prepend=-1))
     ends = np.append(begins[1:], len(stroke))
-    pairs = [(left[a : (a + b) // 2], left[(a + b) // 2 : b]) for a, b in zip(begins, ends, strict=True) if b - a >= 12]
+    pairs = [
+        (left[a : (a + b) // 2], left[(a + b) // 2 : b]) for a, b in zip(begins, ends, strict=True) if b - a >= _HALVES
+    ]
     return float(np.mean([early.mean(axis=0) @ late.mean(axis=0) for early, late in pairs])) if pairs else 0.0
 
 
@@ -357,41 +364,41 @@ def _smooth(size: int, channels: int = 1) -> Array:
 
 def _shift_time(t: Array, left: Array) -> float | None:
     """The moment, s, at which a step of the image explains most of the residuals left (n, channels) at times t (n,), at
-    least 20 frames from either end (CUSUM statistic |S_k|^2 n / (k (n - k))); None of fewer than 60 frames."""
+    least _ENDS from either end (CUSUM statistic |S_k|^2 n / (k (n - k))); None of fewer frames than 3 _ENDS."""
     n = len(left)
-    if n < 60:
+    if n < 3 * _ENDS:
         return None
-    total = np.cumsum(left - left.mean(axis=0), axis=0)[20:-20]
-    k = np.arange(20, n - 20) + 1.0
+    total = np.cumsum(left - left.mean(axis=0), axis=0)[_ENDS:-_ENDS]
+    k = np.arange(_ENDS, n - _ENDS) + 1.0  # frames before the step
     gain = np.sum(total**2, axis=1) * n / (k * (n - k))
-    return float(t[int(np.argmax(gain)) + 21])
+    return float(t[int(np.argmax(gain)) + _ENDS + 1])
 
 
 def _slip_time(counted: CountedFrames, left: Array) -> float | None:
     """The moment, s, from which on an offset of p explains most of the residuals left (n, channels), beside one of all
-    the session; at least 20 frames from either end. None of fewer than 60 frames."""
-    if len(left) < 60:
+    the session; at least _ENDS from either end. None of fewer frames than 3 _ENDS."""
+    if len(left) < 3 * _ENDS:
         return None
     pull, power = np.sum(left * counted.slope, axis=1), np.sum(counted.slope**2, axis=1)
     share = np.cumsum(power) / max(float(power.sum()), 1e-30)
-    inside = slice(20, -20)
+    inside = slice(_ENDS, -_ENDS)
     gain = (np.cumsum(pull) - share * pull.sum())[inside] ** 2 / np.maximum(share * (1.0 - share), 1e-12)[inside]
-    return float(counted.time_s[int(np.argmax(gain)) + 21])
+    return float(counted.time_s[int(np.argmax(gain)) + _ENDS + 1])
 
 
 def _sway_frequency(t: Array, left: Array) -> float | None:
     """The frequency, Hz, of the largest peak of the periodogram of residuals left (n, channels) at times t (n,), s,
-    within _BREATHS_HZ and of four cycles or more; None where frames are few or the session is too short. It is taken of
+    within _BREATHS_HZ and of more than _CYCLES; None where frames are few or the session is too short. It is taken of
     as many even samples as there are frames, or more where these are apart by long gaps: _A_CYCLE of the fastest sway,
     none closer than frames mostly are."""
-    if len(t) < 100:
+    if len(t) < _WAVE_FEWEST:
         return None
     lasts = t[-1] - t[0]
     closest = max(float(np.median(np.diff(t))), 1.0 / (_A_CYCLE * _BREATHS_HZ[1]))
     even = np.linspace(t[0], t[-1], max(len(t), min(int(lasts / closest), _MOST_SAMPLES)))
     step = even[1] - even[0]
     waves = [np.interp(even, t, channel) for channel in left.T]
-    power = sum(np.abs(np.fft.rfft(wave - wave.mean(), 4 * len(even))) ** 2 for wave in waves)
-    rates = np.fft.rfftfreq(4 * len(even), step)
+    power = sum(np.abs(np.fft.rfft(wave - wave.mean(), _FINER * len(even))) ** 2 for wave in waves)
+    rates = np.fft.rfftfreq(_FINER * len(even), step)
     inside = (rates > max(_BREATHS_HZ[0], _CYCLES / lasts)) & (rates < _BREATHS_HZ[1])
     return float(rates[inside][int(np.argmax(np.asarray(power)[inside]))]) if inside.any() else None

@@ -28,6 +28,7 @@ _SPEEDS = 1.5  # prior: scatter of moving frames over that of resting ones, from
 
 _CYCLES = 4.0, 40.0  # prior: of a ripple over what was measured
 _PLACES, _RATES = 160, 145  # tolerance: at which B is looked at; of a ripple that are tried
+_SMOOTHINGS = np.logspace(-8, 8, 17)  # tolerance: of the spline beside a ripple, over the usual weight of a place
 _SMOOTHED = 0.4  # prior: of the readings' noise: what smoothing leaves at a turn
 _COARSE = 0.015  # tolerance: of B: a motor's path between its samples is known no better
 _FINEST = 1e-3  # tolerance: of what is seen: no rate is told that would mend more
@@ -245,7 +246,8 @@ def _ripple(grid: Array, width: Array, sigma: Array, usual: float) -> tuple[floa
     rates = np.linspace(_CYCLES[0], _CYCLES[1], _RATES) / float(at[-1] - at[0])
     angle = 2.0 * np.pi * np.outer(rates, at)
     waves = np.stack([np.cos(angle), np.sin(angle)], axis=1)  # (rates, 2, places)
-    # The spline integrated out, in the basis that makes what is told of it and its bending diagonal at once.
+    # The spline integrated out, in the basis V that makes what is told of it and its bending diagonal at once: V' along
+    # V = 1 and V' bending V = bends, so that V' told V = trace (1 - bends / size), `tells`.
     told = design.T @ (weight[:, None] * design)
     along = told / np.trace(told) + basis.bending / basis.size
     bends, vectors = eigh(basis.bending, along, check_finite=False)
@@ -255,7 +257,7 @@ def _ripple(grid: Array, width: Array, sigma: Array, usual: float) -> tuple[floa
     information_alone = np.einsum("rcn,n,rdn->rcd", waves, weight, waves) + np.eye(2) / usual**2
     # -2 log restricted likelihood: the best without a wave; with one (deviance, its rate's index, its amplitudes).
     smooth, waved = np.inf, (np.inf, 0, np.zeros(2))
-    for smoothing in np.logspace(-8, 8, 17) * float(np.median(weight)):
+    for smoothing in _SMOOTHINGS * float(np.median(weight)):
         system = tells + smoothing * np.maximum(bends, 0.0)
         volume = float(np.sum(np.log(system)) + np.linalg.slogdet(along)[1]) - (basis.size - 2) * np.log(smoothing)
         without = float(weight @ y**2 - np.sum(y_seen**2 / system)) + volume

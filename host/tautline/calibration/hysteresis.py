@@ -40,6 +40,7 @@ _ENOUGH = 1e-3  # tolerance: of the squares; a step that gains less is the last
 _LONGEST = 1.5  # tolerance: of what is straight; a step at most, in the prior's standard deviations
 _THIN = 0.1  # prior: of the mean length, the least anywhere
 _DIFFERENCE = 1e-5  # tolerance: over which the transform is straight
+_RIDGE = 1e-9  # tolerance: of the curves' mean diagonal, added to all of a step's
 
 
 @dataclass(frozen=True)
@@ -141,7 +142,7 @@ def _reached(state: Fitted) -> Array:
 def _friction(kind: str, unknowns: Array, width: Array) -> Friction:
     """The friction of these unknowns (k,) on B width (n,), unit of q. Its length L(q) = length + share B(q) is scaled
     so that the tip starts with expit(u[0]) of its later slope where it starts slowest, which keeps it from going
-    backwards."""
+    backwards: leaving an envelope it has 1 - steepest B / (2 L) of that slope, as it is off the motor by z B / 2."""
     start, part = float(expit(unknowns[0])), float(unknowns[1])
     exponent = float(np.exp(unknowns[2]))
     beta = float(expit(unknowns[3])) if kind == BOUC_WEN else 1.0
@@ -178,7 +179,7 @@ def _step(state: Fitted, rig: Rig, kind: str, unknowns: Array) -> tuple[Curves, 
     gram[size:, size:] += np.diag((scale / sigma) ** 2)
     gradient[size:] -= scale**2 * (unknowns - mean) / sigma**2
     diagonal = np.diag_indices_from(gram)
-    gram[diagonal] += 1e-9 * float(np.mean(gram[diagonal][:size]))
+    gram[diagonal] += _RIDGE * float(np.mean(gram[diagonal][:size]))
     step: Array = np.asarray(np.linalg.solve(gram, gradient), dtype=np.float64)
     too_far = float(np.max(np.abs(step[size:]) / (_LONGEST * sigma)))
     step = np.asarray(step / max(too_far, 1.0), dtype=np.float64)

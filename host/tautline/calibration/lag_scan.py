@@ -32,6 +32,10 @@ _AROUND_S = 0.5  # prior: a tip follows its motor within it
 _RESTS = 0.9  # tolerance: share of the frames at which the other axes have to rest
 _INSIDE = np.array([0.25, 0.75])  # tolerance: of the motor's span: between which f_coarse tells the way of the image
 _DITHER = 2e-3  # tolerance: of the motor's span: turns within it do not matter here
+_AROUND = 9  # tolerance: places within _AROUND_S of a frame at which the motor is looked at
+_ROUNDS, _CLOSER = 9, 0.6  # tolerance: of a pattern search; of its steps, from round to round
+_STEP, _STEP_OF_SPAN = 0.3, 0.005  # tolerance: of the width, and of the span with it: the first step of a width
+_FORGOT = 1e-9  # tolerance: of the span: two starts of a play that are so near are one
 
 
 @dataclass(frozen=True)
@@ -60,8 +64,8 @@ class LagScan:
 
     @classmethod
     def of(cls, track: Track, rig: Rig, most: int) -> LagScan | None:
-        """The track thinned to at most `most` frames. None where nothing moves by more than noise, or other axes move
-        for more than a tenth of the frames."""
+        """The track thinned to at most `most` frames. None with fewer than FEWEST, where nothing moves clearly by more
+        than noise (_NOISY), or where other axes rest for a smaller share of the frames than _RESTS."""
         motor = track.motor
         span = float(np.ptp(motor.q))
         variance = float(np.mean(np.var(track.y, axis=0))) if len(track.t_s) else 0.0
@@ -109,13 +113,14 @@ class LagScan:
     def _polynomial_fit(self, lag_s: float, width: float) -> tuple[float, Array]:
         """Least squares of y by a Chebyshev polynomial of order _ORDER in p, the centre of a play of this width, unit
         of q, at a lag, s: the misfit, and the coefficients of the linear term (channels,). inf and 0 where fewer than
-        half of the frames count: those that the motor's record covers, once the play has forgotten its start."""
+        half of the frames count: those that the motor's record covers, once the play has forgotten its start (run from
+        below and from above it is at one place)."""
         q, frame, inside = self._driven(lag_s)
         grid = np.array([self.low - self.span, self.low + 2.0 * self.span])
         plays = _native.Plays(grid, np.full(2, width))
         far = 10.0 * (self.span + float(np.abs(grid).max()))
         p, from_above = (plays.forward(q, start)[0] for start in (-far, far))
-        counted = inside & (np.abs(p - from_above) < 1e-9 * self.span)
+        counted = inside & (np.abs(p - from_above) < _FORGOT * self.span)
         frames, x = frame[counted], 2.0 * (p[counted] - self.low) / self.span - 1.0
         if 2 * len(frames) < len(self.track.t_s):
             return np.inf, np.zeros_like(self.coarse_direction)
@@ -146,23 +151,24 @@ class LagScan:
     def moving(self) -> Mask:
         """(n,) frames within _AROUND_S of which the motor moves: only they tell a delay."""
         t = self.track.t_s
-        q = self.track.motor_at(t[:, None] + np.linspace(-_AROUND_S, _AROUND_S, 9))
+        q = self.track.motor_at(t[:, None] + np.linspace(-_AROUND_S, _AROUND_S, _AROUND))
         moves: Mask = np.ptp(q, axis=1) > _DITHER * self.span
         return moves
 
     def minimum_near(self, lag_s: float) -> Minimum:
-        """The minimum of the misfit over lag and width near lag_s, by a pattern search."""
+        """The minimum of the misfit over lag and width near lag_s: a step of either to both sides is tried, and taken
+        where it leaves less, with smaller steps from round to round."""
         width = self.span * min(WIDTHS, key=lambda share: self.misfit(lag_s, share * self.span))
-        step_s, step = PITCH_S, 0.3 * width + 0.005 * self.span
+        step_s, step = PITCH_S, _STEP * width + _STEP_OF_SPAN * self.span
         best = self.misfit(lag_s, width)
-        for _ in range(9):
+        for _ in range(_ROUNDS):
             for other in (lag_s - step_s, lag_s + step_s):
                 if (trial := self.misfit(other, width)) < best:
                     best, lag_s = trial, other
             for other in (max(width - step, 0.0), width + step):
                 if (trial := self.misfit(lag_s, other)) < best:
                     best, width = trial, other
-            step_s, step = 0.6 * step_s, 0.6 * step
+            step_s, step = _CLOSER * step_s, _CLOSER * step
         return Minimum(lag_s, best)
 
 

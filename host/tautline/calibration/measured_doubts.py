@@ -20,6 +20,7 @@ _UNIT_SLACK = 1.6  # prior: ratio by which f_coarse's gain and f_remain's may di
 _LIKELY_GAIN = (0.4, 2.5)  # prior: range of f_remain's gain over f_coarse's that is no wrong scale
 _LIKELY_BEND = 0.5  # prior: of f_coarse's span of angles: by how much f_remain may leave it
 _TOLD = 0.1  # tolerance: of the span of angles: f_remain is not known if its sigma by the place is more
+_OFF_PX, _OFF_NOISES = 5.0, 20.0  # prior: rms residual, px and times the noise: more is no marker where the rig has it
 _LARGE = 0.1  # tolerance: of the image's motion (rms): a registration that is off by less still tells angles
 
 
@@ -137,9 +138,9 @@ def _remedy_of_scale(found: Measured, ratio: float) -> str:
 
 
 def _misplaced(found: Measured, residual: float) -> bool:
-    """Whether the marker is not where camera, hand_eye and kinematics put it: a residual (px, rms) of more than 5
-    px and 20 times the noise."""
-    return residual > max(5.0, 20 * float(np.median(found.tracks[0].sigma)))
+    """Whether the marker is not where camera, hand_eye and kinematics put it: its residual (px, rms) is more than both
+    _OFF_PX and _OFF_NOISES times the noise."""
+    return residual > max(_OFF_PX, _OFF_NOISES * float(np.median(found.tracks[0].sigma)))
 
 
 def _doubt_registration(found: Measured, residual: float, ratio: float, p: Array, c: Array) -> None:

@@ -62,6 +62,13 @@ _OF_ELEMENTS = frozenset({"phase.even", "image.side"})  # departures that severa
 _GRADUAL_START = "transmission.smooth_onset"  # the effect that several elements are
 _RATE = OWNER["width_per_speed"].id
 _SLOWEST = 0.1  # tolerance: of the frames: slower than these nothing tells the law of the speed
+_MOVES = 5.0  # tolerance: counts of the encoder: a motor that moves by less does not
+_MOST_Z2 = 9.0  # prior: mean squared z of onsets by which their variance is increased at most
+_BEYOND, _BEYOND_OF_RANGE = (
+    0.1,
+    0.005,
+)  # tolerance: of B, and of the range with it: beyond an onset, a pass begins
+_FIRST_OF_ALL = 0.5  # prior: of the strongest departure's rms: a gradual start of less is not the main one
 _BETWEEN_ELEMENTS = 0.003  # prior: of B: what elements of a few shares leave, alike on every stroke
 
 
@@ -165,7 +172,9 @@ class Measuring(_Setting):
 
     def run(self) -> Measured:
         """Measures the delay, onsets, B and f_remain in turn. TautError where the motor does not move."""
-        if self.reached[1] - self.reached[0] < max(5 * self.rig.actuator.encoder_resolution, LITTLE * self.domain.span):
+        if self.reached[1] - self.reached[0] < max(
+            _MOVES * self.rig.actuator.encoder_resolution, LITTLE * self.domain.span
+        ):
             raise TautError(
                 f"the motor does not move (q stays within {self.reached[1] - self.reached[0]:.3g} {self.unit}): "
                 "record the calibration motion, and check the encoder and its unit"
@@ -188,9 +197,7 @@ class Measuring(_Setting):
             onsets, curve, joint_fit, passes, like_paper=like_paper, gradual=gradual
         )  # fmt: skip
         if source == JOINT:
-            # The joint fit is so much sharper that the onsets' scatter about it is their own.
-            spread = float(np.sqrt(np.clip(self.findings.evidence["onsets_against_joint_z2"], 1.0, 9.0)))
-            onsets = [replace(o, sigma=o.sigma * spread) if o.used and o.kind == HINGE else o for o in onsets]
+            onsets = _as_uncertain_as_they_scatter(onsets, self.findings.evidence["onsets_against_joint_z2"])
         self.say(0.75, "fitting f_remain")
         settled_only = joint_fit.fit.settled_only if joint_fit is not None else False
         if joint_fit is not None:
@@ -327,8 +334,9 @@ class Measuring(_Setting):
 
     def _delay_of_joint_fit(self, stops: Delay, joint_fit: Fitted) -> Delay:
         """The joint fit's delay and its sigma, s, to which the rounding of the motor's counts at turns adds: an error
-        of time at the motor's speed. Where the delay was not fitted the sigma is that of the stops, for the nominal
-        delay a frame's period at most. It is infinite where the tip moves at no frame."""
+        of time at the motor's speed, its own at each of the `stops`. Where the delay was not fitted the sigma is that
+        of the stops, for the nominal delay a frame's period at most. It is infinite where the tip moves at no
+        frame."""
         speeds = np.concatenate([np.abs(s.speed[s.moving]) for s in joint_fit.fit.simulated])
         if not len(speeds):
             return Delay(joint_fit.curves.delay_s, np.inf, stops.stops)
@@ -372,7 +380,8 @@ class Measuring(_Setting):
         self, onsets: Sequence[Onset], delay: Delay, curve: WidthCurve | None
     ) -> tuple[Fitted | None, Fitted | None]:
         """The joint fit of B, path and delay together with what departs from it, and the fit of the passes alone; each
-        None where too little was seen for it. curve: B by the onsets, a first guess."""
+        None where too little was seen for it. The delay stays that of `delay` where it is given, and of a camera where
+        the image jumps or more than noise is left. curve: B by the onsets, a first guess."""
         prepared = prepare_tracks(self._on_one_curve(delay.delay_s), delay.delay_s)
         fit_delay = self.options.delay_s is None
         joint_fit = fit_jointly(
@@ -392,8 +401,8 @@ class Measuring(_Setting):
         self.say(0.5, "looking for what is no play")
         joint_fit = self._with_departures(joint_fit, onsets, curve)
         self.say(0.6, "fitting the passes alone")
-        # How far beyond an onset a pass begins: a tenth of B and a little of the range.
-        margin = 0.1 * float(np.median(joint_fit.fit.width(joint_fit.curves))) + 0.005 * self.domain.span
+        usual = float(np.median(joint_fit.fit.width(joint_fit.curves)))
+        margin = _BEYOND * usual + _BEYOND_OF_RANGE * self.domain.span
         passes = fit_passes(joint_fit, margin)
         return joint_fit, None if passes is None else as_many_as_independent(passes)
 
@@ -407,14 +416,8 @@ class Measuring(_Setting):
         joint_fit = allowing_for_place(joint_fit, noise)
         self.findings.evidence["residual_before_components"] = joint_fit.scale
         joint_fit, components = self._separated(joint_fit, noise)
-        several = None
         if self.options.elements == "auto" and not image_jumps(onsets):
-            several = self._several_elements_or_friction(joint_fit, components)
-        if several is not None:
-            joint_fit, self.hysteresis = several.fitted, several.fitted.fit.hysteresis
-            components = separate(joint_fit, self.rig, without=_OF_ELEMENTS)
-            spread = _BETWEEN_ELEMENTS * components.width if several.spread is None else several.spread
-            components = replace(components, sigma=np.hypot(components.sigma, spread))
+            joint_fit, components = self._with_hysteresis(joint_fit, components)
         self.components = components
         self.findings.evidence["residual_components"] = components.unexplained
         for part in components.parts:
@@ -430,6 +433,18 @@ class Measuring(_Setting):
             return apart
         self.findings.evidence["residual_alone"] = joint_fit.scale
         return self._as_uncertain_as_departures(joint_fit, components)
+
+    def _with_hysteresis(self, joint_fit: Fitted, components: Components) -> tuple[Fitted, Components]:
+        """The joint fit and its components with several elements or friction, which becomes `hysteresis`, where the tip
+        starts gradually and these hold it; else as they are. B's sigma has what the elements' few shares leave, or the
+        uncertainty of the friction."""
+        several = self._several_elements_or_friction(joint_fit, components)
+        if several is None:
+            return joint_fit, components
+        self.hysteresis = several.fitted.fit.hysteresis
+        components = separate(several.fitted, self.rig, without=_OF_ELEMENTS)
+        spread = _BETWEEN_ELEMENTS * components.width if several.spread is None else several.spread
+        return several.fitted, replace(components, sigma=np.hypot(components.sigma, spread))
 
     def _separated(self, joint_fit: Fitted, noise: PlaceNoise | None) -> tuple[Fitted, Components]:
         """The joint fit and its components. Where these leave more than noise that is not the tracker's, both once more
@@ -453,16 +468,16 @@ class Measuring(_Setting):
             fit = replace(joint_fit.fit, fit_delay=False, delay_sigma_s=delay_sigma, smoothing=smoothing)
             joint_fit = fit.solve(replace(joint_fit.curves, delay_s=self.nominal_s))
         width = joint_fit.fit.width(joint_fit.curves)
-        joint_fit.fit.residuals(joint_fit.curves)
+        joint_fit.fit.simulate(joint_fit.curves)
         spread = np.hypot(components.sigma, components.width - width)
         return replace(joint_fit, spread=spread, delay_spread=delay_sigma, width_by_delay=components.width_by_delay)
 
     def _several_elements_or_friction(self, joint_fit: Fitted, components: Components) -> HysteresisFit | None:
         """The joint fit with several elements or with friction, whichever has more evidence; None where the tip does
-        not start gradually first of all, or where it leaves more than _HELD of the power that one element leaves
-        beyond noise."""
+        not start gradually first of all (_GRADUAL, _FIRST_OF_ALL), or where it leaves more than _HELD of the power that
+        one element leaves beyond noise."""
         gradual = next((part for part in components.parts if part.name == "phase.even"), None)
-        if gradual is None or gradual.rms < max(_GRADUAL, 0.5 * max(part.rms for part in components.parts)):
+        if gradual is None or gradual.rms < max(_GRADUAL, _FIRST_OF_ALL * components.strongest_rms):
             return None
         apart, fit_delay = components.applied(joint_fit), self.options.delay_s is None
         plays = fit_elements(apart, self.rig, fit_delay=fit_delay)
@@ -501,6 +516,13 @@ class Measuring(_Setting):
             tracks, self.rig, self.domain, self.grid, width, delay_s, settled_only, self.hysteresis, self.effects,
             shared,
         )  # fmt: skip
+
+
+def _as_uncertain_as_they_scatter(onsets: Sequence[Onset], z2: float) -> list[Onset]:
+    """The onsets, hinges' sigmas times the root of z2, their mean squared z against the joint fit's B, from 1 to
+    _MOST_Z2: that is so much sharper that their scatter about it is their own."""
+    spread = float(np.sqrt(np.clip(z2, 1.0, _MOST_Z2)))
+    return [replace(o, sigma=o.sigma * spread) if o.used and o.kind == HINGE else o for o in onsets]
 
 
 def _probabilities(fits: Sequence[Fitted]) -> Array:

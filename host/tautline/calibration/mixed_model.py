@@ -34,6 +34,10 @@ _MOST, _LEAST = 1e12, 1e-12  # tolerance: of a penalty
 _STILL = 0.05  # tolerance: a change of B, in its sigma, that is none
 _FEW = 30  # tolerance: frames that are too few to tell a scatter
 _LAGS = 60  # tolerance: frames of autocorrelation
+_RIDGE, _RIDGE_OF_MEAN = 1e-10, 1e-12  # tolerance: of each unknown's information and of the mean one: is added to it
+_FASTER = 1.5  # tolerance: exponent of Fellner-Schall's ratio: converges in fewer steps than 1
+_MOST_AT_ONCE, _SETTLED = 100.0, 0.1  # tolerance: factor of a penalty in one step; a change of its logarithm: none
+_UNSTEADIEST = 30.0  # tolerance: scatter of moving frames over that of resting ones: more says no more
 
 
 @dataclass
@@ -110,7 +114,8 @@ class MixedModel:
 
     def _solve(self) -> None:
         """Henderson's equations at the present penalties: sets `values`, the system's `inverse` (the covariance in
-        units of the noise's variance) and `noise`^2 = residual squares over residual degrees of freedom."""
+        units of the noise's variance) and `noise`^2 = residual squares over residual degrees of freedom, the frames'
+        weight less the trace of inverse times gram. _RIDGE keeps it regular where no frame tells of an unknown."""
         self.solved = np.concatenate(
             [np.arange(self.nominal), *(self.places[name] for name in self.selected.active)]
         )  # fmt: skip
@@ -120,8 +125,8 @@ class MixedModel:
         for name, at in self.active_blocks():
             system[np.ix_(at, at)] += self.selected.penalties[name] * self.candidates[name].penalty
         diagonal = np.diag_indices_from(system)
-        system[diagonal] += 1e-10 * system[diagonal] + 1e-12 * float(np.mean(system[diagonal]))
-        pull = np.zeros(len(self.solved))
+        system[diagonal] += _RIDGE * system[diagonal] + _RIDGE_OF_MEAN * float(np.mean(system[diagonal]))
+        pull = np.zeros(len(self.solved))  # the nominal penalty's gradient: its curves are not 0 here
         pull[: self.nominal] = self.nominal_pull
         self.inverse = inverse_of(system)
         self.values = self.inverse @ (right - pull)
@@ -144,17 +149,17 @@ class MixedModel:
         return None if at is None else float(self.values[at][0])
 
     def _adapt_penalties(self) -> bool:
-        """One Fellner-Schall step of every active penalty, lambda <- lambda (noise^2 edf / (lambda u' P u))^1.5, edf =
-        m - lambda tr(C P) the component's effective degrees of freedom, C its block of the inverse. The exponent 1.5
-        converges faster. Whether any penalty changed by more than a tenth."""
+        """One Fellner-Schall step of every active penalty, lambda <- lambda (noise^2 edf / (lambda u' P u))^_FASTER,
+        edf = m - lambda tr(C P) the component's effective degrees of freedom, C its block of the inverse; by a factor
+        of _MOST_AT_ONCE at most. Whether any penalty changed by more than _SETTLED."""
         changed = False
         for name, at in self.active_blocks():
             now, penalty = self.selected.penalties[name], self.candidates[name].penalty
             freedom = len(at) - now * float(np.sum(self.inverse[np.ix_(at, at)] * penalty))
             size = float(self.values[at] @ penalty @ self.values[at])
             ratio = self.noise**2 * max(freedom, 1e-4) / max(now * size, 1e-30)
-            then = float(np.clip(now * np.clip(ratio**1.5, 0.01, 100.0), _LEAST, _MOST))
-            changed |= abs(np.log(then / now)) > 0.1
+            then = float(np.clip(now * np.clip(ratio**_FASTER, 1.0 / _MOST_AT_ONCE, _MOST_AT_ONCE), _LEAST, _MOST))
+            changed |= abs(np.log(then / now)) > _SETTLED
             self.selected.penalties[name] = then
         return changed
 
@@ -224,14 +229,15 @@ class MixedModel:
         return np.asarray(left.reshape(self.counted.residuals.shape[1], -1).T)
 
     def moving_noise(self) -> float:
-        """Scatter between neighbouring frames while the tip moves, over that while it rests, 1 to 30 (root of the ratio
-        of median squared steps); 1 where fewer than _FEW frames do either."""
+        """Scatter between neighbouring frames while the tip moves, over that while it rests, 1 to _UNSTEADIEST (root of
+        the ratio of median squared steps); 1 where fewer than _FEW frames do either."""
         step = np.mean(np.diff(self.left(), axis=0) ** 2, axis=1)
         moves = self.counted.moving[1:] & self.counted.moving[:-1]
         rests = ~self.counted.moving[1:] & ~self.counted.moving[:-1]
         if moves.sum() < _FEW or rests.sum() < _FEW:
             return 1.0
-        return float(np.clip(np.sqrt(np.median(step[moves]) / max(float(np.median(step[rests])), 1e-30)), 1.0, 30.0))
+        ratio = np.sqrt(np.median(step[moves]) / max(float(np.median(step[rests])), 1e-30))
+        return float(np.clip(ratio, 1.0, _UNSTEADIEST))
 
     def moving_ratio(self, left: Array) -> float:
         """rms of residuals (n, channels) while the tip moves over that while it rests (over that of all frames where at

@@ -29,12 +29,17 @@ _HELD, _FEWEST_RUNS = 0.25, 8  # prior: share of values that are repeated then, 
 LITTLE = 1e-3  # tolerance: of the range: a motion or a width of less is next to none
 _PARTS = 12  # tolerance: of the range, in each of which noise may be another
 _DIFFERS = 2.0  # prior: times by which noise differs from part to part, where it does
+_ORDER = 5  # equation: of the differences, which show noise and not motion
 _FIFTH = 252.0  # equation: squares of 1, 5, 10, 10, 5, 1
 # Of the rms over 1 or 2 coordinates of fifth differences of unit noise: its median (of chi square), and the standard
 # deviation of that median's logarithm, times the root of their number (by simulation: neighbours are alike).
-_MEDIAN = {1: spread.MEDIAN, 2: 0.8326}  # equation
-_ERROR_OF_LOG = {1: 1.65, 2: 1.06}  # equation
+_MEDIAN = {1: spread.MEDIAN, 2: 0.8326}  # equation: above
+_ERROR_OF_LOG = {1: 1.65, 2: 1.06}  # equation: above
 _WORLD_DEG = 8.0  # prior: of a wall that a tip sees breathe, as a square that is followed is in an endoscope's picture
+_TELL_HOLD, _CHANGES = 8, 4  # tolerance: frames and changes of the value, from which it may be held
+_LONGEST_RUN = 0.95  # tolerance: quantile of the repeats that a sample is held for; longer ones are of a tip that rests
+_TURNS_COUNTS, _TURNS_NOISES = 3.0, 8.0  # tolerance: of the encoder and of its noise: less is no turn
+_DIFFERENCES = 8  # tolerance: frames from which fifth differences are taken
 _STILL_MM, _STILL_DEG = 0.02, 0.05  # tolerance: other degrees of freedom that stay within this do not move
 
 
@@ -201,14 +206,14 @@ def _track(recording: Recording, path: MotorPath, unit: str, t: Array, y: Array,
 
 
 def not_held(y: Array) -> Mask:
-    """(n,) frames at which a sensor shows a new sample of y (n, channels). A sensor that is sampled and held repeats
-    values while the tip moves by far more than its resolution: those repeats are not new; while it rests, one in so
-    many frames is."""
+    """(n,) frames at which a sensor shows a new sample of y (n, channels): all, unless it is sampled and held. Then it
+    repeats values (_HELD of them) though the tip moves by far more than its resolution (_RESOLVED): those repeats are
+    not new. While the tip rests, one frame in as many as a value is held for is."""
     fresh = np.ones(len(y), dtype=bool)
-    if len(y) < 8:
+    if len(y) < _TELL_HOLD:
         return fresh
     changes = np.flatnonzero(~repeats(y))[1:]
-    if len(changes) == len(y) - 1 or len(changes) < 4:
+    if len(changes) == len(y) - 1 or len(changes) < _CHANGES:
         return fresh
     step = np.linalg.norm(y[changes] - y[changes - 1], axis=1)
     runs = np.diff(changes)  # of the value that changes[i] began
@@ -217,13 +222,23 @@ def not_held(y: Array) -> Mask:
     moves = np.minimum(step[:-1], step[1:]) > _RESOLVED * resolution
     if moves.sum() < _FEWEST_RUNS or np.mean(runs[moves] > 1) < _HELD:
         return fresh
-    hold = int(np.quantile(runs[moves & (runs > 1)], 0.95))
+    hold = int(np.quantile(runs[moves & (runs > 1)], _LONGEST_RUN))
     edges = np.concatenate([[0], changes, [len(y)]])
     row = np.arange(len(y))
     run = np.searchsorted(edges, row, side="right") - 1
     since, left = row - edges[run], edges[run + 1] - row
     anew: Mask = (since == 0) | ((since % hold == 0) & (left >= hold))
     return anew
+
+
+def _sizes_of_noise(track: Track, place: Array) -> Array:
+    """(k, 2) the place, and how many times the stated noise y shows there, whose median is the noise: by fifth
+    differences, in which a fast motion shows less than in third ones, of six frames at even times about that place.
+    place (n,): of the track's frames, unit of q."""
+    fifth = np.diff(track.y, _ORDER, axis=0) / (np.sqrt(_FIFTH) * track.sigma[_ORDER:, None])
+    least = least_noise(track.unit) / track.sigma[_ORDER:]
+    size = np.maximum(np.sqrt(np.mean(fifth**2, axis=1)) / _MEDIAN[track.y.shape[1]], least)
+    return np.column_stack([0.5 * (place[2:-3] + place[3:-2]), size])[even_runs(track.t_s, _ORDER)]
 
 
 @dataclass(frozen=True)
@@ -245,17 +260,11 @@ class NoiseByPlace:
 
     @classmethod
     def of(cls, tracks: Sequence[Track], places: Sequence[Array]) -> Self:
-        """Of tracks whose frames are at places (n,) each, unit of q: by fifth differences, in which a fast motion shows
-        less than in third ones, in _PARTS parts of the range. As stated where one noise is likelier than one which
-        differs by a factor of _DIFFERS from part to part."""
-        rows = []
-        for track, place in zip(tracks, places, strict=True):
-            if len(track.t_s) >= 8 and track.step == 0.0:
-                fifth = np.diff(track.y, 5, axis=0) / (np.sqrt(_FIFTH) * track.sigma[5:, None])
-                even, channels = even_runs(track.t_s, 5), track.y.shape[1]
-                least = least_noise(track.unit) / track.sigma[5:]
-                size = np.maximum(np.sqrt(np.mean(fifth**2, axis=1)) / _MEDIAN[channels], least)
-                rows.append(np.column_stack([0.5 * (place[2:-3] + place[3:-2]), size])[even])
+        """Of tracks whose frames are at places (n,) each, unit of q, in _PARTS parts of the range. As stated where one
+        noise is likelier than one which differs by a factor of _DIFFERS from part to part; else each part's as far as
+        its frames tell it: between its own and the mean, by their variances."""
+        told_by = (each for each in zip(tracks, places, strict=True) if len(each[0].t_s) >= _DIFFERENCES)
+        rows = [_sizes_of_noise(track, place) for track, place in told_by if track.step == 0.0]
         if not sum(map(len, rows)):
             return cls()
         at, size = np.concatenate(rows).T
@@ -284,7 +293,7 @@ def with_noise(track: Track, noise: NoiseByPlace, place: Array) -> Track:
 def turning_hysteresis(path: MotorPath, resolution: float, span: float) -> float:
     """How far, unit of q, a motor has to go back for a turn: by less it is dither of the encoder, noise of its readings
     or next to nothing of the span."""
-    return float(max(3.0 * resolution, 8.0 * path.noise, LITTLE * span))
+    return float(max(_TURNS_COUNTS * resolution, _TURNS_NOISES * path.noise, LITTLE * span))
 
 
 def usual_width(width: Array, span: float) -> float:

@@ -50,20 +50,28 @@ def place_on_tip(fitted: Fitted, rig: Rig, shown: Shown) -> Place | None:
     seen = _View(rig.kinematics, rig.hand_eye, rig.camera, *track.others_reference)
     coarse = rig.coarse.gain * nodes + rig.coarse.offset
     at = float(coarse[np.argmin(np.sum((path - shown.at_px) ** 2, axis=1))])  # where it was shown
-    side_mm = shown.side_px * seen.mm_per_px(at)
-    alike = np.exp(-0.5 * ((coarse[:, None] - coarse) / _TURN_DEG) ** 2) + _JITTER * np.eye(_NODES)
-    side = seen.towards_camera(at)
-    turned = np.array([np.linalg.norm(seen.towards_camera(c) - side) for c in coarse.tolist()])
-    roams = _ROAMS * side_mm * (_ANYWAY + turned)
-    covariance = (_SHOWN * side_mm) ** 2 + np.outer(roams, roams) * alike
-    # What the tracker makes of it is alike whenever it is there again, and another from one node to the next.
-    covariance[np.diag_indices(_NODES)] += (track.tracked_px * seen.mm_per_px(at)) ** 2
-    mean = np.repeat(0.5 * side_mm * side, _NODES)
+    mean, covariance = _prior_of_place(seen, coarse, at, shown.side_px, track.tracked_px)
     noise = float(np.median(track.sigma)) * max(fitted.scale, 1.0)
     problem = _PlaceProblem(seen, path, noise, mean, np.kron(np.eye(3), np.linalg.inv(covariance)))
     found = descend(problem, np.concatenate([coarse, mean]), _MOST_STEPS)
     spread = np.sqrt(np.diag(np.linalg.inv(problem.linearised(found)[0]))[:_NODES])
     return _table(found[:_NODES], found[_NODES:].reshape(3, _NODES), spread)
+
+
+def _prior_of_place(seen: _View, coarse: Array, at: float, side_px: float, tracked_px: float) -> tuple[Array, Array]:
+    """Mean (3 n,) of the place's coordinates at the nodes, mm, and covariance (n, n) of each coordinate, mm^2. The
+    place is on a tube as wide as the square that was shown, on the side that the camera saw then; it goes over to the
+    side that it sees at a node. coarse (n,): f_coarse at the nodes, deg; at: bending when it was shown, deg; side_px:
+    of the square; tracked_px: the tracker's error."""
+    mm_per_px, side = seen.mm_per_px(at), seen.towards_camera(at)
+    side_mm = side_px * mm_per_px
+    alike = np.exp(-0.5 * ((coarse[:, None] - coarse) / _TURN_DEG) ** 2) + _JITTER * np.eye(_NODES)
+    turned = np.array([np.linalg.norm(seen.towards_camera(c) - side) for c in coarse.tolist()])
+    roams = _ROAMS * side_mm * (_ANYWAY + turned)
+    covariance = (_SHOWN * side_mm) ** 2 + np.outer(roams, roams) * alike
+    # What the tracker makes of it is alike whenever it is there again, and another from one node to the next.
+    covariance[np.diag_indices(_NODES)] += (tracked_px * mm_per_px) ** 2
+    return np.repeat(0.5 * side_mm * side, _NODES), covariance
 
 
 def _table(c_deg: Array, mm: Array, sigma_deg: Array) -> Place | None:

@@ -37,6 +37,30 @@ _AROUND_S = np.array([-0.5, 0.5])  # tolerance: of a stop: what the motor does i
 _SETTLE_S = np.geomspace(0.2, 8.0, 16)  # prior: time constants of a tip that creeps; the first one is a lag's
 _STOPS_ANEW = 3  # tolerance: rounds
 _SETTLES = 0.9  # tolerance: share of the squares after a turn that creeping must explain
+_LAST, _FEWEST_LAST = 8, 4  # tolerance: last frames of a stroke that tell its direction; the fewest that do
+_HEADS = 10.0  # tolerance: sigma, by which they have to move
+_TELLS = 10  # tolerance: frames of a stroke, from which a creep or a lag is looked for at its begin
+_ON, _CREEPS = 8.0, 6  # tolerance: sigma by which the tip goes on the old way; frames for which it does, if it creeps
+_SWINGS = 20.0  # tolerance: sigma, of a stroke: a shorter one tells no lag
+_LOWEST = 3.0  # tolerance: sigma, within which z is at its lowest
+_AT_ONCE, _FALLS = 3, 0.2  # tolerance: frames, in which z falls by so much of its depth where the tip goes on
+_FEWEST = 4  # tolerance: frames of a stroke, from which an onset is looked for
+_RESTS_S = 0.5  # tolerance: before a turn, for which the other degrees of freedom have to rest
+_JUMPS_AT, _JUMPS_AFTER = 1.5, 3  # tolerance: of the hinge's knot, and frames after the departure: no jump is farther
+_FEW_ONSETS, _MOST_GAIN = 8, 100.0  # tolerance: onsets that tell a mean gain by jumps, each cut to so much
+_SHORTEST, _SHORTER = 8, 0.6  # tolerance: frames after the departure, at least; of a window that does not fit, the next
+_FITS = 3.0  # tolerance: sigma of chi-square over its degrees of freedom: a window that leaves no more fits
+_KNOT_AFTER = 2  # tolerance: frames after the departure, within which the knot is looked for
+_LEAST_AFTER, _LEAST_WINDOW = 4, 5  # tolerance: frames of a window after the departure, and in all
+_SPEED_S = 0.02  # tolerance: on either side of an onset, for the motor's speed
+_GRID, _GRIDS = 61, 4  # tolerance: delays of a grid for the posterior; finer grids at most
+_RESOLVED, _GRID_SIGMAS = 2.0, 6.0  # tolerance: pitches that make a standard deviation known; its half width, in sigma
+_SAME_S = 2e-4  # tolerance: by less a delay is the same as before: the stops are, too
+_SURELY_STILL = 0.7  # tolerance: of the frames till the tip's departure: gradual starts begin before they show
+_MOVING, _STILL = 4, 3  # tolerance: frames before and after a turn that a stop has at least
+_FEWEST_MOVING = 6  # tolerance: frames before a turn of which no fewer are tried; of more, the path is a parabola
+_STOP_FITS = 4.0  # tolerance: as _FITS, of the frames at a stop
+_NEARBY_S = np.linspace(-0.03, 0.03, 13)  # tolerance: around the delay: one of them has to fit
 
 
 @dataclass(frozen=True)
@@ -138,26 +162,27 @@ def _strokes(track: Track, rig: Rig, delay_s: float) -> list[_Stroke]:
 
 
 def _last_direction(z: Array) -> Array:
-    """(channels,) Unit vector along which z (n, channels), in sigmas of a frame, moved in its last eight frames; zeros
-    where it moved by 10 sigmas or less, or there are fewer than four frames."""
-    last = z[-8:]
-    if len(last) < 4:
+    """(channels,) Unit vector along which z (n, channels), in sigmas of a frame, moved in its _LAST frames; zeros where
+    it moved by _HEADS or less, or there are fewer than _FEWEST_LAST frames."""
+    last = z[-_LAST:]
+    if len(last) < _FEWEST_LAST:
         return np.zeros(z.shape[1])
     moved: Array = last[-2:].mean(axis=0) - last[:2].mean(axis=0)  # means of two: their difference has a sigma of 1
     size = float(np.linalg.norm(moved))
-    return moved / size if size > 10.0 else np.zeros_like(moved)
+    return moved / size if size > _HEADS else np.zeros_like(moved)
 
 
 def _creep(since_s: Array, z: Array, heading: Array) -> Array:
     """(n, channels) the part of z (n, channels) at since_s (n,) after the turn with which the tip creeps on along
-    `heading` (channels,), A (1 - exp(-t / tau)), fitted to the frames before it comes back. 0 where it does not creep,
-    or for no longer than a lag."""
+    `heading` (channels,), A (1 - exp(-t / tau)), tau one of _SETTLE_S, fitted to the frames before it comes back. 0
+    where it goes on by less than _ON or for fewer frames than _CREEPS, is described best by the shortest tau, as a lag
+    is, or a creep explains less than _SETTLES of it."""
     none = np.zeros_like(z)
-    if len(z) < 10 or not heading.any():
+    if len(z) < _TELLS or not heading.any():
         return none
     ahead = np.convolve((z - z[0]) @ heading, np.ones(3) / 3, mode="valid")
     stop = int(np.argmax(ahead))  # two frames before the middle of the furthest three
-    if ahead[stop] < 8.0 or stop < 6:  # sigma, frames
+    if ahead[stop] < _ON or stop < _CREEPS:
         return none
     gone = 1.0 - np.exp(-since_s / _SETTLE_S[:, None])  # (time constants, n)
     bent, off = gone[:, :stop] - gone[:, :stop].mean(axis=1, keepdims=True), z[:stop] - z[:stop].mean(axis=0)
@@ -172,18 +197,19 @@ def _creep(since_s: Array, z: Array, heading: Array) -> Array:
 
 def _lagging_frames(z: Array) -> int:
     """How many frames after a turn still move the old way, as the tip lags or the delay is longer than is known yet:
-    until z (n, channels), along the stroke's own direction, is within 3 sigma of its lowest. 0 where the stroke is
-    short or z does not fall at once."""
-    if len(z) < 10:
+    until z (n, channels), along the stroke's own direction, is within _LOWEST of its lowest. 0 where the stroke is
+    short, or z does not fall by _ON, or not at once."""
+    if len(z) < _TELLS:
         return 0
     way = z[-3:].mean(axis=0) - z[:3].mean(axis=0)
-    if np.linalg.norm(way) < 20.0:
+    if np.linalg.norm(way) < _SWINGS:
         return 0
     along = np.convolve(z @ way / np.linalg.norm(way), np.ones(3) / 3, mode="valid")
     lowest = along.min()
     depth = along[0] - lowest
-    at_once = along[0] - along[min(3, len(along) - 1)] > max(3.0, 0.2 * depth)  # a jump back comes later, at the onset
-    return int(np.argmax(along < lowest + 3.0)) if depth > 8.0 and at_once else 0
+    # A jump back comes later, at the onset.
+    at_once = along[0] - along[min(_AT_ONCE, len(along) - 1)] > max(_LOWEST, _FALLS * depth)
+    return int(np.argmax(along < lowest + _LOWEST)) if depth > _ON and at_once else 0
 
 
 def find_onsets(tracks: Sequence[Track], rig: Rig, delay_s: float, delay_sigma: float = 0.0) -> list[Onset]:
@@ -223,9 +249,9 @@ def _onset_of_stroke(number: int, track: Track, before: _Stroke, after: _Stroke)
         number, after.start_s, np.nan, after.direction, after.q1, after.q1 + after.direction * after.reach, np.inf,
         0.0, np.inf, NONE, False,
     )  # fmt: skip
-    if len(after.frames) < 4:
-        return replace(not_told, reason="fewer than 4 frames show it")
-    if not track.others_still(before.start_s if before.first else before.end_s - 0.5, after.end_s):
+    if len(after.frames) < _FEWEST:
+        return replace(not_told, reason=f"fewer than {_FEWEST} frames show it")
+    if not track.others_still(before.start_s if before.first else before.end_s - _RESTS_S, after.end_s):
         return replace(not_told, reason="translation or rotation moved")
     on_envelope = before.departure is not None and before.departure < len(before.frames) - 1
     if not on_envelope:
@@ -237,9 +263,8 @@ def _onset_of_stroke(number: int, track: Track, before: _Stroke, after: _Stroke)
     if window is None:
         return replace(not_told, reason="too few frames around the onset")
     x, y, hinge = window
-    jump = fit_jump(
-        x, y, max(hinge.knot * 1.5, after.travel[min(after.departure + 3, len(after.travel) - 1)]), hinge.knot
-    )
+    farthest = after.travel[min(after.departure + _JUMPS_AFTER, len(after.travel) - 1)]
+    jump = fit_jump(x, y, max(hinge.knot * _JUMPS_AT, farthest), hinge.knot)
     gain = hinge.deviance - jump.deviance
     width, sigma = hinge.knot, max(hinge.sigma, 1e-9)
     kind = BRACKET if gain > _JUMP_GAINS and jump.size > _JUMP else HINGE
@@ -269,7 +294,8 @@ def _as_brackets_if_most_jump(onsets: list[Onset]) -> list[Onset]:
     rig's then."""
     fitted = with_width(onsets)
     jumping = sum(o.kind == BRACKET for o in fitted)
-    together = len(fitted) >= 8 and float(np.mean([min(o.jump, 100.0) for o in fitted])) > _JUMPS_TOGETHER
+    gains = [min(o.jump, _MOST_GAIN) for o in fitted]
+    together = len(fitted) >= _FEW_ONSETS and float(np.mean(gains)) > _JUMPS_TOGETHER
     if 2 * jumping <= len(fitted) and not together:
         return onsets
     return [_as_bracket(o) if o.kind == HINGE and o.used else o for o in onsets]
@@ -295,27 +321,28 @@ def known_to(delay_sigma: float) -> float:
 
 def motor_speed(onset: Onset, track: Track) -> float:
     """The motor's speed at the onset, unit of q per s."""
-    around = track.motor_at(np.array([onset.t_s - 0.02, onset.t_s + 0.02]))
-    return abs(float(around[1] - around[0])) / 0.04
+    around = track.motor_at(np.array([onset.t_s - _SPEED_S, onset.t_s + _SPEED_S]))
+    return abs(float(around[1] - around[0])) / (2.0 * _SPEED_S)
 
 
 def _fit_window(stroke: _Stroke) -> tuple[Array, Array, Hinge] | None:
-    """The longest window from the turn that a hinge's path follows within the noise (chi-square within 3 sigma of its
-    degrees of freedom): travel x (n,), whitened y (n, channels) and the hinge. None where there are too few frames."""
+    """The longest window from the turn that a hinge's path follows within the noise (chi-square within _FITS of its
+    degrees of freedom), or the shortest tried, of _SHORTEST frames after the departure: travel x (n,), whitened y (n,
+    channels) and the hinge. None where there are too few frames."""
     departure = stroke.departure
     assert departure is not None
     frames, travel, z = stroke.frames, stroke.travel, stroke.z
     after = min(len(frames) - departure, _LONGEST)
-    high = float(travel[min(departure + 2, len(travel) - 1)])
+    high = float(travel[min(departure + _KNOT_AFTER, len(travel) - 1)])
     while True:
-        stop = departure + max(after, 4)
+        stop = departure + max(after, _LEAST_AFTER)
         x, y = travel[:stop], z[:stop]
-        if high <= 0 or len(x) < 5:
+        if high <= 0 or len(x) < _LEAST_WINDOW:
             return None
         hinge = fit_hinge(x, y, high)
-        if after <= 8 or hinge.chi2 < hinge.freedom + 3.0 * np.sqrt(2.0 * hinge.freedom):
+        if after <= _SHORTEST or hinge.chi2 < hinge.freedom + _FITS * np.sqrt(2.0 * hinge.freedom):
             return x, y, hinge
-        after = max(8, int(after * 0.6))
+        after = max(_SHORTEST, int(after * _SHORTER))
 
 
 def _time_of_travel(track: Track, stroke: _Stroke, travel: float) -> float:
@@ -348,26 +375,34 @@ def find_delay(tracks: Sequence[Track], rig: Rig, nominal_s: float) -> Delay:
         stops = [stop for track in tracks for stop in _stops_of_track(track, rig, delay)]
         if not stops:
             return Delay(nominal_s, np.inf, 0)
-        grid = np.linspace(nominal_s - _DELAY_REACH_S, nominal_s + _DELAY_REACH_S, 61)
-        for _ in range(4):
-            squares = np.sum([stop.squares(grid) for stop in stops], axis=0)
-            pitch = grid[1] - grid[0]
-            freedom = sum(stop.freedom for stop in stops)
-            inflate = max(1.0, float(squares.min()) / freedom)
-            deviance = squares / inflate + ((grid - nominal_s) / NOMINAL_S) ** 2
-            best = int(np.argmin(deviance))
-            weight = np.exp(-0.5 * np.clip(deviance - deviance[best], 0, 200))
-            mean = float(weight @ grid / weight.sum())
-            spread = float(np.sqrt(weight @ (grid - mean) ** 2 / weight.sum()))
-            if spread > 2 * pitch:
-                break
-            reach = max(2.0 * pitch, 6.0 * spread)
-            grid = np.linspace(grid[best] - reach, grid[best] + reach, 61)
+        mean, spread = _posterior_of_delay(stops, nominal_s)
         moved = abs(mean - delay)
         delay, result = mean, Delay(mean, spread, len(stops))
-        if moved < 2e-4:
+        if moved < _SAME_S:
             break
     return result
+
+
+def _posterior_of_delay(stops: Sequence[_Stop], nominal_s: float) -> tuple[float, float]:
+    """Posterior mean and standard deviation, s, of the delay at which these frames stand still after their turns, by
+    grids of delays that become finer until one resolves it. Squares are divided by their mean where that is more than
+    the noise's: what is no noise makes the delay less sure."""
+    grid = np.linspace(nominal_s - _DELAY_REACH_S, nominal_s + _DELAY_REACH_S, _GRID)
+    freedom = sum(stop.freedom for stop in stops)
+    for _ in range(_GRIDS):
+        squares = np.sum([stop.squares(grid) for stop in stops], axis=0)
+        pitch = grid[1] - grid[0]
+        inflate = max(1.0, float(squares.min()) / freedom)
+        deviance = squares / inflate + ((grid - nominal_s) / NOMINAL_S) ** 2
+        best = int(np.argmin(deviance))
+        weight = np.exp(-0.5 * np.clip(deviance - deviance[best], 0, 200))
+        mean = float(weight @ grid / weight.sum())
+        spread = float(np.sqrt(weight @ (grid - mean) ** 2 / weight.sum()))
+        if spread > _RESOLVED * pitch:
+            break
+        reach = max(_RESOLVED * pitch, _GRID_SIGMAS * spread)
+        grid = np.linspace(grid[best] - reach, grid[best] + reach, _GRID)
+    return mean, spread
 
 
 @dataclass(frozen=True)
@@ -397,33 +432,33 @@ class _Stop:
 
 
 def _stops_of_track(track: Track, rig: Rig, delay_s: float) -> list[_Stop]:
-    """The stops of a track, found with the strokes at this delay, s. Of the frames before a turn those count that a
-    short polynomial fits within the noise (4 sigma of chi-square), of those after it the ones at which the tip still
-    rests."""
-    strokes = _strokes(track, rig, delay_s)
+    """The stops of a track, found with the strokes at this delay, s: at turns before which the tip moves, and after
+    which it still rests, while the other degrees of freedom do."""
     stops = []
-    for before, after in pairwise(strokes):
-        if before.departure is None or not track.others_still(before.end_s - 0.5, after.end_s):
+    for before, after in pairwise(_strokes(track, rig, delay_s)):
+        if before.departure is None or not track.others_still(before.end_s - _RESTS_S, after.end_s):
             continue
         moving = len(before.frames) - before.departure
-        # Where the tip starts gradually, it has begun before it is noticed.
-        still = len(after.frames) if after.departure is None else int(0.7 * after.departure)
-        still = min(still, _BEFORE)
-        if moving < 4 or still < 3:
-            continue
-        count = min(moving, _BEFORE)
-        while True:
-            frames = np.concatenate([before.frames[-count:], after.frames[:still]])
-            z = np.concatenate(
-                [track.y[before.frames[-count:]] / track.sigma[before.frames[-count:], None], after.z[:still]]
-            )
-            arrival = track.t_s[frames]
-            times, positions = track.path.course(*(arrival[[0, -1]] - delay_s + _AROUND_S).tolist())
-            order = 2 if count > 6 else 1
-            stop = _Stop(arrival, times, positions, after.start_s, after.q1, -after.direction, z, order)
-            nearby = delay_s + np.linspace(-0.03, 0.03, 13)
-            if count <= 6 or stop.squares(nearby).min() < stop.freedom + 4.0 * np.sqrt(2.0 * stop.freedom):
-                break
-            count = max(6, int(count * 0.6))
-        stops.append(stop)
+        still = len(after.frames) if after.departure is None else int(_SURELY_STILL * after.departure)
+        if moving >= _MOVING and still >= _STILL:
+            stops.append(_stop_between(track, before, after, min(moving, _BEFORE), min(still, _BEFORE), delay_s))
     return stops
+
+
+def _stop_between(track: Track, before: _Stroke, after: _Stroke, count: int, still: int, delay_s: float) -> _Stop:
+    """The stop at the turn between two strokes: of the last `count` frames before it, at which the tip moves, as many
+    as a short polynomial fits within the noise at a delay near delay_s (chi-square within _STOP_FITS); and the first
+    `still` frames after it, at which the tip rests."""
+    while True:
+        frames = np.concatenate([before.frames[-count:], after.frames[:still]])
+        z = np.concatenate(
+            [track.y[before.frames[-count:]] / track.sigma[before.frames[-count:], None], after.z[:still]]
+        )
+        arrival = track.t_s[frames]
+        times, positions = track.path.course(*(arrival[[0, -1]] - delay_s + _AROUND_S).tolist())
+        order = 2 if count > _FEWEST_MOVING else 1
+        stop = _Stop(arrival, times, positions, after.start_s, after.q1, -after.direction, z, order)
+        least = stop.squares(delay_s + _NEARBY_S).min()
+        if count <= _FEWEST_MOVING or least < stop.freedom + _STOP_FITS * np.sqrt(2.0 * stop.freedom):
+            return stop
+        count = max(_FEWEST_MOVING, int(count * _SHORTER))

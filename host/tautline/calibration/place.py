@@ -7,6 +7,7 @@ what they do not is scatter, or the model's error.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +27,7 @@ _MOSTLY = 0.7  # prior: of what neighbouring frames share: least part that other
 _ALIKE = 1.5  # tolerance: frames for each independent one, from which they count as correlated
 _ITERATIONS = 10  # tolerance: steps at most
 _FEWEST = 40  # tolerance: frames from which anything is said
+_NEIGHBOURS = 5  # tolerance: frames ahead on the path with which one is compared
 
 
 @dataclass(frozen=True)
@@ -40,19 +42,17 @@ class PlaceNoise:
 
 
 def place_noise(fitted: Fitted) -> PlaceNoise | None:
-    """How a fit's residuals are correlated along strokes and repeated at places. None where too few frames counted."""
-    parts = [_errors_along_path(fitted, k) for k in range(len(fitted.masks))]
-    error = np.concatenate([part.error for part in parts])
+    """How a fit's residuals are correlated along strokes and repeated at places. None where too few frames counted.
+    `length` is 0.5 (effect - 1) times the usual way between two frames of a moving tip: of an error whose correlation
+    falls as exp(-distance / length), about 1 + 2 length / way frames count as one."""
+    whole = _joined([_errors_along_path(fitted, k) for k in range(len(fitted.masks))])
+    error, at, stroke, moving = whole.error, whole.at, whole.stroke, whole.moving
     if len(error) < _FEWEST:
         return None
-    stroke = np.concatenate([part.stroke + 1_000_000 * k for k, part in enumerate(parts)])
-    moving = np.concatenate([part.moving for part in parts])
-    at = np.concatenate([part.at for part in parts])
     total2 = float(np.mean(error**2))
     rest2 = min(_variance_at_rest(error, stroke, moving), total2)
-    score = np.concatenate([part.score for part in parts])
     longest = max(int(_LONGEST * np.median(np.unique(stroke, return_counts=True)[1])), 1)
-    effect = frames_each(score, longest, window=_WINDOW, group=stroke)
+    effect = frames_each(whole.score, longest, window=_WINDOW, group=stroke)
     step = np.abs(np.diff(at))[(stroke[1:] == stroke[:-1]) & moving[1:]]
     usual = float(np.median(step)) if len(step) else 0.0
     return PlaceNoise(
@@ -104,7 +104,7 @@ def _with_place_noise(fitted: Fitted, k: int, common: float) -> PreparedTrack:
 
 @dataclass(frozen=True)
 class _PathErrors:
-    """The counted frames of one track, (n,) all; sensor's unit."""
+    """The counted frames of one track, or of all one after the other, (n,) all; sensor's unit."""
 
     error: Array  # residual along the path of the tip's image
     score: Array  # its part in the gradient by p: error times the path's slope over the noise's variance
@@ -128,6 +128,18 @@ def _errors_along_path(fitted: Fitted, k: int) -> _PathErrors:
     return _PathErrors(error[mask], score[mask], at[mask], stroke[mask], sim.moving[mask])
 
 
+def _joined(parts: Sequence[_PathErrors]) -> _PathErrors:
+    """The frames of all tracks one after the other, strokes numbered on: no two tracks have a stroke in common."""
+    strokes, before = [], 0
+    for part in parts:
+        strokes.append(part.stroke + before)
+        before = int(strokes[-1].max(initial=before - 1)) + 1
+    error, score, at, moving = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("error", "score", "at", "moving")
+    )
+    return _PathErrors(error, score, at, np.concatenate(strokes), moving)
+
+
 def _path_length(p: Array, steep: Array) -> tuple[Array, Array]:
     """Positions p (n,) in order, unit of q, and the length of the image's path up to each (trapezoidal rule), steep
     (n,) being its length per unit of p."""
@@ -148,12 +160,12 @@ def _variance_at_rest(error: Array, stroke: npt.NDArray[np.int_], moving: Mask) 
 
 def _repeated_by_passes(error: Array, at: Array, stroke: npt.NDArray[np.int_], at_rest: float) -> float:
     """rms of the error (n,) that different strokes share at one place `at` (n,): root of the mean product of errors of
-    neighbours on the path from different strokes within _TOGETHER noises at rest; 0 where few are. Frames that move
-    only: where the tip rests for many frames the path is what they show."""
+    the next _NEIGHBOURS on the path from different strokes within _TOGETHER noises at rest; 0 where few are. Frames
+    that move only: where the tip rests for many frames the path is what they show."""
     order = np.argsort(at)
     error, at, stroke = error[order], at[order], stroke[order]
     total, count = 0.0, 0
-    for ahead in range(1, 6):
+    for ahead in range(1, _NEIGHBOURS + 1):
         pair = (stroke[ahead:] != stroke[:-ahead]) & (at[ahead:] - at[:-ahead] < _TOGETHER * max(at_rest, 1e-9))
         total += float(np.sum((error[ahead:] * error[:-ahead])[pair]))
         count += int(pair.sum())

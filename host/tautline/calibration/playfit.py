@@ -37,6 +37,14 @@ EXPLAINED = 1.5  # tolerance: residual over noise up to which a model explains i
 _STIFF = 1e4  # tolerance: cost, in sigma^2, of a neighbour difference that is off its limit by the whole limit
 _GAIN = 0.2  # tolerance: sigma^2: an iteration that gains less is the last but one
 _MOST_STEPS = 30  # tolerance: of a descent
+_LITTLE, _MUCH_LEFT = 3e-4, 1.2  # tolerance: of the cost, as _GAIN, where the residual over noise is more than so much
+_FARTHEST, _LATEST_S = 0.15, 0.03  # tolerance: of B in a step, of the range; of the delay
+_RIDGE = 1e-9  # tolerance: of a step's mean diagonal, added to all of it
+_WITHIN = 0.98  # tolerance: of STEEPEST, at which its penalty begins: a stiff one gives way a little
+_LEAST_SMOOTHING, _BEGINS, _MOST_SMOOTHING = 1e-10, 1e-8, 1e8  # tolerance: of a penalty factor; the least at first
+_AT_ONCE = 20.0  # tolerance: factor of a penalty factor in one step
+# The median of one or of two coordinates' rms is the standard deviation over this (of chi square).
+_USUAL = {1: 1.4826, 2: 1.2}  # equation: above
 NODES = 1025  # tolerance: of the tables that fits and models use
 
 
@@ -112,7 +120,7 @@ class PlayFit:
     frames_per_independent: float = 1.0  # so many frames say as much of a curve's shape as one independent frame
     smoothing: dict[str, float] = field(default_factory=lambda: {"backlash": 1e-2, "follow": 1e-6})  # penalty factors
     grid: Array = field(init=False)  # (NODES,) on which B is tabulated
-    simulated: list[Simulated] = field(init=False, default_factory=list)  # by the last call of `residuals`
+    simulated: list[Simulated] = field(init=False, default_factory=list)  # by the last call of `simulate`
 
     def __post_init__(self) -> None:
         """Sets the grid over the range of B's basis."""
@@ -139,12 +147,16 @@ class PlayFit:
     def residuals(self, curves: Curves) -> tuple[list[Array], list[Mask]]:
         """Simulates every track (sets `simulated`). By track: (y - predicted) / sigma (n, k), and which frames count
         (n,)."""
+        self.simulate(curves)
+        return self.residuals_of_simulated(curves)
+
+    def simulate(self, curves: Curves) -> None:
+        """Sets `simulated`, what the play does at each frame of every track, by B, delay and effects of the curves."""
         width = self.width(curves)
         self.simulated = [
             prepared.simulate(self.grid, width, curves.delay_s, self.hysteresis, self.effects, curves.effect_values)
             for prepared in self.tracks
         ]
-        return self.residuals_of_simulated(curves)
 
     def residuals_of_simulated(self, curves: Curves) -> tuple[list[Array], list[Mask]]:
         """As `residuals`, of curves whose B, delay and effects are those that were simulated last."""
@@ -225,18 +237,18 @@ class PlayFit:
         """One Gauss-Newton step, all counted frames weighing 1; after `residuals` with the same curves."""
         matrix, gradient = self.normal(curves, residuals, [m.astype(float) for m in masks])
         system = matrix + self.penalty(curves, 1.0)[0]
-        ridge = 1e-9 * np.eye(len(system)) * np.trace(system) / len(system)
+        ridge = _RIDGE * np.eye(len(system)) * np.trace(system) / len(system)
         return self.moved(curves, np.asarray(np.linalg.solve(system + ridge, gradient)))
 
     def moved(self, curves: Curves, step: Array) -> Curves:
-        """The curves after a step of the unknowns, within their limits: B moves by 15 % of the range at most and stays
-        at 0 or above, the delay moves by 30 ms at most, effects stay in their ranges; what is not fitted stays."""
+        """The curves after a step (m,) of the unknowns, within their limits: B moves by _FARTHEST at most and stays at
+        0 or above, the delay moves by _LATEST_S at most, effects stay in their ranges; what is not fitted stays."""
         layout = self.layout(curves)
         backlash = curves.backlash
         if self.fit_backlash:
-            limit = 0.15 * (self.backlash.high - self.backlash.low)
+            limit = _FARTHEST * (self.backlash.high - self.backlash.low)
             backlash = np.maximum(backlash + np.clip(step[layout.backlash], -limit, limit), 0.0)
-        delay = curves.delay_s + float(np.clip(step[-1], -0.03, 0.03)) if self.fit_delay else curves.delay_s
+        delay = curves.delay_s + float(np.clip(step[-1], -_LATEST_S, _LATEST_S)) if self.fit_delay else curves.delay_s
         follow = curves.follow + step[: layout.backlash.start].reshape(layout.channels, self.follow.size).T
         values = curves.effect_values
         if self.effects is not None and self.fit_effects:
@@ -315,7 +327,7 @@ class PlayFit:
             rough = self.smoothing["backlash"] * self.backlash.roughness
             matrix[block, block] += rough
             pull[block] += rough @ curves.backlash
-            stiff, bend = _steep_steps(curves.backlash, STEEPEST * 0.98 * self.backlash.step)
+            stiff, bend = _steep_steps(curves.backlash, STEEPEST * _WITHIN * self.backlash.step)
             weight = _STIFF * scale * scale / self.backlash.step**2
             matrix[block, block] += weight * stiff
             pull[block] += weight * bend
@@ -371,19 +383,19 @@ class PlayFit:
 
     def begin_smoothing(self, curves: Curves, scale: float) -> None:
         """Sets each smoothing factor to scale^2 rank / (c' P c), the one at which a curve of coefficients c is as rough
-        as its prior has it. scale: residual over noise."""
+        as its prior has it, P its penalty's matrix of this rank. scale: residual over noise."""
         bending, rank = self._bending(curves.follow.shape[1])
         rough = sum(float(c @ bending @ c) for c in curves.follow.T)
         rank *= curves.follow.shape[1]
-        self.smoothing["follow"] = float(np.clip(scale * scale * rank / max(rough, 1e-12), 1e-8, 1e8))
+        self.smoothing["follow"] = float(np.clip(scale * scale * rank / max(rough, 1e-12), _BEGINS, _MOST_SMOOTHING))
         rough = float(curves.backlash @ self.backlash.roughness @ curves.backlash)
         rank = self.backlash.size - 2
-        self.smoothing["backlash"] = float(np.clip(scale * scale * rank / max(rough, 1e-12), 1e-8, 1e8))
+        self.smoothing["backlash"] = float(np.clip(scale * scale * rank / max(rough, 1e-12), _BEGINS, _MOST_SMOOTHING))
 
     def adapt_smoothing(self, curves: Curves, system: Array, scale: float) -> None:
         """One Fellner-Schall step of each smoothing factor lambda towards the restricted likelihood's maximum: lambda
         <- frames_per_independent scale^2 (rank - lambda tr(C P)) / (c' P c), C the inverse of `system` (m, m), the
-        normal matrix with all penalties; at most a factor of 20 at once. scale: residual over noise."""
+        normal matrix with all penalties; at most a factor of _AT_ONCE. scale: residual over noise."""
         layout = self.layout(curves)
         inverse = inverse_of(with_ridge(system))
         bending, rank = self._bending(layout.channels)
@@ -399,11 +411,14 @@ class PlayFit:
             spent = now * sum(float(np.sum(inverse[b, b] * form)) for b in blocks)
             rough = sum(float(c @ form @ c) for c in coefficients)
             ratio = self.frames_per_independent * scale * scale * max(rank - spent, 1e-3) / max(now * rough, 1e-12)
-            self.smoothing[name] = float(np.clip(now * np.clip(ratio, 0.05, 20.0), 1e-10, 1e8))
+            self.smoothing[name] = float(
+                np.clip(now * np.clip(ratio, 1.0 / _AT_ONCE, _AT_ONCE), _LEAST_SMOOTHING, _MOST_SMOOTHING)
+            )
 
     def cost(self, curves: Curves, residuals: list[Array], weights: list[Array], scale: float) -> float:
         """Weighted squares of the residuals (over noise) plus the penalties of smoothness, constraints and priors, the
-        latter two in units of scale^2; infinite where no frame counts."""
+        latter two in units of scale^2; infinite where no frame counts. The squares are of as many frames as may count:
+        those that drop out of the simulation are no gain."""
         used = sum(float(np.sum(w > 0)) for w in weights)
         if used == 0:
             return np.inf
@@ -412,7 +427,7 @@ class PlayFit:
             for r, w in zip(residuals, weights, strict=True)
         )
         total = sum(np.count_nonzero(prepared.use) for prepared in self.tracks)
-        data *= total / used  # frames that drop out of the simulation are no gain
+        data *= total / used
         bending, _ = self._bending(curves.follow.shape[1])
         smooth = sum(self.smoothing["follow"] * float(c @ bending @ c) for c in curves.follow.T)
         smooth += scale * scale * sum(surprise for _, _, surprise in self._path_prior(curves))
@@ -420,7 +435,7 @@ class PlayFit:
             smooth += scale * scale * prior.of_delay(curves.delay_s)[2]
         if self.fit_backlash:
             smooth += self.smoothing["backlash"] * float(curves.backlash @ self.backlash.roughness @ curves.backlash)
-            excess = np.maximum(np.abs(np.diff(curves.backlash)) - STEEPEST * 0.98 * self.backlash.step, 0.0)
+            excess = np.maximum(np.abs(np.diff(curves.backlash)) - STEEPEST * _WITHIN * self.backlash.step, 0.0)
             smooth += _STIFF * scale * scale / self.backlash.step**2 * float(excess @ excess)
             if self.beforehand is not None:
                 smooth += scale * scale * self.beforehand.of_width(self.backlash, curves.backlash)[2]
@@ -499,9 +514,9 @@ class _Descent:
         return self.fit.cost(point.curves, point.residuals, weights, self.scale)
 
     def enough(self, gained: float, cost: float) -> bool:
-        """Whether two steps in a row gained too little: _GAIN sigma^2, or 3e-4 of the cost while the residuals are
-        clearly more than noise (1.2)."""
-        least = max(_GAIN * self.scale * self.scale, 3e-4 * cost * (self.scale > 1.2))
+        """Whether two steps in a row gained too little: _GAIN, or _LITTLE of the cost while the residuals are clearly
+        more than noise (_MUCH_LEFT)."""
+        least = max(_GAIN * self.scale * self.scale, _LITTLE * cost * (self.scale > _MUCH_LEFT))
         self.small_steps = self.small_steps + 1 if gained < least else 0
         return self.small_steps >= 2
 
@@ -581,8 +596,7 @@ def _huber_weights(residuals: list[Array], masks: list[Mask]) -> tuple[float, li
     norm = np.concatenate([size[m] for size, m in zip(each, masks, strict=True)])
     if len(norm) == 0:
         return 1.0, [m.astype(float) for m in masks]
-    # The median of one or of two coordinates' rms as a standard deviation.
-    middle = float(np.sqrt(np.median(norm**2))) * (1.4826 if residuals[0].shape[1] == 1 else 1.2)
+    middle = float(np.sqrt(np.median(norm**2))) * _USUAL[residuals[0].shape[1]]
     limit = STRAY * max(middle, 1e-9)
     scale = max(float(np.sqrt(np.mean(np.minimum(norm, limit) ** 2))), 1e-6)
     limit = STRAY * scale

@@ -28,6 +28,14 @@ Array = npt.NDArray[np.float64]
 _STRAY = 6.0  # tolerance: medians of what is left
 _LEAST_SLOPE = 2e-3  # limit: of f_coarse's: f_remain has an inverse everywhere
 _PARTS, _FEW = 8, 4  # tolerance: of the range, in which a path is looked at; frames that tell of one
+_FEWEST, _HARDLY = 8, 1e-6  # tolerance: frames, and of the range: with fewer, or of a tip that moves less, no curve
+_BEND, _RIDGE = 1e-3, 1e-9  # tolerance: of a frame's weight: on the bending of the curve that a fit starts from; added
+_END = 0.1  # tolerance: of the positions that were reached: the end that tells the slope beyond
+_ODD = 1e-3  # tolerance: of the angles' span: by more a curve turns back
+_LITTLE = 0.05  # tolerance: of the usual slope of the image by the angle: where it is less an angle is not told
+_SUBPIXEL = 4  # format: bits of cv2's coordinates after the point
+_CLOSED, _AROUND = 3, 4  # tolerance: pixels of the square that closes gaps; around the picture: they reach no border
+_ROUNDED, _LINE_ROWS = 2, 10  # tolerance: rows at either end of the picture, where strokes ended; rows that make a line
 _PICTURE = (720, 1440)  # tolerance: rows (c) and columns (q) of the characteristic as an image
 
 
@@ -70,7 +78,7 @@ def posed(track: Track, rig: Rig, delay_s: float) -> Track:
     c, _ = pose(rig, track.y, *others)
     _, slope = project_with_slope(rig, c, *others)
     gain = np.linalg.norm(slope, axis=1)
-    good = np.isfinite(c) & (gain > 0.05 * np.nanmedian(gain))
+    good = np.isfinite(c) & (gain > _LITTLE * np.nanmedian(gain))
     sigma = track.sigma[good] / gain[good]
     # Of a tracker that rounds to pixels the angles have no step.
     return replace(track, unit="deg", posed=True, t_s=track.t_s[good], y=c[good, None], sigma=sigma, step=0.0)
@@ -91,7 +99,7 @@ def fit_remaining(
     """f_remain as a monotone penalised spline in the play's centre, fitted to the image through the projection (or to
     angles), with B width (grid,), delay, s, hysteresis and effects held. settled_only: frames before the tip was driven
     both ways do not count. shared: by track errors (n, channels, m), sensor's unit, m that all frames share, each one
-    standard deviation. None where hardly anything moved."""
+    standard deviation. Beyond what was reached it goes on straight. None where hardly anything moved."""
     view = view_of(rig) if tracks[0].unit == "px" else None
     basis = Basis(domain.low, domain.high, SPANS)
     prepared = [PreparedTrack.of(track) for track in tracks]
@@ -106,7 +114,7 @@ def fit_remaining(
     c = np.concatenate([a[k] for a, k in zip(angles, count, strict=True)])
     good = np.isfinite(c)
     p, c = p[good], c[good]
-    if len(p) < 8 or np.ptp(p) < 1e-6 * domain.span:
+    if len(p) < _FEWEST or np.ptp(p) < _HARDLY * domain.span:
         return None
     falling = float(np.polyfit(p - p.mean(), c, 1)[0]) < 0
     fit = PlayFit(
@@ -115,41 +123,55 @@ def fit_remaining(
         rising=-1.0 if falling else 1.0, least_slope=_LEAST_SLOPE * abs(rig.coarse.gain),
         slope_unit=abs(rig.coarse.gain),
     )  # fmt: skip
-    design = basis.design(p)
-    system = (design.T @ design).toarray() + 1e-3 * basis.bending + 1e-9 * np.eye(basis.size)
-    start = np.linalg.solve(system, design.T @ c)
-    fitted = as_many_as_independent(fit.solve(Curves(np.zeros(basis.size), start[:, None], delay_s, values)))
+    start = Curves(np.zeros(basis.size), _curve_through(basis, p, c)[:, None], delay_s, values)
+    fitted = as_many_as_independent(fit.solve(start))
     counted = np.concatenate([s.tip[m] for s, m in zip(fitted.fit.simulated, fitted.masks, strict=True)])
     curve = basis.value(fitted.curves.follow[:, 0], grid)
     curve = carried_on(curve, grid, float(counted.min()), float(counted.max()))
     lawful = monotone(curve, grid, falling, _LEAST_SLOPE * abs(rig.coarse.gain))
-    notes = []
-    seen = (grid >= p.min()) & (grid <= p.max())
-    changed = np.where(seen, np.abs(lawful - curve), 0.0)
-    if changed.max() > 1e-3 * np.ptp(curve):
-        low, high = grid[changed > 0.5 * changed.max()][[0, -1]]
-        notes.append(
-            f"f_remain turns back between {low:.3g} and {high:.3g} {rig.actuator.unit}, by {changed.max():.2g} deg: "
-            "it is level there, as only what rises or falls everywhere has an inverse"
-        )
-    design_on_grid = basis.design(grid).toarray()
-    block = fitted.covariance[: basis.size, : basis.size]
-    variance = np.maximum(np.sum((design_on_grid @ block) * design_on_grid, axis=1), 0.0) + (lawful - curve) ** 2
-    if shared:
-        variance += np.sum((design_on_grid @ _moved_by(fitted, shared)[: basis.size]) ** 2, axis=1)
+    changed = np.where((grid >= p.min()) & (grid <= p.max()), np.abs(lawful - curve), 0.0)
+    notes = (_turns_back(grid, changed, rig.actuator.unit),) if changed.max() > _ODD * np.ptp(curve) else ()
+    variance = _variance(fitted, grid, shared, lawful - curve)
     px = float(np.hypot(max(track.tracked_px for track in tracks), _beside_the_path_px(fitted)))
     sigma = np.hypot(np.sqrt(variance), tracked_deg(px, rig, lawful))
     times = noise.times(grid) / np.sqrt(np.mean(noise.times(counted) ** 2)) if noise.differs else None
-    return Remaining(lawful, sigma, _rms(fitted, tracks), fitted.scale, tuple(notes), fitted, times)
+    return Remaining(lawful, sigma, _rms(fitted, tracks), fitted.scale, notes, fitted, times)
+
+
+def _curve_through(basis: Basis, p: Array, c: Array) -> Array:
+    """(size,) coefficients of a spline that bends little through angles c (n,), deg, at positions p (n,), unit of q."""
+    design = basis.design(p)
+    system = (design.T @ design).toarray() + _BEND * basis.bending + _RIDGE * np.eye(basis.size)
+    return np.asarray(np.linalg.solve(system, design.T @ c))
+
+
+def _turns_back(grid: Array, changed: Array, unit: str) -> str:
+    """The note that f_remain turned back, where it was changed by more than half of the most; changed (grid,), deg."""
+    low, high = grid[changed > 0.5 * changed.max()][[0, -1]]
+    return (
+        f"f_remain turns back between {low:.3g} and {high:.3g} {unit}, by {changed.max():.2g} deg: "
+        "it is level there, as only what rises or falls everywhere has an inverse"
+    )
+
+
+def _variance(fitted: Fitted, grid: Array, shared: Sequence[Array], changed: Array) -> Array:
+    """(grid,) variance of f_remain, deg^2: by the residuals' noise, by errors that all frames share (as of
+    `fit_remaining`) and by how much the curve was changed to have an inverse, (grid,) deg."""
+    size = fitted.fit.follow.size
+    design = fitted.fit.follow.design(grid).toarray()
+    variance = np.maximum(np.sum((design @ fitted.covariance[:size, :size]) * design, axis=1), 0.0) + changed**2
+    if shared:
+        variance += np.sum((design @ _moved_by(fitted, shared)[:size]) ** 2, axis=1)
+    return np.asarray(variance)
 
 
 def carried_on(curve: Array, grid: Array, low: float, high: float) -> Array:
     """The curve (grid,) with straight ends beyond [low, high], the positions that were reached, with its mean slope
-    over the last tenth of them: a spline says nothing of where no data are."""
-    tenth = 0.1 * (high - low)
-    low_value, low_next, high_next, high_value = np.interp([low, low + tenth, high - tenth, high], grid, curve)
-    below = low_value + (low_next - low_value) / tenth * (grid - low)
-    above = high_value + (high_value - high_next) / tenth * (grid - high)
+    over the share _END of them at that end: a spline says nothing of where no data are."""
+    end = _END * (high - low)
+    low_value, low_next, high_next, high_value = np.interp([low, low + end, high - end, high], grid, curve)
+    below = low_value + (low_next - low_value) / end * (grid - low)
+    above = high_value + (high_value - high_next) / end * (grid - high)
     return np.where(grid < low, below, np.where(grid > high, above, curve))
 
 
@@ -225,15 +247,16 @@ def _median_line(courses: Sequence[Array]) -> tuple[Array, Array]:
     rows, columns = _PICTURE
     low, span = np.array([q.min(), c.min()]), np.array([np.ptp(q), np.ptp(c)])
     picture = np.zeros(_PICTURE, dtype=np.uint8)
-    lines = [np.rint((course - low) / span * (columns - 1, rows - 1) * 16) for course in courses]
+    lines = [np.rint((course - low) / span * (columns - 1, rows - 1) * 2**_SUBPIXEL) for course in courses]
     cv2.polylines(
-        picture, [line.astype(np.int32).reshape(-1, 1, 2) for line in lines if len(line)], False, 255, 1, cv2.LINE_8, 4
-    )
-    closed = cv2.morphologyEx(np.pad(picture, 4), cv2.MORPH_CLOSE, np.ones((3, 3), dtype=np.uint8))
-    filled = closed[4:-4, 4:-4] > 0  # at its rows' ends: what is inside does not matter
+        picture, [line.astype(np.int32).reshape(-1, 1, 2) for line in lines if len(line)], False, 255, 1, cv2.LINE_8,
+        _SUBPIXEL,
+    )  # fmt: skip
+    closed = cv2.morphologyEx(np.pad(picture, _AROUND), cv2.MORPH_CLOSE, np.ones((_CLOSED, _CLOSED), dtype=np.uint8))
+    filled = closed[_AROUND:-_AROUND, _AROUND:-_AROUND] > 0  # at its rows' ends: what is inside does not matter
     some = filled.any(axis=1)
     # The first and last rows are where strokes ended: their extremes are not the envelope's.
-    index = np.flatnonzero(some)[2:-2]
+    index = np.flatnonzero(some)[_ROUNDED:-_ROUNDED]
     left = filled[index].argmax(axis=1)
     right = columns - 1 - filled[index, ::-1].argmax(axis=1)
     pitch = np.ptp(q) / (columns - 1)
@@ -243,11 +266,12 @@ def _median_line(courses: Sequence[Array]) -> tuple[Array, Array]:
 
 def morphological(tracks: Sequence[Track], rig: Rig, grid: Array, delay_s: float) -> Remaining | None:
     """f_remain as the median line of the filled characteristic of all frames by pose, smoothed by a spline, as the
-    paper does it: what registration gets wrong bends it (paper, Fig. 7). None where that has fewer than 10 rows."""
+    paper does it: what registration gets wrong bends it (paper, Fig. 7). None where that has fewer rows than
+    _LINE_ROWS."""
     line, c_of_line = _median_line(
         [np.column_stack([each.motor_at(each.scene_s(delay_s)), pose_of(each, rig, delay_s)]) for each in tracks]
     )
-    if len(line) < 10:
+    if len(line) < _LINE_ROWS:
         return None
     falling = bool(np.polyfit(line, c_of_line, 1)[0] < 0)
     order = np.argsort(line, kind="stable")

@@ -16,6 +16,7 @@ _STEADY = 0.1  # tolerance: of a step: rounding's errors of two values so near t
 _FEW = 30  # tolerance: neighbours that tell a scatter
 _NOISE = np.linspace(0.0, 1.0, 101)  # tolerance: in steps, before it is rounded: of more rounding adds white noise
 _K = np.arange(1, 50)  # tolerance: terms of a sawtooth's series
+# Variances, in steps^2, that frames of one rest share and that are their own, at each of _NOISE (`shared_variance`).
 _SHARED = np.exp(-((2.0 * np.pi * np.outer(_NOISE, _K)) ** 2)) @ (0.5 / (np.pi * _K) ** 2)
 _OWN = _NOISE**2 + _SHARED[0] - _SHARED
 

@@ -29,7 +29,11 @@ SHARES = np.array([0.07, 0.2, 0.4, 0.6, 0.8, 0.95, 1.1, 1.4, 1.9, 2.6, 3.6, 5.0]
 _FIRST = 0.05  # limit: least weight of the first element: the inverse's slope is one over it (1 / 0.05 = 20)
 _LEAST = 0.01  # tolerance: of a weight that is kept
 _STEPS = 12  # tolerance: of one descent
+_STEP_SHARES = (1.0, 0.5, 0.2)  # tolerance: of a step, tried in turn
 _STRICT = 10.0  # tolerance: how much more than the data the two sums weigh
+_STIFF = 1e4  # tolerance: how much more than the weights the two sums weigh
+_RANK = 1e-10  # tolerance: of the largest eigenvalue: less is no direction that frames tell
+_RIDGE = 1e-9  # tolerance: of the mean diagonal of the curves' system, added to all of it
 _ENOUGH = 2e-3  # tolerance: of the squares: a step that gains less is the last
 
 
@@ -38,7 +42,7 @@ def fit_elements(fitted: Fitted, rig: Rig, fit_delay: bool) -> Fitted:
     weights, whichever ends with the smaller residual; its scale is what it leaves (`rms_over_noise`)."""
     at = int(np.searchsorted(SHARES, 1.0))
     narrow, wide = np.zeros(len(SHARES)), np.full(len(SHARES), 1.0 / len(SHARES))
-    narrow[at - 1 : at + 1] = 2 / 3, 1 / 3
+    narrow[at - 1 : at + 1] = 2 / 3, 1 / 3  # of 0.95 and 1.1: their mean is 1
     fits = [_descended(fitted, _lawful(start), rig, fit_delay) for start in (narrow, wide)]
     best = min(fits, key=lambda one: one.scale)
     residuals, masks = best.fit.residuals(best.curves)
@@ -53,7 +57,7 @@ def _descended(fitted: Fitted, weights: Array, rig: Rig, fit_delay: bool) -> Fit
     least = rms_over_noise(state)
     for _ in range(_STEPS if np.isfinite(least) else 0):
         moved, target = _step(state, weights, rig)
-        for share in (1.0, 0.5, 0.2):
+        for share in _STEP_SHARES:
             trial_weights = _lawful(weights + share * (target - weights))
             fit = replace(state.fit, hysteresis=_elements(trial_weights), smoothing=state.fit.smoothing)
             trial = replace(state, fit=fit, curves=interpolated(state.curves, moved, share))
@@ -81,8 +85,8 @@ def _elements(weights: Array) -> Elements:
 def _lawful(weights: Array) -> Array:
     """The nearest weights (shares,), in least squares, that are not negative, with both sums 1 and the weight of the
     narrowest element at least _FIRST; a smaller one is moved to the next element."""
-    equations = np.vstack([np.eye(len(SHARES)), 1e4 * np.ones(len(SHARES)), 1e4 * SHARES])
-    nearest = nnls(equations, np.concatenate([weights, [1e4, 1e4]]))[0]
+    equations = np.vstack([np.eye(len(SHARES)), _STIFF * np.ones(len(SHARES)), _STIFF * SHARES])
+    nearest = nnls(equations, np.concatenate([weights, [_STIFF, _STIFF]]))[0]
     first = int(np.argmax(nearest > _LEAST))
     if nearest[first] < _FIRST:
         nearest[:first] = 0.0
@@ -112,7 +116,7 @@ def _step(fitted: Fitted, weights: Array, rig: Rig) -> tuple[Curves, Array]:
     gram, gradient, size = normal_with_columns(fitted.fit, counted, _by_weight(fitted))
     penalty, pull = fitted.fit.penalty(fitted.curves, max(fitted.scale, 1e-6))
     nominal = gram[:size, :size] + penalty
-    nominal[np.diag_indices_from(nominal)] += 1e-9 * float(np.mean(np.diag(nominal)))
+    nominal[np.diag_indices_from(nominal)] += _RIDGE * float(np.mean(np.diag(nominal)))
     factor = cho_factor(nominal, check_finite=False)
     across, of_curves = gram[:size, size:], gradient[:size] - pull
     schur = gram[size:, size:] - across.T @ cho_solve(factor, across, check_finite=False)
@@ -126,7 +130,7 @@ def _nonnegative(matrix: Array, gradient: Array, weights: Array) -> Array:
     """Weights w (shares,), none negative and with both sums 1, that minimise d' matrix d / 2 - gradient' d, d = w -
     weights; as least squares by the root of the matrix, the sums as two equations of _STRICT times its weight."""
     roots, vectors = np.linalg.eigh(matrix)
-    kept = roots > 1e-10 * roots.max()
+    kept = roots > _RANK * roots.max()
     rows = np.sqrt(roots[kept])[:, None] * vectors[:, kept].T
     values = rows @ weights + (vectors[:, kept].T @ gradient) / np.sqrt(roots[kept])
     strict = _STRICT * float(np.sqrt(roots.max()))

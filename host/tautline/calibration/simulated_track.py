@@ -138,7 +138,9 @@ class PreparedTrack:
         effects: FittedEffects | None = None, effect_values: Array | None = None,
     ) -> Simulated:  # fmt: skip
         """The play of B width (nodes,) on grid (nodes,) at each frame for this delay, s, and what effects of these
-        values make of it. The play is run from both far ends: where both agree it has forgotten its start."""
+        values make of it. The play is run from both far ends: where both agree it has forgotten its start. It has been
+        driven both ways (settled) once the motor went by `_low_quantile_of_width` up and down, and its falling envelope
+        has moved the run from below, the rising one that from above."""
         driven = self.driven(delay_s)
         positions, at = driven.positions, driven.at
         far = 10.0 * (abs(grid[-1] - grid[0]) + abs(positions).max(initial=1.0))

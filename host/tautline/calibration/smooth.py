@@ -30,6 +30,14 @@ _REPEATS = 1.6  # prior: residual of the first approach over that of the rest, u
 _HARMLESS = 1.15  # tolerance: ratio by which the rest's residual may grow when the first approach counts
 _PARTS, _AGAIN = 5, 4  # tolerance: parts in which strokes are left out in turn; steps of each fit without them
 _FEWEST = 40  # tolerance: frames that a joint fit is tried with
+_LEAST_SHARE = 0.25  # tolerance: of the frames that may count: fewer say nothing of a start's B
+_LEAST_BOTH_WAYS = 0.8  # tolerance: of the positions seen, which the frames of either direction have in common
+_FEW_ONE_WAY = 5  # tolerance: frames of one direction, from which their range is told
+_REACHES = 0.02  # tolerance: of the domain: positions that go farther than what is covered both ways
+_ROUGH_SPANS = 8, 16  # tolerance: of B and of the path, where the fit begins
+_CONSTANT = np.linspace(0.0, 0.4, 41)  # tolerance: of the domain: constant B that are tried first
+_ROUGH_STEPS, _STEPS_OF_PASSES = 7, 8  # tolerance: of the fit that begins, and of the passes alone, at most
+_PLACES_EACH = 4  # tolerance: places at which a curve is asked for each coefficient of a spline
 
 
 @dataclass(frozen=True)
@@ -111,7 +119,7 @@ def _fit_in_steps(
     if coarse is None:
         return None
     fit, curves = coarse
-    rough = fit.descended(curves, 7)
+    rough = fit.descended(curves, _ROUGH_STEPS)
     fine = PlayFit(
         prepared, Basis(domain.low, domain.high, SPANS), Basis(domain.low, domain.high, SPANS),
         fit_delay=fit_delay, settled_only=fit.settled_only, beforehand=beforehand,
@@ -131,7 +139,7 @@ def _fit_in_steps(
         whole = replace(fine, settled_only=False, smoothing=dict(fine.smoothing)).solve(start)
         if _settled_scale(whole) < _HARMLESS * fitted.scale and _predicts_no_worse(whole, fitted):
             return whole
-        fitted.fit.residuals(fitted.curves)
+        fitted.fit.simulate(fitted.curves)  # not those of `whole`
     return fitted
 
 
@@ -147,11 +155,11 @@ def _thinned(prepared: Sequence[PreparedTrack]) -> list[PreparedTrack]:
 
 
 def _reaches_further(fitted: Fitted, domain: Domain) -> bool:
-    """Whether the tip was at positions, by more than 2 % of the domain, that the counted frames do not cover both
+    """Whether the tip was at positions, by more than _REACHES of the domain, that the counted frames do not cover both
     ways."""
     low, high = overlap(fitted)
     known = np.concatenate([s.p[s.known] for s in fitted.fit.simulated])
-    return bool(low - known.min() > 0.02 * domain.span or known.max() - high > 0.02 * domain.span)
+    return bool(max(low - known.min(), known.max() - high) > _REACHES * domain.span)
 
 
 def _settled_scale(fitted: Fitted) -> float:
@@ -166,14 +174,14 @@ def _predicts_no_worse(whole: Fitted, alone: Fitted) -> bool:
     """Whether strokes that are left out are predicted as well by the fit with the first approach (whole) as by the one
     without it (alone)."""
     fit = alone.fit
-    fit.residuals(alone.curves)
+    fit.simulate(alone.curves)
     strokes, before = [], 0
     for sim, mask in zip(fit.simulated, alone.masks, strict=True):
         stroke = before + sim.half_cycle
         before = int(stroke.max(initial=before)) + 1
         strokes.append(np.where(mask, stroke, -1))
     with_it, without = (_held_out_power(fitted, strokes, alone.scale) for fitted in (whole, alone))
-    whole.fit.residuals(whole.curves)
+    whole.fit.simulate(whole.curves)
     return with_it <= without
 
 
@@ -199,17 +207,17 @@ def _held_out_power(fitted: Fitted, strokes: Sequence[npt.NDArray[np.intp]], sca
 
 def overlap(fitted: Fitted) -> tuple[float, float]:
     """The range of p, unit of q, that counted frames cover in both directions; the empty range (1, -1) with fewer than
-    five frames of one direction."""
+    _FEW_ONE_WAY frames of one direction."""
     return _covered_both_ways(fitted.fit.simulated, fitted.masks)
 
 
 def _covered_both_ways(simulated: Sequence[Simulated], masks: Sequence[Mask]) -> tuple[float, float]:
-    """`overlap` of frames (n,) by track."""
+    """As `overlap`, of the frames that these masks (n,), by track, say."""
     low, high = -np.inf, np.inf
     for side in (1, -1):
         seen = zip(simulated, masks, strict=True)
         p = np.concatenate([sim.p[mask & (sim.side == side)] for sim, mask in seen])
-        if len(p) < 5:
+        if len(p) < _FEW_ONE_WAY:
             return 1.0, -1.0
         low, high = max(low, float(p.min())), min(high, float(p.max()))
     return low, high
@@ -218,7 +226,7 @@ def _covered_both_ways(simulated: Sequence[Simulated], masks: Sequence[Mask]) ->
 def _approach_fits(fit: PlayFit, point: Point) -> bool:
     """Whether the residuals of the first approach are within _REPEATS times the fit's scale in the median, where the
     rest covers both ways: a start pose with other friction or slack must not spoil the fit. Yes if it has fewer than
-    five frames."""
+    _FEW_ONE_WAY frames."""
     squares = []
     low, high = _covered_both_ways(point.simulated, point.masks)
     for prepared, sim, rows in zip(fit.tracks, point.simulated, point.residuals, strict=True):
@@ -226,7 +234,7 @@ def _approach_fits(fit: PlayFit, point: Point) -> bool:
         squares.append(np.mean(rows[early] ** 2, axis=1))
     early_squares = np.concatenate(squares)
     # The median: frames at which the play has not forgotten its start are off.
-    return len(early_squares) < 5 or float(np.median(early_squares)) < (_REPEATS * point.scale) ** 2
+    return len(early_squares) < _FEW_ONE_WAY or float(np.median(early_squares)) < (_REPEATS * point.scale) ** 2
 
 
 def fit_passes(joint_fit: Fitted, margin: float) -> Fitted | None:
@@ -243,7 +251,7 @@ def fit_passes(joint_fit: Fitted, margin: float) -> Fitted | None:
     )  # fmt: skip
     if sum(int((f.use).sum()) for f in prepared) < _FEWEST:
         return None
-    return again.solve(joint_fit.curves, iterations=8)
+    return again.solve(joint_fit.curves, iterations=_STEPS_OF_PASSES)
 
 
 def _beyond_onset(p: Array, side: npt.NDArray[np.int8]) -> Array:
@@ -262,12 +270,13 @@ def _start(
     guess: WidthCurve | None,
     beforehand: Beforehand | None,
 ) -> tuple[PlayFit, Curves] | None:
-    """Where the joint fit begins: the coarse fit and its curves, of B constant (or the guesses, if one leaves less) and
-    a path of 16 spans. The first approach counts only if little else is there. None where too few frames tell any."""
+    """Where the joint fit begins: the coarse fit, of _ROUGH_SPANS, and its curves: the best constant B, or the guess or
+    the B known beforehand, if one leaves less. The first approach counts only if little else is there. None where too
+    few frames tell any."""
     channels = prepared[0].track.y.shape[1]
-    flat, path = Basis(domain.low, domain.high, 8), Basis(domain.low, domain.high, 16)
+    flat, path = (Basis(domain.low, domain.high, spans) for spans in _ROUGH_SPANS)
     no_path = np.zeros((path.size, channels))
-    constant = [Curves(np.full(flat.size, b), no_path, delay_s) for b in domain.span * np.linspace(0.0, 0.4, 41)]
+    constant = [Curves(np.full(flat.size, b), no_path, delay_s) for b in domain.span * _CONSTANT]
     candidates = []
     if guess is not None:
         candidates.append(_coefficients_of(flat, guess.at))
@@ -284,8 +293,8 @@ def _start(
 
 
 def _best_step(fit: PlayFit, starts: Sequence[Curves]) -> tuple[float, Curves] | None:
-    """The `_path_step` that leaves the least, from starts of ever wider B: what they leave has one minimum. None where
-    too few frames count from any of those that are tried."""
+    """The `_path_step` that leaves the least, from starts of ever wider B: what they leave is taken to have one
+    minimum, so that few are tried. None where too few frames count from each of these."""
     steps: dict[int, tuple[float, Curves] | None] = {}
 
     def left(k: int) -> float:
@@ -299,11 +308,12 @@ def _best_step(fit: PlayFit, starts: Sequence[Curves]) -> tuple[float, Curves] |
 
 
 def _path_step(fit: PlayFit, start: Curves) -> tuple[float, Curves] | None:
-    """The curves with the path fitted to B and delay in one step, and the mean absolute residual over noise that they
-    leave. None where too few frames count: fewer than a quarter, or, once the first approach is left out, not both ways
-    over the same positions."""
+    """The curves with the path fitted to `start`'s B and delay in one step, and what they leave: the mean absolute
+    residual over noise of the counted frames. None where these are too few: fewer than _FEWEST or than _LEAST_SHARE of
+    those that may count; or, where the first approach is left out (settled_only), not both ways over the same
+    positions."""
     residuals, masks = fit.residuals(start)
-    if sum(int(m.sum()) for m in masks) < max(_FEWEST, 0.25 * sum(int(f.use.sum()) for f in fit.tracks)):
+    if sum(int(m.sum()) for m in masks) < max(_FEWEST, _LEAST_SHARE * sum(int(f.use.sum()) for f in fit.tracks)):
         return None
     if fit.settled_only and not _covers_both_ways(fit, masks):
         return None
@@ -314,7 +324,8 @@ def _path_step(fit: PlayFit, start: Curves) -> tuple[float, Curves] | None:
 
 
 def _covers_both_ways(fit: PlayFit, masks: Sequence[Mask]) -> bool:
-    """Whether the counted frames still cover, in both directions, 80 % of the positions that were seen."""
+    """Whether the counted frames of either direction have _LEAST_BOTH_WAYS of the positions that were seen in common;
+    no with fewer than half of _FEWEST frames of one direction."""
     spans = []
     for side in (1, -1):
         p = np.concatenate([s.p[m & (s.side == side)] for s, m in zip(fit.simulated, masks, strict=True)])
@@ -323,11 +334,11 @@ def _covers_both_ways(fit: PlayFit, masks: Sequence[Mask]) -> bool:
         spans.append((p.min(), p.max()))
     known = np.concatenate([s.p[s.known] for s in fit.simulated])
     low, high = max(s[0] for s in spans), min(s[1] for s in spans)
-    return bool(high - low > 0.8 * np.ptp(known))
+    return bool(high - low > _LEAST_BOTH_WAYS * np.ptp(known))
 
 
 def _coefficients_of(basis: Basis, curve: Callable[[Array], Array]) -> Array:
     """Spline coefficients (size,) or (size, channels) nearest to a curve in least squares: a function of positions x
-    (n,) with values (n,) or (n, channels)."""
-    x = np.linspace(basis.low, basis.high, 4 * basis.size)
+    (n,) with values (n,) or (n, channels), asked at _PLACES_EACH places for each coefficient."""
+    x = np.linspace(basis.low, basis.high, _PLACES_EACH * basis.size)
     return basis.nearest(x, curve(x))

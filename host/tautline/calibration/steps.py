@@ -21,6 +21,7 @@ _FASTER = 5.0  # prior: than in the samples beside it: a jump
 _COUNTS, _SHARE = 20.0, 0.01  # prior: a jump is more than so many counts, and than this share of the motor's span
 _SWEEPS = 2.0  # prior: spans that the motor must move otherwise, so that B is seen
 _SIGMAS, _LEFT = 4.0, 0.05  # tolerance: a tip within so many sigma, or this share of the jump, has settled
+_LAST = 4  # tolerance: the fourth part of a time, at its end, in which the tip has settled
 _MOST_S = 3.0  # prior: that a tip may take to settle
 
 
@@ -47,11 +48,8 @@ def without_steps(tracks: Sequence[Track], rig: Rig) -> tuple[list[Track], list[
         q = track.path.readings.q  # what a path makes of them is no jump
         at = motor_jumps(track.path.readings, resolution) if len(q) > 2 else np.zeros(0, dtype=np.intp)
         if len(at):
-            turns = _native.turns(np.ascontiguousarray(q), turning_hysteresis(track.path, resolution, np.ptp(q)))
-            total = float(np.abs(np.diff(q[np.concatenate([[0], turns, [len(q) - 1]]).astype(int)])).sum())
-            jumped = float(np.abs(np.diff(q)[at]).sum())
             settling = _following_a_step(track, at, rig.nominal_delay_s(track.sensor))
-            if jumped > 0.5 * total and total - jumped < _SWEEPS * float(np.ptp(q)):
+            if _moves_by_jumps(track, at, resolution):
                 says = f"{track.name}: the motor steps {len(at)} times within one sample and hardly moves otherwise"
                 remedy = "move it at a speed, and record its encoder, not its command"
                 reasons.append(Reason("steps", says, remedy, fatal=True))
@@ -66,10 +64,21 @@ def without_steps(tracks: Sequence[Track], rig: Rig) -> tuple[list[Track], list[
     return left, reasons, notes
 
 
+def _moves_by_jumps(track: Track, at: npt.NDArray[np.intp], resolution: float) -> bool:
+    """Whether the jumps after the samples `at` are most of the way that the motor goes from turn to turn, and the rest
+    is less than _SWEEPS of its span. resolution: of its encoder, unit of q."""
+    q = track.path.readings.q
+    turns = _native.turns(np.ascontiguousarray(q), turning_hysteresis(track.path, resolution, np.ptp(q)))
+    total = float(np.abs(np.diff(q[np.concatenate([[0], turns, [len(q) - 1]]).astype(int)])).sum())
+    jumped = float(np.abs(np.diff(q)[at]).sum())
+    return jumped > 0.5 * total and total - jumped < _SWEEPS * float(np.ptp(q))
+
+
 def _following_a_step(track: Track, at: npt.NDArray[np.intp], nominal_s: float) -> Mask:
     """(n,) frames at which the tip may follow one of the jumps after the samples `at`: from each on until y stays near
-    its median at the end of the time before the next jump (_MOST_S at most). Beside both ends the motor's speed, as a
-    fit takes it, is the jump's though the tip rests: these frames are among them. nominal_s: the nominal delay."""
+    its median in the last quarter of the time before the next jump (_MOST_S at most). Beside both ends the motor's
+    speed, as a fit takes it, is the jump's though the tip rests: these frames are among them. nominal_s: the nominal
+    delay."""
     settling = np.zeros(len(track.t_s), dtype=bool)
     samples_s, beside_s = track.reading.t_s, half_slope_s(track.reading)
     begins = samples_s[at] + min(nominal_s, 0.0) - beside_s
@@ -79,7 +88,7 @@ def _following_a_step(track: Track, at: npt.NDArray[np.intp], nominal_s: float) 
         if not len(inside):
             continue
         y, arrival_s = track.y[inside], track.t_s[inside]
-        last = np.median(y[-max(1, len(y) // 4) :], axis=0)
+        last = np.median(y[-max(1, len(y) // _LAST) :], axis=0)
         away = np.linalg.norm(y - last, axis=1)
         moving = np.flatnonzero(away > max(_SIGMAS * float(track.sigma[0]), _LEFT * float(away[0])))
         settled = min(int(moving[-1]) + 1 if len(moving) else 0, len(inside) - 1)

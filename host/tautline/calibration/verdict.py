@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.calibration import clock, coverage
+from tautline.calibration.backlash import SLOPE_UNTOLD
 from tautline.calibration.choice import JOINT, NOTHING, ONSETS, PASSES
 from tautline.calibration.doubts import KNOWN, common_error, component_reasons
 from tautline.calibration.measured_doubts import doubt_onsets_and_remaining, doubt_place
@@ -31,6 +32,7 @@ from tautline.undone import stands_in
 
 Array = npt.NDArray[np.float64]
 
+_SHOWN, _ODD = 3000, 10.0  # tolerance: frames of a picture; angles over the coarse range's largest: more is no angle
 _TOLD_S = 0.001  # tolerance: standard deviation to which the offset of a clock that was off has to be known
 
 
@@ -153,8 +155,9 @@ def _judge(found: Measured, predictions: Worth | None, extent: _Extent) -> None:
 
 
 def _doubt_sigma(found: Measured, extent: _Extent, holds: bool) -> None:
-    """Doubts B where the rms of its sigma is more than KNOWN of it. Mild if the model holds and the rest is known
-    that well once the delay's part is taken off: together B and delay predict as well as either that is known."""
+    """Doubts B where the rms of its sigma is more than KNOWN of it, with a remedy for what most of that is from. Mild
+    if the model holds and the rest is known that well once the delay's part is taken off: together B and delay predict
+    as well as either that is known."""
     inside, usual, joint_fit = extent.inside, extent.usual, found.joint_fit
     if not inside.any():
         found.findings.doubt(
@@ -212,14 +215,15 @@ def _measured_range(found: Measured) -> tuple[float, float]:
 
 
 def _complete_sigma(found: Measured, extent: _Extent) -> Array:
-    """(grid,) B's sigma with what its scatter does not show: errors that all strokes share; half the distance
-    beyond what was measured, unless B was known beforehand; what B may change where the tip passed one way only."""
+    """(grid,) B's sigma with what its scatter does not show: errors that all strokes share; SLOPE_UNTOLD times the
+    distance beyond what was measured, unless B was known beforehand; for B of the onsets the delay's error at the
+    motor's speed, by which all are late alike; else what B may change where the tip passed one way only."""
     inside = extent.inside
     known_at = found.grid[inside], found.width[inside], found.sigma[inside]
     floor = common_error(found.tracks, *known_at, extent.usual, found.unit, found.findings)
     known = found.options.beforehand is not None and found.source in (JOINT, PASSES)
     beyond = np.abs(found.grid - np.clip(found.grid, *extent.measured))
-    sigma = np.hypot(np.hypot(found.sigma, floor), 0.0 if known else 0.5 * beyond)
+    sigma = np.hypot(np.hypot(found.sigma, floor), 0.0 if known else SLOPE_UNTOLD * beyond)
     if found.source == ONSETS:  # which are late alike
         speeds = [motor_speed(onset, found.tracks[onset.track]) for onset in with_width(found.onsets)]
         late = float(np.median(speeds)) * known_to(found.delay.sigma_s) if speeds else 0.0
@@ -287,7 +291,8 @@ def _extra(
 
 
 def _uncertainty(found: Measured) -> Uncertainty:
-    """What the model errs by beside its tables' sigmas."""
+    """What the model errs by beside its tables' sigmas. Its noise, px or deg, is the larger of what f_remain's fit
+    leaves and of the error by which blocks left out are predicted."""
     evidence, joint_fit = found.findings.evidence, found.joint_fit
     left = [value for name in ("residual", "error") if 0.0 < (value := evidence.get(name, np.nan)) < np.inf]
     by_delay = joint_fit.width_by_delay if joint_fit is not None and found.source == JOINT else None
@@ -310,12 +315,12 @@ def _note_of_plays(found: Measured, near: Nearest) -> str:
 
 
 def _characteristic(found: Measured, delay_s: float) -> dict[str, Any]:
-    """Some 3000 frames of (q, c) for the report's picture, c in deg by pose; without angles far off the coarse
+    """Some _SHOWN frames of (q, c) for the report's picture, c in deg by pose; without angles far off the coarse
     range."""
-    stride = max(1, sum(len(track.t_s) for track in found.tracks) // 3000)
+    stride = max(1, sum(len(track.t_s) for track in found.tracks) // _SHOWN)
     tracks = [track.only(slice(None, None, stride)) for track in found.tracks]
     q = np.concatenate([t.motor_at(t.scene_s(delay_s)) for t in tracks])
     c = np.concatenate([pose_of(t, found.rig, delay_s) for t in tracks])
     low, high = coarse_range_deg(found.rig)
-    good = np.flatnonzero(np.isfinite(c) & (np.abs(c) < 10 * max(abs(low), abs(high), 1.0)))
+    good = np.flatnonzero(np.isfinite(c) & (np.abs(c) < _ODD * max(abs(low), abs(high), 1.0)))
     return {"q": np.round(q[good], 5).tolist(), "c_deg": np.round(c[good], 4).tolist()}

@@ -21,6 +21,8 @@ from tautline.diagnosis.wander import Course, axes_values, varying_columns
 
 Array = npt.NDArray[np.float64]
 
+_RIDGE = 1e-12  # tolerance: information on each unknown that is added, so that what no frame tells has an inverse
+
 
 def _varying_share(fitted: Fitted) -> float:
     """Share of itself (standard deviation) by which the effects' amplitude varies, as learnt for materials, whatever
@@ -31,7 +33,8 @@ def _varying_share(fitted: Fitted) -> float:
 
 
 def allowing_for_wander(fitted: Fitted) -> Fitted:
-    """The same fit with the covariance of as many frames as are independent, and of effects whose amplitude varies."""
+    """The same fit with the covariance of as many frames as are independent, and of effects whose amplitude varies by
+    `_varying_share`, spread evenly over the columns by which it may."""
     noise = place_noise(fitted)
     unit2 = fitted.scale**2 * (1.0 if noise is None else noise.effect)
     fit, curves, share = fitted.fit, fitted.curves, _varying_share(fitted)
@@ -39,7 +42,7 @@ def allowing_for_wander(fitted: Fitted) -> Fitted:
     penalty, _ = fit.penalty(curves, fitted.scale)
     known = len(penalty)
     matrix[:known, :known] += penalty
-    information = matrix / unit2 + 1e-12 * np.eye(len(matrix))
+    information = matrix / unit2 + _RIDGE * np.eye(len(matrix))
     factors = np.arange(known, len(matrix))
     information[factors, factors] += len(factors) / share**2
     covariance = np.linalg.inv(information)[:known, :known]
@@ -47,8 +50,8 @@ def allowing_for_wander(fitted: Fitted) -> Fitted:
 
 
 def _covariance_of_form(fitted: Fitted, information: Array, share: float) -> Array:
-    """Covariance (m, m) that it adds when each effect as a whole is off by this share from what its law makes of the
-    frames, all other unknowns following it. information (m, m): inverse covariance of the unknowns."""
+    """Covariance (m, m) that is to be added as each effect as a whole may be off by this share from what its law makes
+    of the frames, all other unknowns following it. information (m, m): inverse covariance of the unknowns."""
     effects, values = fitted.effects_and_values
     own = np.arange(len(information) - 1 - len(values), len(information) - 1)
     rest = np.setdiff1d(np.arange(len(information)), own)
@@ -66,7 +69,7 @@ def _varying_columns(fitted: Fitted) -> list[Array]:
     unit of q, times each of k polynomials of place, speed, time, side and load (`varying_columns`), scaled so that a
     factor's square is a share of the effects' whole power. 0 at frames that do not count; [] where nothing varies."""
     fit, (effects, values) = fitted.fit, fitted.effects_and_values
-    fit.residuals(fitted.curves)
+    fit.simulate(fitted.curves)
     amplitudes = effects.amplitudes(values)
     courses, signals = [], []
     for prepared, sim, mask in zip(fit.tracks, fit.simulated, fitted.masks, strict=True):

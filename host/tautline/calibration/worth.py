@@ -142,7 +142,8 @@ def _over_noise(fit: PlayFit, curves: Curves, errors: Sequence[Array], masks: Se
     the squared difference of neighbours; of moving ones half the smaller of those across its path in the image, where
     nothing moves it, of neighbours and of passes over the same place: what a place repeats is no noise, though it may
     look like it from frame to frame. What noise remembers, neighbours differ by less. placed^2: of a tracker's error at
-    each place. Infinite where no two neighbours count."""
+    each place. Of resting and moving noise the one that nothing tells is as the other, the stated one if neither is
+    told. Infinite where no two neighbours count."""
     limit = STRAY * bounded_rms(_counted(errors, masks))
     tracks = [
         _squares(fit, curves, prepared, sim, off, mask, limit)
@@ -186,33 +187,35 @@ def _squares(
     fit: PlayFit, curves: Curves, prepared: PreparedTrack, sim: Simulated, off: Array, mask: Mask,
     limit: float,
 ) -> _Squares:  # fmt: skip
-    """The squares of one track, from errors off (n, k) over the noise; errors of more than `limit` (rms per coordinate)
-    are cut."""
+    """The squares of one track, from errors off (n, k) over the stated noise at the frames that mask (n,) counts;
+    errors of more than `limit` (rms per coordinate) are cut to it. Where one place repeats its error (a sensor that
+    rounds, our tracker) passes that agree say nothing of the noise: no error is `sideways`, and the noise is the stated
+    one at least."""
     track = prepared.track
-    off = np.where(mask[:, None], off, 0.0)
-    norm = np.sqrt(np.mean(off**2, axis=1))
-    near = off * np.minimum(1.0, limit / np.maximum(norm, limit))[:, None]
+    counted = np.where(mask[:, None], off, 0.0)
+    norm = np.sqrt(np.mean(counted**2, axis=1))
+    cut = counted * np.minimum(1.0, limit / np.maximum(norm, limit))[:, None]
     pair, moves = mask[1:] & mask[:-1], sim.moving[1:] & sim.moving[:-1]
-    squares, repeats = 0.5 * np.diff(near, axis=0) ** 2, track.step > 0.0 or track.placed_px > 0.0
-    across_moving, sideways, rests, used = np.zeros(0), np.zeros(0), list[Array](), mask & sim.moving
-    if near.shape[1] > 1:
+    squares, place_repeats = 0.5 * np.diff(cut, axis=0) ** 2, track.step > 0.0 or track.placed_px > 0.0
+    across_moving, sideways, rests, moving = np.zeros(0), np.zeros(0), list[Array](), mask & sim.moving
+    if cut.shape[1] > 1:
         path = fit.slope_in_view(track, curves, sim.tip)
-        off_path = across(near, path)
-        across_moving = 0.5 * np.diff(off_path)[pair & moves] ** 2
-        rests = _at_rest(track.t_s, off_path[:, None], mask & ~sim.moving)
-        sideways = sideways if repeats else off_path[used]
-    least = np.ones(len(off)) if repeats else least_noise(track.unit) / track.sigma
+        across_path = across(cut, path)
+        across_moving = 0.5 * np.diff(across_path)[pair & moves] ** 2
+        rests = _at_rest(track.t_s, across_path[:, None], mask & ~sim.moving)
+        sideways = sideways if place_repeats else across_path[moving]
+    least = np.ones(len(off)) if place_repeats else least_noise(track.unit) / track.sigma
     return _Squares(
-        missed=np.mean(near**2, axis=1)[mask],
+        missed=np.mean(cut**2, axis=1)[mask],
         moves=sim.moving[mask],
         least2=least[mask] ** 2,
         placed=(track.placed_px / track.sigma[mask]) ** 2,
         at_rest=squares[pair & ~moves].ravel(),
         across=across_moving,
         sideways=sideways,
-        place=fit.predicted(track, curves, sim.tip)[used],
-        sigma=track.sigma[used],
-        rises=(sim.side > 0)[used],
+        place=fit.predicted(track, curves, sim.tip)[moving],
+        sigma=track.sigma[moving],
+        rises=(sim.side > 0)[moving],
         rests=rests,
     )
 
