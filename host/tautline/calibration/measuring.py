@@ -64,10 +64,8 @@ _RATE = OWNER["width_per_speed"].id
 _SLOWEST = 0.1  # tolerance: of the frames: slower than these nothing tells the law of the speed
 _MOVES = 5.0  # tolerance: counts of the encoder: a motor that moves by less does not
 _MOST_Z2 = 9.0  # prior: mean squared z of onsets by which their variance is increased at most
-_BEYOND, _BEYOND_OF_RANGE = (
-    0.1,
-    0.005,
-)  # tolerance: of B, and of the range with it: beyond an onset, a pass begins
+# tolerance: of B, and of the range with it: how far beyond an onset a pass begins
+_BEYOND, _BEYOND_OF_RANGE = 0.1, 0.005
 _FIRST_OF_ALL = 0.5  # prior: of the strongest departure's rms: a gradual start of less is not the main one
 _BETWEEN_ELEMENTS = 0.003  # prior: of B: what elements of a few shares leave, alike on every stroke
 

@@ -164,8 +164,7 @@ def _low_quantile_of_width(grid: Array, width: Array, positions: Array) -> float
     over those nodes of grid (nodes,) that the positions (m,) span. Not the least B: at the ends of the motion B is
     hardly measured, and where it came out as 0 any travel would count."""
     first, last = np.searchsorted(grid, [positions.min(), positions.max()])
-    inside = np.sort(width[first : max(last, first + 1)])
-    return float(np.interp(_SELDOM * (len(inside) - 1), np.arange(len(inside)), inside))
+    return float(np.quantile(width[first : max(last, first + 1)], _SELDOM))
 
 
 def _first(where: Mask) -> int:
