@@ -175,6 +175,17 @@ def test_what_a_diagnosis_is_to_explain_is_no_clock():
     assert np.median(made[2].marker.t_s - off.marker.t_s) == pytest.approx(2.0, abs=5e-3)
 
 
+def test_a_lag_of_half_a_second_is_an_effects_where_the_calibration_was_on_the_motors_clock():
+    """Friction that grows with speed may make a tip half a second late; another clock is off by any time."""
+    for late_s, found_s in ((0.5, 0.0), (2.0, 2.0)):
+        made = late(endoscope(3), late_s)
+        alone, beside_calibration = (
+            clock.on_motor_clock([made], CAMERA_RIG, one_clock=one_clock)[0] for one_clock in (False, True)
+        )
+        assert np.median(made.marker.t_s - alone.marker.t_s) == pytest.approx(late_s, abs=5e-3)
+        assert np.median(made.marker.t_s - beside_calibration.marker.t_s) == pytest.approx(found_s, abs=5e-3)
+
+
 def test_recordings_of_one_name_keep_a_clock_each():
     right, off = clock.on_motor_clock([PLAIN, late(PLAIN, 2.0)], RIG)
     assert right is PLAIN and off.angle.t_s == pytest.approx(PLAIN.angle.t_s, abs=0.05)

@@ -102,21 +102,26 @@ class AlignedTracks:
         return replace(self, offsets_s=offsets), replace(delay, delay_s=nominal_s)
 
 
-def on_motor_clock(recordings: Sequence[Recording], rig: Rig) -> list[Recording]:
+def on_motor_clock(recordings: Sequence[Recording], rig: Rig, *, one_clock: bool = False) -> list[Recording]:
     """Recordings with the offsets of their sensors' clocks taken off. Differences between recordings that are no larger
-    than a delay may be are left: an effect that is not known yet may make one motion's stops later than another's."""
-    every = observe(recordings, rig)
-    aligned = align([track for track in every if len(track.t_s)], rig, same_delay_for_all=False)
+    than a delay may be are left: an effect that is not known yet may make one motion's stops later than another's.
+    one_clock: whether the session's calibration had sensor and motor on one clock; a lag of up to _NEAR_S is then
+    sooner an effect's than another clock's, and left too."""
+    every, reach_s = observe(recordings, rig), _NEAR_S if one_clock else DELAY_REACH_S
+    seen = [track for track in every if len(track.t_s)]
+    aligned = align(seen, rig, same_delay_for_all=False, reach_s=reach_s)
     _, offsets_s = aligned.among(every)
     pairs = zip(recordings, offsets_s, strict=True)
     return [shifted([one], {one.name: offset_s})[0] for one, offset_s in pairs]  # several may have one name
 
 
-def align(tracks: Sequence[Track], rig: Rig, *, same_delay_for_all: bool = True) -> AlignedTracks:
+def align(
+    tracks: Sequence[Track], rig: Rig, *, same_delay_for_all: bool = True, reach_s: float = DELAY_REACH_S
+) -> AlignedTracks:
     """Each track with the offset of its clock found and taken off, or the reasons why it cannot be. A track that fits
     its nominal delay stays as it is, unless same_delay_for_all and its image stops at another delay than those of the
     other recordings: one camera has one delay. Without, such a difference may be an effect's. Frames at which the tip
-    follows a step of the motor are left out first."""
+    follows a step of the motor are left out first. reach_s: as of `find_offset`."""
     tracks, stepping, notes = without_steps(tracks, rig)
     notes += [f"{t.name}: the sensor repeats its values, {t.held} of them were left out" for t in tracks if t.held]
     if stepping:
@@ -125,7 +130,7 @@ def align(tracks: Sequence[Track], rig: Rig, *, same_delay_for_all: bool = True)
     reasons: list[Reason] = []
     for track in tracks:
         nominal_s = rig.nominal_delay_s(track.sensor)
-        offset = find_offset(track, rig)
+        offset = find_offset(track, rig, reach_s)
         refused = None if offset is None else _reason_to_refuse(track, offset, rig)
         offset_s = 0.0
         if offset is not None and offset.offset_s and offset.misfit <= _FOLLOWS:
@@ -214,16 +219,17 @@ def delay_jumps(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
     return reasons
 
 
-def find_offset(track: Track, rig: Rig) -> Offset | None:
-    """The offset of the track's clock within REACH_S: 0 if the nominal delay fits (or a lag within DELAY_REACH_S of it
-    does), with a misfit of 1 if no lag can be tried. None if the track shows no motion to tell it by."""
+def find_offset(track: Track, rig: Rig, reach_s: float = DELAY_REACH_S) -> Offset | None:
+    """The offset of the track's clock within REACH_S: 0 if the nominal delay fits (or a lag within reach_s of it does),
+    with a misfit of 1 if no lag can be tried. None if the track shows no motion to tell it by. reach_s: up to _NEAR_S;
+    a lag that is farther from the nominal delay is no delay but another clock."""
     scan = LagScan.of(track, rig, FRAMES[0])
     if scan is None:
         return None
     nominal_s = rig.nominal_delay_s(track.sensor)
     near = _lags_around(nominal_s, _NEAR_S)
     least_misfits = scan.least_misfits(near)
-    delays = np.abs(near - nominal_s) <= DELAY_REACH_S
+    delays = np.abs(near - nominal_s) <= reach_s
     least = float(least_misfits[delays].min())
     at_nominal = least <= max(FITS, _NOISE * scan.noise_share) and least <= _BEATEN * least_misfits.min()
     if at_nominal and scan.moves_as_coarse(float(near[delays][int(least_misfits[delays].argmin())])):
@@ -231,7 +237,7 @@ def find_offset(track: Track, rig: Rig) -> Offset | None:
     rivals = _minima(scan, LagScan.of(track, rig, FRAMES[1]) or scan, _lags_around(nominal_s, REACH_S))
     if not rivals:
         return Offset(0.0, 1.0)
-    nominal = [r for r in rivals if abs(r.lag_s - nominal_s) <= DELAY_REACH_S]
+    nominal = [r for r in rivals if abs(r.lag_s - nominal_s) <= reach_s]
     if nominal:
         # It may be another half turn of the motion, with the wrong sign, that fits here.
         others = (

@@ -45,4 +45,5 @@ def calibrated(
         progress(before + (1.0 - before) * fraction, text)
 
     calibration = calibrate(seen[:1], rig, progress=further, naming=False)  # a diagnosis names what is in all of them
-    return calibration, [*shifted(seen[:1], calibration.offsets), *on_motor_clock(seen[1:], rig)]
+    tests = on_motor_clock(seen[1:], rig, one_clock=not calibration.offsets)
+    return calibration, [*shifted(seen[:1], calibration.offsets), *tests]

@@ -130,7 +130,7 @@ def diagnose_live(
         asked.append(following.why if following else _FIRST)
         record(live, path, what, seen=seen, progress=_progress_of_recording(path.name, progress))
         made.append(path)
-        known += on_motor_clock([load(path, live.rig)], live.rig)
+        known += on_motor_clock([load(path, live.rig)], live.rig, one_clock=not calibrated_on.offsets)
 
 
 def _progress_of_recording(name: str, progress: Progress) -> Progress:
