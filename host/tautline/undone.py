@@ -75,6 +75,7 @@ def stands_in(model: Model) -> Nearest | None:
     if model.friction is None and len(model.elements.width) <= _native.TABLE_PLAYS_MAX:
         return None
     low, high = model.rig.actuator.range
+    # As bytes, by which `_nearest` can look up what it has found before: an array cannot be a key.
     q, width = (np.asarray(values, dtype=float).tobytes() for values in (model.q, model.width))
     return _nearest(q, width, model.friction or model.elements, low, high)
 
@@ -164,8 +165,9 @@ def _speed_section(v: Mapping[str, float], model: Model, count: float) -> Sectio
 
 def _late_section(v: Mapping[str, float]) -> Section:
     """Section `late`: the inverse of lag and creep as a sum of first-order followers, y + sum a (y - y_T), by partial
-    fractions; gains a in Q16, times T in us. Lags are undone but for a short filter, creep up to _CREEP_MOST, its slow
-    part five times slower (effects/creep.c). {} where there are none."""
+    fractions; gains a in Q16, times T in us. The lag has two stages in a row: `lag`, s, is the sum of their time
+    constants, of which the second has the share `lag_second`. Lags are undone but for a short filter, creep up to
+    _CREEP_MOST, its slow part five times slower (effects/creep.c). {} where there are none."""
     lag, second = v.get("lag", 0.0), v.get("lag_second", 0.0)
     above, below = np.poly1d([1.0]), np.poly1d([1.0])
     filtered = 0.0

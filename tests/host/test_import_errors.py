@@ -81,11 +81,19 @@ def pose(folder: Path) -> Path:
     return files.mcap_ros2(folder / "pose.mcap", T_S, {"jaw": np.radians(Q)}, (T_S, np.radians(C)))
 
 
-def without_files(folder: Path) -> Path:
+def without_column(folder: Path, pattern: str, name: str) -> Path:
     path = dataset(folder)
-    table = inner(path, "meta/episodes/*/*.parquet")
-    pq.write_table(pq.read_table(table).drop_columns(["data/file_index"]), table)
+    table = inner(path, pattern)
+    pq.write_table(pq.read_table(table).drop_columns([name]), table)
     return path
+
+
+def without_files(folder: Path) -> Path:
+    return without_column(folder, "meta/episodes/*/*.parquet", "data/file_index")
+
+
+def without_numbers(folder: Path) -> Path:
+    return without_column(folder, "data/*/*.parquet", "episode_index")
 
 
 def other_list(folder: Path) -> Path:
@@ -154,6 +162,7 @@ CASES: dict[str, tuple[Callable[[Path], Path], tuple[str, ...], tuple[str, ...]]
     "a video that is none": (mcap, (*FIELDS, "--video", "/motor"), ("has no video /motor",)),
     "a video that a data set has not": (dataset, (*FEATURES[:2], "--video", "wrist"), ("has no video wrist",)),
     "a table of episodes without its files": (lambda f: without_files(f), FEATURES, ("data/file_index", "meta whole")),
+    "rows of no episode": (without_numbers, FEATURES, ("column episode_index is missing", "meta/info.json names it")),
     "a list of other things": (lambda f: other_list(f), FEATURES, ("list of episodes", "copy it again")),
     "a picture that is cut": (
         lambda f: pictures(f, cut_at=3), (*JOINT[:2], "--video", "/cam"), ("picture 3 cannot be decoded",)

@@ -76,6 +76,16 @@ def test_roles_are_told_from_the_motion_alone(taut: Taut, tmp_path: Path, seed: 
     assert found["load"] == called["load"] and found["video"] is None
 
 
+@pytest.mark.parametrize("stronger", ["x3", "x4"])
+def test_the_load_is_what_goes_most_with_the_direction(taut: Taut, tmp_path: Path, stronger: str) -> None:
+    """Two columns go with the direction of the motor's motion, one of them with much beside it."""
+    made = robot()
+    beside = 40.0 * np.random.default_rng(5).normal(size=len(made["t"]))
+    columns = {"t": made["t"], "x0": made["command"], "x1": made["motor"], "x2": made["tip"]}
+    columns |= {name: made["load"] + (name != stronger) * 0.6 * beside for name in ("x3", "x4")}
+    assert proposed(taut, table(tmp_path, columns))["proposal"]["load"] == stronger
+
+
 def test_the_command_that_is_printed_writes_what_was_proposed(taut: Taut, tmp_path: Path) -> None:
     """Radians in a table without units: guessed, said, and in the command."""
     made = robot()

@@ -189,11 +189,16 @@ def test_compare(measured: tuple[Model, Recording], tmp_path: Path) -> None:
     assert rows[1]["width_change_mean"] == pytest.approx(0.1) and rows[1]["q_from"] == -2.0
     assert rows[1]["width_change_sigmas"] == pytest.approx(0.1 / (0.004 * np.sqrt(2)))
     assert rows[1]["remaining_change_mean_deg"] == pytest.approx(3.0)
-    assert rows[1]["remaining_change_rms_deg"] == pytest.approx(0.0, abs=1e-9)
+    assert rows[1]["remaining_rest_rms_deg"] == pytest.approx(0.0, abs=1e-9)
     assert rows[2]["width_mean"] is None
     text = read(page).text
     assert "tuesday: B changed by +100 µm" in text and "friday has measured no q" in text
-    assert CliRunner().invoke(compare, names).exit_code == 0
+    assert "f_remain by +3.0 deg throughout, and by 0 deg rms about that" in text
+    assert "offset of f_remain (deg)" in text and "rest of its change (deg rms)" in text
+    printed = CliRunner().invoke(compare, names)
+    assert printed.exit_code == 0
+    title, _, tuesday, _ = printed.output.splitlines()
+    assert title.endswith("f_remain offset (deg)  rest (deg rms)") and tuesday.split()[-2:] == ["3", "0"]
     assert CliRunner().invoke(compare, names[:1]).exit_code == 2
     assert "twice" in str(CliRunner().invoke(compare, [names[0], names[0]]).exception)
 

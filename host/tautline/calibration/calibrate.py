@@ -84,12 +84,15 @@ def _aligned_for_naming(
 
 
 def _worth_naming(measured: Measured, found: Calibration) -> bool:
-    """Whether a diagnosis is asked for the effect that departs. Not for an unusable calibration; nor for one that
-    predicts blocks left out, if nothing departs, or if something does that a diagnosis does not weigh."""
-    predicts = _predicts(found)
-    if not found.model.quality.usable or (predicts and not (measured.departs or start.concerns(found.model))):
+    """Whether a diagnosis is asked for the effect that departs. Of the usable calibrations it is for each that does not
+    predict blocks left out; for one that does, where something departs, or an effect may have been there while
+    calibrating (`start.concerns`), and a diagnosis weighs all that departs."""
+    reasons = found.model.quality.reasons
+    if not found.model.quality.usable:
         return False
-    return not (effect_names.has_unweighed(found.model.quality.reasons) and predicts)
+    if not _predicts(found):
+        return True
+    return (measured.departs or start.concerns(found.model)) and not effect_names.has_unweighed(reasons)
 
 
 def _predicts(found: Calibration) -> bool:

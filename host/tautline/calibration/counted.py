@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy.typing as npt
 from scipy import sparse
 
 from tautline import _native
-from tautline.calibration.observations import Mask, turning_hysteresis, usual_width
+from tautline.calibration.observations import Mask, Track, turning_hysteresis, usual_width
 from tautline.calibration.playfit import STRAY, Curves, Fitted, PlayFit
 from tautline.calibration.simulated_track import PreparedTrack
 from tautline.core.motor import MotorPath
@@ -129,25 +130,18 @@ def _session(tracks: Sequence[PreparedTrack]) -> tuple[float, float]:
 def _of_track(
     fit: PlayFit, curves: Curves, number: int, residuals: Array, keep: Mask, weights: Array, usual: float, rig: Rig
 ) -> CountedFrames:
-    """The counted frames of one track: `t` is 0 and `stroke` counts from the track's first. residuals (frames,
-    channels), keep (frames,) and weights (frames,) of all its frames; usual: typical B, unit of q. After
-    `fit.residuals` with the same curves."""
+    """The counted frames of one track, after `fit.residuals` with the same curves. What needs the other tracks is left
+    to `_joined`: `t` is 0 yet, `load` has its mean, and `stroke` counts from the track's first. residuals (frames,
+    channels), keep (frames,) and weights (frames,) of all its frames; usual: typical B, unit of q."""
     prepared, sim = fit.tracks[number], fit.simulated[number]
     track = prepared.track
-    scene_s = track.scene_s(curves.delay_s)
-    travel, direction = _since_turn(track.path, scene_s[keep], rig)
+    scene_s = track.scene_s(curves.delay_s)[keep]
+    travel, direction = _since_turn(track.path, scene_s, rig)
     p, moving = sim.p[keep], sim.moving[keep]
     by_width, by_delay = sim.slopes(keep, fit.backlash.slope(curves.backlash, p))
     inverse = 1.0 / track.sigma[keep]
     width = np.interp(p, fit.grid, fit.width(curves))
     load = track.motor.load_mNm
-
-    def lag_columns(times_s: tuple[float, ...]) -> Array:
-        """(n, k) what a first-order lag of each time constant (k,), s, adds to the play's p, unit of q."""
-        fine = np.arange(track.motor.t_s[0], track.motor.t_s[-1], _FINE_S)
-        course = Play(fit.grid, fit.width(curves), fit.hysteresis).forward(track.motor_at(fine))
-        return np.column_stack([np.interp(scene_s[keep], fine, _low_pass(course, tau) - course) for tau in times_s])
-
     return CountedFrames(
         time_s=track.t_s[keep] + track.session_s,
         t=np.zeros(len(p)),
@@ -164,17 +158,26 @@ def _of_track(
         stroke=sim.half_cycle[keep],
         recording=np.full(len(p), number),
         frame=np.flatnonzero(keep),
-        lag_columns=lag_columns,
-        load=None if load is None else np.interp(scene_s[keep], track.motor.t_s, load),
+        lag_columns=partial(_lag_columns, track, Play(fit.grid, fit.width(curves), fit.hysteresis), scene_s),
+        load=None if load is None else np.interp(scene_s, track.motor.t_s, load),
         inverse=inverse,
         residuals=residuals[keep],
+        # 0 means that the fit, on the clock as it was, did not count the frame, and not that it is an outlier.
         weight=np.where(weights[keep] > 0, weights[keep], 1.0),
     )
 
 
+def _lag_columns(track: Track, play: Play, scene_s: Array, times_s: tuple[float, ...]) -> Array:
+    """(n, k) What a first-order lag of each time constant (k,), s, adds to the centre p of this play, unit of q, at
+    scene times (n,), s. It is taken from the whole course of p, every _FINE_S: a lag remembers what came before."""
+    fine = np.arange(track.motor.t_s[0], track.motor.t_s[-1], _FINE_S)
+    course = play.forward(track.motor_at(fine))
+    return np.column_stack([np.interp(scene_s, fine, _low_pass(course, tau) - course) for tau in times_s])
+
+
 def _joined(pieces: Sequence[CountedFrames], session: tuple[float, float]) -> CountedFrames:
-    """The frames of all tracks as one, strokes numbered on, and outliers of the residuals weighed down as by a
-    heavy-tailed density. session: first frame and length, s."""
+    """The frames of all tracks as one: `t` by the session's length, strokes numbered on, the load without its mean, and
+    outliers of the residuals weighed down as by a heavy-tailed density. session: first frame and length, s."""
     first, length = session
     before, strokes = 0, []
     for piece in pieces:

@@ -90,5 +90,5 @@ def _neighbours(p: Array, at: Array) -> Array:
 
 
 def to_json(missing: Sequence[Gap], unit: str) -> dict[str, object]:
-    """`coverage` of a calibration's JSON (formats). unit: of q."""
+    """`coverage` of what `taut calibrate --json` prints: the gaps, from and to in the unit of q (`unit`)."""
     return {"missing": [{"from": gap.low, "to": gap.high, "says": gap.says(unit)} for gap in missing]}

@@ -137,10 +137,11 @@ class PreparedTrack:
         self, grid: Array, width: Array, delay_s: float, hysteresis: Hysteresis = SINGLE,
         effects: FittedEffects | None = None, effect_values: Array | None = None,
     ) -> Simulated:  # fmt: skip
-        """The play of B width (nodes,) on grid (nodes,) at each frame for this delay, s, and what effects of these
-        values make of it. The play is run from both far ends: where both agree it has forgotten its start. It has been
-        driven both ways (settled) once the motor went by `_low_quantile_of_width` up and down, and its falling envelope
-        has moved the run from below, the rising one that from above."""
+        """The play of B width (nodes,) on grid (nodes,) at each frame for this delay, s, and what effects of values
+        effect_values (parameters,) make of it. The play is run from both far ends: where both agree it has forgotten
+        its start. With effects the tip's path is theirs (p, tip, side, lean). Which frames tell of it (known, settled)
+        and when the tip moves (share, speed) stay the play's: effects change that little, and a fit with them takes its
+        derivatives by differences of their path, not by these."""
         driven = self.driven(delay_s)
         positions, at = driven.positions, driven.at
         far = 10.0 * (abs(grid[-1] - grid[0]) + abs(positions).max(initial=1.0))
@@ -148,15 +149,21 @@ class PreparedTrack:
         p, side, lean, share = plays.trace(positions, -far)
         other, other_side = plays.forward(positions, far)
         known = (np.abs(p - other) < hysteresis.forgotten * (grid[-1] - grid[0]))[at] & driven.within
-        driven_through = driven.driven_through(_low_quantile_of_width(grid, width, positions))
-        both = at >= max(driven_through, _first(side == -1), _first(other_side == 1))
-        play_alone = Simulated(p[at], p[at], known, known & both, side[at], lean[at], share[at], driven.speed)
+        settled = known & _driven_both_ways(driven, _low_quantile_of_width(grid, width, positions), side, other_side)
+        play_alone = Simulated(p[at], p[at], known, settled, side[at], lean[at], share[at], driven.speed)
         if effects is None or effect_values is None:
             return play_alone
         path = effects.follow(
             self.track.reading, self.track.scene_s(delay_s), grid, width, hysteresis, effect_values
         )  # fmt: skip
         return replace(play_alone, p=path.p, tip=path.tip, side=np.sign(path.side).astype(np.int8), lean=path.lean)
+
+
+def _driven_both_ways(driven: MotorAtFrames, travel: float, side: Array, other_side: Array) -> Mask:
+    """(n,) Frames before which the play has been driven through a full backlash in both directions: the motor went up
+    and down by `travel`, unit of q, the falling envelope has moved the run from far below, and the rising one that from
+    far above. side, other_side (m,): the envelope, +1 or -1, that last moved these two runs."""
+    return driven.at >= max(driven.driven_through(travel), _first(side == -1), _first(other_side == 1))
 
 
 def _low_quantile_of_width(grid: Array, width: Array, positions: Array) -> float:

@@ -275,7 +275,11 @@ def _model(found: Measured, aligned: clock.AlignedTracks, measured: tuple[float,
 def _extra(
     found: Measured, notes: Sequence[str], characteristic: dict[str, Any], pass_width: Array | None
 ) -> dict[str, Any]:
-    """What model.json keeps of a calibration for its report (formats)."""
+    """The object `extra` of model.json: what report.html tells of the calibration beside the model's tables. found:
+    what was measured and judged. notes: as the result has them. characteristic: lists `q`, unit of q, and `c_deg`, of
+    `_characteristic`. pass_width (nodes,): B from the passes alone, unit of q, on model.q; NaN, then null, where ways
+    up and down do not overlap; None, then left out, where they nowhere do. Of the options what was known of B
+    beforehand is left out: it is curves by other robots (Beforehand), and nothing that a user chose."""
     names = tuple(track.name for track in found.tracks)
     extra: dict[str, Any] = {
         "source": found.source,

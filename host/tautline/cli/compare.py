@@ -57,21 +57,22 @@ def _table(rows: list[dict[str, object]], first: Model) -> str:
         f"largest ({fine})": ("width_change_max", times),
         f"at q ({unit})": ("width_change_max_at", 1.0),
         "in sigma": ("width_change_sigmas", 1.0),
-        "f_remain (deg rms)": ("remaining_change_rms_deg", 1.0),
+        "f_remain offset (deg)": ("remaining_change_mean_deg", 1.0),
+        "rest (deg rms)": ("remaining_rest_rms_deg", 1.0),
     }
     for title in columns:
         table.add_column(title, justify="left" if title == "model" else "right", no_wrap=True)
     for row in rows:
         table.add_row(*[_cell(row[key], factor) for key, factor in columns.values()])
-    console = Console(width=120, color_system=None)
+    console = Console(width=1000, color_system=None)  # the table takes what it needs: no name or number is cut short
     with console.capture() as captured:
         console.print(table)
     return captured.get().rstrip()
 
 
 def _cell(value: object, factor: float) -> str:
-    """A value as a table's cell: a number times `factor` (to the column's unit) with four digits, "-" for NaN; text as
-    it is."""
+    """A value as a table's cell: a number times `factor` (to the column's unit) with four digits, what is below 1e-9 as
+    0, "-" for NaN; text as it is."""
     if not isinstance(value, int | float | np.number):
         return str(value)
-    return f"{factor * value:.4g}" if np.isfinite(value) else "-"
+    return f"{round(factor * value, 9):.4g}" if np.isfinite(value) else "-"

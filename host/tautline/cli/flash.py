@@ -5,11 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from tautline.cli._common import Number, emit, json_option, progress_bar, refuse_unusable, warn
 from tautline.cli._live import axis_option, board_option
+
+if TYPE_CHECKING:
+    from tautline.model import Model
 
 _FIXED = (0.0, 1.0, 1.0)  # of --adapt
 _MUCH = 0.1  # loss: of what there is to undo; plays that leave more are warned of
@@ -63,7 +67,7 @@ def command(
     from tautline.device.board import open_board
     from tautline.errors import TautError
     from tautline.model import Model
-    from tautline.undone import Joint, in_words, not_undone, stands_in
+    from tautline.undone import Joint, in_words, not_undone
 
     model = Model.load(model_path)
     refuse_unusable(model, model_path, force)
@@ -84,12 +88,7 @@ def command(
         serial = opened.identity.serial
     if status.fault:
         warn(f"axis {axis} has stopped: {wire.fault(status)}. Then run 'taut clear'")
-    table, near = tables.decode(blob), stands_in(model)
-    read = f"{len(table.q)} nodes, {len(blob)} bytes, read back equal"
-    if near is not None:
-        read += f"; {len(near.elements.width)} plays stand for its hysteresis, {_leave(near.share)}"
-    if near is not None and near.share > _MUCH:
-        warn(f"the plays that stand for its hysteresis on the board {_leave(near.share)}: expect that much of the tip")
+    table, (plays, stand_in) = tables.decode(blob), _stand_in(model)
     emit(
         {
             "board": serial,
@@ -102,16 +101,27 @@ def command(
             "table_crc": status.table_crc,
             "verified": True,
             "without_effects": remains,
-            "plays": None if near is None else near.elements.to_json() | {"leaves": near.share},
+            "plays": plays,
         },
         as_json,
-        f"{serial} axis {axis}: model {table.model_id.hex()}, {read}",
+        f"{serial} axis {axis}: model {table.model_id.hex()}, {len(table.q)} nodes, {len(blob)} bytes, read back equal"
+        f"{stand_in}",
     )
 
 
-def _leave(share: float) -> str:
-    """What plays in the hysteresis' place leave undone, as a part of a sentence. share: 0 to 1."""
-    return f"and leave {100.0 * share:.2g} % of what there is to undo"
+def _stand_in(model: Model) -> tuple[dict[str, Any] | None, str]:
+    """The plays that the board has instead of the model's hysteresis, as the command's JSON has them and as the end of
+    its sentence; None and "" where its tables hold that itself. Warns where they leave more than _MUCH undone."""
+    from tautline.undone import stands_in
+
+    near = stands_in(model)
+    if near is None:
+        return None, ""
+    leave = f"and leave {100.0 * near.share:.2g} % of what there is to undo"
+    if near.share > _MUCH:
+        warn(f"the plays that stand for its hysteresis on the board {leave}: expect that much of the tip")
+    plays = near.elements.to_json() | {"leaves": near.share}
+    return plays, f"; {len(near.elements.width)} plays stand for its hysteresis, {leave}"
 
 
 def _joint(text: str) -> tuple[str, int, float]:

@@ -123,8 +123,8 @@ def _calibrate(live: LiveOptions, rig_path: Path | None, out: Path, until: str |
 
     with opened(live, rig_path, seed, picks=True) as setup, setup.interruptible():
         goal = Goal(None if until is None else sigma_of(until, setup.rig.actuator.unit))
-        keeps = live.colour if live.simulate is None else None
-        work = Calibrating(setup, out, lambda: free_recording(out.absolute()), goal, keeps)
+        colour_file = live.colour if live.simulate is None else None
+        work = Calibrating(setup, out, lambda: free_recording(out.absolute()), goal, colour_file)
         says = _serve_page(work)
     quality = None if work.found is None else work.found.model.quality.to_json()
     return {"says": says, "model": None if work.found is None else out, "quality": quality}

@@ -164,10 +164,12 @@ class Search:
         return Candidate(fit, held_out, power, with_surprise, self.beyond(fit), wanders=wanders)
 
     def beyond(self, fit: Fit, further: Sequence[Kind] = ()) -> Beyond | None:
-        """For each block the mean square that no law of the stages of the fit's effects and of `further` could leave
-        (confined.py), residuals cut to _NOISE_LIMIT noise floors, and of how many independent numbers it is the mean,
-        as neighbours' noise is alike (`gap.noise_samples_per_independent`). None where these stages could leave
-        anything."""
+        """What no law of the stages of the fit's effects could leave, whatever its equations (`confined.residuals`), as
+        two arrays (blocks,). `power` is the mean square of a coordinate, px^2, as of `power`, but of residuals cut to
+        _NOISE_LIMIT noise floors. `count` is of how many independent numbers that is the mean: fewer than samples, as
+        neighbours' noise is alike (`gap.noise_samples_per_independent`). further: effects beside the fit that may free
+        the angle or the time too. None where these stages could leave anything (no camera, no effect, angle and time
+        both free), or where too many unknowns would be asked for."""
         residuals = confined.residuals(self.fitter, fit, further)
         if residuals is None:
             return None

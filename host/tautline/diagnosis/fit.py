@@ -1,10 +1,10 @@
 """Robust least squares of one hypothesis (no effect, one or several) to all recordings, the nominal model free as well.
 
-The nominal model's unknowns, shared by all recordings, in the order of the vector: coefficients of cubic B-splines that
-are added to B and to f_remain; two factors on the details of B and f_remain that these splines cannot follow; with a
-camera the static registration (turn about x y z in deg, move in mm); the sensor's delay. After them come the effects'
-parameters (`Hypothesis.slots`). The nominal's Jacobian is analytic along the play (nominal.py), that of the effects a
-difference quotient of the simulation. Arrays of a recording are (scored, k): k = 2 px or k = 1 deg.
+The nominal model's unknowns, shared by all recordings, in the order of the vector (`Unknowns`): coefficients of cubic
+B-splines that are added to B and to f_remain; two factors on the details of B and f_remain that these splines cannot
+follow; with a camera the static registration (turn about x y z in deg, move in mm); the sensor's delay. After them come
+the effects' parameters (`Hypothesis.slots`). The nominal's Jacobian is analytic along the play (nominal.py), that of
+the effects a difference quotient of the simulation. Arrays of a recording are (scored, k): k = 2 px or k = 1 deg.
 """
 
 from __future__ import annotations
@@ -92,6 +92,26 @@ class _Simulated:
     residual: Array  # (scored, k) observed less seen
 
 
+@dataclass(frozen=True)
+class Unknowns:
+    """Where the unknowns are in the vector of all of them, in the order of this module's docstring."""
+
+    width: slice  # coefficients of the spline that is added to B, unit of q
+    follow: slice  # of the one that is added to f_remain, deg
+    width_details: int  # the factor on the details of B
+    follow_details: int  # that on the details of f_remain
+    static: slice  # the registration, in the order of STATIC_NAMES; empty without a camera
+    delay: int  # s
+    effects: int  # the first of the effects' parameters, which are `Hypothesis.slots` in their order
+
+    @classmethod
+    def of(cls, curves: Nominal, static: int) -> Unknowns:
+        """The order for these two splines and so many numbers of the registration."""
+        details, delay = curves.size, curves.size + 2 + static
+        width, follow = slice(curves.width.size), slice(curves.width.size, details)
+        return cls(width, follow, details, details + 1, slice(details + 2, delay), delay, delay + 1)
+
+
 class Fitter:
     """Fits hypotheses to the same recordings from the same calibrated model. `floor` is one standard deviation of the
     noise of a coordinate, px or deg; whoever makes a Fitter sets it, with `doubt` and `unsteady`."""
@@ -127,6 +147,7 @@ class Fitter:
         if self.px:
             prior += [np.full(3, _TURN_PRIOR_DEG), np.full(3, _MOVE_PRIOR_MM)]
         self._prior = np.concatenate([*prior, np.full(1, _DELAY_PRIOR_S)])
+        self.unknowns = Unknowns.of(curves, len(STATIC_NAMES) if self.px else 0)
         # Whether effects may have been there while calibrating: a simulator has none of the library's.
         self.effects_from_start = all(s.drive is None for s in segments)
         if not self.effects_from_start:
@@ -173,13 +194,12 @@ class Fitter:
 
     def _columns_of(self, parts: Collection[str]) -> npt.NDArray[np.int64]:
         """Indices of the nominal's unknowns that belong to these of PARTS."""
-        width, details = self.nominal_curves.width.size, self.nominal_curves.size
-        delay = len(self._prior) - 1
+        order, every = self.unknowns, range(self.unknowns.effects)
         indices = {
-            WIDTH: [*range(width), details],
-            REMAINING: [*range(width, details), details + 1],
-            STATIC: list(range(details + 2, delay)),
-            DELAY: [delay],
+            WIDTH: [*every[order.width], order.width_details],
+            REMAINING: [*every[order.follow], order.follow_details],
+            STATIC: [*every[order.static]],
+            DELAY: [order.delay],
         }
         return np.array([i for part in parts for i in indices[part]], dtype=np.int64)
 
@@ -322,10 +342,9 @@ class Fitter:
         on the second differences of the splines added to B and f_remain, so that they continue smoothly where a motion
         hardly reaches."""
         precision = np.diag(1 / self.spread(hypothesis) ** 2)
-        splines = len(self._bending)
-        precision[:splines, :splines] += self._bending
-        first_slot = len(self._prior)
-        precision[first_slot:, first_slot:] += self.curve_precision(hypothesis)
+        splines, of_effects = slice(self.unknowns.follow.stop), slice(self.unknowns.effects, None)
+        precision[splines, splines] += self._bending
+        precision[of_effects, of_effects] += self.curve_precision(hypothesis)
         return precision
 
     def curve_precision(self, hypothesis: Hypothesis) -> Array:
@@ -490,20 +509,21 @@ class Fitter:
         return Fit(hypothesis, minimum.state, minimum.residuals)
 
     def stepped(self, state: ParameterState, hypothesis: Hypothesis, step: Array) -> ParameterState:
-        """The state after adding `step` (m,) to all unknowns, widths and effects' parameters kept within their
-        ranges."""
-        model, curves = state.model, self.nominal_curves
-        b, both = curves.width.size, curves.size
-        width = model.width + curves.width.value(step[:b], model.q) + step[both] * self._details[0]
+        """The state after adding `step` (m,) to all unknowns, in the order of `Unknowns`. B stays what a width may be,
+        and each of the effects' parameters within its range; an angle at which an effect begins (`Parameter.reached`,
+        deg) stays within those that the recordings reach."""
+        model, curves, order = state.model, self.nominal_curves, self.unknowns
+        of_width, of_follow = self._details
+        width = model.width + curves.width.value(step[order.width], model.q) + step[order.width_details] * of_width
         width = allowed_width(model.q, width)
-        c_deg = model.c_deg + curves.follow.value(step[b:both], model.q) + step[both + 1] * self._details[1]
-        static = {name: value + float(step[both + 2 + i]) for i, (name, value) in enumerate(state.static.items())}
-        first_slot = len(self._prior)
+        c_deg = model.c_deg + curves.follow.value(step[order.follow], model.q) + step[order.follow_details] * of_follow
+        moves = zip(state.static.items(), step[order.static], strict=True)
+        static = {name: value + float(move) for (name, value), move in moves}
         values = dict(state.values)
-        for i, slot in enumerate(hypothesis.slots, first_slot):
-            value = inside(slot.parameter, values[slot.key] + float(step[i]))
+        for slot, change in zip(hypothesis.slots, step[order.effects :], strict=True):
+            value = inside(slot.parameter, values[slot.key] + float(change))
             values[slot.key] = float(np.clip(value, *self._reached)) if slot.parameter.reached else value
-        model = replace(model, width=width, c_deg=c_deg, delay_s=model.delay_s + float(step[first_slot - 1]))
+        model = replace(model, width=width, c_deg=c_deg, delay_s=model.delay_s + float(step[order.delay]))
         return ParameterState(model, static, values)
 
 
@@ -547,7 +567,7 @@ class _Descent:
             matrix += part.matrix
             gradient += part.gradient
         values = self._values(point.state)
-        gradient[len(gradient) - len(values) :] -= self.curve_precision @ values
+        gradient[fitter.unknowns.effects :] -= self.curve_precision @ values
         held = np.concatenate([self.held, self._at_bounds(point.state, gradient)])
         matrix[held, :] = matrix[:, held] = gradient[held] = 0.0
         matrix[held, held] = 1.0
@@ -556,7 +576,7 @@ class _Descent:
     def _at_bounds(self, state: ParameterState, gradient: Array) -> npt.NDArray[np.int64]:
         """Indices of the slots whose value is at an end of its range with the gradient pointing beyond it."""
         ends = []
-        for i, slot in enumerate(self.hypothesis.slots, len(gradient) - len(self.hypothesis.slots)):
+        for i, slot in enumerate(self.hypothesis.slots, self.fitter.unknowns.effects):
             value = state.values[slot.key]
             onward = value + float(np.sign(gradient[i])) * _AT_BOUND * self.fitter.scale(slot.parameter)
             if inside(slot.parameter, onward) == value:

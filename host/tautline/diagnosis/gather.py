@@ -1,5 +1,7 @@
 """Which hypotheses a diagnosis fits: single effects, and further ones on top of the most probable; what each leaves is
-the evidence for the verdict. An event is an effect without a path that repeats (jitter, stick-slip)."""
+the evidence for the verdict. An event is an effect without a path that repeats (jitter, stick-slip). Another posture is
+the shaft in another shape, a tendon at another tension or a new homing between two recordings: it changes the width,
+the offset and f_remain at once, each of which is an effect of its own (`Kind.posture`)."""
 
 from __future__ import annotations
 
@@ -46,8 +48,8 @@ def gather(
 ) -> Gathered:
     """The evidence for a verdict: fits of single effects, then of further ones on top of the most probable. frozen:
     residuals (scored, k) of each recording by the calibrated model as it is. base: the recalibrated nominal model's
-    fit. kinds: effects to try. scopes: since when an effect may be there; with START alone no recording counts as the
-    calibration: what the model leaves of its own may be the effect's then, and none of it is the model's misfit."""
+    fit. kinds: effects to try. scopes: since when an effect may be there. With START alone it was there while
+    calibrating, so that what the model leaves of its own calibration is the effect's and no misfit of the model."""
     fits = 0
     expected = _REFITS + _RESCOPED + sum(_EXTENDED) * _FURTHER_REFITS
 
@@ -60,7 +62,7 @@ def gather(
     search = Search(fitter, base, kinds, report, scopes)
     if confounded.load_tells_apart(fitter.segments):
         search = search.without_posture_if_load_explains()
-    own_misfit = 0.0
+    own_misfit = 0.0  # mean square of the model's residuals on its own calibration at the tests' noise, px^2 or deg^2
     if search.allows_later_effects:
         own_misfit = float(np.mean(np.square(frozen[0] / fitter.relative_noise[0])))
     hypotheses = _Hypotheses(search, search.power(frozen), own_misfit)
@@ -73,14 +75,9 @@ def gather(
                 break
             further = search.on_top_of(below, _FURTHER_REFITS, rescoped=0)
             hypotheses.add_further(further)
-            # A further effect that leaves only noise does so with fewer parameters than another posture.
-            if size == 1 and search.allows_later_effects and all(map(hypotheses.is_open, further)):
-                hypotheses.add_with_posture(below)
-    if search.allows_later_effects and not fitter.px:
-        # Without an image only the fit tells a delay from a width at one speed.
-        delay = next((candidate for candidate in hypotheses.candidates if candidate.ids == (DELAY,)), None)
-        if delay is not None and hypotheses.best_single_is_open():
-            hypotheses.add_with_posture(delay)
+            if size == 1:
+                hypotheses.add_posture_where_no_effect_suffices(below, further)
+    hypotheses.add_posture_beside_delay()
     return Gathered(
         hypotheses.evidence(), [candidate.with_events_as_parameters() for candidate in hypotheses.candidates]
     )
@@ -91,7 +88,8 @@ class _Hypotheses:
 
     def __init__(self, search: Search, frozen: Array, calibrated: float) -> None:
         """frozen: (blocks,) mean squares by the calibrated model as it is. calibrated: its mean square on its own
-        calibration, 0 where no recording is one; both px^2 or deg^2."""
+        calibration, 0 where an effect may have been there then; both px^2 or deg^2, each recording's over its noise
+        beside the tests' (`Fitter.relative_noise`)."""
         self.search, self._frozen, self._calibrated = search, frozen, calibrated
         self.candidates: list[Candidate] = []
         self._weighed: list[Weighed] = []  # of each candidate
@@ -196,7 +194,23 @@ class _Hypotheses:
                 if candidate is not None:
                     self._add_with_mean_effect(candidate)
 
-    def add_with_posture(self, below: Candidate) -> None:
+    def add_posture_where_no_effect_suffices(self, below: Candidate, further: Sequence[Candidate]) -> None:
+        """Adds another posture on top of `below` where each of the fits of one more effect on it, `further`, leaves
+        more than noise: one that leaves only that does so with fewer parameters. Nothing where no effect may have come
+        after the calibration."""
+        if self.search.allows_later_effects and all(map(self.is_open, further)):
+            self._add_with_posture(below)
+
+    def add_posture_beside_delay(self) -> None:
+        """Adds another posture on top of a delay alone where no image is seen and each single effect leaves more than
+        noise: without an image only the fit tells a delay from a width at one speed. Nothing where no effect may have
+        come after the calibration."""
+        if self.search.allows_later_effects and not self.search.fitter.px:
+            delay = next((candidate for candidate in self.candidates if candidate.ids == (DELAY,)), None)
+            if delay is not None and self._best_single_is_open():
+                self._add_with_posture(delay)
+
+    def _add_with_posture(self, below: Candidate) -> None:
         """Adds fits for the case that another machine was calibrated, such as a simulator, whose nominal model is not
         this one's. To `below` is added another width, then all that another posture changes; first with a width that
         changes by a constant, then by a curve, which can imitate a lag. The first fit that leaves only noise is the
@@ -226,7 +240,7 @@ class _Hypotheses:
         """Whether a fit leaves more than noise and what a sound calibration leaves."""
         return decide.is_open(self.evidence(), candidate.power)
 
-    def best_single_is_open(self) -> bool:
+    def _best_single_is_open(self) -> bool:
         """Whether the single effect with the least power leaves more than noise."""
         singles = [candidate for candidate in self.candidates if len(candidate.ids) == 1]
         return bool(singles) and self.is_open(min(singles, key=lambda candidate: float(np.mean(candidate.power))))

@@ -173,16 +173,12 @@ def foretelling(answer: Answer) -> Answer:
 def _document(
     diagnosis: Diagnosis, answer: Answer, best: Answer, groups: Sequence[tuple[str, ...]], sure: float
 ) -> dict[str, Any]:
-    """The content of diagnosis.json with the joint fit's answer. best: what is handed out; groups: what `answer`
-    names; sure: probability that it leaves less than the diagnosis' own answer."""
+    """The content of diagnosis.json with the joint fit's answer. best: what is handed out, whose held-out residuals are
+    the gap after; groups: what `answer` names; sure: probability that it leaves less than the diagnosis' own answer."""
     was, floor, after = diagnosis.document, diagnosis.document["noise_floor"], gap.rms(best.held_out)
     sizes = gap.with_intervals(diagnosis.before, best.held_out, answer.joint.segments, floor, learnt().elsewhere)
     named = list(_effects(answer, best, groups, gap.rms(diagnosis.before), after))
-    held = next((effect for effect in was["effects"] if effect["id"] == repeated.HELD), None)
-    if held is not None:  # of the sensor's link: what the others shrink is of the rest
-        repeated.grow(sizes, was["gap"]["before"])
-        repeated.shrink(sizes, floor**2, learnt().elsewhere)
-        named = [*({**effect, "shrink": effect["shrink"] * (1.0 - held["shrink"])} for effect in named), held]
+    sizes, named = _with_held_samples(was, sizes, named)
     is_open = decide.is_open(diagnosis.evidence, after**2)
     closed = flexible.close(diagnosis.segments[1:], best.held_out, floor) if is_open else None
     return {
@@ -199,6 +195,23 @@ def _document(
         "resembles": [],
         "flexible": closed.to_json() if closed else None,
     }
+
+
+def _with_held_samples(
+    was: Mapping[str, Any], sizes: dict[str, Any], named: list[dict[str, Any]]
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """The gap's `sizes` and the `named` effects of diagnosis.json beside the held samples that the document `was`
+    names; both as they are where it names none. Held samples are of the sensor's link and no unknown of a simulator, so
+    the joint fit is without them: they are in the gap before again, named last, and close their share of it; what the
+    others shrink is then of the rest."""
+    held = next((effect for effect in was["effects"] if effect["id"] == repeated.HELD), None)
+    if held is None:
+        return sizes, named
+    sizes = dict(sizes)
+    repeated.grow(sizes, was["gap"]["before"])
+    repeated.shrink(sizes, was["noise_floor"] ** 2, learnt().elsewhere)
+    rest = [{**effect, "shrink": effect["shrink"] * (1.0 - held["shrink"])} for effect in named]
+    return sizes, [*rest, held]
 
 
 def _effects(

@@ -26,13 +26,14 @@ _ENDS: Mapping[str, tuple[str, str]] = {  # in words, the low and the high end o
 def closest_effects(gathered: Gathered, before: float) -> list[dict[str, Any]]:
     """The list `resembles` of diagnosis.json: up to _MOST single effects that close most of an unexplained gap, each
     with the share of the rms that it closes and with its amplitude at both ends of what it varies with, in words (""
-    where it does not vary). before: rms of the gap, px or deg."""
+    where it does not vary). before: rms of the tests' gap, px or deg."""
     best: dict[str, dict[str, Any]] = {}
     for candidate, varies in zip(gathered.candidates, decide.wanders(gathered.evidence), strict=True):
         if len(candidate.ids) != 1 or not candidate.predicts_an_effect:
             continue
         name = candidate.ids[0]
-        closes = 1.0 - gap.rms(candidate.held_out[1:]) / max(before, 1e-300)
+        of_tests = candidate.held_out[1:]  # the calibration's recording is the first
+        closes = 1.0 - gap.rms(of_tests) / max(before, 1e-300)
         if closes > best.get(name, {"closes": 0.0})["closes"]:
             says = _amplitudes_in_words(candidate.fit, *candidate.wanders[0].between) if varies else ""
             best[name] = {"id": name, "closes": closes, "says": says}

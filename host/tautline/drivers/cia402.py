@@ -168,7 +168,8 @@ class Cia402:
 
     def _is_homed(self, number: int) -> bool:
         """Whether the drive has been homed: bit 12 of the status in homing mode (in other modes it means something
-        else). One that does not enter the mode is not homed."""
+        else). One that does not enter the mode is not homed. The drive is left in homing mode: the caller sets the mode
+        that it is used in, _CSP, afterwards."""
         try:
             self._write(number, _MODE, _HOMING, 1)
             deadline = time.monotonic() + _STATE_S

@@ -262,15 +262,17 @@ class HostedLink:
 
     def _estimate_delay(self, places: list[int], goals: list[tuple[int, int, bool, bool]]) -> None:
         """Estimates how late each drive follows its set-points, s: least squares of how far it is behind, counts, over
-        its speed, counts/s, while it moves. Once it rests the application gets the estimate and plans that much ahead.
-        places: measured positions, counts Q8; goals: as in `_send`."""
-        for axis, (goal, speed, _, moves) in enumerate(goals):
+        the set-point's speed, counts/s, while an axis in closed loop moves. Once its set-point rests the application
+        gets the estimate and plans that much ahead. places: measured positions, counts Q8; goals: as in `_send`, the
+        speed in counts/s Q8."""
+        for axis, (goal, speed, _, closed_loop) in enumerate(goals):
             sums = self._lag_sums[axis]
-            v = speed / _Q8
-            if moves and abs(v) > _SLOW * self.drives.drives[axis].limits.speed * self._scales[axis]:
+            counts_per_s = speed / _Q8
+            slowest = _SLOW * self.drives.drives[axis].limits.speed * self._scales[axis]  # counts/s of the application
+            if closed_loop and abs(counts_per_s) > slowest:
                 sums *= _FORGET
-                sums += ((goal - places[axis]) / _Q8 * v, v * v)
-            elif moves and v == 0.0 and sums[1] > 0.0:
+                sums += ((goal - places[axis]) / _Q8 * counts_per_s, counts_per_s**2)
+            elif closed_loop and counts_per_s == 0.0 and sums[1] > 0.0:
                 lag_s = float(np.clip(sums[0] / sums[1], 0.0, _LAG_MOST_S))
                 self._lags_s[axis] = lag_s
                 self.timing.lag_s = max(self._lags_s)

@@ -432,7 +432,7 @@ def compared(models: Mapping[str, Model]) -> Figure:
     name = next(iter(models))
     axes[1, 0].set(xlabel=f"q ({unit})", ylabel=f"change of B ({finer(unit)[0]})")
     axes[1, 0].set_title(f"B less that of {name}, ± 2 sigma of the difference")
-    axes[1, 1].set(xlabel=f"q ({unit})", ylabel="change of f_remain (deg)")
+    axes[1, 1].set(xlabel=f"q ({unit})", ylabel="rest of f_remain's change (deg)")
     axes[1, 1].set_title(f"f_remain less that of {name}, its mean taken off")
     for ax in axes[1]:
         ax.axhline(0.0, color=GREY, lw=0.8)
@@ -442,8 +442,9 @@ def compared(models: Mapping[str, Model]) -> Figure:
 
 
 def _draw_change(width: Axes, angle: Axes, first: Model, model: Model, line: Mapping[str, Any]) -> None:
-    """Draws a model's B (into the axes `width`) and f_remain (into `angle`, the mean taken off) less those of `first`,
-    with 2 sigma, over the q that both have measured; nothing where there is none. line: the style."""
+    """Draws a model's B (into the axes `width`) and f_remain (into `angle`, the mean taken off and said in the legend)
+    less those of `first`, with 2 sigma, over the q that both have measured; nothing where there is none. line: the
+    style, and the model's name as its label."""
     low, high = max(first.measured[0], model.measured[0]), min(first.measured[1], model.measured[1])
     if not high > low:
         return
@@ -455,10 +456,11 @@ def _draw_change(width: Axes, angle: Axes, first: Model, model: Model, line: Map
     width.fill_between(q, low_side, high_side, color=line["color"], alpha=0.15, lw=0)
     width.plot(q, times * change, **line)
     moved = model.remaining(q) - first.remaining(q)
-    angle.plot(q, moved - moved.mean(), **line)
+    offset = float(moved.mean())
+    angle.plot(q, moved - offset, **{**line, "label": f"{line['label']}, beside {offset:+.2g} deg"})
     if model.c_sigma is not None and first.c_sigma is not None:
         spread = np.hypot(np.interp(q, model.q, model.c_sigma), np.interp(q, first.q, first.c_sigma))
-        centre = moved - moved.mean()
+        centre = moved - offset
         angle.fill_between(q, centre - 2 * spread, centre + 2 * spread, color=line["color"], alpha=0.15, lw=0)
 
 

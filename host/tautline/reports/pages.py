@@ -203,7 +203,8 @@ def write_comparison(models: Mapping[str, Model], path: Path) -> None:
             f"change of B ({fine})",
             f"largest change ({fine})",
             "in sigma (rms)",
-            "change of f_remain (deg)",
+            "offset of f_remain (deg)",
+            "rest of its change (deg rms)",
             "delay (ms)",
         ],
         "rows": [
@@ -214,7 +215,8 @@ def write_comparison(models: Mapping[str, Model], path: Path) -> None:
                 _digits(times * row["width_change_mean"], 2, sign=True),
                 _digits(times * row["width_change_max"], 2, sign=True),
                 _digits(row["width_change_sigmas"], 2),
-                _digits(row["remaining_change_rms_deg"], 2),
+                _digits(row["remaining_change_mean_deg"], 2, sign=True),
+                _digits(row["remaining_rest_rms_deg"], 2),
                 f"{1e3 * row['delay_s']:.1f}",
             ]
             for row in rows
@@ -224,15 +226,17 @@ def write_comparison(models: Mapping[str, Model], path: Path) -> None:
 
 
 def comparison(models: Mapping[str, Model]) -> list[dict[str, Any]]:
-    """For each model, by name, a row of its changes against the first over the q that both have measured: widths in the
-    unit of q, NaN where there is no such q. f_remain's mean change stands beside the rms of the rest, as the motor's
-    zero may have moved without a change of the instrument."""
+    """For each model, by name, a row of its changes against the first over the q that both have measured, as
+    `_comparison_row` says."""
     first = next(iter(models.values()))
     return [_comparison_row(name, model, first) for name, model in models.items()]
 
 
 def _comparison_row(name: str, model: Model, first: Model) -> dict[str, Any]:
-    """The row of one model in `comparison`: its changes against the model `first`."""
+    """The row of one model in `comparison`: its changes against the model `first` over the q that both have measured,
+    at 201 even places; NaN where there is no such q. Widths are in the unit of q, their change in sigmas is over that
+    of the difference. f_remain's change, deg, is told in two parts, its mean and the rms of the rest about that: the
+    mean is also what a motor's zero that moved makes of an instrument that did not change."""
     low, high = max(first.measured[0], model.measured[0]), min(first.measured[1], model.measured[1])
     q = np.linspace(low, high, 201) if high > low else np.empty(0)
     width, base = (np.interp(q, m.q, m.width) for m in (model, first))
@@ -254,7 +258,7 @@ def _comparison_row(name: str, model: Model, first: Model) -> dict[str, Any]:
         "width_change_max_at": q[worst] if some else np.nan,
         "width_change_sigmas": np.sqrt(np.mean((change / np.maximum(sigma, 1e-12)) ** 2)) if some else np.nan,
         "remaining_change_mean_deg": angle_deg.mean() if some else np.nan,
-        "remaining_change_rms_deg": angle_deg.std() if some else np.nan,
+        "remaining_rest_rms_deg": angle_deg.std() if some else np.nan,
         "delay_s": model.delay_s,
     }
 
@@ -286,7 +290,7 @@ def _digits(value: float, digits: int = 3, sign: bool = False) -> str:
     """A number with so many significant digits, at most 6 decimals, no exponent; "not measured" for None, NaN, inf."""
     if value is None or not np.isfinite(value):
         return "not measured"
-    if value == 0:
+    if round(value, 6) == 0:
         return "0"
     places = max(0, digits - 1 - int(np.floor(np.log10(abs(value)))))
     return f"{value:{'+' if sign else ''}.{min(places, 6)}f}"
@@ -451,6 +455,7 @@ def _comparison_sentences(rows: Sequence[Mapping[str, Any]], unit: str) -> list[
         sentences.append(
             f"{row['model']}: B changed by {_digits(times * row['width_change_mean'], 2, sign=True)} {fine} on average "
             f"and {_digits(times * row['width_change_max'], 2, sign=True)} {fine} at most, {certain}; "
-            f"f_remain by {_digits(row['remaining_change_rms_deg'], 2)} deg rms."
+            f"f_remain by {_digits(row['remaining_change_mean_deg'], 2, sign=True)} deg throughout, and by "
+            f"{_digits(row['remaining_rest_rms_deg'], 2)} deg rms about that."
         )
     return sentences

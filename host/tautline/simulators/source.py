@@ -25,7 +25,8 @@ _NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")  # MODULE:NAME
 
 
 def is_python(name: str) -> bool:
-    """Whether a name of --simulator has the form MODULE:NAME, which `of_python` takes, and is not a file."""
+    """Whether a name of --simulator has the form MODULE:NAME, which `of_python` takes. Only the form is looked at: a
+    file that is called so has to be named with its folder, ./MODULE:NAME."""
     return _NAME.fullmatch(name) is not None
 
 

@@ -294,24 +294,28 @@ def _misfit2(nominal: LawFamily, evidence: WindowKnots, level2: float, taken: fl
 
 
 def from_envelopes(nominal: LawFamily, evidence: WindowKnots, theta: Array, envelope: Envelopes, both: bool) -> Array:
-    """theta with the offset, and with `both` also the scale, by a line through the envelopes of the least absolute
-    misfit, as outliers count little in it: on these way (q - y) = scale B(q)/2 - way offset."""
+    """theta with the offset, and with `both` also the scale, as a start for a fit: a line is fitted to the frames on an
+    envelope, where way (q - y) = scale B/2 - way offset, by least absolute deviations, in which outliers count little
+    (iteratively reweighted least squares). y: centre coordinates by theta's law, unit of q. B is the calibrated one at
+    y + median(q - y), about where the motor was: another posture's offset is behind the play, so that the tip is seen
+    elsewhere and the play is where it was."""
     theta = theta.copy()
     if len(envelope.at) == 0:
         return theta
     law = nominal.law(theta)
-    q, y = evidence.q[evidence.seen][envelope.at], law.place(evidence.c_deg[envelope.at])
+    seen_q = evidence.q[evidence.seen]  # q is of every knot of the motor's path, c_deg of those alone that a frame saw
+    q, y = seen_q[envelope.at], law.place(evidence.c_deg[envelope.at])
     half = 0.5 * np.interp(y + float(np.median(q - y)), nominal.model.q, nominal.model.width)
     if not both:
         theta[OFFSET] = float(np.median(y - q + envelope.way * theta[SCALE] * half))
         return theta
-    slopes = np.column_stack([half, -envelope.way])
+    design = np.column_stack([half, -envelope.way])  # of scale and offset
     right = envelope.way * (q - y)
     weight = np.ones(len(y))
     for _ in range(_LINE_STEPS):
-        weighted = slopes.T * weight**2
-        solution = np.linalg.lstsq(weighted @ slopes, weighted @ right, rcond=None)[0]  # B may be 0
-        off = np.abs(right - slopes @ solution)
+        weighted = design.T * weight**2
+        solution = np.linalg.lstsq(weighted @ design, weighted @ right, rcond=None)[0]  # B may be 0
+        off = np.abs(right - design @ solution)
         weight = 1.0 / np.sqrt(np.maximum(off, _ON_LINE * np.ptp(y) + 1e-9))
     theta[SCALE], theta[OFFSET] = float(solution[0]), float(solution[1])
     return nominal.clipped(theta)

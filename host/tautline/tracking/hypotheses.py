@@ -216,22 +216,31 @@ def _judged_by_width(case: Case, fit: LawFit) -> Work[Inference | None]:
 
 
 def _simplest_sufficient(case: Case) -> Work[LawFit]:
-    """The fit of the simplest law whose cost no richer one lowers by more than the gain that its parameters must bring.
-    Tried in order: the shape in use refined; offset and scale; either alone; gradual onset, shape of B and bent
-    f_remain, one and then two of them."""
+    """The fit of the first law, tried from simple to rich, that leaves nothing to explain (`_nothing_left`); where none
+    does, of one that is worth its parameters. Where the law in use has a shape of B, that shape refined is first. Then
+    come offset and scale together: where they leave nothing, `_either_alone` sees whether one of them does, or whether
+    a gradual onset shows; else `_richer` adds one or two of a gradual onset, a shape of B and a bent f_remain. Offset
+    and scale start from the calibrated law, but from the scale and shape of the law in use where the frames do not tell
+    the two apart (`_tells_apart`): what was learnt of B elsewhere is kept."""
     prior = case.prior()
     nominal, evidence = case.nominal, case.evidence
     if np.any(case.theta[SHAPE]):  # a shape that was not seen everywhere: most likely it only goes on
         start = nominal.rescaled(case.theta, case.origin[SCALE])
         refined = yield from fitted(nominal, evidence, start, _free_with_shape(case.theta), prior)
-        if max(refined.level, case.lately(refined.z)) <= _GOOD * case.level:
+        if _nothing_left(case, refined):
             return refined
     yield _GUESS
     base = unchanged() if _tells_apart(case) else nominal.clipped(_width_alone(case.theta))
     both, side = yield from _offset_and_scale(case, base, prior)
-    if max(both.level, case.lately(both.z)) <= _GOOD * case.level:
+    if _nothing_left(case, both):
         return (yield from _either_alone(case, both, side, base, prior))
     return (yield from _richer(case, both, prior))
+
+
+def _nothing_left(case: Case, fit: LawFit) -> bool:
+    """Whether a fit leaves nothing to explain: its residual, rms in sigmas, is at most _GOOD times the known level, in
+    all and lately."""
+    return max(fit.level, case.lately(fit.z)) <= _GOOD * case.level
 
 
 def _offset_and_scale(case: Case, base: Array, prior: Prior) -> Work[tuple[LawFit, int]]:

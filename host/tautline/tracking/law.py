@@ -136,7 +136,8 @@ class LawFamily:
 
     @cached_property
     def _own_sigma(self) -> Array:
-        """(nodes,) Standard deviation of the calibrated centre coordinate by B's sigma and the encoder's rounding."""
+        """(nodes,) Standard deviation of the calibrated centre coordinate, unit of q, by B's sigma, of which it has
+        half, as an envelope lies B/2 off the centre, and by the encoder's rounding."""
         model, count = self.model, self.model.rig.actuator.encoder_resolution
         return np.asarray(np.hypot(0.5 * model.width_sigma, of_rounding(count)))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +20,7 @@ _WINDOW = 12  # loss: cells that are judged together
 _GAP = 1.0  # limit: of B: frames of a pass that are farther apart leave a hole
 _OFF = 1.5  # prior: standard deviations off the marker's track (rms): then it is no motion of the play
 _LEAST = 0.02  # loss: of B, that is worth a message
-_LATE, _SIGMA, _OFF_SQUARE, _SPACING, _ENTRY = range(5)  # format: of a row
+_LATE, _SIGMA, _OFF_SQUARE, _SPACING, _ENTRY = range(5)  # format: what is kept of a pass
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,16 @@ class Narrowing:
 
     share: float
     sigma: float
+
+
+class _Frame(NamedTuple):
+    """What `Passes.add` is told of one frame, and the next one needs."""
+
+    q: float  # of the motor, unit of q
+    y: float  # the tip by the calibrated f_remain, unit of q
+    sigma: float  # of y
+    off: float  # standard deviations off the marker's track
+    stroke: int
 
 
 class Passes:
@@ -41,15 +52,18 @@ class Passes:
         count = int((float(grid[-1]) - self._low) / self._cell) + 1
         self.place = self._low + self._cell * np.arange(count)  # by the calibrated f_remain: where it is in the image
         self._b = np.interp(self.place, grid, model.width)
-        self._of = np.full((2, _ENTRY + 1, count), np.nan)  # way; way (q - place), sigma, squares off the track, ...
-        self._law: Law | None = None  # of which the next two are
-        self._by_law = self._half = self._b  # the places by that law, half of its B there
-        self._last: tuple[float, float, float, float, int] | None = None
-        self._moves = False
+        # (way: rising q, falling; what is kept; place) of the last pass, NaN where there was none. Kept are: _LATE, way
+        # (q - place), unit of q, by which the motor is ahead of the tip; _SIGMA of y; _OFF_SQUARE, mean square off the
+        # track in sigmas; _SPACING between the two frames, unit of q; _ENTRY, the later frame's number.
+        self._passes = np.full((2, _ENTRY + 1, count), np.nan)
+        self._law: Law | None = None  # the one that `narrowing` was last asked of, of which the next two are
+        self._by_law, self._half = np.empty(0), np.empty(0)  # (places,) the places by that law, half of its B there
+        self._last: _Frame | None = None  # None where the next frame continues no stroke
+        self._moves = False  # whether the tip moved with the motor from the frame before it to the last one
 
     def clear(self) -> None:
         """Forgets all passes."""
-        self._of.fill(np.nan)
+        self._passes.fill(np.nan)
         self.cut()
 
     def cut(self) -> None:
@@ -60,28 +74,28 @@ class Passes:
         """Adds a frame: motor q, tip y by the calibrated f_remain with its sigma, all in the unit of q, off: standard
         deviations off the track; travel: motor's way since the turn over the way after which the law is on its
         envelope; entry: its number. Cells between it and the last frame are filled, if the tip moved with the motor."""
-        last, self._last = self._last, (q, y, sigma, off, stroke)
+        last, self._last = self._last, _Frame(q, y, sigma, off, stroke)
         moved, self._moves = self._moves, False
-        if last is None or last[4] != stroke or travel < float(np.interp(y, self.place, self._b)):
+        if last is None or last.stroke != stroke or travel < float(np.interp(y, self.place, self._b)):
             return
-        by_q, by_y = q - last[0], y - last[1]
-        if not abs(by_q) > SURE * float(np.hypot(sigma, last[2])):
+        by_q, by_y = q - last.q, y - last.y
+        if not abs(by_q) > SURE * float(np.hypot(sigma, last.sigma)):
             return
         self._moves = FOLLOWS < by_y / by_q < AHEAD
         if not (self._moves and moved):  # the first one may hold an onset
             return
         way = 1.0 if by_q > 0.0 else -1.0
-        first, end = (round((v - self._low) / self._cell) for v in (min(y, last[1]), max(y, last[1])))
+        first, end = (round((v - self._low) / self._cell) for v in (min(y, last.y), max(y, last.y)))
         cells = slice(max(first, 0), min(end + 1, len(self.place)))
         if abs(by_y) > _GAP * self._cell * _CELLS or cells.stop <= cells.start:
             return
-        share = (self.place[cells] - last[1]) / by_y
-        of = self._of[0 if way > 0.0 else 1]
-        of[_LATE, cells] = way * (last[0] + share * by_q - self.place[cells])
-        of[_SIGMA, cells] = max(sigma, last[2])
-        of[_OFF_SQUARE, cells] = 0.5 * (off**2 + last[3] ** 2)
-        of[_SPACING, cells] = abs(by_y)
-        of[_ENTRY, cells] = entry
+        share = (self.place[cells] - last.y) / by_y
+        kept = self._passes[0 if way > 0.0 else 1]
+        kept[_LATE, cells] = way * (last.q + share * by_q - self.place[cells])
+        kept[_SIGMA, cells] = max(sigma, last.sigma)
+        kept[_OFF_SQUARE, cells] = 0.5 * (off**2 + last.off**2)
+        kept[_SPACING, cells] = abs(by_y)
+        kept[_ENTRY, cells] = entry
 
     def narrowing(self, law: Law, theta: Array, level: float, since: int) -> Narrowing | None:
         """The least share of the calibrated B, where the tip is ahead of the law in use on passes both ways since the
@@ -92,18 +106,19 @@ class Passes:
             self._by_law = law.place(self._model.remaining(self.place))
             self._half = 0.5 * np.interp(self._by_law, law.grid, law.width)
         half, shift = self._half, self._by_law - self.place - theta[OFFSET]
-        late = self._of[:, _LATE] - half  # (2, places) on either way: below 0 the tip is ahead of the law's envelope
+        # (2, places) on either way: below 0 the tip is ahead of the law's envelope.
+        late = self._passes[:, _LATE] - half
         late[0] -= shift
         late[1] += shift
-        late[self._of[:, _ENTRY] < since] = np.nan
-        sigma = level * self._of[:, _SIGMA]
+        late[self._passes[:, _ENTRY] < since] = np.nan
+        sigma = level * self._passes[:, _SIGMA]
         length = _WINDOW * self._cell
         mean = _means(late)
         if not (mean < 0.0).all(0).any():
             return None
         # Of a mean over as many frames as were on its cells.
-        off = _means(sigma) * np.minimum(np.sqrt(_means(self._of[:, _SPACING]) / length), 1.0)
-        on_track = _means(self._of[:, _OFF_SQUARE]) < (_OFF * level) ** 2
+        off = _means(sigma) * np.minimum(np.sqrt(_means(self._passes[:, _SPACING]) / length), 1.0)
+        on_track = _means(self._passes[:, _OFF_SQUARE]) < (_OFF * level) ** 2
         first = np.flatnonzero((on_track & (mean < -SURE * off)).all(0))
         if len(first) == 0:
             return None

@@ -14,7 +14,8 @@ from tautline.model import Effect
 
 
 class _ById(Mapping[str, Kind]):
-    """The library's effects by id, and for every other id "simulator.NAME" the effect of that simulator's parameter."""
+    """The library's effects by id, and for every id "simulator.NAME" the effect of that simulator's parameter: no
+    effect of the library has such an id."""
 
     def __init__(self, kinds: tuple[Kind, ...]) -> None:
         self._kinds = {kind.id: kind for kind in kinds}

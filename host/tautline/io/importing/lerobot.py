@@ -16,6 +16,7 @@ from tautline.io.importing.source import BATCH_ROWS, Array, Batch, Clip, Fact, n
 INFO = "meta/info.json"
 _EPISODES = {"v2": "meta/episodes.jsonl", "v3": "meta/episodes"}
 _COUNTERS = ("timestamp", "frame_index", "episode_index", "index", "task_index", "next.done", "next.success")
+_EPISODE = "episode_index"  # format: the number of a row's episode, in version 3.0
 _FRAME = "frame_index"  # format: of an episode, from 0 on
 _STATS = "meta/stats.json"
 _OWN = ".pos"  # format: ends the names of joints that LeRobot's own drivers read: degrees or shares, never radians
@@ -79,9 +80,10 @@ class LeRobot:
 
     def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
         """The episode's rows, as batches of the one group "". groups: as every Source takes it, unused. TautError where
-        the file is missing, cut or lacks a column."""
+        the file is missing, cut or lacks a column: of a feature, the time, in version 3.0 the episode's number."""
         file = self._format("data_path", **self._placed(episode, "data"))
-        columns = [*self._numeric, "timestamp"]
+        shared = self._layout == "v3"  # others may be in the file, and the column `episode_index` says whose a row is
+        columns = [*self._numeric, "timestamp", *([_EPISODE] if shared else [])]
         if not file.is_file():
             raise TautError(f"{file}: is not there, {INFO} says that episode {episode} is in it: copy it too")
         count = 0
@@ -90,10 +92,10 @@ class LeRobot:
             missing = set(columns) - set(opened.schema_arrow.names)
             if missing:
                 raise TautError(f"{file}: column {min(missing)} is missing, {INFO} names it")
-            own = ["episode_index", *({_FRAME} & set(opened.schema_arrow.names) - set(columns))]
-            for batch in opened.iter_batches(BATCH_ROWS, columns=[*columns, *own]):
-                if self._layout == "v3":  # others may be in the file
-                    batch = batch.filter(np.asarray(batch.column("episode_index")) == episode)
+            frame = {_FRAME} & set(opened.schema_arrow.names) - set(columns)  # its number need not be there
+            for batch in opened.iter_batches(BATCH_ROWS, columns=[*columns, *frame]):
+                if shared:
+                    batch = batch.filter(np.asarray(batch.column(_EPISODE)) == episode)
                 if batch.num_rows:
                     count += batch.num_rows
                     yield self._batch(batch, file)

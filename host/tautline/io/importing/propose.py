@@ -246,9 +246,10 @@ def _command(listing: Listing, compared: _Compared, motor: int, taken: set[str])
 
 
 def _load(listing: Listing, compared: _Compared, motor: Named, taken: set[str]) -> Named | None:
-    """The likeliest load on the motor: a channel with a load's name or unit, of the motor's joint if there are several;
-    without any such name one that goes with the direction of the motor's motion, as friction does, more than with its
-    position. None where there is none. taken: channels that have a role already."""
+    """The likeliest load on the motor: the channel with a load's name or unit; of several the first that is of the
+    motor's joint, and None where none is, as each may be another joint's. Without any such channel the one that goes
+    most with the direction of the motor's motion, as friction does: by _FRICTION at least, and by more than its changes
+    correlate with the motor's, at whatever lag. None where there is none. taken: channels that have a role already."""
     joint = _joint(motor.name, listing)
     named = [
         name
@@ -261,16 +262,17 @@ def _load(listing: Listing, compared: _Compared, motor: Named, taken: set[str]) 
     if named or motor.name not in compared.names:
         return None
     m = compared.names.index(motor.name)
-    for k, name in enumerate(compared.names):
-        follows = compared.turning[k, m]
-        if (
-            name not in taken
-            and follows > _FRICTION
-            and follows > compared.correlation[m, k]
-            and not _is_no_position(name, listing)
-        ):
-            return Named(name)
-    return None
+    goes_with_direction = compared.turning[:, m]
+    like_friction = [
+        k
+        for k, name in enumerate(compared.names)
+        if name not in taken
+        and goes_with_direction[k] > max(_FRICTION, compared.correlation[m, k])
+        and not _is_no_position(name, listing)
+    ]
+    if not like_friction:
+        return None
+    return Named(compared.names[max(like_friction, key=lambda k: float(goes_with_direction[k]))])
 
 
 def _whole_tip(name: str, listing: Listing) -> tuple[Named, ...]:
@@ -366,8 +368,8 @@ def _units_by_range(channels: Sequence[Channel], listing: Listing) -> dict[str, 
     degrees."""
     spans = [c.high - c.low for c in channels]
     ends = [abs(end) for c in channels for end in (*_ends(c), _usual_end(c, listing))]
-    none = any(c.fact.usual == "deg" or _full_scale(c) for c in channels)
-    radians = not none and max(ends) <= _WHOLE_TURN and max(spans) > _SMALL
+    known_otherwise = any(c.fact.usual == "deg" or _full_scale(c) for c in channels)
+    radians = not known_otherwise and max(ends) <= _WHOLE_TURN and max(spans) > _SMALL
     return {c.name: "rad" if radians else "deg" for c in channels}
 
 

@@ -97,7 +97,8 @@ class Transmission:
 
     def _late(self, u0: float, u1: float, dt: float) -> float:
         """The centre coordinate after a lag of up to two stages and then creep, at the end of a step of dt s in which
-        it went from u0 to u1; unit of q."""
+        it went from u0 to u1; unit of q. `lag`, s, is the sum of the stages' time constants, of which the second has
+        the share `lag_second`."""
         get = self.values.get
         lag, second = get("lag", 0.0), get("lag_second", 0.0)
         if lag > 0.0:
