@@ -92,7 +92,7 @@ def draw(rng: np.random.Generator, name: str, rig: Rig) -> Effect:
     for p in kind.amplitudes:
         size = float(np.exp(rng.uniform(*np.log(_SCALES)))) * p.scale * share[p.name]
         either = 1.0 if p.low >= 0.0 or p.one_way else float(rng.choice([-1.0, 1.0]))
-        values[p.name] = float(np.clip(either * size, p.low, p.high))
+        values[p.name] = p.inside(either * size, rig.actuator.span)
     return Effect(name, values)
 
 

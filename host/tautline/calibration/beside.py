@@ -92,14 +92,16 @@ class FittedEffects:
 
     def inside(self, values: Array) -> Array:
         """Values (m,) clipped to the ranges of their parameters."""
-        own = self.parameters
-        return np.clip(values, [p.low for p in own], [p.high for p in own])
+        span = self.law.rig.actuator.span
+        return np.array([p.inside(value, span) for p, value in zip(self.parameters, values.tolist(), strict=True)])
 
     def ended(self, values: Array) -> bool:
         """Whether any value (m,) is at an end of its range other than 0: the effect is a limit of its law there, a
         simpler one."""
-        own = zip(values.tolist(), self.parameters, strict=True)
-        return any(value != 0.0 and (value <= p.low or value >= p.high) for value, p in own)
+        span = self.law.rig.actuator.span
+        ends = ((p.low * p.share(span), p.high * p.share(span)) for p in self.parameters)
+        own = zip(values.tolist(), ends, strict=True)
+        return any(value != 0.0 and (value <= low or value >= high) for value, (low, high) in own)
 
     def amplitudes(self, values: Array, of: Kind | None = None) -> Array:
         """(m,) the values with all but amplitudes set to 0; of one effect, or of all."""

@@ -121,7 +121,7 @@ def parameters(kind: Kind, span: float, seconds: float) -> dict[str, float]:
     shown = kind.amplitudes
     if len(shown) > _FEW:  # a rigid motion's first part, or one piece of a curve
         shown = shown[:1] if not shown[0].name[-1].isdigit() else shown[len(shown) // 2 :][:1]
-    values = {p.name: float(np.clip(scaled(p.unit, _TIMES * p.scale), p.low, p.high)) for p in shown}
+    values = {p.name: p.inside(scaled(p.unit, _TIMES * p.scale), span) for p in shown}
     for p in kind.shapes:
         values[p.name] = float(scaled(p.unit, p.shape[0] if p.shape else p.scale))
     values |= {"encoder_period": _PERIOD * span} if "encoder_period" in values else {}

@@ -521,7 +521,7 @@ class Fitter:
         static = {name: value + float(move) for (name, value), move in moves}
         values = dict(state.values)
         for slot, change in zip(hypothesis.slots, step[order.effects :], strict=True):
-            value = inside(slot.parameter, values[slot.key] + float(change))
+            value = slot.parameter.inside(values[slot.key] + float(change), self.model.rig.actuator.span)
             values[slot.key] = float(np.clip(value, *self._reached)) if slot.parameter.reached else value
         model = replace(model, width=width, c_deg=c_deg, delay_s=model.delay_s + float(step[order.delay]))
         return ParameterState(model, static, values)
@@ -579,7 +579,7 @@ class _Descent:
         for i, slot in enumerate(self.hypothesis.slots, self.fitter.unknowns.effects):
             value = state.values[slot.key]
             onward = value + float(np.sign(gradient[i])) * _AT_BOUND * self.fitter.scale(slot.parameter)
-            if inside(slot.parameter, onward) == value:
+            if slot.parameter.inside(onward, self.fitter.model.rig.actuator.span) == value:
                 ends.append(i)
         return np.array(ends, dtype=np.int64)
 
@@ -648,8 +648,3 @@ def spline_residual(basis: Basis, grid: Array, values: Array) -> Array:
 def moves_tip(parameter: Parameter) -> bool:
     """Whether the tip's path depends on the parameter, and not only how that path is seen."""
     return parameter.name not in effects.PROJECTION
-
-
-def inside(parameter: Parameter, value: float) -> float:
-    """The value clipped to the parameter's range."""
-    return min(max(value, parameter.low), parameter.high)

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
-from tautline.diagnosis.fit import STATIC_COLUMNS, Fitter, ScoredRows, inside, moves_tip
+from tautline.diagnosis.fit import STATIC_COLUMNS, Fitter, ScoredRows, moves_tip
 from tautline.diagnosis.fitted import Fit, Hypothesis, ParameterState, Scope, key
 from tautline.effects import SIMULATOR, Kind, Parameter
 from tautline.nominal import Normal
@@ -191,7 +191,8 @@ class _Scan:
         parameter's range and _FARTHEST scales. It cannot be right where that is 0, or where a one-way amplitude was
         simulated on the other side of 0 (`sign`); a fit starts a little on that side then."""
         scale = self.fitter.scale(parameter)
-        value = inside(parameter, float(np.clip(amplitude, -_FARTHEST * scale, _FARTHEST * scale)))
+        far = float(np.clip(amplitude, -_FARTHEST * scale, _FARTHEST * scale))
+        value = parameter.inside(far, self.fitter.model.rig.actuator.span)
         if value == 0.0 or (parameter.one_way and value * sign < 0.0):
             return _OTHER_WAY * sign * scale, False
         return value, True

@@ -29,8 +29,8 @@ Holds = Callable[[Model, Mapping[str, float], float], Model]
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number of an effect. A parameter whose unit begins with "unit" is in the actuator's unit; its `scale` and
-    `shape` are then shares of the motor's range."""
+    """A number of an effect. A parameter whose unit begins with "unit" is in the actuator's unit; its `scale`, `shape`,
+    `low` and `high` are then shares of the motor's range."""
 
     name: str
     unit: str
@@ -46,6 +46,10 @@ class Parameter:
     def share(self, span: float) -> float:
         """What `scale` and `shape` count in: the motor's range `span` where the unit begins with "unit", else 1."""
         return span if self.unit.startswith("unit") else 1.0
+
+    def inside(self, value: float, span: float) -> float:
+        """The value clipped to the range in which it means something. span: of the motor, unit of q."""
+        return min(max(value, self.low * self.share(span)), self.high * self.share(span))
 
 
 @dataclass(frozen=True)
