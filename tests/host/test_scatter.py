@@ -137,6 +137,22 @@ def test_frames_count_whose_times_scatter_by_more_than_a_period():
     assert said.amount[JITTER] == pytest.approx(0.04, rel=0.3)
 
 
+def test_times_of_arrival_tell_which_frame_waited():
+    """At 100 Hz a frame that waits holds the next ones up: what is left remembers, as nothing random does."""
+    rng = np.random.default_rng(10)
+    scene = np.flatnonzero(rng.random(8000) > 0.02) / 100.0  # one in fifty is lost
+    arrival = np.maximum.accumulate(scene + rng.exponential(0.03, len(scene)))
+    arrival += 1e-6 * np.arange(len(arrival))  # none at the same time
+    at = lambda t: 2.0 * np.sin(2 * np.pi * t / 9.0)  # noqa: E731
+    seen = at(scene)[:, None] * PX_PER_UNIT + rng.normal(0.0, FLOOR, (len(scene), 2))
+    p = at(arrival - 0.07)
+    block = (arrival // 8.0).astype(np.int64)
+    said = compared([frames(arrival, seen, p[:, None] * PX_PER_UNIT, p, block)], FLOOR, int(block[-1]) + 1)
+    mean = {key: float(np.mean(said.loss[key])) for key in (JITTER, STICK, *RIVALS)}
+    assert min(mean, key=lambda key: mean[key]) == JITTER, mean
+    assert said.amount[JITTER] == pytest.approx(float(np.std(arrival - scene)), rel=0.3)
+
+
 def test_noise_alone_is_neither():
     said = told(np.random.default_rng(7), lambda t, p, rng: p)
     for name in (JITTER, STICK):

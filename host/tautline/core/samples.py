@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.ndimage import median_filter
+from scipy.ndimage import median_filter, minimum_filter1d
 from scipy.spatial import KDTree
 
 from tautline import spread
@@ -28,6 +28,8 @@ _LEVELS = 0.5  # prior: different values for each frame, below which a sensor ro
 _CORNERS = 6.0  # prior: of usual third differences: more is a turn's or a stray's
 _EXACT = 1e-9  # tolerance: of the range: a difference of binary numbers
 _LOW = 0.05  # tolerance: quantile of the steps between values that is a sensor's own
+_APART = 10  # tolerance: samples over which a period is told: one in thirty may be lost
+_WAITING = 26  # tolerance: samples, from one on or up to it, among which some hardly waited
 _EVEN = 0.25  # tolerance: of the usual gap, by which an even one differs from it
 
 
@@ -46,6 +48,23 @@ def noise_of(t: Array, y: Array, least: float) -> float:
         usual = float(np.sqrt(np.mean(np.minimum(np.abs(third), _CORNERS * max(usual, step)) ** 2)))
     of_one = usual / np.sqrt(spread.THIRD)
     return float(max(of_one, spread.of_rounding(step), least))
+
+
+def period_s(t: Array) -> float:
+    """Median time between samples that arrived at t (n,), s, over _APART of them, as each may come early or late; 0 of
+    fewer than two."""
+    apart = min(_APART, len(t) - 1)
+    return float(np.median(t[apart:] - t[:-apart])) / apart if apart > 0 else 0.0
+
+
+def waits_s(t: Array) -> Array:
+    """(n,) By how much later than those around it each sample arrived, s, if all were taken at even times: its time of
+    arrival t (n,) less that of an even clock through the least late of _WAITING samples from it on, or of those up to
+    it, whichever is later: a lost sample delays all after it."""
+    late = t - period_s(t) * np.arange(len(t))
+    ways = -(_WAITING // 2), (_WAITING - 1) // 2  # of the filter: windows that begin and end at a sample
+    onward, up_to = (minimum_filter1d(late, _WAITING, mode="nearest", origin=way) for way in ways)
+    return np.asarray(late - np.maximum(onward, up_to))
 
 
 def least_noise(unit: str) -> float:

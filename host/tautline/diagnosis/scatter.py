@@ -2,7 +2,8 @@
 
 Each explanation is a density of a frame's observation given the frames before it, with one free number by maximum
 likelihood, so that their likelihoods compare. Jitter: frame times are unsteady, and the image scatters along its motion
-in proportion to its speed, both ways or, of frames that wait, one way. Stick-slip: the tip stays where it was while the
+in proportion to its speed, both ways or, of frames that wait, one way, by chance or by what their times of arrival
+say. Stick-slip: the tip stays where it was while the
 motor drives on, the likelier the less it has driven since, and else is anywhere within a jump. Rivals stand for
 whatever else leaves a residual: noise whose level is another while the motor drives ("level"), lengths by which the tip
 is behind or ahead at any speed ("behind"), noise that grows with the speed both along the motion and across it, as of a
@@ -25,6 +26,7 @@ from scipy.linalg import solveh_banded
 from scipy.special import log_ndtr
 
 from tautline.coarse_grid import least_of
+from tautline.core.samples import period_s, waits_s
 from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.fitted import Fit
 from tautline.diagnosis.repeated import HELD
@@ -78,6 +80,7 @@ class Frames:
     residual: Array  # (n, k) observed less predicted, px or deg
     moved: Array  # (n, k) observed, from the frame before
     velocity: Array  # (n, k) predicted, per second
+    waited_s: Array  # (n,) by what its time of arrival says of when it was taken (`waits_s`)
     driven: Array  # (n,) by how much the play's centre moved since the frame before, unit of q
     place: Array  # (n,) the play's centre, unit of q
     way: Array  # (n,) the sign of its motion, at rest of the motion before; 0 until it moves
@@ -114,9 +117,7 @@ def frames(
     """The frames of one recording that count. t: arrival times (n,), s; observed, predicted: (n, k); p: the play's
     centre coordinate (n,), unit of q; block: (n,) the number of the block, -1 of frames that are not scored;
     calibration: whether it is of the calibration."""
-    n = min(_REMEMBERED, len(t) - 1)
-    period = float(np.median(t[n:] - t[:-n])) / n if n else 0.0  # whose own times may scatter by more
-    follows = np.concatenate([[False], np.diff(t) < _GAP * period])  # the frame before
+    follows = np.concatenate([[False], np.diff(t) < _GAP * period_s(t)])  # the frame before
     counts = block >= 0
     for back in range(1, _REMEMBERED + 1):
         counts[back:] &= follows[back:] & follows[1 : len(t) - back + 1]
@@ -132,6 +133,7 @@ def frames(
         residual=residual[kept],
         moved=observed[kept] - observed[kept - 1],
         velocity=np.gradient(predicted, t, axis=0)[kept],
+        waited_s=waits_s(t)[kept],
         driven=driven[kept],
         place=p[kept],
         way=way[kept],
@@ -154,8 +156,10 @@ def compared(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
     # s in which a fast image moves as far as the noise
     finest_s = floor / max(float(np.quantile(frames.speed, _FAST_IMAGE)), 1e-9)
     seconds = np.geomspace(min(_FINEST * finest_s, _FINEST * _LONGEST_S), _LONGEST_S, _SECONDS)
-    steady, waiting = frames.likeliest(frames.jitter, seconds), frames.likeliest(frames.waiting, seconds)
-    jittered, jitter_s = max(steady, waiting, key=_log_likelihood)
+    # Each with the part of its scatter that the times of arrival tell, s.
+    jitters = (frames.jitter, 0.0), (frames.waiting, 0.0), (frames.stamped, frames.waits_deviation_s)
+    of_each = [(frames.likeliest(kind, seconds), told_s) for kind, told_s in jitters]
+    (jittered, beside_s), told_s = max(of_each, key=lambda one: _log_likelihood(one[0]))
     fast_drive = max(float(np.quantile(frames.driven, _FAST)), 1e-9)  # unit of q from frame to frame
     jumps = np.geomspace(_JUMPS[0] * fast_drive, _JUMPS[1] * fast_drive, _JUMP_SIZES)
     stuck, jump = frames.likeliest(frames.stick, jumps)
@@ -182,7 +186,7 @@ def compared(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
         name: has_frames * (-2.0 / frames.coordinates * np.bincount(frames.block, x, minlength=blocks) / count - 1.0)
         for name, x in log_densities.items()
     }
-    return Scatter(loss, {JITTER: jitter_s, STICK_SLIP: jump, HELD: held_share})
+    return Scatter(loss, {JITTER: float(np.hypot(beside_s, told_s)), STICK_SLIP: jump, HELD: held_share})
 
 
 def _log_likelihood(likeliest: tuple[Array, float]) -> float:
@@ -206,6 +210,7 @@ class _Joined:
         self.residual = self.as_it_is - lag
         self._before = joined(lambda f: f.before) - lag[:, :, None]
         self._velocity, self._per_unit = joined(lambda f: f.velocity), joined(lambda f: f.per_unit)
+        self._waited_s = joined(lambda f: f.waited_s)
         self._by_velocity = _along_and_across2(self.residual, self._velocity)
         self._by_direction = _along_and_across2(self.residual, self._per_unit)
         self._per_unit2 = np.sum(self._per_unit**2, axis=1)
@@ -295,6 +300,13 @@ class _Joined:
         along, across2 = self._by_median_wait
         return _lagging(along, across2, seconds * self.speed, self._floor2, self.coordinates)
 
+    def stamped(self, seconds: float) -> Array:
+        """(n,) As `jitter`, of frames taken at even times: they lag along the motion by what their times of arrival say
+        that they waited, the median in the delay."""
+        along, across2 = self._by_stamped_wait
+        variance = self._floor2 + (seconds * self.speed) ** 2
+        return _gaussian_along(along, across2, variance, self._floor2, self.coordinates)
+
     def behind(self, length: float) -> Array:
         """(n,) Log-density of a misfit by a length, whatever the speed: exponentially distributed with the median in
         the fit, behind the prediction while the motor drives or, with a negative one, ahead. length: of the play's
@@ -307,6 +319,18 @@ class _Joined:
         """(n,) twice: the residual along the image's motion, shifted in proportion to the speed so that the median
         frame of its recording is timely (`_median_part`), and the square of the residual across it."""
         along, across2 = _along_and_across2(self.as_it_is, self._velocity)
+        return along - self._median_part(along, self.speed), across2
+
+    @property
+    def waits_deviation_s(self) -> float:
+        """Standard deviation, s, of how long frames waited by their times of arrival."""
+        return float(np.std(self._waited_s))
+
+    @cached_property
+    def _by_stamped_wait(self) -> tuple[Array, Array]:
+        """As `_by_median_wait`, of residuals less the way that the image goes while a frame waits (`waits_s`)."""
+        along, across2 = _along_and_across2(self.as_it_is, self._velocity)
+        along = along + self.speed * self._waited_s
         return along - self._median_part(along, self.speed), across2
 
     @cached_property
