@@ -57,14 +57,14 @@ def reference(view: View, c: FloatArray, pose: FloatArray, along: FloatArray, ro
 
 def draw(rng: np.random.Generator, arm: bool, largest_deg: float) -> View:
     """A set-up that keeps the marker in the picture to 1.12 of the reach, other joints and small leans included."""
-    a = np.radians(largest_deg)
+    a = float(np.radians(largest_deg))
     while True:
         if arm:  # from beside, on a stand
             bending, length = float(rng.uniform(1.0, 4.0)), float(rng.uniform(20, 50))
             size, focal = ((1280, 720), (1920, 1080), (1280, 960))[int(rng.integers(3))], float(rng.uniform(900, 1700))
             angles = (float(rng.uniform(-102, -78)), float(rng.uniform(-10, 10)), float(rng.uniform(-20, 20)))
-            height = bending + length * (1 + np.cos(a)) / 2  # half way between the middle and the ends
-            middle, near = height + float(rng.uniform(-0.15, 0.15)) * length, 60.0
+            height = bending + length * (1 + float(np.cos(a))) / 2  # half way between the middle and the ends
+            middle, near = float(rng.uniform(-0.15, 0.15)) * length - height, 60.0
         else:  # an endoscope's view
             bending, length = float(rng.uniform(14, 32)), float(rng.uniform(4, 12))
             size, focal = ((720, 576), (640, 480), (1280, 720))[int(rng.integers(3))], float(rng.uniform(350, 750))
@@ -74,7 +74,7 @@ def draw(rng: np.random.Generator, arm: bool, largest_deg: float) -> View:
         away = focal * swept / (float(rng.uniform(0.3, 0.8)) * size[1]) - (0.0 if arm else bending * np.sin(a) / a)
         if away < near:
             continue
-        place = (float(rng.uniform(-6, 6)), middle, away)
+        place = (float(rng.uniform(-6, 6)), middle, float(away))
         centre = (size[0] / 2 + float(rng.uniform(-15, 15)), size[1] / 2 + float(rng.uniform(-15, 15)))
         view = View(
             round(bending, 2), round(length, 2), *size, round(focal, 2), (round(centre[0], 2), round(centre[1], 2)),

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tools.family.view import View
 from tools.family_three import camera, motion, nominal, ranges
 from tools.family_three.causes import LISTED, NOMINAL, UNLISTED, Cause
 from tools.family_three.causes.drive import FULL_LOAD, STROKES
@@ -13,6 +14,7 @@ from tools.family_three.line import Line, Path, lay
 from tools.family_three.mechanism import Mechanism
 from tools.family_three.mechanisms import Fusee, Jaw, Piston, Worm, Wrist
 from tools.family_three.plant import Plant, gap, logged, show
+from tools.family_two.motion import STEP
 
 FloatArray = NDArray[np.float64]
 MECHANISMS: dict[str, type[Mechanism]] = {c.__name__.lower(): c for c in (Piston, Worm, Wrist, Fusee, Jaw)}
@@ -162,7 +164,7 @@ def _draw(rng: np.random.Generator, index: int, kind: str, ids: tuple[str, ...])
     )  # fmt: skip
 
 
-def _pixels(view: camera.View, reach_deg: float) -> float:
+def _pixels(view: View, reach_deg: float) -> float:
     """px of one coordinate for a deg of the tip, rms over the reach."""
     c = np.linspace(-reach_deg, reach_deg, 41)
     seen = camera.picture(view, c, camera.Scene.still(c.size))
@@ -198,7 +200,7 @@ def _motion(
             q = motion.MOTIONS[kinds[label]](rng, reach, width, float(seconds))
         still = label == "calibration" and not early
         others = {c: np.zeros(q.size) if still else _other(rng, c, q.size) for c in columns}
-        beat = np.arange(0.25, (q.size - 1) * motion.STEP - 0.2, 1 / frame_rate)
+        beat = np.arange(0.25, (q.size - 1) * STEP - 0.2, 1 / frame_rate)
         parts.append((label, q, others, beat + rng.normal(scale=2e-4, size=beat.size).clip(-1e-3, 1e-3)))
     return lay(parts, reach, width, mechanism.slope(), mechanism.turn), {"calibration": "calibration"} | kinds
 

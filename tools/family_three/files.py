@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomli_w
 from numpy.typing import NDArray
 
 from tools.family_three.cases import Case
@@ -21,7 +22,7 @@ def write(case: Case, seed: int, out: Path, truths: Path) -> dict[str, object]:
     folder, unseen = out / "cases" / case.name, out / "unseen" / case.name
     for path in (folder, unseen, truths):
         path.mkdir(parents=True, exist_ok=True)
-    known = second.tomli_w.dumps(second.rig(alike, rng))
+    known = tomli_w.dumps(second.rig(alike, rng))
     for path in (folder, unseen):
         (path / "rig.toml").write_text(known)
     seen = case.plant.view is not None

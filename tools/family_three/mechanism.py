@@ -12,7 +12,8 @@ from tools.family_two.motion import STEP
 FloatArray = NDArray[np.float64]
 Number = FloatArray | float
 GRID = 801
-BEYOND = 1.3  # of the limit: how far tables go
+MOST_STEPS = 40  # Newton's, halving where they go astray
+BEYOND = 1.4  # of the limit: how far tables go
 
 
 @dataclass
@@ -21,7 +22,7 @@ class Demand:
 
     q: FloatArray
     rub: Number = 1.0  # friction, of the healthy
-    load: Number = 0.0  # what pulls at the tip: what it moves the middle by, in widths
+    load: Number = 0.0  # what pulls at the tip, of a `pull`
     wall: Number = 0.0  # of the motion beyond `wall_at` that is taken away
     wall_at: Number = 1e9  # deg, on the side of `wall_side`
     wall_side: float = 1.0
@@ -44,9 +45,13 @@ class Mechanism:
     massive = False
     rate, damping = 60.0, 0.5  # Hz and damping ratio, of those with mass
     limit = 60.0  # deg
+    pull: float  # the torque that moves the middle by a width
     turn = 1.0  # units of q for a turn of the shaft that carries the encoder
     exact = True  # else friction depends weakly on speed: `weak` of it more at rest
     weak = 0.0
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        raise NotImplementedError
 
     def drive(self, x: FloatArray, s: float, rub: Number, torque: Number, law: Number) -> FloatArray:
         """Motor place at which the tip, at `x`, is about to slide up (s = 1) or down (s = -1)."""
@@ -60,6 +65,7 @@ class Mechanism:
         self.give = (pushed[0] - pushed[1]) / (2 * small)  # units of q for a unit of torque, in the middle
         up, down = (self.drive(zero, s, 1.0, 0.0, 0.0)[0] for s in (1, -1))
         self.width = float(up - down)
+        self.pull = self.width / self.give
         self.home = float(0.5 * (up + down))  # the motor's zero is in the middle of the gap
         ends = self.drive(np.array([-1.0, 1.0]) * self.limit, 0.0, 1.0, 0.0, 0.0) - self.home
         self.reach = float(np.min(np.abs(ends))) + 0.3 * self.width
@@ -75,7 +81,7 @@ class Mechanism:
         wall_at: Number = 1e9,
         wall_side: float = 1.0,
     ) -> FloatArray:
-        torque = load * self.width / self.give
+        torque = load * self.pull
         if np.any(np.asarray(wall) > 0):
             past = np.maximum(wall_side * x - wall_at, 0.0)
             past = past - 0.5 * (1 - np.exp(-2 * past))  # a soft first half degree
@@ -110,14 +116,23 @@ class Mechanism:
             table = self.need(self.xs, s, d.rub, d.load, d.law, d.wall, d.wall_at, d.wall_side)
             return np.interp(d.q, table, self.xs)
         x: FloatArray = np.interp(d.q, self.need(self.xs, s), self.xs)
-        most, eps = 0.15 * self.limit, 1e-3
-        for _ in range(8):
-            known = (s, d.rub, d.load, d.law, d.wall, d.wall_at, d.wall_side)
-            miss = self.need(x, *known) - d.q
-            slope = (self.need(x + eps, *known) - d.q - miss) / eps
-            step = np.clip(miss / np.maximum(slope, 1e-9), -most, most)
-            x = np.clip(x - step, self.xs[0], self.xs[-1])
-            if np.max(np.abs(step)) < 1e-5 * self.limit:
+        below, above = np.full(x.size, self.xs[0]), np.full(x.size, self.xs[-1])
+        left, eps = np.arange(x.size), 1e-4 * self.limit
+        for _ in range(MOST_STEPS):
+            rub, load, law, wall, far = (
+                v[left] if isinstance(v, np.ndarray) else v for v in (d.rub, d.load, d.law, d.wall, d.wall_at)
+            )
+            at, q = x[left], d.q[left]
+            miss = self.need(at, s, rub, load, law, wall, far, d.wall_side) - q
+            slope = (self.need(at + eps, s, rub, load, law, wall, far, d.wall_side) - q - miss) / eps
+            below[left] = np.where(miss < 0, at, below[left])
+            above[left] = np.where(miss > 0, at, above[left])
+            new = at - miss / np.where(slope > 0, slope, np.inf)
+            astray = (new <= below[left]) | (new >= above[left])
+            new = np.where(astray, 0.5 * (below[left] + above[left]), new)
+            x[left] = new
+            left = left[np.abs(new - at) > 1e-6 * self.limit]
+            if left.size == 0:
                 break
         return x
 
@@ -161,8 +176,11 @@ class Mechanism:
 
     def healthy(self) -> bool:
         """Branches rise everywhere and stay a width apart that changes by less than a factor of four."""
+        every = [self.need(self.xs, side) for side in (1.0, -1.0)]
+        if min(np.diff(branch).min() for branch in every) <= 0 or np.min(every[0] - every[1]) <= 0:
+            return False
         inside = np.abs(self.xs) < 1.05 * self.limit
-        up, down = self.need(self.xs, 1.0)[inside], self.need(self.xs, -1.0)[inside]
+        up, down = every[0][inside], every[1][inside]
         slopes = np.concatenate([np.diff(up), np.diff(down)])
         width = up - down
         return bool(

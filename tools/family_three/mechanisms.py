@@ -7,6 +7,7 @@ from tools.family_three import ranges
 from tools.family_three.mechanism import Mechanism, Number
 
 FloatArray = NDArray[np.float64]
+SLACK = 6.0  # times as yielding as when taut, where what pulls alone is asked to push
 
 
 class Piston(Mechanism):
@@ -18,6 +19,7 @@ class Piston(Mechanism):
     """
 
     unit, arm, exact = "mm", False, False
+    giving: float  # mm at the preload
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.limit = float(rng.uniform(55, 80))
@@ -39,9 +41,11 @@ class Piston(Mechanism):
         y = self.pinion * np.radians(x)
         part = x / self.limit
         force = 1 + self.spring * part * (1 + self.harden * part**2) + torque
-        p = np.maximum((force + s * rub * self.seal) / (1 - s * rub * self.pressed), -0.2)
-        pressed = p + self.air * p / (p + 0.3)
-        geometry = self.ratio * y * (1 + law * (1 + 0.4 * part))
+        pulls = np.maximum(force, 0.0)
+        p = (pulls + s * rub * self.seal) / (1 - s * rub * self.pressed) + force - pulls
+        liquid = np.maximum(p, -0.1)  # below, it boils and gives way
+        pressed = liquid + self.air * liquid / (liquid + 0.3) + SLACK * (p - liquid)
+        geometry = self.ratio * y * (1 + law * (1 + 0.25 * part))
         return np.asarray(geometry + self.giving * (1 + y / self.filled) * pressed)
 
 
@@ -53,6 +57,7 @@ class Worm(Mechanism):
     """
 
     unit = "deg"
+    gap: float  # deg of the wheel
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.limit = float(rng.uniform(50, 75))
@@ -70,6 +75,11 @@ class Worm(Mechanism):
             if self.tune("gap", 0.0, 20.0, width) and self.healthy():
                 break
 
+    def settle(self) -> None:
+        """A pull is as strong as friction: much more only lays the teeth to one side."""
+        super().settle()
+        self.pull = 1.0
+
     def drive(self, x: FloatArray, s: float, rub: Number, torque: Number, law: Number) -> FloatArray:
         part = x / self.limit
         own = self.gravity * np.sin(np.radians(x)) + self.spring * part
@@ -77,7 +87,7 @@ class Worm(Mechanism):
         soft = all_of**2 + 0.05**2
         gap = self.gap * (1 - self.wear * (part - self.worn_at) ** 2) * (1 + 0.5 * (np.asarray(rub) - 1))
         flank = 0.5 * gap * all_of / np.sqrt(soft) + 0.5 * self.hertz * all_of / soft ** (1 / 6)
-        wheel = x * (1 + law * (1 + 0.4 * part)) + self.off * np.sin(np.radians(x + self.phase))
+        wheel = x * (1 + law * (1 + 0.25 * part)) + self.off * np.sin(np.radians(x + self.phase))
         return np.asarray(self.teeth * (wheel + flank))
 
     def presliding(self) -> tuple[tuple[float, float], ...]:
@@ -94,6 +104,7 @@ class Wrist(Mechanism):
     """
 
     unit = "mm"
+    resists: float  # torque of rolling, in the middle
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.limit = float(rng.uniform(50, 80))
@@ -110,10 +121,11 @@ class Wrist(Mechanism):
     def drive(self, x: FloatArray, s: float, rub: Number, torque: Number, law: Number) -> FloatArray:
         half = np.radians(x) / 2
         part = x / self.limit
-        pressed = np.maximum(2 + 4 * self.stiff * self.height * (np.cos(half) - 1), 0.1) + 0.1 * np.abs(torque)
+        pressed = np.maximum(2 + 4 * self.stiff * self.height * (np.cos(half) - 1), 0.1)
+        pressed = pressed + 0.1 * np.abs(torque) / (1 + 0.1 * np.abs(torque))
         moment = self.resists * rub * (pressed / 2) ** 1.5
         own = self.flexure * part + torque + s * moment - pressed * self.height * np.sin(half)
-        cable = 2 * self.side * np.sin(half) * (1 + law * (1 + 0.4 * part))
+        cable = 2 * self.side * np.sin(half) * (1 + law * (1 + 0.25 * part))
         return np.asarray(cable + own / (2 * self.stiff * self.side * np.cos(half)))
 
     def presliding(self) -> tuple[tuple[float, float], ...]:
@@ -128,6 +140,7 @@ class Fusee(Mechanism):
     """
 
     unit, arm = "deg", False
+    giving: float  # deg of the drum at the preload
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.limit = float(rng.uniform(50, 85))
@@ -145,14 +158,16 @@ class Fusee(Mechanism):
 
     def drive(self, x: FloatArray, s: float, rub: Number, torque: Number, law: Number) -> FloatArray:
         part = x / self.limit
-        pull = np.maximum(1 + self.spring * part + torque, 0.05)
+        asked = 1 + self.spring * part + torque
+        pull = np.maximum(asked, 0.05)  # a cable does not push
         drum = pull * np.exp(s * rub * self.rubs * (1 + self.wraps * part)) + s * rub * self.bending
-        taken = self.ratio * x * (1 + law * (1 + 0.4 * part)) + self.giving * 0.5 * (drum + pull - 2)
-        far = self.ratio * self.limit  # taken = q + spiral q^2 / (2 far)
-        if abs(self.spiral) < 1e-6:
-            return np.asarray(taken)
-        root = np.sqrt(np.maximum(1 + 2 * self.spiral * taken / far, 1e-3))
-        return np.asarray(far / self.spiral * (root - 1))
+        drum = drum + SLACK * (asked - pull)
+        taken = self.ratio * x * (1 + law * (1 + 0.25 * part)) + self.giving * 0.5 * (drum + pull - 2)
+        share = taken / (self.ratio * self.limit)  # = t + spiral t^2 / 2 for t of the range
+        inside = np.clip(share, -1.5, 1.5)  # beyond, the drum is round
+        root = np.sqrt(1 + 2 * self.spiral * inside)
+        turned = 2 * inside / (1 + root) + (share - inside) / root
+        return np.asarray(self.ratio * self.limit * turned)
 
 
 class Jaw(Mechanism):
@@ -164,6 +179,7 @@ class Jaw(Mechanism):
     """
 
     unit, massive = "mm", True
+    giving: float  # mm at the preload
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.limit = float(rng.uniform(22, 40))
@@ -184,10 +200,11 @@ class Jaw(Mechanism):
     def drive(self, x: FloatArray, s: float, rub: Number, torque: Number, law: Number) -> FloatArray:
         part, a = x / self.limit, np.radians(x)
         slope = self.rise * (1 + self.cam * part)
-        moved = self.lever * self.rise * a * (1 + 0.5 * self.cam * part) * (1 + law * (1 + 0.4 * part))
-        leaf = np.maximum(1 + self.leaf * part * (1 + self.harden * part**2) + torque, 0.02)
+        moved = self.lever * self.rise * a * (1 + 0.5 * self.cam * part) * (1 + law * (1 + 0.25 * part))
+        asked = 1 + self.leaf * part * (1 + self.harden * part**2) + torque
+        leaf = np.maximum(asked, 0.05)  # below, the pin leaves its flank
         turned = np.minimum(np.arctan(slope) + s * rub * np.radians(self.phi), 1.45)
-        return np.asarray(moved + self.giving * leaf * np.tan(turned))
+        return np.asarray(moved + self.giving * (leaf * np.tan(turned) + SLACK * (asked - leaf)))
 
     def presliding(self) -> tuple[tuple[float, float], ...]:
         return mindlin()

@@ -17,7 +17,7 @@ def jerk(start: float, end: float, seconds: float) -> FloatArray:
     """A minimum-jerk move; the first instant is the one after the start."""
     n = max(round(seconds / STEP), 2)
     u = np.arange(1, n + 1) / n
-    return start + (end - start) * u**3 * (10 + u * (6 * u - 15))
+    return np.asarray(start + (end - start) * u**3 * (10 + u * (6 * u - 15)))
 
 
 def steady(start: float, end: float, seconds: float) -> FloatArray:
@@ -26,7 +26,7 @@ def steady(start: float, end: float, seconds: float) -> FloatArray:
     u = np.arange(1, n + 1) / n
     soft = 0.1
     v = np.minimum(np.minimum(u, 1 - u + 1 / n) / soft, 1.0)
-    return start + (end - start) * np.cumsum(v) / v.sum()
+    return np.asarray(start + (end - start) * np.cumsum(v) / v.sum())
 
 
 def _rest(place: float, seconds: float) -> FloatArray:
@@ -82,8 +82,8 @@ def lissajous(rng: np.random.Generator, reach: float, width: float, seconds: flo
     pace = np.ones(n)
     for begin in np.cumsum(rng.uniform(4.0, 8.0, 8)):
         pace[round(begin / STEP) : round((begin + rng.uniform(0.6, 1.8)) / STEP)] = 0.0
-    pace = np.convolve(np.pad(pace, 50, "edge"), np.ones(101) / 101, mode="valid")
-    s = np.cumsum(pace) * STEP
+    soft = np.convolve(np.pad(pace, 50, "edge"), np.ones(101) / 101, mode="valid")
+    s = np.cumsum(soft) * STEP
     base = rng.uniform(0.1, 0.16)
     rates = base * np.array([1.0, np.sqrt(2.0) * 1.19, np.sqrt(7.0)])
     sizes = np.array([0.55, 0.35, 0.2]) * rng.uniform(0.8, 1.2, 3)

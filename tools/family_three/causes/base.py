@@ -85,8 +85,7 @@ class Cause:
 def follow(x: FloatArray, tau: float, step: float = STEP) -> FloatArray:
     """First-order low-pass that begins at rest."""
     a = float(np.exp(-step / tau))
-    rest: FloatArray = lfilter([1 - a], [1, -a], x - x[0])
-    return rest + x[0]
+    return np.asarray(lfilter([1 - a], [1, -a], x - x[0]) + x[0])
 
 
 def swings(x: FloatArray, rate: float, damping: float, step: float = STEP) -> FloatArray:
@@ -96,8 +95,7 @@ def swings(x: FloatArray, rate: float, damping: float, step: float = STEP) -> Fl
     e, cos, sin = np.exp(-damping * w * step), np.cos(d * step), np.sin(d * step)
     k = damping * w / d
     b = [0.0, 1 - e * (cos + k * sin), e * e + e * (k * sin - cos)]
-    out: FloatArray = lfilter(b, [1, -2 * e * cos, e * e], x - x[0])
-    return out + x[0]
+    return np.asarray(lfilter(b, [1, -2 * e * cos, e * e], x - x[0]) + x[0])
 
 
 def side(c: FloatArray, travel: float) -> FloatArray:

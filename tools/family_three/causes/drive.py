@@ -27,7 +27,7 @@ class EncoderPeriodic(Cause):
         phases = self.rng().uniform(0, 2 * np.pi, 2)
         angle = 2 * np.pi * line.q / line.turn
         wrong = np.sin(angle + phases[0]) + np.sin(2 * angle + phases[1]) / 7
-        return q + self.on(line) * self.size * line.turn * wrong
+        return np.asarray(q + self.on(line) * self.size * line.turn * wrong)
 
     def parameters(self, line: Line) -> Said:
         return {"period": line.turn}

@@ -122,4 +122,4 @@ class HeldSamples(Cause):
         fresh = rng.random(pick.size) >= self.size
         fresh[0] = True
         last = np.maximum.accumulate(np.where(fresh, np.arange(pick.size), 0))
-        return pick[last]
+        return np.asarray(pick[last])

@@ -151,7 +151,7 @@ class StuckBit(Hidden):
 
     def log(self, line: Line, q: FloatArray) -> FloatArray:
         bit = self.size * line.width
-        return q - bit * self.on(line) * (np.floor((q + line.reach) / bit) % 2)
+        return np.asarray(q - bit * self.on(line) * (np.floor((q + line.reach) / bit) % 2))
 
 
 class ChangeOnlyLog(Hidden):
@@ -173,10 +173,10 @@ class LogStalls(Hidden):
 
     def log(self, line: Line, q: FloatArray) -> FloatArray:
         rng = self.rng()
-        begins = np.cumsum(rng.uniform(1.2, 3.0, int(line.t[-1] / 2) + 5))
+        begins = np.cumsum(rng.uniform(1.2, 3.0, int(line.t[-1] / 1.2) + 2))
         gone = np.searchsorted(begins, line.t) != np.searchsorted(begins, line.t - self.size)
         known = ~gone | (self.on(line) == 0)
-        return np.interp(line.t, line.t[known], q[known])
+        return np.asarray(np.interp(line.t, line.t[known], q[known]))
 
 
 DRIVE = (
