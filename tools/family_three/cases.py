@@ -33,6 +33,7 @@ TARGET = (2.3, 90.0)  # times the noise to which a single cause is set, log-unif
 TARGET_OF_MANY = (5.0, 90.0)
 FAINTEST = 2.0  # times the noise below which a case is drawn again
 ATTEMPTS = 6
+HEALTHY = 0.4  # of the noise: what the refit may leave of the healthy mechanism, or the case is drawn again
 TRIALS = 5  # of a cause's size
 EARLY = 0.33  # of the causes that can have been there while calibrating
 ANGLE_ALONE = 0.2  # of the cases that no cause's nature gives a camera
@@ -111,7 +112,8 @@ def draw(seed: int, index: int, kind: str, ids: tuple[str, ...]) -> Case:
         case = _set(case, np.random.default_rng([seed, 303, index, attempt]))
         pairs = zip(case.causes, case.strengths, strict=True)
         weakest = min((strength(c, s) for c, s in pairs), default=np.inf)
-        weakest = min(weakest, FAINTEST * 1.01) - (0.0 if in_picture(case) else 100.0)
+        sound = in_picture(case) and healthy_rest(case) < HEALTHY * case.noise
+        weakest = min(weakest, FAINTEST * 1.01) - (0.0 if sound else 100.0)
         if best is None or weakest > best[0]:
             best = (float(weakest), case)
         if weakest >= FAINTEST:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
@@ -13,6 +14,7 @@ FloatArray = NDArray[np.float64]
 Number = FloatArray | float
 GRID = 801
 MOST_STEPS = 40  # Newton's, halving where they go astray
+ROUGH = 0.003  # deg: what a law of degree 7 may leave
 BEYOND = 1.4  # of the limit: how far tables go
 
 
@@ -143,7 +145,8 @@ class Mechanism:
             speed = np.abs(np.gradient(d.q, STEP))
             half = 0.5 * self.weak * np.exp(-speed / (0.05 * self.reach)) * (high - low)
             low, high = low - half, high + half
-        start = float(0.5 * (low[0] + high[0]))
+        middle = 0.5 * (self.need(self.xs, 1.0) + self.need(self.xs, -1.0))
+        start = float(np.clip(np.interp(d.q[0], middle, self.xs), low[0], high[0]))
         if d.shares:
             low, high = presliding(low, high, start, d)
         if self.massive:
@@ -175,19 +178,22 @@ class Mechanism:
         return True
 
     def healthy(self) -> bool:
-        """Branches rise everywhere and stay a width apart that changes by less than a factor of four."""
-        every = [self.need(self.xs, side) for side in (1.0, -1.0)]
-        if min(np.diff(branch).min() for branch in every) <= 0 or np.min(every[0] - every[1]) <= 0:
+        """Branches rise everywhere, a width apart that changes by less than a factor of five, both of them smooth."""
+        up, down = self.need(self.xs, 1.0), self.need(self.xs, -1.0)
+        if min(np.diff(up).min(), np.diff(down).min(), np.min(up - down)) <= 0:
             return False
-        inside = np.abs(self.xs) < 1.05 * self.limit
-        up, down = every[0][inside], every[1][inside]
-        slopes = np.concatenate([np.diff(up), np.diff(down)])
-        width = up - down
+        inside = np.abs(self.xs) < 1.03 * self.limit
+        slopes = np.concatenate([np.diff(up[inside]), np.diff(down[inside])])
+        middle, width, x = 0.5 * (up + down)[inside] / self.reach, (up - down)[inside], self.xs[inside]
+        rough = x - chebyshev.chebval(middle, chebyshev.chebfit(middle, x, 7))
+        uneven = width - chebyshev.chebval(middle, chebyshev.chebfit(middle, width, 5))
         return bool(
             slopes.min() > 0.25 * np.median(slopes)
             and width.min() > 0.4 * self.width
             and width.max() < 2 * self.width
             and self.width < 0.5 * self.reach
+            and np.sqrt(np.mean(rough**2)) < ROUGH
+            and np.sqrt(np.mean(uneven**2)) * self.slope() < 2 * ROUGH
         )
 
 

@@ -28,9 +28,9 @@ class Piston(Mechanism):
         self.turn = float(rng.choice([1.0, 2.0, 4.0]))  # mm: lead of the master's spindle
         while True:
             width = ranges.SEAL_WIDTH.draw(rng)
-            self.spring = float(rng.uniform(0.3, 0.7))  # of the preload, at the limit
+            self.spring = float(rng.uniform(0.25, 0.6))  # of the preload, at the limit
             self.harden = float(rng.uniform(0.0, 0.3))
-            self.seal = float(rng.uniform(0.15, 0.4))  # of the preload
+            self.seal = float(rng.uniform(0.1, 0.35)) * (1 - self.spring * (1 + self.harden))  # of the preload
             self.pressed = float(rng.uniform(0.03, 0.12))
             self.filled = float(rng.uniform(15, 40))  # mm
             self.air = float(rng.uniform(0.0, 0.5))
@@ -185,8 +185,8 @@ class Jaw(Mechanism):
         self.limit = float(rng.uniform(22, 40))
         self.lever = float(rng.uniform(4.0, 9.0))  # mm
         self.turn = float(rng.choice([0.5, 1.0, 2.0]))  # mm: lead of the spindle behind the rod
-        self.rate = float(rng.uniform(35, 70))
-        self.damping = float(rng.uniform(0.15, 0.5))
+        self.rate = float(rng.uniform(40, 80))
+        self.damping = float(rng.uniform(0.25, 0.7))
         while True:
             width = ranges.CAM_WIDTH.draw(rng)
             self.rise = float(rng.uniform(0.7, 1.2))  # tan of the pressure angle, in the middle
