@@ -11,9 +11,9 @@ from tools.family_three import camera, motion, nominal, ranges
 from tools.family_three.causes import LISTED, NOMINAL, UNLISTED, Cause
 from tools.family_three.causes.drive import FULL_LOAD, STROKES
 from tools.family_three.line import Line, Path, lay
-from tools.family_three.mechanism import Mechanism
+from tools.family_three.mechanism import BEYOND, Mechanism
 from tools.family_three.mechanisms import Fusee, Jaw, Piston, Worm, Wrist
-from tools.family_three.plant import Plant, gap, logged, show
+from tools.family_three.plant import Plant, gap, logged, show, tip
 from tools.family_two.motion import STEP
 
 FloatArray = NDArray[np.float64]
@@ -112,7 +112,7 @@ def draw(seed: int, index: int, kind: str, ids: tuple[str, ...]) -> Case:
         case = _set(case, np.random.default_rng([seed, 303, index, attempt]))
         pairs = zip(case.causes, case.strengths, strict=True)
         weakest = min((strength(c, s) for c, s in pairs), default=np.inf)
-        sound = in_picture(case) and healthy_rest(case) < HEALTHY * case.noise
+        sound = in_picture(case) and in_range(case) and healthy_rest(case) < HEALTHY * case.noise
         weakest = min(weakest, FAINTEST * 1.01) - (0.0 if sound else 100.0)
         if best is None or weakest > best[0]:
             best = (float(weakest), case)
@@ -134,6 +134,12 @@ def in_picture(case: Case) -> bool:
         return True
     edge = np.array([view.width_px, view.height_px]) - 8.0
     return all(bool(np.all((s.values > 8.0) & (s.values < edge))) for s in show(case.plant, case.line, case.causes))
+
+
+def in_range(case: Case) -> bool:
+    """The tip stays where the mechanism's tables hold."""
+    m = case.plant.mechanism
+    return bool(np.max(np.abs(tip(case.plant, case.line, case.causes))) < (BEYOND - 0.02) * m.limit)
 
 
 def _draw(rng: np.random.Generator, index: int, kind: str, ids: tuple[str, ...]) -> Case:

@@ -113,7 +113,7 @@ def heavy(low: FloatArray, high: FloatArray, start: float, rate: float, damping:
         a, b, c, d = moves[z]
         off = x - aim
         x, new = aim + a * off + b * v, c * off + d * v
-        v = 0.0 if new * way <= 0 else new
+        v = 0.0 if new * way <= 0 and lo <= x <= hi else new
         out.append(x)
     return np.array(out)
 
