@@ -25,7 +25,7 @@ class Piston(Mechanism):
         self.limit = float(rng.uniform(55, 80))
         self.pinion = float(rng.uniform(3.0, 5.0))  # mm
         self.ratio = float(rng.uniform(0.7, 1.6))  # slave's area over the master's
-        self.turn = float(rng.choice([1.0, 2.0, 4.0]))  # mm: lead of the master's spindle
+        self.turn = float(rng.choice([1.5, 2.0, 3.0, 4.0]))  # mm: lead of the master's spindle
         while True:
             width = ranges.SEAL_WIDTH.draw(rng)
             self.spring = float(rng.uniform(0.25, 0.6))  # of the preload, at the limit
@@ -108,7 +108,7 @@ class Wrist(Mechanism):
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.limit = float(rng.uniform(50, 80))
-        self.turn = float(rng.uniform(1.5, 6.0))
+        self.turn = float(rng.uniform(1.2, 3.5))  # mm: around the drum
         while True:
             width = ranges.ROLLING_WIDTH.draw(rng)
             self.side = float(rng.uniform(2.5, 5.0))  # a, mm
@@ -145,7 +145,7 @@ class Fusee(Mechanism):
     def __init__(self, rng: np.random.Generator) -> None:
         self.limit = float(rng.uniform(50, 85))
         self.ratio = float(rng.uniform(0.8, 3.0))  # deg of the drum for each of the section
-        self.turn = float(rng.choice([60.0, 90.0, 120.0]))  # geared up behind the encoder
+        self.turn = float(rng.choice([45.0, 60.0, 90.0]))  # geared up behind the encoder
         while True:
             width = ranges.IDLER_WIDTH.draw(rng)
             self.spiral = float(rng.uniform(-0.3, 0.3))
@@ -184,7 +184,7 @@ class Jaw(Mechanism):
     def __init__(self, rng: np.random.Generator) -> None:
         self.limit = float(rng.uniform(22, 40))
         self.lever = float(rng.uniform(4.0, 9.0))  # mm
-        self.turn = float(rng.choice([0.5, 1.0, 2.0]))  # mm: lead of the spindle behind the rod
+        self.turn = float(rng.choice([1.0, 2.0, 3.0]))  # mm: lead of the spindle behind the rod
         self.rate = float(rng.uniform(40, 80))
         self.damping = float(rng.uniform(0.25, 0.7))
         while True:

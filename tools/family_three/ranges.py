@@ -1,9 +1,9 @@
 """Ranges of this family, each with its source; those of listed effects are the first family's."""
 
 from tools.family import ranges as first
-from tools.family.ranges import LUGRE, MADE, RESPIRATION, WEBCAM, Range
+from tools.family.ranges import LUGRE, MADE, WEBCAM, Range
 
-SEAL = "Ruan et al. and O-ring maker's data: seal friction 3 to 20 % of the force; fluid-driven arms lose 1 to 6 deg"
+SEAL = "Parker O-Ring Handbook: seal friction of some to 20 % of the force; fluid-driven arms lose degrees, widths made"
 GEAR = "DIN 58405 and makers' data: worm gears 3 to 30 arcmin new, degrees when worn, cable-driven output included"
 ROLLS = "Suh et al. 2015, rolling joints; Johnson 1985, Contact Mechanics: resistance of rolling; widths " + MADE
 CAPSTAN = "Werkmeister and Slocum 2007, cable and capstan drives; Feyrer 2015: bending losses of wire ropes; widths "
@@ -62,4 +62,4 @@ REFLECTION = Range(0.003, 0.4, "share of the reflection in what is tracked", GHO
 SKIPPED = Range(0.1, 8.0, "px that a block must move", SKIP)
 BURSTS = Range(0.1, 25.0, "px rms within a burst", CAUTERY)
 
-__all__ = ["MADE", "RESPIRATION", "Range", "first"]
+__all__ = ["MADE", "Range"]
