@@ -1,0 +1,1 @@
+"""The third sealed family of cases: see BRIEF.md."""
