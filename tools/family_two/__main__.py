@@ -6,34 +6,48 @@
 import argparse
 import sys
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 
 from tools.family import seal
-from tools.family_two import cases, ranges, work
-from tools.family_two.causes import LISTED, NOMINAL, UNLISTED
-
-HERE = Path(__file__).parent
+from tools.family_two import cases, causes, ranges, work
 
 
-def listing() -> str:
+@dataclass(frozen=True)
+class Family:
+    """A family's modules, as this command asks for them; a later family's command is this one with its own."""
+
+    name: str  # of its package
+    cases: ModuleType
+    causes: ModuleType
+    ranges: ModuleType
+    work: ModuleType
+
+    @property
+    def folder(self) -> Path:
+        return Path(str(self.cases.__file__)).parent
+
+
+def listing(family: Family) -> str:
     lines = ["mechanisms:"]
-    lines += [f"  {name:10s} {(m.__doc__ or '').splitlines()[0]}" for name, m in cases.MECHANISMS.items()]
+    lines += [f"  {name:10s} {(m.__doc__ or '').splitlines()[0]}" for name, m in family.cases.MECHANISMS.items()]
     lines += ["effects of formats.md:"]
-    lines += [f"  {i:38s} {c.says}" for i, c in LISTED.items()]
+    lines += [f"  {i:38s} {c.says}" for i, c in family.causes.LISTED.items()]
     lines += ["causes that no list holds:"]
-    lines += [f"  {i:38s} {c.says}" for i, c in UNLISTED.items()]
-    every = [(n, r) for n, r in vars(ranges).items() if isinstance(r, ranges.Range)]
-    lines += [f"only moved: {', '.join(NOMINAL)}", "ranges:"]
+    lines += [f"  {i:38s} {c.says}" for i, c in family.causes.UNLISTED.items()]
+    every = [(n, r) for n, r in vars(family.ranges).items() if isinstance(r, family.ranges.Range)]
+    lines += [f"only moved: {', '.join(family.causes.NOMINAL)}", "ranges:"]
     lines += [f"  {n:16s} {r.lo:g} to {r.hi:g} {r.unit}  [{r.source}]" for n, r in every]
     return "\n".join(lines)
 
 
-def describe(name: str) -> str:
-    if name in cases.MECHANISMS:
-        return cases.MECHANISMS[name].__doc__ or ""
-    kinds = LISTED | UNLISTED
+def describe(family: Family, name: str) -> str:
+    if name in family.cases.MECHANISMS:
+        return family.cases.MECHANISMS[name].__doc__ or ""
+    kinds = family.causes.LISTED | family.causes.UNLISTED
     if name not in kinds:
-        sys.exit(f"no mechanism or cause is called {name}: `python -m tools.family_two --list` has them all")
+        sys.exit(f"no mechanism or cause is called {name}: `python -m tools.{family.name} --list` has them all")
     kind = kinds[name]
     notes = [
         f"{name}: {kind.says}",
@@ -45,8 +59,9 @@ def describe(name: str) -> str:
     return "\n".join(notes)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m tools.family_two", description=__doc__)
+def main(family: Family, says: str | None) -> None:
+    """The command of a family. says: what its help begins with."""
+    parser = argparse.ArgumentParser(prog=f"python -m tools.{family.name}", description=says)
     parser.add_argument("--list", action="store_true", help="mechanisms, causes and ranges with their sources")
     parser.add_argument("--describe", metavar="ID", help="one mechanism or cause")
     verbs = parser.add_subparsers(dest="verb")
@@ -64,15 +79,17 @@ def main() -> None:
     sealer.add_argument("--first", type=int, default=300, help="how many of the truths")
     args = parser.parse_args()
     if args.list:
-        print(listing())
+        print(listing(family))
     elif args.describe:
-        print(describe(args.describe))
+        print(describe(family, args.describe))
     elif args.verb == "make":
-        work.make(args.seed, args.cases, args.out, args.truth or args.out / "truth", args.processes, args.first)
-        kinds = Counter(kind for kind, _ in cases.plan(args.seed, args.cases)[: args.first])
+        family.work.make(args.seed, args.cases, args.out, args.truth or args.out / "truth", args.processes, args.first)
+        kinds = Counter(kind for kind, _ in family.cases.plan(args.seed, args.cases)[: args.first])
         print(f"{args.out}: " + ", ".join(f"{n} {k}" for k, n in kinds.items()))
     elif args.verb == "seal":
-        print(f"sources {seal.sources(HERE)}\nplan    {seal.planned(args.seed, args.cases, cases.plan)}")
+        print(
+            f"sources {seal.sources(family.folder)}\nplan    {seal.planned(args.seed, args.cases, family.cases.plan)}"
+        )
         if args.truth:
             print(f"truths  {seal.truths(args.truth, args.first)}")
     else:
@@ -80,4 +97,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(Family("family_two", cases, causes, ranges, work), __doc__)

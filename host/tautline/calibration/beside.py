@@ -99,8 +99,7 @@ class FittedEffects:
         """Whether any value (m,) is at an end of its range other than 0: the effect is a limit of its law there, a
         simpler one."""
         span = self.law.rig.actuator.span
-        ends = ((p.low * p.share(span), p.high * p.share(span)) for p in self.parameters)
-        own = zip(values.tolist(), ends, strict=True)
+        own = zip(values.tolist(), (p.limits(span) for p in self.parameters), strict=True)
         return any(value != 0.0 and (value <= low or value >= high) for value, (low, high) in own)
 
     def amplitudes(self, values: Array, of: Kind | None = None) -> Array:

@@ -112,18 +112,13 @@ def parameters(kind: Kind, span: float, seconds: float) -> dict[str, float]:
     """Parameter values at which an effect is visible: amplitudes at _TIMES their scale, shapes at their first start.
     span: of the motor's range, unit of q, for parameters that are shares of it; seconds: of the motion, in whose middle
     happens what happens once."""
-
-    def scaled(unit: str, value: float) -> float:
-        """A share of the motor's range, as values in the unit of q are kept, in that unit; others as they are."""
-        return value * span if unit.startswith("unit") else value
-
     kind = kind.happening(1) if kind.moments else kind
     shown = kind.amplitudes
     if len(shown) > _FEW:  # a rigid motion's first part, or one piece of a curve
         shown = shown[:1] if not shown[0].name[-1].isdigit() else shown[len(shown) // 2 :][:1]
-    values = {p.name: p.inside(scaled(p.unit, _TIMES * p.scale), span) for p in shown}
+    values = {p.name: p.inside(_TIMES * p.scale * p.share(span), span) for p in shown}
     for p in kind.shapes:
-        values[p.name] = float(scaled(p.unit, p.shape[0] if p.shape else p.scale))
+        values[p.name] = (p.shape[0] if p.shape else p.scale) * p.share(span)
     values |= {"encoder_period": _PERIOD * span} if "encoder_period" in values else {}
     values |= dict.fromkeys(kind.moments, 0.5 * seconds)
     values |= {"contact_c": _CONTACT_DEG, "contact_hold": _CONTACT_HOLD} if "contact_c" in values else {}

@@ -208,6 +208,10 @@ class Fitter:
         where that is declared as a share of it."""
         return parameter.scale * parameter.share(self.model.rig.actuator.span)
 
+    def inside(self, parameter: Parameter, value: float) -> float:
+        """The value of a parameter, in its own unit, clipped to its range (`Parameter.inside`)."""
+        return parameter.inside(value, self.model.rig.actuator.span)
+
     def start(self) -> ParameterState:
         """The point from which fits start: the calibrated model without effects, its registration as it is."""
         return ParameterState(self.model, dict.fromkeys(STATIC_NAMES, 0.0) if self.px else {})
@@ -521,7 +525,7 @@ class Fitter:
         static = {name: value + float(move) for (name, value), move in moves}
         values = dict(state.values)
         for slot, change in zip(hypothesis.slots, step[order.effects :], strict=True):
-            value = slot.parameter.inside(values[slot.key] + float(change), self.model.rig.actuator.span)
+            value = self.inside(slot.parameter, values[slot.key] + float(change))
             values[slot.key] = float(np.clip(value, *self._reached)) if slot.parameter.reached else value
         model = replace(model, width=width, c_deg=c_deg, delay_s=model.delay_s + float(step[order.delay]))
         return ParameterState(model, static, values)
@@ -579,7 +583,7 @@ class _Descent:
         for i, slot in enumerate(self.hypothesis.slots, self.fitter.unknowns.effects):
             value = state.values[slot.key]
             onward = value + float(np.sign(gradient[i])) * _AT_BOUND * self.fitter.scale(slot.parameter)
-            if slot.parameter.inside(onward, self.fitter.model.rig.actuator.span) == value:
+            if self.fitter.inside(slot.parameter, onward) == value:
                 ends.append(i)
         return np.array(ends, dtype=np.int64)
 

@@ -2,15 +2,14 @@
 
 Each explanation is a density of a frame's observation given the frames before it, with one free number by maximum
 likelihood, so that their likelihoods compare. Jitter: frame times are unsteady, and the image scatters along its motion
-in proportion to its speed, both ways or, of frames that wait, one way, by chance or by what their times of arrival
-say. Stick-slip: the tip stays where it was while the
-motor drives on, the likelier the less it has driven since, and else is anywhere within a jump. Rivals stand for
-whatever else leaves a residual: noise whose level is another while the motor drives ("level"), lengths by which the tip
-is behind or ahead at any speed ("behind"), noise that grows with the speed both along the motion and across it, as of a
-marker that blurs ("blur"; of an angle that is jitter), noise that is correlated with the frames before ("memory"), a
-link that sends frames twice, a tracker that errs with the position within a pixel ("pixels"), and a misfit that is the
-same whenever the motor comes to a place from one side ("place"). Every density is mixed with a broad one: no model is
-right for every frame.
+in proportion to its speed, both ways or, of frames that wait, one way, by chance or by what their times of arrival say.
+Stick-slip: the tip stays where it was while the motor drives on, the likelier the less it has driven since, and else is
+anywhere within a jump. Rivals stand for whatever else leaves a residual: noise whose level is another while the motor
+drives ("level"), lengths by which the tip is behind or ahead at any speed ("behind"), noise that grows with the speed
+both along the motion and across it, as of a marker that blurs ("blur"; of an angle that is jitter), noise that is
+correlated with the frames before ("memory"), a link that sends frames twice, a tracker that errs with the position
+within a pixel ("pixels"), and a misfit that is the same whenever the motor comes to a place from one side ("place").
+Every density is mixed with a broad one: no model is right for every frame.
 """
 
 from __future__ import annotations
@@ -329,7 +328,7 @@ class _Joined:
     @cached_property
     def _by_stamped_wait(self) -> tuple[Array, Array]:
         """As `_by_median_wait`, of residuals less the way that the image goes while a frame waits (`waits_s`)."""
-        along, across2 = _along_and_across2(self.as_it_is, self._velocity)
+        along, across2 = self._by_median_wait
         along = along + self.speed * self._waited_s
         return along - self._median_part(along, self.speed), across2
 

@@ -47,9 +47,14 @@ class Parameter:
         """What `scale` and `shape` count in: the motor's range `span` where the unit begins with "unit", else 1."""
         return span if self.unit.startswith("unit") else 1.0
 
+    def limits(self, span: float) -> tuple[float, float]:
+        """The range in which a value means something, in the parameter's own unit. span: of the motor, unit of q."""
+        return self.low * self.share(span), self.high * self.share(span)
+
     def inside(self, value: float, span: float) -> float:
-        """The value clipped to the range in which it means something. span: of the motor, unit of q."""
-        return min(max(value, self.low * self.share(span)), self.high * self.share(span))
+        """The value clipped to its `limits`. span: of the motor, unit of q."""
+        low, high = self.limits(span)
+        return min(max(value, low), high)
 
 
 @dataclass(frozen=True)
