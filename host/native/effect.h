@@ -40,6 +40,8 @@ struct effect_moment {
     double load, other;           // mNm beyond its reference; another joint's position, its own unit
     double translation, rotation; // of the instrument, mm, deg
     double usual_speed;           // of the motor: a tenth of the tables' grid per second
+    double wide;                  // B where the tip is, over its mean
+    double slope;                 // of f_remain over the whole range, deg per unit
     int first, at_knot;
 };
 
@@ -56,7 +58,12 @@ struct effect_drive {
 struct effect_contact {
     double since; // travel since that side began to carry
     double age_s; // of what touches: s at rest, less what sliding has worn off
+    double wide;  // B there, over its mean
 };
+
+// By how much friction differs at a place from its mean, if a share of it (>= 0) goes as B does: what presses there
+// presses for all friction, but a clearance is none. wide: B there over its mean.
+double effect_pressed(double share, double wide);
 
 struct effect_chain; // the effects that are still to come of those that follow
 
@@ -91,8 +98,8 @@ struct effect {
     void (*follow)(const double *v, double *state, struct effect_chain *chain, double u0, double u1, double dt);
     double (*hold)(const double *v, double *state, double tip); // where the tip stays that would be there
     void (*configure)(const double *v, const double *state, const struct effect_moment *now, struct effect_bend *bend);
-    // Which way the instrument lies in its channel after it has travelled.
-    double (*lie)(const double *v, double lies, int side, double travelled);
+    // Which way the instrument lies in its channel after a step. side: that carried the tip last; travelled: by the tip.
+    double (*lie)(const double *v, double lies, int side, double travelled, const struct effect_moment *now);
 };
 
 // A first-order element of state y whose input goes from u0 to u1 in a straight line.

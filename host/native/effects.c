@@ -100,7 +100,7 @@ static void plays_start(const struct elements *elements, struct plays *plays, do
 struct lates {
     const struct active *of[LATES];
     size_t count;
-    double dt, moved;
+    double dt, moved, wide;
 };
 
 static double held_back(const struct lates *lates, const struct effect_contact *contact, int s) {
@@ -123,6 +123,7 @@ static double push_late(const struct lates *lates, const struct elements *elemen
     for (size_t i = 0; i < lates->count; i++) {
         contact[i] = own->contact[i];
         contact[i].age_s += own->rested_s;
+        contact[i].wide = lates->wide;
         const struct effect *effect = lates->of[i]->effect;
         if (play->side != s || (effect->renewed_s && own->rested_s > effect->renewed_s(lates->of[i]->v))) {
             contact[i].since = 0.0;
@@ -267,6 +268,10 @@ static double plays_lean(const struct elements *elements, const struct plays *pl
     return lean;
 }
 
+double effect_pressed(double share, double wide) {
+    return fmax(1.0 + share * (wide - 1.0), 0.0);
+}
+
 double effect_first_order(double y, double u0, double u1, double dt, double time) {
     if (time <= 0.0) {
         return u1;
@@ -389,7 +394,8 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
     struct plays plays;
     find_plays(&all, tables->elements, &plays);
     const struct play_table *table = &tables->elements->table;
-    size_t c_at = 0;
+    size_t c_at = 0, width_at = 0;
+    const double mean_width = play_mean_width(table);
     const double usual_speed = 0.1 * (table->grid[table->n - 1] - table->grid[0]);
     const double c_middle = tables->c_deg[table->n / 2];
     const double c_slope = (tables->c_deg[table->n - 1] - tables->c_deg[0]) / (10.0 * usual_speed);
@@ -418,6 +424,8 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
             .translation = at(motion, knot, at_knot, t, motion->translation),
             .rotation = at(motion, knot, at_knot, t, motion->rotation),
             .usual_speed = usual_speed,
+            .wide = all.count > 0 && mean_width > 0.0 ? play_width(table, started ? centre : rest, &width_at) / mean_width : 1.0,
+            .slope = c_slope,
             .first = !started,
             .at_knot = at_knot,
         };
@@ -439,6 +447,7 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
         }
         lates.dt = now.dt;
         lates.moved = now.moved;
+        lates.wide = now.wide;
         centre = plays_move(&lates, falls, tables->elements, &plays, &now, &drive, &carried);
         for (size_t i = 0; !started && i < all.count; i++) {
             if (all.of[i].effect->start) {
@@ -465,7 +474,7 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
                 tip = a->effect->hold(a->v, a->state, tip);
             }
             if (a->effect->lie && started) {
-                lies_next = a->effect->lie(a->v, lies, side, fabs(centre - from));
+                lies_next = a->effect->lie(a->v, lies, side, fabs(centre - from), &now);
             }
         }
         lies = lies_next;

@@ -65,6 +65,15 @@ double play_width(const struct play_table *table, double p, size_t *at) {
     return play_value(&here, table->width);
 }
 
+double play_mean_width(const struct play_table *table) {
+    const size_t last = table->n - 1;
+    double sum = 0.0;
+    for (size_t i = 0; i < last; i++) {
+        sum += 0.5 * (table->width[i] + table->width[i + 1]) * (table->grid[i + 1] - table->grid[i]);
+    }
+    return last > 0 ? sum / (table->grid[last] - table->grid[0]) : table->width[0];
+}
+
 struct play play_start(const struct play_table *table, double p) {
     size_t at = 0;
     return (struct play){.at = p, .half = 0.5 * play_width(table, p, &at)};

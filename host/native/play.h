@@ -63,6 +63,9 @@ static inline double play_value(const struct play_place *here, const double *val
     return values[here->at] + here->along * play_slope(here, values);
 }
 
+/* Mean width over the grid; of one node that node's. O(n). */
+double play_mean_width(const struct play_table *table);
+
 /* An element with a table at p. */
 struct play play_start(const struct play_table *table, double p);
 

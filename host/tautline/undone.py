@@ -30,7 +30,6 @@ _GAIN_MOST = 1000.0  # tolerance: of a follower
 _STEP_LOG2_MAX = 22  # format: of a section's step: common/src/tl_sections.c
 # Of a section's small table, in its steps, as common/tl_table.h says: dense where a curve begins.
 _NODES = np.array([0, 1, 2, 3, *(2**k * half for k in range(1, 7) for half in (2, 3)), _native.TABLE_STEPS], float)
-_COLUMNS = {"c_per_translation": "translation_mm", "c_per_rotation": "rotation_deg"}
 COUPLED = "configuration.axis_coupling"
 _WHERE = {COUPLED: " (without --joint)"}  # format: where tables undo it but for this
 _LATE = "transmission.lag", "transmission.creep"
@@ -205,18 +204,21 @@ def _load_section(v: Mapping[str, float], model: Model, count: float) -> Section
 def _joints_section(v: Mapping[str, Any], joints: Mapping[str, Joint]) -> dict[str, Section]:
     """Section `joints`: the columns that couple in whose axis is known: axis + 1 (0: none), its backlash in Q8 counts,
     and deg per count in Q28. {} where no axis is known."""
-    by_column = {column: float(v[name]) for name, column in _COLUMNS.items() if v.get(name)}
-    if v.get("c_per_joint"):
-        by_column[str(v["column"])] = float(v["c_per_joint"])
-    known = [(joints[column], slope) for column, slope in by_column.items() if column in joints]
+    columns = {
+        "c_per_translation": "translation_mm",
+        "c_per_rotation": "rotation_deg",
+        "c_per_joint": str(v.get("column")),
+    }
+    known = [(joints[of], name) for name, of in columns.items() if v.get(name) and of in joints]
     if not known:
         return {}
     free = [0] * (_native.TABLE_JOINTS - len(known))
+    plays = [float(v.get(f"{name.removeprefix('c_per_')}_play", 0.0)) for _, name in known]
     return {
         "joints": {
             "axis": [joint.axis + 1 for joint, _ in known] + free,
-            "play": [round(float(v.get("joint_play", 0.0)) / joint.resolution * COUNT) for joint, _ in known] + free,
-            "slope": [round(slope * joint.resolution * 2.0**28) for joint, slope in known] + free,
+            "play": [round(play / j.resolution * COUNT) for (j, _), play in zip(known, plays, strict=True)] + free,
+            "slope": [round(float(v[name]) * joint.resolution * 2.0**28) for joint, name in known] + free,
         }
     }
 

@@ -2,21 +2,26 @@
 
 #include <math.h>
 
-enum { WIDTH_PER_SPEED, SATURATION, TIME, HELD, COUNT };
+enum { WIDTH_PER_SPEED, SATURATION, TIME, HELD, PRESSED, COUNT };
 static const struct effect_parameter PARAMETERS[COUNT] = {
     {"width_per_speed", 0, "s", "width added per speed, at a tenth of the grid"},
     {"speed_saturation", 0, "",
-     "0: the width grows without end; k: all but exp(-k) of it is there at a tenth of the grid"},
+     "0: the width grows evenly; k > 0: all but exp(-k) of it is there at a tenth of the grid; < 0: logarithmically"},
     {"speed_time", 0.02, "s", "time in which the width follows the speed"},
     {"width_held", 0, "", "1 if a motor that rests or turns moves nothing, 0 if closing"},
+    {"speed_pressed", 0, "", "share of it that goes with the place as B does"},
 };
 enum { SPEED, UNSETTLED };             // state
 static const double SHORTEST_S = 2e-3; // tolerance: least step while the width follows the speed
 
-// Of the width that a tenth of the grid a second adds: (1 - exp(-k r)) / (1 - exp(-k)), which is r for k = 0.
+// Of the width that a tenth of the grid a second adds: (1 - exp(-k r)) / (1 - exp(-k)), or, as of rate-and-state
+// friction, for k < 0 log(1 + m r) / log(1 + m) with log(1 + m) = -k; r for k = 0.
 static double share(const double *v, double relative) {
     const double k = v[SATURATION];
-    return k > 1e-9 ? expm1(-k * relative) / expm1(-k) : relative;
+    if (fabs(k) < 1e-9) {
+        return relative;
+    }
+    return k > 0.0 ? expm1(-k * relative) / expm1(-k) : log1p(expm1(-k) * relative) / -k;
 }
 
 static int present(const double *v) {
@@ -35,7 +40,7 @@ static void drive(const double *v, double *state, const struct effect_moment *no
     }
     const double relative = fabs(state[SPEED]) / usual;
     if (relative > 0.0) {
-        to->extra += v[WIDTH_PER_SPEED] * usual * share(v, relative);
+        to->extra += v[WIDTH_PER_SPEED] * usual * share(v, relative) * effect_pressed(v[PRESSED], now->wide);
     }
     if (v[HELD] != 0.0) {
         to->way = now->moved > 0.0 ? 1.0 : -1.0;

@@ -2,11 +2,12 @@
 
 #include <math.h>
 
-enum { WIDTH, TIME, TRAVEL, COUNT };
+enum { WIDTH, TIME, TRAVEL, PRESSED, COUNT };
 static const struct effect_parameter PARAMETERS[COUNT] = {
     {"rest_width", 0, "unit", "width that a rest of a second adds before the tip moves again"},
     {"rest_time", 1, "s", "rest from which on the width grows with its logarithm"},
     {"rest_travel", 1, "unit", "travel that wears it off"},
+    {"rest_pressed", 0, "", "share of it that goes with the place as B does"},
 };
 
 static int present(const double *v) {
@@ -19,7 +20,8 @@ static double growth(const double *v, double age_s) {
 
 static double late(const double *v, int side, const struct effect_contact *contact) {
     (void)side;
-    return fmax(v[WIDTH], 0.0) * growth(v, contact->age_s) / growth(v, 1.0);
+    const double of_a_second = fmax(v[WIDTH], 0.0) * effect_pressed(v[PRESSED], contact->wide);
+    return of_a_second * growth(v, contact->age_s) / growth(v, 1.0);
 }
 
 static void slide(const double *v, struct effect_contact *contact, double way) {

@@ -22,7 +22,7 @@ from tautline.diagnosis.huber import outlier_limit
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.hypotheses import Beyond, Wander
 from tautline.diagnosis.screen import Screened, screen
-from tautline.effects import SCATTERS, SIMULATOR, Kind
+from tautline.effects import FREEDOMS, SCATTERS, SIMULATOR, Kind
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -367,16 +367,23 @@ def applicable(fitter: Fitter, left_out: Collection[str] = ()) -> list[Kind]:
     """The effects of the library that these recordings could show, by their sensor and by the columns of load and of
     other axes that they have (`Kind.needs`). left_out: ids of effects not to try."""
     load = any(s.motor.load_mNm is not None for s in fitter.segments)
-    freedom = any(
-        values is not None and float(np.ptp(values)) > 0.0
-        for s in fitter.segments
-        for values in (s.motor.translation_mm, s.motor.rotation_deg)
-    )
+    moving = [
+        column
+        for column in FREEDOMS
+        if any((x := getattr(s.motor, column)) is not None and float(np.ptp(x)) > 0.0 for s in fitter.segments)
+    ]
     joints = sorted({name for s in fitter.segments for name in s.motor.joints})
-    has = {"": True, "camera": fitter.px, "sensor": fitter.delayed, "load": load, "freedom": freedom, SIMULATOR: False}
+    has = {
+        "": True,
+        "camera": fitter.px,
+        "sensor": fitter.delayed,
+        "load": load,
+        "freedom": bool(moving),
+        SIMULATOR: False,
+    }
     known = [kind for kind in effects.LIBRARY if kind.id not in left_out]
     further = [kind.of_joint(name) for kind in known if kind.of_joint for name in joints]
-    return [*(kind for kind in known if has[kind.needs]), *further]
+    return [*(kind.following(moving) for kind in known if has[kind.needs]), *further]
 
 
 def outlier_limits(fitter: Fitter, base: Fit) -> list[float]:

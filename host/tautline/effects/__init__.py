@@ -8,6 +8,7 @@ tip by laws of its own.
 
 from tautline.effects.kind import (
     COLUMN,
+    FREEDOMS,
     SIMULATOR,
     STAGES,
     Event,
@@ -39,6 +40,7 @@ __all__ = [
     "BY_ID",
     "COLUMN",
     "EVENTS",
+    "FREEDOMS",
     "IN_TABLES",
     "LIBRARY",
     "NATIVE",

@@ -3,7 +3,7 @@ is said of it to a user."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -15,6 +15,7 @@ from tautline.model import Effect, Model
 STAGES = ("actuator", "transmission", "configuration", "kinematics", "registration", "camera", "acquisition")
 THROUGH_ANGLE = STAGES[:3]  # these move the tip by its bending angle
 _SEEN = STAGES[3:]  # these only change how the tip is seen
+FREEDOMS = "translation_mm", "rotation_deg"  # format: columns of motor.csv: where else the instrument is moved
 COLUMN = "column"  # format: among an effect's parameters the name of the joint's column that it follows
 _TURN_DEG, _MOVE_MM = 0.5, 0.2  # prior: changes of a registration that a user would notice
 SIMULATOR = "simulator"  # the stage of a user's simulator's own parameters, in the motor's place before all others
@@ -42,6 +43,7 @@ class Parameter:
     high: float = float("inf")
     searched: bool = False  # found over its `shape` or by scatter; never differentiated
     reached: bool = False  # whether it is a bending angle, deg, kept within those that the recordings reach
+    follows: str = ""  # column of motor.csv without whose motion it does nothing
 
     def share(self, span: float) -> float:
         """What `scale` and `shape` count in: the motor's range `span` where the unit begins with "unit", else 1."""
@@ -140,6 +142,15 @@ class Kind:
         """The same effect happening `times` times: with its first moments and their amplitudes alone."""
         per_moment = len(self.amplitudes) // len(self.moments)
         return replace(self, amplitudes=self.amplitudes[: times * per_moment], shapes=self.shapes[:times])
+
+    def only(self, names: Collection[str]) -> Kind:
+        """The same effect with the parameters of these names alone."""
+        kept = [tuple(p for p in of if p.name in names) for of in (self.amplitudes, self.shapes)]
+        return replace(self, amplitudes=kept[0], shapes=kept[1])
+
+    def following(self, moving: Collection[str]) -> Kind:
+        """The same effect without the parameters that follow a column which is not among the `moving` ones."""
+        return self.only([p.name for p in self.parameters if not p.follows or p.follows in moving])
 
     @property
     def forms(self) -> tuple[Kind, ...]:

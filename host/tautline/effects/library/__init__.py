@@ -48,6 +48,7 @@ SCATTERS = frozenset(kind.event.amount for kind in LIBRARY if kind.event)
 
 
 def kind_of(effect: Effect) -> Kind:
-    """The descriptor of an effect of a model; where it follows a joint's column, the one of that joint."""
+    """The descriptor of an effect of a model, with the parameters that this has; where it follows a joint's column, the
+    one of that joint."""
     kind, column = BY_ID[effect.id], effect.parameters.get(COLUMN)
-    return kind.of_joint(column) if column and kind.of_joint else kind
+    return (kind.of_joint(column) if column and kind.of_joint else kind).only(effect.parameters)

@@ -8,6 +8,7 @@ EFFECTS = (
             Parameter("asymmetry_travel", "unit", 0.05, (0.01, 0.03, 0.08, 0.2), low=1e-3),
             Parameter("asymmetry_form", "", 1.0, (1.0, 2.0), low=0.5, high=4.0),
             Parameter("asymmetry_renewed", "", 1.0, (0.0, 1.0), searched=True),
+            Parameter("asymmetry_pressed", "", 0.5, (0.5,), low=0.0, high=2.0),
         ),
         says="after turning one way the tip starts late and catches up",
         material=True,

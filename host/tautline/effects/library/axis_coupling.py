@@ -2,6 +2,7 @@
 
 from tautline.effects.kind import Kind, Parameter
 
+_BEFORE = Parameter("coupled_before", "", 1.0, (0.0, 1.0), searched=True)
 _ID, _SAYS = "configuration.axis_coupling", "another degree of freedom moves the bending angle"
 
 
@@ -11,7 +12,7 @@ def _of_joint(column: str) -> Kind:
     return Kind(
         _ID,
         (Parameter("c_per_joint", "deg", 0.05),),
-        (Parameter("joint_play", "", 1.0, (0.0, 2.0), low=0.0),),
+        (Parameter("joint_play", "", 1.0, (0.0, 2.0), low=0.0), _BEFORE),
         says=_SAYS,
         undone=True,
         needs="joint",
@@ -22,7 +23,15 @@ def _of_joint(column: str) -> Kind:
 EFFECTS = (
     Kind(
         _ID,
-        (Parameter("c_per_translation", "deg/mm", 0.2), Parameter("c_per_rotation", "deg/deg", 0.02)),
+        (
+            Parameter("c_per_translation", "deg/mm", 0.2, follows="translation_mm"),
+            Parameter("c_per_rotation", "deg/deg", 0.02, follows="rotation_deg"),
+        ),
+        (
+            Parameter("translation_play", "mm", 1.0, (0.0, 4.0), low=0.0, follows="translation_mm"),
+            Parameter("rotation_play", "deg", 5.0, (0.0, 20.0), low=0.0, follows="rotation_deg"),
+            _BEFORE,
+        ),
         says=_SAYS,
         undone=True,
         tell="The gap goes with another axis' position, with the bending motor at rest too.",

@@ -10,6 +10,7 @@ from tautline.effects.kind import Kind, Parameter
 Array = npt.NDArray[np.float64]
 
 _USUAL = 0.1  # format: of the tables' grid, a second
+_MOST = 3.0  # limit: of speed_saturation: beyond it is as wide at any speed
 _FOLLOWS_S = 0.02  # format: what speed_time is where a model has none, as in the C
 
 
@@ -24,7 +25,10 @@ def added_width(values: Mapping[str, float], grid: float, speed: Array) -> Array
     grid."""
     usual = _USUAL * grid
     relative, k = speed / usual, values.get("speed_saturation", 0.0)
-    share = np.expm1(-k * relative) / np.expm1(-k) if k > 0.0 else relative
+    if k == 0.0:
+        share = relative
+    else:
+        share = np.expm1(-k * relative) / np.expm1(-k) if k > 0.0 else np.log1p(np.expm1(-k) * relative) / -k
     return np.maximum(values["width_per_speed"] * usual * share, 0.0)
 
 
@@ -33,9 +37,10 @@ EFFECTS = (
         "transmission.rate_dependent_backlash",
         (Parameter("width_per_speed", "s", 0.02, low=0.0),),
         (
-            Parameter("speed_saturation", "", 0.5, (0.0, 2.0), low=0.0, high=3.0),  # beyond: as wide at any speed
+            Parameter("speed_saturation", "", 0.5, (0.0, 2.0, -4.0), low=-7.0, high=_MOST),
             Parameter("speed_time", "s", _FOLLOWS_S, (_FOLLOWS_S, 0.2), low=2e-3, high=1.0),
             Parameter("width_held", "", 1.0, (0.0, 1.0), searched=True),
+            Parameter("speed_pressed", "", 0.5, (0.5,), low=0.0, high=2.0),
         ),
         says="the width grows with speed",
         material=True,

@@ -7,6 +7,7 @@ EFFECTS = (
         (
             Parameter("rest_time", "s", 1.0, (0.2, 2.0), low=0.02, high=60.0),
             Parameter("rest_travel", "unit", 0.05, (0.02, 0.08), low=1e-3),
+            Parameter("rest_pressed", "", 0.5, (0.5,), low=0.0, high=2.0),
         ),
         says="the width grows while the tip rests",
         material=True,
