@@ -192,7 +192,8 @@ def _weighed(
     model, fitter, tracked = ready.model, ready.fitter, ready.tracked
     gathered = gather(fitter, ready.frozen, ready.base, ready.kinds, of_fits)
     verdict = decide.decide(gathered.evidence)
-    if verdict.name != "effect" and simulated is None and start.concerns(model):
+    asked = start.concerns(model) or decide.is_open(gathered.evidence, gathered.evidence.calibrated)
+    if verdict.name != "effect" and simulated is None and asked:
         from_start = start.of_segments(model, fitter.segments, fitter.load_reference, tracked, of_start, left_out)
         if from_start.named:
             return _Weighed(from_start.fitter, from_start.gathered, from_start.verdict)
