@@ -116,7 +116,7 @@ def scenes(nominal: Nominal, law: Law, out: Path) -> dict[str, str]:
 def callback_files(model: Model, nominal: Nominal) -> dict[str, str]:
     """The texts of what leads the joint of scene_callback.xml, by file name: a copy of transmission.py, and what it
     reads: transmission.json, the tables of B, f_remain and B's sigma over q and, where several elements stand side by
-    side, their warp."""
+    side, their warp. It knows no friction and no gradual onset: elements stand for either."""
     onset = next((effect.parameters for effect in model.effects if effect.id == _ONSET), None)
     elements = onset_elements(model.elements, onset) if onset else model.elements
     play = replace(model, elements=elements, friction=None).play
