@@ -174,7 +174,7 @@ class Following:
 
     def _track(self, frame: Frame) -> None:
         """Predicts where the marker is in a frame, learns from it if it shows the marker, and moves the board's tables
-        to what was learnt, unless the model is stale."""
+        to what was learnt; if the model is stale, only where two passes of one place showed a narrower B."""
         arrival_s, sighting = frame.t_us * 1e-6, frame.sighting
         self.row = self.tracker.predict(arrival_s - self._delay_s, arrival_s)
         self.frames += 1

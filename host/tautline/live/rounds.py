@@ -53,12 +53,12 @@ class Round:
     high: float
     speeds: tuple[float, ...]  # of its passes, one out and one back each
     cycles: int  # turning points of a pass
-    transit: float
-    acceleration: float
-    approach: float
-    stroke: float
+    transit: float  # speed where nothing is measured
+    acceleration: float  # unit/s^2
+    approach: float  # on the envelope before each turn, at the pass's speed
+    stroke: float  # a reversal without an onset ends here
     sigma_wanted: float  # an onset as good as this ends its stroke
-    sigma_usable: float
+    sigma_usable: float  # one that is vaguer is not used
 
     def says(self, unit: str) -> str:
         """The round in words: positions and speeds. unit: of q."""
@@ -155,7 +155,10 @@ class Standing:
         doubt = next((str(reason) for reason in model.quality.reasons if not reason.mild), "")
         inside = model.is_measured
         if not inside.any() or model.measured[0] >= model.measured[1]:
-            return cls(np.inf, 0.5 * (low + high), (), (low, high), (low, high), 0.0, unmoved, np.inf, doubt)
+            return cls(
+                worst=np.inf, where=0.5 * (low + high), need=(), ends=(low, high), missing=(low, high), widest=0.0,
+                unmoved=unmoved, work=np.inf, doubt=doubt,
+            )  # fmt: skip
         q, widest = model.q[inside], float(model.width[inside].max())
         sigma = np.where(np.isfinite(model.width_sigma), model.width_sigma, np.inf)[inside]
         worst = int(np.argmax(sigma))
@@ -323,8 +326,9 @@ def _round_over(means: Means, speeds: tuple[float, ...], stroke: float = _STROKE
     without an onset ends."""
     span = means.span
     return Round(
-        means.low, means.high, speeds, _CYCLES, max(means.speeds[0], *speeds), means.acceleration, _APPROACH * span,
-        stroke * span, _SIGMA_WANTED * span, _SIGMA_USABLE * span,
+        means.low, means.high, speeds, _CYCLES, transit=max(means.speeds[0], *speeds), acceleration=means.acceleration,
+        approach=_APPROACH * span, stroke=stroke * span, sigma_wanted=_SIGMA_WANTED * span,
+        sigma_usable=_SIGMA_USABLE * span,
     )  # fmt: skip
 
 

@@ -348,9 +348,9 @@ def thorough(live: Live, options: MotionOptions) -> Round:
     if not 1 <= len(speeds) <= 4 or min(speeds) <= 0:
         raise TautError("the calibration motion takes 1 to 4 speeds above 0")
     return Round(
-        low, high, speeds, options.cycles, 2.0 * max(speeds), _ACCELERATION * max(speeds),
-        options.approach or 0.03 * (high - low), options.stroke or 0.25 * (high - low),
-        _SIGMA_WANTED * (high - low), _SIGMA_USABLE * (high - low),
+        low, high, speeds, options.cycles, transit=2.0 * max(speeds), acceleration=_ACCELERATION * max(speeds),
+        approach=options.approach or 0.03 * (high - low), stroke=options.stroke or 0.25 * (high - low),
+        sigma_wanted=_SIGMA_WANTED * (high - low), sigma_usable=_SIGMA_USABLE * (high - low),
     )  # fmt: skip
 
 

@@ -72,13 +72,13 @@ def law_of(model: Model) -> Law:
     x, angle, half = model.q - middle, np.radians(model.c_deg), 0.5 * model.width
     lag = _parameters(model).get("lag", 0.0)
     return Law(
-        middle,
-        high - low,
-        float(np.abs(np.diff(angle) / np.diff(x)).max()),
-        _at_least_zero(fit(x, half, _ENOUGH * max(float(half.max()), 1e-12)), x),
-        fit_sum(x, angle, _ENOUGH_LAW * float(np.ptp(angle))),
-        lag,
-        model.delay_s,
+        middle=middle,
+        span=high - low,
+        steepest=float(np.abs(np.diff(angle) / np.diff(x)).max()),
+        half=_at_least_zero(fit(x, half, _ENOUGH * max(float(half.max()), 1e-12)), x),
+        angle=fit_sum(x, angle, _ENOUGH_LAW * float(np.ptp(angle))),
+        lag_s=lag,
+        delay_s=model.delay_s,
     )
 
 
