@@ -61,11 +61,12 @@ def between_counts(motor: Motor, resolution: float) -> Motor:
 
 
 def _between_and_steps(motor: Motor, resolution: float) -> tuple[Motor, Steps | None]:
-    """`between_counts`, and the encoder's steps where the readings have some that tell stops and turns."""
+    """(`between_counts` of a motor without a posterior; the encoder's steps, None where the readings have none, or
+    were smoothed and scatter by more than steps alone do, so that a step tells no stop or turn of the motor)."""
     steps = _steps_of(motor, resolution)
-    noise = reading_noise(motor) / (resolution if steps is None else steps.count)
-    if _is_smoothed(motor, steps, noise):
-        return replace(motor, q=_smoothed(motor.t_s, motor.q)), steps if noise < _OWN_STEPS else None
+    noise_counts = reading_noise(motor) / (resolution if steps is None else steps.count)
+    if _is_smoothed(motor, steps, noise_counts):
+        return replace(motor, q=_smoothed(motor.t_s, motor.q)), steps if noise_counts < _OWN_STEPS else None
     if steps is None:
         return motor, None
     return replace(motor, q=_through_changes(motor.t_s, steps)), steps
@@ -106,10 +107,10 @@ def reading_noise(motor: Motor) -> float:
     return _noises[motor]
 
 
-def _is_smoothed(motor: Motor, steps: Steps | None, noise: float) -> bool:
-    """Whether readings that scatter by `noise` counts, or that pass coarse counts about as fast as they come, are
-    smoothed."""
-    return (noise > _SCATTERS and not swings(motor)) or _skips_counts(motor, steps)
+def _is_smoothed(motor: Motor, steps: Steps | None, noise_counts: float) -> bool:
+    """Whether readings are smoothed: they scatter by more than a count, noise_counts being one standard deviation, and
+    the motor itself does not oscillate; or they pass coarse counts about as fast as they come."""
+    return (noise_counts > _SCATTERS and not swings(motor)) or _skips_counts(motor, steps)
 
 
 def smoothed_away(motor: Motor, resolution: float) -> float:

@@ -109,9 +109,9 @@ def write_file(path: Path, text: str) -> None:
 
 
 def _not_written(place: Path, kind: str, error: OSError, *others: Path) -> TautError:
-    """The error where the system refused something while `place`, a file or a folder by `kind`, was written: of it, of
-    what holds it, or of `others`, which are written for it; else the file that is refused is named, as one that is
-    copied and not there."""
+    """The error to raise where the system refused something while `place` was written, a "file" or a "folder" by
+    `kind`. It names `place` if what was refused is in it, holds it, or is one of `others`, which are temporary; else
+    the file that was refused, such as one that could not be read to be copied."""
     refused = Path(error.filename).resolve() if isinstance(error.filename, str) else None
     own = [each.resolve() for each in (place, *others)]
     if refused is None or any(refused.is_relative_to(each) or each.is_relative_to(refused) for each in own):

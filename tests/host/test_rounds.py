@@ -185,7 +185,7 @@ def test_why_not_names_what_is_not_seen_and_what_is_doubted() -> None:
     short = of(found(sigma_with(), (-4.8, 2.0)))
     assert "not seen from 2.1 to 5" in why_not(short, UNTIL, "mm", CameraView(0.05, (2.1, 5.0)), 40.0, 120.0, FEWEST)
     assert "no reversal from 2 to 5 mm" in why_not(short, UNTIL, "mm", CLEAR, 40.0, 120.0, FEWEST)
-    stuck = replace(short, strokes=4.5)
+    stuck = replace(short, unmoved=4.5)
     assert "strokes of 4.5 mm moved nothing" in why_not(stuck, UNTIL, "mm", CLEAR, 40.0, 120.0, FEWEST)
     doubt = Reason("transmission.lag", "the tip follows late", "mend it")
     slow = of(found(sigma_with((-4.8, 4.8, 0.03)), reasons=(doubt,)))

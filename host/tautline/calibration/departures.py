@@ -286,8 +286,9 @@ def _pieces(counted: CountedFrames, length_px: float) -> sparse.csr_matrix:
 
 
 def _shared_by_halves(left: Array, stroke: npt.NDArray[np.intp]) -> float:
-    """Mean product of the means of residuals (n, channels) in a stroke's two halves: the variance, noise squared, that
-    is constant over a stroke. 0 where all strokes are shorter than _HALVES."""
+    """Variance, in units of the noise's and summed over channels, of what of the residuals left (n, channels) is
+    constant over a stroke: over strokes the mean of m1 . m2, the mean residuals of a stroke's two halves, whose noise
+    is independent. stroke (n,): each frame's stroke number. 0 where all strokes are shorter than _HALVES."""
     begins = np.flatnonzero(np.diff(stroke, prepend=-1))
     ends = np.append(begins[1:], len(stroke))
     pairs = [

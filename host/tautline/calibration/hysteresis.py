@@ -131,7 +131,8 @@ def _with(state: Fitted, kind: str, unknowns: Array) -> Fitted:
 
 
 def _reached(state: Fitted) -> Array:
-    """(k,) B, unit of q, at the grid's positions that the motor reached; all of B where there is none."""
+    """(reached,) B, unit of q, at the grid's positions between the least and the greatest that the motor took; all of
+    B, (grid,), where no position is."""
     fit = state.fit
     q = np.concatenate([prepared.corner_q for prepared in fit.tracks])
     inside = (fit.grid >= q.min()) & (fit.grid <= q.max())

@@ -445,9 +445,9 @@ class Measuring(_Setting):
         return several.fitted, replace(components, sigma=np.hypot(components.sigma, spread))
 
     def _separated(self, joint_fit: Fitted, noise: PlaceNoise | None) -> tuple[Fitted, Components]:
-        """The joint fit and its components. Where these leave more than noise that is not the tracker's, both once more
-        with curves that bend only for independent frames, if that leaves no more: else B's shape would be taken for
-        what departs."""
+        """The joint fit and its components. Where these leave more than the stated noise, and that is no error of the
+        tracker's, both are made once more with curves that bend only for independent frames, and taken if they leave no
+        more: if they do, it is B's shape, and would be taken for what departs. noise: `place_noise`, None unknown."""
         components = separate(joint_fit, self.rig)
         if components.unexplained > PREDICTS and not components.tracker_errs:
             smoother = as_smooth_as_independent(joint_fit, noise)

@@ -126,7 +126,7 @@ class MixedModel:
             system[np.ix_(at, at)] += self.selected.penalties[name] * self.candidates[name].penalty
         diagonal = np.diag_indices_from(system)
         system[diagonal] += _RIDGE * system[diagonal] + _RIDGE_OF_MEAN * float(np.mean(system[diagonal]))
-        pull = np.zeros(len(self.solved))  # the nominal penalty's gradient: its curves are not 0 here
+        pull = np.zeros(len(self.solved))  # the nominal penalty's gradient at the curves from which the step starts
         pull[: self.nominal] = self.nominal_pull
         self.inverse = inverse_of(system)
         self.values = self.inverse @ (right - pull)
@@ -247,7 +247,8 @@ class MixedModel:
         return float(np.sqrt(np.mean(power[moves]) / max(float(rests), 1e-30)) if moves.any() else 1.0)
 
     def frames_per_independent(self) -> float:
-        """`frames_per_independent` of the residuals that are left."""
+        """How many frames tell as much as one independent frame, by the autocorrelation of the residuals that the
+        solution leaves."""
         return frames_per_independent(self.left())
 
     # ---- the Gauss-Newton step

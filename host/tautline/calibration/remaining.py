@@ -188,9 +188,9 @@ def _moved_by(fitted: Fitted, errors: Sequence[Array]) -> Array:
 
 
 def _beside_the_path_px(fitted: Fitted) -> float:
-    """rms over the places, px, by which the marker goes beside the path that the rig has for it, noise taken out: what
-    camera, hand_eye and kinematics are wrong by. f_remain took that along the path, which is as much as far as anyone
-    knows. Frames weigh as in the fit. 0 for an angle sensor."""
+    """How far, px, the marker goes beside the path that the rig has for it: the rms, over _PARTS equal parts of the
+    range, of a part's mean distance across that path, less what noise leaves of it. Camera, hand_eye and kinematics are
+    wrong by so much, along the path too as far as anyone knows, where f_remain took it in. 0 for an angle sensor."""
     fit = fitted.fit
     if fit.view is None:
         return 0.0
@@ -200,15 +200,15 @@ def _beside_the_path_px(fitted: Fitted) -> float:
         path = fit.slope_in_view(prepared.track, fitted.curves, sim.tip)[use]
         beside = across(off[use] * prepared.track.sigma[use, None], path)
         rows.append(np.column_stack([sim.tip[use], beside, own[use] / prepared.track.sigma[use] ** 2]))
-    place, beside, weight = np.concatenate(rows).T
+    place, beside, weight = np.concatenate(rows).T  # unit of q, px, 1/px^2 as in the fit
     part = np.digitize(place, np.linspace(fit.follow.low, fit.follow.high, _PARTS + 1)[1:-1])
-    moments = (weight, weight * beside, weight * beside**2, weight**2)
-    whole, first, second, squared = (np.bincount(part, moment, _PARTS) for moment in moments)
+    terms = (weight, weight * beside, weight * beside**2, weight**2)
+    weights, first, second, squared = (np.bincount(part, term, _PARTS) for term in terms)
     told = np.bincount(part, minlength=_PARTS) >= _FEW
     if not told.any():
         return 0.0
-    mean, frames = first[told] / whole[told], whole[told] ** 2 / squared[told]
-    of_noise = np.maximum(second[told] / whole[told] - mean**2, 0.0) / np.maximum(frames - 1.0, 1.0)
+    mean, frames = first[told] / weights[told], weights[told] ** 2 / squared[told]  # frames of even weight
+    of_noise = np.maximum(second[told] / weights[told] - mean**2, 0.0) / np.maximum(frames - 1.0, 1.0)
     return float(np.sqrt(max(float(np.mean(mean**2 - of_noise)), 0.0)))
 
 

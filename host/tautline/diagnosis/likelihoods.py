@@ -157,17 +157,18 @@ class Likelihoods:
 
     @property
     def _log_likelihood_of_no_change(self) -> float:
-        """Log-likelihood that nothing changed since the calibration: the calibrated model leaves noise and an excess
-        with an exponential prior of mean calibration_excess. What a recalibration takes off the power, `taken`, is
-        improbable then: exp(-taken / (the nominal model's own misfit + calibration_excess)), in units of floor^2."""
+        """Log-likelihood that nothing changed since the calibration: in each block the calibrated model or its
+        recalibration, whichever leaves less, leaves noise and an excess with an exponential prior of mean
+        calibration_excess. What the recalibration takes off the mean power, `taken`, is improbable then: exp(-taken /
+        (the nominal model's own misfit + calibration_excess)), in units of floor^2."""
         case, hyper = self._case, self.hyper
-        recalibrated = case.power[0]
-        seen = np.minimum(case.frozen, recalibrated)
+        recalibrated = case.power[0]  # (blocks,) of the hypothesis without effects
+        lesser = np.minimum(case.frozen, recalibrated)  # the difference counts in `taken`
         taken = max(float(np.mean(case.frozen - recalibrated)), 0.0) / case.floor2
         excess = hyper.calibration_excess * _QUANTILES[:, None]
-        by_quantile = case.log_likelihood(seen, 0.0, excess, case.own_misfit, hyper.noise_tells, hyper.block_freedom)
-        mean = float(log_sum(by_quantile) - np.log(len(by_quantile)))
-        return mean - taken / (case.own_misfit / case.floor2 + hyper.calibration_excess)
+        by_excess = case.log_likelihood(lesser, 0.0, excess, case.own_misfit, hyper.noise_tells, hyper.block_freedom)
+        over_prior = float(log_sum(by_excess) - np.log(len(by_excess)))
+        return over_prior - taken / (case.own_misfit / case.floor2 + hyper.calibration_excess)
 
     @property
     def _log_chance_of_misfit(self) -> Array:

@@ -135,8 +135,9 @@ def prepare(
     model: Model, calibration: Recording, tests: Sequence[Recording], drives: Sequence[Drive] = ()
 ) -> list[Segment]:
     """A segment of each recording, the calibration first: of markers (px) where every recording has one, else of angles
-    (deg). drives: of each recording one, where a user's simulator stands in the motor's place. TautError where
-    recordings lack a sensor, or one has no observation to score."""
+    (deg). drives: of each recording one, where a user's simulator stands in the motor's place. What only repeats the
+    observation before is not scored, as it tells nothing new. TautError where recordings lack a sensor, or one has too
+    few observations to score."""
     recordings = [calibration, *tests]
     by_marker = model.rig.has_camera and all(recording.marker is not None for recording in recordings)
     if not by_marker and not all(recording.angle is not None for recording in recordings):
@@ -147,25 +148,26 @@ def prepare(
         if drive is None:
             path = MotorPath.of(recording.motor, model.rig.actuator.encoder_resolution)
         else:
-            path = MotorPath(recording.motor, recording.motor)  # simulated: its samples are the knots
+            path = MotorPath(recording.motor, recording.motor)  # simulated: straight lines between its samples
         motor = path.lines
-        times, observed, again = (_marker_observations if by_marker else _angle_observations)(recording, path)
-        scene = times - model.delay_of(MARKER if by_marker else ANGLE)
-        from_s = settled_from(model, recording.motor)
-        within = (scene >= from_s) & (scene <= motor.t_s[-1])
-        repeats = within & again
-        scored = within & ~repeats
-        _check_scored(recording.name, within, scored)
+        arrival_s, observed, again = (_marker_observations if by_marker else _angle_observations)(recording, path)
+        scene_s = arrival_s - model.delay_of(MARKER if by_marker else ANGLE)
+        settled = (scene_s >= settled_from(model, recording.motor)) & (scene_s <= motor.t_s[-1])
+        scored = settled & ~again
+        _check_scored(recording.name, settled, scored)
         segments.append(
-            Segment(recording.name, motor, times, observed, scored, offset, i == 0, i, repeats=repeats, drive=drive)
-        )
+            Segment(
+                recording.name, motor, arrival_s, observed, scored, offset_s=offset, calibration=i == 0, number=i,
+                repeats=settled & again, drive=drive,
+            )
+        )  # fmt: skip
     return segments
 
 
-def _check_scored(name: str, within: npt.NDArray[np.bool_], scored: npt.NDArray[np.bool_]) -> None:
-    """TautError, with the recording's name, where too few observations are `scored` (n,). within (n,): which of them
-    came once the tip had been driven through B both ways."""
-    if not within.any():
+def _check_scored(name: str, settled: npt.NDArray[np.bool_], scored: npt.NDArray[np.bool_]) -> None:
+    """TautError, with the recording's name, where too few observations are `scored` (n,). settled (n,): which of them
+    show the tip once it had been driven through B both ways."""
+    if not settled.any():
         raise TautError(
             f"{name}: the tip is never driven through a full backlash both ways while it is seen: "
             "record a motion with strokes longer than the backlash"

@@ -69,7 +69,8 @@ def _limit(simulator: Simulator, own_s: float, robots: Sequence[Recording], rig:
 
 @dataclass(frozen=True)
 class _Shown:
-    """What a simulator shows of the robot's recordings."""
+    """What a simulator shows of the robot's recordings: of n observations the scored ones count. k: 2 px of a marker,
+    or 1 deg of an angle."""
 
     simulator: Simulator
     segments: list[Segment]
@@ -77,14 +78,14 @@ class _Shown:
 
     @classmethod
     def by(cls, simulator: Simulator, robots: Sequence[Recording], rig: Rig) -> _Shown:
-        """Of these recordings."""
+        """Simulates these recordings of the robot."""
         found = nominal(simulator, robots, rig)
         segments = prepare(found.model, found.calibration, found.tests, found.drives)[1:]
         return cls(simulator, segments, [segment.predict(found.model, {}, 0.0)[1] for segment in segments])
 
     @property
     def left(self) -> list[Array]:
-        """(scored, k) of each recording: the robot less this."""
+        """(scored, k) of each recording, px or deg: the residual, what the robot's sensor observed less `seen`."""
         return [(s.observed - seen)[s.scored] for s, seen in zip(self.segments, self.seen, strict=True)]
 
     def apart(self, other: _Shown) -> float:

@@ -44,7 +44,7 @@ _INCREMENTS, _REVOLUTIONS, _PERIOD, _PERIOD_POWER = (0x608F, 1), (0x608F, 2), (0
 
 
 class Cia402:
-    """CiA 402 drives on one CAN bus, as `Drives` (drives.py)."""
+    """CiA 402 drives on one CAN bus, as `Drives` (drives.py). node: a drive's id on the bus, 1 to 126."""
 
     watchdog = "the drives' own: the host's heartbeat is missed, then a quick stop"
     rest_s = _LOST_MS * 1e-3
@@ -74,88 +74,88 @@ class Cia402:
         try:
             objects = canopen.ObjectDictionary()  # type: ignore[no-untyped-call]
             self._nodes = {n: self._network.add_node(n, objects) for n in self._numbers}
-            self.drives = [self._describe(number, 1.0 / rate_hz) for number in self._numbers]
+            self.drives = [self._describe(node, 1.0 / rate_hz) for node in self._numbers]
         except BaseException:
             self._network.disconnect()
             raise
 
     # -- objects, while nothing moves -----------------------------------------------------------------------------
 
-    def _read(self, number: int, index: tuple[int, int]) -> bytes:
+    def _read(self, node: int, index: tuple[int, int]) -> bytes:
         """The bytes of a drive's object (index, subindex), little-endian."""
-        return self._retry(number, index, lambda: self._nodes[number].sdo.upload(*index))
+        return self._retry(node, index, lambda: self._nodes[node].sdo.upload(*index))
 
-    def _write(self, number: int, index: tuple[int, int], value: int, size: int) -> None:
+    def _write(self, node: int, index: tuple[int, int], value: int, size: int) -> None:
         """Writes a number as `size` bytes to a drive's object (index, subindex)."""
         data = value.to_bytes(size, "little", signed=value < 0)
-        self._retry(number, index, lambda: self._nodes[number].sdo.download(*index, data))
+        self._retry(node, index, lambda: self._nodes[node].sdo.download(*index, data))
 
-    def _retry(self, number: int, index: tuple[int, int], ask: Callable[[], bytes]) -> bytes:
-        """Calls `ask`, an SDO transfer of the object `index` with the node `number`, with canopen's retries. _Refused
+    def _retry(self, node: int, index: tuple[int, int], ask: Callable[[], bytes]) -> bytes:
+        """Calls `ask`, an SDO transfer of the object `index` with the node of this id, with canopen's retries. _Refused
         where the drive refuses it, TautError where it does not answer."""
-        self._nodes[number].sdo.RESPONSE_TIMEOUT, self._nodes[number].sdo.MAX_RETRIES = _SDO_S, 3
+        self._nodes[node].sdo.RESPONSE_TIMEOUT, self._nodes[node].sdo.MAX_RETRIES = _SDO_S, 3
         try:
             return ask()
         except SdoAbortedError as error:
-            raise _Refused(f"canopen {number}: object {index[0]:04X}h:{index[1]} is refused ({error})") from error
+            raise _Refused(f"canopen {node}: object {index[0]:04X}h:{index[1]} is refused ({error})") from error
         except (SdoError, can.CanError) as error:
-            raise TautError(f"canopen {number} does not answer ({error}): check power, node id and bit rate") from error
+            raise TautError(f"canopen {node} does not answer ({error}): check power, node id and bit rate") from error
 
-    def _read_number(self, number: int, index: tuple[int, int], otherwise: float | None = None) -> float:
+    def _read_number(self, node: int, index: tuple[int, int], otherwise: float | None = None) -> float:
         """Reads a number from the drive's object dictionary; gives `otherwise` (None: raises _Refused) where it has no
         such object. Unsigned, but for the position limits."""
         try:
-            data = self._read(number, index)
+            data = self._read(node, index)
         except _Refused:
             if otherwise is None:
                 raise
             return otherwise
         return int.from_bytes(data, "little", signed=index in (_LOW, _HIGH))
 
-    def _read_text(self, number: int, index: tuple[int, int]) -> str:
+    def _read_text(self, node: int, index: tuple[int, int]) -> str:
         """Reads a text from the drive's object dictionary; "" where it has no such object."""
         try:
-            return self._read(number, index).decode("ascii", "replace").strip("\0 ")
+            return self._read(node, index).decode("ascii", "replace").strip("\0 ")
         except _Refused:
             return ""
 
-    def _describe(self, number: int, period_s: float) -> Drive:
+    def _describe(self, node: int, period_s: float) -> Drive:
         """Configures a drive for cyclic synchronous positions with this period and returns what it is. TautError where
         it cannot have this period, or lacks an object that is needed."""
-        self._set_network_state(number, _PRE_OPERATIONAL)  # the state in which process data can be mapped
-        counts_per_turn, limits = self._read_limits(number)
-        self._map_process_data(number, 0x1A00, 0x1800, 0x180, [(*_STATUS, 16), (*_POSITION, 32)])  # TPDO 1
+        self._set_network_state(node, _PRE_OPERATIONAL)  # the state in which process data can be mapped
+        counts_per_turn, limits = self._read_limits(node)
+        self._map_process_data(node, 0x1A00, 0x1800, 0x180, [(*_STATUS, 16), (*_POSITION, 32)])  # TPDO 1
         with contextlib.suppress(_Refused):  # a drive that lacks one of them tells neither
-            self._map_process_data(number, 0x1A01, 0x1801, 0x280, [(*_VELOCITY, 32), (*_CURRENT, 16)])  # TPDO 2
-        self._map_process_data(number, 0x1600, 0x1400, 0x200, [(*_CONTROL, 16), (*_TARGET, 32)])  # RPDO 1
-        self._set_period(number, period_s)
-        self._write(number, _CONSUMER, _HOST << 16 | _LOST_MS, 4)
-        self._write(number, _ON_LOSS, _QUICK_STOP, 2)
-        homed = self._is_homed(number)
-        self._write(number, _MODE, _CSP, 1)
-        self._network.subscribe(0x180 + number, self._on_position)
-        self._network.subscribe(0x280 + number, self._on_speed)
-        self._set_network_state(number, _START)
-        model = self._read_text(number, _DEVICE) or "CiA 402"
-        versions = " ".join(filter(None, (self._read_text(number, _HARDWARE), self._read_text(number, _SOFTWARE))))
-        return Drive(number, model, versions or "-", round(counts_per_turn), limits, homed)
+            self._map_process_data(node, 0x1A01, 0x1801, 0x280, [(*_VELOCITY, 32), (*_CURRENT, 16)])  # TPDO 2
+        self._map_process_data(node, 0x1600, 0x1400, 0x200, [(*_CONTROL, 16), (*_TARGET, 32)])  # RPDO 1
+        self._set_period(node, period_s)
+        self._write(node, _CONSUMER, _HOST << 16 | _LOST_MS, 4)
+        self._write(node, _ON_LOSS, _QUICK_STOP, 2)
+        homed = self._is_homed(node)
+        self._write(node, _MODE, _CSP, 1)
+        self._network.subscribe(0x180 + node, self._on_position)
+        self._network.subscribe(0x280 + node, self._on_speed)
+        self._set_network_state(node, _START)
+        model = self._read_text(node, _DEVICE) or "CiA 402"
+        versions = " ".join(filter(None, (self._read_text(node, _HARDWARE), self._read_text(node, _SOFTWARE))))
+        return Drive(node, model, versions or "-", round(counts_per_turn), limits, homed)
 
-    def _read_limits(self, number: int) -> tuple[float, DriveLimits]:
+    def _read_limits(self, node: int) -> tuple[float, DriveLimits]:
         """A drive's counts per turn and its limits, in counts. Without position limits they are +-RANGE; acceleration
         is at most _STARTS_MOST times the speed a second, and STARTS times it where the drive limits none. Keeps the
         rated current, mA, for `measure`."""
-        turn = self._read_number(number, _INCREMENTS) / max(self._read_number(number, _REVOLUTIONS, 1.0), 1.0)
-        speed = self._read_number(number, _MOTOR_RPM) / 60.0 * turn
-        acceleration = self._read_number(number, _ACCELERATION_MOST, 0.0) or STARTS * speed
+        turn = self._read_number(node, _INCREMENTS) / max(self._read_number(node, _REVOLUTIONS, 1.0), 1.0)
+        speed = self._read_number(node, _MOTOR_RPM) / 60.0 * turn
+        acceleration = self._read_number(node, _ACCELERATION_MOST, 0.0) or STARTS * speed
         acceleration = min(acceleration, _STARTS_MOST * speed)
-        low, high = self._read_number(number, _LOW, 0.0), self._read_number(number, _HIGH, 0.0)
+        low, high = self._read_number(node, _LOW, 0.0), self._read_number(node, _HIGH, 0.0)
         if low >= high:
             low, high = -RANGE, RANGE
-        self._rated_ma[number] = self._read_number(number, _RATED_MA, 0.0)
-        current = self._rated_ma[number] * self._read_number(number, _CURRENT_MOST, 0.0) / 1000.0
+        self._rated_ma[node] = self._read_number(node, _RATED_MA, 0.0)
+        current = self._rated_ma[node] * self._read_number(node, _CURRENT_MOST, 0.0) / 1000.0
         return turn, DriveLimits(max(low, -RANGE), min(high, RANGE), speed, acceleration, current)
 
-    def _set_period(self, number: int, period_s: float) -> None:
+    def _set_period(self, node: int, period_s: float) -> None:
         """Tells a drive the time between SYNCs, as one byte times a power of ten of a second. TautError where that
         cannot hold this period."""
         power = -3 if abs(period_s * 1e3 - round(period_s * 1e3)) < 1e-6 else -4  # whole ms, else 0.1 ms
@@ -163,36 +163,36 @@ class Cia402:
         if abs(period_s * 10**-power - units) > 1e-6 or units > _PERIOD_MOST:
             says = f"canopen: a cycle of {1e3 * period_s:.4g} ms cannot be told: name a rate of whole ms up to "
             raise TautError(f"{says}{_PERIOD_MOST}, or of whole 0.1 ms up to {0.1 * _PERIOD_MOST:g}")
-        self._write(number, _PERIOD, units, 1)
-        self._write(number, _PERIOD_POWER, power, 1)
+        self._write(node, _PERIOD, units, 1)
+        self._write(node, _PERIOD_POWER, power, 1)
 
-    def _is_homed(self, number: int) -> bool:
+    def _is_homed(self, node: int) -> bool:
         """Whether the drive has been homed: bit 12 of the status in homing mode (in other modes it means something
         else). One that does not enter the mode is not homed. The drive is left in homing mode: the caller sets the mode
         that it is used in, _CSP, afterwards."""
         try:
-            self._write(number, _MODE, _HOMING, 1)
+            self._write(node, _MODE, _HOMING, 1)
             deadline = time.monotonic() + _STATE_S
-            while int(self._read_number(number, _MODE_NOW)) != _HOMING:
+            while int(self._read_number(node, _MODE_NOW)) != _HOMING:
                 if time.monotonic() > deadline:
                     return False
         except _Refused:
             return False
-        return bool(int.from_bytes(self._read(number, _STATUS), "little") & 0x1000)
+        return bool(int.from_bytes(self._read(node, _STATUS), "little") & 0x1000)
 
     def _map_process_data(
-        self, number: int, mapping: int, parameters: int, cob: int, objects: list[tuple[int, int, int]]
+        self, node: int, mapping: int, parameters: int, cob: int, objects: list[tuple[int, int, int]]
     ) -> None:
         """Configures one process data object (PDO) of a drive: it holds these objects (index, subindex, bits) and goes
-        over the bus at every SYNC. mapping, parameters: the indices by which CiA 301 configures this PDO; cob: its CAN
-        id less the node's."""
-        self._write(number, (parameters, 1), 1 << 31 | cob + number, 4)  # bit 31: not in use meanwhile
-        self._write(number, (mapping, 0), 0, 1)
+        over the bus at every SYNC. mapping, parameters: the indices of CiA 301's records of this PDO; cob: its CAN id
+        less the node's. A mapping can be written only while the PDO is not valid and its count of objects is 0."""
+        self._write(node, (parameters, 1), 1 << 31 | cob + node, 4)  # bit 31: not valid
+        self._write(node, (mapping, 0), 0, 1)
         for i, (index, sub, bits) in enumerate(objects):
-            self._write(number, (mapping, i + 1), index << 16 | sub << 8 | bits, 4)
-        self._write(number, (mapping, 0), len(objects), 1)
-        self._write(number, (parameters, 2), 1, 1)
-        self._write(number, (parameters, 1), cob + number, 4)
+            self._write(node, (mapping, i + 1), index << 16 | sub << 8 | bits, 4)
+        self._write(node, (mapping, 0), len(objects), 1)
+        self._write(node, (parameters, 2), 1, 1)  # type of transmission: at every SYNC
+        self._write(node, (parameters, 1), cob + node, 4)
 
     # -- cycles ---------------------------------------------------------------------------------------------------
 
@@ -218,9 +218,9 @@ class Cia402:
         except (can.CanError, OSError) as error:
             raise Missed(f"the bus takes nothing ({error})") from error
 
-    def _set_network_state(self, number: int, state: int) -> None:
+    def _set_network_state(self, node: int, state: int) -> None:
         """Sends a node to a state of CANopen's network management; state: a command such as _START."""
-        self._send(0x000, bytes((state, number)))
+        self._send(0x000, bytes((state, node)))
 
     def _send_heartbeat(self) -> None:
         """Sends the host's heartbeat if one is due, every _HEARTBEAT_S: drives that miss it for _LOST_MS stop."""
@@ -234,8 +234,8 @@ class Cia402:
         self._send_heartbeat()
         with self._answered:
             self._positions.clear()
-            for number in self._numbers:
-                self._unanswered[number] += 1
+            for node in self._numbers:
+                self._unanswered[node] += 1
         sent_s = self._clock()
         self._send(0x80, b"")
         with self._answered:
@@ -245,45 +245,45 @@ class Cia402:
             self._unanswered |= dict.fromkeys(heard, 0)
         if len(heard) < len(self._numbers):
             raise Missed("no answer to a SYNC")
-        return [self._measured(number, sent_s, *heard[number]) for number in self._numbers]
+        return [self._measured(node, sent_s, *heard[node]) for node in self._numbers]
 
-    def _measured(self, number: int, t_s: float, status: int, counts: int) -> Measured:
+    def _measured(self, node: int, t_s: float, status: int, counts: int) -> Measured:
         """A drive's answer to the SYNC that was sent at t_s, the moment at which drives sample. status: its status
         word, whose bit 3 is a fault; counts: its position; speed and current are the last that came."""
-        speed, share = self._speeds.get(number, (0, 0))
-        fault = f"drive {number} has a fault" if status & 0x08 else ""
-        return Measured(t_s, float(counts), float(speed), share * self._rated_ma[number] / 1000.0, fault)
+        speed, share = self._speeds.get(node, (0, 0))
+        fault = f"drive {node} has a fault" if status & 0x08 else ""
+        return Measured(t_s, float(counts), float(speed), share * self._rated_ma[node] / 1000.0, fault)
 
     def set_positions(self, goals: Sequence[Goal | None]) -> None:
         """Sends each drive the counts that it goes to at the next SYNC; None sends one nothing."""
-        for number, goal in zip(self._numbers, goals, strict=True):
+        for node, goal in zip(self._numbers, goals, strict=True):
             if goal is not None:
-                self._send(0x200 + number, struct.pack("<Hi", _OPERATE, round(goal.q)))
+                self._send(0x200 + node, struct.pack("<Hi", _OPERATE, round(goal.q)))
 
     def enable(self, axis: int, on: bool) -> None:
         """Switches a drive off, or through CiA 402's states on; then it holds where it is. A fault is cleared first.
         TautError where it does not reach a state."""
-        number = self._numbers[axis]
+        node = self._numbers[axis]
         if not on:
-            self._send(0x200 + number, struct.pack("<Hi", _VOLTAGE_OFF, 0))
-            self._write(number, _CONTROL, _VOLTAGE_OFF, 2)
+            self._send(0x200 + node, struct.pack("<Hi", _VOLTAGE_OFF, 0))
+            self._write(node, _CONTROL, _VOLTAGE_OFF, 2)
             return
-        here = int.from_bytes(self._read(number, _POSITION), "little", signed=True)
-        self._write(number, _TARGET, here, 4)
-        self._write(number, _CONTROL, _FAULT, 2)
+        here = int.from_bytes(self._read(node, _POSITION), "little", signed=True)
+        self._write(node, _TARGET, here, 4)
+        self._write(node, _CONTROL, _FAULT, 2)
         for control, state in ((_SHUT_DOWN, _READY), (_SWITCH_ON, _ON), (_OPERATE, _OPERATIONAL)):
-            self._write(number, _CONTROL, control, 2)
-            self._wait_for_state(number, state)
+            self._write(node, _CONTROL, control, 2)
+            self._wait_for_state(node, state)
 
-    def _wait_for_state(self, number: int, state: int) -> None:
+    def _wait_for_state(self, node: int, state: int) -> None:
         """Waits until the drive's status word shows this state, in the bits 6Fh that CiA 402 has for it, sending
         heartbeats meanwhile. TautError after _STATE_S."""
         deadline = time.monotonic() + _STATE_S
-        while (status := int.from_bytes(self._read(number, _STATUS), "little")) & 0x6F != state:
+        while (status := int.from_bytes(self._read(node, _STATUS), "little")) & 0x6F != state:
             self._send_heartbeat()  # a brake takes longer than the drive waits for it
             if time.monotonic() > deadline:
                 raise TautError(
-                    f"canopen {number} is not switched on (status word {status:04X}h): see its fault with its own tools"
+                    f"canopen {node} is not switched on (status word {status:04X}h): see its fault with its own tools"
                 )
 
     def stop(self) -> None:
@@ -291,9 +291,9 @@ class Cia402:
         try:
             all_off(len(self._numbers), self.enable)
         finally:
-            for number in self._numbers:
+            for node in self._numbers:
                 with contextlib.suppress(Missed):
-                    self._set_network_state(number, _PRE_OPERATIONAL)
+                    self._set_network_state(node, _PRE_OPERATIONAL)
 
     def close(self) -> None:
         """Leaves the bus; drives stop as they miss the host's heartbeat."""

@@ -234,11 +234,12 @@ def see(
     rotation_deg: npt.ArrayLike,
     parameters: Mapping[str, Any],
 ) -> Array:
-    """(n, 2) px as `image`, of bending angles (n,) without a path, without a shift of the registration. way (n,): side
-    of the channel, -1 to 1; translation_mm, rotation_deg: of the instrument, (n,) or one number."""
-    n = np.ones(len(c_deg))
+    """(n, 2) px: where the marker is seen at bending angles c_deg (n,), with the effects as in `image`, but for a shift
+    of the registration, which would need times. way (n,): to which side the instrument lies in its channel, -1 to 1;
+    translation_mm, rotation_deg: of the instrument, (n,) or one number."""
+    each = np.ones(len(c_deg))
+    translation, rotation = each * np.asarray(translation_mm), each * np.asarray(rotation_deg)
     known, rig = _of_projection(parameters), projection_rig(model.rig)
-    translation, rotation = n * np.asarray(translation_mm), n * np.asarray(rotation_deg)
     return _native.see(known, rig, c_deg, translation, rotation, way, None, False)  # type: ignore[no-any-return]
 
 

@@ -22,7 +22,7 @@ from tautline.trajectory import NEXT_FILE, Trajectory
 
 SECONDS = 20.0  # it lasts no longer, where the gaps let it
 _STROKES = (3.0, 5.0, 8.0)  # of the widest B: the shorter, the more turns
-_BACK = 1.4  # of it: a stroke back gets through it
+_BACK = 1.4  # of the widest B: a stroke back, which gets through it
 _LEAST_STROKE, _MOST_STROKE = 0.05, 0.8  # of the range; of the way through a gap
 _QUICK = 8.0  # acceleration over speed, 1/s
 _DWELL_S = 0.1

@@ -48,7 +48,7 @@ class Followed:
     c_deg: Array  # (n,) c, as it was; NaN where it is not known
     counted: Array  # (n,) bool: after the first full take-up in both directions
     scored_by: str = ""
-    counters: dict[str, Any] = field(default_factory=dict)
+    counters: dict[str, Any] = field(default_factory=dict)  # the board's, of this run, by name
     clipped: float = 0.0  # share of the trajectory's time that is beyond `reach_deg`: the tip is held at its end there
     reach_deg: tuple[float, float] = (float("-inf"), float("inf"))  # that the tables, or f_coarse without any, can give
     bus: dict[str, Any] = field(default_factory=dict)  # of motors on a bus of their own: rate, jitter, lag

@@ -54,10 +54,11 @@ class TableMover:
         """Reads how far the board's tables may be moved, and moves them back to as they were calibrated."""
         self._live = live
         blob = live.board.read_table(live.axis)
+        # The largest offset, unit of q, and the least and the largest scale of B; None: they may not be moved.
         self.most = tables.decode(blob).limits.adapt if blob else None
         self.moves: list[TablesMoved] = []
-        self.beyond = ""  # what was learnt beyond that
-        self._sent_s = -np.inf
+        self.beyond = ""  # in words, what was learnt beyond that
+        self._sent_s = -np.inf  # the arrival of the frame by which the board was told last
         if self.most is not None:
             self._send(TablesMoved(-np.inf, 0.0, 1.0), 0.0)
 
@@ -173,7 +174,7 @@ class Following:
 
     def _track(self, frame: Frame) -> None:
         """Predicts where the marker is in a frame, learns from it if it shows the marker, and moves the board's tables
-        to what was learnt, unless the model is stale."""
+        to what was learnt; if the model is stale, only where two passes of one place showed a narrower B."""
         arrival_s, sighting = frame.t_us * 1e-6, frame.sighting
         self.row = self.tracker.predict(arrival_s - self._delay_s, arrival_s)
         self.frames += 1

@@ -19,9 +19,9 @@ from tautline.shapes import Library, Shape, recalled
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None] | None
 
-_STROKE = 3.0  # of the widest backlash, and so much of the range at least
-_LEAST_STROKE, _MOST_STROKE = 0.15, 0.8
-_SHORTER = 0.7  # the second time
+_STROKE = 3.0  # of the widest backlash
+_LEAST_STROKE, _MOST_STROKE = 0.15, 0.8  # of the range; of the way to its farther end
+_SHORTER = 0.7  # of the first stroke: back, and out again
 _SPEED_DEG_S = 15.0
 
 

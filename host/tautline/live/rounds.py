@@ -53,12 +53,12 @@ class Round:
     high: float
     speeds: tuple[float, ...]  # of its passes, one out and one back each
     cycles: int  # turning points of a pass
-    transit: float
-    acceleration: float
-    approach: float
-    stroke: float
+    transit: float  # speed where nothing is measured
+    acceleration: float  # unit/s^2
+    approach: float  # on the envelope before each turn, at the pass's speed
+    stroke: float  # a reversal without an onset ends here
     sigma_wanted: float  # an onset as good as this ends its stroke
-    sigma_usable: float
+    sigma_usable: float  # one that is vaguer is not used
 
     def says(self, unit: str) -> str:
         """The round in words: positions and speeds. unit: of q."""
@@ -136,12 +136,12 @@ class Standing:
     measured and is not, (0, 0) where that is little."""
 
     worst: float  # one standard deviation, unit of q
-    where: float
-    need: tuple[Place, ...]  # where sigma is above the goal
-    ends: tuple[float, float]  # of what is measured
-    missing: Span
-    widest: float  # B
-    strokes: float  # the longest that moved nothing, 0 where none did
+    where: float  # position, unit of q
+    need: tuple[Place, ...]  # where sigma is above _AIM times the goal
+    ends: Span  # of what is measured, unit of q
+    missing: Span  # unit of q
+    widest: float  # the largest B, unit of q
+    unmoved: float  # the longest stroke that moved nothing, unit of q; 0 where none did
     work: float  # what reaching the goal everywhere costs, in times of what was done so far
     doubt: str  # the calibration's first, empty where it has none
     by_speed: bool = False  # B may go with the motor's speed
@@ -151,11 +151,14 @@ class Standing:
         """How well a calibration of what was recorded so far knows B. low, high: the range; until: the wanted sigma of
         B; all in the unit of q. Where it has measured no B yet, sigma is infinite."""
         model = calibration.model
-        bounds = max((onset.low for onset in calibration.onsets if onset.used and onset.kind == BOUND), default=0.0)
+        unmoved = max((onset.low for onset in calibration.onsets if onset.used and onset.kind == BOUND), default=0.0)
         doubt = next((str(reason) for reason in model.quality.reasons if not reason.mild), "")
         inside = model.is_measured
         if not inside.any() or model.measured[0] >= model.measured[1]:
-            return cls(np.inf, 0.5 * (low + high), (), (low, high), (low, high), 0.0, bounds, np.inf, doubt)
+            return cls(
+                worst=np.inf, where=0.5 * (low + high), need=(), ends=(low, high), missing=(low, high), widest=0.0,
+                unmoved=unmoved, work=np.inf, doubt=doubt,
+            )  # fmt: skip
         q, widest = model.q[inside], float(model.width[inside].max())
         sigma = np.where(np.isfinite(model.width_sigma), model.width_sigma, np.inf)[inside]
         worst = int(np.argmax(sigma))
@@ -166,7 +169,7 @@ class Standing:
             ends=(float(q[0]), float(q[-1])),
             missing=_unmeasured(calibration, low, high),
             widest=widest,
-            strokes=bounds,
+            unmoved=unmoved,
             work=float(np.mean(np.maximum(sigma / until, 1.0) ** 2)),
             doubt=doubt,
             by_speed=any(reason.code == _BY_SPEED for reason in model.quality.reasons),
@@ -240,14 +243,14 @@ def next_round(
 ) -> Round | Strokes:
     """Which round to make next, after those that are `done` in `seconds` s. In this order: a slower pass, if that tells
     something (`slower_tells`); a pass over the whole range, if something is not measured at all; strokes where sigma of
-    B is above the goal `until`, the first time also at both ends (passes are there for a frame or two only); but if
-    that is much of the range, as many passes as the goal will take."""
+    B is above the goal `until`, unit of q, the first time also at both ends (a pass is there for a frame or two only);
+    but if that is much of the range, as many passes as the goal will take."""
     if slower_tells(means, standing, until, done):
         return _round_over(means, (min(means.speeds),))
     speed = means.speeds[len(done) % len(means.speeds)]
     if not standing.covered:
-        return _round_over(means, (speed,), _LONGEST_STROKE if standing.strokes > 0 else _STROKE)
-    more = (standing.worst / until) ** 2
+        return _round_over(means, (speed,), _LONGEST_STROKE if standing.unmoved > 0 else _STROKE)
+    variance_ratio = (standing.worst / until) ** 2  # the present one over that of the goal
     need = standing.need if strokes_made(done) else _with_ends(standing, until)
     if sum(place.high - place.low for place in need) <= _WHOLE * means.span:
         return Strokes(
@@ -256,7 +259,7 @@ def next_round(
     # A place's variance falls as the time spent there grows.
     approach = _APPROACH * means.span
     pass_s = (2 * means.span + 4 * _CYCLES * (standing.widest + approach + _LATENCY_S * speed)) / speed
-    passes = int(np.clip(np.ceil(seconds * (more - 1.0) / pass_s), 1, _MOST_PASSES))
+    passes = int(np.clip(np.ceil(seconds * (variance_ratio - 1.0) / pass_s), 1, _MOST_PASSES))
     return _round_over(means, (speed,) * passes)
 
 
@@ -304,16 +307,17 @@ def _with_ends(standing: Standing, until: float) -> tuple[Place, ...]:
 def _stroke_for(means: Means, place: Place, widest: float, until: float, seconds: float) -> Stroke:
     """Plans the strokes across a place: longer than it by half the `widest` B and a margin on either side, slow enough
     for _FRAMES_A_STROKE frames in which the tip moves, and as often as the variance, which falls as the time spent
-    there grows, takes to reach the goal `until`. seconds: that all rounds so far took. All in unit of q."""
+    there grows, takes to reach the goal `until`. seconds: that all rounds so far took. Lengths and sigmas in the unit
+    of q."""
     beside = BESIDE * means.span
     reach = 0.5 * widest + beside
     low, high = max(place.low - reach, means.low), min(place.high + reach, means.high)
     moving = place.high - place.low + 2 * beside
     speed = min(_SPEEDS[1] * means.speeds[0], moving / (_FRAMES_A_STROKE * means.frame_s))
     # A place's variance falls as the time spent there grows; next to the ends that is one visit so far.
-    more = (place.sigma / until) ** 2
-    wanted_s = (more - 1.0) * seconds * moving / means.span
-    times = int(np.clip(np.ceil(max(0.5 * more, 0.5 * wanted_s * speed / moving)), *_STROKES))
+    variance_ratio = (place.sigma / until) ** 2  # the present one over that of the goal
+    wanted_s = (variance_ratio - 1.0) * seconds * moving / means.span
+    times = int(np.clip(np.ceil(max(0.5 * variance_ratio, 0.5 * wanted_s * speed / moving)), *_STROKES))
     return Stroke(low, high, speed, times)
 
 
@@ -322,8 +326,9 @@ def _round_over(means: Means, speeds: tuple[float, ...], stroke: float = _STROKE
     without an onset ends."""
     span = means.span
     return Round(
-        means.low, means.high, speeds, _CYCLES, max(means.speeds[0], *speeds), means.acceleration, _APPROACH * span,
-        stroke * span, _SIGMA_WANTED * span, _SIGMA_USABLE * span,
+        means.low, means.high, speeds, _CYCLES, transit=max(means.speeds[0], *speeds), acceleration=means.acceleration,
+        approach=_APPROACH * span, stroke=stroke * span, sigma_wanted=_SIGMA_WANTED * span,
+        sigma_usable=_SIGMA_USABLE * span,
     )  # fmt: skip
 
 
@@ -370,9 +375,9 @@ def _why_not_measured(standing: Standing, unit: str, camera: CameraView) -> str:
     low, high = standing.missing
     if camera.unseen[0] < camera.unseen[1]:
         return _marker_not_seen(camera, unit)
-    if standing.strokes > 0:
+    if standing.unmoved > 0:
         return (
-            f"strokes of {standing.strokes:.3g} {unit} moved nothing: the range leaves no room to cross the backlash: "
+            f"strokes of {standing.unmoved:.3g} {unit} moved nothing: the range leaves no room to cross the backlash: "
             "check that the tip is free to move, or widen actuator.range in rig.toml"
         )
     return f"no reversal from {low:.3g} to {high:.3g} {unit} gave a width: is the tip free to move there?"

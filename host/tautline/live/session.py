@@ -29,8 +29,8 @@ _STILL_FRAMES = 8
 _OFF_PX = 0.02  # of a marker's place, however many frames
 _ACCELERATION = 20.0  # of the calibration motion: from rest to its fastest pass in 1/20 s
 _HOST_TIMEOUT_S = 1.0
-# The board's onset detector, in shares of the range: an onset good enough to turn round, one too vague to use, a turn,
-# and the slope of the image over the range, relative to itself, may change this many times.
+# The board's onset detector, in shares of the range: sigma of an onset that is good enough to turn round, of one too
+# vague to use, and the travel of a turn; and by how many times itself the image's slope may change over the range.
 _SIGMA_WANTED, _SIGMA_USABLE, _TURN, _SLOPE_CHANGES = 1.5e-4, 2.5e-3, 4e-4, 4.0
 _LEAST_TURN, _MOST_CHANGE = 4.0, 0.5  # limit: counts that a turn has at least; change of the slope in one at most
 _RUNNING = (wire.code("MOTIONS", "RUNNING"), wire.code("MOTIONS", "STOPPING"))
@@ -348,9 +348,9 @@ def thorough(live: Live, options: MotionOptions) -> Round:
     if not 1 <= len(speeds) <= 4 or min(speeds) <= 0:
         raise TautError("the calibration motion takes 1 to 4 speeds above 0")
     return Round(
-        low, high, speeds, options.cycles, 2.0 * max(speeds), _ACCELERATION * max(speeds),
-        options.approach or 0.03 * (high - low), options.stroke or 0.25 * (high - low),
-        _SIGMA_WANTED * (high - low), _SIGMA_USABLE * (high - low),
+        low, high, speeds, options.cycles, transit=2.0 * max(speeds), acceleration=_ACCELERATION * max(speeds),
+        approach=options.approach or 0.03 * (high - low), stroke=options.stroke or 0.25 * (high - low),
+        sigma_wanted=_SIGMA_WANTED * (high - low), sigma_usable=_SIGMA_USABLE * (high - low),
     )  # fmt: skip
 
 

@@ -512,7 +512,7 @@ def _simulated(stack: ExitStack, instrument: Instrument, axis: int, at: float, p
     board.ask("enable", axis=axis, on=0)
     _advance(link, _SLICE_S)
     place = at / rig.actuator.encoder_resolution
-    link.ask(f"place {axis} {round(place * 256)}")
+    link.ask(f"place {axis} {round(place * 256)}")  # 1/256 counts
     board.ask("set_position", axis=axis, q=place)
     plant = SimulatedAxis(link, instrument, axis)
     source: MarkerSource | None = None

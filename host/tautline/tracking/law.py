@@ -119,8 +119,8 @@ class LawFamily:
 
     @cached_property
     def _elements(self) -> tuple[Array, Array, Array]:
-        """Relative widths of the play's elements, their deviations from the mean and their weights; a single play is
-        split into _LOTS equal ones, whose spread can grow."""
+        """(elements,) each: the widths of the play's elements, in shares of B, what spread adds to them, and their
+        weights; a single play is split into _LOTS equal ones, whose spread can grow."""
         elements = self.model.elements
         if elements.single:
             away = (2.0 * np.arange(_LOTS) - _LOTS + 1) / _LOTS
@@ -130,8 +130,9 @@ class LawFamily:
 
     @cached_property
     def _by_spread_and_skew(self) -> Array:
-        """(2, elements) Derivatives of `shares` by theta's spread and skew, the skew's of mean 0 too."""
-        _, away, weight = self._elements
+        """(2, elements) Derivatives of `shares` by theta's spread and skew. Both have the weighted mean 0, so that the
+        elements' mean share, and B with it, stays."""
+        _, away, weight = self._elements  # away: of weighted mean 0
         return np.vstack([away, away**2 - weight @ away**2])
 
     @cached_property
@@ -174,9 +175,9 @@ class LawFamily:
         return self._kept[key]
 
     def _law_of(self, theta: Array) -> Law:
-        """`law`, made anew: its tables and its plays, which carry derivatives by all of theta before TIP (or by what is
-        added beyond the measured range). For these they get B's by scale and shape, (1 + PLACES, nodes), and the
-        shares' by spread and skew, (2, elements). A play that is not split has one share, which nothing changes."""
+        """`law`, made anew. Its play `native` gives dp/dtheta up to TIP, from by_width (1 + PLACES, nodes), dB by scale
+        and shape, and by_shares (2, elements), the elements' shares' derivatives by spread and skew, 0 for a single
+        play; `followed` gives dp by by_beyond (CURVES, nodes), dB by each curve beyond the measured range."""
         model = self.beyond.known
         shape = 1.0 + theta[SHAPE] @ self.shape_basis
         width = allowed_width(model.q, theta[SCALE] * model.width * shape)

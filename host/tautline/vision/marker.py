@@ -195,11 +195,11 @@ class MarkerTracker:
     def _blobs_above(self, picture: Array, y: Array, level: float, shrink: int) -> list[_Blob]:
         """Measures the connected regions in which the membership exceeds `level` and whose area is about the marker's,
         six at most. y (height, width): membership (1 is the marker as picked) in the picture made `shrink` times
-        smaller. An outline is cut at half the region's own level, the 90 % quantile of its membership. Where there is
-        none, the reason is kept in _why_none."""
+        smaller. An outline is cut at half the region's own level, the 90 % quantile of its membership. Each is measured
+        against what was expected before the search. Where there is none, the reason is kept in _why_none."""
         _, _, stats, centroids = cv2.connectedComponentsWithStats((y > level).astype(np.uint8), connectivity=4)
         expected = 0.25 * np.pi * (self.colour.diameter_px / shrink) ** 2
-        blobs, before = list[_Blob](), self._expected
+        blobs, before = list[_Blob](), self._expected  # which `_measure` replaces
         self._why_none = lost_sighting("no marker of this colour")
         largest = np.argsort(-np.minimum(stats[1:, cv2.CC_STAT_AREA], expected))[:6] + 1  # 0 is what is no blob
         for i in largest:

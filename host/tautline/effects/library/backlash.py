@@ -30,7 +30,8 @@ def _in_the_table(model: Model, values: Mapping[str, float], session_s: float) -
 
 
 def _slopes(model: Model, values: Mapping[str, float], p: Array) -> Mapping[str, Array] | None:
-    """dB(p) / d amplitude (n,), by name; None with width_at_motor."""
+    """By amplitude's name, (n,): the derivative by it of B at the play's centres p (n,), unit of q. None with
+    width_at_motor: B over p then depends on the amplitudes through where each wall is reached, not linearly."""
     if values.get(_AT_MOTOR, 0.0):
         return None
     everywhere = {_SCALE: np.interp(p, model.q, model.width), _EVERYWHERE: np.ones_like(p)}

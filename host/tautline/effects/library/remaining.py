@@ -23,7 +23,7 @@ def _in_the_table(model: Model, values: Mapping[str, float], session_s: float) -
 
 
 def _slopes(model: Model, values: Mapping[str, float], p: Array) -> Mapping[str, Array]:
-    """d f_remain(p) / d amplitude (n,), by name."""
+    """By amplitude's name, (n,): the derivative by it of f_remain, deg, at the play's centres p (n,), unit of q."""
     return _SPLINE.slopes(model, p)
 
 

@@ -23,10 +23,10 @@ class Constant:
     """One number in place of B(q), in the unit of q."""
 
     width: float  # the number
-    least: float  # B, over what was measured
+    least: float  # the smallest, largest and mean B where it was measured
     most: float
     mean: float
-    left_rms: float  # B less the number, over what was measured
+    left_rms: float  # of B less the number, where B was measured
 
 
 def constant(model: Model) -> Constant:

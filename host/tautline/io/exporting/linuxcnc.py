@@ -66,7 +66,7 @@ def targets(model: Model) -> tuple[Array, Array, Array]:
     nominal = np.linspace(float(ends.min()), float(ends.max()), min(MOST, max(2, int(inside.sum()))))
     p = model.remaining_inverse(coarse.gain * nominal + coarse.offset)
     width = np.interp(p, model.q, model.width)
-    sign = 1.0 if (model.c_deg[-1] - model.c_deg[0]) * coarse.gain > 0 else -1.0
+    sign = 1.0 if (model.c_deg[-1] - model.c_deg[0]) * coarse.gain > 0 else -1.0  # the motor's way as nominal rises
     return nominal, p + sign * 0.5 * width, p - sign * 0.5 * width
 
 

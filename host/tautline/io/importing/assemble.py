@@ -343,21 +343,22 @@ def _check_units(
         raise TautError(f"{chosen.motor.name}: does not move: name another --motor")
     if (span := _span(motor.q)) <= 0.0:
         return  # it rests nearly always: no ratio tells anything
-    pairs: list[tuple[str, Named, Array, str, float, float]] = []  # beside the motor; its span, how sure that is
+    # Beside the motor: option, channel, its values and their unit, the span that they should have, how far off that is.
+    pairs: list[tuple[str, Named, Array, str, float, float]] = []
     if motor.q_cmd is not None and chosen.command is not None:
         pairs.append(("--command", chosen.command, motor.q_cmd, target, span, _SURE))
     if angle is not None and rig is not None:
         pairs.append(("--tip", chosen.tip[0], angle.c_deg[angle.seen], "deg", span * abs(rig.coarse.gain), _BY_RIG))
     elif angle is not None and target == "deg":
         pairs.append(("--tip", chosen.tip[0], angle.c_deg[angle.seen], "deg", span, _ANY_GAIN))
-    for option, partner, values, kind, expected, sure in pairs:
+    for option, partner, values, unit_of_values, expected, off in pairs:
         if (seen := _span(values)) <= 0.0:
             continue
         for role, wrong, raw, ratio, base in (
-            (option, partner, values, expected / seen, kind),
+            (option, partner, values, expected / seen, unit_of_values),
             ("--motor", chosen.motor, motor.q, seen / expected, target),
         ):
-            if not (unit := suspected(ratio, raw, base, sure)):
+            if not (unit := suspected(ratio, raw, base, off)):
                 continue
             moves = f"{ratio:.4g} times less" if ratio > 1.0 else f"{1.0 / ratio:.4g} times more"
             says = f"{wrong.name} moves {moves} than {(chosen.motor if wrong is partner else partner).name} tells"

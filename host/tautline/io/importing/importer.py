@@ -147,7 +147,8 @@ def _import_all(
 
 
 def _share_rig(folders: Sequence[Path], named: Rig | None) -> None:
-    """Writes one rig for all episodes from what each showed, as recordings that go together have one."""
+    """Writes one rig for all episodes, as recordings that go together have one: all ranges, the finest encoder step,
+    and the coarse law of the widest range. Nothing where the user named a rig, or none was written."""
     files = [folder / "rig.toml" for folder in folders if (folder / "rig.toml").is_file()]
     if named is not None or not files:
         return

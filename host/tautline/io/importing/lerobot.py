@@ -15,6 +15,7 @@ from tautline.io.importing.source import BATCH_ROWS, Array, Batch, Clip, Fact, n
 
 INFO = "meta/info.json"
 _EPISODES = {"v2": "meta/episodes.jsonl", "v3": "meta/episodes"}
+# Features that say where a row is, and measure nothing.
 _COUNTERS = ("timestamp", "frame_index", "episode_index", "index", "task_index", "next.done", "next.success")
 _EPISODE = "episode_index"  # format: the number of a row's episode, in version 3.0
 _FRAME = "frame_index"  # format: of an episode, from 0 on
@@ -47,7 +48,7 @@ class LeRobot:
         self._features: Mapping[str, Any] = self._info_value("features", dict)
         self.videos = [name for name, each in self._features.items() if each.get("dtype") == "video"]
         self.facts.update({name: Fact("video") for name in self.videos})
-        self._numeric = {
+        self._numeric = {  # the features whose numbers are channels, by name: their entries in info.json
             name: each
             for name, each in self._features.items()
             if name not in _COUNTERS and str(each.get("dtype", "")).startswith(("float", "int", "uint"))

@@ -69,6 +69,7 @@ def cut(clip: Clip, path: Path) -> Array:
                 if packet.dts is None:
                     continue
                 at = float(packet.pts * read.time_base)
+                # A packet that is shown later may be decoded, and so come, before the clip's last ones.
                 if float(packet.dts * read.time_base) >= clip.last_s - _ROUNDED_S and at >= clip.last_s - _ROUNDED_S:
                     break
                 base = packet.dts if base is None else base

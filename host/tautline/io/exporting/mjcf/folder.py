@@ -72,13 +72,13 @@ def law_of(model: Model) -> Law:
     x, angle, half = model.q - middle, np.radians(model.c_deg), 0.5 * model.width
     lag = _parameters(model).get("lag", 0.0)
     return Law(
-        middle,
-        high - low,
-        float(np.abs(np.diff(angle) / np.diff(x)).max()),
-        _at_least_zero(fit(x, half, _ENOUGH * max(float(half.max()), 1e-12)), x),
-        fit_sum(x, angle, _ENOUGH_LAW * float(np.ptp(angle))),
-        lag,
-        model.delay_s,
+        middle=middle,
+        span=high - low,
+        steepest=float(np.abs(np.diff(angle) / np.diff(x)).max()),
+        half=_at_least_zero(fit(x, half, _ENOUGH * max(float(half.max()), 1e-12)), x),
+        angle=fit_sum(x, angle, _ENOUGH_LAW * float(np.ptp(angle))),
+        lag_s=lag,
+        delay_s=model.delay_s,
     )
 
 
@@ -116,7 +116,7 @@ def scenes(nominal: Nominal, law: Law, out: Path) -> dict[str, str]:
 def callback_files(model: Model, nominal: Nominal) -> dict[str, str]:
     """The texts of what leads the joint of scene_callback.xml, by file name: a copy of transmission.py, and what it
     reads: transmission.json, the tables of B, f_remain and B's sigma over q and, where several elements stand side by
-    side, their warp."""
+    side, their warp. It knows no friction and no gradual onset: elements stand for either."""
     onset = next((effect.parameters for effect in model.effects if effect.id == _ONSET), None)
     elements = onset_elements(model.elements, onset) if onset else model.elements
     play = replace(model, elements=elements, friction=None).play

@@ -31,9 +31,9 @@ class Nominal:
     scale: float  # of the control, per unit of q
     tip: tuple[tuple[str, float], ...]  # hinges, each with the sign with which it counts
     rest: float  # rad: the tip in the file's own first pose
-    inertia: float  # of the tip's hinges together, largest over its range
-    load: float  # that acts on them, largest over its range
-    timestep: float
+    inertia: float  # kg m^2: of the tip's hinges together, largest over its range
+    load: float  # N m: that acts on them, largest over its range
+    timestep: float  # s
 
 
 def look(mount: Mount, unit: str, motor: tuple[float, float], tip_rad: Array) -> Nominal:

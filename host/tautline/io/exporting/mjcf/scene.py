@@ -44,10 +44,10 @@ class Law:
     first-order lag behind the play."""
 
     middle: float  # of the motor's range, unit of q
-    span: float  # of the motor's range
+    span: float  # of the motor's range, unit of q
     steepest: float  # rad of tip per unit of q
-    half: Chain
-    angle: Sum
+    half: Chain  # B/2, unit of q
+    angle: Sum  # of the tip, rad
     lag_s: float
     delay_s: float  # of the sensor
 
@@ -174,9 +174,9 @@ class Scene:
         self.lead_tip([LEAD], _SAME, start)
 
     def add_chain(self, name: str, joint: str, links: tuple[Array, ...], x0: float) -> tuple[str, float]:
-        """Adds a slide for each link of a chain, NAME_1, NAME_2 and so on, which an equality holds to the link's value
-        at the one before, the first at `joint`. x0: the first link's argument where `joint` is at its reference.
-        Returns the last slide's name and reference."""
+        """Adds a slide for each link of a chain, NAME_1, NAME_2 and so on. An equality holds its position to the link's
+        polynomial (5,), the constant first, of the position of the slide before, the first's of `joint`. x0: that
+        polynomial's argument where `joint` is at its reference. Returns the last slide's name and reference."""
         for i, link in enumerate(links):
             y0 = float(polynomial.polyval(x0, link))
             this = f"{name}_{i + 1}"
@@ -223,7 +223,8 @@ class Scene:
 
 
 def _shifted_polynomial(link: Array, x0: float, y0: float) -> Array:
-    """The polynomial link(x0 + d) - y0 in d, five coefficients, from those of `link`."""
+    """The coefficients (5,), the constant first, of link(x0 + d) - y0 in d; link (5,): likewise. MuJoCo's equalities
+    count from the joints' references, x0 and y0."""
     shifted = np.zeros(1)
     for coefficient in link[::-1]:
         shifted = polynomial.polyadd(polynomial.polymul(shifted, [x0, 1.0]), [coefficient])

@@ -37,8 +37,8 @@ class Transmission:
         """Reads transmission.json, tables.csv and warp.csv in a folder; starts in the middle of the tables."""
         self.about: dict[str, Any] = json.loads((folder / "transmission.json").read_text(encoding="utf-8"))
         self.grid, self.width, self.c_deg = _columns(folder / "tables.csv", 3)
-        self.r = 0.5 * np.array(self.about["elements"]["width"])
-        self.w = np.array(self.about["elements"]["weight"])
+        self.r = 0.5 * np.array(self.about["elements"]["width"])  # (elements,) half widths, of B
+        self.w = np.array(self.about["elements"]["weight"])  # (elements,) sum 1
         self.warp = _columns(folder / "warp.csv", 2) if len(self.r) > 1 else None
         self.narrow = float(self.about["narrow"])
         self.values: dict[str, float] = self.about["parameters"]
@@ -47,15 +47,15 @@ class Transmission:
     def start(self, q: float) -> float:
         """Puts the motor at rest at q with the tip on the centre line; returns c, deg."""
         q = self._shaft(q)
-        self.single = q
+        self.single = q  # where one play of width B is
         if self.warp is not None:
             x = _line(q, *self.warp)
             half = 0.5 * max(_held(q, self.grid, self.width), self.narrow)
             self.z = self._shared(x, _line(q - half, *self.warp) + 0.5)
         p = self._centre()
         self.before = p
-        self.lag = [p, p]
-        self.creep = [p, p]
+        self.lag = [p, p]  # the outputs of both stages
+        self.creep = [p, p]  # the fast part's and the slow part's
         return self._bent(p)
 
     def step(self, q: float, dt: float) -> float:
