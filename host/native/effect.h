@@ -92,6 +92,7 @@ struct effect {
     double (*late)(const double *v, int side, const struct effect_contact *contact); // play (>= 0) beside B on a side
     void (*slide)(const double *v, struct effect_contact *contact, double way);      // a side that carries
     double (*renewed_s)(const double *v); // after so long a rest a side begins to carry anew
+    double (*drag_s)(const double *v);    // in which a play that is pushed comes to where it is pushed to
     // Moves what nothing holds within the play, of place *at and speed *speed, on by dt s; the play's ends stop it.
     void (*fall)(const double *v, double dt, double *at, double *speed);
     void (*start)(const double *v, double *state, double centre);

@@ -40,6 +40,7 @@ struct chain_play {
     double spread;                  // of its width
     struct effect_contact contact[LATES];
     double rested_s; // since it was last pushed
+    double end[2];   // where its falling and its rising end pushed it to, of late
     double speed;    // of what falls within it
     int pushed;      // by which end in the last step, 0 by none
 };
@@ -96,11 +97,11 @@ static void plays_start(const struct elements *elements, struct plays *plays, do
     plays->of[plays->count].play = play_start(&elements->table, p);
 }
 
-// The effects that hold a side back, and the step's time, s, and motion.
+// The effects that hold a side back, and the step's time, s, and motion; and of drag beside friction its time, s.
 struct lates {
     const struct active *of[LATES];
     size_t count;
-    double dt, moved, wide;
+    double dt, moved, wide, drag_s;
 };
 
 static double held_back(const struct lates *lates, const struct effect_contact *contact, int s) {
@@ -178,22 +179,52 @@ static struct ends find_ends(const struct elements *elements, struct plays *play
     return ends;
 }
 
+// A play that has been pushed on from `from` comes there in first order, while its end goes there in a straight line:
+// viscous drag beside friction, T p' = end - p, as what friction holds is the end's distance from the motor.
+static void play_drag(const struct lates *lates, struct chain_play *own, double from, int s) {
+    const double begins = isfinite(own->end[s > 0]) ? own->end[s > 0] : from;
+    const double to = own->play.at, free = fmax(s * (from - begins), 0.0);
+    const double share = 1.0 - free / (free + s * (to - from)); // of the step in which it is pushed
+    own->play.at = effect_first_order(from, free > 0.0 ? from : begins, to, share * lates->dt, lates->drag_s);
+    if (own->table) {
+        own->play.half = 0.5 * play_width(own->table, own->play.at, &own->play.spans[s > 0]);
+    }
+}
+
+// The same after a step by which it was pushed on side s, 0 on none.
+static void plays_drag(const struct lates *lates, struct chain_play *own, const struct ends *ends, double scale,
+                       double from, int s) {
+    double end[2], half;
+    for (int i = 0; i < 2; i++) {
+        size_t at = own->play.spans[i];
+        const double way = i > 0 ? 1.0 : -1.0;
+        end[i] = own->table ? play_end(own->table, ends->q[i], way, scale, &at, &half)
+                            : ends->x[i] - way * scale * own->play.half;
+    }
+    if (s) {
+        play_drag(lates, own, from, s);
+    }
+    own->end[0] = end[0];
+    own->end[1] = end[1];
+}
+
 // Returns how much of q's last step carried the play.
 static inline double play_move(const struct lates *lates, const struct elements *elements, struct plays *plays,
                                struct chain_play *own, const struct ends *ends, double scale) {
+    const double from = own->play.at;
+    double beyond = 0.0;
     own->pushed = 0;
-    for (int s = PLAY_FALLING; s <= PLAY_RISING; s += 2) {
+    for (int s = PLAY_FALLING; s <= PLAY_RISING && !own->pushed; s += 2) {
         const double q = ends->q[s > 0], x = own->table ? q : ends->x[s > 0];
-        const double beyond = lates->count > 0 ? push_late(lates, elements, plays, own, q, x, s, scale * own->spread)
-                                               : play_push(&own->play, own->table, x, s, scale * own->spread);
-        if (beyond > 0.0) {
-            own->pushed = s;
-            own->rested_s = 0.0;
-            return beyond;
-        }
+        beyond = lates->count > 0 ? push_late(lates, elements, plays, own, q, x, s, scale * own->spread)
+                                  : play_push(&own->play, own->table, x, s, scale * own->spread);
+        own->pushed = beyond > 0.0 ? s : 0;
     }
-    own->rested_s += lates->dt;
-    return 0.0;
+    own->rested_s = own->pushed ? 0.0 : own->rested_s + lates->dt;
+    if (lates->drag_s > 0.0) {
+        plays_drag(lates, own, ends, scale * own->spread, from, own->pushed);
+    }
+    return beyond;
 }
 
 // Returns how much of it carried the play that it carried furthest.
@@ -386,6 +417,7 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
             lates.of[lates.count++] = &all.of[i];
         }
         falls = all.of[i].effect->fall ? &all.of[i] : falls;
+        lates.drag_s = all.of[i].effect->drag_s ? all.of[i].effect->drag_s(all.of[i].v) : lates.drag_s;
         if (all.of[i].effect->follow) {
             following[follows++] = &all.of[i];
         }
