@@ -30,7 +30,7 @@ NEAR = 0.3  # of the goal's logarithm: near enough
 EARLY = 0.33  # of the causes that can have been there while calibrating
 ANGLE_ALONE = 0.22  # of the cases that no cause's nature gives a camera
 HEAVY = 0.2  # of the cases have heavy tails
-HIDDEN_BY_NOISE = 0.25  # of the noise: what a weak dependence on speed may be
+HIDDEN_BY_NOISE = 0.25  # of the noise: what a weak dependence on speed, or the encoder's steps, may be
 LOG_RATES = (100.0, 100.0, 125.0, 200.0, 250.0, 400.0, 500.0, 1000.0)  # Hz
 FRAME_RATES = (15.0, 20.0, 24.0, 25.0, 29.97, 30.0, 50.0, 59.94, 60.0)
 SENSOR_RATES = (40.0, 60.0, 100.0)
@@ -112,11 +112,13 @@ def _draw(rng: np.random.Generator, index: int, kind: str, ids: tuple[str, ...])
     )
     frame_rate = float(rng.choice(FRAME_RATES if seen else SENSOR_RATES))
     line, motions = _motion(rng, m, _columns(rng, kinds, seen), causes, frame_rate)
+    per_deg = 1.0 if view is None else third._pixels(view, m.farthest())
     if m.sluggish:
-        per_deg = 1.0 if view is None else third._pixels(view, m.farthest())
         m.weak = min(ranges.STRIBECK.draw(rng), HIDDEN_BY_NOISE * noise / (0.5 * m.width_deg * per_deg))
         m.weak_speed = float(rng.uniform(0.1, 1.0)) * line.usual_speed
-    resolution = float(f"{10 ** float(rng.uniform(-4.6, -3.7)) * m.reach:.1g}")  # 5000 to 40000 counts each way
+    counts = 10 ** float(rng.uniform(3.7, 4.6))  # each way, or more where noise is so low that they would be seen
+    counts = max(counts, m.farthest() * per_deg / np.sqrt(12) / (HIDDEN_BY_NOISE * noise))
+    resolution = float(f"{m.reach / counts:.1g}")
     return Case(
         f"case-{index:03d}", kind, name, index, Plant(m, view, delay), line, causes, motions, noise,
         ranges.NOISE_MEMORY.draw(rng), bool(rng.random() < HEAVY), float(rng.choice(LOG_RATES)), resolution,

@@ -156,10 +156,15 @@ class Mechanism:
         self, q: FloatArray, x: FloatArray, s: float, there: list[FloatArray], at: float, side: float
     ) -> FloatArray:
         lo, hi = np.full(q.size, self.xs[0]), np.full(q.size, self.xs[-1])
+        rub, load, law, wall = there
+
+        def off_at(where: FloatArray) -> FloatArray:
+            return self.need(where, s, rub, load, law, wall, at, side) - q
+
         for _ in range(25):
-            off = self.need(x, s, *there, at, side) - q
+            off = off_at(x)
             hi, lo = np.where(off > 0, x, hi), np.where(off <= 0, x, lo)
-            rise = (self.need(x + 1e-3, s, *there, at, side) - q - off) / 1e-3
+            rise = (off_at(x + 1e-3) - off) / 1e-3
             new = x - off / np.maximum(rise, 1e-9)
             new = np.where((new >= lo) & (new <= hi), new, 0.5 * (lo + hi))
             moved, x = float(np.max(np.abs(new - x))), new

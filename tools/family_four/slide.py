@@ -95,11 +95,13 @@ def free(w: float, z: float, step: float) -> tuple[float, float, float, float]:
     return tuple(float(np.real(e * m)) for m in (cosh + z * w * sinh, sinh, -w * w * sinh, cosh - z * w * sinh))  # type: ignore[return-value]
 
 
-def iwan(power: float, rounded: float, count: int = 14) -> list[tuple[float, float]]:
+def iwan(power: float, rounded: float, count: int = 16) -> list[tuple[float, float]]:
     """Shares and thresholds (of the width) of Segalman's joint.
 
-    Thresholds from 1 - rounded to 1, distributed by a power law; those at 1 are its sharp end.
+    Thresholds up to rounded of the width off it are distributed by a power law; their mean is 1: so is the loop's.
     """
     edges = np.linspace(0, 1, count + 1)
     shares = np.diff(edges ** (power + 1))
-    return list(zip(shares.tolist(), (1 - rounded * (1 - 0.5 * (edges[1:] + edges[:-1]))).tolist(), strict=True))
+    places = 0.5 * (edges[1:] + edges[:-1])
+    spread = (places - shares @ places) / max(1 - shares @ places, shares @ places)
+    return list(zip(shares.tolist(), (1 + rounded * spread).tolist(), strict=True))

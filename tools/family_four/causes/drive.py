@@ -89,7 +89,7 @@ class StickSlip(Cause):
     massless = True
 
     def act(self, line: Line, m: Mechanism, d: Demand) -> None:
-        glides = float(self.rng().uniform(0.8, 3.0)) * line.usual_speed * line.gain  # deg/s
+        glides = float(self.rng().uniform(1.5, 5.0)) * line.usual_speed * line.gain  # deg/s
         stick = self.size * m.width_deg
         d.feel = replace(feel(d), stick=self.on(line) * stick, age=stick / glides, seed=self.seed)
 
