@@ -10,10 +10,10 @@ from tools.family_four import mechanisms, motion, ranges
 from tools.family_four.causes import LISTED, NOMINAL, UNLISTED, Cause
 from tools.family_four.causes.drive import FULL_LOAD, STROKES
 from tools.family_four.mechanism import BEYOND, Mechanism
-from tools.family_four.plant import Line, Plant, gap, logged, rest, show, tip
+from tools.family_four.plant import Line, Plant, carried, gap, logged, rest, show, tip
 from tools.family_three import camera
 from tools.family_three import cases as third
-from tools.family_three.cases import ATTEMPTS, FAINTEST, HEALTHY, SHARES, TARGET, TARGET_OF_MANY
+from tools.family_three.cases import ATTEMPTS, FAINTEST, SHARES, TARGET, TARGET_OF_MANY
 from tools.family_three.line import Path, lay
 from tools.family_two.motion import STEP
 
@@ -30,7 +30,9 @@ NEAR = 0.3  # of the goal's logarithm: near enough
 EARLY = 0.33  # of the causes that can have been there while calibrating
 ANGLE_ALONE = 0.22  # of the cases that no cause's nature gives a camera
 HEAVY = 0.2  # of the cases have heavy tails
-HIDDEN_BY_NOISE = 0.25  # of the noise: what a weak dependence on speed, or the encoder's steps, may be
+HEALTHY = 0.3  # of the noise: what the refit may leave of healthy tests, and of an unseen motion after calibrating
+WEAKLY = 0.1  # of the noise: what a healthy dependence on speed may be
+STEPS = 0.25  # of the noise: what the encoder's steps may be
 LOG_RATES = (100.0, 100.0, 125.0, 200.0, 250.0, 400.0, 500.0, 1000.0)  # Hz
 FRAME_RATES = (15.0, 20.0, 24.0, 25.0, 29.97, 30.0, 50.0, 59.94, 60.0)
 SENSOR_RATES = (40.0, 60.0, 100.0)
@@ -72,8 +74,11 @@ def draw(seed: int, index: int, kind: str, ids: tuple[str, ...]) -> Case:
     for attempt in range(ATTEMPTS):
         case = _draw(np.random.default_rng([seed, 402, index, attempt]), index, kind, ids)
         base = healthy_rest(case)
+        plain = base < HEALTHY * case.noise and carried(case.plant, case.line) < HEALTHY * case.noise
+        if not plain and attempt < ATTEMPTS - 1:
+            continue
         case = _set(case, np.random.default_rng([seed, 403, index, attempt]), base)
-        sound = base < HEALTHY * case.noise and _in_sight(case)
+        sound = plain and _in_sight(case)
         weakest = min((strength(c, s) for c, s in zip(case.causes, case.strengths, strict=True)), default=FAINTEST)
         tried.append((min(weakest, FAINTEST) - (0.0 if sound else 100.0), case))
         if sound and weakest >= FAINTEST:
@@ -114,10 +119,10 @@ def _draw(rng: np.random.Generator, index: int, kind: str, ids: tuple[str, ...])
     line, motions = _motion(rng, m, _columns(rng, kinds, seen), causes, frame_rate)
     per_deg = 1.0 if view is None else third._pixels(view, m.farthest())
     if m.sluggish:
-        m.weak = min(ranges.STRIBECK.draw(rng), HIDDEN_BY_NOISE * noise / (0.5 * m.width_deg * per_deg))
+        m.weak = min(ranges.STRIBECK.draw(rng), WEAKLY * noise / (0.5 * m.width_deg * per_deg))
         m.weak_speed = float(rng.uniform(0.1, 1.0)) * line.usual_speed
     counts = 10 ** float(rng.uniform(3.7, 4.6))  # each way, or more where noise is so low that they would be seen
-    counts = max(counts, m.farthest() * per_deg / np.sqrt(12) / (HIDDEN_BY_NOISE * noise))
+    counts = max(counts, m.farthest() * per_deg / np.sqrt(12) / (STEPS * noise))
     resolution = float(f"{m.reach / counts:.1g}")
     return Case(
         f"case-{index:03d}", kind, name, index, Plant(m, view, delay), line, causes, motions, noise,

@@ -71,7 +71,8 @@ class Notched(Mechanism):
         held = y + self.closing(y) + push
         z = f * y + 1e-12
         pull = held * np.expm1(z) / z + f * self.seal
-        return np.asarray((1 + np.asarray(law)) * 2 * self.notches * np.sin(y / 2 / self.notches) + self.stretch * pull)
+        shortened = 2 * self.notches * np.sin(y / 2 / self.notches) + law * np.radians(x)
+        return np.asarray(shortened + self.stretch * pull)
 
 
 class Toggle(Mechanism):
@@ -181,7 +182,7 @@ class Belt(Mechanism):
         self.stretch = float(rng.uniform(3.0, 12.0))  # deg
         self.weight, self.lean = float(rng.uniform(0.1, 0.5)), float(rng.uniform(-15, 15))
         self.uneven, self.begins = float(rng.uniform(0.05, 0.3)), float(rng.uniform(0, 360))
-        self.rate, self.damping = float(rng.uniform(35, 75)), float(rng.uniform(0.3, 0.8))
+        self.rate, self.damping = float(rng.uniform(40, 85)), float(rng.uniform(0.3, 0.8))
 
     def raw(self, x: Value, f: Value, push: Value, law: Value) -> FloatArray:
         taut = self.taut * (1 + self.uneven * np.sin(np.radians(2 * np.asarray(x) + self.begins)))

@@ -52,6 +52,16 @@ def rest(plant: Plant, line: Line, shown: Sequence[Shown], said: FloatArray) -> 
     return nominal.of(plant.alike, line, said, shown).fit()[1]
 
 
+def carried(plant: Plant, line: Line) -> float:
+    """rms per coordinate by which the refit to the healthy calibration misses the unseen motion, from 4 s on."""
+    shown = show(plant, line, ())
+    calibration = nominal.of(plant.alike, line, line.q, shown[:1])
+    found = calibration.fit()[0]
+    unseen = nominal.of(plant.alike, line, line.q, shown[-1:])
+    miss = unseen.seen - unseen.predict(found, unseen.place(found[: nominal.WIDTH_DEGREE + 1]))
+    return float(np.sqrt(np.mean(miss[unseen.times > unseen.times[0] + 4.0] ** 2)))
+
+
 def gap(plant: Plant, line: Line, shown: Sequence[Shown], said: FloatArray) -> float:
     """rms per coordinate between recordings and what the healthy mechanism shows, given the log, at their stamps."""
     c = tip(plant, line, (), said)
@@ -59,4 +69,4 @@ def gap(plant: Plant, line: Line, shown: Sequence[Shown], said: FloatArray) -> f
     return float(np.sqrt(np.mean(np.concatenate([s.values - v for s, v in zip(shown, seen, strict=True)]) ** 2)))
 
 
-__all__ = ["Line", "Part", "Plant", "Shown", "gap", "logged", "rest", "show", "tip"]
+__all__ = ["Line", "Part", "Plant", "Shown", "carried", "gap", "logged", "rest", "show", "tip"]

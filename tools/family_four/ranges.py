@@ -36,7 +36,7 @@ PIN_WIDTH = Range(0.8, 4.0, "deg of the tip", PINS)
 CHANNEL_WIDTH = Range(2.5, 9.0, "deg of the tip", CHANNEL)
 CYCLOID_WIDTH = Range(0.8, 4.5, "deg of the tip", CYCLOIDAL)
 BELT_WIDTH = Range(0.8, 4.5, "deg of the tip", BELTS)
-STRIBECK = Range(0.005, 0.05, "of the friction, at most; and at most a quarter of the noise", LUGRE)
+STRIBECK = Range(0.005, 0.05, "of the friction, at most; and at most a tenth of the noise", LUGRE)
 
 # The recording
 MARKER_NOISE = Range(0.03, 0.15, "px", "asked")

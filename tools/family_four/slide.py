@@ -48,7 +48,7 @@ def slide(low: FloatArray, high: FloatArray, start: float, feel: Feel, step: flo
     aged = (1 - np.exp(-np.arange(low.size + 1) * step / feel.age)).tolist()
     x, out, rest, broken, lying = start, [], 0, 0, 1.0
     for k, (a, b, p) in enumerate(zip(low.tolist(), high.tolist(), part.tolist(), strict=True)):
-        hold = stick[k] * strengths[broken % 997] * aged[rest]
+        hold = stick[k] * strengths[broken % 997] * aged[rest + 1]  # a step old at least
         up = nap[k] * lying if feel.way > 0 else 0.0
         down = nap[k] * lying if feel.way < 0 else 0.0
         before = x
