@@ -52,10 +52,11 @@ def rest(plant: Plant, line: Line, shown: Sequence[Shown], said: FloatArray) -> 
     return nominal.of(plant.alike, line, said, shown).fit()[1]
 
 
-def carried(plant: Plant, line: Line) -> float:
+def carried(plant: Plant, line: Line, noise: float = 0.0) -> float:
     """rms per coordinate by which the refit to the healthy calibration misses the unseen motion, from 4 s on."""
     shown = show(plant, line, ())
     calibration = nominal.of(plant.alike, line, line.q, shown[:1])
+    calibration.seen = calibration.seen + np.random.default_rng(1).normal(size=calibration.seen.shape) * noise
     found = calibration.fit()[0]
     unseen = nominal.of(plant.alike, line, line.q, shown[-1:])
     miss = unseen.seen - unseen.predict(found, unseen.place(found[: nominal.WIDTH_DEGREE + 1]))
