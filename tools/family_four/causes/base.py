@@ -1,6 +1,6 @@
 """A cause as the third family has it, with this family's mechanisms, and what several share."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ FloatArray = NDArray[np.float64]
 
 class Cause(third.Cause):
     """One thing that is wrong; `act` is where it acts on the mechanism."""
+
+    strongest: ClassVar[float] = 90.0  # times the noise that it is set to
 
     def act(self, line: Line, m: "Mechanism", d: "Demand") -> None:
         """What the mechanism is asked."""

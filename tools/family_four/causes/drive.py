@@ -181,10 +181,12 @@ class Remaining(Moved):
         d.law = d.law + self.signed(line)
 
 
-class Contact(Moved):
+class Contact(Cause):
     id = "configuration.contact"
-    says = "a spring beyond some angle, in the balance"
+    says = "a spring beyond some angle, in the balance: a corner in the law, which is what it is binned by"
     limits = ranges.WALL
+    may_start = False
+    strongest = 8.0  # more would mostly be rigid walls
 
     def act(self, line: Line, m: Mechanism, d: Demand) -> None:
         rng = self.rng()
