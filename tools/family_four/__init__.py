@@ -1,0 +1,1 @@
+"""The fourth sealed family of cases: see BRIEF.md."""
