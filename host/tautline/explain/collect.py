@@ -8,6 +8,8 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from itertools import chain
 
+from tautline import _native
+from tautline.effects.kind import Parameter
 from tautline.errors import TautError
 from tautline.explain.faults import AFTER, LOOK
 from tautline.explain.glossary import TERMS
@@ -63,7 +65,7 @@ def _effects() -> Iterator[Topic]:
     """A topic for every effect of the library."""
     from tautline.effects import LIBRARY, SIMULATOR, of_simulator
 
-    own = of_simulator("NAME")
+    own, meanings = of_simulator("NAME"), _meanings()
     yield Topic(
         SIMULATOR,
         "effect",
@@ -83,9 +85,7 @@ def _effects() -> Iterator[Topic]:
             if kind.on_board
             else "The board's tables cannot carry it; a corrected model does."
         )
-        rows = tuple(
-            (parameter.name, _unit_and_scale(parameter.unit, parameter.scale)) for parameter in kind.parameters
-        )
+        rows = tuple((parameter.name, _in_words(parameter, meanings)) for parameter in kind.parameters)
         yield Topic(
             kind.id,
             "effect",
@@ -96,11 +96,20 @@ def _effects() -> Iterator[Topic]:
         )
 
 
-def _unit_and_scale(unit: str, scale: float) -> str:
-    """A parameter's unit and natural scale in words."""
-    told = unit.replace("unit", "unit of q") or "a share"
-    share = " of the motor's range" if unit.startswith("unit") else ""
-    return f"{told}; a change of {scale:g}{share} is noticed"
+def _meanings() -> dict[str, str]:
+    """What each parameter of an effect with a law in C means, by its name; an effect's id before it is left out."""
+    every = (*_native.effect_parameters, *_native.projection_parameters)
+    return {name: meaning.partition(": ")[2] for name, _, _, meaning in every}
+
+
+def _in_words(parameter: Parameter, meanings: Mapping[str, str]) -> str:
+    """What a parameter means, its unit and the change that is noticed; of one that is one of two, what either means."""
+    means = meanings.get(parameter.name, "")
+    if parameter.searched and len(parameter.shape) > 1:
+        return means or " or ".join(f"{value:g}" for value in parameter.shape)
+    told = parameter.unit.replace("unit", "unit of q") or "a share"
+    share = " of the motor's range" if parameter.unit.startswith("unit") else ""
+    return "; ".join(part for part in (means, told, f"a change of {parameter.scale:g}{share} is noticed") if part)
 
 
 def _faults() -> Iterator[Topic]:
