@@ -99,7 +99,7 @@ struct effect {
     void (*follow)(const double *v, double *state, struct effect_chain *chain, double u0, double u1, double dt);
     double (*hold)(const double *v, double *state, double tip); // where the tip stays that would be there
     void (*configure)(const double *v, const double *state, const struct effect_moment *now, struct effect_bend *bend);
-    // Which way the instrument lies in its channel after a step. side: that carried the tip last; travelled: by the tip.
+    // Which way the instrument lies in its channel after a step. side: that carried the tip last; travelled: the tip.
     double (*lie)(const double *v, double lies, int side, double travelled, const struct effect_moment *now);
 };
 

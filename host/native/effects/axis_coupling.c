@@ -22,7 +22,7 @@ static void carry(double *at, double play, double to, int first) {
     *at = first ? to : fmin(fmax(*at, to - 0.5 * play), to + 0.5 * play);
 }
 
-// deg
+// What they add to the angle, deg.
 static double coupled(const double *v, const double *state) {
     return v[TRANSLATION] * state[WITH_TRANSLATION] + v[ROTATION] * state[WITH_ROTATION] + v[JOINT] * state[WITH_JOINT];
 }

@@ -6,7 +6,8 @@ enum { LAG, SECOND, HELD, COUNT };
 static const struct effect_parameter PARAMETERS[COUNT] = {
     {"lag", 0, "s", "time constant"},
     {"lag_second", 0, "", "share of it in a second stage; 0 to 0.5"},
-    {"lag_held", 0, "", "1 if friction holds the tip that lags: drag beside it; 0 if the tip lags behind what it holds"},
+    {"lag_held", 0, "",
+     "1 if friction holds the tip that lags: drag beside it; 0 if the tip lags behind what it holds"},
 };
 enum { ONE, TWO }; // state: the stages
 
@@ -42,5 +43,5 @@ static void follow(const double *v, double *state, struct effect_chain *chain, d
     }
 }
 
-const struct effect effect_lag = {"transmission.lag", PLACE_LAG,      PARAMETERS,        COUNT,
+const struct effect effect_lag = {"transmission.lag", PLACE_LAG,      PARAMETERS,       COUNT,
                                   .present = present, .start = start, .follow = follow, .drag_s = drag_s};
