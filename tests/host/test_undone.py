@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from undone_plant import GAIN, Plant
+from undone_plant import GAIN, WAVE, Plant
 
 from tautline import _native, tables
 from tautline.compensation import compensate
@@ -26,9 +26,10 @@ SIDES = "transmission.asymmetric_backlash"
 few = settings(max_examples=4, deadline=None)
 
 
-def model(width: float, effect: str = "", **parameters: Any) -> Model:
+def model(width: float, effect: str = "", wave: float = 0.0, **parameters: Any) -> Model:
     q = np.linspace(-5.0, 5.0, 201)
-    made = Model(reference_rig(), q, np.full(201, width), 0 * q, GAIN * q, 0.08, (-5.0, 5.0))
+    wide = width * (1.0 + wave * np.sin(2.0 * np.pi * q / WAVE))
+    made = Model(reference_rig(), q, wide, 0 * q, GAIN * q, 0.08, (-5.0, 5.0))
     return replace(made, effects=(Effect(effect, parameters),)) if effect else made
 
 
@@ -70,6 +71,21 @@ def test_a_side_that_starts_later_and_catches_up(side: int, late: float, travel:
     v = {"asymmetry": side * late, "asymmetry_travel": travel, "asymmetry_form": 1.0}
     plant = Plant(0.4, side=side, late=late, travel=travel)
     assert_undone("transmission.asymmetric_backlash", v, plant, 2.0)
+
+
+def pressed_errors(law: dict[str, Any], plant: Plant, path_: tuple[np.ndarray, np.ndarray]) -> list[float]:
+    """Rms, counts, of what is left where the width varies by half, of `law` as it is, of all of it pressed, and of that
+    by a table that says nothing of it."""
+    effect = SIDES if "asymmetry" in law else SPEED
+    name = "asymmetry_pressed" if "asymmetry" in law else "speed_pressed"
+    return [
+        float(np.sqrt(np.mean(errors(model(0.4, effect, 0.5, **law, **{name: told}), of, path_) ** 2)))
+        for told, of in (
+            (0.0, replace(plant, wave=0.5)),
+            (plant.pressed, replace(plant, wave=0.5)),
+            (0.0, replace(plant, wave=0.5)),
+        )
+    ]
 
 
 def halting(seed: int, seconds: float = 9.0) -> tuple[np.ndarray, np.ndarray]:
