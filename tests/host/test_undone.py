@@ -290,9 +290,9 @@ def test_another_axis_moves_the_motor_before_the_play(slope: float, gap: float, 
     v = {name: slope, play: gap, "coupled_before": 1.0} | ({"column": of} if column == 2 else {})
     own, with_joint = model(0.4, COUPLED, **v), {of: Joint(2, 0.002)}
     assert not_undone(own) == [COUPLED] and not_undone(own, with_joint) == []
-    t, c = path()
+    t, c = path(0.3)
     c = np.interp(np.arange(0.0, t[-1], 1e-3), t, c)
-    other = 1.5 * np.sin(np.arange(len(c)) * 1e-3) + 0.7
+    other = 2.0 * np.sin(np.arange(len(c)) * 8e-3) + 0.7  # quicker than the tip: it turns the motor, and not the tip
     rms = []
     for told in (own, replace(own, effects=(Effect(COUPLED, v | {"coupled_before": 0.0}),))):
         board = compensator(told, float(c[0]), with_joint)
