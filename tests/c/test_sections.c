@@ -142,6 +142,9 @@ static void test_what_is_pressed_is_nowhere_too_large(void) {
         TEST_ASSERT_EQUAL_INT(more > 0 ? TL_TABLE_BAD_PRESSED : TL_TABLE_OK, tl_table_check(&t, 0));
     }
     PRESSED_IS(OK, 2 << 16, 2 << 16, PLACE, PLACE, 0); // at the mean all of it
+    PRESSED_IS(BAD_PRESSED, 1, 0, PLACE, PLACE, 1);    // and nowhere more, however little
+    PRESSED_IS(BAD_PRESSED, 0, 1, PLACE, PLACE, 1);
+    PRESSED_IS(OK, 1, 1, PLACE, PLACE, -1);
     // A quarter more of B is half more by a share of 2, a quarter more by one of 1.
     const int32_t most_2 = PLACE / 3 * 2, most_1 = PLACE / 5 * 4;
     tl_table_t t = pressed(2 << 16, 0, most_2, PLACE, 0);
