@@ -27,8 +27,8 @@ LOOPS = {
     "tl_elements_behind": (7,),
     "tl_stop_watch": (AXES, AXES),
     "tl_stop_group": (AXES,),
-    "tl_undo_angle": (3,),  # joints
-    "tl_axis_watch": (3,),  # the same
+    "tl_undo_join": (3,),  # joints
+    "tl_axis_join": (3,),  # the same
     "tl_undo_late": (4,),  # followers
     "tl_undo_pushing": (2,),  # as many rounds as the watch asks for
     "tl_history_push": (2,),  # pushed once a millisecond and jitter
@@ -84,7 +84,7 @@ RP2350 = Chip(
 CHIPS = {chip.name: chip for chip in (RP2040, RP2350)}
 
 # What a table never comes to that undoes no more than the play and the curve; and one that has a single play.
-UNDONE = ("angle", "late", "wider", "turned", "anew", "scaled", "reading", "pushing", "tick")
+UNDONE = ("angle", "join", "late", "weigh", "wider", "turned", "anew", "scaled", "reading", "pushing", "tick")
 PLAYS_ALONE = {f"tl_undo_{name}": NEVER for name in UNDONE} | {"tl_undoing_feed": NEVER, "tl_undoing_turn": NEVER}
 PLAYS_ALONE |= {"tl_compensator_hear": NEVER, "tl_compensator_reach": NEVER, "turn_one": NEVER}
 ONE_PLAY = {"tl_several_turn": NEVER, "tl_several_lead": NEVER, "tl_elements_behind": NEVER} | PLAYS_ALONE

@@ -248,6 +248,55 @@ static bool is_anew(const tl_table_t *t) {
     return (t->has & TL_TABLE_HAS_sides) != 0 && !tl_outside(t->anew.rest_us, 1, 10000000);
 }
 
+// Whether `most`, Q8 counts, stays within PLACE_MAX where B is as wide as anywhere.
+static bool stays(const tl_table_pressed_t *by, int32_t share_q16, int64_t most, int32_t widest) {
+    const int64_t beyond = widest > by->mean ? widest - by->mean : 0;
+    return most * (by->mean + ((share_q16 * beyond + 0xFFFF) >> 16)) <= (int64_t)PLACE_MAX * by->mean;
+}
+
+// q has to go on with p on either side: p + (B + extra) / 2 + late, where B' brings share B' / mean of both along.
+static bool leaves_a_motion(const tl_table_t *t, int64_t speeds) {
+    const tl_table_pressed_t *by = &t->pressed;
+    const int64_t brings = (2 * (int64_t)t->sides.late[0] * by->sides_q16 + speeds * by->speed_q16) >> 16;
+    const int64_t most = ((int64_t)2 << t->step_log2) * by->mean;
+    for (unsigned i = 1; i < t->nodes; i++) {
+        if (size_of(t->width[i] - t->width[i - 1U]) * (by->mean + brings) >= most) {
+            return false;
+        }
+    }
+    return true;
+}
+
+static bool is_pressed(const tl_table_t *t) {
+    const tl_table_pressed_t *by = &t->pressed;
+    const bool sides = (t->has & TL_TABLE_HAS_sides) != 0, speed = (t->has & TL_TABLE_HAS_speed) != 0;
+    const int32_t two = (int32_t)2 << 16;
+    if (tl_outside(by->mean, 1, TL_TABLE_WIDTH_MAX) || tl_outside(by->sides_q16, 0, sides ? two : 0) ||
+        tl_outside(by->speed_q16, 0, speed ? two : 0)) {
+        return false;
+    }
+    int32_t widest = 0, speeds = 0;
+    for (unsigned i = 0; i < t->nodes; i++) {
+        widest = t->width[i] > widest ? t->width[i] : widest;
+    }
+    for (unsigned i = 0; i <= TL_TABLE_LAST; i++) {
+        speeds = t->speed.extra[i] > speeds ? t->speed.extra[i] : speeds;
+    }
+    return widest <= TL_TABLE_WIDE_MAX * (int64_t)by->mean && stays(by, by->sides_q16, t->sides.late[0], widest) &&
+           stays(by, by->speed_q16, speeds, widest) && leaves_a_motion(t, speeds);
+}
+
+static bool is_before(const tl_table_t *t) {
+    const int32_t most = ((int32_t)1 << 26) - 1; // 64 counts a count
+    for (unsigned i = 0; i < TL_TABLE_JOINTS; i++) {
+        const bool may = t->joints.axis[i] != 0 && t->joints.slope[i] == 0;
+        if (tl_outside(t->before.slope_q20[i], may ? -most : 0, may ? most : 0)) {
+            return false;
+        }
+    }
+    return (t->has & TL_TABLE_HAS_joints) != 0;
+}
+
 tl_table_reason_t tl_sections_check(const tl_table_t *t) {
     if (t->plays != 0) {
         const tl_table_reason_t reason = check_plays(t);
@@ -267,6 +316,8 @@ tl_table_reason_t tl_sections_check(const tl_table_t *t) {
     CHECK(joints, JOINTS)
     CHECK(adapt, ADAPT)
     CHECK(anew, ANEW)
+    CHECK(pressed, PRESSED)
+    CHECK(before, BEFORE)
 #undef CHECK
     return TL_TABLE_OK;
 }

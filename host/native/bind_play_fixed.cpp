@@ -82,6 +82,7 @@ void bind_play_fixed(nb::module_ &m) {
                     throw nb::index_error("no such joint");
                 }
                 self.undo.moved.joint[i] = at;
+                tl_undo_join(&self.undo, self.lookup);
             },
             nb::arg("i"), nb::arg("at"), "where the i-th other axis of section 7 is")
         .def(

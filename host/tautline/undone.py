@@ -1,4 +1,4 @@
-"""What a corrected model's effects become in a board's tables: sections 2 to 9 (common/tl_table.h), and elements."""
+"""What a corrected model's effects become in a board's tables: sections 2 to 11 (common/tl_table.h), and elements."""
 
 from __future__ import annotations
 
@@ -103,10 +103,11 @@ def undone(model: Model, joints: Mapping[str, Joint] | None = None) -> tuple[Mod
         sections["speed"] = _speed_section(speed, model, count)
     if late := {name: value for of in _LATE for name, value in parameters.get(of, {}).items()}:
         sections["late"] = _late_section(late)
+    sections |= _pressed_section(asymmetry or {}, speed or {}, sections, model, count)
     if load := parameters.get("transmission.load_dependence"):
         sections["load"] = _load_section(load, model, count)
     if coupling := parameters.get(COUPLED):
-        sections |= _joints_section(coupling, joints or {})
+        sections |= _joints_sections(coupling, model, joints or {})
     return model, {name: section for name, section in sections.items() if any(map(np.any, section.values()))}
 
 
@@ -162,6 +163,23 @@ def _speed_section(v: Mapping[str, float], model: Model, count: float) -> Sectio
     }
 
 
+def _pressed_section(
+    asymmetry: Mapping[str, float],
+    speed: Mapping[str, float],
+    beside: Mapping[str, Section],
+    model: Model,
+    count: float,
+) -> dict[str, Section]:
+    """Section `pressed`: B's mean over the grid in Q8 counts of `count`, unit of q, and the shares, Q16, of what the
+    sections `sides` and `speed` add that go with the place as B does. {} where none of these has one, or there is no
+    B."""
+    shares = {"sides": asymmetry.get("asymmetry_pressed", 0.0), "speed": speed.get("speed_pressed", 0.0)}
+    between = 0.5 * (model.width[1:] + model.width[:-1])
+    mean = round(float(np.average(between, weights=np.diff(model.q))) / count)
+    pressed = {f"{name}_q16": round(share * 65536.0) if name in beside else 0 for name, share in shares.items()}
+    return {"pressed": {"mean": mean, **pressed}} if mean > 0 and any(pressed.values()) else {}
+
+
 def _late_section(v: Mapping[str, float]) -> Section:
     """Section `late`: the inverse of lag and creep as a sum of first-order followers, y + sum a (y - y_T), by partial
     fractions; gains a in Q16, times T in us. The lag has two stages in a row: `lag`, s, is the sum of their time
@@ -201,9 +219,10 @@ def _load_section(v: Mapping[str, float], model: Model, count: float) -> Section
     }
 
 
-def _joints_section(v: Mapping[str, Any], joints: Mapping[str, Joint]) -> dict[str, Section]:
+def _joints_sections(v: Mapping[str, Any], model: Model, joints: Mapping[str, Joint]) -> dict[str, Section]:
     """Section `joints`: the columns that couple in whose axis is known: axis + 1 (0: none), its backlash in Q8 counts,
-    and deg per count in Q28. {} where no axis is known."""
+    and deg per count in Q28. Where they move the motor before the play these are 0, and section `before` has counts of
+    the motor per count in Q20 instead. {} where no axis is known."""
     columns = {
         "c_per_translation": "translation_mm",
         "c_per_rotation": "rotation_deg",
@@ -214,13 +233,17 @@ def _joints_section(v: Mapping[str, Any], joints: Mapping[str, Joint]) -> dict[s
         return {}
     free = [0] * (_native.TABLE_JOINTS - len(known))
     plays = [float(v.get(f"{name.removeprefix('c_per_')}_play", 0.0)) for _, name in known]
-    return {
-        "joints": {
-            "axis": [joint.axis + 1 for joint, _ in known] + free,
-            "play": [round(play / j.resolution * COUNT) for (j, _), play in zip(known, plays, strict=True)] + free,
-            "slope": [round(float(v[name]) * joint.resolution * 2.0**28) for joint, name in known] + free,
-        }
+    deg = [float(v[name]) * joint.resolution for joint, name in known]  # of a count
+    section: Section = {
+        "axis": [joint.axis + 1 for joint, _ in known] + free,
+        "play": [round(play / j.resolution * COUNT) for (j, _), play in zip(known, plays, strict=True)] + free,
+        "slope": [round(slope * 2.0**28) for slope in deg] + free,  # format: Q28
     }
+    if not v.get("coupled_before"):
+        return {"joints": section}
+    of_motor = float(np.ptp(model.q) / (model.c_deg[-1] - model.c_deg[0])) / model.rig.actuator.encoder_resolution
+    before: Section = {"slope_q20": [round(slope * of_motor * 2.0**20) for slope in deg] + free}  # format: Q20
+    return {"joints": section | {"slope": [0] * _native.TABLE_JOINTS}, "before": before}
 
 
 # -- gradual onsets -----------------------------------------------------------------------------------------------

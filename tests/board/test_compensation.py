@@ -70,9 +70,14 @@ def test_a_slow_axis_takes_up_without_overshoot(bench: Bench) -> None:
 
 class Sided(Instrument):
     """A play of 0.4 mm that the motor, rising, has to cross by 0.15 mm more, which the tip catches up within 0.3 mm of
-    its way; so again after every rest of more than 0.05 s."""
+    its way; so again after every rest of more than 0.05 s. Where the play is of another width, that goes with it."""
 
     rested_s, way, rising, before_s = 0.0, 0.0, False, np.nan
+
+    def reach(self, p: float, late: float) -> float:
+        """From p to the motor whose rising end carries there."""
+        width = float(self.backlash(np.array([p]))[0])
+        return 0.5 * width + late * width / 0.4
 
     def centre(self, t_s: np.ndarray, q: np.ndarray) -> np.ndarray:
         if self.p != self.p:
@@ -82,13 +87,15 @@ class Sided(Instrument):
             self.rested_s += t - self.before_s
             self.before_s = t
             way = self.way if self.rising and self.rested_s < 0.05 else 0.0
-            beyond = motor - self.p - 0.2 - 0.15 * np.exp(-way / 0.3)
+            beyond = motor - self.p - self.reach(self.p, 0.15 * np.exp(-way / 0.3))
             if beyond > 0.0:
                 self.way, self.rising, self.rested_s = way + beyond, True, 0.0
-                self.p = motor - 0.2 - 0.15 * float(np.exp(-self.way / 0.3))
-            elif motor + 0.2 < self.p:
+                for _ in range(20):
+                    self.p = motor - self.reach(self.p, 0.15 * float(np.exp(-self.way / 0.3)))
+            elif motor + self.reach(self.p, 0.0) < self.p:
                 self.rising, self.rested_s = False, 0.0
-                self.p = motor + 0.2
+                for _ in range(20):
+                    self.p = motor + self.reach(self.p, 0.0)
             p[k] = self.p
         return p
 
@@ -119,6 +126,24 @@ def test_a_side_that_begins_anew_after_rests(bench: Bench, tmp_path: Path) -> No
             off.append(float(np.percentile(np.abs(followed.error_deg), 90)))
     print(f"{off[0]:.3f} deg where the table's sides begin anew at turns alone, {off[1]:.3f} after rests, too")
     assert off[1] < 0.1 < 0.5 < off[0]
+
+
+def test_a_side_that_is_pressed_where_the_width_is(bench: Bench, tmp_path: Path) -> None:
+    """The width varies by half of its mean, and what starts later with it."""
+    rig = reference_rig()
+    made = Sided.of(rig, lambda p: 0.4 + 0.2 * np.sin(1.3 * p), lambda p: 12.0 * p)
+    law = {"asymmetry": 0.15, "asymmetry_travel": 0.3, "asymmetry_form": 1.0, "asymmetry_renewed": 1.0}
+    mean = float(np.mean(model_of(made).width))
+    law["asymmetry"] *= mean / 0.4  # 0.15 is at a width of 0.4
+    off = []
+    with bench.open() as board:
+        live = Live(board, rig, 0, None, SimulatedAxis(bench.sim, made))
+        for pressed in (0.0, 1.0):
+            sides = Effect("transmission.asymmetric_backlash", law | {"asymmetry_pressed": pressed})
+            followed = follow_run(live, stops(tmp_path), model=replace(model_of(made), effects=(sides,)))
+            off.append(float(np.percentile(np.abs(followed.error_deg), 90)))
+    print(f"{off[0]:.3f} deg where the side is late alike everywhere, {off[1]:.3f} where it goes with the width")
+    assert off[1] < 0.1 < 0.25 < off[0]
 
 
 @pytest.mark.parametrize("what", ["follow", "record"])

@@ -35,7 +35,7 @@ static inline tl_table_t any_table(void) {
             table.q_min = COUNTS(between(-4900, 0));
             table.q_max = table.q_min + (between(0, 2) == 0 ? between(1, 1000) : COUNTS(between(1, 4900)));
         }
-        table.has = (uint32_t)between(0, 255) << 2;    // sections 2 to 9
+        table.has = (uint32_t)between(0, 511) << 2;    // sections 2 to 10
         if ((table.has & TL_TABLE_HAS_encoder) != 0) { // 2 pi (a + 2 a2) / period is 1/2 at most
             const int32_t period = between(100, 2000), most = COUNTS(period) / 14;
             table.encoder = (tl_table_encoder_t){.period_q12 = period * 4096,
@@ -54,6 +54,11 @@ static inline tl_table_t any_table(void) {
             for (uint32_t i = 0; i <= TL_TABLE_LAST; i++) {
                 table.speed.extra[i] = COUNTS((int32_t)i);
             }
+        }
+        if ((table.has & TL_TABLE_HAS_pressed) != 0) {
+            table.pressed = (tl_table_pressed_t){.mean = COUNTS(between(50, 500))};
+            table.pressed.sides_q16 = (table.has & TL_TABLE_HAS_sides) != 0 ? between(0, 1 << 16) : 0;
+            table.pressed.speed_q16 = (table.has & TL_TABLE_HAS_speed) != 0 ? between(0, 1 << 16) : 0;
         }
         if ((table.has & TL_TABLE_HAS_late) != 0) {
             table.late = (tl_table_late_t){.gain_q16 = {between(0, 65536)}, .time_us = {between(20000, 400000)}};

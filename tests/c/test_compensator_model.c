@@ -15,7 +15,7 @@
 
 static tl_lookup_t lookups[TABLES];
 static tl_compensator_t k;
-static uint32_t seen_flags, undone, begun_anew;
+static uint32_t seen_flags, undone, begun_anew, pressed, joined;
 
 static struct {
     const tl_lookup_t *lookup;
@@ -48,6 +48,14 @@ static void any_sections(tl_table_t *table) {
     table->joints = (tl_table_joints_t){{3, 0, 2}, {between(0, 5000), 0, between(0, 5000)}, {any(20), 0, any(20)}};
     table->adapt = (tl_table_adapt_t){between(0, 1 << 18), between(0, 32768), between(32768, 65535)};
     table->anew.rest_us = once_in(2) ? 1 : between(1, 40000);
+    if ((table->has & (TL_TABLE_HAS_sides | TL_TABLE_HAS_speed)) != 0 && !once_in(3)) {
+        undone_pressed(table, between(60, 400) * TL_COUNT_ONE);
+    }
+    if ((table->has & TL_TABLE_HAS_joints) != 0 && once_in(2)) { // one of them
+        table->has |= TL_TABLE_HAS_before;
+        table->joints.slope[2] = 0;
+        table->before = (tl_table_before_t){{0, 0, any(21)}};
+    }
 #define LEFT_OUT(number, name, FIELDS)                                                                                 \
     if ((table->has & TL_TABLE_HAS_##name) == 0) {                                                                     \
         memset(&table->name, 0, sizeof table->name);                                                                   \
@@ -115,6 +123,10 @@ static void widens(void) {
     undone_widens(&m.undone, m.lookup, m.p, m.strength);
 }
 
+static void widens_anew(void) {
+    undone_widens_anew(&m.undone, m.lookup, m.p, m.strength);
+}
+
 static int64_t pushing(int64_t reading) {
     return undone_pushing(&m.undone, m.lookup, reading);
 }
@@ -159,6 +171,7 @@ static void feeds(int32_t c) {
     m.c = c;
     m.flags = 0;
     const int64_t on_curve = wanted(&m.flags);
+    undone_weighs(&m.undone, m.lookup);
     const int64_t goal =
         m.undone.on ? within(tl_undo_late(&m.undone.undo, (int32_t)on_curve), table->q_min, table->q_max) : on_curve;
     m.goal = goal;
@@ -285,7 +298,7 @@ static void begin(bool halts) {
     m.start_offset = m.q - m.p;
     tl_undo_rest(&m.undone.undo, (int32_t)m.p);
     limits_of_table();
-    widens();
+    widens_anew();
     m.half = half_width();
     absorb(fed(), m.q);
 }
@@ -299,7 +312,7 @@ static void settles(int64_t reading) {
     tl_undo_rest(&m.undone.undo, (int32_t)p);
     m.undone.reading = reading;
     m.q = pushing(reading);
-    widens();
+    widens_anew();
     m.half = half_width();
     absorb(fed(), m.q + rest_q8());
 }
@@ -319,6 +332,8 @@ static void adapts_or_loads(void) {
     } else {
         const uint32_t i = (uint32_t)between(0, TL_TABLE_JOINTS - 1);
         m.undone.undo.moved.joint[i] = k.undo.moved.joint[i] = any(20);
+        tl_undo_join(&m.undone.undo, m.lookup);
+        tl_undo_join(&k.undo, k.lookup);
     }
 }
 
@@ -334,11 +349,11 @@ static void changes(void) {
     case 1: {
         const int32_t strength = between(-100, 33000);
         tl_compensator_set_strength(&k, strength);
-        widens();
+        widens_anew();
         m.half = half_width();
         const int64_t before = fed();
         m.strength = within(strength, 0, TL_RATIO_ONE);
-        widens();
+        widens_anew();
         m.half = half_width();
         absorb(fed(), before);
         break;
@@ -388,6 +403,8 @@ static void live(void) {
         TEST_ASSERT_EQUAL_INT32(m.undone.undo.turned_at, k.undo.turned_at);
         TEST_ASSERT_EQUAL_INT32(m.undone.undo.speed_q8, k.undo.speed_q8);
         undone += m.undone.on ? 1U : 0U;
+        pressed += m.undone.on && m.undone.undo.followed != 0 ? 1U : 0U;
+        joined += m.undone.on && m.undone.undo.before != 0 ? 1U : 0U;
         TEST_ASSERT_EQUAL_INT64(m.p, k.p);
         TEST_ASSERT_EQUAL_INT64(m.side, k.side);
         TEST_ASSERT_EQUAL_INT64(m.anchor, k.anchor);
@@ -409,6 +426,8 @@ static void test_the_compensator_of_one_play_is_its_model(void) {
     TEST_ASSERT_EQUAL_UINT32(each, seen_flags);
     TEST_ASSERT_TRUE(undone > LIVES * TICKS / 10U);
     TEST_ASSERT_GREATER_THAN_UINT32(LIVES / 10U, begun_anew);
+    TEST_ASSERT_GREATER_THAN_UINT32(LIVES, pressed);
+    TEST_ASSERT_GREATER_THAN_UINT32(LIVES, joined);
 }
 
 int main(void) {

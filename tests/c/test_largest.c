@@ -29,7 +29,9 @@ static void make(int32_t spans, int32_t width) {
         table.width[i] = width;
         table.angle[i] = (i - spans) * TL_DEG_ONE;
     }
-    table.has = TL_TABLE_HAS_sides | TL_TABLE_HAS_speed | TL_TABLE_HAS_load | TL_TABLE_HAS_adapt | TL_TABLE_HAS_anew;
+    table.has = TL_TABLE_HAS_sides | TL_TABLE_HAS_speed | TL_TABLE_HAS_load | TL_TABLE_HAS_adapt | TL_TABLE_HAS_anew |
+                TL_TABLE_HAS_pressed;
+    table.pressed = (tl_table_pressed_t){width, 2 << 16, 2 << 16}; // B is the mean: as much as without
     table.anew.rest_us = 1;
     table.sides.side = 1;
     table.sides.step_log2 = 22;

@@ -16,6 +16,7 @@ static tl_table_t silent(void) {
     t.sides.side = 1;
     t.adapt.width_least_q15 = t.adapt.width_most_q15 = TL_RATIO_ONE;
     t.anew.rest_us = 50000;
+    t.pressed.mean = 100 * TL_COUNT_ONE;
     return t;
 }
 
@@ -97,6 +98,96 @@ static void test_sides_begin_anew_after_a_rest_of_some_length_where_there_are_an
     WITHIN(BAD_ANEW, anew.rest_us, 1, 10000000);
     IS(BAD_ANEW, t.has &= ~(uint32_t)TL_TABLE_HAS_sides);
     IS(OK, t.has &= ~(uint32_t)(TL_TABLE_HAS_sides | TL_TABLE_HAS_anew));
+}
+
+// B is 100 counts everywhere, or `rises` more from one node on; the grid's step is 64 counts.
+static tl_table_t pressed(int32_t sides_q16, int32_t speed_q16, int32_t late, int32_t extra, int32_t rises) {
+    tl_table_t t = silent();
+    for (unsigned i = 0; i < t.nodes; i++) {
+        t.width[i] = 100 * TL_COUNT_ONE + (i > t.nodes / 2U ? rises : 0);
+    }
+    t.sides.step_log2 = 22;
+    for (unsigned i = 0; i <= TL_TABLE_LAST; i++) {
+        t.sides.late[i] = late;
+    }
+    t.speed.extra[7] = extra; // the largest, wherever it is
+    t.pressed.sides_q16 = sides_q16;
+    t.pressed.speed_q16 = speed_q16;
+    return t;
+}
+
+#define PRESSED_IS(reason, ...)                                                                                        \
+    do {                                                                                                               \
+        const tl_table_t t = pressed(__VA_ARGS__);                                                                     \
+        TEST_ASSERT_EQUAL_INT_MESSAGE(TL_TABLE_##reason, tl_table_check(&t, TL_TABLE_ANY_AXIS), #__VA_ARGS__);         \
+    } while (0)
+
+static void test_what_is_pressed_is_a_share_of_what_the_table_adds(void) {
+    WITHIN(BAD_PRESSED, pressed.sides_q16, 0, 2 << 16);
+    WITHIN(BAD_PRESSED, pressed.speed_q16, 0, 2 << 16);
+    IS(OK, (t.has &= ~(uint32_t)(TL_TABLE_HAS_sides | TL_TABLE_HAS_anew), t.pressed.speed_q16 = 1));
+    IS(BAD_PRESSED, (t.has &= ~(uint32_t)(TL_TABLE_HAS_sides | TL_TABLE_HAS_anew), t.pressed.sides_q16 = 1));
+    IS(OK, (t.has &= ~(uint32_t)TL_TABLE_HAS_speed, t.pressed.sides_q16 = 1));
+    IS(BAD_PRESSED, (t.has &= ~(uint32_t)TL_TABLE_HAS_speed, t.pressed.speed_q16 = 1));
+    IS(BAD_PRESSED, t.pressed.mean = 0);
+    IS(OK, t.pressed.mean = TL_TABLE_WIDTH_MAX);
+    IS(BAD_PRESSED, t.pressed.mean = TL_TABLE_WIDTH_MAX + 1);
+}
+
+static void test_what_is_pressed_is_nowhere_too_large(void) {
+    for (int32_t more = 0; more <= 1; more++) { // eight times the mean, where nothing else is too much
+        tl_table_t t = pressed(0, 0, 0, 0, 0);
+        t.pressed.mean = t.width[3] / TL_TABLE_WIDE_MAX;
+        t.width[3] += more;
+        TEST_ASSERT_EQUAL_INT(more > 0 ? TL_TABLE_BAD_PRESSED : TL_TABLE_OK, tl_table_check(&t, 0));
+    }
+    PRESSED_IS(OK, 2 << 16, 2 << 16, PLACE, PLACE, 0); // at the mean all of it
+    PRESSED_IS(BAD_PRESSED, 1, 0, PLACE, PLACE, 1);    // and nowhere more, however little
+    PRESSED_IS(BAD_PRESSED, 0, 1, PLACE, PLACE, 1);
+    PRESSED_IS(OK, 1, 1, PLACE, PLACE, -1);
+    // A quarter more of B is half more by a share of 2, a quarter more by one of 1.
+    const int32_t most_2 = PLACE / 3 * 2, most_1 = PLACE / 5 * 4;
+    tl_table_t t = pressed(2 << 16, 0, most_2, PLACE, 0);
+    for (unsigned i = 0; i < t.nodes; i++) {
+        t.width[i] = 125 * TL_COUNT_ONE;
+    }
+    TEST_ASSERT_EQUAL_INT(TL_TABLE_OK, tl_table_check(&t, 0));
+    t.sides.late[0]++;
+    TEST_ASSERT_EQUAL_INT(TL_TABLE_BAD_PRESSED, tl_table_check(&t, 0));
+    t.sides.late[0] = most_2;
+    t.pressed.speed_q16 = 1 << 16;
+    t.speed.extra[7] = most_1;
+    TEST_ASSERT_EQUAL_INT(TL_TABLE_OK, tl_table_check(&t, 0));
+    t.speed.extra[7] = most_1 + 1;
+    TEST_ASSERT_EQUAL_INT(TL_TABLE_BAD_PRESSED, tl_table_check(&t, 0));
+}
+
+// B' may be less than 2 (the step is 16384), with what it brings along: by 100 counts of B, twice 40 late and 20 extra.
+static void test_what_is_pressed_leaves_a_motion(void) {
+    const int32_t late = 40 * TL_COUNT_ONE, extra = 20 * TL_COUNT_ONE;
+    PRESSED_IS(OK, 0, 0, late, extra, 32767);
+    PRESSED_IS(BAD_WIDTH_STEEP, 0, 0, late, extra, 32768);
+    PRESSED_IS(OK, 1 << 16, 0, late, extra, 32768 * 10 / 18);
+    PRESSED_IS(BAD_PRESSED, 1 << 16, 0, late, extra, 32768 * 10 / 18 + 1);
+    PRESSED_IS(OK, 0, 1 << 16, late, extra, 32768 * 10 / 12);
+    PRESSED_IS(BAD_PRESSED, 0, 1 << 16, late, extra, 32768 * 10 / 12 + 1);
+    PRESSED_IS(OK, 2 << 16, 1 << 16, late, extra, 32768 * 10 / 28);
+    PRESSED_IS(BAD_PRESSED, 2 << 16, 1 << 16, late, extra, 32768 * 10 / 28 + 1);
+    PRESSED_IS(OK, 2 << 16, 1 << 16, late, extra, -32768 * 10 / 28);
+    PRESSED_IS(BAD_PRESSED, 2 << 16, 1 << 16, late, extra, -32768 * 10 / 28 - 1);
+}
+
+static void test_what_moves_the_motor_is_another_axis_and_moves_nothing_else(void) {
+    for (unsigned i = 0; i < TL_TABLE_JOINTS; i++) {
+        IS(OK, (t.joints.axis[i] = 3, t.before.slope_q20[i] = GAIN));
+        IS(OK, (t.joints.axis[i] = 3, t.before.slope_q20[i] = -GAIN));
+        IS(BAD_BEFORE, (t.joints.axis[i] = 3, t.before.slope_q20[i] = GAIN + 1));
+        IS(BAD_BEFORE, (t.joints.axis[i] = 3, t.before.slope_q20[i] = -GAIN - 1));
+        IS(BAD_BEFORE, t.before.slope_q20[i] = 1);
+        IS(BAD_BEFORE, (t.joints.axis[i] = 3, t.joints.slope[i] = 1, t.before.slope_q20[i] = 1));
+    }
+    IS(BAD_BEFORE, t.has &= ~(uint32_t)TL_TABLE_HAS_joints);
+    IS(OK, t.has &= ~(uint32_t)(TL_TABLE_HAS_joints | TL_TABLE_HAS_before));
 }
 
 static void test_ranges_of_speed_and_of_lag(void) {
@@ -230,6 +321,9 @@ static void test_every_word_of_every_section_survives_the_trip(void) {
     t.joints = (tl_table_joints_t){{2, 0, 4}, {41, 0, 43}, {-44, 0, 46}};
     t.adapt = (tl_table_adapt_t){51, 32000, 33000};
     t.anew = (tl_table_anew_t){61};
+    t.pressed = (tl_table_pressed_t){71 * 256, 72, 73};
+    t.before = (tl_table_before_t){{0, 0, -83}};
+    t.joints.slope[2] = 0;
     const size_t size = tl_table_encode(&t, blob, sizeof blob);
     TEST_ASSERT_EQUAL_UINT(TL_TABLE_SIZE(t.nodes) + TL_TABLE_WORDS_SIZE, size);
     TEST_ASSERT_EQUAL_INT(TL_TABLE_OK, tl_table_decode(blob, size, 0, &read));
@@ -242,6 +336,10 @@ int main(void) {
     RUN_TEST(test_an_encoder_s_error_has_a_size_and_a_slope);
     RUN_TEST(test_what_a_side_adds_falls_by_no_more_than_the_travel);
     RUN_TEST(test_sides_begin_anew_after_a_rest_of_some_length_where_there_are_any);
+    RUN_TEST(test_what_is_pressed_is_a_share_of_what_the_table_adds);
+    RUN_TEST(test_what_is_pressed_is_nowhere_too_large);
+    RUN_TEST(test_what_is_pressed_leaves_a_motion);
+    RUN_TEST(test_what_moves_the_motor_is_another_axis_and_moves_nothing_else);
     RUN_TEST(test_ranges_of_speed_and_of_lag);
     RUN_TEST(test_ranges_of_load_joints_and_what_may_change);
     RUN_TEST(test_ranges_of_elements);

@@ -70,6 +70,9 @@ static void any_lookup(tl_lookup_t *lookup, bool several) {
                 table.has |= TL_TABLE_HAS_anew;
                 table.anew.rest_us = once_in(2) ? 1 : between(1, 30000);
             }
+            if (!once_in(3)) {
+                undone_pressed(&table, between(20, 300) * TL_COUNT_ONE);
+            }
         }
         reason = tl_lookup_derive(lookup, &table, TL_TABLE_ANY_AXIS);
     } while (reason != TL_TABLE_OK);
@@ -112,6 +115,10 @@ static void widens(void) {
     undone_widens(&m.undone, m.lookup, m.p, m.strength);
 }
 
+static void widens_anew(void) {
+    undone_widens_anew(&m.undone, m.lookup, m.p, m.strength);
+}
+
 static int64_t pushing(int64_t reading) {
     return undone_pushing(&m.undone, m.lookup, reading);
 }
@@ -148,6 +155,7 @@ static int64_t held; // the offset before this tick, as far as it was compensate
 static void step(int32_t c) {
     if (m.undone.on) {
         tl_compensator_hear(&k, c);
+        undone_weighs(&m.undone, m.lookup);
     }
     tl_compensator_feed(&k, c);
     tl_compensator_turn(&k);
@@ -231,7 +239,7 @@ static void begin(void) {
                                   : tl_lookup_p_high(m.lookup, (int32_t)m.q, (int32_t)m.p, &ends);
     begins_apart(tl_lookup_centre(m.lookup, edge) + side * m.lookup->half - tl_lookup_centre(m.lookup, (int32_t)m.p));
     stands(m.p);
-    widens();
+    widens_anew();
     held = compensated();
     tl_takeup_start(&m.takeup);
     tl_takeup_set_limits(&m.takeup, &m.lookup->table, 1000);
@@ -244,7 +252,7 @@ static void settles(int64_t rest, int64_t reading) {
     stands(k.p);
     m.undone.reading = reading;
     m.q = pushing(reading);
-    widens();
+    widens_anew();
     held = compensated();
     tl_takeup_add(&m.takeup, (int32_t)(fed(held) - (m.q + rest)));
 }
@@ -261,10 +269,10 @@ static void changes(void) {
     case 1: {
         const int32_t strength = between(-100, 33000);
         tl_compensator_set_strength(&k, strength);
-        widens();
+        widens_anew();
         const int64_t before = fed(compensated());
         m.strength = within(strength, 0, TL_RATIO_ONE);
-        widens();
+        widens_anew();
         held = compensated();
         tl_takeup_add(&m.takeup, (int32_t)(fed(held) - before));
         break;

@@ -154,7 +154,7 @@ static int64_t eleven_bits(int64_t value, uint32_t least, uint32_t *log2) {
     return within((value + half) >> *log2, -2047, 2047); // rounded
 }
 
-static void test_what_other_axes_carry_is_taken_from_the_angle(void) {
+static void test_what_other_axes_carry_is_taken_from_the_angle_or_from_the_motor(void) {
     for (uint32_t life = 0; life < 300U; life++) {
         setUp();
         seed += life;
@@ -165,6 +165,11 @@ static void test_what_other_axes_carry_is_taken_from_the_angle(void) {
             joints->axis[i] = between(0, 2);
             joints->play[i] = joints->axis[i] != 0 ? abs(any(20)) : 0;
             joints->slope[i] = any(24);
+            lookup.table.before.slope_q20[i] = 0;
+            if (joints->axis[i] != 0 && life % 2U == 1U && between(0, 1) == 0) { // the motor instead
+                joints->slope[i] = 0;
+                lookup.table.before.slope_q20[i] = any(24);
+            }
             carried[i] = undo.moved.joint[i] = any(24);
             last = joints->axis[i] != 0 ? i + 1U : last;
         }
@@ -175,21 +180,32 @@ static void test_what_other_axes_carry_is_taken_from_the_angle(void) {
             const tl_deg_q16_t c = any(24);
             int64_t expected = c;
             undo.moved.gain.now = between(0, 1) * any(22);
+            int64_t before = 0, behind = 0;
             for (uint32_t i = 0; i < TL_TABLE_JOINTS; i++) {
                 undo.moved.joint[i] += any(18);
                 const int64_t at = undo.moved.joint[i], half = joints->play[i] / 2;
                 uint32_t log2;
-                const int64_t slope = eleven_bits(joints->slope[i], 0, &log2);
+                const int32_t on_motor = lookup.table.before.slope_q20[i];
+                const int64_t slope = eleven_bits(on_motor != 0 ? on_motor : joints->slope[i], 0, &log2);
                 if ((int64_t)i < last) {
                     carried[i] = within(carried[i], at - half, at + half);
                 }
                 if (joints->axis[i] != 0) {
-                    expected -= within(carried[i] >> 4, -SHORT, SHORT) * slope >> (16U - log2);
+                    *(on_motor != 0 ? &before : &behind) +=
+                        within(carried[i] >> 4, -SHORT, SHORT) * slope >> (16U - log2);
                 }
             }
+            expected -= behind;
+            before = within(before, -(1 << 24), 1 << 24);
             const int64_t gain = undo.moved.gain.now;
             expected += gain == 0 ? 0 : product(expected - lookup.table.load.middle, gain, 23);
+            tl_undo_join(&undo, &lookup);
             TEST_ASSERT_EQUAL_INT64(expected, tl_undo_angle(&undo, &lookup, c));
+            undo.moved.offset.now = any(22);
+            const int32_t q = any(24);
+            const int64_t offset = (undo.moved.offset.now >> 8) + before;
+            TEST_ASSERT_EQUAL_INT64(q - offset, tl_undo_reading(&undo, &lookup, q));
+            TEST_ASSERT_EQUAL_INT64(q + offset, tl_undo_pushing(&undo, &lookup, q, TL_UNDO_ROUNDS));
         }
     }
 }
@@ -276,7 +292,53 @@ static int32_t small(const int32_t *values, int64_t x, int32_t step_log2) {
     return tl_lerp(values[i], values[i + 1U], (uint32_t)(((x - from) << 16) / (to - from)));
 }
 
+static int64_t part(int64_t x, int64_t part_q12) { // in two products of 32 bits
+    return (x >> 12) * part_q12 + ((x & 0xFFF) * part_q12 >> 12);
+}
+
+// max(0, 1 + share (B / mean - 1))
+static int64_t weight(int64_t width, int64_t share_q16) {
+    const tl_scale_t per_mean_q14 = tl_scale_of(16384, (uint32_t)lookup.table.pressed.mean);
+    const int64_t beyond_q14 = (int64_t)tl_scale((uint32_t)width, per_mean_q14) - 16384;
+    return within(4096 + (beyond_q14 * (share_q16 >> 4) >> 14), 0, INT32_MAX);
+}
+
+// The side's turn as section 10 moves it: exact but for 1/16 count of what is late.
+typedef struct {
+    int64_t turned, caught, followed, rest_q12, half, sides_q12;
+} turn_t;
+
+static void follows(turn_t *turn, int64_t side, int64_t width) {
+    const int64_t sides_q12 = weight(width, lookup.table.pressed.sides_q16), half = width / 2;
+    const int64_t more = within(turn->caught - turn->followed, 0, 16383) >> lookup.follows_log2;
+    const int64_t again_q12 = more * (turn->sides_q12 - 4096) + turn->rest_q12;
+    const int64_t late_q4 = (lookup.table.sides.late[0] - turn->caught) >> 4;
+    const int64_t grown_q12 = within(sides_q12 - turn->sides_q12, -1023, 1023);
+    turn->turned += side * ((again_q12 >> 12) - (half - turn->half) - ((late_q4 * grown_q12 + 128) >> 8));
+    turn->followed += more;
+    turn->rest_q12 = again_q12 & 0xFFF;
+    turn->half = half;
+    turn->sides_q12 = sides_q12;
+}
+
+// Of the widest: what a tick goes of the way, and what may be pressed.
+static bool presses(bool told) {
+    int64_t most = 0;
+    lookup.follows_log2 = 0;
+    lookup.table.pressed =
+        (tl_table_pressed_t){between(20, 500) * TL_COUNT_ONE, between(0, 2 << 16), between(0, 2 << 16)};
+    for (uint32_t i = 0; told && i < lookup.table.nodes; i++) {
+        const int64_t w = weight(lookup.table.width[i], lookup.table.pressed.sides_q16);
+        most = w > most ? w : most;
+    }
+    const bool taken = told && tl_lookup_derive(&lookup, &lookup.table, 0) == TL_TABLE_OK;
+    TEST_ASSERT_TRUE(!taken || most <= (4096 * 3 / 2 << lookup.follows_log2) + 2);
+    TEST_ASSERT_TRUE(!taken || lookup.follows_log2 == 0 || most >= (4096 * 3 / 4 << lookup.follows_log2) - 2);
+    return taken;
+}
+
 static void test_the_width_grows_by_speed_and_side(void) {
+    uint32_t pressed = 0;
     for (uint32_t life = 0; life < 300U; life++) {
         setUp();
         seed += life;
@@ -291,17 +353,28 @@ static void test_the_width_grows_by_speed_and_side(void) {
             by->extra[i] = abs(any(20));
             sides->late[i] = abs(any(20));
         }
-        lookup.table.has = TL_TABLE_HAS_speed | TL_TABLE_HAS_sides;
+        const bool goes = life % 3U != 0U;
+        lookup.table.has = TL_TABLE_HAS_speed | TL_TABLE_HAS_sides | (goes ? TL_TABLE_HAS_pressed : 0U);
+        for (uint32_t i = 0; goes && i <= TL_TABLE_LAST; i++) { // what a table may say
+            sides->late[i] = (int32_t)(TL_TABLE_LAST - i) << (sides->step_log2 < 12 ? sides->step_log2 : 12);
+        }
+        sides->side = goes && sides->side == 0 ? 1 : sides->side;
+        if (!presses(goes)) {
+            lookup.table.has &= ~(uint32_t)TL_TABLE_HAS_pressed;
+        }
+        const bool has = (lookup.table.has & TL_TABLE_HAS_pressed) != 0;
+        turn_t turn = {.sides_q12 = 4096};
         tl_undo_start(&undo, &lookup, 1000);
         const int64_t share = by->time_us == 0 ? 65536 : share_of_tick(by->time_us, 1000) >> 16;
-        int32_t p = any(20), turned = 0, side = 0;
+        int32_t p = any(20), side = 0;
         int64_t speed = 0, extra = 0;
         tl_undo_rest(&undo, p);
         for (uint32_t tick = 0; tick < 200U; tick++) {
             if (between(0, 30) == 0) {
                 side = between(-1, 1);
-                turned = p + any(10);
-                tl_undo_turned(&undo, turned, side);
+                turn.turned = p + any(10);
+                turn.caught = turn.followed = 0;
+                tl_undo_turned(&undo, (int32_t)turn.turned, side);
             }
             const int32_t step = between(0, 2) == 0 ? 0 : any(between(0, 9) == 0 ? 22 : 12);
             p += step;
@@ -313,12 +386,25 @@ static void test_the_width_grows_by_speed_and_side(void) {
                 extra = small(by->extra, llabs(speed), by->step_log2);
             }
             TEST_ASSERT_EQUAL_INT64(speed, undo.speed_q8);
-            const int64_t travel = side * ((int64_t)p - turned);
-            const bool late = side != 0 && side == sides->side;
-            const int64_t wider = late ? 2 * (int64_t)small(sides->late, travel > 0 ? travel : 0, sides->step_log2) : 0;
-            TEST_ASSERT_EQUAL_INT64(extra + wider, tl_undo_wider(&undo, &lookup, p));
+            int64_t expected = extra;
+            const int32_t width = tl_lookup_width(&lookup, p, &(uint32_t){0});
+            if (has) {
+                follows(&turn, side > 0 ? 1 : -1, width);
+                expected = part(extra, weight(width, lookup.table.pressed.speed_q16));
+            }
+            tl_undo_weigh(&undo, &lookup, p);
+            const int64_t travel = side * ((int64_t)p - turn.turned);
+            if (side != 0 && side == sides->side) {
+                const int64_t late = small(sides->late, travel > 0 ? travel : 0, sides->step_log2);
+                turn.caught = sides->late[0] - late;
+                expected += 2 * part(late, turn.sides_q12);
+                pressed += has && turn.followed != 0 ? 1U : 0U;
+            }
+            TEST_ASSERT_EQUAL_INT64(expected, tl_undo_wider(&undo, &lookup, p));
+            TEST_ASSERT_EQUAL_INT64(turn.turned, undo.turned_at);
         }
     }
+    TEST_ASSERT_GREATER_THAN_UINT32(1000, pressed);
 }
 
 // -- the encoder ------------------------------------------------------------------------------------------------------
@@ -357,7 +443,7 @@ int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_a_width_is_scaled);
     RUN_TEST(test_offset_scale_and_gain_go_to_their_goals_in_a_straight_line);
-    RUN_TEST(test_what_other_axes_carry_is_taken_from_the_angle);
+    RUN_TEST(test_what_other_axes_carry_is_taken_from_the_angle_or_from_the_motor);
     RUN_TEST(test_what_is_late_is_led);
     RUN_TEST(test_the_width_grows_by_speed_and_side);
     RUN_TEST(test_an_encoder_s_error_is_periodic_to_the_ends_of_the_range);

@@ -143,19 +143,26 @@ static void test_flags_sample_and_what_is_handed_on(void) {
     }
 }
 
-// The forward play goes on with the motor, and knows where the axes are that move its angle.
-static void test_the_tip_is_watched(void) {
+// The forward play goes on with the motor, and knows where the axes are that move its angle, or the motor before it.
+static void watch_the_tip(int32_t before_q20) {
     tl_table_t table = table_fixture(1);
     table.has = TL_TABLE_HAS_joints;
     table.axis = 1;
     table.joints.axis[0] = 3;
     table.joints.axis[2] = 1;
     table.joints.slope[0] = table.joints.slope[2] = 1000;
+    if (before_q20 != 0) {
+        table.has |= TL_TABLE_HAS_before;
+        table.joints.slope[2] = 0;
+        table.before.slope_q20[2] = before_q20;
+    }
     any_axis();
     TEST_ASSERT_EQUAL(TL_TABLE_OK, tl_lookup_derive(&axis->tip.lookup, &table, TL_TABLE_ANY_AXIS));
     axis->q = 0;
+    axes[0].q = 7654321;
     tl_axis_use_table(axis, true);
     tl_play_t play = axis->tip.play;
+    TEST_ASSERT_EQUAL_INT32((axes[0].q >> 4) * (before_q20 >> 10) / (1 << 6), play.p);
     axis->telemetry.divider = 1;
     for (uint32_t i = 0; i < 3000U; i++) {
         axis->q = tl_clamp(axis->q + any(15), -5000 * TL_COUNT_ONE, 5000 * TL_COUNT_ONE);
@@ -167,12 +174,18 @@ static void test_the_tip_is_watched(void) {
         TEST_ASSERT_EQUAL_INT32(axes[2].q, joint[0]);
         TEST_ASSERT_EQUAL_INT32(0, joint[1]);
         TEST_ASSERT_EQUAL_INT32(axes[0].q, joint[2]);
-        const int32_t p = tl_play_step(&play, axis->q);
+        const int32_t p = tl_play_step(&play, axis->q + (axes[0].q >> 4) * (before_q20 >> 10) / (1 << 6));
         TEST_ASSERT_EQUAL_INT32(p, axis->tip.play.p);
         const tl_sample_t *s = &axis->telemetry.samples[(axis->telemetry.head - 1U) % TL_AXIS_SAMPLES];
         TEST_ASSERT_EQUAL_INT32(p, s->p);
         TEST_ASSERT_EQUAL_INT32(tl_play_angle(&play), s->c_est);
     }
+}
+
+static void test_the_tip_is_watched(void) {
+    watch_the_tip(0);
+    watch_the_tip(1 << 18); // a quarter of a count each
+    watch_the_tip(1 << 19);
 }
 
 // -- a calibration's messages -----------------------------------------------------------------------------------------

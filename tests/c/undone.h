@@ -16,6 +16,21 @@ static inline void undone_widens(undone_t *u, const tl_lookup_t *lookup, int64_t
     u->wider = u->on ? tl_undo_wider(&u->undo, lookup, (int32_t)p) * strength / 65536 : 0;
 }
 
+// Once a tick, before p moves: what there is of it where p will be if it goes on.
+static inline void undone_weighs(undone_t *u, const tl_lookup_t *lookup) {
+    if (u->on) {
+        tl_undo_weigh(&u->undo, lookup, u->undo.p + u->undo.by);
+    }
+}
+
+// The same where p stands, under settings that have changed.
+static inline void undone_widens_anew(undone_t *u, const tl_lookup_t *lookup, int64_t p, int64_t strength) {
+    if (u->on) {
+        tl_undo_weigh(&u->undo, lookup, (int32_t)p);
+    }
+    undone_widens(u, lookup, p, strength);
+}
+
 // The side begins where p turns, and where it goes on after a rest longer than the table says. True: the latter.
 static inline bool undone_begins(undone_t *u, const tl_lookup_t *lookup, int64_t anchor, int64_t now, int64_t side,
                                  bool turns, bool still) {
@@ -48,6 +63,14 @@ static inline void undone_ticks(undone_t *u, const tl_lookup_t *lookup, int64_t 
     const int64_t low = lookup->table.q_min, high = lookup->table.q_max, was = u->reading;
     tl_undo_tick(&u->undo, lookup, (int32_t)p);
     u->reading = within(tl_undo_reading(&u->undo, lookup, (int32_t)q), was < low ? was : low, was > high ? was : high);
+}
+
+// Of what `sides` and `speed` add, where the table has those, some goes with the place; B is up to 8 times this mean.
+static inline void undone_pressed(tl_table_t *table, int32_t mean) {
+    table->has |= TL_TABLE_HAS_pressed;
+    table->pressed.mean = mean;
+    table->pressed.sides_q16 = (table->has & TL_TABLE_HAS_sides) != 0 ? between(0, 2 << 16) : 0;
+    table->pressed.speed_q16 = (table->has & TL_TABLE_HAS_speed) != 0 ? between(0, 2 << 16) : 0;
 }
 
 static inline void undone_curves(tl_table_t *table) { // of sections `sides` and `speed`

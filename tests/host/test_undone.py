@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from undone_plant import GAIN, Plant
+from undone_plant import GAIN, WAVE, Plant
 
 from tautline import _native, tables
 from tautline.compensation import compensate
@@ -18,17 +18,18 @@ from tautline.effects import BY_ID, follow
 from tautline.model import Effect, Model
 from tautline.recording import Motor
 from tautline.simulated.instrument import reference_rig
-from tautline.undone import Joint, not_undone, onset_elements, undone
+from tautline.undone import COUPLED, Joint, not_undone, onset_elements, undone
 
 COUNT = 0.001
 COUNTS = GAIN * COUNT  # deg of a count
-SIDES = "transmission.asymmetric_backlash"
+SIDES, SPEED = "transmission.asymmetric_backlash", "transmission.rate_dependent_backlash"
 few = settings(max_examples=4, deadline=None)
 
 
-def model(width: float, effect: str = "", **parameters: Any) -> Model:
+def model(width: float, effect: str = "", wave: float = 0.0, **parameters: Any) -> Model:
     q = np.linspace(-5.0, 5.0, 201)
-    made = Model(reference_rig(), q, np.full(201, width), 0 * q, GAIN * q, 0.08, (-5.0, 5.0))
+    wide = width * (1.0 + wave * np.sin(2.0 * np.pi * q / WAVE))
+    made = Model(reference_rig(), q, wide, 0 * q, GAIN * q, 0.08, (-5.0, 5.0))
     return replace(made, effects=(Effect(effect, parameters),)) if effect else made
 
 
@@ -139,6 +140,60 @@ def test_what_is_still_taken_up_is_no_rest(sides: tuple[int, float, float], seed
 
 
 @few
+@given(sided, seeds, st.floats(0.5, 2.0), st.sampled_from([0.0, 1.0]))
+def test_a_side_that_is_pressed_where_the_width_is(
+    sides: tuple[int, float, float], seed: int, share: float, renewed: float
+) -> None:
+    """The width varies by half of its mean, and what starts later with it: no worse than where that is alike."""
+    side, late, travel = sides
+    v = {"asymmetry": side * late, "asymmetry_travel": travel, "asymmetry_form": 1.0, "asymmetry_renewed": renewed}
+    plant = Plant(0.4, 0.5, side=side, late=late, travel=travel, renewed=0.05 if renewed else math.inf)
+    along = halting(seed)
+    alike, pressed, untold = (
+        np.sqrt(
+            np.mean(errors(model(0.4, SIDES, 0.5, **v, asymmetry_pressed=told), replace(plant, pressed=of), along) ** 2)
+        )
+        for told, of in ((0.0, 0.0), (share, share), (0.0, share))
+    )
+    assert pressed <= min(2.0, alike + 0.5), f"{pressed:.2f} counts, {alike:.2f} where it is alike"
+    assert untold > 3.0 * pressed, f"{pressed:.2f} counts with the section, {untold:.1f} without"
+
+
+@few
+@given(sided, seeds, st.floats(0.7, 1.8), st.sampled_from([200, 1000, 4000]), st.floats(0.2, 2.0))
+def test_the_law_that_is_diagnosed_is_undone_where_it_is_pressed(
+    sides: tuple[int, float, float], seed: int, form: float, rate_hz: int, share: float
+) -> None:
+    """The board's inverse in front of the library's own float64 law."""
+    side, late, travel = sides
+    v = {"asymmetry": side * late, "asymmetry_travel": travel, "asymmetry_form": form, "asymmetry_pressed": share}
+    own, along = model(0.4, SIDES, 0.5, **v), halting(seed)
+    points = compensate(own, *along, rate_hz=rate_hz)
+    c = follow(own, Motor(points.t_s, points.q), points.t_s, v).c_deg
+    off = (c - np.interp(points.t_s, *along))[points.t_s > 4.0] / COUNTS
+    assert np.sqrt(np.mean(off**2)) <= 2.5
+
+
+@few
+@given(st.floats(0.03, 0.05), st.floats(1.0, 2.0), st.sampled_from([-1.0, 1.0]))
+def test_a_speed_s_width_is_pressed_where_the_width_is(per_speed: float, share: float, way: float) -> None:
+    v = {"width_per_speed": per_speed, "speed_time": 0.05, "width_held": 1.0}
+    t = np.arange(0.0, 9.0, 0.002)
+    c = way * 20.0 * (np.abs((0.11 * t) % 1.0 * 4.0 - 2.0) - 1.0)
+    alike, pressed, untold = (
+        np.abs(
+            errors(
+                model(0.4, SPEED, 0.5, **v, speed_pressed=told),
+                Plant(0.4, 0.5, per_speed=per_speed, per_speed_time=0.05, pressed=of),
+                (t, c),
+            )
+        )
+        for told, of in ((0.0, 0.0), (share, share), (0.0, share))
+    )
+    assert np.median(pressed) <= np.median(alike) + 0.3 and 3.0 * np.median(pressed) < np.median(untold)
+
+
+@few
 @given(st.floats(0.02, 0.05), st.floats(0.03, 0.1), st.sampled_from([math.inf, 3.0, 0.6]))
 def test_a_width_that_grows_with_the_speed(per_speed: float, time: float, end: float) -> None:
     """The plant's width knows the motor's speed, the section's that of p: apart while the backlash is crossed. Whether
@@ -221,6 +276,36 @@ def test_another_axis_moves_the_angle() -> None:
         q.append(int(board.run(np.array([want], np.int32))[0][0]))
     tip = Plant(0.4).run(np.array(q) * COUNT / 256.0) + 0.7 * other
     assert np.sqrt(np.mean((tip - c)[4000:] ** 2)) < 0.6 * COUNTS
+
+
+@few
+@given(st.floats(0.3, 1.5) | st.floats(-1.5, -0.3), st.floats(0.0, 1.0), st.integers(0, 2))
+def test_another_axis_moves_the_motor_before_the_play(slope: float, gap: float, column: int) -> None:
+    """By `slope` deg of the tip for each unit, once it has crossed its own gap: within the play that moves nothing."""
+    name, play, of = (
+        ("c_per_translation", "translation_play", "translation_mm"),
+        ("c_per_rotation", "rotation_play", "rotation_deg"),
+        ("c_per_joint", "joint_play", "wrist"),
+    )[column]
+    v = {name: slope, play: gap, "coupled_before": 1.0} | ({"column": of} if column == 2 else {})
+    own, with_joint = model(0.4, COUPLED, **v), {of: Joint(2, 0.002)}
+    assert not_undone(own) == [COUPLED] and not_undone(own, with_joint) == []
+    t, c = path(0.3)
+    c = np.interp(np.arange(0.0, t[-1], 1e-3), t, c)
+    other = 2.0 * np.sin(np.arange(len(c)) * 8e-3) + 0.7  # quicker than the tip: it turns the motor, and not the tip
+    rms = []
+    for told in (own, replace(own, effects=(Effect(COUPLED, v | {"coupled_before": 0.0}),))):
+        board = compensator(told, float(c[0]), with_joint)
+        plant, carried = Plant(0.4), other[0]
+        off = []
+        for want, at in zip(deg(c), other, strict=True):
+            board.joint(0, round(at / 0.002 * 256))
+            q = int(board.run(np.array([want], np.int32))[0][0]) * COUNT / 256.0
+            carried = min(max(carried, at - 0.5 * gap), at + 0.5 * gap)
+            plant.before = slope * carried / GAIN
+            off.append(plant.step(q) - want / _native.DEG_ONE)
+        rms.append(np.sqrt(np.mean(np.square(off[4000:]))) / COUNTS)
+    assert rms[0] < 1.0 and rms[1] > 5.0 * rms[0], f"{rms[0]:.2f} counts, {rms[1]:.1f} as if behind the play"
 
 
 @few
@@ -318,6 +403,18 @@ def test_a_model_without_effects_is_the_table_that_it_was() -> None:
         ({"adapt": {"offset": -1, "width_least_q15": 0, "width_most_q15": 32768}}, "ADAPT"),
         ({"adapt": {"offset": 0, "width_least_q15": 0, "width_most_q15": 32767}}, "ADAPT"),
         ({"anew": {"rest_us": 50_000}}, "ANEW"),
+        ({"pressed": {"mean": 25600, "sides_q16": 1, "speed_q16": 0}}, "PRESSED"),
+        ({"pressed": {"mean": 25600, "sides_q16": 0, "speed_q16": 1}}, "PRESSED"),
+        ({"pressed": {"mean": 0, "sides_q16": 0, "speed_q16": 0}}, "PRESSED"),
+        ({"pressed": {"mean": 12799, "sides_q16": 0, "speed_q16": 0}}, "PRESSED"),
+        ({"before": {"slope_q20": [0, 0, 0]}}, "BEFORE"),
+        (
+            {
+                "joints": {"axis": [3, 0, 0], "play": [0, 0, 0], "slope": [0, 0, 0]},
+                "before": {"slope_q20": [0, 1, 0]},
+            },
+            "BEFORE",
+        ),
         ({"anew": {"rest_us": 0}, "sides": {"side": 1, "step_log2": 4, "late": [0] * 17}}, "ANEW"),
     ],
 )
@@ -338,6 +435,31 @@ def test_a_table_says_after_which_rest_its_sides_begin_anew_and_nothing_where_th
     assert tables.decode(tables.encode(anew)).sections["anew"] == {"rest_us": 50_000}
     assert tables.model_id(once) != tables.model_id(anew)
     assert undone(model(0.4, SIDES, asymmetry=1e-9, asymmetry_travel=0.3, asymmetry_renewed=1.0))[1] == {}
+
+
+def test_a_table_says_what_is_pressed_and_nothing_where_nothing_is() -> None:
+    law, speed = {"asymmetry": 0.1, "asymmetry_travel": 0.3}, {"width_per_speed": 0.05}
+    sides, fast = Effect(SIDES, law | {"asymmetry_pressed": 1.5}), Effect(SPEED, speed | {"speed_pressed": 0.25})
+    uneven = model(0.4, wave=0.5)
+    both = undone(replace(uneven, effects=(sides, fast)))[1]
+    assert both["pressed"] == {"mean": 400 * 256, "sides_q16": 3 << 15, "speed_q16": 1 << 14}
+    assert undone(replace(uneven, effects=(fast,)))[1]["pressed"]["sides_q16"] == 0
+    assert tables.decode(tables.encode(replace(uneven, effects=(sides, fast)))).sections["pressed"] == both["pressed"]
+    bare, alike = (model(0.4, SIDES, **law, **told) for told in ({}, {"asymmetry_pressed": 0.0}))
+    assert tables.encode(bare, created_s=0) == tables.encode(alike, created_s=0)
+    assert "pressed" not in undone(model(0.0, SIDES, **law, asymmetry_pressed=1.0))[1]  # without a width nothing is
+    assert undone(model(0.4, SIDES, asymmetry=1e-9, asymmetry_travel=0.3, asymmetry_pressed=1.0))[1] == {}
+
+
+def test_a_table_says_what_moves_the_motor() -> None:
+    v = {"c_per_translation": 0.6, "translation_play": 0.2, "c_per_rotation": 0.0}
+    joints = {"translation_mm": Joint(2, 0.002), "rotation_deg": Joint(3, 0.01)}
+    behind, before = (undone(model(0.4, COUPLED, **v, coupled_before=b), joints)[1] for b in (0.0, 1.0))
+    assert "before" not in behind and before["joints"] == behind["joints"] | {"slope": [0, 0, 0]}
+    assert before["before"] == {"slope_q20": [round(0.6 * 0.002 / GAIN / COUNT * 2**20), 0, 0]}
+    falling = model(0.4, COUPLED, **v, coupled_before=1.0)
+    falling = replace(falling, c_deg=-falling.c_deg)
+    assert undone(falling, joints)[1]["before"]["slope_q20"][0] == -before["before"]["slope_q20"][0]
 
 
 def test_what_is_undone_is_said_of_the_effects() -> None:

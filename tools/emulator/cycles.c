@@ -201,6 +201,25 @@ static void small_table(int32_t values[TL_TABLE_LAST + 1U], int32_t most) {
     }
 }
 
+// What goes with the place as B does, as far as a table may say it.
+static void add_pressed(tl_table_t *table) {
+    int64_t sum = 0;
+    for (uint32_t i = 0; i < table->nodes; i++) {
+        sum += table->width[i];
+    }
+    table->pressed.mean = (int32_t)(sum / table->nodes) + 1;
+    table->pressed.sides_q16 = (table->has & TL_TABLE_HAS_sides) != 0 ? between(0, 2 << 16) : 0;
+    table->pressed.speed_q16 = (table->has & TL_TABLE_HAS_speed) != 0 ? between(0, 2 << 16) : 0;
+    table->has |= TL_TABLE_HAS_pressed;
+    if (tl_table_check(table, 0) == TL_TABLE_BAD_PRESSED) {
+        table->pressed.sides_q16 = table->pressed.speed_q16 = 0; // taken once all the same, and as long
+    }
+    if (tl_table_check(table, 0) == TL_TABLE_BAD_PRESSED) {
+        table->has &= ~(uint32_t)TL_TABLE_HAS_pressed;
+        table->pressed = (tl_table_pressed_t){.mean = 0};
+    }
+}
+
 // All that is undone beside plays and curve, or some of it.
 static void add_sections(tl_table_t *table) {
     const bool all = between(0, 1) == 0;
@@ -208,6 +227,7 @@ static void add_sections(tl_table_t *table) {
         table->has |= all || between(0, 1) == 0 ? 1U << i : 0;
     }
     table->has |= (table->has & TL_TABLE_HAS_sides) != 0 ? (uint32_t)TL_TABLE_HAS_anew : 0;
+    table->has |= (table->has & TL_TABLE_HAS_joints) != 0 ? (uint32_t)TL_TABLE_HAS_before : 0;
     table->encoder = (tl_table_encoder_t){.period_q12 = between(1 << 20, 1 << 26)};
     const int32_t most = table->encoder.period_q12 / 2000 < 20000 ? table->encoder.period_q12 / 2000 : 20000;
     table->encoder.sine = between(-most, most);
@@ -235,8 +255,10 @@ static void add_sections(tl_table_t *table) {
     for (int32_t i = 0; i < joints; i++) {
         table->joints.axis[i] = 2 + i;
         table->joints.play[i] = between(0, 10000);
-        table->joints.slope[i] = between(-100000, 100000);
+        const bool before = (table->has & TL_TABLE_HAS_before) != 0 && between(0, 1) == 0; // the motor instead
+        *(before ? &table->before.slope_q20[i] : &table->joints.slope[i]) = between(-100000, 100000);
     }
+    add_pressed(table);
     table->adapt = (tl_table_adapt_t){.offset = 100000, .width_least_q15 = 8192, .width_most_q15 = 65536};
 }
 
@@ -252,6 +274,7 @@ static void move_tables(void) {
     for (uint32_t i = 0; i < TL_TABLE_JOINTS; i++) {
         k->undo.moved.joint[i] = between(-1000000, 1000000);
     }
+    tl_undo_join(&k->undo, k->lookup);
 }
 
 // -- a motor that follows well enough, and sometimes does not

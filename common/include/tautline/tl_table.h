@@ -80,6 +80,13 @@
 /// Section 9, `anew`: the sides of section 3, without which it may not be, begin anew after rests: where p has stood
 /// still for longer than rest_us, 1 to 10000000, and goes on towards `side`, the motor has to be as far ahead as after
 /// a turn there. Without it they begin at turns alone.
+/// Section 10, `pressed`: what `sides` and `speed` add goes with the place as B does. Each is taken w times, w =
+/// max(0, 1 + share (B(p) / mean - 1)), mean in Q8 counts, 1 or more, and its share in Q16, 0 to 2; 0 where the table
+/// has no such section. Such a side is late by w late(d), where d is not the travel of p, but what a motor goes that
+/// takes up w late: dd (1 + (1 - w) late'(d)) = |dp| + dB / 2 + late(d) dw. B is nowhere above TL_TABLE_WIDE_MAX means,
+/// what is pressed stays within section 3's and 4's range, and with B it leaves a motion of the motor to every p.
+/// Section 11, `before`: of section 7, without which it may not be, the axes that move the motor before the play
+/// instead of the angle, which section 7 then has by 0: counts for each of their counts, Q20; 0 for the other places.
 ///
 /// Thread model: functions touch only their arguments. Encoding, decoding and checking are for load time:
 /// O(nodes), 0.9 ms for the largest table on a 125 MHz Cortex-M0+, no division.
@@ -118,6 +125,7 @@ extern "C" {
 #define TL_TABLE_CENTRE_MAX       ((int32_t)1 << 29) ///< of Y
 #define TL_TABLE_ENCODER_MAX      ((int32_t)1 << 17) ///< of all amplitudes of an encoder's error: 512 counts, Q8
 #define TL_TABLE_ADAPT_OFFSET_MAX ((int32_t)1 << 22) ///< Q8 counts: 16384
+#define TL_TABLE_WIDE_MAX         8                  ///< B over the mean of section 10
 
 typedef enum { TL_AXIS_BENDING = 0, TL_AXIS_TRANSLATION = 1, TL_AXIS_ROTATION = 2 } tl_axis_kind_t;
 typedef enum { TL_UNIT_MM = 0, TL_UNIT_DEG = 1 } tl_unit_t;
@@ -136,7 +144,9 @@ typedef enum { TL_UNIT_MM = 0, TL_UNIT_DEG = 1 } tl_unit_t;
     X(6, load, TL_TABLE_LOAD)                                                                                          \
     X(7, joints, TL_TABLE_JOINT)                                                                                       \
     X(8, adapt, TL_TABLE_ADAPT)                                                                                        \
-    X(9, anew, TL_TABLE_ANEW)
+    X(9, anew, TL_TABLE_ANEW)                                                                                          \
+    X(10, pressed, TL_TABLE_PRESSED)                                                                                   \
+    X(11, before, TL_TABLE_BEFORE)
 
 #define TL_TABLE_ENCODER(FIELD, ARRAY) FIELD(period_q12) FIELD(sine) FIELD(cosine) FIELD(sine2) FIELD(cosine2)
 #define TL_TABLE_SIDES(FIELD, ARRAY)   FIELD(side) FIELD(step_log2) ARRAY(late, TL_TABLE_LAST + 1U)
@@ -145,8 +155,10 @@ typedef enum { TL_UNIT_MM = 0, TL_UNIT_DEG = 1 } tl_unit_t;
 #define TL_TABLE_LOAD(FIELD, ARRAY)    FIELD(reference) FIELD(width) FIELD(gain) FIELD(offset) FIELD(middle)
 #define TL_TABLE_JOINT(FIELD, ARRAY)                                                                                   \
     ARRAY(axis, TL_TABLE_JOINTS) ARRAY(play, TL_TABLE_JOINTS) ARRAY(slope, TL_TABLE_JOINTS)
-#define TL_TABLE_ADAPT(FIELD, ARRAY) FIELD(offset) FIELD(width_least_q15) FIELD(width_most_q15)
-#define TL_TABLE_ANEW(FIELD, ARRAY)  FIELD(rest_us)
+#define TL_TABLE_ADAPT(FIELD, ARRAY)   FIELD(offset) FIELD(width_least_q15) FIELD(width_most_q15)
+#define TL_TABLE_ANEW(FIELD, ARRAY)    FIELD(rest_us)
+#define TL_TABLE_PRESSED(FIELD, ARRAY) FIELD(mean) FIELD(sides_q16) FIELD(speed_q16)
+#define TL_TABLE_BEFORE(FIELD, ARRAY)  ARRAY(slope_q20, TL_TABLE_JOINTS)
 
 #define TL_TABLE_FIELD(name)        int32_t name;
 #define TL_TABLE_ARRAY(name, count) int32_t name[count];
@@ -200,7 +212,12 @@ enum { TL_TABLE_SECTIONS(TL_TABLE_NUMBER) };
     X(LOAD, "what the load changes is out of its range")                                                               \
     X(JOINTS, "another axis that moves the angle does not exist, or moves it too much")                                \
     X(ADAPT, "the limits of what may change in use are out of their range")                                            \
-    X(ANEW, "unequal sides may begin anew after rests of 1 us to 10 s, and where the table has such sides alone")
+    X(ANEW, "unequal sides may begin anew after rests of 1 us to 10 s, and where the table has such sides alone")      \
+    X(PRESSED,                                                                                                         \
+      "what goes with the place as the width does: shares of 0 to 2 of what the table adds, within its range, and no " \
+      "width above 8 times its mean")                                                                                  \
+    X(BEFORE, "what moves the motor before the play is another axis that the table names, and moves not the angle, "   \
+              "too")
 
 #define TL_TABLE_REASON_NAME(name, text) TL_TABLE_BAD_##name,
 typedef enum { TL_TABLE_OK = 0, TL_TABLE_REASONS(TL_TABLE_REASON_NAME) TL_TABLE_REASON_COUNT } tl_table_reason_t;

@@ -4,6 +4,7 @@
 
 #include "tautline/tl_axis_guard.h"
 #include "tautline/tl_axis_rest.h"
+#include "tautline/tl_axis_watch.h"
 #include "tautline/tl_fast.h"
 #include "tautline/tl_stop.h"
 
@@ -230,6 +231,11 @@ TL_FAST uint8_t tl_axis_load(tl_axis_t *axis, const tl_wire_load_t *request) {
 
 // -- where it is ------------------------------------------------------------------------------------------------
 
+// Where the motor that is at q pushes from, as far as other axes move it.
+static tl_count_q8_t pushing(const tl_axis_t *axis, tl_count_q8_t q) {
+    return tl_add_sat(q, axis->tip.compensator.undo.before);
+}
+
 static TL_FAST_LOCKED void take_position(tl_axis_t *axis, tl_count_q8_t q, const tl_play_t *play) {
     const uint32_t state = keep_out(axis);
     axis->q = q;
@@ -253,7 +259,7 @@ uint8_t tl_axis_set_position(tl_axis_t *axis, tl_count_q8_t q) {
     q = q / TL_COUNT_ONE * TL_COUNT_ONE;
     tl_play_t play;
     if (axis->has_table) {
-        tl_play_start(&play, &axis->tip.lookup, q);
+        tl_play_start(&play, &axis->tip.lookup, pushing(axis, q));
     }
     take_position(axis, q, axis->has_table ? &play : NULL);
     return 0;
@@ -269,12 +275,12 @@ static TL_FAST_LOCKED void take_play(tl_axis_t *axis, const tl_play_t *play) {
 static void find_tip(tl_axis_t *axis) {
     axis->guard.homed = false;
     if (axis->has_table) {
-        const tl_count_q8_t end = axis->trial.end;
+        const tl_count_q8_t end = pushing(axis, axis->trial.end);
         tl_play_t play;
         tl_play_start(&play, &axis->tip.lookup, end);
         tl_play_step(&play, end - axis->trial.way * TL_AXIS_RANGE_MAX);
         tl_play_step(&play, end);
-        tl_play_step(&play, axis->q);
+        tl_play_step(&play, pushing(axis, axis->q));
         take_play(axis, &play); // what the motor goes from here the watch has it follow
     }
 }
@@ -295,7 +301,11 @@ void tl_axis_use_table(tl_axis_t *axis, bool has_table) {
     if (has_table) {
         axis->tip.strength_q15 = axis->tip.lookup.table.strength_q15;
         axis->tip.takeup_accel = axis->tip.lookup.table.takeup_accel;
-        tl_play_start(&axis->tip.play, &axis->tip.lookup, axis->q);
+        if ((axis->tip.lookup.table.has & (uint32_t)TL_TABLE_HAS_before) != 0) { // else it waits for a follower
+            tl_axis_join(axis);
+            tl_undo_start(&axis->tip.compensator.undo, &axis->tip.lookup, TL_AXIS_PLAN_HZ);
+        }
+        tl_play_start(&axis->tip.play, &axis->tip.lookup, pushing(axis, axis->q));
     }
     apply_limits(axis);
 }

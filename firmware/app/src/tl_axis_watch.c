@@ -66,8 +66,7 @@ static void sample(tl_axis_t *axis, tl_us_t now_us) {
     telemetry->head = telemetry->head + 1U;
 }
 
-// Where the axes are that move this one's angle. The app's axes lie in a row.
-static void join(tl_axis_t *axis) {
+TL_FAST void tl_axis_join(tl_axis_t *axis) {
     const tl_table_joints_t *joints = &axis->tip.lookup.table.joints;
     const tl_axis_t *first = axis - axis->index;
     for (uint32_t i = 0; i < TL_TABLE_JOINTS; i++) {
@@ -76,6 +75,7 @@ static void join(tl_axis_t *axis) {
             axis->tip.compensator.undo.moved.joint[i] = first[other].q;
         }
     }
+    tl_undo_join(&axis->tip.compensator.undo, &axis->tip.lookup);
 }
 
 // The play operator's result does not depend on how often it is stepped, but for a reversal's tip: 0.03 counts at
@@ -89,7 +89,7 @@ TL_FAST void tl_axis_watch(tl_axis_t *axis, tl_us_t now_us) {
         const tl_lookup_t *lookup = &axis->tip.lookup;
         const tl_undo_t *undo = &axis->tip.compensator.undo;
         if (lookup->table.has != 0) {
-            join(axis);
+            tl_axis_join(axis);
         }
         const bool off = lookup->table.has != 0 || undo->active; // the encoder reads otherwise than the motor pushes
         tl_play_step(&axis->tip.play, off ? tl_undo_pushing(undo, lookup, axis->q, PUSHING_ROUNDS) : axis->q);

@@ -135,6 +135,23 @@ static bool derive_plays(tl_lookup_t *lookup) {
     return reaches(lookup) && warps(lookup);
 }
 
+// w of section 10 is 1.5 * 2^follows_log2 at most. As late(d) falls by d at most, what tl_undo.c iterates comes to
+// rest.
+static void derive_pressed(tl_lookup_t *lookup) {
+    const tl_table_pressed_t *pressed = &lookup->table.pressed;
+    lookup->per_mean_q14 = tl_scale_of(1U << 14, (uint32_t)pressed->mean);
+    int64_t most = 0;
+    for (unsigned i = 0; i < lookup->table.nodes; i++) {
+        const int64_t beyond = lookup->table.width[i] - pressed->mean; // w - 1 is share * beyond / mean
+        most = beyond > most ? beyond : most;
+    }
+    const int64_t w_q17 = ((int64_t)2 << 16) * pressed->mean + 2 * pressed->sides_q16 * most;
+    lookup->follows_log2 = 0;
+    while (w_q17 > ((int64_t)3 << 16 << lookup->follows_log2) * pressed->mean) {
+        lookup->follows_log2++;
+    }
+}
+
 static tl_table_reason_t derive(tl_lookup_t *lookup) {
     const tl_table_t *table = &lookup->table;
     const uint32_t range = (uint32_t)table->q_max - (uint32_t)table->q_min;
@@ -154,6 +171,9 @@ static tl_table_reason_t derive(tl_lookup_t *lookup) {
         const uint64_t phase_q48 = ((uint64_t)1 << 52) / (uint32_t)table->encoder.period_q12;
         lookup->phase = (uint32_t)(phase_q48 >> 16);
         lookup->phase_rest = (uint32_t)phase_q48 & 0xFFFFU;
+    }
+    if ((table->has & (uint32_t)TL_TABLE_HAS_pressed) != 0) {
+        derive_pressed(lookup);
     }
     if (table->nodes != 0) {
         derive_grid(lookup);

@@ -13,6 +13,11 @@
 #define MOST        (((int32_t)1 << 30) - 1)
 #define SHORT_MOST  (((int32_t)1 << 20) - 1) // that a factor may take
 #define COARSE_US   50000
+#define ALL_Q12     4096            // of what a side or the speed adds
+#define AGAIN_MOST  ((1 << 14) - 1) // Q8 counts of a tick: a product with 14 in Q12 is within 2^30
+#define GROWN_MOST  ((1 << 10) - 1) // of w in a tick, Q12: with what is late in Q4 a product within 2^30
+#define TURNED_MOST (TL_TABLE_POSITION_MAX + TL_TABLE_VALUE_MAX)
+#define BEFORE_MOST ((int32_t)1 << 24) // Q8 counts: 65536
 
 static TL_FAST inline uint32_t size_of(int32_t value) {
     return value < 0 ? 0U - (uint32_t)value : (uint32_t)value;
@@ -88,15 +93,27 @@ TL_FAST void tl_undo_load(tl_undo_t *undo, const tl_lookup_t *lookup, int32_t lo
 
 // -- before p* ---------------------------------------------------------------------------------------------------
 
-TL_FAST tl_deg_q16_t tl_undo_angle(tl_undo_t *undo, const tl_lookup_t *lookup, tl_deg_q16_t c) {
+TL_FAST void tl_undo_join(tl_undo_t *undo, const tl_lookup_t *lookup) {
     const tl_table_joints_t *joints = &lookup->table.joints;
+    int32_t angle = 0, before = 0;
     for (uint32_t i = 0; i < undo->joints; i++) {
         const int32_t at = undo->moved.joint[i], half = joints->play[i] / 2;
         const int32_t carried = tl_clamp(undo->carried[i], at - half, at + half);
-        const tl_factor_t slope = undo->slope_q28[i];
+        const tl_factor_t slope = undo->slope[i]; // in Q28 to deg Q16, in Q20 to Q8 counts
+        const int32_t moves = tl_clamp(carried >> 4, -SHORT_MOST, SHORT_MOST) * slope.value >> (16U - slope.log2);
         undo->carried[i] = carried;
-        c = tl_sub_sat(c, tl_clamp(carried >> 4, -SHORT_MOST, SHORT_MOST) * slope.value >> (16U - slope.log2));
+        if (slope.before) {
+            before = tl_add_sat(before, moves);
+        } else {
+            angle = tl_add_sat(angle, moves);
+        }
     }
+    undo->joined = angle;
+    undo->before = tl_clamp(before, -BEFORE_MOST, BEFORE_MOST);
+}
+
+TL_FAST tl_deg_q16_t tl_undo_angle(const tl_undo_t *undo, const tl_lookup_t *lookup, tl_deg_q16_t c) {
+    c = tl_sub_sat(c, undo->joined);
     const int32_t gain = undo->moved.gain.now;
     return gain == 0 ? c : tl_add_sat(c, times(tl_sub_sat(c, lookup->table.load.middle), gain, 23));
 }
@@ -135,6 +152,7 @@ static TL_FAST int32_t at(const int32_t *values, uint32_t x, int32_t step_log2) 
 TL_FAST void tl_undo_turned(tl_undo_t *undo, tl_count_q8_t p, int32_t side) {
     undo->side = side;
     undo->turned_at = p;
+    undo->caught = undo->followed = 0;
 }
 
 TL_FAST bool tl_undo_anew(tl_undo_t *undo, bool goes_on, bool still) {
@@ -147,13 +165,54 @@ TL_FAST bool tl_undo_anew(tl_undo_t *undo, bool goes_on, bool still) {
     return anew;
 }
 
-TL_FAST int32_t tl_undo_wider(const tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p) {
+// A part of x, 0 .. 2^24, of at most 15.
+static TL_FAST inline int32_t part_of(int32_t x, int32_t part_q12) {
+    return (x >> 12) * part_q12 + ((x & 0xFFF) * part_q12 >> 12);
+}
+
+// max(0, 1 + share (B / mean - 1)); beyond: B / mean - 1, at most 7.
+static TL_FAST inline int32_t part_at(int32_t beyond_q14, int32_t share_q16) {
+    const int32_t part = ALL_Q12 + (beyond_q14 * (share_q16 >> 4) >> 14);
+    return part < 0 ? 0 : part;
+}
+
+// Moves the turn, so that the travel from it is section 10's d, to where half of B and w are now: a side is late by
+// less where w is more, where the end that carries has gone beside p, and where w itself has grown. What was caught up
+// is a step of a fixed-point iteration, so a tick late, and more ticks where w is large; what is rounded of it is kept.
+static TL_FAST void follow(tl_undo_t *undo, const tl_lookup_t *lookup, int32_t half, int32_t sides_q12) {
+    const int32_t more = tl_clamp(undo->caught - undo->followed, 0, AGAIN_MOST) >> lookup->follows_log2;
+    const int32_t again_q12 = more * (undo->sides_q12 - ALL_Q12) + undo->follows_rest_q12;
+    const int32_t late_q4 = (lookup->table.sides.late[0] - undo->caught) >> 4;
+    const int32_t grown_q12 = tl_clamp(sides_q12 - undo->sides_q12, -GROWN_MOST, GROWN_MOST);
+    const int32_t ahead = half - undo->half + ((late_q4 * grown_q12 + 128) >> 8), way = (again_q12 >> 12) - ahead;
+    undo->followed += more;
+    undo->follows_rest_q12 = again_q12 & 0xFFF;
+    undo->turned_at = tl_clamp(undo->turned_at + (undo->side > 0 ? way : -way), -TURNED_MOST, TURNED_MOST);
+    undo->half = half;
+    undo->sides_q12 = sides_q12;
+}
+
+TL_FAST void tl_undo_weigh(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p) {
+    const tl_table_pressed_t *pressed = &lookup->table.pressed;
+    undo->wider = undo->extra;
+    if (HAS(lookup, pressed)) {
+        uint32_t ends = 0;
+        const int32_t width = tl_lookup_width(lookup, p, &ends);
+        const int32_t beyond_q14 = (int32_t)tl_scale((uint32_t)width, lookup->per_mean_q14) - (1 << 14);
+        follow(undo, lookup, width >> 1, part_at(beyond_q14, pressed->sides_q16));
+        undo->wider = part_of(undo->extra, part_at(beyond_q14, pressed->speed_q16));
+    }
+}
+
+TL_FAST int32_t tl_undo_wider(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p) {
     const tl_table_sides_t *sides = &lookup->table.sides;
     if (undo->side != sides->side || undo->side == 0) {
-        return undo->extra;
+        return undo->wider;
     }
     const int32_t travel = undo->side > 0 ? p - undo->turned_at : undo->turned_at - p;
-    return undo->extra + 2 * at(sides->late, travel > 0 ? (uint32_t)travel : 0, sides->step_log2);
+    const int32_t late = at(sides->late, travel > 0 ? (uint32_t)travel : 0, sides->step_log2);
+    undo->caught = sides->late[0] - late;
+    return undo->wider + 2 * part_of(late, undo->sides_q12);
 }
 
 // The motor's speed is p's but for the take-up, which is over before anything of it is seen.
@@ -161,6 +220,7 @@ TL_FAST void tl_undo_tick(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q
     const tl_table_speed_t *speed = &lookup->table.speed;
     const int32_t by = p - undo->p; // both within the range
     undo->p = p;
+    undo->by = by;
     approach(&undo->moved.offset);
     approach(&undo->moved.scale);
     approach(&undo->moved.gain);
@@ -205,7 +265,7 @@ static TL_FAST int32_t encoder_error(const tl_lookup_t *lookup, tl_count_q8_t x)
 }
 
 TL_FAST tl_count_q8_t tl_undo_reading(const tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t q) {
-    const tl_count_q8_t shaft = tl_sub_sat(q, undo->moved.offset.now >> 8);
+    const tl_count_q8_t shaft = tl_sub_sat(q, (undo->moved.offset.now >> 8) + undo->before);
     return HAS(lookup, encoder) ? shaft - encoder_error(lookup, shaft) : shaft;
 }
 
@@ -215,7 +275,7 @@ TL_FAST tl_count_q8_t tl_undo_pushing(const tl_undo_t *undo, const tl_lookup_t *
     for (uint32_t i = HAS(lookup, encoder) ? 0 : rounds; i < rounds; i++) {
         shaft = reading + encoder_error(lookup, shaft);
     }
-    return tl_add_sat(shaft, undo->moved.offset.now >> 8);
+    return tl_add_sat(shaft, (undo->moved.offset.now >> 8) + undo->before);
 }
 
 // -- beginning ---------------------------------------------------------------------------------------------------
@@ -224,7 +284,14 @@ static tl_factor_t factor_of(int32_t value, uint32_t log2_least) {
     const uint32_t bits = tl_bits(size_of(value));
     const uint32_t log2 = bits > 11U + log2_least ? bits - 11U : log2_least;
     const int32_t rounded = (int32_t)(((int64_t)value + ((int64_t)1 << log2 >> 1)) >> log2);
-    return (tl_factor_t){(int16_t)tl_clamp(rounded, -2047, 2047), (uint8_t)log2};
+    return (tl_factor_t){.value = (int16_t)tl_clamp(rounded, -2047, 2047), .log2 = (uint8_t)log2};
+}
+
+// Either the one or the other is 0.
+static tl_factor_t joint_of(int32_t slope_q28, int32_t before_q20) {
+    tl_factor_t factor = factor_of(before_q20 != 0 ? before_q20 : slope_q28, 0);
+    factor.before = before_q20 != 0;
+    return factor;
 }
 
 // A rest of `most` leads by 2^28 at most. After COARSE_US nothing is so steep that a sixteenth of a count matters.
@@ -254,7 +321,8 @@ void tl_undo_start(tl_undo_t *undo, const tl_lookup_t *lookup, uint32_t rate_hz)
     moved.offset.now = moved.offset.goal;
     moved.scale.now = moved.scale.goal;
     moved.gain.now = moved.gain.goal;
-    *undo = (tl_undo_t){.moved = moved, .rate_hz = (int32_t)rate_hz, .step_max = MOST / (int32_t)rate_hz};
+    *undo = (tl_undo_t){
+        .moved = moved, .sides_q12 = ALL_Q12, .rate_hz = (int32_t)rate_hz, .step_max = MOST / (int32_t)rate_hz};
     tl_follower_t *next = undo->late; // any place of the section may be free; of these the last ones are
     for (uint32_t i = 0; i < TL_TABLE_LATE_MAX; i++) {
         const int32_t time_us = table->late.time_us[i];
@@ -269,16 +337,18 @@ void tl_undo_start(tl_undo_t *undo, const tl_lookup_t *lookup, uint32_t rate_hz)
     for (uint32_t i = 0; i < TL_TABLE_JOINTS; i++) {
         undo->carried[i] = moved.joint[i];
         if (table->joints.axis[i] != 0) { // any place may be free, and its slope is nobody's
-            undo->slope_q28[i] = factor_of(table->joints.slope[i], 0);
+            undo->slope[i] = joint_of(table->joints.slope[i], table->before.slope_q20[i]);
             undo->joints = i + 1U;
         }
     }
+    tl_undo_join(undo, lookup);
     undo->active =
         (table->has & ~(uint32_t)TL_TABLE_HAS_adapt) != 0 || (moved.offset.now | moved.scale.now | moved.gain.now) != 0;
 }
 
 TL_FAST void tl_undo_rest(tl_undo_t *undo, tl_count_q8_t p) {
     undo->p = p;
+    undo->by = 0;
     for (uint32_t i = 0; i < TL_TABLE_LATE_MAX; i++) {
         undo->late[i].at = p;
         undo->late[i].more = (uint32_t)1 << 31; // half of a Q8 count: rests are rounded

@@ -7,6 +7,8 @@
 
 TL_FAST void tl_compensator_hear(tl_compensator_t *k, tl_deg_q16_t c) {
     k->angle = tl_undo_angle(&k->undo, k->lookup, c);
+    // Where p will be, if it goes on.
+    tl_undo_weigh(&k->undo, k->lookup, (int32_t)((uint32_t)k->undo.p + (uint32_t)k->undo.by));
 }
 
 TL_FAST void tl_undoing_feed(tl_compensator_t *k) {

@@ -42,8 +42,8 @@ void tl_undo_load(tl_undo_t *undo, const tl_lookup_t *lookup, int32_t load, uint
     assigns *undo \from *undo, *lookup, p; */
 void tl_undo_tick(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p);
 
-/*@ requires \valid(undo) && \valid_read(lookup); assigns *undo, \result \from *undo, *lookup, c; */
-tl_deg_q16_t tl_undo_angle(tl_undo_t *undo, const tl_lookup_t *lookup, tl_deg_q16_t c);
+/*@ requires \valid_read(undo) && \valid_read(lookup); assigns \result \from *undo, *lookup, c; */
+tl_deg_q16_t tl_undo_angle(const tl_undo_t *undo, const tl_lookup_t *lookup, tl_deg_q16_t c);
 
 /*@ requires \valid(undo); requires -TL_TABLE_VALUE_MAX <= p <= TL_TABLE_VALUE_MAX; assigns *undo, \result \from *undo,
    p; ensures -TL_TABLE_VALUE_MAX <= \result <= TL_TABLE_VALUE_MAX; */
@@ -57,9 +57,14 @@ void tl_undo_turned(tl_undo_t *undo, tl_count_q8_t p, int32_t side);
     ensures \result == 0 || \result == 1; ensures undo->active == 0 || undo->active == 1; */
 bool tl_undo_anew(tl_undo_t *undo, bool goes_on, bool still);
 
-/*@ requires \valid_read(undo) && \valid_read(lookup); requires -TL_TABLE_VALUE_MAX <= p <= TL_TABLE_VALUE_MAX;
-    assigns \result \from *undo, *lookup, p; ensures 0 <= \result <= 3 * 0x1000000; */
-int32_t tl_undo_wider(const tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p);
+/*@ requires \valid(undo) && \valid_read(lookup); assigns *undo \from *undo, *lookup, p;
+    ensures undo->active == 0 || undo->active == 1; */
+void tl_undo_weigh(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p);
+
+/*@ requires \valid(undo) && \valid_read(lookup); requires -TL_TABLE_VALUE_MAX <= p <= TL_TABLE_VALUE_MAX;
+    assigns *undo, \result \from *undo, *lookup, p; ensures 0 <= \result <= 3 * 0x1000000;
+    ensures undo->active == 0 || undo->active == 1; */
+int32_t tl_undo_wider(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p);
 
 /*@ requires \valid_read(undo); requires -0x3FFFFFFF <= width <= 0x3FFFFFFF; assigns \result \from *undo, width;
     ensures 0 <= width ==> 0 <= \result <= 2 * width; ensures width <= 0 ==> 2 * width <= \result <= 0; */
@@ -71,7 +76,7 @@ tl_count_q8_t tl_undo_reading(const tl_undo_t *undo, const tl_lookup_t *lookup, 
 
 /*@ requires \valid_read(undo) && \valid_read(lookup); requires -0x50000000 <= reading <= 0x50000000;
     assigns \result \from *undo, *lookup, reading, rounds;
-    ensures reading - 0x480000 <= \result <= reading + 0x480000; */
+    ensures reading - 0x1480000 <= \result <= reading + 0x1480000; */
 tl_count_q8_t tl_undo_pushing(const tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t reading, uint32_t rounds);
 
 #if SEVERAL

@@ -5,6 +5,11 @@
 /*@ assigns \result \from turn; ensures -40000 <= \result <= 40000; */
 static int32_t sine(uint32_t turn); // proof sine
 
+#include "../lookups.h"
+
+/*@ assigns \result \from x, ratio.mantissa, ratio.shift; ensures \result <= 8 << 14; */
+static uint32_t tl_scale(uint32_t x, tl_scale_t ratio); // of B: proof fixed, and B is at most eight means (is_pressed)
+
 #include "../../../firmware/estimator/src/tl_undo.c"
 
 #define ANY()          Frama_C_int_interval(INT32_MIN, INT32_MAX)
@@ -67,11 +72,15 @@ static void any_table(void) {
         t->joints.axis[i] = FROM(0, (int32_t)TL_TABLE_AXES);
         t->joints.play[i] = FROM(0, 1 << 24);
         t->joints.slope[i] = WITHIN((1 << 26) - 1);
+        t->before.slope_q20[i] = WITHIN((1 << 26) - 1);
     }
     t->adapt.offset = FROM(0, TL_TABLE_ADAPT_OFFSET_MAX);
     t->adapt.width_least_q15 = FROM(0, TL_RATIO_ONE);
     t->adapt.width_most_q15 = FROM(TL_RATIO_ONE, 2 * TL_RATIO_ONE);
     t->anew.rest_us = FROM(0, 10000000);
+    t->pressed.sides_q16 = FROM(0, 2 << 16);
+    t->pressed.speed_q16 = FROM(0, 2 << 16);
+    lookup.follows_log2 = Frama_C_unsigned_int_interval(0, 4);
 }
 
 static void any_followers(void) {
@@ -106,8 +115,17 @@ static void any_undo(void) {
     //@ loop unroll 3;
     for (unsigned i = 0; i < TL_TABLE_JOINTS; i++) {
         undo.carried[i] = ANY();
-        undo.slope_q28[i] = (tl_factor_t){(int16_t)WITHIN(2047), (uint8_t)FROM(0, 15)};
+        undo.slope[i] = (tl_factor_t){(int16_t)WITHIN(2047), (uint8_t)FROM(0, 15), (bool)Frama_C_nondet(0, 1)};
     }
+    undo.joined = ANY();
+    undo.before = WITHIN(1 << 24);
+    undo.wider = FROM(0, 1 << 24);
+    undo.by = WITHIN(2 * TL_TABLE_POSITION_MAX);
+    undo.caught = FROM(0, 1 << 24);
+    undo.followed = FROM(0, 1 << 24);
+    undo.follows_rest_q12 = FROM(0, 4095);
+    undo.half = FROM(0, TL_TABLE_WIDTH_MAX / 2);
+    undo.sides_q12 = FROM(0, 15 << 12);
     undo.joints = Frama_C_unsigned_int_interval(0, TL_TABLE_JOINTS);
 }
 
@@ -129,10 +147,13 @@ int main(void) {
     for (int32_t log2 = 0; log2 <= 22; log2++) {
         lookup.table.sides.step_log2 = lookup.table.speed.step_log2 = log2;
         any_undo();
+        tl_undo_weigh(&undo, &lookup, ANY());
+        any_undo();
         tl_undo_wider(&undo, &lookup, PLACE());
         tl_undo_tick(&undo, &lookup, PLACE());
     }
     any_undo();
+    tl_undo_join(&undo, &lookup);
     tl_undo_angle(&undo, &lookup, ANY());
     tl_undo_late(&undo, PLACE());
     any_undo();

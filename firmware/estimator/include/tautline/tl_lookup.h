@@ -65,6 +65,9 @@ typedef struct {
     tl_element_t element[TL_TABLE_PLAYS_MAX];
     tl_lookup_end_t end[2]; ///< beyond the first and the last node
     uint32_t phase_rest;    ///< of `phase`, 16 bits more
+    // Of section 10:
+    tl_scale_t per_mean_q14; ///< of B: what it is of the mean
+    uint32_t follows_log2;   ///< a tick goes 2^-follows_log2 of the way that a side's turn is moved (tl_undo.c)
 } tl_lookup_t;
 
 /// Decodes, checks and derives. On any reason but TL_TABLE_OK `lookup` must not be used.

@@ -1,6 +1,6 @@
-/// What a table's sections 2 to 9 undo (tl_table.h) beside the play and the curve, at each place of the inverse
+/// What a table's sections 2 to 11 undo (tl_table.h) beside the play and the curve, at each place of the inverse
 ///
-///     c* -> joints, load -> f^-1 -> late -> p* -> B(p*) by load, speed, side -> offset, encoder -> q*
+///     c* -> joints, load -> f^-1 -> late -> p* -> B(p*) by load, speed, side -> offset, joints, encoder -> q*
 ///
 /// and how the table may be moved while it is in use: an offset and a scale of B go to where they are told along a
 /// straight line of time, at most half a count a tick, so that nothing jumps. A load is told and followed in the same
@@ -8,8 +8,9 @@
 ///
 /// The compensator calls what is below, once a tick each, where its table has any of these sections or was moved.
 /// O(1); no division and no 64-bit product but in tl_undo_start(), tl_undo_adapt() and tl_undo_load(), which are the
-/// task's. On a Cortex-M0+ at most 480 cycles before p*, 200 for the width, 100 for whether a side begins, 160 for the
-/// encoder. Memory: 216 bytes.
+/// task's. On a Cortex-M0+ at most 165 cycles for the angle and 375 for what is late, before p*; 360 for what is
+/// pressed, 175 for what is added to the width and 100 to scale it, 25 for whether a side begins, 200 for what is
+/// handed out, 275 for the tick; and 300 once a millisecond for other axes. Memory: 252 bytes.
 #ifndef TAUTLINE_TL_UNDO_H
 #define TAUTLINE_TL_UNDO_H
 
@@ -38,6 +39,7 @@ typedef struct {
 typedef struct {
     int16_t value;
     uint8_t log2;
+    bool before; ///< of another axis: it moves the motor before the play
 } tl_factor_t;
 
 /// What follows p in first order, and leads it: Q8 with 32 bits more. Rests are taken `coarse` bits shorter where the
@@ -55,17 +57,26 @@ typedef struct {
     tl_moved_t moved;
     tl_follower_t late[TL_TABLE_LATE_MAX];
     int32_t speed_q8; ///< of p, filtered, counts/s
-    int32_t extra;    ///< width at that speed
+    int32_t extra;    ///< width at that speed,
+    int32_t wider;    ///< and what of it there is at this place
     uint32_t speed_share_q16;
-    int32_t rate_hz, step_max;              ///< Q8 counts a tick that are a speed still
-    tl_count_q8_t p;                        ///< of the last tick
-    int32_t side;                           ///< that the motor pushes on since it last turned
-    tl_count_q8_t turned_at;                ///< where p turned, or went on after a rest
-    uint32_t rest_ticks;                    ///< that p has to rest for the side to begin anew; 0: it never does
-    uint32_t awaits;                        ///< of these, how many are still to come
+    int32_t rate_hz, step_max; ///< Q8 counts a tick that are a speed still
+    tl_count_q8_t p;           ///< of the last tick
+    tl_count_q8_t by;          ///< and how far it went in that
+    int32_t side;              ///< that the motor pushes on since it last turned
+    tl_count_q8_t turned_at;   ///< where p turned, or went on after a rest, as far as section 10 has moved that
+    int32_t caught;            ///< by so much less is that side late since,
+    int32_t followed;          ///< which has moved turned_at as far as to here,
+    int32_t follows_rest_q12;  ///< but for this part of a Q8 count
+    int32_t half;              ///< B / 2 where that was last,
+    int32_t sides_q12;         ///< and the part of what is late that is there at this place
+    uint32_t rest_ticks;       ///< that p has to rest for the side to begin anew; 0: it never does
+    uint32_t awaits;           ///< of these, how many are still to come
     tl_count_q8_t carried[TL_TABLE_JOINTS]; ///< where other axes have carried the tip,
-    tl_factor_t slope_q28[TL_TABLE_JOINTS]; ///< by so much for each count; 0 where section 7 names none,
-    uint32_t joints;                        ///< and the last that it names
+    tl_factor_t slope[TL_TABLE_JOINTS];     ///< by so much for each count: deg Q28, or counts before the play Q20,
+    uint32_t joints;                        ///< and the last that section 7 names
+    tl_deg_q16_t joined;                    ///< what all of them come to behind the play,
+    tl_count_q8_t before;                   ///< and before it
 } tl_undo_t;
 
 /// Begins, with `moved` as it is at the end of its way. tl_undo_rest(): the tip rests at p.
@@ -86,8 +97,12 @@ void tl_undo_load(tl_undo_t *undo, const tl_lookup_t *lookup, int32_t load, uint
 /// The tick of the ramps, and of the speed: p has moved to `p` since the last.
 void tl_undo_tick(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p);
 
+/// Other axes have moved: `moved.joint` says where they are. Once a millisecond or more often, after the start, whether
+/// the compensator undoes or not: what they move before the play the forward play has to know.
+void tl_undo_join(tl_undo_t *undo, const tl_lookup_t *lookup);
+
 /// The angle that f has to give for c.
-tl_deg_q16_t tl_undo_angle(tl_undo_t *undo, const tl_lookup_t *lookup, tl_deg_q16_t c);
+tl_deg_q16_t tl_undo_angle(const tl_undo_t *undo, const tl_lookup_t *lookup, tl_deg_q16_t c);
 
 /// Where p has to be for the tip to be where p would have it, were nothing late.
 tl_count_q8_t tl_undo_late(tl_undo_t *undo, tl_count_q8_t p);
@@ -100,8 +115,11 @@ void tl_undo_turned(tl_undo_t *undo, tl_count_q8_t p, int32_t side);
 /// side begins anew, as tl_undo_turned() then says. Slower than 1/256 count in that time is rest.
 bool tl_undo_anew(tl_undo_t *undo, bool goes_on, bool still);
 
+/// Once a tick before tl_undo_wider(): how much of that there is where p will then be.
+void tl_undo_weigh(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p);
+
 /// What is to be added to the width at p on the side that pushes.
-int32_t tl_undo_wider(const tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p);
+int32_t tl_undo_wider(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p);
 
 /// A width as it now is.
 int32_t tl_undo_scaled(const tl_undo_t *undo, int32_t width);
