@@ -60,7 +60,8 @@ class VideoCamera(Closable):
         self, source: int | str | Path, *, size: tuple[int, int] | None = None, rate_hz: float | None = None
     ) -> None:
         """Opens the source: a device's number or path, a file, a stream's address or a GStreamer pipeline. size (width,
-        height) and rate are asked of a device, which may choose others. TautError where OpenCV cannot open it."""
+        height), px, and rate_hz are asked of a device, which may choose others. TautError where OpenCV cannot open
+        it."""
         self.name = f"camera {source}" if isinstance(source, int) else str(source)
         self._file = not isinstance(source, int) and Path(source).is_file()
         pipeline = not isinstance(source, int) and " ! " in str(source)
@@ -237,6 +238,7 @@ class SimulatedCamera:
         self._frames = (timing or FrameTiming.of(endoscope.rig)).frames()
         self._next = next(self._frames)
         half = 0.5 * endoscope.look.exposure_s
+        # Times, s from the exposure's middle, whose pictures a frame is the mean of.
         self._exposure = np.linspace(-half, half, _EXPOSURE_SAMPLES) if half > 0 else np.zeros(1)
 
     @property
@@ -251,9 +253,9 @@ class SimulatedCamera:
 
     def read(self) -> tuple[Array, float]:
         """The next frame, BGR (height, width, 3) uint8, and when it arrives, s of the simulation."""
-        scene, arrival = self._next
+        scene_s, arrival_s = self._next
         self._next = next(self._frames)
-        return self._endoscope.frame(*self._scene(scene + self._exposure)), arrival
+        return self._endoscope.frame(*self._scene(scene_s + self._exposure)), arrival_s
 
     def close(self) -> None:
         """Nothing is held."""
