@@ -68,10 +68,12 @@ class Dynamixel(SerialServos):
         low, high = (self.read(number, _LOW), self.read(number, _HIGH)) if mode == 3 else (-_EXTENDED, _EXTENDED)
         speed = self.read(number, _VELOCITY_LIMIT) * _COUNTS_PER_SPEED
         acceleration = self.read(number, _ACCELERATION_LIMIT) * _COUNTS_PER_ACCELERATION
-        unit = self._unit_ma[number] = 0.0 if model in _NO_CURRENT else _MA.get(model, _MA_OTHERS)
-        current = self.read(number, _CURRENT_LIMIT) * unit if unit else 0.0
-        limits = DriveLimits(low, high, speed, min(acceleration or np.inf, STARTS * speed), current)
-        return Drive(number, f"model {model}", str(self.read(number, _FIRMWARE)), _COUNTS_PER_TURN, limits, True)
+        unit_ma = self._unit_ma[number] = 0.0 if model in _NO_CURRENT else _MA.get(model, _MA_OTHERS)
+        current_ma = self.read(number, _CURRENT_LIMIT) * unit_ma if unit_ma else 0.0
+        acceleration = min(acceleration or np.inf, STARTS * speed)  # 0: the servo limits none
+        limits = DriveLimits(low, high, speed, acceleration, current_ma)
+        firmware = str(self.read(number, _FIRMWARE))
+        return Drive(number, f"model {model}", firmware, _COUNTS_PER_TURN, limits, referenced=True)
 
     def measure(self) -> list[Measured]:
         """Positions of all servos by one sync read. Every _ASK_ERRORS cycles one servo, the next one each time, is also

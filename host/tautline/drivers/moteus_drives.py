@@ -150,7 +150,7 @@ class Moteus:
     def close(self) -> None:
         """Closes the bus; controllers stop by their watchdog."""
         self._transport.close()
-        self._loop.run_until_complete(asyncio.sleep(0))
+        self._loop.run_until_complete(asyncio.sleep(0))  # lets what close() has scheduled happen
         self._loop.close()
 
 

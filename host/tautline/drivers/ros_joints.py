@@ -63,9 +63,9 @@ class RosJoints:
         """Subscribes to the topic `states`, publishes on `commands`, waits until both have a partner, and finds what
         the joints are (`drives`). TautError that says which is missing."""
         description = self._subscribe(states)
-        where = "are they of this machine, of the same $ROS_DOMAIN_ID, and active?"
-        self._find_joints(states, where)
-        self._kind = self._command_type(commands, where)
+        advice = "are they of this machine, of the same $ROS_DOMAIN_ID, and active?"
+        self._find_joints(states, advice)
+        self._kind = self._command_type(commands, advice)
         self._commands = self._graph.node.create_publisher(self._message_type(), commands, 10)
         self._wait_for(lambda: self._commands.get_subscription_count() > 0, _FIRST_S)
         self._positions = [math.nan for _ in self._names]
@@ -87,9 +87,9 @@ class RosJoints:
         self._graph.begin()
         return description
 
-    def _find_joints(self, states: str, where: str) -> None:
-        """Waits for a joint state that has all our joints. TautError that says what came instead; `where` is appended
-        as advice if nothing came."""
+    def _find_joints(self, states: str, advice: str) -> None:
+        """Waits for a joint state that has all our joints. TautError that says what came instead; `advice` is appended
+        if nothing came."""
         if not self._wait_for(lambda: self._newest is not None, _FIRST_S):
             missing = ", ".join(name for name in self._names if name not in self._other_joints)
             if self._other_joints and missing:
@@ -99,7 +99,7 @@ class RosJoints:
             if self._other_joints:
                 ours = ", ".join(self._names)
                 raise TautError(f"ros: no message on {states} has positions of {ours}: name joints of one broadcaster")
-            raise TautError(f"ros: no joint states came on {states}: {where}")
+            raise TautError(f"ros: no joint states came on {states}: {advice}")
 
     def _read_description(self, topic: str) -> dict[str, dict[str, str]]:
         """Type and limits by joint (see `_joints_of_description`) from the robot's description on `topic`, waiting
@@ -115,9 +115,9 @@ class RosJoints:
                 raise TautError(f"ros: {topic} has no joint {name}: check its name")
         return described
 
-    def _command_type(self, commands: str, where: str) -> str:
+    def _command_type(self, commands: str, advice: str) -> str:
         """The message type, _ARRAY or _STATE, that subscribers of the topic `commands` take; _ARRAY where they take
-        both. TautError where nobody subscribes within _FIRST_S (`where` is appended as advice), or to neither."""
+        both. TautError where nobody subscribes within _FIRST_S (`advice` is appended), or to neither."""
         node = self._graph.node
         topic = self._graph.topic(commands)
 
@@ -126,7 +126,7 @@ class RosJoints:
             return {info.topic_type for info in node.get_subscriptions_info_by_topic(topic)}
 
         if not self._wait_for(lambda: bool(kinds()), _FIRST_S):
-            raise TautError(f"ros: nobody takes set-points on {commands}: {where}")
+            raise TautError(f"ros: nobody takes set-points on {commands}: {advice}")
         found = kinds() & {_ARRAY, _STATE}
         if not found:
             raise TautError(f"ros: {commands} takes {', '.join(sorted(kinds()))}: name one of {_ARRAY} or {_STATE}")
