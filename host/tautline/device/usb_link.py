@@ -93,7 +93,8 @@ def _board_address(device: usb.core.Device, where: str, serial: str | None) -> B
     """The BoardAddress of a USB device that was found. where: its address; serial: None marks it as busy. Its bcdDevice
     is the version of the protocol that it speaks, major and minor."""
     protocol = (device.bcdDevice >> 8, device.bcdDevice & 0xFF)
-    return BoardAddress(where, serial, serial is None, protocol, lambda: UsbLink(device, where))
+    busy_or_forbidden = serial is None
+    return BoardAddress(where, serial, busy=busy_or_forbidden, protocol=protocol, open=lambda: UsbLink(device, where))
 
 
 def _serial_number(device: usb.core.Device) -> str | None:

@@ -19,9 +19,11 @@ from dataclasses import dataclass, field
 VERSION = 0x0111
 _OP_DEVLIST, _OP_IMPORT = 0x8005, 0x8003
 _CMD_SUBMIT, _CMD_UNLINK, _RET_SUBMIT, _RET_UNLINK = 1, 2, 3, 4
-_OP = struct.Struct(">HHI")
+_OP = struct.Struct(">HHI")  # version, code, status
 _DEVICE = struct.Struct(">256s32sIIIHHHBBBBBB")  # path, busid, bus, device, speed, ids, bcdDevice, class, configuration
-_URB = struct.Struct(">IIIIIiiiii8s")  # basic header; five integers and set-up packet of SUBMIT and RET_SUBMIT
+# Header: command, seqnum, devid, direction, endpoint; then of SUBMIT flags, length, start frame, packets, interval and
+# set-up packet, of RET_SUBMIT status, actual length and more, of UNLINK the seqnum that it ends.
+_URB = struct.Struct(">IIIIIiiiii8s")
 _CONNECT_S = 3.0
 _UNLINK_S = 1.0
 
@@ -54,9 +56,12 @@ class Exported:
         port: of the server."""
         _, busid, bus, device, speed, vendor, product, release, *classes_and_counts = _DEVICE.unpack(raw)
         *device_class, configuration, configurations, interfaces = classes_and_counts
-        name = busid.split(b"\0", 1)[0].decode("ascii", "replace")
-        numbers = (bus, device, speed, vendor, product, release, tuple(device_class), configuration, configurations)
-        return cls(host, port, name, *numbers), interfaces
+        entry = cls(
+            host=host, port=port, busid=busid.split(b"\0", 1)[0].decode("ascii", "replace"), bus=bus, device=device,
+            speed=speed, vendor=vendor, product=product, release=release, device_class=tuple(device_class),
+            configuration=configuration, configurations=configurations,
+        )  # fmt: skip
+        return entry, interfaces
 
 
 def _receive(sock: socket.socket, size: int) -> bytes:
@@ -187,7 +192,7 @@ class Connection:
             self._pending[urb.seqnum] = urb
         header = _URB.pack(
             *(_CMD_SUBMIT, urb.seqnum, self.device.devid, int(reading), urb.endpoint),
-            *(0, size, 0, 0, 0),
+            *(0, size, 0, 0, 0),  # no flags; the last three are of isochronous and interrupt transfers alone
             setup,
         )
         self._send(header + (data or b""))
@@ -258,7 +263,7 @@ class Connection:
             if not poll.poll(None if timeout_s is None else max(timeout_s, 0.0) * 1000.0):
                 return []
             chunk = self._socket.recv(1 << 18)
-        except BlockingIOError:
+        except BlockingIOError:  # nothing there after all
             return []
         except (OSError, ValueError):
             chunk = b""

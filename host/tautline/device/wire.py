@@ -118,7 +118,7 @@ def code(list_name: str, name: str) -> int:
 
 def name(list_name: str, number: int) -> str:
     """The name of a number in one of tl_wire.h's lists, the number itself where this version does not know it."""
-    return next((name for name, (value, _) in getattr(wire, list_name).items() if value == number), str(number))
+    return next((each for each, (value, _) in getattr(wire, list_name).items() if value == number), str(number))
 
 
 def text(list_name: str, number: int) -> str:
@@ -134,8 +134,8 @@ def fault(status: Message) -> str:
     return fault_text(status.fault, status.fault_value) if status.fault else ""
 
 
-def fault_name(status: Message) -> str | None:
-    """The name, as of TL_WIRE_FAULTS, of the fault in a status; None where there is none."""
+def fault_meaning(status: Message) -> str | None:
+    """The text in TL_WIRE_FAULTS of the fault in a status, without the measured value; None where there is none."""
     return text("FAULTS", status.fault) if status.fault else None
 
 
