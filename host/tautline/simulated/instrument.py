@@ -101,7 +101,8 @@ class Instrument:
         return InstrumentPath(p, self.bend(p), np.zeros_like(p))
 
     def see(self, c_deg: Array, way: Array, translation_mm: Array | float, rotation_deg: Array | float) -> Array:
-        """Where the marker is seen (n, 2), px; `way` as in InstrumentPath, without part in it here."""
+        """Where the marker is seen (n, 2), px, at bending angles c_deg (n,); translation_mm, rotation_deg: (n,) or one
+        number. way: as in InstrumentPath, which has no part in it here."""
         return project(self.rig, c_deg, translation_mm, rotation_deg)
 
     def backlash(self, p: Array) -> Array:
@@ -180,12 +181,15 @@ def of_name(name: str, rig: Rig | None = None, seed: int = 0) -> Instrument:
 def reference_rig() -> Rig:
     """A flexible instrument seen by the endoscope that carries it: 5 mm of cable, 60 deg to either side."""
     return Rig(
-        Actuator("mm", (-5.0, 5.0), 0.001),
-        Coarse(12.0, 0.0),
+        Actuator(unit="mm", range=(-5.0, 5.0), encoder_resolution=0.001),
+        Coarse(gain=12.0, offset=0.0),
         Kinematics(bending_length_mm=18.0, tip_length_mm=6.0),
-        Camera(720, 576, 520.0, 520.0, 360.0, 288.0, (0.0, 0.0, 0.0, 0.0, 0.0), frame_rate_hz=25.0, delay_s=0.080),
+        Camera(
+            width_px=720, height_px=576, fx_px=520.0, fy_px=520.0, cx_px=360.0, cy_px=288.0,
+            distortion=(0.0, 0.0, 0.0, 0.0, 0.0), frame_rate_hz=25.0, delay_s=0.080,
+        ),
         HandEye(rotation_deg=(4.0, -3.0, 2.0), translation_mm=(-4.0, 5.0, 14.0)),
-    )
+    )  # fmt: skip
 
 
 class _Scale:
@@ -261,13 +265,13 @@ def _random(rig: Rig, seed: int) -> Instrument:
     """B with two to four bumps, |B'| <= 1.2; f_remain with one to three dead or lively zones, slope 0.25 to 1.6 of
     f_coarse's; all drawn by the seed, numbers in half ranges."""
     rng = np.random.default_rng([seed, 0x1457])  # any number: other draws of this seed are independent
-    count = rng.integers([2, 1], [5, 4])
+    count = rng.integers([2, 1], [5, 4])  # of bumps and of zones; below, (centre, spread, height) of each
     bumps = [(rng.uniform(-0.9, 0.9), rng.uniform(0.12, 0.5), rng.uniform(-0.6, 1.0)) for _ in range(count[0])]
     zones = [(rng.uniform(-0.8, 0.8), rng.uniform(0.1, 0.4), rng.uniform(-0.25, 0.15)) for _ in range(count[1])]
     level, size, slope = rng.uniform(0.03, 0.15), rng.uniform(0.02, 0.08), rng.uniform(0.8, 1.1)
     x = np.linspace(-2.2, 2.2, 4401)
-    size = min(size, 1.2 / np.abs(np.gradient(_sum(_bump, x, bumps), x)).max())
-    depth = min(1.0, (slope - 0.25) / max(-_sum(_bump, x, zones).min(), 1e-9))
+    size = min(size, 1.2 / np.abs(np.gradient(_sum(_bump, x, bumps), x)).max())  # |B'| <= 1.2
+    depth = min(1.0, (slope - 0.25) / max(-_sum(_bump, x, zones).min(), 1e-9))  # f_remain's slope >= 0.25
     return _Scale(rig).instrument(
         f"random-{seed}",
         lambda x: np.maximum(0.01, level + size * _sum(_bump, x, bumps)),

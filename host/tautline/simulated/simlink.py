@@ -142,7 +142,7 @@ class DesktopBoard(Closable):
         self.where = f"{prefix}:127.0.0.1:{self.ports[line]}"
 
     def link(self) -> SimLink:
-        """A new sim link to it, the caller's to close."""
+        """A new sim link to the board, which the caller closes."""
         return SimLink(self.ports["sim"])
 
     def close(self) -> None:
@@ -163,15 +163,16 @@ class SimulatedAxis:
         since the board was switched on."""
         self.link, self.instrument, self.axis = link, instrument, axis
         self.resolution = instrument.rig.actuator.encoder_resolution
+        # A part (n,) for each advance: s, q and p in the rig's unit, deg, and `way` of InstrumentPath.
         self._t: list[Array] = []
         self._q: list[Array] = []
         self._p: list[Array] = []
         self._c: list[Array] = []
         self._way: list[Array] = []
-        self._ends: tuple[float, float] | None = None
+        self._ends: tuple[float, float] | None = None  # of the motor, the rig's unit; None: it has none
         instrument.reset()
         state = link.ask("state")
-        self._boot_us = state["t_us"] - state["board_us"]
+        self._boot_us = state["t_us"] - state["board_us"]  # the simulation's time when the board was switched on
         self._append(np.array([state["board_us"] * 1e-6]), np.array([state["q"][axis]]) * self.resolution / _Q8)
 
     def _append(self, t_s: Array, q: Array) -> None:
@@ -211,8 +212,8 @@ class SimulatedAxis:
         self.link.ask(f"inject {self.axis} {'blocked' if held else 'well'}")
 
     def _advance(self, us: int) -> None:
-        """Lets the board run for so many microseconds and moves the instrument along. It answers with the motor's
-        positions, 1/256 counts, at each millisecond since the last answer, the last one now."""
+        """Lets the board run for so many microseconds and moves the instrument along. The board answers with the
+        motor's positions, 1/256 counts, at each millisecond since the last answer, the last one now."""
         answer = self.link.ask(f"advance {us}")
         q = np.asarray(answer["q"][self.axis], dtype=np.float64) * self.resolution / _Q8
         step = answer["dt_us"]

@@ -140,7 +140,7 @@ def run(
     angle_t = np.arange(0.0, end, 1 / 250.0)
 
     # Over all the times that anyone looks at: what a frame shows between two encoder samples is exact too.
-    every = np.unique(np.concatenate([t, scene, angle_t]))
+    every = np.unique(np.concatenate([t, scene, angle_t]))  # s; p and c below are at these times
     instrument.reset(start_p)
     at_every = (None if x is None else np.interp(every, t, x) for x in others)
     course = instrument.course(every, np.interp(every, t, trajectory.q), *at_every)
@@ -148,23 +148,30 @@ def run(
 
     marker = angle = None
     if rig.has_camera:
-        at = np.searchsorted(every, scene)
+        at_frames = np.searchsorted(every, scene)
         translation, rotation = (0.0 if x is None else np.interp(scene, t, x) for x in others)
-        image = instrument.see(c[at], course.way[at], translation, rotation) + rng.normal(0.0, noise_px, (len(at), 2))
+        image = instrument.see(c[at_frames], course.way[at_frames], translation, rotation)
+        image = image + rng.normal(0.0, noise_px, image.shape)
         camera = rig.camera
         assert camera is not None  # has_camera
         inside = np.all((image >= 0) & (image <= [camera.width_px - 1, camera.height_px - 1]), axis=1)
-        seen = np.where(inside[:, None], image, np.nan)
-        marker = Marker(arrival, seen[:, 0], seen[:, 1], inside, np.full(len(at), noise_px))
+        u, v = np.where(inside[:, None], image, np.nan).T
+        marker = Marker(arrival, u, v, valid=inside, sigma_px=np.full(len(u), noise_px))
     if angle_noise_deg is not None or not rig.has_camera:
-        at = np.searchsorted(every, angle_t)
-        angle = Angle(angle_t, c[at] + rng.normal(0.0, angle_noise_deg or 0.0, len(at)))
+        at_angles = np.searchsorted(every, angle_t)
+        angle = Angle(angle_t, c[at_angles] + rng.normal(0.0, angle_noise_deg or 0.0, len(at_angles)))
 
     resolution = rig.actuator.encoder_resolution
-    motor = Motor(t, np.round(trajectory.q / resolution) * resolution, trajectory.q, *others)
-    at = np.searchsorted(every, t)
+    translation_mm, rotation_deg = others
+    motor = Motor(
+        t, np.round(trajectory.q / resolution) * resolution, q_cmd=trajectory.q, translation_mm=translation_mm,
+        rotation_deg=rotation_deg,
+    )  # fmt: skip
+    at_motor = np.searchsorted(every, t)
     recording = Recording(name, motor, marker, angle, rig=rig)
-    return Simulation(recording, instrument, t, p[at], c[at], scene, timing)
+    return Simulation(
+        recording, instrument, t_s=t, p=p[at_motor], c_deg=c[at_motor], scene_s=scene, timing=timing
+    )  # fmt: skip
 
 
 def simulate(rig: Rig, instrument: Instrument, trajectory: Trajectory, **options: Any) -> Recording:
