@@ -186,8 +186,8 @@ def population(curves: Curves, of_next: bool = False) -> Population:
         training, test = curves.of(np.flatnonzero(~left_out)), curves.of(np.flatnonzero(left_out))
         fitted = {freedom: _fit_mean_and_scatter(training, freedom) for freedom in tails}
         for i, (length, worth, freedom) in enumerate(choices):
-            known = _shrink_scatter(*fitted[freedom], training, length, worth, freedom)
-            score[i] += float(test.weight @ known.log_density(test))
+            candidate = _shrink_scatter(*fitted[freedom], training, length, worth, freedom)
+            score[i] += float(test.weight @ candidate.log_density(test))
     length, worth, freedom = choices[int(np.argmax(score))]
     return _shrink_scatter(*_fit_mean_and_scatter(curves, freedom), curves, length, worth, freedom)
 
@@ -207,13 +207,14 @@ def single(curves: Curves) -> Population:
             pulls = weight * (freedom + 1.0) / (freedom + (value - mean[:, None]) ** 2 / total) / total
             mean = (pulls @ value) / pulls.sum(axis=1)
         means[i], mean_variances[i] = mean, 1.0 / (weight / total).sum(axis=1)
-        density = _log_student((value - mean[:, None]) ** 2 / total, 1.0, freedom) - 0.5 * np.log(total)
-        log_evidence[i] = density @ weight + 0.5 * np.log(mean_variances[i])
+        log_density = _log_student((value - mean[:, None]) ** 2 / total, 1.0, freedom) - 0.5 * np.log(total)
+        # equation: the mean integrated out, by Laplace
+        log_evidence[i] = log_density @ weight + 0.5 * np.log(mean_variances[i])
     probability = np.exp(log_evidence - log_evidence.max())
     probability /= probability.sum()
     usual = float(np.sum(probability * means))
     scale = float(np.sum(probability * (spreads[:, 0] ** 2 + mean_variances + (means - usual) ** 2)))
-    return Population(curves.q, np.array([usual]), np.array([[scale]]), _TAILS[0])
+    return Population(curves.q, np.array([usual]), np.array([[scale]]), _TAILS[0])  # the next robot's tail is heavy
 
 
 def _fit_mean_and_scatter(curves: Curves, freedom: float) -> tuple[Array, Array]:
@@ -223,9 +224,8 @@ def _fit_mean_and_scatter(curves: Curves, freedom: float) -> tuple[Array, Array]
     known = 1.0 / curves.sigma**2
     mean = np.sum(known * curves.value, axis=0) / np.sum(known, axis=0)
     scale = _kernel(curves, mean, _LENGTHS[1])
-    mean = _smoothed_mean(
-        mean, scale, 1.0 / np.sum(known, axis=0)
-    )  # where nobody tells it goes on from where somebody does
+    # At places of which no session says anything the mean goes on from its neighbours.
+    mean = _smoothed_mean(mean, scale, 1.0 / np.sum(known, axis=0))
     size = curves.dimensions
     for _ in range(_STEPS):
         off = curves.value - mean
