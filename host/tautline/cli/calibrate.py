@@ -100,7 +100,7 @@ def command(
     fleet: Path | None,
     as_json: bool,
     kept: Path | None,
-    **live: Any,
+    **live: Any,  # as `_calibrate_live` takes them
 ) -> None:
     """Measure B(q) and f_remain: from recordings of one instrument, or live from a board and a camera.
 
@@ -196,7 +196,8 @@ def _calibrate_live(
             )
             made: dict[str, Any] = {}
         else:
-            goal = Goal(None if until is None else sigma_of(until, unit), at_most_s, speeds or None)
+            wanted = None if until is None else sigma_of(until, unit)
+            goal = Goal(wanted, at_most_s=at_most_s, speeds=speeds or None)
             calibration, reached = calibrate_until(setup, kept, goal, options, video, show)
             motion = reached.motion
             made = {"until": reached.until, "sigma": reached.standing.worst, "reached": reached.reached}

@@ -104,11 +104,10 @@ def command(
         if is_live:
             raise click.UsageError("--simulator needs recordings: name them")
         robots = [path for path in (calibration_path, *test_paths) if path is not None]
-        _print_diagnosis(
-            _diagnose_simulator(simulator, actuator, tip, live.camera, scale, workers, robots, rig_path, out),
-            out,
-            as_json,
+        diagnosis = _diagnose_simulator(
+            simulator, actuator, tip, live.camera, scale, workers=workers, paths=robots, rig_path=rig_path, out=out
         )
+        _print_diagnosis(diagnosis, out, as_json)
         return
     if any(given("actuator", "tip", "scale", "workers")):
         raise click.UsageError("--actuator, --tip, --scale and --workers go with --simulator")
@@ -225,13 +224,13 @@ def _diagnose_live(
     from tautline.live.until import calibrate_until
 
     paths = [calibration_path, *test_paths] if calibration_path else []
-    given, rig = read_recordings(paths, rig_path) if paths else ([], None)
+    made, rig = read_recordings(paths, rig_path) if paths else ([], None)
     with opened(live, rig_path, seed) as setup, progress_bar("diagnosing") as progress:
         if calibration_path is None:
             calibration_path = kept.with_name(f"{kept.name}-calibration")
             progress(0.0, "calibrating")
             calibrate_until(setup, calibration_path, progress=progress)
-            given, rig = [load(calibration_path, setup.rig)], setup.rig
+            made, rig = [load(calibration_path, setup.rig)], setup.rig
         assert rig is not None
-        calibration, recordings = _calibrate_first(given, rig, calibration_path, progress)
+        calibration, recordings = _calibrate_first(made, rig, calibration_path, progress)
         return diagnose_live(setup, calibration, recordings[0], recordings[1:], kept, most, progress, log)
