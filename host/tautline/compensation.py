@@ -34,13 +34,15 @@ _PIECE = 200_000  # display: rows between two reports of progress
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SetPoints(Value):
+    """The motor's set-points, one each tick."""
+
     t_s: Array  # (n,)
     q: Array  # (n,) the rig's unit
     clipped: npt.NDArray[np.bool_]  # (n,) the command was beyond the table or a limit
 
 
 def read_trajectory(path: Path, warnings: list[str] | None = None) -> tuple[Array, Array]:
-    """t_s and c_deg of a CSV; straight lines between its rows."""
+    """The times t_s, s, and angles c_deg, (n,) each, of a trajectory's CSV. warnings: gets what was mended in it."""
     columns = read_columns(path, ["t_s", "c_deg"], "t_s,c_deg")
     t_s, c_deg = columns.rising_times(), columns.finite("c_deg")
     if warnings is not None:
@@ -82,18 +84,18 @@ class Compensator:
         self.rate_hz, self.mode = int(rate_hz), mode
         limits = _limits(model)
         assert limits.adapt is not None
-        self._farthest = limits.adapt
+        self._farthest = limits.adapt  # offset at most, unit; least and most share of B
         self._table = _native.FixedTable(tables.encode(model, limits=limits))
         self._start_deg = start_deg
-        self._unit = model.rig.actuator.encoder_resolution / _native.COUNT_ONE
+        self._unit = model.rig.actuator.encoder_resolution / _native.COUNT_ONE  # of q, in a Q8 count
         speed = model.rig.actuator.speed_max
         self._most = None if speed is None else speed / rate_hz  # unit, of one tick
         self._native: Any = None  # from the first command on
-        self._moved = 0, _native.RATIO_ONE  # offset and share of B that the tables in use have or go to
-        self._begin_s = self._before_s = self._before_deg = 0.0
-        self._ticks = 0
-        self._q = 0.0
-        self._clipped = False
+        self._moved = 0, _native.RATIO_ONE  # offset, Q8 counts, and share of B that the tables in use have or go to
+        self._begin_s = 0.0  # of the first tick
+        self._before_s = self._before_deg = 0.0  # the last command
+        self._ticks = 0  # that have been made
+        self._q, self._clipped = 0.0, False  # of the last tick
 
     @property
     def clipped(self) -> bool:
@@ -132,10 +134,10 @@ class Compensator:
             raise TautError(f"the trajectory has more than {rows}: lower the rate or cut it; after a pause begin anew")
         if first:
             self._start(float(t_s[0]), float(c_deg[0]))
-        last = int((t_s[-1] - self._begin_s) * self.rate_hz * (1 + 1e-12) + 1e-6)
+        last = int((t_s[-1] - self._begin_s) * self.rate_hz * (1 + 1e-12) + 1e-6)  # a tick at the end is in, if rounded
         times = self._begin_s + np.arange(self._ticks, last + 1) / self.rate_hz
         raw = _raw(np.interp(times, known_s, known_deg))
-        q, flags = np.empty(len(raw)), np.empty(len(raw), np.uint32)
+        q, flags = np.empty(len(raw)), np.empty(len(raw), np.uint32)  # q: Q8 counts at first
         for begin in range(0, len(raw), _PIECE):
             piece = slice(begin, begin + _PIECE)
             q[piece], _, _, flags[piece] = self._native.run(raw[piece])
@@ -168,7 +170,8 @@ class Compensator:
             self._native.adapt(*self._moved, round(within_s * self.rate_hz))
 
     def _start(self, t_s: float, c_deg: float) -> None:
-        """Prepares the board's compensator for the first command."""
+        """Prepares the board's compensator for the first command, c_deg at t_s: at rest at q0, Q8 counts, where the
+        mode puts the motor for that angle or start_deg, within the table's range."""
         start = _raw(np.array([c_deg if self._start_deg is None else self._start_deg]))
         inverse = self._table.angle_inverse if self.mode == "full" else self._table.coarse_inverse
         low, high = self._table.fields["q_min"], self._table.fields["q_max"]
@@ -204,7 +207,8 @@ def _rate_limited(q: Array, step: float, here: float) -> Array:
 
 
 def write_csv(path: Path, unit: str, points: SetPoints, resolution: float) -> None:
-    """t_s,q_mm (or q_deg),clipped; positions to a 256th of a count."""
+    """Writes the set-points with the columns t_s, q_mm (or q_deg, by `unit`) and clipped; positions to a 256th of a
+    count. resolution: unit per count."""
     digits = max(6, int(np.ceil(-np.log10(resolution / _native.COUNT_ONE))))
     lines = [f"t_s,q_{unit},clipped"]
     rows = zip(points.t_s.tolist(), points.q.tolist(), points.clipped.tolist(), strict=True)

@@ -98,16 +98,16 @@ class Play:
 
     @cached_property
     def native(self) -> Any:
-        """The C object that runs it; a single play needs no warp, nor does friction."""
+        """The C object that runs the play; a single one needs no warp, nor does friction."""
         if isinstance(self.elements, Friction):
             return self.elements.native(self.grid, self.width)
         if self.elements.single:
             return _native.Plays(self.grid, self.width)
         narrow = self.narrow
         warp = warp_of(self.grid, self.width, narrow)
-        r, w = 0.5 * np.array(self.elements.width), np.array(self.elements.weight)
-        below = narrow if (self.width < narrow).any() else 0.0
-        return _native.Plays(self.grid, self.width, warp.q, warp.x, r, w, below)
+        radii, weights = 0.5 * np.array(self.elements.width), np.array(self.elements.weight)
+        single_below = narrow if (self.width < narrow).any() else 0.0
+        return _native.Plays(self.grid, self.width, warp.q, warp.x, radii, weights, single_below)
 
     @property
     def narrow(self) -> float:
@@ -146,8 +146,9 @@ def warp_of(grid: Array, width: Array, narrow: float) -> Warp:
         knots = knots[:-1]
     phases = np.asarray(base(knots))
     q, x = _in_all_periods(table, knots, phases)
-    apart = np.concatenate([[True], (np.diff(q) > 0.0) & (np.diff(x) > 0.0)])
+    apart = np.concatenate([[True], (np.diff(q) > 0.0) & (np.diff(x) > 0.0)])  # rounding may bring two together
     q, x = q[apart], x[apart]
+    # Far beyond the table, where B is held, it goes on by 1 a width.
     q = np.concatenate([[q[0] - _BEYOND * width[0]], q, [q[-1] + _BEYOND * width[-1]]])
     x = np.concatenate([[x[0] - _BEYOND], x, [x[-1] + _BEYOND]])
     return Warp(q, x - np.interp(middle, q, x))
@@ -223,12 +224,13 @@ def _interpolated(x: npt.ArrayLike, from_: Array, to: Array) -> Array:
 def _warp_in_one_period(grid: Array, width: Array, first: float, last: float) -> PchipInterpolator:
     """The warp G, G(p + B/2) - G(p - B/2) = 1, less G(first), over the period [first, last), unit of q, in which it
     rises from 0 to 1: the one whose continuation over the whole table has the least integral of G'''^2."""
+    # On the mesh: _MESH nodes in the period, and their images in all periods that the table has, each a column.
     smooth = _Periods(*_without_corners(grid, width))
     nodes = first + (float(smooth.up(first)) - first) * np.arange(_MESH) / _MESH
     columns = [nodes]
     while columns[-1][-1] < grid[-1] + 0.5 * width[-1]:
         columns.append(smooth.up(columns[-1]))
-    ahead = len(columns)
+    ahead = len(columns)  # periods from the first one on; those inserted below come before
     while columns[0][0] > grid[0] - 0.5 * width[0]:
         columns.insert(0, smooth.down(columns[0]))
     period = np.repeat(np.arange(ahead - len(columns), ahead, dtype=float), _MESH)
@@ -269,8 +271,8 @@ def _least_third_derivative(q: Array, period: Array, inside: npt.NDArray[np.bool
         design[rows, (rows + i) % _MESH] += weights[:, i]
         right -= weights[:, i] * period[i : len(q) - 3 + i]
     even = np.arange(1, _MESH) / _MESH
-    step = np.column_stack([design[:, 1:], right - design[:, 1:] @ even])
-    squares = np.einsum("ij,ik->jk", step, step)
+    system = np.column_stack([design[:, 1:], right - design[:, 1:] @ even])  # of the deviations from even steps
+    squares = np.einsum("ij,ik->jk", system, system)
     normal, slope = squares[:-1, :-1], squares[:-1, -1]
     ridge = _RIDGE * max(np.trace(normal), 1e-300)  # a table without corners may ask for nothing
     normal = normal + ridge * np.eye(_MESH - 1)

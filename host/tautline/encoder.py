@@ -157,8 +157,8 @@ def _skips_counts(motor: Motor, steps: Steps | None) -> bool:
         return False
     if moves.max() > _LEAPS * float(np.median(moves)):
         return False  # it steps: a smooth path through that is none
-    changes = np.convolve(moved > 0, np.ones(_OF), mode="same")  # a slow motor changes its count now and then
-    return bool(np.mean(changes[moved > 0]) > _SKIPS)
+    changed_nearby = np.convolve(moved > 0, np.ones(_OF), mode="same")  # a slow motor changes its count now and then
+    return bool(np.mean(changed_nearby[moved > 0]) > _SKIPS)
 
 
 def between_samples(motor: Motor) -> float:
@@ -186,7 +186,7 @@ def _smoothed(t_s: Array, q: Array) -> Array:
     if n < _SMOOTHED:
         return q
     factors = np.sqrt(THIRD) * third_differences(t_s, q)[0]  # of -1, 3, -3, 1 at even times
-    bent = np.zeros((4, n))
+    bent = np.zeros((4, n))  # the penalty's matrix, its upper bands as solveh_banded takes them
     for i in range(4):
         for j in range(i, 4):
             bent[3 - (j - i), j : n - 3 + j] += factors[:, i] * factors[:, j]
@@ -209,17 +209,22 @@ def straight_lines(motor: Motor, resolution: float) -> Motor:
 
 
 def cut(motor: Motor, until_s: float) -> Motor:
-    """The motor with the readings up to `until_s`, at least one."""
+    """The motor with the readings up to the time `until_s`, s, at least one."""
     known = slice(max(int(np.searchsorted(motor.t_s, until_s, side="right")), 1))
 
     def first(values: Array | None) -> Array | None:
         """A column's known samples; None stays None."""
         return None if values is None else values[known]
 
-    command, others = first(motor.q_cmd), map(first, (motor.translation_mm, motor.rotation_deg, motor.load_mNm))
-    translation, rotation, load = others
-    extra = {name: values[known] for name, values in motor.extra.items()}
-    return Motor(motor.t_s[known], motor.q[known], command, translation, rotation, load, extra)
+    return Motor(
+        motor.t_s[known],
+        motor.q[known],
+        q_cmd=first(motor.q_cmd),
+        translation_mm=first(motor.translation_mm),
+        rotation_deg=first(motor.rotation_deg),
+        load_mNm=first(motor.load_mNm),
+        extra={name: values[known] for name, values in motor.extra.items()},
+    )
 
 
 _noises: WeakKeyDictionary[Motor, float] = WeakKeyDictionary()
@@ -335,7 +340,8 @@ def _constant_acceleration_lines(motor: Motor, resolution: float) -> Motor:
 
 
 def _levelled_rests(path: Driven) -> Driven:
-    """The path with each rest at its mean; it rests while it moves by less than its own sigma."""
+    """The path with each rest at its mean. It rests where it would move by less than its own sigma in REST_S, for
+    longer than that."""
     slow = np.abs(np.diff(path.q)) * REST_S < path.sigma[1:] * np.diff(path.t_s)
     q = path.q.copy()
     for step in stretches(slow):
@@ -383,11 +389,14 @@ def _with_few_knots(motor: Motor, tolerance_of: Callable[[Array], float]) -> Mot
     q, translation, rotation, load, *joints = (None if values is None else values[keep] for values in columns)
     named = {name: values for name, values in zip(motor.joints, joints, strict=True) if values is not None}
     assert q is not None
-    return Motor(motor.t_s[keep], q, None, translation, rotation, load, named)
+    return Motor(
+        motor.t_s[keep], q, translation_mm=translation, rotation_deg=rotation, load_mNm=load, extra=named
+    )  # fmt: skip
 
 
 def _needed_knots(t_s: Array, channels: list[tuple[Array, float]]) -> npt.NDArray[np.bool_]:
-    """Which samples are needed for straight lines between them to be within every channel's tolerance."""
+    """(n,) Which samples are needed for straight lines between them to be within every channel's tolerance. t_s (n,),
+    s; channels: values (n,) and tolerance of each, in its unit."""
     values, tolerances = np.concatenate([v for v, _ in channels]), np.array([tolerance for _, tolerance in channels])
     return np.asarray(_native.thin(t_s, values, tolerances, REST_S), dtype=bool)
 
@@ -404,8 +413,8 @@ def _knots(motor: Motor, tolerance: float, stops: list[Rest]) -> tuple[Array, Ar
     if stops:
         margin = _LAST * float(np.median(np.diff(motor.t_s)))
         ends = np.array([(min(s.since_s, s.start_s - margin), max(s.until_s, s.end_s + margin)) for s in stops])
-        of = np.searchsorted(ends[:, 0], t, side="right") - 1
-        outside = (of < 0) | (t > ends[of, 1])
+        before = np.searchsorted(ends[:, 0], t, side="right") - 1  # the last stop that begins before each knot
+        outside = (before < 0) | (t > ends[before, 1])
         at = np.array([s.start_s for s in stops] + [s.end_s for s in stops])
         stands = np.array([s.q for s in stops] * 2)
         t, first = np.unique(np.concatenate([t[outside], at]), return_index=True)
@@ -414,20 +423,20 @@ def _knots(motor: Motor, tolerance: float, stops: list[Rest]) -> tuple[Array, Ar
     return t, q, fixed
 
 
-def _least_squares_knots(t_s: Array, values: Array, knots: Array, v: Array, fixed: npt.NDArray[np.bool_]) -> Array:
-    """(knots,) Positions at the knots for which straight lines fit all samples best, so that an encoder's steps average
-    out; v where they are fixed."""
+def _least_squares_knots(t_s: Array, values: Array, knots: Array, level: Array, fixed: npt.NDArray[np.bool_]) -> Array:
+    """(k,) Positions at the knots (k,), s, for which straight lines fit all samples values (n,) at t_s (n,) best, so
+    that an encoder's steps average out. level (k,): the positions as they are, which stay where `fixed` (k,)."""
     if len(knots) < 2 or fixed.all():
-        return v
+        return level
     left = np.clip(np.searchsorted(knots, t_s, side="right") - 1, 0, len(knots) - 2)
     share = (t_s - knots[left]) / (knots[left + 1] - knots[left])
-    off = values - ((1 - share) * v[left] + share * v[left + 1])
-    count = len(v)
+    off = values - ((1 - share) * level[left] + share * level[left + 1])
+    count = len(level)
     diagonal = np.bincount(left, (1 - share) ** 2, count) + np.bincount(left + 1, share**2, count)
     beside = np.bincount(left, share * (1 - share), count)
     force = np.bincount(left, (1 - share) * off, count) + np.bincount(left + 1, share * off, count)
     diagonal[fixed], force[fixed] = 1.0, 0.0
     beside[:-1][fixed[:-1] | fixed[1:]] = 0.0
     system = np.stack([np.concatenate([[0.0], beside[:-1]]), diagonal + 1e-9])
-    level: Array = v + np.asarray(solveh_banded(system, force))
-    return level
+    best: Array = level + np.asarray(solveh_banded(system, force))
+    return best

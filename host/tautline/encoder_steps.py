@@ -29,9 +29,9 @@ _WHOLE, _MOST = 0.05, 0.95  # tolerance: counts beside a whole one, share of the
 class Steps:
     """Readings are zero + count * counts, counts whole."""
 
-    count: float
-    zero: float
-    counts: Array
+    count: float  # the size of a step, unit of the readings
+    zero: float  # the reading at count 0
+    counts: Array  # (n,) of each reading
 
 
 def steps_of(motor: Motor, resolution: float) -> Steps | None:
@@ -88,7 +88,7 @@ def rests_and_turns(motor: Motor, encoder: Steps) -> Stops:
     at, step = 0.5 * (t[changes] + t[changes + 1]), np.diff(counts)[changes]
     boundary = counts[changes] + 0.5 * step
     period = float(np.median(np.diff(t)))
-    stops, asked, slowing = [], 0, 0
+    stops, asked, slowing = [], 0, 0  # asked: sides of stops, before and after; slowing: those at which it slows down
     # The count that holds from change i - 1 to change i.
     edges = np.concatenate([t[:1], at, t[-1:]])
     turned = np.concatenate([[False], step[1:] * step[:-1] < 0, [False]])
@@ -192,7 +192,7 @@ def _rest_nodes(
         latest_s = float(t_s[min(first + _UNSEEN, last - 1)])
         since_s = _stands(t_s[: before + 1], q[: before + 1], latest_s, float(t_s[first]))
     if after < length:
-        latest_s = -float(t_s[max(last - 1 - _UNSEEN, first)])
+        latest_s = -float(t_s[max(last - 1 - _UNSEEN, first)])  # the same with time reversed
         until_s = -_stands(-t_s[after:][::-1], q[after:][::-1], latest_s, -float(t_s[last - 1]))
     if since_s >= until_s:
         return None
@@ -220,6 +220,7 @@ def _turn_node(nodes: Array, near: int) -> tuple[int, int, Array] | None:
         return None
     k = int(turns[np.argmin(np.abs(turns + 1 - min(near, _SLOWING)))])
     at_s = middle[k] - speed[k] * (middle[k + 1] - middle[k]) / (speed[k + 1] - speed[k])
-    there = float(np.interp(t_s[k + 1], middle[k : k + 2], speed[k : k + 2]))
+    speed_there = float(np.interp(t_s[k + 1], middle[k : k + 2], speed[k : k + 2]))  # at the node that is replaced
+    turned_q = q[k + 1] + 0.5 * speed_there * (at_s - t_s[k + 1])  # equation: it falls evenly to 0 at at_s
     first = max(near - _SLOWING, 0) + k
-    return first, first + 2, np.array([[at_s], [q[k + 1] + 0.5 * there * (at_s - t_s[k + 1])], [sigma[k + 1]]])
+    return first, first + 2, np.array([[at_s], [turned_q], [sigma[k + 1]]])

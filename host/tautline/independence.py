@@ -88,6 +88,7 @@ def expected_sums(n: int, order: int = 1) -> Array:
         ahead, behind = first_order_sums(trend, rho), first_order_sums(trend[::-1], rho)[::-1]
         covered = ahead + behind - trend  # covariance times trend
         of_trend = trend.T @ covered
+        # equation: sum of (I - P) C (I - P) beside its diagonal, less (n - 1) rho, P onto the trend, C the covariance
         neighbours = np.sum(trend[:-1] * covered[1:] + covered[:-1] * trend[1:] - (trend[:-1] @ of_trend) * trend[1:])
         sums.append([n - np.trace(of_trend), (n - 1) * rho - neighbours])
     return np.array(sums).T

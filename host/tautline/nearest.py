@@ -30,19 +30,22 @@ _PLAYS: int = _native.TABLE_PLAYS_MAX
 
 @dataclass(frozen=True)
 class Nearest:
+    """The plays that come nearest to a hysteresis, and how near they are on the loops that they were fitted to."""
+
     elements: Elements
     left: float  # rms of how far they are off on these loops, unit of q
     undoes: float  # rms of what there is to undo: motor less tip
 
     @property
     def share(self) -> float:
-        """Of what there is to undo, that they leave."""
+        """The share of what there is to undo that these plays leave."""
         return self.left / max(self.undoes, 1e-300)
 
 
 def nearest_plays(grid: Array, width: Array, hysteresis: Hysteresis, reached: tuple[float, float]) -> Nearest:
-    """The plays nearest to a hysteresis on loops of all sizes within `reached`, and their error: least squares, first
-    of weights at fixed widths, then of both. One play where there is no backlash."""
+    """The plays nearest to a hysteresis on loops of all sizes between the two ends `reached`, unit of q, and their
+    error: least squares, first of weights at fixed widths, then of both. One play where there is no backlash. grid,
+    width (n,): the table of B, unit of q."""
     if not np.any(width > 0.0):
         return Nearest(SINGLE, 0.0, 0.0)
     q = _test_motion(grid, width, reached)
@@ -106,7 +109,7 @@ def _fitted_elements(x: Array, y: Array) -> Elements:
         return share / float(weight @ share), weight
 
     def off(unknowns: Array) -> Array:
-        """(n,) Their mean less y."""
+        """(n,) The weighted mean of the plays with these unknowns, less y."""
         share, weight = parts(unknowns)
         return np.asarray(_elements_response(x, share) @ weight - y)
 
@@ -121,7 +124,7 @@ def fewer(width: Array, weight: Array) -> Elements:
     weight = weight / weight.sum()
     sums = np.array([np.concatenate([[0.0], np.cumsum(weight * width**k)]) for k in range(3)])
     ends = _least_scatter_runs(sums)
-    parts = [(sums[:, j] - sums[:, i])[:2] for i, j in itertools.pairwise(ends)]
+    parts = [(sums[:, j] - sums[:, i])[:2] for i, j in itertools.pairwise(ends)]  # of each run: weight, times width
     means = np.array([first / w for w, first in parts])
     shares = np.array([w for w, _ in parts])
     keep = np.concatenate([[True], np.diff(means) > 1e-9])
@@ -142,7 +145,8 @@ def _least_scatter_runs(sums: Array) -> tuple[int, ...]:
         w, first, second = sums[:, j] - sums[:, i]
         return float(second - first * first / w)
 
-    best: dict[tuple[int, int], tuple[float, tuple[int, ...]]] = {(0, 0): (0.0, (0,))}  # by (runs, end of the last)
+    # By (runs, end of the last): the least scatter, and the ends of the runs that have it.
+    best: dict[tuple[int, int], tuple[float, tuple[int, ...]]] = {(0, 0): (0.0, (0,))}
     for runs in range(1, _PLAYS + 1):
         for end in range(1, n + 1):
             tried = [

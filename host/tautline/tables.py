@@ -199,6 +199,7 @@ def _plays_section(model: Model, q: Array, width: Array) -> dict[str, Any] | Non
         centre = np.interp(q * unit - 0.5 * floored, warp.q, warp.x) + 0.5
         if _warp_error(q, width, narrow, centre) <= 1.0:
             periods, widest = float(np.abs(centre).max()), float(width_share[-1])
+            # Binary places of a period, as many as leave the warp and half the widest element within their numbers.
             log2 = min(
                 _PERIOD_LOG2,
                 int(np.floor(np.log2(_native.TABLE_CENTRE_MAX / periods))),

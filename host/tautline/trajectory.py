@@ -86,7 +86,7 @@ def through(
 
 
 def in_turn(*parts: Trajectory) -> Trajectory:
-    """Bending motions one after the other, each from where the one before ends."""
+    """Bending motions one after the other; each has to begin where the one before ends."""
     q = np.concatenate([part.q for part in parts])
     return Trajectory(np.arange(len(q)) / RATE_HZ, q)
 
@@ -117,12 +117,12 @@ def back_and_forth(
     up = np.empty(2 * pairs + 2)
     up[0], up[1::2], up[2::2] = low, forward, back
     down = low + high - up
-    points, each = [up[:1]], []
+    points, stroke_speeds = [up[:1]], []
     for speed in speeds:
         for way in (up, down):
             points.append(way[1:])
-            each += [speed] * (len(way) - 1)
-    return through(np.concatenate(points), each, acceleration, dwell_s)
+            stroke_speeds += [speed] * (len(way) - 1)
+    return through(np.concatenate(points), stroke_speeds, acceleration, dwell_s)
 
 
 def trapezoids(
@@ -144,7 +144,7 @@ def sines(actuator: Actuator, speed: float, duration_s: float) -> Trajectory:
     low, high = actuator.range
     half = 0.5 * (high - low)
     first, second = _SINES
-    rate = speed / (half * (first + second / _APART))
+    rate = speed / (half * (first + second / _APART))  # equation: both are fastest at t = 0
     t = _samples(duration_s)
     return Trajectory(t, 0.5 * (low + high) + half * (first * np.sin(rate * t) + second * np.sin(rate * t / _APART)))
 
@@ -156,7 +156,7 @@ def random_smooth(actuator: Actuator, speed: float, duration_s: float, seed: int
     rng = np.random.default_rng([seed, 0x7247])
     rates = np.exp(rng.uniform(np.log(0.4), np.log(2.5), 9))  # rad per unit of the wander's own time
     sizes = rng.uniform(0.5, 1.0, 9) / rates
-    sizes /= np.sqrt(0.5 * np.sum(sizes**2))
+    sizes /= np.sqrt(0.5 * np.sum(sizes**2))  # rms 1
     phases = rng.uniform(0.0, 2 * np.pi, 9)
 
     def wander(own: Array) -> Array:
