@@ -132,22 +132,22 @@ class VideoCamera(Closable):
         if not self._capture.grab():
             self._check_end()
             return None
-        grabbed = time.monotonic()
-        stamp = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+        grabbed_s = time.monotonic()
+        stamp_s = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
         good, picture = self._capture.retrieve()
         if not good:
             self._check_end()
             return None
         if self._file:
-            self._first_s = stamp if self._first_s is None else self._first_s
-            return picture, stamp - self._first_s
-        stamped = 0.0 <= grabbed - stamp < 1.0
+            self._first_s = stamp_s if self._first_s is None else self._first_s
+            return picture, stamp_s - self._first_s
+        stamped = 0.0 <= grabbed_s - stamp_s < 1.0
         self.clock = (
             "the driver's stamps on the host's monotonic clock"
             if stamped
             else "the host's monotonic clock when the frame was grabbed"
         )
-        arrival_s = stamp if stamped else grabbed
+        arrival_s = stamp_s if stamped else grabbed_s
         self._drops.add(arrival_s)
         return picture, arrival_s
 
@@ -211,11 +211,13 @@ class VideoFile:
         self._writer.write(picture)
 
     def __enter__(self) -> Self:
+        """Itself; the file is created by the first picture."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        """Ends the file, if a picture was written; an error of the block goes on."""
         if self._writer is not None:
             self._writer.release()
 

@@ -181,7 +181,9 @@ def _pick_blob_at(
         if separation < _DISTINCT:
             return None
         weights /= separation
-        candidate = MarkerColour(_triple(weights), float(-weights @ mean), _triple(colour), SMALLEST_PX, at)
+        candidate = MarkerColour(
+            _triple(weights), offset=float(-weights @ mean), colour=_triple(colour), diameter_px=SMALLEST_PX, at=at
+        )  # its diameter is not known yet
         inside = candidate.membership(picture) > 0.5
         blob = _blob_in(inside, close)
         if blob is None:
@@ -218,6 +220,6 @@ def _blob_in(inside: Array, window: tuple[slice, slice]) -> _Blob | None:
     if not SMALLEST_PX <= diameter <= LARGEST_PX or area > _LARGEST * inside.size:
         return None
     box = max(int(stats[label, cv2.CC_STAT_WIDTH]), int(stats[label, cv2.CC_STAT_HEIGHT]))
-    compactness = min(1.0, 1.3 * area / (0.785 * box * box))  # 0.785: pi / 4
+    compactness = min(1.0, 1.3 * area / (0.785 * box * box))  # 1: an ellipse of up to 1.3 : 1; 0.785: pi / 4
     u, v = centroids[label].tolist()
-    return _Blob(labels == label, area, diameter, compactness, (u, v))
+    return _Blob(labels == label, area=area, diameter_px=diameter, compactness=compactness, at=(u, v))

@@ -110,11 +110,11 @@ class MarkerTracker:
         return bool((away < _SAME_PLACE * sighting.diameter_px).any())
 
     def _follow(self, picture: Array, last: Sighting) -> Sighting:
-        """Looks for the marker where it should be if it moves on from its `last` sighting as before; lost where its
-        size jumps."""
+        """Looks for the marker in a BGR picture where it should be if it moves on from its `last` sighting as before;
+        lost where its size jumps."""
         speed = max(abs(self._step_px[0]), abs(self._step_px[1]))
         u, v = last.u_px + self._step_px[0], last.v_px + self._step_px[1]
-        sighting = self._measure(picture, u, v, last.diameter_px, 0.5 * speed)
+        sighting = self._measure(picture, u, v, last.diameter_px, slack=0.5 * speed)
         if sighting.valid and not self._has_its_size(sighting):
             return lost_sighting("its size jumped")
         return sighting
@@ -142,7 +142,7 @@ class MarkerTracker:
             return lost_sighting("cut off by the picture's border")
         if status != MARKER_FOUND or outline.within - outline.around < _FAINT:
             return lost_sighting("no marker of this colour")
-        (b, g, r), (own_b, own_g, own_r) = outline.colour, self._hue
+        (b, g, r), (own_b, own_g, own_r) = outline.colour, self._hue  # the cosine between them, however bright
         if b * own_b + g * own_g + r * own_r < _LIKE * sqrt(b * b + g * g + r * r):
             return lost_sighting("what is there has another colour")
         radius = 0.5 * outline.diameter
@@ -211,13 +211,14 @@ class MarkerTracker:
             self._cut = max(level, float(np.percentile(y[y0 : y0 + height, x0 : x0 + width], 90))) / 2
             diameter = self.colour.diameter_px * float(np.sqrt(area / usual_area))
             self._expected = before
-            sighting = self._measure(picture, float(u), float(v), diameter, 2.0 * shrink)
+            sighting = self._measure(picture, float(u), float(v), diameter, slack=2.0 * shrink)
             if sighting.valid:  # again, now that its own level is known
                 self._expected = before
-                sighting = self._measure(picture, sighting.u_px, sighting.v_px, sighting.diameter_px, 0.0)
+                sighting = self._measure(picture, sighting.u_px, sighting.v_px, sighting.diameter_px, slack=0.0)
             if sighting.valid:
                 ratio = sighting.diameter_px / self.colour.diameter_px
-                blobs.append(_Blob(sighting, min(ratio, 1.0 / ratio) * self._cut, self._cut, self._expected))
+                score = min(ratio, 1.0 / ratio) * self._cut
+                blobs.append(_Blob(sighting, score=score, cut=self._cut, after=self._expected))
             else:
                 self._why_none = sighting
         self._expected = before
@@ -298,9 +299,10 @@ def _same_colour_and_size(one: MarkerColour, other: MarkerColour) -> bool:
 
 
 def _moving_score(colour: MarkerColour, pictures: Sequence[Array]) -> float:
-    """How well `colour` finds a moving marker in the pictures, 0 to 1. 1: it is found in every picture, and where it
-    was in one picture its colour is not in the others. What does not move counts a tenth of the share of pictures in
-    which it is found; what sways by less than its size up to 0.37 of that share, from 2 px on. 0: never found."""
+    """How well `colour` finds a moving marker in the pictures, 0 to 1: 0.1 share + 0.9 max(moved, 0.3 share min(1,
+    sway / 2 px)). share: of the pictures, in which it is found; moved: likewise, but a picture counts only as far as
+    the marker's colour is not where it was in pictures in which it is elsewhere; sway: how far it moves, px, if by less
+    than its size."""
     tracker = MarkerTracker(colour)
     places = []
     for picture in pictures:
@@ -308,7 +310,7 @@ def _moving_score(colour: MarkerColour, pictures: Sequence[Array]) -> float:
         seen = tracker.track(picture)
         places.append((seen.u_px, seen.v_px))
     place = np.array(places)
-    moved = 0.0  # pictures in which it is where nothing of its colour is in others
+    moved = 0.0  # so many pictures
     for k in np.flatnonzero(np.isfinite(place[:, 0])):
         away = np.hypot(*(place - place[k]).T)
         others = np.flatnonzero(away > 1.5 * colour.diameter_px)  # NaN is not
