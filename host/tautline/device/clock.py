@@ -34,7 +34,7 @@ class BoardClock:
         self._using = threading.Lock()  # a camera's thread and a sender's
 
     def add(self, sent_s: float, received_s: float, board_us: int) -> None:
-        """One round trip: host times before and after, and the board's time in between."""
+        """Takes in a round trip: the host's times before and after it, s, and the board's in between, us."""
         middle = 0.5 * (sent_s + received_s)
         with self._using:
             self._trips.append((middle, board_us * 1e-6 - middle, 0.5 * (received_s - sent_s)))

@@ -130,7 +130,7 @@ def find_usbip(where: str) -> list[BoardAddress]:
         devices = list(_tautline_devices(usbip_backend.Backend(address[1], int(address[2]))))
     except usb.core.USBError as error:
         raise TautError(f"{where}: {error.strerror}: start the board, or name another with --board") from error
-    # The serial number of one that is in use is 0: the server's list has no names, and it is not asked.
+    # One that is in use has no serial number, so it is marked busy: the server's list has none, and it is not asked.
     return [_board_address(device, where, _serial_number(device)) for device in devices]
 
 

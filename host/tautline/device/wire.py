@@ -80,6 +80,7 @@ class Decoder:
     """Messages out of a stream of bytes. What is no message, or of a newer version, is skipped."""
 
     def __init__(self) -> None:
+        """No byte has come yet."""
         self._parser = wire.Parser()
 
     def feed(self, data: bytes) -> Iterator[Message]:
@@ -148,7 +149,7 @@ def fault_text(number: int, value: int) -> str:
 
 def flags(number: int) -> list[str]:
     """The names, in lower case, of the flags (TL_WIRE_FLAGS) that are set in a number."""
-    return [name.lower() for name, (bit, _) in wire.FLAGS.items() if number & bit]
+    return [each.lower() for each, (bit, _) in wire.FLAGS.items() if number & bit]
 
 
 def table_reason(number: int) -> str:

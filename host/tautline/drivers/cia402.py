@@ -124,10 +124,12 @@ class Cia402:
         it cannot have this period, or lacks an object that is needed."""
         self._set_network_state(node, _PRE_OPERATIONAL)  # the state in which process data can be mapped
         counts_per_turn, limits = self._read_limits(node)
-        self._map_process_data(node, 0x1A00, 0x1800, 0x180, [(*_STATUS, 16), (*_POSITION, 32)])  # TPDO 1
+        answer, rest = [(*_STATUS, 16), (*_POSITION, 32)], [(*_VELOCITY, 32), (*_CURRENT, 16)]
+        told = [(*_CONTROL, 16), (*_TARGET, 32)]
+        self._map_process_data(node, mapping=0x1A00, parameters=0x1800, cob=0x180, objects=answer)  # TPDO 1
         with contextlib.suppress(_Refused):  # a drive that lacks one of them tells neither
-            self._map_process_data(node, 0x1A01, 0x1801, 0x280, [(*_VELOCITY, 32), (*_CURRENT, 16)])  # TPDO 2
-        self._map_process_data(node, 0x1600, 0x1400, 0x200, [(*_CONTROL, 16), (*_TARGET, 32)])  # RPDO 1
+            self._map_process_data(node, mapping=0x1A01, parameters=0x1801, cob=0x280, objects=rest)  # TPDO 2
+        self._map_process_data(node, mapping=0x1600, parameters=0x1400, cob=0x200, objects=told)  # RPDO 1
         self._set_period(node, period_s)
         self._write(node, _CONSUMER, _HOST << 16 | _LOST_MS, 4)  # watches the host's heartbeat
         self._write(node, _ON_LOSS, _QUICK_STOP, 2)
@@ -252,7 +254,8 @@ class Cia402:
         word, whose bit 3 is a fault; counts: its position; speed and current are the last that came."""
         speed, share = self._speeds.get(node, (0, 0))
         fault = f"drive {node} has a fault" if status & 0x08 else ""
-        return Measured(t_s, float(counts), float(speed), share * self._rated_ma[node] / 1000.0, fault)
+        current_ma = share * self._rated_ma[node] / 1000.0
+        return Measured(t_s, q=float(counts), velocity=float(speed), current_ma=current_ma, fault=fault)
 
     def set_positions(self, goals: Sequence[Goal | None]) -> None:
         """Sends each drive the counts that it goes to at the next SYNC; None sends one nothing."""

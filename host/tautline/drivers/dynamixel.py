@@ -54,7 +54,7 @@ class Dynamixel(SerialServos):
         self._unit_ma: dict[int, float] = {}  # by ID: mA of a unit of the current register, 0 without one
         self._hardware_errors = dict.fromkeys(numbers, "")  # by ID: in words, as they were read last
         self._cycles = 0
-        super().__init__(dynamixel_sdk, 2.0, bus, numbers, baud, clock)
+        super().__init__(dynamixel_sdk, protocol=2.0, bus=bus, numbers=numbers, baud=baud, clock=clock)
 
     def describe(self, number: int) -> Drive:
         """A servo's limits (counts, counts/s, counts/s2, mA), model and firmware from its registers. TautError where
@@ -91,8 +91,13 @@ class Dynamixel(SerialServos):
         """A servo's answer to the sync read, _STATE, as counts, counts/s and mA. t_s: the middle of the round trip."""
         current, velocity, position = struct.unpack("<hii", state)
         number = self.numbers[axis]
-        current_ma = current * self._unit_ma[number]
-        return Measured(t_s, float(position), velocity * _COUNTS_PER_SPEED, current_ma, self._hardware_errors[number])
+        return Measured(
+            t_s,
+            q=float(position),
+            velocity=velocity * _COUNTS_PER_SPEED,
+            current_ma=current * self._unit_ma[number],
+            fault=self._hardware_errors[number],
+        )
 
     def encoded(self, goal: int) -> bytes:
         """A goal, counts, as the register's 4 bytes."""

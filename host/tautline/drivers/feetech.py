@@ -43,7 +43,7 @@ class Feetech(SerialServos):
         self, bus: str, numbers: Sequence[int], baud: int, rate_hz: float, clock: Clock = time.monotonic
     ) -> None:
         """bus: the serial device; numbers: the servos' IDs; baud: bit/s; rate_hz: as every driver takes it, unused."""
-        super().__init__(scservo_sdk, 0, bus, numbers, baud, clock)
+        super().__init__(scservo_sdk, protocol=0, bus=bus, numbers=numbers, baud=baud, clock=clock)
 
     def describe(self, number: int) -> Drive:
         """A servo's limits (counts, counts/s), model and firmware from its registers. TautError where it is not in
@@ -56,7 +56,7 @@ class Feetech(SerialServos):
             low, high = -_MANY_TURNS, _MANY_TURNS
         firmware = self.read(number, _FIRMWARE)
         limits = DriveLimits(low, high, _SPEED, STARTS * _SPEED)
-        version = f"{firmware & 0xFF}.{firmware >> 8}"
+        version = f"{firmware & 0xFF}.{firmware >> 8}"  # the first byte is the major one
         return Drive(number, f"model {self.read(number, _MODEL)}", version, _COUNTS_PER_TURN, limits, referenced=True)
 
     def measured(self, axis: int, t_s: float, state: bytes) -> Measured:

@@ -154,7 +154,7 @@ class HostedLink:
 
     def _ask_application(self, name: str, **values: Any) -> wire.Message:
         """Sends the application a message from this link itself, as a host would, and returns the answer to it.
-        TautError where the application refuses."""
+        TautError where the application refuses, as it does limits of a drive that it cannot use."""
         self._board.receive(wire.encode(name, 1, **values), self._us(self._clock()))
         for message in wire.Decoder().feed(self._board.transmit()):
             if message.sequence == 1 and message.name not in ("batch", "event", "progress", "onset"):

@@ -45,13 +45,13 @@ class RosJoints:
         self._names, self._clock = [str(name) for name in names], clock
         self._state_arrived = threading.Condition()
         self._newest: tuple[float, Any] | None = None  # when it was measured, s; the message
-        self._used: Any = None
+        self._used: Any = None  # the message that was measured from last
         self._other_joints: set[str] = set()  # joints in messages that have not all of ours
-        self._positions: list[float] = []  # of each joint, rad or m: measured last,
-        self._off_positions: list[float] = []  # and when it was switched off
-        self._set_points: list[float | None] = [None for _ in names]  # set-points, while they are on
+        self._positions: list[float] = []  # of each joint, rad or m, as it was measured last
+        self._off_positions: list[float] = []  # where each was switched off
+        self._set_points: list[float | None] = [None for _ in names]  # None while a joint is off
         self._description = ""
-        self._counts: list[float] = []  # of each joint, a rad or m
+        self._counts: list[float] = []  # of each joint, in a rad or m
         self._graph = Graph("tautline_motors")
         try:
             self._open(states, commands)
@@ -185,7 +185,8 @@ class RosJoints:
         if not math.isfinite(speed):
             speed = 0.0
         counts_per_unit = self._counts[axis] if self._counts else 1.0
-        return Measured(t_s, self._positions[axis] * counts_per_unit, speed * counts_per_unit, 0.0, fault)
+        q = self._positions[axis] * counts_per_unit
+        return Measured(t_s, q=q, velocity=speed * counts_per_unit, current_ma=0.0, fault=fault)
 
     def set_positions(self, goals: Sequence[Goal | None]) -> None:
         """Publishes where each joint is to be; None leaves one's set-point as it is."""
@@ -242,8 +243,9 @@ def _joints_of_description(text: str) -> dict[str, dict[str, str]]:
 
 
 def _drive(name: str, described: dict[str, str]) -> Drive:
-    """The drive of a joint by its type and limits in the URDF (rad or m, and s), in counts. Without any it is a joint
-    that turns without an end; without a speed limit it has 1 turn/s or 0.1 m/s."""
+    """The drive of a joint, in counts, by its type and limits in the URDF, rad or m, and s (`described`, as of
+    `_joints_of_description`). Without any, {}, it is a joint that turns without an end; without a speed limit it has
+    1 turn/s or 0.1 m/s."""
     slides = described.get("type") == "prismatic"
     per, counts = ("m", _METRE) if slides else ("turn", _TURN)
     counts_per_unit = counts if slides else counts / math.tau
@@ -264,4 +266,6 @@ def _drive(name: str, described: dict[str, str]) -> Drive:
         low, high = max(limit("lower"), -RANGE), min(limit("upper"), RANGE)
     limits = DriveLimits(low, high, speed, STARTS * speed)
     kind = described.get("type") or "joint without a description"
-    return Drive(name, kind, "-", counts, limits, referenced=True, per=per)
+    return Drive(
+        name, model=kind, firmware="-", counts_per_turn=counts, limits=limits, referenced=True, per=per
+    )  # fmt: skip
