@@ -155,7 +155,7 @@ def _keys() -> Iterator[Topic]:
                 f"{file}.{section.name}.{key.name}",
                 file,
                 f"{key.says[:1].upper()}{key.says[1:]}. Expected: {key.expected}. {needed}",
-                f"A wrong one shows itself: {key.wrong}." if key.wrong else "",
+                tell=f"A wrong one shows itself: {key.wrong}." if key.wrong else "",
                 rows=((f"[{section.name}]", f"{key.name} = {example}"),),
                 see=(f"{file}.{section.name}",),
                 aliases=(f"{section.name}.{key.name}",),

@@ -49,10 +49,10 @@ class Curves:
     together: Array | None = None  # (n, k) the part of sigma by which all places of a curve are off together, signed
 
     def of(self, keep: npt.NDArray[np.intp]) -> Curves:
-        """The curves with the indices `keep`."""
+        """The curves of the sessions with the indices `keep` (m,)."""
         names = tuple(self.names[k] for k in keep)
         together = None if self.together is None else self.together[keep]
-        return Curves(self.q, self.value[keep], self.sigma[keep], names, together)
+        return Curves(self.q, self.value[keep], self.sigma[keep], names=names, together=together)
 
     @property
     def dimensions(self) -> Array:
@@ -109,7 +109,8 @@ class Population:
 
 def _log_student(squares: Array, size: npt.ArrayLike, freedom: float) -> Array:
     """Logarithm of a multivariate Student t's density at squared Mahalanobis distances `squares`, in `size` dimensions,
-    less the term -log(det(scale matrix)) / 2, which the caller adds. Element by element."""
+    less the term -log(det(scale matrix)) / 2, which the caller adds. freedom: its degrees of freedom. Element by
+    element."""
     size = np.asarray(size)
     constant = gammaln(0.5 * (freedom + size)) - gammaln(0.5 * freedom) - 0.5 * size * np.log(freedom * np.pi)
     return np.asarray(constant - 0.5 * (freedom + size) * np.log1p(squares / freedom))
@@ -132,7 +133,7 @@ def log_widths(rows: Sequence[Row]) -> Curves:
     sigma = np.where(measured, np.minimum(stated / width, _UNKNOWN), _UNTOLD)
     by_delay = np.array([row.width_by_delay or (0.0,) * len(q) for row in usable])
     together = np.where(measured, np.clip(by_delay / width, -sigma, sigma), 0.0)
-    return Curves(q, np.log(width), sigma, tuple(row.robot for row in usable), together)
+    return Curves(q, np.log(width), sigma, names=tuple(row.robot for row in usable), together=together)
 
 
 def paths(rows: Sequence[Row]) -> list[Curves]:
@@ -246,7 +247,7 @@ def _shrink_scatter(
 ) -> Population:
     """The population with this mean (k,) and a scale matrix that is the weighted mean of `scale` (k, k), with the
     number of robots as its weight, and a smooth kernel of the same trace, with the weight `worth`. length: the
-    kernel's, a share of the range."""
+    kernel's, a share of the range; freedom: the population's degrees of freedom."""
     robots = float(curves.weight.sum())
     size = float(np.trace(scale)) / len(scale)
     kernel = _kernel(curves, mean, length)

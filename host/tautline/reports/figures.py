@@ -51,7 +51,7 @@ MANY = 3000  # format: samples from which a scatter is drawn as pixels inside th
 
 
 def figure(width: float, height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Figure, Array]:
-    """A figure of this size in inches and its axes (rows, columns), in the current style. options: of matplotlib's
+    """A figure of width x height inches and its axes (rows, columns), in the current style. options: of matplotlib's
     `subplots`."""
     made = Figure(figsize=(width, height), layout="constrained")
     return made, made.subplots(rows, columns, squeeze=False, **options)
@@ -246,7 +246,7 @@ def main_axis(evidence: Evidence) -> tuple[Array, str]:
     centred = evidence.seen - evidence.seen.mean(axis=0)
     spread = np.cov(centred.T) if len(centred) > 1 else np.eye(2)
     along = np.linalg.svd(spread)[0][:, 0]
-    along = along * np.sign(along[np.argmax(np.abs(along))])
+    along = along * np.sign(along[np.argmax(np.abs(along))])  # its larger part positive: the SVD leaves the sign open
     return centred @ along, "marker along its path (px)"
 
 

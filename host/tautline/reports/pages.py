@@ -287,7 +287,8 @@ def picture(made: Figure, title: str, caption: str) -> Picture:
 
 
 def _digits(value: float, digits: int = 3, sign: bool = False) -> str:
-    """A number with so many significant digits, at most 6 decimals, no exponent; "not measured" for None, NaN, inf."""
+    """A value with so many significant digits, at most 6 decimals, no exponent; "not measured" for None, NaN, inf.
+    sign: with + before a positive one."""
     if value is None or not np.isfinite(value):
         return "not measured"
     if round(value, 6) == 0:
@@ -383,7 +384,7 @@ def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence:
     numbers.append(Number("reversals used", str(len(used)), f"of {len(used) + len(unused)}"))
     if model.sensor == MARKER or model.delay_s:
         sigma = model.uncertainty.delay_sigma_s
-        spread = f"± {_digits(2e3 * sigma, 1)} ms" if sigma else "nominal"
+        spread = f"± {_digits(2e3 * sigma, 1)} ms" if sigma else "nominal"  # 2 sigma
         what = "image" if model.sensor == MARKER else "sensor"
         numbers.append(Number(f"delay of the {what}", f"{1e3 * model.delay_s:.1f}\u00a0ms", spread))
     if evidence is not None and np.isfinite(evidence.rms()[2]) and model.quality.usable:

@@ -39,7 +39,9 @@ class Endoscope:
     """
 
     def __init__(self, rig: Rig, look: Look | None = None, background: Array | None = None, seed: int = 0) -> None:
-        """background: a BGR picture scaled to cover the frame; without one a tissue-like one is made from the seed."""
+        """background: a BGR picture (rows, columns, 3) uint8 of any size, scaled to cover the frame; without one a
+        tissue-like one is made from the seed, of which the noise is, too. look: by default Look's own values. TautError
+        where the rig has no camera that sees the instrument."""
         if rig.camera is None or rig.kinematics is None or rig.hand_eye is None:
             raise TautError("the rig needs [kinematics], [camera] and [hand_eye] to draw what its camera sees")
         self.rig, self.look = rig, look or Look()
@@ -63,15 +65,16 @@ class Endoscope:
     def position(
         self, c_deg: npt.ArrayLike, translation_mm: npt.ArrayLike = 0.0, rotation_deg: npt.ArrayLike = 0.0
     ) -> Array:
-        """The marker's true place (n, 2) px in each state."""
+        """The marker's true place (n, 2) px in each state; arguments (n,) or one number."""
         image: Array = project(self.rig, c_deg, translation_mm, rotation_deg)
         return image
 
     def frame(
         self, c_deg: npt.ArrayLike, translation_mm: npt.ArrayLike = 0.0, rotation_deg: npt.ArrayLike = 0.0
     ) -> Array:
-        """A BGR picture (height, width, 3) uint8. Each argument is a scalar, or (n,) states through which the exposure
-        passes at equal intervals; the marker is then blurred along them."""
+        """A BGR picture (height, width, 3) uint8 of the tip at c_deg, with the instrument's translation and rotation.
+        Each argument is a scalar, or (n,) states through which the exposure passes at equal intervals; the marker is
+        then blurred along them."""
         c, translation, turn = np.broadcast_arrays(
             *(np.atleast_1d(np.asarray(x, dtype=np.float64)) for x in (c_deg, translation_mm, rotation_deg))
         )
@@ -202,13 +205,14 @@ def load_background(path: str | Path) -> Array:
 
 
 def _levels(picture: Array) -> Array:
-    """Levels as a camera gives them: rounded, 0 to 255, uint8."""
+    """A picture of any shape in levels as a camera gives them: rounded, 0 to 255, uint8."""
     levels: Array = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
     return levels
 
 
 def _cover(picture: Array, width: int, height: int) -> Array:
-    """The picture scaled to cover width x height px, cut in the middle. TautError where it is not BGR of 8 bits."""
+    """A picture scaled to cover width x height px and cut in the middle, BGR (height, width, 3) uint8. TautError where
+    it is not BGR of 8 bits."""
     if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
         raise TautError("a background is a BGR picture of 8 bits: (height, width, 3) uint8")
     scale = max(width / picture.shape[1], height / picture.shape[0])

@@ -40,7 +40,8 @@ class Instrument:
     """
 
     def __init__(self, rig: Rig, grid: Array, width: Array, c_deg: Array, name: str = "own") -> None:
-        """grid: rising, unit of q; width: B >= 0 with |B'| < 2; c_deg: f_remain, strictly monotone."""
+        """grid (n,): rising, unit of q; width (n,): B there, >= 0, |B'| < 2, unit of q; c_deg (n,): f_remain there,
+        strictly monotone; name: as in truth.json. TautError where they are something else."""
         self.rig, self.name = rig, name
         self.grid = np.ascontiguousarray(grid, dtype=np.float64)
         self.width = np.ascontiguousarray(width, dtype=np.float64)
@@ -62,8 +63,8 @@ class Instrument:
 
     @classmethod
     def of(cls, rig: Rig, backlash: Law, remaining: Law, name: str = "own") -> Instrument:
-        """An instrument from B(p), in the unit of q, and f_remain(p), deg, sampled on a fine grid somewhat wider than
-        the motor's range."""
+        """An instrument from functions of p (n,), unit of q: backlash gives B(p), in that unit, and remaining
+        f_remain(p), deg. They are sampled on a fine grid somewhat wider than the motor's range."""
         low, high = rig.actuator.range
         margin = _BEYOND * rig.actuator.span
         grid = np.linspace(low - margin, high + margin, _NODES)
@@ -86,17 +87,18 @@ class Instrument:
         return p
 
     def bend(self, p: Array) -> Array:
-        """c = f_remain(p), deg."""
+        """c = f_remain(p) (n,), deg, at centre coordinates p (n,), unit of q."""
         c: Array = np.interp(p, self.grid, self.c_deg)
         return c
 
     def move(self, t_s: Array, q: Array) -> Array:
-        """c in deg at the motor positions q (see `centre`)."""
+        """c (n,), deg, at motor positions q (n,) at times t_s (n,), s (see `centre`)."""
         return self.bend(self.centre(t_s, q))
 
     def course(self, t_s: Array, q: Array, translation_mm: Array | None, rotation_deg: Array | None) -> InstrumentPath:
-        """As `centre`, with the other degrees of freedom at the same times (None: at rest at 0), which have no part in
-        it here; nor has a channel to lie in: `way` is 0."""
+        """Where the instrument goes as the motor goes along q (n,) at times t_s (n,), s (see `centre`). The other
+        degrees of freedom, (n,) at the same times (None: at rest at 0), change nothing here; `way` is 0, as there is no
+        channel."""
         p = self.centre(t_s, q)
         return InstrumentPath(p, self.bend(p), np.zeros_like(p))
 
@@ -106,7 +108,7 @@ class Instrument:
         return project(self.rig, c_deg, translation_mm, rotation_deg)
 
     def backlash(self, p: Array) -> Array:
-        """B(p), unit of q."""
+        """B(p) (n,) at centre coordinates p (n,), unit of q."""
         width: Array = np.interp(p, self.grid, self.width)
         return width
 
@@ -140,11 +142,11 @@ class Corrected(Instrument):
 
     def centre(self, t_s: Array, q: Array) -> Array:
         """As `Instrument.centre`, with the model's effects."""
-        return self.course(t_s, q, None, None).p
+        return self.course(t_s, q, translation_mm=None, rotation_deg=None).p
 
     def move(self, t_s: Array, q: Array) -> Array:
         """As `Instrument.move`, with the model's effects."""
-        return self.course(t_s, q, None, None).c_deg
+        return self.course(t_s, q, translation_mm=None, rotation_deg=None).c_deg
 
     def course(self, t_s: Array, q: Array, translation_mm: Array | None, rotation_deg: Array | None) -> InstrumentPath:
         """As `Instrument.course`, with the model's effects, which know the motor's motion since `reset`."""
@@ -160,7 +162,7 @@ class Corrected(Instrument):
             """Another degree of freedom's new values (n,) at the times of past and new; None stays None."""
             return None if values is None else np.interp(t, new[0], values)
 
-        motor = Motor(t, moved, None, whole(translation_mm), whole(rotation_deg))
+        motor = Motor(t, moved, translation_mm=whole(translation_mm), rotation_deg=whole(rotation_deg))
         path = effects.follow(self._model, motor, new[0], self._effects, self._start_deg)
         self.p = float(path.p[-1])
         return InstrumentPath(path.p, path.c_deg, path.way)
@@ -221,13 +223,13 @@ class _Scale:
 
 
 def _bump(x: Array, centre: float, spread: float) -> Array:
-    """A Gaussian bump of height 1, spread one standard deviation."""
+    """(n,) A Gaussian bump of height 1 about `centre` at x (n,); spread: one standard deviation, as x."""
     height: Array = np.exp(-0.5 * ((x - centre) / spread) ** 2)
     return height
 
 
 def _bump_integral(x: Array, centre: float, spread: float) -> Array:
-    """The integral of `_bump` from 0 to x."""
+    """(n,) The integral from 0 to x (n,) of `_bump` with this centre and spread."""
     scale = spread * np.sqrt(2)
     area: Array = scale * np.sqrt(np.pi) / 2 * (erf((x - centre) / scale) - erf(-centre / scale))
     return area

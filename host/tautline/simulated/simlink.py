@@ -36,7 +36,7 @@ class SimLink:
     """One text request a line, one JSON object a line back; see `tautline-board`."""
 
     def __init__(self, port: int, host: str = "127.0.0.1") -> None:
-        """Connects to the board's sim link."""
+        """Connects to the board's sim link at host:port. TautError where no board answers."""
         try:
             self._socket = socket.create_connection((host, port), timeout=_START_S)
         except OSError as error:
@@ -159,8 +159,8 @@ class SimulatedAxis:
     """A simulated instrument on one axis of a simulated board: q, p and c at each millisecond of board time."""
 
     def __init__(self, link: SimLink, instrument: Instrument, axis: int = 0) -> None:
-        """The motor's true position is q, in the rig's unit; the play starts on its centre. Its time is the board's, s
-        since the board was switched on."""
+        """Begins where the axis' motor stands now, with the play on its centre. link: to the board. Times are the
+        board's, s since it was switched on; q is the motor's true position, in the rig's unit."""
         self.link, self.instrument, self.axis = link, instrument, axis
         self.resolution = instrument.rig.actuator.encoder_resolution
         # A part (n,) for each advance: s, q and p in the rig's unit, deg, and `way` of InstrumentPath.
@@ -179,7 +179,7 @@ class SimulatedAxis:
         """Moves the instrument by the motor's positions q (n,), the rig's unit, at t_s (n,); keeps where it went."""
         self._t.append(t_s)
         self._q.append(q)
-        course = self.instrument.course(t_s, q, None, None)
+        course = self.instrument.course(t_s, q, translation_mm=None, rotation_deg=None)
         self._p.append(course.p)
         self._c.append(course.c_deg)
         self._way.append(course.way)
@@ -202,7 +202,8 @@ class SimulatedAxis:
             self._advance(behind_us)
 
     def end_at(self, low: float, high: float) -> None:
-        """From now on the motor has mechanical ends there, the rig's unit: it cannot go on, but come back."""
+        """From now on the motor has mechanical ends at low and high, the rig's unit: it cannot go beyond, but come
+        back."""
         self._ends = low, high
 
     def _meet(self, low: float, high: float) -> None:
@@ -220,7 +221,7 @@ class SimulatedAxis:
         self._append((answer["t_us"] - self._boot_us + step * np.arange(1 - len(q), 1)) * 1e-6, q)
 
     def truth(self) -> tuple[Array, Array, Array, Array]:
-        """t_s, q and p (the rig's unit) and c in deg, one per millisecond."""
+        """(n,) each, one per millisecond of board time: t_s, s, q and p, the rig's unit, and c, deg."""
         t, q, p, c = (np.concatenate(parts) for parts in (self._t, self._q, self._p, self._c))
         return t, q, p, c
 
@@ -230,7 +231,8 @@ class SimulatedAxis:
 
     def marker(self, t_s: Array) -> Array:
         """Where the marker was seen (n, 2) px at past times (n,) s, the other degrees of freedom at rest at 0."""
-        return self.instrument.see(self._recent(t_s, self._c), self._recent(t_s, self._way), 0.0, 0.0)
+        c_deg, way = self._recent(t_s, self._c), self._recent(t_s, self._way)
+        return self.instrument.see(c_deg, way, translation_mm=0.0, rotation_deg=0.0)
 
     def _recent(self, t_s: Array, values: list[Array]) -> Array:
         """Values, kept in parts as _t is, at past times (n,) s, straight in between. Only the last parts are joined, as

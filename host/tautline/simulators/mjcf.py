@@ -175,8 +175,9 @@ class Mjcf:
         yield Declared(f"{self.actuator}.delay", "s", 0.0, spread=_DELAY_S, low=0.0, high=_DELAY_MOST_S)
 
     def _declared_of_joint(self, data: mujoco.MjData, name: str, mass_matrix: Array, kp: float) -> Iterator[Declared]:
-        """Yields a joint's own parameters: damping, friction, armature, and the mass that it carries. mass_matrix:
-        MuJoCo's, over all degrees of freedom; kp: of the servo, 0 without one."""
+        """Yields the own parameters of the joint `name`: damping, friction, armature, and the mass that it carries.
+        data: of the model, forward; mass_matrix (nv, nv): MuJoCo's, over all degrees of freedom; kp: of the servo, 0
+        without one."""
         import mujoco
 
         model = self._model
@@ -259,10 +260,11 @@ def _first_order_response(command: Array, steps: float) -> Array:
         return command
     kept = math.exp(-1.0 / steps)
     lag = steps * (1.0 - kept)  # of the last step's change, what is missing at its end
-    step = command - command[0]
-    now = (1.0 - lag) * step
-    now[1:] += (lag - kept) * step[:-1]
-    rows = now[:, None]
+    moved = command - command[0]
+    # equation: y[k] = kept y[k - 1] + (1 - lag) u[k] + (lag - kept) u[k - 1]
+    driven = (1.0 - lag) * moved
+    driven[1:] += (lag - kept) * moved[:-1]
+    rows = driven[:, None]
     _native.first_order_sums(rows, kept)  # in place: to each row `kept` times the one before is added
     return np.asarray(command[0] + rows[:, 0])
 

@@ -51,7 +51,7 @@ class SimulatedNominal:
         """The effects that the diagnosis may name: one for each of the simulator's parameters, 0 where the robot is as
         the simulator."""
         return tuple(
-            effects.of_simulator(p.name, p.unit, p.spread, p.low - p.nominal, p.high - p.nominal)
+            effects.of_simulator(p.name, p.unit, p.spread, low=p.low - p.nominal, high=p.high - p.nominal)
             for p in self.simulator.parameters
         )
 
