@@ -191,14 +191,13 @@ def _calibrate_live(
     with opened(live, rig_path, seed) as setup, calibration_picture(as_json) as show:
         unit = setup.rig.actuator.unit
         if thorough:
-            calibration, motion = calibrate_live(
-                setup, kept, MotionOptions(speeds=speeds or None), options, video, show=show
-            )
+            passes = MotionOptions(speeds=speeds or None)
+            calibration, motion = calibrate_live(setup, kept, passes, options, video=video, show=show)
             made: dict[str, Any] = {}
         else:
             wanted = None if until is None else sigma_of(until, unit)
             goal = Goal(wanted, at_most_s=at_most_s, speeds=speeds or None)
-            calibration, reached = calibrate_until(setup, kept, goal, options, video, show)
+            calibration, reached = calibrate_until(setup, kept, goal, options, video=video, show=show)
             motion = reached.motion
             made = {"until": reached.until, "sigma": reached.standing.worst, "reached": reached.reached}
             if reached.why:

@@ -76,10 +76,10 @@ def command(
             live.plant.end_at(*live.rig.actuator.range)
         commissioned = commission(
             live,
-            (lambda question: True) if yes else (lambda question: click.confirm(question, err=True)),
-            log,
-            Homing(direction=-1 if way == "low" else 1, end=end),
-            {"current_ma": current, "instrument": instrument or None, "group": group, "estop": stops},
+            agree=(lambda question: True) if yes else (lambda question: click.confirm(question, err=True)),
+            say=log,
+            homing=Homing(direction=-1 if way == "low" else 1, end=end),
+            wanted={"current_ma": current, "instrument": instrument or None, "group": group, "estop": stops},
         )
         serial, bus = live.board.identity.serial, live.board.bus()
     try:

@@ -115,7 +115,7 @@ def command(
         if live.camera is None and live.simulate is None:
             raise click.UsageError("--live needs --camera SOURCE (and a board), or --simulate")
         kept = kept or out.absolute().with_name(f"{out.name}-recordings")
-        asked = _diagnose_live(calibration_path, test_paths, rig_path, kept, live, most, seed)
+        asked = _diagnose_live(calibration_path, test_paths, rig_path, kept=kept, live=live, most=most, seed=seed)
         save(asked.diagnosis, out)
         more = {"recordings": asked.recordings, "why": asked.why, "sure": asked.sure}
         said = f"{narration.text(asked.diagnosis.document, str(out))}\n\nStopped: {asked.why}."
@@ -219,7 +219,7 @@ def _diagnose_live(
 ) -> Asked:  # fmt: skip
     """Calibrates on the recording at calibration_path, or if that is None on one that is made here first, and diagnoses
     live, with up to `most` recordings of motions on the board, from the tests at test_paths on. kept: the folder of
-    what is recorded."""
+    what is recorded; rig_path: of --rig; seed: of a simulation."""
     from tautline.live.asking import diagnose_live
     from tautline.live.until import calibrate_until
 
@@ -233,4 +233,6 @@ def _diagnose_live(
             made, rig = [load(calibration_path, setup.rig)], setup.rig
         assert rig is not None
         calibration, recordings = _calibrate_first(made, rig, calibration_path, progress)
-        return diagnose_live(setup, calibration, recordings[0], recordings[1:], kept, most, progress, log)
+        return diagnose_live(
+            setup, calibration, recordings[0], recordings[1:], folder=kept, most=most, progress=progress, say=log
+        )

@@ -106,7 +106,7 @@ def command(
         stopped = stack.enter_context(_stop_on_interrupt())
         opened, following = _open_board(stack, board, axis, model, camera, colour, rig_path, library, force)
         points = stack.enter_context(SetPointStream(opened, axis, silence))
-        _send_until_ended(points, sine, rate, silence, duration, stopped)
+        _send_until_ended(points, sine, rate, silence=silence, duration=duration, stopped=stopped)
     tracking = None if following is None else following.summary()
     if following is not None and (following.lost or following.beyond):
         warn(following.lost or following.beyond)
