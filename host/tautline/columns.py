@@ -34,6 +34,7 @@ class Columns:
     warnings: list[str] = field(default_factory=list)
 
     def __len__(self) -> int:
+        """The number of rows, n."""
         return len(self.index)
 
     def keep(self, rows: slice | Array) -> None:
@@ -154,7 +155,7 @@ def read_columns(path: Path, required: Iterable[str], expected: str, mend: bool 
         raise _uneven_error(path, text, header_line, len(names))
     rows = len(table[0])
     cells = dict(zip(names, table, strict=False)) | {name: np.full(rows, np.nan) for name in names[len(table) :]}
-    columns = Columns(path, names, cells, np.arange(rows), terminated, text)
+    columns = Columns(path, names, cells, index=np.arange(rows), terminated=terminated, text=text)
     for name in required:
         if name not in names:
             raise columns.missing(name, expected)
@@ -172,6 +173,7 @@ def read_times(path: Path, warnings: list[str] | None = None) -> tuple[list[str]
         rows = list(csv.reader(line for line in _lines(columns.text) if line.strip()))[1 : len(columns) + 1]
     except csv.Error as error:
         raise TautError(f"{path}: cannot be read as comma-separated numbers ({error})") from error
+    # Its time may be cut, or is not there; where t_s is the last column a cut cannot be told.
     if not columns.terminated and len(rows) > 1 and len(rows[-1]) <= min(index + 1, len(columns.names) - 1):
         columns.keep(slice(-1))
         rows = rows[:-1]

@@ -59,9 +59,10 @@ def compensate(
     start_deg: float | None = None,
     progress: Progress = lambda fraction, text: None,
 ) -> SetPoints:
-    """The set-points at rate_hz from the first time to the last, each from the commands up to its own time. It starts
-    at rest where the mode puts the motor for c_deg[0], or start_deg, with the tip on the centre line. Take-up and feed
-    are as fast as the rig's motor may be, without a limit if the rig names none."""
+    """The set-points at rate_hz from the first time to the last, each from the commands up to its own time: the tip
+    shall be at c_deg (n,) at the times t_s (n,), s. The motor starts at rest where the mode (a key of MODES) puts it
+    for c_deg[0], or start_deg, with the tip on the centre line. Take-up and feed are as fast as the rig's motor may be,
+    without a limit if the rig names none."""
     return Compensator(model, rate_hz, mode, start_deg).run(t_s, c_deg, progress)
 
 
@@ -121,18 +122,8 @@ class Compensator:
         """The set-points of all ticks up to the last command. t_s, c_deg (n,): times, s, and angles, deg, of the
         commands. TautError as in `step`."""
         t_s, c_deg = np.asarray(t_s, dtype=float), np.asarray(c_deg, dtype=float)
-        if t_s.ndim != 1 or t_s.shape != c_deg.shape or not len(t_s):
-            shapes = f"t_s {t_s.shape} and c_deg {c_deg.shape}"
-            raise TautError(f"the trajectory's {shapes} must have one length of 1 or more")
-        first = self._native is None
-        known_s = t_s if first else np.concatenate([[self._before_s], t_s])
-        known_deg = c_deg if first else np.concatenate([[self._before_deg], c_deg])
-        if not (np.isfinite(known_s).all() and np.isfinite(known_deg).all() and (np.diff(known_s) > 0.0).all()):
-            raise TautError("the trajectory's times must rise, and its times and angles be finite")
-        if (t_s[-1] - known_s[0]) * self.rate_hz * (1 + 1e-12) >= MOST_ROWS:
-            rows = f"{MOST_ROWS} rows at {self.rate_hz} Hz"
-            raise TautError(f"the trajectory has more than {rows}: lower the rate or cut it; after a pause begin anew")
-        if first:
+        known_s, known_deg = self._with_last_command(t_s, c_deg)
+        if self._native is None:
             self._start(float(t_s[0]), float(c_deg[0]))
         last = int((t_s[-1] - self._begin_s) * self.rate_hz * (1 + 1e-12) + 1e-6)  # a tick at the end is in, if rounded
         times = self._begin_s + np.arange(self._ticks, last + 1) / self.rate_hz
@@ -153,6 +144,22 @@ class Compensator:
         self._ticks = last + 1
         self._before_s, self._before_deg = float(t_s[-1]), float(c_deg[-1])
         return SetPoints(times, q, clipped)
+
+    def _with_last_command(self, t_s: Array, c_deg: Array) -> tuple[Array, Array]:
+        """Times, s, and angles, deg, of the commands t_s, c_deg (n,) with the last one before them, if there was one:
+        what the ticks are between. TautError where they cannot follow it."""
+        if t_s.ndim != 1 or t_s.shape != c_deg.shape or not len(t_s):
+            shapes = f"t_s {t_s.shape} and c_deg {c_deg.shape}"
+            raise TautError(f"the trajectory's {shapes} must have one length of 1 or more")
+        first = self._native is None
+        known_s = t_s if first else np.concatenate([[self._before_s], t_s])
+        known_deg = c_deg if first else np.concatenate([[self._before_deg], c_deg])
+        if not (np.isfinite(known_s).all() and np.isfinite(known_deg).all() and (np.diff(known_s) > 0.0).all()):
+            raise TautError("the trajectory's times must rise, and its times and angles be finite")
+        if (t_s[-1] - known_s[0]) * self.rate_hz * (1 + 1e-12) >= MOST_ROWS:
+            rows = f"{MOST_ROWS} rows at {self.rate_hz} Hz"
+            raise TautError(f"the trajectory has more than {rows}: lower the rate or cut it; after a pause begin anew")
+        return known_s, known_deg
 
     def adapt(self, offset: float, share: float, within_s: float = BLEND_S) -> None:
         """Moves the tables in use as a board does that is told what was learnt: by an offset of the transmission, the
@@ -190,9 +197,9 @@ def _limits(model: Model) -> tables.Limits:
     """The limits of tables in use, as fast as the rig's motor may be; where the rig names no speed, as fast as a board
     computes with."""
     resolution = model.rig.actuator.encoder_resolution
-    most = _native.TABLE_VALUE_MAX // _native.COUNT_ONE * resolution
+    most = _native.TABLE_VALUE_MAX // _native.COUNT_ONE * resolution  # unit/s
     speed = min(most, model.rig.actuator.speed_max or most)
-    accel = INT32_MAX * resolution
+    accel = INT32_MAX * resolution  # unit/s^2
     own = tables.Limits.in_use(model.rig)
     return replace(own, speed_max=speed, takeup_speed=speed, takeup_accel=accel, slope_min=0.0)
 

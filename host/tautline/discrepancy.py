@@ -43,7 +43,7 @@ class Discrepancy:
         return factor, bool(lower)
 
     def to_json(self) -> dict[str, Any]:
-        """As a model remembers it, plain."""
+        """The fields as plain values, for model.json."""
         arrays = {"inputs": self.inputs.tolist(), "lengths": self.lengths.tolist()}
         return {"sigma": self.sigma, "white": self.white, **arrays}
 

@@ -43,13 +43,13 @@ def driven(t_s: Array, q: Array, step: float, *, rounded: bool, order: int = 2) 
     begin_s, end_s = float(t_s[0]), float(t_s[-1])
     t_s, readings = _block_means(t_s, q)
     usual_s = float(np.median(np.diff(t_s)))
-    parts = max(int(np.ceil(usual_s / _GRID_S - 1e-6)), 1)
+    parts = max(int(np.ceil(usual_s / _GRID_S - 1e-6)), 1)  # of each interval of readings
     size = len(readings)
     nodes = np.interp(np.arange((size - 1) * parts + 1) / parts, np.arange(size), t_s)
     read = np.zeros(len(nodes), dtype=np.uint8)
     read[::parts] = 1
     zero = float(readings[0])
-    reading = np.zeros(len(nodes))
+    reading = np.zeros(len(nodes))  # at each node that has one, in steps from the first
     reading[::parts] = (readings - zero) / step
     found = _fitted_path(order, np.diff(nodes) / usual_s, reading, read, rounded)
     mean, sigma = found.mean.copy(), found.sigma
@@ -61,7 +61,7 @@ def driven(t_s: Array, q: Array, step: float, *, rounded: bool, order: int = 2) 
         shows = _shows_corners(nodes, mean, parts)
         nodes, mean, sigma = _corners_placed(nodes[shows], mean[shows], sigma[shows])
     noise = step * found.noise * float(np.sqrt(len(q) / size))  # equation: of one reading, from that of block means
-    return Driven(nodes, zero + step * mean, step * sigma, noise, order)
+    return Driven(t_s=nodes, q=zero + step * mean, sigma=step * sigma, noise=noise, order=order)
 
 
 @dataclass(frozen=True)
@@ -106,8 +106,9 @@ def _fitted_path(order: int, intervals: Array, reading: Array, read: npt.NDArray
 
 
 def _shows_corners(t_s: Array, q: Array, parts: int) -> npt.NDArray[np.bool_]:
-    """Whether each node shows where a jump of speed is: all but those on a straight line between two others of the same
-    interval of readings that jump, as they do where times are uneven. parts: of nodes for each interval of readings."""
+    """(n,) Whether each node shows where a jump of speed is: all but those on a straight line between two others of the
+    same interval of readings that jump, as they do where times are uneven. t_s, q (n,): the nodes, s, and the path
+    there; parts: of nodes for each interval of readings."""
     shows = np.ones(len(t_s), dtype=bool)
     if parts < 2:
         return shows
@@ -123,7 +124,7 @@ def _shows_corners(t_s: Array, q: Array, parts: int) -> npt.NDArray[np.bool_]:
 
 def _corners_placed(t_s: Array, q: Array, sigma: Array) -> tuple[Array, Array, Array]:
     """Moves each jump of speed, which shows at the nodes on either side of it, to where the lines beside it meet: one
-    node in place of two. Returns the times, positions and sigmas of those that are left."""
+    node in place of two. Of nodes (n,) returns the times, s, positions and sigmas of those that are left (m,)."""
     jump = np.diff(np.diff(q) / np.diff(t_s))  # at nodes 1 to n - 2
     # Of each two neighbours that jump the same way how much both do; one jump is where that is largest.
     pair = np.where(jump[1:] * jump[:-1] > 0.0, np.abs(jump[1:] + jump[:-1]), 0.0)
@@ -161,7 +162,8 @@ def white_noise(t_s: Array, q: Array) -> float:
 
 
 def _block_means(t_s: Array, q: Array) -> tuple[Array, Array]:
-    """Times and readings averaged over neighbours that come faster than the nodes of the grid, never across a pause."""
+    """Times t_s, s, and readings q, (n,) each, averaged over neighbours that come faster than the nodes of the grid,
+    never across a pause: (m,) each."""
     many = int(_GRID_S / float(np.median(np.diff(t_s))) + 1e-6)
     if many < 2 or len(q) < 4 * many:
         return t_s, q

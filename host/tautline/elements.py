@@ -62,7 +62,7 @@ class Elements:
         return len(self.width) == 1
 
     def to_json(self) -> dict[str, list[float]]:
-        """As a model remembers it, plain."""
+        """Widths and weights as plain values, for model.json."""
         return {"width": list(self.width), "weight": list(self.weight)}
 
     @classmethod
@@ -129,10 +129,10 @@ class Warp:
 
 
 def warp_of(grid: Array, width: Array, narrow: float) -> Warp:
-    """The warp x = G(q) of a backlash table; widths below `narrow` (> 0) count as `narrow`. With T the map from p - B/2
-    to p + B/2, G(T(u)) = G(u) + 1: one period about the table's middle determines all others. Within it G has the least
-    integral of G'''^2 over the table. Knots: those of the period, the table's corners among them, and their images
-    under T. G(middle) = 0."""
+    """The warp x = G(q) of a backlash table, B width (n,) at grid (n,), unit of q; widths below `narrow` (> 0) count as
+    `narrow`. With T the map from p - B/2 to p + B/2, G(T(u)) = G(u) + 1: one period about the table's middle determines
+    all others. Within it G has the least integral of G'''^2 over the table. Knots: those of the period, the table's
+    corners among them, and their images under T. G(middle) = 0."""
     middle = 0.5 * (grid[0] + grid[-1])
     grid, width = _with_least_width(grid, width, narrow)
     table = _Periods(grid, width)
@@ -187,6 +187,7 @@ class _Periods:
     there, both in the unit of q; left and right are the motor's places at which an element at p is pushed."""
 
     def __init__(self, grid: Array, width: Array) -> None:
+        """grid, width: as of the class."""
         self.left, self.right = grid - 0.5 * width, grid + 0.5 * width
         self.grid, self.width = grid, width
 
@@ -215,7 +216,8 @@ class _Periods:
 
 
 def _interpolated(x: npt.ArrayLike, from_: Array, to: Array) -> Array:
-    """Linear interpolation from nodes `from_` to `to`; beyond the ends shifted by as much as the end node is."""
+    """Linear interpolation at x, of any shape, of the values `to` (n,) at the rising nodes `from_` (n,); beyond the
+    ends x is shifted by as much as the end node is."""
     x = np.asarray(x, dtype=float)
     beyond = np.minimum(x - from_[0], 0.0) + np.maximum(x - from_[-1], 0.0)
     return np.asarray(np.interp(x, from_, to) + beyond)
@@ -258,7 +260,7 @@ def _without_corners(grid: Array, width: Array) -> tuple[Array, Array]:
 
 def _least_third_derivative(q: Array, period: Array, inside: npt.NDArray[np.bool_]) -> Array:
     """(_MESH,) Rising values v with v[0] = 0 for which v[k mod _MESH] + period[k] at q[k] has the least squared third
-    derivative where `inside`; mixed with even steps as far as they must rise."""
+    derivative where `inside` (q, period, inside: (n,)); mixed with even steps as far as they must rise."""
     weights = np.zeros((len(q) - 3, 4))
     for i in range(4):
         others = [q[i : len(q) - 3 + i] - q[j : len(q) - 3 + j] for j in range(4) if j != i]
@@ -279,5 +281,6 @@ def _least_third_derivative(q: Array, period: Array, inside: npt.NDArray[np.bool
     smoothest = even + np.linalg.solve(normal, slope)
     rises = np.diff(np.concatenate([[0.0], smoothest, [1.0]]))
     mean, least = 1.0 / _MESH, float(rises.min())
+    # The largest share of the smoothest with which every step is _AT_LEAST of the mean one.
     share = 1.0 if least >= _AT_LEAST * mean else (1.0 - _AT_LEAST) * mean / (mean - least)
     return np.concatenate([[0.0], share * smoothest + (1.0 - share) * even])

@@ -42,11 +42,12 @@ def steps_of(motor: Motor, resolution: float) -> Steps | None:
     if len(moves) < 2:
         return None
     coarser = min(float(moves.min()), _COARSER * resolution)
+    # The rig's step from 0 and from the first reading, then a coarser one: the smallest move is one of its steps.
     for count, zero in ((resolution, 0.0), (resolution, float(motor.q[0])), (coarser, float(motor.q[0]))):
         counts = (motor.q - zero) / count
         whole = np.rint(counts)
         if np.count_nonzero(np.diff(whole)) >= 2 and np.mean(np.abs(counts - whole) < _WHOLE) >= _MOST:
-            return Steps(count, zero, whole)
+            return Steps(count, zero, counts=whole)
     return None
 
 
@@ -85,11 +86,13 @@ def rests_and_turns(motor: Motor, encoder: Steps) -> Stops:
     change of count that tells them are left out."""
     t, counts = motor.t_s, encoder.counts
     changes = np.flatnonzero(np.diff(counts))
+    # Of each of k changes of count: when, s, by how many counts, and where the motor is then, counts.
     at, step = 0.5 * (t[changes] + t[changes + 1]), np.diff(counts)[changes]
     boundary = counts[changes] + 0.5 * step
     period = float(np.median(np.diff(t)))
     stops, asked, slowing = [], 0, 0  # asked: sides of stops, before and after; slowing: those at which it slows down
-    # The count that holds from change i - 1 to change i.
+    # Below (k + 1,), i of the count that holds from change i - 1 to change i: when it begins, whether the motor turns
+    # in it, how long it lasts.
     edges = np.concatenate([t[:1], at, t[-1:]])
     turned = np.concatenate([[False], step[1:] * step[:-1] < 0, [False]])
     lasts = np.diff(edges)
@@ -113,7 +116,7 @@ def rests_and_turns(motor: Motor, encoder: Steps) -> Stops:
         if turns and slows is not None and starts is not None and end_s - start_s < 2 * period:
             start_s = end_s = 0.5 * (start_s + end_s)
         level = encoder.zero + encoder.count * float(np.mean([side.level for side in sides]))
-        stops.append(Rest(level, start_s, end_s, since, until))
+        stops.append(Rest(q=level, start_s=start_s, end_s=end_s, since_s=since, until_s=until))
     return Stops(stops, 2 * slowing >= asked)
 
 
@@ -131,8 +134,8 @@ def _half_count_s(t: Array, changes: npt.NDArray[np.intp], step: Array, lasts: A
 def _stop_by_parabola(at: Array, boundary: Array, step: Array, centre: float, period: float) -> _Vertex | None:
     """How the motor comes to its stop within a count: the vertex of a parabola through as many changes of count, the
     nearest first, as it fits; halfway to the second change, and not sure, where the parabola has no vertex within a
-    count. None for too few changes. Of each of the n changes: at (n,), s; boundary (n,), counts; step (n,), its sign.
-    centre: the count stopped in; period: of the samples, s."""
+    count. None for too few changes. Of each of the changes, the one nearest to the stop first: at (k,), s; boundary and
+    step (k,), counts. centre: the count stopped in; period: of the samples, s."""
     most, least = CHANGES
     way = np.sign(step[0])
     breaks = np.flatnonzero((np.sign(step[:most]) != way) | (np.abs(np.diff(at[:most], prepend=at[0])) > REST_S))
@@ -141,15 +144,16 @@ def _stop_by_parabola(at: Array, boundary: Array, step: Array, centre: float, pe
         away, since = way * (centre - boundary[:n]), np.abs(at[:n] - at[0])
         # A change that comes after a while is known to a fraction of a count.
         sure = np.maximum(1.0, np.gradient(since) / period)
-        line = np.column_stack([np.ones(n), since, since**2])
-        fitted = np.linalg.lstsq(line * sure[:, None], away * sure, rcond=None)[0]
-        if float(np.sqrt(np.mean(np.square(sure * (away - line @ fitted))))) <= _FITS:
+        powers = np.column_stack([np.ones(n), since, since**2])
+        fitted = np.linalg.lstsq(powers * sure[:, None], away * sure, rcond=None)[0]
+        if float(np.sqrt(np.mean(np.square(sure * (away - powers @ fitted))))) <= _FITS:
             offset, speed, bend = (float(value) for value in fitted)
             has_vertex = bend > 0.0 and speed > 0.0
-            left = offset - speed**2 / (4.0 * bend) if has_vertex else -np.inf  # equation: its value there
+            left = offset - speed**2 / (4.0 * bend) if has_vertex else -np.inf  # equation: `away` at the vertex
             if abs(left) <= 1.0:
-                return _Vertex(speed / (2.0 * bend), centre - way * float(np.clip(left, -0.5, 0.5)), True)
-            return _Vertex(0.5 * float(since[1]), centre, False)
+                level = centre - way * float(np.clip(left, -0.5, 0.5))  # within the count
+                return _Vertex(lasts_s=speed / (2.0 * bend), level=level, slows=True)
+            return _Vertex(lasts_s=0.5 * float(since[1]), level=centre, slows=False)
         n = int(_FEWER * n)
     return None
 

@@ -35,7 +35,7 @@ def tip_bend(kinematics: Kinematics, c_deg: npt.ArrayLike) -> Array:
 
 
 def rotation(angles_deg: tuple[float, float, float]) -> Array:
-    """Rz(rz) Ry(ry) Rx(rx) from [rx, ry, rz], (3, 3)."""
+    """The rotation matrix (3, 3) Rz(rz) Ry(ry) Rx(rx) of angles [rx, ry, rz], deg."""
     (sx, sy, sz), (cx, cy, cz) = np.sin(np.radians(angles_deg)), np.cos(np.radians(angles_deg))
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])

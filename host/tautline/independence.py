@@ -64,9 +64,10 @@ def less_its_trend(t: Array, values: Array, order: int = 1) -> Array:
 
 
 def remembered(rests: Sequence[Array], order: int = 1) -> tuple[float, float]:
-    """Of first-order autoregressive noise in rests (n, k), each less its own trend: its autocorrelation from one frame
-    to the next, and its standard deviation. Subtracting a trend removes slow noise too, so correlated noise leaves
-    much less than white noise: both are corrected for that."""
+    """Of first-order autoregressive noise its autocorrelation from one frame to the next, and its standard deviation.
+    rests: what was seen in each of several rests, (n, k) frames by channels, less its own trend of this order
+    (`less_its_trend`). That removes slow noise too, so correlated noise leaves much less than white noise: both are
+    corrected for that."""
     count: Counter[int] = Counter()
     for rest in rests:
         count[len(rest)] += rest.shape[1]
@@ -88,7 +89,7 @@ def expected_sums(n: int, order: int = 1) -> Array:
         ahead, behind = first_order_sums(trend, rho), first_order_sums(trend[::-1], rho)[::-1]
         covered = ahead + behind - trend  # covariance times trend
         of_trend = trend.T @ covered
-        # equation: sum of (I - P) C (I - P) beside its diagonal, less (n - 1) rho, P onto the trend, C the covariance
+        # equation: (n - 1) rho less this is the sum of (I - P) C (I - P) beside its diagonal, P onto the trend
         neighbours = np.sum(trend[:-1] * covered[1:] + covered[:-1] * trend[1:] - (trend[:-1] @ of_trend) * trend[1:])
         sums.append([n - np.trace(of_trend), (n - 1) * rho - neighbours])
     return np.array(sums).T

@@ -40,7 +40,7 @@ class Effect:
     parameters: Mapping[str, Any]  # numbers; `column`: the name of one of motor.csv
 
     def to_json(self) -> dict[str, Any]:
-        """As model.json has it, plain."""
+        """The fields as plain values, as model.json has them."""
         return {"id": self.id, "parameters": dict(self.parameters)}
 
     @classmethod
@@ -69,7 +69,7 @@ class Deviation:
         return cls(model.width, model.c_deg, model.delay_s, model.effects)
 
     def to_json(self) -> dict[str, Any]:
-        """As model.json has it, plain."""
+        """The fields as plain values, as model.json has them."""
         return {
             "width": np.round(self.width, _DIGITS).tolist(),
             "c_deg": np.round(self.c_deg, _DIGITS).tolist(),
@@ -98,7 +98,7 @@ class Uncertainty:
     discrepancy: Discrepancy | None = None  # of a corrected simulator
 
     def to_json(self) -> dict[str, Any]:
-        """As model.json has it, plain."""
+        """The fields as plain values, as model.json has them."""
         by_delay, times, apart = self.width_by_delay, self.noise_times, self.discrepancy
         return {
             "noise": self.noise,
@@ -375,7 +375,8 @@ def interpolate(x: npt.ArrayLike, grid: Array, values: Array) -> Array:
 
 
 def interpolate_inverse(y: npt.ArrayLike, grid: Array, values: Array) -> Array:
-    """Where `interpolate` of strictly monotone values, rising or falling, on a rising grid is y, of any shape."""
+    """Where `interpolate` of strictly monotone values (n,), rising or falling, on a rising grid (n,) is y; y and the
+    result are of any one shape."""
     rising = slice(None) if values[-1] > values[0] else slice(None, None, -1)
     return interpolate(y, values[rising], grid[rising])
 

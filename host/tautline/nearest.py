@@ -47,7 +47,7 @@ def nearest_plays(grid: Array, width: Array, hysteresis: Hysteresis, reached: tu
     error: least squares, first of weights at fixed widths, then of both. One play where there is no backlash. grid,
     width (n,): the table of B, unit of q."""
     if not np.any(width > 0.0):
-        return Nearest(SINGLE, 0.0, 0.0)
+        return Nearest(SINGLE, left=0.0, undoes=0.0)
     q = _test_motion(grid, width, reached)
     p = Play(grid, width, hysteresis).forward(q)
     warp = warp_of(grid, width, Play(grid, width).narrow)
@@ -56,11 +56,13 @@ def nearest_plays(grid: Array, width: Array, hysteresis: Hysteresis, reached: tu
     y = 0.5 * (np.interp(p + half, warp.q, warp.x) + np.interp(p - half, warp.q, warp.x))
     elements = _fitted_elements(np.interp(q, warp.q, warp.x), y)
     off = Play(grid, width, elements).forward(q) - p
-    return Nearest(elements, float(np.sqrt(np.mean(off**2))), float(np.sqrt(np.mean((q - p) ** 2))))
+    left, undoes = (float(np.sqrt(np.mean(each**2))) for each in (off, q - p))
+    return Nearest(elements, left=left, undoes=undoes)
 
 
 def _test_motion(grid: Array, width: Array, reached: tuple[float, float]) -> Array:
-    """Motor positions of a random motion with full strokes, strokes to anywhere and small loops of all sizes."""
+    """(n,) Motor positions of a random motion between the two ends `reached`, unit of q: full strokes, strokes to
+    anywhere and small loops of all sizes, _SAMPLES a backlash. The same each time. grid, width: the table of B."""
     low, high = reached
     usual = float(np.mean(width[(grid >= low) & (grid <= high)]))
     rng = np.random.default_rng(0x100B)

@@ -50,6 +50,8 @@ class Times:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Prediction(Value):
+    """What a model says the tip does, at n times."""
+
     c_deg: Array  # (n,)
     image_px: Array | None  # (n, 2); None without a camera
     c_sigma_deg: Array | None = None  # (n,) one standard deviation of what the sensor would show, model error and noise
@@ -67,10 +69,10 @@ def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float
 def predict_with_sigma(
     model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float | None = None
 ) -> Prediction:
-    """`predict` with one standard deviation of what the sensor would show: the uncertainty of B, f_remain, the delay,
-    the motor's path and, unless start_deg is given, of the start within the backlash, propagated by differences through
-    the chain; of a corrected simulator that of all its unknowns together, and more where the motion is unlike those
-    that it was fitted to; and the noise."""
+    """`predict` at scene times (n,), s, with one standard deviation of what the sensor would show: the uncertainty of
+    B, f_remain, the delay, the motor's path and, unless start_deg is given, of the start within the backlash,
+    propagated by differences through the chain; of a corrected simulator that of all its unknowns together, and more
+    where the motion is unlike those that it was fitted to; and the noise."""
     scene = _scene_times(scene_s)
     path = path_of(model, motor)
     told = Chain(model).at(path, scene, start_deg)
@@ -79,13 +81,16 @@ def predict_with_sigma(
         model_sigma = np.hypot(model_sigma, apart)
     noise = np.hypot(_noise_at(model, told.c_deg), _discrepancy(model, path, motor, scene))  # px, or deg of an angle
     if told.image_px is None:
-        return Prediction(told.c_deg, None, np.hypot(model_sigma[:, 0], noise))
-    by_c = px_per_deg(model.rig, told.c_deg, *path.others_at(scene))
-    by_marker = model.sensor == MARKER
-    noise_px, noise_deg = (noise[:, None], noise / by_c) if by_marker else ((noise * by_c)[:, None], noise)
+        return Prediction(told.c_deg, image_px=None, c_sigma_deg=np.hypot(model_sigma[:, 0], noise))
+    steepness = px_per_deg(model.rig, told.c_deg, *path.others_at(scene))
+    noise_px, noise_deg = (noise, noise / steepness) if model.sensor == MARKER else (noise * steepness, noise)
     unseen_deg = _unseen_deg(model, told.c_deg, *path.others_at(scene))
-    angle = np.sqrt(model_sigma[:, 0] ** 2 + noise_deg**2 + unseen_deg**2)
-    return Prediction(told.c_deg, told.image_px, angle, np.hypot(model_sigma[:, 1:], noise_px))
+    return Prediction(
+        told.c_deg,
+        told.image_px,
+        c_sigma_deg=np.sqrt(model_sigma[:, 0] ** 2 + noise_deg**2 + unseen_deg**2),
+        image_sigma_px=np.hypot(model_sigma[:, 1:], noise_px[:, None]),
+    )
 
 
 def _model_sigma(model: Model, path: MotorPath, scene: Array, start_deg: float | None) -> Array:
@@ -208,7 +213,8 @@ def driven_both_ways_from(t_s: Array, q: Array, width: float) -> float:
 
 
 def residuals(model: Model, motor: Motor, scene_s: npt.ArrayLike, seen: Array) -> Array:
-    """Seen less predicted at scene times. seen: (n, 2) px, or (n,) or (n, 1) deg; the result has the same shape."""
+    """Seen less predicted at scene times (n,), s. seen: (n, 2) px, or (n,) or (n, 1) deg; the result has the same
+    shape."""
     told = predict(model, motor, scene_s)
     if seen.ndim == 2 and seen.shape[1] == 2:
         assert told.image_px is not None  # the model has a camera

@@ -29,6 +29,7 @@ class Reason:
     mild: bool = False  # worth knowing; sigma and predictions hold all the same
 
     def __str__(self) -> str:
+        """What is wrong, and what to do, in a sentence."""
         return f"{self.says}: {self.remedy}"
 
 
@@ -56,7 +57,7 @@ class Quality:
         return cls(tuple(sorted(dict.fromkeys(reasons), key=lambda reason: reason.mild - reason.fatal)))
 
     def to_json(self) -> dict[str, Any]:
-        """As a model remembers it, plain."""
+        """Verdict and reasons as plain values, for model.json."""
         return {"verdict": self.verdict.value, "reasons": [asdict(reason) for reason in self.reasons]}
 
     @classmethod

@@ -355,7 +355,8 @@ def _row(row: int) -> str:
 
 
 def _check_columns(columns: Mapping[str, Array], name: str, finite: Sequence[str] = ("t_s",)) -> None:
-    """TautError where columns have not one length, those named hold what is no finite number, or t_s does not rise."""
+    """TautError where columns, by name, have not one length, those named in `finite` hold what is no finite number, or
+    t_s does not rise. name: of what they are of, for the text."""
     lengths = {each: np.shape(values) for each, values in columns.items()}
     if len(set(lengths.values())) > 1 or any(len(shape) != 1 for shape in lengths.values()):
         told = ", ".join(f"{each} {'x'.join(map(str, shape))}" for each, shape in lengths.items())
@@ -537,7 +538,7 @@ def _find_video(folder: Path, tracked: bool, warnings: list[str]) -> Video | Non
 
 
 def _check_overlap(motor_file: Path, motor_s: Array, file: Path, t_s: Array) -> None:
-    """TautError where a file's times do not overlap the motor's."""
+    """TautError where a file's times t_s (m,), rising, do not overlap the motor's, motor_s (n,), both s."""
     if t_s[0] <= motor_s[-1] and t_s[-1] >= motor_s[0]:
         return
     raise TautError(

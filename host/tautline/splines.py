@@ -75,7 +75,7 @@ class Basis:
         return np.asarray(table[before] * (1.0 - share) + table[before + 1] * share)
 
     def slope(self, coefficients: Array, x: Array) -> Array:
-        """As `value`, the curve's derivative; beyond the ends that at the nearer one."""
+        """The curve's derivative at x, shapes as of `value`; beyond the ends that at the nearer one."""
         return np.asarray(BSpline(self.knots, coefficients, 3).derivative()(self.clip(x)))
 
     def nearest(self, x: Array, values: Array) -> Array:
