@@ -178,7 +178,7 @@ def _calibrate_live(
     """Calibrates on a board and a camera and writes the MODEL folder `out`. Returns the calibration, the result in
     sentences, and how the motion went (the result's `motion`). kept: folder of the recording; until: sigma of B(q) as
     text, "3um"; at_most_s: after which it ends; thorough: the paper's slow motion instead; speeds: the rig's unit per
-    second."""
+    second; video: the recording gets one; seed: of a simulation; as_json: no picture in the terminal."""
     from tautline.cli._picture import calibration_picture
     from tautline.live.session import MotionOptions, calibrate_live
     from tautline.live.until import Goal, calibrate_until
